@@ -1,1 +1,33 @@
-//! To be written.
+#![doc = include_str!("../README.md")]
+#![deny(unsafe_code)]
+
+// A loom build explores the two structures that threads share; the rest needs a real kernel.
+pub mod latest;
+pub mod ring;
+mod sync;
+
+#[cfg(not(loom))]
+pub mod alloc;
+#[cfg(not(loom))]
+pub mod cycle;
+#[cfg(not(loom))]
+pub mod flight;
+#[cfg(not(loom))]
+mod grant;
+#[cfg(not(loom))]
+pub mod host;
+#[cfg(not(loom))]
+mod linux;
+#[cfg(not(loom))]
+mod nanos;
+#[cfg(not(loom))]
+pub mod stats;
+#[cfg(not(loom))]
+pub mod thread;
+
+#[cfg(not(loom))]
+pub use self::{
+    grant::{Grant, Outcome},
+    linux::clock::{monotonic, sleep_until},
+    nanos::Nanos,
+};

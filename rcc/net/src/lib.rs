@@ -1,1 +1,25 @@
-//! To be written.
+#![doc = include_str!("../README.md")]
+#![forbid(unsafe_code)]
+
+pub mod definition;
+pub mod device;
+pub mod fault;
+pub mod limits;
+mod load;
+pub mod netcomm;
+pub mod plan;
+pub mod primitives;
+pub mod registry;
+pub mod slots;
+pub mod text;
+pub mod value;
+
+pub use definition::{Build, Definition, Inputs, NullRule, Outputs, Primitive, function};
+pub use device::{ArmBinding, Devices, Image, JointCommand, JointLimits, JointState, NoDevices};
+pub use fault::{Fault, FaultKind, Rejection};
+pub use limits::Limits;
+pub use load::{LoadContext, load};
+pub use plan::{Cycle, Moment, Plan};
+pub use registry::Registry;
+pub use slots::{ArrayIn, ArrayOut, In, Out};
+pub use value::{Element, Frame, Nanos, Rotation, Twist, Type, Value, Vector, Wrench};

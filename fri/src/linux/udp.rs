@@ -1,0 +1,175 @@
+//! A UDP socket as a [`Link`]. No allocation after opening, no kernel time stamps: those are on the clock that ntp moves.
+
+use super::monotonic;
+use crate::link::Link;
+use nix::errno::Errno;
+use nix::poll::{PollFd, PollFlags, ppoll};
+use nix::sys::time::TimeSpec;
+use std::io::{self, ErrorKind};
+use std::net::{SocketAddr, UdpSocket};
+use std::os::fd::AsFd;
+use std::time::Duration;
+
+/// Datagrams of foreign senders skipped in one call before it gives up.
+const FOREIGN_MAX: usize = 16;
+
+/// A UDP socket that talks to one peer.
+#[derive(Debug)]
+pub struct UdpLink {
+    socket: UdpSocket,
+    peer: Option<SocketAddr>,
+    fixed: bool,
+    foreign: u64,
+}
+
+impl UdpLink {
+    /// The PC's end: listens on `local` and answers whoever sent the last datagram, as every FRI client does.
+    pub fn bind(local: SocketAddr) -> io::Result<Self> {
+        let socket = UdpSocket::bind(local)?;
+        socket.set_nonblocking(true)?;
+        Ok(Self {
+            socket,
+            peer: None,
+            fixed: false,
+            foreign: 0,
+        })
+    }
+
+    /// The controller's end: sends from `local` to `peer` and hears nobody else.
+    ///
+    /// The socket is not connected: a client that is not there yet would make the kernel report errors on a later send.
+    pub fn connect(local: SocketAddr, peer: SocketAddr) -> io::Result<Self> {
+        Ok(Self {
+            peer: Some(peer),
+            fixed: true,
+            ..Self::bind(local)?
+        })
+    }
+
+    /// Address this end is bound to.
+    pub fn local_addr(&self) -> io::Result<SocketAddr> {
+        self.socket.local_addr()
+    }
+
+    /// To whom the next datagram goes.
+    #[must_use]
+    pub fn peer(&self) -> Option<SocketAddr> {
+        self.peer
+    }
+
+    /// Datagrams ignored because they came from another address than the fixed peer.
+    #[must_use]
+    pub fn foreign(&self) -> u64 {
+        self.foreign
+    }
+
+    fn take(&mut self, buf: &mut [u8]) -> io::Result<Option<(usize, Duration)>> {
+        for _ in 0..FOREIGN_MAX {
+            let (len, from) = match self.socket.recv_from(buf) {
+                Ok(received) => received,
+                Err(error) if is_transient(error.kind()) => return Ok(None),
+                Err(error) => return Err(error),
+            };
+            let now = monotonic()?;
+            if self.fixed && self.peer != Some(from) {
+                self.foreign += 1;
+                continue;
+            }
+            self.peer = Some(from);
+            return Ok(Some((len, now)));
+        }
+        Ok(None)
+    }
+}
+
+/// Nothing there, a signal, or the echo of a datagram nobody took: the wire is still usable.
+fn is_transient(kind: ErrorKind) -> bool {
+    matches!(
+        kind,
+        ErrorKind::WouldBlock | ErrorKind::Interrupted | ErrorKind::ConnectionRefused
+    )
+}
+
+impl Link for UdpLink {
+    fn send(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let Some(peer) = self.peer else { return Ok(0) };
+        match self.socket.send_to(bytes, peer) {
+            Err(error) if is_transient(error.kind()) => Ok(0),
+            sent => sent,
+        }
+    }
+
+    fn receive(
+        &mut self,
+        buf: &mut [u8],
+        timeout: Duration,
+    ) -> io::Result<Option<(usize, Duration)>> {
+        // Not the socket's own timeout: changing it costs a system call, and it is rounded to scheduler ticks.
+        if !timeout.is_zero() {
+            let mut fds = [PollFd::new(self.socket.as_fd(), PollFlags::POLLIN)];
+            match ppoll(&mut fds, Some(TimeSpec::from_duration(timeout)), None) {
+                Ok(0) | Err(Errno::EINTR) => return Ok(None),
+                Ok(_) => {}
+                Err(error) => return Err(error.into()),
+            }
+        }
+        self.take(buf)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::net::Ipv4Addr;
+
+    const ANY: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
+    const PATIENCE: Duration = Duration::from_secs(5);
+
+    #[test]
+    fn the_pc_answers_whoever_sent_last() {
+        let mut pc = UdpLink::bind(ANY).unwrap();
+        let mut buf = [0; 8];
+        assert_eq!(pc.send(&[1]).unwrap(), 0);
+        for byte in 1..3 {
+            let mut krc = UdpLink::connect(ANY, pc.local_addr().unwrap()).unwrap();
+            krc.send(&[byte]).unwrap();
+            let before = monotonic().unwrap();
+            let (len, stamp) = pc.receive(&mut buf, PATIENCE).unwrap().unwrap();
+            assert!(stamp >= before);
+            assert_eq!(buf[..len], [byte]);
+            assert_eq!(pc.send(&[byte + 10]).unwrap(), 1);
+            assert!(krc.receive(&mut buf, PATIENCE).unwrap().is_some());
+            assert_eq!(buf[0], byte + 10);
+        }
+    }
+
+    #[test]
+    fn a_fixed_peer_hears_nobody_else() {
+        let mut pc = UdpLink::bind(ANY).unwrap();
+        let mut krc = UdpLink::connect(ANY, pc.local_addr().unwrap()).unwrap();
+        let stranger = UdpSocket::bind(ANY).unwrap();
+        stranger.send_to(&[9], krc.local_addr().unwrap()).unwrap();
+        krc.send(&[0]).unwrap();
+        let mut buf = [0; 8];
+        pc.receive(&mut buf, PATIENCE).unwrap().unwrap();
+        pc.send(&[5]).unwrap();
+        // The first wait may end with the stranger's datagram, which counts as nothing.
+        let heard = (0..2).find_map(|_| krc.receive(&mut buf, PATIENCE).unwrap());
+        assert_eq!(heard.map(|(len, _)| buf[..len].to_vec()), Some(vec![5]));
+        assert_eq!(krc.foreign(), 1);
+    }
+
+    #[test]
+    fn an_absent_peer_is_no_error() {
+        let gone = UdpSocket::bind(ANY).unwrap().local_addr().unwrap();
+        let mut krc = UdpLink::connect(ANY, gone).unwrap();
+        let mut buf = [0; 8];
+        for _ in 0..3 {
+            krc.send(&[1]).unwrap();
+            assert_eq!(
+                krc.receive(&mut buf, Duration::from_millis(1)).unwrap(),
+                None
+            );
+        }
+    }
+}

@@ -1,0 +1,579 @@
+//! The emulated controller as a machine without I/O: sends a measurement per period, judges the answers. It has no
+//! Cartesian or impedance modes; commands of those fields are ignored.
+
+use super::arm::Arm;
+use super::config::{Faults, KrcConfig, Script};
+use super::leave::Leave;
+use super::line::Line;
+use super::rng::Rng;
+use super::statistics::Window;
+use crate::error::DecodeError;
+use crate::lwr::AXES;
+use crate::lwr::sequence::{Order, Tracker};
+use crate::lwr::wire::{
+    Cmd, CmdFlags, Control, Header, Interface, Krl, Msr, Quality, Robot, State,
+};
+use grid::Grid;
+use history::{History, Sent};
+use std::collections::VecDeque;
+use std::fmt;
+use std::time::Duration;
+
+mod grid;
+mod history;
+mod judge;
+#[cfg(test)]
+mod tests;
+
+/// Entries kept in the log of reasons.
+const LOG_LEN: usize = 16;
+/// Jumps of a client's counter up to this width are loss or reordering, wider ones a new client.
+const COUNTER_WINDOW: u16 = 50;
+/// All seven drives have power.
+const ALL_DRIVES: u16 = 0x7f;
+
+/// One fall from command mode.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Left {
+    /// When, since the controller's start.
+    pub at: Duration,
+    /// Why.
+    pub reason: Leave,
+}
+
+/// Why friStart was refused; the state stays as it was.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum StartRefused {
+    /// Command mode is on already.
+    #[error("already in command mode")]
+    Commanding,
+    /// Quality is UNACCEPTABLE.
+    #[error("quality UNACCEPTABLE: {:.0} % of answers in time", answer_rate * 100.0)]
+    Quality {
+        /// Share of answers in time, 0..=1.
+        answer_rate: f64,
+    },
+    /// Nobody answers at the moment.
+    #[error("no answer for {cycles} cycles")]
+    Misses {
+        /// Number of cycles.
+        cycles: u32,
+    },
+    /// The robot is still braking.
+    #[error("the robot still brakes")]
+    Moving,
+}
+
+/// Totals since the controller's start.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct KrcCounters {
+    /// Measurements that left the controller, copies included.
+    pub sent: u64,
+    /// New answers received.
+    pub answers: u64,
+    /// Cycles without an answer in time.
+    pub missed: u32,
+    /// Answers ignored as copies or as older than the newest.
+    pub old: u64,
+    /// Datagrams refused by the decoder.
+    pub malformed: u64,
+    /// Datagrams lost by the fault knobs, both ways.
+    pub dropped: u64,
+    /// Measurements not sent because the emulator's own host was late; not the client's fault.
+    pub stalls: u64,
+}
+
+struct Received {
+    cmd: Cmd,
+    /// The measurement it reflects, if that is not too old.
+    sent: Option<Sent>,
+}
+
+/// An emulated KRC2 lr after friOpen.
+///
+/// ```text
+///          (1) friStart, quality not UNACCEPTABLE, robot at rest
+///   MON ─────────────────────────────────────────────────────────▶ CMD
+///    ▲                                                              │
+///    └──(2) friStop  (3) misses, quality  (4) a limit or rule ──────┘
+/// ```
+/// 1 is [`Krc::fri_start`], called by the script or the owner; 2 is [`Krc::fri_stop`]; 3 and 4 are judged once per cycle.
+/// Whichever way it leaves, the robot brakes and the reason stands in [`Krc::log`]. A loss of drive power brakes too but
+/// leaves the state alone: in CMD without power answers must mirror, as in MON.
+///
+/// The owner calls [`poll_transmit`](Self::poll_transmit) at [`poll_timeout`](Self::poll_timeout) until it returns `None`,
+/// and [`handle_datagram`](Self::handle_datagram) when something comes.
+///
+/// **Time.** The controller has its own clock: its grid starts at the time given to [`Krc::new`] and never shifts. When
+/// the owner comes a period or more too late, the sends in between are skipped and counted as `stalls`, not made up for
+/// and not numbered. A cycle that was begun or ended more than a quarter period late and has no answer goes into no
+/// statistics: a real controller does not stall with the PC's processor, so blaming the client would invent a fault that
+/// the real pair does not have.
+///
+/// **Commands.** Each cycle uses the newest command received. A missing one is replaced by extrapolation at the last
+/// speed. Speed is the change between two received commands over the time between the measurements they reflect, so late
+/// and lost answers do not look like jumps.
+pub struct Krc {
+    config: KrcConfig,
+    grid: Grid,
+    state: State,
+    power: bool,
+    scale: f64,
+    /// What the KRL interpolator commands; FRI adds to it in command mode.
+    base: [f64; AXES],
+    arm: Arm,
+    brake_step: [f64; AXES],
+    window: Window,
+    quality: Quality,
+    misses: u32,
+    tracker: Tracker,
+    sequence: u16,
+    history: History,
+    inbox: Option<Received>,
+    latency: Option<Duration>,
+    following: bool,
+    /// Cycle and position of the last command followed.
+    last: (u64, [f64; AXES]),
+    flags: Option<CmdFlags>,
+    may_start_at: Option<Duration>,
+    to_client: Line<{ Msr::LEN }>,
+    to_krc: Line<{ Cmd::LEN }>,
+    rng: Rng,
+    krl_out: Krl,
+    krl_in: Krl,
+    counters: KrcCounters,
+    log: VecDeque<Left>,
+    falls: u64,
+}
+
+impl Krc {
+    /// A controller in monitor mode that sends its first measurement at `start`. All memory is taken here.
+    #[must_use]
+    pub fn new(config: KrcConfig, start: Duration) -> Self {
+        let grid = Grid::new(start, config.period);
+        let period_s = grid.period().as_secs_f64();
+        let lag_s = config.lag.as_secs_f64();
+        let follow_share = if lag_s > 0.0 {
+            1.0 - (-period_s / lag_s).exp()
+        } else {
+            1.0
+        };
+        Self {
+            grid,
+            state: State::Mon,
+            power: true,
+            scale: 1.0,
+            base: config.joints,
+            arm: Arm::new(config.joints, follow_share),
+            brake_step: config
+                .limits
+                .acceleration_rad_per_s2
+                .map(|a| a * period_s * period_s),
+            window: Window::new(),
+            quality: Quality::Unacceptable,
+            misses: 0,
+            tracker: Tracker::new(COUNTER_WINDOW),
+            sequence: 0,
+            history: History::new(),
+            inbox: None,
+            latency: None,
+            following: false,
+            last: (0, config.joints),
+            flags: None,
+            may_start_at: Some(Duration::ZERO),
+            to_client: Line::new(),
+            to_krc: Line::new(),
+            rng: Rng::new(config.seed),
+            krl_out: Krl::default(),
+            krl_in: Krl::default(),
+            counters: KrcCounters::default(),
+            log: VecDeque::with_capacity(LOG_LEN),
+            falls: 0,
+            config,
+        }
+    }
+
+    /// Writes the next datagram due by `now` to `buf` (at least [`Msr::LEN`] bytes, else it is lost).
+    pub fn poll_transmit(&mut self, now: Duration, buf: &mut [u8]) -> Option<usize> {
+        self.deliver(now);
+        if now >= self.grid.next() {
+            self.cycle(now);
+        }
+        let (_, bytes) = self.to_client.pop(now)?;
+        buf.get_mut(..Msr::LEN)?.copy_from_slice(bytes);
+        self.counters.sent += 1;
+        Some(Msr::LEN)
+    }
+
+    /// Takes an answer that left the client's side of the wire at `now`; the line's faults come on top.
+    pub fn handle_datagram(&mut self, bytes: &[u8], now: Duration) -> Result<(), DecodeError> {
+        Cmd::decode(bytes).inspect_err(|_| self.counters.malformed += 1)?;
+        if let Ok(bytes) = bytes.try_into() {
+            let (behind, faults) = (self.behind(), &mut self.config.faults.to_krc);
+            self.to_krc.push(bytes, now, behind, faults, &mut self.rng);
+        }
+        self.deliver(now);
+        Ok(())
+    }
+
+    /// When the controller next has something to do.
+    #[must_use]
+    pub fn poll_timeout(&self) -> Duration {
+        [self.to_client.next_due(), self.to_krc.next_due()]
+            .into_iter()
+            .flatten()
+            .fold(self.grid.next(), Duration::min)
+    }
+
+    /// Enters command mode with limits scaled by `scale`, 0..=1; the next measurement says so.
+    pub fn fri_start(&mut self, scale: f64) -> Result<(), StartRefused> {
+        if self.state == State::Cmd {
+            return Err(StartRefused::Commanding);
+        }
+        if self.quality == Quality::Unacceptable {
+            return Err(StartRefused::Quality {
+                answer_rate: self.window.answer_rate(),
+            });
+        }
+        if self.misses >= self.misses_max() {
+            return Err(StartRefused::Misses {
+                cycles: self.misses,
+            });
+        }
+        if !self.arm.is_at_rest() {
+            return Err(StartRefused::Moving);
+        }
+        self.state = State::Cmd;
+        self.scale = scale.clamp(0.0, 1.0);
+        self.following = false;
+        self.flags = None;
+        Ok(())
+    }
+
+    /// Leaves command mode; an automatic script does not start again by itself.
+    pub fn fri_stop(&mut self) {
+        self.leave(Leave::FriStop);
+        self.may_start_at = None;
+    }
+
+    /// Switches the drives' power.
+    pub fn set_power(&mut self, power: bool) {
+        self.power = power;
+    }
+
+    /// Whether the drives have power: switched on, and no fault takes it away now.
+    #[must_use]
+    pub fn has_power(&self) -> bool {
+        let off = self.config.faults.power_off;
+        self.power && !off.is_some_and(|off| off.covers(self.grid.time()))
+    }
+
+    /// The fault knobs.
+    pub fn faults_mut(&mut self) -> &mut Faults {
+        &mut self.config.faults
+    }
+
+    /// Monitor or command mode.
+    #[must_use]
+    pub fn state(&self) -> State {
+        self.state
+    }
+
+    /// Quality as reported.
+    #[must_use]
+    pub fn quality(&self) -> Quality {
+        self.quality
+    }
+
+    /// Measured joint positions, rad.
+    #[must_use]
+    pub fn joints(&self) -> [f64; AXES] {
+        self.arm.measured
+    }
+
+    /// Joint set-point, rad.
+    #[must_use]
+    pub fn set_point(&self) -> [f64; AXES] {
+        self.arm.set_point
+    }
+
+    /// User data of the last answer, `$FRI_FRM_…`.
+    #[must_use]
+    pub fn krl(&self) -> &Krl {
+        &self.krl_in
+    }
+
+    /// User data sent with every measurement, `$FRI_TO_…`.
+    pub fn krl_mut(&mut self) -> &mut Krl {
+        &mut self.krl_out
+    }
+
+    /// Totals since the start.
+    #[must_use]
+    pub fn counters(&self) -> KrcCounters {
+        KrcCounters {
+            missed: self.window.missed(),
+            stalls: self.grid.stalls(),
+            dropped: self.to_client.lost() + self.to_krc.lost(),
+            ..self.counters
+        }
+    }
+
+    /// The last falls from command mode, at most 16, oldest first.
+    pub fn log(&self) -> impl DoubleEndedIterator<Item = &Left> {
+        self.log.iter()
+    }
+
+    /// Times command mode was left since the start, friStop included.
+    #[must_use]
+    pub fn falls(&self) -> u64 {
+        self.falls
+    }
+
+    fn misses_max(&self) -> u32 {
+        self.config.timing.misses_max.max(1)
+    }
+
+    /// How long a reordered datagram is held back.
+    fn behind(&self) -> Duration {
+        self.grid.period() * 3 / 2
+    }
+
+    fn deliver(&mut self, now: Duration) {
+        while let Some((due, bytes)) = self.to_krc.pop(now) {
+            if let Ok(cmd) = Cmd::decode(bytes) {
+                self.accept(cmd, due);
+            }
+        }
+    }
+
+    fn accept(&mut self, cmd: Cmd, arrival: Duration) {
+        match self.tracker.accept(cmd.header.sequence) {
+            Order::Duplicate | Order::Old => {
+                self.counters.old += 1;
+                return;
+            }
+            Order::First | Order::Next { .. } | Order::Restart => self.counters.answers += 1,
+        }
+        let sent = self.history.find(cmd.header.reflected).copied();
+        let age = self.sequence.wrapping_sub(cmd.header.reflected);
+        if let Some(sent) = sent.filter(|_| age <= self.config.timing.reflected_age_max) {
+            self.latency
+                .get_or_insert_with(|| arrival.saturating_sub(sent.at));
+        }
+        self.krl_in = cmd.krl;
+        self.inbox = Some(Received { cmd, sent });
+    }
+
+    fn cycle(&mut self, now: Duration) {
+        let began_late = self.grid.is_late();
+        let first = self.grid.advance(now) == 1;
+        if !first {
+            self.close_cycle(began_late || self.grid.is_late());
+        }
+        self.judge_timing();
+        self.run_script();
+        self.move_joints();
+        self.measure(now);
+    }
+
+    fn close_cycle(&mut self, is_void: bool) {
+        let latency = self.latency.take();
+        match latency {
+            Some(_) => self.misses = 0,
+            None if is_void => return,
+            None => self.misses = self.misses.saturating_add(1),
+        }
+        self.window.record(latency);
+        if self.misses >= self.misses_max() {
+            // Who answers after such a silence may be somebody else, with another counter.
+            self.tracker.forget();
+        }
+    }
+
+    fn judge_timing(&mut self) {
+        let forced = self.config.faults.quality;
+        self.quality = forced.unwrap_or_else(|| self.window.quality(&self.config.timing));
+        if self.misses >= self.misses_max() {
+            let span_ms = self.grid.period().as_secs_f64() * 1e3 * f64::from(self.misses);
+            self.leave(Leave::Misses {
+                cycles: self.misses,
+                span_ms,
+            });
+        } else if self.quality == Quality::Unacceptable {
+            self.leave(Leave::Quality {
+                answer_rate: self.window.answer_rate(),
+            });
+        }
+    }
+
+    fn run_script(&mut self) {
+        let Script::Auto { quality, scale, .. } = self.config.script else {
+            return;
+        };
+        let waits = self.may_start_at.is_none_or(|at| self.grid.time() < at);
+        let is_good = self.quality.code() >= quality.code();
+        if self.state == State::Mon && !waits && is_good && self.has_power() {
+            // Refused while the robot brakes or nobody answers: the script tries again in the next cycle.
+            let _refused = self.fri_start(scale);
+        }
+    }
+
+    fn leave(&mut self, reason: Leave) {
+        if self.state != State::Cmd {
+            return;
+        }
+        let at = self.grid.time();
+        self.state = State::Mon;
+        self.may_start_at = match self.config.script {
+            Script::Manual => None,
+            Script::Auto { restart, .. } => restart.map(|pause| at + pause),
+        };
+        if self.log.len() == LOG_LEN {
+            self.log.pop_front();
+        }
+        self.log.push_back(Left { at, reason });
+        self.falls += 1;
+    }
+
+    fn follows(&self) -> bool {
+        self.state == State::Cmd && self.has_power()
+    }
+
+    fn move_joints(&mut self) {
+        let received = self.inbox.take();
+        if self.follows() && !self.following {
+            self.last = (self.grid.index().saturating_sub(1), self.arm.set_point);
+        }
+        if let Some(reason) = received
+            .as_ref()
+            .and_then(|received| self.judge(received).err())
+        {
+            self.leave(reason);
+        }
+        let in_command = received
+            .as_ref()
+            .filter(|it| it.sent.is_some_and(|sent| sent.in_command));
+        self.flags = self
+            .flags
+            .or_else(|| in_command.map(|received| received.cmd.flags));
+        self.following = self.follows();
+        match received {
+            _ if !self.following => self.arm.brake(&self.brake_step),
+            Some(received) => self.follow(&received),
+            None => self.arm.extrapolate(&self.config.limits.position_rad),
+        }
+        self.arm.settle();
+    }
+
+    fn follow(&mut self, received: &Received) {
+        let is_motion = received.sent.is_none_or(|sent| sent.following);
+        if !is_motion || !received.cmd.flags.contains(CmdFlags::JNTPOS) {
+            self.arm.hold();
+            return;
+        }
+        let target = received.cmd.joints.map(f64::from);
+        self.arm
+            .follow(&target, &self.last.1, self.cycles_since_last(received));
+        self.last = (self.cycle_of(received), target);
+    }
+
+    /// The cycle whose measurement a command reflects; if unknown, the one after the last command.
+    fn cycle_of(&self, received: &Received) -> u64 {
+        let unknown = self.last.0 + 1;
+        received
+            .sent
+            .map_or(unknown, |sent| sent.index)
+            .max(self.last.0)
+    }
+
+    fn cycles_since_last(&self, received: &Received) -> f64 {
+        let cycles = self.cycle_of(received) - self.last.0;
+        f64::from(u32::try_from(cycles).unwrap_or(u32::MAX)).max(1.0)
+    }
+
+    fn measure(&mut self, now: Duration) {
+        if self.state != State::Cmd {
+            self.base = self.arm.set_point;
+        }
+        self.sequence = self.sequence.wrapping_add(1);
+        self.history.push(Sent {
+            sequence: self.sequence,
+            index: self.grid.index(),
+            at: now,
+            set_point: self.arm.set_point,
+            in_command: self.state == State::Cmd,
+            following: self.following,
+        });
+        let mut bytes = [0; Msr::LEN];
+        if self.measurement().encode(&mut bytes).is_ok() {
+            let (behind, faults) = (self.behind(), &mut self.config.faults.to_client);
+            self.to_client
+                .push(&bytes, now, behind, faults, &mut self.rng);
+        }
+    }
+
+    fn measurement(&self) -> Msr {
+        let mut offset = self.arm.set_point;
+        for (offset, base) in offset.iter_mut().zip(self.base) {
+            *offset -= base;
+        }
+        let period_s = self.grid.period().as_secs_f32();
+        Msr {
+            header: Header {
+                sequence: self.sequence,
+                reflected: self.tracker.newest(),
+            },
+            krl: self.krl_out,
+            interface: Interface {
+                timestamp_s: self.grid.time().as_secs_f32(),
+                state: self.state,
+                quality: self.quality,
+                msr_period_s: period_s,
+                cmd_period_s: period_s,
+                safety_scale: to_f32(self.scale),
+            },
+            statistics: self.window.statistics(),
+            robot: Robot {
+                power: if self.has_power() { ALL_DRIVES } else { 0 },
+                control: Control::Position,
+                error: 0,
+                warning: 0,
+                temperature: [25.0; AXES],
+            },
+            measured_joints: self.arm.measured.map(to_f32),
+            measured_frame: IDENTITY,
+            commanded_joints: self.base.map(to_f32),
+            joint_offset: offset.map(to_f32),
+            commanded_frame: IDENTITY,
+            frame_offset: IDENTITY,
+            measured_torque: [0.0; AXES],
+            external_torque: [0.0; AXES],
+            external_wrench: [0.0; 6],
+            jacobian: [0.0; 42],
+            mass_matrix: [0.0; 49],
+            gravity: [0.0; AXES],
+        }
+    }
+}
+
+const IDENTITY: [f32; 12] = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
+
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "the wire has single precision"
+)]
+fn to_f32(value: f64) -> f32 {
+    value as f32
+}
+
+impl fmt::Debug for Krc {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Krc")
+            .field("state", &self.state)
+            .field("quality", &self.quality)
+            .field("counters", &self.counters())
+            .finish_non_exhaustive()
+    }
+}

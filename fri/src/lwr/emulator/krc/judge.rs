@@ -1,0 +1,93 @@
+//! The rules a command must keep in command mode. Timing is judged elsewhere, once per cycle.
+
+use super::{Krc, Received};
+use crate::lwr::AXES;
+use crate::lwr::emulator::Leave;
+use crate::lwr::wire::{CmdFlags, State};
+
+/// Allowance on a speed for the single precision of positions: half a bit at pi over 1 ms is 1.2e-4 rad/s.
+const SPEED_ROUNDING: f64 = 5e-4;
+
+impl Krc {
+    pub(super) fn judge(&self, received: &Received) -> Result<(), Leave> {
+        let cmd = &received.cmd;
+        if self.state != State::Cmd {
+            return Ok(());
+        }
+        if received.sent.is_some_and(|sent| sent.in_command) {
+            judge_flags(self.flags, cmd.flags)?;
+        }
+        if !cmd.flags.contains(CmdFlags::JNTPOS) {
+            return Ok(());
+        }
+        let joints = cmd.joints.map(f64::from);
+        judge_finite(&joints)?;
+        match received.sent.filter(|sent| !sent.following) {
+            Some(sent) => judge_mirror(&joints, &sent.set_point, self.config.mirror_tolerance_rad),
+            None if !self.follows() => Ok(()),
+            None => {
+                judge_position(&joints, &self.config.limits.position_rad)?;
+                self.judge_speed(received, &joints)
+            }
+        }
+    }
+
+    fn judge_speed(&self, received: &Received, joints: &[f64; AXES]) -> Result<(), Leave> {
+        let span_s = self.cycles_since_last(received) * self.grid.period().as_secs_f64();
+        for (joint, position) in joints.iter().enumerate() {
+            let speed = (position - self.last.1[joint]) / span_s;
+            let limit = self.config.limits.speed_rad_per_s[joint] * self.scale;
+            if speed.abs() > limit + SPEED_ROUNDING {
+                return Err(Leave::Speed {
+                    joint,
+                    speed,
+                    limit,
+                });
+            }
+        }
+        Ok(())
+    }
+}
+
+fn judge_flags(first: Option<CmdFlags>, now: CmdFlags) -> Result<(), Leave> {
+    match first {
+        Some(from) if from != now => Err(Leave::FlagsChanged { from, to: now }),
+        Some(_) | None => Ok(()),
+    }
+}
+
+fn judge_finite(joints: &[f64; AXES]) -> Result<(), Leave> {
+    let bad = joints.iter().position(|position| !position.is_finite());
+    bad.map_or(Ok(()), |joint| Err(Leave::NotFinite { joint }))
+}
+
+fn judge_mirror(
+    joints: &[f64; AXES],
+    set_point: &[f64; AXES],
+    tolerance: f64,
+) -> Result<(), Leave> {
+    for (joint, (commanded, expected)) in joints.iter().zip(set_point).enumerate() {
+        if (commanded - expected).abs() > tolerance {
+            let (commanded, expected) = (*commanded, *expected);
+            return Err(Leave::Interpolation {
+                joint,
+                commanded,
+                expected,
+            });
+        }
+    }
+    Ok(())
+}
+
+fn judge_position(joints: &[f64; AXES], limits: &[f64; AXES]) -> Result<(), Leave> {
+    for (joint, (position, limit)) in joints.iter().zip(limits).enumerate() {
+        if position.abs() > *limit {
+            return Err(Leave::Position {
+                joint,
+                position: *position,
+                limit: *limit,
+            });
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,269 @@
+//! Why the emulated controller left command mode, as a value with the joint, the number and its limit. No policy.
+
+use crate::lwr::JOINT_NAMES;
+use crate::lwr::wire::CmdFlags;
+use std::fmt;
+
+/// A reason to leave command mode. All but [`Leave::FriStop`] are faults.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Leave {
+    /// The KRL program called friStop.
+    FriStop,
+    /// Quality fell to UNACCEPTABLE.
+    Quality {
+        /// Share of answers in time, 0..=1.
+        answer_rate: f64,
+    },
+    /// Too many consecutive cycles without answer.
+    Misses {
+        /// Number of cycles.
+        cycles: u32,
+        /// Their duration, ms.
+        span_ms: f64,
+    },
+    /// A joint was commanded to move too fast.
+    Speed {
+        /// Joint, 0..=6.
+        joint: usize,
+        /// Commanded speed, rad/s, signed.
+        speed: f64,
+        /// Limit in force, rad/s.
+        limit: f64,
+    },
+    /// A joint was commanded out of its range.
+    Position {
+        /// Joint, 0..=6.
+        joint: usize,
+        /// Commanded position, rad.
+        position: f64,
+        /// Limit, rad, absolute.
+        limit: f64,
+    },
+    /// A position that must mirror the set-point does not: the FRI interpolation error of the real controller.
+    Interpolation {
+        /// Joint, 0..=6.
+        joint: usize,
+        /// Commanded position, rad.
+        commanded: f64,
+        /// Set-point in the measurement that the answer reflects, rad.
+        expected: f64,
+    },
+    /// A commanded position is infinite or not a number.
+    NotFinite {
+        /// Joint, 0..=6.
+        joint: usize,
+    },
+    /// The command flags changed outside monitor mode.
+    FlagsChanged {
+        /// Flags of the first command in command mode.
+        from: CmdFlags,
+        /// Flags of this command.
+        to: CmdFlags,
+    },
+}
+
+impl Leave {
+    /// As three words for a shared status: code and joint, then two numbers.
+    pub(super) fn to_words(self) -> [u64; 3] {
+        let words = |code: u64, joint: usize, a: f64, b: f64| {
+            let joint = u64::try_from(joint).unwrap_or(u64::MAX >> 8);
+            [code | joint << 8, a.to_bits(), b.to_bits()]
+        };
+        match self {
+            Self::FriStop => words(1, 0, 0.0, 0.0),
+            Self::Quality { answer_rate } => words(2, 0, answer_rate, 0.0),
+            Self::Misses { cycles, span_ms } => words(3, 0, f64::from(cycles), span_ms),
+            Self::Speed {
+                joint,
+                speed,
+                limit,
+            } => words(4, joint, speed, limit),
+            Self::Position {
+                joint,
+                position,
+                limit,
+            } => words(5, joint, position, limit),
+            Self::Interpolation {
+                joint,
+                commanded,
+                expected,
+            } => words(6, joint, commanded, expected),
+            Self::NotFinite { joint } => words(7, joint, 0.0, 0.0),
+            Self::FlagsChanged { from, to } => [8, from.bits().into(), to.bits().into()],
+        }
+    }
+
+    /// The reason that [`Leave::to_words`] wrote; `None` for anything else.
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "the numbers came from these types"
+    )]
+    #[expect(clippy::cast_sign_loss, reason = "the number was unsigned")]
+    pub(super) fn from_words([head, a, b]: [u64; 3]) -> Option<Self> {
+        let joint = (head >> 8) as usize;
+        let (x, y) = (f64::from_bits(a), f64::from_bits(b));
+        Some(match head & 0xff {
+            1 => Self::FriStop,
+            2 => Self::Quality { answer_rate: x },
+            3 => Self::Misses {
+                cycles: x as u32,
+                span_ms: y,
+            },
+            4 => Self::Speed {
+                joint,
+                speed: x,
+                limit: y,
+            },
+            5 => Self::Position {
+                joint,
+                position: x,
+                limit: y,
+            },
+            6 => Self::Interpolation {
+                joint,
+                commanded: x,
+                expected: y,
+            },
+            7 => Self::NotFinite { joint },
+            8 => {
+                let flags = |bits: u64| CmdFlags::from_bits(bits as u32);
+                Self::FlagsChanged {
+                    from: flags(a),
+                    to: flags(b),
+                }
+            }
+            _ => return None,
+        })
+    }
+}
+
+fn name(joint: usize) -> &'static str {
+    JOINT_NAMES.get(joint).copied().unwrap_or("?")
+}
+
+impl fmt::Display for Leave {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::FriStop => write!(f, "friStop"),
+            Self::Quality { answer_rate } => {
+                write!(
+                    f,
+                    "quality UNACCEPTABLE: {:.0} % of answers in time",
+                    answer_rate * 100.0
+                )
+            }
+            Self::Misses { cycles, span_ms } => {
+                write!(f, "no answer for {cycles} cycles ({span_ms:.1} ms)")
+            }
+            Self::Speed {
+                joint,
+                speed,
+                limit,
+            } => {
+                write!(
+                    f,
+                    "{} commanded {speed:.2} rad/s, limit {limit:.2} rad/s",
+                    name(joint)
+                )
+            }
+            Self::Position {
+                joint,
+                position,
+                limit,
+            } => {
+                write!(
+                    f,
+                    "{} commanded {position:.3} rad, limit {limit:.3} rad",
+                    name(joint)
+                )
+            }
+            Self::Interpolation {
+                joint,
+                commanded,
+                expected,
+            } => {
+                write!(f, "FRI interpolation error: {} ", name(joint))?;
+                write!(
+                    f,
+                    "commanded {commanded:.4} rad, set-point {expected:.4} rad"
+                )
+            }
+            Self::NotFinite { joint } => {
+                write!(
+                    f,
+                    "{} commanded a position that is not a number",
+                    name(joint)
+                )
+            }
+            Self::FlagsChanged { from, to } => {
+                write!(
+                    f,
+                    "command flags changed from {from} to {to} in command mode"
+                )
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_reason_survives_the_shared_status_and_names_its_joint() {
+        let flags = CmdFlags::JNTPOS;
+        for (reason, text) in [
+            (Leave::FriStop, "friStop"),
+            (
+                Leave::Quality { answer_rate: 0.49 },
+                "quality UNACCEPTABLE: 49 % of answers in time",
+            ),
+            (
+                Leave::Misses {
+                    cycles: 10,
+                    span_ms: 20.0,
+                },
+                "no answer for 10 cycles (20.0 ms)",
+            ),
+            (
+                Leave::Speed {
+                    joint: 3,
+                    speed: 2.31,
+                    limit: 1.9635,
+                },
+                "A3 commanded 2.31 rad/s, limit 1.96 rad/s",
+            ),
+            (
+                Leave::Position {
+                    joint: 2,
+                    position: -3.0,
+                    limit: 2.967,
+                },
+                "E1 commanded -3.000 rad, limit 2.967 rad",
+            ),
+            (
+                Leave::Interpolation {
+                    joint: 0,
+                    commanded: 0.0,
+                    expected: 0.5,
+                },
+                "FRI interpolation error: A1 commanded 0.0000 rad, set-point 0.5000 rad",
+            ),
+            (
+                Leave::NotFinite { joint: 6 },
+                "A6 commanded a position that is not a number",
+            ),
+            (
+                Leave::FlagsChanged {
+                    from: flags,
+                    to: CmdFlags::NONE,
+                },
+                "command flags changed from JNTPOS to none in command mode",
+            ),
+        ] {
+            assert_eq!(Leave::from_words(reason.to_words()), Some(reason));
+            assert_eq!(reason.to_string(), text);
+        }
+        assert_eq!(Leave::from_words([0; 3]), None);
+    }
+}

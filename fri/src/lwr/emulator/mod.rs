@@ -1,0 +1,24 @@
+//! The other end of the wire: an emulated KRC2 lr for tests, examples and demonstrations.
+//!
+//! It speaks the real datagrams and judges a client as the real controller is known to, with knobs for what goes wrong on
+//! wires and in cabinets. It is no model of the arm: joints follow their set-point with a first-order lag, torques,
+//! Jacobian and mass matrix are zero. Numbers that KUKA does not publish (thresholds of quality, tolerated misses,
+//! tolerance of the mirror) are marked *assumption* in [`KrcConfig`] and can be set.
+
+mod arm;
+mod config;
+mod krc;
+mod leave;
+mod line;
+mod rng;
+#[cfg(target_os = "linux")]
+mod serve;
+mod statistics;
+mod status;
+
+pub use config::{Faults, KrcConfig, Limits, LineFaults, PowerOff, Script, Timing};
+pub use krc::{Krc, KrcCounters, Left, StartRefused};
+pub use leave::Leave;
+#[cfg(target_os = "linux")]
+pub use serve::serve;
+pub use status::KrcStatus;

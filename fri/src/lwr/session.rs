@@ -1,0 +1,357 @@
+//! The PC's side of one FRI connection: takes measurements, builds answers. It moves no bytes and plans no motion:
+//! how the commanded values change from cycle to cycle is its owner's duty.
+
+use super::sequence::{Order, Tracker};
+use super::wire::{Cmd, CmdFlags, Header, Krl, Msr, Quality, State};
+use super::{AXES, AnswerError};
+use crate::error::DecodeError;
+use std::fmt;
+use std::time::Duration;
+
+#[cfg(test)]
+mod tests;
+
+/// What friOpen accepts, seconds; a wilder period on the wire must not make the silence timer absurd.
+const PERIOD_RANGE_S: std::ops::RangeInclusive<f32> = 0.001..=0.1;
+
+/// Settings of a [`Session`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SessionConfig {
+    /// Number of periods without a datagram after which the controller counts as gone, from 1. Counter jumps up to this
+    /// width are loss or reordering, wider ones a restart of the controller.
+    pub offline_after: u16,
+    /// Counter of the first answer.
+    pub first_sequence: u16,
+}
+
+impl Default for SessionConfig {
+    fn default() -> Self {
+        Self {
+            offline_after: 50,
+            first_sequence: 1,
+        }
+    }
+}
+
+/// Where the connection stands, in our eyes.
+///
+/// ```text
+///            (1) new datagram, not commanding          (2) new datagram in CMD with power
+///  Offline ────────────────────────────────▶ Monitor ─────────────────────────────▶ Command
+///     ▲ ▲                                     │    ▲                                  │ │
+///     │ └──(4) silence ───────────────────────┘    └──(3) MON, or power 0 ────────────┘ │
+///     └────(4) silence ─────────────────────────────────────────────────────────────────┘
+/// ```
+/// Transitions 1 to 3 are made by [`Session::handle_datagram`] (Offline to Command directly when the first datagram says
+/// so), transition 4 by [`Session::handle_timeout`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Phase {
+    /// No datagram for [`SessionConfig::offline_after`] periods, or none yet.
+    Offline,
+    /// Measurements flow; the robot does not follow, answers mirror the controller's set-point.
+    Monitor,
+    /// The robot follows our answers.
+    Command,
+}
+
+/// A change of [`Phase`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Event {
+    /// The first datagram after silence, not in command mode.
+    Online,
+    /// The robot follows from now on; start from [`Session::mirror`].
+    CommandEntered,
+    /// The robot follows no longer: the controller left command mode, or its drives lost power.
+    CommandLeft,
+}
+
+/// What one datagram told.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Reception {
+    /// Place in the controller's sequence; if not [`Order::is_new`], the datagram was ignored.
+    pub order: Order,
+    /// State it carries.
+    pub state: State,
+    /// Quality it carries.
+    pub quality: Quality,
+    /// Powered drives, one bit each.
+    pub power: u16,
+    /// Number of measurements lost since the previous one.
+    pub lost: u16,
+    /// Change of phase it caused.
+    pub event: Option<Event>,
+}
+
+/// Totals since the session was made.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Counters {
+    /// Datagrams accepted as new.
+    pub received: u64,
+    /// Answers built.
+    pub answered: u64,
+    /// Measurements that never came, by the controller's counter.
+    pub lost: u64,
+    /// Datagrams ignored as copies or as older than the newest.
+    pub old: u64,
+    /// Datagrams refused by the decoder.
+    pub malformed: u64,
+    /// Restarts of the controller seen in its counter.
+    pub restarts: u64,
+    /// Times the controller fell silent.
+    pub silences: u64,
+}
+
+/// One FRI connection, client side.
+///
+/// Per cycle: [`handle_datagram`](Self::handle_datagram), then [`answer`](Self::answer), and send what it wrote. If several
+/// datagrams wait in the socket, handle all and answer once: an answer to a stale measurement comes too late anyway, and
+/// a client that answers each stays behind for ever.
+///
+/// While the robot does not follow, every answer mirrors the controller's own set-point (`cmdJntPos +
+/// cmdJntPosFriOffset`), whatever the caller asks for: with another value the controller reports an interpolation error
+/// and brakes. See [`Phase`] for the state machine.
+#[derive(Debug, Clone)]
+pub struct Session {
+    config: SessionConfig,
+    phase: Phase,
+    tracker: Tracker,
+    msr: Option<Msr>,
+    heard: Duration,
+    pending: bool,
+    next_sequence: u16,
+    held: [f64; AXES],
+    krl: Krl,
+    counters: Counters,
+}
+
+impl Session {
+    /// A session that has heard nothing yet.
+    #[must_use]
+    pub fn new(config: SessionConfig) -> Self {
+        Self {
+            phase: Phase::Offline,
+            tracker: Tracker::new(config.offline_after.max(1)),
+            msr: None,
+            heard: Duration::ZERO,
+            pending: false,
+            next_sequence: config.first_sequence,
+            held: [0.0; AXES],
+            krl: Krl::default(),
+            counters: Counters::default(),
+            config,
+        }
+    }
+
+    /// Takes a received datagram; `now` is its time of arrival. Copies and old ones are counted, else ignored.
+    pub fn handle_datagram(
+        &mut self,
+        bytes: &[u8],
+        now: Duration,
+    ) -> Result<Reception, DecodeError> {
+        let msr = Msr::decode(bytes).inspect_err(|_| self.counters.malformed += 1)?;
+        self.handle_timeout(now);
+        let order = self.tracker.accept(msr.header.sequence);
+        let lost = self.count(order);
+        let event = if order.is_new() {
+            self.accept(&msr, now)
+        } else {
+            None
+        };
+        Ok(Reception {
+            order,
+            state: msr.interface.state,
+            quality: msr.interface.quality,
+            power: msr.robot.power,
+            lost,
+            event,
+        })
+    }
+
+    fn count(&mut self, order: Order) -> u16 {
+        match order {
+            Order::First => {}
+            Order::Next { lost } => {
+                self.counters.lost += u64::from(lost);
+                self.counters.received += 1;
+                return lost;
+            }
+            Order::Restart => self.counters.restarts += 1,
+            Order::Duplicate | Order::Old => {
+                self.counters.old += 1;
+                return 0;
+            }
+        }
+        self.counters.received += 1;
+        0
+    }
+
+    fn accept(&mut self, msr: &Msr, now: Duration) -> Option<Event> {
+        let before = self.phase;
+        self.phase = if msr.is_commanding() {
+            Phase::Command
+        } else {
+            Phase::Monitor
+        };
+        self.msr = Some(*msr);
+        self.heard = now;
+        self.pending = true;
+        let event = match (before, self.phase) {
+            (Phase::Offline, Phase::Monitor) => Some(Event::Online),
+            (Phase::Offline | Phase::Monitor, Phase::Command) => Some(Event::CommandEntered),
+            (Phase::Command, Phase::Monitor) => Some(Event::CommandLeft),
+            (_, Phase::Offline)
+            | (Phase::Monitor, Phase::Monitor)
+            | (Phase::Command, Phase::Command) => None,
+        };
+        if self.phase != Phase::Command || event.is_some() {
+            self.held = msr.set_point();
+        }
+        event
+    }
+
+    /// Builds the answer to the last measurement at the front of `buf` and returns its length.
+    ///
+    /// `joints` in rad are used in [`Phase::Command`] only; `None` repeats the last commanded value there, which stops a
+    /// moving robot at once, so brake first. Every measurement gets one answer: a second call before the next measurement
+    /// is [`AnswerError::NothingToAnswer`].
+    pub fn answer(
+        &mut self,
+        joints: Option<&[f64; AXES]>,
+        buf: &mut [u8],
+    ) -> Result<usize, AnswerError> {
+        let msr = self
+            .msr
+            .as_ref()
+            .filter(|_| self.pending)
+            .ok_or(AnswerError::NothingToAnswer)?;
+        let wanted = joints
+            .filter(|_| self.phase == Phase::Command)
+            .unwrap_or(&self.held);
+        if let Some(joint) = wanted.iter().position(|value| !value.is_finite()) {
+            return Err(AnswerError::NotFinite { joint });
+        }
+        let cmd = Cmd {
+            header: Header {
+                sequence: self.next_sequence,
+                reflected: msr.header.sequence,
+            },
+            krl: self.krl,
+            flags: CmdFlags::JNTPOS,
+            joints: wanted.map(to_f32),
+            ..Cmd::default()
+        };
+        let len = cmd.encode(buf)?;
+        self.held = *wanted;
+        self.pending = false;
+        self.next_sequence = self.next_sequence.wrapping_add(1);
+        self.counters.answered += 1;
+        Ok(len)
+    }
+
+    /// When the controller counts as gone if nothing comes; `None` while it does already.
+    #[must_use]
+    pub fn poll_timeout(&self) -> Option<Duration> {
+        if self.phase == Phase::Offline {
+            return None;
+        }
+        Some(self.heard + self.period()? * u32::from(self.config.offline_after.max(1)))
+    }
+
+    /// Tells the time; returns whether the controller has just been found gone.
+    pub fn handle_timeout(&mut self, now: Duration) -> bool {
+        let gone = self.poll_timeout().is_some_and(|at| now >= at);
+        if gone {
+            self.phase = Phase::Offline;
+            self.pending = false;
+            self.tracker.forget();
+            self.counters.silences += 1;
+        }
+        gone
+    }
+
+    /// The newest measurement; it stays readable when the controller is gone.
+    #[must_use]
+    pub fn measurement(&self) -> Option<&Msr> {
+        self.msr.as_ref()
+    }
+
+    /// When the newest measurement came.
+    #[must_use]
+    pub fn arrival(&self) -> Option<Duration> {
+        self.msr.as_ref().map(|_| self.heard)
+    }
+
+    /// Period of measurements as the controller states it, 1 ms to 100 ms; `None` before the first one.
+    #[must_use]
+    pub fn period(&self) -> Option<Duration> {
+        let stated = self.msr.as_ref()?.interface.msr_period_s;
+        let (shortest, longest) = (*PERIOD_RANGE_S.start(), *PERIOD_RANGE_S.end());
+        // `max` first: it also replaces a value that is not a number.
+        let seconds = stated.max(shortest).min(longest);
+        Some(Duration::from_secs_f32(seconds))
+    }
+
+    /// Where the connection stands.
+    #[must_use]
+    pub fn phase(&self) -> Phase {
+        self.phase
+    }
+
+    /// Whether the robot follows: command mode, drives with power, and measurements flowing.
+    #[must_use]
+    pub fn is_commanding(&self) -> bool {
+        self.phase == Phase::Command
+    }
+
+    /// Whether a measurement waits for its answer.
+    #[must_use]
+    pub fn is_pending(&self) -> bool {
+        self.pending
+    }
+
+    /// Joint positions, rad, that the next answer may carry without a jump: the last commanded ones in
+    /// [`Phase::Command`], else the controller's set-point. Zeros before the first measurement.
+    #[must_use]
+    pub fn mirror(&self) -> [f64; AXES] {
+        self.held
+    }
+
+    /// User data sent with every answer; it stays until changed. What the KRL program sends is in [`Msr::krl`].
+    pub fn krl_mut(&mut self) -> &mut Krl {
+        &mut self.krl
+    }
+
+    /// Totals since the session was made.
+    #[must_use]
+    pub fn counters(&self) -> Counters {
+        self.counters
+    }
+}
+
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "the wire has single precision: 1e-7 rad at pi"
+)]
+fn to_f32(value: f64) -> f32 {
+    value as f32
+}
+
+impl fmt::Display for Phase {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Offline => "offline",
+            Self::Monitor => "monitor",
+            Self::Command => "command",
+        })
+    }
+}
+
+impl fmt::Display for Event {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Online => "measurements flow",
+            Self::CommandEntered => "command mode entered",
+            Self::CommandLeft => "command mode left",
+        })
+    }
+}

@@ -1,0 +1,119 @@
+//! What nets see of devices: an image of their interfaces, refreshed before and handed over
+//! after each cycle by the thread that evaluates nets. No driver and no wire is known here.
+
+use std::cell::Cell;
+use std::sync::Arc;
+
+/// Most joints in the image; the sum over all robot arms.
+pub const JOINTS_MAX: usize = 512;
+
+/// What a robot-arm joint reports. `None` is "not known".
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct JointState {
+    /// Position the driver last commanded, rad.
+    pub commanded_position: Option<f64>,
+    /// Velocity of the commanded position, rad/s.
+    pub commanded_velocity: Option<f64>,
+    /// Acceleration of the commanded position, rad/s².
+    pub commanded_acceleration: Option<f64>,
+    /// Position the joint has, rad.
+    pub measured_position: Option<f64>,
+    /// Velocity the joint has, rad/s.
+    pub measured_velocity: Option<f64>,
+    /// Acceleration the joint has, rad/s².
+    pub measured_acceleration: Option<f64>,
+    /// 0 if the joint follows commands; see [`JointError`] for the others.
+    pub error: i32,
+}
+
+/// Values of [`JointState::error`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(i32)]
+pub enum JointError {
+    /// The joint follows commands.
+    None = 0,
+    /// No contact to the device.
+    Offline = 1,
+    /// The device answers, but its drives are not enabled.
+    NotEnabled = 2,
+    /// The driver refused the set-points and holds the joint: a step or speed beyond the limit.
+    Refused = 3,
+}
+
+/// A set-point for a joint.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct JointCommand {
+    /// The cycle it was given in, as in `Moment::cycle`; 0 is "never".
+    pub cycle: u64,
+    /// Position, rad.
+    pub position: f64,
+}
+
+/// One joint in the image.
+#[derive(Debug, Default)]
+pub struct Joint {
+    /// What the driver reports.
+    pub state: Cell<JointState>,
+    /// What nets command.
+    pub command: Cell<JointCommand>,
+}
+
+/// All device interfaces as the nets of one thread see them during one cycle.
+#[derive(Debug)]
+pub struct Image {
+    /// Joints of all robot arms.
+    pub joints: Box<[Joint]>,
+}
+
+impl Default for Image {
+    fn default() -> Self {
+        Self {
+            joints: (0..JOINTS_MAX).map(|_| Joint::default()).collect(),
+        }
+    }
+}
+
+/// Limits of a joint.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct JointLimits {
+    /// Smallest position, rad.
+    pub position_min: f64,
+    /// Largest position, rad.
+    pub position_max: f64,
+    /// Largest speed, rad/s.
+    pub velocity_max: f64,
+    /// Largest acceleration, rad/s².
+    pub acceleration_max: f64,
+}
+
+/// A robot arm as found by its name while loading.
+#[derive(Clone, Debug)]
+pub struct ArmBinding {
+    /// Number of the arm's first joint in [`Image::joints`]; the others follow.
+    pub first_joint: usize,
+    /// Limits by joint; its length is the number of joints.
+    pub limits: Arc<[JointLimits]>,
+}
+
+/// Finds devices by name while a net is loaded.
+pub trait Devices {
+    /// The robot arm of that name.
+    fn arm(&self, name: &str) -> Option<ArmBinding>;
+
+    /// Names of all devices, for the text of a fault.
+    fn names(&self) -> Vec<String>;
+}
+
+/// A controller without devices.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct NoDevices;
+
+impl Devices for NoDevices {
+    fn arm(&self, _name: &str) -> Option<ArmBinding> {
+        None
+    }
+
+    fn names(&self) -> Vec<String> {
+        Vec::new()
+    }
+}

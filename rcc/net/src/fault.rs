@@ -1,0 +1,297 @@
+//! What can be wrong with a net, with the place in its text, and how it is told. Faults of a
+//! running net are values in its ports, never these.
+
+use std::fmt;
+use std::ops::Range;
+
+use ariadne::{CharSet, Color, Config, IndexType, Label, Report, ReportKind, Source};
+
+/// One fault of a net.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Fault {
+    /// What is wrong.
+    pub kind: FaultKind,
+    /// Bytes of the net text it is about.
+    pub at: Range<usize>,
+    /// Other places that belong to it.
+    pub also: Vec<(Range<usize>, String)>,
+}
+
+/// The kinds of faults.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+#[expect(missing_docs, reason = "each field is named in its variant's text")]
+pub enum FaultKind {
+    /// The text does not follow the grammar.
+    #[error("{expected} is expected here, not {found}")]
+    Syntax { expected: String, found: String },
+    /// The net exceeds a bound of [`crate::Limits`].
+    #[error("the net has {found} {what}; at most {bound} are taken")]
+    Bound {
+        what: &'static str,
+        found: usize,
+        bound: usize,
+    },
+    /// No primitive of that name exists.
+    #[error("there is no primitive `{name}`{}", did_you_mean(.similar))]
+    UnknownPrimitive {
+        name: String,
+        similar: Option<String>,
+    },
+    /// The primitive has no parameter of that name.
+    #[error("`{primitive}` has no parameter `{name}`{}", known_ones(.known))]
+    UnknownParameter {
+        primitive: String,
+        name: String,
+        known: Vec<String>,
+    },
+    /// The primitive or fragment has no in port of that name.
+    #[error("{owner} has no in port `{name}`{}", known_ones(.known))]
+    UnknownInPort {
+        owner: String,
+        name: String,
+        known: Vec<String>,
+    },
+    /// The primitive or fragment has no out port of that name.
+    #[error("{owner} has no out port `{name}`{}", known_ones(.known))]
+    UnknownOutPort {
+        owner: String,
+        name: String,
+        known: Vec<String>,
+    },
+    /// A link starts at a child that does not exist in this fragment.
+    #[error("this fragment has no child `{name}`{}", did_you_mean(.similar))]
+    UnknownChild {
+        name: String,
+        similar: Option<String>,
+    },
+    /// `parent` was used in the root fragment.
+    #[error("the root fragment has no `parent`: its in ports do not exist")]
+    NoParent,
+    /// Two children, ports or parameters of one name.
+    #[error("`{name}` is given twice")]
+    Twice { name: String },
+    /// A parameter's text is not a value of its type, or not a possible one.
+    #[error("parameter `{parameter}`: {why}")]
+    Parameter { parameter: String, why: String },
+    /// A link joins ports of different types.
+    #[error("in port `{port}` takes {wants}, but this source gives {gives}")]
+    Type {
+        port: String,
+        wants: String,
+        gives: String,
+    },
+    /// The sizes of arrays do not fit.
+    #[error("{0}")]
+    ArraySize(String),
+    /// A port without which the primitive has no meaning has no source.
+    #[error("in port `{port}` of `{primitive}` must be connected")]
+    NotConnected { primitive: String, port: String },
+    /// A text was given to an in port.
+    #[error("`{port}` is an in port and takes a link, not a text{}", constant_hint(.parameter))]
+    TextForPort {
+        port: String,
+        parameter: Option<String>,
+    },
+    /// A link was given to a parameter.
+    #[error("`{name}` is a parameter and takes a text such as '1', not a link")]
+    LinkForParameter { name: String },
+    /// Links form a cycle that no Pre breaks.
+    #[error("links form a cycle: {path}; put a Pre where the value of the cycle before will do")]
+    Cycle { path: String },
+    /// Fragment ports are connected to each other and nothing feeds them.
+    #[error("`{name}` is fed by itself through fragment ports")]
+    PortLoop { name: String },
+    /// The root fragment does not say when the net ends.
+    #[error("the root fragment has no out port `outTerminate`; add `outTerminate=child.port`")]
+    NoTerminate,
+    /// No such device, or not one of the kind wanted.
+    #[error("there is no {kind} `{name}`{}", known_ones(.known))]
+    Device {
+        kind: &'static str,
+        name: String,
+        known: Vec<String>,
+    },
+    /// Two netcomm primitives that cannot share a key.
+    #[error("netcomm key `{key}` is used twice in a way that cannot be: {why}")]
+    Netcomm { key: String, why: &'static str },
+}
+
+fn did_you_mean(similar: &Option<String>) -> String {
+    similar
+        .as_ref()
+        .map_or_else(String::new, |s| format!("; did you mean `{s}`?"))
+}
+
+fn known_ones(known: &[String]) -> String {
+    if known.is_empty() {
+        return "; there are none".to_owned();
+    }
+    let shown = known
+        .iter()
+        .take(12)
+        .map(|k| format!("`{k}`"))
+        .collect::<Vec<_>>()
+        .join(", ");
+    let more = if known.len() > 12 { ", …" } else { "" };
+    format!("; there are {shown}{more}")
+}
+
+fn constant_hint(parameter: &Option<String>) -> String {
+    parameter.as_ref().map_or_else(String::new, |p| {
+        format!("; for a constant give parameter `{p}`")
+    })
+}
+
+impl FaultKind {
+    /// The minor number of `errorState` in the HTTP resource of a net, as existing clients know it.
+    #[must_use]
+    pub const fn minor(&self) -> u32 {
+        match self {
+            Self::UnknownPrimitive { .. } => 2,
+            Self::Bound { .. } => 3,
+            Self::NoTerminate => 4,
+            Self::UnknownParameter { .. } | Self::LinkForParameter { .. } => 5,
+            Self::Parameter { .. }
+            | Self::NotConnected { .. }
+            | Self::ArraySize(_)
+            | Self::Netcomm { .. }
+            | Self::Twice { .. } => 6,
+            Self::Cycle { .. } | Self::PortLoop { .. } => 7,
+            Self::UnknownInPort { .. } | Self::TextForPort { .. } => 8,
+            Self::UnknownChild { .. } | Self::NoParent => 9,
+            Self::UnknownOutPort { .. } => 10,
+            Self::Type { .. } => 11,
+            Self::Syntax { .. } => 12,
+            Self::Device { .. } => 15,
+        }
+    }
+}
+
+impl Fault {
+    /// A fault at one place.
+    #[must_use]
+    pub const fn new(kind: FaultKind, at: Range<usize>) -> Self {
+        Self {
+            kind,
+            at,
+            also: Vec::new(),
+        }
+    }
+
+    /// Line and column (both from 1, columns in characters) of the fault in `text`.
+    #[must_use]
+    pub fn place(&self, text: &str) -> (usize, usize) {
+        let before = &text[..text.floor_char_boundary(self.at.start)];
+        let line_start = before.rfind('\n').map_or(0, |i| i + 1);
+        (
+            before.matches('\n').count() + 1,
+            before[line_start..].chars().count() + 1,
+        )
+    }
+}
+
+/// All faults of a net that was not taken.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Rejection {
+    /// The faults in the order of the text, at least one.
+    pub faults: Vec<Fault>,
+}
+
+impl Rejection {
+    /// The faults with the lines of `text` they are about and carets below, without colour.
+    #[must_use]
+    pub fn render(&self, file: &str, text: &str) -> String {
+        let config = Config::new()
+            .with_color(false)
+            .with_char_set(CharSet::Ascii)
+            .with_index_type(IndexType::Byte);
+        let mut out = Vec::new();
+        for fault in &self.faults {
+            let clip = |r: &Range<usize>| r.start.min(text.len())..r.end.min(text.len());
+            let mut report = Report::build(ReportKind::Error, (file, clip(&fault.at)))
+                .with_config(config)
+                .with_message(&fault.kind)
+                .with_label(Label::new((file, clip(&fault.at))).with_color(Color::Primary));
+            for (at, note) in &fault.also {
+                report = report.with_label(Label::new((file, clip(at))).with_message(note));
+            }
+            report
+                .finish()
+                .write((file, Source::from(text)), &mut out)
+                .expect("writing to a Vec cannot fail");
+        }
+        String::from_utf8_lossy(&out).into_owned()
+    }
+
+    /// One line a fault: `line:column: text`.
+    #[must_use]
+    pub fn lines(&self, text: &str) -> Vec<String> {
+        let line = |fault: &Fault| {
+            let (line, column) = fault.place(text);
+            format!("{line}:{column}: {}", fault.kind)
+        };
+        self.faults.iter().map(line).collect()
+    }
+}
+
+impl fmt::Display for Rejection {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (i, fault) in self.faults.iter().enumerate() {
+            if i > 0 {
+                f.write_str("; ")?;
+            }
+            write!(f, "{}", fault.kind)?;
+        }
+        Ok(())
+    }
+}
+
+impl std::error::Error for Rejection {}
+
+/// The name in `known` most like `name`, if one is like it at all.
+pub(crate) fn similar<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    let most = name.chars().count() / 3 + 1;
+    known
+        .into_iter()
+        .map(|k| (distance(name, k), k))
+        .filter(|(d, _)| *d <= most)
+        .min()
+        .map(|(_, k)| k)
+}
+
+/// Levenshtein distance, ignoring case.
+fn distance(a: &str, b: &str) -> usize {
+    let b: Vec<char> = b.to_lowercase().chars().collect();
+    let mut row: Vec<usize> = (0..=b.len()).collect();
+    for (i, ca) in a.to_lowercase().chars().enumerate() {
+        let mut diagonal = row[0];
+        row[0] = i + 1;
+        for (j, cb) in b.iter().enumerate() {
+            let substitute = diagonal + usize::from(ca != *cb);
+            diagonal = row[j + 1];
+            row[j + 1] = substitute.min(row[j] + 1).min(diagonal + 1);
+        }
+    }
+    row[b.len()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn place_counts_lines_and_characters() {
+        let fault = Fault::new(FaultKind::NoParent, 6..8);
+        assert_eq!(fault.place("abc\näöx"), (2, 2));
+        assert_eq!(Fault::new(FaultKind::NoParent, 0..0).place(""), (1, 1));
+    }
+
+    #[test]
+    fn similar_names_are_found() {
+        let known = ["Core::DoubleAdd", "Core::IntAdd", "Core::Clock"];
+        assert_eq!(similar("Core::DoubelAdd", known), Some("Core::DoubleAdd"));
+        assert_eq!(similar("core::clock", known), Some("Core::Clock"));
+        assert_eq!(similar("Elephant", known), None);
+    }
+}

@@ -1,0 +1,607 @@
+//! Names to things: which definition each primitive has, and which out port each link really
+//! starts at, through any number of fragment borders. Parameters' values are not looked at here.
+
+use std::collections::HashMap;
+use std::ops::Range;
+
+use crate::definition::Definition;
+use crate::fault::{Fault, FaultKind, similar};
+use crate::load::LoadContext;
+use crate::load::sort::Graph;
+use crate::text::{Arg, ArgValue, Body, Fragment, Name, Node as TextNode, Source, SourceOf};
+use crate::value::{Element, Type};
+
+/// The out port of a primitive.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Origin {
+    pub(super) node: u32,
+    pub(super) port: u32,
+}
+
+/// A primitive instance.
+#[derive(Debug)]
+pub(super) struct Node<'t> {
+    pub(super) definition: &'t Definition,
+    /// Its name for texts; inline ones are named after the port they feed.
+    pub(super) name: &'t str,
+    pub(super) at: Range<usize>,
+    scope: u32,
+    pub(super) guard: u32,
+    args: &'t [Arg<'t>],
+    /// By in port: where the value comes from.
+    pub(super) links: Vec<Option<Origin>>,
+    /// By parameter: its text and the place of its first byte.
+    pub(super) texts: Vec<Option<(&'t str, usize)>>,
+}
+
+/// A fragment instance.
+#[derive(Debug, Default)]
+struct Scope<'t> {
+    parent: Option<u32>,
+    guard: u32,
+    children: HashMap<&'t str, Member>,
+    ins: HashMap<&'t str, &'t Arg<'t>>,
+    outs: HashMap<&'t str, &'t Source<'t>>,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Member {
+    Node(u32),
+    Scope(u32),
+    /// Something that could not be made sense of and has been told.
+    Broken,
+}
+
+/// Something that is switched on and off: a fragment or a primitive with `inActive` connected.
+#[derive(Debug, Default)]
+pub(super) struct GuardInfo {
+    pub(super) parent: u32,
+    pub(super) active: Option<Origin>,
+}
+
+/// A net with all names resolved.
+#[derive(Debug)]
+pub(super) struct Resolved<'t> {
+    pub(super) nodes: Vec<Node<'t>>,
+    pub(super) guards: Vec<GuardInfo>,
+    /// Out ports of the root fragment.
+    pub(super) root: Vec<(&'t str, Option<Origin>)>,
+}
+
+/// Resolves all names of a net.
+pub(super) fn resolve<'t>(
+    tree: &'t Fragment<'t>,
+    context: &LoadContext<'t>,
+    faults: &mut Vec<Fault>,
+) -> Resolved<'t> {
+    let mut resolver = Resolver {
+        context: *context,
+        faults,
+        nodes: Vec::new(),
+        scopes: Vec::new(),
+        guards: vec![GuardInfo::default()],
+        guard_sources: Vec::new(),
+        inline: HashMap::new(),
+        bound_told: false,
+    };
+    resolver.fragment(tree, None, 0, &[]);
+    for node in 0..resolver.nodes.len() {
+        resolver.link_node(node);
+    }
+    for (guard, scope, source) in std::mem::take(&mut resolver.guard_sources) {
+        let active = resolver.typed_origin(scope, source, "inActive", BOOL);
+        resolver.guards[guard as usize].active = active;
+    }
+    let root = resolver.link_root(tree);
+    Resolved {
+        nodes: resolver.nodes,
+        guards: resolver.guards,
+        root,
+    }
+}
+
+const BOOL: Type = Type::scalar(Element::Bool);
+
+struct Resolver<'t, 'f> {
+    context: LoadContext<'t>,
+    faults: &'f mut Vec<Fault>,
+    nodes: Vec<Node<'t>>,
+    scopes: Vec<Scope<'t>>,
+    guards: Vec<GuardInfo>,
+    /// Guards with the scope and source of their activation.
+    guard_sources: Vec<(u32, u32, &'t Source<'t>)>,
+    /// Nodes written in place, by the first byte of their text.
+    inline: HashMap<usize, Member>,
+    bound_told: bool,
+}
+
+fn number(len: usize) -> u32 {
+    u32::try_from(len).expect("Limits bounds the number of primitives far below 2^32")
+}
+
+impl<'t> Resolver<'t, '_> {
+    fn fault(&mut self, kind: FaultKind, at: Range<usize>) {
+        self.faults.push(Fault::new(kind, at));
+    }
+
+    /// Enters a fragment and everything in it.
+    fn fragment(
+        &mut self,
+        fragment: &'t Fragment<'t>,
+        parent: Option<u32>,
+        guard: u32,
+        args: &'t [Arg<'t>],
+    ) -> u32 {
+        let scope = number(self.scopes.len());
+        self.scopes.push(Scope {
+            parent,
+            guard,
+            ..Scope::default()
+        });
+        for arg in args {
+            if let ArgValue::Text(..) = arg.value {
+                let kind = FaultKind::TextForPort {
+                    port: arg.name.text.to_owned(),
+                    parameter: None,
+                };
+                self.fault(kind, arg.name.span());
+            }
+            if self.scopes[scope as usize]
+                .ins
+                .insert(arg.name.text, arg)
+                .is_some()
+            {
+                self.twice(arg.name);
+            }
+        }
+        for out in &fragment.outs {
+            let ArgValue::Link(source) = &out.value else {
+                continue;
+            };
+            self.inline_source(source, scope);
+            if self.scopes[scope as usize]
+                .outs
+                .insert(out.name.text, source)
+                .is_some()
+            {
+                self.twice(out.name);
+            }
+        }
+        for child in &fragment.children {
+            let member = self.node(&child.node, child.name.text, scope);
+            if self.scopes[scope as usize]
+                .children
+                .insert(child.name.text, member)
+                .is_some()
+            {
+                self.twice(child.name);
+            }
+        }
+        scope
+    }
+
+    fn twice(&mut self, name: Name<'_>) {
+        self.fault(
+            FaultKind::Twice {
+                name: name.text.to_owned(),
+            },
+            name.span(),
+        );
+    }
+
+    fn node(&mut self, node: &'t TextNode<'t>, name: &'t str, scope: u32) -> Member {
+        for arg in &node.args {
+            if let ArgValue::Link(source) = &arg.value {
+                self.inline_source(source, scope);
+            }
+        }
+        match &node.body {
+            Body::Fragment(fragment) => {
+                let guard = self.guard(scope, &node.args);
+                Member::Scope(self.fragment(fragment, Some(scope), guard, &node.args))
+            }
+            Body::Primitive(ty) => self.primitive(*ty, node, name, scope),
+        }
+    }
+
+    /// The guard of something with these arguments: its own if `inActive` is connected.
+    fn guard(&mut self, scope: u32, args: &'t [Arg<'t>]) -> u32 {
+        let parent = self.scopes[scope as usize].guard;
+        let active = args.iter().find(|a| a.name.text == "inActive");
+        let Some(Arg {
+            value: ArgValue::Link(source),
+            ..
+        }) = active
+        else {
+            return parent;
+        };
+        let guard = number(self.guards.len());
+        self.guards.push(GuardInfo {
+            parent,
+            active: None,
+        });
+        self.guard_sources.push((guard, scope, source));
+        guard
+    }
+
+    fn primitive(
+        &mut self,
+        ty: Name<'t>,
+        node: &'t TextNode<'t>,
+        name: &'t str,
+        scope: u32,
+    ) -> Member {
+        let Some(definition) = self.context.registry.find(ty.text) else {
+            let similar = self.context.registry.similar(ty.text).map(str::to_owned);
+            let kind = FaultKind::UnknownPrimitive {
+                name: ty.text.to_owned(),
+                similar,
+            };
+            self.fault(kind, ty.span());
+            return Member::Broken;
+        };
+        let bound = self.context.limits.primitives;
+        if self.nodes.len() >= bound {
+            if !self.bound_told {
+                let kind = FaultKind::Bound {
+                    what: "primitives",
+                    found: bound + 1,
+                    bound,
+                };
+                self.fault(kind, node.at.clone());
+                self.bound_told = true;
+            }
+            return Member::Broken;
+        }
+        let own_guard = definition.gated.then(|| self.guard(scope, &node.args));
+        let member = number(self.nodes.len());
+        self.nodes.push(Node {
+            definition,
+            name,
+            at: node.at.clone(),
+            scope,
+            guard: own_guard.unwrap_or(self.scopes[scope as usize].guard),
+            args: &node.args,
+            links: vec![None; definition.inputs.len()],
+            texts: vec![None; definition.parameters.len()],
+        });
+        Member::Node(member)
+    }
+
+    /// Makes a node of a source that is written in place.
+    fn inline_source(&mut self, source: &'t Source<'t>, scope: u32) {
+        if let SourceOf::Inline(node) = &source.of {
+            let member = self.node(node, "(inline)", scope);
+            self.inline.insert(node.at.start, member);
+        }
+    }
+
+    fn link_node(&mut self, number: usize) {
+        let Node {
+            definition,
+            scope,
+            args,
+            ..
+        } = self.nodes[number];
+        for arg in args {
+            match &arg.value {
+                ArgValue::Text(text, start) => self.set_parameter(number, arg.name, text, *start),
+                ArgValue::Link(source) => self.set_link(number, scope, arg.name, source),
+            }
+        }
+        for (i, port) in definition.inputs.iter().enumerate() {
+            let given = args.iter().any(|a| a.name.text == port.name);
+            if port.required && !given {
+                let kind = FaultKind::NotConnected {
+                    primitive: definition.name.clone(),
+                    port: port.name.to_owned(),
+                };
+                self.fault(kind, self.nodes[number].at.clone());
+            }
+            debug_assert!(i < self.nodes[number].links.len());
+        }
+    }
+
+    fn set_parameter(&mut self, node: usize, name: Name<'t>, text: &'t str, start: usize) {
+        let definition = self.nodes[node].definition;
+        if let Some(i) = definition.parameter_named(name.text) {
+            if self.nodes[node].texts[i].replace((text, start)).is_some() {
+                self.twice(name);
+            }
+        } else if let Some(i) = definition.input_named(name.text) {
+            let parameter = definition.inputs[i].parameter.map(str::to_owned);
+            let kind = FaultKind::TextForPort {
+                port: name.text.to_owned(),
+                parameter,
+            };
+            self.fault(kind, name.span());
+        } else {
+            let known = definition
+                .parameters
+                .iter()
+                .map(|p| p.name.to_owned())
+                .collect();
+            let kind = FaultKind::UnknownParameter {
+                primitive: definition.name.clone(),
+                name: name.text.to_owned(),
+                known,
+            };
+            self.fault(kind, name.span());
+        }
+    }
+
+    fn set_link(&mut self, node: usize, scope: u32, name: Name<'t>, source: &'t Source<'t>) {
+        let definition = self.nodes[node].definition;
+        let Some(i) = definition.input_named(name.text) else {
+            let kind = if definition.parameter_named(name.text).is_some() {
+                FaultKind::LinkForParameter {
+                    name: name.text.to_owned(),
+                }
+            } else {
+                FaultKind::UnknownInPort {
+                    owner: format!("`{}`", definition.name),
+                    name: name.text.to_owned(),
+                    known: definition
+                        .inputs
+                        .iter()
+                        .map(|p| p.name.to_owned())
+                        .collect(),
+                }
+            };
+            self.fault(kind, name.span());
+            return;
+        };
+        let port = &definition.inputs[i];
+        let origin = self.typed_origin(scope, source, port.name, port.ty);
+        let first = self.nodes[node]
+            .args
+            .iter()
+            .find(|a| a.name.text == name.text);
+        if first.is_some_and(|a| a.name.start != name.start) {
+            self.twice(name);
+        }
+        self.nodes[node].links[i] = origin;
+    }
+
+    fn typed_origin(
+        &mut self,
+        scope: u32,
+        source: &'t Source<'t>,
+        port: &str,
+        wants: Type,
+    ) -> Option<Origin> {
+        let origin = self.origin(scope, source)?;
+        let output = &self.nodes[origin.node as usize].definition.outputs[origin.port as usize];
+        if output.ty != wants {
+            let kind = FaultKind::Type {
+                port: port.to_owned(),
+                wants: wants.to_string(),
+                gives: output.ty.to_string(),
+            };
+            self.fault(kind, source.span());
+            return None;
+        }
+        Some(origin)
+    }
+
+    /// Follows a source through fragment ports to the primitive it starts at. `None` if there is
+    /// none, which has then been told.
+    fn origin(&mut self, mut scope: u32, first: &'t Source<'t>) -> Option<Origin> {
+        let mut source = first;
+        // No path without a loop passes a fragment border more often than there are borders.
+        for _ in 0..=2 * self.scopes.len() {
+            let member = match &source.of {
+                SourceOf::Child(name) if name.text == "parent" => {
+                    (scope, source) = self.fed_from_outside(scope, *name, source.port)?;
+                    continue;
+                }
+                SourceOf::Child(name) => self.child(scope, *name)?,
+                SourceOf::Inline(node) => self.inline.get(&node.at.start).copied()?,
+            };
+            match member {
+                Member::Broken => return None,
+                Member::Node(node) => return self.out_port(node, source.port),
+                Member::Scope(inner) => {
+                    let Some(inside) = self.scopes[inner as usize].outs.get(source.port.text)
+                    else {
+                        let known = names(self.scopes[inner as usize].outs.keys());
+                        self.unknown_out("this fragment".to_owned(), source.port, known);
+                        return None;
+                    };
+                    (scope, source) = (inner, inside);
+                }
+            }
+        }
+        let name = first.port.text.to_owned();
+        self.fault(FaultKind::PortLoop { name }, first.span());
+        None
+    }
+
+    /// What feeds an in port of the fragment `scope`.
+    fn fed_from_outside(
+        &mut self,
+        scope: u32,
+        parent_word: Name<'t>,
+        port: Name<'t>,
+    ) -> Option<(u32, &'t Source<'t>)> {
+        let Some(outer) = self.scopes[scope as usize].parent else {
+            self.fault(FaultKind::NoParent, parent_word.span());
+            return None;
+        };
+        match self.scopes[scope as usize].ins.get(port.text) {
+            Some(Arg {
+                value: ArgValue::Link(source),
+                ..
+            }) => Some((outer, source)),
+            Some(_) => None,
+            None => {
+                let kind = FaultKind::UnknownInPort {
+                    owner: "this fragment".to_owned(),
+                    name: port.text.to_owned(),
+                    known: names(self.scopes[scope as usize].ins.keys()),
+                };
+                self.fault(kind, port.span());
+                None
+            }
+        }
+    }
+
+    fn child(&mut self, scope: u32, name: Name<'t>) -> Option<Member> {
+        let children = &self.scopes[scope as usize].children;
+        if let Some(member) = children.get(name.text) {
+            return Some(*member);
+        }
+        let similar = similar(name.text, children.keys().copied()).map(str::to_owned);
+        self.fault(
+            FaultKind::UnknownChild {
+                name: name.text.to_owned(),
+                similar,
+            },
+            name.span(),
+        );
+        None
+    }
+
+    fn out_port(&mut self, node: u32, port: Name<'t>) -> Option<Origin> {
+        let definition = self.nodes[node as usize].definition;
+        if let Some(i) = definition.output_named(port.text) {
+            return Some(Origin {
+                node,
+                port: number(i),
+            });
+        }
+        let known = definition
+            .outputs
+            .iter()
+            .map(|p| p.name.to_owned())
+            .collect();
+        self.unknown_out(format!("`{}`", definition.name), port, known);
+        None
+    }
+
+    fn unknown_out(&mut self, owner: String, port: Name<'_>, known: Vec<String>) {
+        let kind = FaultKind::UnknownOutPort {
+            owner,
+            name: port.text.to_owned(),
+            known,
+        };
+        self.fault(kind, port.span());
+    }
+
+    fn link_root(&mut self, tree: &'t Fragment<'t>) -> Vec<(&'t str, Option<Origin>)> {
+        let mut root = Vec::new();
+        for out in &tree.outs {
+            let ArgValue::Link(source) = &out.value else {
+                continue;
+            };
+            let origin = if out.name.text == "outTerminate" {
+                self.typed_origin(0, source, "outTerminate", BOOL)
+            } else {
+                self.origin(0, source)
+            };
+            root.push((out.name.text, origin));
+        }
+        if !root.iter().any(|(name, _)| *name == "outTerminate") {
+            let end = tree.at.end;
+            self.fault(FaultKind::NoTerminate, end.saturating_sub(1)..end);
+        }
+        root
+    }
+}
+
+fn names<'n>(keys: impl Iterator<Item = &'n &'n str>) -> Vec<String> {
+    let mut names: Vec<String> = keys.map(|k| (*k).to_owned()).collect();
+    names.sort();
+    names
+}
+
+/// What a unit of the order is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Unit {
+    /// The step of a primitive.
+    Main(u32),
+    /// The step of a primitive that writes outputs which do not depend on its inputs.
+    Early(u32),
+    /// The moment from which a guard's activation is known; no step.
+    Gate(u32),
+}
+
+impl<'t> Resolved<'t> {
+    /// What is unit `unit` of [`Self::graph`]?
+    pub(super) fn unit(&self, unit: u32) -> Unit {
+        let nodes = number(self.nodes.len());
+        match unit.checked_sub(nodes) {
+            None => Unit::Main(unit),
+            Some(early) if early < nodes => Unit::Early(early),
+            Some(gate) => Unit::Gate(gate - nodes),
+        }
+    }
+
+    /// Units: the steps of all primitives, their early steps (unused ones are without edges), and
+    /// one gate for each guard.
+    pub(super) fn graph(&self) -> Graph {
+        let nodes = number(self.nodes.len());
+        let gate = |guard: u32| 2 * nodes + guard;
+        let mut guard_of: Vec<u32> = self.nodes.iter().map(|n| n.guard).collect();
+        guard_of.extend_from_within(..);
+        guard_of.extend(self.guards.iter().map(|g| g.parent));
+        let mut edges = Vec::with_capacity(2 * self.nodes.len());
+        let unit_of = |origin: Origin| {
+            let early = self.nodes[origin.node as usize].definition.early.is_some();
+            origin.node + if early { nodes } else { 0 }
+        };
+        for (i, node) in self.nodes.iter().enumerate() {
+            let unit = number(i);
+            edges.extend(
+                node.links
+                    .iter()
+                    .flatten()
+                    .map(|origin| (unit_of(*origin), unit)),
+            );
+            if node.guard != 0 {
+                edges.push((gate(node.guard), unit));
+                edges.push((gate(node.guard), unit + nodes));
+            }
+        }
+        for (i, guard) in self.guards.iter().enumerate().skip(1) {
+            let unit = gate(number(i));
+            edges.extend(guard.active.map(|origin| (unit_of(origin), unit)));
+            if guard.parent != 0 {
+                edges.push((gate(guard.parent), unit));
+            }
+        }
+        Graph {
+            guard_of,
+            parent: self.guards.iter().map(|g| g.parent).collect(),
+            edges,
+        }
+    }
+
+    /// The fault that tells of a cycle.
+    pub(super) fn cycle_fault(&self, cycle: &[u32]) -> Fault {
+        let nodes: Vec<&Node<'t>> = cycle
+            .iter()
+            .filter_map(|unit| match self.unit(*unit) {
+                Unit::Main(node) | Unit::Early(node) => Some(&self.nodes[node as usize]),
+                Unit::Gate(_) => None,
+            })
+            .collect();
+        let mut names: Vec<String> = nodes.iter().take(16).map(|n| n.name.to_owned()).collect();
+        names.push(if nodes.len() > 16 {
+            "…".to_owned()
+        } else {
+            names[0].clone()
+        });
+        let mut fault = Fault::new(
+            FaultKind::Cycle {
+                path: names.join(" → "),
+            },
+            nodes.first().map_or(0..0, |n| n.at.clone()),
+        );
+        let rest = nodes.iter().skip(1).take(8);
+        fault.also = rest
+            .map(|n| (n.at.clone(), format!("`{}` is part of it", n.name)))
+            .collect();
+        fault
+    }
+}

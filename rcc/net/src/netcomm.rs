@@ -1,0 +1,205 @@
+//! The exchange of a running net with programs that are not real time: values out of the net
+//! (NetcommOut) and into it (NetcommIn), laid out as words so that a whole box can be handed over
+//! by copying. How the words cross threads is the executor's business.
+
+use std::cell::Cell;
+use std::sync::Arc;
+
+use crate::value::text::{ValueError, format_words, parse_words};
+use crate::value::{Type, Value};
+
+/// One value of a box.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Entry {
+    /// The key on the wire: `out` or `in` and the primitive's `Key`.
+    pub key: String,
+    /// Type of the value.
+    pub ty: Type,
+    /// Whether clients and synchronization rules may see it.
+    pub report: bool,
+    /// First word of the entry in its box.
+    at: usize,
+    /// Words of the value.
+    words: usize,
+}
+
+/// Words before an entry's value: status and time (out), or number of writes (in).
+const HEAD: usize = 2;
+
+/// Where each value of a box lies.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Directory {
+    entries: Vec<Entry>,
+    words: usize,
+}
+
+/// What an out value is at the moment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OutStatus {
+    /// Never non-null so far.
+    Never,
+    /// Non-null in the last cycle.
+    Current,
+    /// Null in the last cycle; the value is the last non-null one.
+    Held,
+}
+
+impl Directory {
+    /// The entries in the order of their keys' first use.
+    #[must_use]
+    pub fn entries(&self) -> &[Entry] {
+        &self.entries
+    }
+
+    /// Length of the box, in words.
+    #[must_use]
+    pub const fn words(&self) -> usize {
+        self.words
+    }
+
+    /// The entry of that key.
+    #[must_use]
+    pub fn find(&self, key: &str) -> Option<&Entry> {
+        self.entries.iter().find(|e| e.key == key)
+    }
+
+    /// Adds an entry and returns the place of its first word.
+    pub(crate) fn add(&mut self, key: String, ty: Type, value_words: usize, report: bool) -> usize {
+        let at = self.words;
+        self.words += HEAD + value_words;
+        self.entries.push(Entry {
+            key,
+            ty,
+            report,
+            at,
+            words: value_words,
+        });
+        at
+    }
+}
+
+impl Entry {
+    pub(crate) const fn at(&self) -> usize {
+        self.at
+    }
+
+    pub(crate) const fn value_words(&self) -> usize {
+        self.words
+    }
+
+    /// What an out value is, read from its box.
+    #[must_use]
+    pub fn status(&self, words: &[u64]) -> OutStatus {
+        match words.get(self.at) {
+            Some(1) => OutStatus::Current,
+            Some(2) => OutStatus::Held,
+            _ => OutStatus::Never,
+        }
+    }
+
+    /// The value's words in its box.
+    #[must_use]
+    pub fn value<'a>(&self, words: &'a [u64]) -> &'a [u64] {
+        words
+            .get(self.at + HEAD..self.at + HEAD + self.words)
+            .unwrap_or_default()
+    }
+
+    /// The text of the value in its box.
+    pub fn format(&self, words: &[u64], out: &mut String) {
+        format_words(self.ty, self.value(words), out);
+    }
+
+    /// Writes a text into an in-box, as one more write.
+    ///
+    /// # Errors
+    /// If the text is no value of the entry's type; the box is then unchanged.
+    pub fn write(&self, text: &str, words: &mut [u64]) -> Result<(), ValueError> {
+        let mut value = vec![0; self.words];
+        parse_words(self.ty, text, &mut value)?;
+        let at = self.at + HEAD;
+        words[at..at + self.words].copy_from_slice(&value);
+        words[self.at] = words[self.at].wrapping_add(1);
+        Ok(())
+    }
+}
+
+/// A box inside a plan.
+#[derive(Debug, Default)]
+pub struct Mailbox {
+    pub(crate) directory: Arc<Directory>,
+    pub(crate) words: Box<[Cell<u64>]>,
+    pub(crate) changed: Cell<bool>,
+}
+
+impl Mailbox {
+    pub(crate) fn new(directory: Directory, initial: &[u64]) -> Self {
+        let words = initial.iter().copied().map(Cell::new).collect();
+        Self {
+            directory: Arc::new(directory),
+            words,
+            changed: Cell::new(false),
+        }
+    }
+
+    /// Stores an out value; `time` is that of its last change. Words are compared before they are
+    /// written, so that an unchanged box need not be handed over.
+    pub(crate) fn store<T: Value>(&self, at: usize, value: T, time: u64) {
+        let mut changed = self.replace(at, 1);
+        value.put(|i, w| changed |= self.replace(at + HEAD + i, w));
+        if changed {
+            self.words[at + 1].set(time);
+            self.changed.set(true);
+        }
+    }
+
+    /// Stores one element of an out array; returns whether it changed.
+    pub(crate) fn store_element<T: Value>(&self, at: usize, number: usize, value: T) -> bool {
+        let mut changed = false;
+        value.put(|i, w| changed |= self.replace(at + HEAD + number * T::WORDS + i, w));
+        changed
+    }
+
+    /// Marks an out array as non-null; `changed` says whether any element changed.
+    pub(crate) fn finish_array(&self, at: usize, changed: bool, time: u64) {
+        if self.replace(at, 1) || changed {
+            self.words[at + 1].set(time);
+            self.changed.set(true);
+        }
+    }
+
+    /// Marks an out value as null; it keeps its last value.
+    pub(crate) fn hold(&self, at: usize) {
+        if self.words[at].get() == 1 {
+            self.words[at].set(2);
+            self.changed.set(true);
+        }
+    }
+
+    /// How often an in value was written.
+    pub(crate) fn writes(&self, at: usize) -> u64 {
+        self.words[at].get()
+    }
+
+    pub(crate) fn load<T: Value>(&self, at: usize, number: usize) -> T {
+        T::take(|i| self.words[at + HEAD + number * T::WORDS + i].get())
+    }
+
+    fn replace(&self, at: usize, word: u64) -> bool {
+        self.words[at].replace(word) != word
+    }
+
+    /// Takes over a whole box.
+    pub(crate) fn import(&self, words: &[u64]) {
+        for (cell, word) in self.words.iter().zip(words) {
+            cell.set(*word);
+        }
+    }
+
+    /// Copies the whole box out.
+    pub(crate) fn export(&self, words: &mut [u64]) {
+        for (word, cell) in words.iter_mut().zip(&self.words) {
+            *word = cell.get();
+        }
+    }
+}

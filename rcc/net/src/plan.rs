@@ -1,0 +1,206 @@
+//! A plan: a net made ready. Evaluating it is a walk over steps in topological order; loading,
+//! checking and freeing happen elsewhere, and so does everything that can block.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use crate::definition::Primitive;
+use crate::device::Image;
+use crate::netcomm::{Directory, Mailbox};
+use crate::slots::{In, SlotRef, Slots};
+use crate::value::{Nanos, Type};
+
+/// What a cycle is told from outside.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Moment {
+    /// Number of the cycle of the evaluating thread, from 1; skipped cycles count.
+    pub cycle: u64,
+    /// Logical time of the cycle: start of the thread plus whole periods, without jitter.
+    pub time: Nanos,
+    /// The clock read at the start of this cycle, on the same time line.
+    pub wall: Nanos,
+    /// Whether the net was asked to cancel.
+    pub cancel: bool,
+    /// Whether a successor is scheduled.
+    pub takeover: bool,
+}
+
+/// What a primitive sees while it steps.
+#[derive(Debug)]
+pub struct Cycle<'a> {
+    pub(crate) slots: &'a Slots,
+    /// Devices as they were when the cycle began, and what is commanded to them.
+    pub image: &'a Image,
+    /// Time and requests from outside.
+    pub moment: Moment,
+    pub(crate) inbox: &'a Mailbox,
+    pub(crate) outbox: &'a Mailbox,
+}
+
+/// What the walk does next.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Op {
+    /// Run the steps of this range.
+    Run { first: u32, end: u32 },
+    /// If this guard's fragment is not active, go on at `skip_to`.
+    Guard { guard: u32, skip_to: u32 },
+}
+
+/// A fragment (or one primitive) that can be switched off.
+#[derive(Debug)]
+pub(crate) struct Guard {
+    pub(crate) active: In<bool>,
+    /// Slots inside that are read outside; null while switched off.
+    pub(crate) exports: Box<[SlotRef]>,
+    pub(crate) was_active: bool,
+}
+
+impl Guard {
+    /// Tests the activation; on the way from active to inactive the exported slots become null.
+    fn enter(&mut self, slots: &Slots) -> bool {
+        let active = self.active.read(slots) == Some(true);
+        if self.was_active && !active {
+            for export in &self.exports {
+                export.clear(slots);
+            }
+        }
+        self.was_active = active;
+        active
+    }
+}
+
+/// An out port of the root fragment.
+#[derive(Debug)]
+pub struct RootPort {
+    /// Its name.
+    pub name: String,
+    /// Its type.
+    pub ty: Type,
+    pub(crate) slot: SlotRef,
+}
+
+/// A net made ready for evaluation.
+pub struct Plan {
+    pub(crate) slots: Slots,
+    pub(crate) steps: Box<[Box<dyn Primitive>]>,
+    pub(crate) ops: Box<[Op]>,
+    pub(crate) guards: Box<[Guard]>,
+    pub(crate) terminate: In<bool>,
+    pub(crate) root_ports: Box<[RootPort]>,
+    pub(crate) inbox: Mailbox,
+    pub(crate) outbox: Mailbox,
+    pub(crate) resources: Box<[String]>,
+    pub(crate) period: Duration,
+    pub(crate) primitives: usize,
+}
+
+impl std::fmt::Debug for Plan {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Plan")
+            .field("primitives", &self.primitives)
+            .field("period", &self.period)
+            .field("resources", &self.resources)
+            .finish_non_exhaustive()
+    }
+}
+
+impl Plan {
+    /// Evaluates one cycle. Returns whether the net signals its termination.
+    pub fn evaluate(&mut self, image: &Image, moment: Moment) -> bool {
+        let slots = &self.slots;
+        let cycle = Cycle {
+            slots,
+            image,
+            moment,
+            inbox: &self.inbox,
+            outbox: &self.outbox,
+        };
+        let mut next = 0;
+        while let Some(op) = self.ops.get(next) {
+            next += 1;
+            match *op {
+                Op::Run { first, end } => {
+                    for step in &mut self.steps[first as usize..end as usize] {
+                        step.step(&cycle);
+                    }
+                }
+                Op::Guard { guard, skip_to } => {
+                    if !self.guards[guard as usize].enter(slots) {
+                        next = skip_to as usize;
+                    }
+                }
+            }
+        }
+        self.terminate.read(slots) == Some(true)
+    }
+
+    /// Takes over values written by programs, a whole in-box of [`Self::inbox`].
+    pub fn import(&self, words: &[u64]) {
+        self.inbox.import(words);
+    }
+
+    /// Whether an out value changed since this was last asked.
+    #[must_use]
+    pub fn take_changed(&self) -> bool {
+        self.outbox.changed.replace(false)
+    }
+
+    /// Copies the out-box of [`Self::outbox`].
+    pub fn export(&self, words: &mut [u64]) {
+        self.outbox.export(words);
+    }
+
+    /// The in-box as it is now: the parameters' values before anything was imported.
+    #[must_use]
+    pub fn inbox_words(&self) -> Box<[u64]> {
+        self.inbox.words.iter().map(std::cell::Cell::get).collect()
+    }
+
+    /// Values that programs may write.
+    #[must_use]
+    pub fn inbox(&self) -> &Arc<Directory> {
+        &self.inbox.directory
+    }
+
+    /// Values that programs may read.
+    #[must_use]
+    pub fn outbox(&self) -> &Arc<Directory> {
+        &self.outbox.directory
+    }
+
+    /// What the net needs for itself alone, such as the joints it commands.
+    #[must_use]
+    pub fn resources(&self) -> &[String] {
+        &self.resources
+    }
+
+    /// Time from one cycle to the next.
+    #[must_use]
+    pub const fn period(&self) -> Duration {
+        self.period
+    }
+
+    /// How many primitives the net has.
+    #[must_use]
+    pub const fn primitives(&self) -> usize {
+        self.primitives
+    }
+
+    /// Out ports of the root fragment.
+    #[must_use]
+    pub fn root_ports(&self) -> &[RootPort] {
+        &self.root_ports
+    }
+
+    /// Memory that a cycle can touch, in bytes: slots, steps and their parameters and state, but
+    /// not histories.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        let steps: usize = self
+            .steps
+            .iter()
+            .map(|s| size_of_val(s) + size_of_val(&**s))
+            .sum();
+        self.slots.bytes() + steps + size_of_val(&*self.ops) + size_of_val(&*self.guards)
+    }
+}

@@ -1,0 +1,186 @@
+//! Fixed arrays. Sizes are known while loading, and an index outside is a fault of the net.
+
+use crate::definition::{Build, Definition, NullRule, Primitive, port};
+use crate::fault::{Fault, FaultKind};
+use crate::plan::Cycle;
+use crate::slots::{ArrayIn, ArrayOut, In, Out};
+use crate::value::text::TextValue;
+use crate::value::{Frame, Rotation, Twist, Vector, Wrench};
+
+struct Array<T> {
+    out: ArrayOut<T>,
+}
+
+impl<T: TextValue> Primitive for Array<T> {
+    fn step(&mut self, cycle: &Cycle<'_>) {
+        self.out.set(cycle, std::iter::repeat(T::default()));
+    }
+}
+
+struct Get<T> {
+    array: ArrayIn<T>,
+    index: usize,
+    out: Out<T>,
+}
+
+impl<T: TextValue> Primitive for Get<T> {
+    fn step(&mut self, cycle: &Cycle<'_>) {
+        let element = self.array.get(cycle).and_then(|a| a.get(self.index));
+        self.out.set(cycle, element.map(std::cell::Cell::get));
+    }
+}
+
+struct Set<T> {
+    array: ArrayIn<T>,
+    value: In<T>,
+    index: usize,
+    out: ArrayOut<T>,
+}
+
+impl<T: TextValue> Primitive for Set<T> {
+    fn step(&mut self, cycle: &Cycle<'_>) {
+        match self.array.get(cycle).zip(self.value.get(cycle)) {
+            None => self.out.set_null(cycle),
+            Some((array, value)) => {
+                let other = array.iter().map(std::cell::Cell::get);
+                let changed = other.enumerate();
+                let element = |(i, old)| if i == self.index { value } else { old };
+                self.out.set(cycle, changed.map(element));
+            }
+        }
+    }
+}
+
+struct Slice<T> {
+    array: ArrayIn<T>,
+    start: usize,
+    out: ArrayOut<T>,
+}
+
+impl<T: TextValue> Primitive for Slice<T> {
+    fn step(&mut self, cycle: &Cycle<'_>) {
+        match self.array.get(cycle) {
+            None => self.out.set_null(cycle),
+            Some(array) => {
+                self.out.set(
+                    cycle,
+                    array.iter().skip(self.start).map(std::cell::Cell::get),
+                );
+            }
+        }
+    }
+}
+
+const SIZE: (&str, &str) = ("Size", "number of elements");
+
+fn index_within<T>(b: &Build<'_, '_>, array: &ArrayIn<T>) -> Result<usize, Fault>
+where
+    T: TextValue,
+{
+    let size = b.number("Size", 1..=b.limits().array_size)?;
+    if size != array.len() {
+        let what = format!("Size is {size}, but the array has {} elements", array.len());
+        return Err(b.fault(FaultKind::ArraySize(what)));
+    }
+    b.number("Index", 0..=size - 1)
+}
+
+fn array<T: TextValue>() -> Definition {
+    let build = |b: &mut Build<'_, '_>| -> Result<Array<T>, Fault> {
+        let size = b.number("Size", 1..=b.limits().array_size)?;
+        Ok(Array {
+            out: b.array_output("outArray", size)?,
+        })
+    };
+    Definition::new(format!("{}Array", T::PREFIX), "An array of zeros.", build)
+        .parameter::<i32>(SIZE.0, "1", SIZE.1)
+        .array_output::<T>("outArray", "the array")
+        .null(NullRule::Own("Never null."))
+}
+
+fn get<T: TextValue>() -> Definition {
+    let build = |b: &mut Build<'_, '_>| -> Result<Get<T>, Fault> {
+        let array = b.array_input("inArray")?;
+        Ok(Get {
+            index: index_within(b, &array)?,
+            array,
+            out: b.output("outValue"),
+        })
+    };
+    Definition::new(
+        format!("{}ArrayGet", T::PREFIX),
+        "One element of an array.",
+        build,
+    )
+    .array_input::<T>(port("inArray", "the array").required())
+    .parameter::<i32>(SIZE.0, "1", SIZE.1)
+    .parameter::<i32>("Index", "0", "which element, from 0")
+    .output::<T>("outValue", "the element")
+}
+
+fn set<T: TextValue>() -> Definition {
+    let build = |b: &mut Build<'_, '_>| -> Result<Set<T>, Fault> {
+        let array = b.array_input("inArray")?;
+        let index = index_within(b, &array)?;
+        let out = b.array_output("outArray", array.len())?;
+        Ok(Set {
+            array,
+            value: b.input("inValue")?,
+            index,
+            out,
+        })
+    };
+    let doc = "A copy of an array with one element replaced.";
+    Definition::new(format!("{}ArraySet", T::PREFIX), doc, build)
+        .array_input::<T>(port("inArray", "the array").required())
+        .input::<T>(port("inValue", "the new element").required())
+        .parameter::<i32>(SIZE.0, "1", SIZE.1)
+        .parameter::<i32>("Index", "0", "which element, from 0")
+        .array_output::<T>("outArray", "the copy")
+}
+
+fn slice<T: TextValue>() -> Definition {
+    let build = |b: &mut Build<'_, '_>| -> Result<Slice<T>, Fault> {
+        let array = b.array_input("inArray")?;
+        let size = b.number("Size", 1..=b.limits().array_size)?;
+        let start = b.number("Start", 0..=b.limits().array_size)?;
+        if start + size > array.len() {
+            let what = format!(
+                "elements {start} to {} are wanted, but the array has only {}",
+                start + size - 1,
+                array.len()
+            );
+            return Err(b.fault(FaultKind::ArraySize(what)));
+        }
+        Ok(Slice {
+            array,
+            start,
+            out: b.array_output("outArray", size)?,
+        })
+    };
+    Definition::new(
+        format!("{}ArraySlice", T::PREFIX),
+        "A part of an array.",
+        build,
+    )
+    .array_input::<T>(port("inArray", "the array").required())
+    .parameter::<i32>(SIZE.0, "1", "number of elements of the part")
+    .parameter::<i32>("Start", "0", "first element of the part, from 0")
+    .array_output::<T>("outArray", "the part")
+}
+
+fn family<T: TextValue>() -> Vec<Definition> {
+    vec![array::<T>(), get::<T>(), set::<T>(), slice::<T>()]
+}
+
+pub(super) fn table() -> Vec<Definition> {
+    let mut table = family::<bool>();
+    table.extend(family::<i32>());
+    table.extend(family::<f64>());
+    table.extend(family::<Vector>());
+    table.extend(family::<Rotation>());
+    table.extend(family::<Frame>());
+    table.extend(family::<Twist>());
+    table.extend(family::<Wrench>());
+    table
+}

@@ -1,0 +1,59 @@
+//! All primitives a controller knows, by name. Which ones those are is put together by its owner
+//! from the tables of this crate and of those that use it.
+
+use std::collections::HashMap;
+
+use crate::definition::Definition;
+use crate::fault::similar;
+
+/// The primitives known to a controller.
+#[derive(Debug, Default)]
+pub struct Registry {
+    definitions: Vec<Definition>,
+    by_name: HashMap<String, usize>,
+}
+
+impl Registry {
+    /// A registry with the primitives of this crate.
+    #[must_use]
+    pub fn core() -> Self {
+        let mut registry = Self::default();
+        registry.add(crate::primitives::all());
+        registry
+    }
+
+    /// Adds definitions.
+    ///
+    /// # Panics
+    /// If a name is already taken: two tables contradict each other.
+    pub fn add(&mut self, definitions: impl IntoIterator<Item = Definition>) {
+        for definition in definitions {
+            let number = self.definitions.len();
+            let earlier = self.by_name.insert(definition.name.clone(), number);
+            assert!(
+                earlier.is_none(),
+                "primitive {} is defined twice",
+                definition.name
+            );
+            self.definitions.push(definition);
+        }
+    }
+
+    /// The definition of that name.
+    #[must_use]
+    pub fn find(&self, name: &str) -> Option<&Definition> {
+        self.by_name.get(name).map(|i| &self.definitions[*i])
+    }
+
+    /// All definitions, in the order they were added.
+    #[must_use]
+    pub fn definitions(&self) -> &[Definition] {
+        &self.definitions
+    }
+
+    /// The known name most like `name`.
+    #[must_use]
+    pub fn similar(&self, name: &str) -> Option<&str> {
+        similar(name, self.definitions.iter().map(|d| d.name.as_str()))
+    }
+}

@@ -1,0 +1,530 @@
+//! Net text: its tokens, its syntax tree and the parser, which goes on after an error so that
+//! one run tells all of them. What the names mean is not looked at here.
+//!
+//! ```text
+//! net      = fragment
+//! fragment = "{" [ item { "," item } ] "}"
+//! item     = ident [dbg] "=" ( node | node "." ident )      child, or out port of the fragment
+//! node     = ident "(" [ arg { "," arg } ] ")"              primitive of that type
+//!          | ident                                          reference, only before "." ident
+//!          | fragment "(" [ arg { "," arg } ] ")"           nested fragment with its in ports
+//! arg      = ident [dbg] "=" ( string | node "." ident )    parameter, or link to an in port
+//! dbg      = "[" seconds "]"      string = "'" … "'" with \' and \\      ident = [A-Za-z0-9:_]+
+//! ```
+
+use std::borrow::Cow;
+use std::ops::Range;
+
+use logos::Logos;
+
+use crate::fault::{Fault, FaultKind};
+use crate::limits::Limits;
+
+/// A word of the text and where it stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Name<'a> {
+    /// The word.
+    pub text: &'a str,
+    /// Its first byte.
+    pub start: usize,
+}
+
+impl Name<'_> {
+    /// The bytes of the text that it takes.
+    #[must_use]
+    pub const fn span(&self) -> Range<usize> {
+        self.start..self.start + self.text.len()
+    }
+}
+
+/// A fragment: children and out ports.
+#[derive(Debug, Default)]
+pub struct Fragment<'a> {
+    /// Primitives and fragments inside.
+    pub children: Vec<Child<'a>>,
+    /// Out ports, each fed by one source inside.
+    pub outs: Vec<Arg<'a>>,
+    /// Bytes of the text.
+    pub at: Range<usize>,
+}
+
+/// A named child of a fragment.
+#[derive(Debug)]
+pub struct Child<'a> {
+    /// Its name in the fragment.
+    pub name: Name<'a>,
+    /// What it is.
+    pub node: Node<'a>,
+}
+
+/// A primitive or a nested fragment with its arguments.
+#[derive(Debug)]
+pub struct Node<'a> {
+    /// What it is.
+    pub body: Body<'a>,
+    /// Parameters and in ports.
+    pub args: Vec<Arg<'a>>,
+    /// Bytes of the text.
+    pub at: Range<usize>,
+}
+
+/// What a node is.
+#[derive(Debug)]
+pub enum Body<'a> {
+    /// An instance of the primitive of that name.
+    Primitive(Name<'a>),
+    /// A nested fragment.
+    Fragment(Fragment<'a>),
+}
+
+/// `name=value`: a parameter, an in port or an out port.
+#[derive(Debug)]
+pub struct Arg<'a> {
+    /// Name of the parameter or port.
+    pub name: Name<'a>,
+    /// How long a debug tap on this port remembers, s.
+    pub debug_s: Option<f64>,
+    /// What it is given.
+    pub value: ArgValue<'a>,
+}
+
+/// What an argument is given.
+#[derive(Debug)]
+pub enum ArgValue<'a> {
+    /// A parameter's text and the place of its first byte inside the quotes.
+    Text(Cow<'a, str>, usize),
+    /// A link from an out port.
+    Link(Source<'a>),
+}
+
+/// The out port a link starts at.
+#[derive(Debug)]
+pub struct Source<'a> {
+    /// Whose port it is.
+    pub of: SourceOf<'a>,
+    /// The port.
+    pub port: Name<'a>,
+}
+
+/// Whose out port a link starts at.
+#[derive(Debug)]
+pub enum SourceOf<'a> {
+    /// A child of the same fragment, or `parent` for the fragment's own in ports.
+    Child(Name<'a>),
+    /// A primitive or fragment written in place.
+    Inline(Box<Node<'a>>),
+}
+
+impl Source<'_> {
+    /// Bytes of the text.
+    #[must_use]
+    pub fn span(&self) -> Range<usize> {
+        let start = match &self.of {
+            SourceOf::Child(name) => name.start,
+            SourceOf::Inline(node) => node.at.start,
+        };
+        start..self.port.span().end
+    }
+}
+
+#[derive(Logos, Clone, Copy, Debug, PartialEq, Eq)]
+#[logos(skip r"[ \t\r\n]+")]
+enum Token {
+    #[token("{")]
+    OpenFragment,
+    #[token("}")]
+    CloseFragment,
+    #[token("(")]
+    OpenArgs,
+    #[token(")")]
+    CloseArgs,
+    #[token("[")]
+    OpenDebug,
+    #[token("]")]
+    CloseDebug,
+    #[token(",")]
+    Comma,
+    #[token("=")]
+    Is,
+    #[token(".")]
+    Dot,
+    #[regex(r"[A-Za-z0-9:_]+")]
+    Ident,
+    #[regex(r"'([^'\\]|\\(.|\n))*'")]
+    Text,
+    /// A text whose closing quote is missing, or a character that starts no token.
+    Bad,
+}
+
+/// Reads net text into a syntax tree, and all faults of its syntax. The tree holds what could
+/// be read, so that checks can go on.
+pub fn parse<'a>(text: &'a str, limits: &Limits, faults: &mut Vec<Fault>) -> Fragment<'a> {
+    if text.len() > limits.text_bytes {
+        let (what, found, bound) = ("bytes of text", text.len(), limits.text_bytes);
+        faults.push(Fault::new(FaultKind::Bound { what, found, bound }, 0..0));
+        return Fragment::default();
+    }
+    let mut tokens = Vec::with_capacity(text.len() / 4);
+    for (token, span) in Token::lexer(text).spanned() {
+        tokens.push((token.unwrap_or(Token::Bad), span));
+    }
+    let mut parser = Parser {
+        text,
+        tokens,
+        at: 0,
+        depth: limits.depth,
+        faults,
+    };
+    let root = parser.fragment().unwrap_or_default();
+    if parser.at < parser.tokens.len() && parser.faults.is_empty() {
+        parser.expected("the end of the net");
+    }
+    root
+}
+
+struct Parser<'a, 'f> {
+    text: &'a str,
+    tokens: Vec<(Token, Range<usize>)>,
+    at: usize,
+    /// How much deeper nodes may nest.
+    depth: usize,
+    faults: &'f mut Vec<Fault>,
+}
+
+/// A fault was recorded; the caller goes on at the next comma.
+struct Recorded;
+
+type Parse<T> = Result<T, Recorded>;
+
+impl<'a> Parser<'a, '_> {
+    fn peek(&self) -> Option<Token> {
+        self.tokens.get(self.at).map(|(token, _)| *token)
+    }
+
+    fn span(&self) -> Range<usize> {
+        let end = self.text.len();
+        self.tokens
+            .get(self.at)
+            .map_or(end..end, |(_, span)| span.clone())
+    }
+
+    /// End of the token before this one.
+    fn last_end(&self) -> usize {
+        self.at.checked_sub(1).map_or(0, |i| self.tokens[i].1.end)
+    }
+
+    fn eat(&mut self, token: Token) -> bool {
+        let is = self.peek() == Some(token);
+        self.at += usize::from(is);
+        is
+    }
+
+    fn expected(&mut self, expected: &str) -> Recorded {
+        let span = self.span();
+        let found = match self.peek() {
+            None => "the end of the text".to_owned(),
+            Some(Token::Bad) if self.text[span.clone()].starts_with('\'') => {
+                "a text without its closing `'`".to_owned()
+            }
+            Some(_) => {
+                let word: String = self.text[span.clone()].chars().take(24).collect();
+                format!("`{word}`")
+            }
+        };
+        let expected = expected.to_owned();
+        self.faults
+            .push(Fault::new(FaultKind::Syntax { expected, found }, span));
+        Recorded
+    }
+
+    fn ident(&mut self, expected: &str) -> Parse<Name<'a>> {
+        if self.peek() != Some(Token::Ident) {
+            return Err(self.expected(expected));
+        }
+        let span = self.span();
+        self.at += 1;
+        Ok(Name {
+            text: &self.text[span.clone()],
+            start: span.start,
+        })
+    }
+
+    /// Reads `item`s up to `close`; after a fault goes on behind the next comma of this level.
+    fn list(&mut self, close: Token, what: &str, mut item: impl FnMut(&mut Self) -> Parse<()>) {
+        if self.eat(close) {
+            return;
+        }
+        loop {
+            if item(self).is_err() {
+                self.skip_item();
+            }
+            if self.eat(close) {
+                return;
+            }
+            if !self.eat(Token::Comma) {
+                self.expected(what);
+                self.skip_item();
+                if self.eat(close) || !self.eat(Token::Comma) {
+                    return;
+                }
+            }
+        }
+    }
+
+    /// Skips to the next comma or closing bracket of the present level.
+    fn skip_item(&mut self) {
+        let mut open = 0_usize;
+        while let Some(token) = self.peek() {
+            match token {
+                Token::OpenFragment | Token::OpenArgs => open += 1,
+                Token::CloseFragment | Token::CloseArgs if open == 0 => return,
+                Token::CloseFragment | Token::CloseArgs => open -= 1,
+                Token::Comma if open == 0 => return,
+                Token::OpenDebug
+                | Token::CloseDebug
+                | Token::Comma
+                | Token::Is
+                | Token::Dot
+                | Token::Ident
+                | Token::Text
+                | Token::Bad => {}
+            }
+            self.at += 1;
+        }
+    }
+
+    fn fragment(&mut self) -> Parse<Fragment<'a>> {
+        let start = self.span().start;
+        if !self.eat(Token::OpenFragment) {
+            return Err(self.expected("`{`, the start of a fragment,"));
+        }
+        let mut fragment = Fragment::default();
+        self.list(Token::CloseFragment, "`,` or `}`", |p| {
+            p.item(&mut fragment)
+        });
+        fragment.at = start..self.last_end();
+        Ok(fragment)
+    }
+
+    fn item(&mut self, fragment: &mut Fragment<'a>) -> Parse<()> {
+        let name = self.ident("the name of a child or out port")?;
+        let debug_s = self.debug()?;
+        if !self.eat(Token::Is) {
+            return Err(self.expected("`=`"));
+        }
+        match self.node_or_source()? {
+            Expression::Node(node) => fragment.children.push(Child { name, node }),
+            Expression::Source(source) => {
+                fragment.outs.push(Arg {
+                    name,
+                    debug_s,
+                    value: ArgValue::Link(source),
+                });
+            }
+        }
+        Ok(())
+    }
+
+    fn debug(&mut self) -> Parse<Option<f64>> {
+        if !self.eat(Token::OpenDebug) {
+            return Ok(None);
+        }
+        let start = self.span().start;
+        while self
+            .peek()
+            .is_some_and(|t| matches!(t, Token::Ident | Token::Dot))
+        {
+            self.at += 1;
+        }
+        let seconds = self
+            .text
+            .get(start..self.last_end())
+            .unwrap_or_default()
+            .parse()
+            .ok();
+        match seconds {
+            Some(seconds) if self.eat(Token::CloseDebug) => Ok(Some(seconds)),
+            _ => Err(self.expected("a number of seconds and `]`")),
+        }
+    }
+
+    fn node_or_source(&mut self) -> Parse<Expression<'a>> {
+        if self.depth == 0 {
+            return Err(self.expected("less nesting: no node deeper than the bound"));
+        }
+        self.depth -= 1;
+        let result = self.node_or_source_within();
+        self.depth += 1;
+        result
+    }
+
+    fn node_or_source_within(&mut self) -> Parse<Expression<'a>> {
+        let start = self.span().start;
+        let body = if self.peek() == Some(Token::OpenFragment) {
+            Body::Fragment(self.fragment()?)
+        } else {
+            let name = self.ident("a primitive `Type(…)`, a fragment `{…}` or a `child.port`")?;
+            if self.eat(Token::Dot) {
+                let port = self.ident("the name of an out port")?;
+                return Ok(Expression::Source(Source {
+                    of: SourceOf::Child(name),
+                    port,
+                }));
+            }
+            Body::Primitive(name)
+        };
+        let mut args = Vec::new();
+        if self.eat(Token::OpenArgs) {
+            self.list(Token::CloseArgs, "`,` or `)`", |p| {
+                args.push(p.arg()?);
+                Ok(())
+            });
+        } else if matches!(body, Body::Primitive(_)) {
+            return Err(self.expected("`(` of a primitive or `.` of a port"));
+        }
+        let node = Node {
+            body,
+            args,
+            at: start..self.last_end(),
+        };
+        if !self.eat(Token::Dot) {
+            return Ok(Expression::Node(node));
+        }
+        let port = self.ident("the name of an out port")?;
+        Ok(Expression::Source(Source {
+            of: SourceOf::Inline(Box::new(node)),
+            port,
+        }))
+    }
+
+    fn arg(&mut self) -> Parse<Arg<'a>> {
+        let name = self.ident("the name of a parameter or in port")?;
+        let debug_s = self.debug()?;
+        if !self.eat(Token::Is) {
+            return Err(self.expected("`=`"));
+        }
+        let value = if self.peek() == Some(Token::Text) {
+            let span = self.span();
+            self.at += 1;
+            let inside = &self.text[span.start + 1..span.end - 1];
+            ArgValue::Text(unescape(inside), span.start + 1)
+        } else {
+            match self.node_or_source()? {
+                Expression::Source(source) => ArgValue::Link(source),
+                Expression::Node(_) => {
+                    return Err(self.expected("`.` and an out port of this primitive"));
+                }
+            }
+        };
+        Ok(Arg {
+            name,
+            debug_s,
+            value,
+        })
+    }
+}
+
+enum Expression<'a> {
+    Node(Node<'a>),
+    Source(Source<'a>),
+}
+
+fn unescape(text: &str) -> Cow<'_, str> {
+    if !text.contains('\\') {
+        return Cow::Borrowed(text);
+    }
+    let mut out = String::with_capacity(text.len());
+    let mut chars = text.chars();
+    while let Some(c) = chars.next() {
+        out.push(if c == '\\' {
+            chars.next().unwrap_or('\\')
+        } else {
+            c
+        });
+    }
+    Cow::Owned(out)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn faults_of(text: &str) -> Vec<String> {
+        let mut faults = Vec::new();
+        parse(text, &Limits::default(), &mut faults);
+        crate::fault::Rejection { faults }.lines(text)
+    }
+
+    #[test]
+    fn reads_the_whole_grammar() {
+        let text = r"{a=Core::DoubleAdd(inFirst=Core::Clock(Increment='2').outValue,
+            inSecond[2.0]=b.outY, Text='it\'s \\'), 7={x=P(), outY=x.outValue,
+            outZ=parent.inQ}(inQ=a.outValue), outTerminate=7.outY}";
+        let mut faults = Vec::new();
+        let net = parse(text, &Limits::default(), &mut faults);
+        assert_eq!(faults, []);
+        assert_eq!(net.children.len(), 2);
+        assert_eq!(net.outs.len(), 1);
+        let add = &net.children[0].node;
+        assert_eq!(add.args[1].debug_s, Some(2.0));
+        let ArgValue::Text(value, _) = &add.args[2].value else {
+            panic!("no text")
+        };
+        assert_eq!(value, r"it's \");
+    }
+
+    #[test]
+    fn all_faults_are_told_at_once() {
+        let text = "{a=Core::Clock(Increment=), b=c, d=E(inX='1' inY='2'), f g=H(), outT=a.o}";
+        assert_eq!(
+            faults_of(text),
+            [
+                "1:26: a primitive `Type(…)`, a fragment `{…}` or a `child.port` is expected \
+                 here, not `)`",
+                "1:32: `(` of a primitive or `.` of a port is expected here, not `,`",
+                "1:46: `,` or `)` is expected here, not `inY`",
+                "1:58: `=` is expected here, not `g`",
+            ]
+        );
+    }
+
+    #[test]
+    fn ends_are_told() {
+        assert_eq!(
+            faults_of(""),
+            ["1:1: `{`, the start of a fragment, is expected here, not the end of the text"]
+        );
+        assert_eq!(
+            faults_of("{a=B("),
+            [
+                "1:6: the name of a parameter or in port is expected here, not the end of the text",
+                "1:6: `,` or `)` is expected here, not the end of the text",
+                "1:6: `,` or `}` is expected here, not the end of the text",
+            ]
+        );
+        assert!(faults_of("{a=B(x='abc)}")[0].contains("without its closing `'`"));
+        assert_eq!(
+            faults_of("{}}"),
+            ["1:3: the end of the net is expected here, not `}`"]
+        );
+    }
+
+    #[test]
+    fn nesting_is_bounded() {
+        let deep = format!(
+            "{{{}a=X(){}}}",
+            "f={".repeat(100_000),
+            "}()".repeat(100_000)
+        );
+        assert!(faults_of(&deep)[0].contains("less nesting"));
+    }
+
+    proptest! {
+        #[test]
+        fn any_text_is_read_without_panic(text in r"[{}()\[\],=.'\\a-c \n]{0,60}") {
+            faults_of(&text);
+        }
+    }
+}

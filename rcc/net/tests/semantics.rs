@@ -1,0 +1,160 @@
+//! What running nets do: order, null, fragments, Pre, termination, exchange. Single primitives
+//! are tested in `primitives.rs`, texts of faults in `faults.rs`.
+
+mod common;
+
+use common::Bench;
+
+#[test]
+fn values_pass_through_the_whole_net_in_one_cycle() {
+    let mut net = Bench::watching(
+        "Core::Double",
+        "c=Core::DoubleAdd(inFirst=b.outValue,Second='1'),\
+         b=Core::DoubleMultiply(inFirst=a.outValue,Second='3'),a=Core::DoubleValue(Value='2')",
+        "c.outValue",
+    );
+    assert_eq!(net.series(1), ["7"]);
+}
+
+#[test]
+fn null_propagates() {
+    let mut net = Bench::watching(
+        "Core::Double",
+        "t=Core::BooleanValue(Value='true'),n=Core::DoubleSetNull(inValue=x.outValue,\
+         inNull=t.outValue),x=Core::DoubleValue(),s=Core::DoubleAdd(inFirst=n.outValue,Second='1')",
+        "s.outValue",
+    );
+    assert_eq!(net.series(2), ["null", "null"]);
+}
+
+#[test]
+fn a_pre_closes_a_cycle_and_starts_null() {
+    let mut net = Bench::watching(
+        "Core::Double",
+        "p=Core::DoublePre(inValue=s.outValue),z=Core::DoubleIsNull(inValue=p.outValue),\
+         l=Core::DoubleConditional(inCondition=z.outValue,True='10',inFalse=p.outValue),\
+         s=Core::DoubleAdd(inFirst=l.outValue,Second='1')",
+        "s.outValue",
+    );
+    assert_eq!(net.series(3), ["11", "12", "13"]);
+}
+
+#[test]
+fn a_path_may_leave_a_fragment_and_enter_it_again() {
+    let mut net = Bench::watching(
+        "Core::Double",
+        "f={a=Core::DoubleAdd(inFirst=parent.inX,Second='1'),\
+         b=Core::DoubleAdd(inFirst=parent.inY,Second='1'),outA=a.outValue,outB=b.outValue}\
+         (inX=v.outValue,inY=m.outValue),\
+         m=Core::DoubleMultiply(inFirst=f.outA,Second='10'),v=Core::DoubleValue(Value='1')",
+        "f.outB",
+    );
+    assert_eq!(net.series(1), ["21"]);
+}
+
+#[test]
+fn an_in_port_may_be_wired_straight_to_an_out_port() {
+    let mut net = Bench::watching(
+        "Core::Double",
+        "f={outX=parent.inX}(inX=g.outX),g={outX=parent.inX}(inX=v.outValue),\
+         v=Core::DoubleValue(Value='4')",
+        "f.outX",
+    );
+    assert_eq!(net.series(1), ["4"]);
+}
+
+/// A clock in a fragment that is switched by netcomm value `on`.
+fn switched(inside: &str) -> Bench {
+    Bench::watching(
+        "Core::Double",
+        &format!(
+            "on=Core::BooleanNetcommIn(Key='on',Value='true'),\
+             f={{{inside},outX=x.outValue}}(inActive=on.outValue)"
+        ),
+        "f.outX",
+    )
+}
+
+#[test]
+fn an_inactive_fragment_gives_null_and_its_clock_stands() {
+    let mut net = switched("x=Core::Clock(Increment='1000')");
+    assert_eq!(net.series(2), ["1", "2"]);
+    net.write("on", "false");
+    assert_eq!(net.series(2), ["null", "null"]);
+    net.write("on", "true");
+    assert_eq!(net.series(2), ["3", "4"]);
+}
+
+#[test]
+fn a_pre_forgets_while_its_fragment_is_inactive() {
+    let mut net = switched("c=Core::Clock(Increment='1000'),x=Core::DoublePre(inValue=c.outValue)");
+    assert_eq!(net.series(3), ["null", "1", "2"]);
+    net.write("on", "false");
+    assert_eq!(net.series(1), ["null"]);
+    net.write("on", "true");
+    assert_eq!(net.series(2), ["null", "4"]);
+}
+
+#[test]
+fn a_primitive_can_be_switched_like_a_fragment() {
+    let mut net = Bench::watching(
+        "Core::Double",
+        "on=Core::BooleanNetcommIn(Key='on',Value='false'),\
+         c=Core::Clock(inActive=on.outValue,Increment='1000')",
+        "c.outValue",
+    );
+    assert_eq!(net.series(1), ["null"]);
+    net.write("on", "true");
+    assert_eq!(net.series(2), ["1", "2"]);
+}
+
+#[test]
+fn nested_fragments_are_switched_by_the_outer_one() {
+    let mut net = switched(
+        "t=Core::BooleanValue(Value='true'),g={c=Core::Clock(Increment='1000'),outY=c.outValue}\
+         (inActive=t.outValue),x=Core::DoubleAdd(inFirst=g.outY,Second='0')",
+    );
+    assert_eq!(net.series(1), ["1"]);
+    net.write("on", "false");
+    assert_eq!(net.series(1), ["null"]);
+    net.write("on", "true");
+    assert_eq!(net.series(1), ["2"]);
+}
+
+#[test]
+fn cancel_reaches_the_net_which_ends_itself() {
+    let mut net = Bench::new("{c=Cancel(),outTerminate=c.outCancel}");
+    assert!(!net.cycle());
+    net.moment.cancel = true;
+    assert!(net.cycle());
+}
+
+#[test]
+fn inline_primitives_work_as_sources() {
+    let mut net = Bench::watching(
+        "Core::Double",
+        "a=Core::DoubleAdd(inFirst=Core::Clock(inIncrement=Core::DoubleValue(Value='1000')\
+         .outValue).outValue,Second='0')",
+        "a.outValue",
+    );
+    assert_eq!(net.series(2), ["1", "2"]);
+}
+
+#[test]
+fn a_value_written_by_a_program_arrives_with_its_time() {
+    let mut net = Bench::new(
+        "{i=Core::DoubleNetcommIn(Key='gain',Value='2'),o=Core::DoubleNetcommOut(\
+         inValue=i.outValue,Key='echo'),c=Cancel(),outTerminate=c.outCancel}",
+    );
+    net.cycle();
+    assert_eq!(net.out("echo"), "2");
+    assert!(net.plan.take_changed());
+    net.cycle();
+    assert!(
+        !net.plan.take_changed(),
+        "an unchanged value need not be handed over"
+    );
+    net.write("gain", "0.1");
+    net.cycle();
+    assert_eq!(net.out("echo"), "0.1");
+}

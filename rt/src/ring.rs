@@ -1,0 +1,285 @@
+//! A bounded queue from one thread to one other, for events, commands and plans: neither side ever
+//! waits, and what does not fit is counted.
+//!
+//! It does not wake anybody: the consumer looks when its own cycle or poll comes round.
+//!
+//! Own code rather than a library, because the promise includes a model check of its orderings and no
+//! published ring lets loom reach its atomics from outside; the README says more.
+//!
+//! `tail` counts the items ever pushed, `head` those ever popped, both modulo 2⁶⁴ (or 2³²); the buffer
+//! is a power of two long, so an item's place is its number masked. Each side owns one of the two and
+//! keeps its last sight of the other, which it renews only when the ring looks full or empty.
+#![expect(
+    unsafe_code,
+    reason = "places are uninitialised memory, owned by position"
+)]
+
+use std::{fmt, mem::MaybeUninit};
+
+use crate::sync::{Arc, AtomicU64, AtomicUsize, Ordering, UnsafeCell};
+
+/// Makes a ring for `capacity` items (at least 1). All memory is taken here.
+///
+/// Items left over are dropped with the last of the two ends, wherever that is.
+///
+/// # Panics
+/// If `capacity` is beyond half the address space.
+pub fn ring<T: Send>(capacity: usize) -> (Producer<T>, Consumer<T>) {
+    let capacity = capacity.max(1);
+    let places = (0..capacity.next_power_of_two())
+        .map(|_| UnsafeCell::new(MaybeUninit::uninit()))
+        .collect();
+    let shared = Arc::new(Shared {
+        head: Position(AtomicUsize::new(0)),
+        tail: Position(AtomicUsize::new(0)),
+        dropped: AtomicU64::new(0),
+        capacity,
+        places,
+    });
+    let producer = Producer {
+        shared: Arc::clone(&shared),
+        tail: 0,
+        head_seen: 0,
+    };
+    (
+        producer,
+        Consumer {
+            shared,
+            head: 0,
+            tail_seen: 0,
+        },
+    )
+}
+
+/// On a cache line of its own: the two ends write one each.
+#[repr(align(64))]
+struct Position(AtomicUsize);
+
+struct Shared<T> {
+    /// Items ever popped; written by the consumer.
+    head: Position,
+    /// Items ever pushed; written by the producer.
+    tail: Position,
+    dropped: AtomicU64,
+    capacity: usize,
+    places: Box<[UnsafeCell<MaybeUninit<T>>]>,
+}
+
+// SAFETY: items move from one thread to the other, `T: Send`; no `&T` is ever shared. Places in
+// `head..tail` are the consumer's, all others the producer's, and each handle exists once.
+unsafe impl<T: Send> Sync for Shared<T> {}
+
+impl<T> Shared<T> {
+    fn place(&self, number: usize) -> &UnsafeCell<MaybeUninit<T>> {
+        &self.places[number & (self.places.len() - 1)]
+    }
+
+    /// Takes item `number` out.
+    ///
+    /// # Safety
+    /// `number` is in `head..tail`, its push was observed by `Acquire`, and nobody takes it again.
+    unsafe fn take(&self, number: usize) -> T {
+        self.place(number).with(|place| {
+            // SAFETY: the pointer is valid as long as `self`, and the caller says that the producer,
+            // having pushed the item, leaves the place alone.
+            let place = unsafe { &*place };
+            // SAFETY: the caller says that the item is there and is taken once.
+            unsafe { place.assume_init_read() }
+        })
+    }
+}
+
+impl<T> Drop for Shared<T> {
+    fn drop(&mut self) {
+        let mut head = self.head.0.load(Ordering::Relaxed);
+        let tail = self.tail.0.load(Ordering::Relaxed);
+        while head != tail {
+            // SAFETY: `&mut self`: both ends are gone, and dropping the `Arc` ordered their work before
+            // this. What they left in `head..tail` is taken here once.
+            drop(unsafe { self.take(head) });
+            head = head.wrapping_add(1);
+        }
+    }
+}
+
+/// The pushing end of a [`ring`].
+pub struct Producer<T> {
+    shared: Arc<Shared<T>>,
+    tail: usize,
+    head_seen: usize,
+}
+
+impl<T: Send> Producer<T> {
+    /// Appends `item`; a full ring gives it back and counts it as dropped.
+    ///
+    /// # Errors
+    /// The item, if the ring is full.
+    pub fn push(&mut self, item: T) -> Result<(), T> {
+        if !self.has_room() {
+            // The only writer of this count: no read-modify-write needed.
+            let dropped = self.shared.dropped.load(Ordering::Relaxed);
+            self.shared
+                .dropped
+                .store(dropped.wrapping_add(1), Ordering::Relaxed);
+            return Err(item);
+        }
+        self.shared.place(self.tail).with_mut(|place| {
+            // SAFETY: the pointer is valid as long as `shared`. The place is outside `head..tail`, its
+            // last item's removal was observed by `Acquire` in `has_room`, and `&mut self` excludes
+            // another producer.
+            let place = unsafe { &mut *place };
+            place.write(item);
+        });
+        self.tail = self.tail.wrapping_add(1);
+        self.shared.tail.0.store(self.tail, Ordering::Release);
+        Ok(())
+    }
+
+    /// Items refused so far because the ring was full.
+    pub fn dropped(&self) -> u64 {
+        self.shared.dropped.load(Ordering::Relaxed)
+    }
+
+    fn has_room(&mut self) -> bool {
+        let capacity = self.shared.capacity;
+        if self.tail.wrapping_sub(self.head_seen) < capacity {
+            return true;
+        }
+        self.head_seen = self.shared.head.0.load(Ordering::Acquire);
+        self.tail.wrapping_sub(self.head_seen) < capacity
+    }
+}
+
+impl<T> fmt::Debug for Producer<T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Producer")
+            .field("pushed", &self.tail)
+            .finish_non_exhaustive()
+    }
+}
+
+/// The popping end of a [`ring`].
+pub struct Consumer<T> {
+    shared: Arc<Shared<T>>,
+    head: usize,
+    tail_seen: usize,
+}
+
+impl<T: Send> Consumer<T> {
+    /// The oldest item, if there is one.
+    pub fn pop(&mut self) -> Option<T> {
+        if self.head == self.tail_seen {
+            self.tail_seen = self.shared.tail.0.load(Ordering::Acquire);
+            if self.head == self.tail_seen {
+                return None;
+            }
+        }
+        // SAFETY: `head` is before `tail_seen`, a value of `tail` loaded by `Acquire`; the step below and
+        // `&mut self` see to it that no item is taken twice.
+        let item = unsafe { self.shared.take(self.head) };
+        self.head = self.head.wrapping_add(1);
+        self.shared.head.0.store(self.head, Ordering::Release);
+        Some(item)
+    }
+
+    /// Items that the producer was refused so far because the ring was full.
+    pub fn dropped(&self) -> u64 {
+        self.shared.dropped.load(Ordering::Relaxed)
+    }
+}
+
+impl<T> fmt::Debug for Consumer<T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Consumer")
+            .field("popped", &self.head)
+            .finish_non_exhaustive()
+    }
+}
+
+#[cfg(all(test, not(loom)))]
+mod tests {
+    use super::*;
+    use std::collections::VecDeque;
+
+    use proptest::prelude::*;
+
+    #[test]
+    fn first_in_first_out_to_the_exact_capacity() {
+        let (mut producer, mut consumer) = ring(3);
+        assert_eq!(consumer.pop(), None);
+        for item in 0..3 {
+            assert_eq!(producer.push(item), Ok(()));
+        }
+        assert_eq!(producer.push(3), Err(3));
+        assert_eq!((producer.dropped(), consumer.dropped()), (1, 1));
+        assert_eq!(consumer.pop(), Some(0));
+        assert_eq!(producer.push(4), Ok(()));
+        assert_eq!(
+            [consumer.pop(), consumer.pop(), consumer.pop()],
+            [Some(1), Some(2), Some(4)]
+        );
+        assert_eq!(consumer.pop(), None);
+    }
+
+    #[test]
+    fn a_ring_for_nothing_holds_one() {
+        let (mut producer, mut consumer) = ring(0);
+        assert_eq!(producer.push(1), Ok(()));
+        assert_eq!(producer.push(2), Err(2));
+        assert_eq!(consumer.pop(), Some(1));
+    }
+
+    #[test]
+    fn items_left_over_are_dropped_once() {
+        let token = Arc::new(());
+        let (mut producer, mut consumer) = ring(4);
+        for _ in 0..3 {
+            producer.push(Arc::clone(&token)).unwrap();
+        }
+        drop(consumer.pop());
+        drop(producer);
+        assert_eq!(
+            Arc::strong_count(&token),
+            3,
+            "the consumer may still come for them"
+        );
+        drop(consumer);
+        assert_eq!(Arc::strong_count(&token), 1);
+    }
+
+    #[test]
+    fn positions_wrap() {
+        let start = usize::MAX - 1;
+        let (mut producer, mut consumer) = ring(2);
+        (producer.tail, producer.head_seen) = (start, start);
+        (consumer.head, consumer.tail_seen) = (start, start);
+        producer.shared.head.0.store(start, Ordering::Relaxed);
+        producer.shared.tail.0.store(start, Ordering::Relaxed);
+        for item in 0..10 {
+            assert_eq!(producer.push(item), Ok(()));
+            assert_eq!(producer.push(item), Ok(()));
+            assert_eq!(producer.push(item), Err(item));
+            assert_eq!(
+                [consumer.pop(), consumer.pop(), consumer.pop()],
+                [Some(item), Some(item), None]
+            );
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn behaves_as_a_bounded_deque(capacity in 1_usize..9, pushes in proptest::collection::vec(any::<bool>(), 0..200)) {
+            let (mut producer, mut consumer) = ring(capacity);
+            let mut model = VecDeque::new();
+            for (number, push) in pushes.into_iter().enumerate() {
+                if push {
+                    let fits = model.len() < capacity;
+                    prop_assert_eq!(producer.push(number), if fits { Ok(()) } else { Err(number) });
+                    if fits { model.push_back(number); }
+                } else {
+                    prop_assert_eq!(consumer.pop(), model.pop_front());
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,162 @@
+//! No allocation where none may be, shown with the crate's own allocator installed; and that the
+//! allocator does see one.
+//!
+//! The count is the process's, so the tests that read it take turns.
+#![cfg(not(loom))]
+
+use std::{
+    hint::black_box,
+    ops::ControlFlow,
+    process::Command,
+    sync::{Mutex, MutexGuard, PoisonError},
+    time::Duration,
+};
+
+use takt_rt::{
+    Nanos,
+    alloc::{CountingAllocator, Guard, enter_real_time, real_time_allocations, set_guard},
+    cycle::{Grid, run_cycles},
+    flight::{Entry, FlightRecorder},
+    latest::latest,
+    ring::ring,
+    stats,
+    thread::{ThreadConfig, spawn},
+};
+
+#[global_allocator]
+static ALLOCATOR: CountingAllocator = CountingAllocator;
+
+static TURN: Mutex<()> = Mutex::new(());
+
+fn take_turn() -> MutexGuard<'static, ()> {
+    TURN.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Allocator calls that `body` makes when marked as real-time.
+fn allocations(body: impl FnOnce()) -> u64 {
+    let _turn = take_turn();
+    let before = real_time_allocations();
+    let scope = enter_real_time();
+    body();
+    drop(scope);
+    real_time_allocations() - before
+}
+
+#[test]
+fn ten_thousand_cycles_allocate_nothing() {
+    let (mut writer, reader) = stats::pair();
+    let (mut image_out, mut image_in) = latest(1, || [0_u64; 64]);
+    let (mut producer, mut consumer) = ring(16);
+    let mut flight = FlightRecorder::new(64);
+    let mut grid = Grid::new(Nanos(0), Duration::from_millis(1));
+    let count = allocations(|| {
+        for cycle in 0..10_000 {
+            let late = Nanos(i64::try_from(cycle).unwrap() * 7_919 % 3_000_000);
+            let tick = grid.next(grid.deadline() + late);
+            image_out.write_with(|image| image.fill(cycle));
+            black_box(image_in.read());
+            let _ = producer.push(tick);
+            let _ = producer.push(tick);
+            black_box(consumer.pop());
+            flight.record(Entry {
+                cycle,
+                source: "test",
+                what: "late",
+                value: late.0,
+            });
+            writer.record(&tick, tick.woken + late);
+        }
+    });
+    assert_eq!(count, 0);
+    assert_eq!(reader.snapshot().cycles, 10_000);
+}
+
+#[test]
+fn a_cycle_thread_with_its_sleeps_allocates_nothing() {
+    let _turn = take_turn();
+    let before = real_time_allocations();
+    let (mut writer, reader) = stats::pair();
+    let config = ThreadConfig {
+        priority: Some(1),
+        ..ThreadConfig::new("cycles")
+    };
+    let thread = spawn(config, move || {
+        let mut cycles = 0;
+        let _scope = enter_real_time();
+        run_cycles(Duration::from_micros(20), None, &mut writer, |_| {
+            cycles += 1;
+            if cycles < 1_000 {
+                ControlFlow::Continue(())
+            } else {
+                ControlFlow::Break(())
+            }
+        })
+    });
+    assert_eq!(thread.unwrap().join().unwrap(), 1_000);
+    assert_eq!(real_time_allocations() - before, 0);
+    assert_eq!(reader.snapshot().cycles, 1_000);
+}
+
+#[test]
+fn each_kind_of_call_is_counted() {
+    assert_eq!(
+        allocations(|| drop(black_box(Box::new(1)))),
+        2,
+        "alloc and dealloc"
+    );
+    let mut vector: Vec<u64> = Vec::with_capacity(1);
+    assert_eq!(
+        allocations(|| vector.reserve_exact(black_box(100))),
+        1,
+        "realloc"
+    );
+    assert_eq!(
+        allocations(|| drop(black_box(vec![0_u8; 100]))),
+        2,
+        "alloc_zeroed and dealloc"
+    );
+}
+
+#[test]
+fn other_threads_may_allocate() {
+    let count = allocations(|| ());
+    assert_eq!(count, 0);
+    let _turn = take_turn();
+    let before = real_time_allocations();
+    drop(black_box(Box::new(1)));
+    std::thread::spawn(|| drop(black_box(Box::new(1))))
+        .join()
+        .unwrap();
+    assert_eq!(real_time_allocations(), before);
+}
+
+const CHILD: &str = "TAKT_RT_TEST_ALLOCATE_AND_DIE";
+
+/// Runs itself as a child process, in which the first allocation is the end.
+#[test]
+fn with_the_guard_the_first_allocation_ends_the_process() {
+    if std::env::var_os(CHILD).is_some() {
+        set_guard(Guard::Abort);
+        let thread = spawn(ThreadConfig::new("offender"), || {
+            let _scope = enter_real_time();
+            drop(black_box([0_u8; 4_321].to_vec()));
+        });
+        let _ = thread.unwrap().join();
+        return;
+    }
+    let output = Command::new(std::env::current_exe().unwrap())
+        .args([
+            "--exact",
+            "with_the_guard_the_first_allocation_ends_the_process",
+            "--nocapture",
+        ])
+        .env(CHILD, "1")
+        .output()
+        .unwrap();
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert_eq!(
+        text,
+        "takt: real-time thread offender allocated or freed 4321 bytes; ending the run\n"
+    );
+}

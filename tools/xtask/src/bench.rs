@@ -1,0 +1,85 @@
+//! Runs the benchmarks of a part. Judges no number: shared machines differ too much for a bound.
+
+use std::path::Path;
+
+use anyhow::Context;
+
+use crate::cargo::{Cargo, note, say};
+use crate::metadata::Workspace;
+use crate::parts::{self, Part};
+
+/// Runs every bench binary of the part (`harness = false`). With `json`, the last line of output is
+/// the line of JSON the binary printed.
+pub(crate) fn run(root: &Path, name: &str, json: bool) -> anyhow::Result<bool> {
+    let part = parts::find(name).with_context(|| format!("no part is called {name}"))?;
+    let lines = lines(part, &Workspace::load(root)?, json);
+    anyhow::ensure!(!lines.is_empty(), "part {name} has no benchmark");
+    let mut good = true;
+    let mut results = Vec::new();
+    for line in lines {
+        good &= line.lines(root, |text| match text.starts_with('{') {
+            true => results.push(text.to_owned()),
+            false => say(text),
+        })?;
+    }
+    results.iter().for_each(|line| say(line));
+    if json && results.is_empty() {
+        note("the benchmark printed no line of JSON");
+        good = false;
+    }
+    Ok(good)
+}
+
+/// One cargo line per bench binary. Named one by one, as `cargo bench` alone would hand `--json` to
+/// the unit tests too, which refuse it.
+fn lines(part: &Part, workspace: &Workspace, json: bool) -> Vec<Cargo> {
+    let wanted = |name: &str| part.packages.is_empty() || part.packages.contains(&name);
+    let mut lines = Vec::new();
+    for package in workspace
+        .packages
+        .iter()
+        .filter(|package| wanted(&package.name))
+    {
+        for bench in &package.benches {
+            let line = Cargo::new("bench --all-features -p").arg(&package.name);
+            let line = line.arg("--bench").arg(bench);
+            lines.push(if json {
+                line.arg("--").arg("--json")
+            } else {
+                line
+            });
+        }
+    }
+    lines
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::metadata::Package;
+
+    #[test]
+    fn names_each_binary_and_passes_json_on() {
+        let package = |name: &str, benches: &[&str]| Package {
+            name: name.to_owned(),
+            benches: benches.iter().map(ToString::to_string).collect(),
+            ..Package::default()
+        };
+        let packages = vec![
+            package("takt-net", &["step"]),
+            package("takt-rt", &["cell"]),
+        ];
+        let workspace = Workspace {
+            packages,
+            ..Workspace::default()
+        };
+        let shown = |part: &str, json: bool| -> Vec<String> {
+            let lines = lines(parts::find(part).unwrap(), &workspace, json);
+            lines.iter().map(ToString::to_string).collect()
+        };
+        let expected = "cargo bench --all-features -p takt-net --bench step -- --json";
+        assert_eq!(shown("net", true), [expected]);
+        assert_eq!(shown("all", false).len(), 2);
+        assert!(shown("fri", false).is_empty());
+    }
+}

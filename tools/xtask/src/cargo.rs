@@ -1,0 +1,157 @@
+//! Child processes and printed lines. Each cargo line is shown before it runs, so that it can be
+//! repeated by hand; nothing here knows what the lines are for.
+
+use std::ffi::OsString;
+use std::fmt;
+use std::io::{self, BufRead, BufReader, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use anyhow::Context;
+
+/// One cargo invocation, run in the workspace's root.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Cargo {
+    args: Vec<String>,
+    envs: Vec<(String, String)>,
+}
+
+impl Cargo {
+    /// `line` is split at blanks; arguments that contain one go through [`Cargo::arg`].
+    pub(crate) fn new(line: &str) -> Self {
+        let args = line.split_whitespace().map(String::from).collect();
+        Self {
+            args,
+            envs: Vec::new(),
+        }
+    }
+
+    pub(crate) fn arg(mut self, arg: &str) -> Self {
+        self.args.push(arg.to_owned());
+        self
+    }
+
+    pub(crate) fn env(mut self, name: &str, value: &str) -> Self {
+        self.envs.push((name.to_owned(), value.to_owned()));
+        self
+    }
+
+    /// Runs to the end; true if cargo was content.
+    pub(crate) fn succeeds(&self, root: &Path) -> anyhow::Result<bool> {
+        note(&format!("+ {self}"));
+        let status = self.command(root).status().context("cannot start cargo")?;
+        Ok(status.success())
+    }
+
+    /// As [`Cargo::succeeds`], giving each line of its standard output to `take`.
+    pub(crate) fn lines(&self, root: &Path, mut take: impl FnMut(&str)) -> anyhow::Result<bool> {
+        note(&format!("+ {self}"));
+        let mut child = self
+            .command(root)
+            .stdout(Stdio::piped())
+            .spawn()
+            .context("cannot start cargo")?;
+        if let Some(stdout) = child.stdout.take() {
+            for line in BufReader::new(stdout).split(b'\n') {
+                take(&String::from_utf8_lossy(
+                    &line.context("cannot read cargo's output")?,
+                ));
+            }
+        }
+        Ok(child.wait().context("cannot wait for cargo")?.success())
+    }
+
+    fn command(&self, root: &Path) -> Command {
+        let program = std::env::var_os("CARGO").unwrap_or_else(|| OsString::from("cargo"));
+        let mut command = Command::new(program);
+        command.args(&self.args).current_dir(root);
+        for (name, value) in &self.envs {
+            command.env(name, value);
+        }
+        command
+    }
+}
+
+impl fmt::Display for Cargo {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (name, value) in &self.envs {
+            write!(f, "{name}={} ", quoted(value))?;
+        }
+        f.write_str("cargo")?;
+        for arg in &self.args {
+            write!(f, " {}", quoted(arg))?;
+        }
+        Ok(())
+    }
+}
+
+/// As a shell would need it.
+fn quoted(word: &str) -> String {
+    if word.contains([' ', '*']) {
+        format!("'{word}'")
+    } else {
+        word.to_owned()
+    }
+}
+
+/// The root of the workspace whose xtask this is.
+pub(crate) fn workspace_root() -> anyhow::Result<PathBuf> {
+    let manifest = std::env::var_os("CARGO_MANIFEST_DIR")
+        .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")), PathBuf::from);
+    let root = manifest
+        .ancestors()
+        .nth(2)
+        .context("xtask is not in <root>/tools/xtask")?;
+    Ok(root.to_owned())
+}
+
+/// Where cargo builds, as a path that holds in every working directory.
+pub(crate) fn target_dir(root: &Path) -> PathBuf {
+    root.join(std::env::var_os("CARGO_TARGET_DIR").unwrap_or_else(|| OsString::from("target")))
+}
+
+/// A result, on standard output. A reader that went away is no error.
+pub(crate) fn say(line: &str) {
+    let _ = writeln!(io::stdout(), "{line}");
+}
+
+/// Progress, on standard error.
+pub(crate) fn note(line: &str) {
+    let _ = writeln!(io::stderr(), "{line}");
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shows_the_line_as_a_shell_takes_it() {
+        let cargo = Cargo::new("test -p takt-rt")
+            .arg("fri*")
+            .env("RUSTFLAGS", "--cfg loom");
+        assert_eq!(
+            cargo.to_string(),
+            "RUSTFLAGS='--cfg loom' cargo test -p takt-rt 'fri*'"
+        );
+    }
+
+    #[test]
+    fn root_holds_the_workspace_manifest() {
+        let root = workspace_root().unwrap();
+        let manifest = std::fs::read_to_string(root.join("Cargo.toml")).unwrap();
+        assert!(manifest.contains("[workspace]"));
+    }
+
+    #[test]
+    fn failing_cargo_is_reported() {
+        let root = workspace_root().unwrap();
+        assert!(!Cargo::new("no-such-subcommand").succeeds(&root).unwrap());
+        let mut lines = Vec::new();
+        assert!(
+            Cargo::new("--version")
+                .lines(&root, |line| lines.push(line.to_owned()))
+                .unwrap()
+        );
+        assert!(lines[0].starts_with("cargo "));
+    }
+}

@@ -1,0 +1,96 @@
+//! Everything that must hold before a change goes in, on any machine with the toolchain. Each step
+//! runs even if one before it failed, so that one run tells all; nothing is mended here.
+
+use std::path::Path;
+use std::process::Command;
+
+use crate::cargo::{Cargo, note, say};
+use crate::test::{self, Golden};
+use crate::tidy;
+
+/// Runs all steps and ends in the line that counts the tests; a failed step of another kind is
+/// named before it and counted as one failure.
+pub(crate) fn run(root: &Path) -> anyhow::Result<bool> {
+    let before = snapshot(root);
+    let mut broken = Vec::new();
+    let mut step = |name: &'static str, good: bool| {
+        if !good {
+            broken.push(name);
+        }
+    };
+    step("fmt", Cargo::new("fmt --all --check").succeeds(root)?);
+    step("tidy", tidy::run(root)?);
+    let clippy = "clippy --workspace --all-targets --all-features -- -D warnings";
+    step("clippy", Cargo::new(clippy).succeeds(root)?);
+    let mut tally = test::count(root, &[], Golden::Compare)?;
+    let doc = Cargo::new("doc --workspace --all-features --no-deps");
+    step(
+        "doc",
+        doc.env("RUSTDOCFLAGS", "-D warnings").succeeds(root)?,
+    );
+    step("unchanged tree", unchanged(&before, &snapshot(root)));
+    tally.failed += broken.len();
+    for name in broken {
+        say(&format!("failed: {name}"));
+    }
+    for line in tally.closing() {
+        say(&line);
+    }
+    Ok(tally.failed == 0)
+}
+
+/// What git sees of the working tree; `None` where there is no git or no repository.
+fn snapshot(root: &Path) -> Option<(String, String)> {
+    Some((
+        git(root, &["status", "--porcelain"])?,
+        git(root, &["diff", "HEAD"])?,
+    ))
+}
+
+fn git(root: &Path, args: &[&str]) -> Option<String> {
+    // A container often runs as another user than the owner of the checkout.
+    let trust = ["-c", "safe.directory=*"];
+    let output = Command::new("git")
+        .args(trust)
+        .args(args)
+        .current_dir(root)
+        .output()
+        .ok()?;
+    output
+        .status
+        .success()
+        .then(|| String::from_utf8_lossy(&output.stdout).into_owned())
+}
+
+fn unchanged(before: &Option<(String, String)>, after: &Option<(String, String)>) -> bool {
+    if before.is_none() {
+        note("no git here: whether the run changed a file is not checked");
+    }
+    if before == after {
+        return true;
+    }
+    let files = after.as_ref().map_or("", |(status, _)| status.as_str());
+    note(&format!(
+        "this run changed files; `git status` now says\n{files}"
+    ));
+    false
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn change_of_a_file_already_dirty_is_seen() {
+        let state = |diff: &str| Some((" M a.rs\n".to_owned(), diff.to_owned()));
+        assert!(unchanged(&state("-1 +2"), &state("-1 +2")));
+        assert!(!unchanged(&state("-1 +2"), &state("-1 +3")));
+        assert!(unchanged(&None, &None));
+    }
+
+    #[test]
+    fn failing_git_gives_no_snapshot() {
+        let root = crate::cargo::workspace_root().unwrap();
+        assert_eq!(git(&root, &["no-such-subcommand"]), None);
+    }
+}

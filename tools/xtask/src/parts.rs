@@ -1,0 +1,66 @@
+//! Short names for what is tested and measured together. The cargo packages behind them may change;
+//! these names do not.
+
+/// A part and its packages; an empty list is the whole workspace.
+#[derive(Debug)]
+pub(crate) struct Part {
+    pub(crate) name: &'static str,
+    pub(crate) packages: &'static [&'static str],
+}
+
+const fn part(name: &'static str, packages: &'static [&'static str]) -> Part {
+    Part { name, packages }
+}
+
+/// In the order of the workspace, lowest crates first.
+const PARTS: &[Part] = &[
+    part("all", &[]),
+    part("rt", &["takt-rt"]),
+    part("host", &["takt-rt", "takt-deploy"]),
+    part("cia402", &["takt-cia402"]),
+    part("can", &["takt-cia402", "takt-can"]),
+    part("ecat", &["takt-cia402", "takt-ethercat"]),
+    part("fri", &["takt-fri"]),
+    part("net", &["takt-net"]),
+    part("motion", &["takt-motion"]),
+    part("core", &["takt-core"]),
+    part("server", &["takt-server"]),
+    part("tools", &["takt-tools", "xtask"]),
+    part("deploy", &["takt-deploy"]),
+    part("tests", &["takt-tests"]),
+];
+
+/// What the command line accepts.
+pub(crate) fn names() -> Vec<&'static str> {
+    PARTS.iter().map(|part| part.name).collect()
+}
+
+pub(crate) fn find(name: &str) -> Option<&'static Part> {
+    PARTS.iter().find(|part| part.name == name)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{cargo, metadata::Workspace};
+
+    #[test]
+    fn every_package_belongs_to_a_part_and_exists() {
+        let workspace = Workspace::load(&cargo::workspace_root().unwrap()).unwrap();
+        let named: Vec<&str> = PARTS
+            .iter()
+            .flat_map(|part| part.packages)
+            .copied()
+            .collect();
+        for package in &workspace.packages {
+            assert!(
+                named.contains(&package.name.as_str()),
+                "{} is in no part",
+                package.name
+            );
+        }
+        for name in named {
+            assert!(workspace.package(name).is_some(), "{name} does not exist");
+        }
+    }
+}

@@ -1,0 +1,181 @@
+//! Runs tests and counts them: what passed, what failed, and what was skipped and why. The counting
+//! reads libtest's own text (`tally`), so that nothing but the toolchain is needed; a test that
+//! cannot run here says so by a line in the file that `TAKT_SKIPS` names. Compares no golden itself.
+
+mod tally;
+
+use std::fs;
+use std::path::Path;
+
+use anyhow::Context;
+
+use crate::cargo::{self, Cargo, note, say};
+use crate::parts::{self, Part};
+use tally::Reader;
+pub(crate) use tally::Tally;
+
+/// What tests do with a golden file that differs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Golden {
+    /// Fail.
+    Compare,
+    /// Write what they got.
+    Rewrite,
+}
+
+/// What makes the golden libraries, and our own golden tests, write instead of compare.
+const REWRITE: [(&str, &str); 3] = [
+    ("INSTA_UPDATE", "always"),
+    ("TRYCMD", "overwrite"),
+    ("TAKT_BLESS", "1"),
+];
+
+/// Tests the parts (none named: all) and ends in the one line that counts.
+pub(crate) fn run(root: &Path, parts: &[String], golden: Golden) -> anyhow::Result<bool> {
+    let tally = count(root, parts, golden)?;
+    for line in tally.closing() {
+        say(&line);
+    }
+    Ok(tally.failed == 0)
+}
+
+/// As [`run`], without the closing lines.
+pub(crate) fn count(root: &Path, parts: &[String], golden: Golden) -> anyhow::Result<Tally> {
+    let skips = cargo::target_dir(root).join(format!("xtask-skips-{}", std::process::id()));
+    fs::create_dir_all(cargo::target_dir(root)).context("cannot make the target directory")?;
+    fs::write(&skips, "").with_context(|| format!("cannot write {}", skips.display()))?;
+    let mut tally = Tally::default();
+    for line in lines(root, parts)? {
+        let mut line = line.env("TAKT_SKIPS", &skips.to_string_lossy());
+        if golden == Golden::Rewrite {
+            line = REWRITE
+                .iter()
+                .fold(line, |line, (name, value)| line.env(name, value));
+        }
+        let mut reader = Reader::default();
+        let good = line.lines(root, |text| {
+            if reader.line(text) {
+                say(text);
+            }
+        })?;
+        tally.add(reader.finish(good));
+    }
+    tally.skip_passed(&fs::read_to_string(&skips).unwrap_or_default());
+    if fs::remove_file(&skips).is_err() {
+        note(&format!("could not remove {}", skips.display()));
+    }
+    Ok(tally)
+}
+
+/// The cargo lines that test these parts.
+fn lines(root: &Path, names: &[String]) -> anyhow::Result<Vec<Cargo>> {
+    let mut parts = Vec::new();
+    for name in names {
+        parts.push(parts::find(name).with_context(|| format!("no part is called {name}"))?);
+    }
+    let mut packages: Vec<&str> = parts
+        .iter()
+        .flat_map(|part| part.packages)
+        .copied()
+        .collect();
+    packages.sort_unstable();
+    packages.dedup();
+    let all = parts.is_empty() || parts.iter().any(|part| part.packages.is_empty());
+    let mut lines = Vec::new();
+    if all {
+        lines.push(Cargo::new("test --no-fail-fast --all-features --workspace"));
+    } else {
+        let line = Cargo::new("test --no-fail-fast --all-features");
+        lines.push(
+            packages
+                .iter()
+                .fold(line, |line, package| line.arg("-p").arg(package)),
+        );
+        lines.extend(cross_crate(root, &parts));
+    }
+    if (all || packages.contains(&"takt-rt")) && root.join("rt/tests/loom.rs").is_file() {
+        lines.push(loom(root));
+    }
+    Ok(lines)
+}
+
+/// The loom models need a cfg over the whole tree, hence a target directory of their own, and
+/// release code to end in seconds.
+fn loom(root: &Path) -> Cargo {
+    let flags = std::env::var("RUSTFLAGS").unwrap_or_default();
+    Cargo::new("test --no-fail-fast -p takt-rt --test loom --release --target-dir")
+        .arg(&cargo::target_dir(root).join("loom").to_string_lossy())
+        .env("RUSTFLAGS", format!("{flags} --cfg loom").trim())
+}
+
+/// Tests across crates belong to the part their file's name begins with.
+fn cross_crate(root: &Path, parts: &[&Part]) -> Option<Cargo> {
+    let mut names: Vec<String> = fs::read_dir(root.join("tests/tests"))
+        .into_iter()
+        .flatten()
+        .flatten()
+        .filter_map(|entry| {
+            entry
+                .file_name()
+                .to_str()?
+                .strip_suffix(".rs")
+                .map(String::from)
+        })
+        .filter(|name| {
+            parts
+                .iter()
+                .any(|part| name.split('_').next() == Some(part.name))
+        })
+        .collect();
+    names.sort();
+    let line = Cargo::new("test --no-fail-fast --all-features -p takt-tests");
+    let line = names
+        .iter()
+        .fold(line, |line, name| line.arg("--test").arg(name));
+    (!names.is_empty()).then_some(line)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn shown(parts: &[&str]) -> Vec<String> {
+        let parts: Vec<String> = parts.iter().map(ToString::to_string).collect();
+        let nowhere = Path::new("/nowhere");
+        lines(nowhere, &parts)
+            .unwrap()
+            .iter()
+            .map(ToString::to_string)
+            .collect()
+    }
+
+    #[test]
+    fn no_part_is_every_part() {
+        assert_eq!(
+            shown(&[]),
+            ["cargo test --no-fail-fast --all-features --workspace"]
+        );
+        assert_eq!(shown(&["fri", "all"]), shown(&[]));
+    }
+
+    #[test]
+    fn packages_of_two_parts_are_tested_once() {
+        let expected = "cargo test --no-fail-fast --all-features \
+                        -p takt-can -p takt-cia402 -p takt-ethercat";
+        assert_eq!(shown(&["can", "ecat"]), [expected]);
+    }
+
+    #[test]
+    fn unknown_part_is_refused() {
+        assert!(lines(Path::new("/nowhere"), &["frit".to_owned()]).is_err());
+    }
+
+    #[test]
+    fn loom_builds_in_a_place_of_its_own() {
+        let line = loom(Path::new("/nowhere")).to_string();
+        assert!(
+            line.contains("--cfg loom") && line.ends_with("/loom"),
+            "{line}"
+        );
+    }
+}

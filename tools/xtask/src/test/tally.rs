@@ -1,0 +1,230 @@
+//! Reads the text libtest prints and counts. Knows nothing of processes; a run that died shows as a
+//! group of tests without a result.
+
+/// What a run came to.
+#[derive(Debug, Default, PartialEq, Eq)]
+pub(crate) struct Tally {
+    pub(crate) passed: usize,
+    pub(crate) failed: usize,
+    /// Name and reason of each skipped test.
+    pub(crate) skips: Vec<String>,
+}
+
+impl Tally {
+    pub(crate) fn add(&mut self, other: Self) {
+        self.passed += other.passed;
+        self.failed += other.failed;
+        self.skips.extend(other.skips);
+    }
+
+    /// Takes the lines of the skip file. libtest counted each such test as passed, as it has no
+    /// way for a running test to say otherwise.
+    pub(crate) fn skip_passed(&mut self, lines: &str) {
+        for line in lines.lines().filter(|line| !line.trim().is_empty()) {
+            self.passed = self.passed.saturating_sub(1);
+            self.skips
+                .push(line.trim_start_matches("skipped:").trim().to_owned());
+        }
+    }
+
+    /// Each skip with its reason, then the count.
+    pub(crate) fn closing(&self) -> Vec<String> {
+        let mut lines: Vec<String> = self
+            .skips
+            .iter()
+            .map(|skip| format!("skipped: {skip}"))
+            .collect();
+        let (passed, failed, skipped) = (self.passed, self.failed, self.skips.len());
+        lines.push(format!(
+            "{passed} passed, {failed} failed, {skipped} skipped"
+        ));
+        lines
+    }
+}
+
+/// Where the reader is in the text of one test binary.
+#[derive(Debug, Default, PartialEq, Eq)]
+enum Place {
+    /// Between two binaries.
+    #[default]
+    Outside,
+    /// Among the lines `test … ok`.
+    Tests,
+    /// In the output of failed tests, which is shown and not read.
+    Failures,
+}
+
+/// Reads the text of one cargo line.
+#[derive(Debug, Default)]
+pub(crate) struct Reader {
+    tally: Tally,
+    place: Place,
+}
+
+impl Reader {
+    /// Takes one line; true if a person should see it.
+    pub(crate) fn line(&mut self, line: &str) -> bool {
+        if let Some(counts) = line.strip_prefix("test result: ") {
+            return self.result(counts);
+        }
+        match self.place {
+            Place::Outside => {
+                if line.starts_with("running ") {
+                    self.place = Place::Tests;
+                }
+                !line.is_empty() && self.place == Place::Outside
+            }
+            Place::Tests => self.test_line(line),
+            Place::Failures => true,
+        }
+    }
+
+    fn test_line(&mut self, line: &str) -> bool {
+        if line == "failures:" {
+            self.place = Place::Failures;
+            return true;
+        }
+        let Some((name, verdict)) = line
+            .strip_prefix("test ")
+            .and_then(|l| l.split_once(" ... "))
+        else {
+            return !line.is_empty();
+        };
+        if let Some(rest) = verdict.strip_prefix("ignored") {
+            let reason = rest.trim_start_matches(',').trim();
+            let reason = if reason.is_empty() {
+                "ignored without a reason"
+            } else {
+                reason
+            };
+            self.tally.skips.push(format!("{name}: {reason}"));
+        }
+        verdict != "ok" && !verdict.starts_with("ignored")
+    }
+
+    /// `ok. 3 passed; 0 failed; 1 ignored; …`. Ignored tests were taken by their own lines.
+    fn result(&mut self, counts: &str) -> bool {
+        let count = |what: &str| {
+            let before = counts.split(what).next()?;
+            before.split_whitespace().next_back()?.parse::<usize>().ok()
+        };
+        let passed = count(" passed;").unwrap_or(0);
+        let failed = count(" failed;").unwrap_or(0);
+        self.tally.passed += passed;
+        self.tally.failed += failed;
+        self.place = Place::Outside;
+        passed + failed > 0
+    }
+
+    /// `good` is cargo's exit status. A binary that died, or code that did not compile, counts as
+    /// one failure: it must not vanish from the count.
+    pub(crate) fn finish(mut self, good: bool) -> Tally {
+        if self.place != Place::Outside || (!good && self.tally.failed == 0) {
+            self.tally.failed += 1;
+        }
+        self.tally
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(text: &str, good: bool) -> (Tally, Vec<String>) {
+        let mut reader = Reader::default();
+        let shown = text
+            .lines()
+            .filter(|line| reader.line(line))
+            .map(String::from)
+            .collect();
+        (reader.finish(good), shown)
+    }
+
+    const TWO_BINARIES: &str = "
+running 3 tests
+test a::one ... ok
+test a::two ... ignored, needs a bus
+test a::three ... ok
+
+test result: ok. 2 passed; 0 failed; 1 ignored; 0 measured; 0 filtered out; finished in 0.00s
+
+running 1 test
+test src/lib.rs - Cycle (line 3) ... ok
+
+test result: ok. 1 passed; 0 failed; 0 ignored; 0 measured; 0 filtered out; finished in 0.10s
+";
+
+    const FAILURE: &str = "
+running 2 tests
+test good ... ok
+test bad ... FAILED
+
+failures:
+
+---- bad stdout ----
+test liar ... ignored, inside a failure's text
+panicked
+
+failures:
+    bad
+
+test result: FAILED. 1 passed; 1 failed; 0 ignored; 0 measured; 0 filtered out; finished in 0.00s
+";
+
+    #[test]
+    fn adds_binaries_and_keeps_the_reason_of_an_ignored_test() {
+        let (tally, shown) = read(TWO_BINARIES, true);
+        assert_eq!((tally.passed, tally.failed), (3, 0));
+        assert_eq!(tally.skips, ["a::two: needs a bus"]);
+        assert_eq!(
+            shown.len(),
+            2,
+            "only the results are worth showing: {shown:?}"
+        );
+    }
+
+    #[test]
+    fn shows_all_of_a_failure_and_counts_none_of_its_text() {
+        let (tally, shown) = read(FAILURE, false);
+        assert_eq!((tally.passed, tally.failed), (1, 1));
+        assert!(tally.skips.is_empty());
+        assert!(shown.iter().any(|line| line == "panicked"));
+        assert!(shown.iter().any(|line| line == "test bad ... FAILED"));
+    }
+
+    #[test]
+    fn build_error_is_one_failure() {
+        assert_eq!(read("", false).0.failed, 1);
+    }
+
+    #[test]
+    fn binary_that_dies_is_one_failure() {
+        assert_eq!(
+            read("running 2 tests\ntest good ... ok\n", false).0.failed,
+            1
+        );
+    }
+
+    #[test]
+    fn skipping_test_is_no_longer_passed() {
+        let (mut tally, _) = read(TWO_BINARIES, true);
+        tally.skip_passed("skipped: three: needs CAP_NET_RAW\n\n");
+        assert_eq!(
+            tally.closing(),
+            [
+                "skipped: a::two: needs a bus",
+                "skipped: three: needs CAP_NET_RAW",
+                "2 passed, 0 failed, 2 skipped"
+            ]
+        );
+    }
+
+    #[test]
+    fn ignored_without_reason_is_told() {
+        let (tally, _) = read(
+            "running 1 test\ntest a ... ignored\ntest result: ok. 0 passed; 0 failed; 1 ignored;",
+            true,
+        );
+        assert_eq!(tally.skips, ["a: ignored without a reason"]);
+    }
+}

@@ -1,0 +1,127 @@
+//! The rules of this workspace that neither compiler nor clippy knows. All findings are told at
+//! once, each with its place, its cause and what to do; nothing is changed.
+
+mod arrows;
+mod bans;
+mod docs;
+mod licences;
+mod manifests;
+mod markdown;
+mod proofs;
+mod sources;
+
+use std::fmt;
+use std::path::Path;
+
+use crate::cargo::say;
+use crate::metadata::Workspace;
+use crate::tree::Tree;
+
+/// Something that must be put right.
+#[derive(Debug, PartialEq, Eq)]
+struct Finding {
+    path: String,
+    /// From 1.
+    line: usize,
+    cause: String,
+    remedy: String,
+}
+
+impl Finding {
+    fn new(path: &str, line: usize, cause: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self {
+            path: path.to_owned(),
+            line,
+            cause: cause.into(),
+            remedy: remedy.into(),
+        }
+    }
+}
+
+impl fmt::Display for Finding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "{}:{}: {}; {}",
+            self.path, self.line, self.cause, self.remedy
+        )
+    }
+}
+
+/// A rule looks at everything and gives its findings.
+type Rule = fn(&Workspace, &Tree) -> Vec<Finding>;
+
+const RULES: &[Rule] = &[
+    arrows::check,
+    bans::check,
+    docs::check,
+    licences::check,
+    manifests::check,
+    proofs::check,
+    sources::check,
+];
+
+/// Prints all findings; true if there is none.
+pub(crate) fn run(root: &Path) -> anyhow::Result<bool> {
+    let (workspace, tree) = (Workspace::load(root)?, Tree::load(root)?);
+    let mut findings: Vec<Finding> = RULES
+        .iter()
+        .flat_map(|rule| rule(&workspace, &tree))
+        .collect();
+    findings.sort_by(|a, b| (&a.path, a.line).cmp(&(&b.path, b.line)));
+    for finding in &findings {
+        say(&finding.to_string());
+    }
+    let (files, crates) = (tree.files.len(), workspace.packages.len());
+    say(&format!(
+        "tidy: {} findings in {files} files of {crates} crates",
+        findings.len()
+    ));
+    Ok(findings.is_empty())
+}
+
+/// The line a text begins on that contains `needle`, for the place of a finding; 1 if none does.
+fn line_of(text: &str, needle: &str) -> usize {
+    text.lines()
+        .position(|line| line.contains(needle))
+        .map_or(1, |index| index + 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::metadata::Package;
+
+    /// A workspace of packages in folders named as they are.
+    pub(super) fn workspace(packages: Vec<Package>) -> Workspace {
+        Workspace {
+            packages,
+            ..Workspace::default()
+        }
+    }
+
+    /// A package without dependencies that breaks no rule of the metadata.
+    pub(super) fn package(name: &str) -> Package {
+        Package {
+            name: name.to_owned(),
+            dir: name.trim_start_matches("takt-").to_owned(),
+            licence: Some(manifests::LICENCE.to_owned()),
+            readme: Some("README.md".to_owned()),
+            ..Package::default()
+        }
+    }
+
+    /// Place and cause of each finding, in order.
+    pub(super) fn causes(findings: &[Finding]) -> Vec<String> {
+        findings
+            .iter()
+            .map(|f| format!("{}:{} {}", f.path, f.line, f.cause))
+            .collect()
+    }
+
+    #[test]
+    fn finding_is_one_line_an_editor_can_follow() {
+        let finding = Finding::new("rt/src/lib.rs", 3, "no head", "write one");
+        assert_eq!(finding.to_string(), "rt/src/lib.rs:3: no head; write one");
+    }
+}

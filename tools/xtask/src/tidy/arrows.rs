@@ -1,0 +1,156 @@
+//! Which crate may use which. The table is written here once; it says nothing about crates from
+//! elsewhere.
+
+use super::{Finding, line_of};
+use crate::metadata::{Dependency, Package, Workspace};
+use crate::tree::Tree;
+
+/// Stands for every crate but the developers' own two.
+const ALL: &[&str] = &["*"];
+
+/// Each crate and those it may use. A dev-dependency may go to any crate that can be reached by
+/// these arrows, as tests are wired across layers that code is not.
+const ALLOWED: &[(&str, &[&str])] = &[
+    ("takt-rt", &[]),
+    ("takt-cia402", &[]),
+    ("takt-can", &["takt-cia402"]),
+    ("takt-ethercat", &["takt-cia402"]),
+    ("takt-fri", &[]),
+    ("takt-net", &[]),
+    ("takt-motion", &["takt-net"]),
+    (
+        "takt-core",
+        &[
+            "takt-net",
+            "takt-motion",
+            "takt-rt",
+            "takt-can",
+            "takt-ethercat",
+            "takt-fri",
+        ],
+    ),
+    ("takt-server", &["takt-core"]),
+    ("takt-deploy", &[]),
+    ("takt-tools", ALL),
+    ("takt-tests", ALL),
+    ("xtask", &[]),
+];
+
+pub(super) fn check(workspace: &Workspace, tree: &Tree) -> Vec<Finding> {
+    workspace
+        .packages
+        .iter()
+        .flat_map(|package| check_package(package, tree))
+        .collect()
+}
+
+fn check_package(package: &Package, tree: &Tree) -> Vec<Finding> {
+    let manifest = package.manifest();
+    let name = &package.name;
+    if arrows(name).is_none() {
+        let cause = format!("crate {name} is not in the table of arrows");
+        return vec![Finding::new(
+            &manifest,
+            1,
+            cause,
+            "add it to tools/xtask/src/tidy/arrows.rs",
+        )];
+    }
+    let text = tree.text(&manifest).unwrap_or_default();
+    let bad = package
+        .dependencies
+        .iter()
+        .filter(|d| d.local && !is_allowed(name, d));
+    bad.map(|dependency| {
+        let cause = format!("{name} may not use {}", dependency.name);
+        let remedy = "move the code to where both may see it, or remove the dependency";
+        Finding::new(&manifest, line_of(text, &dependency.name), cause, remedy)
+    })
+    .collect()
+}
+
+fn is_allowed(from: &str, dependency: &Dependency) -> bool {
+    let to = dependency.name.as_str();
+    let direct = arrows(from).unwrap_or_default();
+    let developers = matches!(to, "xtask" | "takt-tests");
+    let by_arrow = direct.contains(&to) || (direct == ALL && !developers);
+    by_arrow || (dependency.dev && reaches(from, to))
+}
+
+/// True for the crate itself, too: a dev-dependency on oneself switches features on for the tests.
+fn reaches(from: &str, to: &str) -> bool {
+    from == to
+        || arrows(from)
+            .unwrap_or_default()
+            .iter()
+            .any(|next| reaches(next, to))
+}
+
+fn arrows(name: &str) -> Option<&'static [&'static str]> {
+    ALLOWED
+        .iter()
+        .find(|(from, _)| *from == name)
+        .map(|(_, to)| *to)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::{causes, package, workspace};
+    use super::*;
+
+    fn arrow(from: &str, to: &str, dev: bool) -> Vec<String> {
+        let (name, seen_as) = (to.to_owned(), to.to_owned());
+        let mut package = package(from);
+        package.dependencies = vec![Dependency {
+            name,
+            seen_as,
+            dev,
+            local: true,
+        }];
+        let manifest = format!("[dependencies]\n{to}.workspace = true\n");
+        let tree = Tree::of(&[(&package.manifest(), &manifest)]);
+        causes(&check(&workspace(vec![package]), &tree))
+    }
+
+    #[test]
+    fn arrows_of_the_table_are_allowed() {
+        assert!(arrow("takt-can", "takt-cia402", false).is_empty());
+        assert!(arrow("takt-tools", "takt-deploy", false).is_empty());
+        assert!(arrow("takt-tests", "takt-tools", false).is_empty());
+    }
+
+    #[test]
+    fn other_arrows_are_found_at_their_line() {
+        let expected = ["fri/Cargo.toml:2 takt-fri may not use takt-rt"];
+        assert_eq!(arrow("takt-fri", "takt-rt", false), expected);
+        assert_eq!(arrow("takt-net", "takt-motion", false).len(), 1);
+        assert_eq!(arrow("takt-tools", "takt-tests", false).len(), 1);
+        assert_eq!(arrow("takt-server", "takt-net", false).len(), 1);
+    }
+
+    #[test]
+    fn dev_arrow_may_skip_layers_but_not_turn_back() {
+        assert!(arrow("takt-server", "takt-net", true).is_empty());
+        assert!(arrow("takt-fri", "takt-fri", true).is_empty());
+        assert_eq!(arrow("takt-net", "takt-core", true).len(), 1);
+    }
+
+    #[test]
+    fn crate_outside_the_table_is_found() {
+        let found = check(&workspace(vec![package("takt-new")]), &Tree::default());
+        assert_eq!(
+            causes(&found),
+            ["new/Cargo.toml:1 crate takt-new is not in the table of arrows"]
+        );
+    }
+
+    #[test]
+    fn table_has_no_circle() {
+        for (from, to) in ALLOWED {
+            assert!(
+                to.iter().all(|next| !reaches(next, from)),
+                "{from} reaches itself"
+            );
+        }
+    }
+}
