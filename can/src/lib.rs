@@ -1,1 +1,10 @@
-//! To be written.
+#![doc = include_str!("../README.md")]
+#![forbid(unsafe_code)]
+
+mod candump;
+mod error;
+mod frame;
+
+pub use candump::{Direction, LogLine};
+pub use error::{FrameError, LogError};
+pub use frame::{Frame, Id};

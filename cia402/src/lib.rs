@@ -1,1 +1,14 @@
-//! To be written.
+#![doc = include_str!("../README.md")]
+#![forbid(unsafe_code)]
+
+mod error;
+mod goal;
+mod state;
+mod transition;
+mod words;
+
+pub use error::DecodeError;
+pub use goal::{Goal, next_control_word};
+pub use state::State;
+pub use transition::{Command, TRANSITIONS, Transition, Trigger, transition};
+pub use words::{ControlWord, StatusWord};

@@ -1,4 +1,8 @@
 //! The codec against golden datagrams and hostile bytes. What the goldens are worth says captures/README.md.
+#![expect(
+    clippy::unwrap_used,
+    reason = "a test may fail anywhere, its helpers too"
+)]
 
 use proptest::prelude::*;
 use takt_fri::error::{DecodeError, EncodeError};
@@ -227,7 +231,7 @@ fn ten_thousand_hostile_inputs_do_no_harm() {
             let at = noise(&mut state) % input.len();
             input[at] = noise(&mut state).to_le_bytes()[0];
         }
-        if noise(&mut state) % 4 == 0 {
+        if noise(&mut state).is_multiple_of(4) {
             input.resize(noise(&mut state) % 1600, 0);
         }
         fuzz(&input);

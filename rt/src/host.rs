@@ -44,6 +44,7 @@ impl Default for HostConfig {
 
 /// What the system gave; holds what must be held. Keep it as long as cycles run.
 #[derive(Debug)]
+#[must_use = "processors stay awake only as long as this lives"]
 pub struct Host {
     grants: Vec<Grant>,
     /// The kernel honours the request as long as this file is open.
@@ -95,7 +96,7 @@ fn kernel(flag: &io::Result<String>) -> Grant {
     let why = match flag {
         Ok(text) if text.trim() == "1" => return Grant::from_attempt(KERNEL, "", Ok(())),
         Ok(text) => format!("/sys/kernel/realtime says {:?}", text.trim()),
-        Err(error) => format!("/sys/kernel/realtime: {error}"),
+        Err(error) => format!("/sys/kernel/realtime: {}", error_text(error)),
     };
     let remedy = "boot a PREEMPT_RT kernel; continuing with unbounded worst-case latency";
     Grant::from_attempt(KERNEL, "", Err((why, remedy.into())))

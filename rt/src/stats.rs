@@ -6,9 +6,10 @@
 //! The writer counts into plain shared counters, laid out as `hdrhistogram` lays out its own (two
 //! significant digits), so that a reading becomes such a histogram and the library does the rest. The
 //! alternative, histograms of the library in the real-time thread with copies handed out by
-//! [`latest`](crate::latest), costs the cycle that makes the copy several microseconds (see
-//! `benches/cycle.rs`), and readings are as old as the last copy. The price of the counters: a reading
-//! taken while a cycle is recorded may have that cycle in one figure and not yet in another.
+//! [`latest`](crate::latest) every so often, hides the cycles since the last copy, which after a fault
+//! are the ones wanted, and costs the cycle that copies up to some microseconds (`benches/cycle.rs`). The
+//! price of the counters: a reading taken while a cycle is recorded may have that cycle in one figure
+//! and not yet in another.
 
 mod counters;
 mod recorder;

@@ -51,6 +51,7 @@ impl Tracker {
     }
 
     /// The newest number, 0 before any: what is reflected to the peer.
+    #[cfg(feature = "emulator")]
     pub(crate) fn newest(&self) -> u16 {
         self.newest.unwrap_or(0)
     }
@@ -86,7 +87,7 @@ mod tests {
     /// Judges every number after every newest in a neighbourhood of the wrap and a sample of the rest.
     #[test]
     fn agrees_with_signed_differences_everywhere() {
-        for newest in (0..=u16::MAX).step_by(257).chain([0, 1, u16::MAX]) {
+        for newest in (0..=u16::MAX).step_by(4099).chain([0, 1, u16::MAX]) {
             for number in 0..=u16::MAX {
                 let mut tracker = Tracker::new(50);
                 assert_eq!(tracker.accept(newest), Order::First);

@@ -1,1 +1,15 @@
-//! To be written.
+#![doc = include_str!("../README.md")]
+#![forbid(unsafe_code)]
+
+#[cfg(test)]
+mod bench;
+mod shape;
+
+use takt_net::Definition;
+
+/// All definitions of this crate.
+#[must_use]
+pub fn all() -> Vec<Definition> {
+    let tables = [shape::table()];
+    tables.into_iter().flatten().collect()
+}

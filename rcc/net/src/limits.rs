@@ -16,6 +16,8 @@ pub struct Limits {
     pub netcomm: usize,
     /// Samples that one primitive may keep of the past.
     pub history: usize,
+    /// Bytes of all arrays and histories together.
+    pub memory_bytes: usize,
 }
 
 impl Default for Limits {
@@ -27,6 +29,7 @@ impl Default for Limits {
             array_size: 1024,
             netcomm: 4096,
             history: 60_000,
+            memory_bytes: 256 << 20,
         }
     }
 }

@@ -33,6 +33,8 @@ pub struct Cycle<'a> {
     pub image: &'a Image,
     /// Time and requests from outside.
     pub moment: Moment,
+    /// How often the net was evaluated before; unlike `moment.cycle` without gaps.
+    pub count: i64,
     pub(crate) inbox: &'a Mailbox,
     pub(crate) outbox: &'a Mailbox,
 }
@@ -92,6 +94,9 @@ pub struct Plan {
     pub(crate) resources: Box<[String]>,
     pub(crate) period: Duration,
     pub(crate) primitives: usize,
+    /// Cycles evaluated so far.
+    pub(crate) count: i64,
+    pub(crate) devices: Box<[String]>,
 }
 
 impl std::fmt::Debug for Plan {
@@ -112,9 +117,11 @@ impl Plan {
             slots,
             image,
             moment,
+            count: self.count,
             inbox: &self.inbox,
             outbox: &self.outbox,
         };
+        self.count += 1;
         let mut next = 0;
         while let Some(op) = self.ops.get(next) {
             next += 1;
@@ -150,10 +157,14 @@ impl Plan {
         self.outbox.export(words);
     }
 
-    /// The in-box as it is now: the parameters' values before anything was imported.
-    #[must_use]
-    pub fn inbox_words(&self) -> Box<[u64]> {
-        self.inbox.words.iter().map(std::cell::Cell::get).collect()
+    /// The words of the in-box as they are now: the parameters' values before an import.
+    pub fn inbox_words(&self) -> impl Iterator<Item = u64> {
+        self.inbox.words.iter().map(std::cell::Cell::get)
+    }
+
+    /// The words of the out-box as they are now.
+    pub fn outbox_words(&self) -> impl Iterator<Item = u64> {
+        self.outbox.words.iter().map(std::cell::Cell::get)
     }
 
     /// Values that programs may write.
@@ -172,6 +183,12 @@ impl Plan {
     #[must_use]
     pub fn resources(&self) -> &[String] {
         &self.resources
+    }
+
+    /// Devices that the net commands.
+    #[must_use]
+    pub fn devices(&self) -> &[String] {
+        &self.devices
     }
 
     /// Time from one cycle to the next.

@@ -2,13 +2,20 @@
 //! are defined where devices and motions are.
 
 mod array;
+mod bits;
 mod compare;
 mod control;
+mod event;
 mod exchange;
 mod generic;
+mod history;
 mod logic;
 mod math;
+mod range;
+mod ring;
 mod time;
+mod window;
+mod world;
 
 use crate::definition::Definition;
 
@@ -20,10 +27,16 @@ pub fn all() -> Vec<Definition> {
         logic::table(),
         math::table(),
         compare::table(),
+        bits::table(),
+        event::table(),
         time::table(),
+        history::table(),
+        range::table(),
+        window::table(),
         generic::table(),
         array::table(),
         exchange::table(),
+        world::table(),
     ];
     tables.into_iter().flatten().collect()
 }

@@ -17,9 +17,12 @@ pub(crate) fn run(root: &Path, name: &str, json: bool) -> anyhow::Result<bool> {
     let mut good = true;
     let mut results = Vec::new();
     for line in lines {
-        good &= line.lines(root, |text| match text.starts_with('{') {
-            true => results.push(text.to_owned()),
-            false => say(text),
+        good &= line.lines(root, |text| {
+            if text.starts_with('{') {
+                results.push(text.to_owned());
+            } else {
+                say(text);
+            }
         })?;
     }
     results.iter().for_each(|line| say(line));

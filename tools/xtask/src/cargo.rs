@@ -143,9 +143,8 @@ mod tests {
     }
 
     #[test]
-    fn failing_cargo_is_reported() {
+    fn output_comes_line_by_line() {
         let root = workspace_root().unwrap();
-        assert!(!Cargo::new("no-such-subcommand").succeeds(&root).unwrap());
         let mut lines = Vec::new();
         assert!(
             Cargo::new("--version")

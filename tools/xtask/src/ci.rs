@@ -28,7 +28,17 @@ pub(crate) fn run(root: &Path) -> anyhow::Result<bool> {
         "doc",
         doc.env("RUSTDOCFLAGS", "-D warnings").succeeds(root)?,
     );
-    step("unchanged tree", unchanged(&before, &snapshot(root)));
+    let after = snapshot(root);
+    if before.is_none() {
+        note("no git here: whether the run changed a file is not checked");
+    }
+    let changed = changed(&before, &after);
+    step("unchanged tree", changed.is_none());
+    if let Some(status) = changed {
+        note(&format!(
+            "this run changed files; `git status` now says\n{status}"
+        ));
+    }
     tally.failed += broken.len();
     for name in broken {
         say(&format!("failed: {name}"));
@@ -39,8 +49,10 @@ pub(crate) fn run(root: &Path) -> anyhow::Result<bool> {
     Ok(tally.failed == 0)
 }
 
-/// What git sees of the working tree; `None` where there is no git or no repository.
-fn snapshot(root: &Path) -> Option<(String, String)> {
+/// Status and difference as git tells them; `None` where there is no git or no repository.
+type Snapshot = Option<(String, String)>;
+
+fn snapshot(root: &Path) -> Snapshot {
     Some((
         git(root, &["status", "--porcelain"])?,
         git(root, &["diff", "HEAD"])?,
@@ -62,18 +74,12 @@ fn git(root: &Path, args: &[&str]) -> Option<String> {
         .then(|| String::from_utf8_lossy(&output.stdout).into_owned())
 }
 
-fn unchanged(before: &Option<(String, String)>, after: &Option<(String, String)>) -> bool {
-    if before.is_none() {
-        note("no git here: whether the run changed a file is not checked");
-    }
-    if before == after {
-        return true;
-    }
-    let files = after.as_ref().map_or("", |(status, _)| status.as_str());
-    note(&format!(
-        "this run changed files; `git status` now says\n{files}"
-    ));
-    false
+/// What to tell if the run changed a file.
+fn changed<'a>(before: &Snapshot, after: &'a Snapshot) -> Option<&'a str> {
+    let status = after
+        .as_ref()
+        .map_or("git no longer answers", |(status, _)| status);
+    (before != after).then_some(status)
 }
 
 #[cfg(test)]
@@ -83,9 +89,9 @@ mod tests {
     #[test]
     fn change_of_a_file_already_dirty_is_seen() {
         let state = |diff: &str| Some((" M a.rs\n".to_owned(), diff.to_owned()));
-        assert!(unchanged(&state("-1 +2"), &state("-1 +2")));
-        assert!(!unchanged(&state("-1 +2"), &state("-1 +3")));
-        assert!(unchanged(&None, &None));
+        assert_eq!(changed(&state("-1 +2"), &state("-1 +2")), None);
+        assert_eq!(changed(&state("-1 +2"), &state("-1 +3")), Some(" M a.rs\n"));
+        assert_eq!(changed(&None, &None), None);
     }
 
     #[test]

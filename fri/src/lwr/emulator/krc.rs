@@ -68,7 +68,7 @@ pub enum StartRefused {
 /// Totals since the controller's start.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct KrcCounters {
-    /// Measurements that left the controller, copies included.
+    /// Measurements sent, whatever the line's faults did to them then.
     pub sent: u64,
     /// New answers received.
     pub answers: u64,
@@ -202,7 +202,6 @@ impl Krc {
         }
         let (_, bytes) = self.to_client.pop(now)?;
         buf.get_mut(..Msr::LEN)?.copy_from_slice(bytes);
-        self.counters.sent += 1;
         Some(Msr::LEN)
     }
 
@@ -498,6 +497,7 @@ impl Krc {
             self.base = self.arm.set_point;
         }
         self.sequence = self.sequence.wrapping_add(1);
+        self.counters.sent += 1;
         self.history.push(Sent {
             sequence: self.sequence,
             index: self.grid.index(),

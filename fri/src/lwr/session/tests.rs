@@ -100,6 +100,9 @@ fn assert_joints(cmd: &Cmd, expected: f32) {
 
 // ---- phase x state and power of the next measurement
 
+/// A session, and where passive and active measurements lead it.
+type Row = (fn() -> Session, [(Phase, Option<Event>); 2]);
+
 #[test]
 fn every_measurement_leads_where_the_diagram_says() {
     use Event::{CommandEntered, CommandLeft, Online};
@@ -112,7 +115,7 @@ fn every_measurement_leads_where_the_diagram_says() {
         (State::Cmd, 0x7f),
         (State::Cmd, 1),
     ];
-    let rows: [(fn() -> Session, [(Phase, Option<Event>); 2]); 4] = [
+    let rows: [Row; 4] = [
         (
             offline,
             [(Monitor, Some(Online)), (Command, Some(CommandEntered))],
@@ -180,7 +183,7 @@ fn copies_and_old_ones_change_nothing() {
     for (sequence, order) in [
         (10, Order::Duplicate),
         (9, Order::Old),
-        (65500, Order::Restart),
+        (65000, Order::Restart),
     ] {
         let mut session = command();
         let got = session

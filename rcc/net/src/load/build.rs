@@ -41,9 +41,11 @@ pub(super) fn build(
         slots_before,
         states: HashMap::new(),
         resources: Vec::new(),
+        devices: Vec::new(),
         inbox: Directory::default(),
         inbox_words: Vec::new(),
         outbox: Directory::default(),
+        memory: 0,
     };
     let mut walk = Walk::new(resolved);
     let known = faults.len();
@@ -89,9 +91,12 @@ struct Parts {
     /// Slots that the two steps of one primitive share.
     states: HashMap<(u32, usize), u32>,
     resources: Vec<String>,
+    devices: Vec<String>,
     inbox: Directory,
     inbox_words: Vec<u64>,
     outbox: Directory,
+    /// Bytes of arrays and histories.
+    memory: usize,
 }
 
 impl Parts {
@@ -163,6 +168,8 @@ impl Parts {
         let out_words = vec![0; self.outbox.words()];
         self.resources.sort();
         self.resources.dedup();
+        self.devices.sort();
+        self.devices.dedup();
         Some(Plan {
             slots: self.slots.finish(),
             steps: walk.steps.into_boxed_slice(),
@@ -175,6 +182,8 @@ impl Parts {
             resources: self.resources.into_boxed_slice(),
             period,
             primitives: resolved.nodes.len(),
+            count: 0,
+            devices: self.devices.into_boxed_slice(),
         })
     }
 }
@@ -319,9 +328,10 @@ impl Build<'_, '_> {
         })
     }
 
-    /// Claims something for this net alone.
-    pub fn resource(&mut self, name: String) {
-        self.parts.resources.push(name);
+    /// Claims something of a device for this net alone; if the device fails, the net ends.
+    pub fn claim(&mut self, device: &str, resource: String) {
+        self.parts.resources.push(resource);
+        self.parts.devices.push(device.to_owned());
     }
 
     /// Whether an in port is connected.
@@ -354,18 +364,61 @@ impl Build<'_, '_> {
         Ok(In(slot, PhantomData))
     }
 
-    /// The handle of an in port that carries a fixed array.
+    /// The handle of an in port that carries a fixed array. Unconnected, it reads the parameter
+    /// that stands in for it, or null.
     ///
     /// # Errors
-    /// If what feeds the port could not be built.
+    /// If what feeds the port could not be built, or that parameter's text is no such array.
     ///
     /// # Panics
     /// If the definition has no such port.
-    pub fn array_input<T: Value>(&mut self, port: &str) -> Result<ArrayIn<T>, Fault> {
-        match self.source(port, Type::array(T::ELEMENT))?.0 {
-            Some(SlotRef::Array { slot, .. }) => Ok(ArrayIn(slot, PhantomData)),
-            _ => Ok(ArrayIn(crate::slots::ArraySlot::default(), PhantomData)),
+    pub fn array_input<T: TextValue>(&mut self, port: &str) -> Result<ArrayIn<T>, Fault> {
+        let slot = match self.source(port, Type::array(T::ELEMENT))? {
+            (Some(SlotRef::Array { slot, .. }), _) => slot,
+            (None, Some(parameter)) => {
+                let values = self.array::<T>(parameter)?;
+                self.take_memory(size_of_val(&*values))?;
+                let slots = T::builder(&mut self.parts.slots);
+                slots.array(values.len(), T::default(), Some(&values))
+            }
+            _ => crate::slots::ArraySlot::default(),
+        };
+        Ok(ArrayIn(slot, PhantomData))
+    }
+
+    /// A handle that always reads `value`: for a port whose stand-in is made of more than one
+    /// parameter.
+    pub fn constant<T: Value>(&mut self, value: T) -> In<T> {
+        In(constant(&mut self.parts.slots, value), PhantomData)
+    }
+
+    /// How many samples of `size` bytes, one a cycle, the span of parameter `parameter` (s) takes,
+    /// at least 1. Counts them to the memory of the net.
+    ///
+    /// # Errors
+    /// If the span is no positive time, too long for one primitive, or the net's memory is used up.
+    ///
+    /// # Panics
+    /// If the definition has no such parameter.
+    pub fn history(&mut self, parameter: &'static str, size: usize) -> Result<usize, Fault> {
+        let samples = self.cycles_in(parameter, self.value(parameter)?)?;
+        self.take_memory(samples.saturating_mul(size))?;
+        Ok(samples)
+    }
+
+    /// Counts `bytes` to the memory of the net.
+    ///
+    /// # Errors
+    /// If the net's memory is used up.
+    pub fn take_memory(&mut self, bytes: usize) -> Result<(), Fault> {
+        let bound = self.limits().memory_bytes;
+        let found = self.parts.memory.saturating_add(bytes);
+        if found > bound {
+            let what = "bytes of arrays and histories";
+            return Err(self.fault(FaultKind::Bound { what, found, bound }));
         }
+        self.parts.memory = found;
+        Ok(())
     }
 
     /// Where an in port gets its values: the slot it is linked to, or a parameter.
@@ -412,7 +465,7 @@ impl Build<'_, '_> {
     /// The handle of an out port that carries `len` elements.
     ///
     /// # Errors
-    /// If `len` exceeds the bound.
+    /// If `len` exceeds its bound or the net's memory is used up.
     ///
     /// # Panics
     /// If the definition has no such port.
@@ -426,6 +479,7 @@ impl Build<'_, '_> {
             };
             return Err(self.fault(kind));
         }
+        self.take_memory(len * size_of::<T>())?;
         let origin = self.own_output(port, Type::array(T::ELEMENT));
         let slot = self.parts.slots.array(T::ELEMENT, len);
         *self.parts.output(origin) = Some(slot);

@@ -558,6 +558,9 @@ impl<'t> Resolved<'t> {
                     .flatten()
                     .map(|origin| (unit_of(*origin), unit)),
             );
+            if node.definition.early.is_some() {
+                edges.push((unit + nodes, unit));
+            }
             if node.guard != 0 {
                 edges.push((gate(node.guard), unit));
                 edges.push((gate(node.guard), unit + nodes));

@@ -71,17 +71,47 @@ impl<T: TextValue> Primitive for Slice<T> {
     }
 }
 
+struct IsNull<T> {
+    array: ArrayIn<T>,
+    out: Out<bool>,
+}
+
+impl<T: TextValue> Primitive for IsNull<T> {
+    fn step(&mut self, cycle: &Cycle<'_>) {
+        self.out.set(cycle, self.array.get(cycle).is_none());
+    }
+}
+
+struct SetNull<T> {
+    array: ArrayIn<T>,
+    null: In<bool>,
+    out: ArrayOut<T>,
+}
+
+impl<T: TextValue> Primitive for SetNull<T> {
+    fn step(&mut self, cycle: &Cycle<'_>) {
+        let null = self.null.get(cycle) != Some(false);
+        match self.array.get(cycle).filter(|_| !null) {
+            None => self.out.set_null(cycle),
+            Some(array) => self.out.set(cycle, array.iter().map(std::cell::Cell::get)),
+        }
+    }
+}
+
 const SIZE: (&str, &str) = ("Size", "number of elements");
 
-fn index_within<T>(b: &Build<'_, '_>, array: &ArrayIn<T>) -> Result<usize, Fault>
-where
-    T: TextValue,
-{
+/// Checks that parameter `Size` is the array's size.
+fn size_of_array<T: TextValue>(b: &Build<'_, '_>, array: &ArrayIn<T>) -> Result<usize, Fault> {
     let size = b.number("Size", 1..=b.limits().array_size)?;
     if size != array.len() {
         let what = format!("Size is {size}, but the array has {} elements", array.len());
         return Err(b.fault(FaultKind::ArraySize(what)));
     }
+    Ok(size)
+}
+
+fn index_within<T: TextValue>(b: &Build<'_, '_>, array: &ArrayIn<T>) -> Result<usize, Fault> {
+    let size = size_of_array(b, array)?;
     b.number("Index", 0..=size - 1)
 }
 
@@ -169,8 +199,47 @@ fn slice<T: TextValue>() -> Definition {
     .array_output::<T>("outArray", "the part")
 }
 
+fn is_null<T: TextValue>() -> Definition {
+    let build = |b: &mut Build<'_, '_>| -> Result<IsNull<T>, Fault> {
+        Ok(IsNull {
+            array: b.array_input("inValue")?,
+            out: b.output("outValue"),
+        })
+    };
+    let doc = "Whether the array is null.";
+    Definition::new(format!("{}ArrayIsNull", T::PREFIX), doc, build)
+        .array_input::<T>(port("inValue", "what is tested").required())
+        .output::<bool>("outValue", "whether it is null")
+        .null(NullRule::Own("Never null."))
+}
+
+fn set_null<T: TextValue>() -> Definition {
+    let build = |b: &mut Build<'_, '_>| -> Result<SetNull<T>, Fault> {
+        let array = b.array_input("inValue")?;
+        let size = size_of_array(b, &array)?;
+        Ok(SetNull {
+            array,
+            null: b.input("inNull")?,
+            out: b.array_output("outValue", size)?,
+        })
+    };
+    let doc = "The array, or null on demand.";
+    Definition::new(format!("{}ArraySetNull", T::PREFIX), doc, build)
+        .array_input::<T>(port("inValue", "array passed on").required())
+        .input::<bool>(port("inNull", "true makes the output null").required())
+        .parameter::<i32>(SIZE.0, "1", SIZE.1)
+        .array_output::<T>("outValue", "the array or null")
+}
+
 fn family<T: TextValue>() -> Vec<Definition> {
-    vec![array::<T>(), get::<T>(), set::<T>(), slice::<T>()]
+    vec![
+        array::<T>(),
+        get::<T>(),
+        set::<T>(),
+        slice::<T>(),
+        is_null::<T>(),
+        set_null::<T>(),
+    ]
 }
 
 pub(super) fn table() -> Vec<Definition> {

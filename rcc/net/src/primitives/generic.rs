@@ -38,7 +38,7 @@ struct SetNull<T> {
 
 impl<T: TextValue> Primitive for SetNull<T> {
     fn step(&mut self, cycle: &Cycle<'_>) {
-        let null = self.null.get(cycle) == Some(true);
+        let null = self.null.get(cycle) != Some(false);
         self.out.set(cycle, self.value.get(cycle).filter(|_| !null));
     }
 }
@@ -82,7 +82,8 @@ impl<T: TextValue> Primitive for Snapshot<T> {
     }
 }
 
-/// Keeps the value for the next cycle. It and its cycle lie in slots that [`PreEarly`] reads.
+/// Keeps the value for the next cycle. It and the count of its cycle lie in slots that
+/// [`PreEarly`] reads.
 struct Pre<T> {
     value: In<T>,
     reset: In<bool>,
@@ -95,7 +96,7 @@ impl<T: TextValue> Primitive for Pre<T> {
         let reset = self.reset.get(cycle) == Some(true);
         self.kept
             .set(cycle, self.value.get(cycle).filter(|_| !reset));
-        self.kept_in.set(cycle, Nanos(cycle.moment.time.0));
+        self.kept_in.set(cycle, Nanos(cycle.count));
     }
 }
 
@@ -104,13 +105,11 @@ struct PreEarly<T> {
     kept: In<T>,
     kept_in: In<Nanos>,
     out: Out<T>,
-    period_ns: i64,
 }
 
 impl<T: TextValue> Primitive for PreEarly<T> {
     fn step(&mut self, cycle: &Cycle<'_>) {
-        let last = Nanos(cycle.moment.time.0 - self.period_ns);
-        let fresh = self.kept_in.get(cycle) >= Some(last);
+        let fresh = self.kept_in.get(cycle) == Some(Nanos(cycle.count - 1));
         self.out.set(cycle, self.kept.get(cycle).filter(|_| fresh));
     }
 }
@@ -127,13 +126,7 @@ fn pre<T: TextValue>() -> Definition {
     };
     let early = |b: &mut Build<'_, '_>| -> Result<PreEarly<T>, Fault> {
         let ((kept, _), (kept_in, _)) = (b.state(0), b.state(1));
-        let period_ns = i64::try_from(b.period().as_nanos()).unwrap_or(i64::MAX);
-        Ok(PreEarly {
-            kept,
-            kept_in,
-            out: b.output("outValue"),
-            period_ns,
-        })
+        Ok(PreEarly { kept, kept_in, out: b.output("outValue") })
     };
     let doc = "The input's value of the cycle before. Links from a Pre may close cycles.";
     Definition::new(format!("{}Pre", T::PREFIX), doc, late)
@@ -205,7 +198,6 @@ fn set_null<T: TextValue>() -> Definition {
     .input::<T>(port("inValue", "value passed on").required())
     .input::<bool>(port("inNull", "true makes the output null").required())
     .output::<T>("outValue", "the value or null")
-    .null(NullRule::Own("Null if inValue is null or inNull is true."))
 }
 
 fn conditional<T: TextValue>() -> Definition {

@@ -1,6 +1,6 @@
-//! Clocks. Time in a net is logical: it moves by exactly one period a cycle.
+//! Clocks and arithmetic with times. Time in a net is logical: it moves by exactly one period a cycle.
 
-use crate::definition::{Build, Definition, NullRule, Primitive, port};
+use crate::definition::{Build, Definition, NullRule, Primitive, function, port};
 use crate::fault::Fault;
 use crate::plan::Cycle;
 use crate::slots::{In, Out};
@@ -62,7 +62,52 @@ fn time_of(name: &str, doc: &'static str, read: fn(&Cycle<'_>) -> Nanos) -> Defi
         .null(NullRule::Own("Never null."))
 }
 
+fn difference(first: Nanos, second: Nanos) -> f64 {
+    (i128::from(first.0) - i128::from(second.0)) as f64 * 1e-9
+}
+
+/// `None` if the sum is beyond what nanoseconds in 64 bits can tell.
+fn sum(time: Nanos, delta_s: f64) -> Option<Nanos> {
+    let delta = (delta_s * 1e9).round();
+    // 2^63 is the first double beyond, and -2^63 the last within.
+    let fits = (-9_223_372_036_854_775_808.0..9_223_372_036_854_775_808.0).contains(&delta);
+    #[expect(clippy::cast_possible_truncation, reason = "just checked")]
+    let delta = fits.then_some(delta as i64)?;
+    time.0.checked_add(delta).map(Nanos)
+}
+
+fn arithmetic() -> [Definition; 2] {
+    [
+        function(
+            "Core::TimeDiff",
+            "First minus second.",
+            &[
+                port("inFirst", "time, ns").required(),
+                port("inSecond", "time, ns").required(),
+            ],
+            &[("outValue", "span between them, s")],
+            |(first, second): (Nanos, Nanos)| Some((difference(first, second),)),
+        ),
+        function(
+            "Core::TimeAdd",
+            "A time moved by a span; null if beyond 64 bits.",
+            &[
+                port("inTime", "time, ns").required(),
+                port("inDelta", "span, s").required(),
+            ],
+            &[("outValue", "time, ns")],
+            |(time, delta_s): (Nanos, f64)| Some((sum(time, delta_s)?,)),
+        ),
+    ]
+}
+
 pub(super) fn table() -> Vec<Definition> {
+    let mut table = clocks();
+    table.extend(arithmetic());
+    table
+}
+
+fn clocks() -> Vec<Definition> {
     let clock = |b: &mut Build<'_, '_>| -> Result<Clock, Fault> {
         Ok(Clock {
             increment: b.input("inIncrement")?,
@@ -109,4 +154,20 @@ pub(super) fn table() -> Vec<Definition> {
             |c| c.moment.wall,
         ),
     ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sums_and_differences_of_extreme_times() {
+        assert_eq!(sum(Nanos(5), 1.5), Some(Nanos(1_500_000_005)));
+        assert_eq!(sum(Nanos(0), -1e-9), Some(Nanos(-1)));
+        for delta in [f64::NAN, f64::INFINITY, 1e10, -1e10] {
+            assert_eq!(sum(Nanos(0), delta), None, "{delta}");
+        }
+        assert_eq!(sum(Nanos(i64::MAX), 1e-9), None);
+        assert!((difference(Nanos(i64::MAX), Nanos(i64::MIN)) - 18_446_744_073.709_55).abs() < 1e-4);
+    }
 }

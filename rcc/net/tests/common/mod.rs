@@ -50,8 +50,8 @@ impl Bench {
     /// Loads children whose out port `value` of type `ty` is given out under the key `v`.
     pub fn watching(ty: &str, children: &str, value: &str) -> Self {
         Self::new(&format!(
-            "{{{children},o={ty}NetcommOut(inValue={value},Key='v'),\
-             f=Core::BooleanValue(),outTerminate=f.outValue}}"
+            "{{{children},watch={ty}NetcommOut(inValue={value},Key='v'),\
+             never=Core::BooleanValue(),outTerminate=never.outValue}}"
         ))
     }
 
@@ -92,7 +92,7 @@ impl Bench {
 
     /// Writes in value `key`.
     pub fn write(&self, key: &str, text: &str) {
-        let mut words = self.plan.inbox_words();
+        let mut words: Vec<u64> = self.plan.inbox_words().collect();
         let entry = self
             .plan
             .inbox()

@@ -72,7 +72,8 @@ impl Reader {
                 if line.starts_with("running ") {
                     self.place = Place::Tests;
                 }
-                !line.is_empty() && self.place == Place::Outside
+                let dull = line.is_empty() || line.starts_with("all doctests ran");
+                !dull && self.place == Place::Outside
             }
             Place::Tests => self.test_line(line),
             Place::Failures => true,

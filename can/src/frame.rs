@@ -1,0 +1,197 @@
+//! A classic CAN frame as a value that cannot be wrong: every identifier fits its length, every
+//! length its frame. How it comes onto a bus is not here.
+
+use std::fmt;
+
+use crate::FrameError;
+
+/// An identifier, with the knowledge of its length: 123h in 11 bits is another one than in 29.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Id {
+    raw: u32,
+    extended: bool,
+}
+
+impl Id {
+    const STANDARD_MAX: u16 = 0x7FF;
+    const EXTENDED_MAX: u32 = 0x1FFF_FFFF;
+
+    /// An identifier of 11 bits.
+    pub const fn standard(id: u16) -> Result<Self, FrameError> {
+        if id > Self::STANDARD_MAX {
+            return Err(FrameError::StandardId { id });
+        }
+        // `u32::from` is not const; widening loses nothing.
+        Ok(Self {
+            raw: id as u32,
+            extended: false,
+        })
+    }
+
+    /// An identifier of 29 bits.
+    pub const fn extended(id: u32) -> Result<Self, FrameError> {
+        if id > Self::EXTENDED_MAX {
+            return Err(FrameError::ExtendedId { id });
+        }
+        Ok(Self {
+            raw: id,
+            extended: true,
+        })
+    }
+
+    /// The number, without any flag.
+    #[must_use]
+    pub const fn raw(self) -> u32 {
+        self.raw
+    }
+
+    /// True for 29 bits.
+    #[must_use]
+    pub const fn is_extended(self) -> bool {
+        self.extended
+    }
+}
+
+impl fmt::Display for Id {
+    /// 3 digits or 8, which is how logs tell the two kinds apart.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let width = if self.extended { 8 } else { 3 };
+        write!(f, "{:0width$X}", self.raw)
+    }
+}
+
+/// A data frame or a remote frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Frame {
+    id: Id,
+    remote: bool,
+    dlc: u8,
+    /// Zero from `dlc` on, and in a remote frame throughout.
+    data: [u8; 8],
+}
+
+impl Frame {
+    /// Bytes a frame can carry.
+    pub const LEN_MAX: usize = 8;
+
+    /// A frame that carries `data`.
+    pub fn new(id: Id, data: &[u8]) -> Result<Self, FrameError> {
+        let mut frame = Self::remote(id, data.len())?;
+        frame.remote = false;
+        for (to, from) in frame.data.iter_mut().zip(data) {
+            *to = *from;
+        }
+        Ok(frame)
+    }
+
+    /// A frame that asks for `len` bytes of the same identifier.
+    pub fn remote(id: Id, len: usize) -> Result<Self, FrameError> {
+        match u8::try_from(len) {
+            Ok(dlc) if len <= Self::LEN_MAX => Ok(Self {
+                id,
+                remote: true,
+                dlc,
+                data: [0; 8],
+            }),
+            _ => Err(FrameError::TooLong { len }),
+        }
+    }
+
+    /// The identifier.
+    #[must_use]
+    pub const fn id(&self) -> Id {
+        self.id
+    }
+
+    /// True if the frame asks for data instead of carrying it.
+    #[must_use]
+    pub const fn is_remote(&self) -> bool {
+        self.remote
+    }
+
+    /// Bytes carried, or asked for; 0 to 8.
+    #[must_use]
+    pub const fn dlc(&self) -> u8 {
+        self.dlc
+    }
+
+    /// The bytes carried; none in a remote frame.
+    #[must_use]
+    pub fn data(&self) -> &[u8] {
+        let len = if self.remote {
+            0
+        } else {
+            usize::from(self.dlc)
+        };
+        self.data.get(..len).unwrap_or_default()
+    }
+}
+
+impl fmt::Display for Frame {
+    /// `123#DEADBEEF`, or `123#R4` for a remote frame.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}#", self.id)?;
+        match (self.remote, self.dlc) {
+            (true, 0) => f.write_str("R"),
+            (true, dlc) => write!(f, "R{dlc}"),
+            (false, _) => self
+                .data()
+                .iter()
+                .try_for_each(|byte| write!(f, "{byte:02X}")),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn identifiers_and_lengths_are_checked() {
+        let id = Id::standard(0x7FF).unwrap();
+        assert_eq!(
+            Id::standard(0x800),
+            Err(FrameError::StandardId { id: 0x800 })
+        );
+        assert!(Id::extended(0x1FFF_FFFF).is_ok());
+        assert_eq!(
+            Id::extended(0x2000_0000),
+            Err(FrameError::ExtendedId { id: 0x2000_0000 })
+        );
+        for len in 0..=8 {
+            assert_eq!(Frame::new(id, &[0xAA; 8][..len]).unwrap().data().len(), len);
+            assert_eq!(usize::from(Frame::remote(id, len).unwrap().dlc()), len);
+        }
+        for len in [9, 256, 264] {
+            assert_eq!(
+                Frame::new(id, &vec![0; len]),
+                Err(FrameError::TooLong { len })
+            );
+            assert_eq!(Frame::remote(id, len), Err(FrameError::TooLong { len }));
+        }
+    }
+
+    #[test]
+    fn kinds_with_the_same_number_differ() {
+        assert_ne!(Id::standard(0x123).unwrap(), Id::extended(0x123).unwrap());
+        let id = Id::standard(0x123).unwrap();
+        let (data, remote) = (
+            Frame::new(id, &[0, 0]).unwrap(),
+            Frame::remote(id, 2).unwrap(),
+        );
+        assert_ne!(data, remote);
+        assert_eq!((data.dlc(), remote.dlc(), remote.data()), (2, 2, &[][..]));
+    }
+
+    #[test]
+    fn display_is_what_cansend_takes() {
+        let (short, long) = (Id::standard(0x1).unwrap(), Id::extended(0x1).unwrap());
+        assert_eq!(
+            Frame::new(short, &[0xDE, 0x0D]).unwrap().to_string(),
+            "001#DE0D"
+        );
+        assert_eq!(Frame::new(long, &[]).unwrap().to_string(), "00000001#");
+        assert_eq!(Frame::remote(short, 0).unwrap().to_string(), "001#R");
+        assert_eq!(Frame::remote(short, 8).unwrap().to_string(), "001#R8");
+    }
+}

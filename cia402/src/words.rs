@@ -1,0 +1,195 @@
+//! The two words as values, with names for their bits. Bits that depend on the mode of operation
+//! (4 to 6 and 9 of the controlword, 12 and 13 of the statusword) are not interpreted.
+
+use std::fmt;
+
+/// What a master asks of a drive, object 6040h.
+#[doc(alias = "6040h")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct ControlWord(u16);
+
+/// What a drive says of itself, object 6041h.
+#[doc(alias = "6041h")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct StatusWord(u16);
+
+/// Bit names, from bit 0.
+const CONTROL_BITS: [&str; 16] = [
+    "switch-on",
+    "enable-voltage",
+    "quick-stop",
+    "enable-operation",
+    "mode4",
+    "mode5",
+    "mode6",
+    "fault-reset",
+    "halt",
+    "mode9",
+    "reserved10",
+    "vendor11",
+    "vendor12",
+    "vendor13",
+    "vendor14",
+    "vendor15",
+];
+
+/// Bit names, from bit 0.
+const STATUS_BITS: [&str; 16] = [
+    "ready-to-switch-on",
+    "switched-on",
+    "operation-enabled",
+    "fault",
+    "voltage-enabled",
+    "quick-stop",
+    "switch-on-disabled",
+    "warning",
+    "vendor8",
+    "remote",
+    "target-reached",
+    "internal-limit",
+    "mode12",
+    "mode13",
+    "vendor14",
+    "vendor15",
+];
+
+impl ControlWord {
+    /// Power off at once; the motor is free unless a brake holds it.
+    pub const DISABLE_VOLTAGE: Self = Self(0x0000);
+    /// Stop by the quick stop option code (605Ah). The bit is low when the stop is asked for.
+    pub const QUICK_STOP: Self = Self(0x0002);
+    /// To Ready to switch on.
+    pub const SHUTDOWN: Self = Self(0x0006);
+    /// To Switched on, from either side: from Operation enabled it is *disable operation*.
+    pub const SWITCH_ON: Self = Self(0x0007);
+    /// To Operation enabled.
+    pub const ENABLE_OPERATION: Self = Self(0x000F);
+    /// Acts by its rising edge only: the word before must have had bit 7 low.
+    pub const FAULT_RESET: Self = Self(0x0080);
+
+    /// Any 16 bits are a controlword.
+    #[must_use]
+    pub const fn new(raw: u16) -> Self {
+        Self(raw)
+    }
+
+    /// As on the wire.
+    #[must_use]
+    pub const fn raw(self) -> u16 {
+        self.0
+    }
+
+    /// True if bit 7 is high.
+    #[must_use]
+    pub const fn fault_reset(self) -> bool {
+        self.0 & 0x0080 != 0
+    }
+
+    /// True if bit 8 asks the drive to stop and stay enabled (605Dh says how).
+    #[must_use]
+    pub const fn halt(self) -> bool {
+        self.0 & 0x0100 != 0
+    }
+}
+
+impl StatusWord {
+    /// Any 16 bits can be received; see [`StatusWord::state`] for those that mean a state.
+    #[must_use]
+    pub const fn new(raw: u16) -> Self {
+        Self(raw)
+    }
+
+    /// As on the wire.
+    #[must_use]
+    pub const fn raw(self) -> u16 {
+        self.0
+    }
+
+    /// True if the power stage is supplied (bit 4).
+    #[must_use]
+    pub const fn voltage_enabled(self) -> bool {
+        self.0 & 0x0010 != 0
+    }
+
+    /// True if a warning is present (bit 7); it changes no state.
+    #[must_use]
+    pub const fn warning(self) -> bool {
+        self.0 & 0x0080 != 0
+    }
+
+    /// True if the drive obeys the controlword (bit 9).
+    #[must_use]
+    pub const fn remote(self) -> bool {
+        self.0 & 0x0200 != 0
+    }
+
+    /// True if the target is reached, or, while halted, the drive stands (bit 10).
+    #[must_use]
+    pub const fn target_reached(self) -> bool {
+        self.0 & 0x0400 != 0
+    }
+
+    /// True if the drive limits what was asked (bit 11).
+    #[must_use]
+    pub const fn internal_limit(self) -> bool {
+        self.0 & 0x0800 != 0
+    }
+}
+
+impl fmt::Display for ControlWord {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        bits(f, self.0, &CONTROL_BITS)
+    }
+}
+
+impl fmt::Display for StatusWord {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        bits(f, self.0, &STATUS_BITS)
+    }
+}
+
+/// `0x0231 ready-to-switch-on+quick-stop`: the number, then the names of the bits that are high.
+fn bits(f: &mut fmt::Formatter<'_>, word: u16, names: &[&str; 16]) -> fmt::Result {
+    write!(f, "{word:#06x}")?;
+    let high = names
+        .iter()
+        .enumerate()
+        .filter(|(bit, _)| word & (1 << bit) != 0);
+    for (count, (_, name)) in high.enumerate() {
+        write!(f, "{}{name}", if count == 0 { ' ' } else { '+' })?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn display_names_the_high_bits() {
+        assert_eq!(ControlWord::DISABLE_VOLTAGE.to_string(), "0x0000");
+        assert_eq!(
+            StatusWord::new(0x0231).to_string(),
+            "0x0231 ready-to-switch-on+voltage-enabled+quick-stop+remote"
+        );
+        assert_eq!(
+            ControlWord::new(0x8180).to_string(),
+            "0x8180 fault-reset+halt+vendor15"
+        );
+    }
+
+    #[test]
+    fn each_getter_looks_at_its_bit_alone() {
+        let check = |getter: fn(StatusWord) -> bool, bit: u16| {
+            assert!(getter(StatusWord::new(1 << bit)), "bit {bit}");
+            assert!(!getter(StatusWord::new(!(1 << bit))), "bit {bit}");
+        };
+        check(StatusWord::voltage_enabled, 4);
+        check(StatusWord::warning, 7);
+        check(StatusWord::remote, 9);
+        check(StatusWord::target_reached, 10);
+        check(StatusWord::internal_limit, 11);
+        assert!(ControlWord::FAULT_RESET.fault_reset() && !ControlWord::new(0xFF7F).fault_reset());
+        assert!(ControlWord::new(0x0100).halt() && !ControlWord::new(0xFEFF).halt());
+    }
+}

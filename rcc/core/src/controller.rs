@@ -1,0 +1,529 @@
+//! The controller: what programs can ask of it, and the desk between them and the net thread. All
+//! calls may block for a cycle or two; none is made in a real-time thread.
+
+mod desk;
+mod ids;
+
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use takt_net::{Limits, LoadContext, Registry, Rejection, load};
+use takt_rt::latest::latest;
+use takt_rt::thread::ThreadConfig;
+
+use crate::cell::{CellConfig, DeviceConfig};
+use crate::device::lwr::Lwr;
+use crate::device::{DeviceStatus, lwr};
+use crate::error::Error;
+use crate::executor::thread::{ArmEnd, Command, NetThread, NetThreadConfig};
+use crate::executor::{ResourceSet, Running};
+use crate::record::{Recorder, Tap};
+use desk::{Desk, Net, Session};
+
+pub use ids::{NetId, NetState, SessionId, net_number};
+
+/// Nets that may be loaded at once.
+pub const NETS_MAX: usize = 1024;
+/// Sessions that may be open at once.
+pub const SESSIONS_MAX: usize = 256;
+/// How long the net thread may take to answer.
+const ANSWER_WITHIN: Duration = Duration::from_secs(2);
+
+/// A net to be loaded.
+#[derive(Clone, Debug)]
+pub struct LoadRequest {
+    /// The net.
+    pub text: String,
+    /// Session it belongs to; `SessionId(0)` for none.
+    pub session: SessionId,
+    /// What it is, for people.
+    pub description: String,
+    /// Time from one of its cycles to the next, a whole multiple of the net thread's; `None` for
+    /// the net thread's own.
+    pub period: Option<Duration>,
+}
+
+/// A net as programs see it.
+#[derive(Clone, Debug)]
+pub struct NetInfo {
+    /// Its identifier.
+    pub id: NetId,
+    /// What it is, for people.
+    pub description: String,
+    /// Session it belongs to.
+    pub session: SessionId,
+    /// Its text.
+    pub text: Arc<str>,
+    /// All states it has been in, in order; the last is the present one.
+    pub states: Vec<NetState>,
+    /// What is wrong with it, if it was rejected.
+    pub rejection: Option<Arc<Rejection>>,
+    /// Why it ended, if not by itself.
+    pub end: Option<String>,
+}
+
+impl NetInfo {
+    /// Its present state.
+    #[must_use]
+    pub fn state(&self) -> NetState {
+        self.states.last().copied().unwrap_or(NetState::Loading)
+    }
+}
+
+/// A device as programs see it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DeviceInfo {
+    /// Its name.
+    pub name: String,
+    /// Its type.
+    pub kind: String,
+    /// Its interfaces with their parameters.
+    pub interfaces: BTreeMap<String, BTreeMap<String, String>>,
+    /// Whether it can be used.
+    pub status: DeviceStatus,
+}
+
+/// Ends a watch when dropped.
+#[derive(Debug)]
+#[must_use = "the watch ends when this is dropped"]
+pub struct Watch {
+    inner: Arc<Inner>,
+    number: u64,
+}
+
+impl Drop for Watch {
+    fn drop(&mut self) {
+        self.inner.lock().watches.remove(&self.number);
+    }
+}
+
+/// A running controller. Clones are handles of the same one; the last one dropped ends it.
+#[derive(Clone, Debug)]
+pub struct Controller {
+    inner: Arc<Inner>,
+    _life: Arc<Life>,
+}
+
+/// Ends the threads when the last handle is dropped.
+#[derive(Debug)]
+struct Life {
+    inner: Arc<Inner>,
+    supervisor: Mutex<Option<std::thread::JoinHandle<()>>>,
+}
+
+impl Drop for Life {
+    fn drop(&mut self) {
+        self.inner.stop.store(true, Ordering::Relaxed);
+        let supervisor = self.supervisor.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if supervisor.is_some_and(|thread| thread.join().is_err()) {
+            tracing::error!("the supervisor had ended by a panic");
+        }
+        self.inner.lock().stop();
+    }
+}
+
+#[derive(Debug)]
+struct Inner {
+    desk: Mutex<Desk>,
+    /// Signalled after every change of the desk.
+    changed: Condvar,
+    stop: AtomicBool,
+    registry: Registry,
+    period: Duration,
+}
+
+impl Inner {
+    fn lock(&self) -> MutexGuard<'_, Desk> {
+        self.desk.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Wakes those who wait for a change and those who watch.
+    fn announce(&self, desk: &Desk) {
+        self.changed.notify_all();
+        for watch in desk.watches.values() {
+            watch();
+        }
+    }
+
+    /// Waits until `done` says so or the time is up.
+    fn wait_for<T>(
+        &self,
+        mut desk: MutexGuard<'_, Desk>,
+        mut done: impl FnMut(&mut Desk) -> Option<T>,
+    ) -> Result<T, Error> {
+        let until = std::time::Instant::now() + ANSWER_WITHIN;
+        loop {
+            if let Some(result) = done(&mut desk) {
+                return Ok(result);
+            }
+            let left = until.saturating_duration_since(std::time::Instant::now());
+            if left.is_zero() {
+                return Err(Error::NoAnswer(ANSWER_WITHIN));
+            }
+            let waited = self.changed.wait_timeout(desk, left);
+            desk = waited.unwrap_or_else(PoisonError::into_inner).0;
+        }
+    }
+}
+
+impl Controller {
+    /// Starts the threads of a cell.
+    ///
+    /// # Errors
+    /// If a device cannot be opened or a thread not be started.
+    pub fn start(cell: &CellConfig) -> Result<Self, Error> {
+        Self::start_recording(cell, None)
+    }
+
+    /// Starts the threads of a cell and records the net thread.
+    ///
+    /// # Errors
+    /// If a device cannot be opened or a thread not be started.
+    pub fn start_recording(
+        cell: &CellConfig,
+        recording: Option<(Recorder, Tap)>,
+    ) -> Result<Self, Error> {
+        let period = cell.controller.period;
+        let (recorder, tap) = recording.unzip();
+        let thread = ThreadConfig {
+            priority: cell.controller.priority,
+            cpus: cell.controller.cpus.clone(),
+            ..ThreadConfig::new("takt-nets")
+        };
+        let net_thread = NetThread::start(NetThreadConfig { period, thread }, tap)?;
+        let mut desk = Desk::new(net_thread, recorder);
+        for device in &cell.devices {
+            let DeviceConfig::Lwr(config) = device;
+            let description = lwr::describe(&config.name);
+            let joints = description.limits.len();
+            let ports = desk.devices.add_arm(description.clone())?;
+            let first_joint = desk.devices.arms().last().map_or(0, |arm| arm.first_joint);
+            if let Some(recorder) = &desk.recorder {
+                recorder.arm(&description, first_joint);
+            }
+            desk.arms.push(Lwr::start(config, period, ports.driver_state, ports.driver_command)?);
+            let (state, command) = (ports.state, ports.command);
+            let end = Box::new(ArmEnd { first_joint, joints, state, command });
+            desk.command(Command::AddArm(end))?;
+        }
+        let inner = Arc::new(Inner {
+            desk: Mutex::new(desk),
+            changed: Condvar::new(),
+            stop: AtomicBool::new(false),
+            registry: crate::registry(),
+            period,
+        });
+        let supervised = Arc::clone(&inner);
+        let name = "takt-supervisor".to_owned();
+        let supervisor = std::thread::Builder::new()
+            .name(name.clone())
+            .spawn(move || supervise(&supervised))
+            .map_err(|source| Error::Thread { name, source })?;
+        let life = Life { inner: Arc::clone(&inner), supervisor: Mutex::new(Some(supervisor)) };
+        Ok(Self { inner, _life: Arc::new(life) })
+    }
+
+    /// Opens a session, to which nets can belong.
+    ///
+    /// # Errors
+    /// If too many are open.
+    pub fn open_session(&self, description: &str) -> Result<SessionId, Error> {
+        let mut desk = self.inner.lock();
+        if desk.sessions.len() >= SESSIONS_MAX {
+            return Err(Error::TooMany { what: "open sessions", bound: SESSIONS_MAX });
+        }
+        desk.last_session += 1;
+        let id = SessionId(desk.last_session);
+        desk.sessions.insert(id, Session { description: description.to_owned() });
+        Ok(id)
+    }
+
+    /// Aborts and unloads all nets of a session and closes it.
+    ///
+    /// # Errors
+    /// If there is no such session, or the net thread does not answer.
+    pub fn end_session(&self, id: SessionId) -> Result<(), Error> {
+        let nets = self
+            .session_nets(id)
+            .filter(|_| id != SessionId::NONE)
+            .ok_or_else(|| Error::NoSuchSession(id.to_string()))?;
+        for net in nets {
+            // A net that somebody else unloaded meanwhile is what is wanted.
+            match self.abort(net).and_then(|()| self.unload(net)) {
+                Ok(()) | Err(Error::NoSuchNet(_)) => {}
+                Err(error) => return Err(error),
+            }
+        }
+        self.inner.lock().sessions.remove(&id);
+        Ok(())
+    }
+
+    /// The nets of a session; `None` if there is no such session.
+    #[must_use]
+    pub fn session_nets(&self, id: SessionId) -> Option<Vec<NetId>> {
+        let desk = self.inner.lock();
+        if id != SessionId::NONE && !desk.sessions.contains_key(&id) {
+            return None;
+        }
+        let of_session = desk.nets.iter().filter(|(_, net)| net.session == id);
+        Some(of_session.map(|(id, _)| *id).collect())
+    }
+
+    /// Loads a net. A net that is rejected gets an identifier too; its state tells.
+    ///
+    /// # Errors
+    /// If there are too many nets, or no such session.
+    pub fn load(&self, request: LoadRequest) -> Result<NetId, Error> {
+        let LoadRequest { text, session, description, period } = request;
+        let text: Arc<str> = text.into();
+        let id = {
+            let mut desk = self.inner.lock();
+            if session != SessionId::NONE && !desk.sessions.contains_key(&session) {
+                return Err(Error::NoSuchSession(session.to_string()));
+            }
+            if desk.nets.len() >= NETS_MAX {
+                return Err(Error::TooMany { what: "loaded nets", bound: NETS_MAX });
+            }
+            let id = desk.next_net();
+            let net = Net::new(session, description, Arc::clone(&text));
+            desk.nets.insert(id, net);
+            self.inner.announce(&desk);
+            id
+        };
+        let prepared = self.prepare(id, &text, period);
+        let mut desk = self.inner.lock();
+        if let Some(net) = desk.nets.get_mut(&id) {
+            match prepared {
+                Ok(prepared) => net.make_ready(prepared),
+                Err(rejection) => net.reject(rejection),
+            }
+        }
+        self.inner.announce(&desk);
+        Ok(id)
+    }
+
+    /// Checks a net and makes it ready, without the desk but for a copy of the devices.
+    fn prepare(
+        &self,
+        id: NetId,
+        text: &Arc<str>,
+        period: Option<Duration>,
+    ) -> Result<desk::Prepared, Rejection> {
+        let thread_period = self.inner.period;
+        let period = period.unwrap_or(thread_period);
+        let every = desk::multiple(period, thread_period)?;
+        let devices = self.inner.lock().devices.clone();
+        let context = LoadContext {
+            registry: &self.inner.registry,
+            devices: &devices,
+            period,
+            limits: Limits::default(),
+        };
+        let plan = load(text, &context)?;
+        let mut desk = self.inner.lock();
+        let mut resources = ResourceSet::default();
+        for name in plan.resources() {
+            resources.insert(desk.resource(name)?);
+        }
+        if let Some(recorder) = &desk.recorder {
+            recorder.net(id.0, every, period, text);
+        }
+        drop(desk);
+        let numbers = plan.devices().iter().filter_map(|name| devices.number(name));
+        let numbers: Vec<_> = numbers.map(|number| (number, 0)).collect();
+        let (out_directory, in_directory) = (Arc::clone(plan.outbox()), Arc::clone(plan.inbox()));
+        let in_words: Box<[u64]> = plan.inbox_words().collect();
+        let (out, out_reader) =
+            latest(1, || vec![0; out_directory.words()].into_boxed_slice());
+        let (in_writer, inbox) = latest(1, || in_words.clone());
+        let mut running = Box::new(Running::new(id.0, plan, out, inbox));
+        running.resources = resources;
+        running.devices = numbers;
+        running.every = every;
+        Ok(desk::Prepared { running, out_directory, out_reader, in_directory, in_writer, in_words })
+    }
+
+    /// Starts a net and waits until it runs.
+    ///
+    /// # Errors
+    /// If it is not ready, what it needs is in use, or a device it commands does not follow.
+    pub fn start_net(&self, id: NetId) -> Result<(), Error> {
+        let mut desk = self.inner.lock();
+        desk.begin(id)?;
+        self.inner.wait_for(desk, |desk| desk.begun(id))?
+    }
+
+    /// Asks a running net to come to its end by itself; without effect on any other.
+    ///
+    /// # Errors
+    /// If there is no such net.
+    pub fn cancel(&self, id: NetId) -> Result<(), Error> {
+        let mut desk = self.inner.lock();
+        if desk.net(id)?.state() == NetState::Running {
+            desk.command(Command::Cancel(id.0))?;
+        }
+        Ok(())
+    }
+
+    /// Ends a net at once, whatever it does, and waits for that.
+    ///
+    /// # Errors
+    /// If there is no such net or the net thread does not answer.
+    pub fn abort(&self, id: NetId) -> Result<(), Error> {
+        let mut desk = self.inner.lock();
+        match desk.net(id)?.state() {
+            NetState::Loading | NetState::Rejected | NetState::Terminated | NetState::Unloaded => {
+                return Ok(());
+            }
+            NetState::Ready | NetState::Scheduled => {
+                desk.net(id)?.end("aborted before it ran".to_owned());
+                self.inner.announce(&desk);
+                return Ok(());
+            }
+            NetState::Running | NetState::Cancelling => desk.command(Command::Abort(id.0))?,
+        }
+        self.inner.wait_for(desk, |desk| match desk.net(id).map(|net| net.state()) {
+            Ok(NetState::Running | NetState::Cancelling) => None,
+            _ => Some(()),
+        })
+    }
+
+    /// Forgets a net that does not run; one that runs is left alone.
+    ///
+    /// # Errors
+    /// If there is no such net, or it was asked to cancel and still runs.
+    pub fn unload(&self, id: NetId) -> Result<(), Error> {
+        let mut desk = self.inner.lock();
+        match desk.net(id)?.state() {
+            NetState::Running => return Ok(()),
+            state @ (NetState::Cancelling | NetState::Loading) => {
+                let what = "wait until it has ended, or abort it";
+                return Err(Error::WrongState { net: id, state, what });
+            }
+            NetState::Rejected
+            | NetState::Ready
+            | NetState::Scheduled
+            | NetState::Terminated
+            | NetState::Unloaded => {}
+        }
+        let net = desk.nets.remove(&id);
+        self.inner.announce(&desk);
+        drop(desk);
+        // A large net takes its time to be freed; nobody need wait for it.
+        drop(net);
+        Ok(())
+    }
+
+    /// A net; `None` once it is unloaded.
+    #[must_use]
+    pub fn net(&self, id: NetId) -> Option<NetInfo> {
+        self.inner.lock().nets.get(&id).map(|net| net.info(id))
+    }
+
+    /// All nets.
+    #[must_use]
+    pub fn nets(&self) -> Vec<NetId> {
+        self.inner.lock().nets.keys().copied().collect()
+    }
+
+    /// Sessions that are open, with their descriptions.
+    #[must_use]
+    pub fn sessions(&self) -> Vec<(SessionId, String)> {
+        let desk = self.inner.lock();
+        desk.sessions.iter().map(|(id, s)| (*id, s.description.clone())).collect()
+    }
+
+    /// Values that a net gives out: those reported and ever non-null, as key and text.
+    #[must_use]
+    pub fn out_values(&self, id: NetId) -> Vec<(String, String)> {
+        self.inner.lock().nets.get_mut(&id).map(Net::out_values).unwrap_or_default()
+    }
+
+    /// Writes a value that a net takes in; returns whether it has one of that key.
+    ///
+    /// # Errors
+    /// If there is no such net, or the text is no such value.
+    pub fn write_in(&self, id: NetId, key: &str, text: &str) -> Result<bool, Error> {
+        self.inner.lock().net(id)?.write_in(id, key, text)
+    }
+
+    /// The devices.
+    #[must_use]
+    pub fn devices(&self) -> Vec<DeviceInfo> {
+        self.inner.lock().device_infos()
+    }
+
+    /// Calls `wake` after each change of nets, sessions or devices, from a thread of the
+    /// controller; it must not call the controller. Not for values that nets give out.
+    pub fn on_change(&self, wake: impl Fn() + Send + Sync + 'static) -> Watch {
+        let mut desk = self.inner.lock();
+        desk.last_watch += 1;
+        let number = desk.last_watch;
+        desk.watches.insert(number, Box::new(wake));
+        Watch { inner: Arc::clone(&self.inner), number }
+    }
+
+    /// Time from one cycle of the net thread to the next.
+    #[must_use]
+    pub fn period(&self) -> Duration {
+        self.inner.period
+    }
+
+    /// How well the net thread keeps its time.
+    #[must_use]
+    pub fn stats(&self) -> takt_rt::stats::Snapshot {
+        self.inner.lock().thread_stats()
+    }
+
+    /// Time between handing over set-points to the first and to the last arm of a cycle.
+    #[must_use]
+    pub fn hand_over(&self) -> takt_rt::stats::Summary {
+        self.inner.lock().hand_over()
+    }
+
+    /// How the host granted what the threads asked for, with the threads' names.
+    #[must_use]
+    pub fn grants(&self) -> Vec<(String, takt_rt::Grant)> {
+        self.inner.lock().grants()
+    }
+
+    /// Reads something of the driver of every arm.
+    pub fn with_arms<T>(&self, read: impl Fn(&Lwr) -> T) -> Vec<T> {
+        self.inner.lock().arms.iter().map(read).collect()
+    }
+
+    /// The state an arm's driver last told.
+    #[must_use]
+    pub fn arm_state(&self, name: &str) -> Option<crate::device::ArmState> {
+        self.inner.lock().devices.find(name).map(|arm| arm.state())
+    }
+
+    /// Ends the recording; returns how many cycles it holds, or `None` if there was none.
+    ///
+    /// # Errors
+    /// If the file could not be written or cycles were lost.
+    pub fn finish_recording(&self) -> Result<Option<u64>, Error> {
+        let recorder = self.inner.lock().recorder.take();
+        recorder.map(Recorder::finish).transpose()
+    }
+}
+
+/// How often the supervisor looks at what the net thread tells.
+const SUPERVISION: Duration = Duration::from_millis(2);
+
+/// Carries what the net thread tells to the desk, and notes changes of devices.
+fn supervise(inner: &Inner) {
+    while !inner.stop.load(Ordering::Relaxed) {
+        {
+            let mut desk = inner.lock();
+            let told = desk.take_events();
+            let moved = desk.look_at_devices();
+            if told || moved {
+                inner.announce(&desk);
+            }
+        }
+        std::thread::sleep(SUPERVISION);
+    }
+}

@@ -1,0 +1,363 @@
+//! The driver of a KUKA LWR: a thread that waits for the KRC's datagram and answers it at once
+//! with what the nets want at that instant of the robot's own clock. The protocol itself is in
+//! `takt_fri`.
+
+mod clock;
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU16, AtomicU64, Ordering};
+use std::time::Duration;
+
+use takt_fri::link::Link;
+use takt_fri::linux::UdpLink;
+use takt_fri::lwr::wire::{Cmd, Msr, Quality};
+use takt_fri::lwr::{AXES, Phase, Session, SessionConfig};
+use takt_net::device::JointError;
+use takt_net::{JointLimits, JointState};
+use takt_rt::Nanos;
+use takt_rt::latest::{LatestReader, LatestWriter};
+use takt_rt::stats::{Recorder, RecorderReader};
+use takt_rt::thread::{Thread, ThreadConfig};
+
+use crate::cell::LwrConfig;
+use crate::device::setpoint::Joint;
+use crate::device::{ArmCommand, ArmDescription, ArmState, DeviceStatus};
+use crate::error::Error;
+use clock::DatagramClock;
+
+/// Set-points older than this many cycles of the driver are no longer followed.
+const STALE_AFTER: i64 = 10;
+/// Longest wait for a datagram, so that a stop is seen soon.
+const WAIT: Duration = Duration::from_millis(20);
+/// Waiting datagrams taken at most before one of them is answered.
+const BACKLOG: usize = 64;
+
+/// An LWR as its controller describes it: ranges of the axes, and the speed and acceleration that
+/// existing drivers use for all of them.
+#[must_use]
+pub fn describe(name: &str) -> ArmDescription {
+    let ranges = [170.0, 120.0, 170.0, 120.0, 170.0, 120.0, 170.0_f64];
+    let limits = ranges.map(|range| JointLimits {
+        position_min: -range.to_radians(),
+        position_max: range.to_radians(),
+        velocity_max: 112.5_f64.to_radians(),
+        acceleration_max: 4.0,
+    });
+    ArmDescription { name: name.to_owned(), kind: "kuka_lwr_fri", limits: limits.to_vec() }
+}
+
+/// Figures of a driver that others read while it runs.
+#[derive(Debug, Default)]
+struct Shared {
+    received: AtomicU64,
+    lost: AtomicU64,
+    malformed: AtomicU64,
+    quality: AtomicU16,
+    period_ns: AtomicU64,
+    tracking_error_bits: AtomicU64,
+}
+
+/// Figures of a driver.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LwrFigures {
+    /// Measurements received.
+    pub datagrams: u64,
+    /// Measurements that never came.
+    pub lost: u64,
+    /// Datagrams that were none.
+    pub malformed: u64,
+    /// Quality of the connection as the controller judges it.
+    pub quality: Quality,
+    /// Time from one measurement to the next; `None` before the first.
+    pub period: Option<Duration>,
+    /// Largest distance of a joint from its set-point while commanding, rad.
+    pub tracking_error_rad_max: f64,
+}
+
+/// A running driver.
+#[derive(Debug)]
+pub struct Lwr {
+    name: String,
+    address: SocketAddr,
+    shared: Arc<Shared>,
+    /// Time from the arrival of a measurement to the sending of its answer.
+    pub answer_time: RecorderReader,
+    /// Time from the logical time of a position to its sending.
+    pub set_point_age: RecorderReader,
+    thread: Thread<()>,
+    stop: Arc<AtomicBool>,
+}
+
+impl Lwr {
+    /// Opens the socket and starts the driver thread. `net_period` is the time between set-points.
+    ///
+    /// # Errors
+    /// If the address cannot be listened at or the system has no thread to give.
+    pub fn start(
+        config: &LwrConfig,
+        net_period: Duration,
+        state: LatestWriter<ArmState>,
+        command: LatestReader<ArmCommand>,
+    ) -> Result<Self, Error> {
+        let refused = |source| Error::Device {
+            name: config.name.clone(),
+            what: format!("listen at {}", config.listen),
+            source,
+        };
+        let link = UdpLink::bind(config.listen).map_err(refused)?;
+        let address = link.local_addr().map_err(refused)?;
+        let shared = Arc::new(Shared::default());
+        let stop = Arc::new(AtomicBool::new(false));
+        let mut driver = Driver {
+            link,
+            session: Session::new(SessionConfig::default()),
+            clock: DatagramClock::default(),
+            joints: describe(&config.name).limits.into_iter().map(Joint::new).collect(),
+            last: Published::default(),
+            delay: Nanos::from(net_period * 3 / 2),
+            state,
+            command,
+            shared: Arc::clone(&shared),
+            answer_time: Recorder::new(),
+            set_point_age: Recorder::new(),
+        };
+        let (answer_time, set_point_age) =
+            (driver.answer_time.reader(), driver.set_point_age.reader());
+        let thread = ThreadConfig {
+            priority: config.priority,
+            cpus: config.cpus.clone(),
+            ..ThreadConfig::new(format!("takt-{}", config.name))
+        };
+        let stopping = Arc::clone(&stop);
+        let thread = takt_rt::thread::spawn(thread, move || {
+            let scope = takt_rt::alloc::enter_real_time();
+            while !stopping.load(Ordering::Relaxed) {
+                driver.serve();
+            }
+            drop(scope);
+        })
+        .map_err(|source| Error::Thread { name: config.name.clone(), source })?;
+        let name = config.name.clone();
+        Ok(Self { name, address, shared, answer_time, set_point_age, thread, stop })
+    }
+
+    /// Name of the arm.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Where it listens.
+    #[must_use]
+    pub const fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// How the host granted what the thread asked for.
+    #[must_use]
+    pub fn grants(&self) -> &[takt_rt::Grant] {
+        self.thread.grants()
+    }
+
+    /// Its figures so far.
+    #[must_use]
+    pub fn figures(&self) -> LwrFigures {
+        let Shared { received, lost, malformed, quality, period_ns, tracking_error_bits } =
+            &*self.shared;
+        let period_ns = period_ns.load(Ordering::Relaxed);
+        LwrFigures {
+            datagrams: received.load(Ordering::Relaxed),
+            lost: lost.load(Ordering::Relaxed),
+            malformed: malformed.load(Ordering::Relaxed),
+            quality: Quality::from(quality.load(Ordering::Relaxed)),
+            period: (period_ns > 0).then(|| Duration::from_nanos(period_ns)),
+            tracking_error_rad_max: f64::from_bits(tracking_error_bits.load(Ordering::Relaxed)),
+        }
+    }
+
+    /// Ends the thread and waits for that.
+    pub fn stop(self) {
+        self.stop.store(true, Ordering::Relaxed);
+        if self.thread.join().is_err() {
+            tracing::error!(arm = self.name, "the driver thread had ended by a panic");
+        }
+    }
+}
+
+/// What was last told to nets, for differences.
+#[derive(Default)]
+struct Published {
+    state: ArmState,
+    positions: Option<[f64; AXES]>,
+    velocities: Option<[f64; AXES]>,
+}
+
+struct Driver {
+    link: UdpLink,
+    session: Session,
+    clock: DatagramClock,
+    joints: Vec<Joint>,
+    last: Published,
+    /// How far behind the robot's clock set-points are played: one and a half periods of the nets,
+    /// so that the two around that instant are there even if the net thread is half a period late.
+    delay: Nanos,
+    state: LatestWriter<ArmState>,
+    command: LatestReader<ArmCommand>,
+    shared: Arc<Shared>,
+    answer_time: Recorder,
+    set_point_age: Recorder,
+}
+
+impl Driver {
+    /// Waits for one datagram and answers it.
+    fn serve(&mut self) {
+        let mut wait = WAIT;
+        let mut newest = None;
+        for _ in 0..BACKLOG {
+            // One byte longer than a measurement, so that a longer datagram shows.
+            let mut buffer = [0; Msr::LEN + 1];
+            let Ok(Some((len, at))) = self.link.receive(&mut buffer, wait) else { break };
+            if self.accept(&buffer[..len], at) {
+                newest = Some(at);
+            }
+            // After a stall several wait: only the newest deserves an answer.
+            if !self.clock.is_late(nanos(at)) {
+                break;
+            }
+            wait = Duration::ZERO;
+        }
+        match newest {
+            Some(at) => self.answer(nanos(at)),
+            None => {
+                if let Ok(now) = takt_fri::linux::monotonic()
+                    && self.session.handle_timeout(now)
+                {
+                    self.publish(nanos(now));
+                }
+            }
+        }
+    }
+
+    fn accept(&mut self, datagram: &[u8], at: Duration) -> bool {
+        let Ok(reception) = self.session.handle_datagram(datagram, at) else {
+            // Counted by the session; a stranger's datagram is no reason to stop.
+            self.count();
+            return false;
+        };
+        if reception.order.is_new() {
+            let period = self.session.period().unwrap_or(Duration::from_millis(1));
+            self.clock.tick(nanos(at), Nanos::from(period), reception.lost);
+        }
+        reception.order.is_new()
+    }
+
+    fn answer(&mut self, at: Nanos) {
+        let command = self.command.read();
+        let joints = self.next_positions(&command);
+        let mut buffer = [0; Cmd::LEN];
+        let answer = self.session.answer(Some(&joints), &mut buffer);
+        let sent = answer.is_ok_and(|len| self.link.send(&buffer[..len]).is_ok_and(|n| n > 0));
+        if sent {
+            let now = takt_rt::monotonic();
+            self.answer_time.record(now - at);
+            if self.session.is_commanding() && command.joints.iter().any(|j| j.active) {
+                self.set_point_age.record(now - (self.clock.now() - self.delay));
+            }
+        }
+        self.publish(at);
+        self.count();
+    }
+
+    /// Where the joints are to be now.
+    fn next_positions(&mut self, command: &ArmCommand) -> [f64; AXES] {
+        let mut positions = self.session.mirror();
+        if !self.session.is_commanding() {
+            for ((joint, position), set_points) in
+                self.joints.iter_mut().zip(positions).zip(&command.joints)
+            {
+                joint.rest_at(position, set_points);
+            }
+            return positions;
+        }
+        let play = self.clock.now() - self.delay;
+        let period = self.clock.period();
+        let stale = Nanos(period.0 * STALE_AFTER) + self.delay;
+        let fresh = self.clock.now() - command.time <= stale;
+        #[expect(clippy::cast_precision_loss, reason = "spans of milliseconds are exact")]
+        let dt_s = self.clock.elapsed().0 as f64 * 1e-9;
+        for ((joint, position), set_points) in
+            self.joints.iter_mut().zip(&mut positions).zip(&command.joints)
+        {
+            *position = joint.sample(set_points, fresh, play, dt_s);
+        }
+        positions
+    }
+
+    /// Tells nets how the arm is.
+    fn publish(&mut self, at: Nanos) {
+        let status = match self.session.phase() {
+            Phase::Offline => DeviceStatus::Offline,
+            Phase::Monitor => DeviceStatus::SafeOperational,
+            Phase::Command => DeviceStatus::Operational,
+        };
+        let was = self.last.state.status;
+        let left = was == DeviceStatus::Operational && status != was;
+        let state = &mut self.last.state;
+        state.stamp = at;
+        state.status = status;
+        state.faults += u64::from(left);
+        let measured = self.session.measurement().map(|msr| msr.measured_joints.map(f64::from));
+        let velocities = rates(measured, self.last.positions, self.clock.elapsed());
+        let accelerations = rates(velocities, self.last.velocities, self.clock.elapsed());
+        (self.last.positions, self.last.velocities) = (measured, velocities);
+        for (i, told) in state.joints.iter_mut().enumerate().take(AXES) {
+            let (position, velocity, acceleration) = self.joints[i].motion();
+            let error = match status {
+                DeviceStatus::Offline => JointError::Offline,
+                DeviceStatus::SafeOperational => JointError::NotEnabled,
+                DeviceStatus::Operational => self.joints[i].error(),
+            };
+            *told = JointState {
+                commanded_position: Some(position),
+                commanded_velocity: Some(velocity),
+                commanded_acceleration: Some(acceleration),
+                measured_position: measured.map(|m| m[i]),
+                measured_velocity: velocities.map(|v| v[i]),
+                measured_acceleration: accelerations.map(|a| a[i]),
+                error: error as i32,
+            };
+        }
+        self.state.write(self.last.state);
+    }
+
+    fn count(&self) {
+        let counters = self.session.counters();
+        let shared = &self.shared;
+        shared.received.store(counters.received, Ordering::Relaxed);
+        shared.lost.store(counters.lost, Ordering::Relaxed);
+        shared.malformed.store(counters.malformed, Ordering::Relaxed);
+        let Some(msr) = self.session.measurement() else { return };
+        shared.quality.store(msr.interface.quality.code(), Ordering::Relaxed);
+        shared.period_ns.store(self.clock.period().0.unsigned_abs(), Ordering::Relaxed);
+        if self.session.is_commanding() {
+            let measured = msr.measured_joints.map(f64::from);
+            let distance = |(a, b): (f64, f64)| (a - b).abs();
+            let error = msr.set_point().into_iter().zip(measured).map(distance).fold(0.0, f64::max);
+            let worst = f64::from_bits(shared.tracking_error_bits.load(Ordering::Relaxed));
+            shared.tracking_error_bits.store(worst.max(error).to_bits(), Ordering::Relaxed);
+        }
+    }
+}
+
+/// Change of each value per second; `None` while there is no earlier value or no time has passed.
+fn rates(now: Option<[f64; AXES]>, before: Option<[f64; AXES]>, span: Nanos) -> Option<[f64; AXES]> {
+    let (now, before) = now.zip(before).filter(|_| span.0 > 0)?;
+    #[expect(clippy::cast_precision_loss, reason = "spans of milliseconds are exact")]
+    let span_s = span.0 as f64 * 1e-9;
+    Some(std::array::from_fn(|i| (now[i] - before[i]) / span_s))
+}
+
+fn nanos(time: Duration) -> Nanos {
+    Nanos::from(time)
+}

@@ -1,0 +1,194 @@
+//! From set-points to what a joint is told in each cycle of its own clock: interpolated between
+//! set-points, within the joint's limits, and braked when they stop coming. No clock is read here.
+//!
+//! ```text
+//!            (1) first set-point, near                (2) caught up
+//!   Held ─────────────────────────────▶ Approach ──────────────────────▶ Follow
+//!    ▲ ▲                                 │  │  ▲ (3) a step beyond the limits │
+//!    │ └─(4) none or stale, at rest ─────┘  │  └────────────────────────────┘ │
+//!    └───(4)────────────────────────────────┼─────────────────────────────────┘
+//!            (5) too far away               ▼
+//!   Refused ◀───────────────────────────────┘     Refused ──(6) set-points end──▶ Held
+//! ```
+//! All transitions are made in [`Joint::sample`]: 1 and 5 in `begin`, 2 and 3 in `approach` and
+//! `follow`, 4 in `brake`, 6 at the top.
+
+use takt_net::JointLimits;
+use takt_net::device::JointError;
+use takt_rt::Nanos;
+
+use crate::device::JointSetPoints;
+
+/// Farther from the joint than this, a first set-point is refused, rad.
+const START_DISTANCE_RAD: f64 = 0.02;
+/// Farther behind its set-points than this, a joint gives up, rad.
+const LOST_DISTANCE_RAD: f64 = 0.2;
+/// What interpolation may add to a speed, as a factor.
+const SPEED_SLACK: f64 = 1.001;
+/// Nearer than this is arrived, rad and rad/s: below the resolution of a single-precision datagram.
+const ARRIVED: f64 = 1e-7;
+
+/// What a joint does at the moment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mode {
+    /// It rests, or brakes to rest.
+    Held,
+    /// It moves to its set-points within its limits.
+    Approach,
+    /// It is where its set-points say.
+    Follow,
+    /// It rests because its set-points are out of reach, until they end.
+    Refused,
+}
+
+/// One joint.
+#[derive(Clone, Copy, Debug)]
+pub struct Joint {
+    limits: JointLimits,
+    mode: Mode,
+    position: f64,
+    velocity: f64,
+    acceleration: f64,
+}
+
+impl Joint {
+    /// A joint at rest at zero.
+    #[must_use]
+    pub const fn new(limits: JointLimits) -> Self {
+        Self { limits, mode: Mode::Held, position: 0.0, velocity: 0.0, acceleration: 0.0 }
+    }
+
+    /// The robot is not ours to move: it rests at `position`. Set-points that come meanwhile are
+    /// refused until they end, so that nothing moves by itself when the robot comes back.
+    pub const fn rest_at(&mut self, position: f64, set_points: &JointSetPoints) {
+        self.mode = if set_points.active { Mode::Refused } else { Mode::Held };
+        self.position = position;
+        self.velocity = 0.0;
+        self.acceleration = 0.0;
+    }
+
+    /// The position for logical time `at`, `dt_s` after the last one. `fresh` is whether the net
+    /// thread is alive.
+    pub fn sample(&mut self, set_points: &JointSetPoints, fresh: bool, at: Nanos, dt_s: f64) -> f64 {
+        let before = (self.position, self.velocity);
+        if !set_points.active {
+            // Also the way out of Refused.
+            self.brake(dt_s);
+        } else if self.mode == Mode::Refused || !fresh {
+            let refused = self.mode == Mode::Refused;
+            self.brake(dt_s);
+            self.mode = if refused { Mode::Refused } else { Mode::Held };
+        } else {
+            let (target, speed) = interpolate(set_points, at);
+            match self.mode {
+                Mode::Held => self.begin(target, speed, dt_s),
+                Mode::Approach => self.approach(target, speed, dt_s),
+                Mode::Follow => self.follow(target, speed, dt_s),
+                Mode::Refused => {}
+            }
+        }
+        let moved = self.position - before.0;
+        self.velocity = if dt_s > 0.0 { moved / dt_s } else { 0.0 };
+        self.acceleration = if dt_s > 0.0 { (self.velocity - before.1) / dt_s } else { 0.0 };
+        self.position
+    }
+
+    fn begin(&mut self, target: f64, speed: f64, dt_s: f64) {
+        let near = (target - self.position).abs() <= START_DISTANCE_RAD;
+        let moving = self.velocity.abs() > ARRIVED;
+        // One that was stopped for want of set-points takes them up again if it can catch up.
+        if near || (moving && (target - self.position).abs() <= LOST_DISTANCE_RAD) {
+            self.approach(target, speed, dt_s);
+        } else {
+            self.brake(dt_s);
+            self.mode = Mode::Refused;
+        }
+    }
+
+    /// Takes the set-point as it is if the joint can; else goes over to approaching it.
+    fn follow(&mut self, target: f64, speed: f64, dt_s: f64) {
+        let step = (target - self.position).abs();
+        if step <= self.limits.velocity_max * dt_s * SPEED_SLACK {
+            self.position = target;
+            self.mode = Mode::Follow;
+        } else {
+            self.approach(target, speed, dt_s);
+        }
+    }
+
+    /// One step towards a target that itself moves at `speed`: as fast as the joint can still brake
+    /// to that speed over the distance left.
+    fn approach(&mut self, target: f64, speed: f64, dt_s: f64) {
+        let JointLimits { velocity_max, acceleration_max, .. } = self.limits;
+        let error = target - self.position;
+        if error.abs() > LOST_DISTANCE_RAD {
+            self.brake(dt_s);
+            self.mode = Mode::Refused;
+            return;
+        }
+        self.mode = Mode::Approach;
+        // What one cycle of full braking takes is left as margin: the law acts in steps.
+        let margin = acceleration_max * dt_s;
+        let closing = (2.0 * acceleration_max * error.abs() + 0.25 * margin * margin).sqrt();
+        let closing = (closing - 0.5 * margin).min(error.abs() / dt_s.max(f64::MIN_POSITIVE));
+        let wanted = (speed + closing.copysign(error)).clamp(-velocity_max, velocity_max);
+        let velocity = wanted.clamp(self.velocity - margin, self.velocity + margin);
+        self.position += velocity * dt_s;
+        let near = (target - self.position).abs() <= ARRIVED;
+        if near && (velocity - speed).abs() <= margin {
+            self.position = target;
+            self.mode = Mode::Follow;
+        }
+    }
+
+    /// One step of braking at the joint's limit.
+    fn brake(&mut self, dt_s: f64) {
+        let loss = self.limits.acceleration_max * dt_s;
+        let speed = (self.velocity.abs() - loss).max(0.0);
+        self.position += speed.copysign(self.velocity) * dt_s;
+        self.mode = Mode::Held;
+    }
+
+    /// What it does.
+    #[must_use]
+    pub const fn mode(&self) -> Mode {
+        self.mode
+    }
+
+    /// Commanded position (rad), velocity (rad/s) and acceleration (rad/s²).
+    #[must_use]
+    pub const fn motion(&self) -> (f64, f64, f64) {
+        (self.position, self.velocity, self.acceleration)
+    }
+
+    /// The error a net sees of this joint while the robot follows commands.
+    #[must_use]
+    pub const fn error(&self) -> JointError {
+        match self.mode {
+            Mode::Held | Mode::Approach | Mode::Follow => JointError::None,
+            Mode::Refused => JointError::Refused,
+        }
+    }
+}
+
+/// Position and speed of the set-points at a time: linear between two of them, and on beyond the
+/// last, where the speed of the last two is kept.
+fn interpolate(set_points: &JointSetPoints, at: Nanos) -> (f64, f64) {
+    let points = &set_points.points[..set_points.count.clamp(1, set_points.points.len())];
+    let Some(pair) = points.windows(2).find(|pair| pair[1].time <= at) else {
+        // A single set-point, or a run of them that begins later than `at`.
+        return (points[points.len() - 1].position, 0.0);
+    };
+    let (later, earlier) = (pair[0], pair[1]);
+    let span_s = seconds(later.time - earlier.time);
+    if span_s <= 0.0 {
+        return (later.position, 0.0);
+    }
+    let speed = (later.position - earlier.position) / span_s;
+    (earlier.position + speed * seconds(at - earlier.time), speed)
+}
+
+#[expect(clippy::cast_precision_loss, reason = "spans of milliseconds are exact")]
+const fn seconds(span: Nanos) -> f64 {
+    span.0 as f64 * 1e-9
+}

@@ -1,0 +1,58 @@
+//! What the controller can be asked in vain. A net that is rejected and a device that fails are
+//! values, not errors of this kind.
+
+use std::path::PathBuf;
+
+use crate::controller::{NetId, NetState};
+
+/// Why the controller could not do what it was asked.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+#[expect(missing_docs, reason = "each field is named in its variant's text")]
+pub enum Error {
+    /// Two devices of one name.
+    #[error("device `{name}` is there already; give each device its own name")]
+    DeviceTwice { name: String },
+    /// No room for the joints of an arm.
+    #[error("no room for the joints of `{name}`: at most {bound} in all and 8 in one arm")]
+    TooManyJoints { name: String, bound: usize },
+    /// No net has this identifier.
+    #[error("there is no net {0}")]
+    NoSuchNet(NetId),
+    /// No session has this number.
+    #[error("there is no session {0}")]
+    NoSuchSession(String),
+    /// The net is not in a state from which this can be done.
+    #[error("net {net} is {state}; {what}")]
+    WrongState { net: NetId, state: NetState, what: &'static str },
+    /// Something the net needs is in use.
+    #[error("net {net} needs {resource}, which another running net holds; end that net first")]
+    ResourceInUse { net: NetId, resource: String },
+    /// A device that the net commands does not follow commands.
+    #[error("net {net} commands {device}, which is {status}; wait until it is operational")]
+    DeviceNotReady { net: NetId, device: String, status: String },
+    /// A text is no value of a net's in value.
+    #[error("net {net}, value {key}: {what}")]
+    Value { net: NetId, key: String, what: String },
+    /// Bounds of the controller.
+    #[error("{what}: at most {bound}; unload or end some first")]
+    TooMany { what: &'static str, bound: usize },
+    /// The net thread did not take a command.
+    #[error("the net thread did not answer within {0:?}; it hangs or starves (see `takt jitter`)")]
+    NoAnswer(std::time::Duration),
+    /// A thread could not be made.
+    #[error("cannot start thread {name}: {source}")]
+    Thread { name: String, source: std::io::Error },
+    /// A device could not be opened.
+    #[error("cannot open device `{name}`: {what}: {source}")]
+    Device { name: String, what: String, source: std::io::Error },
+    /// A file could not be read or written.
+    #[error("{path}: {source}")]
+    File { path: PathBuf, source: std::io::Error },
+    /// A configuration is wrong.
+    #[error("{path}: {what}")]
+    Config { path: PathBuf, what: String },
+    /// A recording is broken or of another kind.
+    #[error("{path}: {what}")]
+    Recording { path: PathBuf, what: String },
+}

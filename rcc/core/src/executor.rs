@@ -1,0 +1,285 @@
+//! Evaluates the running nets of one thread, cycle by cycle: starts, cancels, ends, resources. It
+//! owns no thread and reads no clock, so that a recording replays through the very same code; the
+//! live thread around it is in [`thread`].
+
+pub mod thread;
+
+use takt_net::{Image, Moment, Plan};
+use takt_rt::latest::{LatestReader, LatestWriter};
+
+use crate::device::DeviceStatus;
+
+/// Most nets that run in one thread.
+pub const RUNNING_MAX: usize = 256;
+/// Most devices that one thread serves.
+pub const DEVICES_MAX: usize = 64;
+
+/// A set of resources, by their number.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ResourceSet([u64; 32]);
+
+impl ResourceSet {
+    /// How many resources there can be.
+    pub const MAX: usize = 32 * 64;
+
+    /// Adds the resource of that number, which is below [`Self::MAX`].
+    pub const fn insert(&mut self, number: usize) {
+        self.0[number / 64] |= 1 << (number % 64);
+    }
+
+    /// The lowest number in both sets.
+    #[must_use]
+    pub fn common(&self, other: &Self) -> Option<usize> {
+        let both = self.0.iter().zip(&other.0).map(|(a, b)| a & b);
+        both.enumerate()
+            .find(|(_, word)| *word != 0)
+            .map(|(i, word)| i * 64 + word.trailing_zeros() as usize)
+    }
+
+    fn add(&mut self, other: &Self) {
+        self.0.iter_mut().zip(&other.0).for_each(|(a, b)| *a |= b);
+    }
+
+    fn remove(&mut self, other: &Self) {
+        self.0.iter_mut().zip(&other.0).for_each(|(a, b)| *a &= !b);
+    }
+}
+
+/// A device as nets' life depends on it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct DeviceView {
+    /// Whether it follows commands.
+    pub status: DeviceStatus,
+    /// How often it ceased to.
+    pub faults: u64,
+}
+
+/// Why a net ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum End {
+    /// It signalled its termination.
+    Terminated,
+    /// It was aborted.
+    Aborted,
+    /// A device that it commands, by its number, ceased to follow commands.
+    DeviceFault(usize),
+}
+
+/// Why a net could not be started.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Refusal {
+    /// Another running net holds this resource.
+    ResourceInUse(usize),
+    /// This device does not follow commands.
+    DeviceNotReady(usize),
+    /// Too many nets run.
+    TooMany,
+}
+
+/// A net in the hands of the thread that evaluates it.
+#[derive(Debug)]
+pub struct Running {
+    /// Its number.
+    pub id: u32,
+    /// The net.
+    pub plan: Plan,
+    /// What it needs for itself.
+    pub resources: ResourceSet,
+    /// Devices it commands, with the faults they had when it started.
+    pub devices: Vec<(usize, u64)>,
+    /// It is evaluated in every so many cycles of its thread.
+    pub every: u64,
+    /// Whether it was asked to cancel.
+    pub cancel: bool,
+    /// Whether it ends after this cycle, and why.
+    end: Option<End>,
+    /// Whether it was evaluated in this cycle.
+    evaluated: bool,
+    out: LatestWriter<Box<[u64]>>,
+    inbox: LatestReader<Box<[u64]>>,
+    inbox_seen: u64,
+}
+
+impl Running {
+    /// A net that was never evaluated.
+    #[must_use]
+    pub fn new(
+        id: u32,
+        plan: Plan,
+        out: LatestWriter<Box<[u64]>>,
+        inbox: LatestReader<Box<[u64]>>,
+    ) -> Self {
+        Self {
+            id,
+            plan,
+            resources: ResourceSet::default(),
+            devices: Vec::new(),
+            every: 1,
+            cancel: false,
+            end: None,
+            evaluated: false,
+            out,
+            inbox,
+            inbox_seen: 0,
+        }
+    }
+
+    /// Takes over what programs wrote since the last cycle; returns whether there was anything.
+    pub fn receive(&mut self) -> bool {
+        let version = self.inbox.version();
+        if version == self.inbox_seen {
+            return false;
+        }
+        self.inbox_seen = version;
+        let plan = &self.plan;
+        self.inbox.read_with(|words| plan.import(words));
+        true
+    }
+
+    /// Hands over what programs may read if it changed; returns whether it did.
+    fn publish(&mut self) -> bool {
+        let changed = self.plan.take_changed();
+        if changed {
+            let plan = &self.plan;
+            self.out.write_with(|words| plan.export(words));
+        }
+        changed
+    }
+}
+
+/// The running nets of one thread and the devices they see.
+#[derive(Debug)]
+pub struct Executor {
+    /// Devices as the nets see them.
+    pub image: Image,
+    /// Devices as their lives depend on them.
+    pub devices: Vec<DeviceView>,
+    running: Vec<Box<Running>>,
+    held: ResourceSet,
+    /// How many joints of the image belong to a device.
+    joints: usize,
+}
+
+impl Default for Executor {
+    fn default() -> Self {
+        Self {
+            image: Image::default(),
+            devices: Vec::with_capacity(DEVICES_MAX),
+            running: Vec::with_capacity(RUNNING_MAX),
+            held: ResourceSet::default(),
+            joints: 0,
+        }
+    }
+}
+
+impl Executor {
+    /// Takes a net in. It is evaluated from the next [`Self::cycle`] on.
+    ///
+    /// # Errors
+    /// If it cannot run now; the net comes back with the reason.
+    pub fn start(&mut self, mut net: Box<Running>) -> Result<(), (Box<Running>, Refusal)> {
+        if self.running.len() == RUNNING_MAX {
+            return Err((net, Refusal::TooMany));
+        }
+        if let Some(resource) = net.resources.common(&self.held) {
+            return Err((net, Refusal::ResourceInUse(resource)));
+        }
+        for i in 0..net.devices.len() {
+            let number = net.devices[i].0;
+            let view = self.devices.get(number).copied().unwrap_or_default();
+            if view.status != DeviceStatus::Operational {
+                return Err((net, Refusal::DeviceNotReady(number)));
+            }
+            net.devices[i].1 = view.faults;
+        }
+        self.held.add(&net.resources);
+        self.running.push(net);
+        Ok(())
+    }
+
+    /// Puts the joints of one more device into use.
+    pub fn add_joints(&mut self, joints: usize) {
+        self.joints = (self.joints + joints).min(self.image.joints.len());
+    }
+
+    /// The joints in use.
+    #[must_use]
+    pub fn joints(&self) -> &[takt_net::device::Joint] {
+        &self.image.joints[..self.joints]
+    }
+
+    /// Asks a net to cancel; the next cycle tells it. Returns whether it runs.
+    pub fn cancel(&mut self, id: u32) -> bool {
+        self.find(id).is_some_and(|net| {
+            net.cancel = true;
+            true
+        })
+    }
+
+    /// Ends a net before the next cycle. Returns whether it runs.
+    pub fn abort(&mut self, id: u32) -> bool {
+        self.find(id).is_some_and(|net| {
+            net.end = Some(End::Aborted);
+            true
+        })
+    }
+
+    fn find(&mut self, id: u32) -> Option<&mut Box<Running>> {
+        self.running.iter_mut().find(|net| net.id == id)
+    }
+
+    /// The running nets in the order of evaluation.
+    pub fn running(&mut self) -> &mut [Box<Running>] {
+        &mut self.running
+    }
+
+    /// Evaluates one cycle of all nets. What they command is then in the image.
+    pub fn cycle(&mut self, moment: Moment) {
+        for net in &mut self.running {
+            let failed = net.devices.iter().find(|(number, faults)| {
+                self.devices.get(*number).is_none_or(|view| view.faults != *faults)
+            });
+            if let Some((number, _)) = failed {
+                net.end = net.end.or(Some(End::DeviceFault(*number)));
+            }
+            net.evaluated = net.end.is_none() && moment.cycle.is_multiple_of(net.every);
+            if net.evaluated {
+                let moment = Moment { cancel: net.cancel, ..moment };
+                if net.plan.evaluate(&self.image, moment) {
+                    net.end = Some(End::Terminated);
+                }
+            }
+        }
+    }
+
+    /// Hands over the values that programs read; calls `changed` with each net whose did.
+    pub fn publish(&mut self, mut changed: impl FnMut(&Running)) {
+        for net in &mut self.running {
+            if net.evaluated && net.publish() {
+                changed(net);
+            }
+        }
+    }
+
+    /// Takes out one net that ended, if `take` accepts it; what it held is free then.
+    pub fn take_ended(
+        &mut self,
+        take: impl FnOnce(Box<Running>, End) -> Result<(), Box<Running>>,
+    ) -> bool {
+        let Some(at) = self.running.iter().position(|net| net.end.is_some()) else { return false };
+        let net = self.running.remove(at);
+        let resources = net.resources;
+        let end = net.end.unwrap_or(End::Aborted);
+        match take(net, end) {
+            Ok(()) => {
+                self.held.remove(&resources);
+                true
+            }
+            Err(net) => {
+                // Nobody has room for it now; it is offered again and is not evaluated meanwhile.
+                self.running.insert(at, net);
+                false
+            }
+        }
+    }
+}

@@ -1,0 +1,343 @@
+//! The thread that evaluates nets: a real-time cycle around an [`Executor`], with the cells of
+//! devices on one side and the rings to the controller on the other. It makes no decisions.
+
+use std::ops::ControlFlow;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use takt_net::{JointState, Moment, Nanos};
+use takt_rt::latest::{LatestReader, LatestWriter};
+use takt_rt::ring::{Consumer, Producer};
+use takt_rt::stats::{Recorder, RecorderReader, StatsReader, StatsWriter};
+use takt_rt::thread::{Thread, ThreadConfig};
+
+use crate::device::{ARM_JOINTS_MAX, ArmCommand, ArmState, JointSetPoints, SetPoint};
+use crate::error::Error;
+use crate::executor::{DEVICES_MAX, DeviceView, End, Executor, Refusal, Running};
+use crate::record::Tap;
+
+/// What the controller asks of the thread.
+#[derive(Debug)]
+pub enum Command {
+    /// Evaluate this net from now on.
+    Start(Box<Running>),
+    /// Ask a net to cancel.
+    Cancel(u32),
+    /// End a net.
+    Abort(u32),
+    /// Serve an arm; it gets the next device number.
+    AddArm(Box<ArmEnd>),
+}
+
+/// What the thread tells the controller.
+#[derive(Debug)]
+pub enum Event {
+    /// A net runs.
+    Started(u32),
+    /// A net could not be started and is back.
+    Refused(Box<Running>, Refusal),
+    /// A net was asked to cancel and runs on until it ends itself.
+    Cancelling(u32),
+    /// A net ended and is back.
+    Ended(Box<Running>, End),
+}
+
+/// The thread's ends of an arm's cells.
+#[derive(Debug)]
+pub struct ArmEnd {
+    /// Number of its first joint in the image.
+    pub first_joint: usize,
+    /// How many joints it has.
+    pub joints: usize,
+    /// What its driver tells.
+    pub state: LatestReader<ArmState>,
+    /// What its driver is told.
+    pub command: LatestWriter<ArmCommand>,
+}
+
+struct ArmSlot {
+    end: Box<ArmEnd>,
+    set_points: [JointSetPoints; ARM_JOINTS_MAX],
+}
+
+/// How the thread is to run.
+#[derive(Debug)]
+pub struct NetThreadConfig {
+    /// Time from one cycle to the next.
+    pub period: Duration,
+    /// Name, priority and processors.
+    pub thread: ThreadConfig,
+}
+
+/// The controller's end of the thread.
+#[derive(Debug)]
+pub struct NetThread {
+    /// Where it is told what to do.
+    pub commands: Producer<Command>,
+    /// What it has to tell.
+    pub events: Consumer<Event>,
+    /// How well it keeps its time.
+    pub stats: StatsReader,
+    /// Time between handing over set-points to the first and to the last arm in one cycle.
+    pub hand_over: RecorderReader,
+    thread: Thread<()>,
+    stop: Arc<AtomicBool>,
+}
+
+/// Commands and events under way; more wait or are refused.
+const RING: usize = 1024;
+
+impl NetThread {
+    /// Starts the thread, which from then on does nothing but cycles.
+    ///
+    /// # Errors
+    /// If the system has no thread to give.
+    pub fn start(config: NetThreadConfig, tap: Option<Tap>) -> Result<Self, Error> {
+        let (commands, command_end) = takt_rt::ring::ring(RING);
+        let (event_end, events) = takt_rt::ring::ring(RING);
+        let (mut stats_writer, stats) = takt_rt::stats::pair();
+        let hand_over = Recorder::new();
+        let hand_over_reader = hand_over.reader();
+        let stop = Arc::new(AtomicBool::new(false));
+        let mut cycle = Cycle {
+            executor: Executor::default(),
+            arms: Vec::with_capacity(DEVICES_MAX),
+            commands: command_end,
+            events: event_end,
+            hand_over,
+            tap,
+        };
+        let stopping = Arc::clone(&stop);
+        let name = config.thread.name.clone();
+        let period = config.period;
+        let thread = takt_rt::thread::spawn(config.thread, move || {
+            run(&mut cycle, period, &mut stats_writer, &stopping);
+        })
+        .map_err(|source| Error::Thread { name, source })?;
+        Ok(Self { commands, events, stats, hand_over: hand_over_reader, thread, stop })
+    }
+
+    /// How the host granted what the thread asked for.
+    #[must_use]
+    pub fn grants(&self) -> &[takt_rt::Grant] {
+        self.thread.grants()
+    }
+
+    /// Whether the thread has ended, which it never does by itself.
+    #[must_use]
+    pub fn is_dead(&self) -> bool {
+        self.thread.is_finished()
+    }
+
+    /// Ends the thread after its present cycle and waits for that.
+    pub fn stop(self) {
+        self.stop.store(true, Ordering::Relaxed);
+        if self.thread.join().is_err() {
+            tracing::error!("the net thread had ended by a panic");
+        }
+    }
+}
+
+fn run(cycle: &mut Cycle, period: Duration, stats: &mut StatsWriter, stop: &AtomicBool) {
+    let scope = takt_rt::alloc::enter_real_time();
+    takt_rt::cycle::run_cycles(period, None, stats, |tick| {
+        let moment = Moment {
+            cycle: tick.index + 1,
+            time: Nanos(tick.scheduled.0),
+            wall: Nanos(tick.woken.0),
+            cancel: false,
+            takeover: false,
+        };
+        cycle.run(moment);
+        if stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    });
+    drop(scope);
+}
+
+/// Most commands taken in one cycle; the rest waits for the next.
+const COMMANDS_A_CYCLE: usize = 16;
+
+struct Cycle {
+    executor: Executor,
+    arms: Vec<ArmSlot>,
+    commands: Consumer<Command>,
+    events: Producer<Event>,
+    hand_over: Recorder,
+    tap: Option<Tap>,
+}
+
+impl Cycle {
+    fn run(&mut self, moment: Moment) {
+        self.read_devices();
+        for _ in 0..COMMANDS_A_CYCLE {
+            let Some(command) = self.commands.pop() else { break };
+            self.obey(command);
+        }
+        for net in self.executor.running() {
+            let received = net.receive();
+            if let (true, Some(tap)) = (received, &mut self.tap) {
+                tap.inbox(net);
+            }
+        }
+        if let Some(tap) = &mut self.tap {
+            tap.inputs(moment, &self.executor);
+        }
+        self.executor.cycle(moment);
+        self.write_devices(moment);
+        let tap = &mut self.tap;
+        self.executor.publish(|net| {
+            if let Some(tap) = tap {
+                tap.outbox(net);
+            }
+        });
+        self.hand_back();
+        if let Some(tap) = &mut self.tap {
+            tap.outputs(moment, &self.executor);
+        }
+    }
+
+    fn obey(&mut self, command: Command) {
+        match command {
+            Command::Start(net) => {
+                let id = net.id;
+                match self.executor.start(net) {
+                    Ok(()) => {
+                        if let Some(tap) = &mut self.tap {
+                            tap.started(id);
+                        }
+                        self.tell(Event::Started(id));
+                    }
+                    Err((net, refusal)) => self.tell(Event::Refused(net, refusal)),
+                }
+            }
+            Command::Cancel(id) => {
+                if self.executor.cancel(id) {
+                    if let Some(tap) = &mut self.tap {
+                        tap.cancelled(id);
+                    }
+                    self.tell(Event::Cancelling(id));
+                }
+            }
+            Command::Abort(id) => {
+                if self.executor.abort(id)
+                    && let Some(tap) = &mut self.tap
+                {
+                    tap.aborted(id);
+                }
+            }
+            Command::AddArm(end) => {
+                if self.arms.len() < DEVICES_MAX {
+                    self.executor.devices.push(DeviceView::default());
+                    self.executor.add_joints(end.joints);
+                    let set_points = [JointSetPoints::default(); ARM_JOINTS_MAX];
+                    self.arms.push(ArmSlot { end, set_points });
+                }
+            }
+        }
+    }
+
+    /// The controller never has more requests under way than the ring has room for answers.
+    fn tell(&mut self, event: Event) {
+        let told = self.events.push(event);
+        debug_assert!(told.is_ok(), "more events than requests");
+    }
+
+    fn read_devices(&mut self) {
+        for (arm, view) in self.arms.iter_mut().zip(&mut self.executor.devices) {
+            let joints = &self.executor.image.joints[arm.end.first_joint..][..arm.end.joints];
+            arm.end.state.read_with(|state| {
+                *view = DeviceView { status: state.status, faults: state.faults };
+                for (joint, told) in joints.iter().zip(&state.joints) {
+                    joint.state.set(*told);
+                }
+            });
+        }
+    }
+
+    /// Hands set-points to all drivers, one right after the other.
+    fn write_devices(&mut self, moment: Moment) {
+        let (mut first, mut last) = (None, takt_rt::Nanos::ZERO);
+        for arm in &mut self.arms {
+            let joints = &self.executor.image.joints[arm.end.first_joint..][..arm.end.joints];
+            let mut commanded = false;
+            for (joint, set_points) in joints.iter().zip(&mut arm.set_points) {
+                let command = joint.command.get();
+                let time = takt_rt::Nanos(moment.time.0);
+                let point = (command.cycle == moment.cycle)
+                    .then_some(SetPoint { time, position: command.position });
+                set_points.advance(point);
+                commanded |= point.is_some();
+            }
+            let set_points = arm.set_points;
+            arm.end.command.write_with(|command| {
+                command.time = takt_rt::Nanos(moment.time.0);
+                command.joints = set_points;
+            });
+            if commanded {
+                last = takt_rt::monotonic();
+                first.get_or_insert(last);
+            }
+        }
+        if let Some(first) = first {
+            self.hand_over.record(last - first);
+        }
+    }
+
+    fn hand_back(&mut self) {
+        let Self { executor, events, tap, .. } = self;
+        while executor.take_ended(|net, end| {
+            let id = net.id;
+            match events.push(Event::Ended(net, end)) {
+                Ok(()) => {
+                    if let Some(tap) = tap {
+                        tap.ended(id, end);
+                    }
+                    Ok(())
+                }
+                Err(Event::Ended(net, _)) => Err(net),
+                Err(_) => Ok(()),
+            }
+        }) {}
+    }
+}
+
+/// How a joint's state is laid out in a recording: error, then six values with a word before each
+/// that is 1 if it is known.
+pub(crate) const JOINT_WORDS: usize = 13;
+
+/// Writes a joint's state as words.
+pub(crate) fn joint_words(state: &JointState) -> [u64; JOINT_WORDS] {
+    let values = [
+        state.commanded_position,
+        state.commanded_velocity,
+        state.commanded_acceleration,
+        state.measured_position,
+        state.measured_velocity,
+        state.measured_acceleration,
+    ];
+    let mut words = [0; JOINT_WORDS];
+    words[0] = u64::from(state.error.cast_unsigned());
+    for (pair, value) in words[1..].chunks_exact_mut(2).zip(values) {
+        pair[0] = u64::from(value.is_some());
+        pair[1] = value.unwrap_or(0.0).to_bits();
+    }
+    words
+}
+
+/// Reads a joint's state back.
+pub(crate) fn joint_state(words: &[u64]) -> Option<JointState> {
+    let value = |i: usize| {
+        let pair = words.get(1 + 2 * i..3 + 2 * i)?;
+        Some((pair[0] != 0).then(|| f64::from_bits(pair[1])))
+    };
+    Some(JointState {
+        error: u32::try_from(*words.first()?).ok()?.cast_signed(),
+        commanded_position: value(0)?,
+        commanded_velocity: value(1)?,
+        commanded_acceleration: value(2)?,
+        measured_position: value(3)?,
+        measured_velocity: value(4)?,
+        measured_acceleration: value(5)?,
+    })
+}

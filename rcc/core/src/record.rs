@@ -1,0 +1,229 @@
+//! Recordings of a net thread: all that entered and left it, cycle by cycle, as MCAP, and their
+//! replay. A replay runs the same [`Executor`] on the recorded inputs and must give the same words.
+
+mod file;
+mod replay;
+mod words;
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::mpsc;
+use std::time::Duration;
+
+use takt_net::Moment;
+use takt_rt::ring::{Consumer, Producer, ring};
+
+use crate::device::ArmDescription;
+use crate::error::Error;
+use crate::executor::{End, Executor, Running};
+use file::Writer;
+use words::Words;
+
+pub use replay::{Replay, replay};
+
+/// Buffers between the net thread and the file; each holds one cycle.
+const BUFFERS: usize = 512;
+/// Words that one cycle may take.
+const WORDS_A_CYCLE: usize = 8192;
+
+/// The net thread's end of a recording. It never waits: a cycle for which no buffer is free, or
+/// that does not fit one, is counted as lost.
+#[derive(Debug)]
+pub struct Tap {
+    free: Consumer<Vec<u64>>,
+    full: Producer<Vec<u64>>,
+    current: Option<Words>,
+    lost: Arc<AtomicU64>,
+}
+
+impl Tap {
+    fn words(&mut self) -> Option<&mut Words> {
+        if self.current.is_none() {
+            self.current = self.free.pop().map(Words::new);
+        }
+        self.current.as_mut()
+    }
+
+    /// A net runs from this cycle on.
+    pub fn started(&mut self, id: u32) {
+        if let Some(words) = self.words() {
+            words.started(id);
+        }
+    }
+
+    /// A net is asked to cancel.
+    pub fn cancelled(&mut self, id: u32) {
+        if let Some(words) = self.words() {
+            words.cancelled(id);
+        }
+    }
+
+    /// A net is ended.
+    pub fn aborted(&mut self, id: u32) {
+        if let Some(words) = self.words() {
+            words.aborted(id);
+        }
+    }
+
+    /// Programs wrote values of a net.
+    pub fn inbox(&mut self, net: &Running) {
+        if let Some(words) = self.words() {
+            words.inbox(net);
+        }
+    }
+
+    /// What the cycle sees.
+    pub fn inputs(&mut self, moment: Moment, executor: &Executor) {
+        if let Some(words) = self.words() {
+            words.inputs(moment, executor);
+        }
+    }
+
+    /// A net's values for programs changed.
+    pub fn outbox(&mut self, net: &Running) {
+        if let Some(words) = self.words() {
+            words.outbox(net);
+        }
+    }
+
+    /// A net ended.
+    pub fn ended(&mut self, id: u32, end: End) {
+        if let Some(words) = self.words() {
+            words.ended(id, end);
+        }
+    }
+
+    /// What the cycle commands; ends its entry.
+    pub fn outputs(&mut self, moment: Moment, executor: &Executor) {
+        if let Some(words) = self.words() {
+            words.outputs(moment, executor);
+        }
+        let whole = self.current.take().and_then(Words::finish);
+        if whole.is_none_or(|buffer| self.full.push(buffer).is_err()) {
+            self.lost.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+}
+
+/// What the file is told besides cycles.
+enum Note {
+    Arm(ArmDescription, usize),
+    Net { id: u32, every: u64, period: Duration, text: Arc<str> },
+}
+
+/// A recording under way; dropped, it is finished.
+#[derive(Debug)]
+pub struct Recorder {
+    notes: mpsc::Sender<Note>,
+    stop: Arc<AtomicBool>,
+    lost: Arc<AtomicU64>,
+    thread: Option<std::thread::JoinHandle<Result<u64, Error>>>,
+    path: PathBuf,
+}
+
+impl Recorder {
+    /// Starts a recording of a thread of that period to a new file.
+    ///
+    /// # Errors
+    /// If the file cannot be made.
+    pub fn start(path: &Path) -> Result<(Self, Tap), Error> {
+        let writer = Writer::create(path)?;
+        let (free_in, free) = ring(BUFFERS);
+        let (full, full_out) = ring(BUFFERS);
+        let (notes, notes_out) = mpsc::channel();
+        let stop = Arc::new(AtomicBool::new(false));
+        let lost = Arc::new(AtomicU64::new(0));
+        let mut desk =
+            Desk { writer, free: free_in, full: full_out, notes: notes_out, stop: Arc::clone(&stop) };
+        for _ in 0..BUFFERS {
+            // A ring of this size takes them all.
+            let _ = desk.free.push(Vec::with_capacity(WORDS_A_CYCLE));
+        }
+        let thread = std::thread::Builder::new()
+            .name("takt-record".to_owned())
+            .spawn(move || desk.run())
+            .map_err(|source| Error::Thread { name: "takt-record".to_owned(), source })?;
+        let tap = Tap { free, full, current: None, lost: Arc::clone(&lost) };
+        let path = path.to_owned();
+        Ok((Self { notes, stop, lost, thread: Some(thread), path }, tap))
+    }
+
+    /// Tells of an arm of the cell.
+    pub fn arm(&self, description: &ArmDescription, first_joint: usize) {
+        // The desk is gone only if the file failed, which `finish` tells.
+        let _ = self.notes.send(Note::Arm(description.clone(), first_joint));
+    }
+
+    /// Tells of a net that was loaded.
+    pub fn net(&self, id: u32, every: u64, period: Duration, text: &Arc<str>) {
+        let _ = self.notes.send(Note::Net { id, every, period, text: Arc::clone(text) });
+    }
+
+    /// Ends the recording; returns how many cycles it holds.
+    ///
+    /// # Errors
+    /// If the file could not be written, or cycles were lost.
+    pub fn finish(mut self) -> Result<u64, Error> {
+        self.stop.store(true, Ordering::Relaxed);
+        let broken = |what: String| Error::Recording { path: self.path.clone(), what };
+        let cycles = match self.thread.take().map(std::thread::JoinHandle::join) {
+            Some(Ok(written)) => written?,
+            _ => return Err(broken("the recording thread ended by a panic".to_owned())),
+        };
+        match self.lost.load(Ordering::Relaxed) {
+            0 => Ok(cycles),
+            lost => Err(broken(format!(
+                "{lost} cycles are missing: the disk was too slow or a cycle too large"
+            ))),
+        }
+    }
+}
+
+impl Drop for Recorder {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take()
+            && let Ok(Err(error)) = thread.join()
+        {
+            tracing::error!(%error, "recording failed");
+        }
+    }
+}
+
+/// Between the net thread and the file.
+struct Desk {
+    writer: Writer,
+    free: Producer<Vec<u64>>,
+    full: Consumer<Vec<u64>>,
+    notes: mpsc::Receiver<Note>,
+    stop: Arc<AtomicBool>,
+}
+
+impl Desk {
+    fn run(&mut self) -> Result<u64, Error> {
+        let mut cycles = 0;
+        loop {
+            // Looked at first, so that what came before the stop is still written.
+            let stop = self.stop.load(Ordering::Relaxed);
+            while let Ok(note) = self.notes.try_recv() {
+                self.writer.note(&note)?;
+            }
+            let mut idle = true;
+            while let Some(mut buffer) = self.full.pop() {
+                idle = false;
+                self.writer.cycle(&buffer)?;
+                cycles += 1;
+                buffer.clear();
+                let _ = self.free.push(buffer);
+            }
+            if stop {
+                self.writer.finish()?;
+                return Ok(cycles);
+            }
+            if idle {
+                std::thread::sleep(Duration::from_millis(5));
+            }
+        }
+    }
+}

@@ -1,0 +1,176 @@
+//! The file of a recording: MCAP, readable by common viewers as far as its framing goes. Channels:
+//! `/takt/cycles` (words, little-endian), `/takt/arms` and `/takt/nets` (TOML).
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use mcap::records::MessageHeader;
+use serde::{Deserialize, Serialize};
+use takt_net::JointLimits;
+
+use crate::error::Error;
+use crate::record::Note;
+
+const CYCLES: &str = "/takt/cycles";
+const ARMS: &str = "/takt/arms";
+const NETS: &str = "/takt/nets";
+
+/// An arm of the recorded cell.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct ArmNote {
+    pub(super) name: String,
+    pub(super) first_joint: usize,
+    /// By joint: smallest and largest position (rad), speed (rad/s), acceleration (rad/s²).
+    limits: Vec<[f64; 4]>,
+}
+
+impl ArmNote {
+    pub(super) fn limits(&self) -> Vec<JointLimits> {
+        let limits = |l: &[f64; 4]| JointLimits {
+            position_min: l[0],
+            position_max: l[1],
+            velocity_max: l[2],
+            acceleration_max: l[3],
+        };
+        self.limits.iter().map(limits).collect()
+    }
+}
+
+/// A net of the recording.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct NetNote {
+    pub(super) id: u32,
+    /// It is evaluated in every so many cycles of its thread.
+    pub(super) every: u64,
+    period_ns: u64,
+    pub(super) text: String,
+}
+
+impl NetNote {
+    pub(super) const fn period(&self) -> Duration {
+        Duration::from_nanos(self.period_ns)
+    }
+}
+
+pub(super) struct Writer {
+    mcap: mcap::Writer<BufWriter<File>>,
+    path: PathBuf,
+    cycles: u16,
+    arms: u16,
+    nets: u16,
+    bytes: Vec<u8>,
+    sequence: u32,
+}
+
+impl Writer {
+    pub(super) fn create(path: &Path) -> Result<Self, Error> {
+        let file = File::create(path)
+            .map_err(|source| Error::File { path: path.to_owned(), source })?;
+        let failed = |e: mcap::McapError| broken(path, &e);
+        let mut mcap = mcap::WriteOptions::new()
+            .compression(None)
+            .profile("takt")
+            .library("takt")
+            .create(BufWriter::new(file))
+            .map_err(failed)?;
+        let metadata = BTreeMap::new();
+        let words = mcap.add_schema("takt.words.1", "takt", b"").map_err(failed)?;
+        let cycles = mcap.add_channel(words, CYCLES, "takt", &metadata).map_err(failed)?;
+        let arms = mcap.add_channel(0, ARMS, "toml", &metadata).map_err(failed)?;
+        let nets = mcap.add_channel(0, NETS, "toml", &metadata).map_err(failed)?;
+        let path = path.to_owned();
+        Ok(Self { mcap, path, cycles, arms, nets, bytes: Vec::new(), sequence: 0 })
+    }
+
+    fn message(&mut self, channel_id: u16, data: &[u8], time: u64) -> Result<(), Error> {
+        self.sequence = self.sequence.wrapping_add(1);
+        let sequence = self.sequence;
+        let header = MessageHeader { channel_id, sequence, log_time: time, publish_time: time };
+        self.mcap.write_to_known_channel(&header, data).map_err(|e| broken(&self.path, &e))
+    }
+
+    pub(super) fn note(&mut self, note: &Note) -> Result<(), Error> {
+        let (channel, text) = match note {
+            Note::Arm(arm, first_joint) => {
+                let limits = arm.limits.iter().map(|l| {
+                    [l.position_min, l.position_max, l.velocity_max, l.acceleration_max]
+                });
+                let note = ArmNote {
+                    name: arm.name.clone(),
+                    first_joint: *first_joint,
+                    limits: limits.collect(),
+                };
+                (self.arms, toml::to_string(&note))
+            }
+            Note::Net { id, every, period, text } => {
+                let period_ns = u64::try_from(period.as_nanos()).unwrap_or(u64::MAX);
+                let text = text.as_ref().to_owned();
+                let note = NetNote { id: *id, every: *every, period_ns, text };
+                (self.nets, toml::to_string(&note))
+            }
+        };
+        let text = text.map_err(|e| Error::Recording {
+            path: self.path.clone(),
+            what: format!("cannot write a note: {e}"),
+        })?;
+        self.message(channel, text.as_bytes(), 0)
+    }
+
+    pub(super) fn cycle(&mut self, words: &[u64]) -> Result<(), Error> {
+        let mut bytes = std::mem::take(&mut self.bytes);
+        bytes.clear();
+        bytes.extend(words.iter().flat_map(|w| w.to_le_bytes()));
+        let result = self.message(self.cycles, &bytes, 0);
+        self.bytes = bytes;
+        result
+    }
+
+    pub(super) fn finish(&mut self) -> Result<(), Error> {
+        self.mcap.finish().map(drop).map_err(|e| broken(&self.path, &e))
+    }
+}
+
+fn broken(path: &Path, error: &mcap::McapError) -> Error {
+    Error::Recording { path: path.to_owned(), what: error.to_string() }
+}
+
+/// A recording in memory.
+#[derive(Debug, Default)]
+pub(super) struct Recording {
+    pub(super) arms: Vec<ArmNote>,
+    pub(super) nets: Vec<NetNote>,
+    pub(super) cycles: Vec<Vec<u64>>,
+}
+
+impl Recording {
+    pub(super) fn read(path: &Path) -> Result<Self, Error> {
+        let bytes =
+            std::fs::read(path).map_err(|source| Error::File { path: path.to_owned(), source })?;
+        let wrong = |what: String| Error::Recording { path: path.to_owned(), what };
+        let messages = mcap::MessageStream::new(&bytes)
+            .map_err(|e| wrong(format!("this is no MCAP file: {e}")))?;
+        let mut recording = Self::default();
+        for message in messages {
+            let message = message.map_err(|e| broken(path, &e))?;
+            let text = || String::from_utf8_lossy(&message.data).into_owned();
+            let unreadable = |e: toml::de::Error| wrong(format!("unreadable note: {e}"));
+            match message.channel.topic.as_str() {
+                ARMS => recording.arms.push(toml::from_str(&text()).map_err(unreadable)?),
+                NETS => recording.nets.push(toml::from_str(&text()).map_err(unreadable)?),
+                CYCLES => {
+                    let words = message.data.chunks_exact(8);
+                    let word = |w: &[u8]| w.try_into().map_or(0, u64::from_le_bytes);
+                    recording.cycles.push(words.map(word).collect());
+                }
+                _ => {}
+            }
+        }
+        if recording.cycles.is_empty() {
+            return Err(wrong("no cycles in it: not a recording of Takt, or an empty one".to_owned()));
+        }
+        Ok(recording)
+    }
+}

@@ -1,0 +1,147 @@
+//! Replays a recording through the same executor and compares every word. No thread, no clock, no
+//! device.
+
+use std::collections::HashMap;
+use std::path::Path;
+
+use takt_net::{Limits, LoadContext, load};
+use takt_rt::latest::latest;
+
+use crate::controller::net_number;
+use crate::device::{ArmDescription, DeviceTable};
+use crate::error::Error;
+use crate::executor::{Executor, Running};
+use crate::record::WORDS_A_CYCLE;
+use crate::record::file::Recording;
+use crate::record::words::{Entry, Reader, Words};
+
+/// The outcome of a replay.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Replay {
+    /// Cycles compared.
+    pub cycles: u64,
+    /// Bytes compared.
+    pub bytes: u64,
+    /// The first cycle, counted from 0, whose words differ.
+    pub differs: Option<u64>,
+}
+
+/// Replays a recording.
+///
+/// # Errors
+/// If the file cannot be read or a net in it cannot be loaded.
+pub fn replay(path: &Path) -> Result<Replay, Error> {
+    let recording = Recording::read(path)?;
+    let mut stage = Stage::new(&recording, path)?;
+    let mut outcome = Replay { cycles: 0, bytes: 0, differs: None };
+    for recorded in &recording.cycles {
+        let replayed = stage.cycle(recorded)?;
+        if replayed != *recorded {
+            outcome.differs = Some(outcome.cycles);
+            return Ok(outcome);
+        }
+        outcome.cycles += 1;
+        outcome.bytes += size_of_val(recorded.as_slice()) as u64;
+    }
+    Ok(outcome)
+}
+
+struct Stage<'r> {
+    executor: Executor,
+    nets: HashMap<u32, Box<Running>>,
+    path: &'r Path,
+}
+
+impl<'r> Stage<'r> {
+    fn new(recording: &Recording, path: &'r Path) -> Result<Self, Error> {
+        let mut devices = DeviceTable::default();
+        let mut executor = Executor::default();
+        for arm in &recording.arms {
+            let limits = arm.limits();
+            executor.add_joints(limits.len());
+            let ports =
+                devices.add_arm(ArmDescription { name: arm.name.clone(), kind: "", limits })?;
+            drop(ports);
+        }
+        let registry = crate::registry();
+        let mut nets = HashMap::new();
+        for net in &recording.nets {
+            let context = LoadContext {
+                registry: &registry,
+                devices: &devices,
+                period: net.period(),
+                limits: Limits::default(),
+            };
+            let plan = load(&net.text, &context).map_err(|rejection| Error::Recording {
+                path: path.to_owned(),
+                what: format!("its net {} is rejected: {rejection}", net_number(net.id)),
+            })?;
+            let words = |n: usize| vec![0; n].into_boxed_slice();
+            let (out, _) = latest(1, || words(plan.outbox().words()));
+            let (_, inbox) = latest(1, || words(plan.inbox().words()));
+            let numbers = plan.devices().iter().filter_map(|d| devices.number(d));
+            let numbers = numbers.map(|number| (number, 0)).collect();
+            let mut running = Box::new(Running::new(net.id, plan, out, inbox));
+            running.devices = numbers;
+            running.every = net.every;
+            nets.insert(net.id, running);
+        }
+        Ok(Self { executor, nets, path })
+    }
+
+    fn broken(&self, what: &str) -> Error {
+        Error::Recording { path: self.path.to_owned(), what: what.to_owned() }
+    }
+
+    /// Runs one cycle on its recorded inputs and writes it anew.
+    fn cycle(&mut self, recorded: &[u64]) -> Result<Vec<u64>, Error> {
+        let mut words = Words::new(Vec::with_capacity(WORDS_A_CYCLE));
+        let mut reader = Reader(recorded);
+        let mut moment = None;
+        // Devices are as the inputs say from the start of a cycle on, also for nets that start.
+        let mut ahead = Reader(recorded);
+        while let Some(entry) = ahead.next().map_err(|()| self.broken("a cycle is cut off"))? {
+            if let Entry::Inputs(inputs) = entry {
+                inputs.apply(&mut self.executor);
+            }
+        }
+        while let Some(entry) = reader.next().map_err(|()| self.broken("a cycle is cut off"))? {
+            match entry {
+                Entry::Started(id) => {
+                    let net = self.nets.remove(&id);
+                    let net = net.ok_or_else(|| self.broken("a net starts that is not in it"))?;
+                    if self.executor.start(net).is_err() {
+                        return Err(self.broken("a net that was started cannot start"));
+                    }
+                    words.started(id);
+                }
+                Entry::Cancelled(id) => {
+                    self.executor.cancel(id);
+                    words.cancelled(id);
+                }
+                Entry::Aborted(id) => {
+                    self.executor.abort(id);
+                    words.aborted(id);
+                }
+                Entry::Inbox(id, values) => {
+                    if let Some(net) = self.executor.running().iter().find(|n| n.id == id) {
+                        net.plan.import(values);
+                        words.inbox(net);
+                    }
+                }
+                Entry::Inputs(inputs) => moment = Some(inputs.moment),
+                Entry::Result => {}
+            }
+        }
+        let moment = moment.ok_or_else(|| self.broken("a cycle has no inputs"))?;
+        words.inputs(moment, &self.executor);
+        self.executor.cycle(moment);
+        self.executor.publish(|net| words.outbox(net));
+        while self.executor.take_ended(|net, end| {
+            words.ended(net.id, end);
+            Ok(())
+        }) {}
+        words.outputs(moment, &self.executor);
+        words.finish().ok_or_else(|| self.broken("a cycle is too large"))
+    }
+}

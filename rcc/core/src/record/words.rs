@@ -1,0 +1,229 @@
+//! One cycle as words: entries of a kind, a length where it varies, and a body. The same code
+//! writes them in the net thread and in a replay; nothing here allocates.
+
+use takt_net::{Moment, Nanos};
+
+use crate::device::DeviceStatus;
+use crate::executor::thread::{JOINT_WORDS, joint_state, joint_words};
+use crate::executor::{DeviceView, End, Executor, Running};
+
+mod kind {
+    pub(super) const STARTED: u64 = 1;
+    pub(super) const CANCELLED: u64 = 2;
+    pub(super) const ABORTED: u64 = 3;
+    pub(super) const INBOX: u64 = 4;
+    pub(super) const INPUTS: u64 = 5;
+    pub(super) const OUTBOX: u64 = 6;
+    pub(super) const ENDED: u64 = 7;
+    pub(super) const OUTPUTS: u64 = 8;
+}
+
+/// A cycle being written into a buffer whose capacity is its bound.
+#[derive(Debug)]
+pub(super) struct Words {
+    buffer: Vec<u64>,
+    overflow: bool,
+}
+
+impl Words {
+    pub(super) const fn new(buffer: Vec<u64>) -> Self {
+        Self { buffer, overflow: false }
+    }
+
+    /// The words, unless they did not fit.
+    pub(super) fn finish(self) -> Option<Vec<u64>> {
+        (!self.overflow).then_some(self.buffer)
+    }
+
+    fn push(&mut self, word: u64) {
+        if self.buffer.len() < self.buffer.capacity() {
+            self.buffer.push(word);
+        } else {
+            self.overflow = true;
+        }
+    }
+
+    fn entry<const N: usize>(&mut self, words: [u64; N]) {
+        for word in words {
+            self.push(word);
+        }
+    }
+
+    pub(super) fn started(&mut self, id: u32) {
+        self.entry([kind::STARTED, id.into()]);
+    }
+
+    pub(super) fn cancelled(&mut self, id: u32) {
+        self.entry([kind::CANCELLED, id.into()]);
+    }
+
+    pub(super) fn aborted(&mut self, id: u32) {
+        self.entry([kind::ABORTED, id.into()]);
+    }
+
+    pub(super) fn inbox(&mut self, net: &Running) {
+        self.entry([kind::INBOX, net.id.into(), net.plan.inbox().words() as u64]);
+        for word in net.plan.inbox_words() {
+            self.push(word);
+        }
+    }
+
+    pub(super) fn outbox(&mut self, net: &Running) {
+        self.entry([kind::OUTBOX, net.id.into(), net.plan.outbox().words() as u64]);
+        for word in net.plan.outbox_words() {
+            self.push(word);
+        }
+    }
+
+    pub(super) fn inputs(&mut self, moment: Moment, executor: &Executor) {
+        let joints = executor.joints();
+        self.entry([kind::INPUTS, moment.cycle]);
+        self.entry([moment.time.0.cast_unsigned(), moment.wall.0.cast_unsigned()]);
+        self.entry([executor.devices.len() as u64, joints.len() as u64]);
+        for device in &executor.devices {
+            self.entry([status_word(device.status), device.faults]);
+        }
+        for joint in joints {
+            self.entry(joint_words(&joint.state.get()));
+        }
+    }
+
+    pub(super) fn ended(&mut self, id: u32, end: End) {
+        let (code, device) = match end {
+            End::Terminated => (0, 0),
+            End::Aborted => (1, 0),
+            End::DeviceFault(device) => (2, device as u64),
+        };
+        self.entry([kind::ENDED, id.into(), code, device]);
+    }
+
+    pub(super) fn outputs(&mut self, moment: Moment, executor: &Executor) {
+        let commanded = |joint: &&takt_net::device::Joint| joint.command.get().cycle == moment.cycle;
+        let joints = executor.joints();
+        self.entry([kind::OUTPUTS, joints.iter().filter(commanded).count() as u64]);
+        for (i, joint) in joints.iter().enumerate().filter(|(_, joint)| commanded(joint)) {
+            self.entry([i as u64, joint.command.get().position.to_bits()]);
+        }
+    }
+}
+
+const fn status_word(status: DeviceStatus) -> u64 {
+    match status {
+        DeviceStatus::Offline => 0,
+        DeviceStatus::SafeOperational => 1,
+        DeviceStatus::Operational => 2,
+    }
+}
+
+/// An entry that came from outside, read back.
+#[derive(Debug)]
+pub(super) enum Entry<'w> {
+    Started(u32),
+    Cancelled(u32),
+    Aborted(u32),
+    Inbox(u32, &'w [u64]),
+    Inputs(Inputs<'w>),
+    /// What the thread itself made of it; a replay makes it anew.
+    Result,
+}
+
+/// What a cycle saw.
+#[derive(Debug)]
+pub(super) struct Inputs<'w> {
+    pub(super) moment: Moment,
+    devices: &'w [u64],
+    joints: &'w [u64],
+}
+
+impl Inputs<'_> {
+    /// Puts them before the nets.
+    pub(super) fn apply(&self, executor: &mut Executor) {
+        executor.devices.clear();
+        executor.devices.extend(self.devices.chunks_exact(2).map(|pair| DeviceView {
+            status: match pair[0] {
+                1 => DeviceStatus::SafeOperational,
+                2 => DeviceStatus::Operational,
+                _ => DeviceStatus::Offline,
+            },
+            faults: pair[1],
+        }));
+        let joints = executor.image.joints.iter();
+        for (joint, words) in joints.zip(self.joints.chunks_exact(JOINT_WORDS)) {
+            if let Some(state) = joint_state(words) {
+                joint.state.set(state);
+            }
+        }
+    }
+}
+
+/// Reads the entries of a cycle; `None` at the first that is broken.
+pub(super) struct Reader<'w>(pub(super) &'w [u64]);
+
+impl<'w> Reader<'w> {
+    fn word(&mut self) -> Option<u64> {
+        let (first, rest) = self.0.split_first()?;
+        self.0 = rest;
+        Some(*first)
+    }
+
+    fn id(&mut self) -> Option<u32> {
+        u32::try_from(self.word()?).ok()
+    }
+
+    fn body(&mut self, len: u64) -> Option<&'w [u64]> {
+        let (body, rest) = self.0.split_at_checked(usize::try_from(len).ok()?)?;
+        self.0 = rest;
+        Some(body)
+    }
+
+    /// The next entry; `Ok(None)` at the end.
+    pub(super) fn next(&mut self) -> Result<Option<Entry<'w>>, ()> {
+        match self.word() {
+            None => Ok(None),
+            Some(kind) => self.entry(kind).map(Some).ok_or(()),
+        }
+    }
+
+    fn entry(&mut self, kind: u64) -> Option<Entry<'w>> {
+        Some(match kind {
+            kind::STARTED => Entry::Started(self.id()?),
+            kind::CANCELLED => Entry::Cancelled(self.id()?),
+            kind::ABORTED => Entry::Aborted(self.id()?),
+            kind::INBOX => {
+                let (id, len) = (self.id()?, self.word()?);
+                Entry::Inbox(id, self.body(len)?)
+            }
+            kind::INPUTS => Entry::Inputs(self.inputs()?),
+            kind::OUTBOX => {
+                let (_, len) = (self.word()?, self.word()?);
+                self.body(len)?;
+                Entry::Result
+            }
+            kind::ENDED => {
+                self.body(3)?;
+                Entry::Result
+            }
+            kind::OUTPUTS => {
+                let joints = self.word()?;
+                self.body(joints.checked_mul(2)?)?;
+                Entry::Result
+            }
+            _ => return None,
+        })
+    }
+
+    fn inputs(&mut self) -> Option<Inputs<'w>> {
+        let (cycle, time, wall) = (self.word()?, self.word()?, self.word()?);
+        let (devices, joints) = (self.word()?, self.word()?);
+        let moment = Moment {
+            cycle,
+            time: Nanos(time.cast_signed()),
+            wall: Nanos(wall.cast_signed()),
+            cancel: false,
+            takeover: false,
+        };
+        let devices = self.body(devices.checked_mul(2)?)?;
+        let joints = self.body(joints.checked_mul(JOINT_WORDS as u64)?)?;
+        Some(Inputs { moment, devices, joints })
+    }
+}
