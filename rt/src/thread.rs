@@ -24,7 +24,7 @@ pub struct ThreadConfig {
     pub priority: Option<u8>,
     /// The processors it may use, counted from 0; empty for any.
     pub cpus: Vec<usize>,
-    /// Stack size in bytes, all of it touched before the work begins but for the last 32 KiB.
+    /// Stack size in bytes, all of it touched before the work begins but for the last 64 KiB.
     pub stack_bytes: usize,
 }
 

@@ -1,2 +1,68 @@
-//! To be written.
-fn main() {}
+#![doc = include_str!("../README.md")]
+#![forbid(unsafe_code)]
+
+mod demo;
+mod emulate;
+mod net;
+mod output;
+mod run;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+/// Counts allocations in real-time threads; everything else passes straight through.
+#[global_allocator]
+static ALLOCATOR: takt_rt::alloc::CountingAllocator = takt_rt::alloc::CountingAllocator;
+
+/// Robot control core: run it, try it without hardware, and look into it.
+///
+/// Exit status: 0 good, 1 the check failed, 2 wrong usage or environment. Durations are written with
+/// a unit: 250us, 1ms, 5s.
+#[derive(Debug, Parser)]
+#[command(name = "takt", version)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Run the controller in the foreground.
+    Run(run::Run),
+    /// Move two emulated robots with a net and report; needs no hardware and no root.
+    Demo(demo::Demo),
+    /// Be the other end of a wire: an emulated robot controller.
+    #[command(subcommand)]
+    Emulate(emulate::Emulate),
+    /// Check, load and control primitive nets.
+    #[command(subcommand)]
+    Net(net::Net),
+}
+
+/// What a subcommand found out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Verdict {
+    /// All is as it should be.
+    Good,
+    /// The check failed, or what was asked for could not be done by the robot or controller.
+    Failed,
+}
+
+fn main() -> ExitCode {
+    let result = match Arguments::parse().command {
+        Command::Run(run) => run.run(),
+        Command::Demo(demo) => demo.run(),
+        Command::Emulate(emulate) => emulate.run(),
+        Command::Net(net) => net.run(),
+    };
+    match result {
+        Ok(Verdict::Good) => ExitCode::SUCCESS,
+        Ok(Verdict::Failed) => ExitCode::from(1),
+        Err(error) if output::is_broken_pipe(&error) => ExitCode::SUCCESS,
+        Err(error) => {
+            output::complain(&format!("takt: {error:#}"));
+            ExitCode::from(2)
+        }
+    }
+}

@@ -3,6 +3,8 @@
 
 #[cfg(test)]
 mod bench;
+mod otg;
+mod pose;
 mod shape;
 
 use takt_net::Definition;
@@ -10,6 +12,6 @@ use takt_net::Definition;
 /// All definitions of this crate.
 #[must_use]
 pub fn all() -> Vec<Definition> {
-    let tables = [shape::table()];
+    let tables = [shape::table(), otg::table(), pose::table()];
     tables.into_iter().flatten().collect()
 }

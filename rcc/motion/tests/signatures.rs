@@ -53,7 +53,10 @@ fn ports(list: &str) -> BTreeSet<String> {
         Some((name, ty)) => format!("{name}:{ty}"),
         None => format!("{port}:double"),
     };
-    list.split(", ").filter(|p| !p.is_empty()).map(typed).collect()
+    list.split(", ")
+        .filter(|p| !p.is_empty())
+        .map(typed)
+        .collect()
 }
 
 fn parameters(list: &str) -> BTreeSet<String> {
@@ -62,7 +65,10 @@ fn parameters(list: &str) -> BTreeSet<String> {
         let typed = ports(name).into_iter().next().expect("a name");
         format!("{typed}={}", default.trim_matches('\''))
     };
-    list.split(", ").filter(|p| !p.is_empty()).map(one).collect()
+    list.split(", ")
+        .filter(|p| !p.is_empty())
+        .map(one)
+        .collect()
 }
 
 /// Reads `name(inputs) -> outputs [parameters]`.
@@ -94,8 +100,8 @@ fn expected() -> BTreeMap<String, Signature> {
                 _ => "={}",
             };
             let line = line
-                .replace("<T>", prefix)
                 .replace(":T", &format!(":{ty}"))
+                .replace("<T>", prefix)
                 .replace("=zero", zero);
             expected.extend([read(&line)]);
         }
@@ -104,7 +110,8 @@ fn expected() -> BTreeMap<String, Signature> {
 }
 
 fn short(ty: &str) -> &str {
-    ty.trim_start_matches("Core::").trim_start_matches("World::")
+    ty.trim_start_matches("Core::")
+        .trim_start_matches("World::")
 }
 
 fn actual(definition: &Definition) -> Signature {
@@ -117,8 +124,16 @@ fn actual(definition: &Definition) -> Signature {
     };
     let port = |name: &str, ty: takt_net::Type| format!("{name}:{}", short(&ty.to_string()));
     Signature {
-        inputs: definition.inputs.iter().map(|p| port(p.name, p.ty)).collect(),
-        outputs: definition.outputs.iter().map(|p| port(p.name, p.ty)).collect(),
+        inputs: definition
+            .inputs
+            .iter()
+            .map(|p| port(p.name, p.ty))
+            .collect(),
+        outputs: definition
+            .outputs
+            .iter()
+            .map(|p| port(p.name, p.ty))
+            .collect(),
         parameters: definition.parameters.iter().map(parameter).collect(),
     }
 }
@@ -128,14 +143,17 @@ fn every_primitive_has_its_known_signature() {
     let mut registry = Registry::core();
     registry.add(takt_motion::all());
     let expected = expected();
-    assert_eq!(expected.len(), 304, "the list is complete");
+    assert_eq!(expected.len(), 303, "the list is complete");
     let mut wrong = Vec::new();
     for (name, signature) in &expected {
         match registry.find(name) {
             None if is_elsewhere(name) => {}
             None => wrong.push(format!("{name} is missing")),
             Some(definition) if actual(definition) != *signature => {
-                wrong.push(format!("{name}: {signature:?}\n    is {:?}", actual(definition)));
+                wrong.push(format!(
+                    "{name}: {signature:?}\n    is {:?}",
+                    actual(definition)
+                ));
             }
             Some(_) => {}
         }

@@ -2,7 +2,10 @@
 //! after each cycle by the thread that evaluates nets. No driver and no wire is known here.
 
 use std::cell::Cell;
+use std::fmt;
 use std::sync::Arc;
+
+use crate::value::Frame;
 
 /// Most joints in the image; the sum over all robot arms.
 pub const JOINTS_MAX: usize = 512;
@@ -86,6 +89,44 @@ pub struct JointLimits {
     pub acceleration_max: f64,
 }
 
+/// The geometry of an arm, in closed form: used in every cycle, so it neither allocates nor
+/// iterates without bound.
+pub trait Kinematics: fmt::Debug + Send + Sync {
+    /// Number of joints.
+    fn joints(&self) -> usize;
+
+    /// The flange in the base of the arm (m) at these joint positions (rad); joint limits do not
+    /// matter here. Not finite if a joint is not, or if there are not [`Self::joints`] of them.
+    fn forward(&self, joints: &[f64]) -> Frame;
+
+    /// Joint positions (rad) within their limits that bring the flange to `flange` (m, in the base
+    /// of the arm): of all solutions the one nearest to `hint` (rad), turns included.
+    ///
+    /// # Errors
+    /// If there is none; `joints` then stays as it was.
+    fn inverse(
+        &self,
+        flange: &Frame,
+        hint: &[f64],
+        joints: &mut [f64],
+    ) -> Result<(), Unreachable>;
+}
+
+/// Why no joint positions bring a flange to a frame. The numbers are those of `outError`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[repr(i32)]
+pub enum Unreachable {
+    /// The arm is too short or too long for it, or has too few joints.
+    #[error("the frame is out of reach")]
+    Reach = 1,
+    /// It could be reached, but only beyond the limits of the joints.
+    #[error("the frame is reached only beyond joint limits")]
+    Limits = 2,
+    /// The frame or the hint is not finite, or there are not as many values as joints.
+    #[error("frame or hint are no finite numbers, or not as many as joints")]
+    Invalid = 3,
+}
+
 /// A robot arm as found by its name while loading.
 #[derive(Clone, Debug)]
 pub struct ArmBinding {
@@ -93,6 +134,8 @@ pub struct ArmBinding {
     pub first_joint: usize,
     /// Limits by joint; its length is the number of joints.
     pub limits: Arc<[JointLimits]>,
+    /// Its geometry; `None` if nobody told it.
+    pub kinematics: Option<Arc<dyn Kinematics>>,
 }
 
 /// Finds devices by name while a net is loaded.

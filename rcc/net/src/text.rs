@@ -11,6 +11,7 @@
 //! arg      = ident [dbg] "=" ( string | node "." ident )    parameter, or link to an in port
 //! dbg      = "[" seconds "]"      string = "'" … "'" with \' and \\      ident = [A-Za-z0-9:_]+
 //! ```
+//! A `#` outside a string starts a comment up to the end of the line: an addition of Takt.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -129,6 +130,7 @@ impl Source<'_> {
 
 #[derive(Logos, Clone, Copy, Debug, PartialEq, Eq)]
 #[logos(skip r"[ \t\r\n]+")]
+#[logos(skip(r"#[^\n]*", allow_greedy = true))]
 enum Token {
     #[token("{")]
     OpenFragment,

@@ -89,9 +89,9 @@ fn keep_freed_memory() -> bool {
 }
 
 /// Left untouched at the end of a stack: what the callers above and the frames below here occupy.
-const STACK_MARGIN: usize = 32 * 1024;
+const STACK_MARGIN: usize = 64 * 1024;
 
-/// Touches the calling thread's stack, `stack_bytes` large, down to its last 32 KiB.
+/// Touches the calling thread's stack, `stack_bytes` large, down to its last 64 KiB.
 pub(crate) fn prefault_stack(stack_bytes: usize) {
     let top = 0_u8;
     let depth = stack_bytes.saturating_sub(STACK_MARGIN);
@@ -116,7 +116,7 @@ mod tests {
 
     #[test]
     fn a_small_stack_is_touched_without_overflow() {
-        for stack_bytes in [64 * 1024, 256 * 1024] {
+        for stack_bytes in [96 * 1024, 256 * 1024] {
             let thread = std::thread::Builder::new().stack_size(stack_bytes);
             thread
                 .spawn(move || prefault_stack(stack_bytes))

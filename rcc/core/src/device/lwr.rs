@@ -109,7 +109,8 @@ impl Lwr {
         let address = link.local_addr().map_err(refused)?;
         let shared = Arc::new(Shared::default());
         let stop = Arc::new(AtomicBool::new(false));
-        let mut driver = Driver {
+        // Boxed, so that the thread's small stack does not hold it as it is moved there.
+        let mut driver = Box::new(Driver {
             link,
             session: Session::new(SessionConfig::default()),
             clock: DatagramClock::default(),
@@ -121,7 +122,7 @@ impl Lwr {
             shared: Arc::clone(&shared),
             answer_time: Recorder::new(),
             set_point_age: Recorder::new(),
-        };
+        });
         let (answer_time, set_point_age) =
             (driver.answer_time.reader(), driver.set_point_age.reader());
         let thread = ThreadConfig {

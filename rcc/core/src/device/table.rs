@@ -111,7 +111,7 @@ impl DeviceTable {
 impl Devices for DeviceTable {
     fn arm(&self, name: &str) -> Option<ArmBinding> {
         let arm = self.find(name)?;
-        Some(ArmBinding { first_joint: arm.first_joint, limits: Arc::clone(&arm.limits) })
+        Some(ArmBinding { first_joint: arm.first_joint, limits: Arc::clone(&arm.limits), kinematics: None })
     }
 
     fn names(&self) -> Vec<String> {

@@ -100,14 +100,14 @@ impl NetThread {
         let hand_over = Recorder::new();
         let hand_over_reader = hand_over.reader();
         let stop = Arc::new(AtomicBool::new(false));
-        let mut cycle = Cycle {
+        let mut cycle = Box::new(Cycle {
             executor: Executor::default(),
             arms: Vec::with_capacity(DEVICES_MAX),
             commands: command_end,
             events: event_end,
             hand_over,
             tap,
-        };
+        });
         let stopping = Arc::clone(&stop);
         let name = config.thread.name.clone();
         let period = config.period;

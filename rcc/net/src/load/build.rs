@@ -3,10 +3,11 @@
 
 use std::collections::HashMap;
 use std::marker::PhantomData;
+use std::sync::Arc;
 use std::time::Duration;
 
 use crate::definition::{ParameterType, Primitive};
-use crate::device::{ArmBinding, Devices};
+use crate::device::{ArmBinding, Devices, Kinematics};
 use crate::fault::{Fault, FaultKind};
 use crate::limits::Limits;
 use crate::load::LoadContext;
@@ -326,6 +327,17 @@ impl Build<'_, '_> {
             };
             self.at_parameter(parameter, kind, None)
         })
+    }
+
+    /// The geometry of the robot arm that parameter `parameter` names.
+    ///
+    /// # Errors
+    /// If there is no such arm, or its geometry is not known.
+    pub fn kinematics(&self, parameter: &'static str) -> Result<Arc<dyn Kinematics>, Fault> {
+        let why = || format!("the kinematics of `{}` is not known", self.text(parameter));
+        self.arm(parameter)?
+            .kinematics
+            .ok_or_else(|| self.parameter_fault(parameter, why()))
     }
 
     /// Claims something of a device for this net alone; if the device fails, the net ends.

@@ -23,7 +23,11 @@ struct Format {
 
 /// The lowest `bits` bits.
 const fn mask(bits: u32) -> u64 {
-    if bits >= 64 { u64::MAX } else { (1 << bits) - 1 }
+    if bits >= 64 {
+        u64::MAX
+    } else {
+        (1 << bits) - 1
+    }
 }
 
 fn to_digits(mut number: u32) -> u64 {
@@ -59,7 +63,11 @@ impl Format {
                 let wide = i64::from(value).cast_unsigned();
                 // What is left above the amount is the sign, repeated, if the number fits.
                 let above = wide & !mask(self.amount_bits());
-                let sign = if below_zero { !mask(self.amount_bits()) } else { 0 };
+                let sign = if below_zero {
+                    !mask(self.amount_bits())
+                } else {
+                    0
+                };
                 let fits = above == sign && (self.signed || !below_zero);
                 (wide & mask(self.bits), !fits)
             }
@@ -79,7 +87,11 @@ impl Format {
         let below_zero = self.signed && word >> (self.bits - 1) & 1 == 1;
         let number = match self.code {
             Code::Binary => {
-                let sign = if below_zero { !mask(self.amount_bits()) } else { 0 };
+                let sign = if below_zero {
+                    !mask(self.amount_bits())
+                } else {
+                    0
+                };
                 let number = (amount | sign).cast_signed();
                 // Without a sign the 64th bit is part of the amount.
                 ((number < 0) == below_zero).then_some(number)?
@@ -103,7 +115,8 @@ struct Encode {
 impl Primitive for Encode {
     fn step(&mut self, cycle: &Cycle<'_>) {
         let coded = self.value.get(cycle).map(|value| self.format.encode(value));
-        self.overflow.set(cycle, coded.map(|(_, overflow)| overflow));
+        self.overflow
+            .set(cycle, coded.map(|(_, overflow)| overflow));
         match coded {
             Some((word, _)) => {
                 let bits = (0..self.format.bits).map(|bit| word >> bit & 1 == 1);
@@ -242,7 +255,11 @@ mod tests {
             (Bcd, 13, false, -7, (7, true)),
             (Bcd, 41, true, i32::MIN, (0x121_4748_3648, false)),
         ] {
-            assert_eq!(format(code, bits, signed).encode(value), expected, "{value} in {bits}");
+            assert_eq!(
+                format(code, bits, signed).encode(value),
+                expected,
+                "{value} in {bits}"
+            );
         }
     }
 

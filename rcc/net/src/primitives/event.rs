@@ -103,7 +103,11 @@ pub(super) fn table() -> Vec<Definition> {
         )
         .stateful()
         .input::<bool>(port("inValue", "what is watched").required())
-        .parameter::<bool>("Direction", "true", "true for rising, false for falling edges")
+        .parameter::<bool>(
+            "Direction",
+            "true",
+            "true for rising, false for falling edges",
+        )
         .output::<bool>("outValue", "whether it just changed"),
     ]
 }

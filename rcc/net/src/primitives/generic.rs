@@ -126,7 +126,11 @@ fn pre<T: TextValue>() -> Definition {
     };
     let early = |b: &mut Build<'_, '_>| -> Result<PreEarly<T>, Fault> {
         let ((kept, _), (kept_in, _)) = (b.state(0), b.state(1));
-        Ok(PreEarly { kept, kept_in, out: b.output("outValue") })
+        Ok(PreEarly {
+            kept,
+            kept_in,
+            out: b.output("outValue"),
+        })
     };
     let doc = "The input's value of the cycle before. Links from a Pre may close cycles.";
     Definition::new(format!("{}Pre", T::PREFIX), doc, late)

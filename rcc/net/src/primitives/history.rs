@@ -134,7 +134,8 @@ impl Primitive for TimeHistory {
         let time = stamp.and(self.time.get(cycle));
         let back = time.and_then(|time| self.back_to(cycle.count, time));
         let back = back.and_then(|back| u32::try_from(back).ok());
-        self.age.set(cycle, back.map(|b| f64::from(b) * self.period_s));
+        self.age
+            .set(cycle, back.map(|b| f64::from(b) * self.period_s));
     }
 }
 

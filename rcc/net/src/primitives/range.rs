@@ -80,13 +80,18 @@ impl Primitive for ConsistentRange {
             let (start, end) = self.inputs[source];
             if let Some((start, end)) = start.get(cycle).zip(end.get(cycle)) {
                 let count = cycle.count;
-                let range = Range { start: start.0, end: end.0, count };
+                let range = Range {
+                    start: start.0,
+                    end: end.0,
+                    count,
+                };
                 self.take(source, range);
             }
         }
         let oldest = cycle.count - self.cycles;
         self.best = self.best.filter(|best| best.count > oldest);
-        self.start.set(cycle, self.best.map(|best| Nanos(best.start)));
+        self.start
+            .set(cycle, self.best.map(|best| Nanos(best.start)));
         self.end.set(cycle, self.best.map(|best| Nanos(best.end)));
     }
 }

@@ -64,7 +64,10 @@ mod tests {
         for i in 1..=5 {
             assert_eq!(ring.push(i), (i > 3).then(|| i - 3));
         }
-        assert_eq!([0, 1, 2, 3].map(|back| ring.get(back)), [Some(5), Some(4), Some(3), None]);
+        assert_eq!(
+            [0, 1, 2, 3].map(|back| ring.get(back)),
+            [Some(5), Some(4), Some(3), None]
+        );
         ring.clear();
         assert_eq!((ring.len(), ring.get(0)), (0, None));
     }

@@ -168,6 +168,8 @@ mod tests {
             assert_eq!(sum(Nanos(0), delta), None, "{delta}");
         }
         assert_eq!(sum(Nanos(i64::MAX), 1e-9), None);
-        assert!((difference(Nanos(i64::MAX), Nanos(i64::MIN)) - 18_446_744_073.709_55).abs() < 1e-4);
+        assert!(
+            (difference(Nanos(i64::MAX), Nanos(i64::MIN)) - 18_446_744_073.709_55).abs() < 1e-4
+        );
     }
 }

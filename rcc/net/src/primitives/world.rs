@@ -44,7 +44,8 @@ where
 {
     fn step(&mut self, cycle: &Cycle<'_>) {
         let inputs = self.first.get(cycle).zip(self.second.get(cycle));
-        self.out.set(cycle, inputs.and_then(|(a, b)| (self.function)(a, b)));
+        self.out
+            .set(cycle, inputs.and_then(|(a, b)| (self.function)(a, b)));
     }
 }
 
@@ -75,7 +76,11 @@ fn with_three(definition: Definition, three: Three, docs: [&'static str; 3]) -> 
 
 const XYZ: Three = [("X", "0"), ("Y", "0"), ("Z", "0")];
 const ABC: Three = [("A", "0"), ("B", "0"), ("C", "0")];
-const ABC_DOCS: [&str; 3] = ["angle about Z, rad", "angle about Y, rad", "angle about X, rad"];
+const ABC_DOCS: [&str; 3] = [
+    "angle about Z, rad",
+    "angle about Y, rad",
+    "angle about X, rad",
+];
 
 fn rotation_of([a, b, c]: [f64; 3]) -> Rotation {
     Rotation::from_euler_angles(c, b, a)

@@ -301,6 +301,19 @@ fn power_lost_in_motion_brakes_and_returns_to_following() {
     assert_eq!(bench.reason(), None);
 }
 
+#[test]
+fn the_first_command_after_power_returns_is_judged_from_the_set_point() {
+    let mut bench = cmd();
+    bench.krc.set_power(false);
+    bench.cycles(100);
+    bench.krc.set_power(true);
+    bench.cycle(|cmd| cmd.joints[4] = 0.2).receive();
+    assert!(matches!(
+        bench.reason(),
+        Some(Leave::Speed { joint: 4, .. })
+    ));
+}
+
 // ---- what clients are known to do
 
 #[test]
@@ -361,9 +374,11 @@ fn a_new_client_with_another_counter_is_accepted() {
     bench.cycles(5);
     assert_eq!((bench.krc.misses, bench.reason()), (0, None));
     // A jump within the window looks like old datagrams until silence ends them.
-    bench.sequence -= 10;
+    let old = bench.krc.counters().old;
+    bench.sequence = bench.sequence.wrapping_sub(45);
     bench.cycles(200);
     assert_eq!(bench.krc.quality(), Quality::Perfect);
+    assert!((10..=11).contains(&(bench.krc.counters().old - old)));
 }
 
 #[test]
@@ -373,6 +388,10 @@ fn lost_answers_are_extrapolated_and_do_not_look_like_jumps() {
     let mut position = 0.0;
     for cycle in 0..60 {
         bench.receive();
+        assert!(
+            (bench.krc.set_point()[0] - position).abs() < 1e-5,
+            "cycle {cycle}"
+        );
         position += speed;
         let cmd = bench.mirrored(|cmd| cmd.joints[0] = to_f32(position));
         if cycle % 7 < 4 {

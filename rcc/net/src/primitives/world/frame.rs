@@ -9,7 +9,11 @@ use crate::plan::Cycle;
 use crate::slots::{In, Out};
 use crate::value::{Frame, Rotation, Twist, Vector};
 
-const XYZ_DOCS: [&str; 3] = ["position along X, m", "position along Y, m", "position along Z, m"];
+const XYZ_DOCS: [&str; 3] = [
+    "position along X, m",
+    "position along Y, m",
+    "position along Z, m",
+];
 
 fn from_pos_rot() -> Definition {
     let build = |b: &mut Build<'_, '_>| -> Result<_, Fault> {
@@ -42,8 +46,10 @@ impl Primitive for FromXyz {
         let [x, y, z] = self.xyz.map(|coordinate| coordinate.get(cycle));
         let pos = x.zip(y).zip(z).map(|((x, y), z)| Vector::new(x, y, z));
         let parts = pos.zip(self.rot.get(cycle));
-        self.out
-            .set(cycle, parts.map(|(pos, rot)| Frame::from_parts(pos.into(), rot)));
+        self.out.set(
+            cycle,
+            parts.map(|(pos, rot)| Frame::from_parts(pos.into(), rot)),
+        );
     }
 }
 

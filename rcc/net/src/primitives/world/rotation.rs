@@ -24,7 +24,9 @@ fn about(axis: Vector, angle: f64) -> Option<Rotation> {
 /// Axis and angle (0 to π); no rotation is one about X by 0.
 fn axis_angle(rotation: Rotation) -> (Vector, f64) {
     let axis = rotation.axis();
-    axis.map_or((Vector::x(), 0.0), |axis| (axis.into_inner(), rotation.angle()))
+    axis.map_or((Vector::x(), 0.0), |axis| {
+        (axis.into_inner(), rotation.angle())
+    })
 }
 
 fn abc() -> [Definition; 2] {
@@ -68,10 +70,17 @@ fn from_axis_angle() -> Definition {
         "The rotation about an axis; null for an axis of no length.",
         build,
     )
-    .input::<Vector>(port("inAxis", "the axis, of any length; X, Y, Z if not connected"))
+    .input::<Vector>(port(
+        "inAxis",
+        "the axis, of any length; X, Y, Z if not connected",
+    ))
     .input::<f64>(port("inAngle", "the angle, rad").or("Angle", "0"))
     .output::<Rotation>("outValue", "result");
-    with_three(definition, AXIS, ["X of the axis", "Y of the axis", "Z of the axis"])
+    with_three(
+        definition,
+        AXIS,
+        ["X of the axis", "Y of the axis", "Z of the axis"],
+    )
 }
 
 fn pair<P: Primitive + 'static>(

@@ -113,7 +113,10 @@ fn from_velocities() -> Definition {
         "The twist of two velocities.",
         build,
     )
-    .input::<Vector>(port("inTransVel", "velocity, m/s; X, Y, Z if not connected"))
+    .input::<Vector>(port(
+        "inTransVel",
+        "velocity, m/s; X, Y, Z if not connected",
+    ))
     .input::<Vector>(port(
         "inRotVel",
         "rotational velocity, rad/s; RX, RY, RZ if not connected",
@@ -146,7 +149,10 @@ fn from_frames() -> Definition {
     )
     .input::<Frame>(port("inFrame", "where it leads").required())
     .input::<Frame>(port("inPrevFrame", "where it starts").required())
-    .output::<Twist>("outValue", "the twist, along the axes the frames are given in")
+    .output::<Twist>(
+        "outValue",
+        "the twist, along the axes the frames are given in",
+    )
 }
 
 fn algebra() -> [Definition; 4] {

@@ -1,0 +1,162 @@
+//! One client's side of the protocol, without sockets and without a clock: lines in, lines out.
+//! It knows nothing of other clients; they meet in the controller only.
+
+mod commands;
+mod devices;
+mod nets;
+mod refusal;
+mod sessions;
+
+#[cfg(test)]
+mod tests;
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use takt_core::{Controller, NetId, SessionId};
+
+use crate::wire::{Message, Value};
+use devices::DeviceWatch;
+use nets::NetWatch;
+use refusal::Refusal;
+use sessions::SessionWatch;
+
+/// Most subscriptions of one connection: nets, sessions and devices together.
+pub const SUBSCRIPTIONS_MAX: usize = 4096;
+
+/// How often values of running nets are looked at. A client's refresh interval below this one has
+/// no effect.
+pub const VALUES_EVERY: Duration = Duration::from_millis(10);
+
+/// A client and what it subscribed to.
+///
+/// Hand every line of the client to [`handle_line`](Self::handle_line), call
+/// [`handle_change`](Self::handle_change) when the controller says that something changed, and
+/// [`poll_pushes`](Self::poll_pushes) after either and when [`poll_timeout`](Self::poll_timeout)
+/// is over. All times count from the same moment, such as the start of the connection. Calls may
+/// block for as long as the controller needs, which for loading a net can be long.
+#[derive(Debug)]
+pub struct Connection {
+    controller: Controller,
+    greeted: bool,
+    nets: BTreeMap<NetId, NetWatch>,
+    sessions: BTreeMap<SessionId, SessionWatch>,
+    devices: Option<DeviceWatch>,
+    opened: Vec<SessionId>,
+    changed: bool,
+}
+
+/// How much of what is due is sent.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Pushes {
+    /// What the command caused that is about to be answered.
+    BeforeReply,
+    /// Everything, including that nets are gone and that values changed.
+    All,
+}
+
+impl Connection {
+    /// A client that has said nothing yet.
+    #[must_use]
+    pub const fn new(controller: Controller) -> Self {
+        Self {
+            controller,
+            greeted: false,
+            nets: BTreeMap::new(),
+            sessions: BTreeMap::new(),
+            devices: None,
+            opened: Vec::new(),
+            changed: false,
+        }
+    }
+
+    /// Does what the line says and returns what to send: pushes caused by it, then its reply.
+    pub fn handle_line(&mut self, line: &str, now: Duration) -> Vec<String> {
+        let message = match Message::decode(line) {
+            Ok(message) => message,
+            Err(error) => {
+                tracing::debug!(%error, "a client sent what is no message");
+                return vec![Refusal::InvalidSyntax.reply("none").to_string()];
+            }
+        };
+        let outcome = self.execute(&message, now);
+        let mut out = self.due(Pushes::BeforeReply, now);
+        out.push(match outcome {
+            Ok(values) => Message { args: values, ..Message::new(message.tag, "ok") },
+            Err(refusal) => refusal.reply(&message.tag),
+        });
+        self.changed = true;
+        out.iter().map(Message::to_string).collect()
+    }
+
+    /// Notes that nets, sessions or devices of the controller changed.
+    pub const fn handle_change(&mut self) {
+        self.changed = true;
+    }
+
+    /// What the subscriptions have to tell now.
+    pub fn poll_pushes(&mut self, now: Duration) -> Vec<String> {
+        let changes = if std::mem::take(&mut self.changed) {
+            self.due(Pushes::All, now)
+        } else {
+            Vec::new()
+        };
+        let values = self.values(now);
+        changes.iter().chain(&values).map(Message::to_string).collect()
+    }
+
+    /// When [`poll_pushes`](Self::poll_pushes) should be called next without being asked.
+    #[must_use]
+    pub fn poll_timeout(&self) -> Option<Duration> {
+        if self.changed {
+            return Some(Duration::ZERO);
+        }
+        self.nets.values().filter_map(NetWatch::poll_timeout).min()
+    }
+
+    /// The sessions that this connection opened and did not end.
+    #[must_use]
+    pub fn opened_sessions(&self) -> &[SessionId] {
+        &self.opened
+    }
+
+    /// Changes of state; values only as far as they belong to those.
+    fn due(&mut self, pushes: Pushes, now: Duration) -> Vec<Message> {
+        let controller = &self.controller;
+        let mut out = Vec::new();
+        self.nets.retain(|id, watch| match controller.net(*id) {
+            Some(info) => {
+                out.extend(watch.handle_states(&info.states, || controller.out_values(*id), now));
+                true
+            }
+            None => {
+                out.extend(watch.handle_end());
+                out.extend((pushes == Pushes::All).then(|| watch.handle_gone()));
+                pushes != Pushes::All
+            }
+        });
+        self.sessions.retain(|id, watch| {
+            let nets = controller.session_nets(*id);
+            let ended = nets.is_none();
+            out.extend(watch.handle_nets(nets.unwrap_or_default(), |net| {
+                controller.net(net).map(|info| info.states)
+            }));
+            !ended
+        });
+        if let Some(watch) = &mut self.devices {
+            out.extend(watch.handle_devices(controller.devices()));
+        }
+        out
+    }
+
+    fn values(&mut self, now: Duration) -> Vec<Message> {
+        let controller = &self.controller;
+        let due = self.nets.iter_mut().filter(|(_, w)| w.poll_timeout().is_some_and(|t| t <= now));
+        due.filter_map(|(id, w)| w.handle_values(controller.out_values(*id), now)).collect()
+    }
+}
+
+/// A push with one value.
+fn push(tag: &str, command: &str, value: impl Into<Value>) -> Message {
+    Message::new(tag, command).with(value)
+}

@@ -1,0 +1,257 @@
+//! The commands of the protocol: values checked, the controller asked, its answer put into words.
+//! What a command causes is not told here, but by the subscriptions.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use takt_core::{Error, LoadRequest, NetId, NetInfo, SessionId};
+use takt_net::FaultKind;
+
+use super::devices::DeviceWatch;
+use super::nets::NetWatch;
+use super::refusal::Refusal;
+use super::sessions::SessionWatch;
+use super::{Connection, Pushes, SUBSCRIPTIONS_MAX};
+use crate::wire::{Message, Value};
+
+/// The version that a client must ask for.
+const VERSION: &str = "2.0";
+
+/// The session of nets without a session. No client may end or watch it.
+const NO_SESSION: SessionId = SessionId(0);
+
+/// Longest refresh interval that is kept apart from "never again".
+const REFRESH_MAX: Duration = Duration::from_secs(3600);
+
+type Outcome = Result<Vec<Value>, Refusal>;
+
+impl Connection {
+    /// Does what the message says; the result is what stands in the parentheses of `ok`.
+    pub(super) fn execute(&mut self, message: &Message, now: Duration) -> Outcome {
+        let args = Args(&message.args);
+        let tag = || message.tag.clone();
+        match message.command.as_str() {
+            "quit" => Ok(vec!["quitting".into()]),
+            "ver" if !self.greeted => self.greet(args),
+            _ if !self.greeted => Err(Refusal::BadHandshake),
+            "nse" => self.open_session(args),
+            "ase" => self.end_session(args),
+            "gse" => self.watch_session(args, tag()),
+            "gde" => self.watch_devices(tag()),
+            "nene" => self.load(args),
+            "nest" => self.start(args),
+            "neca" => self.cancel(args),
+            "neab" => self.abort(args),
+            "neun" => self.unload(args, now),
+            "gne" => self.watch_net(args, tag()),
+            "snc" => self.write_values(args),
+            "nin" => self.describe_nets(args),
+            "nesc" => Err(Refusal::SchedulingNotPossible),
+            "gsy" => Err(Refusal::InvalidRule),
+            _ => Err(Refusal::UnknownCommand),
+        }
+    }
+
+    fn greet(&mut self, args: Args<'_>) -> Outcome {
+        self.greeted = args.text(0).is_ok_and(|v| v == VERSION);
+        if self.greeted { Ok(vec!["handshake ok".into()]) } else { Err(Refusal::BadHandshake) }
+    }
+
+    fn open_session(&mut self, args: Args<'_>) -> Outcome {
+        let session = self.controller.open_session(args.text(0)?)?;
+        self.opened.push(session);
+        Ok(vec![session.to_string().into()])
+    }
+
+    fn end_session(&mut self, args: Args<'_>) -> Outcome {
+        let session = self.session(args)?;
+        self.controller.end_session(session).map_err(|e| match e {
+            Error::NoSuchSession(_) => Refusal::InvalidSession,
+            e => e.into(),
+        })?;
+        self.opened.retain(|s| *s != session);
+        Ok(Vec::new())
+    }
+
+    fn watch_session(&mut self, args: Args<'_>, tag: String) -> Outcome {
+        let session = self.session(args)?;
+        self.check_room(self.sessions.contains_key(&session))?;
+        self.sessions.insert(session, SessionWatch::new(tag));
+        Ok(Vec::new())
+    }
+
+    /// A second subscription takes the place of the first and is told everything again.
+    fn watch_devices(&mut self, tag: String) -> Outcome {
+        self.check_room(self.devices.is_some())?;
+        self.devices = Some(DeviceWatch::new(tag));
+        Ok(Vec::new())
+    }
+
+    /// A net that is rejected has a name, too; only its text must follow the grammar.
+    fn load(&self, args: Args<'_>) -> Outcome {
+        let session = args.optional(1, Args::text)?.and_then(|s| self.known_session(s));
+        let period = args.optional(3, Args::seconds)?.filter(|p| !p.is_zero());
+        // Whether the net is real time is not asked for any more: all nets are.
+        args.optional(4, Args::integer)?;
+        let net = self.controller.load(LoadRequest {
+            text: args.text(0)?.to_owned(),
+            session: session.unwrap_or(NO_SESSION),
+            description: args.optional(2, Args::text)?.unwrap_or_default().to_owned(),
+            period,
+        })?;
+        match self.controller.net(net).as_ref().and_then(syntax_faults) {
+            None => Ok(vec![net.to_string().into()]),
+            Some(reason) => {
+                self.controller.unload(net)?;
+                Err(Refusal::NetSyntax { reason })
+            }
+        }
+    }
+
+    fn start(&self, args: Args<'_>) -> Outcome {
+        self.controller.start(self.net(args)?).map_err(|e| match e {
+            Error::NoSuchNet(_) => Refusal::InvalidNet,
+            e => Refusal::StartFailed { reason: e.to_string() },
+        })?;
+        Ok(Vec::new())
+    }
+
+    fn cancel(&self, args: Args<'_>) -> Outcome {
+        in_any_state(self.controller.cancel(self.net(args)?))
+    }
+
+    fn abort(&self, args: Args<'_>) -> Outcome {
+        in_any_state(self.controller.abort(self.net(args)?))
+    }
+
+    /// Clients see that a net is being unloaded as `TERMINATED` once more, before the reply.
+    fn unload(&mut self, args: Args<'_>, now: Duration) -> Outcome {
+        todo!()
+    }
+
+    /// A second subscription to a net takes the place of the first and is told its state again.
+    fn watch_net(&mut self, args: Args<'_>, tag: String) -> Outcome {
+        let net = self.net(args)?;
+        let refresh = args.seconds(1)?.min(REFRESH_MAX);
+        self.check_room(self.nets.contains_key(&net))?;
+        let states = self.controller.net(net).ok_or(Refusal::InvalidNet)?.states.len();
+        self.nets.insert(net, NetWatch::new(tag, refresh, states));
+        Ok(Vec::new())
+    }
+
+    /// Nothing is written if one of the nets does not exist.
+    fn write_values(&self, args: Args<'_>) -> Outcome {
+        let mut writes = Vec::new();
+        for (name, values) in args.map(0)? {
+            let net = self.known_net(name).ok_or(Refusal::InvalidNetName)?;
+            for (key, text) in values.as_map().ok_or(Refusal::ParameterType)? {
+                writes.push((net, key, text.as_str().ok_or(Refusal::ParameterType)?));
+            }
+        }
+        for (net, key, text) in writes {
+            self.controller.write_in(net, key, text)?;
+        }
+        Ok(Vec::new())
+    }
+
+    /// Not part of the original protocol, where HTTP resources tell this: all nets, or one.
+    fn describe_nets(&self, args: Args<'_>) -> Outcome {
+        let nets = match args.optional(0, Args::text)? {
+            Some(name) => vec![self.known_net(name).ok_or(Refusal::InvalidNet)?],
+            None => self.controller.nets(),
+        };
+        let infos = nets.into_iter().filter_map(|n| self.controller.net(n));
+        Ok(vec![Value::map_of(infos.map(|i| (i.id.to_string(), describe(&i))))])
+    }
+
+    fn check_room(&self, replaces: bool) -> Result<(), Refusal> {
+        let used = self.nets.len() + self.sessions.len() + usize::from(self.devices.is_some());
+        if replaces || used < SUBSCRIPTIONS_MAX {
+            Ok(())
+        } else {
+            Err(Refusal::TooManySubscriptions)
+        }
+    }
+
+    fn session(&self, args: Args<'_>) -> Result<SessionId, Refusal> {
+        let session = self.known_session(args.text(0)?).filter(|s| *s != NO_SESSION);
+        session.ok_or(Refusal::InvalidSession)
+    }
+
+    fn known_session(&self, name: &str) -> Option<SessionId> {
+        name.parse().ok().filter(|s| self.controller.session_nets(*s).is_some())
+    }
+
+    fn net(&self, args: Args<'_>) -> Result<NetId, Refusal> {
+        self.known_net(args.text(0)?).ok_or(Refusal::InvalidNet)
+    }
+
+    fn known_net(&self, name: &str) -> Option<NetId> {
+        name.parse().ok().filter(|n| self.controller.net(*n).is_some())
+    }
+}
+
+/// What cannot be done in the net's state is left undone without a word.
+fn in_any_state(result: Result<(), Error>) -> Outcome {
+    match result {
+        Ok(()) | Err(Error::WrongState { .. }) => Ok(Vec::new()),
+        Err(Error::NoSuchNet(_)) => Err(Refusal::InvalidNet),
+        Err(e) => Err(e.into()),
+    }
+}
+
+fn syntax_faults(info: &NetInfo) -> Option<String> {
+    let rejection = info.rejection.as_ref()?;
+    let wrong = rejection.faults.iter().any(|f| matches!(f.kind, FaultKind::Syntax { .. }));
+    wrong.then(|| rejection.lines(&info.text).join("; "))
+}
+
+fn describe(info: &NetInfo) -> Value {
+    let faults = info.rejection.as_ref().map(|r| r.lines(&info.text)).unwrap_or_default();
+    let state = info.states.last().map_or("", |s| s.word());
+    Value::map_of([
+        ("description", info.description.as_str().into()),
+        ("end", info.end.as_deref().unwrap_or_default().into()),
+        ("rejection", Value::list_of(faults)),
+        ("session", info.session.to_string().into()),
+        ("state", state.into()),
+    ])
+}
+
+/// The values of a command. More than it takes are ignored.
+#[derive(Clone, Copy)]
+struct Args<'a>(&'a [Value]);
+
+impl<'a> Args<'a> {
+    fn get(self, number: usize) -> Result<&'a Value, Refusal> {
+        self.0.get(number).ok_or(Refusal::ParameterMissing)
+    }
+
+    fn optional<T>(
+        self,
+        number: usize,
+        get: impl FnOnce(Self, usize) -> Result<T, Refusal>,
+    ) -> Result<Option<T>, Refusal> {
+        (number < self.0.len()).then(|| get(self, number)).transpose()
+    }
+
+    fn text(self, number: usize) -> Result<&'a str, Refusal> {
+        self.get(number)?.as_str().ok_or(Refusal::ParameterType)
+    }
+
+    fn map(self, number: usize) -> Result<&'a BTreeMap<String, Value>, Refusal> {
+        self.get(number)?.as_map().ok_or(Refusal::ParameterType)
+    }
+
+    fn integer(self, number: usize) -> Result<u32, Refusal> {
+        if let Value::Integer(n) = self.get(number)? { Ok(*n) } else { Err(Refusal::ParameterType) }
+    }
+
+    /// A float is wanted, and an integer is none.
+    fn seconds(self, number: usize) -> Result<Duration, Refusal> {
+        let Value::Float(seconds) = self.get(number)? else {
+            return Err(Refusal::ParameterType);
+        };
+        Ok(Duration::try_from_secs_f64(*seconds).unwrap_or(Duration::MAX))
+    }
+}

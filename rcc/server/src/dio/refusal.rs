@@ -1,0 +1,74 @@
+//! The texts with which commands are refused. Clients compare them, so they stay as they are; a
+//! reason, where there is one, follows as a second value. No command is executed here.
+
+use super::SUBSCRIPTIONS_MAX;
+use crate::wire::Message;
+
+/// Why a command was not done.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum Refusal {
+    /// The line is no message.
+    #[error("invalid syntax")]
+    InvalidSyntax,
+    /// Another version, or another command before `ver`.
+    #[error("bad handshake")]
+    BadHandshake,
+    /// No such command.
+    #[error("unknown command or uninitialized result")]
+    UnknownCommand,
+    /// A value of another type than the command takes.
+    #[error("Parameter type does not match")]
+    ParameterType,
+    /// Too few values.
+    #[error("Parameter missing")]
+    ParameterMissing,
+    /// No such session, or the one of all nets without a session.
+    #[error("invalid session")]
+    InvalidSession,
+    /// No such net.
+    #[error("invalid net")]
+    InvalidNet,
+    /// No such net, as `snc` says it.
+    #[error("invalidnetname")]
+    InvalidNetName,
+    /// The net text does not follow the grammar.
+    #[error("Syntax error in net.")]
+    NetSyntax { reason: String },
+    /// The net could not be started.
+    #[error("net start failed")]
+    StartFailed { reason: String },
+    /// Synchronization rules are not there.
+    #[error("scheduling not possible")]
+    SchedulingNotPossible,
+    /// No such rule.
+    #[error("Invalid synchronization rule")]
+    InvalidRule,
+    /// The bound on subscriptions.
+    #[error("too many subscriptions: a connection has at most {SUBSCRIPTIONS_MAX}; unload nets or open another connection")]
+    TooManySubscriptions,
+    /// Whatever else the controller says.
+    #[error(transparent)]
+    Controller(#[from] takt_core::Error),
+}
+
+impl Refusal {
+    /// The reply that says so.
+    pub(super) fn reply(&self, tag: &str) -> Message {
+        let reply = Message::new(tag, "err").with(self.to_string());
+        match self {
+            Self::NetSyntax { reason } | Self::StartFailed { reason } => reply.with(reason.as_str()),
+            Self::InvalidSyntax
+            | Self::BadHandshake
+            | Self::UnknownCommand
+            | Self::ParameterType
+            | Self::ParameterMissing
+            | Self::InvalidSession
+            | Self::InvalidNet
+            | Self::InvalidNetName
+            | Self::SchedulingNotPossible
+            | Self::InvalidRule
+            | Self::TooManySubscriptions
+            | Self::Controller(_) => reply,
+        }
+    }
+}

@@ -1,0 +1,56 @@
+//! What one client was told of the nets of one session, and what it is to be told next. It asks
+//! the controller nothing.
+
+use std::collections::BTreeMap;
+
+use takt_core::{NetId, NetState};
+
+use super::push;
+use crate::wire::{Message, Value};
+
+/// A subscription to the states of all nets of a session.
+#[derive(Debug)]
+pub(super) struct SessionWatch {
+    tag: String,
+    /// How many states of each net were told.
+    told: BTreeMap<NetId, usize>,
+}
+
+impl SessionWatch {
+    /// A subscription that was told nothing yet.
+    pub(super) const fn new(tag: String) -> Self {
+        Self { tag, told: BTreeMap::new() }
+    }
+
+    /// Tells what changed. `nets` are those that the session has now, `states` all states a net
+    /// has been in. Of a net seen for the first time only its present state is told; a net that
+    /// passed several states since makes as many messages.
+    pub(super) fn handle_nets(
+        &mut self,
+        nets: Vec<NetId>,
+        states: impl Fn(NetId) -> Option<Vec<NetState>>,
+    ) -> Vec<Message> {
+        let now: BTreeMap<_, _> = nets.into_iter().filter_map(|n| Some((n, states(n)?))).collect();
+        let mut rounds = Vec::new();
+        for (net, states) in &now {
+            let told = self.told.get(net).copied().unwrap_or(states.len().saturating_sub(1));
+            for (round, state) in states.iter().skip(told).enumerate() {
+                add(&mut rounds, round, *net, *state);
+            }
+        }
+        for net in self.told.keys().filter(|n| !now.contains_key(n)) {
+            add(&mut rounds, 0, *net, NetState::Unloaded);
+        }
+        self.told = now.into_iter().map(|(net, states)| (net, states.len())).collect();
+        rounds.into_iter().map(|states| push(&self.tag, "st", states)).collect()
+    }
+}
+
+fn add(rounds: &mut Vec<BTreeMap<String, Value>>, round: usize, net: NetId, state: NetState) {
+    if rounds.len() <= round {
+        rounds.resize_with(round + 1, BTreeMap::new);
+    }
+    if let Some(states) = rounds.get_mut(round) {
+        states.insert(net.to_string(), state.word().into());
+    }
+}

@@ -1,0 +1,50 @@
+//! What can go wrong around connections, on both sides. What a command is refused for is part of
+//! the protocol and stands with the commands.
+
+use std::io;
+use std::net::SocketAddr;
+use std::time::Duration;
+
+use crate::wire::DecodeError;
+use crate::wire::lines::LineTooLong;
+use crate::wire::websocket::FrameError;
+
+/// Why a server could not be set up, or a connection not be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+#[expect(missing_docs, reason = "each field is named in its variant's text")]
+pub enum Error {
+    /// The server would be reachable from other machines.
+    #[error("refusing to listen at {0}: the server has no access control, so only loopback addresses such as 127.0.0.1 are taken")]
+    NotLoopback(SocketAddr),
+    /// The address is taken or not there.
+    #[error("cannot listen at {address}: {source} (does another controller run already?)")]
+    Listen { address: SocketAddr, source: io::Error },
+    /// No controller runs there.
+    #[error("nobody listens at {address}: start `takt run`")]
+    NobodyListens { address: String },
+    /// The controller cannot be reached.
+    #[error("cannot connect to {address}: {source}")]
+    Connect { address: String, source: io::Error },
+    /// Sending or receiving failed.
+    #[error("connection to {address}: {source}")]
+    Connection { address: String, source: io::Error },
+    /// The other side ended the connection.
+    #[error("{address} closed the connection{}", .last.as_ref().map_or_else(String::new, |m| format!(" after `{m}`")))]
+    Closed { address: String, last: Option<String> },
+    /// No reply in time.
+    #[error("no reply to `{command}` within {waited:?}")]
+    NoReply { command: String, waited: Duration },
+    /// The controller answered with an error.
+    #[error("`{command}` was refused: {text}")]
+    Refused { command: String, text: String },
+    /// A line that is no message.
+    #[error("received something that is no message: {0}")]
+    Decode(#[from] DecodeError),
+    /// A message beyond the bounds on a plain connection.
+    #[error(transparent)]
+    Line(#[from] LineTooLong),
+    /// Something that is no frame on a WebSocket connection.
+    #[error(transparent)]
+    Frame(#[from] FrameError),
+}

@@ -1,0 +1,136 @@
+//! WebSocket frames (RFC 6455 clause 5) as the known client speaks them: not masked, closed with
+//! a payload that is no close code, text that need not be UTF-8. The library's own connection
+//! refuses all three, so it codes the frame headers and what they mean stands here. This file
+//! knows no handshake.
+
+use std::io::Cursor;
+
+use tungstenite::protocol::frame::FrameHeader;
+use tungstenite::protocol::frame::coding::{Control, OpCode};
+
+use super::MESSAGE_BYTES_MAX;
+
+/// Most payload bytes of a ping, pong or close (clause 5.5).
+const CONTROL_BYTES_MAX: usize = 125;
+
+/// What a client's frames amount to.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Event {
+    /// One whole message, of one frame or of several.
+    Message(String),
+    /// A ping, to be answered with these bytes.
+    Ping(Vec<u8>),
+    /// The client closes; answer with the same bytes and end the connection.
+    Close(Vec<u8>),
+}
+
+/// Why a client's frames cannot be read on.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum FrameError {
+    /// The bound on length, of a frame or of a message made of several.
+    #[error("a message has more than {MESSAGE_BYTES_MAX} bytes")]
+    TooLong,
+    /// A control frame that clause 5.5 forbids.
+    #[error("a control frame is fragmented or has more than {CONTROL_BYTES_MAX} bytes")]
+    Control,
+    /// Reserved bits, but no extension was agreed on.
+    #[error("a frame has reserved bits set")]
+    Reserved,
+    /// No frame header at all.
+    #[error("{0}")]
+    Header(#[from] tungstenite::Error),
+}
+
+/// Puts a client's frames together.
+#[derive(Debug, Default)]
+pub struct FrameReader {
+    bytes: Vec<u8>,
+    /// First byte of the frame in progress.
+    start: usize,
+    /// Payload of the fragments of the message in progress.
+    message: Vec<u8>,
+}
+
+impl FrameReader {
+    /// Adds received bytes.
+    pub fn push(&mut self, bytes: &[u8]) {
+        self.bytes.drain(..self.start);
+        self.start = 0;
+        self.bytes.extend_from_slice(bytes);
+    }
+
+    /// What came next. After an error or [`Event::Close`] nothing more should be asked.
+    ///
+    /// # Errors
+    /// If the bytes are not frames that can be taken.
+    pub fn poll_event(&mut self) -> Result<Option<Event>, FrameError> {
+        while let Some((header, payload)) = self.next_frame()? {
+            let event = match header.opcode {
+                OpCode::Data(_) => self.handle_data(header.is_final, &payload)?,
+                OpCode::Control(Control::Ping) => Some(Event::Ping(payload)),
+                OpCode::Control(Control::Close) => Some(Event::Close(payload)),
+                OpCode::Control(Control::Pong | Control::Reserved(_)) => None,
+            };
+            if event.is_some() {
+                return Ok(event);
+            }
+        }
+        Ok(None)
+    }
+
+    /// Any data frame continues the message in progress: the known peers number them loosely.
+    fn handle_data(&mut self, last: bool, payload: &[u8]) -> Result<Option<Event>, FrameError> {
+        if self.message.len() + payload.len() > MESSAGE_BYTES_MAX {
+            return Err(FrameError::TooLong);
+        }
+        self.message.extend_from_slice(payload);
+        if !last {
+            return Ok(None);
+        }
+        let message = std::mem::take(&mut self.message);
+        Ok(Some(Event::Message(String::from_utf8_lossy(&message).into_owned())))
+    }
+
+    fn next_frame(&mut self) -> Result<Option<(FrameHeader, Vec<u8>)>, FrameError> {
+        let received = self.bytes.get(self.start..).unwrap_or_default();
+        let mut cursor = Cursor::new(received);
+        let Some((header, length)) = FrameHeader::parse(&mut cursor)? else {
+            return Ok(None);
+        };
+        let length = usize::try_from(length).map_err(|_| FrameError::TooLong)?;
+        check(&header, length)?;
+        let begin = usize::try_from(cursor.position()).unwrap_or(received.len());
+        let Some(payload) = received.get(begin..begin + length) else {
+            return Ok(None);
+        };
+        let payload = unmask(payload, header.mask);
+        self.start += begin + length;
+        Ok(Some((header, payload)))
+    }
+}
+
+fn check(header: &FrameHeader, length: usize) -> Result<(), FrameError> {
+    if header.rsv1 || header.rsv2 || header.rsv3 {
+        return Err(FrameError::Reserved);
+    }
+    let control = matches!(header.opcode, OpCode::Control(_));
+    if control && (!header.is_final || length > CONTROL_BYTES_MAX) {
+        return Err(FrameError::Control);
+    }
+    if length > MESSAGE_BYTES_MAX { Err(FrameError::TooLong) } else { Ok(()) }
+}
+
+fn unmask(payload: &[u8], mask: Option<[u8; 4]>) -> Vec<u8> {
+    match mask {
+        None => payload.to_vec(),
+        Some(mask) => payload.iter().zip(mask.iter().cycle()).map(|(b, m)| b ^ m).collect(),
+    }
+}
+
+/// Appends a server's frame of that kind to `out`.
+pub fn write_frame(opcode: OpCode, payload: &[u8], out: &mut Vec<u8>) {
+    let header = FrameHeader { opcode, ..FrameHeader::default() };
+    header.format(payload.len() as u64, out).expect("writing to a Vec cannot fail");
+    out.extend_from_slice(payload);
+}

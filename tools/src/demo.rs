@@ -1,0 +1,248 @@
+//! `takt demo`: a whole cell in one process. Two emulated KRCs speak FRI over UDP on loopback; a
+//! client sends a net as text over TCP; the report says how it went. No part is a toy: each is the
+//! code that runs against real robots.
+
+mod motion;
+mod plot;
+mod report;
+
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use anyhow::Context as _;
+use clap::Args;
+use takt_core::cell::{ControllerConfig, DeviceConfig, LwrConfig};
+use takt_core::device::DeviceStatus;
+use takt_core::record::Recorder;
+use takt_core::{CellConfig, Controller};
+use takt_rt::host::{Host, HostConfig, prepare};
+use takt_server::client::Client;
+
+use crate::Verdict;
+use crate::emulate::{Robot, resting};
+use crate::output::{complain, is_terminal, say, span};
+use crate::run::{Server, tell_grants};
+use report::Report;
+
+/// Names of the robots.
+const ROBOTS: [&str; 2] = ["left", "right"];
+/// How long a robot may take to come into command mode.
+const READY_WITHIN: Duration = Duration::from_secs(20);
+/// How often joints are noted for the plot.
+const SAMPLE_EVERY: Duration = Duration::from_millis(10);
+
+/// Move two emulated robots with a net.
+#[derive(Debug, Args)]
+pub(crate) struct Demo {
+    /// How long the motion takes.
+    #[arg(long, default_value = "10s", value_parser = span)]
+    duration: Duration,
+    /// Print one JSON object instead of the report.
+    #[arg(long)]
+    json: bool,
+    /// Where the plot goes.
+    #[arg(long, value_name = "FILE.svg", default_value = "takt-demo.svg")]
+    svg: PathBuf,
+    /// Lose this share of datagrams in each direction, 0 to 1.
+    #[arg(long, default_value_t = 0.0)]
+    drop: f64,
+    /// Record everything that enters and leaves the net thread.
+    #[arg(long, value_name = "FILE.mcap", conflicts_with = "replay")]
+    record: Option<PathBuf>,
+    /// Replay a recording instead, and compare what comes out byte for byte.
+    #[arg(long, value_name = "FILE.mcap")]
+    replay: Option<PathBuf>,
+    /// Print the net and end.
+    #[arg(long)]
+    print_net: bool,
+    /// End the process at the first allocation in a real-time thread.
+    #[arg(long)]
+    guard: bool,
+}
+
+/// Joints over time.
+#[derive(Debug, Default)]
+struct Samples {
+    /// Seconds since the start of the motion.
+    time_s: Vec<f64>,
+    /// By robot and joint: measured position, rad.
+    joints: Vec<Vec<Vec<f64>>>,
+}
+
+impl Samples {
+    /// By robot, how far its farthest joint went, rad.
+    fn moved(&self) -> Vec<f64> {
+        let range = |joint: &Vec<f64>| {
+            let known = || joint.iter().copied().filter(|p| p.is_finite());
+            known().fold(f64::MIN, f64::max) - known().fold(f64::MAX, f64::min)
+        };
+        self.joints.iter().map(|joints| joints.iter().map(range).fold(0.0, f64::max)).collect()
+    }
+}
+
+impl Demo {
+    pub(crate) fn run(self) -> anyhow::Result<Verdict> {
+        let net = motion::net(&ROBOTS, self.duration);
+        if self.print_net {
+            say(net.trim_end())?;
+            return Ok(Verdict::Good);
+        }
+        if let Some(recording) = &self.replay {
+            return replay(recording);
+        }
+        let host = prepare(&HostConfig::default());
+        if self.guard {
+            takt_rt::alloc::set_guard(takt_rt::alloc::Guard::Abort);
+        }
+        let recording = self.record.as_deref().map(Recorder::start).transpose()?;
+        let cell = cell();
+        let controller = Controller::start_recording(&cell, recording)?;
+        if !self.json {
+            tell_grants(&host, &controller);
+        }
+        let server = Server::start(&cell, &controller)?;
+        let robots = self.start_robots(&controller)?;
+        wait_until_ready(&controller)?;
+        let address = server.tcp().context("the server does not listen")?;
+        let ended = self.drive(&controller, address, &net);
+        let recorded = controller.finish_recording()?;
+        let (samples, end) = ended?;
+        let report = Report::collect(&controller, &host, &robots, &samples.moved(), end);
+        plot::draw(&self.svg, &ROBOTS, &samples, &controller.stats())
+            .with_context(|| format!("cannot write {}", self.svg.display()))?;
+        server.stop();
+        for robot in robots {
+            robot.stop()?;
+        }
+        self.tell(&report, &host, recorded)
+    }
+
+    fn start_robots(&self, controller: &Controller) -> anyhow::Result<Vec<Robot>> {
+        let addresses = controller.with_arms(|arm| (arm.name().to_owned(), arm.address()));
+        let mut robots = Vec::new();
+        for (seed, (name, address)) in (1..).zip(addresses) {
+            let mut config = resting(Duration::from_millis(1));
+            config.seed = seed;
+            config.faults.to_client.drop = self.drop;
+            config.faults.to_krc.drop = self.drop;
+            robots.push(Robot::start(&format!("krc-{name}"), address, config)?);
+        }
+        Ok(robots)
+    }
+
+    /// Sends the net, starts it, and follows it to its end. Returns why it ended if not by itself.
+    fn drive(
+        &self,
+        controller: &Controller,
+        address: SocketAddr,
+        net: &str,
+    ) -> anyhow::Result<(Samples, Option<String>)> {
+        let mut client = Client::connect(address)?;
+        client.open_session("takt demo")?;
+        let id = client.load(net, "demo motion")?;
+        client.start(&id)?;
+        let begin = Instant::now();
+        let bar = self.progress();
+        let mut samples = Samples::default();
+        samples.joints = vec![vec![Vec::new(); takt_fri::lwr::AXES]; ROBOTS.len()];
+        // Braking for want of set-points, or a slow host, may take longer than the motion itself.
+        let latest = self.duration * 2 + Duration::from_secs(10);
+        loop {
+            let state = client.state(&id)?;
+            if state == "TERMINATED" || state == "UNLOADED" {
+                break;
+            }
+            anyhow::ensure!(begin.elapsed() < latest, "the net did not end within {latest:?}");
+            sample(controller, begin.elapsed(), &mut samples);
+            bar.set_position(u64::try_from(begin.elapsed().as_millis()).unwrap_or(u64::MAX));
+            std::thread::sleep(SAMPLE_EVERY);
+        }
+        bar.finish_and_clear();
+        let end = id.parse().ok().and_then(|id| controller.net(id)).and_then(|net| net.end);
+        client.end_session()?;
+        Ok((samples, end))
+    }
+
+    fn progress(&self) -> indicatif::ProgressBar {
+        if self.json || !is_terminal() {
+            return indicatif::ProgressBar::hidden();
+        }
+        let length = u64::try_from(self.duration.as_millis()).unwrap_or(u64::MAX);
+        let style = indicatif::ProgressStyle::with_template("moving {wide_bar} {percent}%");
+        let bar = indicatif::ProgressBar::new(length);
+        style.map(|style| bar.clone().with_style(style)).unwrap_or(bar)
+    }
+
+    fn tell(
+        &self,
+        report: &Report,
+        host: &Host,
+        recorded: Option<u64>,
+    ) -> anyhow::Result<Verdict> {
+        if self.json {
+            say(&serde_json::to_string(report)?)?;
+        } else {
+            say(report.text(host.is_preempt_rt()).trim_end())?;
+            say(&format!("plot       {}", self.svg.display()))?;
+            if let (Some(cycles), Some(path)) = (recorded, &self.record) {
+                say(&format!("recording  {}, {cycles} cycles", path.display()))?;
+            }
+        }
+        Ok(if report.ok { Verdict::Good } else { Verdict::Failed })
+    }
+}
+
+/// Two LWRs, every address chosen by the system.
+fn cell() -> CellConfig {
+    let anywhere = SocketAddr::from(([127, 0, 0, 1], 0));
+    let controller = ControllerConfig { websocket: None, tcp: Some(anywhere), ..Default::default() };
+    let devices = ROBOTS.map(|name| DeviceConfig::Lwr(LwrConfig::new(name, anywhere)));
+    CellConfig { controller, devices: devices.into() }
+}
+
+fn wait_until_ready(controller: &Controller) -> anyhow::Result<()> {
+    let until = Instant::now() + READY_WITHIN;
+    loop {
+        let devices = controller.devices();
+        let waiting = devices.iter().find(|d| d.status != DeviceStatus::Operational);
+        let Some(device) = waiting else { return Ok(()) };
+        if Instant::now() > until {
+            anyhow::bail!(
+                "{} is still {} after {READY_WITHIN:?}: this host does not answer it in time; \
+                 see how busy it is",
+                device.name,
+                device.status
+            );
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+fn sample(controller: &Controller, at: Duration, samples: &mut Samples) {
+    samples.time_s.push(at.as_secs_f64());
+    for (name, joints) in ROBOTS.iter().zip(&mut samples.joints) {
+        let state = controller.arm_state(name).unwrap_or_default();
+        for (joint, told) in joints.iter_mut().zip(&state.joints) {
+            joint.push(told.measured_position.unwrap_or(f64::NAN));
+        }
+    }
+}
+
+fn replay(path: &Path) -> anyhow::Result<Verdict> {
+    let outcome = takt_core::record::replay(path)?;
+    if let Some(cycle) = outcome.differs {
+        complain(&format!(
+            "{}: cycle {cycle} gives other outputs than recorded",
+            path.display()
+        ));
+        return Ok(Verdict::Failed);
+    }
+    say(&format!(
+        "{}: {} cycles, {} bytes: every byte as recorded",
+        path.display(),
+        outcome.cycles,
+        outcome.bytes
+    ))?;
+    Ok(Verdict::Good)
+}

@@ -1,0 +1,102 @@
+//! The net of the demo: both arms swing all joints about where they stand, in step, and come back.
+//! It is an ordinary net: `takt demo --print-net` shows it, `takt net load` takes it.
+
+use std::f64::consts::TAU;
+use std::time::Duration;
+
+/// By joint: how far it swings out, rad, and how often in ten seconds.
+const SWINGS: [(f64, f64); 7] =
+    [(0.6, 2.0), (0.4, 4.0), (-0.5, 2.0), (0.5, 4.0), (0.6, 2.0), (-0.4, 4.0), (0.8, 2.0)];
+
+/// The net for a motion of that length.
+pub(super) fn net(robots: &[&str], duration: Duration) -> String {
+    let seconds = duration.as_secs_f64().max(0.1);
+    // As many swings as fit without more speed; where the time is short, smaller ones.
+    let repeats = (seconds / 10.0).round().max(1.0);
+    let scale = (seconds / (10.0 * repeats)).powi(2).min(1.0);
+    let arms: Vec<String> = robots.iter().map(|robot| arm(robot, repeats, scale)).collect();
+    let good: Vec<String> = robots.iter().map(|robot| format!("{robot}.outGood")).collect();
+    let (all_good, gates) = all_of("good", &good);
+    format!(
+        "{{
+  # a cancel slows the motion down to a stop on its path, within half a second
+  cancel=Cancel(),
+  since=Core::Clock(inActive=cancel.outCancel),
+  spent=Core::Interval(inValue=since.outValue, Max='0.5'),
+  lost=Core::DoubleMultiply(inFirst=spent.outValue, Second='-1'),
+  slower=Core::DoubleAdd(inFirst=lost.outValue, Second='1'),
+  speed=Core::DoubleConditional(inCondition=cancel.outCancel, inTrue=slower.outValue, False='1'),
+  gain=Core::DoubleNetcommIn(Key='gain', Value='1'),
+  rate=Core::DoubleMultiply(inFirst=speed.outValue, inSecond=gain.outValue),
+
+  # progress of the motion, 0 to 1, speeding up and slowing down
+  clock=Core::Clock(inIncrement=rate.outValue),
+  part=Core::Interval(inValue=clock.outValue, Max='{seconds}'),
+  amount=Core::Rampify(inValue=part.outValue, Constant='0.6'),
+  progress=Core::DoubleNetcommOut(inValue=amount.outValue, Key='progress'),
+
+  # true in the first cycle only
+  true=Core::BooleanValue(Value='true'),
+  past=Core::BooleanPre(inValue=true.outValue),
+  first=Core::BooleanIsNull(inValue=past.outValue),
+
+{arms}
+{gates}  result=Core::BooleanNetcommOut(inValue={all_good}, Key='good'),
+  failed=Core::BooleanNot(inValue={all_good}),
+
+  # the end: done, stopped after a cancel, or failed
+  done=Core::DoubleGreater(inFirst=clock.outValue, Second='{seconds}'),
+  moving=Core::DoubleGreater(inFirst=speed.outValue),
+  stopped=Core::BooleanNot(inValue=moving.outValue),
+  over=Core::BooleanOr(inFirst=done.outValue, inSecond=stopped.outValue),
+  end=Core::BooleanOr(inFirst=over.outValue, inSecond=failed.outValue),
+  outTerminate=end.outValue
+}}
+",
+        arms = arms.concat()
+    )
+}
+
+/// The fragment that moves one arm.
+fn arm(robot: &str, repeats: f64, scale: f64) -> String {
+    let joint = |(axis, (swing, often)): (usize, &(f64, f64))| {
+        let angle = TAU * often * repeats / 2.0;
+        let half = swing * scale / 2.0;
+        format!(
+            "    monitor{axis}=RobotArm::JointMonitor(Robot='{robot}', Axis='{axis}'),
+    start{axis}=Core::DoubleSnapshot(inSnapshot=parent.inFirst, \
+             inValue=monitor{axis}.outCommandedPosition),
+    angle{axis}=Core::DoubleMultiply(inFirst=parent.inAmount, Second='{angle}'),
+    cosine{axis}=Core::DoubleCos(inValue=angle{axis}.outValue),
+    swing{axis}=Core::DoubleMultiply(inFirst=cosine{axis}.outValue, Second='{}'),
+    offset{axis}=Core::DoubleAdd(inFirst=swing{axis}.outValue, Second='{half}'),
+    target{axis}=Core::DoubleAdd(inFirst=start{axis}.outValue, inSecond=offset{axis}.outValue),
+    joint{axis}=RobotArm::JointPosition(inPosition=target{axis}.outValue, Robot='{robot}', \
+             Axis='{axis}'),
+    good{axis}=Core::IntEquals(inFirst=joint{axis}.outError),
+",
+            -half
+        )
+    };
+    let joints: String = SWINGS.iter().enumerate().map(joint).collect();
+    let good: Vec<String> = (0..SWINGS.len()).map(|axis| format!("good{axis}.outValue")).collect();
+    let (all, gates) = all_of("all", &good);
+    format!(
+        "  {robot}={{
+{joints}{gates}    outGood={all}
+  }}(inAmount=amount.outValue, inFirst=first.outValue),
+"
+    )
+}
+
+/// Gates that join `sources` by "and": the port of the last one and their text.
+fn all_of(name: &str, sources: &[String]) -> (String, String) {
+    let mut last = sources.first().cloned().unwrap_or_default();
+    let mut text = String::new();
+    for (i, source) in sources.iter().enumerate().skip(1) {
+        let gate = format!("{name}And{i}");
+        text += &format!("    {gate}=Core::BooleanAnd(inFirst={last}, inSecond={source}),\n");
+        last = format!("{gate}.outValue");
+    }
+    (last, text)
+}

@@ -1,0 +1,168 @@
+//! `takt emulate`: the other end of a wire, for labs and tests. The protocols and robots are in
+//! the protocol crates.
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use anyhow::Context as _;
+use clap::{Args, Subcommand};
+use takt_fri::lwr::emulator::{Krc, KrcConfig, KrcStatus, serve};
+use takt_fri::lwr::{AXES, DEFAULT_PORT, emulator};
+use takt_rt::thread::{Thread, ThreadConfig};
+
+use crate::Verdict;
+use crate::output::{say, span};
+use crate::run::until_stopped;
+
+/// Emulated robots.
+#[derive(Debug, Subcommand)]
+pub(crate) enum Emulate {
+    /// A KRC with a KUKA LWR, speaking FRI 1.0 over UDP.
+    Lwr(Lwr),
+}
+
+impl Emulate {
+    pub(crate) fn run(self) -> anyhow::Result<Verdict> {
+        match self {
+            Self::Lwr(lwr) => lwr.run(),
+        }
+    }
+}
+
+/// A KRC with an LWR.
+#[derive(Debug, Args)]
+pub(crate) struct Lwr {
+    /// Where the controller listens; datagrams are sent there.
+    #[arg(long, default_value_t = SocketAddr::from(([127, 0, 0, 1], DEFAULT_PORT)))]
+    target: SocketAddr,
+    /// Time from one measurement to the next, 1ms to 100ms.
+    #[arg(long, default_value = "1ms", value_parser = span)]
+    period: Duration,
+    /// Share of datagrams to lose in each direction, 0 to 1.
+    #[arg(long, default_value_t = 0.0, value_parser = share)]
+    drop: f64,
+    /// Delay of every datagram.
+    #[arg(long, default_value = "0ms", value_parser = span)]
+    delay: Duration,
+    /// Longest additional delay, uniformly distributed.
+    #[arg(long, default_value = "0ms", value_parser = span)]
+    jitter: Duration,
+    /// Share of datagrams to send behind their successor, 0 to 1.
+    #[arg(long, default_value_t = 0.0, value_parser = share)]
+    reorder: f64,
+    /// Switch the drives off this long after the start.
+    #[arg(long, value_parser = span)]
+    power_off: Option<Duration>,
+    /// Seed of all that is random.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// End after this time; without it, at Ctrl-C.
+    #[arg(long, value_parser = span)]
+    duration: Option<Duration>,
+}
+
+fn share(text: &str) -> Result<f64, String> {
+    let share: f64 = text.parse().map_err(|_| format!("`{text}` is no number"))?;
+    if (0.0..=1.0).contains(&share) { Ok(share) } else { Err("must be 0 to 1".to_owned()) }
+}
+
+impl Lwr {
+    fn run(self) -> anyhow::Result<Verdict> {
+        let line = emulator::LineFaults {
+            drop: self.drop,
+            reorder: self.reorder,
+            delay: self.delay,
+            jitter: self.jitter,
+            ..emulator::LineFaults::default()
+        };
+        let power_off =
+            self.power_off.map(|at| emulator::PowerOff { at, span: Duration::from_secs(2) });
+        let faults = emulator::Faults {
+            to_client: line,
+            to_krc: line,
+            power_off,
+            ..emulator::Faults::default()
+        };
+        let config = KrcConfig { faults, seed: self.seed, ..resting(self.period) };
+        let robot = Robot::start("krc", self.target, config)?;
+        say(&format!("LWR sends measurements to {} every {:?}", self.target, self.period))?;
+        let mut told = None;
+        until_stopped(self.duration, || {
+            let status = &robot.status;
+            let now = (status.state(), status.quality(), status.has_power(), status.falls());
+            if told == Some(now) {
+                return Ok(());
+            }
+            told = Some(now);
+            let power = if status.has_power() { "drives on" } else { "drives off" };
+            let fall = status.last_fall().filter(|_| status.falls() > 0);
+            let fall = fall.map_or_else(String::new, |why| format!("; left command mode: {why}"));
+            say(&format!("{:?}, quality {:?}, {power}{fall}", status.state(), status.quality()))
+        })?;
+        let status = robot.stop()?;
+        say(&format!(
+            "sent {}, answers {}, missed {}, own stalls {}",
+            status.sent(),
+            status.answers(),
+            status.missed(),
+            status.stalls()
+        ))?;
+        Ok(Verdict::Good)
+    }
+}
+
+/// An arm in a posture in which every joint can move both ways.
+pub(crate) fn resting(period: Duration) -> KrcConfig {
+    let joints = [0.0, 0.5, 0.0, -1.2, 0.0, 0.8, 0.0];
+    KrcConfig { period, joints, ..KrcConfig::default() }
+}
+
+/// An emulated controller in a thread of its own.
+#[derive(Debug)]
+pub(crate) struct Robot {
+    /// What it is doing.
+    pub(crate) status: Arc<KrcStatus>,
+    thread: Thread<std::io::Result<()>>,
+    stop: Arc<AtomicBool>,
+}
+
+impl Robot {
+    /// Starts it; its datagrams go to `target`.
+    pub(crate) fn start(name: &str, target: SocketAddr, config: KrcConfig) -> anyhow::Result<Self> {
+        let local = match target {
+            SocketAddr::V4(v4) if v4.ip().is_loopback() => SocketAddr::from(([127, 0, 0, 1], 0)),
+            SocketAddr::V4(_) => SocketAddr::from(([0, 0, 0, 0], 0)),
+            SocketAddr::V6(_) => SocketAddr::from((std::net::Ipv6Addr::UNSPECIFIED, 0)),
+        };
+        let mut link = takt_fri::linux::UdpLink::connect(local, target)
+            .with_context(|| format!("cannot open a socket to {target}"))?;
+        let status = Arc::new(KrcStatus::new());
+        let stop = Arc::new(AtomicBool::new(false));
+        let (shared, stopping) = (Arc::clone(&status), Arc::clone(&stop));
+        // Above drivers: the real controller has a processor of its own.
+        let config_of_thread = ThreadConfig { priority: Some(88), ..ThreadConfig::new(name) };
+        let thread = takt_rt::thread::spawn(config_of_thread, move || {
+            let mut krc = Krc::new(config, takt_fri::linux::monotonic()?);
+            serve(&mut krc, &mut link, &shared, &stopping)
+        })
+        .with_context(|| format!("cannot start thread {name}"))?;
+        Ok(Self { status, thread, stop })
+    }
+
+    /// Joint positions it measures, rad.
+    pub(crate) fn measured(&self) -> [f64; AXES] {
+        self.status.measured()
+    }
+
+    /// Ends it.
+    pub(crate) fn stop(self) -> anyhow::Result<Arc<KrcStatus>> {
+        self.stop.store(true, Ordering::Relaxed);
+        match self.thread.join() {
+            Ok(served) => served.context("the emulated controller failed")?,
+            Err(_) => anyhow::bail!("the emulated controller ended by a panic"),
+        }
+        Ok(self.status)
+    }
+}
