@@ -3,6 +3,7 @@
 
 mod desk;
 mod ids;
+mod rules;
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -22,7 +23,9 @@ use crate::executor::{ResourceSet, Running};
 use crate::record::{Recorder, Tap};
 use desk::{Desk, Net, Session};
 
+pub use crate::executor::rules::RuleState;
 pub use ids::{NetId, NetState, SessionId, net_number};
+pub use rules::{RuleId, RuleInfo, RuleRequest};
 
 /// Nets that may be loaded at once.
 pub const NETS_MAX: usize = 1024;
@@ -378,6 +381,7 @@ impl Controller {
                 return Ok(());
             }
             NetState::Ready | NetState::Scheduled => {
+                desk.withdraw(id)?;
                 desk.net(id)?.end("aborted before it ran".to_owned());
                 self.inner.announce(&desk);
                 return Ok(());
@@ -408,6 +412,7 @@ impl Controller {
             | NetState::Terminated
             | NetState::Unloaded => {}
         }
+        desk.withdraw(id)?;
         let net = desk.nets.remove(&id);
         self.inner.announce(&desk);
         drop(desk);

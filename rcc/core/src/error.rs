@@ -28,6 +28,18 @@ pub enum Error {
     /// Something the net needs is in use.
     #[error("net {net} needs {resource}, which another running net holds; end that net first")]
     ResourceInUse { net: NetId, resource: String },
+    /// Something the net needs is kept for a net that is scheduled.
+    #[error("net {net} needs {resource}, which is kept for a scheduled net; abort that one first")]
+    ResourceKept { net: NetId, resource: String },
+    /// What a scheduled net needs cannot be kept for it.
+    #[error(
+        "{resource} cannot be kept for the nets to be started: it is in use by a net that the rule \
+         does not follow, kept for another rule, or wanted twice"
+    )]
+    NotSchedulable { resource: String },
+    /// A rule's condition is wrong.
+    #[error("condition: {what}")]
+    Condition { what: String },
     /// A device that the net commands does not follow commands.
     #[error("net {net} commands {device}, which is {status}; wait until it is operational")]
     DeviceNotReady { net: NetId, device: String, status: String },

@@ -1,7 +1,8 @@
 //! Evaluates the running nets of one thread, cycle by cycle: starts, cancels, ends, resources. It
 //! owns no thread and reads no clock, so that a recording replays through the very same code; the
-//! live thread around it is in [`thread`].
+//! live thread around it is in [`thread`], and what happens between nets in [`rules`].
 
+pub mod rules;
 pub mod thread;
 
 use takt_net::{Image, Moment, Plan};
@@ -54,6 +55,14 @@ pub struct DeviceView {
     pub faults: u64,
 }
 
+impl DeviceView {
+    /// Whether nets can command it.
+    #[must_use]
+    pub fn is_ready(&self) -> bool {
+        self.status == DeviceStatus::Operational
+    }
+}
+
 /// Why a net ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
@@ -61,6 +70,8 @@ pub enum End {
     Terminated,
     /// It was aborted.
     Aborted,
+    /// A synchronization rule stopped it.
+    Stopped,
     /// A device that it commands, by its number, ceased to follow commands.
     DeviceFault(usize),
 }
@@ -70,10 +81,23 @@ pub enum End {
 pub enum Refusal {
     /// Another running net holds this resource.
     ResourceInUse(usize),
+    /// This resource is kept for a scheduled net.
+    ResourceKept(usize),
     /// This device does not follow commands.
     DeviceNotReady(usize),
     /// Too many nets run.
     TooMany,
+}
+
+/// What a rule did to a net.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Effect {
+    /// It ends with this cycle.
+    Stopped,
+    /// It is told to cancel from the next cycle on.
+    Cancelled,
+    /// It is evaluated from the next cycle on.
+    Started,
 }
 
 /// A net in the hands of the thread that evaluates it.
@@ -91,6 +115,12 @@ pub struct Running {
     pub every: u64,
     /// Whether it was asked to cancel.
     pub cancel: bool,
+    /// Whether a successor waits for it.
+    pub takeover: bool,
+    /// Whether a rule started it, and nobody was told yet.
+    fresh: bool,
+    /// Whether a rule asked it to cancel, and nobody was told yet.
+    fresh_cancel: bool,
     /// Whether it ends after this cycle, and why.
     end: Option<End>,
     /// Whether it was evaluated in this cycle.
@@ -116,6 +146,9 @@ impl Running {
             devices: Vec::new(),
             every: 1,
             cancel: false,
+            takeover: false,
+            fresh: false,
+            fresh_cancel: false,
             end: None,
             evaluated: false,
             out,
@@ -155,7 +188,7 @@ pub struct Executor {
     /// Devices as their lives depend on them.
     pub devices: Vec<DeviceView>,
     running: Vec<Box<Running>>,
-    held: ResourceSet,
+    rules: rules::Rules,
     /// How many joints of the image belong to a device.
     joints: usize,
 }
@@ -166,7 +199,7 @@ impl Default for Executor {
             image: Image::default(),
             devices: Vec::with_capacity(DEVICES_MAX),
             running: Vec::with_capacity(RUNNING_MAX),
-            held: ResourceSet::default(),
+            rules: rules::Rules::new(),
             joints: 0,
         }
     }
@@ -181,18 +214,20 @@ impl Executor {
         if self.running.len() == RUNNING_MAX {
             return Err((net, Refusal::TooMany));
         }
-        if let Some(resource) = net.resources.common(&self.held) {
+        if let Some(resource) = net.resources.common(&self.held()) {
             return Err((net, Refusal::ResourceInUse(resource)));
+        }
+        if let Some(resource) = self.kept(&net) {
+            return Err((net, Refusal::ResourceKept(resource)));
         }
         for i in 0..net.devices.len() {
             let number = net.devices[i].0;
             let view = self.devices.get(number).copied().unwrap_or_default();
-            if view.status != DeviceStatus::Operational {
+            if !view.is_ready() {
                 return Err((net, Refusal::DeviceNotReady(number)));
             }
             net.devices[i].1 = view.faults;
         }
-        self.held.add(&net.resources);
         self.running.push(net);
         Ok(())
     }
@@ -224,6 +259,35 @@ impl Executor {
         })
     }
 
+    /// What running nets hold.
+    fn held(&self) -> ResourceSet {
+        let mut held = ResourceSet::default();
+        for net in &self.running {
+            held.add(&net.resources);
+        }
+        held
+    }
+
+    /// Takes in a net whose right to run was checked before.
+    pub fn start_by_rule(&mut self, mut net: Box<Running>) {
+        for device in &mut net.devices {
+            device.1 = self.devices.get(device.0).map_or(0, |view| view.faults);
+        }
+        self.running.push(net);
+    }
+
+    /// Says whether a successor waits for a net; returns whether that is new.
+    pub fn set_takeover(&mut self, id: u32, waits: bool) -> bool {
+        self.find(id).is_some_and(|net| std::mem::replace(&mut net.takeover, waits) != waits)
+    }
+
+    /// Ends a net after this cycle, as a rule does.
+    pub fn stop(&mut self, id: u32) {
+        if let Some(net) = self.find(id) {
+            net.end = net.end.or(Some(End::Stopped));
+        }
+    }
+
     fn find(&mut self, id: u32) -> Option<&mut Box<Running>> {
         self.running.iter_mut().find(|net| net.id == id)
     }
@@ -244,7 +308,7 @@ impl Executor {
             }
             net.evaluated = net.end.is_none() && moment.cycle.is_multiple_of(net.every);
             if net.evaluated {
-                let moment = Moment { cancel: net.cancel, ..moment };
+                let moment = Moment { cancel: net.cancel, takeover: net.takeover, ..moment };
                 if net.plan.evaluate(&self.image, moment) {
                     net.end = Some(End::Terminated);
                 }
@@ -261,6 +325,21 @@ impl Executor {
         }
     }
 
+    /// Tells what rules did to nets in this cycle: those stopped, asked to cancel, and started.
+    pub fn rule_effects(&mut self, mut tell: impl FnMut(u32, Effect)) {
+        for net in &mut self.running {
+            if net.end == Some(End::Stopped) {
+                tell(net.id, Effect::Stopped);
+            }
+            if std::mem::take(&mut net.fresh_cancel) {
+                tell(net.id, Effect::Cancelled);
+            }
+            if std::mem::take(&mut net.fresh) {
+                tell(net.id, Effect::Started);
+            }
+        }
+    }
+
     /// Takes out one net that ended, if `take` accepts it; what it held is free then.
     pub fn take_ended(
         &mut self,
@@ -268,13 +347,9 @@ impl Executor {
     ) -> bool {
         let Some(at) = self.running.iter().position(|net| net.end.is_some()) else { return false };
         let net = self.running.remove(at);
-        let resources = net.resources;
         let end = net.end.unwrap_or(End::Aborted);
         match take(net, end) {
-            Ok(()) => {
-                self.held.remove(&resources);
-                true
-            }
+            Ok(()) => true,
             Err(net) => {
                 // Nobody has room for it now; it is offered again and is not evaluated meanwhile.
                 self.running.insert(at, net);

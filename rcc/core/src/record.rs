@@ -66,6 +66,20 @@ impl Tap {
         }
     }
 
+    /// A rule ends a net.
+    pub fn stopped(&mut self, id: u32) {
+        if let Some(words) = self.words() {
+            words.stopped(id);
+        }
+    }
+
+    /// Whether a successor waits for a net has changed.
+    pub fn takeover(&mut self, id: u32, waits: bool) {
+        if let Some(words) = self.words() {
+            words.takeover(id, waits);
+        }
+    }
+
     /// Programs wrote values of a net.
     pub fn inbox(&mut self, net: &Running) {
         if let Some(words) = self.words() {

@@ -3,6 +3,7 @@
 
 #[cfg(test)]
 mod bench;
+pub mod kinematics;
 mod otg;
 mod pose;
 mod shape;
@@ -12,6 +13,11 @@ use takt_net::Definition;
 /// All definitions of this crate.
 #[must_use]
 pub fn all() -> Vec<Definition> {
-    let tables = [shape::table(), otg::table(), pose::table()];
+    let tables = [
+        shape::table(),
+        otg::table(),
+        pose::table(),
+        kinematics::table(),
+    ];
     tables.into_iter().flatten().collect()
 }

@@ -224,7 +224,7 @@ impl FrameOtg {
             pos: self.dest_pos.get(cycle)?,
             vel: self.dest_vel.get(cycle)?,
         };
-        let last = self.last.unwrap_or(State {
+        let last = self.last.unwrap_or_else(|| State {
             pos: goal.pos,
             vel: Twist::default(),
         });

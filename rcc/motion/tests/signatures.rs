@@ -24,6 +24,12 @@ const ELSEWHERE: &[&str] = &[
 /// Primitives of Takt alone.
 const OWN: &[&str] = &["Takeover"];
 
+/// Out ports that Takt adds to primitives that clients know.
+const ADDED: &[(&str, &str)] = &[
+    ("ArmKinematics::InvKin", "outError:int"),
+    ("KUKA::LWR::InvKin", "outError:int"),
+];
+
 /// Prefix of a generic family's names, and the type's name in the list.
 const TYPES: &[(&str, &str)] = &[
     ("Core::Boolean", "bool"),
@@ -123,6 +129,7 @@ fn actual(definition: &Definition) -> Signature {
         format!("{}:{ty}={}", p.name, p.default)
     };
     let port = |name: &str, ty: takt_net::Type| format!("{name}:{}", short(&ty.to_string()));
+    let is_added = |port: &String| ADDED.contains(&(definition.name.as_str(), port));
     Signature {
         inputs: definition
             .inputs
@@ -133,6 +140,7 @@ fn actual(definition: &Definition) -> Signature {
             .outputs
             .iter()
             .map(|p| port(p.name, p.ty))
+            .filter(|port| !is_added(port))
             .collect(),
         parameters: definition.parameters.iter().map(parameter).collect(),
     }

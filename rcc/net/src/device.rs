@@ -104,12 +104,7 @@ pub trait Kinematics: fmt::Debug + Send + Sync {
     ///
     /// # Errors
     /// If there is none; `joints` then stays as it was.
-    fn inverse(
-        &self,
-        flange: &Frame,
-        hint: &[f64],
-        joints: &mut [f64],
-    ) -> Result<(), Unreachable>;
+    fn inverse(&self, flange: &Frame, hint: &[f64], joints: &mut [f64]) -> Result<(), Unreachable>;
 }
 
 /// Why no joint positions bring a flange to a frame. The numbers are those of `outError`.

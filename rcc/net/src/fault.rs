@@ -39,34 +39,37 @@ pub enum FaultKind {
         similar: Option<String>,
     },
     /// The primitive has no parameter of that name.
-    #[error("`{primitive}` has no parameter `{name}`{}", known_ones(.known))]
+    #[error("`{primitive}` has no parameter `{name}`; it has {}", listed(.known))]
     UnknownParameter {
         primitive: String,
         name: String,
         known: Vec<String>,
     },
     /// The primitive or fragment has no in port of that name.
-    #[error("{owner} has no in port `{name}`{}", known_ones(.known))]
+    #[error("{owner} has no in port `{name}`; it has {}", listed(.known))]
     UnknownInPort {
         owner: String,
         name: String,
         known: Vec<String>,
     },
     /// The primitive or fragment has no out port of that name.
-    #[error("{owner} has no out port `{name}`{}", known_ones(.known))]
+    #[error("{owner} has no out port `{name}`; it has {}", listed(.known))]
     UnknownOutPort {
         owner: String,
         name: String,
         known: Vec<String>,
     },
     /// A link starts at a child that does not exist in this fragment.
-    #[error("this fragment has no child `{name}`{}", did_you_mean(.similar))]
+    #[error("this fragment has no child `{name}`{}", similar_or_reach(.similar))]
     UnknownChild {
         name: String,
         similar: Option<String>,
     },
     /// `parent` was used in the root fragment.
-    #[error("the root fragment has no `parent`: its in ports do not exist")]
+    #[error(
+        "`parent` leads nowhere in the root fragment, which has no in ports; a NetcommIn brings \
+         values from outside"
+    )]
     NoParent,
     /// Two children, ports or parameters of one name.
     #[error("`{name}` is given twice")]
@@ -75,7 +78,10 @@ pub enum FaultKind {
     #[error("parameter `{parameter}`: {why}")]
     Parameter { parameter: String, why: String },
     /// A link joins ports of different types.
-    #[error("in port `{port}` takes {wants}, but this source gives {gives}")]
+    #[error(
+        "in port `{port}` takes {wants}, but this source gives {gives}{}",
+        conversion(.wants, .gives)
+    )]
     Type {
         port: String,
         wants: String,
@@ -85,10 +91,13 @@ pub enum FaultKind {
     #[error("{0}")]
     ArraySize(String),
     /// A port without which the primitive has no meaning has no source.
-    #[error("in port `{port}` of `{primitive}` must be connected")]
+    #[error("in port `{port}` of `{primitive}` must be connected: `{port}=child.port`")]
     NotConnected { primitive: String, port: String },
     /// A text was given to an in port.
-    #[error("`{port}` is an in port and takes a link, not a text{}", constant_hint(.parameter))]
+    #[error(
+        "`{port}` is an in port and takes a link such as `child.port`, not a text{}",
+        constant_hint(.parameter)
+    )]
     TextForPort {
         port: String,
         parameter: Option<String>,
@@ -100,20 +109,25 @@ pub enum FaultKind {
     #[error("links form a cycle: {path}; put a Pre where the value of the cycle before will do")]
     Cycle { path: String },
     /// Fragment ports are connected to each other and nothing feeds them.
-    #[error("`{name}` is fed by itself through fragment ports")]
+    #[error(
+        "`{name}` is fed by itself through fragment ports; one of them must come from a primitive"
+    )]
     PortLoop { name: String },
     /// The root fragment does not say when the net ends.
-    #[error("the root fragment has no out port `outTerminate`; add `outTerminate=child.port`")]
+    #[error(
+        "the root fragment has no out port `outTerminate`; add one that becomes true when the net \
+         shall end, such as `c=Cancel(),outTerminate=c.outCancel`"
+    )]
     NoTerminate,
     /// No such device, or not one of the kind wanted.
-    #[error("there is no {kind} `{name}`{}", known_ones(.known))]
+    #[error("there is no {kind} `{name}`; the devices are {}", listed(.known))]
     Device {
         kind: &'static str,
         name: String,
         known: Vec<String>,
     },
     /// Two netcomm primitives that cannot share a key.
-    #[error("netcomm key `{key}` is used twice in a way that cannot be: {why}")]
+    #[error("netcomm value `{key}`: {why}")]
     Netcomm { key: String, why: &'static str },
 }
 
@@ -123,18 +137,30 @@ fn did_you_mean(similar: &Option<String>) -> String {
         .map_or_else(String::new, |s| format!("; did you mean `{s}`?"))
 }
 
-fn known_ones(known: &[String]) -> String {
-    if known.is_empty() {
-        return "; there are none".to_owned();
+fn similar_or_reach(similar: &Option<String>) -> String {
+    if similar.is_some() {
+        return did_you_mean(similar);
     }
-    let shown = known
-        .iter()
-        .take(12)
-        .map(|k| format!("`{k}`"))
-        .collect::<Vec<_>>()
-        .join(", ");
+    "; one inside another fragment is reached by that fragment's out port, one outside by \
+     `parent` and an in port"
+        .to_owned()
+}
+
+fn listed(known: &[String]) -> String {
+    if known.is_empty() {
+        return "none".to_owned();
+    }
+    let shown: Vec<String> = known.iter().take(12).map(|k| format!("`{k}`")).collect();
     let more = if known.len() > 12 { ", …" } else { "" };
-    format!("; there are {shown}{more}")
+    format!("{}{more}", shown.join(", "))
+}
+
+fn conversion(wants: &str, gives: &str) -> &'static str {
+    match (wants, gives) {
+        ("Core::double", "Core::int") => "; `Core::DoubleFromInt` converts",
+        ("Core::int", "Core::double") => "; `Core::IntFromDouble` converts",
+        _ => "",
+    }
 }
 
 fn constant_hint(parameter: &Option<String>) -> String {
@@ -179,6 +205,11 @@ impl Fault {
         }
     }
 
+    /// Whether it is one of the grammar.
+    pub(crate) const fn is_syntax(&self) -> bool {
+        matches!(self.kind, FaultKind::Syntax { .. })
+    }
+
     /// Line and column (both from 1, columns in characters) of the fault in `text`.
     #[must_use]
     pub fn place(&self, text: &str) -> (usize, usize) {
@@ -201,6 +232,7 @@ pub struct Rejection {
 impl Rejection {
     /// The faults with the lines of `text` they are about and carets below, without colour.
     #[must_use]
+    #[expect(clippy::missing_panics_doc, reason = "writing to a Vec cannot fail")]
     pub fn render(&self, file: &str, text: &str) -> String {
         let config = Config::new()
             .with_color(false)
@@ -212,7 +244,12 @@ impl Rejection {
             let mut report = Report::build(ReportKind::Error, (file, clip(&fault.at)))
                 .with_config(config)
                 .with_message(&fault.kind)
-                .with_label(Label::new((file, clip(&fault.at))).with_color(Color::Primary));
+                .with_label(
+                    // A label without a message is not underlined.
+                    Label::new((file, clip(&fault.at)))
+                        .with_message("here")
+                        .with_color(Color::Primary),
+                );
             for (at, note) in &fault.also {
                 report = report.with_label(Label::new((file, clip(at))).with_message(note));
             }
@@ -221,7 +258,8 @@ impl Rejection {
                 .write((file, Source::from(text)), &mut out)
                 .expect("writing to a Vec cannot fail");
         }
-        String::from_utf8_lossy(&out).into_owned()
+        let told = String::from_utf8_lossy(&out);
+        told.lines().map(|line| format!("{}\n", line.trim_end())).collect()
     }
 
     /// One line a fault: `line:column: text`.

@@ -4,6 +4,7 @@
 pub mod definition;
 pub mod device;
 pub mod fault;
+pub mod fuzz;
 pub mod limits;
 mod load;
 pub mod netcomm;

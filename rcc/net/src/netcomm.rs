@@ -79,7 +79,9 @@ impl Directory {
 }
 
 impl Entry {
-    pub(crate) const fn at(&self) -> usize {
+    /// The entry's first word in its box.
+    #[must_use]
+    pub const fn at(&self) -> usize {
         self.at
     }
 
@@ -187,6 +189,13 @@ impl Mailbox {
 
     fn replace(&self, at: usize, word: u64) -> bool {
         self.words[at].replace(word) != word
+    }
+
+    /// A Boolean out value, if it is non-null now.
+    pub(crate) fn current_bool(&self, at: usize) -> Option<bool> {
+        let current = self.words.get(at)?.get() == 1;
+        let value = self.words.get(at + HEAD)?.get() != 0;
+        current.then_some(value)
     }
 
     /// Takes over a whole box.

@@ -167,6 +167,12 @@ impl Plan {
         self.outbox.words.iter().map(std::cell::Cell::get)
     }
 
+    /// The Boolean out value whose entry lies at word `at` of the out-box; `None` while it is null.
+    #[must_use]
+    pub fn out_bool(&self, at: usize) -> Option<bool> {
+        self.outbox.current_bool(at)
+    }
+
     /// Values that programs may write.
     #[must_use]
     pub fn inbox(&self) -> &Arc<Directory> {

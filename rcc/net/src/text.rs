@@ -175,6 +175,7 @@ pub fn parse<'a>(text: &'a str, limits: &Limits, faults: &mut Vec<Fault>) -> Fra
         tokens,
         at: 0,
         depth: limits.depth,
+        depth_max: limits.depth,
         faults,
     };
     let root = parser.fragment().unwrap_or_default();
@@ -190,6 +191,7 @@ struct Parser<'a, 'f> {
     at: usize,
     /// How much deeper nodes may nest.
     depth: usize,
+    depth_max: usize,
     faults: &'f mut Vec<Fault>,
 }
 
@@ -223,6 +225,10 @@ impl<'a> Parser<'a, '_> {
 
     fn expected(&mut self, expected: &str) -> Recorded {
         let span = self.span();
+        if self.peek().is_none() && self.faults.last().is_some_and(Fault::is_syntax) {
+            // That the text ends, too, has the same cause.
+            return Recorded;
+        }
         let found = match self.peek() {
             None => "the end of the text".to_owned(),
             Some(Token::Bad) if self.text[span.clone()].starts_with('\'') => {
@@ -352,7 +358,14 @@ impl<'a> Parser<'a, '_> {
 
     fn node_or_source(&mut self) -> Parse<Expression<'a>> {
         if self.depth == 0 {
-            return Err(self.expected("less nesting: no node deeper than the bound"));
+            let bound = self.depth_max;
+            let kind = FaultKind::Bound {
+                what: "levels of fragments or inline primitives inside one another",
+                found: bound + 1,
+                bound,
+            };
+            self.faults.push(Fault::new(kind, self.span()));
+            return Err(Recorded);
         }
         self.depth -= 1;
         let result = self.node_or_source_within();
@@ -382,7 +395,7 @@ impl<'a> Parser<'a, '_> {
                 Ok(())
             });
         } else if matches!(body, Body::Primitive(_)) {
-            return Err(self.expected("`(` of a primitive or `.` of a port"));
+            return Err(self.expected("`(…)` after a primitive's type or `.port` after a child"));
         }
         let node = Node {
             body,
@@ -405,11 +418,14 @@ impl<'a> Parser<'a, '_> {
         if !self.eat(Token::Is) {
             return Err(self.expected("`=`"));
         }
+        let starts_link = matches!(self.peek(), Some(Token::Ident | Token::OpenFragment));
         let value = if self.peek() == Some(Token::Text) {
             let span = self.span();
             self.at += 1;
             let inside = &self.text[span.start + 1..span.end - 1];
             ArgValue::Text(unescape(inside), span.start + 1)
+        } else if !starts_link {
+            return Err(self.expected("a text such as '1' or a link such as `child.port`"));
         } else {
             match self.node_or_source()? {
                 Expression::Source(source) => ArgValue::Link(source),
@@ -483,9 +499,8 @@ mod tests {
         assert_eq!(
             faults_of(text),
             [
-                "1:26: a primitive `Type(…)`, a fragment `{…}` or a `child.port` is expected \
-                 here, not `)`",
-                "1:32: `(` of a primitive or `.` of a port is expected here, not `,`",
+                "1:26: a text such as '1' or a link such as `child.port` is expected here, not `)`",
+                "1:32: `(…)` after a primitive's type or `.port` after a child is expected here, not `,`",
                 "1:46: `,` or `)` is expected here, not `inY`",
                 "1:58: `=` is expected here, not `g`",
             ]
@@ -500,11 +515,7 @@ mod tests {
         );
         assert_eq!(
             faults_of("{a=B("),
-            [
-                "1:6: the name of a parameter or in port is expected here, not the end of the text",
-                "1:6: `,` or `)` is expected here, not the end of the text",
-                "1:6: `,` or `}` is expected here, not the end of the text",
-            ]
+            ["1:6: the name of a parameter or in port is expected here, not the end of the text",]
         );
         assert!(faults_of("{a=B(x='abc)}")[0].contains("without its closing `'`"));
         assert_eq!(
@@ -520,7 +531,7 @@ mod tests {
             "f={".repeat(100_000),
             "}()".repeat(100_000)
         );
-        assert!(faults_of(&deep)[0].contains("less nesting"));
+        assert!(faults_of(&deep)[0].contains("inside one another"));
     }
 
     proptest! {

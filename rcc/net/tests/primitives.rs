@@ -1,6 +1,12 @@
 //! What each primitive of this crate computes, against closed forms, at borders and over time.
 //! That null propagates and nothing panics is tested for all of them in `every.rs`.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::too_many_lines,
+    reason = "all of this file is tests and their tables"
+)]
+
 mod common;
 
 use common::Bench;
@@ -654,6 +660,7 @@ fn times() {
         ("1", "", "0.001"),
         ("2", "", "0.003"),
         ("null", "", "null"),
+        ("nan", "", "null"),
         ("1", "-a", "null"),
         ("1", "", "0.004"),
         ("1", "r", "0.001"),

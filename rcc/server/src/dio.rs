@@ -13,6 +13,8 @@ mod tests;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
+use takt_core::controller::DeviceInfo;
+use takt_core::device::DeviceStatus;
 use takt_core::{Controller, NetId, SessionId};
 
 use crate::wire::{Message, Value};
@@ -27,6 +29,9 @@ pub const SUBSCRIPTIONS_MAX: usize = 4096;
 /// How often values of running nets are looked at. A client's refresh interval below this one has
 /// no effect.
 pub const VALUES_EVERY: Duration = Duration::from_millis(10);
+
+/// Name and type of the device that is the controller itself.
+const CONTROLLER: &str = "rcc";
 
 /// A client and what it subscribed to.
 ///
@@ -79,10 +84,14 @@ impl Connection {
                 return vec![Refusal::InvalidSyntax.reply("none").to_string()];
             }
         };
-        let outcome = self.execute(&message, now);
-        let mut out = self.due(Pushes::BeforeReply, now);
+        let mut out = Vec::new();
+        let outcome = self.execute(&message, now, &mut out);
+        out.extend(self.due(Pushes::BeforeReply, now));
         out.push(match outcome {
-            Ok(values) => Message { args: values, ..Message::new(message.tag, "ok") },
+            Ok(values) => Message {
+                args: values,
+                ..Message::new(message.tag, "ok")
+            },
             Err(refusal) => refusal.reply(&message.tag),
         });
         self.changed = true;
@@ -102,7 +111,11 @@ impl Connection {
             Vec::new()
         };
         let values = self.values(now);
-        changes.iter().chain(&values).map(Message::to_string).collect()
+        changes
+            .iter()
+            .chain(&values)
+            .map(Message::to_string)
+            .collect()
     }
 
     /// When [`poll_pushes`](Self::poll_pushes) should be called next without being asked.
@@ -144,19 +157,37 @@ impl Connection {
             !ended
         });
         if let Some(watch) = &mut self.devices {
-            out.extend(watch.handle_devices(controller.devices()));
+            out.extend(watch.handle_devices(all_devices(controller)));
         }
         out
     }
 
     fn values(&mut self, now: Duration) -> Vec<Message> {
         let controller = &self.controller;
-        let due = self.nets.iter_mut().filter(|(_, w)| w.poll_timeout().is_some_and(|t| t <= now));
-        due.filter_map(|(id, w)| w.handle_values(controller.out_values(*id), now)).collect()
+        let due = self
+            .nets
+            .iter_mut()
+            .filter(|(_, w)| w.poll_timeout().is_some_and(|t| t <= now));
+        due.filter_map(|(id, w)| w.handle_values(controller.out_values(*id), now))
+            .collect()
     }
 }
 
 /// A push with one value.
 fn push(tag: &str, command: &str, value: impl Into<Value>) -> Message {
     Message::new(tag, command).with(value)
+}
+
+/// The devices, and the controller itself, which clients expect to be one.
+fn all_devices(controller: &Controller) -> Vec<DeviceInfo> {
+    let mut devices = controller.devices();
+    if devices.iter().all(|d| d.name != CONTROLLER) {
+        devices.push(DeviceInfo {
+            name: CONTROLLER.to_owned(),
+            kind: CONTROLLER.to_owned(),
+            interfaces: BTreeMap::new(),
+            status: DeviceStatus::Operational,
+        });
+    }
+    devices
 }

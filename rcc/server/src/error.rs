@@ -15,11 +15,16 @@ use crate::wire::websocket::FrameError;
 #[expect(missing_docs, reason = "each field is named in its variant's text")]
 pub enum Error {
     /// The server would be reachable from other machines.
-    #[error("refusing to listen at {0}: the server has no access control, so only loopback addresses such as 127.0.0.1 are taken")]
+    #[error(
+        "refusing to listen at {0}: the server has no access control, so only loopback addresses such as 127.0.0.1 are taken"
+    )]
     NotLoopback(SocketAddr),
     /// The address is taken or not there.
     #[error("cannot listen at {address}: {source} (does another controller run already?)")]
-    Listen { address: SocketAddr, source: io::Error },
+    Listen {
+        address: SocketAddr,
+        source: io::Error,
+    },
     /// No controller runs there.
     #[error("nobody listens at {address}: start `takt run`")]
     NobodyListens { address: String },
@@ -31,7 +36,10 @@ pub enum Error {
     Connection { address: String, source: io::Error },
     /// The other side ended the connection.
     #[error("{address} closed the connection{}", .last.as_ref().map_or_else(String::new, |m| format!(" after `{m}`")))]
-    Closed { address: String, last: Option<String> },
+    Closed {
+        address: String,
+        last: Option<String>,
+    },
     /// No reply in time.
     #[error("no reply to `{command}` within {waited:?}")]
     NoReply { command: String, waited: Duration },

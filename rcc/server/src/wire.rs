@@ -36,7 +36,11 @@ pub struct Message {
 impl Message {
     /// A message without values. Tag and command must be identifiers, or it cannot be decoded.
     pub fn new(tag: impl Into<String>, command: impl Into<String>) -> Self {
-        Self { tag: tag.into(), command: command.into(), args: Vec::new() }
+        Self {
+            tag: tag.into(),
+            command: command.into(),
+            args: Vec::new(),
+        }
     }
 
     /// The same with one more value.
@@ -71,19 +75,32 @@ impl Value {
 
     /// A map of values.
     pub fn map_of<K: Into<String>, V: Into<Self>>(items: impl IntoIterator<Item = (K, V)>) -> Self {
-        Self::Map(items.into_iter().map(|(k, v)| (k.into(), v.into())).collect())
+        Self::Map(
+            items
+                .into_iter()
+                .map(|(k, v)| (k.into(), v.into()))
+                .collect(),
+        )
     }
 
     /// The text, if it is one.
     #[must_use]
     pub fn as_str(&self) -> Option<&str> {
-        if let Self::String(text) = self { Some(text) } else { None }
+        if let Self::String(text) = self {
+            Some(text)
+        } else {
+            None
+        }
     }
 
     /// The map, if it is one.
     #[must_use]
     pub const fn as_map(&self) -> Option<&BTreeMap<String, Self>> {
-        if let Self::Map(map) = self { Some(map) } else { None }
+        if let Self::Map(map) = self {
+            Some(map)
+        } else {
+            None
+        }
     }
 }
 
@@ -147,8 +164,13 @@ pub fn fuzz(data: &[u8]) {
     let text = String::from_utf8_lossy(data);
     if let Ok(message) = Message::decode(&text) {
         let again = Message::decode(&message.to_string());
-        let stable = again.as_ref().is_ok_and(|m| m.to_string() == message.to_string());
-        assert!(stable, "{message:?} was written as {message} and read as {again:?}");
+        let stable = again
+            .as_ref()
+            .is_ok_and(|m| m.to_string() == message.to_string());
+        assert!(
+            stable,
+            "{message:?} was written as {message} and read as {again:?}"
+        );
     }
     let mut lines = lines::LineReader::default();
     lines.push(data);

@@ -7,10 +7,11 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use takt_net::fault::{Fault, FaultKind};
-use takt_net::netcomm::{Directory, OutStatus};
+use takt_net::netcomm::{Directory, Entry, OutStatus};
 use takt_net::Rejection;
 use takt_rt::latest::{LatestReader, LatestWriter};
 
+use crate::controller::rules::{RuleEntry, RuleId};
 use crate::controller::{DeviceInfo, NetId, NetInfo, NetState, SessionId};
 use crate::device::lwr::Lwr;
 use crate::device::{DeviceStatus, DeviceTable};
@@ -58,6 +59,8 @@ pub(super) struct Net {
     running: Option<Box<Running>>,
     /// Set while a start is under way, and then to its outcome.
     starting: Option<Option<Result<(), Error>>>,
+    /// Whether the net thread keeps it for rules to start.
+    with_rules: bool,
     values: Option<Values>,
 }
 
@@ -72,6 +75,7 @@ impl Net {
             end: None,
             running: None,
             starting: None,
+            with_rules: false,
             values: None,
         }
     }
@@ -97,10 +101,49 @@ impl Net {
         self.enter(NetState::Rejected);
     }
 
+    /// Ends a net that never ran.
     pub(super) fn end(&mut self, why: String) {
         self.end = Some(why);
         self.running = None;
         self.enter(NetState::Terminated);
+    }
+
+    /// Whether a start is under way.
+    pub(super) const fn is_starting(&self) -> bool {
+        self.starting.is_some()
+    }
+
+    /// Gives the net away for rules to start, unless they have it already.
+    pub(super) fn hand_to_rules(&mut self) -> Option<Box<Running>> {
+        let running = self.running.take()?;
+        self.with_rules = true;
+        Some(running)
+    }
+
+    pub(super) fn become_scheduled(&mut self) {
+        if self.state() == NetState::Ready {
+            self.enter(NetState::Scheduled);
+        }
+    }
+
+    /// Whether it ended as its own termination says.
+    pub(super) fn ended_by_itself(&self) -> bool {
+        self.state() == NetState::Terminated && self.end.is_none()
+    }
+
+    /// Where an out value lies.
+    pub(super) fn out_entry(&self, key: &str) -> Option<Entry> {
+        self.values.as_ref()?.out_directory.find(key).cloned()
+    }
+
+    /// A Boolean out value, if it is non-null.
+    pub(super) fn out_bool(&mut self, entry: &Entry) -> Option<bool> {
+        let reader = &mut self.values.as_mut()?.out_reader;
+        reader.read_with(|words| {
+            let current = entry.status(words) == OutStatus::Current;
+            let value = entry.value(words).first().copied()?;
+            current.then_some(value != 0)
+        })
     }
 
     pub(super) fn info(&self, id: NetId) -> NetInfo {
@@ -149,6 +192,8 @@ type Wake = Box<dyn Fn() + Send + Sync>;
 pub(super) struct Desk {
     pub(super) nets: BTreeMap<NetId, Net>,
     pub(super) sessions: BTreeMap<SessionId, Session>,
+    pub(super) rules: BTreeMap<RuleId, RuleEntry>,
+    last_rule: Option<u32>,
     pub(super) devices: DeviceTable,
     pub(super) arms: Vec<Lwr>,
     pub(super) recorder: Option<Recorder>,
@@ -172,6 +217,8 @@ impl Desk {
         Self {
             nets: BTreeMap::new(),
             sessions: BTreeMap::new(),
+            rules: BTreeMap::new(),
+            last_rule: None,
             devices: DeviceTable::default(),
             arms: Vec::new(),
             recorder,
@@ -189,6 +236,13 @@ impl Desk {
         let next = self.last_net.map_or(0, |last| last.wrapping_add(1));
         self.last_net = Some(next);
         NetId(next)
+    }
+
+    /// The next rule's number; an immediate start takes one too.
+    pub(super) fn next_rule(&mut self) -> RuleId {
+        let next = self.last_rule.map_or(0, |last| last.wrapping_add(1));
+        self.last_rule = Some(next);
+        RuleId(next)
     }
 
     pub(super) fn net(&mut self, id: NetId) -> Result<&mut Net, Error> {
@@ -210,7 +264,7 @@ impl Desk {
         Ok(number)
     }
 
-    fn resource_name(&self, number: usize) -> String {
+    pub(super) fn resource_name(&self, number: usize) -> String {
         let found = self.resources.iter().find(|(_, n)| **n == number);
         found.map_or_else(|| format!("resource {number}"), |(name, _)| name.clone())
     }
@@ -231,11 +285,25 @@ impl Desk {
             let what = "only a net that is READY can be started; load it again";
             return Err(Error::WrongState { net: id, state, what });
         }
-        let Some(running) = net.running.take() else {
-            return Err(Error::WrongState { net: id, state, what: "it is being started already" });
+        let command = match net.running.take() {
+            Some(running) => Command::Start(running),
+            None if net.with_rules => Command::StartScheduled(id.0),
+            None => {
+                let what = "it is being started already";
+                return Err(Error::WrongState { net: id, state, what });
+            }
         };
         net.starting = Some(None);
-        self.command(Command::Start(running))
+        self.next_rule();
+        self.command(command)
+    }
+
+    /// Takes a net that does not run away from rules that wait to start it or wait for it.
+    pub(super) fn withdraw(&mut self, id: NetId) -> Result<(), Error> {
+        if self.net(id)?.with_rules {
+            self.command(Command::Unschedule { net: id.0, always: true })?;
+        }
+        self.command(Command::Forget(id.0))
     }
 
     /// The outcome of a start, once it is known.
@@ -260,6 +328,7 @@ impl Desk {
             any = true;
             match event {
                 Event::Started(id) => self.with(id, |net| {
+                    net.with_rules = false;
                     net.starting = net.starting.take().map(|_| Some(Ok(())));
                     net.enter(NetState::Running);
                 }),
@@ -269,9 +338,13 @@ impl Desk {
                     }
                 }),
                 Event::Refused(running, refusal) => self.refused(running, refusal),
+                Event::RuleAdded(id) => self.rule_added(id),
+                Event::RuleRefused(rule, why) => self.rule_refused(&rule, why),
+                Event::RuleDone(rule) => self.rule_done(&rule),
+                Event::Unscheduled(running) => self.unscheduled(running),
                 Event::Ended(running, end) => {
                     let why = self.end_text(end);
-                    if let Some(why) = &why {
+                    if let (Some(why), End::DeviceFault(_)) = (&why, end) {
                         tracing::warn!(net = %NetId(running.id), why, "net ended");
                     }
                     self.with(running.id, |net| {
@@ -290,11 +363,27 @@ impl Desk {
         }
     }
 
+    /// A net is back from the rules. If a start by hand crossed its way, it is sent off again.
+    fn unscheduled(&mut self, running: Box<Running>) {
+        let Some(net) = self.nets.get_mut(&NetId(running.id)) else { return };
+        net.with_rules = false;
+        if matches!(net.starting, Some(None)) {
+            if self.command(Command::Start(running)).is_err() {
+                tracing::error!("the net thread takes no more requests");
+            }
+        } else {
+            net.running = Some(running);
+        }
+    }
+
     fn refused(&mut self, running: Box<Running>, refusal: Refusal) {
         let net = NetId(running.id);
         let error = match refusal {
             Refusal::TooMany => {
                 Error::TooMany { what: "running nets", bound: crate::executor::RUNNING_MAX }
+            }
+            Refusal::ResourceKept(number) => {
+                Error::ResourceKept { net, resource: self.resource_name(number) }
             }
             Refusal::ResourceInUse(number) => {
                 Error::ResourceInUse { net, resource: self.resource_name(number) }
@@ -309,6 +398,7 @@ impl Desk {
             }
         };
         self.with(running.id, |net| {
+            net.with_rules = false;
             net.running = Some(running);
             net.starting = Some(Some(Err(error)));
         });
@@ -319,6 +409,7 @@ impl Desk {
         match end {
             End::Terminated => None,
             End::Aborted => Some("aborted".to_owned()),
+            End::Stopped => Some("stopped by a rule".to_owned()),
             End::DeviceFault(number) => {
                 let arm = self.devices.arms().get(number);
                 let name = arm.map_or("?", |a| a.name.as_str());

@@ -5,13 +5,17 @@
 //!            (1) first set-point, near                (2) caught up
 //!   Held ─────────────────────────────▶ Approach ──────────────────────▶ Follow
 //!    ▲ ▲                                 │  │  ▲ (3) a step beyond the limits │
-//!    │ └─(4) none or stale, at rest ─────┘  │  └────────────────────────────┘ │
+//!    │ └─(4) none or stale ──────────────┘  │  └────────────────────────────┘ │
 //!    └───(4)────────────────────────────────┼─────────────────────────────────┘
 //!            (5) too far away               ▼
 //!   Refused ◀───────────────────────────────┘     Refused ──(6) set-points end──▶ Held
 //! ```
-//! All transitions are made in [`Joint::sample`]: 1 and 5 in `begin`, 2 and 3 in `approach` and
-//! `follow`, 4 in `brake`, 6 at the top.
+//! All transitions are made in [`Joint::sample`]: 1 and 5 in `begin`, 2, 3 and 5 in `approach` and
+//! `follow`, 4 and 6 at the top. One sample may make several: a first set-point right where the
+//! joint is leads from Held to Follow, one that is too far away from Held or Follow to Refused.
+//!
+//! Speed is limited in all modes; acceleration is in all but Follow, where set-points are taken as
+//! they are.
 
 use takt_net::JointLimits;
 use takt_net::device::JointError;
@@ -25,8 +29,13 @@ const START_DISTANCE_RAD: f64 = 0.02;
 const LOST_DISTANCE_RAD: f64 = 0.2;
 /// What interpolation may add to a speed, as a factor.
 const SPEED_SLACK: f64 = 1.001;
-/// Nearer than this is arrived, rad and rad/s: below the resolution of a single-precision datagram.
-const ARRIVED: f64 = 1e-7;
+/// Nearer than this is arrived, rad: below the resolution of a single-precision datagram.
+const ARRIVED_RAD: f64 = 1e-7;
+/// Slower than this is at rest, rad/s.
+const RESTING_RAD_PER_S: f64 = 1e-7;
+/// Share of a joint's acceleration that catching up uses by itself; the rest is for following
+/// set-points that accelerate meanwhile.
+const APPROACH_SHARE: f64 = 0.5;
 
 /// What a joint does at the moment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,7 +61,7 @@ pub struct Joint {
 }
 
 impl Joint {
-    /// A joint at rest at zero.
+    /// A joint at rest at zero. Its largest speed and acceleration are above zero.
     #[must_use]
     pub const fn new(limits: JointLimits) -> Self {
         Self { limits, mode: Mode::Held, position: 0.0, velocity: 0.0, acceleration: 0.0 }
@@ -68,40 +77,37 @@ impl Joint {
     }
 
     /// The position for logical time `at`, `dt_s` after the last one. `fresh` is whether the net
-    /// thread is alive.
+    /// thread is alive. Without time passing nothing changes.
     pub fn sample(&mut self, set_points: &JointSetPoints, fresh: bool, at: Nanos, dt_s: f64) -> f64 {
-        let before = (self.position, self.velocity);
-        if !set_points.active {
-            // Also the way out of Refused.
-            self.brake(dt_s);
-        } else if self.mode == Mode::Refused || !fresh {
-            let refused = self.mode == Mode::Refused;
-            self.brake(dt_s);
-            self.mode = if refused { Mode::Refused } else { Mode::Held };
-        } else {
-            let (target, speed) = interpolate(set_points, at);
-            match self.mode {
-                Mode::Held => self.begin(target, speed, dt_s),
-                Mode::Approach => self.approach(target, speed, dt_s),
-                Mode::Follow => self.follow(target, speed, dt_s),
-                Mode::Refused => {}
-            }
+        if dt_s <= 0.0 {
+            return self.position;
         }
-        let moved = self.position - before.0;
-        self.velocity = if dt_s > 0.0 { moved / dt_s } else { 0.0 };
-        self.acceleration = if dt_s > 0.0 { (self.velocity - before.1) / dt_s } else { 0.0 };
+        let before = (self.position, self.velocity);
+        let (target, speed) = interpolate(set_points, at);
+        // What lies beyond the last set-point may be out of range even if that is not.
+        let target = target.max(self.limits.position_min).min(self.limits.position_max);
+        match self.mode {
+            // Also the way out of Refused.
+            _ if !set_points.active => self.brake(dt_s, Mode::Held),
+            Mode::Refused => self.brake(dt_s, Mode::Refused),
+            _ if !fresh => self.brake(dt_s, Mode::Held),
+            Mode::Held => self.begin(target, speed, dt_s),
+            Mode::Approach => self.approach(target, speed, dt_s),
+            Mode::Follow => self.follow(target, speed, dt_s),
+        }
+        self.velocity = (self.position - before.0) / dt_s;
+        self.acceleration = (self.velocity - before.1) / dt_s;
         self.position
     }
 
     fn begin(&mut self, target: f64, speed: f64, dt_s: f64) {
         let near = (target - self.position).abs() <= START_DISTANCE_RAD;
-        let moving = self.velocity.abs() > ARRIVED;
+        let moving = self.velocity.abs() > RESTING_RAD_PER_S;
         // One that was stopped for want of set-points takes them up again if it can catch up.
-        if near || (moving && (target - self.position).abs() <= LOST_DISTANCE_RAD) {
+        if near || moving {
             self.approach(target, speed, dt_s);
         } else {
-            self.brake(dt_s);
-            self.mode = Mode::Refused;
+            self.brake(dt_s, Mode::Refused);
         }
     }
 
@@ -120,33 +126,29 @@ impl Joint {
     /// to that speed over the distance left.
     fn approach(&mut self, target: f64, speed: f64, dt_s: f64) {
         let JointLimits { velocity_max, acceleration_max, .. } = self.limits;
-        let error = target - self.position;
-        if error.abs() > LOST_DISTANCE_RAD {
-            self.brake(dt_s);
-            self.mode = Mode::Refused;
+        if (target - self.position).abs() > LOST_DISTANCE_RAD {
+            self.brake(dt_s, Mode::Refused);
             return;
         }
-        self.mode = Mode::Approach;
-        // What one cycle of full braking takes is left as margin: the law acts in steps.
-        let margin = acceleration_max * dt_s;
-        let closing = (2.0 * acceleration_max * error.abs() + 0.25 * margin * margin).sqrt();
-        let closing = (closing - 0.5 * margin).min(error.abs() / dt_s.max(f64::MIN_POSITIVE));
-        let wanted = (speed + closing.copysign(error)).clamp(-velocity_max, velocity_max);
-        let velocity = wanted.clamp(self.velocity - margin, self.velocity + margin);
+        // Seen from the target, which has moved since the last sample.
+        let behind = target - speed * dt_s - self.position;
+        let wanted = speed + closing_speed(behind, APPROACH_SHARE * acceleration_max, dt_s);
+        let change = acceleration_max * dt_s;
+        let velocity = wanted
+            .clamp(-velocity_max, velocity_max)
+            .clamp(self.velocity - change, self.velocity + change);
         self.position += velocity * dt_s;
-        let near = (target - self.position).abs() <= ARRIVED;
-        if near && (velocity - speed).abs() <= margin {
-            self.position = target;
-            self.mode = Mode::Follow;
-        }
+        let arrived = (target - self.position).abs() <= ARRIVED_RAD;
+        let as_fast = (velocity - speed).abs() <= change;
+        self.mode = if arrived && as_fast { Mode::Follow } else { Mode::Approach };
     }
 
     /// One step of braking at the joint's limit.
-    fn brake(&mut self, dt_s: f64) {
+    fn brake(&mut self, dt_s: f64, mode: Mode) {
         let loss = self.limits.acceleration_max * dt_s;
         let speed = (self.velocity.abs() - loss).max(0.0);
         self.position += speed.copysign(self.velocity) * dt_s;
-        self.mode = Mode::Held;
+        self.mode = mode;
     }
 
     /// What it does.
@@ -171,6 +173,17 @@ impl Joint {
     }
 }
 
+/// The speed for the next step on the way over `distance` from which steps of constant braking end
+/// at its end exactly: with n steps to go the k-th last is k brakings fast, on the average between
+/// two such plans. The continuous law, a square root, would overshoot and chatter at the end.
+fn closing_speed(distance: f64, acceleration: f64, dt_s: f64) -> f64 {
+    let change = acceleration * dt_s;
+    let brakings = distance.abs() / (change * dt_s);
+    let steps = (((1.0 + 8.0 * brakings).sqrt() - 1.0) / 2.0).ceil().max(1.0);
+    let speed = distance.abs() / (steps * dt_s) + (steps - 1.0) / 2.0 * change;
+    speed.copysign(distance)
+}
+
 /// Position and speed of the set-points at a time: linear between two of them, and on beyond the
 /// last, where the speed of the last two is kept.
 fn interpolate(set_points: &JointSetPoints, at: Nanos) -> (f64, f64) {
@@ -192,3 +205,6 @@ fn interpolate(set_points: &JointSetPoints, at: Nanos) -> (f64, f64) {
 const fn seconds(span: Nanos) -> f64 {
     span.0 as f64 * 1e-9
 }
+
+#[cfg(test)]
+mod tests;

@@ -14,7 +14,8 @@ use takt_rt::thread::{Thread, ThreadConfig};
 
 use crate::device::{ARM_JOINTS_MAX, ArmCommand, ArmState, JointSetPoints, SetPoint};
 use crate::error::Error;
-use crate::executor::{DEVICES_MAX, DeviceView, End, Executor, Refusal, Running};
+use crate::executor::rules::{Rule, RuleRefusal};
+use crate::executor::{DEVICES_MAX, DeviceView, Effect, End, Executor, Refusal, Running};
 use crate::record::Tap;
 
 /// What the controller asks of the thread.
@@ -26,6 +27,21 @@ pub enum Command {
     Cancel(u32),
     /// End a net.
     Abort(u32),
+    /// Keep this net for rules to start.
+    Schedule(Box<Running>),
+    /// Watch this rule.
+    AddRule(Box<Rule>),
+    /// Give back a net that was scheduled: always, or only if no rule waits to start it.
+    Unschedule {
+        /// The net.
+        net: u32,
+        /// Whether rules that wait to start it lose it.
+        always: bool,
+    },
+    /// Evaluate this scheduled net from now on.
+    StartScheduled(u32),
+    /// This net will never run.
+    Forget(u32),
     /// Serve an arm; it gets the next device number.
     AddArm(Box<ArmEnd>),
 }
@@ -41,6 +57,14 @@ pub enum Event {
     Cancelling(u32),
     /// A net ended and is back.
     Ended(Box<Running>, End),
+    /// A rule waits.
+    RuleAdded(u32),
+    /// A rule could not be kept.
+    RuleRefused(Box<Rule>, RuleRefusal),
+    /// A rule no longer waits.
+    RuleDone(Box<Rule>),
+    /// A net that no rule starts any more is back.
+    Unscheduled(Box<Running>),
 }
 
 /// The thread's ends of an arm's cells.
@@ -180,6 +204,12 @@ impl Cycle {
                 tap.inbox(net);
             }
         }
+        let tap = &mut self.tap;
+        self.executor.announce_takeovers(|id, waits| {
+            if let Some(tap) = tap {
+                tap.takeover(id, waits);
+            }
+        });
         if let Some(tap) = &mut self.tap {
             tap.inputs(moment, &self.executor);
         }
@@ -191,6 +221,8 @@ impl Cycle {
                 tap.outbox(net);
             }
         });
+        self.executor.fire_rules();
+        self.tell_effects();
         self.hand_back();
         if let Some(tap) = &mut self.tap {
             tap.outputs(moment, &self.executor);
@@ -199,16 +231,10 @@ impl Cycle {
 
     fn obey(&mut self, command: Command) {
         match command {
-            Command::Start(net) => {
-                let id = net.id;
-                match self.executor.start(net) {
-                    Ok(()) => {
-                        if let Some(tap) = &mut self.tap {
-                            tap.started(id);
-                        }
-                        self.tell(Event::Started(id));
-                    }
-                    Err((net, refusal)) => self.tell(Event::Refused(net, refusal)),
+            Command::Start(net) => self.start(net),
+            Command::StartScheduled(id) => {
+                if let Some(net) = self.executor.take_unscheduled(id, true) {
+                    self.start(net);
                 }
             }
             Command::Cancel(id) => {
@@ -226,6 +252,10 @@ impl Cycle {
                     tap.aborted(id);
                 }
             }
+            rule @ (Command::Schedule(_)
+            | Command::AddRule(_)
+            | Command::Unschedule { .. }
+            | Command::Forget(_)) => self.obey_rule(rule),
             Command::AddArm(end) => {
                 if self.arms.len() < DEVICES_MAX {
                     self.executor.devices.push(DeviceView::default());
@@ -235,6 +265,74 @@ impl Cycle {
                 }
             }
         }
+    }
+
+    fn start(&mut self, net: Box<Running>) {
+        let id = net.id;
+        match self.executor.start(net) {
+            Ok(()) => {
+                if let Some(tap) = &mut self.tap {
+                    tap.started(id);
+                }
+                self.tell(Event::Started(id));
+            }
+            Err((net, refusal)) => self.tell(Event::Refused(net, refusal)),
+        }
+    }
+
+    fn obey_rule(&mut self, command: Command) {
+        match command {
+            Command::Schedule(net) => {
+                if let Err(net) = self.executor.schedule(net) {
+                    self.tell(Event::Unscheduled(net));
+                }
+            }
+            Command::AddRule(rule) => {
+                let id = rule.id;
+                match self.executor.add_rule(rule) {
+                    Ok(()) => self.tell(Event::RuleAdded(id)),
+                    Err((rule, why)) => self.tell(Event::RuleRefused(rule, why)),
+                }
+            }
+            Command::Unschedule { net, always } => {
+                if let Some(net) = self.executor.take_unscheduled(net, always) {
+                    self.tell(Event::Unscheduled(net));
+                }
+            }
+            Command::Forget(id) => self.executor.forget(id),
+            Command::Start(_)
+            | Command::StartScheduled(_)
+            | Command::Cancel(_)
+            | Command::Abort(_)
+            | Command::AddArm(_) => {}
+        }
+    }
+
+    /// Tells what rules did in this cycle.
+    fn tell_effects(&mut self) {
+        let Self { executor, events, tap, .. } = self;
+        executor.rule_effects(|id, effect| {
+            if let Some(tap) = tap {
+                match effect {
+                    Effect::Stopped => tap.stopped(id),
+                    Effect::Cancelled => tap.cancelled(id),
+                    Effect::Started => tap.started(id),
+                }
+            }
+            let event = match effect {
+                Effect::Stopped => return,
+                Effect::Cancelled => Event::Cancelling(id),
+                Effect::Started => Event::Started(id),
+            };
+            let told = events.push(event);
+            debug_assert!(told.is_ok(), "more events than requests");
+        });
+        while executor.take_rule(|rule| {
+            events.push(Event::RuleDone(rule)).map_err(|event| match event {
+                Event::RuleDone(rule) => rule,
+                _ => Box::new(Rule::new(0, Vec::new(), Vec::new())),
+            })
+        }) {}
     }
 
     /// The controller never has more requests under way than the ring has room for answers.

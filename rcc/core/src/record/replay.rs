@@ -106,42 +106,58 @@ impl<'r> Stage<'r> {
             }
         }
         while let Some(entry) = reader.next().map_err(|()| self.broken("a cycle is cut off"))? {
-            match entry {
-                Entry::Started(id) => {
-                    let net = self.nets.remove(&id);
-                    let net = net.ok_or_else(|| self.broken("a net starts that is not in it"))?;
-                    if self.executor.start(net).is_err() {
-                        return Err(self.broken("a net that was started cannot start"));
-                    }
-                    words.started(id);
-                }
-                Entry::Cancelled(id) => {
-                    self.executor.cancel(id);
-                    words.cancelled(id);
-                }
-                Entry::Aborted(id) => {
-                    self.executor.abort(id);
-                    words.aborted(id);
-                }
-                Entry::Inbox(id, values) => {
-                    if let Some(net) = self.executor.running().iter().find(|n| n.id == id) {
-                        net.plan.import(values);
-                        words.inbox(net);
-                    }
-                }
-                Entry::Inputs(inputs) => moment = Some(inputs.moment),
-                Entry::Result => {}
+            if let Entry::Inputs(inputs) = &entry {
+                moment = Some(inputs.moment);
             }
+            self.enter(entry, &mut words)?;
         }
         let moment = moment.ok_or_else(|| self.broken("a cycle has no inputs"))?;
-        words.inputs(moment, &self.executor);
-        self.executor.cycle(moment);
-        self.executor.publish(|net| words.outbox(net));
         while self.executor.take_ended(|net, end| {
             words.ended(net.id, end);
             Ok(())
         }) {}
         words.outputs(moment, &self.executor);
         words.finish().ok_or_else(|| self.broken("a cycle is too large"))
+    }
+
+    /// Does what an entry says and writes it anew.
+    fn enter(&mut self, entry: Entry<'_>, words: &mut Words) -> Result<(), Error> {
+        match entry {
+            Entry::Started(id) => {
+                let net = self.nets.remove(&id);
+                let net = net.ok_or_else(|| self.broken("a net starts that is not in it"))?;
+                self.executor.start_by_rule(net);
+                words.started(id);
+            }
+            Entry::Cancelled(id) => {
+                self.executor.cancel(id);
+                words.cancelled(id);
+            }
+            Entry::Aborted(id) => {
+                self.executor.abort(id);
+                words.aborted(id);
+            }
+            Entry::Stopped(id) => {
+                self.executor.stop(id);
+                words.stopped(id);
+            }
+            Entry::Takeover(id, waits) => {
+                self.executor.set_takeover(id, waits);
+                words.takeover(id, waits);
+            }
+            Entry::Inbox(id, values) => {
+                if let Some(net) = self.executor.running().iter().find(|n| n.id == id) {
+                    net.plan.import(values);
+                    words.inbox(net);
+                }
+            }
+            Entry::Inputs(inputs) => {
+                words.inputs(inputs.moment, &self.executor);
+                self.executor.cycle(inputs.moment);
+                self.executor.publish(|net| words.outbox(net));
+            }
+            Entry::Result => {}
+        }
+        Ok(())
     }
 }

@@ -16,6 +16,8 @@ mod kind {
     pub(super) const OUTBOX: u64 = 6;
     pub(super) const ENDED: u64 = 7;
     pub(super) const OUTPUTS: u64 = 8;
+    pub(super) const STOPPED: u64 = 9;
+    pub(super) const TAKEOVER: u64 = 10;
 }
 
 /// A cycle being written into a buffer whose capacity is its bound.
@@ -61,6 +63,14 @@ impl Words {
         self.entry([kind::ABORTED, id.into()]);
     }
 
+    pub(super) fn stopped(&mut self, id: u32) {
+        self.entry([kind::STOPPED, id.into()]);
+    }
+
+    pub(super) fn takeover(&mut self, id: u32, waits: bool) {
+        self.entry([kind::TAKEOVER, id.into(), waits.into()]);
+    }
+
     pub(super) fn inbox(&mut self, net: &Running) {
         self.entry([kind::INBOX, net.id.into(), net.plan.inbox().words() as u64]);
         for word in net.plan.inbox_words() {
@@ -93,6 +103,7 @@ impl Words {
             End::Terminated => (0, 0),
             End::Aborted => (1, 0),
             End::DeviceFault(device) => (2, device as u64),
+            End::Stopped => (3, 0),
         };
         self.entry([kind::ENDED, id.into(), code, device]);
     }
@@ -121,6 +132,8 @@ pub(super) enum Entry<'w> {
     Started(u32),
     Cancelled(u32),
     Aborted(u32),
+    Stopped(u32),
+    Takeover(u32, bool),
     Inbox(u32, &'w [u64]),
     Inputs(Inputs<'w>),
     /// What the thread itself made of it; a replay makes it anew.
@@ -189,6 +202,8 @@ impl<'w> Reader<'w> {
             kind::STARTED => Entry::Started(self.id()?),
             kind::CANCELLED => Entry::Cancelled(self.id()?),
             kind::ABORTED => Entry::Aborted(self.id()?),
+            kind::STOPPED => Entry::Stopped(self.id()?),
+            kind::TAKEOVER => Entry::Takeover(self.id()?, self.word()? != 0),
             kind::INBOX => {
                 let (id, len) = (self.id()?, self.word()?);
                 Entry::Inbox(id, self.body(len)?)

@@ -106,66 +106,69 @@ impl Parts {
         &mut self.outputs[before + origin.port as usize]
     }
 
-    fn finish(mut self, walk: Walk<'_>, resolved: &Resolved<'_>, period: Duration) -> Option<Plan> {
+    /// By guard: the slots inside that are read outside.
+    fn exports(&mut self, resolved: &Resolved<'_>) -> Vec<Vec<SlotRef>> {
         let mut exports = vec![Vec::new(); resolved.guards.len()];
-        let mut add = |parts: &mut Self, origin: Origin, reader: u32| {
+        let mut add = |origin: Origin, reader: u32| {
             let mut guard = resolved.nodes[origin.node as usize].guard;
             while guard != 0 && !is_inside(resolved, reader, guard) {
-                exports[guard as usize].extend(*parts.output(origin));
+                exports[guard as usize].extend(*self.output(origin));
                 guard = resolved.guards[guard as usize].parent;
             }
         };
         for node in &resolved.nodes {
-            for origin in node.links.iter().flatten() {
-                add(&mut self, *origin, node.guard);
-            }
+            let links = node.links.iter().flatten();
+            links.for_each(|origin| add(*origin, node.guard));
         }
         for guard in &resolved.guards {
-            if let Some(origin) = guard.active {
-                add(&mut self, origin, guard.parent);
-            }
+            let active = guard.active.iter();
+            active.for_each(|origin| add(*origin, guard.parent));
         }
-        for (_, origin) in &resolved.root {
-            if let Some(origin) = origin {
-                add(&mut self, *origin, 0);
-            }
+        let root = resolved.root.iter().filter_map(|(_, origin)| *origin);
+        root.for_each(|origin| add(origin, 0));
+        for slots in &mut exports {
+            slots.sort_unstable();
+            slots.dedup();
         }
-        let mut root_ports = Vec::new();
-        for (name, origin) in &resolved.root {
-            let origin = (*origin)?;
-            let node = &resolved.nodes[origin.node as usize];
-            let ty = node.definition.outputs[origin.port as usize].ty;
-            let slot = (*self.output(origin))?;
-            root_ports.push(RootPort {
-                name: (*name).to_owned(),
-                ty,
-                slot,
-            });
-        }
-        let terminate = root_ports.iter().find(|p| p.name == "outTerminate")?;
-        let SlotRef::Scalar {
-            slot: terminate, ..
-        } = terminate.slot
-        else {
-            return None;
-        };
-        let mut guards = Vec::with_capacity(resolved.guards.len());
-        for (info, mut exports) in resolved.guards.iter().zip(exports) {
-            let slot = match info.active {
+        exports
+    }
+
+    fn guards(&mut self, resolved: &Resolved<'_>) -> Option<Box<[Guard]>> {
+        let exports = self.exports(resolved);
+        let guard = |(active, exports): (Option<Origin>, Vec<SlotRef>)| {
+            let slot = match active {
                 Some(origin) => (*self.output(origin))?,
                 None => SlotRef::null(Type::scalar(bool::ELEMENT)),
             };
-            let SlotRef::Scalar { slot: active, .. } = slot else {
-                return None;
-            };
-            exports.sort_unstable();
-            exports.dedup();
-            guards.push(Guard {
-                active: In(active, PhantomData),
+            Some(Guard {
+                active: boolean(slot)?,
                 exports: exports.into_boxed_slice(),
                 was_active: false,
-            });
-        }
+            })
+        };
+        let active = resolved.guards.iter().map(|info| info.active);
+        active.zip(exports).map(guard).collect()
+    }
+
+    fn root_ports(&mut self, resolved: &Resolved<'_>) -> Option<Box<[RootPort]>> {
+        let port = |(name, origin): &(&str, Option<Origin>)| {
+            let origin = (*origin)?;
+            let definition = resolved.nodes[origin.node as usize].definition;
+            Some(RootPort {
+                name: (*name).to_owned(),
+                ty: definition.outputs[origin.port as usize].ty,
+                slot: (*self.output(origin))?,
+            })
+        };
+        resolved.root.iter().map(port).collect()
+    }
+
+    /// `None` if a part could not be built, which has then been told.
+    fn finish(mut self, walk: Walk<'_>, resolved: &Resolved<'_>, period: Duration) -> Option<Plan> {
+        let guards = self.guards(resolved)?;
+        let root_ports = self.root_ports(resolved)?;
+        let terminate = root_ports.iter().find(|p| p.name == "outTerminate")?;
+        let terminate = boolean(terminate.slot)?;
         let out_words = vec![0; self.outbox.words()];
         self.resources.sort();
         self.resources.dedup();
@@ -175,9 +178,9 @@ impl Parts {
             slots: self.slots.finish(),
             steps: walk.steps.into_boxed_slice(),
             ops: walk.ops.into_boxed_slice(),
-            guards: guards.into_boxed_slice(),
-            terminate: In(terminate, PhantomData),
-            root_ports: root_ports.into_boxed_slice(),
+            guards,
+            terminate,
+            root_ports,
             inbox: Mailbox::new(self.inbox, &self.inbox_words),
             outbox: Mailbox::new(self.outbox, &out_words),
             resources: self.resources.into_boxed_slice(),
@@ -186,6 +189,17 @@ impl Parts {
             count: 0,
             devices: self.devices.into_boxed_slice(),
         })
+    }
+}
+
+/// The handle of a slot that must be a Boolean.
+const fn boolean(slot: SlotRef) -> Option<In<bool>> {
+    match slot {
+        SlotRef::Scalar {
+            element: bool::ELEMENT,
+            slot,
+        } => Some(In(slot, PhantomData)),
+        SlotRef::Scalar { .. } | SlotRef::Array { .. } => None,
     }
 }
 
@@ -667,7 +681,7 @@ impl Build<'_, '_> {
     ) -> Result<usize, Fault> {
         let key = format!("out{key}");
         if self.parts.outbox.find(&key).is_some() {
-            let why = "two primitives write it";
+            let why = "another primitive gives one out under this `Key`; each needs its own";
             return Err(self.fault(FaultKind::Netcomm { key, why }));
         }
         self.check_netcomm_bound()?;
@@ -699,7 +713,7 @@ impl Build<'_, '_> {
             if entry.ty == ty && entry.value_words() == words {
                 return Ok(entry.at());
             }
-            let why = "with different types or sizes";
+            let why = "another primitive takes it in with a different type or size";
             return Err(self.fault(FaultKind::Netcomm { key, why }));
         }
         self.check_netcomm_bound()?;

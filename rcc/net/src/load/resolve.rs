@@ -582,13 +582,17 @@ impl<'t> Resolved<'t> {
 
     /// The fault that tells of a cycle.
     pub(super) fn cycle_fault(&self, cycle: &[u32]) -> Fault {
-        let nodes: Vec<&Node<'t>> = cycle
+        let mut nodes: Vec<&Node<'t>> = cycle
             .iter()
             .filter_map(|unit| match self.unit(*unit) {
                 Unit::Main(node) | Unit::Early(node) => Some(&self.nodes[node as usize]),
                 Unit::Gate(_) => None,
             })
             .collect();
+        // Told from the first in the text on, so that lines come in their order.
+        let starts = nodes.iter().map(|n| n.at.start).enumerate();
+        let first = starts.min_by_key(|(_, start)| *start).map_or(0, |(i, _)| i);
+        nodes.rotate_left(first);
         let mut names: Vec<String> = nodes.iter().take(16).map(|n| n.name.to_owned()).collect();
         names.push(if nodes.len() > 16 {
             "…".to_owned()

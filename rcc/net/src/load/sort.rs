@@ -276,8 +276,8 @@ mod tests {
             pairs in proptest::collection::vec((0_u32..40, 0_u32..40), 0..80),
         ) {
             let parent: Vec<u32> =
-                parents.iter().enumerate().map(|(i, p)| (*p).min(i.saturating_sub(1) as u32)).collect();
-            let n = guards.len() as u32;
+                parents.iter().enumerate().map(|(i, p)| (*p).min(u32::try_from(i.saturating_sub(1)).unwrap())).collect();
+            let n = u32::try_from(guards.len()).unwrap();
             let edges: Vec<(u32, u32)> = pairs
                 .into_iter()
                 .map(|(a, b)| (a % n, b % n))

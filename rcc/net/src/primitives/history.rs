@@ -131,7 +131,7 @@ impl Primitive for TimeHistory {
         let stamp = self.value.get(cycle);
         let held = stamp.or_else(|| self.history.at(cycle.count - 1));
         self.history.store(cycle.count, held);
-        let time = stamp.and(self.time.get(cycle));
+        let time = stamp.and_then(|_| self.time.get(cycle));
         let back = time.and_then(|time| self.back_to(cycle.count, time));
         let back = back.and_then(|back| u32::try_from(back).ok());
         self.age

@@ -48,13 +48,16 @@ fn int2(
     )
 }
 
+const fn number(default: &'static str) -> Port {
+    port("inValue", "operand").or("Value", default)
+}
+
 pub(super) fn table() -> Vec<Definition> {
-    let angle = port("inValue", "angle, rad").or("Value", "1");
-    let number = |default| port("inValue", "operand").or("Value", default);
-    let atan2 = [
-        port("inY", "opposite side").or("Y", "1"),
-        port("inX", "adjacent side").or("X", "1"),
-    ];
+    let tables = [doubles(), angles(), whole_numbers()];
+    tables.into_iter().flatten().collect()
+}
+
+fn doubles() -> Vec<Definition> {
     vec![
         double2(
             "Core::DoubleAdd",
@@ -86,6 +89,28 @@ pub(super) fn table() -> Vec<Definition> {
             operands("0"),
             f64::powf,
         ),
+        double1(
+            "Core::DoubleSquareRoot",
+            "Square root.",
+            number("1"),
+            f64::sqrt,
+        ),
+        double1(
+            "Core::DoubleLog",
+            "Natural logarithm.",
+            number("0"),
+            f64::ln,
+        ),
+    ]
+}
+
+fn angles() -> Vec<Definition> {
+    let angle = port("inValue", "angle, rad").or("Value", "1");
+    let atan2 = [
+        port("inY", "opposite side").or("Y", "1"),
+        port("inX", "adjacent side").or("X", "1"),
+    ];
+    vec![
         double2(
             "Core::DoubleAtan2",
             "Angle of the point (X, Y), rad.",
@@ -102,18 +127,11 @@ pub(super) fn table() -> Vec<Definition> {
             number("1"),
             f64::acos,
         ),
-        double1(
-            "Core::DoubleSquareRoot",
-            "Square root.",
-            number("1"),
-            f64::sqrt,
-        ),
-        double1(
-            "Core::DoubleLog",
-            "Natural logarithm.",
-            number("0"),
-            f64::ln,
-        ),
+    ]
+}
+
+fn whole_numbers() -> Vec<Definition> {
+    vec![
         int2(
             "Core::IntAdd",
             "First plus second; null on overflow.",

@@ -10,20 +10,20 @@ struct Clock {
     increment: In<f64>,
     reset: In<bool>,
     value: Out<f64>,
-    time: f64,
+    /// Sum of the increments; periods are multiplied in last, so that a clock of whole increments
+    /// does not drift.
+    ticks: f64,
     period_s: f64,
 }
 
 impl Primitive for Clock {
     fn step(&mut self, cycle: &Cycle<'_>) {
         if self.reset.get(cycle) == Some(true) {
-            self.time = 0.0;
+            self.ticks = 0.0;
         }
-        let time = self
-            .increment
-            .get(cycle)
-            .map(|i| self.time + i * self.period_s);
-        self.time = time.unwrap_or(self.time);
+        let increment = self.increment.get(cycle).filter(|i| i.is_finite());
+        self.ticks += increment.unwrap_or(0.0);
+        let time = increment.map(|_| self.ticks * self.period_s);
         self.value.set(cycle, time);
     }
 }
@@ -113,7 +113,7 @@ fn clocks() -> Vec<Definition> {
             increment: b.input("inIncrement")?,
             reset: b.input("inReset")?,
             value: b.output("outValue"),
-            time: 0.0,
+            ticks: 0.0,
             period_s: b.period_s(),
         })
     };
@@ -134,7 +134,7 @@ fn clocks() -> Vec<Definition> {
         .input::<f64>(port("inIncrement", "seconds per second").or("Increment", "1"))
         .output::<f64>("outValue", "time, s")
         .null(NullRule::Own(
-            "While inIncrement is null the clock stands and the output is null.",
+            "While inIncrement is null or not finite the clock stands and the output is null.",
         )),
         Definition::new(
             "Core::CycleTime",

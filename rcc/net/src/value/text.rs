@@ -132,14 +132,19 @@ impl<'a> Tree<'a> {
         let tree = reader.tree(DEPTH)?;
         reader.skip_blank();
         if reader.at < text.len() {
-            return Err(reader.error("text after the end of the value"));
+            let rest: String = text[reader.at..].chars().take(20).collect();
+            return Err(reader.error(&format!("the value ends before `{rest}`")));
         }
         Ok(tree)
     }
 
     fn unlike(&self, wanted: &str) -> ValueError {
+        let this = match self.kind {
+            TreeKind::Atom(text) if text.chars().count() <= 40 => format!("`{text}`"),
+            TreeKind::Atom(_) | TreeKind::List(_) | TreeKind::Map(_) => "this".to_owned(),
+        };
         ValueError {
-            what: format!("this is not {wanted}"),
+            what: format!("{this} is not {wanted}"),
             at: self.at.clone(),
         }
     }
@@ -164,7 +169,11 @@ impl<'a> Tree<'a> {
         for (key, tree) in entries {
             match names.iter().position(|name| name == key) {
                 Some(i) if found[i].is_none() => found[i] = Some(tree),
-                Some(_) => return Err(tree.unlike(&format!("wanted: `{key}` is given twice"))),
+                Some(_) => {
+                    let what = format!("`{key}` is given twice");
+                    let at = tree.at.clone();
+                    return Err(ValueError { what, at });
+                }
                 None => {
                     let known = names.join("`, `");
                     let what = format!("{wanted} has no member `{key}`, only `{known}`");
@@ -480,8 +489,8 @@ mod tests {
         let error = Vector::parse("{x:1,q:2}").unwrap_err();
         assert_eq!(error.what, "a Vector has no member `q`, only `x`, `y`, `z`");
         assert_eq!(error.at, 7..8);
-        assert_eq!(f64::parse("abc").unwrap_err().what, "this is not a number");
-        assert_eq!(f64::parse("1 2").unwrap_err().what, "this is not a number");
+        assert_eq!(f64::parse("abc").unwrap_err().what, "`abc` is not a number");
+        assert_eq!(f64::parse("1 2").unwrap_err().what, "`1 2` is not a number");
         assert_eq!(f64::parse("").unwrap_err().what, "a value is missing here");
         assert!(Vector::parse("{x:1").unwrap_err().what.contains("missing"));
         assert!(i32::parse("3000000000").is_err());

@@ -3,14 +3,17 @@
 //! computes is tested one by one.
 
 #![allow(
+    dead_code,
     unreachable_pub,
-    reason = "shared by test files of more than one crate"
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "shared by test files of more than one crate that need different parts"
 )]
 
 use std::fmt::Write as _;
 use std::time::Duration;
 
-use takt_net::definition::InPort;
+use takt_net::definition::{InPort, Parameter, ParameterType};
 use takt_net::netcomm::OutStatus;
 use takt_net::{
     Definition, Element, Image, Limits, LoadContext, Moment, Nanos, NoDevices, NullRule, Plan,
@@ -197,9 +200,16 @@ impl Run {
     }
 }
 
+/// The primitives that need no device.
+fn definitions(registry: &Registry) -> impl Iterator<Item = &Definition> {
+    let names_device = |p: &Parameter| p.ty == ParameterType::Text && p.name != "Key";
+    let all = registry.definitions().iter();
+    all.filter(move |d| !d.parameters.iter().any(names_device))
+}
+
 /// Builds every primitive with all ports and with the required ones alone, and runs it.
 pub fn can_be_built(registry: &Registry) {
-    for definition in registry.definitions() {
+    for definition in definitions(registry) {
         let all = net(definition, |_| Some(Feed::Plain));
         let few = net(definition, |port| port.required.then_some(Feed::Plain));
         for text in [all, few] {
@@ -213,7 +223,7 @@ pub fn can_be_built(registry: &Registry) {
 /// null without it shows that it was the reason. Inputs that only control are left out.
 pub fn null_propagates(registry: &Registry) {
     let mut shown = 0;
-    for definition in registry.definitions() {
+    for definition in definitions(registry) {
         if definition.null != NullRule::Propagates || definition.outputs.is_empty() {
             continue;
         }
@@ -274,6 +284,15 @@ const fn nasty(element: Element) -> &'static [&'static str] {
 
 /// Feeds every primitive `cycles` random inputs, null among them; overflow checks are on.
 pub fn survives_anything(registry: &Registry, cycles: usize) {
+    with_anything(registry, cycles, |_, step| step());
+}
+
+/// The same; `around` is called with the primitive's name and must make the step.
+pub fn with_anything(
+    registry: &Registry,
+    cycles: usize,
+    mut around: impl FnMut(&str, &mut dyn FnMut()),
+) {
     let mut seed = 0x9e37_79b9_7f4a_7c15_u64;
     let mut random = |bound: usize| {
         seed ^= seed << 13;
@@ -281,7 +300,7 @@ pub fn survives_anything(registry: &Registry, cycles: usize) {
         seed ^= seed << 17;
         usize::try_from(seed % bound as u64).unwrap()
     };
-    for definition in registry.definitions() {
+    for definition in definitions(registry) {
         let mut run = Run::new(registry, &net(definition, |_| Some(Feed::Driven)));
         let inbox = run.plan.inbox().clone();
         for _ in 0..cycles {
@@ -304,7 +323,7 @@ pub fn survives_anything(registry: &Registry, cycles: usize) {
                 }
             }
             run.plan.import(&words);
-            run.step();
+            around(&definition.name, &mut || run.step());
         }
     }
 }

@@ -3,6 +3,7 @@
 #![allow(
     dead_code,
     unreachable_pub,
+    clippy::panic,
     reason = "shared by test files that need different parts"
 )]
 

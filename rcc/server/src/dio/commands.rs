@@ -4,8 +4,8 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use takt_core::{Error, LoadRequest, NetId, NetInfo, SessionId};
-use takt_net::FaultKind;
+use takt_core::controller::{LoadRequest, NetInfo};
+use takt_core::{Error, NetId, SessionId};
 
 use super::devices::DeviceWatch;
 use super::nets::NetWatch;
@@ -17,8 +17,8 @@ use crate::wire::{Message, Value};
 /// The version that a client must ask for.
 const VERSION: &str = "2.0";
 
-/// The session of nets without a session. No client may end or watch it.
-const NO_SESSION: SessionId = SessionId(0);
+/// Number of the kind of faults of a net whose text does not follow the grammar.
+const SYNTAX_FAULT: u32 = 12;
 
 /// Longest refresh interval that is kept apart from "never again".
 const REFRESH_MAX: Duration = Duration::from_secs(3600);
@@ -26,8 +26,14 @@ const REFRESH_MAX: Duration = Duration::from_secs(3600);
 type Outcome = Result<Vec<Value>, Refusal>;
 
 impl Connection {
-    /// Does what the message says; the result is what stands in the parentheses of `ok`.
-    pub(super) fn execute(&mut self, message: &Message, now: Duration) -> Outcome {
+    /// Does what the message says; the result is what stands in the parentheses of `ok`. What
+    /// must be told before it is too late goes to `out`.
+    pub(super) fn execute(
+        &mut self,
+        message: &Message,
+        now: Duration,
+        out: &mut Vec<Message>,
+    ) -> Outcome {
         let args = Args(&message.args);
         let tag = || message.tag.clone();
         match message.command.as_str() {
@@ -35,14 +41,14 @@ impl Connection {
             "ver" if !self.greeted => self.greet(args),
             _ if !self.greeted => Err(Refusal::BadHandshake),
             "nse" => self.open_session(args),
-            "ase" => self.end_session(args),
+            "ase" => self.end_session(args, now, out),
             "gse" => self.watch_session(args, tag()),
             "gde" => self.watch_devices(tag()),
             "nene" => self.load(args),
             "nest" => self.start(args),
             "neca" => self.cancel(args),
             "neab" => self.abort(args),
-            "neun" => self.unload(args, now),
+            "neun" => self.unload(args, now, out),
             "gne" => self.watch_net(args, tag()),
             "snc" => self.write_values(args),
             "nin" => self.describe_nets(args),
@@ -54,7 +60,11 @@ impl Connection {
 
     fn greet(&mut self, args: Args<'_>) -> Outcome {
         self.greeted = args.text(0).is_ok_and(|v| v == VERSION);
-        if self.greeted { Ok(vec!["handshake ok".into()]) } else { Err(Refusal::BadHandshake) }
+        if self.greeted {
+            Ok(vec!["handshake ok".into()])
+        } else {
+            Err(Refusal::BadHandshake)
+        }
     }
 
     fn open_session(&mut self, args: Args<'_>) -> Outcome {
@@ -63,8 +73,13 @@ impl Connection {
         Ok(vec![session.to_string().into()])
     }
 
-    fn end_session(&mut self, args: Args<'_>) -> Outcome {
+    /// The nets are aborted before they are unloaded, so that their last values can be told.
+    fn end_session(&mut self, args: Args<'_>, now: Duration, out: &mut Vec<Message>) -> Outcome {
         let session = self.session(args)?;
+        for net in self.controller.session_nets(session).unwrap_or_default() {
+            in_any_state(self.controller.abort(net)).or_else(unless_gone)?;
+        }
+        out.extend(self.due(Pushes::BeforeReply, now));
         self.controller.end_session(session).map_err(|e| match e {
             Error::NoSuchSession(_) => Refusal::InvalidSession,
             e => e.into(),
@@ -89,13 +104,15 @@ impl Connection {
 
     /// A net that is rejected has a name, too; only its text must follow the grammar.
     fn load(&self, args: Args<'_>) -> Outcome {
-        let session = args.optional(1, Args::text)?.and_then(|s| self.known_session(s));
+        let session = args
+            .optional(1, Args::text)?
+            .and_then(|s| self.known_session(s));
         let period = args.optional(3, Args::seconds)?.filter(|p| !p.is_zero());
         // Whether the net is real time is not asked for any more: all nets are.
         args.optional(4, Args::integer)?;
         let net = self.controller.load(LoadRequest {
             text: args.text(0)?.to_owned(),
-            session: session.unwrap_or(NO_SESSION),
+            session: session.unwrap_or(SessionId::NONE),
             description: args.optional(2, Args::text)?.unwrap_or_default().to_owned(),
             period,
         })?;
@@ -109,10 +126,14 @@ impl Connection {
     }
 
     fn start(&self, args: Args<'_>) -> Outcome {
-        self.controller.start(self.net(args)?).map_err(|e| match e {
-            Error::NoSuchNet(_) => Refusal::InvalidNet,
-            e => Refusal::StartFailed { reason: e.to_string() },
-        })?;
+        self.controller
+            .start_net(self.net(args)?)
+            .map_err(|e| match e {
+                Error::NoSuchNet(_) => Refusal::InvalidNet,
+                e => Refusal::StartFailed {
+                    reason: e.to_string(),
+                },
+            })?;
         Ok(Vec::new())
     }
 
@@ -125,8 +146,14 @@ impl Connection {
     }
 
     /// Clients see that a net is being unloaded as `TERMINATED` once more, before the reply.
-    fn unload(&mut self, args: Args<'_>, now: Duration) -> Outcome {
-        todo!()
+    fn unload(&mut self, args: Args<'_>, now: Duration, out: &mut Vec<Message>) -> Outcome {
+        let net = self.net(args)?;
+        out.extend(self.due(Pushes::BeforeReply, now));
+        self.controller.unload(net).map_err(of_net)?;
+        if self.controller.net(net).is_none() {
+            out.extend(self.nets.get_mut(&net).map(NetWatch::handle_unloading));
+        }
+        Ok(Vec::new())
     }
 
     /// A second subscription to a net takes the place of the first and is told its state again.
@@ -134,7 +161,12 @@ impl Connection {
         let net = self.net(args)?;
         let refresh = args.seconds(1)?.min(REFRESH_MAX);
         self.check_room(self.nets.contains_key(&net))?;
-        let states = self.controller.net(net).ok_or(Refusal::InvalidNet)?.states.len();
+        let states = self
+            .controller
+            .net(net)
+            .ok_or(Refusal::InvalidNet)?
+            .states
+            .len();
         self.nets.insert(net, NetWatch::new(tag, refresh, states));
         Ok(Vec::new())
     }
@@ -161,7 +193,9 @@ impl Connection {
             None => self.controller.nets(),
         };
         let infos = nets.into_iter().filter_map(|n| self.controller.net(n));
-        Ok(vec![Value::map_of(infos.map(|i| (i.id.to_string(), describe(&i))))])
+        Ok(vec![Value::map_of(
+            infos.map(|i| (i.id.to_string(), describe(&i))),
+        )])
     }
 
     fn check_room(&self, replaces: bool) -> Result<(), Refusal> {
@@ -174,12 +208,16 @@ impl Connection {
     }
 
     fn session(&self, args: Args<'_>) -> Result<SessionId, Refusal> {
-        let session = self.known_session(args.text(0)?).filter(|s| *s != NO_SESSION);
+        let session = self
+            .known_session(args.text(0)?)
+            .filter(|s| *s != SessionId::NONE);
         session.ok_or(Refusal::InvalidSession)
     }
 
     fn known_session(&self, name: &str) -> Option<SessionId> {
-        name.parse().ok().filter(|s| self.controller.session_nets(*s).is_some())
+        name.parse()
+            .ok()
+            .filter(|s| self.controller.session_nets(*s).is_some())
     }
 
     fn net(&self, args: Args<'_>) -> Result<NetId, Refusal> {
@@ -187,7 +225,9 @@ impl Connection {
     }
 
     fn known_net(&self, name: &str) -> Option<NetId> {
-        name.parse().ok().filter(|n| self.controller.net(*n).is_some())
+        name.parse()
+            .ok()
+            .filter(|n| self.controller.net(*n).is_some())
     }
 }
 
@@ -195,19 +235,42 @@ impl Connection {
 fn in_any_state(result: Result<(), Error>) -> Outcome {
     match result {
         Ok(()) | Err(Error::WrongState { .. }) => Ok(Vec::new()),
-        Err(Error::NoSuchNet(_)) => Err(Refusal::InvalidNet),
-        Err(e) => Err(e.into()),
+        Err(error) => Err(of_net(error)),
+    }
+}
+
+fn of_net(error: Error) -> Refusal {
+    if matches!(error, Error::NoSuchNet(_)) {
+        Refusal::InvalidNet
+    } else {
+        error.into()
+    }
+}
+
+/// A net that somebody else unloaded meanwhile is what is wanted.
+fn unless_gone(refusal: Refusal) -> Outcome {
+    if matches!(refusal, Refusal::InvalidNet) {
+        Ok(Vec::new())
+    } else {
+        Err(refusal)
     }
 }
 
 fn syntax_faults(info: &NetInfo) -> Option<String> {
     let rejection = info.rejection.as_ref()?;
-    let wrong = rejection.faults.iter().any(|f| matches!(f.kind, FaultKind::Syntax { .. }));
+    let wrong = rejection
+        .faults
+        .iter()
+        .any(|f| f.kind.minor() == SYNTAX_FAULT);
     wrong.then(|| rejection.lines(&info.text).join("; "))
 }
 
 fn describe(info: &NetInfo) -> Value {
-    let faults = info.rejection.as_ref().map(|r| r.lines(&info.text)).unwrap_or_default();
+    let faults = info
+        .rejection
+        .as_ref()
+        .map(|r| r.lines(&info.text))
+        .unwrap_or_default();
     let state = info.states.last().map_or("", |s| s.word());
     Value::map_of([
         ("description", info.description.as_str().into()),
@@ -232,7 +295,9 @@ impl<'a> Args<'a> {
         number: usize,
         get: impl FnOnce(Self, usize) -> Result<T, Refusal>,
     ) -> Result<Option<T>, Refusal> {
-        (number < self.0.len()).then(|| get(self, number)).transpose()
+        (number < self.0.len())
+            .then(|| get(self, number))
+            .transpose()
     }
 
     fn text(self, number: usize) -> Result<&'a str, Refusal> {
@@ -244,7 +309,11 @@ impl<'a> Args<'a> {
     }
 
     fn integer(self, number: usize) -> Result<u32, Refusal> {
-        if let Value::Integer(n) = self.get(number)? { Ok(*n) } else { Err(Refusal::ParameterType) }
+        if let Value::Integer(n) = self.get(number)? {
+            Ok(*n)
+        } else {
+            Err(Refusal::ParameterType)
+        }
     }
 
     /// A float is wanted, and an integer is none.

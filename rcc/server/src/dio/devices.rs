@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use takt_core::DeviceInfo;
+use takt_core::controller::DeviceInfo;
 
 use super::push;
 use crate::wire::{Message, Value};
@@ -25,7 +25,10 @@ struct Told {
 impl DeviceWatch {
     /// A subscription that was told nothing yet.
     pub(super) const fn new(tag: String) -> Self {
-        Self { tag, told: BTreeMap::new() }
+        Self {
+            tag,
+            told: BTreeMap::new(),
+        }
     }
 
     /// Tells what changed, given all devices as they are now: first those that are new or have
@@ -35,7 +38,12 @@ impl DeviceWatch {
         let described = self.differing(&now, |a, b| a.description == b.description);
         let added = described.map(|(n, t)| (n.clone(), t.description.clone()));
         let added: BTreeMap<_, _> = added.collect();
-        let gone: Vec<_> = self.told.keys().filter(|n| !now.contains_key(*n)).cloned().collect();
+        let gone: Vec<_> = self
+            .told
+            .keys()
+            .filter(|n| !now.contains_key(*n))
+            .cloned()
+            .collect();
         let changed = self.differing(&now, |a, b| a.status == b.status);
         let changed: BTreeMap<_, _> = changed.map(|(n, t)| (n.clone(), t.status.into())).collect();
         let mut out = Vec::new();
@@ -58,16 +66,77 @@ impl DeviceWatch {
         now: &'a BTreeMap<String, Told>,
         same: impl Fn(&Told, &Told) -> bool + 'a,
     ) -> impl Iterator<Item = (&'a String, &'a Told)> {
-        now.iter().filter(move |(name, new)| !self.told.get(*name).is_some_and(|t| same(t, new)))
+        now.iter()
+            .filter(move |(name, new)| !self.told.get(*name).is_some_and(|t| same(t, new)))
     }
 }
 
 fn told(device: DeviceInfo) -> (String, Told) {
     let status = device.status.word();
-    let interfaces = device.interfaces.into_iter().map(|(k, v)| (k, Value::map_of(v)));
+    let interfaces = device
+        .interfaces
+        .into_iter()
+        .map(|(k, v)| (k, Value::map_of(v)));
     let description = Value::map_of([
         ("type", device.kind.into()),
         ("interfaces", Value::map_of(interfaces)),
     ]);
-    (device.name, Told { description, status })
+    (
+        device.name,
+        Told {
+            description,
+            status,
+        },
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use takt_core::device::DeviceStatus;
+
+    fn arm(joints: u32, status: DeviceStatus) -> DeviceInfo {
+        let joints = BTreeMap::from([("jointcount".to_owned(), joints.to_string())]);
+        DeviceInfo {
+            name: "lwr1".to_owned(),
+            kind: "kuka_lwr_sim".to_owned(),
+            interfaces: BTreeMap::from([("robotarm".to_owned(), joints)]),
+            status,
+        }
+    }
+
+    fn told(watch: &mut DeviceWatch, devices: &[DeviceInfo]) -> Vec<String> {
+        watch
+            .handle_devices(devices.to_vec())
+            .iter()
+            .map(Message::to_string)
+            .collect()
+    }
+
+    #[test]
+    fn devices_come_change_and_go() {
+        use DeviceStatus::{Offline, Operational, SafeOperational};
+        let mut watch = DeviceWatch::new("t".to_owned());
+        let added = |joints| {
+            let interfaces = format!("interfaces:{{robotarm:{{jointcount:\"{joints}\"}}}}");
+            format!("t=da({{lwr1:{{{interfaces},type:\"kuka_lwr_sim\"}}}})")
+        };
+        let state = |word| format!("t=ds({{lwr1:\"{word}\"}})");
+        assert_eq!(told(&mut watch, &[]), Vec::<String>::new());
+        assert_eq!(
+            told(&mut watch, &[arm(7, Offline)]),
+            [added(7), state("off")]
+        );
+        assert_eq!(told(&mut watch, &[arm(7, Operational)]), [state("op")]);
+        assert_eq!(
+            told(&mut watch, &[arm(7, SafeOperational)]),
+            [state("safeop")]
+        );
+        assert_eq!(told(&mut watch, &[arm(6, SafeOperational)]), [added(6)]);
+        assert_eq!(told(&mut watch, &[]), [r#"t=dr(["lwr1"])"#]);
+        assert_eq!(
+            told(&mut watch, &[arm(7, Operational)]),
+            [added(7), state("op")]
+        );
+    }
 }

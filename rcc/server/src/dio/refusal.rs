@@ -44,7 +44,9 @@ pub(super) enum Refusal {
     #[error("Invalid synchronization rule")]
     InvalidRule,
     /// The bound on subscriptions.
-    #[error("too many subscriptions: a connection has at most {SUBSCRIPTIONS_MAX}; unload nets or open another connection")]
+    #[error(
+        "too many subscriptions: a connection has at most {SUBSCRIPTIONS_MAX}; unload nets or open another connection"
+    )]
     TooManySubscriptions,
     /// Whatever else the controller says.
     #[error(transparent)]
@@ -56,7 +58,9 @@ impl Refusal {
     pub(super) fn reply(&self, tag: &str) -> Message {
         let reply = Message::new(tag, "err").with(self.to_string());
         match self {
-            Self::NetSyntax { reason } | Self::StartFailed { reason } => reply.with(reason.as_str()),
+            Self::NetSyntax { reason } | Self::StartFailed { reason } => {
+                reply.with(reason.as_str())
+            }
             Self::InvalidSyntax
             | Self::BadHandshake
             | Self::UnknownCommand

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use takt_core::{NetId, NetState};
+use takt_core::controller::{NetId, NetState};
 
 use super::push;
 use crate::wire::{Message, Value};
@@ -19,7 +19,10 @@ pub(super) struct SessionWatch {
 impl SessionWatch {
     /// A subscription that was told nothing yet.
     pub(super) const fn new(tag: String) -> Self {
-        Self { tag, told: BTreeMap::new() }
+        Self {
+            tag,
+            told: BTreeMap::new(),
+        }
     }
 
     /// Tells what changed. `nets` are those that the session has now, `states` all states a net
@@ -30,10 +33,17 @@ impl SessionWatch {
         nets: Vec<NetId>,
         states: impl Fn(NetId) -> Option<Vec<NetState>>,
     ) -> Vec<Message> {
-        let now: BTreeMap<_, _> = nets.into_iter().filter_map(|n| Some((n, states(n)?))).collect();
+        let now: BTreeMap<_, _> = nets
+            .into_iter()
+            .filter_map(|n| Some((n, states(n)?)))
+            .collect();
         let mut rounds = Vec::new();
         for (net, states) in &now {
-            let told = self.told.get(net).copied().unwrap_or(states.len().saturating_sub(1));
+            let told = self
+                .told
+                .get(net)
+                .copied()
+                .unwrap_or(states.len().saturating_sub(1));
             for (round, state) in states.iter().skip(told).enumerate() {
                 add(&mut rounds, round, *net, *state);
             }
@@ -41,8 +51,14 @@ impl SessionWatch {
         for net in self.told.keys().filter(|n| !now.contains_key(n)) {
             add(&mut rounds, 0, *net, NetState::Unloaded);
         }
-        self.told = now.into_iter().map(|(net, states)| (net, states.len())).collect();
-        rounds.into_iter().map(|states| push(&self.tag, "st", states)).collect()
+        self.told = now
+            .into_iter()
+            .map(|(net, states)| (net, states.len()))
+            .collect();
+        rounds
+            .into_iter()
+            .map(|states| push(&self.tag, "st", states))
+            .collect()
     }
 }
 
@@ -52,5 +68,46 @@ fn add(rounds: &mut Vec<BTreeMap<String, Value>>, round: usize, net: NetId, stat
     }
     if let Some(states) = rounds.get_mut(round) {
         states.insert(net.to_string(), state.word().into());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use NetState::{Loading, Ready, Running, Terminated};
+
+    fn told(watch: &mut SessionWatch, nets: &[(u32, &[NetState])]) -> Vec<String> {
+        let states: BTreeMap<_, _> = nets.iter().map(|(n, s)| (NetId(*n), s.to_vec())).collect();
+        let ids = states.keys().copied().collect();
+        let messages = watch.handle_nets(ids, |net| states.get(&net).cloned());
+        messages.iter().map(Message::to_string).collect()
+    }
+
+    #[test]
+    fn present_states_first_then_every_change() {
+        let mut watch = SessionWatch::new("t".to_owned());
+        assert_eq!(told(&mut watch, &[]), Vec::<String>::new());
+        let both: &[(u32, &[_])] = &[(0, &[Loading, Ready]), (1, &[Loading, Ready, Running])];
+        assert_eq!(
+            told(&mut watch, both),
+            [r#"t=st({rpinet0:"READY",rpinet1:"RUNNING"})"#]
+        );
+        assert_eq!(told(&mut watch, both), Vec::<String>::new());
+        let life = [Loading, Ready, Running, Terminated];
+        assert_eq!(
+            told(&mut watch, &[(0, &life), (1, &life)]),
+            [
+                r#"t=st({rpinet0:"RUNNING",rpinet1:"TERMINATED"})"#,
+                r#"t=st({rpinet0:"TERMINATED"})"#
+            ]
+        );
+    }
+
+    #[test]
+    fn nets_that_are_gone_are_unloaded() {
+        let mut watch = SessionWatch::new("t".to_owned());
+        told(&mut watch, &[(0, &[Loading, Ready])]);
+        assert_eq!(told(&mut watch, &[]), [r#"t=st({rpinet0:"UNLOADED"})"#]);
+        assert_eq!(told(&mut watch, &[]), Vec::<String>::new());
     }
 }

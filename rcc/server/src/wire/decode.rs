@@ -15,7 +15,11 @@ use super::{
 pub enum DecodeError {
     /// The grammar wants something else here.
     #[error("{expected} is expected at byte {at}, not {found}")]
-    Expected { expected: &'static str, found: String, at: usize },
+    Expected {
+        expected: &'static str,
+        found: String,
+        at: usize,
+    },
     /// A number that no integer of the protocol holds.
     #[error("the number at byte {at} is too large: an integer is at most 2147483647")]
     NumberTooLarge { at: usize },
@@ -23,7 +27,9 @@ pub enum DecodeError {
     #[error("the message has {bytes} bytes; at most {MESSAGE_BYTES_MAX} are taken")]
     TooLong { bytes: usize },
     /// The bound on nesting.
-    #[error("lists and maps at byte {at} are nested too deep; at most {DEPTH_MAX} levels are taken")]
+    #[error(
+        "lists and maps at byte {at} are nested too deep; at most {DEPTH_MAX} levels are taken"
+    )]
     TooDeep { at: usize },
     /// The bound on values.
     #[error("the message has too many values at byte {at}; at most {VALUES_MAX} are taken")]
@@ -39,7 +45,11 @@ impl Message {
         if text.len() > MESSAGE_BYTES_MAX {
             return Err(DecodeError::TooLong { bytes: text.len() });
         }
-        let mut reader = Reader { text, at: 0, values: 0 };
+        let mut reader = Reader {
+            text,
+            at: 0,
+            values: 0,
+        };
         let tag = reader.identifier("a tag")?;
         reader.expect(b'=', "`=`")?;
         let command = reader.identifier("a command")?;
@@ -82,7 +92,11 @@ impl Reader<'_> {
             Some(c) => format!("`{}`", c.escape_debug()),
             None => "the end of the message".to_owned(),
         };
-        Err(DecodeError::Expected { expected, found, at: self.at })
+        Err(DecodeError::Expected {
+            expected,
+            found,
+            at: self.at,
+        })
     }
 
     /// Takes `byte` if it is next.
@@ -93,11 +107,19 @@ impl Reader<'_> {
     }
 
     fn expect(&mut self, byte: u8, name: &'static str) -> Result<(), DecodeError> {
-        if self.take(byte) { Ok(()) } else { self.expected(name) }
+        if self.take(byte) {
+            Ok(())
+        } else {
+            self.expected(name)
+        }
     }
 
     fn end(&mut self) -> Result<(), DecodeError> {
-        if self.peek().is_none() { Ok(()) } else { self.expected("the end of the message") }
+        if self.peek().is_none() {
+            Ok(())
+        } else {
+            self.expected("the end of the message")
+        }
     }
 
     /// Takes the bytes from here that `belongs` accepts, all of them ASCII.
@@ -169,7 +191,11 @@ impl Reader<'_> {
         let mut items = BTreeMap::new();
         self.sequence(b'}', "`,` or `}`", |r| {
             let quoted = r.peek() == Some(b'"');
-            let key = if quoted { r.string()? } else { r.identifier("a key")? };
+            let key = if quoted {
+                r.string()?
+            } else {
+                r.identifier("a key")?
+            };
             r.expect(b':', "`:`")?;
             items.insert(key, r.value(depth + 1)?);
             Ok(())
@@ -210,15 +236,22 @@ impl Reader<'_> {
         let at = self.at;
         let whole = self.run(|b| b.is_ascii_digit());
         if self.byte() != Some(b'.') {
-            let number = whole.parse().ok().filter(|n| *n <= i32::MAX.cast_unsigned());
-            return number.map(Value::Integer).ok_or(DecodeError::NumberTooLarge { at });
+            let number = whole
+                .parse()
+                .ok()
+                .filter(|n| *n <= i32::MAX.cast_unsigned());
+            return number
+                .map(Value::Integer)
+                .ok_or(DecodeError::NumberTooLarge { at });
         }
         self.at += 1;
         let decimals = self.run(|b| b.is_ascii_digit());
         if decimals.is_empty() {
             return self.expected("a digit after the decimal point");
         }
-        let number: f64 = format!("{whole}.{decimals}").parse().unwrap_or(f64::INFINITY);
+        let number: f64 = format!("{whole}.{decimals}")
+            .parse()
+            .unwrap_or(f64::INFINITY);
         if number.is_finite() {
             Ok(Value::Float(number))
         } else {

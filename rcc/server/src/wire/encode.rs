@@ -51,7 +51,11 @@ fn separated<T>(
 }
 
 fn key(f: &mut Formatter<'_>, key: &str) -> fmt::Result {
-    if is_identifier(key) { f.write_str(key) } else { quoted(f, key) }
+    if is_identifier(key) {
+        f.write_str(key)
+    } else {
+        quoted(f, key)
+    }
 }
 
 fn quoted(f: &mut Formatter<'_>, text: &str) -> fmt::Result {

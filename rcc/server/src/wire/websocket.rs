@@ -89,7 +89,9 @@ impl FrameReader {
             return Ok(None);
         }
         let message = std::mem::take(&mut self.message);
-        Ok(Some(Event::Message(String::from_utf8_lossy(&message).into_owned())))
+        Ok(Some(Event::Message(
+            String::from_utf8_lossy(&message).into_owned(),
+        )))
     }
 
     fn next_frame(&mut self) -> Result<Option<(FrameHeader, Vec<u8>)>, FrameError> {
@@ -118,19 +120,32 @@ fn check(header: &FrameHeader, length: usize) -> Result<(), FrameError> {
     if control && (!header.is_final || length > CONTROL_BYTES_MAX) {
         return Err(FrameError::Control);
     }
-    if length > MESSAGE_BYTES_MAX { Err(FrameError::TooLong) } else { Ok(()) }
+    if length > MESSAGE_BYTES_MAX {
+        Err(FrameError::TooLong)
+    } else {
+        Ok(())
+    }
 }
 
 fn unmask(payload: &[u8], mask: Option<[u8; 4]>) -> Vec<u8> {
     match mask {
         None => payload.to_vec(),
-        Some(mask) => payload.iter().zip(mask.iter().cycle()).map(|(b, m)| b ^ m).collect(),
+        Some(mask) => payload
+            .iter()
+            .zip(mask.iter().cycle())
+            .map(|(b, m)| b ^ m)
+            .collect(),
     }
 }
 
 /// Appends a server's frame of that kind to `out`.
 pub fn write_frame(opcode: OpCode, payload: &[u8], out: &mut Vec<u8>) {
-    let header = FrameHeader { opcode, ..FrameHeader::default() };
-    header.format(payload.len() as u64, out).expect("writing to a Vec cannot fail");
+    let header = FrameHeader {
+        opcode,
+        ..FrameHeader::default()
+    };
+    header
+        .format(payload.len() as u64, out)
+        .expect("writing to a Vec cannot fail");
     out.extend_from_slice(payload);
 }

@@ -23,10 +23,10 @@ fn about(axis: Vector, angle: f64) -> Option<Rotation> {
 
 /// Axis and angle (0 to π); no rotation is one about X by 0.
 fn axis_angle(rotation: Rotation) -> (Vector, f64) {
-    let axis = rotation.axis();
-    axis.map_or((Vector::x(), 0.0), |axis| {
-        (axis.into_inner(), rotation.angle())
-    })
+    match rotation.axis() {
+        Some(axis) => (axis.into_inner(), rotation.angle()),
+        None => (Vector::x(), 0.0),
+    }
 }
 
 fn abc() -> [Definition; 2] {

@@ -1,0 +1,529 @@
+//! The state machine cell by cell, interpolation, and properties over random streams of
+//! set-points. Velocity and acceleration are differentiated anew here.
+
+use proptest::prelude::*;
+
+use super::*;
+use crate::device::SetPoint;
+
+const VELOCITY_MAX: f64 = 1.9;
+const ACCELERATION_MAX: f64 = 4.0;
+const LIMITS: JointLimits = JointLimits {
+    position_min: -3.0,
+    position_max: 3.0,
+    velocity_max: VELOCITY_MAX,
+    acceleration_max: ACCELERATION_MAX,
+};
+/// Period of nets and of the robot.
+const PERIOD: Nanos = Nanos(1_000_000);
+const DT_S: f64 = 1e-3;
+
+/// Set-points a period apart, the last at time 0.
+fn stream(positions: &[f64]) -> JointSetPoints {
+    let mut points = JointSetPoints::default();
+    for (i, position) in (1_i64 - positions.len() as i64..).zip(positions) {
+        let time = Nanos(i * PERIOD.0);
+        points.advance(Some(SetPoint { time, position: *position }));
+    }
+    points
+}
+
+fn in_mode(mode: Mode, velocity: f64) -> Joint {
+    Joint { mode, velocity, ..Joint::new(LIMITS) }
+}
+
+// Every cell of the state machine.
+
+/// What comes in a sample, for a joint at position 0.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Input {
+    None,
+    /// Right where the joint is, but the net thread stands still.
+    Stale,
+    /// A single set-point at this position, rad.
+    At(f64),
+}
+
+const HERE: Input = Input::At(0.0);
+/// A step that the joint's speed allows.
+const WITHIN: Input = Input::At(0.0018);
+/// A step that it does not allow, but near enough to begin.
+const BEYOND: Input = Input::At(-0.019);
+const FAR: Input = Input::At(0.1);
+const LOST: Input = Input::At(-0.21);
+
+#[test]
+fn every_cell_of_the_state_machine() {
+    use Mode::{Approach, Follow, Held, Refused};
+    let at_rest = [
+        //        None  Stale    HERE     WITHIN    BEYOND    FAR       LOST
+        (Held, [Held, Held, Follow, Approach, Approach, Refused, Refused]),
+        (Approach, [Held, Held, Follow, Approach, Approach, Approach, Refused]),
+        (Follow, [Held, Held, Follow, Follow, Approach, Approach, Refused]),
+        (Refused, [Held, Refused, Refused, Refused, Refused, Refused, Refused]),
+    ];
+    let moving = [
+        (Held, [Held, Held, Approach, Approach, Approach, Approach, Refused]),
+        (Approach, [Held, Held, Approach, Approach, Approach, Approach, Refused]),
+        (Follow, [Held, Held, Follow, Follow, Approach, Approach, Refused]),
+        (Refused, [Held, Refused, Refused, Refused, Refused, Refused, Refused]),
+    ];
+    let inputs = [Input::None, Input::Stale, HERE, WITHIN, BEYOND, FAR, LOST];
+    for (velocity, table) in [(0.0, at_rest), (0.5, moving)] {
+        for (mode, row) in table {
+            for (input, expected) in inputs.into_iter().zip(row) {
+                let mut joint = in_mode(mode, velocity);
+                let points = match input {
+                    Input::None => JointSetPoints::default(),
+                    Input::Stale => stream(&[0.0]),
+                    Input::At(position) => stream(&[position]),
+                };
+                joint.sample(&points, input != Input::Stale, Nanos(0), DT_S);
+                assert_eq!(joint.mode(), expected, "{mode:?} at {velocity} rad/s, {input:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn only_a_refused_joint_tells_an_error() {
+    for mode in [Mode::Held, Mode::Approach, Mode::Follow] {
+        assert_eq!(in_mode(mode, 0.0).error(), JointError::None);
+    }
+    assert_eq!(in_mode(Mode::Refused, 0.0).error(), JointError::Refused);
+}
+
+#[test]
+fn a_joint_that_comes_back_waits_for_the_end_of_its_set_points() {
+    let mut joint = in_mode(Mode::Follow, 0.5);
+    joint.rest_at(0.3, &stream(&[0.3]));
+    assert_eq!((joint.mode(), joint.motion()), (Mode::Refused, (0.3, 0.0, 0.0)));
+    joint.rest_at(0.3, &JointSetPoints::default());
+    assert_eq!(joint.mode(), Mode::Held);
+}
+
+#[test]
+fn without_time_passing_nothing_changes() {
+    for mode in [Mode::Held, Mode::Approach, Mode::Follow, Mode::Refused] {
+        for points in [JointSetPoints::default(), stream(&[0.001]), stream(&[0.5])] {
+            let mut joint = in_mode(mode, 0.5);
+            assert_eq!(joint.sample(&points, true, Nanos(0), 0.0), 0.0);
+            assert_eq!((joint.mode(), joint.motion()), (mode, (0.0, 0.5, 0.0)));
+        }
+    }
+}
+
+#[test]
+fn what_lies_beyond_the_last_set_point_stays_in_range() {
+    let mut joint = Joint { position: 2.9995, ..in_mode(Mode::Follow, 1.0) };
+    let position = joint.sample(&stream(&[2.998, 2.999]), true, Nanos(5 * PERIOD.0), DT_S);
+    assert_eq!(position, LIMITS.position_max);
+}
+
+// Interpolation.
+
+#[test]
+fn interpolation() {
+    let one = stream(&[0.7]);
+    let four = stream(&[0.1, 0.2, 0.4, 0.5]);
+    // More were given than are kept.
+    let five = stream(&[9.0, 0.1, 0.2, 0.4, 0.5]);
+    let mut restarted = four;
+    restarted.advance(None);
+    restarted.advance(Some(SetPoint { time: Nanos(2 * PERIOD.0), position: 0.9 }));
+    let mut twice = stream(&[0.1]);
+    twice.advance(Some(SetPoint { time: Nanos(0), position: 0.2 }));
+    for (name, points, periods, position, speed) in [
+        ("one point, before it", &one, -1.0, 0.7, 0.0),
+        ("one point, after it", &one, 3.0, 0.7, 0.0),
+        ("before the oldest", &four, -3.5, 0.1, 0.0),
+        ("before the oldest kept", &five, -3.5, 0.1, 0.0),
+        ("at the oldest", &four, -3.0, 0.1, 100.0),
+        ("between the oldest", &four, -2.5, 0.15, 100.0),
+        ("between", &four, -1.75, 0.25, 200.0),
+        ("at a point, with the speed behind it", &four, -1.0, 0.4, 100.0),
+        ("at the newest", &four, 0.0, 0.5, 100.0),
+        ("beyond the newest", &four, 2.0, 0.7, 100.0),
+        ("a new run knows nothing of the one before", &restarted, 1.0, 0.9, 0.0),
+        ("two points at one time", &twice, 1.0, 0.2, 0.0),
+    ] {
+        let at = Nanos((periods * PERIOD.0 as f64) as i64);
+        let (p, v) = interpolate(points, at);
+        assert!((p - position).abs() < 1e-12, "{name}: position {p}, not {position}");
+        assert!((v - speed).abs() < 1e-9, "{name}: speed {v}, not {speed}");
+    }
+}
+
+// Motions. A net thread and a driver in virtual time, each with a period of its own.
+
+/// How far the driver plays behind its clock.
+const DELAY: Nanos = Nanos(PERIOD.0 * 3 / 2);
+const STALE_AFTER: Nanos = Nanos(PERIOD.0 * 10 + DELAY.0);
+
+struct Rig {
+    joint: Joint,
+    points: JointSetPoints,
+    /// Logical time of the last cycle of nets.
+    net_time: Nanos,
+    /// The robot's clock.
+    now: Nanos,
+    /// Position and velocity, differentiated here.
+    last: (f64, f64),
+}
+
+/// What one sample was, as measured outside.
+#[derive(Clone, Copy, Debug)]
+struct Seen {
+    mode: Mode,
+    position: f64,
+    velocity: f64,
+    acceleration: f64,
+    /// Where the set-points are at that time.
+    target: f64,
+}
+
+impl Rig {
+    fn new() -> Self {
+        let (joint, points) = (Joint::new(LIMITS), JointSetPoints::default());
+        Self { joint, points, net_time: Nanos(0), now: Nanos(0), last: (0.0, 0.0) }
+    }
+
+    /// A cycle of nets.
+    fn command(&mut self, time: Nanos, position: Option<f64>) {
+        self.net_time = time;
+        self.points.advance(position.map(|position| SetPoint { time, position }));
+    }
+
+    /// A cycle of the robot, `dt` after the last.
+    fn sample(&mut self, dt: Nanos) -> Seen {
+        self.now += dt;
+        let fresh = self.now - self.net_time <= STALE_AFTER;
+        let (at, dt_s) = (self.now - DELAY, dt.0 as f64 * 1e-9);
+        let position = self.joint.sample(&self.points, fresh, at, dt_s);
+        let velocity = (position - self.last.0) / dt_s;
+        let acceleration = (velocity - self.last.1) / dt_s;
+        self.last = (position, velocity);
+        let target = interpolate(&self.points, at).0;
+        Seen { mode: self.joint.mode(), position, velocity, acceleration, target }
+    }
+
+    /// One cycle of both.
+    fn cycle(&mut self, position: Option<f64>) -> Seen {
+        self.command(self.net_time + PERIOD, position);
+        self.sample(PERIOD)
+    }
+}
+
+impl Seen {
+    fn check(&self) {
+        assert!(self.position.is_finite(), "{self:?}");
+        assert!(self.velocity.abs() <= VELOCITY_MAX * 1.002, "too fast: {self:?}");
+        // Differences of positions of some rad by times of a tenth of a millisecond.
+        let slack = ACCELERATION_MAX * 1e-6 + 1e-6;
+        let limited = self.mode != Mode::Follow;
+        assert!(
+            !limited || self.acceleration.abs() <= ACCELERATION_MAX + slack,
+            "too hard: {self:?}"
+        );
+    }
+}
+
+/// Follows `motion` from 0 on for a second, lets `gap` of cycles pass in which `without` happens,
+/// then goes on with the motion. Returns how far the joint got beyond its target afterwards (rad),
+/// and after how many cycles it was on it again.
+fn catch_up(motion: impl Fn(f64) -> f64, gap: i64, without: impl Fn(&mut Rig)) -> (f64, i64) {
+    let mut rig = Rig::new();
+    let (mut beyond, mut again) = (0.0_f64, None);
+    for i in 0..3000 {
+        if (1000..1000 + gap).contains(&i) {
+            without(&mut rig);
+            continue;
+        }
+        rig.net_time = Nanos(i * PERIOD.0);
+        let seen = rig.cycle(Some(motion((i + 1) as f64 * DT_S)));
+        seen.check();
+        if i == 999 {
+            assert_eq!((seen.mode, seen.position), (Mode::Follow, seen.target));
+        } else if i > 999 {
+            match seen.mode {
+                Mode::Follow => {
+                    assert_eq!(seen.position, seen.target, "after {i} cycles");
+                    again.get_or_insert(i - 1000 - gap);
+                }
+                mode => {
+                    assert_eq!(mode, Mode::Approach, "after {i} cycles");
+                    assert_eq!(again, None, "fell behind again after {i} cycles");
+                    beyond = beyond.max(seen.position - seen.target);
+                }
+            }
+        }
+    }
+    (beyond, again.expect("catches up"))
+}
+
+/// From rest to a constant speed of 1 rad/s within half a second.
+fn ramp(t: f64) -> f64 {
+    if t < 0.5 { t * t } else { 0.25 + (t - 0.5) }
+}
+
+/// A quarter of the joint's acceleration at most, and 1 rad/s; at its fastest when the gap comes.
+fn wave(t: f64) -> f64 {
+    let (amplitude, omega) = (1.0, 1.0);
+    amplitude * (1.0 - (omega * t).cos())
+}
+
+/// Brakes from 1 rad/s at a quarter of the joint's acceleration when the gap comes.
+fn halt(t: f64) -> f64 {
+    let after = (t - 1.0).max(0.0).min(1.0);
+    ramp(t.min(1.0)) + after - after * after / 2.0
+}
+
+#[test]
+fn after_a_gap_of_30_ms_the_joint_catches_up_and_follows_again() {
+    let quiet = |rig: &mut Rig| rig.cycle(None).check();
+    let stalled = |rig: &mut Rig| rig.sample(PERIOD).check();
+    for (name, motion) in [("ramp", ramp as fn(f64) -> f64), ("wave", wave), ("halt", halt)] {
+        let (beyond, cycles) = catch_up(motion, 30, quiet);
+        assert!(beyond <= 1e-6, "{name}, no set-points: {beyond} rad beyond");
+        assert!(cycles <= 200, "{name}, no set-points: {cycles} cycles");
+        // A thread that stands still is followed at its last speed for a while, perhaps too far.
+        let (_, cycles) = catch_up(motion, 30, stalled);
+        assert!(cycles <= 200, "{name}, stalled: {cycles} cycles");
+    }
+}
+
+#[test]
+fn a_step_is_approached_without_overshoot_or_chatter() {
+    for step in [0.0019, -0.003, 0.01, 0.019_999_9, -0.02] {
+        let mut rig = Rig::new();
+        let (mut fastest, mut braking) = (0.0_f64, false);
+        let mut cycles = 0;
+        loop {
+            let seen = rig.cycle(Some(step));
+            seen.check();
+            cycles += 1;
+            assert!(seen.position / step <= 1.0 + 1e-6, "{step}: overshoots to {}", seen.position);
+            let speed = seen.velocity / step.signum();
+            assert!(speed >= -1e-9, "{step}: turns back in cycle {cycles}");
+            braking |= speed < fastest - 1e-6;
+            assert!(!braking || speed <= fastest + 1e-6, "{step}: chatters in cycle {cycles}");
+            fastest = speed;
+            if seen.mode == Mode::Follow {
+                break;
+            }
+            assert!(cycles < 500, "{step}: never arrives");
+        }
+    }
+}
+
+#[test]
+fn a_run_of_set_points_may_end_and_begin_elsewhere_nearby() {
+    let mut rig = Rig::new();
+    for i in 0..100 {
+        rig.cycle(Some(1e-3 * f64::from(i)));
+    }
+    for _ in 0..500 {
+        rig.cycle(None).check();
+    }
+    let rested = rig.cycle(None);
+    assert_eq!((rested.mode, rested.velocity), (Mode::Held, 0.0));
+    let near = rested.position - 0.015;
+    let modes: Vec<_> = (0..300).map(|_| rig.cycle(Some(near))).map(|seen| seen.mode).collect();
+    assert_eq!((modes[0], modes[299]), (Mode::Approach, Mode::Follow));
+}
+
+/// What happens to a stream of set-points in the next so many cycles.
+#[derive(Clone, Copy, Debug)]
+enum Phase {
+    /// The motion changes to this speed with this acceleration, rad/s and rad/s².
+    Move { speed: f64, acceleration: f64, cycles: u16 },
+    /// The motion jumps by this distance, rad.
+    Jump(f64),
+    /// The motion goes on, but no set-points come.
+    Gap(u16),
+    /// The net thread stands still and then skips the cycles it missed.
+    Stall(u16),
+    /// The net ends, and the next begins at this distance from where the joint has come to rest.
+    Restart(f64),
+    /// The robot loses so many datagrams.
+    Loss(u8),
+}
+
+fn phase() -> impl Strategy<Value = Phase> {
+    let motion = (-2.2..2.2, 0.5..8.0, 1..400_u16)
+        .prop_map(|(speed, acceleration, cycles)| Phase::Move { speed, acceleration, cycles });
+    prop_oneof![
+        6 => motion,
+        1 => prop_oneof![-0.3..0.3, -0.01..0.01].prop_map(Phase::Jump),
+        2 => (1..60_u16).prop_map(Phase::Gap),
+        2 => (1..60_u16).prop_map(Phase::Stall),
+        1 => prop_oneof![-0.03..0.03, Just(0.0)].prop_map(Phase::Restart),
+        1 => (1..40_u8).prop_map(Phase::Loss),
+    ]
+}
+
+/// A stream under way.
+struct Play {
+    rig: Rig,
+    position: f64,
+    speed: f64,
+    /// Deviations of the robot's clock from its period, ns, taken by turns.
+    jitter: Vec<i64>,
+    samples: usize,
+    /// Where the joint was when it was refused or its set-points ended, and how fast.
+    left: Option<(f64, f64)>,
+    modes: [u32; 4],
+}
+
+impl Play {
+    fn sample(&mut self, periods: i64) {
+        self.samples += 1;
+        let jitter = self.jitter[self.samples % self.jitter.len()];
+        let before = self.rig.last;
+        let seen = self.rig.sample(Nanos(PERIOD.0 * periods + jitter));
+        seen.check();
+        if seen.mode == Mode::Follow {
+            assert_eq!(seen.position, seen.target.clamp(-3.0, 3.0), "follows exactly");
+        }
+        self.modes[seen.mode as usize] += 1;
+        if matches!(seen.mode, Mode::Held | Mode::Refused) {
+            let (position, velocity) = *self.left.get_or_insert(before);
+            let way = (seen.position - position) * velocity.signum();
+            let stop = velocity * velocity / (2.0 * ACCELERATION_MAX);
+            assert!((-1e-9..=stop + 1e-9).contains(&way), "{seen:?}: {way} rad, not {stop}");
+        } else {
+            self.left = None;
+        }
+    }
+
+    fn cycle(&mut self, commanded: bool, sampled: bool) {
+        let time = self.rig.net_time + PERIOD;
+        let position = self.position;
+        self.rig.command(time, commanded.then_some(position));
+        if sampled {
+            self.sample(1);
+        }
+    }
+
+    fn advance(&mut self, wanted: f64, acceleration: f64) {
+        let change = acceleration * DT_S;
+        self.speed = wanted.clamp(self.speed - change, self.speed + change);
+        let next = self.position + self.speed * DT_S;
+        if next.abs() > 2.9 {
+            self.speed = -self.speed;
+        }
+        self.position += self.speed * DT_S;
+    }
+
+    fn run(&mut self, phase: Phase) {
+        match phase {
+            Phase::Move { speed, acceleration, cycles } => {
+                for _ in 0..cycles {
+                    self.advance(speed, acceleration);
+                    self.cycle(true, true);
+                }
+            }
+            Phase::Jump(by) => self.position = (self.position + by).clamp(-2.9, 2.9),
+            Phase::Gap(cycles) => {
+                for _ in 0..cycles {
+                    self.advance(self.speed, 0.0);
+                    self.cycle(false, true);
+                }
+            }
+            Phase::Stall(cycles) => {
+                for _ in 0..cycles {
+                    self.sample(1);
+                }
+                self.rig.net_time += Nanos(PERIOD.0 * i64::from(cycles));
+            }
+            Phase::Restart(distance) => {
+                for _ in 0..600 {
+                    self.cycle(false, true);
+                }
+                assert_eq!((self.rig.joint.mode(), self.rig.last.1), (Mode::Held, 0.0));
+                self.position = (self.rig.last.0 + distance).clamp(-2.9, 2.9);
+                self.speed = 0.0;
+            }
+            Phase::Loss(datagrams) => {
+                for _ in 0..datagrams {
+                    self.advance(self.speed, 0.0);
+                    self.cycle(true, false);
+                }
+                self.sample(i64::from(datagrams));
+            }
+        }
+    }
+}
+
+fn play(phases: &[Phase], jitter: Vec<i64>) -> Play {
+    let mut play = Play {
+        rig: Rig::new(),
+        position: 0.0,
+        speed: 0.0,
+        jitter,
+        samples: 0,
+        left: None,
+        modes: [0; 4],
+    };
+    for phase in phases {
+        play.run(*phase);
+    }
+    play
+}
+
+fn jitters() -> impl Strategy<Value = Vec<i64>> {
+    prop_oneof![
+        Just(vec![0]),
+        prop::collection::vec(-3_000..3_000_i64, 7),
+        prop::collection::vec(-300_000..300_000_i64, 7),
+    ]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 200, ..ProptestConfig::default() })]
+
+    #[test]
+    fn no_stream_drives_a_joint_beyond_its_limits(
+        phases in prop::collection::vec(phase(), 1..12),
+        jitter in jitters(),
+    ) {
+        let mut played = play(&phases, jitter);
+        // Whatever happened: when set-points end, the joint rests, and a new run is followed.
+        played.run(Phase::Restart(0.0));
+        played.run(Phase::Move { speed: 0.5, acceleration: 1.0, cycles: 20 });
+        prop_assert_eq!(played.rig.joint.mode(), Mode::Follow);
+    }
+
+    #[test]
+    fn nothing_moves_in_refused_until_set_points_end(
+        phases in prop::collection::vec(phase(), 1..6),
+        jitter in jitters(),
+    ) {
+        let mut played = play(&phases, jitter);
+        played.run(Phase::Restart(0.0));
+        played.run(Phase::Jump(if played.position > 0.0 { -0.1 } else { 0.1 }));
+        played.cycle(true, true);
+        prop_assert_eq!(played.rig.joint.mode(), Mode::Refused);
+        let rested = played.rig.last.0;
+        for phase in phases {
+            if !matches!(phase, Phase::Gap(_) | Phase::Restart(_)) {
+                played.run(phase);
+            }
+        }
+        prop_assert_eq!((played.rig.joint.mode(), played.rig.last), (Mode::Refused, (rested, 0.0)));
+        played.run(Phase::Restart(0.0));
+        prop_assert_eq!((played.rig.joint.mode(), played.rig.last), (Mode::Held, (rested, 0.0)));
+    }
+
+    #[test]
+    fn smooth_motion_within_limits_is_followed_from_the_first_cycle_on(
+        speeds in prop::collection::vec((-1.89..1.89, 0.1..4.0, 1..500_u16), 1..10),
+    ) {
+        let phases: Vec<_> = speeds
+            .into_iter()
+            .map(|(speed, acceleration, cycles)| Phase::Move { speed, acceleration, cycles })
+            .collect();
+        let played = play(&phases, vec![0]);
+        prop_assert_eq!(played.modes[Mode::Follow as usize] as usize, played.samples);
+    }
+}

@@ -1,0 +1,378 @@
+//! Synchronization rules: when a condition over values of nets becomes true, nets are stopped,
+//! cancelled and started between two cycles, all at once. It evaluates nothing itself and knows
+//! no text: conditions come here compiled.
+
+use crate::executor::{End, Executor, ResourceSet, Running};
+
+/// Most rules that wait at once in one thread.
+pub const RULES_MAX: usize = 1024;
+/// Most Boolean operations of one condition.
+pub const CONDITION_MAX: usize = 256;
+
+/// A step of a condition, for a stack machine.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Step {
+    /// Push this truth.
+    Constant(bool),
+    /// Push the value of the literal of that number.
+    Literal(usize),
+    /// Replace the top by its negation.
+    Not,
+    /// Replace the two on top by their conjunction.
+    And,
+    /// Replace the two on top by their disjunction.
+    Or,
+}
+
+/// What a literal of a condition asks of a net.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Question {
+    /// The Boolean out value that lies at this word of the out-box.
+    Value(usize),
+    /// Whether the net has ended by itself.
+    Terminated,
+}
+
+/// A literal of a condition.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Literal {
+    /// The net it is about.
+    pub net: u32,
+    /// What it asks.
+    pub question: Question,
+    /// The answer; `None` is unknown.
+    pub value: Option<bool>,
+    /// Whether the answer can never change again.
+    pub last: bool,
+}
+
+/// What became of a rule.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RuleState {
+    /// It waits for its condition.
+    Active,
+    /// Its condition became true and it did what it says.
+    Fired,
+    /// Its condition became true, but a net could not be started; nothing was done.
+    FireFailed,
+    /// Its condition can never become true any more.
+    Inactive,
+}
+
+/// A synchronization rule.
+#[derive(Debug)]
+pub struct Rule {
+    /// Its number.
+    pub id: u32,
+    /// The condition's literals.
+    pub literals: Vec<Literal>,
+    /// The condition.
+    pub steps: Vec<Step>,
+    /// Nets that it ends.
+    pub stop: Vec<u32>,
+    /// Nets that it asks to cancel.
+    pub cancel: Vec<u32>,
+    /// Nets that it starts.
+    pub start: Vec<u32>,
+    /// What became of it.
+    pub state: RuleState,
+    /// What the nets that it starts need and was free when it was added: kept for them.
+    pub(super) reserved: ResourceSet,
+}
+
+/// Whether something is true, and whether it is false. Neither is "unknown" (Kleene); both is
+/// "can become either".
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Truth {
+    yes: bool,
+    no: bool,
+}
+
+impl From<Option<bool>> for Truth {
+    fn from(value: Option<bool>) -> Self {
+        Self { yes: value == Some(true), no: value == Some(false) }
+    }
+}
+
+impl Rule {
+    /// A rule that waits.
+    #[must_use]
+    pub fn new(id: u32, literals: Vec<Literal>, steps: Vec<Step>) -> Self {
+        Self {
+            id,
+            literals,
+            steps,
+            stop: Vec::new(),
+            cancel: Vec::new(),
+            start: Vec::new(),
+            state: RuleState::Active,
+            reserved: ResourceSet::default(),
+        }
+    }
+
+    /// The truth of the condition with literals as `answer` says; unknown if it is malformed.
+    fn evaluate(&self, answer: impl Fn(&Literal) -> Truth) -> Truth {
+        let mut stack = [Truth::default(); CONDITION_MAX];
+        let mut top = 0_usize;
+        for step in &self.steps {
+            let operands = match step {
+                Step::Constant(_) | Step::Literal(_) => 0,
+                Step::Not => 1,
+                Step::And | Step::Or => 2,
+            };
+            let Some(base) = top.checked_sub(operands) else { return Truth::default() };
+            let Some([a, b]) = stack.get_mut(base..base + 2) else { return Truth::default() };
+            *a = match step {
+                Step::Constant(value) => Some(*value).into(),
+                Step::Literal(number) => self.literals.get(*number).map(&answer).unwrap_or_default(),
+                Step::Not => Truth { yes: a.no, no: a.yes },
+                Step::And => Truth { yes: a.yes && b.yes, no: a.no || b.no },
+                Step::Or => Truth { yes: a.yes || b.yes, no: a.no && b.no },
+            };
+            top = base + 1;
+        }
+        stack[0]
+    }
+
+    /// Whether the condition is true now.
+    #[must_use]
+    pub fn holds(&self) -> bool {
+        self.evaluate(|literal| literal.value.into()).yes
+    }
+
+    /// Whether the condition may still become true.
+    #[must_use]
+    pub fn can_hold(&self) -> bool {
+        let open = Truth { yes: true, no: true };
+        self.evaluate(|literal| if literal.last { literal.value.into() } else { open }).yes
+    }
+
+    /// Whether the rule hands over from this net: it stops it or waits for it.
+    fn follows(&self, net: u32) -> bool {
+        self.stop.contains(&net) || self.literals.iter().any(|l| l.net == net)
+    }
+}
+
+/// Why a rule was not taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RuleRefusal {
+    /// Too many rules wait.
+    TooMany,
+    /// A net that it starts needs this resource, which is held by a net that it does not follow or
+    /// kept for another rule.
+    ResourceInUse(usize),
+    /// Two nets that it starts need this resource.
+    ResourceTwice(usize),
+}
+
+/// What the executor knows of rules.
+#[derive(Debug, Default)]
+pub(super) struct Rules {
+    waiting: Vec<Box<Rule>>,
+    /// Nets that rules start, until they do.
+    scheduled: Vec<Box<Running>>,
+}
+
+impl Rules {
+    pub(super) fn new() -> Self {
+        Self {
+            waiting: Vec::with_capacity(RULES_MAX),
+            scheduled: Vec::with_capacity(super::RUNNING_MAX),
+        }
+    }
+}
+
+impl Executor {
+    /// Takes a net that rules may start.
+    ///
+    /// # Errors
+    /// If there is no room for it.
+    pub fn schedule(&mut self, net: Box<Running>) -> Result<(), Box<Running>> {
+        if self.rules.scheduled.len() == super::RUNNING_MAX {
+            return Err(net);
+        }
+        self.rules.scheduled.push(net);
+        Ok(())
+    }
+
+    /// Gives back a scheduled net: always, or only if no rule waits to start it. Rules that lose it
+    /// can do nothing any more.
+    pub fn take_unscheduled(&mut self, id: u32, always: bool) -> Option<Box<Running>> {
+        let waits =
+            |rule: &&mut Box<Rule>| rule.state == RuleState::Active && rule.start.contains(&id);
+        let mut waiting = self.rules.waiting.iter_mut().filter(waits).peekable();
+        if !always && waiting.peek().is_some() {
+            return None;
+        }
+        waiting.for_each(|rule| rule.state = RuleState::Inactive);
+        let at = self.rules.scheduled.iter().position(|net| net.id == id)?;
+        Some(self.rules.scheduled.remove(at))
+    }
+
+    /// Takes a rule. What its nets need and is free is kept for them from now on.
+    ///
+    /// # Errors
+    /// If it cannot be kept; the rule comes back with the reason.
+    pub fn add_rule(&mut self, mut rule: Box<Rule>) -> Result<(), (Box<Rule>, RuleRefusal)> {
+        if self.rules.waiting.len() == RULES_MAX {
+            return Err((rule, RuleRefusal::TooMany));
+        }
+        let mut wanted = ResourceSet::default();
+        for net in self.rules.scheduled.iter().filter(|net| rule.start.contains(&net.id)) {
+            if let Some(twice) = wanted.common(&net.resources) {
+                return Err((rule, RuleRefusal::ResourceTwice(twice)));
+            }
+            wanted.add(&net.resources);
+        }
+        for net in self.running.iter().filter(|net| !rule.follows(net.id)) {
+            if let Some(held) = wanted.common(&net.resources) {
+                return Err((rule, RuleRefusal::ResourceInUse(held)));
+            }
+        }
+        // Alternatives of one predecessor may want the same: only one of them will come to run.
+        let stranger = |other: &&Box<Rule>| {
+            !rule.stop.iter().chain(rule.literals.iter().map(|l| &l.net)).any(|n| other.follows(*n))
+        };
+        for other in self.rules.waiting.iter().filter(stranger) {
+            if let Some(kept) = wanted.common(&other.reserved) {
+                return Err((rule, RuleRefusal::ResourceInUse(kept)));
+            }
+        }
+        rule.reserved = wanted;
+        rule.reserved.remove(&self.held());
+        for literal in rule.literals.iter_mut().filter(|l| !l.last) {
+            let net = self.running.iter().find(|net| net.id == literal.net);
+            if let Some(net) = net {
+                answer(literal, net, None);
+            }
+        }
+        self.rules.waiting.push(rule);
+        Ok(())
+    }
+
+    /// The lowest resource of a net that is kept for other nets.
+    pub(super) fn kept(&self, net: &Running) -> Option<usize> {
+        let others = self.rules.waiting.iter().filter(|rule| !rule.start.contains(&net.id));
+        others.map(|rule| &rule.reserved).find_map(|kept| net.resources.common(kept))
+    }
+
+    /// Tells each running net whether a successor waits for it; calls `changed` where that is new.
+    /// Called before each cycle.
+    pub fn announce_takeovers(&mut self, mut changed: impl FnMut(u32, bool)) {
+        for net in &mut self.running {
+            let waits = |rule: &Box<Rule>| {
+                rule.state == RuleState::Active && !rule.start.is_empty() && rule.follows(net.id)
+            };
+            let waits = self.rules.waiting.iter().any(waits);
+            if std::mem::replace(&mut net.takeover, waits) != waits {
+                changed(net.id, waits);
+            }
+        }
+    }
+
+    /// Brings the literals up to date and fires the rules that hold. Called after each cycle,
+    /// before nets that ended are taken out: what they held passes to their successors, which are
+    /// evaluated from the next cycle on.
+    pub fn fire_rules(&mut self) {
+        if self.rules.waiting.is_empty() {
+            return;
+        }
+        for rule in &mut self.rules.waiting {
+            for literal in rule.literals.iter_mut().filter(|l| !l.last) {
+                if let Some(net) = self.running.iter().find(|net| net.id == literal.net) {
+                    answer(literal, net, net.end);
+                }
+            }
+        }
+        // Those that start nothing cannot fail, and may free what others need.
+        for starts in [false, true] {
+            for i in 0..self.rules.waiting.len() {
+                let rule = &self.rules.waiting[i];
+                let due = rule.state == RuleState::Active && rule.holds();
+                if due && rule.start.is_empty() != starts {
+                    self.fire(i);
+                }
+            }
+        }
+        for rule in &mut self.rules.waiting {
+            if rule.state == RuleState::Active && !rule.can_hold() {
+                rule.state = RuleState::Inactive;
+            }
+        }
+    }
+
+    fn fire(&mut self, number: usize) {
+        let rule = &self.rules.waiting[number];
+        let ending = |net: &Running| net.end.is_some() || rule.stop.contains(&net.id);
+        let mut held = ResourceSet::default();
+        for net in self.running.iter().filter(|net| !ending(net)) {
+            held.add(&net.resources);
+        }
+        let starts = |net: &&Box<Running>| rule.start.contains(&net.id);
+        let found = self.rules.scheduled.iter().filter(starts).count();
+        let blocked = self.rules.scheduled.iter().filter(starts).any(|net| {
+            let device = |d: &(usize, u64)| self.devices.get(d.0).is_none_or(|v| !v.is_ready());
+            net.resources.common(&held).is_some() || net.devices.iter().any(device)
+        });
+        let room = self.running.len() + found <= super::RUNNING_MAX;
+        if blocked || !room || found != rule.start.len() {
+            self.rules.waiting[number].state = RuleState::FireFailed;
+            return;
+        }
+        for net in &mut self.running {
+            if rule.stop.contains(&net.id) {
+                net.end = net.end.or(Some(End::Stopped));
+            }
+            if rule.cancel.contains(&net.id) && !net.cancel {
+                (net.cancel, net.fresh_cancel) = (true, true);
+            }
+        }
+        self.rules.waiting[number].state = RuleState::Fired;
+        let mut at = 0;
+        while at < self.rules.scheduled.len() {
+            let id = self.rules.scheduled[at].id;
+            if !self.rules.waiting[number].start.contains(&id) {
+                at += 1;
+                continue;
+            }
+            let mut net = self.rules.scheduled.remove(at);
+            net.fresh = true;
+            self.start_by_rule(net);
+        }
+    }
+
+    /// Takes out one rule that no longer waits, if `take` accepts it.
+    pub fn take_rule(
+        &mut self,
+        take: impl FnOnce(Box<Rule>) -> Result<(), Box<Rule>>,
+    ) -> bool {
+        let done = |rule: &Box<Rule>| rule.state != RuleState::Active;
+        let Some(at) = self.rules.waiting.iter().position(done) else { return false };
+        let rule = self.rules.waiting.remove(at);
+        match take(rule) {
+            Ok(()) => true,
+            Err(rule) => {
+                self.rules.waiting.insert(at, rule);
+                false
+            }
+        }
+    }
+
+    /// Tells rules that a net will never run again, or never did.
+    pub fn forget(&mut self, id: u32) {
+        for rule in &mut self.rules.waiting {
+            for literal in rule.literals.iter_mut().filter(|l| l.net == id) {
+                literal.last = true;
+            }
+        }
+    }
+}
+
+/// Answers a literal from its net, which has just ended if there is an `end`.
+fn answer(literal: &mut Literal, net: &Running, end: Option<End>) {
+    literal.value = match literal.question {
+        Question::Value(at) => net.plan.out_bool(at),
+        Question::Terminated => end.map(|end| end == End::Terminated),
+    };
+    literal.last = end.is_some();
+}

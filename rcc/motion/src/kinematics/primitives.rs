@@ -1,0 +1,440 @@
+//! `ArmKinematics::*` for any arm whose geometry is known, and `KUKA::LWR::*` with the arm angle. They
+//! compute; they command and read nothing.
+
+use std::sync::Arc;
+
+use takt_net::definition::port;
+use takt_net::device::{Kinematics, Unreachable};
+use takt_net::{
+    ArrayIn, ArrayOut, Build, Cycle, Definition, Fault, FaultKind, Frame, In, NullRule, Out,
+    Primitive, Twist,
+};
+
+use super::{Range, Srs};
+
+const ROBOT: &str = "name of the robot arm";
+const ERROR: &str =
+    "0 none, 1 out of reach, 2 only beyond joint limits, 3 frame or hint no numbers";
+
+/// Whether all parts of a frame are numbers.
+fn is_finite(frame: &Frame) -> bool {
+    let position = frame.translation.vector.iter();
+    position
+        .chain(frame.rotation.coords.iter())
+        .all(|v| v.is_finite())
+}
+
+/// An array in port with as many elements as the arm has joints.
+fn joints_input(
+    b: &mut Build<'_, '_>,
+    name: &str,
+    kinematics: &dyn Kinematics,
+) -> Result<ArrayIn<f64>, Fault> {
+    let port = b.array_input::<f64>(name)?;
+    if port.len() != kinematics.joints() {
+        let (found, wanted) = (port.len(), kinematics.joints());
+        let what = format!("{name} carries {found} elements, but the arm has {wanted} joints");
+        return Err(b.fault(FaultKind::ArraySize(what)));
+    }
+    Ok(port)
+}
+
+/// Copies an array of this cycle; `None` if it is null.
+fn copy(port: &ArrayIn<f64>, cycle: &Cycle<'_>, values: &mut [f64]) -> Option<()> {
+    for (value, cell) in values.iter_mut().zip(port.get(cycle)?) {
+        *value = cell.get();
+    }
+    Some(())
+}
+
+struct Kin {
+    kinematics: Arc<dyn Kinematics>,
+    joints: ArrayIn<f64>,
+    values: Box<[f64]>,
+    frame: Out<Frame>,
+}
+
+impl Primitive for Kin {
+    fn step(&mut self, cycle: &Cycle<'_>) {
+        let joints = copy(&self.joints, cycle, &mut self.values);
+        let frame = joints.map(|()| self.kinematics.forward(&self.values));
+        self.frame.set(cycle, frame.filter(is_finite));
+    }
+}
+
+fn kin() -> Definition {
+    let build = |b: &mut Build<'_, '_>| -> Result<Kin, Fault> {
+        let kinematics = b.kinematics("Robot")?;
+        Ok(Kin {
+            joints: joints_input(b, "inJoints", &*kinematics)?,
+            values: vec![0.0; kinematics.joints()].into(),
+            frame: b.output("outFrame"),
+            kinematics,
+        })
+    };
+    Definition::new(
+        "ArmKinematics::Kin",
+        "Where the flange of an arm is at given joint positions.",
+        build,
+    )
+    .active()
+    .array_input::<f64>(port("inJoints", "joint positions, rad").required())
+    .text("Robot", ROBOT)
+    .output::<Frame>("outFrame", "flange in the base of the arm, m")
+    .null(NullRule::Own(
+        "Null if a joint position is null or no number.",
+    ))
+}
+
+struct InvKin {
+    kinematics: Arc<dyn Kinematics>,
+    frame: In<Frame>,
+    hint: ArrayIn<f64>,
+    near: Box<[f64]>,
+    values: Box<[f64]>,
+    joints: ArrayOut<f64>,
+    error: Out<i32>,
+}
+
+impl Primitive for InvKin {
+    fn step(&mut self, cycle: &Cycle<'_>) {
+        let inputs = copy(&self.hint, cycle, &mut self.near).zip(self.frame.get(cycle));
+        let solved = inputs.map(|((), frame)| {
+            let joints = &mut self.values;
+            self.kinematics.inverse(&frame, &self.near, joints)
+        });
+        match solved {
+            Some(Ok(())) => self.joints.set(cycle, self.values.iter().copied()),
+            Some(Err(_)) | None => self.joints.set_null(cycle),
+        }
+        self.error.set(cycle, solved.map(number));
+    }
+}
+
+fn number<T>(solved: Result<T, Unreachable>) -> i32 {
+    solved.map_or_else(|why| why as i32, |_| 0)
+}
+
+fn inv_kin() -> Definition {
+    let build = |b: &mut Build<'_, '_>| -> Result<InvKin, Fault> {
+        let kinematics = b.kinematics("Robot")?;
+        let joints = kinematics.joints();
+        Ok(InvKin {
+            frame: b.input("inFrame")?,
+            hint: joints_input(b, "inHintJoints", &*kinematics)?,
+            near: vec![0.0; joints].into(),
+            values: vec![0.0; joints].into(),
+            joints: b.array_output("outJoints", joints)?,
+            error: b.output("outError"),
+            kinematics,
+        })
+    };
+    Definition::new(
+        "ArmKinematics::InvKin",
+        "Joint positions within their limits that bring the flange to a frame: of all solutions the \
+         one nearest to the hint.",
+        build,
+    )
+    .active()
+    .input::<Frame>(port("inFrame", "flange in the base of the arm, m").required())
+    .array_input::<f64>(port("inHintJoints", "joint positions to be near to, rad").required())
+    .text("Robot", ROBOT)
+    .array_output::<f64>("outJoints", "joint positions, rad")
+    .output::<i32>("outError", ERROR)
+    .null(NullRule::Own(
+        "Null in gives null out. Without a solution outJoints is null and outError says why.",
+    ))
+}
+
+const JOINTS: [&str; 7] = ["inJ1", "inJ2", "inJ3", "inJ4", "inJ5", "inJ6", "inJ7"];
+const VELOCITIES: [&str; 7] = ["inV1", "inV2", "inV3", "inV4", "inV5", "inV6", "inV7"];
+const OUT: [&str; 7] = [
+    "outJ1", "outJ2", "outJ3", "outJ4", "outJ5", "outJ6", "outJ7",
+];
+const HINT: [&str; 7] = [
+    "inHintJ1", "inHintJ2", "inHintJ3", "inHintJ4", "inHintJ5", "inHintJ6", "inHintJ7",
+];
+const NULLSPACE: [&str; 7] = [
+    "inNullspaceJ1",
+    "inNullspaceJ2",
+    "inNullspaceJ3",
+    "inNullspaceJ4",
+    "inNullspaceJ5",
+    "inNullspaceJ6",
+    "inNullspaceJ7",
+];
+
+/// Seven scalar in ports, one for each joint.
+#[derive(Clone, Copy)]
+struct Seven([In<f64>; 7]);
+
+impl Seven {
+    fn new(b: &mut Build<'_, '_>, names: [&str; 7]) -> Result<Self, Fault> {
+        let mut ports = Vec::with_capacity(names.len());
+        for name in names {
+            ports.push(b.input(name)?);
+        }
+        Ok(Self(std::array::from_fn(|i| ports[i])))
+    }
+
+    /// Their values; `None` if one is null.
+    fn get(self, cycle: &Cycle<'_>) -> Option<[f64; 7]> {
+        let values = self.0.map(|port| port.get(cycle));
+        values
+            .iter()
+            .all(Option::is_some)
+            .then(|| values.map(Option::unwrap_or_default))
+    }
+
+    /// Their values; those that are null taken from `others`.
+    fn get_or(self, cycle: &Cycle<'_>, others: [f64; 7]) -> [f64; 7] {
+        std::array::from_fn(|i| self.0[i].get(cycle).unwrap_or(others[i]))
+    }
+}
+
+fn with_seven(definition: Definition, names: [&'static str; 7], doc: &'static str) -> Definition {
+    let add = |d: Definition, name| d.input::<f64>(port(name, doc).required());
+    names.into_iter().fold(definition, add)
+}
+
+/// An LWR with the joint limits of the arm that `Robot` names.
+fn lwr(b: &Build<'_, '_>) -> Result<Srs, Fault> {
+    let limits = b.arm("Robot")?.limits;
+    let ranges: Vec<_> = limits.iter().copied().map(Range::from).collect();
+    let ranges = <[Range; 7]>::try_from(ranges).map_err(|ranges| {
+        let why = format!("an LWR has 7 joints, this arm has {}", ranges.len());
+        b.parameter_fault("Robot", why)
+    })?;
+    Ok(Srs::kuka_lwr4().within(ranges))
+}
+
+struct LwrKin {
+    arm: Srs,
+    joints: Seven,
+    frame: Out<Frame>,
+    alpha: Out<f64>,
+}
+
+impl Primitive for LwrKin {
+    fn step(&mut self, cycle: &Cycle<'_>) {
+        let joints = self.joints.get(cycle);
+        let place = joints.map(|joints| self.arm.forward_alpha(&joints));
+        let place = place.filter(|(frame, _)| is_finite(frame));
+        self.frame.set(cycle, place.map(|(frame, _)| frame));
+        self.alpha.set(cycle, place.map(|(_, alpha)| alpha));
+    }
+}
+
+fn lwr_kin() -> Definition {
+    let build = |b: &mut Build<'_, '_>| -> Result<LwrKin, Fault> {
+        Ok(LwrKin {
+            arm: lwr(b)?,
+            joints: Seven::new(b, JOINTS)?,
+            frame: b.output("outFrame"),
+            alpha: b.output("outAlpha"),
+        })
+    };
+    let definition = Definition::new(
+        "KUKA::LWR::Kin",
+        "Where the flange of an LWR is at given joint positions, and its arm angle.",
+        build,
+    )
+    .active();
+    with_seven(definition, JOINTS, "joint position, rad")
+        .text("Robot", ROBOT)
+        .output::<Frame>("outFrame", "flange in the base of the arm, m")
+        .output::<f64>("outAlpha", "arm angle, rad")
+        .null(NullRule::Own(
+            "Null if a joint position is null or no number.",
+        ))
+}
+
+/// Where the arm angle of an inverse comes from: the values of parameter `Strategy`.
+#[derive(Clone, Copy, PartialEq)]
+enum Strategy {
+    /// That of the null-space joints.
+    Keep,
+    /// From there on to where the joint positions are nearest to the hint.
+    Approach,
+}
+
+/// How many steps an approach may take.
+const APPROACH_STEPS: u32 = 5;
+/// Step by which an approach measures slope and curvature, rad.
+const PROBE: f64 = 1e-3;
+/// Longest step of an approach, rad.
+const LONGEST: f64 = 0.1;
+
+fn distance(a: &[f64; 7], b: &[f64; 7]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum()
+}
+
+/// Moves the arm angle by a bounded number of steps to where the joints are nearer to the hint.
+fn approach(arm: &Srs, frame: &Frame, mut alpha: f64, hint: &[f64; 7], joints: &mut [f64; 7]) {
+    let at = |alpha| arm.inverse_alpha(frame, alpha, hint).ok();
+    for _ in 0..APPROACH_STEPS {
+        let (Some(below), Some(above)) = (at(alpha - PROBE), at(alpha + PROBE)) else {
+            return;
+        };
+        let here = distance(joints, hint);
+        let (below, above) = (distance(&below, hint), distance(&above, hint));
+        let slope = (above - below) / (2.0 * PROBE);
+        let curvature = (above - 2.0 * here + below) / (PROBE * PROBE);
+        let step = if curvature > 0.0 {
+            -slope / curvature
+        } else {
+            -LONGEST.copysign(slope)
+        };
+        let next = alpha + step.clamp(-LONGEST, LONGEST);
+        match at(next) {
+            Some(nearer) if distance(&nearer, hint) < here => *joints = nearer,
+            _ => return,
+        }
+        alpha = next;
+    }
+}
+
+struct LwrInvKin {
+    arm: Srs,
+    strategy: Strategy,
+    frame: In<Frame>,
+    hint: Seven,
+    nullspace: Seven,
+    joints: [Out<f64>; 7],
+    error: Out<i32>,
+}
+
+impl LwrInvKin {
+    fn solve(
+        &self,
+        frame: &Frame,
+        hint: &[f64; 7],
+        nullspace: &[f64; 7],
+    ) -> Result<[f64; 7], Unreachable> {
+        let (_, alpha) = self.arm.forward_alpha(nullspace);
+        let bent_alike = (hint[3] >= 0.0) == (nullspace[3] >= 0.0);
+        let half_turn = if bent_alike {
+            0.0
+        } else {
+            std::f64::consts::PI
+        };
+        let alpha = alpha + half_turn;
+        let mut joints = self.arm.inverse_alpha(frame, alpha, hint)?;
+        if self.strategy == Strategy::Approach {
+            approach(&self.arm, frame, alpha, hint, &mut joints);
+        }
+        Ok(joints)
+    }
+}
+
+impl Primitive for LwrInvKin {
+    fn step(&mut self, cycle: &Cycle<'_>) {
+        let inputs = self.hint.get(cycle).zip(self.frame.get(cycle));
+        let solved = inputs.map(|(hint, frame)| {
+            let nullspace = self.nullspace.get_or(cycle, hint);
+            self.solve(&frame, &hint, &nullspace)
+        });
+        let joints = solved.and_then(Result::ok);
+        for (i, out) in self.joints.iter().enumerate() {
+            out.set(cycle, joints.map(|joints| joints[i]));
+        }
+        self.error.set(cycle, solved.map(number));
+    }
+}
+
+fn lwr_inv_kin() -> Definition {
+    let build = |b: &mut Build<'_, '_>| -> Result<LwrInvKin, Fault> {
+        let strategy = match b.number("Strategy", 0..=1)? {
+            0 => Strategy::Keep,
+            _ => Strategy::Approach,
+        };
+        Ok(LwrInvKin {
+            arm: lwr(b)?,
+            strategy,
+            frame: b.input("inFrame")?,
+            hint: Seven::new(b, HINT)?,
+            nullspace: Seven::new(b, NULLSPACE)?,
+            joints: OUT.map(|name| b.output(name)),
+            error: b.output("outError"),
+        })
+    };
+    let definition = Definition::new(
+        "KUKA::LWR::InvKin",
+        "Joint positions of an LWR within their limits that bring its flange to a frame, at the arm \
+         angle of the null-space joints as far as limits allow.",
+        build,
+    )
+    .active()
+    .input::<Frame>(port("inFrame", "flange in the base of the arm, m").required());
+    let definition = with_seven(definition, HINT, "joint position to be near to, rad");
+    let nullspace = "joint position whose arm angle is taken, rad; the hint if null";
+    let add = |d: Definition, name| d.input::<f64>(port(name, nullspace));
+    let definition = NULLSPACE
+        .into_iter()
+        .fold(definition, add)
+        .parameter::<i32>(
+            "Strategy",
+            "1",
+            "0 keeps the arm angle, 1 moves it to where the joints are nearer to the hint",
+        );
+    let add = |d: Definition, name| d.output::<f64>(name, "joint position, rad");
+    OUT.into_iter()
+        .fold(definition.text("Robot", ROBOT), add)
+        .output::<i32>("outError", ERROR)
+        .null(NullRule::Own(
+            "Null in gives null out. Without a solution the joints are null and outError says why.",
+        ))
+}
+
+struct LwrVelKin {
+    arm: Srs,
+    joints: Seven,
+    velocities: Seven,
+    twist: Out<Twist>,
+    alpha: Out<f64>,
+}
+
+impl Primitive for LwrVelKin {
+    fn step(&mut self, cycle: &Cycle<'_>) {
+        let inputs = self.joints.get(cycle).zip(self.velocities.get(cycle));
+        let moving = inputs.map(|(joints, velocities)| self.arm.velocity(&joints, &velocities));
+        let is_number = |twist: &Twist| twist.vel.iter().chain(&twist.rot).all(|v| v.is_finite());
+        let moving = moving.filter(|(twist, _)| is_number(twist));
+        self.twist.set(cycle, moving.map(|(twist, _)| twist));
+        self.alpha.set(cycle, moving.and_then(|(_, alpha)| alpha));
+    }
+}
+
+fn lwr_vel_kin() -> Definition {
+    let build = |b: &mut Build<'_, '_>| -> Result<LwrVelKin, Fault> {
+        Ok(LwrVelKin {
+            arm: lwr(b)?,
+            joints: Seven::new(b, JOINTS)?,
+            velocities: Seven::new(b, VELOCITIES)?,
+            twist: b.output("outTwist"),
+            alpha: b.output("outVAlpha"),
+        })
+    };
+    let definition = Definition::new(
+        "KUKA::LWR::VelKin",
+        "How fast the flange of an LWR and its arm angle move at given joint velocities.",
+        build,
+    )
+    .active();
+    let definition = with_seven(definition, JOINTS, "joint position, rad");
+    with_seven(definition, VELOCITIES, "joint velocity, rad/s")
+        .text("Robot", ROBOT)
+        .output::<Twist>(
+            "outTwist",
+            "velocity of the flange in the base, m/s and rad/s",
+        )
+        .output::<f64>("outVAlpha", "velocity of the arm angle, rad/s")
+        .null(NullRule::Own(
+            "Null if an input is null or no number; outVAlpha also where the arm angle has no \
+             derivative: stretched, or the wrist on axis 1.",
+        ))
+}
+
+pub(crate) fn table() -> Vec<Definition> {
+    vec![kin(), inv_kin(), lwr_kin(), lwr_inv_kin(), lwr_vel_kin()]
+}

@@ -1,0 +1,336 @@
+//! Round trips of all arms over random joint positions, and what must be refused.
+
+use std::f64::consts::PI;
+
+use nalgebra::{Translation3, UnitQuaternion, Vector3};
+
+use super::*;
+
+/// A generator of even numbers in 0..1: the same series in each run.
+struct Random(u64);
+
+impl Random {
+    fn unit(&mut self) -> f64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        f64::from(u32::try_from(self.0 >> 32).expect("32 bits")) / f64::from(u32::MAX)
+    }
+
+    fn between(&mut self, min: f64, max: f64) -> f64 {
+        min + (max - min) * self.unit()
+    }
+
+    fn joints<const N: usize>(&mut self, ranges: &[Range; N]) -> [f64; N] {
+        std::array::from_fn(|i| self.between(ranges[i].min, ranges[i].max))
+    }
+}
+
+fn error(a: &Frame, b: &Frame) -> f64 {
+    let position = (a.translation.vector - b.translation.vector).norm();
+    position.max(a.rotation.angle_to(&b.rotation))
+}
+
+fn difference<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
+    a.iter()
+        .zip(b)
+        .map(|(a, b)| (a - b).powi(2))
+        .sum::<f64>()
+        .sqrt()
+}
+
+/// The properties that every arm has: 10,000 random joint positions, hints near and far.
+fn round_trips<const N: usize>(arm: &dyn Kinematics, ranges: &[Range; N], is_redundant: bool) {
+    assert_eq!(arm.joints(), N);
+    let mut random = Random(0x9e37_79b9_7f4a_7c15);
+    for number in 0..10_000 {
+        let joints = random.joints(ranges);
+        let flange = arm.forward(&joints);
+        let hint = match number % 3 {
+            0 => joints,
+            1 => joints.map(|j| j + random.between(-0.01, 0.01)),
+            _ => random.joints(ranges),
+        };
+        let mut solved = [f64::NAN; N];
+        let result = arm.inverse(&flange, &hint, &mut solved);
+        assert_eq!(result, Ok(()), "{number}: {joints:?} from {hint:?}");
+        let error = error(&arm.forward(&solved), &flange);
+        assert!(error < 1e-9, "{number}: {error} {joints:?} from {hint:?}");
+        let within = solved.iter().zip(ranges);
+        let is_within = within.fold(true, |all, (q, r)| all && (r.min..=r.max).contains(q));
+        assert!(is_within, "{number}: {solved:?}");
+        // `joints` is a solution, too: none may be farther than it.
+        let farther = difference(&solved, &hint) - difference(&joints, &hint);
+        assert!(is_redundant || farther < 1e-6, "{number}: {farther}");
+    }
+}
+
+#[test]
+fn tx90_round_trips() {
+    let arm = Opw::staubli_tx90();
+    round_trips(&arm, &arm.ranges(), false);
+}
+
+#[test]
+fn an_arm_with_offsets_signs_and_all_lengths_round_trips() {
+    let geometry = OpwGeometry {
+        a1: 0.35,
+        a2: -0.054,
+        b: -0.02,
+        c1: 0.75,
+        c2: 1.25,
+        c3: 1.5,
+        c4: 0.23,
+        offsets: [0.0, -PI / 2.0, 0.3, 0.0, 0.1, PI],
+        signs: [-1.0, 1.0, 1.0, -1.0, 1.0, -1.0],
+    };
+    let ranges = [
+        Range::degrees(-185.0, 185.0),
+        Range::degrees(-140.0, 5.0),
+        Range::degrees(-120.0, 155.0),
+        Range::degrees(-350.0, 350.0),
+        Range::degrees(-122.5, 122.5),
+        Range::degrees(-350.0, 350.0),
+    ];
+    round_trips(&Opw::new(geometry, ranges), &ranges, false);
+}
+
+#[test]
+fn arms_of_seven_axes_round_trip() {
+    for arm in [Srs::kuka_lwr4(), Srs::kuka_iiwa7(), Srs::kuka_iiwa14()] {
+        round_trips(&arm, &arm.ranges(), true);
+    }
+}
+
+#[test]
+fn youbot_round_trips() {
+    let arm = YouBot::default();
+    round_trips(&arm, &arm.ranges(), false);
+}
+
+/// The chain of links as robot descriptions give it: where each joint is in the one before, rad by
+/// which it is turned around y or z, its axis (y or z, with its sign).
+fn chain(links: &[([f64; 3], Vector3<f64>, Vector3<f64>)], joints: &[f64]) -> Frame {
+    let joined = links.iter().zip(joints);
+    joined.fold(Frame::identity(), |frame, ((at, turned, axis), q)| {
+        let turn =
+            UnitQuaternion::from_scaled_axis(*turned) * UnitQuaternion::from_scaled_axis(axis * *q);
+        frame * Frame::from_parts(Translation3::from(Vector3::from(*at)), turn)
+    })
+}
+
+#[test]
+fn forward_is_the_chain_of_the_robot_descriptions() {
+    let (y, z, none) = (Vector3::y(), Vector3::z(), Vector3::zeros());
+    let tx90 = [
+        ([0.0, 0.0, 0.478], none, z),
+        ([0.050, 0.0, 0.0], none, y),
+        ([0.0, 0.050, 0.425], none, y),
+        ([0.0, 0.0, 0.0], none, z),
+        ([0.0, 0.0, 0.425], none, y),
+        ([0.0, 0.0, 0.100], none, z),
+    ];
+    let lwr = [
+        ([0.0, 0.0, 0.11], none, z),
+        ([0.0, 0.0, 0.2005], none, -y),
+        ([0.0, 0.0, 0.20], none, z),
+        ([0.0, 0.0, 0.20], none, y),
+        ([0.0, 0.0, 0.20], none, z),
+        ([0.0, 0.0, 0.19], none, -y),
+        ([0.0, 0.0, 0.078], none, z),
+    ];
+    let mut iiwa = lwr.map(|(_, turned, _)| ([0.0; 3], turned, z));
+    for (i, (height, axis)) in [
+        (0.36, y),
+        (0.0, z),
+        (0.42, -y),
+        (0.0, z),
+        (0.40, y),
+        (0.126, z),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        iiwa[i + 1] = ([0.0, 0.0, height], none, axis);
+    }
+    let degrees = |axis: Vector3<f64>, angle: f64| axis * angle.to_radians();
+    let youbot = [
+        ([0.024, 0.0, 0.096], degrees(z, 170.0), -z),
+        ([0.033, 0.0, 0.019], degrees(y, -65.0), y),
+        ([0.0, 0.0, 0.155], degrees(y, 146.0), y),
+        ([0.0, 0.0, 0.135], degrees(y, -102.5), y),
+        ([-0.002, 0.0, 0.130], degrees(z, 167.5), -z),
+    ];
+    let arms: [(&str, &[_]); 4] = [
+        ("staubli_tx90", &tx90),
+        ("kuka_lwr4", &lwr),
+        ("kuka_iiwa14", &iiwa),
+        ("kuka_youbot", &youbot),
+    ];
+    let mut random = Random(42);
+    for (name, links) in arms {
+        let arm = named(name).expect("a known arm");
+        for _ in 0..1000 {
+            let joints: Vec<_> = links.iter().map(|_| random.between(-3.0, 3.0)).collect();
+            let error = error(&arm.forward(&joints), &chain(links, &joints));
+            assert!(error < 1e-7, "{name} {joints:?}: {error}");
+        }
+    }
+}
+
+#[test]
+fn arms_round_trip_in_their_singularities() {
+    let stretched: [(&str, &[f64]); 9] = [
+        ("staubli_tx90", &[0.3, 0.5, 0.7, 0.2, 0.0, 0.4]),
+        ("staubli_tx90", &[0.3, 0.5, 0.0, 0.2, 0.6, 0.4]),
+        ("staubli_tx90", &[0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
+        ("kuka_lwr4", &[0.0; 7]),
+        ("kuka_lwr4", &[0.3, 0.4, 0.5, 0.0, 0.7, 0.8, 0.9]),
+        ("kuka_lwr4", &[0.3, 0.0, 0.5, 0.6, 0.7, 0.8, 0.9]),
+        ("kuka_lwr4", &[0.3, 0.4, 0.5, 0.6, 0.7, 0.0, 0.9]),
+        ("kuka_iiwa7", &[0.3, 0.0, 0.5, 1.6, 0.7, 0.0, 0.9]),
+        ("kuka_iiwa14", &[0.3, 1e-8, 0.5, 1e-8, 0.7, 1e-8, 0.9]),
+    ];
+    for (name, joints) in stretched {
+        let arm = named(name).expect("a known arm");
+        let flange = arm.forward(joints);
+        for off in [0.0, 1e-9, 1e-3] {
+            let hint: Vec<_> = joints.iter().map(|q| q + off).collect();
+            let mut solved = vec![f64::NAN; joints.len()];
+            let result = arm.inverse(&flange, &hint, &mut solved);
+            assert_eq!(result, Ok(()), "{name} {joints:?}");
+            let error = error(&arm.forward(&solved), &flange);
+            assert!(error < 1e-9, "{name} {joints:?}: {error}");
+        }
+    }
+}
+
+#[test]
+fn what_cannot_be_reached_is_told_and_changes_nothing() {
+    for name in ["staubli_tx90", "kuka_lwr4", "kuka_iiwa7", "kuka_youbot"] {
+        let arm = named(name).expect("a known arm");
+        let mut joints = vec![7.0; arm.joints()];
+        let hint = vec![0.1; arm.joints()];
+        let far = Frame::translation(3.0, 0.0, 0.0);
+        assert_eq!(
+            arm.inverse(&far, &hint, &mut joints),
+            Err(Unreachable::Reach)
+        );
+        let here = arm.forward(&hint);
+        let none = vec![f64::NAN; arm.joints()];
+        assert_eq!(
+            arm.inverse(&here, &none, &mut joints),
+            Err(Unreachable::Invalid)
+        );
+        assert_eq!(
+            arm.inverse(&here, &hint[1..], &mut joints),
+            Err(Unreachable::Invalid)
+        );
+        let invalid = Frame::translation(f64::NAN, 0.0, 0.0);
+        assert_eq!(
+            arm.inverse(&invalid, &hint, &mut joints),
+            Err(Unreachable::Invalid)
+        );
+        assert!(joints.iter().all(|q| *q == 7.0), "{name}");
+        assert!(arm.forward(&none).translation.x.is_nan(), "{name}");
+        assert!(arm.forward(&[]).translation.x.is_nan(), "{name}");
+    }
+    // Within reach, but axis 4 of the iiwa bends by 120° at most.
+    let arm = Srs::kuka_iiwa7();
+    let flange = arm.forward(&[0.1, 0.2, 0.3, 2.3, 0.4, 0.5, 0.6]);
+    let mut joints = [0.0; 7];
+    let result = arm.inverse(&flange, &[0.1; 7], &mut joints);
+    assert_eq!(result, Err(Unreachable::Limits));
+}
+
+#[test]
+fn youbot_refuses_what_five_axes_cannot_do() {
+    let arm = YouBot::default();
+    let hint = [1.0, 1.0, -2.0, 1.0, 2.0];
+    let flange = arm.forward(&hint);
+    let turned = flange * UnitQuaternion::from_scaled_axis(Vector3::new(0.1, 0.1, 0.0));
+    let mut joints = [0.0; 5];
+    assert_eq!(
+        arm.inverse(&turned, &hint, &mut joints),
+        Err(Unreachable::Reach)
+    );
+}
+
+#[test]
+fn the_arm_angle_is_kept_where_limits_allow() {
+    let arm = Srs::kuka_lwr4();
+    let mut random = Random(7);
+    let mut kept = 0;
+    for _ in 0..2000 {
+        let joints = random.joints(&arm.ranges());
+        let (flange, alpha) = arm.forward_alpha(&joints);
+        let wanted = alpha + random.between(-0.2, 0.2);
+        let solved = arm
+            .inverse_alpha(&flange, wanted, &joints)
+            .expect("reached");
+        let (again, got) = arm.forward_alpha(&solved);
+        assert!(error(&again, &flange) < 1e-9);
+        let bent_alike = (solved[3] > 0.0) == (joints[3] > 0.0);
+        let got = if bent_alike { got } else { got + PI };
+        let off = (got - wanted + PI).rem_euclid(2.0 * PI) - PI;
+        let on_limit = solved
+            .iter()
+            .zip(arm.ranges())
+            .any(|(q, r)| (q - r.min).abs() < 1e-4 || (q - r.max).abs() < 1e-4);
+        assert!(off.abs() < 1e-6 || on_limit, "{off} {solved:?}");
+        kept += u32::from(off.abs() < 1e-6);
+    }
+    assert!(kept > 1500, "{kept}");
+}
+
+#[test]
+fn the_elbow_is_where_the_arm_angle_says() {
+    let arm = Srs::kuka_lwr4();
+    let (_, alpha) = arm.forward_alpha(&[0.4, -0.5, 0.0, 1.0, 0.2, 0.3, 0.1]);
+    assert!(
+        alpha.abs() < 1e-12 || (alpha.abs() - PI).abs() < 1e-12,
+        "{alpha}"
+    );
+    let (flange, alpha) = arm.forward_alpha(&[0.4, -0.5, 0.3, 1.0, 0.2, 0.3, 0.1]);
+    let turned = arm.inverse_alpha(&flange, alpha + 0.1, &[0.4, -0.5, 0.3, 1.0, 0.2, 0.3, 0.1]);
+    let (_, after) = arm.forward_alpha(&turned.expect("reached"));
+    assert!((after - alpha - 0.1).abs() < 1e-9);
+}
+
+#[test]
+fn velocities_are_the_derivatives() {
+    let mut random = Random(3);
+    for arm in [Srs::kuka_lwr4(), Srs::kuka_iiwa14()] {
+        for _ in 0..500 {
+            let joints = random.joints(&arm.ranges());
+            let speeds: [f64; 7] = std::array::from_fn(|_| random.between(-1.0, 1.0));
+            let h = 1e-5;
+            let at =
+                |t: f64| arm.forward_alpha(&std::array::from_fn(|i| joints[i] + t * speeds[i]));
+            let ((before, first), (after, second)) = (at(-h), at(h));
+            let vel = (after.translation.vector - before.translation.vector) / (2.0 * h);
+            let rot = (after.rotation * before.rotation.inverse()).scaled_axis() / (2.0 * h);
+            let alpha = ((second - first + PI).rem_euclid(2.0 * PI) - PI) / (2.0 * h);
+            let (twist, rate) = arm.velocity(&joints, &speeds);
+            assert!((twist.vel - vel).norm() < 1e-7, "{joints:?}");
+            assert!((twist.rot - rot).norm() < 1e-6, "{joints:?}");
+            let rate = rate.expect("no singularity was drawn");
+            assert!(
+                (rate - alpha).abs() < 1e-4 * (1.0 + rate.powi(4)),
+                "{joints:?}: {rate} {alpha}"
+            );
+        }
+        assert_eq!(arm.velocity(&[0.0; 7], &[1.0; 7]).1, None);
+    }
+}
+
+#[test]
+fn turns_stay_within_the_range() {
+    let range = Range::degrees(-270.0, 270.0);
+    let near = |angle: f64, hint: f64| range.nearest_turn(angle, hint);
+    assert_eq!(near(1.0, 0.9), Some(1.0));
+    assert!((near(-2.0, 4.0).expect("in range") - (TAU - 2.0)).abs() < 1e-12);
+    assert!((near(1.0, 7.0).expect("in range") - 1.0).abs() < 1e-12);
+    assert_eq!(Range::degrees(-90.0, 90.0).nearest_turn(3.0, 0.0), None);
+    assert_eq!(range.nearest_turn(f64::NAN, 0.0), None);
+}

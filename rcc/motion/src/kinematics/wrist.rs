@@ -1,0 +1,49 @@
+//! Three axes z, y, z that meet in a point: shoulders and wrists. The last angle is computed from
+//! what the first two leave over, so that the product is exact also beside the singularity, where the
+//! angles themselves are ill-conditioned.
+
+use nalgebra::Matrix3;
+
+use super::{rot_y, rot_z};
+
+/// Sine of the middle angle below which the outer axes count as one.
+const SINGULAR: f64 = 1e-10;
+
+/// Angles (rad) with `rotation` = Rz · Ry · Rz, the middle one of the sign `sign` (±1). Where the
+/// outer axes are one, the first angle is `first`.
+pub(super) fn zyz(rotation: &Matrix3<f64>, sign: f64, first: f64) -> [f64; 3] {
+    let (x, y) = (rotation[(0, 2)], rotation[(1, 2)]);
+    let a = if x.hypot(y) < SINGULAR {
+        first
+    } else {
+        (sign * y).atan2(sign * x)
+    };
+    let (sin, cos) = a.sin_cos();
+    let b = (x * cos + y * sin).atan2(rotation[(2, 2)]);
+    let rest = rot_y(-b) * rot_z(-a) * rotation;
+    [a, b, rest[(1, 0)].atan2(rest[(0, 0)])]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn angles_give_the_rotation_again_near_the_singularity_too() {
+        for b in [1.2, 1e-3, 1e-7, 1e-9, 1e-11, 0.0, 3.0, 3.141_592_653] {
+            for sign in [1.0, -1.0] {
+                let wanted = rot_z(0.7) * rot_y(b) * rot_z(-2.1);
+                let [a, m, c] = zyz(&wanted, sign, 0.3);
+                let got = rot_z(a) * rot_y(m) * rot_z(c);
+                assert!((got - wanted).abs().max() < 2e-10, "{b} {sign}");
+                assert!(m * sign > -1e-8, "{b} {sign}: {m}");
+            }
+        }
+    }
+
+    #[test]
+    fn where_the_axes_are_one_the_first_angle_is_kept() {
+        let [a, b, c] = zyz(&rot_z(0.5), 1.0, 0.3);
+        assert!((a - 0.3).abs() < 1e-15 && b.abs() < 1e-15 && (c - 0.2).abs() < 1e-15);
+    }
+}

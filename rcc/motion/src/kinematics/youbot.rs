@@ -1,0 +1,141 @@
+//! The arm of the KUKA youBot. Its five axes reach only frames whose z axis lies in one plane with
+//! the first axis; others are out of reach. To choose the nearest reachable frame is left to whoever
+//! knows which part of the orientation matters.
+
+use nalgebra::Vector3;
+use takt_net::Frame;
+use takt_net::device::{Kinematics, Unreachable};
+
+use super::{Nearest, Range, checked, frame, joints_or_nan, rot_y, rot_z, two_links};
+
+/// Position of axis 1 in the base, m.
+const BASE: [f64; 3] = [0.024, 0.0, 0.096];
+/// From axis 1 to axis 2: along x and z, m.
+const SHOULDER: [f64; 2] = [0.033, 0.019];
+/// From axis 2 to axis 3, m.
+const UPPER: f64 = 0.155;
+/// From axis 3 to axis 4, m.
+const LOWER: f64 = 0.135;
+/// From axis 4 to the flange: along x and z, m.
+const HAND: [f64; 2] = [-0.002, 0.130];
+/// Angles of the axes at joint position 0, degrees, and which way they count.
+const ZERO: [(f64, f64); 5] = [
+    (170.0, -1.0),
+    (-65.0, 1.0),
+    (146.0, 1.0),
+    (-102.5, 1.0),
+    (167.5, -1.0),
+];
+/// How far position (m) and z axis (sine) may be off one plane with axis 1: what frames written with
+/// six digits are off.
+const OFF_PLANE: f64 = 1e-6;
+/// Distance from axis 1 (m), or sine of the angle to it, that still tells the direction of the plane.
+const ON_AXIS: f64 = 1e-9;
+
+/// Closed-form kinematics of the arm of the KUKA youBot, flange `arm_link_5` in `arm_link_0`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct YouBot {
+    ranges: [Range; 5],
+}
+
+impl Default for YouBot {
+    fn default() -> Self {
+        Self::new([
+            Range::degrees(0.0, 338.0),
+            Range::degrees(0.0, 155.0),
+            Range::degrees(-297.0, 0.0),
+            Range::degrees(0.0, 205.0),
+            Range::degrees(0.0, 335.0),
+        ])
+    }
+}
+
+fn angles(joints: [f64; 5]) -> [f64; 5] {
+    std::array::from_fn(|i| ZERO[i].0.to_radians() + ZERO[i].1 * joints[i])
+}
+
+fn positions(angles: [f64; 5]) -> [f64; 5] {
+    std::array::from_fn(|i| ZERO[i].1 * (angles[i] - ZERO[i].0.to_radians()))
+}
+
+impl YouBot {
+    /// The arm with these joint ranges.
+    #[must_use]
+    pub const fn new(ranges: [Range; 5]) -> Self {
+        Self { ranges }
+    }
+
+    /// The joint ranges that solutions keep.
+    #[must_use]
+    pub const fn ranges(&self) -> [Range; 5] {
+        self.ranges
+    }
+}
+
+/// The angle of the plane with axis 1 in which position and z axis of the flange lie; `None` if both
+/// lie on the axis. The better conditioned of the two decides.
+fn plane(from_base: &Vector3<f64>, approach: &Vector3<f64>, side: f64) -> Option<f64> {
+    let (near, far) = (from_base.xy(), approach.xy());
+    let longer = if near.norm() > far.norm() { near } else { far };
+    (longer.norm() > ON_AXIS).then(|| (side * longer.y).atan2(side * longer.x))
+}
+
+/// Axis angles for the arm in front of its base (`side` 1) or reaching over it (-1).
+fn solution(flange: &Frame, side: f64, bend: f64, hint: f64) -> Result<[f64; 5], Unreachable> {
+    let rotation = flange.rotation.to_rotation_matrix().into_inner();
+    let from_base = flange.translation.vector - Vector3::from(BASE);
+    let approach = rotation.column(2);
+    let a1 = plane(&from_base, &approach.into_owned(), side).unwrap_or(hint);
+    let in_plane = rot_z(-a1) * rotation;
+    let approach = in_plane.column(2);
+    let from_axis = rot_z(-a1) * from_base;
+    if approach.y.abs() > OFF_PLANE || from_axis.y.abs() > OFF_PLANE {
+        return Err(Unreachable::Reach);
+    }
+    let pitch = approach.x.atan2(approach.z);
+    let hand = rot_y(pitch) * Vector3::new(HAND[0], 0.0, HAND[1]);
+    let wrist = from_axis - hand;
+    let (x, z) = (wrist.x - SHOULDER[0], wrist.z - SHOULDER[1]);
+    let [a2, a3] = two_links(x, z, UPPER, LOWER, bend)?;
+    let roll = rot_y(-pitch) * in_plane;
+    let a5 = roll[(1, 0)].atan2(roll[(0, 0)]);
+    Ok([a1, a2, a3, pitch - a2 - a3, a5])
+}
+
+impl Kinematics for YouBot {
+    fn joints(&self) -> usize {
+        5
+    }
+
+    fn forward(&self, joints: &[f64]) -> Frame {
+        let [a1, a2, a3, a4, a5] = angles(joints_or_nan(joints));
+        let hand = rot_y(a2 + a3 + a4);
+        let in_plane = Vector3::new(SHOULDER[0], 0.0, SHOULDER[1])
+            + rot_y(a2).column(2) * UPPER
+            + rot_y(a2 + a3).column(2) * LOWER
+            + hand * Vector3::new(HAND[0], 0.0, HAND[1]);
+        let base = rot_z(a1);
+        frame(
+            Vector3::from(BASE) + base * in_plane,
+            &(base * hand * rot_z(a5)),
+        )
+    }
+
+    fn inverse(&self, flange: &Frame, hint: &[f64], joints: &mut [f64]) -> Result<(), Unreachable> {
+        let hint = checked(flange, hint, joints)?;
+        let [base, ..] = angles(hint);
+        let mut nearest = Nearest::new(hint, self.ranges);
+        let mut is_reached = false;
+        for (side, bend) in [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)] {
+            if let Ok(solution) = solution(flange, side, bend, base) {
+                is_reached = true;
+                nearest.offer(positions(solution));
+            }
+        }
+        if !is_reached {
+            return Err(Unreachable::Reach);
+        }
+        joints.copy_from_slice(&nearest.result()?);
+        Ok(())
+    }
+}

@@ -1,0 +1,114 @@
+//! What must hold for any text from outside, as functions that a fuzzer can call with any bytes
+//! and that panic if it does not. No text is made here.
+
+use std::sync::LazyLock;
+use std::time::Duration;
+
+use crate::slots::for_element;
+use crate::value::Element;
+use crate::value::text::{TextValue, format_array, parse_array};
+use crate::{
+    Image, Limits, LoadContext, Moment, Nanos, NoDevices, Plan, Registry, Rejection, load,
+};
+
+/// So small that one text costs a fraction of a second at most.
+const LIMITS: Limits = Limits {
+    text_bytes: 1 << 16,
+    primitives: 1000,
+    depth: 32,
+    array_size: 64,
+    netcomm: 64,
+    history: 2000,
+    memory_bytes: 1 << 20,
+};
+
+/// Cycles that an accepted net runs.
+const CYCLES: u64 = 3;
+
+/// A net text is either rejected with faults that can be shown, or runs.
+///
+/// # Panics
+/// If a fault lies outside the text, or loading or running panics.
+pub fn net_text(data: &[u8]) {
+    static REGISTRY: LazyLock<Registry> = LazyLock::new(Registry::core);
+    let text = String::from_utf8_lossy(data);
+    let context = LoadContext {
+        registry: &REGISTRY,
+        devices: &NoDevices,
+        period: Duration::from_millis(1),
+        limits: LIMITS,
+    };
+    match load(&text, &context) {
+        Ok(plan) => run(plan),
+        Err(rejection) => show(&rejection, &text),
+    }
+}
+
+fn run(mut plan: Plan) {
+    let image = Image::default();
+    for cycle in 1..=CYCLES {
+        let time = Nanos(1_000_000 * i64::try_from(cycle).unwrap_or(0));
+        let moment = Moment {
+            cycle,
+            time,
+            wall: time,
+            ..Moment::default()
+        };
+        plan.evaluate(&image, moment);
+    }
+}
+
+fn show(rejection: &Rejection, text: &str) {
+    assert!(!rejection.faults.is_empty(), "rejected for no reason");
+    for fault in &rejection.faults {
+        let at = &fault.at;
+        assert!(at.start <= at.end && at.end <= text.len(), "{fault:?}");
+        let (line, column) = fault.place(text);
+        assert!(line >= 1 && column >= 1, "{fault:?}");
+    }
+    assert_eq!(rejection.lines(text).len(), rejection.faults.len());
+    assert!(rejection.render("net", text).contains("Error"));
+}
+
+/// A value that could be read is written so that it can be read again, and then is the same. The
+/// first byte chooses the type.
+///
+/// # Panics
+/// If it is not so, or reading panics.
+pub fn value_text(data: &[u8]) {
+    let Some((choice, data)) = data.split_first() else {
+        return;
+    };
+    let text = String::from_utf8_lossy(data);
+    let element = Element::ALL[usize::from(*choice) % Element::ALL.len()];
+    for_element!(element, T => {
+        if let Ok(value) = T::parse(&text) {
+            again(value, T::parse);
+        }
+        if let Ok(values) = parse_array::<T>(&text, LIMITS.array_size) {
+            let mut written = String::new();
+            format_array(values.iter().copied(), &mut written);
+            let read = parse_array::<T>(&written, LIMITS.array_size);
+            assert_eq!(read.map(|r| r.len()), Ok(values.len()), "{written}");
+        }
+    });
+}
+
+fn again<T: TextValue>(value: T, parse: fn(&str) -> Result<T, crate::value::text::ValueError>) {
+    let written = |value: T| {
+        let mut text = String::new();
+        value.format(&mut text);
+        text
+    };
+    let first = written(value);
+    let read = parse(&first);
+    assert!(read.is_ok(), "{first} cannot be read again: {read:?}");
+    // Angles are recomputed from quaternions and may differ in their last digits.
+    if let (Ok(read), false) = (read, has_angles(T::ELEMENT)) {
+        assert_eq!(written(read), first);
+    }
+}
+
+const fn has_angles(element: Element) -> bool {
+    matches!(element, Element::Rotation | Element::Frame)
+}

@@ -1,0 +1,171 @@
+//! Random mutations of net and value texts through the functions that a fuzzer calls too: no
+//! text makes loading panic, and what is accepted runs. The seed is fixed.
+
+#![allow(clippy::unwrap_used, reason = "all of this file is a test")]
+
+use std::path::Path;
+
+use takt_net::fuzz::{net_text, value_text};
+
+const ROUNDS: usize = 10_000;
+
+/// Nets that are taken, so that mutations come far.
+const NETS: &[&str] = &[
+    "{c=Cancel(),outTerminate=c.outCancel}",
+    "{a=Core::DoubleAdd(inFirst=Core::Clock(Increment='2').outValue,inSecond[2.0]=b.outValue),\
+     b=Core::DoublePre(inValue=a.outValue),o=Core::DoubleNetcommOut(inValue=a.outValue,Key='v'),\
+     g=Core::DoubleGreater(inFirst=a.outValue,Second='1.5'),outTerminate=g.outValue}",
+    "{f={x=Core::Clock(inActive=parent.inOn),y={z=Core::DoubleSin(inValue=parent.inZ),\
+     outZ=z.outValue}(inZ=x.outValue,inActive=parent.inOn),outX=y.outZ}(inOn=on.outValue),\
+     on=Core::BooleanNetcommIn(Key='on',Value='true'),n=Core::DoubleIsNull(inValue=f.outX),\
+     outTerminate=n.outValue}",
+    "{a=World::FrameArray(Size='3'),s=World::FrameArraySet(inArray=a.outArray,Size='3',Index='1',\
+     inValue=f.outValue),f=World::FrameFromPosRot(X='1',A='0.5'),\
+     g=World::FrameArrayGet(inArray=s.outArray,Size='3',Index='1'),\
+     t=World::FrameAtTime(inValue=g.outValue,Age='0.002',MaxAge='0.01'),\
+     n=World::FrameIsNull(inValue=t.outValue),outTerminate=n.outValue}",
+];
+
+const VALUES: &[&str] = &[
+    "true",
+    "-42",
+    "0.5",
+    "1e-300",
+    "nan",
+    "+inf",
+    "[1,2.5,-3]",
+    "[true,false]",
+    "{x:1,y:-2.5,z:0}",
+    "{a:0.1,b:0,c:3}",
+    "{pos:{x:1},rot:{a:0.5}}",
+    "{vel:{x:1},rot:{z:2}}",
+    "{force:{y:1},torque:{}}",
+    "[{x:1},{y:2}]",
+    "9223372036854775807",
+];
+
+/// Words that mean something somewhere.
+const WORDS: &[&str] = &[
+    "{",
+    "}",
+    "(",
+    ")",
+    "[",
+    "]",
+    ",",
+    "=",
+    ".",
+    "'",
+    "\\",
+    "\\'",
+    "parent",
+    "outTerminate",
+    "inActive",
+    "outValue",
+    "Value='",
+    "Size='99'",
+    "Size='-1'",
+    "Core::Clock()",
+    "ä",
+    "\u{0}",
+    "\n",
+    "#",
+    "{}()",
+    "nan",
+    "1e999",
+    ":",
+];
+
+struct Random(u64);
+
+impl Random {
+    fn below(&mut self, bound: usize) -> usize {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        usize::try_from(self.0 % bound.max(1) as u64).unwrap()
+    }
+
+    fn pick<'a, T>(&mut self, of: &'a [T]) -> &'a T {
+        &of[self.below(of.len())]
+    }
+
+    fn range(&mut self, len: usize) -> std::ops::Range<usize> {
+        let start = self.below(len + 1);
+        start..(start + self.below(24)).min(len)
+    }
+
+    /// Changes `text` in one place.
+    fn mutate(&mut self, text: &mut Vec<u8>, others: &[Vec<u8>]) {
+        let range = self.range(text.len());
+        let new = match self.below(5) {
+            0 => Vec::new(),
+            1 => self.pick(WORDS).as_bytes().to_vec(),
+            2 => {
+                let bits = 1 << self.below(8);
+                text[range.clone()].iter().map(|b| b ^ bits).collect()
+            }
+            3 => text[range.clone()].repeat(2),
+            _ => {
+                let other = self.pick(others);
+                other[self.range(other.len())].to_vec()
+            }
+        };
+        text.splice(range, new);
+    }
+
+    fn mutated(&mut self, texts: &[Vec<u8>]) -> Vec<u8> {
+        let mut text = self.pick(texts).clone();
+        for _ in 0..=self.below(4) {
+            self.mutate(&mut text, texts);
+        }
+        text
+    }
+}
+
+fn bytes(texts: &[&str]) -> Vec<Vec<u8>> {
+    texts.iter().map(|t| t.as_bytes().to_vec()).collect()
+}
+
+#[test]
+fn no_net_text_makes_loading_panic() {
+    let mut nets = bytes(NETS);
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/faults");
+    let mut files: Vec<_> = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|f| f.unwrap().path())
+        .collect();
+    files.retain(|f| f.extension().is_some_and(|e| e == "net"));
+    files.sort();
+    nets.extend(files.iter().map(|f| std::fs::read(f).unwrap()));
+    nets.iter().for_each(|net| net_text(net));
+    let mut random = Random(0x9e37_79b9_7f4a_7c15);
+    for _ in 0..ROUNDS {
+        net_text(&random.mutated(&nets));
+    }
+}
+
+#[test]
+fn no_value_text_makes_reading_panic() {
+    let values = bytes(VALUES);
+    let mut random = Random(0x2545_f491_4f6c_dd1d);
+    for round in 0..ROUNDS {
+        let mut text = random.mutated(&values);
+        text.insert(0, u8::try_from(round % 251).unwrap());
+        value_text(&text);
+    }
+}
+
+#[test]
+fn texts_of_the_largest_size_are_loaded() {
+    let open = "f={".repeat(20_000);
+    let commas = format!("{{{}", ",".repeat(60_000));
+    let many = format!("{{{}", "a=Cancel(),".repeat(5900));
+    let chain: String = (0..900)
+        .map(|i| format!("a{i}=Core::DoubleSin(inValue=a{}.outValue),", i + 1))
+        .collect();
+    let chain = format!("{{{chain}a900=Core::Clock(),c=Cancel(),outTerminate=c.outCancel}}");
+    for text in [open, commas, many, chain] {
+        net_text(text.as_bytes());
+    }
+}

@@ -1,0 +1,191 @@
+//! The other end, for tools and tests: a blocking connection over plain TCP. It interprets no
+//! pushes; they wait until they are asked for.
+
+use std::collections::VecDeque;
+use std::io::{self, ErrorKind, Read, Write};
+use std::net::{TcpStream, ToSocketAddrs};
+use std::time::{Duration, Instant};
+
+use crate::error::Error;
+use crate::wire::lines::LineReader;
+use crate::wire::{Message, Value};
+
+/// How long to wait for a connection.
+const CONNECT_WITHIN: Duration = Duration::from_secs(5);
+
+/// How long to wait for a reply unless told otherwise. Loading a large net takes seconds.
+const REPLY_WITHIN: Duration = Duration::from_secs(30);
+
+/// What a command that was done answered.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Reply {
+    /// The tag that pushes carry if the command was a subscription.
+    pub tag: String,
+    /// The values of the answer.
+    pub values: Vec<Value>,
+}
+
+impl Reply {
+    /// The first value, if it is a text: the identifier that `nse` and `nene` answer.
+    #[must_use]
+    pub fn text(&self) -> Option<&str> {
+        self.values.first().and_then(Value::as_str)
+    }
+}
+
+/// A connection to a controller.
+#[derive(Debug)]
+pub struct Client {
+    stream: TcpStream,
+    address: String,
+    reader: LineReader,
+    pushes: VecDeque<Message>,
+    commands: u32,
+    /// The last message that answers nothing that was asked.
+    last_words: Option<String>,
+}
+
+impl Client {
+    /// Connects to `host:port` and shakes hands.
+    ///
+    /// # Errors
+    /// If nobody listens there, or it is no controller.
+    pub fn connect(address: &str) -> Result<Self, Error> {
+        let stream = open(address).map_err(|source| match source.kind() {
+            ErrorKind::ConnectionRefused => Error::NobodyListens {
+                address: address.to_owned(),
+            },
+            _ => Error::Connect {
+                address: address.to_owned(),
+                source,
+            },
+        })?;
+        let mut client = Self {
+            stream,
+            address: address.to_owned(),
+            reader: LineReader::default(),
+            pushes: VecDeque::new(),
+            commands: 0,
+            last_words: None,
+        };
+        client.call("ver", ["2.0"])?;
+        Ok(client)
+    }
+
+    /// Sends a command and waits for its reply. Pushes that come meanwhile are kept.
+    ///
+    /// # Errors
+    /// If the command is refused, or there is no reply.
+    pub fn call<V: Into<Value>>(
+        &mut self,
+        command: &str,
+        values: impl IntoIterator<Item = V>,
+    ) -> Result<Reply, Error> {
+        let tag = format!("t{}", self.commands);
+        self.commands = self.commands.wrapping_add(1);
+        let args = values.into_iter().map(Into::into).collect();
+        let line = Message {
+            args,
+            ..Message::new(tag.as_str(), command)
+        };
+        self.stream
+            .write_all(format!("{line}\n").as_bytes())
+            .map_err(|e| self.broken(e))?;
+        let until = Instant::now() + REPLY_WITHIN;
+        loop {
+            let Some(message) = self.receive(until)? else {
+                return Err(Error::NoReply {
+                    command: command.to_owned(),
+                    waited: REPLY_WITHIN,
+                });
+            };
+            match message.command.as_str() {
+                "ok" if message.tag == tag => {
+                    return Ok(Reply {
+                        tag,
+                        values: message.args,
+                    });
+                }
+                "err" if message.tag == tag => return Err(refused(command, &message)),
+                "err" if message.tag == "none" => self.last_words = Some(message.to_string()),
+                _ => self.pushes.push_back(message),
+            }
+        }
+    }
+
+    /// The next push, or `None` if none comes in time.
+    ///
+    /// # Errors
+    /// If the connection is lost.
+    pub fn next_push(&mut self, timeout: Duration) -> Result<Option<Message>, Error> {
+        match self.pushes.pop_front() {
+            Some(push) => Ok(Some(push)),
+            None => self.receive(Instant::now() + timeout),
+        }
+    }
+
+    /// The next message, or `None` when the time is up.
+    fn receive(&mut self, until: Instant) -> Result<Option<Message>, Error> {
+        let mut bytes = [0; 16 << 10];
+        loop {
+            if let Some(line) = self.reader.poll_message()? {
+                return Ok(Some(Message::decode(&line)?));
+            }
+            let left = until.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Ok(None);
+            }
+            self.stream
+                .set_read_timeout(Some(left))
+                .map_err(|e| self.broken(e))?;
+            match self.stream.read(&mut bytes) {
+                Ok(0) => return Err(self.closed()),
+                Ok(count) => self.reader.push(bytes.get(..count).unwrap_or_default()),
+                Err(e) if is_timeout(&e) => {}
+                Err(e) if e.kind() == ErrorKind::ConnectionReset => return Err(self.closed()),
+                Err(e) => return Err(self.broken(e)),
+            }
+        }
+    }
+
+    fn closed(&self) -> Error {
+        Error::Closed {
+            address: self.address.clone(),
+            last: self.last_words.clone(),
+        }
+    }
+
+    fn broken(&self, source: io::Error) -> Error {
+        Error::Connection {
+            address: self.address.clone(),
+            source,
+        }
+    }
+}
+
+/// Connects to the first of the host's addresses that answers.
+fn open(address: &str) -> io::Result<TcpStream> {
+    let mut failure = io::Error::new(ErrorKind::NotFound, "the host has no address");
+    for candidate in address.to_socket_addrs()? {
+        match TcpStream::connect_timeout(&candidate, CONNECT_WITHIN) {
+            Ok(stream) => return stream.set_nodelay(true).map(|()| stream),
+            Err(error) => failure = error,
+        }
+    }
+    Err(failure)
+}
+
+fn is_timeout(error: &io::Error) -> bool {
+    matches!(
+        error.kind(),
+        ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted
+    )
+}
+
+fn refused(command: &str, reply: &Message) -> Error {
+    let texts: Vec<_> = reply.args.iter().filter_map(Value::as_str).collect();
+    Error::Refused {
+        command: command.to_owned(),
+        text: texts.join(": "),
+    }
+}

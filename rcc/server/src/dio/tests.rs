@@ -1,0 +1,453 @@
+//! Lines in, lines out, with a real controller that has no devices. Nets run in real time here,
+//! so nothing is asserted about when something is told, only in which order.
+
+use takt_core::CellConfig;
+
+use super::*;
+
+/// Runs until 1 s of its own time or until it is cancelled, and echoes a value.
+const PROBE: &str = "{c=Core::Clock(Increment='1'),\
+    g=Core::DoubleGreater(inFirst=c.outValue,Second='1.0'),x=Cancel(),\
+    o=Core::BooleanOr(inFirst=g.outValue,inSecond=x.outCancel),\
+    t=Core::DoubleNetcommOut(inValue=c.outValue,Key='t'),\
+    r=Core::BooleanNetcommOut(inValue=o.outValue,Key='r0'),\
+    i=Core::DoubleNetcommIn(Key='gain',Value='2'),\
+    e=Core::DoubleNetcommOut(inValue=i.outValue,Key='echo'),outTerminate=o.outValue}";
+
+/// Never ends by itself.
+const ENDLESS: &str = "{f=Core::BooleanValue(Value='false'),outTerminate=f.outValue}";
+
+const REJECTED: &str = "{a=Core::Nope(),outTerminate=a.outValue}";
+
+fn controller() -> Controller {
+    let mut cell = CellConfig::default();
+    cell.controller.priority = None;
+    Controller::start(&cell).unwrap()
+}
+
+/// A client and its clock, which goes on by 1 ms with every look at what is pushed.
+struct Client {
+    connection: Connection,
+    now: Duration,
+}
+
+impl Client {
+    fn new(controller: &Controller) -> Self {
+        Self {
+            connection: Connection::new(controller.clone()),
+            now: Duration::ZERO,
+        }
+    }
+
+    fn greeted(controller: &Controller) -> Self {
+        let mut client = Self::new(controller);
+        assert_eq!(
+            client.send(r#"c0=ver("2.0")"#),
+            [r#"c0=ok("handshake ok")"#]
+        );
+        client
+    }
+
+    fn send(&mut self, line: &str) -> Vec<String> {
+        self.connection.handle_line(line, self.now)
+    }
+
+    /// The only answer to a line that causes no pushes.
+    fn ask(&mut self, line: &str) -> String {
+        let mut answers = self.send(line);
+        assert_eq!(answers.len(), 1, "{answers:?}");
+        answers.remove(0)
+    }
+
+    fn pushes(&mut self) -> Vec<String> {
+        self.now += Duration::from_millis(1);
+        self.connection.handle_change();
+        self.connection.poll_pushes(self.now)
+    }
+
+    /// All pushes up to the first one that holds `text`.
+    fn pushes_until(&mut self, text: &str) -> Vec<String> {
+        let mut seen = Vec::new();
+        for _ in 0..10_000 {
+            seen.extend(self.pushes());
+            if let Some(at) = seen.iter().position(|line| line.contains(text)) {
+                assert_eq!(at + 1, seen.len(), "{seen:?}");
+                return seen;
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        panic!("{text} is not pushed; {seen:?} are");
+    }
+
+    fn load(&mut self, text: &str) -> String {
+        let answer = self.ask(&format!(r#"l=nene("{text}")"#));
+        answer
+            .strip_prefix("l=ok(\"")
+            .unwrap()
+            .strip_suffix("\")")
+            .unwrap()
+            .to_owned()
+    }
+}
+
+/// Whether only `nc` of that tag are among the lines.
+fn only_values(tag: &str, lines: &[String]) -> bool {
+    lines
+        .iter()
+        .all(|line| line.starts_with(&format!("{tag}=nc({{")))
+}
+
+#[test]
+fn nothing_but_the_right_version_comes_first() {
+    let mut client = Client::new(&controller());
+    assert_eq!(client.ask("a=gde()"), r#"a=err("bad handshake")"#);
+    assert_eq!(client.ask("a=nonsense()"), r#"a=err("bad handshake")"#);
+    assert_eq!(client.ask(r#"a=ver("1.0")"#), r#"a=err("bad handshake")"#);
+    assert_eq!(client.ask("a=ver(2.0)"), r#"a=err("bad handshake")"#);
+    assert_eq!(client.ask("a=ver()"), r#"a=err("bad handshake")"#);
+    assert_eq!(client.ask("what?"), r#"none=err("invalid syntax")"#);
+    assert_eq!(client.ask("a=quit()"), r#"a=ok("quitting")"#);
+    assert_eq!(client.ask(r#"a=ver("2.0")"#), r#"a=ok("handshake ok")"#);
+    let unknown = r#"a=err("unknown command or uninitialized result")"#;
+    assert_eq!(client.ask("a=nonsense()"), unknown);
+    assert_eq!(client.ask(r#"a=ver("2.0")"#), unknown);
+}
+
+#[test]
+fn values_of_commands_are_checked() {
+    let mut client = Client::greeted(&controller());
+    let net = client.load(ENDLESS);
+    let mismatch = r#"a=err("Parameter type does not match")"#;
+    let lines = [
+        "a=nse(1)".to_owned(),
+        "a=ase([])".to_owned(),
+        "a=nest(0.5)".to_owned(),
+        format!(r#"a=gne("{net}",1)"#),
+        r#"a=nene("{}","s1","",1,1)"#.to_owned(),
+        r#"a=nene("{}","s1","",0.0,1.0)"#.to_owned(),
+        "a=snc([])".to_owned(),
+        format!("a=snc({{{net}:1}})"),
+        format!("a=snc({{{net}:{{ingain:2.0}}}})"),
+    ];
+    for line in lines {
+        assert_eq!(client.ask(&line), mismatch, "{line}");
+    }
+    for line in [
+        "a=nse()", "a=ase()", "a=nest()", "a=nene()", "a=snc()", "a=gne()",
+    ] {
+        assert_eq!(client.ask(line), r#"a=err("Parameter missing")"#, "{line}");
+    }
+}
+
+#[test]
+fn names_of_nothing_are_refused() {
+    let mut client = Client::greeted(&controller());
+    for command in ["nest", "neca", "neab", "neun"] {
+        for name in [
+            "rpinet7",
+            "rpinet",
+            "",
+            "net",
+            "rpinet-1",
+            "rpinet99999999999",
+        ] {
+            let line = format!(r#"a={command}("{name}")"#);
+            assert_eq!(client.ask(&line), r#"a=err("invalid net")"#, "{line}");
+        }
+    }
+    assert_eq!(
+        client.ask(r#"a=gne("rpinet7",0.1)"#),
+        r#"a=err("invalid net")"#
+    );
+    assert_eq!(
+        client.ask(r#"a=snc({rpinet7:{ina:"1"}})"#),
+        r#"a=err("invalidnetname")"#
+    );
+    for command in ["ase", "gse"] {
+        for name in ["s0", "s1", "none", ""] {
+            let line = format!(r#"a={command}("{name}")"#);
+            assert_eq!(client.ask(&line), r#"a=err("invalid session")"#, "{line}");
+        }
+    }
+}
+
+#[test]
+fn rules_are_not_there_yet() {
+    let mut client = Client::greeted(&controller());
+    let rule = r#"a=nesc("t",[],[],["rpinet0"],"start")"#;
+    assert_eq!(client.ask(rule), r#"a=err("scheduling not possible")"#);
+    assert_eq!(
+        client.ask(r#"a=gsy("1")"#),
+        r#"a=err("Invalid synchronization rule")"#
+    );
+}
+
+/// The exchange that was captured from the original, without the rules.
+#[test]
+fn captured_exchange() {
+    let mut client = Client::greeted(&controller());
+    assert_eq!(client.ask(r#"c4=nse("probe@host")"#), r#"c4=ok("s1")"#);
+    let devices = [
+        r#"c3=da({rcc:{interfaces:{},type:"rcc"}})"#,
+        r#"c3=ds({rcc:"op"})"#,
+        "c3=ok()",
+    ];
+    assert_eq!(client.send("c3=gde()"), devices);
+    let load = format!(r#"c5=nene("{PROBE}","s1","probe net",0.0,1)"#);
+    assert_eq!(client.send(&load), [r#"c5=ok("rpinet0")"#]);
+    let observed = [r#"c6=ns("READY")"#, "c6=ok()"];
+    assert_eq!(client.send(r#"c6=gne("rpinet0",0.2)"#), observed);
+    let started = [r#"c6=ns("RUNNING")"#, "c7=ok()"];
+    assert_eq!(client.send(r#"c7=nest("rpinet0")"#), started);
+    let first = client.pushes_until("outt");
+    assert!(only_values("c6", &first), "{first:?}");
+    assert!(
+        first
+            .concat()
+            .contains(r#"outecho:"2",outr0:"false",outt:"#),
+        "{first:?}"
+    );
+    assert_eq!(
+        client.send(r#"c8=snc({rpinet0:{ingain:"3.5"}})"#),
+        ["c8=ok()"]
+    );
+    let echo = client.pushes_until(r#"outecho:"3.5""#);
+    assert!(only_values("c6", &echo), "{echo:?}");
+    let cancelled = client.send(r#"c9=neca("rpinet0")"#);
+    assert_eq!(cancelled.last().unwrap(), "c9=ok()");
+    let mut end = cancelled;
+    end.extend(client.pushes_until(r#"c6=ns("TERMINATED")"#));
+    let last_values = end.iter().rfind(|line| line.starts_with("c6=nc("));
+    let complete = r#"c6=nc({outecho:"3.5",outr0:"true",outt:"#;
+    assert!(
+        last_values.is_some_and(|line| line.starts_with(complete)),
+        "{end:?}"
+    );
+    let unloaded = [r#"c6=ns("TERMINATED")"#, "c10=ok()"];
+    assert_eq!(client.send(r#"c10=neun("rpinet0")"#), unloaded);
+    assert_eq!(client.pushes(), [r#"c6=ns("UNLOADED")"#]);
+    assert_eq!(client.send(r#"c15=gse("s1")"#), ["c15=ok()"]);
+    let rejected = [r#"c15=st({rpinet1:"REJECTED"})"#, r#"c22=ok("rpinet1")"#];
+    let load = format!(r#"c22=nene("{REJECTED}","s1","unknown prim",0.0,1)"#);
+    assert_eq!(client.send(&load), rejected);
+    assert_eq!(client.send(r#"c30=ase("s1")"#).last().unwrap(), "c30=ok()");
+    assert_eq!(
+        client.send("c31=quit()").last().unwrap(),
+        r#"c31=ok("quitting")"#
+    );
+}
+
+#[test]
+fn aborted_net_tells_its_last_values_before_the_reply() {
+    let mut client = Client::greeted(&controller());
+    let net = client.load(PROBE);
+    client.send(&format!(r#"w=gne("{net}",60.0)"#));
+    client.send(&format!(r#"a=nest("{net}")"#));
+    client.pushes_until("outt");
+    let aborted = client.send(&format!(r#"a=neab("{net}")"#));
+    assert_eq!(aborted.len(), 3, "{aborted:?}");
+    assert!(
+        aborted[0].starts_with(r#"w=nc({outecho:"2",outr0:"false",outt:"#),
+        "{aborted:?}"
+    );
+    assert_eq!(aborted[1..], [r#"w=ns("TERMINATED")"#, "a=ok()"]);
+}
+
+#[test]
+fn ready_net_can_be_aborted() {
+    let mut client = Client::greeted(&controller());
+    let net = client.load(ENDLESS);
+    client.send(&format!(r#"w=gne("{net}",0.1)"#));
+    let aborted = client.send(&format!(r#"a=neab("{net}")"#));
+    assert_eq!(aborted, [r#"w=ns("TERMINATED")"#, "a=ok()"]);
+}
+
+#[test]
+fn running_net_is_not_unloaded() {
+    let mut client = Client::greeted(&controller());
+    let net = client.load(ENDLESS);
+    client.send(&format!(r#"w=gne("{net}",0.1)"#));
+    client.send(&format!(r#"a=nest("{net}")"#));
+    assert_eq!(client.ask(&format!(r#"a=neun("{net}")"#)), "a=ok()");
+    assert_eq!(client.pushes(), Vec::<String>::new());
+}
+
+#[test]
+fn net_runs_once_and_the_reason_is_told() {
+    let mut client = Client::greeted(&controller());
+    let net = client.load(ENDLESS);
+    let start = format!(r#"a=nest("{net}")"#);
+    assert_eq!(client.ask(&start), "a=ok()");
+    let again = client.ask(&start);
+    assert!(
+        again.starts_with(r#"a=err("net start failed","net rpinet0 is RUNNING; "#),
+        "{again}"
+    );
+}
+
+#[test]
+fn net_text_must_follow_the_grammar() {
+    let mut client = Client::greeted(&controller());
+    let answer = client.ask(r#"a=nene("{a=Core::Clock(")"#);
+    assert!(
+        answer.starts_with(r#"a=err("Syntax error in net.","1:"#),
+        "{answer}"
+    );
+    assert_eq!(client.load(REJECTED), "rpinet1");
+}
+
+#[test]
+fn net_of_an_unknown_session_belongs_to_none() {
+    let mut client = Client::greeted(&controller());
+    client.ask(&format!(r#"a=nene("{ENDLESS}","s9")"#));
+    let info = r#"a=ok({rpinet0:{description:"",end:"",rejection:[],session:"s0",state:"READY"}})"#;
+    assert_eq!(client.ask("a=nin()"), info);
+    assert_eq!(client.ask(r#"a=nin("rpinet0")"#), info);
+}
+
+#[test]
+fn rejected_net_says_what_is_wrong_with_it() {
+    let mut client = Client::greeted(&controller());
+    let net = client.load(REJECTED);
+    let watched = client.send(&format!(r#"w=gne("{net}",0.1)"#));
+    assert_eq!(watched, [r#"w=ns("REJECTED")"#, "w=ok()"]);
+    let info = client.ask(&format!(r#"a=nin("{net}")"#));
+    assert!(
+        info.contains(r#"rejection:["1:4: there is no primitive `Core::Nope`"#),
+        "{info}"
+    );
+}
+
+#[test]
+fn session_ends_with_all_its_nets() {
+    let controller = controller();
+    let mut client = Client::greeted(&controller);
+    client.ask(r#"a=nse("x")"#);
+    assert_eq!(client.connection.opened_sessions(), [SessionId(1)]);
+    client.ask(&format!(r#"a=nene("{PROBE}","s1")"#));
+    client.send(r#"w=gne("rpinet0",60.0)"#);
+    client.send(r#"s=gse("s1")"#);
+    client.send(r#"a=nest("rpinet0")"#);
+    client.pushes_until("outt");
+    let ended = client.send(r#"a=ase("s1")"#);
+    assert!(ended[0].starts_with("w=nc("), "{ended:?}");
+    let rest = [
+        r#"w=ns("TERMINATED")"#,
+        r#"s=st({rpinet0:"TERMINATED"})"#,
+        r#"s=st({rpinet0:"UNLOADED"})"#,
+        "a=ok()",
+    ];
+    assert_eq!(ended[1..], rest);
+    assert_eq!(client.pushes(), [r#"w=ns("UNLOADED")"#]);
+    assert_eq!(client.pushes(), Vec::<String>::new());
+    assert!(client.connection.opened_sessions().is_empty());
+    assert_eq!(client.ask(r#"a=gse("s1")"#), r#"a=err("invalid session")"#);
+    assert!(controller.nets().is_empty());
+}
+
+#[test]
+fn clients_see_each_others_nets() {
+    let controller = controller();
+    let (mut one, mut other) = (Client::greeted(&controller), Client::greeted(&controller));
+    let net = one.load(ENDLESS);
+    other.send(&format!(r#"w=gne("{net}",0.1)"#));
+    one.send(&format!(r#"a=nest("{net}")"#));
+    assert_eq!(other.pushes(), [r#"w=ns("RUNNING")"#]);
+    one.send(&format!(r#"a=neab("{net}")"#));
+    one.send(&format!(r#"a=neun("{net}")"#));
+    assert_eq!(
+        other.pushes(),
+        [r#"w=ns("TERMINATED")"#, r#"w=ns("UNLOADED")"#]
+    );
+}
+
+#[test]
+fn second_subscription_takes_the_place_of_the_first() {
+    let mut client = Client::greeted(&controller());
+    let net = client.load(ENDLESS);
+    client.send(&format!(r#"w=gne("{net}",0.1)"#));
+    let again = client.send(&format!(r#"v=gne("{net}",0.1)"#));
+    assert_eq!(again, [r#"v=ns("READY")"#, "v=ok()"]);
+    let started = client.send(&format!(r#"a=nest("{net}")"#));
+    assert_eq!(started, [r#"v=ns("RUNNING")"#, "a=ok()"]);
+    assert_eq!(client.send("d=gde()").len(), 3);
+    assert_eq!(client.send("e=gde()").len(), 3);
+}
+
+#[test]
+fn unknown_keys_are_ignored_and_bad_values_are_not() {
+    let mut client = Client::greeted(&controller());
+    let net = client.load(PROBE);
+    assert_eq!(
+        client.ask(&format!(r#"a=snc({{{net}:{{innope:"1"}}}})"#)),
+        "a=ok()"
+    );
+    let bad = client.ask(&format!(r#"a=snc({{{net}:{{ingain:"x"}}}})"#));
+    assert!(
+        bad.starts_with(r#"a=err("net rpinet0, value ingain: "#),
+        "{bad}"
+    );
+    // Nothing is written when one of the nets does not exist.
+    let both = client.ask(&format!(r#"a=snc({{{net}:{{ingain:"x"}},rpinet7:{{}}}})"#));
+    assert_eq!(both, r#"a=err("invalidnetname")"#);
+}
+
+#[test]
+fn subscriptions_are_bounded() {
+    let controller = controller();
+    let mut client = Client::greeted(&controller);
+    let net = client.load(ENDLESS);
+    let watch = |n| (NetId(n), NetWatch::new("w".to_owned(), VALUES_EVERY, 0));
+    let count = u32::try_from(SUBSCRIPTIONS_MAX).unwrap();
+    client.connection.nets.extend((1..=count).map(watch));
+    let refused = client
+        .connection
+        .handle_line(&format!(r#"a=gne("{net}",0.1)"#), client.now);
+    let refused = refused.last().unwrap();
+    assert!(
+        refused.contains("too many subscriptions: a connection has at most 4096"),
+        "{refused}"
+    );
+}
+
+#[test]
+fn connection_without_subscriptions_sleeps() {
+    let mut client = Client::greeted(&controller());
+    assert_eq!(client.connection.poll_timeout(), Some(Duration::ZERO));
+    client.pushes();
+    assert_eq!(client.connection.poll_timeout(), None);
+}
+
+#[test]
+fn any_line_is_survived() {
+    let mut client = Client::greeted(&controller());
+    let values = [
+        "",
+        "1",
+        "0.5",
+        r#""rpinet0""#,
+        r#""s1""#,
+        "[]",
+        "{}",
+        "{a:{b:1}}",
+        "[[1]]",
+    ];
+    let commands = [
+        "ver", "nse", "ase", "gse", "gde", "nene", "nest", "neca", "neab", "neun", "gne", "snc",
+        "nin", "nesc", "gsy", "quit",
+    ];
+    for command in commands {
+        for first in values {
+            for second in values.iter().skip(1) {
+                let args = if first.is_empty() {
+                    String::new()
+                } else {
+                    format!("{first},{second}")
+                };
+                let out = client.send(&format!("a={command}({args})"));
+                let reply = Message::decode(out.last().unwrap()).unwrap();
+                assert!(matches!(reply.command.as_str(), "ok" | "err"), "{out:?}");
+            }
+        }
+    }
+}

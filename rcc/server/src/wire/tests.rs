@@ -1,0 +1,404 @@
+//! The grammar rule by rule, what goes in comes out, and nothing that comes in does harm.
+
+use std::collections::BTreeMap;
+
+use proptest::prelude::*;
+use tungstenite::protocol::frame::FrameHeader;
+use tungstenite::protocol::frame::coding::{Control, Data, OpCode};
+
+use super::lines::{LineReader, LineTooLong};
+use super::websocket::{Event, FrameError, FrameReader, write_frame};
+use super::*;
+
+fn args(text: &str) -> Vec<Value> {
+    Message::decode(&format!("t=c({text})")).unwrap().args
+}
+
+fn error(text: &str) -> String {
+    Message::decode(text).unwrap_err().to_string()
+}
+
+#[test]
+fn message_without_values() {
+    assert_eq!(Message::decode("c3=gde()"), Ok(Message::new("c3", "gde")));
+}
+
+#[test]
+fn values_of_every_kind() {
+    let empty = BTreeMap::new();
+    assert_eq!(args(r#""a""#), [Value::from("a")]);
+    assert_eq!(args("1"), [Value::Integer(1)]);
+    assert_eq!(args("0.25"), [Value::Float(0.25)]);
+    assert_eq!(args(".5"), [Value::Float(0.5)]);
+    assert_eq!(args("[]"), [Value::List(Vec::new())]);
+    assert_eq!(args("{}"), [Value::Map(empty)]);
+    assert_eq!(
+        args(r#"["a",1]"#),
+        [Value::List(vec!["a".into(), 1.into()])]
+    );
+    assert_eq!(
+        args(r#"{a:1,"b c":[2.0]}"#),
+        [Value::map_of([
+            ("a", Value::Integer(1)),
+            ("b c", Value::List(vec![2.0.into()])),
+        ])]
+    );
+}
+
+#[test]
+fn integer_and_float_are_different() {
+    assert_ne!(args("1"), args("1.0"));
+}
+
+#[test]
+fn strings_hide_quotes_backslashes_and_newlines() {
+    assert_eq!(args(r#""a\"b\\c""#), [Value::from(r#"a"b\c"#)]);
+    assert_eq!(args("\"a\nb,)\""), [Value::from("a\nb,)")]);
+    assert_eq!(
+        error(r#"t=c("a\n")"#),
+        "`\"` or `\\` after a backslash is expected at byte 7, not `n`"
+    );
+    assert_eq!(
+        error(r#"t=c("a"#),
+        "`\"` is expected at byte 6, not the end of the message"
+    );
+    assert_eq!(
+        error(r#"t=c("a\"#),
+        "`\"` or `\\` after a backslash is expected at byte 7, not the end of the message"
+    );
+}
+
+#[test]
+fn only_blanks_may_stand_between_tokens() {
+    let spread = " t = c ( 1 , [ \"a\" , { k : 2.0 } ] ) ";
+    assert_eq!(
+        Message::decode(spread),
+        Message::decode(r#"t=c(1,["a",{k:2.0}])"#)
+    );
+    assert_eq!(
+        error("t=c(1,\t2)"),
+        "a value is expected at byte 6, not `\\t`"
+    );
+    assert_eq!(
+        error("t=c(1)\n"),
+        "the end of the message is expected at byte 6, not `\\n`"
+    );
+}
+
+#[test]
+fn blanks_split_numbers_and_names() {
+    assert_eq!(
+        error("t=c(1 2)"),
+        "`,` or `)` is expected at byte 6, not `2`"
+    );
+    assert_eq!(error("t=c d()"), "`(` is expected at byte 4, not `d`");
+}
+
+#[test]
+fn identifiers_begin_with_a_letter_or_underscore() {
+    assert!(Message::decode("_1=a_2()").is_ok());
+    assert_eq!(error("1=c()"), "a tag is expected at byte 0, not `1`");
+    assert_eq!(error("t=2()"), "a command is expected at byte 2, not `2`");
+    assert_eq!(error("t=c({1:2})"), "a key is expected at byte 5, not `1`");
+    assert_eq!(error("ä=c()"), "a tag is expected at byte 0, not `ä`");
+    assert_eq!(
+        error(""),
+        "a tag is expected at byte 0, not the end of the message"
+    );
+}
+
+#[test]
+fn numbers_have_no_sign_and_no_exponent() {
+    assert_eq!(error("t=c(-1)"), "a value is expected at byte 4, not `-`");
+    assert_eq!(
+        error("t=c(1e3)"),
+        "`,` or `)` is expected at byte 5, not `e`"
+    );
+    assert_eq!(
+        error("t=c(1.)"),
+        "a digit after the decimal point is expected at byte 6, not `)`"
+    );
+    assert_eq!(
+        error("t=c(.)"),
+        "a digit after the decimal point is expected at byte 5, not `)`"
+    );
+}
+
+#[test]
+fn numbers_are_bounded() {
+    assert_eq!(args("2147483647"), [Value::Integer(2_147_483_647)]);
+    assert_eq!(
+        error("t=c(2147483648)"),
+        DecodeError::NumberTooLarge { at: 4 }.to_string()
+    );
+    let huge = format!("t=c({}.0)", "9".repeat(400));
+    assert_eq!(
+        Message::decode(&huge),
+        Err(DecodeError::NumberTooLarge { at: 4 })
+    );
+}
+
+#[test]
+fn separators_are_not_optional() {
+    for text in [
+        "t=c(,)",
+        "t=c(1,)",
+        "t=c([1,])",
+        "t=c({a:1,})",
+        "t=c({a})",
+        "t=c({a 1})",
+    ] {
+        assert!(Message::decode(text).is_err(), "{text}");
+    }
+    for text in [
+        "t=c(", "t=c([)", "t=c({]", "t", "t=", "t=c", "t=c())", "t=c()x", "=c()",
+    ] {
+        assert!(Message::decode(text).is_err(), "{text}");
+    }
+}
+
+#[test]
+fn of_one_key_twice_the_later_counts() {
+    assert_eq!(args("{a:1,a:2}"), args("{a:2}"));
+}
+
+#[test]
+fn length_is_bounded() {
+    let longest = format!("t=c(\"{}\")", "x".repeat(MESSAGE_BYTES_MAX - 7));
+    assert!(Message::decode(&longest[..]).is_ok());
+    let bytes = MESSAGE_BYTES_MAX + 1;
+    assert_eq!(
+        Message::decode(&"x".repeat(bytes)),
+        Err(DecodeError::TooLong { bytes })
+    );
+}
+
+#[test]
+fn depth_is_bounded() {
+    let nested = |depth| format!("t=c({}{})", "[".repeat(depth), "]".repeat(depth));
+    assert!(Message::decode(&nested(DEPTH_MAX)).is_ok());
+    let at = 4 + DEPTH_MAX;
+    assert_eq!(
+        Message::decode(&nested(DEPTH_MAX + 1)),
+        Err(DecodeError::TooDeep { at })
+    );
+    assert!(Message::decode(&format!("t=c({}", "[{a:".repeat(1_000_000))).is_err());
+}
+
+#[test]
+fn number_of_values_is_bounded() {
+    let with = |count| format!("t=c({})", vec!["1"; count].join(","));
+    assert!(Message::decode(&with(VALUES_MAX)).is_ok());
+    let error = Message::decode(&with(VALUES_MAX + 1)).unwrap_err();
+    assert!(
+        matches!(error, DecodeError::TooManyValues { .. }),
+        "{error}"
+    );
+}
+
+#[test]
+fn messages_are_written_as_the_original_does() {
+    let devices = Value::map_of([
+        ("type", Value::from("rcc")),
+        ("interfaces", Value::Map(BTreeMap::new())),
+    ]);
+    let message = Message::new("c3", "da").with(Value::map_of([("rcc", devices)]));
+    assert_eq!(
+        message.to_string(),
+        r#"c3=da({rcc:{interfaces:{},type:"rcc"}})"#
+    );
+}
+
+#[test]
+fn keys_that_are_no_identifiers_are_quoted() {
+    let map = Value::map_of([("a b", 1), ("", 2), ("a\"", 3), ("_1", 4), ("1", 5)]);
+    assert_eq!(map.to_string(), r#"{"":2,"1":5,_1:4,"a b":1,"a\"":3}"#);
+}
+
+#[test]
+fn floats_have_six_decimals() {
+    assert_eq!(Value::Float(0.2).to_string(), "0.200000");
+    assert_eq!(Value::Float(1e-9).to_string(), "0.000000");
+    assert_eq!(
+        Value::list_of([1.0, 2.5]).to_string(),
+        "[1.000000,2.500000]"
+    );
+}
+
+#[test]
+fn quotes_and_backslashes_are_escaped_and_nothing_else() {
+    assert_eq!(Value::from("a\"b\\\nü").to_string(), "\"a\\\"b\\\\\nü\"");
+}
+
+fn any_value() -> impl Strategy<Value = Value> {
+    let leaf = prop_oneof![
+        any::<String>().prop_map(Value::String),
+        (0..=i32::MAX.cast_unsigned()).prop_map(Value::Integer),
+        (0_u32..1_000_000).prop_map(|n| Value::Float(f64::from(n) / 64.0)),
+    ];
+    leaf.prop_recursive(4, 32, 5, |inner| {
+        prop_oneof![
+            proptest::collection::vec(inner.clone(), 0..5).prop_map(Value::List),
+            proptest::collection::btree_map(any::<String>(), inner, 0..5).prop_map(Value::Map),
+        ]
+    })
+}
+
+proptest! {
+    #[test]
+    fn what_is_written_is_read(
+        tag in "[A-Za-z_][A-Za-z0-9_]{0,8}",
+        command in "[A-Za-z_][A-Za-z0-9_]{0,8}",
+        args in proptest::collection::vec(any_value(), 0..4),
+    ) {
+        let message = Message { tag, command, args };
+        let line = message.to_string();
+        prop_assert_eq!(Message::decode(&line), Ok(message));
+        let mut lines = LineReader::default();
+        lines.push(format!("{line}\n").as_bytes());
+        prop_assert_eq!(lines.poll_message(), Ok(Some(line)));
+    }
+
+    #[test]
+    fn any_bytes_are_survived(data in proptest::collection::vec(any::<u8>(), 0..200)) {
+        fuzz(&data);
+    }
+
+    #[test]
+    fn anything_like_a_message_is_survived(text in r#"[a-c]=[a-c]\([\[\]{}:,."\\ a-c0-3]{0,40}\)?"#) {
+        fuzz(text.as_bytes());
+    }
+}
+
+/// All messages in a stream that arrives in pieces of so many bytes.
+fn lines(stream: &str, piece: usize) -> Vec<String> {
+    let mut reader = LineReader::default();
+    let mut out = Vec::new();
+    for piece in stream.as_bytes().chunks(piece) {
+        reader.push(piece);
+        while let Some(line) = reader.poll_message().unwrap() {
+            out.push(line);
+        }
+    }
+    out
+}
+
+#[test]
+fn lines_end_at_newlines_outside_quotes() {
+    let stream = "a=b()\n\n c=d(\"x\ny\\\"\n\")\r\ne=f(\"\\\\\")\nrest";
+    let expected = ["a=b()", " c=d(\"x\ny\\\"\n\")", "e=f(\"\\\\\")"];
+    for piece in 1..=stream.len() {
+        assert_eq!(lines(stream, piece), expected, "{piece}");
+    }
+}
+
+#[test]
+fn endless_lines_are_refused() {
+    let mut reader = LineReader::default();
+    reader.push(b"a=b(\"");
+    let part = vec![b'\n'; MESSAGE_BYTES_MAX / 2];
+    reader.push(&part);
+    assert_eq!(reader.poll_message(), Ok(None));
+    reader.push(&part);
+    assert_eq!(reader.poll_message(), Err(LineTooLong));
+}
+
+fn client_frame(opcode: OpCode, is_final: bool, mask: Option<[u8; 4]>, payload: &[u8]) -> Vec<u8> {
+    let mut out = Vec::new();
+    let header = FrameHeader {
+        opcode,
+        is_final,
+        mask,
+        ..FrameHeader::default()
+    };
+    header.format(payload.len() as u64, &mut out).unwrap();
+    let mask = mask.unwrap_or_default();
+    out.extend(payload.iter().zip(mask.iter().cycle()).map(|(b, m)| b ^ m));
+    out
+}
+
+/// All events in frames that arrive in pieces of so many bytes.
+fn events(stream: &[u8], piece: usize) -> Vec<Event> {
+    let mut reader = FrameReader::default();
+    let mut out = Vec::new();
+    for piece in stream.chunks(piece) {
+        reader.push(piece);
+        while let Some(event) = reader.poll_event().unwrap() {
+            out.push(event);
+        }
+    }
+    out
+}
+
+const TEXT: OpCode = OpCode::Data(Data::Text);
+const CONTINUE: OpCode = OpCode::Data(Data::Continue);
+
+#[test]
+fn frames_masked_or_not_whole_or_not() {
+    let long = "x".repeat(300);
+    let stream = [
+        client_frame(TEXT, true, None, b"one"),
+        client_frame(TEXT, true, Some([1, 2, 3, 4]), b"masked"),
+        client_frame(TEXT, false, None, b"in "),
+        client_frame(OpCode::Control(Control::Ping), true, None, b"p7"),
+        client_frame(CONTINUE, false, None, b"three "),
+        client_frame(CONTINUE, true, None, b"parts"),
+        client_frame(OpCode::Control(Control::Pong), true, None, b"ignored"),
+        client_frame(TEXT, true, None, long.as_bytes()),
+        client_frame(OpCode::Control(Control::Close), true, None, b"BYE"),
+    ]
+    .concat();
+    let message = |text: &str| Event::Message(text.to_owned());
+    let expected = [
+        message("one"),
+        message("masked"),
+        Event::Ping(b"p7".to_vec()),
+        message("in three parts"),
+        message(&long),
+        Event::Close(b"BYE".to_vec()),
+    ];
+    for piece in 1..=stream.len() {
+        assert_eq!(events(&stream, piece), expected, "{piece}");
+    }
+}
+
+#[test]
+fn text_that_is_not_utf8_is_no_end_of_the_connection() {
+    let event = events(&client_frame(TEXT, true, None, b"t=nse(\"\xe4\")"), 64);
+    assert_eq!(event, [Event::Message("t=nse(\"\u{fffd}\")".to_owned())]);
+}
+
+#[test]
+fn frames_are_bounded() {
+    let error = |stream: &[u8]| {
+        let mut reader = FrameReader::default();
+        reader.push(stream);
+        while reader.poll_event()?.is_some() {}
+        Ok::<_, FrameError>(())
+    };
+    // The length alone is enough: nothing of that size is waited for.
+    let long = [0x81, 127, 0, 0, 0, 0, 0, 0x80, 0, 1];
+    assert!(matches!(error(&long), Err(FrameError::TooLong)));
+    let longest = [0x81, 127, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff];
+    assert!(matches!(error(&longest), Err(FrameError::TooLong)));
+    let half = vec![b'x'; MESSAGE_BYTES_MAX / 2 + 1];
+    let halves = client_frame(TEXT, false, None, &half).repeat(2);
+    assert!(matches!(error(&halves), Err(FrameError::TooLong)));
+    let ping = client_frame(OpCode::Control(Control::Ping), true, None, &[0; 126]);
+    assert!(matches!(error(&ping), Err(FrameError::Control)));
+    let part = client_frame(OpCode::Control(Control::Ping), false, None, b"");
+    assert!(matches!(error(&part), Err(FrameError::Control)));
+    assert!(matches!(error(&[0xc1, 0]), Err(FrameError::Reserved)));
+    assert!(matches!(error(&[0x83, 0]), Err(FrameError::Header(_))));
+}
+
+#[test]
+fn server_frames_are_whole_and_not_masked() {
+    let mut out = Vec::new();
+    write_frame(TEXT, b"ab", &mut out);
+    write_frame(OpCode::Control(Control::Close), b"BYE", &mut out);
+    assert_eq!(out, b"\x81\x02ab\x88\x03BYE");
+    let mut long = Vec::new();
+    write_frame(TEXT, &[b'x'; 300], &mut long);
+    assert_eq!(&long[..4], b"\x81\x7e\x01\x2c");
+}

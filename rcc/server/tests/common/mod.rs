@@ -1,0 +1,68 @@
+//! A server with a controller without devices, on free ports of this host. It tests nothing.
+
+use std::net::SocketAddr;
+use std::thread::JoinHandle;
+
+use takt_core::{CellConfig, Controller};
+use takt_server::{OnLoss, Server, ServerConfig};
+use tokio::sync::oneshot;
+
+/// A server that ends when this is dropped.
+pub(crate) struct Running {
+    pub(crate) controller: Controller,
+    pub(crate) http: SocketAddr,
+    pub(crate) tcp: SocketAddr,
+    stop: Option<oneshot::Sender<()>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Running {
+    pub(crate) fn start(on_loss: OnLoss) -> Self {
+        let mut cell = CellConfig::default();
+        cell.controller.priority = None;
+        let controller = Controller::start(&cell).unwrap();
+        let runtime = tokio::runtime::Builder::new_multi_thread()
+            .worker_threads(1)
+            .enable_all()
+            .build()
+            .unwrap();
+        let any = Some(SocketAddr::from(([127, 0, 0, 1], 0)));
+        let config = ServerConfig {
+            http: any,
+            tcp: any,
+            on_loss,
+        };
+        let server = runtime.block_on(Server::bind(config)).unwrap();
+        let (http, tcp) = (
+            server.http_address().unwrap(),
+            server.tcp_address().unwrap(),
+        );
+        let (stop, stopped) = oneshot::channel();
+        let served = controller.clone();
+        let thread = std::thread::spawn(move || {
+            runtime.block_on(server.run(served, async {
+                let _ = stopped.await;
+            }));
+        });
+        Self {
+            controller,
+            http,
+            tcp,
+            stop: Some(stop),
+            thread: Some(thread),
+        }
+    }
+
+    pub(crate) fn stop(&mut self) {
+        drop(self.stop.take());
+        if let Some(thread) = self.thread.take() {
+            thread.join().unwrap();
+        }
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        self.stop();
+    }
+}

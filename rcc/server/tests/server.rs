@@ -1,0 +1,395 @@
+//! Servers and clients over real sockets of this host: both ways of travelling, the known client
+//! that bends the WebSocket rules, and what happens when someone is gone. What commands mean is
+//! tested without sockets.
+
+mod common;
+
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpStream};
+use std::time::{Duration, Instant};
+
+use common::Running;
+use takt_core::NetId;
+use takt_server::server::CONNECTIONS_MAX;
+use takt_server::{Client, Error, OnLoss, Server, ServerConfig, Value};
+
+/// Runs until it is cancelled.
+const CANCELLABLE: &str = "{c=Core::Clock(Increment='1'),\
+    t=Core::DoubleNetcommOut(inValue=c.outValue,Key='t'),x=Cancel(),outTerminate=x.outCancel}";
+
+/// Takes no notice of being cancelled.
+const ENDLESS: &str = "{f=Core::BooleanValue(Value='false'),outTerminate=f.outValue}";
+
+/// Far longer than anything takes here; it passes only when a test fails.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+fn client(server: &Running) -> Client {
+    Client::connect(&server.tcp.to_string()).unwrap()
+}
+
+/// Opens a session, loads a net in it and starts it.
+fn run(client: &mut Client, net: &str) -> NetId {
+    let session = client
+        .call("nse", ["test"])
+        .unwrap()
+        .text()
+        .unwrap()
+        .to_owned();
+    let loaded = client.call("nene", [net, session.as_str()]).unwrap();
+    client.call("nest", [loaded.text().unwrap()]).unwrap();
+    loaded.text().unwrap().parse().unwrap()
+}
+
+fn wait_until(what: &str, mut done: impl FnMut() -> bool) {
+    let until = Instant::now() + PATIENCE;
+    while !done() {
+        assert!(Instant::now() < until, "{what} does not happen");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+#[test]
+fn net_is_loaded_watched_and_cancelled_over_plain_tcp() {
+    let server = Running::start(OnLoss::Keep);
+    let mut client = client(&server);
+    let net = client
+        .call("nene", [CANCELLABLE])
+        .unwrap()
+        .text()
+        .unwrap()
+        .to_owned();
+    let watch = client
+        .call("gne", [Value::from(net.as_str()), Value::from(0.01)])
+        .unwrap();
+    client.call("nest", [net.as_str()]).unwrap();
+    let next = |client: &mut Client| {
+        let push = client.next_push(PATIENCE).unwrap().unwrap();
+        assert_eq!(push.tag, watch.tag);
+        push
+    };
+    assert_eq!(next(&mut client).args, [Value::from("READY")]);
+    assert_eq!(next(&mut client).args, [Value::from("RUNNING")]);
+    let values = next(&mut client);
+    assert_eq!(values.command, "nc");
+    assert!(values.args[0].as_map().unwrap().contains_key("outt"));
+    client.call("neca", [net.as_str()]).unwrap();
+    let mut last = values;
+    loop {
+        let push = next(&mut client);
+        if push.args == [Value::from("TERMINATED")] {
+            break;
+        }
+        last = if push.command == "nc" { push } else { last };
+    }
+    let info = server.controller.out_values(net.parse().unwrap());
+    assert_eq!(last.args, [Value::map_of(info)]);
+}
+
+#[test]
+fn refusals_reach_the_caller() {
+    let server = Running::start(OnLoss::Keep);
+    let mut client = client(&server);
+    let error = client.call("nest", ["rpinet5"]).unwrap_err();
+    assert_eq!(error.to_string(), "`nest` was refused: invalid net");
+    assert!(client.next_push(Duration::ZERO).unwrap().is_none());
+}
+
+#[test]
+fn nobody_listening_is_said_with_the_remedy() {
+    let free = std::net::TcpListener::bind("127.0.0.1:0")
+        .unwrap()
+        .local_addr()
+        .unwrap();
+    let error = Client::connect(&free.to_string()).unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        format!("nobody listens at {free}: start `takt run`")
+    );
+}
+
+#[test]
+fn lines_may_come_in_pieces_and_many_at_once() {
+    let server = Running::start(OnLoss::Keep);
+    let mut stream = TcpStream::connect(server.tcp).unwrap();
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    stream.set_nodelay(true).unwrap();
+    for byte in b"a=ver(\"2.0\")\n" {
+        stream.write_all(&[*byte]).unwrap();
+    }
+    stream
+        .write_all(b"b=nse(\"two\nlines\")\r\n\nc=what?\nd=quit()\n")
+        .unwrap();
+    let expected = "a=ok(\"handshake ok\")\nb=ok(\"s1\")\nnone=err(\"invalid syntax\")\n\
+        d=ok(\"quitting\")\n";
+    assert_eq!(
+        read_exactly(&mut stream, expected.len()),
+        expected.as_bytes()
+    );
+}
+
+#[test]
+fn endless_line_ends_its_connection_with_the_bound() {
+    let server = Running::start(OnLoss::Keep);
+    let mut stream = TcpStream::connect(server.tcp).unwrap();
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    stream.write_all(b"a=ver(\"").unwrap();
+    stream.write_all(&vec![b' '; 8 << 20]).unwrap();
+    let mut answer = String::new();
+    // The rest may be lost if the server closed before it had read everything.
+    let _ = stream.read_to_string(&mut answer);
+    assert!(
+        answer.starts_with("none=err(\"a message has more than 8388608 bytes"),
+        "{answer}"
+    );
+    client(&server);
+}
+
+fn read_exactly(stream: &mut TcpStream, count: usize) -> Vec<u8> {
+    let mut bytes = vec![0; count];
+    stream.read_exact(&mut bytes).unwrap();
+    bytes
+}
+
+/// The client of the original's users: no version, no masks, ping, `BYE`.
+struct KnownClient(TcpStream);
+
+impl KnownClient {
+    fn connect(address: SocketAddr) -> Self {
+        let mut stream = TcpStream::connect(address).unwrap();
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        let request = "GET /DirectIO/ HTTP/1.1\r\nHost: h\r\nUpgrade: websocket\r\n\
+            Connection: Upgrade\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n";
+        stream.write_all(request.as_bytes()).unwrap();
+        let expected = "HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\n\
+            Connection: Upgrade\r\nSec-WebSocket-Accept: s3pPLMBiTxaQ9kYGzzhZRbK+xOo=\r\n\r\n";
+        assert_eq!(
+            read_exactly(&mut stream, expected.len()),
+            expected.as_bytes()
+        );
+        Self(stream)
+    }
+
+    /// Sends a frame with that first byte, and not masked.
+    fn send(&mut self, first: u8, payload: &[u8]) {
+        let length = u8::try_from(payload.len()).unwrap();
+        self.0
+            .write_all(&[&[first, length], payload].concat())
+            .unwrap();
+    }
+
+    /// First byte and payload of the next frame.
+    fn receive(&mut self) -> (u8, String) {
+        let head = read_exactly(&mut self.0, 2);
+        let payload = read_exactly(&mut self.0, head[1].into());
+        (head[0], String::from_utf8(payload).unwrap())
+    }
+
+    fn text(&mut self) -> String {
+        let (first, text) = self.receive();
+        assert_eq!(first, 0x81);
+        text
+    }
+}
+
+#[test]
+fn known_client_is_served_over_websocket() {
+    let server = Running::start(OnLoss::Keep);
+    let mut client = KnownClient::connect(server.http);
+    client.send(0x81, b"c0=ver(\"2.0\")");
+    assert_eq!(client.text(), "c0=ok(\"handshake ok\")");
+    client.send(0x89, b"p17");
+    assert_eq!(client.receive(), (0x8a, "p17".to_owned()));
+    client.send(0x01, b"c3=g");
+    client.send(0x00, b"de");
+    client.send(0x80, b"()");
+    assert_eq!(client.text(), r#"c3=da({rcc:{interfaces:{},type:"rcc"}})"#);
+    assert_eq!(client.text(), r#"c3=ds({rcc:"op"})"#);
+    assert_eq!(client.text(), "c3=ok()");
+    client.send(0x88, b"BYE");
+    assert_eq!(client.receive(), (0x88, "BYE".to_owned()));
+    assert_eq!(client.0.read(&mut [0]).unwrap(), 0);
+}
+
+#[test]
+fn client_that_keeps_the_rules_is_served_too() {
+    let server = Running::start(OnLoss::Keep);
+    let stream = TcpStream::connect(server.http).unwrap();
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    let url = format!("ws://{}/DirectIO/", server.http);
+    let (mut socket, _) = tungstenite::client(url, stream).unwrap();
+    socket.send("c0=ver(\"2.0\")".into()).unwrap();
+    assert_eq!(socket.read().unwrap(), "c0=ok(\"handshake ok\")".into());
+    let long = "x".repeat(100_000);
+    socket.send(format!("c1=nse(\"{long}\")").into()).unwrap();
+    assert_eq!(socket.read().unwrap(), "c1=ok(\"s1\")".into());
+    socket.close(None).unwrap();
+    assert!(socket.read().unwrap().is_close());
+    assert!(matches!(
+        socket.read(),
+        Err(tungstenite::Error::ConnectionClosed)
+    ));
+}
+
+#[test]
+fn pushes_come_without_being_asked_for() {
+    let server = Running::start(OnLoss::Keep);
+    let (mut watcher, mut other) = (client(&server), client(&server));
+    let net = other
+        .call("nene", [CANCELLABLE])
+        .unwrap()
+        .text()
+        .unwrap()
+        .to_owned();
+    watcher
+        .call("gne", [Value::from(net.as_str()), Value::from(0.01)])
+        .unwrap();
+    assert_eq!(
+        watcher.next_push(PATIENCE).unwrap().unwrap().args,
+        [Value::from("READY")]
+    );
+    other.call("nest", [net.as_str()]).unwrap();
+    assert_eq!(
+        watcher.next_push(PATIENCE).unwrap().unwrap().args,
+        [Value::from("RUNNING")]
+    );
+    for _ in 0..3 {
+        assert_eq!(watcher.next_push(PATIENCE).unwrap().unwrap().command, "nc");
+    }
+}
+
+#[test]
+fn other_resources_are_not_there_yet() {
+    let server = Running::start(OnLoss::Keep);
+    let ask = |request: &str| {
+        let mut stream = TcpStream::connect(server.http).unwrap();
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        stream.write_all(request.as_bytes()).unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).unwrap();
+        answer
+    };
+    assert!(ask("GET /nets/ HTTP/1.1\r\nHost: h\r\n\r\n").starts_with("HTTP/1.1 404 "));
+    assert!(ask("GET /DirectIO/ HTTP/1.1\r\nHost: h\r\n\r\n").starts_with("HTTP/1.1 426 "));
+    assert!(ask("\0\r\n\r\n").starts_with("HTTP/1.1 400 "));
+}
+
+#[test]
+fn nets_of_a_lost_client_run_on_by_default() {
+    let server = Running::start(ServerConfig::default().on_loss);
+    let mut lost = client(&server);
+    let net = run(&mut lost, CANCELLABLE);
+    drop(lost);
+    let mut next = client(&server);
+    let described = next.call("nin", [net.to_string()]).unwrap();
+    assert!(
+        described.values[0]
+            .to_string()
+            .contains("state:\"RUNNING\""),
+        "{described:?}"
+    );
+    assert_eq!(server.controller.sessions().len(), 1);
+}
+
+#[test]
+fn sessions_of_a_lost_client_end_if_so_configured() {
+    let server = Running::start(OnLoss::End);
+    let mut lost = client(&server);
+    run(&mut lost, CANCELLABLE);
+    let stays = lost
+        .call("nene", [ENDLESS])
+        .unwrap()
+        .text()
+        .unwrap()
+        .parse()
+        .unwrap();
+    drop(lost);
+    wait_until("the end of the session", || {
+        server.controller.sessions().is_empty()
+    });
+    // Nets without a session belong to nobody who could be lost.
+    assert_eq!(server.controller.nets(), [stays]);
+}
+
+#[test]
+fn connections_are_bounded() {
+    let server = Running::start(OnLoss::Keep);
+    let mut clients: Vec<_> = (0..CONNECTIONS_MAX).map(|_| client(&server)).collect();
+    let bound = format!("at most {CONNECTIONS_MAX}");
+    let error = Client::connect(&server.tcp.to_string())
+        .unwrap_err()
+        .to_string();
+    assert!(error.contains(&bound), "{error}");
+    let mut http = TcpStream::connect(server.http).unwrap();
+    http.set_read_timeout(Some(PATIENCE)).unwrap();
+    let mut answer = String::new();
+    http.read_to_string(&mut answer).unwrap();
+    assert!(
+        answer.starts_with("HTTP/1.1 503 ") && answer.contains(&bound),
+        "{answer}"
+    );
+    clients.pop();
+    wait_until("a free place", || {
+        Client::connect(&server.tcp.to_string()).is_ok()
+    });
+}
+
+#[test]
+fn shutdown_closes_connections() {
+    let mut server = Running::start(OnLoss::Keep);
+    let mut client = client(&server);
+    server.stop();
+    let error = client.next_push(PATIENCE).unwrap_err();
+    assert!(matches!(error, Error::Closed { .. }), "{error}");
+}
+
+#[tokio::test]
+async fn only_loopback_is_listened_at() {
+    let everywhere = SocketAddr::from(([0, 0, 0, 0], 0));
+    let config = ServerConfig {
+        tcp: Some(everywhere),
+        ..ServerConfig::default()
+    };
+    let error = Server::bind(config).await.unwrap_err().to_string();
+    assert!(
+        error.starts_with("refusing to listen at 0.0.0.0:0"),
+        "{error}"
+    );
+}
+
+#[tokio::test]
+async fn address_in_use_is_said() {
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = taken.local_addr().unwrap();
+    let config = ServerConfig {
+        http: Some(address),
+        ..ServerConfig::default()
+    };
+    let error = Server::bind(config).await.unwrap_err().to_string();
+    assert!(
+        error.starts_with(&format!("cannot listen at {address}: ")),
+        "{error}"
+    );
+}
+
+#[test]
+fn random_bytes_hurt_nobody() {
+    let server = Running::start(OnLoss::Keep);
+    let mut bytes = vec![0_u8; 20_000];
+    let mut state = 1_u32;
+    for byte in &mut bytes {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        *byte = state.to_be_bytes()[0];
+    }
+    for part in bytes.chunks(500) {
+        for address in [server.tcp, server.http] {
+            // The server may close before everything is sent.
+            let _ = TcpStream::connect(address).unwrap().write_all(part);
+        }
+    }
+    let mut client = KnownClient::connect(server.http);
+    let _ = client.0.write_all(&bytes);
+    drop(client);
+    wait_until("service", || {
+        Client::connect(&server.tcp.to_string()).is_ok()
+    });
+}
