@@ -17,9 +17,9 @@ use takt_core::device::DeviceStatus;
 use takt_core::record::Recorder;
 use takt_core::{CellConfig, Controller};
 use takt_rt::host::{Host, HostConfig, prepare};
-use takt_server::client::Client;
 
 use crate::Verdict;
+use crate::client::Client;
 use crate::emulate::{Robot, resting};
 use crate::output::{complain, is_terminal, say, span};
 use crate::run::{Server, tell_grants};
@@ -138,10 +138,13 @@ impl Demo {
         address: SocketAddr,
         net: &str,
     ) -> anyhow::Result<(Samples, Option<String>)> {
-        let mut client = Client::connect(address)?;
+        let mut client = Client::connect(&address.to_string())?;
         client.open_session("takt demo")?;
         let id = client.load(net, "demo motion")?;
-        client.start(&id)?;
+        let faults = client.faults(&id)?;
+        anyhow::ensure!(faults.is_empty(), "the net is rejected: {}", faults.join("; "));
+        client.subscribe(&id, Duration::from_millis(100))?;
+        client.command("nest", &id)?;
         let begin = Instant::now();
         let bar = self.progress();
         let mut samples = Samples::default();
@@ -149,17 +152,19 @@ impl Demo {
         // Braking for want of set-points, or a slow host, may take longer than the motion itself.
         let latest = self.duration * 2 + Duration::from_secs(10);
         loop {
-            let state = client.state(&id)?;
-            if state == "TERMINATED" || state == "UNLOADED" {
+            let push = client.next_push(SAMPLE_EVERY)?;
+            let ended = |push: &takt_server::Message| {
+                push.command == "ns" && push.args.first().and_then(|v| v.as_str()) == Some("TERMINATED")
+            };
+            if push.as_ref().is_some_and(ended) {
                 break;
             }
             anyhow::ensure!(begin.elapsed() < latest, "the net did not end within {latest:?}");
             sample(controller, begin.elapsed(), &mut samples);
             bar.set_position(u64::try_from(begin.elapsed().as_millis()).unwrap_or(u64::MAX));
-            std::thread::sleep(SAMPLE_EVERY);
         }
         bar.finish_and_clear();
-        let end = id.parse().ok().and_then(|id| controller.net(id)).and_then(|net| net.end);
+        let end = client.end_of(&id)?;
         client.end_session()?;
         Ok((samples, end))
     }

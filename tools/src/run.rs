@@ -1,9 +1,8 @@
 //! `takt run`: the controller in the foreground, as a service runs it. What a cell is made of
 //! stands in its `cell.toml`.
 
+use std::net::SocketAddr;
 use std::path::PathBuf;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
@@ -45,8 +44,8 @@ impl Run {
         let controller = Controller::start_recording(&cell, recording)?;
         tell_grants(&host, &controller);
         let server = Server::start(&cell, &controller)?;
-        for (name, address) in server.addresses() {
-            say(&format!("{name} at {address}"))?;
+        for address in server.addresses() {
+            say(&address)?;
         }
         for (name, address) in controller.with_arms(|a| (a.name().to_owned(), a.address())) {
             say(&format!("{name} waits for its robot at udp {address}"))?;
@@ -58,6 +57,62 @@ impl Run {
             say(&format!("recorded {cycles} cycles"))?;
         }
         Ok(Verdict::Good)
+    }
+}
+
+/// The server of a controller, in threads of its own.
+#[derive(Debug)]
+pub(crate) struct Server {
+    runtime: tokio::runtime::Runtime,
+    task: tokio::task::JoinHandle<()>,
+    stop: tokio::sync::oneshot::Sender<()>,
+    http: Option<SocketAddr>,
+    tcp: Option<SocketAddr>,
+}
+
+impl Server {
+    /// Begins to listen where the cell says.
+    pub(crate) fn start(cell: &CellConfig, controller: &Controller) -> anyhow::Result<Self> {
+        let runtime = tokio::runtime::Builder::new_multi_thread()
+            .worker_threads(2)
+            .enable_all()
+            .thread_name("takt-server")
+            .build()
+            .context("cannot start the server's threads")?;
+        let config = takt_server::ServerConfig {
+            http: cell.controller.websocket,
+            tcp: cell.controller.tcp,
+            ..takt_server::ServerConfig::default()
+        };
+        let server = runtime.block_on(takt_server::Server::bind(config))?;
+        let (http, tcp) = (server.http_address(), server.tcp_address());
+        let (stop, stopped) = tokio::sync::oneshot::channel();
+        let shutdown = async {
+            // A sender that is gone means the same as one that has sent.
+            let _ = stopped.await;
+        };
+        let task = runtime.spawn(server.run(controller.clone(), shutdown));
+        Ok(Self { runtime, task, stop, http, tcp })
+    }
+
+    /// Where it listens.
+    pub(crate) fn addresses(&self) -> Vec<String> {
+        let http = self.http.map(|at| format!("DirectIO at ws://{at}/DirectIO/"));
+        let tcp = self.tcp.map(|at| format!("DirectIO lines at tcp {at}"));
+        http.into_iter().chain(tcp).collect()
+    }
+
+    /// Where it takes plain lines.
+    pub(crate) const fn tcp(&self) -> Option<SocketAddr> {
+        self.tcp
+    }
+
+    /// Ends all connections.
+    pub(crate) fn stop(self) {
+        let _ = self.stop.send(());
+        if self.runtime.block_on(self.task).is_err() {
+            complain("the server had ended by a fault of its own");
+        }
     }
 }
 

@@ -358,3 +358,6 @@ impl Executor {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

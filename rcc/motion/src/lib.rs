@@ -4,9 +4,12 @@
 #[cfg(test)]
 mod bench;
 pub mod kinematics;
+mod motion;
 mod otg;
 mod pose;
 mod shape;
+#[cfg(test)]
+mod stand;
 
 use takt_net::Definition;
 
@@ -18,6 +21,7 @@ pub fn all() -> Vec<Definition> {
         otg::table(),
         pose::table(),
         kinematics::table(),
+        motion::table(),
     ];
     tables.into_iter().flatten().collect()
 }

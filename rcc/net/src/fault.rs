@@ -1,10 +1,14 @@
 //! What can be wrong with a net, with the place in its text, and how it is told. Faults of a
 //! running net are values in its ports, never these.
 
+mod excerpt;
+
 use std::fmt;
 use std::ops::Range;
 
-use ariadne::{CharSet, Color, Config, IndexType, Label, Report, ReportKind, Source};
+/// Most faults that are told at once. Beyond it none is looked for, lest a text of faults alone
+/// take memory and time without bound.
+pub(crate) const FAULTS_MAX: usize = 100;
 
 /// One fault of a net.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -230,36 +234,20 @@ pub struct Rejection {
 }
 
 impl Rejection {
-    /// The faults with the lines of `text` they are about and carets below, without colour.
+    /// The faults with what stands at their places in `text` and carets below, without colour.
     #[must_use]
-    #[expect(clippy::missing_panics_doc, reason = "writing to a Vec cannot fail")]
     pub fn render(&self, file: &str, text: &str) -> String {
-        let config = Config::new()
-            .with_color(false)
-            .with_char_set(CharSet::Ascii)
-            .with_index_type(IndexType::Byte);
-        let mut out = Vec::new();
+        let mut out = String::new();
         for fault in &self.faults {
-            let clip = |r: &Range<usize>| r.start.min(text.len())..r.end.min(text.len());
-            let mut report = Report::build(ReportKind::Error, (file, clip(&fault.at)))
-                .with_config(config)
-                .with_message(&fault.kind)
-                .with_label(
-                    // A label without a message is not underlined.
-                    Label::new((file, clip(&fault.at)))
-                        .with_message("here")
-                        .with_color(Color::Primary),
-                );
+            let (line, column) = fault.place(text);
+            let place = format!("{file}:{line}:{column}");
+            out.push_str(&format!("Error: {}\n  --> {place}\n", fault.kind));
+            excerpt::append(text, &fault.at, "", &mut out);
             for (at, note) in &fault.also {
-                report = report.with_label(Label::new((file, clip(at))).with_message(note));
+                excerpt::append(text, at, note, &mut out);
             }
-            report
-                .finish()
-                .write((file, Source::from(text)), &mut out)
-                .expect("writing to a Vec cannot fail");
         }
-        let told = String::from_utf8_lossy(&out);
-        told.lines().map(|line| format!("{}\n", line.trim_end())).collect()
+        out
     }
 
     /// One line a fault: `line:column: text`.
@@ -289,9 +277,17 @@ impl std::error::Error for Rejection {}
 
 /// The name in `known` most like `name`, if one is like it at all.
 pub(crate) fn similar<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    // Longer names and more candidates are no slip of a person, and would take long.
+    const LONGEST: usize = 100;
+    const CANDIDATES: usize = 1000;
+    if name.len() > LONGEST {
+        return None;
+    }
     let most = name.chars().count() / 3 + 1;
     known
         .into_iter()
+        .take(CANDIDATES)
+        .filter(|k| k.len().abs_diff(name.len()) <= 4 * most)
         .map(|k| (distance(name, k), k))
         .filter(|(d, _)| *d <= most)
         .min()

@@ -2,19 +2,20 @@
 //! faults at once. What happens to a plan afterwards is its executor's business.
 
 mod build;
+mod builder;
 mod resolve;
 mod sort;
 
 use std::time::Duration;
 
 use crate::device::Devices;
-use crate::fault::{FaultKind, Rejection};
+use crate::fault::{FAULTS_MAX, FaultKind, Rejection};
 use crate::limits::Limits;
 use crate::plan::Plan;
 use crate::registry::Registry;
 use crate::text;
 
-pub use build::Build;
+pub use builder::Build;
 
 /// What a net is loaded against.
 #[derive(Clone, Copy)]
@@ -36,9 +37,6 @@ impl std::fmt::Debug for LoadContext<'_> {
             .finish_non_exhaustive()
     }
 }
-
-/// Most faults that are told at once.
-const FAULTS_MAX: usize = 100;
 
 /// Checks a net and makes it ready.
 ///

@@ -18,7 +18,7 @@ use std::ops::Range;
 
 use logos::Logos;
 
-use crate::fault::{Fault, FaultKind};
+use crate::fault::{FAULTS_MAX, Fault, FaultKind};
 use crate::limits::Limits;
 
 /// A word of the text and where it stands.
@@ -225,6 +225,9 @@ impl<'a> Parser<'a, '_> {
 
     fn expected(&mut self, expected: &str) -> Recorded {
         let span = self.span();
+        if self.faults.len() >= FAULTS_MAX {
+            return Recorded;
+        }
         if self.peek().is_none() && self.faults.last().is_some_and(Fault::is_syntax) {
             // That the text ends, too, has the same cause.
             return Recorded;

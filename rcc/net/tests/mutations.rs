@@ -165,7 +165,9 @@ fn texts_of_the_largest_size_are_loaded() {
         .map(|i| format!("a{i}=Core::DoubleSin(inValue=a{}.outValue),", i + 1))
         .collect();
     let chain = format!("{{{chain}a900=Core::Clock(),c=Cancel(),outTerminate=c.outCancel}}");
-    for text in [open, commas, many, chain] {
+    let unknown = format!("{{{}", "a=Nope(),".repeat(7000));
+    let long = format!("{{a={}()}}", "N".repeat(60_000));
+    for text in [open, commas, many, chain, unknown, long] {
         net_text(text.as_bytes());
     }
 }

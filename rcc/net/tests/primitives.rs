@@ -321,6 +321,25 @@ fn the_generic_families_exist_for_every_type() {
     );
 }
 
+#[test]
+fn an_array_is_handed_over_when_an_element_changes() {
+    let mut net = Bench::new(
+        "{i=Core::IntArrayNetcommIn(Key='i',Value='[1,2]'),c=Cancel(),\
+         o=Core::IntArrayNetcommOut(inValue=i.outValue,Key='o'),outTerminate=c.outCancel}",
+    );
+    let mut changes = |value: &str| {
+        net.write("i", value);
+        net.cycle();
+        net.plan.take_changed()
+    };
+    let values = ["[1,2]", "[1,2]", "[1,3]", "[1,3]", "[4,3]"];
+    assert_eq!(values.map(&mut changes), [true, false, true, false, true]);
+    let entry = net.plan.inbox().find("ini").unwrap();
+    let mut words: Vec<u64> = net.plan.inbox_words().collect();
+    let error = entry.write("[1,2,3]", &mut words).unwrap_err();
+    assert_eq!(error.what, "has 3 elements; at most 2 are taken");
+}
+
 /// Runs a primitive whose ports are fed by `x` of type `ty`, and by the Booleans `r`, `s` and
 /// `a`; a row is the value of `x`, which of `r`, `s`, `-a` are set in this cycle, and what
 /// comes out.

@@ -51,15 +51,7 @@ impl Client {
     /// # Errors
     /// If nobody listens there, or it is no controller.
     pub fn connect(address: &str) -> Result<Self, Error> {
-        let stream = open(address).map_err(|source| match source.kind() {
-            ErrorKind::ConnectionRefused => Error::NobodyListens {
-                address: address.to_owned(),
-            },
-            _ => Error::Connect {
-                address: address.to_owned(),
-                source,
-            },
-        })?;
+        let stream = open(address).map_err(|e| cannot_connect(address, e))?;
         let mut client = Self {
             stream,
             address: address.to_owned(),
@@ -173,6 +165,15 @@ fn open(address: &str) -> io::Result<TcpStream> {
         }
     }
     Err(failure)
+}
+
+fn cannot_connect(address: &str, source: io::Error) -> Error {
+    let address = address.to_owned();
+    if source.kind() == ErrorKind::ConnectionRefused {
+        Error::NobodyListens { address }
+    } else {
+        Error::Connect { address, source }
+    }
 }
 
 fn is_timeout(error: &io::Error) -> bool {

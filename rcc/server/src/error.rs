@@ -12,6 +12,7 @@ use crate::wire::websocket::FrameError;
 /// Why a server could not be set up, or a connection not be used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(clippy::error_impl_error, reason = "the one error type of the crate")]
 #[expect(missing_docs, reason = "each field is named in its variant's text")]
 pub enum Error {
     /// The server would be reachable from other machines.

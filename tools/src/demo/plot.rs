@@ -3,7 +3,6 @@
 
 use std::path::Path;
 
-use plotters::coord::ranged1d::{IntoLogRange as _};
 use plotters::prelude::*;
 use takt_rt::stats::Snapshot;
 

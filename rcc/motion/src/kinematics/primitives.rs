@@ -1,6 +1,9 @@
 //! `ArmKinematics::*` for any arm whose geometry is known, and `KUKA::LWR::*` with the arm angle. They
 //! compute; they command and read nothing.
 
+#[cfg(test)]
+mod tests;
+
 use std::sync::Arc;
 
 use takt_net::definition::port;

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use std::ops::Range;
 
 use crate::definition::Definition;
-use crate::fault::{Fault, FaultKind, similar};
+use crate::fault::{FAULTS_MAX, Fault, FaultKind, similar};
 use crate::load::LoadContext;
 use crate::load::sort::Graph;
 use crate::text::{Arg, ArgValue, Body, Fragment, Name, Node as TextNode, Source, SourceOf};
@@ -86,7 +86,9 @@ pub(super) fn resolve<'t>(
     };
     resolver.fragment(tree, None, 0, &[]);
     for node in 0..resolver.nodes.len() {
-        resolver.link_node(node);
+        if resolver.faults.len() < FAULTS_MAX {
+            resolver.link_node(node);
+        }
     }
     for (guard, scope, source) in std::mem::take(&mut resolver.guard_sources) {
         let active = resolver.typed_origin(scope, source, "inActive", BOOL);
@@ -121,7 +123,9 @@ fn number(len: usize) -> u32 {
 
 impl<'t> Resolver<'t, '_> {
     fn fault(&mut self, kind: FaultKind, at: Range<usize>) {
-        self.faults.push(Fault::new(kind, at));
+        if self.faults.len() < FAULTS_MAX {
+            self.faults.push(Fault::new(kind, at));
+        }
     }
 
     /// Enters a fragment and everything in it.
@@ -232,6 +236,9 @@ impl<'t> Resolver<'t, '_> {
         scope: u32,
     ) -> Member {
         let Some(definition) = self.context.registry.find(ty.text) else {
+            if self.faults.len() >= FAULTS_MAX {
+                return Member::Broken;
+            }
             let similar = self.context.registry.similar(ty.text).map(str::to_owned);
             let kind = FaultKind::UnknownPrimitive {
                 name: ty.text.to_owned(),

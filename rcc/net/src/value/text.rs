@@ -54,7 +54,9 @@ pub fn parse_array<T: TextValue>(text: &str, most: usize) -> Result<Vec<T>, Valu
         return Err(tree.unlike(&format!("a list of {}", T::ELEMENT.name())));
     };
     if items.len() > most {
-        return Err(tree.unlike(&format!("a list of at most {most} elements")));
+        let what = format!("has {} elements; at most {most} are taken", items.len());
+        let at = tree.at;
+        return Err(ValueError { what, at });
     }
     items.iter().map(T::from_tree).collect()
 }

@@ -20,6 +20,12 @@ const VERSION: &str = "2.0";
 /// Number of the kind of faults of a net whose text does not follow the grammar.
 const SYNTAX_FAULT: u32 = 12;
 
+/// Most bytes of the description of a session or a net.
+pub(super) const DESCRIPTION_BYTES_MAX: usize = 4096;
+
+/// Most faults of one net that are told.
+const FAULTS_MAX: usize = 20;
+
 /// Longest refresh interval that is kept apart from "never again".
 const REFRESH_MAX: Duration = Duration::from_secs(3600);
 
@@ -68,7 +74,7 @@ impl Connection {
     }
 
     fn open_session(&mut self, args: Args<'_>) -> Outcome {
-        let session = self.controller.open_session(args.text(0)?)?;
+        let session = self.controller.open_session(args.description(0)?)?;
         self.opened.push(session);
         Ok(vec![session.to_string().into()])
     }
@@ -80,10 +86,7 @@ impl Connection {
             in_any_state(self.controller.abort(net)).or_else(unless_gone)?;
         }
         out.extend(self.due(Pushes::BeforeReply, now));
-        self.controller.end_session(session).map_err(|e| match e {
-            Error::NoSuchSession(_) => Refusal::InvalidSession,
-            e => e.into(),
-        })?;
+        self.controller.end_session(session).map_err(of_session)?;
         self.opened.retain(|s| *s != session);
         Ok(Vec::new())
     }
@@ -113,7 +116,10 @@ impl Connection {
         let net = self.controller.load(LoadRequest {
             text: args.text(0)?.to_owned(),
             session: session.unwrap_or(SessionId::NONE),
-            description: args.optional(2, Args::text)?.unwrap_or_default().to_owned(),
+            description: args
+                .optional(2, Args::description)?
+                .unwrap_or_default()
+                .to_owned(),
             period,
         })?;
         match self.controller.net(net).as_ref().and_then(syntax_faults) {
@@ -126,15 +132,16 @@ impl Connection {
     }
 
     fn start(&self, args: Args<'_>) -> Outcome {
-        self.controller
-            .start_net(self.net(args)?)
-            .map_err(|e| match e {
-                Error::NoSuchNet(_) => Refusal::InvalidNet,
-                e => Refusal::StartFailed {
-                    reason: e.to_string(),
-                },
-            })?;
-        Ok(Vec::new())
+        let started = self.controller.start_net(self.net(args)?);
+        started.map(|()| Vec::new()).map_err(|error| {
+            let gone = matches!(error, Error::NoSuchNet(_));
+            let reason = error.to_string();
+            if gone {
+                Refusal::InvalidNet
+            } else {
+                Refusal::StartFailed { reason }
+            }
+        })
     }
 
     fn cancel(&self, args: Args<'_>) -> Outcome {
@@ -247,6 +254,14 @@ fn of_net(error: Error) -> Refusal {
     }
 }
 
+fn of_session(error: Error) -> Refusal {
+    if matches!(error, Error::NoSuchSession(_)) {
+        Refusal::InvalidSession
+    } else {
+        error.into()
+    }
+}
+
 /// A net that somebody else unloaded meanwhile is what is wanted.
 fn unless_gone(refusal: Refusal) -> Outcome {
     if matches!(refusal, Refusal::InvalidNet) {
@@ -262,20 +277,25 @@ fn syntax_faults(info: &NetInfo) -> Option<String> {
         .faults
         .iter()
         .any(|f| f.kind.minor() == SYNTAX_FAULT);
-    wrong.then(|| rejection.lines(&info.text).join("; "))
+    wrong.then(|| faults(info).join("; "))
+}
+
+/// The faults of a net, one line each.
+fn faults(info: &NetInfo) -> Vec<String> {
+    let rejection = info.rejection.as_ref();
+    let mut lines = rejection.map(|r| r.lines(&info.text)).unwrap_or_default();
+    let more = lines.len().saturating_sub(FAULTS_MAX);
+    lines.truncate(FAULTS_MAX);
+    lines.extend((more > 0).then(|| format!("and {more} more")));
+    lines
 }
 
 fn describe(info: &NetInfo) -> Value {
-    let faults = info
-        .rejection
-        .as_ref()
-        .map(|r| r.lines(&info.text))
-        .unwrap_or_default();
     let state = info.states.last().map_or("", |s| s.word());
     Value::map_of([
         ("description", info.description.as_str().into()),
         ("end", info.end.as_deref().unwrap_or_default().into()),
-        ("rejection", Value::list_of(faults)),
+        ("rejection", Value::list_of(faults(info))),
         ("session", info.session.to_string().into()),
         ("state", state.into()),
     ])
@@ -302,6 +322,15 @@ impl<'a> Args<'a> {
 
     fn text(self, number: usize) -> Result<&'a str, Refusal> {
         self.get(number)?.as_str().ok_or(Refusal::ParameterType)
+    }
+
+    fn description(self, number: usize) -> Result<&'a str, Refusal> {
+        let text = self.text(number)?;
+        if text.len() <= DESCRIPTION_BYTES_MAX {
+            Ok(text)
+        } else {
+            Err(Refusal::DescriptionTooLong { bytes: text.len() })
+        }
     }
 
     fn map(self, number: usize) -> Result<&'a BTreeMap<String, Value>, Refusal> {

@@ -2,6 +2,7 @@
 //! reason, where there is one, follows as a second value. No command is executed here.
 
 use super::SUBSCRIPTIONS_MAX;
+use super::commands::DESCRIPTION_BYTES_MAX;
 use crate::wire::Message;
 
 /// Why a command was not done.
@@ -48,6 +49,9 @@ pub(super) enum Refusal {
         "too many subscriptions: a connection has at most {SUBSCRIPTIONS_MAX}; unload nets or open another connection"
     )]
     TooManySubscriptions,
+    /// The bound on descriptions.
+    #[error("the description has {bytes} bytes; at most {DESCRIPTION_BYTES_MAX} are taken")]
+    DescriptionTooLong { bytes: usize },
     /// Whatever else the controller says.
     #[error(transparent)]
     Controller(#[from] takt_core::Error),
@@ -72,6 +76,7 @@ impl Refusal {
             | Self::SchedulingNotPossible
             | Self::InvalidRule
             | Self::TooManySubscriptions
+            | Self::DescriptionTooLong { .. }
             | Self::Controller(_) => reply,
         }
     }

@@ -43,7 +43,7 @@ impl SessionWatch {
                 .told
                 .get(net)
                 .copied()
-                .unwrap_or(states.len().saturating_sub(1));
+                .unwrap_or_else(|| states.len().saturating_sub(1));
             for (round, state) in states.iter().skip(told).enumerate() {
                 add(&mut rounds, round, *net, *state);
             }

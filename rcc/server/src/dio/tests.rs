@@ -411,6 +411,55 @@ fn subscriptions_are_bounded() {
 }
 
 #[test]
+fn descriptions_are_bounded() {
+    let mut client = Client::greeted(&controller());
+    let long = "x".repeat(4097);
+    let refused = r#"a=err("the description has 4097 bytes; at most 4096 are taken")"#;
+    assert_eq!(client.ask(&format!(r#"a=nse("{long}")"#)), refused);
+    assert_eq!(
+        client.ask(&format!(r#"a=nene("{ENDLESS}","s1","{long}")"#)),
+        refused
+    );
+    assert_eq!(
+        client.ask(&format!(r#"a=nse("{}")"#, &long[1..])),
+        r#"a=ok("s1")"#
+    );
+}
+
+#[test]
+fn net_with_many_faults_tells_the_first() {
+    let mut client = Client::greeted(&controller());
+    let children: String = (0..100).map(|n| format!("c{n}=No{n}(),")).collect();
+    let net = client.load(&format!("{{{children}outTerminate=c0.outValue}}"));
+    let info = client.ask(&format!(r#"a=nin("{net}")"#));
+    assert!(
+        info.contains("`No19`") && !info.contains("`No20`"),
+        "{info}"
+    );
+    assert!(info.contains(r#""and 80 more"]"#), "{info}");
+}
+
+#[test]
+fn any_cycle_time_is_survived() {
+    let mut client = Client::greeted(&controller());
+    let long = "9".repeat(300);
+    for seconds in [
+        "0.0000000001",
+        "0.001",
+        "0.0015",
+        "0.5",
+        "10000000000.0",
+        &format!("{long}.0"),
+    ] {
+        let net = client.ask(&format!(r#"a=nene("{PROBE}","s0","",{seconds},1)"#));
+        let name = net.strip_prefix("a=ok(").unwrap();
+        client.ask(&format!("a=nest({name}"));
+        let out = client.send(&format!("a=neab({name}"));
+        assert_eq!(out, ["a=ok()"], "{seconds}");
+    }
+}
+
+#[test]
 fn connection_without_subscriptions_sleeps() {
     let mut client = Client::greeted(&controller());
     assert_eq!(client.connection.poll_timeout(), Some(Duration::ZERO));

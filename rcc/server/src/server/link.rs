@@ -243,7 +243,7 @@ impl Link {
 /// Appends what comes next; returns whether anything can still come. Nothing is lost if this is
 /// dropped while it waits.
 async fn read(stream: &mut TcpStream, into: &mut Vec<u8>) -> io::Result<bool> {
-    into.reserve(READ_BYTES.saturating_sub(into.capacity() - into.len()));
+    into.reserve(READ_BYTES);
     Ok(stream.read_buf(into).await? > 0)
 }
 

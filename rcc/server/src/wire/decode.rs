@@ -207,7 +207,10 @@ impl Reader<'_> {
         self.at += 1;
         let mut out = String::new();
         loop {
-            let plain = self.rest().find(['"', '\\']).unwrap_or(self.rest().len());
+            let plain = self
+                .rest()
+                .find(['"', '\\'])
+                .unwrap_or_else(|| self.rest().len());
             out.push_str(self.rest().get(..plain).unwrap_or_default());
             self.at += plain;
             match self.byte() {

@@ -144,8 +144,7 @@ pub fn write_frame(opcode: OpCode, payload: &[u8], out: &mut Vec<u8>) {
         opcode,
         ..FrameHeader::default()
     };
-    header
-        .format(payload.len() as u64, out)
-        .expect("writing to a Vec cannot fail");
+    let written = header.format(payload.len() as u64, out);
+    debug_assert!(written.is_ok(), "writing to a Vec cannot fail");
     out.extend_from_slice(payload);
 }

@@ -1,0 +1,315 @@
+//! The executor cycle by cycle, without threads: who may start, who is evaluated, who ends, and
+//! what that frees. Rules between nets are not looked at.
+
+use std::time::Duration;
+
+use takt_net::{Limits, LoadContext, Nanos, NoDevices, Registry, load};
+use takt_rt::latest::latest;
+
+use super::*;
+
+/// Counts its evaluations in out value `n` and ends when asked to cancel.
+const COUNTER: &str = "{clock=Core::Clock(Increment='1000'),
+    n=Core::DoubleNetcommOut(inValue=clock.outValue,Key='n'),
+    cancel=Cancel(),outTerminate=cancel.outCancel}";
+/// Counts its evaluations and never ends by itself.
+const ENDLESS: &str = "{clock=Core::Clock(Increment='1000'),
+    n=Core::DoubleNetcommOut(inValue=clock.outValue,Key='n'),
+    never=Core::BooleanValue(),outTerminate=never.outValue}";
+/// Ends in its first cycle.
+const BRIEF: &str = "{yes=Core::BooleanValue(Value='true'),outTerminate=yes.outValue}";
+/// Gives out what is written to it, in text.
+const ECHO: &str = "{x=Core::IntNetcommIn(Key='x',Value='0'),
+    y=Core::IntNetcommOut(inValue=x.outValue,Key='y'),
+    never=Core::BooleanValue(),outTerminate=never.outValue}";
+
+const READY: DeviceView = DeviceView { status: DeviceStatus::Operational, faults: 0 };
+
+/// A net with the program's end of its values.
+struct Loaded {
+    running: Box<Running>,
+    out: LatestReader<Box<[u64]>>,
+    inbox: LatestWriter<Box<[u64]>>,
+}
+
+fn loaded(id: u32, text: &str) -> Loaded {
+    let registry = Registry::core();
+    let limits = Limits::default();
+    let period = Duration::from_millis(1);
+    let context = LoadContext { registry: &registry, devices: &NoDevices, period, limits };
+    let plan = load(text, &context).unwrap();
+    let words = |n: usize| move || vec![0; n].into_boxed_slice();
+    let (out_writer, out) = latest(1, words(plan.outbox().words()));
+    let (inbox, in_reader) = latest(1, words(plan.inbox().words()));
+    let running = Box::new(Running::new(id, plan, out_writer, in_reader));
+    Loaded { running, out, inbox }
+}
+
+fn net(id: u32, text: &str) -> Box<Running> {
+    loaded(id, text).running
+}
+
+/// A net that holds these resources.
+fn holding(id: u32, text: &str, resources: &[usize]) -> Box<Running> {
+    let mut net = net(id, text);
+    resources.iter().for_each(|number| net.resources.insert(*number));
+    net
+}
+
+/// A net that commands these devices.
+fn commanding(id: u32, devices: &[usize]) -> Box<Running> {
+    let mut net = net(id, ENDLESS);
+    net.devices = devices.iter().map(|number| (*number, 0)).collect();
+    net
+}
+
+#[derive(Default)]
+struct Bench {
+    executor: Executor,
+    cycle: u64,
+}
+
+impl Bench {
+    fn with_devices(devices: &[DeviceView]) -> Self {
+        let mut bench = Self::default();
+        bench.executor.devices.extend_from_slice(devices);
+        bench
+    }
+
+    fn start(&mut self, net: Box<Running>) -> Result<(), Refusal> {
+        self.executor.start(net).map_err(|(_, refusal)| refusal)
+    }
+
+    /// Evaluates a cycle; returns the nets whose values changed.
+    fn evaluate(&mut self) -> Vec<u32> {
+        self.cycle += 1;
+        let time = Nanos(self.cycle.cast_signed() * 1_000_000);
+        let moment = Moment { cycle: self.cycle, time, wall: time, ..Moment::default() };
+        for net in self.executor.running() {
+            net.receive();
+        }
+        self.executor.cycle(moment);
+        let mut changed = Vec::new();
+        self.executor.publish(|net| changed.push(net.id));
+        changed
+    }
+
+    /// Evaluates a cycle and takes out the nets that ended.
+    fn run(&mut self) -> Vec<(u32, End)> {
+        self.evaluate();
+        let mut ended = Vec::new();
+        while self.executor.take_ended(|net, end| {
+            ended.push((net.id, end));
+            Ok(())
+        }) {}
+        ended
+    }
+
+    fn ids(&mut self) -> Vec<u32> {
+        self.executor.running().iter().map(|net| net.id).collect()
+    }
+}
+
+/// How often a net was evaluated, as its program sees it; 0 before it published.
+fn evaluations(out: &mut LatestReader<Box<[u64]>>) -> f64 {
+    out.read_with(|words| f64::from_bits(words[2]))
+}
+
+// Start.
+
+#[test]
+fn a_net_runs_from_the_next_cycle_on() {
+    let mut bench = Bench::default();
+    let Loaded { running, mut out, inbox: _inbox } = loaded(7, ENDLESS);
+    assert_eq!(bench.start(running), Ok(()));
+    assert_eq!(evaluations(&mut out), 0.0);
+    for _ in 0..3 {
+        assert_eq!(bench.run(), []);
+    }
+    // The clock shows 0 in the first cycle or 1: what counts is that it moves once a cycle.
+    let third = evaluations(&mut out);
+    bench.run();
+    assert_eq!(evaluations(&mut out), third + 1.0);
+    assert_eq!(bench.ids(), [7]);
+}
+
+#[test]
+fn a_resource_belongs_to_one_running_net() {
+    let mut bench = Bench::default();
+    assert_eq!(bench.start(holding(0, ENDLESS, &[3, 64, ResourceSet::MAX - 1])), Ok(()));
+    for (resources, expected) in [
+        (&[][..], Ok(())),
+        (&[2, 65], Ok(())),
+        (&[2, 65], Err(Refusal::ResourceInUse(2))),
+        (&[64], Err(Refusal::ResourceInUse(64))),
+        (&[4, 3], Err(Refusal::ResourceInUse(3))),
+        (&[ResourceSet::MAX - 1], Err(Refusal::ResourceInUse(ResourceSet::MAX - 1))),
+    ] {
+        assert_eq!(bench.start(holding(1, ENDLESS, resources)), expected, "{resources:?}");
+    }
+}
+
+#[test]
+fn a_device_must_be_operational() {
+    let safe = DeviceView { status: DeviceStatus::SafeOperational, ..READY };
+    let mut bench = Bench::with_devices(&[READY, safe, DeviceView::default()]);
+    for (devices, expected) in [
+        (&[0][..], Ok(())),
+        (&[1], Err(Refusal::DeviceNotReady(1))),
+        (&[0, 2], Err(Refusal::DeviceNotReady(2))),
+        (&[3], Err(Refusal::DeviceNotReady(3))),
+    ] {
+        assert_eq!(bench.start(commanding(0, devices)), expected, "{devices:?}");
+    }
+}
+
+#[test]
+fn a_net_that_is_refused_comes_back_and_holds_nothing() {
+    let mut bench = Bench::default();
+    let mut refused = holding(5, ENDLESS, &[1]);
+    refused.devices.push((0, 0));
+    let (back, why) = bench.executor.start(refused).unwrap_err();
+    assert_eq!((back.id, why), (5, Refusal::DeviceNotReady(0)));
+    assert_eq!(bench.start(holding(6, ENDLESS, &[1])), Ok(()));
+    assert_eq!(bench.ids(), [6]);
+}
+
+#[test]
+fn so_many_nets_run_and_no_more() {
+    let mut bench = Bench::default();
+    let most = u32::try_from(RUNNING_MAX).unwrap();
+    for id in 0..most {
+        assert_eq!(bench.start(net(id, BRIEF)), Ok(()));
+    }
+    assert_eq!(bench.start(net(most, BRIEF)), Err(Refusal::TooMany));
+    assert_eq!(bench.run().len(), RUNNING_MAX);
+    assert_eq!(bench.start(net(most, BRIEF)), Ok(()));
+}
+
+// Cycles.
+
+#[test]
+fn a_net_is_evaluated_in_multiples_of_its_number_of_cycles() {
+    let mut bench = Bench::default();
+    for every in [1, 2, 5] {
+        let mut net = net(u32::try_from(every).unwrap(), ENDLESS);
+        net.every = every;
+        bench.start(net).unwrap();
+    }
+    let changed: Vec<_> = (0..6).map(|_| bench.evaluate()).collect();
+    assert_eq!(changed, [&[1][..], &[1, 2], &[1], &[1, 2], &[1, 5], &[1, 2]]);
+}
+
+#[test]
+fn values_are_handed_over_only_when_they_change() {
+    let mut bench = Bench::default();
+    let Loaded { running, mut out, mut inbox } = loaded(0, ECHO);
+    let (in_directory, out_directory) = (running.plan.inbox().clone(), running.plan.outbox().clone());
+    let mut words: Vec<_> = running.plan.inbox_words().collect();
+    bench.start(running).unwrap();
+    assert_eq!(bench.evaluate(), [0], "the first value is a change");
+    let version = out.version();
+    for _ in 0..5 {
+        assert_eq!(bench.evaluate(), []);
+    }
+    assert_eq!(out.version(), version);
+    let mut write = |text| {
+        in_directory.find("inx").unwrap().write(text, &mut words).unwrap();
+        inbox.write_with(|slot| slot.copy_from_slice(&words));
+    };
+    write("42");
+    assert_eq!(bench.evaluate(), [0]);
+    let mut text = String::new();
+    let value = out_directory.find("outy").unwrap();
+    out.read_with(|words| value.format(words, &mut text));
+    assert_eq!(text, "42");
+    write("42");
+    assert_eq!(bench.evaluate(), [], "written again, but the same");
+}
+
+// End.
+
+#[test]
+fn a_cancelled_net_is_told_and_ends_by_itself() {
+    let mut bench = Bench::default();
+    bench.start(net(0, COUNTER)).unwrap();
+    bench.start(net(1, COUNTER)).unwrap();
+    bench.start(net(2, ENDLESS)).unwrap();
+    assert_eq!(bench.run(), []);
+    assert!(bench.executor.cancel(0));
+    assert!(bench.executor.cancel(2));
+    assert!(!bench.executor.cancel(9));
+    assert_eq!(bench.run(), [(0, End::Terminated)]);
+    assert!(!bench.executor.cancel(0));
+    assert_eq!(bench.run(), [], "the one that takes no notice runs on");
+    assert_eq!(bench.ids(), [1, 2]);
+}
+
+#[test]
+fn an_aborted_net_is_not_evaluated_again() {
+    let mut bench = Bench::default();
+    let Loaded { running, mut out, inbox: _inbox } = loaded(0, ENDLESS);
+    bench.start(running).unwrap();
+    bench.run();
+    let before = evaluations(&mut out);
+    assert!(bench.executor.abort(0));
+    assert!(!bench.executor.abort(1));
+    assert_eq!(bench.run(), [(0, End::Aborted)]);
+    assert_eq!(evaluations(&mut out), before);
+}
+
+#[test]
+fn a_device_fault_ends_the_nets_that_command_it_and_no_other() {
+    let mut bench = Bench::with_devices(&[READY, READY]);
+    for (id, devices) in [(0, &[0][..]), (1, &[1]), (2, &[0, 1]), (3, &[])] {
+        bench.start(commanding(id, devices)).unwrap();
+    }
+    assert_eq!(bench.run(), []);
+    // Even if it is operational again before the next cycle.
+    bench.executor.devices[0].faults += 1;
+    assert_eq!(bench.run(), [(0, End::DeviceFault(0)), (2, End::DeviceFault(0))]);
+    // What was before a net started is none of its business.
+    bench.start(commanding(4, &[0])).unwrap();
+    assert_eq!(bench.run(), []);
+    bench.executor.devices.clear();
+    assert_eq!(bench.run(), [(1, End::DeviceFault(1)), (4, End::DeviceFault(0))]);
+    assert_eq!(bench.ids(), [3]);
+}
+
+#[test]
+fn the_first_reason_to_end_counts() {
+    let mut bench = Bench::with_devices(&[READY]);
+    bench.start(commanding(0, &[0])).unwrap();
+    bench.executor.abort(0);
+    bench.executor.devices[0].faults += 1;
+    assert_eq!(bench.run(), [(0, End::Aborted)]);
+}
+
+#[test]
+fn what_a_net_held_is_free_for_one_that_starts_before_the_next_cycle() {
+    let mut bench = Bench::default();
+    bench.start(holding(0, BRIEF, &[1])).unwrap();
+    assert_eq!(bench.start(holding(1, BRIEF, &[1])), Err(Refusal::ResourceInUse(1)));
+    assert_eq!(bench.run(), [(0, End::Terminated)]);
+    assert_eq!(bench.start(holding(1, BRIEF, &[1])), Ok(()));
+    assert_eq!(bench.run(), [(1, End::Terminated)]);
+}
+
+#[test]
+fn an_ended_net_that_nobody_takes_is_kept_but_not_evaluated() {
+    let mut bench = Bench::default();
+    let Loaded { mut running, mut out, inbox: _inbox } = loaded(0, COUNTER);
+    running.resources.insert(1);
+    bench.start(running).unwrap();
+    bench.executor.cancel(0);
+    bench.evaluate();
+    let last = evaluations(&mut out);
+    for _ in 0..3 {
+        assert!(!bench.executor.take_ended(|net, _| Err(net)));
+        assert_eq!(bench.start(holding(1, BRIEF, &[1])), Err(Refusal::ResourceInUse(1)));
+        assert_eq!(bench.evaluate(), []);
+        assert_eq!(evaluations(&mut out), last);
+    }
+    assert_eq!(bench.run(), [(0, End::Terminated)]);
+    assert_eq!(bench.start(holding(1, BRIEF, &[1])), Ok(()));
+}

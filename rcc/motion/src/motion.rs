@@ -1,0 +1,110 @@
+//! `Motion::*`: motions whose velocity, acceleration and jerk are bounded. Where they lead is fixed
+//! while loading; how far they are is a jerk-limited profile along their path, so that speed can be
+//! overridden and the motion stopped without leaving the path. Not here: blending of two motions,
+//! and limits of joints along a Cartesian path.
+
+mod cartesian;
+mod path;
+mod profile;
+mod ptp;
+mod runner;
+#[cfg(test)]
+mod tests;
+mod track;
+
+use takt_net::{Build, Definition, Fault};
+
+use profile::Bounds;
+
+/// Largest coordinate (rad or m) and largest limit that is taken: beyond, numbers lose meaning.
+const LARGEST: f64 = 1e6;
+/// Smallest limit that is taken.
+const SMALLEST: f64 = 1e-6;
+
+const VELOCITY: &str = "Velocity";
+const ACCELERATION: &str = "Acceleration";
+const JERK: &str = "Jerk";
+
+/// Checks a limit.
+fn limit(b: &Build<'_, '_>, parameter: &'static str, value: f64) -> Result<f64, Fault> {
+    if (SMALLEST..=LARGEST).contains(&value) {
+        return Ok(value);
+    }
+    let why = format!("{value} is no limit; it must be between {SMALLEST} and {LARGEST}");
+    Err(b.parameter_fault(parameter, why))
+}
+
+/// The elements of an array parameter for `joints` joints; one element counts for all of them.
+fn by_joint(b: &Build<'_, '_>, parameter: &'static str, joints: usize) -> Result<Vec<f64>, Fault> {
+    let mut values: Vec<f64> = b.array(parameter)?;
+    if let [all] = *values {
+        values.resize(joints, all);
+    }
+    if values.len() == joints {
+        return Ok(values);
+    }
+    let found = values.len();
+    let why = format!("{found} values; the motion has {joints} joints, or give one for all");
+    Err(b.parameter_fault(parameter, why))
+}
+
+/// The limits of each joint.
+fn joint_bounds(b: &Build<'_, '_>, joints: usize) -> Result<Vec<Bounds>, Fault> {
+    let checked = |parameter| -> Result<Vec<f64>, Fault> {
+        let values = by_joint(b, parameter, joints)?;
+        values.into_iter().map(|v| limit(b, parameter, v)).collect()
+    };
+    let [velocity, acceleration, jerk] =
+        [checked(VELOCITY)?, checked(ACCELERATION)?, checked(JERK)?];
+    let bounds = |joint| Bounds {
+        velocity: velocity[joint],
+        acceleration: acceleration[joint],
+        jerk: jerk[joint],
+    };
+    Ok((0..joints).map(bounds).collect())
+}
+
+/// The positions of all joints, each a sensible number.
+fn joint_positions(
+    b: &Build<'_, '_>,
+    parameter: &'static str,
+    joints: usize,
+) -> Result<Vec<f64>, Fault> {
+    let values = by_joint(b, parameter, joints)?;
+    match values.iter().find(|v| !is_sensible(**v)) {
+        Some(value) => {
+            let why = format!("{value} is no position; at most ±{LARGEST} is taken");
+            Err(b.parameter_fault(parameter, why))
+        }
+        None => Ok(values),
+    }
+}
+
+fn is_sensible(value: f64) -> bool {
+    value.abs() <= LARGEST
+}
+
+/// Adds the parameters of joint limits.
+fn with_joint_limits(definition: Definition) -> Definition {
+    definition
+        .array_parameter::<f64>(
+            VELOCITY,
+            "[0.1]",
+            "largest speed by joint, or one for all, rad/s",
+        )
+        .array_parameter::<f64>(
+            ACCELERATION,
+            "[0.5]",
+            "largest acceleration by joint, or one for all, rad/s²",
+        )
+        .array_parameter::<f64>(JERK, "[5]", "largest jerk by joint, or one for all, rad/s³")
+}
+
+pub(crate) fn table() -> Vec<Definition> {
+    vec![
+        ptp::definition(),
+        cartesian::lin(),
+        cartesian::circ(),
+        track::definition(),
+    ]
+}

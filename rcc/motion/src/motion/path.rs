@@ -1,0 +1,166 @@
+//! Paths of a frame in space: a straight line or an arc for the position, the shortest turn for the
+//! orientation. How fast they are run is decided elsewhere, but an arc tells how fast it may be.
+
+use nalgebra::{UnitQuaternion, Vector3};
+use takt_net::{Frame, Twist};
+
+use super::profile::Bounds;
+
+/// Sine of the angle between the sides to the auxiliary point and to the end below which three points
+/// count as on one line.
+const COLLINEAR: f64 = 1e-6;
+/// Distance below which points count as one, m.
+const SAME: f64 = 1e-9;
+
+#[derive(Clone, Copy, Debug)]
+enum Curve {
+    Line {
+        way: Vector3<f64>,
+    },
+    Arc {
+        /// From the centre to the start.
+        x: Vector3<f64>,
+        /// From the centre to a quarter turn further.
+        y: Vector3<f64>,
+        /// How far it goes around, rad.
+        angle: f64,
+    },
+}
+
+/// A path of a frame, from part 0 to part 1.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Path {
+    from: Frame,
+    curve: Curve,
+    /// Axis times angle of the whole turn, in the base, rad.
+    turn: Vector3<f64>,
+}
+
+fn turn(from: &Frame, to: &Frame) -> Vector3<f64> {
+    (to.rotation * from.rotation.inverse()).scaled_axis()
+}
+
+impl Path {
+    /// The straight line.
+    pub(super) fn line(from: Frame, to: &Frame) -> Self {
+        let way = to.translation.vector - from.translation.vector;
+        Self {
+            from,
+            curve: Curve::Line { way },
+            turn: turn(&from, to),
+        }
+    }
+
+    /// The arc through the position of `via`, whose orientation does not matter; `None` if the three
+    /// lie on one line or two of them are one point. Three equal points are no way at all.
+    pub(super) fn arc(from: Frame, via: &Frame, to: &Frame) -> Option<Self> {
+        let start = from.translation.vector;
+        let (a, b) = (
+            via.translation.vector - start,
+            to.translation.vector - start,
+        );
+        if a.norm() < SAME && b.norm() < SAME {
+            return Some(Self::line(from, to));
+        }
+        let normal = a.cross(&b);
+        let is_arc = (b - a).norm() >= SAME && normal.norm() > COLLINEAR * a.norm() * b.norm();
+        if !is_arc {
+            return None;
+        }
+        let to_centre = (b * a.norm_squared() - a * b.norm_squared()).cross(&normal)
+            / (2.0 * normal.norm_squared());
+        let x = -to_centre;
+        let y = normal.normalize().cross(&x);
+        let end = b - to_centre;
+        let angle = end
+            .dot(&y)
+            .atan2(end.dot(&x))
+            .rem_euclid(std::f64::consts::TAU);
+        Some(Self {
+            from,
+            curve: Curve::Arc { x, y, angle },
+            turn: turn(&from, to),
+        })
+    }
+
+    /// Length of the way of the position, m.
+    fn way(&self) -> f64 {
+        match self.curve {
+            Curve::Line { way } => way.norm(),
+            Curve::Arc { x, angle, .. } => x.norm() * angle,
+        }
+    }
+
+    /// The length by which progress is measured (m or rad, whichever is more), and the bounds
+    /// along it that keep those of translation and rotation.
+    pub(super) fn bounds(&self, translation: Bounds, rotation: Bounds) -> (f64, Bounds) {
+        let (way, angle) = (self.way(), self.turn.norm());
+        let length = way.max(angle);
+        let translation = match self.curve {
+            Curve::Line { .. } => translation,
+            Curve::Arc { x, .. } => on_arc(translation, x.norm()),
+        };
+        let along = match (way > 0.0, angle > 0.0) {
+            (true, true) => {
+                let rotation = rotation.scaled(length / angle);
+                translation.scaled(length / way).and(rotation)
+            }
+            (false, true) => rotation,
+            (_, false) => translation,
+        };
+        (length, along)
+    }
+
+    /// Where the frame is at this part of the path.
+    pub(super) fn at(&self, part: f64) -> Frame {
+        let offset = match self.curve {
+            Curve::Line { way } => way * part,
+            Curve::Arc { x, y, angle } => {
+                let (sin, cos) = (angle * part).sin_cos();
+                x * (cos - 1.0) + y * sin
+            }
+        };
+        let turned = UnitQuaternion::from_scaled_axis(self.turn * part) * self.from.rotation;
+        let position = self.from.translation.vector + offset;
+        Frame::from_parts(position.into(), turned)
+    }
+
+    /// How fast the frame moves at this part of the path, when the part changes by `rate` (1/s).
+    pub(super) fn velocity(&self, part: f64, rate: f64) -> Twist {
+        let vel = match self.curve {
+            Curve::Line { way } => way * rate,
+            Curve::Arc { x, y, angle } => {
+                let (sin, cos) = (angle * part).sin_cos();
+                (y * cos - x * sin) * (angle * rate)
+            }
+        };
+        Twist {
+            vel,
+            rot: self.turn * rate,
+        }
+    }
+}
+
+/// The bounds along an arc of that radius (m) that keep bounds in space, where the change of
+/// direction takes its share: v²/r of the acceleration, and of the jerk 3·v·a/r across and v³/r²
+/// along the arc. The velocity is lowered until these leave enough to accelerate with.
+fn on_arc(bounds: Bounds, radius: f64) -> Bounds {
+    let Bounds {
+        velocity,
+        acceleration,
+        jerk,
+    } = bounds;
+    let velocity = velocity
+        .min((acceleration * radius * std::f64::consts::FRAC_1_SQRT_2).sqrt())
+        .min(jerk * radius / (6.0 * acceleration))
+        .min((jerk * radius * radius / 4.0).cbrt());
+    let inwards = velocity * velocity / radius;
+    let along = (acceleration * acceleration - inwards * inwards).sqrt();
+    let across = 3.0 * velocity * along / radius;
+    let rest = (jerk * jerk - across * across).sqrt();
+    Bounds {
+        velocity,
+        acceleration: along,
+        jerk: rest - velocity.powi(3) / (radius * radius),
+    }
+}

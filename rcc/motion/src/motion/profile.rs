@@ -1,0 +1,197 @@
+//! One coordinate on its way: planned with bounded velocity, acceleration and jerk, sampled once a
+//! cycle, and planned anew from where it is. A plan that cannot be made leaves the one before.
+//! Neither planning nor sampling allocates; limits are checked by whoever makes a profile.
+
+use rsruckig::prelude::{
+    ControlInterface, DataArrayOrVec, InputParameter, Ruckig, RuckigError, RuckigErrorHandler,
+    RuckigResult, Trajectory,
+};
+
+/// Errors without their texts, which would be allocated.
+#[derive(Debug)]
+struct Wordless;
+
+impl RuckigErrorHandler for Wordless {
+    fn handle_validation_error(_: &str) -> Result<(), RuckigError> {
+        Err(RuckigError::ValidationError(String::new()))
+    }
+
+    fn handle_calculator_error(_: &str) -> Result<(), RuckigError> {
+        Err(RuckigError::CalculatorError(String::new()))
+    }
+}
+
+/// Limits of a coordinate, in its unit per s, s² and s³.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Bounds {
+    pub(super) velocity: f64,
+    pub(super) acceleration: f64,
+    pub(super) jerk: f64,
+}
+
+impl Bounds {
+    /// The limits of a coordinate that runs `factor` times as far in the same time.
+    pub(super) fn scaled(self, factor: f64) -> Self {
+        Self {
+            velocity: self.velocity * factor,
+            acceleration: self.acceleration * factor,
+            jerk: self.jerk * factor,
+        }
+    }
+
+    /// The lower of each two limits.
+    pub(super) fn and(self, other: Self) -> Self {
+        Self {
+            velocity: self.velocity.min(other.velocity),
+            acceleration: self.acceleration.min(other.acceleration),
+            jerk: self.jerk.min(other.jerk),
+        }
+    }
+}
+
+/// Where a coordinate is and how it moves, in its unit, per s and per s².
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct State {
+    pub(super) place: f64,
+    pub(super) velocity: f64,
+    acceleration: f64,
+}
+
+impl State {
+    fn is_finite(self) -> bool {
+        self.place.is_finite() && self.velocity.is_finite() && self.acceleration.is_finite()
+    }
+}
+
+/// A coordinate on its way.
+pub(super) struct Profile {
+    planner: Ruckig<1, Wordless>,
+    input: InputParameter<1>,
+    plan: Trajectory<1>,
+    spare: Trajectory<1>,
+    bounds: Bounds,
+    period_s: f64,
+    now: State,
+    /// Where the plan comes to rest; `None` if it only brakes.
+    goal: Option<f64>,
+    /// Cycles since the plan was made; `None` when it has ended.
+    cycles: Option<u32>,
+}
+
+impl Profile {
+    /// At rest at `place`.
+    pub(super) fn new(place: f64, bounds: Bounds, period_s: f64) -> Self {
+        let mut input = InputParameter::new(None);
+        input.max_acceleration[0] = bounds.acceleration;
+        input.max_jerk[0] = bounds.jerk;
+        Self {
+            planner: Ruckig::new(None, period_s),
+            input,
+            plan: Trajectory::new(None),
+            spare: Trajectory::new(None),
+            bounds,
+            period_s,
+            now: State {
+                place,
+                ..State::default()
+            },
+            goal: Some(place),
+            cycles: None,
+        }
+    }
+
+    pub(super) const fn now(&self) -> State {
+        self.now
+    }
+
+    /// Whether the plan has ended: the coordinate is at rest.
+    pub(super) const fn is_at_rest(&self) -> bool {
+        self.cycles.is_none()
+    }
+
+    /// Whether the plan leads to standstill wherever that will be.
+    pub(super) const fn is_braking(&self) -> bool {
+        self.goal.is_none()
+    }
+
+    /// At rest at `place`, from one cycle to the next.
+    pub(super) fn reset(&mut self, place: f64) {
+        self.now = State {
+            place,
+            ..State::default()
+        };
+        self.goal = Some(place);
+        self.cycles = None;
+    }
+
+    /// Plans to come to rest at `goal`, not faster than `part` (0 to 1) of the velocity limit.
+    /// Returns whether there is such a plan.
+    pub(super) fn go_to(&mut self, goal: f64, part: f64) -> bool {
+        self.input.control_interface = ControlInterface::Position;
+        self.input.max_velocity[0] = self.bounds.velocity * part;
+        self.input.target_position[0] = goal;
+        self.make_plan(Some(goal))
+    }
+
+    /// Plans to come to rest as soon as possible. Returns whether there is such a plan.
+    pub(super) fn brake(&mut self) -> bool {
+        self.input.control_interface = ControlInterface::Velocity;
+        self.make_plan(None)
+    }
+
+    fn make_plan(&mut self, goal: Option<f64>) -> bool {
+        self.input.current_position[0] = self.now.place;
+        self.input.current_velocity[0] = self.now.velocity;
+        self.input.current_acceleration[0] = self.now.acceleration;
+        let result = self.planner.calculate(&self.input, &mut self.spare);
+        let is_planned = matches!(result, Ok(RuckigResult::Working | RuckigResult::Finished))
+            && self.spare.get_duration().is_finite();
+        if is_planned {
+            std::mem::swap(&mut self.plan, &mut self.spare);
+            self.goal = goal;
+            self.cycles = Some(0);
+            if self.plan.get_duration() <= 0.0 {
+                self.reset(goal.unwrap_or(self.now.place));
+            }
+        }
+        is_planned
+    }
+
+    /// One cycle further.
+    pub(super) fn advance(&mut self) {
+        let Some(cycles) = &mut self.cycles else {
+            return;
+        };
+        *cycles = cycles.saturating_add(1);
+        let time = f64::from(*cycles) * self.period_s;
+        let has_ended = time >= self.plan.get_duration();
+        let sample = sample(&self.plan, time.min(self.plan.get_duration()));
+        if !sample.is_finite() {
+            return;
+        }
+        self.now = sample;
+        if has_ended {
+            // The plan's own end is off by rounding.
+            self.reset(self.goal.unwrap_or(sample.place));
+        }
+    }
+}
+
+/// Where a trajectory is at `time`, s.
+fn sample(plan: &Trajectory<1>, time: f64) -> State {
+    let mut values = [(); 3].map(|()| DataArrayOrVec::<f64, 1>::new(None, 0.0));
+    let [place, velocity, acceleration] = &mut values;
+    plan.at_time(
+        time,
+        &mut Some(place),
+        &mut Some(velocity),
+        &mut Some(acceleration),
+        &mut None,
+        &mut None,
+    );
+    State {
+        place: values[0][0],
+        velocity: values[1][0],
+        acceleration: values[2][0],
+    }
+}

@@ -1,0 +1,132 @@
+//! `Motion::Track`: joints that follow goals as they come, each for itself. Goals are approached to
+//! come to rest there; a goal that moves steadily is followed with a lag.
+
+use takt_net::definition::port;
+use takt_net::{ArrayIn, ArrayOut, Build, Cycle, Definition, Fault, In, NullRule, Out, Primitive};
+
+use super::profile::Profile;
+use super::{is_sensible, joint_bounds, joint_positions, with_joint_limits};
+
+struct Joint {
+    profile: Profile,
+    start: f64,
+    goal: f64,
+}
+
+impl Joint {
+    /// Plans for a goal that is new. One that is no number, or cannot be planned for, changes
+    /// nothing.
+    fn aim_at(&mut self, goal: f64) {
+        let is_new = goal.to_bits() != self.goal.to_bits();
+        if is_new && is_sensible(goal) && self.profile.go_to(goal, 1.0) {
+            self.goal = goal;
+        }
+    }
+
+    fn brake(&mut self) {
+        if !self.profile.is_at_rest() && !self.profile.is_braking() {
+            self.profile.brake();
+        }
+    }
+
+    fn reset(&mut self) {
+        self.profile.reset(self.start);
+        self.goal = self.start;
+    }
+}
+
+struct Track {
+    joints: Box<[Joint]>,
+    goal: ArrayIn<f64>,
+    stop: In<bool>,
+    reset: In<bool>,
+    has_started: bool,
+    is_stopped: bool,
+    position: ArrayOut<f64>,
+    velocity: ArrayOut<f64>,
+    done: Out<bool>,
+}
+
+impl Track {
+    fn aim(&mut self, cycle: &Cycle<'_>) {
+        if self.reset.get(cycle) == Some(true) {
+            self.joints.iter_mut().for_each(Joint::reset);
+            (self.has_started, self.is_stopped) = (false, false);
+        }
+        self.is_stopped |= self.stop.get(cycle) == Some(true);
+        if self.is_stopped {
+            self.joints.iter_mut().for_each(Joint::brake);
+        } else if let Some(goals) = self.goal.get(cycle) {
+            for (joint, goal) in self.joints.iter_mut().zip(goals) {
+                joint.aim_at(goal.get());
+            }
+        }
+    }
+}
+
+impl Primitive for Track {
+    fn step(&mut self, cycle: &Cycle<'_>) {
+        self.aim(cycle);
+        if self.has_started {
+            for joint in &mut self.joints {
+                joint.profile.advance();
+            }
+        }
+        self.has_started = true;
+        let now = || self.joints.iter().map(|joint| joint.profile.now());
+        self.position.set(cycle, now().map(|state| state.place));
+        self.velocity.set(cycle, now().map(|state| state.velocity));
+        let is_done = self.joints.iter().all(|joint| joint.profile.is_at_rest());
+        self.done.set(cycle, is_done);
+    }
+}
+
+fn build(b: &mut Build<'_, '_>) -> Result<Track, Fault> {
+    let goal = b.array_input::<f64>("inGoal")?;
+    let bounds = joint_bounds(b, goal.len())?;
+    let from = joint_positions(b, "From", goal.len())?;
+    let period_s = b.period_s();
+    let joint = |(start, bounds)| Joint {
+        profile: Profile::new(start, bounds, period_s),
+        start,
+        goal: start,
+    };
+    Ok(Track {
+        joints: from.into_iter().zip(bounds).map(joint).collect(),
+        stop: b.input("inStop")?,
+        reset: b.input("inReset")?,
+        has_started: false,
+        is_stopped: false,
+        position: b.array_output("outPosition", goal.len())?,
+        velocity: b.array_output("outVelocity", goal.len())?,
+        done: b.output("outDone"),
+        goal,
+    })
+}
+
+pub(super) fn definition() -> Definition {
+    let definition = Definition::new(
+        "Motion::Track",
+        "Moves each joint to its goal as fast as its limits allow; goals may change in every cycle.",
+        build,
+    )
+    .stateful()
+    .array_input::<f64>(
+        port("inGoal", "goal of each joint, rad; null or no number keeps the one before").required(),
+    )
+    .input::<bool>(port(
+        "inStop",
+        "true ends the motion: every joint brakes, for good until inReset",
+    ))
+    .array_parameter::<f64>(
+        "From",
+        "[0]",
+        "position by joint at the start, or one for all, rad",
+    )
+    .array_output::<f64>("outPosition", "position of each joint, rad")
+    .array_output::<f64>("outVelocity", "velocity of each joint, rad/s")
+    .output::<bool>("outDone", "all joints are at rest, at their goals or stopped");
+    with_joint_limits(definition).null(NullRule::Own(
+        "Never null while active; a null goal keeps the one before.",
+    ))
+}

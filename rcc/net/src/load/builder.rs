@@ -1,0 +1,482 @@
+//! What the function that builds a primitive works with: its ports' handles, its parameters'
+//! values, faults with their places, and claims on what the net shares. The order of primitives
+//! is not known here.
+
+use std::marker::PhantomData;
+use std::sync::Arc;
+use std::time::Duration;
+
+use crate::definition::ParameterType;
+use crate::device::{ArmBinding, Devices, Kinematics};
+use crate::fault::{Fault, FaultKind};
+use crate::limits::Limits;
+use crate::load::LoadContext;
+use crate::load::build::{Parts, count, inherited};
+use crate::load::resolve::{Node, Origin};
+use crate::slots::{ArrayIn, ArrayOut, In, Out, SlotRef, SlotsBuilder};
+use crate::value::text::{TextValue, ValueError, parse_array};
+use crate::value::{Type, Value};
+
+/// What the function that builds a primitive works with.
+pub struct Build<'b, 'n> {
+    pub(super) context: &'b LoadContext<'n>,
+    pub(super) parts: &'b mut Parts,
+    pub(super) node: &'b Node<'n>,
+    pub(super) number: u32,
+}
+
+impl std::fmt::Debug for Build<'_, '_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Build")
+            .field("node", &self.node.name)
+            .finish_non_exhaustive()
+    }
+}
+
+impl Build<'_, '_> {
+    /// Time from one cycle to the next.
+    #[must_use]
+    pub fn period(&self) -> Duration {
+        self.context.period
+    }
+
+    /// Bounds on the net.
+    #[must_use]
+    pub fn limits(&self) -> &Limits {
+        &self.context.limits
+    }
+
+    /// The devices there are.
+    #[must_use]
+    pub fn devices(&self) -> &dyn Devices {
+        self.context.devices
+    }
+
+    /// The robot arm that parameter `parameter` names.
+    ///
+    /// # Errors
+    /// If there is no such arm.
+    pub fn arm(&self, parameter: &'static str) -> Result<ArmBinding, Fault> {
+        let name = self.text(parameter);
+        self.devices().arm(name).ok_or_else(|| {
+            let kind = FaultKind::Device {
+                kind: "robot arm",
+                name: name.to_owned(),
+                known: self.devices().names(),
+            };
+            self.at_parameter(parameter, kind, None)
+        })
+    }
+
+    /// The geometry of the robot arm that parameter `parameter` names.
+    ///
+    /// # Errors
+    /// If there is no such arm, or its geometry is not known.
+    pub fn kinematics(&self, parameter: &'static str) -> Result<Arc<dyn Kinematics>, Fault> {
+        let why = || format!("the kinematics of `{}` is not known", self.text(parameter));
+        self.arm(parameter)?
+            .kinematics
+            .ok_or_else(|| self.parameter_fault(parameter, why()))
+    }
+
+    /// Claims something of a device for this net alone; if the device fails, the net ends.
+    pub fn claim(&mut self, device: &str, resource: String) {
+        self.parts.resources.push(resource);
+        self.parts.devices.push(device.to_owned());
+    }
+
+    /// Whether an in port is connected.
+    #[must_use]
+    pub fn is_linked(&self, port: &str) -> bool {
+        self.node
+            .definition
+            .input_named(port)
+            .is_some_and(|i| self.node.links[i].is_some())
+    }
+
+    /// The handle of a scalar in port. Unconnected, it reads the parameter that stands in for it,
+    /// or null.
+    ///
+    /// # Errors
+    /// If that parameter's text is no value of the port's type.
+    ///
+    /// # Panics
+    /// If the definition has no such port: it contradicts its own build function.
+    pub fn input<T: TextValue>(&mut self, port: &str) -> Result<In<T>, Fault> {
+        let (slot, parameter) = self.source(port, Type::scalar(T::ELEMENT))?;
+        let slot = match (slot, parameter) {
+            (Some(SlotRef::Scalar { slot, .. }), _) => slot,
+            (None, Some(parameter)) => {
+                let value = self.value::<T>(parameter)?;
+                constant(&mut self.parts.slots, value)
+            }
+            _ => 0,
+        };
+        Ok(In(slot, PhantomData))
+    }
+
+    /// The handle of an in port that carries a fixed array. Unconnected, it reads the parameter
+    /// that stands in for it, or null.
+    ///
+    /// # Errors
+    /// If what feeds the port could not be built, or that parameter's text is no such array.
+    ///
+    /// # Panics
+    /// If the definition has no such port.
+    pub fn array_input<T: TextValue>(&mut self, port: &str) -> Result<ArrayIn<T>, Fault> {
+        let slot = match self.source(port, Type::array(T::ELEMENT))? {
+            (Some(SlotRef::Array { slot, .. }), _) => slot,
+            (None, Some(parameter)) => {
+                let values = self.array::<T>(parameter)?;
+                self.take_memory(size_of_val(&*values))?;
+                let slots = T::builder(&mut self.parts.slots);
+                slots.array(values.len(), T::default(), Some(&values))
+            }
+            _ => crate::slots::ArraySlot::default(),
+        };
+        Ok(ArrayIn(slot, PhantomData))
+    }
+
+    /// A handle that always reads `value`: for a port whose stand-in is made of more than one
+    /// parameter.
+    pub fn constant<T: Value>(&mut self, value: T) -> In<T> {
+        In(constant(&mut self.parts.slots, value), PhantomData)
+    }
+
+    /// How many samples of `size` bytes, one a cycle, the span of parameter `parameter` (s) takes,
+    /// at least 1. Counts them to the memory of the net.
+    ///
+    /// # Errors
+    /// If the span is no positive time, too long for one primitive, or the net's memory is used up.
+    ///
+    /// # Panics
+    /// If the definition has no such parameter.
+    pub fn history(&mut self, parameter: &'static str, size: usize) -> Result<usize, Fault> {
+        let samples = self.cycles_in(parameter, self.value(parameter)?)?;
+        self.take_memory(samples.saturating_mul(size))?;
+        Ok(samples)
+    }
+
+    /// Counts `bytes` to the memory of the net.
+    ///
+    /// # Errors
+    /// If the net's memory is used up.
+    pub fn take_memory(&mut self, bytes: usize) -> Result<(), Fault> {
+        let bound = self.limits().memory_bytes;
+        let found = self.parts.memory.saturating_add(bytes);
+        if found > bound {
+            let what = "bytes of arrays and histories";
+            return Err(self.fault(FaultKind::Bound { what, found, bound }));
+        }
+        self.parts.memory = found;
+        Ok(())
+    }
+
+    /// Where an in port gets its values: the slot it is linked to, or a parameter.
+    fn source(
+        &mut self,
+        port: &str,
+        ty: Type,
+    ) -> Result<(Option<SlotRef>, Option<&'static str>), Fault> {
+        let definition = self.node.definition;
+        let number = definition
+            .input_named(port)
+            .unwrap_or_else(|| contradiction(&definition.name, "in port", port));
+        let declared = &definition.inputs[number];
+        assert_eq!(declared.ty, ty, "in port {port} of {}", definition.name);
+        match self.node.links[number] {
+            None => Ok((None, declared.parameter)),
+            Some(origin) => match *self.parts.output(origin) {
+                Some(slot) => Ok((Some(slot), None)),
+                None => Err(Fault::new(inherited(), self.node.at.clone())),
+            },
+        }
+    }
+
+    /// The handle of a scalar out port.
+    ///
+    /// # Panics
+    /// If the definition has no such port.
+    pub fn output<T: Value>(&mut self, port: &str) -> Out<T> {
+        let origin = self.own_output(port, Type::scalar(T::ELEMENT));
+        let slot = match *self.parts.output(origin) {
+            Some(slot) => slot,
+            None => {
+                let slot = self.parts.slots.scalar(T::ELEMENT);
+                *self.parts.output(origin) = Some(slot);
+                slot
+            }
+        };
+        let SlotRef::Scalar { slot, .. } = slot else {
+            return Out(0, PhantomData);
+        };
+        Out(slot, PhantomData)
+    }
+
+    /// The handle of an out port that carries `len` elements.
+    ///
+    /// # Errors
+    /// If `len` exceeds its bound or the net's memory is used up.
+    ///
+    /// # Panics
+    /// If the definition has no such port.
+    pub fn array_output<T: Value>(&mut self, port: &str, len: usize) -> Result<ArrayOut<T>, Fault> {
+        let bound = self.limits().array_size;
+        if len > bound {
+            let kind = FaultKind::Bound {
+                what: "elements in one array",
+                found: len,
+                bound,
+            };
+            return Err(self.fault(kind));
+        }
+        self.take_memory(len * size_of::<T>())?;
+        let origin = self.own_output(port, Type::array(T::ELEMENT));
+        let slot = self.parts.slots.array(T::ELEMENT, len);
+        *self.parts.output(origin) = Some(slot);
+        let SlotRef::Array { slot, .. } = slot else {
+            return Err(Fault::new(inherited(), self.node.at.clone()));
+        };
+        Ok(ArrayOut(slot, PhantomData))
+    }
+
+    fn own_output(&self, port: &str, ty: Type) -> Origin {
+        let definition = self.node.definition;
+        let number = definition
+            .output_named(port)
+            .unwrap_or_else(|| contradiction(&definition.name, "out port", port));
+        assert_eq!(
+            definition.outputs[number].ty, ty,
+            "out port {port} of {}",
+            definition.name
+        );
+        Origin {
+            node: self.number,
+            port: count(number),
+        }
+    }
+
+    /// A slot beside the ports, shared by the two steps of a primitive with an early one.
+    pub fn state<T: TextValue>(&mut self, number: usize) -> (In<T>, Out<T>) {
+        let slots = &mut self.parts.slots;
+        let slot = *self
+            .parts
+            .states
+            .entry((self.number, number))
+            .or_insert_with(|| match slots.scalar(T::ELEMENT) {
+                SlotRef::Scalar { slot, .. } => slot,
+                SlotRef::Array { .. } => 0,
+            });
+        (In(slot, PhantomData), Out(slot, PhantomData))
+    }
+
+    /// The text of a parameter, or its default.
+    ///
+    /// # Panics
+    /// If the definition has no such parameter.
+    #[must_use]
+    pub fn text(&self, parameter: &'static str) -> &str {
+        self.parameter(parameter).0
+    }
+
+    /// A parameter's text and, if it was given, the place of its first byte.
+    fn parameter(&self, parameter: &str) -> (&str, Option<usize>) {
+        let definition = self.node.definition;
+        let number = definition
+            .parameter_named(parameter)
+            .unwrap_or_else(|| contradiction(&definition.name, "parameter", parameter));
+        match self.node.texts[number] {
+            Some((text, start)) => (text, Some(start)),
+            None => (definition.parameters[number].default, None),
+        }
+    }
+
+    /// The value of a parameter.
+    ///
+    /// # Errors
+    /// If its text is no value of this type.
+    ///
+    /// # Panics
+    /// If the definition has no such parameter, or with another type.
+    pub fn value<T: TextValue>(&self, parameter: &'static str) -> Result<T, Fault> {
+        self.check_type(parameter, Type::scalar(T::ELEMENT));
+        T::parse(self.text(parameter)).map_err(|e| self.value_fault(parameter, e))
+    }
+
+    /// The elements of a parameter that is a fixed array.
+    ///
+    /// # Errors
+    /// If its text is no list of such values, or too long.
+    ///
+    /// # Panics
+    /// If the definition has no such parameter, or with another type.
+    pub fn array<T: TextValue>(&self, parameter: &'static str) -> Result<Vec<T>, Fault> {
+        self.check_type(parameter, Type::array(T::ELEMENT));
+        parse_array(self.text(parameter), self.limits().array_size)
+            .map_err(|e| self.value_fault(parameter, e))
+    }
+
+    /// The value of a parameter that counts something: a whole number in a range.
+    ///
+    /// # Errors
+    /// If it is none.
+    ///
+    /// # Panics
+    /// If the definition has no such parameter, or with another type.
+    pub fn number(
+        &self,
+        parameter: &'static str,
+        range: std::ops::RangeInclusive<usize>,
+    ) -> Result<usize, Fault> {
+        let value: i32 = self.value(parameter)?;
+        usize::try_from(value)
+            .ok()
+            .filter(|v| range.contains(v))
+            .ok_or_else(|| {
+                let why = format!(
+                    "{value} is not between {} and {}",
+                    range.start(),
+                    range.end()
+                );
+                self.parameter_fault(parameter, why)
+            })
+    }
+
+    fn check_type(&self, parameter: &str, ty: Type) {
+        let definition = self.node.definition;
+        let declared = definition
+            .parameter_named(parameter)
+            .map(|i| definition.parameters[i].ty);
+        assert_eq!(
+            declared,
+            Some(ParameterType::Value(ty)),
+            "parameter {parameter} of {}",
+            definition.name
+        );
+    }
+
+    /// A fault of a parameter's value.
+    #[must_use]
+    pub fn parameter_fault(&self, parameter: &'static str, why: String) -> Fault {
+        let kind = FaultKind::Parameter {
+            parameter: parameter.to_owned(),
+            why,
+        };
+        self.at_parameter(parameter, kind, None)
+    }
+
+    fn value_fault(&self, parameter: &'static str, error: ValueError) -> Fault {
+        let kind = FaultKind::Parameter {
+            parameter: parameter.to_owned(),
+            why: error.what,
+        };
+        self.at_parameter(parameter, kind, Some(error.at))
+    }
+
+    fn at_parameter(
+        &self,
+        parameter: &str,
+        kind: FaultKind,
+        within: Option<std::ops::Range<usize>>,
+    ) -> Fault {
+        let (text, start) = self.parameter(parameter);
+        let at = match (start, within) {
+            (Some(start), Some(within)) => start + within.start..start + within.end,
+            (Some(start), None) => start..start + text.len(),
+            (None, _) => self.node.at.clone(),
+        };
+        Fault::new(kind, at)
+    }
+
+    /// A fault of this primitive.
+    #[must_use]
+    pub fn fault(&self, kind: FaultKind) -> Fault {
+        Fault::new(kind, self.node.at.clone())
+    }
+
+    /// Makes a value that programs can read, `len` elements of it if an array.
+    ///
+    /// # Errors
+    /// If the key is taken or the bound on netcomm values is reached.
+    pub fn netcomm_out<T: Value>(
+        &mut self,
+        key: &str,
+        array: Option<usize>,
+        report: bool,
+    ) -> Result<usize, Fault> {
+        let key = format!("out{key}");
+        if self.parts.outbox.find(&key).is_some() {
+            let why = "another primitive gives one out under this `Key`; each needs its own";
+            return Err(self.fault(FaultKind::Netcomm { key, why }));
+        }
+        self.check_netcomm_bound()?;
+        let ty = Type {
+            element: T::ELEMENT,
+            array: array.is_some(),
+        };
+        let words = array.unwrap_or(1) * T::WORDS;
+        Ok(self.parts.outbox.add(key, ty, words, report))
+    }
+
+    /// Makes a value that programs can write, or finds the one that shares the key.
+    ///
+    /// # Errors
+    /// If the key is taken with another type or size, or the bound on netcomm values is reached.
+    pub fn netcomm_in<T: Value>(
+        &mut self,
+        key: &str,
+        array: bool,
+        initial: &[T],
+    ) -> Result<usize, Fault> {
+        let key = format!("in{key}");
+        let ty = Type {
+            element: T::ELEMENT,
+            array,
+        };
+        let words = initial.len() * T::WORDS;
+        if let Some(entry) = self.parts.inbox.find(&key) {
+            if entry.ty == ty && entry.value_words() == words {
+                return Ok(entry.at());
+            }
+            let why = "another primitive takes it in with a different type or size";
+            return Err(self.fault(FaultKind::Netcomm { key, why }));
+        }
+        self.check_netcomm_bound()?;
+        let at = self.parts.inbox.add(key, ty, words, true);
+        let box_words = &mut self.parts.inbox_words;
+        box_words.resize(self.parts.inbox.words() - words, 0);
+        for value in initial {
+            let start = box_words.len();
+            box_words.resize(start + T::WORDS, 0);
+            value.put(|i, w| box_words[start + i] = w);
+        }
+        Ok(at)
+    }
+
+    fn check_netcomm_bound(&self) -> Result<(), Fault> {
+        let bound = self.limits().netcomm;
+        let found = self.parts.inbox.entries().len() + self.parts.outbox.entries().len() + 1;
+        if found > bound {
+            return Err(self.fault(FaultKind::Bound {
+                what: "netcomm values",
+                found,
+                bound,
+            }));
+        }
+        Ok(())
+    }
+}
+
+fn constant<T: Value>(slots: &mut SlotsBuilder, value: T) -> u32 {
+    T::builder(slots).scalar(Some(value))
+}
+
+/// A definition's data and its build function do not agree; the test that builds every primitive
+/// finds this before any user can.
+#[expect(
+    clippy::panic,
+    reason = "a fault of this program, found by the test of all definitions"
+)]
+fn contradiction(primitive: &str, what: &str, name: &str) -> ! {
+    panic!("{primitive} has no {what} {name}")
+}

@@ -1,0 +1,103 @@
+//! What subcommands ask of a running controller, over the client of `takt_server`.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use anyhow::Context as _;
+use takt_server::{Message, Value};
+
+/// A connection to a controller.
+#[derive(Debug)]
+pub(crate) struct Client {
+    inner: takt_server::Client,
+    session: String,
+}
+
+impl Client {
+    /// Connects to `host:port`.
+    pub(crate) fn connect(address: &str) -> anyhow::Result<Self> {
+        Ok(Self { inner: takt_server::Client::connect(address)?, session: "s0".to_owned() })
+    }
+
+    /// Opens a session, to which nets loaded from now on belong.
+    pub(crate) fn open_session(&mut self, description: &str) -> anyhow::Result<()> {
+        let reply = self.inner.call("nse", [description])?;
+        reply.text().context("the controller gave no session")?.clone_into(&mut self.session);
+        Ok(())
+    }
+
+    /// Ends the session and all its nets.
+    pub(crate) fn end_session(&mut self) -> anyhow::Result<()> {
+        self.inner.call("ase", [self.session.as_str()])?;
+        Ok(())
+    }
+
+    /// Loads a net; returns its identifier, also if it was rejected.
+    pub(crate) fn load(&mut self, text: &str, description: &str) -> anyhow::Result<String> {
+        let session = self.session.as_str();
+        let reply = self.inner.call("nene", [text, session, description])?;
+        Ok(reply.text().context("the controller gave no net")?.to_owned())
+    }
+
+    /// What is wrong with a net, a line each; none if it was taken.
+    pub(crate) fn faults(&mut self, net: &str) -> anyhow::Result<Vec<String>> {
+        let nets = self.describe([net])?;
+        let faults = nets.into_iter().next().and_then(|(_, mut net)| net.remove("rejection"));
+        let Some(Value::List(lines)) = faults else { return Ok(Vec::new()) };
+        Ok(lines.iter().filter_map(Value::as_str).map(str::to_owned).collect())
+    }
+
+    /// Why a net ended, if not by itself.
+    pub(crate) fn end_of(&mut self, net: &str) -> anyhow::Result<Option<String>> {
+        let nets = self.describe([net])?;
+        let end = nets.first().map(|(_, net)| text(net, "end"));
+        Ok(end.filter(|end| !end.is_empty()))
+    }
+
+    /// What the controller tells of nets, or of all of them.
+    fn describe<'a>(
+        &mut self,
+        nets: impl IntoIterator<Item = &'a str>,
+    ) -> anyhow::Result<Vec<(String, BTreeMap<String, Value>)>> {
+        let reply = self.inner.call("nin", nets)?;
+        let Some(Value::Map(nets)) = reply.values.into_iter().next() else {
+            return Ok(Vec::new());
+        };
+        let members = |(id, net)| match net {
+            Value::Map(members) => (id, members),
+            _ => (id, BTreeMap::new()),
+        };
+        Ok(nets.into_iter().map(members).collect())
+    }
+
+    /// Does something with a net.
+    pub(crate) fn command(&mut self, command: &str, net: &str) -> anyhow::Result<()> {
+        self.inner.call(command, [net])?;
+        Ok(())
+    }
+
+    /// Asks for pushes of a net's states and values.
+    pub(crate) fn subscribe(&mut self, net: &str, refresh: Duration) -> anyhow::Result<()> {
+        let args = [Value::from(net), Value::from(refresh.as_secs_f64())];
+        self.inner.call("gne", args)?;
+        Ok(())
+    }
+
+    /// The next push, or `None` if none comes in time.
+    pub(crate) fn next_push(&mut self, within: Duration) -> anyhow::Result<Option<Message>> {
+        Ok(self.inner.next_push(within)?)
+    }
+
+    /// All nets: identifier, state, description.
+    pub(crate) fn nets(&mut self) -> anyhow::Result<Vec<(String, String, String)>> {
+        let nets = self.describe([])?.into_iter();
+        let mut nets: Vec<_> =
+            nets.map(|(id, net)| (id, text(&net, "state"), text(&net, "description"))).collect();
+        nets.sort_by_key(|(id, ..)| (id.len(), id.clone()));
+        Ok(nets)
+    }
+}
+
+fn text(net: &BTreeMap<String, Value>, key: &str) -> String {
+    net.get(key).and_then(Value::as_str).unwrap_or_default().to_owned()
+}
