@@ -88,7 +88,8 @@ impl Host {
     }
 }
 
-const KERNEL: &str = "PREEMPT_RT kernel";
+/// What [`Grant`] calls the kernel.
+pub const KERNEL: &str = "PREEMPT_RT kernel";
 
 /// `flag` is the content of `/sys/kernel/realtime`, which only PREEMPT_RT has. The version string is no
 /// witness: `PREEMPT_DYNAMIC` is not real time, whatever mode it is in.

@@ -16,13 +16,19 @@ pub(crate) struct Client {
 impl Client {
     /// Connects to `host:port`.
     pub(crate) fn connect(address: &str) -> anyhow::Result<Self> {
-        Ok(Self { inner: takt_server::Client::connect(address)?, session: "s0".to_owned() })
+        Ok(Self {
+            inner: takt_server::Client::connect(address)?,
+            session: "s0".to_owned(),
+        })
     }
 
     /// Opens a session, to which nets loaded from now on belong.
     pub(crate) fn open_session(&mut self, description: &str) -> anyhow::Result<()> {
         let reply = self.inner.call("nse", [description])?;
-        reply.text().context("the controller gave no session")?.clone_into(&mut self.session);
+        reply
+            .text()
+            .context("the controller gave no session")?
+            .clone_into(&mut self.session);
         Ok(())
     }
 
@@ -36,15 +42,27 @@ impl Client {
     pub(crate) fn load(&mut self, text: &str, description: &str) -> anyhow::Result<String> {
         let session = self.session.as_str();
         let reply = self.inner.call("nene", [text, session, description])?;
-        Ok(reply.text().context("the controller gave no net")?.to_owned())
+        Ok(reply
+            .text()
+            .context("the controller gave no net")?
+            .to_owned())
     }
 
     /// What is wrong with a net, a line each; none if it was taken.
     pub(crate) fn faults(&mut self, net: &str) -> anyhow::Result<Vec<String>> {
         let nets = self.describe([net])?;
-        let faults = nets.into_iter().next().and_then(|(_, mut net)| net.remove("rejection"));
-        let Some(Value::List(lines)) = faults else { return Ok(Vec::new()) };
-        Ok(lines.iter().filter_map(Value::as_str).map(str::to_owned).collect())
+        let faults = nets
+            .into_iter()
+            .next()
+            .and_then(|(_, mut net)| net.remove("rejection"));
+        let Some(Value::List(lines)) = faults else {
+            return Ok(Vec::new());
+        };
+        Ok(lines
+            .iter()
+            .filter_map(Value::as_str)
+            .map(str::to_owned)
+            .collect())
     }
 
     /// Why a net ended, if not by itself.
@@ -91,13 +109,17 @@ impl Client {
     /// All nets: identifier, state, description.
     pub(crate) fn nets(&mut self) -> anyhow::Result<Vec<(String, String, String)>> {
         let nets = self.describe([])?.into_iter();
-        let mut nets: Vec<_> =
-            nets.map(|(id, net)| (id, text(&net, "state"), text(&net, "description"))).collect();
+        let mut nets: Vec<_> = nets
+            .map(|(id, net)| (id, text(&net, "state"), text(&net, "description")))
+            .collect();
         nets.sort_by_key(|(id, ..)| (id.len(), id.clone()));
         Ok(nets)
     }
 }
 
 fn text(net: &BTreeMap<String, Value>, key: &str) -> String {
-    net.get(key).and_then(Value::as_str).unwrap_or_default().to_owned()
+    net.get(key)
+        .and_then(Value::as_str)
+        .unwrap_or_default()
+        .to_owned()
 }

@@ -16,7 +16,7 @@ use takt_core::cell::{ControllerConfig, DeviceConfig, LwrConfig};
 use takt_core::device::DeviceStatus;
 use takt_core::record::Recorder;
 use takt_core::{CellConfig, Controller};
-use takt_rt::host::{Host, HostConfig, prepare};
+use takt_rt::host::{HostConfig, prepare};
 
 use crate::Verdict;
 use crate::client::Client;
@@ -77,7 +77,10 @@ impl Samples {
             let known = || joint.iter().copied().filter(|p| p.is_finite());
             known().fold(f64::MIN, f64::max) - known().fold(f64::MAX, f64::min)
         };
-        self.joints.iter().map(|joints| joints.iter().map(range).fold(0.0, f64::max)).collect()
+        self.joints
+            .iter()
+            .map(|joints| joints.iter().map(range).fold(0.0, f64::max))
+            .collect()
     }
 }
 
@@ -115,7 +118,7 @@ impl Demo {
         for robot in robots {
             robot.stop()?;
         }
-        self.tell(&report, &host, recorded)
+        self.tell(&report, recorded)
     }
 
     fn start_robots(&self, controller: &Controller) -> anyhow::Result<Vec<Robot>> {
@@ -142,7 +145,11 @@ impl Demo {
         client.open_session("takt demo")?;
         let id = client.load(net, "demo motion")?;
         let faults = client.faults(&id)?;
-        anyhow::ensure!(faults.is_empty(), "the net is rejected: {}", faults.join("; "));
+        anyhow::ensure!(
+            faults.is_empty(),
+            "the net is rejected: {}",
+            faults.join("; ")
+        );
         client.subscribe(&id, Duration::from_millis(100))?;
         client.command("nest", &id)?;
         let begin = Instant::now();
@@ -154,12 +161,16 @@ impl Demo {
         loop {
             let push = client.next_push(SAMPLE_EVERY)?;
             let ended = |push: &takt_server::Message| {
-                push.command == "ns" && push.args.first().and_then(|v| v.as_str()) == Some("TERMINATED")
+                push.command == "ns"
+                    && push.args.first().and_then(|v| v.as_str()) == Some("TERMINATED")
             };
             if push.as_ref().is_some_and(ended) {
                 break;
             }
-            anyhow::ensure!(begin.elapsed() < latest, "the net did not end within {latest:?}");
+            anyhow::ensure!(
+                begin.elapsed() < latest,
+                "the net did not end within {latest:?}"
+            );
             sample(controller, begin.elapsed(), &mut samples);
             bar.set_position(u64::try_from(begin.elapsed().as_millis()).unwrap_or(u64::MAX));
         }
@@ -176,41 +187,51 @@ impl Demo {
         let length = u64::try_from(self.duration.as_millis()).unwrap_or(u64::MAX);
         let style = indicatif::ProgressStyle::with_template("moving {wide_bar} {percent}%");
         let bar = indicatif::ProgressBar::new(length);
-        style.map(|style| bar.clone().with_style(style)).unwrap_or(bar)
+        style
+            .map(|style| bar.clone().with_style(style))
+            .unwrap_or(bar)
     }
 
-    fn tell(
-        &self,
-        report: &Report,
-        host: &Host,
-        recorded: Option<u64>,
-    ) -> anyhow::Result<Verdict> {
+    fn tell(&self, report: &Report, recorded: Option<u64>) -> anyhow::Result<Verdict> {
         if self.json {
             say(&serde_json::to_string(report)?)?;
         } else {
-            say(report.text(host.is_preempt_rt()).trim_end())?;
+            say(report.text().trim_end())?;
             say(&format!("plot       {}", self.svg.display()))?;
             if let (Some(cycles), Some(path)) = (recorded, &self.record) {
                 say(&format!("recording  {}, {cycles} cycles", path.display()))?;
             }
         }
-        Ok(if report.ok { Verdict::Good } else { Verdict::Failed })
+        Ok(if report.ok {
+            Verdict::Good
+        } else {
+            Verdict::Failed
+        })
     }
 }
 
 /// Two LWRs, every address chosen by the system.
 fn cell() -> CellConfig {
     let anywhere = SocketAddr::from(([127, 0, 0, 1], 0));
-    let controller = ControllerConfig { websocket: None, tcp: Some(anywhere), ..Default::default() };
+    let controller = ControllerConfig {
+        websocket: None,
+        tcp: Some(anywhere),
+        ..Default::default()
+    };
     let devices = ROBOTS.map(|name| DeviceConfig::Lwr(LwrConfig::new(name, anywhere)));
-    CellConfig { controller, devices: devices.into() }
+    CellConfig {
+        controller,
+        devices: devices.into(),
+    }
 }
 
 fn wait_until_ready(controller: &Controller) -> anyhow::Result<()> {
     let until = Instant::now() + READY_WITHIN;
     loop {
         let devices = controller.devices();
-        let waiting = devices.iter().find(|d| d.status != DeviceStatus::Operational);
+        let waiting = devices
+            .iter()
+            .find(|d| d.status != DeviceStatus::Operational);
         let Some(device) = waiting else { return Ok(()) };
         if Instant::now() > until {
             anyhow::bail!(

@@ -65,7 +65,11 @@ pub(crate) struct Lwr {
 
 fn share(text: &str) -> Result<f64, String> {
     let share: f64 = text.parse().map_err(|_| format!("`{text}` is no number"))?;
-    if (0.0..=1.0).contains(&share) { Ok(share) } else { Err("must be 0 to 1".to_owned()) }
+    if (0.0..=1.0).contains(&share) {
+        Ok(share)
+    } else {
+        Err("must be 0 to 1".to_owned())
+    }
 }
 
 impl Lwr {
@@ -77,29 +81,51 @@ impl Lwr {
             jitter: self.jitter,
             ..emulator::LineFaults::default()
         };
-        let power_off =
-            self.power_off.map(|at| emulator::PowerOff { at, span: Duration::from_secs(2) });
+        let power_off = self.power_off.map(|at| emulator::PowerOff {
+            at,
+            span: Duration::from_secs(2),
+        });
         let faults = emulator::Faults {
             to_client: line,
             to_krc: line,
             power_off,
             ..emulator::Faults::default()
         };
-        let config = KrcConfig { faults, seed: self.seed, ..resting(self.period) };
+        let config = KrcConfig {
+            faults,
+            seed: self.seed,
+            ..resting(self.period)
+        };
         let robot = Robot::start("krc", self.target, config)?;
-        say(&format!("LWR sends measurements to {} every {:?}", self.target, self.period))?;
+        say(&format!(
+            "LWR sends measurements to {} every {:?}",
+            self.target, self.period
+        ))?;
         let mut told = None;
         until_stopped(self.duration, || {
             let status = &robot.status;
-            let now = (status.state(), status.quality(), status.has_power(), status.falls());
+            let now = (
+                status.state(),
+                status.quality(),
+                status.has_power(),
+                status.falls(),
+            );
             if told == Some(now) {
                 return Ok(());
             }
             told = Some(now);
-            let power = if status.has_power() { "drives on" } else { "drives off" };
+            let power = if status.has_power() {
+                "drives on"
+            } else {
+                "drives off"
+            };
             let fall = status.last_fall().filter(|_| status.falls() > 0);
             let fall = fall.map_or_else(String::new, |why| format!("; left command mode: {why}"));
-            say(&format!("{:?}, quality {:?}, {power}{fall}", status.state(), status.quality()))
+            say(&format!(
+                "{:?}, quality {:?}, {power}{fall}",
+                status.state(),
+                status.quality()
+            ))
         })?;
         let status = robot.stop()?;
         say(&format!(
@@ -118,8 +144,16 @@ pub(crate) fn resting(period: Duration) -> KrcConfig {
     let joints = [0.0, 0.5, 0.0, -1.2, 0.0, 0.8, 0.0];
     // A real KRC bridges ten missing answers. A host without PREEMPT_RT stalls for longer now and
     // then, and the emulated one is to show Takt, not the host.
-    let timing = emulator::Timing { misses_max: MISSES_MAX, ..emulator::Timing::default() };
-    KrcConfig { period, joints, timing, ..KrcConfig::default() }
+    let timing = emulator::Timing {
+        misses_max: MISSES_MAX,
+        ..emulator::Timing::default()
+    };
+    KrcConfig {
+        period,
+        joints,
+        timing,
+        ..KrcConfig::default()
+    }
 }
 
 /// Consecutive cycles without an answer that an emulated KRC bridges.
@@ -148,13 +182,20 @@ impl Robot {
         let stop = Arc::new(AtomicBool::new(false));
         let (shared, stopping) = (Arc::clone(&status), Arc::clone(&stop));
         // Above drivers: the real controller has a processor of its own.
-        let config_of_thread = ThreadConfig { priority: Some(88), ..ThreadConfig::new(name) };
+        let config_of_thread = ThreadConfig {
+            priority: Some(88),
+            ..ThreadConfig::new(name)
+        };
         let thread = takt_rt::thread::spawn(config_of_thread, move || {
             let mut krc = Krc::new(config, takt_fri::linux::monotonic()?);
             serve(&mut krc, &mut link, &shared, &stopping)
         })
         .with_context(|| format!("cannot start thread {name}"))?;
-        Ok(Self { status, thread, stop })
+        Ok(Self {
+            status,
+            thread,
+            stop,
+        })
     }
 
     /// Ends it.

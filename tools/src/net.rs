@@ -107,11 +107,17 @@ impl Check {
                 }
             }
         }
-        Ok(if checked.is_ok() { Verdict::Good } else { Verdict::Failed })
+        Ok(if checked.is_ok() {
+            Verdict::Good
+        } else {
+            Verdict::Failed
+        })
     }
 
     fn devices(&self) -> anyhow::Result<Box<dyn Devices>> {
-        let Some(config) = &self.config else { return Ok(Box::new(AnyArm)) };
+        let Some(config) = &self.config else {
+            return Ok(Box::new(AnyArm));
+        };
         let mut table = DeviceTable::default();
         for DeviceConfig::Lwr(device) in CellConfig::read(config)?.devices {
             table.add_arm(lwr::describe(&device.name))?;
@@ -158,7 +164,11 @@ impl Devices for AnyArm {
             acceleration_max: f64::INFINITY,
         };
         let limits = Arc::from([anything; takt_core::device::ARM_JOINTS_MAX]);
-        Some(ArmBinding { first_joint: 0, limits, kinematics: None })
+        Some(ArmBinding {
+            first_joint: 0,
+            limits,
+            kinematics: None,
+        })
     }
 
     fn names(&self) -> Vec<String> {
@@ -247,8 +257,12 @@ impl Watch {
             if left.is_some_and(|left| left.is_zero()) {
                 return Ok(Verdict::Good);
             }
-            let wait = left.unwrap_or(Duration::from_secs(1)).min(Duration::from_secs(1));
-            let Some(push) = client.next_push(wait)? else { continue };
+            let wait = left
+                .unwrap_or(Duration::from_secs(1))
+                .min(Duration::from_secs(1));
+            let Some(push) = client.next_push(wait)? else {
+                continue;
+            };
             match (push.command.as_str(), push.args.first()) {
                 ("ns", Some(Value::String(state))) => {
                     say(state)?;
@@ -259,7 +273,10 @@ impl Watch {
                 ("nc", Some(Value::Map(values))) => {
                     for (key, value) in values {
                         let text = value.as_str().unwrap_or_default();
-                        say(&format!("{} {text}", key.strip_prefix("out").unwrap_or(key)))?;
+                        say(&format!(
+                            "{} {text}",
+                            key.strip_prefix("out").unwrap_or(key)
+                        ))?;
                     }
                 }
                 _ => {}

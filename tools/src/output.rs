@@ -45,7 +45,11 @@ pub(crate) fn time(ns: i64) -> String {
         1_000_000..1_000_000_000 => (value / 1e6, "ms"),
         _ => (value / 1e9, "s"),
     };
-    let digits = if unit == "ns" || value.abs() >= 100.0 { 0 } else { 1 };
+    let digits = if unit == "ns" || value.abs() >= 100.0 {
+        0
+    } else {
+        1
+    };
     format!("{value:.digits$} {unit}")
 }
 

@@ -92,12 +92,20 @@ impl Server {
             let _ = stopped.await;
         };
         let task = runtime.spawn(server.run(controller.clone(), shutdown));
-        Ok(Self { runtime, task, stop, http, tcp })
+        Ok(Self {
+            runtime,
+            task,
+            stop,
+            http,
+            tcp,
+        })
     }
 
     /// Where it listens.
     pub(crate) fn addresses(&self) -> Vec<String> {
-        let http = self.http.map(|at| format!("DirectIO at ws://{at}/DirectIO/"));
+        let http = self
+            .http
+            .map(|at| format!("DirectIO at ws://{at}/DirectIO/"));
         let tcp = self.tcp.map(|at| format!("DirectIO lines at tcp {at}"));
         http.into_iter().chain(tcp).collect()
     }
@@ -132,9 +140,14 @@ pub(crate) fn tell_grants(host: &takt_rt::host::Host, controller: &Controller) {
 /// Cancels all running nets, waits for them, and aborts those that do not end.
 fn come_to_rest(controller: &Controller) {
     let running = || {
-        let nets = controller.nets().into_iter().filter_map(|id| controller.net(id));
+        let nets = controller
+            .nets()
+            .into_iter()
+            .filter_map(|id| controller.net(id));
         let runs = |s: NetState| matches!(s, NetState::Running | NetState::Cancelling);
-        nets.filter(|net| runs(net.state())).map(|net| net.id).collect::<Vec<_>>()
+        nets.filter(|net| runs(net.state()))
+            .map(|net| net.id)
+            .collect::<Vec<_>>()
     };
     for net in running() {
         if let Err(error) = controller.cancel(net) {
@@ -146,7 +159,9 @@ fn come_to_rest(controller: &Controller) {
         std::thread::sleep(Duration::from_millis(10));
     }
     for net in running() {
-        complain(&format!("{net} did not end within {CANCEL_WITHIN:?}; it is aborted"));
+        complain(&format!(
+            "{net} did not end within {CANCEL_WITHIN:?}; it is aborted"
+        ));
         if let Err(error) = controller.abort(net) {
             complain(&format!("cannot abort {net}: {error}"));
         }
@@ -156,7 +171,10 @@ fn come_to_rest(controller: &Controller) {
 fn start_logging() {
     let filter = tracing_subscriber::EnvFilter::try_from_default_env()
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info"));
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .init();
 }
 
 /// Calls `look` ten times a second until Ctrl-C, a request to terminate, or the end of `duration`.
@@ -164,10 +182,13 @@ pub(crate) fn until_stopped(
     duration: Option<Duration>,
     mut look: impl FnMut() -> anyhow::Result<()>,
 ) -> anyhow::Result<()> {
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()?;
     runtime.block_on(async {
-        let mut terminate = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate())
-            .context("cannot listen for signals")?;
+        let mut terminate =
+            tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate())
+                .context("cannot listen for signals")?;
         let mut ticks = tokio::time::interval(Duration::from_millis(100));
         let end = duration.map(|d| tokio::time::Instant::now() + d);
         loop {

@@ -95,7 +95,12 @@ impl LwrConfig {
     #[must_use]
     pub fn new(name: impl Into<String>, listen: SocketAddr) -> Self {
         let (name, priority) = (name.into(), Self::default_priority());
-        Self { name, listen, priority, cpus: Vec::new() }
+        Self {
+            name,
+            listen,
+            priority,
+            cpus: Vec::new(),
+        }
     }
 
     const fn default_listen() -> SocketAddr {
@@ -105,7 +110,10 @@ impl LwrConfig {
         )
     }
 
-    #[expect(clippy::unnecessary_wraps, reason = "the type of the field it is the default of")]
+    #[expect(
+        clippy::unnecessary_wraps,
+        reason = "the type of the field it is the default of"
+    )]
     const fn default_priority() -> Option<u8> {
         Some(85)
     }
@@ -117,9 +125,14 @@ impl CellConfig {
     /// # Errors
     /// If it cannot be read, is no TOML, names what does not exist, or a value is out of range.
     pub fn read(path: &Path) -> Result<Self, Error> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|source| Error::File { path: path.to_owned(), source })?;
-        Self::parse(&text).map_err(|what| Error::Config { path: path.to_owned(), what })
+        let text = std::fs::read_to_string(path).map_err(|source| Error::File {
+            path: path.to_owned(),
+            source,
+        })?;
+        Self::parse(&text).map_err(|what| Error::Config {
+            path: path.to_owned(),
+            what,
+        })
     }
 
     fn parse(text: &str) -> Result<Self, String> {
@@ -131,15 +144,24 @@ impl CellConfig {
     fn check(&self) -> Result<(), String> {
         let period = self.controller.period;
         if !(Duration::from_micros(100)..=Duration::from_millis(100)).contains(&period) {
-            return Err(format!("controller.period is {period:?}; it must be 100us to 100ms"));
+            return Err(format!(
+                "controller.period is {period:?}; it must be 100us to 100ms"
+            ));
         }
-        let priorities = self.devices.iter().map(|DeviceConfig::Lwr(d)| (&*d.name, d.priority));
+        let priorities = self
+            .devices
+            .iter()
+            .map(|DeviceConfig::Lwr(d)| (&*d.name, d.priority));
         for (name, priority) in priorities.chain([("controller", self.controller.priority)]) {
             if priority.is_some_and(|p| !(1..=98).contains(&p)) {
                 return Err(format!("{name}: priority must be 1 to 98, or be left out"));
             }
         }
-        let mut names: Vec<_> = self.devices.iter().map(|DeviceConfig::Lwr(d)| &d.name).collect();
+        let mut names: Vec<_> = self
+            .devices
+            .iter()
+            .map(|DeviceConfig::Lwr(d)| &d.name)
+            .collect();
         names.sort();
         match names.windows(2).find(|w| w[0] == w[1]) {
             Some(twice) => Err(format!("device name `{}` is given twice", twice[0])),
@@ -177,12 +199,19 @@ mod tests {
             ("[controller]\nperiod = \"1s\"", "must be 100us to 100ms"),
             ("[controller]\npriority = 99", "priority must be 1 to 98"),
             ("[controller]\nperoid = \"1ms\"", "unknown field `peroid`"),
-            ("[[device]]\nname = \"a\"\ntype = \"kuka\"", "unknown variant `kuka`"),
+            (
+                "[[device]]\nname = \"a\"\ntype = \"kuka\"",
+                "unknown variant `kuka`",
+            ),
         ] {
             let error = CellConfig::parse(text).unwrap_err();
             assert!(error.contains(said), "{text}: {error}");
         }
         let twice = "[[device]]\nname = \"a\"\ntype = \"kuka_lwr_fri\"\n".repeat(2);
-        assert!(CellConfig::parse(&twice).unwrap_err().contains("given twice"));
+        assert!(
+            CellConfig::parse(&twice)
+                .unwrap_err()
+                .contains("given twice")
+        );
     }
 }

@@ -119,7 +119,11 @@ struct Life {
 impl Drop for Life {
     fn drop(&mut self) {
         self.inner.stop.store(true, Ordering::Relaxed);
-        let supervisor = self.supervisor.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let supervisor = self
+            .supervisor
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .take();
         if supervisor.is_some_and(|thread| thread.join().is_err()) {
             tracing::error!("the supervisor had ended by a panic");
         }
@@ -206,9 +210,19 @@ impl Controller {
             if let Some(recorder) = &desk.recorder {
                 recorder.arm(&description, first_joint);
             }
-            desk.arms.push(Lwr::start(config, period, ports.driver_state, ports.driver_command)?);
+            desk.arms.push(Lwr::start(
+                config,
+                period,
+                ports.driver_state,
+                ports.driver_command,
+            )?);
             let (state, command) = (ports.state, ports.command);
-            let end = Box::new(ArmEnd { first_joint, joints, state, command });
+            let end = Box::new(ArmEnd {
+                first_joint,
+                joints,
+                state,
+                command,
+            });
             desk.command(Command::AddArm(end))?;
         }
         let inner = Arc::new(Inner {
@@ -224,8 +238,14 @@ impl Controller {
             .name(name.clone())
             .spawn(move || supervise(&supervised))
             .map_err(|source| Error::Thread { name, source })?;
-        let life = Life { inner: Arc::clone(&inner), supervisor: Mutex::new(Some(supervisor)) };
-        Ok(Self { inner, _life: Arc::new(life) })
+        let life = Life {
+            inner: Arc::clone(&inner),
+            supervisor: Mutex::new(Some(supervisor)),
+        };
+        Ok(Self {
+            inner,
+            _life: Arc::new(life),
+        })
     }
 
     /// Opens a session, to which nets can belong.
@@ -235,11 +255,19 @@ impl Controller {
     pub fn open_session(&self, description: &str) -> Result<SessionId, Error> {
         let mut desk = self.inner.lock();
         if desk.sessions.len() >= SESSIONS_MAX {
-            return Err(Error::TooMany { what: "open sessions", bound: SESSIONS_MAX });
+            return Err(Error::TooMany {
+                what: "open sessions",
+                bound: SESSIONS_MAX,
+            });
         }
         desk.last_session += 1;
         let id = SessionId(desk.last_session);
-        desk.sessions.insert(id, Session { description: description.to_owned() });
+        desk.sessions.insert(
+            id,
+            Session {
+                description: description.to_owned(),
+            },
+        );
         Ok(id)
     }
 
@@ -279,7 +307,12 @@ impl Controller {
     /// # Errors
     /// If there are too many nets, or no such session.
     pub fn load(&self, request: LoadRequest) -> Result<NetId, Error> {
-        let LoadRequest { text, session, description, period } = request;
+        let LoadRequest {
+            text,
+            session,
+            description,
+            period,
+        } = request;
         let text: Arc<str> = text.into();
         let id = {
             let mut desk = self.inner.lock();
@@ -287,7 +320,10 @@ impl Controller {
                 return Err(Error::NoSuchSession(session.to_string()));
             }
             if desk.nets.len() >= NETS_MAX {
-                return Err(Error::TooMany { what: "loaded nets", bound: NETS_MAX });
+                return Err(Error::TooMany {
+                    what: "loaded nets",
+                    bound: NETS_MAX,
+                });
             }
             let id = desk.next_net();
             let net = Net::new(session, description, Arc::clone(&text));
@@ -334,18 +370,27 @@ impl Controller {
             recorder.net(id.0, every, period, text);
         }
         drop(desk);
-        let numbers = plan.devices().iter().filter_map(|name| devices.number(name));
+        let numbers = plan
+            .devices()
+            .iter()
+            .filter_map(|name| devices.number(name));
         let numbers: Vec<_> = numbers.map(|number| (number, 0)).collect();
         let (out_directory, in_directory) = (Arc::clone(plan.outbox()), Arc::clone(plan.inbox()));
         let in_words: Box<[u64]> = plan.inbox_words().collect();
-        let (out, out_reader) =
-            latest(1, || vec![0; out_directory.words()].into_boxed_slice());
+        let (out, out_reader) = latest(1, || vec![0; out_directory.words()].into_boxed_slice());
         let (in_writer, inbox) = latest(1, || in_words.clone());
         let mut running = Box::new(Running::new(id.0, plan, out, inbox));
         running.resources = resources;
         running.devices = numbers;
         running.every = every;
-        Ok(desk::Prepared { running, out_directory, out_reader, in_directory, in_writer, in_words })
+        Ok(desk::Prepared {
+            running,
+            out_directory,
+            out_reader,
+            in_directory,
+            in_writer,
+            in_words,
+        })
     }
 
     /// Starts a net and waits until it runs.
@@ -388,10 +433,11 @@ impl Controller {
             }
             NetState::Running | NetState::Cancelling => desk.command(Command::Abort(id.0))?,
         }
-        self.inner.wait_for(desk, |desk| match desk.net(id).map(|net| net.state()) {
-            Ok(NetState::Running | NetState::Cancelling) => None,
-            _ => Some(()),
-        })
+        self.inner
+            .wait_for(desk, |desk| match desk.net(id).map(|net| net.state()) {
+                Ok(NetState::Running | NetState::Cancelling) => None,
+                _ => Some(()),
+            })
     }
 
     /// Forgets a net that does not run; one that runs is left alone.
@@ -404,7 +450,11 @@ impl Controller {
             NetState::Running => return Ok(()),
             state @ (NetState::Cancelling | NetState::Loading) => {
                 let what = "wait until it has ended, or abort it";
-                return Err(Error::WrongState { net: id, state, what });
+                return Err(Error::WrongState {
+                    net: id,
+                    state,
+                    what,
+                });
             }
             NetState::Rejected
             | NetState::Ready
@@ -437,13 +487,21 @@ impl Controller {
     #[must_use]
     pub fn sessions(&self) -> Vec<(SessionId, String)> {
         let desk = self.inner.lock();
-        desk.sessions.iter().map(|(id, s)| (*id, s.description.clone())).collect()
+        desk.sessions
+            .iter()
+            .map(|(id, s)| (*id, s.description.clone()))
+            .collect()
     }
 
     /// Values that a net gives out: those reported and ever non-null, as key and text.
     #[must_use]
     pub fn out_values(&self, id: NetId) -> Vec<(String, String)> {
-        self.inner.lock().nets.get_mut(&id).map(Net::out_values).unwrap_or_default()
+        self.inner
+            .lock()
+            .nets
+            .get_mut(&id)
+            .map(Net::out_values)
+            .unwrap_or_default()
     }
 
     /// Writes a value that a net takes in; returns whether it has one of that key.
@@ -467,7 +525,10 @@ impl Controller {
         desk.last_watch += 1;
         let number = desk.last_watch;
         desk.watches.insert(number, Box::new(wake));
-        Watch { inner: Arc::clone(&self.inner), number }
+        Watch {
+            inner: Arc::clone(&self.inner),
+            number,
+        }
     }
 
     /// Time from one cycle of the net thread to the next.

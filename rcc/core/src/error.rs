@@ -24,7 +24,11 @@ pub enum Error {
     NoSuchSession(String),
     /// The net is not in a state from which this can be done.
     #[error("net {net} is {state}; {what}")]
-    WrongState { net: NetId, state: NetState, what: &'static str },
+    WrongState {
+        net: NetId,
+        state: NetState,
+        what: &'static str,
+    },
     /// Something the net needs is in use.
     #[error("net {net} needs {resource}, which another running net holds; end that net first")]
     ResourceInUse { net: NetId, resource: String },
@@ -42,10 +46,18 @@ pub enum Error {
     Condition { what: String },
     /// A device that the net commands does not follow commands.
     #[error("net {net} commands {device}, which is {status}; wait until it is operational")]
-    DeviceNotReady { net: NetId, device: String, status: String },
+    DeviceNotReady {
+        net: NetId,
+        device: String,
+        status: String,
+    },
     /// A text is no value of a net's in value.
     #[error("net {net}, value {key}: {what}")]
-    Value { net: NetId, key: String, what: String },
+    Value {
+        net: NetId,
+        key: String,
+        what: String,
+    },
     /// Bounds of the controller.
     #[error("{what}: at most {bound}; unload or end some first")]
     TooMany { what: &'static str, bound: usize },
@@ -54,13 +66,23 @@ pub enum Error {
     NoAnswer(std::time::Duration),
     /// A thread could not be made.
     #[error("cannot start thread {name}: {source}")]
-    Thread { name: String, source: std::io::Error },
+    Thread {
+        name: String,
+        source: std::io::Error,
+    },
     /// A device could not be opened.
     #[error("cannot open device `{name}`: {what}: {source}")]
-    Device { name: String, what: String, source: std::io::Error },
+    Device {
+        name: String,
+        what: String,
+        source: std::io::Error,
+    },
     /// A file could not be read or written.
     #[error("{path}: {source}")]
-    File { path: PathBuf, source: std::io::Error },
+    File {
+        path: PathBuf,
+        source: std::io::Error,
+    },
     /// A configuration is wrong.
     #[error("{path}: {what}")]
     Config { path: PathBuf, what: String },

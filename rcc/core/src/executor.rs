@@ -278,7 +278,8 @@ impl Executor {
 
     /// Says whether a successor waits for a net; returns whether that is new.
     pub fn set_takeover(&mut self, id: u32, waits: bool) -> bool {
-        self.find(id).is_some_and(|net| std::mem::replace(&mut net.takeover, waits) != waits)
+        self.find(id)
+            .is_some_and(|net| std::mem::replace(&mut net.takeover, waits) != waits)
     }
 
     /// Ends a net after this cycle, as a rule does.
@@ -301,14 +302,20 @@ impl Executor {
     pub fn cycle(&mut self, moment: Moment) {
         for net in &mut self.running {
             let failed = net.devices.iter().find(|(number, faults)| {
-                self.devices.get(*number).is_none_or(|view| view.faults != *faults)
+                self.devices
+                    .get(*number)
+                    .is_none_or(|view| view.faults != *faults)
             });
             if let Some((number, _)) = failed {
                 net.end = net.end.or(Some(End::DeviceFault(*number)));
             }
             net.evaluated = net.end.is_none() && moment.cycle.is_multiple_of(net.every);
             if net.evaluated {
-                let moment = Moment { cancel: net.cancel, takeover: net.takeover, ..moment };
+                let moment = Moment {
+                    cancel: net.cancel,
+                    takeover: net.takeover,
+                    ..moment
+                };
                 if net.plan.evaluate(&self.image, moment) {
                     net.end = Some(End::Terminated);
                 }
@@ -345,7 +352,9 @@ impl Executor {
         &mut self,
         take: impl FnOnce(Box<Running>, End) -> Result<(), Box<Running>>,
     ) -> bool {
-        let Some(at) = self.running.iter().position(|net| net.end.is_some()) else { return false };
+        let Some(at) = self.running.iter().position(|net| net.end.is_some()) else {
+            return false;
+        };
         let net = self.running.remove(at);
         let end = net.end.unwrap_or(End::Aborted);
         match take(net, end) {

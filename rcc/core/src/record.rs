@@ -34,13 +34,16 @@ pub struct Tap {
     free: Consumer<Vec<u64>>,
     full: Producer<Vec<u64>>,
     current: Option<Words>,
+    /// No buffer was free when the cycle began: one that comes later must not hold half of it.
+    skips: bool,
     lost: Arc<AtomicU64>,
 }
 
 impl Tap {
     fn words(&mut self) -> Option<&mut Words> {
-        if self.current.is_none() {
+        if self.current.is_none() && !self.skips {
             self.current = self.free.pop().map(Words::new);
+            self.skips = self.current.is_none();
         }
         self.current.as_mut()
     }
@@ -113,17 +116,33 @@ impl Tap {
         if let Some(words) = self.words() {
             words.outputs(moment, executor);
         }
-        let whole = self.current.take().and_then(Words::finish);
-        if whole.is_none_or(|buffer| self.full.push(buffer).is_err()) {
-            self.lost.fetch_add(1, Ordering::Relaxed);
-        }
+        self.skips = false;
+        // A buffer is never dropped here: freeing it would not be real time.
+        let spare = match self.current.take().map(Words::finish) {
+            Some(Ok(whole)) => match self.full.push(whole) {
+                Ok(()) => return,
+                Err(buffer) => Some(buffer),
+            },
+            Some(Err(buffer)) => Some(buffer),
+            None => None,
+        };
+        self.lost.fetch_add(1, Ordering::Relaxed);
+        self.current = spare.map(|mut buffer| {
+            buffer.clear();
+            Words::new(buffer)
+        });
     }
 }
 
 /// What the file is told besides cycles.
 enum Note {
     Arm(ArmDescription, usize),
-    Net { id: u32, every: u64, period: Duration, text: Arc<str> },
+    Net {
+        id: u32,
+        every: u64,
+        period: Duration,
+        text: Arc<str>,
+    },
 }
 
 /// A recording under way; dropped, it is finished.
@@ -148,8 +167,13 @@ impl Recorder {
         let (notes, notes_out) = mpsc::channel();
         let stop = Arc::new(AtomicBool::new(false));
         let lost = Arc::new(AtomicU64::new(0));
-        let mut desk =
-            Desk { writer, free: free_in, full: full_out, notes: notes_out, stop: Arc::clone(&stop) };
+        let mut desk = Desk {
+            writer,
+            free: free_in,
+            full: full_out,
+            notes: notes_out,
+            stop: Arc::clone(&stop),
+        };
         for _ in 0..BUFFERS {
             // A ring of this size takes them all.
             let _ = desk.free.push(Vec::with_capacity(WORDS_A_CYCLE));
@@ -157,10 +181,28 @@ impl Recorder {
         let thread = std::thread::Builder::new()
             .name("takt-record".to_owned())
             .spawn(move || desk.run())
-            .map_err(|source| Error::Thread { name: "takt-record".to_owned(), source })?;
-        let tap = Tap { free, full, current: None, lost: Arc::clone(&lost) };
+            .map_err(|source| Error::Thread {
+                name: "takt-record".to_owned(),
+                source,
+            })?;
+        let tap = Tap {
+            free,
+            full,
+            current: None,
+            skips: false,
+            lost: Arc::clone(&lost),
+        };
         let path = path.to_owned();
-        Ok((Self { notes, stop, lost, thread: Some(thread), path }, tap))
+        Ok((
+            Self {
+                notes,
+                stop,
+                lost,
+                thread: Some(thread),
+                path,
+            },
+            tap,
+        ))
     }
 
     /// Tells of an arm of the cell.
@@ -171,7 +213,12 @@ impl Recorder {
 
     /// Tells of a net that was loaded.
     pub fn net(&self, id: u32, every: u64, period: Duration, text: &Arc<str>) {
-        let _ = self.notes.send(Note::Net { id, every, period, text: Arc::clone(text) });
+        let _ = self.notes.send(Note::Net {
+            id,
+            every,
+            period,
+            text: Arc::clone(text),
+        });
     }
 
     /// Ends the recording; returns how many cycles it holds.
@@ -180,7 +227,10 @@ impl Recorder {
     /// If the file could not be written, or cycles were lost.
     pub fn finish(mut self) -> Result<u64, Error> {
         self.stop.store(true, Ordering::Relaxed);
-        let broken = |what: String| Error::Recording { path: self.path.clone(), what };
+        let broken = |what: String| Error::Recording {
+            path: self.path.clone(),
+            what,
+        };
         let cycles = match self.thread.take().map(std::thread::JoinHandle::join) {
             Some(Ok(written)) => written?,
             _ => return Err(broken("the recording thread ended by a panic".to_owned())),
@@ -232,6 +282,10 @@ impl Desk {
                 let _ = self.free.push(buffer);
             }
             if stop {
+                // Nets that those last cycles may have started.
+                while let Ok(note) = self.notes.try_recv() {
+                    self.writer.note(&note)?;
+                }
                 self.writer.finish()?;
                 return Ok(cycles);
             }

@@ -15,7 +15,9 @@ pub struct SpanError(String);
 pub fn parse(text: &str) -> Result<Duration, SpanError> {
     let error = || SpanError(text.to_owned());
     let trimmed = text.trim();
-    let unit_at = trimmed.find(|c: char| c.is_ascii_alphabetic()).ok_or_else(error)?;
+    let unit_at = trimmed
+        .find(|c: char| c.is_ascii_alphabetic())
+        .ok_or_else(error)?;
     let (number, unit) = trimmed.split_at(unit_at);
     let number: f64 = number.trim().parse().map_err(|_| error())?;
     let seconds = match unit {

@@ -21,7 +21,12 @@ impl Bench {
             period: None,
         };
         let id = self.0.load(request).unwrap();
-        assert_eq!(self.state(id), NetState::Ready, "{:?}", self.0.net(id).unwrap().rejection);
+        assert_eq!(
+            self.state(id),
+            NetState::Ready,
+            "{:?}",
+            self.0.net(id).unwrap().rejection
+        );
         id
     }
 
@@ -63,17 +68,27 @@ impl Bench {
     }
 
     fn wait_rule(&self, id: RuleId, state: RuleState) {
-        self.wait(&format!("rule {id} {state:?}"), || self.0.rule(id).unwrap().state == state);
+        self.wait(&format!("rule {id} {state:?}"), || {
+            self.0.rule(id).unwrap().state == state
+        });
     }
 
     fn value(&self, net: NetId, key: &str) -> Option<String> {
-        self.0.out_values(net).into_iter().find(|(k, _)| k == key).map(|(_, text)| text)
+        self.0
+            .out_values(net)
+            .into_iter()
+            .find(|(k, _)| k == key)
+            .map(|(_, text)| text)
     }
 }
 
 /// Runs for `seconds`, counts its cycles, reports `done` and ends if `ends`.
 fn lasting(seconds: f64, ends: bool) -> String {
-    let end = if ends { "over.outValue" } else { "never.outValue" };
+    let end = if ends {
+        "over.outValue"
+    } else {
+        "never.outValue"
+    };
     format!(
         "{{clock=Core::Clock(),over=Core::DoubleGreater(inFirst=clock.outValue,Second='{seconds}'),
         never=Core::BooleanValue(),done=Core::BooleanNetcommOut(inValue=over.outValue,Key='done'),
@@ -94,21 +109,30 @@ fn lasting(seconds: f64, ends: bool) -> String {
 #[test]
 fn a_rule_starts_a_net_when_its_condition_becomes_true() {
     let bench = Bench::new();
-    let (first, second) = (bench.load(&lasting(0.05, false)), bench.load(&lasting(0.05, true)));
+    let (first, second) = (
+        bench.load(&lasting(0.05, false)),
+        bench.load(&lasting(0.05, true)),
+    );
     let rule = bench.rule(&format!("{first}.outdone"), &[first], &[], &[second]);
     assert_eq!(bench.state(second), NetState::Scheduled);
     assert_eq!(bench.0.rule(rule).unwrap().state, RuleState::Active);
     bench.0.start_net(first).unwrap();
     bench.wait_state(second, NetState::Terminated);
     assert_eq!(bench.state(first), NetState::Terminated);
-    assert_eq!(bench.0.net(first).unwrap().end.as_deref(), Some("stopped by a rule"));
+    assert_eq!(
+        bench.0.net(first).unwrap().end.as_deref(),
+        Some("stopped by a rule")
+    );
     bench.wait_rule(rule, RuleState::Fired);
 }
 
 #[test]
 fn the_end_of_a_net_can_be_a_condition() {
     let bench = Bench::new();
-    let (first, second) = (bench.load(&lasting(0.05, true)), bench.load(&lasting(0.0, true)));
+    let (first, second) = (
+        bench.load(&lasting(0.05, true)),
+        bench.load(&lasting(0.0, true)),
+    );
     bench.rule(&format!("{first}.terminated"), &[], &[], &[second]);
     bench.0.start_net(first).unwrap();
     bench.wait_state(second, NetState::Terminated);
@@ -117,19 +141,31 @@ fn the_end_of_a_net_can_be_a_condition() {
 #[test]
 fn the_predecessor_learns_that_a_successor_waits() {
     let bench = Bench::new();
-    let (first, second) = (bench.load(&lasting(9.0, true)), bench.load(&lasting(0.0, true)));
+    let (first, second) = (
+        bench.load(&lasting(9.0, true)),
+        bench.load(&lasting(0.0, true)),
+    );
     bench.0.start_net(first).unwrap();
-    bench.wait("a first value", || bench.value(first, "outwanted").as_deref() == Some("false"));
+    bench.wait("a first value", || {
+        bench.value(first, "outwanted").as_deref() == Some("false")
+    });
     bench.rule(&format!("{first}.terminated"), &[], &[], &[second]);
-    bench.wait("the takeover flag", || bench.value(first, "outwanted").as_deref() == Some("true"));
+    bench.wait("the takeover flag", || {
+        bench.value(first, "outwanted").as_deref() == Some("true")
+    });
     bench.0.abort(second).unwrap();
-    bench.wait("the flag to fall", || bench.value(first, "outwanted").as_deref() == Some("false"));
+    bench.wait("the flag to fall", || {
+        bench.value(first, "outwanted").as_deref() == Some("false")
+    });
 }
 
 #[test]
 fn a_condition_that_can_never_hold_ends_its_rule() {
     let bench = Bench::new();
-    let (first, second) = (bench.load(&lasting(9.0, true)), bench.load(&lasting(0.0, true)));
+    let (first, second) = (
+        bench.load(&lasting(9.0, true)),
+        bench.load(&lasting(0.0, true)),
+    );
     bench.0.start_net(first).unwrap();
     let rule = bench.rule(&format!("{first}.terminated"), &[], &[], &[second]);
     bench.0.abort(first).unwrap();
@@ -143,10 +179,17 @@ fn a_condition_that_can_never_hold_ends_its_rule() {
 fn the_successor_is_chosen_by_result() {
     let bench = Bench::new();
     let first = bench.load(&lasting(0.05, true));
-    let (good, bad) = (bench.load(&lasting(0.0, true)), bench.load(&lasting(0.0, true)));
+    let (good, bad) = (
+        bench.load(&lasting(0.0, true)),
+        bench.load(&lasting(0.0, true)),
+    );
     let chosen = bench.rule(&format!("{first}.outdone"), &[first], &[], &[good]);
-    let other =
-        bench.rule(&format!("{first}.terminated & !{first}.outdone"), &[first], &[], &[bad]);
+    let other = bench.rule(
+        &format!("{first}.terminated & !{first}.outdone"),
+        &[first],
+        &[],
+        &[bad],
+    );
     bench.0.start_net(first).unwrap();
     bench.wait_state(good, NetState::Terminated);
     bench.wait_rule(chosen, RuleState::Fired);
@@ -161,7 +204,12 @@ fn several_nets_are_stopped_cancelled_and_started_at_once() {
     let starter = bench.load(&lasting(0.02, true));
     bench.0.start_net(nets[0]).unwrap();
     bench.0.start_net(nets[1]).unwrap();
-    bench.rule(&format!("{starter}.outdone"), &nets[..1], &nets[1..2], &nets[2..]);
+    bench.rule(
+        &format!("{starter}.outdone"),
+        &nets[..1],
+        &nets[1..2],
+        &nets[2..],
+    );
     bench.0.start_net(starter).unwrap();
     bench.wait_state(nets[0], NetState::Terminated);
     bench.wait_state(nets[1], NetState::Cancelling);
@@ -169,7 +217,9 @@ fn several_nets_are_stopped_cancelled_and_started_at_once() {
     bench.wait_state(nets[3], NetState::Running);
     let clocks = || {
         let values = nets[2..].iter().map(|n| bench.0.out_values(*n));
-        values.map(|v| v.into_iter().find(|(k, _)| k == "outclock")).collect::<Vec<_>>()
+        values
+            .map(|v| v.into_iter().find(|(k, _)| k == "outclock"))
+            .collect::<Vec<_>>()
     };
     bench.wait("both in step", || {
         let both = clocks();
@@ -181,7 +231,10 @@ fn several_nets_are_stopped_cancelled_and_started_at_once() {
 #[test]
 fn a_rule_on_an_ended_net_is_decided_at_once() {
     let bench = Bench::new();
-    let (first, second) = (bench.load(&lasting(0.0, true)), bench.load(&lasting(0.0, true)));
+    let (first, second) = (
+        bench.load(&lasting(0.0, true)),
+        bench.load(&lasting(0.0, true)),
+    );
     bench.0.start_net(first).unwrap();
     bench.wait_state(first, NetState::Terminated);
     let fired = bench.rule(&format!("{first}.outdone"), &[first], &[], &[second]);
@@ -209,12 +262,14 @@ fn an_immediate_rule_fires_and_cancels() {
 #[test]
 fn wrong_rules_are_refused_with_the_cause() {
     let bench = Bench::new();
-    let (net, ended) = (bench.load(&lasting(9.0, true)), bench.load(&lasting(0.0, true)));
+    let (net, ended) = (
+        bench.load(&lasting(9.0, true)),
+        bench.load(&lasting(0.0, true)),
+    );
     bench.0.start_net(ended).unwrap();
     bench.wait_state(ended, NetState::Terminated);
-    let refused = |condition: &str, start: &[NetId]| {
-        bench.try_rule(condition, &[], &[], start).unwrap_err()
-    };
+    let refused =
+        |condition: &str, start: &[NetId]| bench.try_rule(condition, &[], &[], start).unwrap_err();
     assert!(refused("rpinet99.outx", &[]).contains("there is no net `rpinet99`"));
     assert!(refused(&format!("{net}.outnone"), &[]).contains("has no value `outnone`"));
     assert!(refused(&format!("{net}.outclock"), &[]).contains("no Boolean value"));

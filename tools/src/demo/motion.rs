@@ -4,18 +4,31 @@
 use std::f64::consts::TAU;
 use std::time::Duration;
 
-/// By joint: how far it swings out, rad, and how often in ten seconds.
-const SWINGS: [(f64, f64); 7] =
-    [(0.6, 2.0), (0.4, 4.0), (-0.5, 2.0), (0.5, 4.0), (0.6, 2.0), (-0.4, 4.0), (0.8, 2.0)];
+/// By joint: how far it swings out, rad, and how often in five seconds.
+const SWINGS: [(f64, f64); 7] = [
+    (0.6, 1.0),
+    (0.4, 2.0),
+    (-0.5, 1.0),
+    (0.5, 2.0),
+    (0.6, 1.0),
+    (-0.4, 2.0),
+    (0.8, 1.0),
+];
 
 /// The net for a motion of that length.
 pub(super) fn net(robots: &[&str], duration: Duration) -> String {
     let seconds = duration.as_secs_f64().max(0.1);
     // As many swings as fit without more speed; where the time is short, smaller ones.
-    let repeats = (seconds / 10.0).round().max(1.0);
-    let scale = (seconds / (10.0 * repeats)).powi(2).min(1.0);
-    let arms: Vec<String> = robots.iter().map(|robot| arm(robot, repeats, scale)).collect();
-    let good: Vec<String> = robots.iter().map(|robot| format!("{robot}.outGood")).collect();
+    let repeats = (seconds / 5.0).round().max(1.0);
+    let scale = (seconds / (5.0 * repeats)).powi(2).min(1.0);
+    let arms: Vec<String> = robots
+        .iter()
+        .map(|robot| arm(robot, repeats, scale))
+        .collect();
+    let good: Vec<String> = robots
+        .iter()
+        .map(|robot| format!("{robot}.outGood"))
+        .collect();
     let (all_good, gates) = all_of("good", &good);
     format!(
         "{{
@@ -60,7 +73,7 @@ pub(super) fn net(robots: &[&str], duration: Duration) -> String {
 /// The fragment that moves one arm.
 fn arm(robot: &str, repeats: f64, scale: f64) -> String {
     let joint = |(axis, (swing, often)): (usize, &(f64, f64))| {
-        let angle = TAU * often * repeats / 2.0;
+        let angle = TAU * often * repeats;
         let half = swing * scale / 2.0;
         format!(
             "    monitor{axis}=RobotArm::JointMonitor(Robot='{robot}', Axis='{axis}'),
@@ -79,7 +92,9 @@ fn arm(robot: &str, repeats: f64, scale: f64) -> String {
         )
     };
     let joints: String = SWINGS.iter().enumerate().map(joint).collect();
-    let good: Vec<String> = (0..SWINGS.len()).map(|axis| format!("good{axis}.outValue")).collect();
+    let good: Vec<String> = (0..SWINGS.len())
+        .map(|axis| format!("good{axis}.outValue"))
+        .collect();
     let (all, gates) = all_of("all", &good);
     format!(
         "  {robot}={{

@@ -43,17 +43,28 @@ fn curves(area: &Area<'_>, robot: &str, time_s: &[f64], joints: &[Vec<f64>]) -> 
     let (low, high) = (values().fold(0.0, f64::min), values().fold(0.0, f64::max));
     let end = time_s.last().copied().unwrap_or(1.0);
     let mut chart = ChartBuilder::on(area)
-        .caption(format!("{robot}: measured joint positions"), ("sans-serif", 16))
+        .caption(
+            format!("{robot}: measured joint positions"),
+            ("sans-serif", 16),
+        )
         .margin(8)
         .x_label_area_size(32)
         .y_label_area_size(48)
         .build_cartesian_2d(0.0..end, low - 0.1..high + 0.1)?;
-    chart.configure_mesh().x_desc("time, s").y_desc("rad").light_line_style(WHITE).draw()?;
+    chart
+        .configure_mesh()
+        .x_desc("time, s")
+        .y_desc("rad")
+        .light_line_style(WHITE)
+        .draw()?;
     for (i, (positions, name)) in joints.iter().zip(takt_fri::lwr::JOINT_NAMES).enumerate() {
         let colour = Palette99::pick(i).to_rgba();
         let points = time_s.iter().copied().zip(positions.iter().copied());
         chart
-            .draw_series(LineSeries::new(points.filter(|(_, p)| p.is_finite()), colour))?
+            .draw_series(LineSeries::new(
+                points.filter(|(_, p)| p.is_finite()),
+                colour,
+            ))?
             .label(name)
             .legend(move |(x, y)| PathElement::new([(x, y), (x + 14, y)], colour));
     }
@@ -88,7 +99,10 @@ fn latencies(area: &Area<'_>, stats: &Snapshot) -> Drawn {
         .margin(8)
         .x_label_area_size(32)
         .y_label_area_size(48)
-        .build_cartesian_2d((EDGES_US.0..EDGES_US.1).log_scale(), (0.5..most * 2.0).log_scale())?;
+        .build_cartesian_2d(
+            (EDGES_US.0..EDGES_US.1).log_scale(),
+            (0.5..most * 2.0).log_scale(),
+        )?;
     chart
         .configure_mesh()
         .x_desc("latency, us")

@@ -20,7 +20,12 @@ pub(super) struct Quantiles {
 
 impl From<Summary> for Quantiles {
     fn from(s: Summary) -> Self {
-        Self { p50: s.p50.0, p99: s.p99.0, p999: s.p999.0, max: s.max.0 }
+        Self {
+            p50: s.p50.0,
+            p99: s.p99.0,
+            p999: s.p999.0,
+            max: s.max.0,
+        }
     }
 }
 
@@ -55,7 +60,10 @@ pub(super) struct Report {
     latency_ns: Quantiles,
     execution_ns: Quantiles,
     rt_allocations: u64,
+    /// Whether the threads have real-time priority and locked memory.
     realtime: bool,
+    /// Whether the kernel bounds how late they may be.
+    preempt_rt: bool,
     robots: Vec<RobotReport>,
     /// Longest time between handing the set-points of one cycle to the first and to the last arm.
     sync_error_ns_max: i64,
@@ -72,15 +80,23 @@ impl Report {
         let stats = controller.stats();
         let rt_allocations = takt_rt::alloc::real_time_allocations();
         let drivers = controller.with_arms(|arm| {
-            (arm.figures(), arm.answer_time.read().summary(), arm.set_point_age.read().summary())
+            (
+                arm.figures(),
+                arm.answer_time.read().summary(),
+                arm.set_point_age.read().summary(),
+            )
         });
         let mut reports = Vec::new();
         for (i, (figures, answer, age)) in drivers.into_iter().enumerate() {
-            let missed = robots.get(i).map_or(0, |robot| u64::from(robot.status.missed()));
+            let missed = robots
+                .get(i)
+                .map_or(0, |robot| u64::from(robot.status.missed()));
             reports.push(RobotReport {
                 name: ROBOTS[i].to_owned(),
                 protocol: "fri1",
-                period_ns: figures.period.map_or(0, |p| p.as_nanos().try_into().unwrap_or(0)),
+                period_ns: figures
+                    .period
+                    .map_or(0, |p| p.as_nanos().try_into().unwrap_or(0)),
                 datagrams: figures.datagrams,
                 lost: figures.lost + missed,
                 quality: format!("{:?}", figures.quality).to_uppercase(),
@@ -94,6 +110,11 @@ impl Report {
         if rt_allocations > 0 {
             faults.push(format!("{rt_allocations} allocations in real-time threads"));
         }
+        for (robot, name) in robots.iter().zip(ROBOTS) {
+            if let Some(why) = robot.status.last_fall() {
+                faults.push(format!("{name} left command mode: {why}"));
+            }
+        }
         for robot in reports.iter().filter(|r| r.moved_rad_max < 0.01) {
             faults.push(format!("{} did not move", robot.name));
         }
@@ -106,21 +127,24 @@ impl Report {
             execution_ns: stats.execution.into(),
             rt_allocations,
             realtime: is_real_time(controller, host),
+            preempt_rt: host.is_preempt_rt(),
             robots: reports,
             sync_error_ns_max: controller.hand_over().max.0,
         }
     }
 
     /// The report for people.
-    pub(super) fn text(&self, preempt_rt: bool) -> String {
+    pub(super) fn text(&self) -> String {
         let q = |q: Quantiles| {
             let [p50, p99, p999, max] = [q.p50, q.p99, q.p999, q.max].map(time);
             format!("p50 {p50}  p99 {p99}  p99.9 {p999}  max {max}")
         };
-        let kind = match (self.realtime, preempt_rt) {
+        let kind = match (self.realtime, self.preempt_rt) {
             (true, true) => "real-time priority on a PREEMPT_RT kernel",
             (true, false) => "real-time priority, but not a PREEMPT_RT kernel",
-            (false, _) => "NOT real time: see the warnings; figures are those of an ordinary process",
+            (false, _) => {
+                "NOT real time: see the warnings; figures are those of an ordinary process"
+            }
         };
         let mut text = format!(
             "cycle      1 ms, {} cycles, {} overruns; {kind}\nlatency    {}\nexecution  {}\n",
@@ -157,8 +181,12 @@ impl Report {
     }
 }
 
-/// Whether the net thread and the drivers run with real-time priority and locked memory.
+/// Whether nothing was refused that real-time threads ask for. The kernel is told apart.
 fn is_real_time(controller: &Controller, host: &Host) -> bool {
     let threads = controller.grants();
-    host.is_real_time() && threads.iter().all(|(_, grant)| !grant.is_refused())
+    let kernel = |grant: &&takt_rt::Grant| grant.what == takt_rt::host::KERNEL;
+    let refused = host.grants().iter().filter(|grant| !kernel(grant));
+    !refused
+        .chain(threads.iter().map(|(_, grant)| grant))
+        .any(takt_rt::Grant::is_refused)
 }

@@ -6,9 +6,9 @@ use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
 
+use takt_net::Rejection;
 use takt_net::fault::{Fault, FaultKind};
 use takt_net::netcomm::{Directory, Entry, OutStatus};
-use takt_net::Rejection;
 use takt_rt::latest::{LatestReader, LatestWriter};
 
 use crate::controller::rules::{RuleEntry, RuleId};
@@ -89,10 +89,22 @@ impl Net {
     }
 
     pub(super) fn make_ready(&mut self, prepared: Prepared) {
-        let Prepared { running, out_directory, out_reader, in_directory, in_writer, in_words } =
-            prepared;
+        let Prepared {
+            running,
+            out_directory,
+            out_reader,
+            in_directory,
+            in_writer,
+            in_words,
+        } = prepared;
         self.running = Some(running);
-        self.values = Some(Values { out_directory, out_reader, in_directory, in_writer, in_words });
+        self.values = Some(Values {
+            out_directory,
+            out_reader,
+            in_directory,
+            in_writer,
+            in_words,
+        });
         self.enter(NetState::Ready);
     }
 
@@ -159,7 +171,9 @@ impl Net {
     }
 
     pub(super) fn out_values(&mut self) -> Vec<(String, String)> {
-        let Some(values) = &mut self.values else { return Vec::new() };
+        let Some(values) = &mut self.values else {
+            return Vec::new();
+        };
         let directory = &values.out_directory;
         values.out_reader.read_with(|words| {
             let seen = directory
@@ -176,12 +190,22 @@ impl Net {
     }
 
     pub(super) fn write_in(&mut self, id: NetId, key: &str, text: &str) -> Result<bool, Error> {
-        let Some(values) = &mut self.values else { return Ok(false) };
-        let Some(entry) = values.in_directory.find(key) else { return Ok(false) };
+        let Some(values) = &mut self.values else {
+            return Ok(false);
+        };
+        let Some(entry) = values.in_directory.find(key) else {
+            return Ok(false);
+        };
         let written = entry.write(text, &mut values.in_words);
-        written.map_err(|e| Error::Value { net: id, key: key.to_owned(), what: e.what })?;
+        written.map_err(|e| Error::Value {
+            net: id,
+            key: key.to_owned(),
+            what: e.what,
+        })?;
         let words = &values.in_words;
-        values.in_writer.write_with(|slot| slot.copy_from_slice(words));
+        values
+            .in_writer
+            .write_with(|slot| slot.copy_from_slice(words));
         Ok(true)
     }
 }
@@ -208,7 +232,9 @@ pub(super) struct Desk {
 
 impl fmt::Debug for Desk {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Desk").field("nets", &self.nets.len()).finish_non_exhaustive()
+        f.debug_struct("Desk")
+            .field("nets", &self.nets.len())
+            .finish_non_exhaustive()
     }
 }
 
@@ -257,8 +283,14 @@ impl Desk {
         let number = self.resources.len();
         if number >= ResourceSet::MAX {
             let (found, bound) = (number + 1, ResourceSet::MAX);
-            let kind = FaultKind::Bound { what: "resources together with other nets", found, bound };
-            return Err(Rejection { faults: vec![Fault::new(kind, 0..0)] });
+            let kind = FaultKind::Bound {
+                what: "resources together with other nets",
+                found,
+                bound,
+            };
+            return Err(Rejection {
+                faults: vec![Fault::new(kind, 0..0)],
+            });
         }
         self.resources.insert(name.to_owned(), number);
         Ok(number)
@@ -272,7 +304,10 @@ impl Desk {
     /// Tells the net thread something.
     pub(super) fn command(&mut self, command: Command) -> Result<(), Error> {
         let bound = crate::executor::RUNNING_MAX;
-        let busy = || Error::TooMany { what: "requests to the net thread", bound };
+        let busy = || Error::TooMany {
+            what: "requests to the net thread",
+            bound,
+        };
         let thread = self.thread.as_mut().ok_or_else(busy)?;
         thread.commands.push(command).map_err(|_| busy())
     }
@@ -283,14 +318,22 @@ impl Desk {
         let state = net.state();
         if !matches!(state, NetState::Ready | NetState::Scheduled) || net.starting.is_some() {
             let what = "only a net that is READY can be started; load it again";
-            return Err(Error::WrongState { net: id, state, what });
+            return Err(Error::WrongState {
+                net: id,
+                state,
+                what,
+            });
         }
         let command = match net.running.take() {
             Some(running) => Command::Start(running),
             None if net.with_rules => Command::StartScheduled(id.0),
             None => {
                 let what = "it is being started already";
-                return Err(Error::WrongState { net: id, state, what });
+                return Err(Error::WrongState {
+                    net: id,
+                    state,
+                    what,
+                });
             }
         };
         net.starting = Some(None);
@@ -301,7 +344,10 @@ impl Desk {
     /// Takes a net that does not run away from rules that wait to start it or wait for it.
     pub(super) fn withdraw(&mut self, id: NetId) -> Result<(), Error> {
         if self.net(id)?.with_rules {
-            self.command(Command::Unschedule { net: id.0, always: true })?;
+            self.command(Command::Unschedule {
+                net: id.0,
+                always: true,
+            })?;
         }
         self.command(Command::Forget(id.0))
     }
@@ -365,7 +411,9 @@ impl Desk {
 
     /// A net is back from the rules. If a start by hand crossed its way, it is sent off again.
     fn unscheduled(&mut self, running: Box<Running>) {
-        let Some(net) = self.nets.get_mut(&NetId(running.id)) else { return };
+        let Some(net) = self.nets.get_mut(&NetId(running.id)) else {
+            return;
+        };
         net.with_rules = false;
         if matches!(net.starting, Some(None)) {
             if self.command(Command::Start(running)).is_err() {
@@ -379,21 +427,26 @@ impl Desk {
     fn refused(&mut self, running: Box<Running>, refusal: Refusal) {
         let net = NetId(running.id);
         let error = match refusal {
-            Refusal::TooMany => {
-                Error::TooMany { what: "running nets", bound: crate::executor::RUNNING_MAX }
-            }
-            Refusal::ResourceKept(number) => {
-                Error::ResourceKept { net, resource: self.resource_name(number) }
-            }
-            Refusal::ResourceInUse(number) => {
-                Error::ResourceInUse { net, resource: self.resource_name(number) }
-            }
+            Refusal::TooMany => Error::TooMany {
+                what: "running nets",
+                bound: crate::executor::RUNNING_MAX,
+            },
+            Refusal::ResourceKept(number) => Error::ResourceKept {
+                net,
+                resource: self.resource_name(number),
+            },
+            Refusal::ResourceInUse(number) => Error::ResourceInUse {
+                net,
+                resource: self.resource_name(number),
+            },
             Refusal::DeviceNotReady(number) => {
                 let arm = self.devices.arms().get(number);
                 Error::DeviceNotReady {
                     net,
                     device: arm.map_or_else(|| format!("device {number}"), |a| a.name.clone()),
-                    status: arm.map_or(DeviceStatus::Offline, |a| a.status()).to_string(),
+                    status: arm
+                        .map_or(DeviceStatus::Offline, |a| a.status())
+                        .to_string(),
                 }
             }
         };
@@ -414,7 +467,9 @@ impl Desk {
                 let arm = self.devices.arms().get(number);
                 let name = arm.map_or("?", |a| a.name.as_str());
                 let status = arm.map_or(DeviceStatus::Offline, |a| a.status());
-                Some(format!("device {name} ceased to follow commands and is {status}"))
+                Some(format!(
+                    "device {name} ceased to follow commands and is {status}"
+                ))
             }
         }
     }
@@ -428,7 +483,10 @@ impl Desk {
         for (i, (arm, status)) in self.devices.arms().iter().zip(&statuses).enumerate() {
             let before = self.statuses.get(i).copied().unwrap_or_default();
             if before != *status {
-                let quality = self.arms.get(i).map(|a| format!("{:?}", a.figures().quality));
+                let quality = self
+                    .arms
+                    .get(i)
+                    .map(|a| format!("{:?}", a.figures().quality));
                 tracing::info!(device = arm.name, %before, now = %status, quality, "device");
             }
         }
@@ -490,6 +548,11 @@ pub(super) fn multiple(period: Duration, thread_period: Duration) -> Result<u64,
         return Ok(u64::try_from(wanted / given).unwrap_or(u64::MAX));
     }
     let why = format!("{period:?} is no whole multiple of the controller's {thread_period:?}");
-    let kind = FaultKind::Parameter { parameter: "cycle".to_owned(), why };
-    Err(Rejection { faults: vec![Fault::new(kind, 0..0)] })
+    let kind = FaultKind::Parameter {
+        parameter: "cycle".to_owned(),
+        why,
+    };
+    Err(Rejection {
+        faults: vec![Fault::new(kind, 0..0)],
+    })
 }

@@ -118,7 +118,13 @@ mod tests {
     fn identifiers_have_one_spelling() {
         assert_eq!("rpinet17".parse(), Ok(NetId(17)));
         assert_eq!("s0".parse(), Ok(SessionId::NONE));
-        for text in ["rpinet", "rpinet01", "rpinet+1", "net1", "rpinet99999999999"] {
+        for text in [
+            "rpinet",
+            "rpinet01",
+            "rpinet+1",
+            "net1",
+            "rpinet99999999999",
+        ] {
             assert_eq!(text.parse::<NetId>(), Err(NoId), "{text}");
         }
     }

@@ -114,7 +114,11 @@ impl Controller {
     pub fn rule(&self, id: RuleId) -> Option<RuleInfo> {
         let desk = self.inner.lock();
         let entry = desk.rules.get(&id)?;
-        Some(RuleInfo { id, request: entry.request.clone(), state: entry.state })
+        Some(RuleInfo {
+            id,
+            request: entry.request.clone(),
+            state: entry.state,
+        })
     }
 
     /// The rules in which a net occurs.
@@ -122,7 +126,13 @@ impl Controller {
     pub fn rules_of(&self, net: NetId) -> Vec<RuleInfo> {
         let desk = self.inner.lock();
         let occurs = |entry: &&RuleEntry| {
-            let RuleRequest { condition, stop, cancel, start, .. } = &entry.request;
+            let RuleRequest {
+                condition,
+                stop,
+                cancel,
+                start,
+                ..
+            } = &entry.request;
             let listed = stop.iter().chain(cancel).chain(start).any(|n| *n == net);
             listed || names(condition).any(|name| name.parse() == Ok(net))
         };
@@ -138,7 +148,9 @@ impl Controller {
 
 /// The words of a condition.
 fn names(condition: &str) -> impl Iterator<Item = &str> {
-    condition.split(|c: char| !is_name(c)).filter(|word| !word.is_empty())
+    condition
+        .split(|c: char| !is_name(c))
+        .filter(|word| !word.is_empty())
 }
 
 const fn is_name(c: char) -> bool {
@@ -154,9 +166,16 @@ impl Desk {
         }
         for id in request.stop.iter().chain(&request.cancel) {
             let state = self.net(*id)?.state();
-            if matches!(state, NetState::Loading | NetState::Rejected | NetState::Unloaded) {
+            if matches!(
+                state,
+                NetState::Loading | NetState::Rejected | NetState::Unloaded
+            ) {
                 let what = "a rule can only stop or cancel a net that could run";
-                return Err(Error::WrongState { net: *id, state, what });
+                return Err(Error::WrongState {
+                    net: *id,
+                    state,
+                    what,
+                });
             }
         }
         for id in &request.start {
@@ -166,7 +185,11 @@ impl Desk {
             if !matches!(state, NetState::Ready | NetState::Scheduled) || twice || net.is_starting()
             {
                 let what = "a rule can only start a net that is READY or SCHEDULED, and once";
-                return Err(Error::WrongState { net: *id, state, what });
+                return Err(Error::WrongState {
+                    net: *id,
+                    state,
+                    what,
+                });
             }
         }
         let id = self.next_rule();
@@ -181,7 +204,11 @@ impl Desk {
             }
         }
         self.command(Command::AddRule(rule))?;
-        let entry = RuleEntry { request, state: RuleState::Active, adding: Some(None) };
+        let entry = RuleEntry {
+            request,
+            state: RuleState::Active,
+            adding: Some(None),
+        };
         self.rules.insert(id, entry);
         self.forget_old_rules();
         Ok(id)
@@ -189,8 +216,13 @@ impl Desk {
 
     fn forget_old_rules(&mut self) {
         while self.rules.len() > RULES_KEPT {
-            let old = self.rules.iter().find(|(_, entry)| entry.state != RuleState::Active);
-            let Some(id) = old.map(|(id, _)| *id) else { return };
+            let old = self
+                .rules
+                .iter()
+                .find(|(_, entry)| entry.state != RuleState::Active);
+            let Some(id) = old.map(|(id, _)| *id) else {
+                return;
+            };
             self.rules.remove(&id);
         }
     }
@@ -210,23 +242,42 @@ impl Desk {
 
     fn literal(&mut self, name: &str, key: &str) -> Result<Literal, Error> {
         let unknown = |what: String| Error::Condition { what };
-        let id: NetId = name.parse().map_err(|_| unknown(format!("there is no net `{name}`")))?;
-        let net = self.net(id).map_err(|_| unknown(format!("there is no net `{name}`")))?;
+        let id: NetId = name
+            .parse()
+            .map_err(|_| unknown(format!("there is no net `{name}`")))?;
+        let net = self
+            .net(id)
+            .map_err(|_| unknown(format!("there is no net `{name}`")))?;
         let state = net.state();
-        let over = matches!(state, NetState::Terminated | NetState::Unloaded | NetState::Rejected);
+        let over = matches!(
+            state,
+            NetState::Terminated | NetState::Unloaded | NetState::Rejected
+        );
         if key == "terminated" {
             let value = over.then(|| net.ended_by_itself());
-            return Ok(Literal { net: id.0, question: Question::Terminated, value, last: over });
+            return Ok(Literal {
+                net: id.0,
+                question: Question::Terminated,
+                value,
+                last: over,
+            });
         }
         let Some(entry) = net.out_entry(key) else {
             return Err(unknown(format!("{id} has no value `{key}`")));
         };
         if entry.ty != Type::scalar(Element::Bool) || !entry.report {
-            return Err(unknown(format!("{id}.{key} is no Boolean value that the net reports")));
+            return Err(unknown(format!(
+                "{id}.{key} is no Boolean value that the net reports"
+            )));
         }
         let question = Question::Value(entry.at());
         let value = if over { net.out_bool(&entry) } else { None };
-        Ok(Literal { net: id.0, question, value, last: over })
+        Ok(Literal {
+            net: id.0,
+            question,
+            value,
+            last: over,
+        })
     }
 
     /// A rule waits now.
@@ -246,10 +297,15 @@ impl Desk {
         let error = match why {
             RuleRefusal::TooMany => {
                 let bound = crate::executor::rules::RULES_MAX;
-                Error::TooMany { what: "waiting rules", bound }
+                Error::TooMany {
+                    what: "waiting rules",
+                    bound,
+                }
             }
             RuleRefusal::ResourceInUse(n) | RuleRefusal::ResourceTwice(n) => {
-                Error::NotSchedulable { resource: self.resource_name(n) }
+                Error::NotSchedulable {
+                    resource: self.resource_name(n),
+                }
             }
         };
         self.release(rule);
@@ -275,7 +331,13 @@ impl Desk {
     /// Asks for the nets of a rule back that no other rule waits with.
     fn release(&mut self, rule: &Rule) {
         for net in &rule.start {
-            if self.command(Command::Unschedule { net: *net, always: false }).is_err() {
+            if self
+                .command(Command::Unschedule {
+                    net: *net,
+                    always: false,
+                })
+                .is_err()
+            {
                 tracing::error!(net, "the net thread takes no more requests");
             }
         }
@@ -299,15 +361,22 @@ struct Parser<'t> {
 
 impl<'t> Parser<'t> {
     fn parse(text: &'t str) -> Result<Condition, Error> {
-        let mut parser =
-            Self { text, at: 0, condition: Condition::default(), known: HashMap::new() };
+        let mut parser = Self {
+            text,
+            at: 0,
+            condition: Condition::default(),
+            known: HashMap::new(),
+        };
         parser.or(DEPTH_MAX)?;
         if parser.peek().is_some() {
             return Err(parser.expected("`&`, `|` or the end"));
         }
         if parser.condition.steps.len() > CONDITION_MAX {
             let bound = CONDITION_MAX;
-            return Err(Error::TooMany { what: "operations in a condition", bound });
+            return Err(Error::TooMany {
+                what: "operations in a condition",
+                bound,
+            });
         }
         Ok(parser.condition)
     }
@@ -325,7 +394,9 @@ impl<'t> Parser<'t> {
     }
 
     fn expected(&mut self, expected: &str) -> Error {
-        let found = self.peek().map_or_else(|| "the end".to_owned(), |c| format!("`{c}`"));
+        let found = self
+            .peek()
+            .map_or_else(|| "the end".to_owned(), |c| format!("`{c}`"));
         let column = self.text[..self.at].chars().count() + 1;
         Error::Condition {
             what: format!("column {column}: {expected} is expected here, not {found}"),
@@ -365,7 +436,11 @@ impl<'t> Parser<'t> {
                 return Err(self.expected("fewer parentheses inside one another"));
             }
             self.or(depth - 1)?;
-            return if self.eat(')') { Ok(()) } else { Err(self.expected("`)`")) };
+            return if self.eat(')') {
+                Ok(())
+            } else {
+                Err(self.expected("`)`"))
+            };
         }
         let net = self.name();
         if net.is_empty() {

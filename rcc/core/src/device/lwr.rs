@@ -44,7 +44,11 @@ pub fn describe(name: &str) -> ArmDescription {
         velocity_max: 112.5_f64.to_radians(),
         acceleration_max: 4.0,
     });
-    ArmDescription { name: name.to_owned(), kind: "kuka_lwr_fri", limits: limits.to_vec() }
+    ArmDescription {
+        name: name.to_owned(),
+        kind: "kuka_lwr_fri",
+        limits: limits.to_vec(),
+    }
 }
 
 /// Figures of a driver that others read while it runs.
@@ -114,9 +118,14 @@ impl Lwr {
             link,
             session: Session::new(SessionConfig::default()),
             clock: DatagramClock::default(),
-            joints: describe(&config.name).limits.into_iter().map(Joint::new).collect(),
+            joints: describe(&config.name)
+                .limits
+                .into_iter()
+                .map(Joint::new)
+                .collect(),
             last: Published::default(),
             delay: Nanos::from(net_period * 3 / 2),
+            cycles: 0,
             state,
             command,
             shared: Arc::clone(&shared),
@@ -138,9 +147,20 @@ impl Lwr {
             }
             drop(scope);
         })
-        .map_err(|source| Error::Thread { name: config.name.clone(), source })?;
+        .map_err(|source| Error::Thread {
+            name: config.name.clone(),
+            source,
+        })?;
         let name = config.name.clone();
-        Ok(Self { name, address, shared, answer_time, set_point_age, thread, stop })
+        Ok(Self {
+            name,
+            address,
+            shared,
+            answer_time,
+            set_point_age,
+            thread,
+            stop,
+        })
     }
 
     /// Name of the arm.
@@ -164,8 +184,14 @@ impl Lwr {
     /// Its figures so far.
     #[must_use]
     pub fn figures(&self) -> LwrFigures {
-        let Shared { received, lost, malformed, quality, period_ns, tracking_error_bits } =
-            &*self.shared;
+        let Shared {
+            received,
+            lost,
+            malformed,
+            quality,
+            period_ns,
+            tracking_error_bits,
+        } = &*self.shared;
         let period_ns = period_ns.load(Ordering::Relaxed);
         LwrFigures {
             datagrams: received.load(Ordering::Relaxed),
@@ -203,6 +229,9 @@ struct Driver {
     /// How far behind the robot's clock set-points are played: one and a half periods of the nets,
     /// so that the two around that instant are there even if the net thread is half a period late.
     delay: Nanos,
+    /// The robot's cycles since the last answer. Its speed check counts in these, so the joints'
+    /// limits do too, whatever its clock does.
+    cycles: i64,
     state: LatestWriter<ArmState>,
     command: LatestReader<ArmCommand>,
     shared: Arc<Shared>,
@@ -218,7 +247,9 @@ impl Driver {
         for _ in 0..BACKLOG {
             // One byte longer than a measurement, so that a longer datagram shows.
             let mut buffer = [0; Msr::LEN + 1];
-            let Ok(Some((len, at))) = self.link.receive(&mut buffer, wait) else { break };
+            let Ok(Some((len, at))) = self.link.receive(&mut buffer, wait) else {
+                break;
+            };
             if self.accept(&buffer[..len], at) {
                 newest = Some(at);
             }
@@ -248,7 +279,9 @@ impl Driver {
         };
         if reception.order.is_new() {
             let period = self.session.period().unwrap_or(Duration::from_millis(1));
-            self.clock.tick(nanos(at), Nanos::from(period), reception.lost);
+            self.clock
+                .tick(nanos(at), Nanos::from(period), reception.lost);
+            self.cycles += 1 + i64::from(reception.lost);
         }
         reception.order.is_new()
     }
@@ -263,7 +296,8 @@ impl Driver {
             let now = takt_rt::monotonic();
             self.answer_time.record(now - at);
             if self.session.is_commanding() && command.joints.iter().any(|j| j.active) {
-                self.set_point_age.record(now - (self.clock.now() - self.delay));
+                self.set_point_age
+                    .record(now - (self.clock.now() - self.delay));
             }
         }
         self.publish(at);
@@ -274,6 +308,7 @@ impl Driver {
     fn next_positions(&mut self, command: &ArmCommand) -> [f64; AXES] {
         let mut positions = self.session.mirror();
         if !self.session.is_commanding() {
+            self.cycles = 0;
             for ((joint, position), set_points) in
                 self.joints.iter_mut().zip(positions).zip(&command.joints)
             {
@@ -285,10 +320,16 @@ impl Driver {
         let period = self.clock.period();
         let stale = Nanos(period.0 * STALE_AFTER) + self.delay;
         let fresh = self.clock.now() - command.time <= stale;
-        #[expect(clippy::cast_precision_loss, reason = "spans of milliseconds are exact")]
-        let dt_s = self.clock.elapsed().0 as f64 * 1e-9;
-        for ((joint, position), set_points) in
-            self.joints.iter_mut().zip(&mut positions).zip(&command.joints)
+        #[expect(
+            clippy::cast_precision_loss,
+            reason = "spans of milliseconds are exact"
+        )]
+        let dt_s = (std::mem::take(&mut self.cycles) * period.0) as f64 * 1e-9;
+        for ((joint, position), set_points) in self
+            .joints
+            .iter_mut()
+            .zip(&mut positions)
+            .zip(&command.joints)
         {
             *position = joint.sample(set_points, fresh, play, dt_s);
         }
@@ -308,7 +349,10 @@ impl Driver {
         state.stamp = at;
         state.status = status;
         state.faults += u64::from(left);
-        let measured = self.session.measurement().map(|msr| msr.measured_joints.map(f64::from));
+        let measured = self
+            .session
+            .measurement()
+            .map(|msr| msr.measured_joints.map(f64::from));
         let velocities = rates(measured, self.last.positions, self.clock.elapsed());
         let accelerations = rates(velocities, self.last.velocities, self.clock.elapsed());
         (self.last.positions, self.last.velocities) = (measured, velocities);
@@ -337,24 +381,46 @@ impl Driver {
         let shared = &self.shared;
         shared.received.store(counters.received, Ordering::Relaxed);
         shared.lost.store(counters.lost, Ordering::Relaxed);
-        shared.malformed.store(counters.malformed, Ordering::Relaxed);
-        let Some(msr) = self.session.measurement() else { return };
-        shared.quality.store(msr.interface.quality.code(), Ordering::Relaxed);
-        shared.period_ns.store(self.clock.period().0.unsigned_abs(), Ordering::Relaxed);
+        shared
+            .malformed
+            .store(counters.malformed, Ordering::Relaxed);
+        let Some(msr) = self.session.measurement() else {
+            return;
+        };
+        shared
+            .quality
+            .store(msr.interface.quality.code(), Ordering::Relaxed);
+        shared
+            .period_ns
+            .store(self.clock.period().0.unsigned_abs(), Ordering::Relaxed);
         if self.session.is_commanding() {
             let measured = msr.measured_joints.map(f64::from);
             let distance = |(a, b): (f64, f64)| (a - b).abs();
-            let error = msr.set_point().into_iter().zip(measured).map(distance).fold(0.0, f64::max);
+            let error = msr
+                .set_point()
+                .into_iter()
+                .zip(measured)
+                .map(distance)
+                .fold(0.0, f64::max);
             let worst = f64::from_bits(shared.tracking_error_bits.load(Ordering::Relaxed));
-            shared.tracking_error_bits.store(worst.max(error).to_bits(), Ordering::Relaxed);
+            shared
+                .tracking_error_bits
+                .store(worst.max(error).to_bits(), Ordering::Relaxed);
         }
     }
 }
 
 /// Change of each value per second; `None` while there is no earlier value or no time has passed.
-fn rates(now: Option<[f64; AXES]>, before: Option<[f64; AXES]>, span: Nanos) -> Option<[f64; AXES]> {
+fn rates(
+    now: Option<[f64; AXES]>,
+    before: Option<[f64; AXES]>,
+    span: Nanos,
+) -> Option<[f64; AXES]> {
     let (now, before) = now.zip(before).filter(|_| span.0 > 0)?;
-    #[expect(clippy::cast_precision_loss, reason = "spans of milliseconds are exact")]
+    #[expect(
+        clippy::cast_precision_loss,
+        reason = "spans of milliseconds are exact"
+    )]
     let span_s = span.0 as f64 * 1e-9;
     Some(std::array::from_fn(|i| (now[i] - before[i]) / span_s))
 }

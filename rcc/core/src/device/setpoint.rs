@@ -64,13 +64,23 @@ impl Joint {
     /// A joint at rest at zero. Its largest speed and acceleration are above zero.
     #[must_use]
     pub const fn new(limits: JointLimits) -> Self {
-        Self { limits, mode: Mode::Held, position: 0.0, velocity: 0.0, acceleration: 0.0 }
+        Self {
+            limits,
+            mode: Mode::Held,
+            position: 0.0,
+            velocity: 0.0,
+            acceleration: 0.0,
+        }
     }
 
     /// The robot is not ours to move: it rests at `position`. Set-points that come meanwhile are
     /// refused until they end, so that nothing moves by itself when the robot comes back.
     pub const fn rest_at(&mut self, position: f64, set_points: &JointSetPoints) {
-        self.mode = if set_points.active { Mode::Refused } else { Mode::Held };
+        self.mode = if set_points.active {
+            Mode::Refused
+        } else {
+            Mode::Held
+        };
         self.position = position;
         self.velocity = 0.0;
         self.acceleration = 0.0;
@@ -78,14 +88,22 @@ impl Joint {
 
     /// The position for logical time `at`, `dt_s` after the last one. `fresh` is whether the net
     /// thread is alive. Without time passing nothing changes.
-    pub fn sample(&mut self, set_points: &JointSetPoints, fresh: bool, at: Nanos, dt_s: f64) -> f64 {
+    pub fn sample(
+        &mut self,
+        set_points: &JointSetPoints,
+        fresh: bool,
+        at: Nanos,
+        dt_s: f64,
+    ) -> f64 {
         if dt_s <= 0.0 {
             return self.position;
         }
         let before = (self.position, self.velocity);
         let (target, speed) = interpolate(set_points, at);
         // What lies beyond the last set-point may be out of range even if that is not.
-        let target = target.max(self.limits.position_min).min(self.limits.position_max);
+        let target = target
+            .max(self.limits.position_min)
+            .min(self.limits.position_max);
         match self.mode {
             // Also the way out of Refused.
             _ if !set_points.active => self.brake(dt_s, Mode::Held),
@@ -125,7 +143,11 @@ impl Joint {
     /// One step towards a target that itself moves at `speed`: as fast as the joint can still brake
     /// to that speed over the distance left.
     fn approach(&mut self, target: f64, speed: f64, dt_s: f64) {
-        let JointLimits { velocity_max, acceleration_max, .. } = self.limits;
+        let JointLimits {
+            velocity_max,
+            acceleration_max,
+            ..
+        } = self.limits;
         if (target - self.position).abs() > LOST_DISTANCE_RAD {
             self.brake(dt_s, Mode::Refused);
             return;
@@ -140,7 +162,11 @@ impl Joint {
         self.position += velocity * dt_s;
         let arrived = (target - self.position).abs() <= ARRIVED_RAD;
         let as_fast = (velocity - speed).abs() <= change;
-        self.mode = if arrived && as_fast { Mode::Follow } else { Mode::Approach };
+        self.mode = if arrived && as_fast {
+            Mode::Follow
+        } else {
+            Mode::Approach
+        };
     }
 
     /// One step of braking at the joint's limit.
@@ -179,7 +205,9 @@ impl Joint {
 fn closing_speed(distance: f64, acceleration: f64, dt_s: f64) -> f64 {
     let change = acceleration * dt_s;
     let brakings = distance.abs() / (change * dt_s);
-    let steps = (((1.0 + 8.0 * brakings).sqrt() - 1.0) / 2.0).ceil().max(1.0);
+    let steps = (((1.0 + 8.0 * brakings).sqrt() - 1.0) / 2.0)
+        .ceil()
+        .max(1.0);
     let speed = distance.abs() / (steps * dt_s) + (steps - 1.0) / 2.0 * change;
     speed.copysign(distance)
 }
@@ -201,7 +229,10 @@ fn interpolate(set_points: &JointSetPoints, at: Nanos) -> (f64, f64) {
     (earlier.position + speed * seconds(at - earlier.time), speed)
 }
 
-#[expect(clippy::cast_precision_loss, reason = "spans of milliseconds are exact")]
+#[expect(
+    clippy::cast_precision_loss,
+    reason = "spans of milliseconds are exact"
+)]
 const fn seconds(span: Nanos) -> f64 {
     span.0 as f64 * 1e-9
 }

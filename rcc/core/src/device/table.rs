@@ -29,7 +29,10 @@ pub struct Arm {
 impl Arm {
     /// The last state its driver told.
     pub fn state(&self) -> ArmState {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner).read()
+        self.state
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .read()
     }
 
     /// Whether it can be used.
@@ -70,7 +73,10 @@ impl DeviceTable {
         }
         let joints = self.joints + limits.len();
         if joints > JOINTS_MAX || limits.len() > crate::device::ARM_JOINTS_MAX {
-            return Err(Error::TooManyJoints { name, bound: JOINTS_MAX });
+            return Err(Error::TooManyJoints {
+                name,
+                bound: JOINTS_MAX,
+            });
         }
         let (driver_state, state) = latest(STATE_READERS, ArmState::default);
         let (command, driver_command) = latest(1, ArmCommand::default);
@@ -86,7 +92,12 @@ impl DeviceTable {
             state: Mutex::new(for_table),
         }));
         self.joints = joints;
-        Ok(ArmPorts { state, command, driver_state, driver_command })
+        Ok(ArmPorts {
+            state,
+            command,
+            driver_state,
+            driver_command,
+        })
     }
 
     /// The arms in the order they were added.
@@ -111,7 +122,11 @@ impl DeviceTable {
 impl Devices for DeviceTable {
     fn arm(&self, name: &str) -> Option<ArmBinding> {
         let arm = self.find(name)?;
-        Some(ArmBinding { first_joint: arm.first_joint, limits: Arc::clone(&arm.limits), kinematics: None })
+        Some(ArmBinding {
+            first_joint: arm.first_joint,
+            limits: Arc::clone(&arm.limits),
+            kinematics: None,
+        })
     }
 
     fn names(&self) -> Vec<String> {

@@ -90,7 +90,10 @@ struct Truth {
 
 impl From<Option<bool>> for Truth {
     fn from(value: Option<bool>) -> Self {
-        Self { yes: value == Some(true), no: value == Some(false) }
+        Self {
+            yes: value == Some(true),
+            no: value == Some(false),
+        }
     }
 }
 
@@ -120,14 +123,29 @@ impl Rule {
                 Step::Not => 1,
                 Step::And | Step::Or => 2,
             };
-            let Some(base) = top.checked_sub(operands) else { return Truth::default() };
-            let Some([a, b]) = stack.get_mut(base..base + 2) else { return Truth::default() };
+            let Some(base) = top.checked_sub(operands) else {
+                return Truth::default();
+            };
+            let Some([a, b]) = stack.get_mut(base..base + 2) else {
+                return Truth::default();
+            };
             *a = match step {
                 Step::Constant(value) => Some(*value).into(),
-                Step::Literal(number) => self.literals.get(*number).map(&answer).unwrap_or_default(),
-                Step::Not => Truth { yes: a.no, no: a.yes },
-                Step::And => Truth { yes: a.yes && b.yes, no: a.no || b.no },
-                Step::Or => Truth { yes: a.yes || b.yes, no: a.no && b.no },
+                Step::Literal(number) => {
+                    self.literals.get(*number).map(&answer).unwrap_or_default()
+                }
+                Step::Not => Truth {
+                    yes: a.no,
+                    no: a.yes,
+                },
+                Step::And => Truth {
+                    yes: a.yes && b.yes,
+                    no: a.no || b.no,
+                },
+                Step::Or => Truth {
+                    yes: a.yes || b.yes,
+                    no: a.no && b.no,
+                },
             };
             top = base + 1;
         }
@@ -143,8 +161,18 @@ impl Rule {
     /// Whether the condition may still become true.
     #[must_use]
     pub fn can_hold(&self) -> bool {
-        let open = Truth { yes: true, no: true };
-        self.evaluate(|literal| if literal.last { literal.value.into() } else { open }).yes
+        let open = Truth {
+            yes: true,
+            no: true,
+        };
+        self.evaluate(|literal| {
+            if literal.last {
+                literal.value.into()
+            } else {
+                open
+            }
+        })
+        .yes
     }
 
     /// Whether the rule hands over from this net: it stops it or waits for it.
@@ -218,7 +246,12 @@ impl Executor {
             return Err((rule, RuleRefusal::TooMany));
         }
         let mut wanted = ResourceSet::default();
-        for net in self.rules.scheduled.iter().filter(|net| rule.start.contains(&net.id)) {
+        for net in self
+            .rules
+            .scheduled
+            .iter()
+            .filter(|net| rule.start.contains(&net.id))
+        {
             if let Some(twice) = wanted.common(&net.resources) {
                 return Err((rule, RuleRefusal::ResourceTwice(twice)));
             }
@@ -231,7 +264,11 @@ impl Executor {
         }
         // Alternatives of one predecessor may want the same: only one of them will come to run.
         let stranger = |other: &&Box<Rule>| {
-            !rule.stop.iter().chain(rule.literals.iter().map(|l| &l.net)).any(|n| other.follows(*n))
+            !rule
+                .stop
+                .iter()
+                .chain(rule.literals.iter().map(|l| &l.net))
+                .any(|n| other.follows(*n))
         };
         for other in self.rules.waiting.iter().filter(stranger) {
             if let Some(kept) = wanted.common(&other.reserved) {
@@ -252,8 +289,14 @@ impl Executor {
 
     /// The lowest resource of a net that is kept for other nets.
     pub(super) fn kept(&self, net: &Running) -> Option<usize> {
-        let others = self.rules.waiting.iter().filter(|rule| !rule.start.contains(&net.id));
-        others.map(|rule| &rule.reserved).find_map(|kept| net.resources.common(kept))
+        let others = self
+            .rules
+            .waiting
+            .iter()
+            .filter(|rule| !rule.start.contains(&net.id));
+        others
+            .map(|rule| &rule.reserved)
+            .find_map(|kept| net.resources.common(kept))
     }
 
     /// Tells each running net whether a successor waits for it; calls `changed` where that is new.
@@ -342,12 +385,11 @@ impl Executor {
     }
 
     /// Takes out one rule that no longer waits, if `take` accepts it.
-    pub fn take_rule(
-        &mut self,
-        take: impl FnOnce(Box<Rule>) -> Result<(), Box<Rule>>,
-    ) -> bool {
+    pub fn take_rule(&mut self, take: impl FnOnce(Box<Rule>) -> Result<(), Box<Rule>>) -> bool {
         let done = |rule: &Box<Rule>| rule.state != RuleState::Active;
-        let Some(at) = self.rules.waiting.iter().position(done) else { return false };
+        let Some(at) = self.rules.waiting.iter().position(done) else {
+            return false;
+        };
         let rule = self.rules.waiting.remove(at);
         match take(rule) {
             Ok(()) => true,

@@ -23,7 +23,10 @@ const ECHO: &str = "{x=Core::IntNetcommIn(Key='x',Value='0'),
     y=Core::IntNetcommOut(inValue=x.outValue,Key='y'),
     never=Core::BooleanValue(),outTerminate=never.outValue}";
 
-const READY: DeviceView = DeviceView { status: DeviceStatus::Operational, faults: 0 };
+const READY: DeviceView = DeviceView {
+    status: DeviceStatus::Operational,
+    faults: 0,
+};
 
 /// A net with the program's end of its values.
 struct Loaded {
@@ -36,13 +39,22 @@ fn loaded(id: u32, text: &str) -> Loaded {
     let registry = Registry::core();
     let limits = Limits::default();
     let period = Duration::from_millis(1);
-    let context = LoadContext { registry: &registry, devices: &NoDevices, period, limits };
+    let context = LoadContext {
+        registry: &registry,
+        devices: &NoDevices,
+        period,
+        limits,
+    };
     let plan = load(text, &context).unwrap();
     let words = |n: usize| move || vec![0; n].into_boxed_slice();
     let (out_writer, out) = latest(1, words(plan.outbox().words()));
     let (inbox, in_reader) = latest(1, words(plan.inbox().words()));
     let running = Box::new(Running::new(id, plan, out_writer, in_reader));
-    Loaded { running, out, inbox }
+    Loaded {
+        running,
+        out,
+        inbox,
+    }
 }
 
 fn net(id: u32, text: &str) -> Box<Running> {
@@ -52,7 +64,9 @@ fn net(id: u32, text: &str) -> Box<Running> {
 /// A net that holds these resources.
 fn holding(id: u32, text: &str, resources: &[usize]) -> Box<Running> {
     let mut net = net(id, text);
-    resources.iter().for_each(|number| net.resources.insert(*number));
+    resources
+        .iter()
+        .for_each(|number| net.resources.insert(*number));
     net
 }
 
@@ -84,7 +98,12 @@ impl Bench {
     fn evaluate(&mut self) -> Vec<u32> {
         self.cycle += 1;
         let time = Nanos(self.cycle.cast_signed() * 1_000_000);
-        let moment = Moment { cycle: self.cycle, time, wall: time, ..Moment::default() };
+        let moment = Moment {
+            cycle: self.cycle,
+            time,
+            wall: time,
+            ..Moment::default()
+        };
         for net in self.executor.running() {
             net.receive();
         }
@@ -120,7 +139,11 @@ fn evaluations(out: &mut LatestReader<Box<[u64]>>) -> f64 {
 #[test]
 fn a_net_runs_from_the_next_cycle_on() {
     let mut bench = Bench::default();
-    let Loaded { running, mut out, inbox: _inbox } = loaded(7, ENDLESS);
+    let Loaded {
+        running,
+        mut out,
+        inbox: _inbox,
+    } = loaded(7, ENDLESS);
     assert_eq!(bench.start(running), Ok(()));
     assert_eq!(evaluations(&mut out), 0.0);
     for _ in 0..3 {
@@ -136,22 +159,35 @@ fn a_net_runs_from_the_next_cycle_on() {
 #[test]
 fn a_resource_belongs_to_one_running_net() {
     let mut bench = Bench::default();
-    assert_eq!(bench.start(holding(0, ENDLESS, &[3, 64, ResourceSet::MAX - 1])), Ok(()));
+    assert_eq!(
+        bench.start(holding(0, ENDLESS, &[3, 64, ResourceSet::MAX - 1])),
+        Ok(())
+    );
     for (resources, expected) in [
         (&[][..], Ok(())),
         (&[2, 65], Ok(())),
         (&[2, 65], Err(Refusal::ResourceInUse(2))),
         (&[64], Err(Refusal::ResourceInUse(64))),
         (&[4, 3], Err(Refusal::ResourceInUse(3))),
-        (&[ResourceSet::MAX - 1], Err(Refusal::ResourceInUse(ResourceSet::MAX - 1))),
+        (
+            &[ResourceSet::MAX - 1],
+            Err(Refusal::ResourceInUse(ResourceSet::MAX - 1)),
+        ),
     ] {
-        assert_eq!(bench.start(holding(1, ENDLESS, resources)), expected, "{resources:?}");
+        assert_eq!(
+            bench.start(holding(1, ENDLESS, resources)),
+            expected,
+            "{resources:?}"
+        );
     }
 }
 
 #[test]
 fn a_device_must_be_operational() {
-    let safe = DeviceView { status: DeviceStatus::SafeOperational, ..READY };
+    let safe = DeviceView {
+        status: DeviceStatus::SafeOperational,
+        ..READY
+    };
     let mut bench = Bench::with_devices(&[READY, safe, DeviceView::default()]);
     for (devices, expected) in [
         (&[0][..], Ok(())),
@@ -197,14 +233,22 @@ fn a_net_is_evaluated_in_multiples_of_its_number_of_cycles() {
         bench.start(net).unwrap();
     }
     let changed: Vec<_> = (0..6).map(|_| bench.evaluate()).collect();
-    assert_eq!(changed, [&[1][..], &[1, 2], &[1], &[1, 2], &[1, 5], &[1, 2]]);
+    assert_eq!(
+        changed,
+        [&[1][..], &[1, 2], &[1], &[1, 2], &[1, 5], &[1, 2]]
+    );
 }
 
 #[test]
 fn values_are_handed_over_only_when_they_change() {
     let mut bench = Bench::default();
-    let Loaded { running, mut out, mut inbox } = loaded(0, ECHO);
-    let (in_directory, out_directory) = (running.plan.inbox().clone(), running.plan.outbox().clone());
+    let Loaded {
+        running,
+        mut out,
+        mut inbox,
+    } = loaded(0, ECHO);
+    let (in_directory, out_directory) =
+        (running.plan.inbox().clone(), running.plan.outbox().clone());
     let mut words: Vec<_> = running.plan.inbox_words().collect();
     bench.start(running).unwrap();
     assert_eq!(bench.evaluate(), [0], "the first value is a change");
@@ -214,7 +258,11 @@ fn values_are_handed_over_only_when_they_change() {
     }
     assert_eq!(out.version(), version);
     let mut write = |text| {
-        in_directory.find("inx").unwrap().write(text, &mut words).unwrap();
+        in_directory
+            .find("inx")
+            .unwrap()
+            .write(text, &mut words)
+            .unwrap();
         inbox.write_with(|slot| slot.copy_from_slice(&words));
     };
     write("42");
@@ -248,7 +296,11 @@ fn a_cancelled_net_is_told_and_ends_by_itself() {
 #[test]
 fn an_aborted_net_is_not_evaluated_again() {
     let mut bench = Bench::default();
-    let Loaded { running, mut out, inbox: _inbox } = loaded(0, ENDLESS);
+    let Loaded {
+        running,
+        mut out,
+        inbox: _inbox,
+    } = loaded(0, ENDLESS);
     bench.start(running).unwrap();
     bench.run();
     let before = evaluations(&mut out);
@@ -267,12 +319,18 @@ fn a_device_fault_ends_the_nets_that_command_it_and_no_other() {
     assert_eq!(bench.run(), []);
     // Even if it is operational again before the next cycle.
     bench.executor.devices[0].faults += 1;
-    assert_eq!(bench.run(), [(0, End::DeviceFault(0)), (2, End::DeviceFault(0))]);
+    assert_eq!(
+        bench.run(),
+        [(0, End::DeviceFault(0)), (2, End::DeviceFault(0))]
+    );
     // What was before a net started is none of its business.
     bench.start(commanding(4, &[0])).unwrap();
     assert_eq!(bench.run(), []);
     bench.executor.devices.clear();
-    assert_eq!(bench.run(), [(1, End::DeviceFault(1)), (4, End::DeviceFault(0))]);
+    assert_eq!(
+        bench.run(),
+        [(1, End::DeviceFault(1)), (4, End::DeviceFault(0))]
+    );
     assert_eq!(bench.ids(), [3]);
 }
 
@@ -289,7 +347,10 @@ fn the_first_reason_to_end_counts() {
 fn what_a_net_held_is_free_for_one_that_starts_before_the_next_cycle() {
     let mut bench = Bench::default();
     bench.start(holding(0, BRIEF, &[1])).unwrap();
-    assert_eq!(bench.start(holding(1, BRIEF, &[1])), Err(Refusal::ResourceInUse(1)));
+    assert_eq!(
+        bench.start(holding(1, BRIEF, &[1])),
+        Err(Refusal::ResourceInUse(1))
+    );
     assert_eq!(bench.run(), [(0, End::Terminated)]);
     assert_eq!(bench.start(holding(1, BRIEF, &[1])), Ok(()));
     assert_eq!(bench.run(), [(1, End::Terminated)]);
@@ -298,7 +359,11 @@ fn what_a_net_held_is_free_for_one_that_starts_before_the_next_cycle() {
 #[test]
 fn an_ended_net_that_nobody_takes_is_kept_but_not_evaluated() {
     let mut bench = Bench::default();
-    let Loaded { mut running, mut out, inbox: _inbox } = loaded(0, COUNTER);
+    let Loaded {
+        mut running,
+        mut out,
+        inbox: _inbox,
+    } = loaded(0, COUNTER);
     running.resources.insert(1);
     bench.start(running).unwrap();
     bench.executor.cancel(0);
@@ -306,7 +371,10 @@ fn an_ended_net_that_nobody_takes_is_kept_but_not_evaluated() {
     let last = evaluations(&mut out);
     for _ in 0..3 {
         assert!(!bench.executor.take_ended(|net, _| Err(net)));
-        assert_eq!(bench.start(holding(1, BRIEF, &[1])), Err(Refusal::ResourceInUse(1)));
+        assert_eq!(
+            bench.start(holding(1, BRIEF, &[1])),
+            Err(Refusal::ResourceInUse(1))
+        );
         assert_eq!(bench.evaluate(), []);
         assert_eq!(evaluations(&mut out), last);
     }

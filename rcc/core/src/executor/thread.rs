@@ -139,7 +139,14 @@ impl NetThread {
             run(&mut cycle, period, &mut stats_writer, &stopping);
         })
         .map_err(|source| Error::Thread { name, source })?;
-        Ok(Self { commands, events, stats, hand_over: hand_over_reader, thread, stop })
+        Ok(Self {
+            commands,
+            events,
+            stats,
+            hand_over: hand_over_reader,
+            thread,
+            stop,
+        })
     }
 
     /// How the host granted what the thread asked for.
@@ -174,7 +181,11 @@ fn run(cycle: &mut Cycle, period: Duration, stats: &mut StatsWriter, stop: &Atom
             takeover: false,
         };
         cycle.run(moment);
-        if stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        if stop.load(Ordering::Relaxed) {
+            ControlFlow::Break(())
+        } else {
+            ControlFlow::Continue(())
+        }
     });
     drop(scope);
 }
@@ -195,7 +206,9 @@ impl Cycle {
     fn run(&mut self, moment: Moment) {
         self.read_devices();
         for _ in 0..COMMANDS_A_CYCLE {
-            let Some(command) = self.commands.pop() else { break };
+            let Some(command) = self.commands.pop() else {
+                break;
+            };
             self.obey(command);
         }
         for net in self.executor.running() {
@@ -310,7 +323,12 @@ impl Cycle {
 
     /// Tells what rules did in this cycle.
     fn tell_effects(&mut self) {
-        let Self { executor, events, tap, .. } = self;
+        let Self {
+            executor,
+            events,
+            tap,
+            ..
+        } = self;
         executor.rule_effects(|id, effect| {
             if let Some(tap) = tap {
                 match effect {
@@ -328,10 +346,12 @@ impl Cycle {
             debug_assert!(told.is_ok(), "more events than requests");
         });
         while executor.take_rule(|rule| {
-            events.push(Event::RuleDone(rule)).map_err(|event| match event {
-                Event::RuleDone(rule) => rule,
-                _ => Box::new(Rule::new(0, Vec::new(), Vec::new())),
-            })
+            events
+                .push(Event::RuleDone(rule))
+                .map_err(|event| match event {
+                    Event::RuleDone(rule) => rule,
+                    _ => Box::new(Rule::new(0, Vec::new(), Vec::new())),
+                })
         }) {}
     }
 
@@ -345,7 +365,10 @@ impl Cycle {
         for (arm, view) in self.arms.iter_mut().zip(&mut self.executor.devices) {
             let joints = &self.executor.image.joints[arm.end.first_joint..][..arm.end.joints];
             arm.end.state.read_with(|state| {
-                *view = DeviceView { status: state.status, faults: state.faults };
+                *view = DeviceView {
+                    status: state.status,
+                    faults: state.faults,
+                };
                 for (joint, told) in joints.iter().zip(&state.joints) {
                     joint.state.set(*told);
                 }
@@ -362,8 +385,10 @@ impl Cycle {
             for (joint, set_points) in joints.iter().zip(&mut arm.set_points) {
                 let command = joint.command.get();
                 let time = takt_rt::Nanos(moment.time.0);
-                let point = (command.cycle == moment.cycle)
-                    .then_some(SetPoint { time, position: command.position });
+                let point = (command.cycle == moment.cycle).then_some(SetPoint {
+                    time,
+                    position: command.position,
+                });
                 set_points.advance(point);
                 commanded |= point.is_some();
             }
@@ -383,7 +408,12 @@ impl Cycle {
     }
 
     fn hand_back(&mut self) {
-        let Self { executor, events, tap, .. } = self;
+        let Self {
+            executor,
+            events,
+            tap,
+            ..
+        } = self;
         while executor.take_ended(|net, end| {
             let id = net.id;
             match events.push(Event::Ended(net, end)) {

@@ -49,7 +49,10 @@ impl Primitive for JointPosition {
             (false, failed) => failed,
         };
         if let (0, Some(position)) = (error, position) {
-            joint.command.set(JointCommand { cycle: cycle.moment.cycle, position });
+            joint.command.set(JointCommand {
+                cycle: cycle.moment.cycle,
+                position,
+            });
         }
         self.error.set(cycle, error);
         self.concurrent.set(cycle, concurrent);
@@ -104,10 +107,14 @@ fn joint_monitor(b: &mut Build<'_, '_>) -> Result<JointMonitor, Fault> {
         values: [
             (b.output("outCommandedPosition"), |s| s.commanded_position),
             (b.output("outCommandedVelocity"), |s| s.commanded_velocity),
-            (b.output("outCommandedAcceleration"), |s| s.commanded_acceleration),
+            (b.output("outCommandedAcceleration"), |s| {
+                s.commanded_acceleration
+            }),
             (b.output("outMeasuredPosition"), |s| s.measured_position),
             (b.output("outMeasuredVelocity"), |s| s.measured_velocity),
-            (b.output("outMeasuredAcceleration"), |s| s.measured_acceleration),
+            (b.output("outMeasuredAcceleration"), |s| {
+                s.measured_acceleration
+            }),
         ],
         error: b.output("outError"),
     })
@@ -131,10 +138,18 @@ pub(super) fn table() -> Vec<Definition> {
         .text("Robot", ROBOT)
         .parameter::<i32>("Axis", "0", AXIS)
         .output::<i32>("outError", ERROR)
-        .output::<bool>("outErrorConcurrentAccess", "another primitive commands the joint")
+        .output::<bool>(
+            "outErrorConcurrentAccess",
+            "another primitive commands the joint",
+        )
         .output::<bool>("outErrorJointFailed", "the joint does not follow commands")
-        .output::<bool>("outErrorIllegalPosition", "the position is out of range or no number")
-        .null(NullRule::Own("A null position commands nothing and is no error.")),
+        .output::<bool>(
+            "outErrorIllegalPosition",
+            "the position is out of range or no number",
+        )
+        .null(NullRule::Own(
+            "A null position commands nothing and is no error.",
+        )),
         Definition::new(
             "RobotArm::JointMonitor",
             "What a joint was commanded and does, as its driver last told.",
@@ -149,6 +164,8 @@ pub(super) fn table() -> Vec<Definition> {
         .output::<f64>("outMeasuredVelocity", "rad/s")
         .output::<f64>("outMeasuredAcceleration", "rad/s²")
         .output::<i32>("outError", ERROR)
-        .null(NullRule::Own("Null while the driver does not know the value.")),
+        .null(NullRule::Own(
+            "Null while the driver does not know the value.",
+        )),
     ]
 }

@@ -1,13 +1,15 @@
 //! The file of a recording: MCAP, readable by common viewers as far as its framing goes. Channels:
 //! `/takt/cycles` (words, little-endian), `/takt/arms` and `/takt/nets` (TOML).
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use mcap::records::MessageHeader;
+use mcap::records::{MessageHeader, Record, op};
+use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use takt_net::JointLimits;
 
@@ -67,8 +69,10 @@ pub(super) struct Writer {
 
 impl Writer {
     pub(super) fn create(path: &Path) -> Result<Self, Error> {
-        let file = File::create(path)
-            .map_err(|source| Error::File { path: path.to_owned(), source })?;
+        let file = File::create(path).map_err(|source| Error::File {
+            path: path.to_owned(),
+            source,
+        })?;
         let failed = |e: mcap::McapError| broken(path, &e);
         let mut mcap = mcap::WriteOptions::new()
             .compression(None)
@@ -77,26 +81,54 @@ impl Writer {
             .create(BufWriter::new(file))
             .map_err(failed)?;
         let metadata = BTreeMap::new();
-        let words = mcap.add_schema("takt.words.1", "takt", b"").map_err(failed)?;
-        let cycles = mcap.add_channel(words, CYCLES, "takt", &metadata).map_err(failed)?;
-        let arms = mcap.add_channel(0, ARMS, "toml", &metadata).map_err(failed)?;
-        let nets = mcap.add_channel(0, NETS, "toml", &metadata).map_err(failed)?;
+        let words = mcap
+            .add_schema("takt.words.1", "takt", b"")
+            .map_err(failed)?;
+        let cycles = mcap
+            .add_channel(words, CYCLES, "takt", &metadata)
+            .map_err(failed)?;
+        let arms = mcap
+            .add_channel(0, ARMS, "toml", &metadata)
+            .map_err(failed)?;
+        let nets = mcap
+            .add_channel(0, NETS, "toml", &metadata)
+            .map_err(failed)?;
         let path = path.to_owned();
-        Ok(Self { mcap, path, cycles, arms, nets, bytes: Vec::new(), sequence: 0 })
+        Ok(Self {
+            mcap,
+            path,
+            cycles,
+            arms,
+            nets,
+            bytes: Vec::new(),
+            sequence: 0,
+        })
     }
 
     fn message(&mut self, channel_id: u16, data: &[u8], time: u64) -> Result<(), Error> {
         self.sequence = self.sequence.wrapping_add(1);
         let sequence = self.sequence;
-        let header = MessageHeader { channel_id, sequence, log_time: time, publish_time: time };
-        self.mcap.write_to_known_channel(&header, data).map_err(|e| broken(&self.path, &e))
+        let header = MessageHeader {
+            channel_id,
+            sequence,
+            log_time: time,
+            publish_time: time,
+        };
+        self.mcap
+            .write_to_known_channel(&header, data)
+            .map_err(|e| broken(&self.path, &e))
     }
 
     pub(super) fn note(&mut self, note: &Note) -> Result<(), Error> {
         let (channel, text) = match note {
             Note::Arm(arm, first_joint) => {
                 let limits = arm.limits.iter().map(|l| {
-                    [l.position_min, l.position_max, l.velocity_max, l.acceleration_max]
+                    [
+                        l.position_min,
+                        l.position_max,
+                        l.velocity_max,
+                        l.acceleration_max,
+                    ]
                 });
                 let note = ArmNote {
                     name: arm.name.clone(),
@@ -105,10 +137,20 @@ impl Writer {
                 };
                 (self.arms, toml::to_string(&note))
             }
-            Note::Net { id, every, period, text } => {
+            Note::Net {
+                id,
+                every,
+                period,
+                text,
+            } => {
                 let period_ns = u64::try_from(period.as_nanos()).unwrap_or(u64::MAX);
                 let text = text.as_ref().to_owned();
-                let note = NetNote { id: *id, every: *every, period_ns, text };
+                let note = NetNote {
+                    id: *id,
+                    every: *every,
+                    period_ns,
+                    text,
+                };
                 (self.nets, toml::to_string(&note))
             }
         };
@@ -129,12 +171,26 @@ impl Writer {
     }
 
     pub(super) fn finish(&mut self) -> Result<(), Error> {
-        self.mcap.finish().map(drop).map_err(|e| broken(&self.path, &e))
+        self.mcap
+            .finish()
+            .map(drop)
+            .map_err(|e| broken(&self.path, &e))
+    }
+}
+
+fn note<T: DeserializeOwned>(data: &[u8]) -> Result<T, String> {
+    toml::from_slice(data).map_err(|e| format!("unreadable note: {e}"))
+}
+
+fn wrong(path: &Path, what: String) -> Error {
+    Error::Recording {
+        path: path.to_owned(),
+        what,
     }
 }
 
 fn broken(path: &Path, error: &mcap::McapError) -> Error {
-    Error::Recording { path: path.to_owned(), what: error.to_string() }
+    wrong(path, format!("cannot write it: {error}"))
 }
 
 /// A recording in memory.
@@ -147,30 +203,69 @@ pub(super) struct Recording {
 
 impl Recording {
     pub(super) fn read(path: &Path) -> Result<Self, Error> {
-        let bytes =
-            std::fs::read(path).map_err(|source| Error::File { path: path.to_owned(), source })?;
-        let wrong = |what: String| Error::Recording { path: path.to_owned(), what };
-        let messages = mcap::MessageStream::new(&bytes)
-            .map_err(|e| wrong(format!("this is no MCAP file: {e}")))?;
+        let bytes = std::fs::read(path).map_err(|source| Error::File {
+            path: path.to_owned(),
+            source,
+        })?;
+        let cut = |e: &mcap::McapError| wrong(path, format!("no whole MCAP file: {e}"));
         let mut recording = Self::default();
-        for message in messages {
-            let message = message.map_err(|e| broken(path, &e))?;
-            let text = || String::from_utf8_lossy(&message.data).into_owned();
-            let unreadable = |e: toml::de::Error| wrong(format!("unreadable note: {e}"));
-            match message.channel.topic.as_str() {
-                ARMS => recording.arms.push(toml::from_str(&text()).map_err(unreadable)?),
-                NETS => recording.nets.push(toml::from_str(&text()).map_err(unreadable)?),
-                CYCLES => {
-                    let words = message.data.chunks_exact(8);
-                    let word = |w: &[u8]| w.try_into().map_or(0, u64::from_le_bytes);
-                    recording.cycles.push(words.map(word).collect());
+        let mut topics = HashMap::new();
+        // Read record by record, because only so are all check sums looked at, and because the
+        // library's own streams panic on some malformed records of kinds that are not wanted here.
+        let options = LinearReaderOptions::default()
+            .with_prevalidate_chunk_crcs(true)
+            .with_validate_data_section_crc(true)
+            .with_record_length_limit(bytes.len());
+        let mut reader = LinearReader::new_with_options(options);
+        let mut rest = bytes.as_slice();
+        while let Some(event) = reader.next_event() {
+            match event.map_err(|e| cut(&e))? {
+                LinearReadEvent::ReadRequest(wanted) => {
+                    let (next, left) = rest.split_at(wanted.min(rest.len()));
+                    reader.insert(next.len()).copy_from_slice(next);
+                    reader.notify_read(next.len());
+                    rest = left;
                 }
-                _ => {}
+                LinearReadEvent::Record {
+                    opcode: opcode @ (op::CHANNEL | op::MESSAGE),
+                    data,
+                } => {
+                    let record = mcap::parse_record(opcode, data).map_err(|e| cut(&e))?;
+                    if let Record::Channel(channel) = record {
+                        topics.insert(channel.id, channel.topic);
+                    } else if let Record::Message { header, data } = record {
+                        let topic = topics.get(&header.channel_id).map_or("", String::as_str);
+                        recording
+                            .message(topic, &data)
+                            .map_err(|what| wrong(path, what))?;
+                    }
+                }
+                LinearReadEvent::Record { .. } => {}
             }
         }
         if recording.cycles.is_empty() {
-            return Err(wrong("no cycles in it: not a recording of Takt, or an empty one".to_owned()));
+            return Err(wrong(
+                path,
+                "no cycles: not a recording of Takt, or an empty one".to_owned(),
+            ));
         }
         Ok(recording)
+    }
+
+    fn message(&mut self, topic: &str, data: &[u8]) -> Result<(), String> {
+        match topic {
+            ARMS => self.arms.push(note(data)?),
+            NETS => self.nets.push(note(data)?),
+            CYCLES => {
+                let (words, rest) = data.as_chunks();
+                if !rest.is_empty() {
+                    return Err("a cycle is cut off".to_owned());
+                }
+                self.cycles
+                    .push(words.iter().map(|word| u64::from_le_bytes(*word)).collect());
+            }
+            _ => {}
+        }
+        Ok(())
     }
 }

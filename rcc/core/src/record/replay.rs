@@ -33,7 +33,11 @@ pub struct Replay {
 pub fn replay(path: &Path) -> Result<Replay, Error> {
     let recording = Recording::read(path)?;
     let mut stage = Stage::new(&recording, path)?;
-    let mut outcome = Replay { cycles: 0, bytes: 0, differs: None };
+    let mut outcome = Replay {
+        cycles: 0,
+        bytes: 0,
+        differs: None,
+    };
     for recorded in &recording.cycles {
         let replayed = stage.cycle(recorded)?;
         if replayed != *recorded {
@@ -55,12 +59,13 @@ struct Stage<'r> {
 impl<'r> Stage<'r> {
     fn new(recording: &Recording, path: &'r Path) -> Result<Self, Error> {
         let mut devices = DeviceTable::default();
-        let mut executor = Executor::default();
         for arm in &recording.arms {
             let limits = arm.limits();
-            executor.add_joints(limits.len());
-            let ports =
-                devices.add_arm(ArmDescription { name: arm.name.clone(), kind: "", limits })?;
+            let ports = devices.add_arm(ArmDescription {
+                name: arm.name.clone(),
+                kind: "",
+                limits,
+            })?;
             drop(ports);
         }
         let registry = crate::registry();
@@ -86,11 +91,18 @@ impl<'r> Stage<'r> {
             running.every = net.every;
             nets.insert(net.id, running);
         }
-        Ok(Self { executor, nets, path })
+        Ok(Self {
+            executor: Executor::default(),
+            nets,
+            path,
+        })
     }
 
     fn broken(&self, what: &str) -> Error {
-        Error::Recording { path: self.path.to_owned(), what: what.to_owned() }
+        Error::Recording {
+            path: self.path.to_owned(),
+            what: what.to_owned(),
+        }
     }
 
     /// Runs one cycle on its recorded inputs and writes it anew.
@@ -100,12 +112,18 @@ impl<'r> Stage<'r> {
         let mut moment = None;
         // Devices are as the inputs say from the start of a cycle on, also for nets that start.
         let mut ahead = Reader(recorded);
-        while let Some(entry) = ahead.next().map_err(|()| self.broken("a cycle is cut off"))? {
+        while let Some(entry) = ahead
+            .next()
+            .map_err(|()| self.broken("a cycle is cut off"))?
+        {
             if let Entry::Inputs(inputs) = entry {
                 inputs.apply(&mut self.executor);
             }
         }
-        while let Some(entry) = reader.next().map_err(|()| self.broken("a cycle is cut off"))? {
+        while let Some(entry) = reader
+            .next()
+            .map_err(|()| self.broken("a cycle is cut off"))?
+        {
             if let Entry::Inputs(inputs) = &entry {
                 moment = Some(inputs.moment);
             }
@@ -117,7 +135,9 @@ impl<'r> Stage<'r> {
             Ok(())
         }) {}
         words.outputs(moment, &self.executor);
-        words.finish().ok_or_else(|| self.broken("a cycle is too large"))
+        words
+            .finish()
+            .map_err(|_| self.broken("a cycle is too large"))
     }
 
     /// Does what an entry says and writes it anew.

@@ -29,12 +29,19 @@ pub(super) struct Words {
 
 impl Words {
     pub(super) const fn new(buffer: Vec<u64>) -> Self {
-        Self { buffer, overflow: false }
+        Self {
+            buffer,
+            overflow: false,
+        }
     }
 
-    /// The words, unless they did not fit.
-    pub(super) fn finish(self) -> Option<Vec<u64>> {
-        (!self.overflow).then_some(self.buffer)
+    /// The words; as an error those that fitted, if not all did.
+    pub(super) fn finish(self) -> Result<Vec<u64>, Vec<u64>> {
+        if self.overflow {
+            Err(self.buffer)
+        } else {
+            Ok(self.buffer)
+        }
     }
 
     fn push(&mut self, word: u64) {
@@ -79,7 +86,11 @@ impl Words {
     }
 
     pub(super) fn outbox(&mut self, net: &Running) {
-        self.entry([kind::OUTBOX, net.id.into(), net.plan.outbox().words() as u64]);
+        self.entry([
+            kind::OUTBOX,
+            net.id.into(),
+            net.plan.outbox().words() as u64,
+        ]);
         for word in net.plan.outbox_words() {
             self.push(word);
         }
@@ -109,10 +120,18 @@ impl Words {
     }
 
     pub(super) fn outputs(&mut self, moment: Moment, executor: &Executor) {
-        let commanded = |joint: &&takt_net::device::Joint| joint.command.get().cycle == moment.cycle;
+        let commanded =
+            |joint: &&takt_net::device::Joint| joint.command.get().cycle == moment.cycle;
         let joints = executor.joints();
-        self.entry([kind::OUTPUTS, joints.iter().filter(commanded).count() as u64]);
-        for (i, joint) in joints.iter().enumerate().filter(|(_, joint)| commanded(joint)) {
+        self.entry([
+            kind::OUTPUTS,
+            joints.iter().filter(commanded).count() as u64,
+        ]);
+        for (i, joint) in joints
+            .iter()
+            .enumerate()
+            .filter(|(_, joint)| commanded(joint))
+        {
             self.entry([i as u64, joint.command.get().position.to_bits()]);
         }
     }
@@ -152,14 +171,19 @@ impl Inputs<'_> {
     /// Puts them before the nets.
     pub(super) fn apply(&self, executor: &mut Executor) {
         executor.devices.clear();
-        executor.devices.extend(self.devices.chunks_exact(2).map(|pair| DeviceView {
-            status: match pair[0] {
-                1 => DeviceStatus::SafeOperational,
-                2 => DeviceStatus::Operational,
-                _ => DeviceStatus::Offline,
-            },
-            faults: pair[1],
-        }));
+        executor
+            .devices
+            .extend(self.devices.chunks_exact(2).map(|pair| DeviceView {
+                status: match pair[0] {
+                    1 => DeviceStatus::SafeOperational,
+                    2 => DeviceStatus::Operational,
+                    _ => DeviceStatus::Offline,
+                },
+                faults: pair[1],
+            }));
+        // Arms come into use while a recording runs.
+        let joints = self.joints.len() / JOINT_WORDS;
+        executor.add_joints(joints.saturating_sub(executor.joints().len()));
         let joints = executor.image.joints.iter();
         for (joint, words) in joints.zip(self.joints.chunks_exact(JOINT_WORDS)) {
             if let Some(state) = joint_state(words) {
@@ -239,6 +263,10 @@ impl<'w> Reader<'w> {
         };
         let devices = self.body(devices.checked_mul(2)?)?;
         let joints = self.body(joints.checked_mul(JOINT_WORDS as u64)?)?;
-        Some(Inputs { moment, devices, joints })
+        Some(Inputs {
+            moment,
+            devices,
+            joints,
+        })
     }
 }

@@ -265,6 +265,7 @@ impl Srs {
             });
         }
         if nearest.best != free.best {
+            // The elbow changes its side only if there is no solution on the one it is on.
             for (sweep, elbow, _) in &sweeps {
                 self.on_limits(sweep, |alpha, joint, limit| {
                     self.each(sweep, *elbow, alpha, &angles, |solution| {
@@ -273,6 +274,9 @@ impl Srs {
                         }
                     });
                 });
+                if nearest.best.is_some() {
+                    break;
+                }
             }
         }
         nearest.result()

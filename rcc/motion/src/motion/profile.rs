@@ -79,6 +79,12 @@ pub(super) struct Profile {
 }
 
 impl Profile {
+    /// The same coordinate, which is to go up and never down.
+    pub(super) fn forward_only(mut self) -> Self {
+        self.input.min_velocity = Some(DataArrayOrVec::new(None, 0.0));
+        self
+    }
+
     /// At rest at `place`.
     pub(super) fn new(place: f64, bounds: Bounds, period_s: f64) -> Self {
         let mut input = InputParameter::new(None);
@@ -193,5 +199,118 @@ fn sample(plan: &Trajectory<1>, time: f64) -> State {
         place: values[0][0],
         velocity: values[1][0],
         acceleration: values[2][0],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Shortest time of a motion from rest to rest over `way`: known in closed form.
+    fn shortest(way: f64, bounds: Bounds) -> f64 {
+        let Bounds {
+            velocity: v,
+            acceleration: a,
+            jerk: j,
+        } = bounds;
+        // Time to reach a velocity from rest.
+        let ramp = |v: f64| {
+            if v * j >= a * a {
+                v / a + a / j
+            } else {
+                2.0 * (v / j).sqrt()
+            }
+        };
+        if way >= v * ramp(v) {
+            return way / v + ramp(v);
+        }
+        let peak = ((a / j).mul_add(a / j, 4.0 * way / a).sqrt() - a / j) * a / 2.0;
+        if peak * j >= a * a {
+            2.0 * ramp(peak)
+        } else {
+            4.0 * (way / (2.0 * j)).cbrt()
+        }
+    }
+
+    fn series() -> impl FnMut(f64, f64) -> f64 {
+        let mut seed = 0x2545_f491_4f6c_dd1d_u64;
+        move |from: f64, to: f64| {
+            seed ^= seed << 13;
+            seed ^= seed >> 7;
+            seed ^= seed << 17;
+            let unit = f64::from(u32::try_from(seed >> 32).expect("32 bits"));
+            10.0_f64.powf(from + (to - from) * unit / f64::from(u32::MAX))
+        }
+    }
+
+    #[test]
+    fn plans_from_rest_to_rest_take_the_shortest_time_at_any_scale() {
+        let mut draw = series();
+        for number in 0..5000 {
+            let bounds = Bounds {
+                velocity: draw(-3.0, 3.0),
+                acceleration: draw(-3.0, 3.0),
+                jerk: draw(-3.0, 3.0),
+            };
+            let way = draw(-6.0, 2.0);
+            let mut profile = Profile::new(0.0, bounds, 1e-3);
+            assert!(profile.go_to(way, 1.0), "{number}: {way} {bounds:?}");
+            let (found, known) = (profile.plan.get_duration(), shortest(way, bounds));
+            let off = (found - known).abs();
+            assert!(
+                off < 1e-6 * known + 1e-9,
+                "{number}: {found} {known} {way} {bounds:?}"
+            );
+            let end = sample(&profile.plan, found).place;
+            assert!((end - way).abs() < 1e-8, "{number}: {end} {way}");
+        }
+    }
+
+    #[test]
+    fn braking_from_anywhere_never_leads_beyond_the_goal() {
+        let mut draw = series();
+        for number in 0..300 {
+            let bounds = Bounds {
+                velocity: draw(-1.0, 0.5),
+                acceleration: draw(-0.5, 1.0),
+                jerk: draw(0.5, 2.0),
+            };
+            let way = draw(-2.0, 0.5);
+            let mut profile = Profile::new(0.0, bounds, 1e-3).forward_only();
+            assert!(profile.go_to(way, 1.0));
+            let until = profile.plan.get_duration() * draw(-2.0, 0.0);
+            let mut time = 0.0;
+            while time < until {
+                profile.advance();
+                time += 1e-3;
+            }
+            assert!(profile.is_at_rest() || profile.brake(), "{number}");
+            let mut last = profile.now().place;
+            while !profile.is_at_rest() {
+                profile.advance();
+                let place = profile.now().place;
+                assert!(
+                    place >= last && place <= way + 1e-9,
+                    "{number}: {place} of {way}"
+                );
+                last = place;
+            }
+        }
+    }
+
+    #[test]
+    fn a_plan_that_cannot_be_made_leaves_the_one_before() {
+        let bounds = Bounds {
+            velocity: 1.0,
+            acceleration: 1.0,
+            jerk: 1.0,
+        };
+        let mut profile = Profile::new(0.0, bounds, 1e-3);
+        assert!(profile.go_to(1e-3, 1.0));
+        assert!(!profile.go_to(f64::NAN, 1.0));
+        while !profile.is_at_rest() {
+            profile.advance();
+        }
+        assert_eq!(profile.now().place, 1e-3);
     }
 }

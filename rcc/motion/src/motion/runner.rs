@@ -71,7 +71,7 @@ impl Runner {
     /// # Errors
     /// If no profile keeps the bounds.
     pub(super) fn new(b: &mut Build<'_, '_>, length: f64, bounds: Bounds) -> Result<Self, Fault> {
-        let mut profile = Profile::new(0.0, bounds, b.period_s());
+        let mut profile = Profile::new(0.0, bounds, b.period_s()).forward_only();
         if !profile.go_to(length, 1.0) {
             let why = "no motion keeps these limits; their sizes are too far apart".to_owned();
             return Err(b.parameter_fault(super::VELOCITY, why));

@@ -268,7 +268,11 @@ fn any_override_keeps_limits_line_and_end() {
         assert_eq!(run.joints.last(), Some(&ptp.to));
         ptp.assert_kept(&run);
         for (i, pair) in run.progress.windows(2).enumerate() {
-            assert!(pair[0] <= pair[1], "{number} {i} back by {}", pair[0] - pair[1]);
+            assert!(
+                pair[0] <= pair[1],
+                "{number} {i} back by {}",
+                pair[0] - pair[1]
+            );
         }
     }
 }
@@ -336,7 +340,9 @@ fn a_motion_without_a_way_is_done_at_once() {
     run.stand.write("r", "true");
     run.step();
     assert!(run.is_done());
-    let frames = Run::new(&net("Circ", "To='{}'", "World::Frame")).finish().frames;
+    let frames = Run::new(&net("Circ", "To='{}'", "World::Frame"))
+        .finish()
+        .frames;
     assert_eq!(frames.len(), 6);
     for tiny in ["1e-3", "1e-6", "1e-9", "1e-12", "1e-15"] {
         let parameters = format!("From='[0]',To='[{tiny}]'");
@@ -449,10 +455,8 @@ fn circ_is_on_the_circle_and_keeps_all_limits() {
         let text = cartesian("Circ", &frames);
         let run = Run::new(&text).finish();
         let used = assert_cartesian(&run, &text);
-        assert!(
-            used[0][0] > 0.2 && used[0][2] > 0.3,
-            "far below the limits: {used:?}"
-        );
+        let most = used.as_flattened().iter().copied().fold(0.0, f64::max);
+        assert!(most > 0.5, "far below the limits: {used:?}");
         for (frame, part) in run.frames.iter().zip(&run.progress) {
             let local = base.inverse_transform_point(&frame.translation.vector.into());
             assert!(local.z.abs() < 1e-9 && (local.coords.norm() - radius).abs() < 1e-9);
@@ -560,13 +564,9 @@ fn track_follows_a_goal_that_moves() {
             farthest = farthest.max(lag.abs());
         }
     }
-    let js = run.series(0);
-    for i in 2..js.len() {
-        let a = (js[i] - js[i - 1] * 2.0 + js[i - 2]).x / PERIOD_S / PERIOD_S;
-        if a.abs() > 4.1 {
-            println!("{i} a {a} p {:?} v {:?}", js[i].x, run.velocities[i]);
-        }
-    }
+    run.stand.write("g", "[0,1]");
+    run.step();
+    let run = run.finish();
     assert_tracked(&run);
     assert!(farthest < 0.15, "{farthest}");
 }

@@ -31,7 +31,11 @@ impl DatagramClock {
         let mut error = arrival - expected;
         let half = Nanos(period.0 / 2);
         let is_late = error > half;
-        self.late_min = if self.late == 0 { error } else { self.late_min.min(error) };
+        self.late_min = if self.late == 0 {
+            error
+        } else {
+            self.late_min.min(error)
+        };
         self.late = if is_late { self.late + 1 } else { 0 };
         let wrong = error < Nanos(-period.0) || self.late > LATE_MAX;
         let now = if wrong {
@@ -94,7 +98,11 @@ mod tests {
         let clock = after((0..1000).map(|i| i * PERIOD.0 + jitter[i as usize % 4]));
         let error = clock.now() - Nanos(999 * PERIOD.0);
         assert!(error.abs() < Nanos(100_000), "{error}");
-        assert!((clock.elapsed() - PERIOD).abs() <= Nanos(2_000), "{}", clock.elapsed());
+        assert!(
+            (clock.elapsed() - PERIOD).abs() <= Nanos(2_000),
+            "{}",
+            clock.elapsed()
+        );
     }
 
     #[test]

@@ -23,13 +23,20 @@ fn stream(positions: &[f64]) -> JointSetPoints {
     let mut points = JointSetPoints::default();
     for (i, position) in (1_i64 - positions.len() as i64..).zip(positions) {
         let time = Nanos(i * PERIOD.0);
-        points.advance(Some(SetPoint { time, position: *position }));
+        points.advance(Some(SetPoint {
+            time,
+            position: *position,
+        }));
     }
     points
 }
 
 fn in_mode(mode: Mode, velocity: f64) -> Joint {
-    Joint { mode, velocity, ..Joint::new(LIMITS) }
+    Joint {
+        mode,
+        velocity,
+        ..Joint::new(LIMITS)
+    }
 }
 
 // Every cell of the state machine.
@@ -57,16 +64,40 @@ fn every_cell_of_the_state_machine() {
     use Mode::{Approach, Follow, Held, Refused};
     let at_rest = [
         //        None  Stale    HERE     WITHIN    BEYOND    FAR       LOST
-        (Held, [Held, Held, Follow, Approach, Approach, Refused, Refused]),
-        (Approach, [Held, Held, Follow, Approach, Approach, Approach, Refused]),
-        (Follow, [Held, Held, Follow, Follow, Approach, Approach, Refused]),
-        (Refused, [Held, Refused, Refused, Refused, Refused, Refused, Refused]),
+        (
+            Held,
+            [Held, Held, Follow, Approach, Approach, Refused, Refused],
+        ),
+        (
+            Approach,
+            [Held, Held, Follow, Approach, Approach, Approach, Refused],
+        ),
+        (
+            Follow,
+            [Held, Held, Follow, Follow, Approach, Approach, Refused],
+        ),
+        (
+            Refused,
+            [Held, Refused, Refused, Refused, Refused, Refused, Refused],
+        ),
     ];
     let moving = [
-        (Held, [Held, Held, Approach, Approach, Approach, Approach, Refused]),
-        (Approach, [Held, Held, Approach, Approach, Approach, Approach, Refused]),
-        (Follow, [Held, Held, Follow, Follow, Approach, Approach, Refused]),
-        (Refused, [Held, Refused, Refused, Refused, Refused, Refused, Refused]),
+        (
+            Held,
+            [Held, Held, Approach, Approach, Approach, Approach, Refused],
+        ),
+        (
+            Approach,
+            [Held, Held, Approach, Approach, Approach, Approach, Refused],
+        ),
+        (
+            Follow,
+            [Held, Held, Follow, Follow, Approach, Approach, Refused],
+        ),
+        (
+            Refused,
+            [Held, Refused, Refused, Refused, Refused, Refused, Refused],
+        ),
     ];
     let inputs = [Input::None, Input::Stale, HERE, WITHIN, BEYOND, FAR, LOST];
     for (velocity, table) in [(0.0, at_rest), (0.5, moving)] {
@@ -79,7 +110,11 @@ fn every_cell_of_the_state_machine() {
                     Input::At(position) => stream(&[position]),
                 };
                 joint.sample(&points, input != Input::Stale, Nanos(0), DT_S);
-                assert_eq!(joint.mode(), expected, "{mode:?} at {velocity} rad/s, {input:?}");
+                assert_eq!(
+                    joint.mode(),
+                    expected,
+                    "{mode:?} at {velocity} rad/s, {input:?}"
+                );
             }
         }
     }
@@ -97,7 +132,10 @@ fn only_a_refused_joint_tells_an_error() {
 fn a_joint_that_comes_back_waits_for_the_end_of_its_set_points() {
     let mut joint = in_mode(Mode::Follow, 0.5);
     joint.rest_at(0.3, &stream(&[0.3]));
-    assert_eq!((joint.mode(), joint.motion()), (Mode::Refused, (0.3, 0.0, 0.0)));
+    assert_eq!(
+        (joint.mode(), joint.motion()),
+        (Mode::Refused, (0.3, 0.0, 0.0))
+    );
     joint.rest_at(0.3, &JointSetPoints::default());
     assert_eq!(joint.mode(), Mode::Held);
 }
@@ -123,7 +161,10 @@ fn without_time_passing_nothing_changes() {
 
 #[test]
 fn what_lies_beyond_the_last_set_point_stays_in_range() {
-    let mut joint = Joint { position: 2.9995, ..in_mode(Mode::Follow, 1.0) };
+    let mut joint = Joint {
+        position: 2.9995,
+        ..in_mode(Mode::Follow, 1.0)
+    };
     let position = joint.sample(&stream(&[2.998, 2.999]), true, Nanos(5 * PERIOD.0), DT_S);
     assert_eq!(position, LIMITS.position_max);
 }
@@ -138,9 +179,15 @@ fn interpolation() {
     let five = stream(&[9.0, 0.1, 0.2, 0.4, 0.5]);
     let mut restarted = four;
     restarted.advance(None);
-    restarted.advance(Some(SetPoint { time: Nanos(2 * PERIOD.0), position: 0.9 }));
+    restarted.advance(Some(SetPoint {
+        time: Nanos(2 * PERIOD.0),
+        position: 0.9,
+    }));
     let mut twice = stream(&[0.1]);
-    twice.advance(Some(SetPoint { time: Nanos(0), position: 0.2 }));
+    twice.advance(Some(SetPoint {
+        time: Nanos(0),
+        position: 0.2,
+    }));
     for (name, points, periods, position, speed) in [
         ("one point, before it", &one, -1.0, 0.7, 0.0),
         ("one point, after it", &one, 3.0, 0.7, 0.0),
@@ -149,15 +196,30 @@ fn interpolation() {
         ("at the oldest", &four, -3.0, 0.1, 100.0),
         ("between the oldest", &four, -2.5, 0.15, 100.0),
         ("between", &four, -1.75, 0.25, 200.0),
-        ("at a point, with the speed behind it", &four, -1.0, 0.4, 100.0),
+        (
+            "at a point, with the speed behind it",
+            &four,
+            -1.0,
+            0.4,
+            100.0,
+        ),
         ("at the newest", &four, 0.0, 0.5, 100.0),
         ("beyond the newest", &four, 2.0, 0.7, 100.0),
-        ("a new run knows nothing of the one before", &restarted, 1.0, 0.9, 0.0),
+        (
+            "a new run knows nothing of the one before",
+            &restarted,
+            1.0,
+            0.9,
+            0.0,
+        ),
         ("two points at one time", &twice, 1.0, 0.2, 0.0),
     ] {
         let at = Nanos((periods * PERIOD.0 as f64) as i64);
         let (p, v) = interpolate(points, at);
-        assert!((p - position).abs() < 1e-12, "{name}: position {p}, not {position}");
+        assert!(
+            (p - position).abs() < 1e-12,
+            "{name}: position {p}, not {position}"
+        );
         assert!((v - speed).abs() < 1e-9, "{name}: speed {v}, not {speed}");
     }
 }
@@ -193,13 +255,20 @@ struct Seen {
 impl Rig {
     fn new() -> Self {
         let (joint, points) = (Joint::new(LIMITS), JointSetPoints::default());
-        Self { joint, points, net_time: Nanos(0), now: Nanos(0), last: (0.0, 0.0) }
+        Self {
+            joint,
+            points,
+            net_time: Nanos(0),
+            now: Nanos(0),
+            last: (0.0, 0.0),
+        }
     }
 
     /// A cycle of nets.
     fn command(&mut self, time: Nanos, position: Option<f64>) {
         self.net_time = time;
-        self.points.advance(position.map(|position| SetPoint { time, position }));
+        self.points
+            .advance(position.map(|position| SetPoint { time, position }));
     }
 
     /// A cycle of the robot, `dt` after the last.
@@ -212,7 +281,13 @@ impl Rig {
         let acceleration = (velocity - self.last.1) / dt_s;
         self.last = (position, velocity);
         let target = interpolate(&self.points, at).0;
-        Seen { mode: self.joint.mode(), position, velocity, acceleration, target }
+        Seen {
+            mode: self.joint.mode(),
+            position,
+            velocity,
+            acceleration,
+            target,
+        }
     }
 
     /// One cycle of both.
@@ -225,7 +300,10 @@ impl Rig {
 impl Seen {
     fn check(&self) {
         assert!(self.position.is_finite(), "{self:?}");
-        assert!(self.velocity.abs() <= VELOCITY_MAX * 1.002, "too fast: {self:?}");
+        assert!(
+            self.velocity.abs() <= VELOCITY_MAX * 1.002,
+            "too fast: {self:?}"
+        );
         // Differences of positions of some rad by times of a tenth of a millisecond.
         let slack = ACCELERATION_MAX * 1e-6 + 1e-6;
         let limited = self.mode != Mode::Follow;
@@ -290,7 +368,11 @@ fn halt(t: f64) -> f64 {
 fn after_a_gap_of_30_ms_the_joint_catches_up_and_follows_again() {
     let quiet = |rig: &mut Rig| rig.cycle(None).check();
     let stalled = |rig: &mut Rig| rig.sample(PERIOD).check();
-    for (name, motion) in [("ramp", ramp as fn(f64) -> f64), ("wave", wave), ("halt", halt)] {
+    for (name, motion) in [
+        ("ramp", ramp as fn(f64) -> f64),
+        ("wave", wave),
+        ("halt", halt),
+    ] {
         let (beyond, cycles) = catch_up(motion, 30, quiet);
         assert!(beyond <= 1e-6, "{name}, no set-points: {beyond} rad beyond");
         assert!(cycles <= 200, "{name}, no set-points: {cycles} cycles");
@@ -310,11 +392,18 @@ fn a_step_is_approached_without_overshoot_or_chatter() {
             let seen = rig.cycle(Some(step));
             seen.check();
             cycles += 1;
-            assert!(seen.position / step <= 1.0 + 1e-6, "{step}: overshoots to {}", seen.position);
+            assert!(
+                seen.position / step <= 1.0 + 1e-6,
+                "{step}: overshoots to {}",
+                seen.position
+            );
             let speed = seen.velocity / step.signum();
             assert!(speed >= -1e-9, "{step}: turns back in cycle {cycles}");
             braking |= speed < fastest - 1e-6;
-            assert!(!braking || speed <= fastest + 1e-6, "{step}: chatters in cycle {cycles}");
+            assert!(
+                !braking || speed <= fastest + 1e-6,
+                "{step}: chatters in cycle {cycles}"
+            );
             fastest = speed;
             if seen.mode == Mode::Follow {
                 break;
@@ -336,7 +425,10 @@ fn a_run_of_set_points_may_end_and_begin_elsewhere_nearby() {
     let rested = rig.cycle(None);
     assert_eq!((rested.mode, rested.velocity), (Mode::Held, 0.0));
     let near = rested.position - 0.015;
-    let modes: Vec<_> = (0..300).map(|_| rig.cycle(Some(near))).map(|seen| seen.mode).collect();
+    let modes: Vec<_> = (0..300)
+        .map(|_| rig.cycle(Some(near)))
+        .map(|seen| seen.mode)
+        .collect();
     assert_eq!((modes[0], modes[299]), (Mode::Approach, Mode::Follow));
 }
 
@@ -344,7 +436,11 @@ fn a_run_of_set_points_may_end_and_begin_elsewhere_nearby() {
 #[derive(Clone, Copy, Debug)]
 enum Phase {
     /// The motion changes to this speed with this acceleration, rad/s and rad/s².
-    Move { speed: f64, acceleration: f64, cycles: u16 },
+    Move {
+        speed: f64,
+        acceleration: f64,
+        cycles: u16,
+    },
     /// The motion jumps by this distance, rad.
     Jump(f64),
     /// The motion goes on, but no set-points come.
@@ -358,8 +454,12 @@ enum Phase {
 }
 
 fn phase() -> impl Strategy<Value = Phase> {
-    let motion = (-2.2..2.2, 0.5..8.0, 1..400_u16)
-        .prop_map(|(speed, acceleration, cycles)| Phase::Move { speed, acceleration, cycles });
+    let motion =
+        (-2.2..2.2, 0.5..8.0, 1..400_u16).prop_map(|(speed, acceleration, cycles)| Phase::Move {
+            speed,
+            acceleration,
+            cycles,
+        });
     prop_oneof![
         6 => motion,
         1 => prop_oneof![-0.3..0.3, -0.01..0.01].prop_map(Phase::Jump),
@@ -405,7 +505,10 @@ impl Play {
             let (position, velocity) = *self.left.get_or_insert(before);
             let way = (seen.position - position) * velocity.signum();
             let stop = velocity * velocity / (2.0 * ACCELERATION_MAX);
-            assert!((-1e-9..=stop + 1e-9).contains(&way), "{seen:?}: {way} rad, not {stop}");
+            assert!(
+                (-1e-9..=stop + 1e-9).contains(&way),
+                "{seen:?}: {way} rad, not {stop}"
+            );
         } else {
             self.left = None;
         }
@@ -432,7 +535,11 @@ impl Play {
 
     fn run(&mut self, phase: Phase) {
         match phase {
-            Phase::Move { speed, acceleration, cycles } => {
+            Phase::Move {
+                speed,
+                acceleration,
+                cycles,
+            } => {
                 for _ in 0..cycles {
                     self.advance(speed, acceleration);
                     self.cycle(true, true);

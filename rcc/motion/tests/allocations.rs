@@ -1,0 +1,211 @@
+//! Kinematics and motions in running nets allocate nothing: counted over thousands of cycles in which
+//! goals, overrides and frames change and nothing can be solved at times.
+#![expect(unsafe_code, reason = "GlobalAlloc is an unsafe trait")]
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::sync::Arc;
+use std::time::Duration;
+
+use takt_motion::kinematics::named;
+use takt_net::{
+    ArmBinding, Devices, Image, JointLimits, Limits, LoadContext, Moment, Nanos, Plan, Registry,
+    load,
+};
+
+thread_local! {
+    static CALLS: Cell<u64> = const { Cell::new(0) };
+}
+
+struct Counting;
+
+fn count() {
+    // Gone while a thread ends: nothing is counted then.
+    let _gone = CALLS.try_with(|calls| calls.set(calls.get() + 1));
+}
+
+// SAFETY: every request is handed to the system allocator unchanged; the counter is a plain thread-local
+// without a destructor and allocates nothing.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count();
+        // SAFETY: the caller keeps the contract of `alloc`, which is the same here.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        count();
+        // SAFETY: `pointer` came from `System.alloc` above with this layout.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// Arms named after their models.
+struct Arms;
+
+impl Devices for Arms {
+    fn arm(&self, name: &str) -> Option<ArmBinding> {
+        let kinematics = named(name)?;
+        let limits = JointLimits {
+            position_min: -2.0,
+            position_max: 2.0,
+            velocity_max: 1.0,
+            acceleration_max: 1.0,
+        };
+        Some(ArmBinding {
+            first_joint: 0,
+            limits: vec![limits; kinematics.joints()].into(),
+            kinematics: Some(kinematics),
+        })
+    }
+
+    fn names(&self) -> Vec<String> {
+        Vec::new()
+    }
+}
+
+fn plan(children: &str) -> Plan {
+    let mut registry = Registry::core();
+    registry.add(takt_motion::all());
+    let context = LoadContext {
+        registry: &registry,
+        devices: &Arms,
+        period: Duration::from_millis(1),
+        limits: Limits::default(),
+    };
+    let text = format!("{{{children},never=Core::BooleanValue(),outTerminate=never.outValue}}");
+    load(&text, &context).unwrap_or_else(|r| panic!("{}", r.lines(&text).join("\n")))
+}
+
+/// Runs `cycles` cycles and writes `inputs[k]`, a key and its values, one value every seventh cycle;
+/// returns how often the cycles allocated or freed.
+fn allocations(children: &str, inputs: &[(&str, &[&str])], cycles: u64) -> u64 {
+    let mut plan = plan(children);
+    let image = Image::default();
+    let inbox = Arc::clone(plan.inbox());
+    let mut inside = 0;
+    for cycle in 1..=cycles {
+        if cycle % 7 == 0 {
+            let mut words: Vec<u64> = plan.inbox_words().collect();
+            for (key, values) in inputs {
+                let entry = inbox.find(&format!("in{key}")).expect("a NetcommIn");
+                let number = usize::try_from(cycle / 7).expect("few cycles") % values.len();
+                entry.write(values[number], &mut words).expect("a value");
+            }
+            plan.import(&words);
+        }
+        let time = Nanos(i64::try_from(cycle).expect("few cycles") * 1_000_000);
+        let moment = Moment {
+            cycle,
+            time,
+            wall: time,
+            ..Moment::default()
+        };
+        let before = CALLS.get();
+        plan.evaluate(&image, moment);
+        inside += CALLS.get() - before;
+    }
+    inside
+}
+
+#[test]
+fn the_counter_counts() {
+    let before = CALLS.get();
+    drop(std::hint::black_box(Box::new(1)));
+    assert_eq!(CALLS.get() - before, 2);
+}
+
+#[test]
+fn motions_allocate_nothing() {
+    let controls = "o=Core::DoubleNetcommIn(Key='o',Value='1'),s=Core::BooleanNetcommIn(Key='s'),\
+                    r=Core::BooleanNetcommIn(Key='r'),";
+    let inputs: &[(&str, &[&str])] = &[
+        ("o", &["1", "0.3", "0.3", "nan", "0", "0.8", "1e-3", "+inf"]),
+        ("s", &["false", "false", "false", "false", "true"]),
+        ("r", &["false", "false", "false", "false", "false", "true"]),
+    ];
+    let ports = "inOverride=o.outValue,inStop=s.outValue,inReset=r.outValue";
+    for motion in [
+        "Ptp({},To='[1,2,3,4,5,6,7]')",
+        "Lin({},To='{pos:{x:0.1},rot:{a:1}}')",
+        "Circ({},Via='{pos:{x:0.1}}',To='{pos:{y:0.1},rot:{a:1}}')",
+    ] {
+        let net = format!("{controls}m=Motion::{}", motion.replacen("{}", ports, 1));
+        assert_eq!(allocations(&net, inputs, 5000), 0, "{motion}");
+    }
+}
+
+#[test]
+fn tracking_allocates_nothing() {
+    let net = "g=Core::DoubleArrayNetcommIn(Key='g',Value='[0,0]'),s=Core::BooleanNetcommIn(Key='s'),\
+               r=Core::BooleanNetcommIn(Key='r'),\
+               m=Motion::Track(inGoal=g.outValue,inStop=s.outValue,inReset=r.outValue)";
+    let inputs: &[(&str, &[&str])] = &[
+        (
+            "g",
+            &["[1,-1]", "[0.3,nan]", "[1e6,1e300]", "[-0.1,0.2]", "[0,0]"],
+        ),
+        (
+            "s",
+            &["false", "false", "false", "false", "false", "false", "true"],
+        ),
+        (
+            "r",
+            &[
+                "false", "false", "false", "false", "false", "false", "false", "true",
+            ],
+        ),
+    ];
+    assert_eq!(allocations(net, inputs, 10_000), 0);
+}
+
+#[test]
+fn kinematics_allocate_nothing() {
+    for (model, joints, frame) in [
+        ("staubli_tx90", 6, "{pos:{x:0.4,z:0.6},rot:{b:2}}"),
+        ("kuka_lwr4", 7, "{pos:{x:0.4,z:0.6},rot:{b:2}}"),
+        ("kuka_iiwa14", 7, "{pos:{x:0.4,z:0.6},rot:{b:2}}"),
+        ("kuka_youbot", 5, "{pos:{x:0.3,z:0.2},rot:{b:1.5}}"),
+    ] {
+        let hint = |value: &str| format!("[{}]", vec![value; joints].join(","));
+        let hints = [hint("0.3"), hint("1.9"), hint("nan"), hint("-0.7")];
+        let net = format!(
+            "j=Core::DoubleArrayNetcommIn(Key='j',Value='{}'),f=World::FrameNetcommIn(Key='f'),\
+             kin=ArmKinematics::Kin(inJoints=j.outValue,Robot='{model}'),\
+             inv=ArmKinematics::InvKin(inFrame=f.outValue,inHintJoints=j.outValue,Robot='{model}'),\
+             back=ArmKinematics::InvKin(inFrame=kin.outFrame,inHintJoints=j.outValue,Robot='{model}')",
+            hint("0")
+        );
+        let inputs: &[(&str, &[&str])] = &[
+            ("j", &hints.each_ref().map(String::as_str)),
+            ("f", &[frame, "{pos:{x:5}}", "{pos:{x:nan}}"]),
+        ];
+        assert_eq!(allocations(&net, inputs, 2000), 0, "{model}");
+    }
+}
+
+#[test]
+fn kinematics_of_the_lwr_allocate_nothing() {
+    let mut net = String::from("x=Core::DoubleNetcommIn(Key='x'),");
+    let links = |prefix: &str| -> String {
+        (1..=7)
+            .map(|i| format!("{prefix}{i}=x.outValue,"))
+            .collect()
+    };
+    net += &format!("k=KUKA::LWR::Kin({}Robot='kuka_lwr4'),", links("inJ"));
+    net += &format!(
+        "v=KUKA::LWR::VelKin({}{}Robot='kuka_lwr4'),",
+        links("inJ"),
+        links("inV")
+    );
+    net += "f=World::FrameNetcommIn(Key='f',Value='{pos:{x:0.4,z:0.6},rot:{b:2}}'),";
+    net += &format!(
+        "i=KUKA::LWR::InvKin({}inFrame=f.outValue,Robot='kuka_lwr4')",
+        links("inHintJ")
+    );
+    let inputs: &[(&str, &[&str])] = &[("x", &["0.3", "0", "nan", "1.9", "-0.5"])];
+    assert_eq!(allocations(&net, inputs, 2000), 0);
+}
