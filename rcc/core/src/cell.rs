@@ -76,6 +76,7 @@ pub enum DeviceConfig {
 
 /// A KUKA LWR.
 #[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct LwrConfig {
     /// Name by which nets find it.
     pub name: String,
@@ -202,6 +203,10 @@ mod tests {
             (
                 "[[device]]\nname = \"a\"\ntype = \"kuka\"",
                 "unknown variant `kuka`",
+            ),
+            (
+                "[[device]]\nname = \"a\"\ntype = \"kuka_lwr_fri\"\nport = 1",
+                "unknown field `port`",
             ),
         ] {
             let error = CellConfig::parse(text).unwrap_err();

@@ -126,7 +126,9 @@ impl<const N: usize> Nearest<N> {
 /// towards `bend` (±1). Lengths in m.
 fn two_links(x: f64, z: f64, first: f64, second: f64, bend: f64) -> Result<[f64; 2], Unreachable> {
     let cos = (x * x + z * z - first * first - second * second) / (2.0 * first * second);
-    if !(cos.abs() <= 1.0 + STRAIGHT) {
+    // Not a number, after an overflow, is out of reach as well.
+    let is_within_reach = cos.abs() <= 1.0 + STRAIGHT;
+    if !is_within_reach {
         return Err(Unreachable::Reach);
     }
     let elbow = bend * cos.clamp(-1.0, 1.0).acos();

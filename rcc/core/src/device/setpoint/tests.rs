@@ -271,11 +271,11 @@ impl Rig {
             .advance(position.map(|position| SetPoint { time, position }));
     }
 
-    /// A cycle of the robot, `dt` after the last.
-    fn sample(&mut self, dt: Nanos) -> Seen {
+    /// A cycle of the robot, `dt` after the last, in which its clock is off by `jitter`.
+    fn sample(&mut self, dt: Nanos, jitter: Nanos) -> Seen {
         self.now += dt;
         let fresh = self.now - self.net_time <= STALE_AFTER;
-        let (at, dt_s) = (self.now - DELAY, dt.0 as f64 * 1e-9);
+        let (at, dt_s) = (self.now + jitter - DELAY, dt.0 as f64 * 1e-9);
         let position = self.joint.sample(&self.points, fresh, at, dt_s);
         let velocity = (position - self.last.0) / dt_s;
         let acceleration = (velocity - self.last.1) / dt_s;
@@ -293,7 +293,7 @@ impl Rig {
     /// One cycle of both.
     fn cycle(&mut self, position: Option<f64>) -> Seen {
         self.command(self.net_time + PERIOD, position);
-        self.sample(PERIOD)
+        self.sample(PERIOD, Nanos(0))
     }
 }
 
@@ -367,7 +367,7 @@ fn halt(t: f64) -> f64 {
 #[test]
 fn after_a_gap_of_30_ms_the_joint_catches_up_and_follows_again() {
     let quiet = |rig: &mut Rig| rig.cycle(None).check();
-    let stalled = |rig: &mut Rig| rig.sample(PERIOD).check();
+    let stalled = |rig: &mut Rig| rig.sample(PERIOD, Nanos(0)).check();
     for (name, motion) in [
         ("ramp", ramp as fn(f64) -> f64),
         ("wave", wave),
@@ -480,9 +480,7 @@ struct Play {
     speed: f64,
     /// How far the robot's clock is off its grid, ns, by turns.
     jitter: Vec<i64>,
-    /// Samples so far, and where the grid is.
     samples: usize,
-    grid: Nanos,
     /// Where the joint was when it was refused or its set-points ended, and how fast.
     left: Option<(f64, f64)>,
     modes: [u32; 4],
@@ -491,10 +489,9 @@ struct Play {
 impl Play {
     fn sample(&mut self, periods: i64) {
         self.samples += 1;
-        self.grid += Nanos(PERIOD.0 * periods);
-        let now = self.grid + Nanos(self.jitter[self.samples % self.jitter.len()]);
+        let jitter = Nanos(self.jitter[self.samples % self.jitter.len()]);
         let before = self.rig.last;
-        let seen = self.rig.sample(now - self.rig.now);
+        let seen = self.rig.sample(Nanos(PERIOD.0 * periods), jitter);
         seen.check();
         if seen.mode == Mode::Follow {
             let off = (seen.position - seen.target.clamp(-3.0, 3.0)).abs();
@@ -584,7 +581,6 @@ fn play(phases: &[Phase], jitter: Vec<i64>) -> Play {
         speed: 0.0,
         jitter,
         samples: 0,
-        grid: Nanos(0),
         left: None,
         modes: [0; 4],
     };
