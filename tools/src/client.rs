@@ -94,6 +94,28 @@ impl Client {
         Ok(())
     }
 
+    /// Once `condition` holds, ends `stop` and starts `start`; returns the rule's identifier.
+    pub(crate) fn schedule(
+        &mut self,
+        condition: &str,
+        stop: Option<&str>,
+        start: &str,
+    ) -> anyhow::Result<String> {
+        let nets = |nets: Option<&str>| Value::list_of(nets.map(Value::from));
+        let args = [
+            Value::from(condition),
+            nets(stop),
+            nets(None),
+            nets(Some(start)),
+            Value::from("takt net schedule"),
+        ];
+        let reply = self.inner.call("nesc", args)?;
+        Ok(reply
+            .text()
+            .context("the controller gave no rule")?
+            .to_owned())
+    }
+
     /// Asks for pushes of a net's states and values.
     pub(crate) fn subscribe(&mut self, net: &str, refresh: Duration) -> anyhow::Result<()> {
         let args = [Value::from(net), Value::from(refresh.as_secs_f64())];
@@ -106,15 +128,33 @@ impl Client {
         Ok(self.inner.next_push(within)?)
     }
 
-    /// All nets: identifier, state, description.
-    pub(crate) fn nets(&mut self) -> anyhow::Result<Vec<(String, String, String)>> {
+    /// All nets, in the order in which they were loaded.
+    pub(crate) fn nets(&mut self) -> anyhow::Result<Vec<NetInfo>> {
         let nets = self.describe([])?.into_iter();
         let mut nets: Vec<_> = nets
-            .map(|(id, net)| (id, text(&net, "state"), text(&net, "description")))
+            .map(|(id, net)| NetInfo {
+                id,
+                state: text(&net, "state"),
+                description: text(&net, "description"),
+                end: text(&net, "end"),
+            })
             .collect();
-        nets.sort_by_key(|(id, ..)| (id.len(), id.clone()));
+        nets.sort_by_key(|net| (net.id.len(), net.id.clone()));
         Ok(nets)
     }
+}
+
+/// What a list of nets tells of one.
+#[derive(Debug)]
+pub(crate) struct NetInfo {
+    /// Its identifier, such as rpinet0.
+    pub(crate) id: String,
+    /// Its last state.
+    pub(crate) state: String,
+    /// What its program called it.
+    pub(crate) description: String,
+    /// Why it ended; empty if by itself, or not yet.
+    pub(crate) end: String,
 }
 
 fn text(net: &BTreeMap<String, Value>, key: &str) -> String {

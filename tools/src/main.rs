@@ -18,8 +18,8 @@ static ALLOCATOR: takt_rt::alloc::CountingAllocator = takt_rt::alloc::CountingAl
 
 /// Robot control core: run it, try it without hardware, and look into it.
 ///
-/// Exit status: 0 good, 1 the check failed, 2 wrong usage or environment. Durations are written with
-/// a unit: 250us, 1ms, 5s.
+/// Exit status: 0 good; 1 the check failed or the controller refused; 2 wrong usage or environment.
+/// Durations are written with a unit: 250us, 1ms, 5s.
 #[derive(Debug, Parser)]
 #[command(name = "takt", version)]
 struct Arguments {
@@ -44,9 +44,9 @@ enum Command {
 /// What a subcommand found out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Verdict {
-    /// All is as it should be.
+    /// All is as it should be: exit status 0.
     Good,
-    /// The check failed, or what was asked for could not be done by the robot or controller.
+    /// The check failed, or what was asked for did not come to its end: exit status 1.
     Failed,
 }
 
@@ -63,7 +63,13 @@ fn main() -> ExitCode {
         Err(error) if output::is_broken_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
             output::complain(&format!("takt: {error:#}"));
-            ExitCode::from(2)
+            ExitCode::from(if is_refusal(&error) { 1 } else { 2 })
         }
     }
+}
+
+/// Whether a controller could be asked and said no.
+fn is_refusal(error: &anyhow::Error) -> bool {
+    let error = error.downcast_ref::<takt_server::Error>();
+    matches!(error, Some(takt_server::Error::Refused { .. }))
 }

@@ -32,15 +32,27 @@ const NET: &str = "{
 fn emulate(controller: SocketAddr, stop: &AtomicBool) -> std::io::Result<()> {
     let mut link = UdpLink::connect(SocketAddr::from(([127, 0, 0, 1], 0)), controller)?;
     // Patient, for hosts that stall now and then.
-    let timing = Timing { misses_max: 100, ..Timing::default() };
-    let mut krc = Krc::new(KrcConfig { timing, ..KrcConfig::default() }, monotonic()?);
+    let timing = Timing {
+        misses_max: 100,
+        ..Timing::default()
+    };
+    let mut krc = Krc::new(
+        KrcConfig {
+            timing,
+            ..KrcConfig::default()
+        },
+        monotonic()?,
+    );
     serve(&mut krc, &mut link, &KrcStatus::new(), stop)
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
     let anywhere = SocketAddr::from(([127, 0, 0, 1], 0));
     let devices = vec![DeviceConfig::Lwr(LwrConfig::new("left", anywhere))];
-    let controller = Controller::start(&CellConfig { devices, ..CellConfig::default() })?;
+    let controller = Controller::start(&CellConfig {
+        devices,
+        ..CellConfig::default()
+    })?;
     let address = controller.with_arms(Lwr::address)[0];
     let stop = Arc::new(AtomicBool::new(false));
     let stopping = Arc::clone(&stop);
@@ -65,13 +77,22 @@ fn run(controller: &Controller) -> Result<(), Box<dyn Error>> {
         std::thread::sleep(Duration::from_millis(5));
     }
     let (text, description) = (NET.to_owned(), "moves a joint".to_owned());
-    let request = LoadRequest { text, session: SessionId::NONE, description, period: None };
+    let request = LoadRequest {
+        text,
+        session: SessionId::NONE,
+        description,
+        period: None,
+    };
     let net = controller.load(request)?;
     controller.start_net(net)?;
     loop {
         let info = controller.net(net).ok_or("somebody unloaded the net")?;
         if let Some(arm) = controller.arm_state("left") {
-            let degrees = arm.joints.iter().take(7).filter_map(|joint| joint.measured_position);
+            let degrees = arm
+                .joints
+                .iter()
+                .take(7)
+                .filter_map(|joint| joint.measured_position);
             let degrees: Vec<_> = degrees.map(|q| format!("{:7.2}", q.to_degrees())).collect();
             println!("{net} {}  {} deg", info.state(), degrees.join(" "));
         }

@@ -2,6 +2,7 @@
 //! calls may block for a cycle or two; none is made in a real-time thread.
 
 mod desk;
+mod devices;
 mod ids;
 mod rules;
 
@@ -16,9 +17,9 @@ use takt_rt::thread::ThreadConfig;
 
 use crate::cell::{CellConfig, DeviceConfig};
 use crate::device::lwr::Lwr;
-use crate::device::{DeviceStatus, lwr};
+use crate::device::DeviceStatus;
 use crate::error::Error;
-use crate::executor::thread::{ArmEnd, Command, NetThread, NetThreadConfig};
+use crate::executor::thread::{Command, NetThread, NetThreadConfig};
 use crate::executor::{ResourceSet, Running};
 use crate::record::{Recorder, Tap};
 use desk::{Desk, Net, Session};
@@ -201,29 +202,8 @@ impl Controller {
         };
         let net_thread = NetThread::start(NetThreadConfig { period, thread }, tap)?;
         let mut desk = Desk::new(net_thread, recorder);
-        for device in &cell.devices {
-            let DeviceConfig::Lwr(config) = device;
-            let description = lwr::describe(&config.name);
-            let joints = description.limits.len();
-            let ports = desk.devices.add_arm(description.clone())?;
-            let first_joint = desk.devices.arms().last().map_or(0, |arm| arm.first_joint);
-            if let Some(recorder) = &desk.recorder {
-                recorder.arm(&description, first_joint);
-            }
-            desk.arms.push(Lwr::start(
-                config,
-                period,
-                ports.driver_state,
-                ports.driver_command,
-            )?);
-            let (state, command) = (ports.state, ports.command);
-            let end = Box::new(ArmEnd {
-                first_joint,
-                joints,
-                state,
-                command,
-            });
-            desk.command(Command::AddArm(end))?;
+        for DeviceConfig::Lwr(config) in &cell.devices {
+            desk.add_lwr(config, period)?;
         }
         let inner = Arc::new(Inner {
             desk: Mutex::new(desk),

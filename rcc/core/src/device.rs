@@ -3,8 +3,10 @@
 
 pub mod lwr;
 pub mod setpoint;
+pub mod sim;
 mod table;
 
+use std::borrow::Cow;
 use std::fmt;
 
 use takt_net::{JointLimits, JointState};
@@ -119,4 +121,6 @@ pub struct ArmDescription {
     pub kind: &'static str,
     /// Limits by joint.
     pub limits: Vec<JointLimits>,
+    /// Model of its kinematics, as `takt_motion::kinematics` names it; empty for none.
+    pub model: Cow<'static, str>,
 }

@@ -9,6 +9,10 @@ use crate::controller::{NetId, NetState};
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 #[expect(missing_docs, reason = "each field is named in its variant's text")]
+#[expect(
+    clippy::error_impl_error,
+    reason = "one error type per crate bears this name"
+)]
 pub enum Error {
     /// Two devices of one name.
     #[error("device `{name}` is there already; give each device its own name")]
@@ -16,6 +20,15 @@ pub enum Error {
     /// No room for the joints of an arm.
     #[error("no room for the joints of `{name}`: at most {bound} in all and 8 in one arm")]
     TooManyJoints { name: String, bound: usize },
+    /// A device cannot be made as asked for.
+    #[error("device `{name}`: {what}")]
+    DeviceParameter { name: String, what: String },
+    /// No device of that name.
+    #[error("there is no device `{0}`")]
+    NoSuchDevice(String),
+    /// A device that nets use cannot be removed.
+    #[error("device `{name}` is used by net {net}; unload that net first")]
+    DeviceInUse { name: String, net: NetId },
     /// No net has this identifier.
     #[error("there is no net {0}")]
     NoSuchNet(NetId),

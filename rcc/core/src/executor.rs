@@ -181,6 +181,10 @@ impl Running {
 }
 
 /// The running nets of one thread and the devices they see.
+#[expect(
+    clippy::vec_box,
+    reason = "nets come and go as boxes; a cycle neither makes nor frees any"
+)]
 #[derive(Debug)]
 pub struct Executor {
     /// Devices as the nets see them.
@@ -232,9 +236,19 @@ impl Executor {
         Ok(())
     }
 
-    /// Puts the joints of one more device into use.
-    pub fn add_joints(&mut self, joints: usize) {
-        self.joints = (self.joints + joints).min(self.image.joints.len());
+    /// Puts the first so many joints of the image into use.
+    pub fn use_joints(&mut self, joints: usize) {
+        self.joints = self.joints.max(joints).min(self.image.joints.len());
+    }
+
+    /// Says how a device is.
+    pub fn set_device(&mut self, number: usize, view: DeviceView) {
+        while self.devices.len() <= number && self.devices.len() < DEVICES_MAX {
+            self.devices.push(DeviceView::default());
+        }
+        if let Some(device) = self.devices.get_mut(number) {
+            *device = view;
+        }
     }
 
     /// The joints in use.

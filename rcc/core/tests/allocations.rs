@@ -1,6 +1,11 @@
 //! Proof that neither the net thread nor drivers allocate: whole runs under a counting allocator,
 //! and that it would have seen an allocation.
 
+#![expect(
+    clippy::unwrap_used,
+    reason = "a test may fail anywhere, its helpers too"
+)]
+
 mod common;
 
 use std::sync::{Mutex, PoisonError};

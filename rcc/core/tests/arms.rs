@@ -1,6 +1,8 @@
 //! The controller with emulated arms on the real wire: nets that move them, and what happens when
 //! a robot, a net or the wire fails. Figures of timing are not looked at.
 
+#![expect(clippy::float_cmp, reason = "what rests does so to the bit")]
+
 mod common;
 
 use std::net::SocketAddr;

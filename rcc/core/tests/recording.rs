@@ -1,6 +1,11 @@
 //! Recordings of running controllers and their replay: the same words again, a difference found
 //! where there is one, and no harm from files that are broken.
 
+#![expect(
+    clippy::unwrap_used,
+    reason = "a test may fail anywhere, its helpers too"
+)]
+
 mod common;
 
 use std::io::Cursor;
@@ -19,7 +24,7 @@ const TALKATIVE: &str = "{clock=Core::Clock(),
     cancel=Cancel(),outTerminate=cancel.outCancel}";
 
 /// A value that stands nowhere else in a recording.
-const MARK: i32 = 0x5EED_5EE;
+const MARK: i32 = 0x05EE_D5EE;
 
 fn path(name: &str) -> PathBuf {
     Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("{name}.mcap"))
@@ -193,7 +198,7 @@ fn no_word_of_a_cycle_can_make_a_replay_panic() {
     let mut random = Random(1);
     let changed = self::path("words-changed");
     for _ in 0..300 {
-        let (victim, word) = (random.next() as usize % whole.len(), random.next() as usize);
+        let (victim, word) = (random.below(whole.len()), random.below(1 << 20));
         let value = match random.next() % 4 {
             0 => 0,
             1 => u64::MAX,
@@ -260,5 +265,9 @@ impl Random {
         self.0 ^= self.0 >> 7;
         self.0 ^= self.0 << 17;
         self.0
+    }
+
+    fn below(&mut self, bound: usize) -> usize {
+        usize::try_from(self.next() % bound as u64).unwrap()
     }
 }

@@ -1,6 +1,11 @@
 //! Succession of nets: synchronization rules, takeover, resources kept for successors, and no gap
 //! between predecessor and successor. No devices; arms are in `arms.rs`.
 
+#![expect(
+    clippy::unwrap_used,
+    reason = "a test may fail anywhere, its helpers too"
+)]
+
 use std::time::{Duration, Instant};
 
 use takt_core::controller::{LoadRequest, NetState, RuleId, RuleRequest, RuleState};

@@ -80,6 +80,26 @@ pub fn named(model: &str) -> Option<Arc<dyn Kinematics>> {
     })
 }
 
+/// As [`named`], with the joint limits of a particular arm; `None` also if there are not as many as
+/// joints.
+#[must_use]
+pub fn limited(model: &str, limits: &[JointLimits]) -> Option<Arc<dyn Kinematics>> {
+    Some(match model {
+        "staubli_tx90" => Arc::new(Opw::staubli_tx90().within(ranges(limits)?)),
+        "kuka_lwr4" => Arc::new(Srs::kuka_lwr4().within(ranges(limits)?)),
+        "kuka_iiwa7" => Arc::new(Srs::kuka_iiwa7().within(ranges(limits)?)),
+        "kuka_iiwa14" => Arc::new(Srs::kuka_iiwa14().within(ranges(limits)?)),
+        "kuka_youbot" => Arc::new(YouBot::new(ranges(limits)?)),
+        _ => return None,
+    })
+}
+
+/// The ranges of as many joints as an arm has.
+fn ranges<const N: usize>(limits: &[JointLimits]) -> Option<[Range; N]> {
+    let limits: [JointLimits; N] = limits.try_into().ok()?;
+    Some(limits.map(Range::from))
+}
+
 /// The solution nearest to a hint among those tried so far.
 struct Nearest<const N: usize> {
     hint: [f64; N],

@@ -97,6 +97,7 @@ pub struct Plan {
     /// Cycles evaluated so far.
     pub(crate) count: i64,
     pub(crate) devices: Box<[String]>,
+    pub(crate) uses: Box<[String]>,
 }
 
 impl std::fmt::Debug for Plan {
@@ -195,6 +196,12 @@ impl Plan {
     #[must_use]
     pub fn devices(&self) -> &[String] {
         &self.devices
+    }
+
+    /// Devices that the net reads or commands.
+    #[must_use]
+    pub fn uses(&self) -> &[String] {
+        &self.uses
     }
 
     /// Time from one cycle to the next.

@@ -5,6 +5,7 @@ mod commands;
 mod devices;
 mod nets;
 mod refusal;
+mod rules;
 mod sessions;
 
 #[cfg(test)]
@@ -13,7 +14,7 @@ mod tests;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use takt_core::controller::DeviceInfo;
+use takt_core::controller::{DeviceInfo, RuleId};
 use takt_core::device::DeviceStatus;
 use takt_core::{Controller, NetId, SessionId};
 
@@ -21,9 +22,10 @@ use crate::wire::{Message, Value};
 use devices::DeviceWatch;
 use nets::NetWatch;
 use refusal::Refusal;
+use rules::RuleWatch;
 use sessions::SessionWatch;
 
-/// Most subscriptions of one connection: nets, sessions and devices together.
+/// Most subscriptions of one connection: nets, sessions, rules and devices together.
 pub const SUBSCRIPTIONS_MAX: usize = 4096;
 
 /// How often values of running nets are looked at. A client's refresh interval below this one has
@@ -45,6 +47,7 @@ pub struct Connection {
     controller: Controller,
     greeted: bool,
     nets: BTreeMap<NetId, NetWatch>,
+    rules: BTreeMap<RuleId, RuleWatch>,
     sessions: BTreeMap<SessionId, SessionWatch>,
     devices: Option<DeviceWatch>,
     opened: Vec<SessionId>,
@@ -68,6 +71,7 @@ impl Connection {
             controller,
             greeted: false,
             nets: BTreeMap::new(),
+            rules: BTreeMap::new(),
             sessions: BTreeMap::new(),
             devices: None,
             opened: Vec::new(),
@@ -147,6 +151,12 @@ impl Connection {
                 out.extend((pushes == Pushes::All).then(|| watch.handle_gone()));
                 pushes != Pushes::All
             }
+        });
+        self.rules.retain(|id, watch| {
+            // A rule that was forgotten meanwhile has no state that clients know.
+            let state = controller.rule(*id).map(|rule| rule.state);
+            out.extend(state.and_then(|state| watch.handle_state(state)));
+            state.is_some() && watch.goes_on()
         });
         self.sessions.retain(|id, watch| {
             let nets = controller.session_nets(*id);

@@ -93,6 +93,16 @@ impl Value {
         }
     }
 
+    /// The items, if it is a list.
+    #[must_use]
+    pub fn as_list(&self) -> Option<&[Self]> {
+        if let Self::List(items) = self {
+            Some(items)
+        } else {
+            None
+        }
+    }
+
     /// The map, if it is one.
     #[must_use]
     pub const fn as_map(&self) -> Option<&BTreeMap<String, Self>> {

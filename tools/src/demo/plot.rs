@@ -1,15 +1,36 @@
 //! The picture of a demo: joints over time, and how late cycles began. An SVG, so that it is text
-//! and needs no viewer of its own.
+//! and needs no viewer of its own. It judges nothing.
 
 use std::path::Path;
 
 use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
 use takt_rt::stats::Snapshot;
 
 use crate::demo::Samples;
 use crate::output::time;
 
 type Drawn = Result<(), Box<dyn std::error::Error + Send + Sync>>;
+type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
+
+/// Width of the picture and height of each of its parts, in units of CSS pixels.
+const SIZE: (u32, u32) = (900, 260);
+/// The library draws on whole numbers, which makes steps of slow curves: so they are fractions of
+/// a pixel.
+const SCALE: u32 = 8;
+/// Points of a curve; more cannot be told apart.
+const POINTS_MAX: usize = 900;
+
+/// Colours that also people who see few colours can tell apart, in the order of joints.
+const COLOURS: [RGBColor; takt_fri::lwr::AXES] = [
+    RGBColor(0, 114, 178),
+    RGBColor(213, 94, 0),
+    RGBColor(0, 158, 115),
+    RGBColor(204, 121, 167),
+    RGBColor(86, 180, 233),
+    RGBColor(230, 159, 0),
+    RGBColor(0, 0, 0),
+];
 
 /// Draws the picture.
 pub(super) fn draw(
@@ -18,12 +39,29 @@ pub(super) fn draw(
     samples: &Samples,
     stats: &Snapshot,
 ) -> anyhow::Result<()> {
-    try_draw(path, robots, samples, stats).map_err(|e| anyhow::anyhow!("{e}"))
+    let parts = u32::try_from(robots.len() + 1).unwrap_or(1);
+    let (width, height) = (SIZE.0, SIZE.1 * parts);
+    let (fine_width, fine_height) = (width * SCALE, height * SCALE);
+    let mut svg = String::new();
+    draw_parts(
+        SVGBackend::with_string(&mut svg, (fine_width, fine_height)),
+        robots,
+        samples,
+        stats,
+    )
+    .map_err(|e| anyhow::anyhow!("{e}"))?;
+    let fine = format!("width=\"{fine_width}\" height=\"{fine_height}\"");
+    let shown = format!("width=\"{width}\" height=\"{height}\"");
+    Ok(std::fs::write(path, svg.replacen(&fine, &shown, 1))?)
 }
 
-fn try_draw(path: &Path, robots: &[&str], samples: &Samples, stats: &Snapshot) -> Drawn {
-    let height = 260 * u32::try_from(robots.len() + 1).unwrap_or(3);
-    let root = SVGBackend::new(path, (900, height)).into_drawing_area();
+fn draw_parts(
+    backend: SVGBackend<'_>,
+    robots: &[&str],
+    samples: &Samples,
+    stats: &Snapshot,
+) -> Drawn {
+    let root = backend.into_drawing_area();
     root.fill(&WHITE)?;
     let areas = root.split_evenly((robots.len() + 1, 1));
     for ((area, robot), joints) in areas.iter().zip(robots).zip(&samples.joints) {
@@ -36,56 +74,75 @@ fn try_draw(path: &Path, robots: &[&str], samples: &Samples, stats: &Snapshot) -
     Ok(())
 }
 
-type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
+fn font(size: u32) -> TextStyle<'static> {
+    ("sans-serif", size * SCALE).into_font().color(&BLACK)
+}
+
+fn chart<'a, 'b>(area: &'a Area<'b>, caption: &str) -> ChartBuilder<'a, 'b, SVGBackend<'b>> {
+    let mut chart = ChartBuilder::on(area);
+    chart
+        .caption(caption, font(15))
+        .margin(8 * SCALE)
+        .margin_right(64 * SCALE)
+        .x_label_area_size(34 * SCALE)
+        .y_label_area_size(56 * SCALE);
+    chart
+}
 
 fn curves(area: &Area<'_>, robot: &str, time_s: &[f64], joints: &[Vec<f64>]) -> Drawn {
     let values = || joints.iter().flatten().copied().filter(|v| v.is_finite());
     let (low, high) = (values().fold(0.0, f64::min), values().fold(0.0, f64::max));
     let end = time_s.last().copied().unwrap_or(1.0);
-    let mut chart = ChartBuilder::on(area)
-        .caption(
-            format!("{robot}: measured joint positions"),
-            ("sans-serif", 16),
-        )
-        .margin(8)
-        .x_label_area_size(32)
-        .y_label_area_size(48)
+    let mut chart = chart(area, &format!("{robot}: measured joint positions"))
         .build_cartesian_2d(0.0..end, low - 0.1..high + 0.1)?;
     chart
         .configure_mesh()
         .x_desc("time, s")
-        .y_desc("rad")
-        .light_line_style(WHITE)
+        .y_desc("position, rad")
+        .axis_desc_style(font(12))
+        .label_style(font(11))
+        .x_label_formatter(&|s| format!("{s:.1}"))
+        // The negative zero of the library's ticks becomes a plain one.
+        .y_label_formatter(&|rad| format!("{:.1}", (rad * 10.0).round() / 10.0 + 0.0))
+        .set_all_tick_mark_size(4 * SCALE)
+        .y_labels(7)
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(BLACK.mix(0.12).stroke_width(SCALE))
+        .axis_style(BLACK.stroke_width(SCALE))
         .draw()?;
-    for (i, (positions, name)) in joints.iter().zip(takt_fri::lwr::JOINT_NAMES).enumerate() {
-        let colour = Palette99::pick(i).to_rgba();
+    let every = time_s.len().div_ceil(POINTS_MAX).max(1);
+    let names = takt_fri::lwr::JOINT_NAMES;
+    for (number, (positions, name)) in joints.iter().zip(names).enumerate() {
+        let line = COLOURS[number % COLOURS.len()].stroke_width(SCALE * 3 / 2);
         let points = time_s.iter().copied().zip(positions.iter().copied());
-        chart
-            .draw_series(LineSeries::new(
-                points.filter(|(_, p)| p.is_finite()),
-                colour,
-            ))?
-            .label(name)
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 14, y)], colour));
+        let points = points.filter(|(_, p)| p.is_finite()).step_by(every);
+        chart.draw_series(LineSeries::new(points, line))?;
+        legend(area, number, name, line)?;
     }
-    chart
-        .configure_series_labels()
-        .position(SeriesLabelPosition::UpperRight)
-        .background_style(WHITE.mix(0.8))
-        .draw()?;
+    Ok(())
+}
+
+/// An entry of the legend, right of the curves.
+fn legend(area: &Area<'_>, number: usize, name: &str, line: ShapeStyle) -> Drawn {
+    let pixels = |n: u32| i32::try_from(n * SCALE).unwrap_or(0);
+    let row = u32::try_from(number).unwrap_or(0);
+    let (x, y) = (pixels(SIZE.0 - 54), pixels(44 + 20 * row));
+    let text = font(12).pos(Pos::new(HPos::Left, VPos::Center));
+    area.draw(&PathElement::new([(x, y), (x + pixels(18), y)], line))?;
+    area.draw(&Text::new(name.to_owned(), (x + pixels(24), y), text))?;
     Ok(())
 }
 
 /// Latencies from 1 us to 100 ms; what is shorter or longer stands at the edge.
 const EDGES_US: (f64, f64) = (1.0, 100_000.0);
+/// Bars for each decade of latency.
+const BARS_PER_DECADE: f64 = 20.0;
+/// Bars over all decades.
+const BARS: usize = 100;
 
 fn latencies(area: &Area<'_>, stats: &Snapshot) -> Drawn {
-    #[expect(clippy::cast_precision_loss, reason = "a picture")]
-    let bars: Vec<(f64, f64)> = stats
-        .latency_buckets()
-        .map(|(bound, count)| (bound.0 as f64 / 1e3, count as f64))
-        .collect();
-    let most = bars.iter().map(|(_, count)| *count).fold(1.0, f64::max);
+    let bars = bars(stats);
+    let most = bars.iter().copied().fold(1.0, f64::max);
     let caption = format!(
         "latency of the 1 ms cycle: {} cycles, {} overruns, p50 {}, p99 {}, max {}",
         stats.cycles,
@@ -94,25 +151,48 @@ fn latencies(area: &Area<'_>, stats: &Snapshot) -> Drawn {
         time(stats.latency.p99.0),
         time(stats.latency.max.0)
     );
-    let mut chart = ChartBuilder::on(area)
-        .caption(caption, ("sans-serif", 16))
-        .margin(8)
-        .x_label_area_size(32)
-        .y_label_area_size(48)
-        .build_cartesian_2d(
-            (EDGES_US.0..EDGES_US.1).log_scale(),
-            (0.5..most * 2.0).log_scale(),
-        )?;
+    let mut chart = chart(area, &caption).build_cartesian_2d(
+        (EDGES_US.0..EDGES_US.1).log_scale(),
+        (0.5..most * 2.0).log_scale(),
+    )?;
     chart
         .configure_mesh()
         .x_desc("latency, us")
         .y_desc("cycles")
-        .light_line_style(WHITE)
+        .axis_desc_style(font(12))
+        .label_style(font(11))
+        .x_label_formatter(&|us| format!("{us:.0}"))
+        .y_label_formatter(&|count| format!("{count:.0}"))
+        .set_all_tick_mark_size(4 * SCALE)
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(BLACK.mix(0.12).stroke_width(SCALE))
+        .axis_style(BLACK.stroke_width(SCALE))
         .draw()?;
-    let clip = |us: f64| us.clamp(EDGES_US.0, EDGES_US.1);
-    // Buckets of the histogram are about 1.6 % wide.
-    chart.draw_series(bars.into_iter().map(|(us, count)| {
-        Rectangle::new([(clip(us / 1.016), 0.5), (clip(us), count)], BLUE.filled())
-    }))?;
+    let mut left = EDGES_US.0;
+    for count in bars {
+        let right = left * 10_f64.powf(1.0 / BARS_PER_DECADE);
+        if count > 0.0 {
+            let bar = Rectangle::new([(left, 0.5), (right, count)], COLOURS[0].filled());
+            chart.draw_series([bar])?;
+        }
+        left = right;
+    }
     Ok(())
+}
+
+/// Cycles by bar.
+#[expect(
+    clippy::cast_precision_loss,
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "a picture; clamped"
+)]
+fn bars(stats: &Snapshot) -> [f64; BARS] {
+    let mut bars = [0.0; BARS];
+    for (bound, count) in stats.latency_buckets() {
+        let us = (bound.0 as f64 / 1e3).clamp(EDGES_US.0, EDGES_US.1);
+        let bar = (us.log10() * BARS_PER_DECADE) as usize;
+        bars[bar.min(BARS - 1)] += count as f64;
+    }
+    bars
 }

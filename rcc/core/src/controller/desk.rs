@@ -62,6 +62,8 @@ pub(super) struct Net {
     /// Whether the net thread keeps it for rules to start.
     with_rules: bool,
     values: Option<Values>,
+    /// Devices that the net reads or commands.
+    devices: Vec<String>,
 }
 
 impl Net {
@@ -77,6 +79,7 @@ impl Net {
             starting: None,
             with_rules: false,
             values: None,
+            devices: Vec::new(),
         }
     }
 
@@ -97,6 +100,7 @@ impl Net {
             in_writer,
             in_words,
         } = prepared;
+        self.devices = running.plan.uses().to_vec();
         self.running = Some(running);
         self.values = Some(Values {
             out_directory,
@@ -118,6 +122,11 @@ impl Net {
         self.end = Some(why);
         self.running = None;
         self.enter(NetState::Terminated);
+    }
+
+    /// Whether the net reads or commands the device of that name.
+    pub(super) fn uses(&self, device: &str) -> bool {
+        self.devices.iter().any(|name| name == device)
     }
 
     /// Whether a start is under way.
@@ -226,7 +235,7 @@ pub(super) struct Desk {
     pub(super) last_session: u32,
     last_net: Option<u32>,
     resources: HashMap<String, usize>,
-    statuses: Vec<DeviceStatus>,
+    statuses: BTreeMap<String, DeviceStatus>,
     thread: Option<NetThread>,
 }
 
@@ -253,7 +262,7 @@ impl Desk {
             last_session: 0,
             last_net: None,
             resources: HashMap::new(),
-            statuses: Vec::new(),
+            statuses: BTreeMap::new(),
             thread: Some(thread),
         }
     }
@@ -384,6 +393,7 @@ impl Desk {
                     }
                 }),
                 Event::Refused(running, refusal) => self.refused(running, refusal),
+                Event::ArmRemoved(end) => drop(end),
                 Event::RuleAdded(id) => self.rule_added(id),
                 Event::RuleRefused(rule, why) => self.rule_refused(&rule, why),
                 Event::RuleDone(rule) => self.rule_done(&rule),
@@ -440,7 +450,7 @@ impl Desk {
                 resource: self.resource_name(number),
             },
             Refusal::DeviceNotReady(number) => {
-                let arm = self.devices.arms().get(number);
+                let arm = self.devices.get(number);
                 Error::DeviceNotReady {
                     net,
                     device: arm.map_or_else(|| format!("device {number}"), |a| a.name.clone()),
@@ -464,7 +474,7 @@ impl Desk {
             End::Aborted => Some("aborted".to_owned()),
             End::Stopped => Some("stopped by a rule".to_owned()),
             End::DeviceFault(number) => {
-                let arm = self.devices.arms().get(number);
+                let arm = self.devices.get(number);
                 let name = arm.map_or("?", |a| a.name.as_str());
                 let status = arm.map_or(DeviceStatus::Offline, |a| a.status());
                 Some(format!(
@@ -476,18 +486,17 @@ impl Desk {
 
     /// Notes changes of devices; returns whether there were any.
     pub(super) fn look_at_devices(&mut self) -> bool {
-        let statuses: Vec<_> = self.devices.arms().iter().map(|arm| arm.status()).collect();
+        let statuses: BTreeMap<String, DeviceStatus> =
+            self.devices.arms().map(|(_, arm)| (arm.name.clone(), arm.status())).collect();
         if statuses == self.statuses {
             return false;
         }
-        for (i, (arm, status)) in self.devices.arms().iter().zip(&statuses).enumerate() {
-            let before = self.statuses.get(i).copied().unwrap_or_default();
+        for (name, status) in &statuses {
+            let before = self.statuses.get(name).copied().unwrap_or_default();
             if before != *status {
-                let quality = self
-                    .arms
-                    .get(i)
-                    .map(|a| format!("{:?}", a.figures().quality));
-                tracing::info!(device = arm.name, %before, now = %status, quality, "device");
+                let driver = self.arms.iter().find(|arm| arm.name() == name);
+                let quality = driver.map(|arm| format!("{:?}", arm.figures().quality));
+                tracing::info!(device = name, %before, now = %status, quality, "device");
             }
         }
         self.statuses = statuses;
@@ -495,7 +504,7 @@ impl Desk {
     }
 
     pub(super) fn device_infos(&self) -> Vec<DeviceInfo> {
-        let info = |arm: &Arc<crate::device::Arm>| {
+        let info = |arm: &crate::device::Arm| {
             let joints = ("jointcount".to_owned(), arm.limits.len().to_string());
             let robot_arm = ("robotarm".to_owned(), BTreeMap::from([joints]));
             DeviceInfo {
@@ -505,7 +514,7 @@ impl Desk {
                 status: arm.status(),
             }
         };
-        self.devices.arms().iter().map(info).collect()
+        self.devices.arms().map(|(_, arm)| info(arm)).collect()
     }
 
     pub(super) fn thread_stats(&self) -> takt_rt::stats::Snapshot {

@@ -48,6 +48,7 @@ pub fn describe(name: &str) -> ArmDescription {
         name: name.to_owned(),
         kind: "kuka_lwr_fri",
         limits: limits.to_vec(),
+        model: "kuka_lwr4".into(),
     }
 }
 

@@ -2,6 +2,8 @@
 //! cancelled and started between two cycles, all at once. It evaluates nothing itself and knows
 //! no text: conditions come here compiled.
 
+#![expect(clippy::borrowed_box, reason = "what lists of boxes lend")]
+
 use crate::executor::{End, Executor, ResourceSet, Running};
 
 /// Most rules that wait at once in one thread.
@@ -194,6 +196,10 @@ pub enum RuleRefusal {
 }
 
 /// What the executor knows of rules.
+#[expect(
+    clippy::vec_box,
+    reason = "they come and go as boxes; a cycle neither makes nor frees any"
+)]
 #[derive(Debug, Default)]
 pub(super) struct Rules {
     waiting: Vec<Box<Rule>>,

@@ -1,6 +1,8 @@
 //! The executor cycle by cycle, without threads: who may start, who is evaluated, who ends, and
 //! what that frees. Rules between nets are not looked at.
 
+#![expect(clippy::float_cmp, reason = "whole numbers of cycles")]
+
 use std::time::Duration;
 
 use takt_net::{Limits, LoadContext, Nanos, NoDevices, Registry, load};

@@ -12,6 +12,7 @@ use takt_rt::ring::{Consumer, Producer};
 use takt_rt::stats::{Recorder, RecorderReader, StatsReader, StatsWriter};
 use takt_rt::thread::{Thread, ThreadConfig};
 
+use crate::device::sim::Simulation;
 use crate::device::{ARM_JOINTS_MAX, ArmCommand, ArmState, JointSetPoints, SetPoint};
 use crate::error::Error;
 use crate::executor::rules::{Rule, RuleRefusal};
@@ -42,8 +43,10 @@ pub enum Command {
     StartScheduled(u32),
     /// This net will never run.
     Forget(u32),
-    /// Serve an arm; it gets the next device number.
+    /// Serve an arm.
     AddArm(Box<ArmEnd>),
+    /// Serve the device of that number no longer.
+    RemoveArm(usize),
 }
 
 /// What the thread tells the controller.
@@ -63,26 +66,39 @@ pub enum Event {
     RuleRefused(Box<Rule>, RuleRefusal),
     /// A rule no longer waits.
     RuleDone(Box<Rule>),
+    /// An arm is no longer served.
+    ArmRemoved(Box<ArmEnd>),
     /// A net that no rule starts any more is back.
     Unscheduled(Box<Running>),
 }
 
-/// The thread's ends of an arm's cells.
+/// An arm as the thread serves it.
 #[derive(Debug)]
 pub struct ArmEnd {
+    /// Its device number.
+    pub number: usize,
     /// Number of its first joint in the image.
     pub first_joint: usize,
     /// How many joints it has.
     pub joints: usize,
-    /// What its driver tells.
-    pub state: LatestReader<ArmState>,
-    /// What its driver is told.
-    pub command: LatestWriter<ArmCommand>,
+    /// What moves it.
+    pub driver: ArmDriver,
+    /// What nets command to it.
+    pub set_points: [JointSetPoints; ARM_JOINTS_MAX],
 }
 
-struct ArmSlot {
-    end: Box<ArmEnd>,
-    set_points: [JointSetPoints; ARM_JOINTS_MAX],
+/// What moves an arm.
+#[derive(Debug)]
+pub enum ArmDriver {
+    /// A driver in a thread of its own.
+    Cells {
+        /// What it tells.
+        state: LatestReader<ArmState>,
+        /// What it is told.
+        command: LatestWriter<ArmCommand>,
+    },
+    /// Nothing: the arm is simulated.
+    Simulated(Simulation),
 }
 
 /// How the thread is to run.
@@ -126,7 +142,8 @@ impl NetThread {
         let stop = Arc::new(AtomicBool::new(false));
         let mut cycle = Box::new(Cycle {
             executor: Executor::default(),
-            arms: Vec::with_capacity(DEVICES_MAX),
+            arms: (0..DEVICES_MAX).map(|_| None).collect(),
+            period_s: config.period.as_secs_f64(),
             commands: command_end,
             events: event_end,
             hand_over,
@@ -195,7 +212,9 @@ const COMMANDS_A_CYCLE: usize = 16;
 
 struct Cycle {
     executor: Executor,
-    arms: Vec<ArmSlot>,
+    /// By device number.
+    arms: Vec<Option<Box<ArmEnd>>>,
+    period_s: f64,
     commands: Consumer<Command>,
     events: Producer<Event>,
     hand_over: Recorder,
@@ -269,14 +288,22 @@ impl Cycle {
             | Command::AddRule(_)
             | Command::Unschedule { .. }
             | Command::Forget(_)) => self.obey_rule(rule),
-            Command::AddArm(end) => {
-                if self.arms.len() < DEVICES_MAX {
-                    self.executor.devices.push(DeviceView::default());
-                    self.executor.add_joints(end.joints);
-                    let set_points = [JointSetPoints::default(); ARM_JOINTS_MAX];
-                    self.arms.push(ArmSlot { end, set_points });
-                }
-            }
+            Command::AddArm(end) => self.add_arm(end),
+            Command::RemoveArm(number) => self.remove_arm(number),
+        }
+    }
+
+    fn add_arm(&mut self, end: Box<ArmEnd>) {
+        if let Some(slot) = self.arms.get_mut(end.number) {
+            self.executor.use_joints(end.first_joint + end.joints);
+            *slot = Some(end);
+        }
+    }
+
+    fn remove_arm(&mut self, number: usize) {
+        if let Some(end) = self.arms.get_mut(number).and_then(Option::take) {
+            self.executor.set_device(number, DeviceView::default());
+            self.tell(Event::ArmRemoved(end));
         }
     }
 
@@ -317,11 +344,13 @@ impl Cycle {
             | Command::StartScheduled(_)
             | Command::Cancel(_)
             | Command::Abort(_)
-            | Command::AddArm(_) => {}
+            | Command::AddArm(_)
+            | Command::RemoveArm(_) => {}
         }
     }
 
     /// Tells what rules did in this cycle.
+    #[expect(clippy::wildcard_enum_match_arm, reason = "what was pushed comes back")]
     fn tell_effects(&mut self) {
         let Self {
             executor,
@@ -362,41 +391,49 @@ impl Cycle {
     }
 
     fn read_devices(&mut self) {
-        for (arm, view) in self.arms.iter_mut().zip(&mut self.executor.devices) {
-            let joints = &self.executor.image.joints[arm.end.first_joint..][..arm.end.joints];
-            arm.end.state.read_with(|state| {
-                *view = DeviceView {
-                    status: state.status,
-                    faults: state.faults,
-                };
+        let executor = &mut self.executor;
+        for arm in self.arms.iter_mut().flatten() {
+            let (number, first, joints) = (arm.number, arm.first_joint, arm.joints);
+            let mut take = |state: &ArmState| {
+                let view = DeviceView { status: state.status, faults: state.faults };
+                executor.set_device(number, view);
+                let joints = &executor.image.joints[first..first + joints];
                 for (joint, told) in joints.iter().zip(&state.joints) {
                     joint.state.set(*told);
                 }
-            });
+            };
+            match &mut arm.driver {
+                ArmDriver::Cells { state, .. } => state.read_with(take),
+                ArmDriver::Simulated(simulation) => take(simulation.state()),
+            }
         }
     }
 
     /// Hands set-points to all drivers, one right after the other.
     fn write_devices(&mut self, moment: Moment) {
+        let time = takt_rt::Nanos(moment.time.0);
         let (mut first, mut last) = (None, takt_rt::Nanos::ZERO);
-        for arm in &mut self.arms {
-            let joints = &self.executor.image.joints[arm.end.first_joint..][..arm.end.joints];
+        for arm in self.arms.iter_mut().flatten() {
+            let joints = &self.executor.image.joints[arm.first_joint..][..arm.joints];
             let mut commanded = false;
             for (joint, set_points) in joints.iter().zip(&mut arm.set_points) {
                 let command = joint.command.get();
-                let time = takt_rt::Nanos(moment.time.0);
-                let point = (command.cycle == moment.cycle).then_some(SetPoint {
-                    time,
-                    position: command.position,
-                });
+                let position = command.position;
+                let point =
+                    (command.cycle == moment.cycle).then_some(SetPoint { time, position });
                 set_points.advance(point);
                 commanded |= point.is_some();
             }
-            let set_points = arm.set_points;
-            arm.end.command.write_with(|command| {
-                command.time = takt_rt::Nanos(moment.time.0);
-                command.joints = set_points;
-            });
+            let set_points = &arm.set_points;
+            match &mut arm.driver {
+                ArmDriver::Cells { command, .. } => command.write_with(|command| {
+                    command.time = time;
+                    command.joints = *set_points;
+                }),
+                ArmDriver::Simulated(simulation) => {
+                    simulation.step(set_points, time, self.period_s);
+                }
+            }
             if commanded {
                 last = takt_rt::monotonic();
                 first.get_or_insert(last);

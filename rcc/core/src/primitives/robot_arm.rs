@@ -62,7 +62,7 @@ impl Primitive for JointPosition {
 }
 
 /// The joint that parameters `Robot` and `Axis` name.
-fn joint(b: &Build<'_, '_>) -> Result<(ArmBinding, usize), Fault> {
+fn joint(b: &mut Build<'_, '_>) -> Result<(ArmBinding, usize), Fault> {
     let arm = b.arm("Robot")?;
     let axis = b.number("Axis", 0..=arm.limits.len() - 1)?;
     Ok((arm, axis))
@@ -84,9 +84,12 @@ fn joint_position(b: &mut Build<'_, '_>) -> Result<JointPosition, Fault> {
     })
 }
 
+/// Picks one value of a joint's state.
+type Pick = fn(&JointState) -> Option<f64>;
+
 struct JointMonitor {
     joint: usize,
-    values: [(Out<f64>, fn(&JointState) -> Option<f64>); 6],
+    values: [(Out<f64>, Pick); 6],
     error: Out<i32>,
 }
 

@@ -25,6 +25,8 @@ const NETS: &str = "/takt/nets";
 pub(super) struct ArmNote {
     pub(super) name: String,
     pub(super) first_joint: usize,
+    /// Model of its kinematics.
+    pub(super) model: String,
     /// By joint: smallest and largest position (rad), speed (rad/s), acceleration (rad/s²).
     limits: Vec<[f64; 4]>,
 }
@@ -133,6 +135,7 @@ impl Writer {
                 let note = ArmNote {
                     name: arm.name.clone(),
                     first_joint: *first_joint,
+                    model: arm.model.as_ref().to_owned(),
                     limits: limits.collect(),
                 };
                 (self.arms, toml::to_string(&note))

@@ -61,12 +61,13 @@ impl<'r> Stage<'r> {
         let mut devices = DeviceTable::default();
         for arm in &recording.arms {
             let limits = arm.limits();
-            let ports = devices.add_arm(ArmDescription {
+            let description = ArmDescription {
                 name: arm.name.clone(),
                 kind: "",
                 limits,
-            })?;
-            drop(ports);
+                model: arm.model.clone().into(),
+            };
+            devices.add_arm(description)?;
         }
         let registry = crate::registry();
         let mut nets = HashMap::new();

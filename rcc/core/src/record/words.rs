@@ -182,8 +182,7 @@ impl Inputs<'_> {
                 faults: pair[1],
             }));
         // Arms come into use while a recording runs.
-        let joints = self.joints.len() / JOINT_WORDS;
-        executor.add_joints(joints.saturating_sub(executor.joints().len()));
+        executor.use_joints(self.joints.len() / JOINT_WORDS);
         let joints = executor.image.joints.iter();
         for (joint, words) in joints.zip(self.joints.chunks_exact(JOINT_WORDS)) {
             if let Some(state) = joint_state(words) {

@@ -32,6 +32,21 @@ pub struct OpwGeometry {
     pub signs: [f64; 6],
 }
 
+impl OpwGeometry {
+    /// The Stäubli TX90.
+    pub const STAUBLI_TX90: Self = Self {
+        a1: 0.050,
+        a2: 0.0,
+        b: 0.050,
+        c1: 0.478,
+        c2: 0.425,
+        c3: 0.425,
+        c4: 0.100,
+        offsets: [0.0; 6],
+        signs: [1.0; 6],
+    };
+}
+
 /// Closed-form kinematics of an arm with ortho-parallel basis and spherical wrist.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Opw {
@@ -49,17 +64,6 @@ impl Opw {
     /// The Stäubli TX90.
     #[must_use]
     pub const fn staubli_tx90() -> Self {
-        let geometry = OpwGeometry {
-            a1: 0.050,
-            a2: 0.0,
-            b: 0.050,
-            c1: 0.478,
-            c2: 0.425,
-            c3: 0.425,
-            c4: 0.100,
-            offsets: [0.0; 6],
-            signs: [1.0; 6],
-        };
         let ranges = [
             Range::degrees(-180.0, 180.0),
             Range::degrees(-130.0, 147.5),
@@ -68,7 +72,13 @@ impl Opw {
             Range::degrees(-115.0, 140.0),
             Range::degrees(-270.0, 270.0),
         ];
-        Self::new(geometry, ranges)
+        Self::new(OpwGeometry::STAUBLI_TX90, ranges)
+    }
+
+    /// The same arm with other joint ranges.
+    #[must_use]
+    pub const fn within(self, ranges: [Range; 6]) -> Self {
+        Self { ranges, ..self }
     }
 
     /// The joint ranges that solutions keep.

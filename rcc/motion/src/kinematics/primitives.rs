@@ -13,7 +13,7 @@ use takt_net::{
     Primitive, Twist,
 };
 
-use super::{Range, Srs};
+use super::{Srs, ranges};
 
 const ROBOT: &str = "name of the robot arm";
 const ERROR: &str =
@@ -201,11 +201,10 @@ fn with_seven(definition: Definition, names: [&'static str; 7], doc: &'static st
 }
 
 /// An LWR with the joint limits of the arm that `Robot` names.
-fn lwr(b: &Build<'_, '_>) -> Result<Srs, Fault> {
+fn lwr(b: &mut Build<'_, '_>) -> Result<Srs, Fault> {
     let limits = b.arm("Robot")?.limits;
-    let ranges: Vec<_> = limits.iter().copied().map(Range::from).collect();
-    let ranges = <[Range; 7]>::try_from(ranges).map_err(|ranges| {
-        let why = format!("an LWR has 7 joints, this arm has {}", ranges.len());
+    let ranges = ranges(&limits).ok_or_else(|| {
+        let why = format!("an LWR has 7 joints, this arm has {}", limits.len());
         b.parameter_fault("Robot", why)
     })?;
     Ok(Srs::kuka_lwr4().within(ranges))

@@ -224,6 +224,22 @@ fn arms_round_trip_in_their_singularities() {
 }
 
 #[test]
+fn on_axis_one_the_base_keeps_its_hint() {
+    let geometry = OpwGeometry {
+        b: 0.0,
+        ..OpwGeometry::STAUBLI_TX90
+    };
+    let arm = Opw::new(geometry, Opw::staubli_tx90().ranges());
+    let q2 = 0.3_f64;
+    let q3 = -((geometry.a1 + geometry.c2 * q2.sin()) / geometry.c3).asin() - q2;
+    let joints = [1.1, q2, q3, 0.4, 0.5, 0.6];
+    let mut solved = [0.0; 6];
+    let flange = arm.forward(&joints);
+    assert_eq!(arm.inverse(&flange, &joints, &mut solved), Ok(()));
+    assert!(difference(&solved, &joints) < 1e-9, "{solved:?}");
+}
+
+#[test]
 fn what_cannot_be_reached_is_told_and_changes_nothing() {
     for name in ["staubli_tx90", "kuka_lwr4", "kuka_iiwa7", "kuka_youbot"] {
         let arm = named(name).expect("a known arm");
@@ -345,6 +361,33 @@ fn velocities_are_the_derivatives() {
         }
         assert_eq!(arm.velocity(&[0.0; 7], &[1.0; 7]).1, None);
     }
+}
+
+#[test]
+fn an_arm_can_have_narrower_limits_than_its_model() {
+    let limits = JointLimits {
+        position_min: -1.0,
+        position_max: 1.0,
+        velocity_max: 1.0,
+        acceleration_max: 1.0,
+    };
+    for name in ["staubli_tx90", "kuka_lwr4", "kuka_iiwa7", "kuka_iiwa14"] {
+        let model = named(name).expect("a known arm");
+        let arm = limited(name, &vec![limits; model.joints()]).expect("as many as joints");
+        let inside = vec![0.9; model.joints()];
+        let outside = vec![1.1; model.joints()];
+        let mut joints = inside.clone();
+        let flange = model.forward(&outside);
+        assert_eq!(model.inverse(&flange, &outside, &mut joints), Ok(()));
+        if arm.inverse(&flange, &outside, &mut joints).is_ok() {
+            assert!(joints.iter().all(|q| q.abs() <= 1.0), "{name}: {joints:?}");
+        }
+        let flange = model.forward(&inside);
+        assert_eq!(arm.inverse(&flange, &inside, &mut joints), Ok(()));
+        assert!(limited(name, &[limits; 2]).is_none());
+    }
+    assert!(limited("kuka_youbot", &[limits; 5]).is_some());
+    assert!(named("unknown").is_none() && limited("unknown", &[]).is_none());
 }
 
 #[test]

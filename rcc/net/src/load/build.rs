@@ -40,6 +40,7 @@ pub(super) fn build(
         states: HashMap::new(),
         resources: Vec::new(),
         devices: Vec::new(),
+        uses: Vec::new(),
         inbox: Directory::default(),
         inbox_words: Vec::new(),
         outbox: Directory::default(),
@@ -90,6 +91,8 @@ pub(super) struct Parts {
     pub(super) states: HashMap<(u32, usize), u32>,
     pub(super) resources: Vec<String>,
     pub(super) devices: Vec<String>,
+    /// Devices that the net reads or commands.
+    pub(super) uses: Vec<String>,
     pub(super) inbox: Directory,
     pub(super) inbox_words: Vec<u64>,
     pub(super) outbox: Directory,
@@ -171,6 +174,8 @@ impl Parts {
         self.resources.dedup();
         self.devices.sort();
         self.devices.dedup();
+        self.uses.sort();
+        self.uses.dedup();
         Some(Plan {
             slots: self.slots.finish(),
             steps: walk.steps.into_boxed_slice(),
@@ -185,6 +190,7 @@ impl Parts {
             primitives: resolved.nodes.len(),
             count: 0,
             devices: self.devices.into_boxed_slice(),
+            uses: self.uses.into_boxed_slice(),
         })
     }
 }

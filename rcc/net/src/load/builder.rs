@@ -56,8 +56,10 @@ impl Build<'_, '_> {
     ///
     /// # Errors
     /// If there is no such arm.
-    pub fn arm(&self, parameter: &'static str) -> Result<ArmBinding, Fault> {
-        let name = self.text(parameter);
+    pub fn arm(&mut self, parameter: &'static str) -> Result<ArmBinding, Fault> {
+        let name = self.text(parameter).to_owned();
+        self.parts.uses.push(name.clone());
+        let name = name.as_str();
         self.devices().arm(name).ok_or_else(|| {
             let kind = FaultKind::Device {
                 kind: "robot arm",
@@ -72,11 +74,10 @@ impl Build<'_, '_> {
     ///
     /// # Errors
     /// If there is no such arm, or its geometry is not known.
-    pub fn kinematics(&self, parameter: &'static str) -> Result<Arc<dyn Kinematics>, Fault> {
-        let why = || format!("the kinematics of `{}` is not known", self.text(parameter));
-        self.arm(parameter)?
-            .kinematics
-            .ok_or_else(|| self.parameter_fault(parameter, why()))
+    pub fn kinematics(&mut self, parameter: &'static str) -> Result<Arc<dyn Kinematics>, Fault> {
+        let why = format!("the kinematics of `{}` is not known", self.text(parameter));
+        let arm = self.arm(parameter)?;
+        arm.kinematics.ok_or_else(|| self.parameter_fault(parameter, why))
     }
 
     /// Claims something of a device for this net alone; if the device fails, the net ends.

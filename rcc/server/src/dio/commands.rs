@@ -4,12 +4,13 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use takt_core::controller::{LoadRequest, NetInfo};
+use takt_core::controller::{LoadRequest, NetInfo, RuleId, RuleRequest};
 use takt_core::{Error, NetId, SessionId};
 
 use super::devices::DeviceWatch;
 use super::nets::NetWatch;
 use super::refusal::Refusal;
+use super::rules::RuleWatch;
 use super::sessions::SessionWatch;
 use super::{Connection, Pushes, SUBSCRIPTIONS_MAX};
 use crate::wire::{Message, Value};
@@ -58,8 +59,8 @@ impl Connection {
             "gne" => self.watch_net(args, tag()),
             "snc" => self.write_values(args),
             "nin" => self.describe_nets(args),
-            "nesc" => Err(Refusal::SchedulingNotPossible),
-            "gsy" => Err(Refusal::InvalidRule),
+            "nesc" => self.schedule(args),
+            "gsy" => self.watch_rule(args, tag()),
             _ => Err(Refusal::UnknownCommand),
         }
     }
@@ -193,6 +194,39 @@ impl Connection {
         Ok(Vec::new())
     }
 
+    /// Installs a rule. What it starts is told to be scheduled before the rule's number is.
+    fn schedule(&self, args: Args<'_>) -> Outcome {
+        let request = RuleRequest {
+            condition: args.text(0)?.to_owned(),
+            stop: self.nets(args, 1)?,
+            cancel: self.nets(args, 2)?,
+            start: self.nets(args, 3)?,
+            description: args
+                .optional(4, Args::description)?
+                .unwrap_or_default()
+                .to_owned(),
+        };
+        let rule = self.controller.schedule(request).map_err(|error| {
+            let gone = matches!(error, Error::NoSuchNet(_));
+            let reason = error.to_string();
+            if gone {
+                Refusal::InvalidRuleNet
+            } else {
+                Refusal::SchedulingNotPossible { reason }
+            }
+        })?;
+        Ok(vec![rule.to_string().into()])
+    }
+
+    /// A second subscription to a rule takes the place of the first and is told its state again.
+    fn watch_rule(&mut self, args: Args<'_>, tag: String) -> Outcome {
+        let rule: RuleId = args.text(0)?.parse().map_err(|_| Refusal::InvalidRule)?;
+        self.controller.rule(rule).ok_or(Refusal::InvalidRule)?;
+        self.check_room(self.rules.contains_key(&rule))?;
+        self.rules.insert(rule, RuleWatch::new(tag));
+        Ok(Vec::new())
+    }
+
     /// Not part of the original protocol, where HTTP resources tell this: all nets, or one.
     fn describe_nets(&self, args: Args<'_>) -> Outcome {
         let nets = match args.optional(0, Args::text)? {
@@ -206,7 +240,10 @@ impl Connection {
     }
 
     fn check_room(&self, replaces: bool) -> Result<(), Refusal> {
-        let used = self.nets.len() + self.sessions.len() + usize::from(self.devices.is_some());
+        let used = self.nets.len()
+            + self.sessions.len()
+            + self.rules.len()
+            + usize::from(self.devices.is_some());
         if replaces || used < SUBSCRIPTIONS_MAX {
             Ok(())
         } else {
@@ -229,6 +266,15 @@ impl Connection {
 
     fn net(&self, args: Args<'_>) -> Result<NetId, Refusal> {
         self.known_net(args.text(0)?).ok_or(Refusal::InvalidNet)
+    }
+
+    /// The nets of a list; nothing is wrong with one that is empty.
+    fn nets(&self, args: Args<'_>, number: usize) -> Result<Vec<NetId>, Refusal> {
+        let name = |value: &Value| {
+            let name = value.as_str().ok_or(Refusal::ParameterType)?;
+            self.known_net(name).ok_or(Refusal::InvalidRuleNet)
+        };
+        args.list(number)?.iter().map(name).collect()
     }
 
     fn known_net(&self, name: &str) -> Option<NetId> {
@@ -335,6 +381,10 @@ impl<'a> Args<'a> {
 
     fn map(self, number: usize) -> Result<&'a BTreeMap<String, Value>, Refusal> {
         self.get(number)?.as_map().ok_or(Refusal::ParameterType)
+    }
+
+    fn list(self, number: usize) -> Result<&'a [Value], Refusal> {
+        self.get(number)?.as_list().ok_or(Refusal::ParameterType)
     }
 
     fn integer(self, number: usize) -> Result<u32, Refusal> {

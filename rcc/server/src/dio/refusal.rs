@@ -38,9 +38,12 @@ pub(super) enum Refusal {
     /// The net could not be started.
     #[error("net start failed")]
     StartFailed { reason: String },
-    /// Synchronization rules are not there.
+    /// No such net, as `nesc` says it.
+    #[error("invalid netname")]
+    InvalidRuleNet,
+    /// The rule could not be installed.
     #[error("scheduling not possible")]
-    SchedulingNotPossible,
+    SchedulingNotPossible { reason: String },
     /// No such rule.
     #[error("Invalid synchronization rule")]
     InvalidRule,
@@ -62,9 +65,9 @@ impl Refusal {
     pub(super) fn reply(&self, tag: &str) -> Message {
         let reply = Message::new(tag, "err").with(self.to_string());
         match self {
-            Self::NetSyntax { reason } | Self::StartFailed { reason } => {
-                reply.with(reason.as_str())
-            }
+            Self::NetSyntax { reason }
+            | Self::StartFailed { reason }
+            | Self::SchedulingNotPossible { reason } => reply.with(reason.as_str()),
             Self::InvalidSyntax
             | Self::BadHandshake
             | Self::UnknownCommand
@@ -73,7 +76,7 @@ impl Refusal {
             | Self::InvalidSession
             | Self::InvalidNet
             | Self::InvalidNetName
-            | Self::SchedulingNotPossible
+            | Self::InvalidRuleNet
             | Self::InvalidRule
             | Self::TooManySubscriptions
             | Self::DescriptionTooLong { .. }

@@ -95,7 +95,8 @@ mod tests {
     #[test]
     fn jitter_is_smoothed() {
         let jitter = [0, 300_000, -200_000, 100_000];
-        let clock = after((0..1000).map(|i| i * PERIOD.0 + jitter[i as usize % 4]));
+        let clock =
+            after((0..1000).map(|i| i * PERIOD.0 + jitter[usize::try_from(i).unwrap() % 4]));
         let error = clock.now() - Nanos(999 * PERIOD.0);
         assert!(error.abs() < Nanos(100_000), "{error}");
         assert!(

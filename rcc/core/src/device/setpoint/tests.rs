@@ -1,6 +1,13 @@
 //! The state machine cell by cell, interpolation, and properties over random streams of
 //! set-points. Velocity and acceleration are differentiated anew here.
 
+#![expect(
+    clippy::float_cmp,
+    reason = "what is compared so must be equal to the bit"
+)]
+#![expect(clippy::cast_possible_truncation, reason = "times of some periods")]
+#![expect(clippy::cast_possible_wrap, reason = "a few set-points")]
+
 use proptest::prelude::*;
 
 use super::*;
@@ -331,16 +338,13 @@ fn catch_up(motion: impl Fn(f64) -> f64, gap: i64, without: impl Fn(&mut Rig)) -
         if i == 999 {
             assert_eq!((seen.mode, seen.position), (Mode::Follow, seen.target));
         } else if i > 999 {
-            match seen.mode {
-                Mode::Follow => {
-                    assert_eq!(seen.position, seen.target, "after {i} cycles");
-                    again.get_or_insert(i - 1000 - gap);
-                }
-                mode => {
-                    assert_eq!(mode, Mode::Approach, "after {i} cycles");
-                    assert_eq!(again, None, "fell behind again after {i} cycles");
-                    beyond = beyond.max(seen.position - seen.target);
-                }
+            if seen.mode == Mode::Follow {
+                assert_eq!(seen.position, seen.target, "after {i} cycles");
+                again.get_or_insert(i - 1000 - gap);
+            } else {
+                assert_eq!(seen.mode, Mode::Approach, "after {i} cycles");
+                assert_eq!(again, None, "fell behind again after {i} cycles");
+                beyond = beyond.max(seen.position - seen.target);
             }
         }
     }
@@ -360,7 +364,7 @@ fn wave(t: f64) -> f64 {
 
 /// Brakes from 1 rad/s at a quarter of the joint's acceleration when the gap comes.
 fn halt(t: f64) -> f64 {
-    let after = (t - 1.0).max(0.0).min(1.0);
+    let after = (t - 1.0).clamp(0.0, 1.0);
     ramp(t.min(1.0)) + after - after * after / 2.0
 }
 

@@ -197,7 +197,9 @@ fn strategy_one_goes_from_there_nearer_to_the_hint() {
         let mut stand = Stand::new(&lwr_net(strategy), &arm("kuka_lwr4"));
         let arm = Srs::kuka_lwr4();
         let (frame, alpha) = arm.forward_alpha(&Q);
-        let turned = arm.inverse_alpha(&frame, alpha + 0.2, &Q).expect("reached");
+        let turned = arm
+            .inverse_alpha(&frame, alpha + 0.23, &Q)
+            .expect("reached");
         write_all(&mut stand, "h", Q);
         write_all(&mut stand, "n", turned);
         let mut text = String::new();

@@ -1,0 +1,205 @@
+//! What a primitive costs, beside the bare floor and a loop written by hand, and what loading costs.
+//! `cargo bench -p takt-net --bench net [-- [--json] [--svg FILE]]`. Judges no figure.
+//!
+//! Ratios count; the absolute figures are those of one machine at one moment. The net is timed with
+//! all it has when it runs: types, null, and the worst-case accounting of an executor around it.
+#![expect(clippy::print_stdout, reason = "a benchmark prints its result")]
+
+mod floor;
+mod plot;
+mod timing;
+
+use std::fmt::Write;
+use std::hint::black_box;
+use std::time::Duration;
+
+use serde_json::{Value, json};
+use takt_net::{Image, Limits, LoadContext, Moment, NoDevices, Plan, Registry, load};
+
+use floor::{Floor, slab, straight_line};
+use timing::{as_f64, in_real_time, median, now, paced, quantile, ratio, warm};
+
+const SIZES: [usize; 6] = [10, 100, 400, 1000, 10_000, 100_000];
+const CYCLES: usize = 20_000;
+const LOADS: usize = 41;
+
+fn main() {
+    let arguments: Vec<String> = std::env::args().collect();
+    let after = |name: &str| arguments.iter().position(|a| a == name).map(|i| i + 1);
+    let bench = Bench::new();
+
+    let sizes: Vec<Cost> = SIZES.iter().map(|size| bench.cost(*size)).collect();
+    let mut result = json!({
+        "ns_by_size": by_size(&sizes, |c| c.ours_ns),
+        "floor_ns_by_size": by_size(&sizes, |c| c.floor_ns),
+        "bytes_per_primitive": by_size(&sizes, |c| c.bytes),
+    });
+    for part in [bench.straight_line(), bench.inactive(), bench.loading(), bench.cycles()] {
+        if let (Value::Object(all), Value::Object(part)) = (&mut result, part) {
+            all.extend(part);
+        }
+    }
+    if let Some(path) = after("--svg").and_then(|i| arguments.get(i)) {
+        plot::draw(path.as_ref(), &sizes).expect("the plot can be written");
+    }
+    if after("--json").is_some() {
+        println!("{result}");
+    }
+}
+
+/// What a chain of additions costs back to back.
+#[derive(Clone, Copy)]
+pub(crate) struct Cost {
+    pub(crate) additions: usize,
+    pub(crate) ours_ns: f64,
+    pub(crate) floor_ns: f64,
+    /// Bytes of the plan for each addition.
+    pub(crate) bytes: f64,
+}
+
+fn by_size(costs: &[Cost], figure: impl Fn(&Cost) -> f64) -> Value {
+    let rounded = |c: &Cost| json!((figure(c) * 100.0).round() / 100.0);
+    let entries = costs.iter().map(|c| (c.additions.to_string(), rounded(c)));
+    Value::Object(entries.collect())
+}
+
+struct Bench {
+    registry: Registry,
+    image: Image,
+}
+
+impl Bench {
+    fn new() -> Self {
+        Self {
+            registry: Registry::core(),
+            image: Image::default(),
+        }
+    }
+
+    fn load(&self, text: &str) -> Plan {
+        let context = LoadContext {
+            registry: &self.registry,
+            devices: &NoDevices,
+            period: Duration::from_millis(1),
+            limits: Limits::default(),
+        };
+        load(text, &context).expect("the net is good")
+    }
+
+    /// A net as an executor runs it: with the longest cycle kept.
+    fn running<'b>(&'b self, text: &str) -> impl FnMut() + use<'b> {
+        let mut plan = self.load(text);
+        let mut worst_ns = 0;
+        move || {
+            let start = now();
+            black_box(plan.evaluate(&self.image, Moment::default()));
+            worst_ns = worst_ns.max(now() - start);
+        }
+    }
+
+    fn cost(&self, additions: usize) -> Cost {
+        let text = chain(additions);
+        let bytes = as_f64(self.load(&text).bytes()) / as_f64(additions);
+        let mut ours = self.running(&text);
+        let mut floor = Floor::new(additions);
+        let calls = u32::try_from(40_000 / additions).unwrap_or(1).max(1);
+        let [ours, theirs] = warm(calls, [&mut ours, &mut || floor.evaluate()]);
+        assert!((floor.result() - as_f64(additions)).abs() < 0.5);
+        let each = |times: &[f64]| median(times) / as_f64(additions);
+        let cost = Cost {
+            additions,
+            ours_ns: each(&ours),
+            floor_ns: each(&theirs),
+            bytes,
+        };
+        println!(
+            "back to back, {additions:6} additions: {:6.2} ns each, floor {:6.2} ns, ratio {:.2}; \
+             {bytes:.0} bytes each",
+            cost.ours_ns,
+            cost.floor_ns,
+            ratio(&ours, &theirs)
+        );
+        cost
+    }
+
+    fn straight_line(&self) -> Value {
+        let mut numbers = slab(400);
+        let mut ours = self.running(&chain(400));
+        let [ours, straight] = warm(100, [&mut ours, &mut || straight_line(&mut numbers)]);
+        let ratio = ratio(&ours, &straight);
+        println!(
+            "back to back, 400 by hand: {:.2} ns each, ratio {ratio:.2}",
+            median(&straight) / 400.0
+        );
+        json!({ "ratio_to_straight_line_400": ratio, "active_primitive_ns": median(&ours) / 400.0 })
+    }
+
+    /// A fragment of 10,000 primitives that is switched off, beside the same net without it.
+    fn inactive(&self) -> Value {
+        let chain = chain(10_000);
+        let base = "off=Core::BooleanValue(Value='false'), outTerminate=off.outValue";
+        let with = format!("{{{base}, big={chain}(inActive=off.outValue)}}");
+        let mut with = self.running(&with);
+        let mut without = self.running(&format!("{{{base}}}"));
+        let [with, without] = warm(1000, [&mut with, &mut without]);
+        let ns = median(&with) - median(&without);
+        println!("inactive fragment of 10,000: {ns:.2} ns");
+        json!({ "inactive_fragment_ns": ns })
+    }
+
+    fn loading(&self) -> Value {
+        let text = chain(10_000);
+        let (mut load, mut free) = (Vec::new(), Vec::new());
+        for _ in 0..LOADS {
+            let start = now();
+            let plan = self.load(&text);
+            let ready = now();
+            drop(plan);
+            load.push(as_f64(ready - start) / 1e6);
+            free.push(as_f64(now() - ready) / 1e6);
+        }
+        let (load, free) = (median(&load), median(&free));
+        println!("10,000 primitives: text to ready {load:.2} ms, freed in {free:.2} ms");
+        json!({ "load_10000_ms": load, "free_10000_ms": free })
+    }
+
+    /// The chain of 400 additions in a 1 kHz loop.
+    fn cycles(&self) -> Value {
+        let mut ours = self.running(&chain(400));
+        let mut floor = Floor::new(400);
+        let subjects: [timing::Subject<'_>; 2] = [&mut ours, &mut || floor.evaluate()];
+        let (fifo, [ours, floor]) = in_real_time(|| paced(CYCLES / 2, subjects));
+        let ratio = ratio(&ours, &floor);
+        if !fifo {
+            println!("SCHED_FIFO was refused: the figures of the loop are those of an ordinary thread");
+        }
+        let each = |times: &[f64], share: f64| quantile(times, share) / 400.0;
+        for (name, times) in [("net", &ours), ("floor", &floor)] {
+            let (p50, p99) = (each(times, 0.5), each(times, 0.99));
+            println!("1 kHz, 400 additions, {name:5}: p50 {p50:.2} ns each, p99 {p99:.2} ns");
+        }
+        println!("1 kHz, 400 additions: ratio to floor {ratio:.2}");
+        json!({
+            "fifo": fifo,
+            "ratio_to_floor_400": ratio,
+            "ns_per_primitive": each(&ours, 0.5),
+            "ns_per_primitive_p99": each(&ours, 0.99),
+            "floor_ns": each(&floor, 0.5),
+            "floor_ns_p99": each(&floor, 0.99),
+        })
+    }
+}
+
+/// A chain of additions, each of which adds 1 to the result of the one before.
+fn chain(additions: usize) -> String {
+    let mut text = String::from("{a0=Core::DoubleAdd(Second='1'), ");
+    for i in 1..additions {
+        let before = i - 1;
+        let _cannot_fail = write!(
+            text,
+            "a{i}=Core::DoubleAdd(inFirst=a{before}.outValue, Second='1'), "
+        );
+    }
+    text.push_str("never=Core::BooleanValue(Value='false'), outTerminate=never.outValue}");
+    text
+}

@@ -1,0 +1,234 @@
+//! Synchronization rules as the known client uses them.
+
+use super::*;
+
+/// Reports `r0` after that many seconds, and never ends by itself.
+fn lasting(seconds: f64) -> String {
+    format!(
+        "{{c=Core::Clock(),g=Core::DoubleGreater(inFirst=c.outValue,Second='{seconds}'),\
+         r=Core::BooleanNetcommOut(inValue=g.outValue,Key='r0'),\
+         x=Cancel(),k=Core::BooleanNetcommOut(inValue=x.outCancel,Key='cancelled'),\
+         f=Core::BooleanValue(Value='false'),outTerminate=f.outValue}}"
+    )
+}
+
+fn of_tag<'a>(tag: &str, lines: &'a [String]) -> Vec<&'a str> {
+    let mine = lines.iter().filter(|l| l.starts_with(&format!("{tag}=")));
+    mine.map(String::as_str).collect()
+}
+
+impl Client {
+    /// All pushes until every one of `texts` was seen.
+    fn pushes_until_all(&mut self, texts: &[&str]) -> Vec<String> {
+        let mut seen: Vec<String> = Vec::new();
+        for _ in 0..10_000 {
+            seen.extend(self.pushes());
+            if texts.iter().all(|t| seen.iter().any(|l| l.contains(t))) {
+                return seen;
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        panic!("{texts:?} are not all pushed; {seen:?} are");
+    }
+
+    /// Installs a rule; returns its number.
+    fn rule(&mut self, args: &str) -> String {
+        let out = self.send(&format!("n=nesc({args})"));
+        let answer = out.last().unwrap();
+        let number = answer.strip_prefix("n=ok(\"").unwrap();
+        number.strip_suffix("\")").unwrap().to_owned()
+    }
+}
+
+/// The captured exchange about rules: two nets started by hand before, so the rule's number is 2.
+#[test]
+fn captured_exchange_of_rules() {
+    let mut client = Client::greeted(&controller());
+    client.ask(r#"c4=nse("probe@host")"#);
+    for (net, watch) in [("rpinet0", "c6"), ("rpinet1", "c13"), ("rpinet2", "c14")] {
+        let load = format!(r#"l=nene("{PROBE}","s1","probe net",0.0,1)"#);
+        assert_eq!(client.ask(&load), format!(r#"l=ok("{net}")"#));
+        let watched = client.send(&format!(r#"{watch}=gne("{net}",60.0)"#));
+        let expected = [format!(r#"{watch}=ns("READY")"#), format!("{watch}=ok()")];
+        assert_eq!(watched, expected);
+    }
+    client.send(r#"c7=nest("rpinet0")"#);
+    client.send(r#"c8=neab("rpinet0")"#);
+    let started = [r#"c13=ns("RUNNING")"#, "c16=ok()"];
+    assert_eq!(client.send(r#"c16=nest("rpinet1")"#), started);
+    let rule = r#"c17=nesc("rpinet1.outr0",["rpinet1"],[],["rpinet2"],"chain")"#;
+    let scheduled: Vec<_> = client.send(rule);
+    let scheduled: Vec<_> = scheduled.iter().filter(|l| !l.contains("=nc(")).collect();
+    assert_eq!(scheduled, [r#"c14=ns("SCHEDULED")"#, r#"c17=ok("2")"#]);
+    let watched = [r#"c18=rs("ACTIVE")"#, "c18=ok()"];
+    assert_eq!(client.send(r#"c18=gsy("2")"#), watched);
+    let ends = [
+        r#"c13=ns("TERMINATED")"#,
+        r#"c14=ns("RUNNING")"#,
+        r#"c18=rs("FIRED")"#,
+    ];
+    let seen = client.pushes_until_all(&ends);
+    let predecessor = of_tag("c13", &seen);
+    let [.., values, end] = predecessor[..] else {
+        panic!("{seen:?}")
+    };
+    assert!(
+        values.starts_with(r#"c13=nc({outecho:"2",outr0:"true",outt:"1.0"#),
+        "{seen:?}"
+    );
+    assert_eq!(end, ends[0]);
+    assert_eq!(of_tag("c14", &seen)[0], ends[1]);
+    assert_eq!(of_tag("c18", &seen), [ends[2]]);
+    client.pushes_until("outt");
+    let aborted = client.send(r#"c19=neab("rpinet2")"#);
+    assert!(
+        aborted[0].starts_with(r#"c14=nc({outecho:"2",outr0:"false",outt:"#),
+        "{aborted:?}"
+    );
+    assert_eq!(aborted[1..], [r#"c14=ns("TERMINATED")"#, "c19=ok()"]);
+}
+
+#[test]
+fn rules_that_cannot_be_are_refused_with_the_reason() {
+    let mut client = Client::greeted(&controller());
+    let net = client.load(&lasting(9.0));
+    let mut refused = |args: String| client.ask(&format!("a=nesc({args})"));
+    for lists in [
+        r#"["rpinet9"],[],[]"#,
+        r#"[],["x"],[]"#,
+        r#"[],[],["rpinet9"]"#,
+    ] {
+        let answer = refused(format!(r#""t",{lists}"#));
+        assert_eq!(answer, r#"a=err("invalid netname")"#);
+    }
+    for (condition, reason) in [
+        (
+            "a b c",
+            "condition: column 3: `.` and a key is expected here, not `b`",
+        ),
+        ("", "condition: column 1"),
+        (
+            "rpinet9.outr0",
+            "condition: there is no net `rpinet9`",
+        ),
+        (
+            "rpinet0.outnone",
+            "condition: rpinet0 has no value `outnone`",
+        ),
+    ] {
+        let answer = refused(format!(r#""{condition}",[],[],["{net}"]"#));
+        let expected = format!(r#"a=err("scheduling not possible","{reason}"#);
+        assert!(answer.starts_with(&expected), "{answer}");
+    }
+    let twice = refused(format!(r#""t",[],[],["{net}","{net}"]"#));
+    assert!(
+        twice.starts_with(r#"a=err("scheduling not possible","net rpinet0 is READY; "#),
+        "{twice}"
+    );
+    for args in [r#""t",[],["#, r#""t",1,[],[]"#, r#""t",[1],[],[]"#, "1,[],[],[]"] {
+        let answer = refused(args.to_owned());
+        assert!(answer.contains("err("), "{answer}");
+    }
+    assert_eq!(refused(r#""t",[]"#.to_owned()), r#"a=err("Parameter missing")"#);
+    let long = "x".repeat(4097);
+    assert!(refused(format!(r#""t",[],[],[],"{long}""#)).contains("at most 4096"));
+    for rule in ["", "7", "x", "-1"] {
+        let answer = client.ask(&format!(r#"a=gsy("{rule}")"#));
+        assert_eq!(answer, r#"a=err("Invalid synchronization rule")"#);
+    }
+}
+
+/// The known client's nets have a termination that is always false: their own rules end them.
+#[test]
+fn nets_are_ended_by_their_own_rules() {
+    let mut client = Client::greeted(&controller());
+    let net = client.load(&lasting(0.02));
+    client.send(&format!(r#"w=gne("{net}",0.02)"#));
+    let own = client.rule(&format!(r#""{net}.outr0",["{net}"],[],[],"result""#));
+    let start = client.rule(&format!(r#""t",[],[],["{net}"],"start""#));
+    let mut seen = client.send(&format!(r#"o=gsy("{own}")"#));
+    seen.extend(client.send(&format!(r#"s=gsy("{start}")"#)));
+    seen.extend(client.pushes_until_all(&[r#"w=ns("TERMINATED")"#, r#"o=rs("FIRED")"#]));
+    assert_eq!(of_tag("o", &seen), [r#"o=rs("ACTIVE")"#, "o=ok()", r#"o=rs("FIRED")"#]);
+    assert!(of_tag("s", &seen).contains(&r#"s=rs("FIRED")"#), "{seen:?}");
+    let values = seen.iter().rfind(|l| l.starts_with("w=nc(")).unwrap();
+    assert!(values.contains(r#"outr0:"true""#), "{values}");
+}
+
+/// As the known client chains motions, the second sent when the first has long ended.
+#[test]
+fn rule_on_a_net_that_has_ended_is_decided_at_once() {
+    let mut client = Client::greeted(&controller());
+    let (first, second) = (client.load(&lasting(0.0)), client.load(&lasting(0.0)));
+    client.send(&format!(r#"v=gne("{first}",0.02)"#));
+    client.send(&format!(r#"w=gne("{second}",0.02)"#));
+    client.rule(&format!(r#""{first}.outr0",["{first}"],[],[]"#));
+    client.rule(&format!(r#""t",[],[],["{first}"]"#));
+    client.pushes_until_all(&[r#"v=ns("TERMINATED")"#]);
+    let chain = client.rule(&format!(
+        r#""{first}.outr0",["{first}"],[],["{second}"]"#
+    ));
+    let never = client.rule(&format!(r#""!{first}.outr0",[],[],[]"#));
+    client.send(&format!(r#"c=gsy("{chain}")"#));
+    client.send(&format!(r#"n=gsy("{never}")"#));
+    // Both may have been decided before they were asked for.
+    let told = |client: &mut Client, rule: &str| {
+        client.pushes();
+        client.send(&format!(r#"z=gsy("{rule}")"#))[0].clone()
+    };
+    let until = |client: &mut Client, rule: &str, word: &str| {
+        for _ in 0..10_000 {
+            if told(client, rule) == format!(r#"z=rs("{word}")"#) {
+                return;
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        panic!("rule {rule} does not become {word}");
+    };
+    until(&mut client, &chain, "FIRED");
+    until(&mut client, &never, "INACTIVE");
+    let running = client.ask(&format!(r#"a=nin("{second}")"#));
+    assert!(running.contains(r#"state:"RUNNING""#), "{running}");
+}
+
+/// Both rules start the same net in the same cycle; the second finds it gone.
+#[test]
+fn rule_whose_net_another_started_fails() {
+    let mut client = Client::greeted(&controller());
+    let (first, second) = (client.load(&lasting(0.02)), client.load(&lasting(9.0)));
+    let rule = format!(r#""{first}.outr0",[],[],["{second}"]"#);
+    let (one, other) = (client.rule(&rule), client.rule(&rule));
+    client.send(&format!(r#"o=gsy("{one}")"#));
+    client.send(&format!(r#"p=gsy("{other}")"#));
+    client.send(&format!(r#"a=nest("{first}")"#));
+    let seen = client.pushes_until_all(&[r#"o=rs("FIRED")"#, r#"p=rs("FIREFAILED")"#]);
+    assert_eq!(seen.iter().filter(|l| l.contains("=rs(")).count(), 2);
+}
+
+/// Cancelling and aborting as the known client does it.
+#[test]
+fn immediate_rules_cancel_and_stop() {
+    let mut client = Client::greeted(&controller());
+    let net = client.load(&lasting(9.0));
+    client.send(&format!(r#"w=gne("{net}",0.02)"#));
+    client.send(&format!(r#"a=nest("{net}")"#));
+    client.rule(&format!(r#""t",[],["{net}"],[]"#));
+    let seen = client.pushes_until_all(&[r#"w=ns("CANCELLING")"#, r#"outcancelled:"true""#]);
+    assert!(!seen.iter().any(|l| l.contains("TERMINATED")), "{seen:?}");
+    client.rule(&format!(r#""t",["{net}"],[],[]"#));
+    client.pushes_until_all(&[r#"w=ns("TERMINATED")"#]);
+}
+
+/// A rule that is over takes no room among the subscriptions: the known client never ends one.
+#[test]
+fn subscription_ends_with_its_rule() {
+    let mut client = Client::greeted(&controller());
+    let net = client.load(&lasting(9.0));
+    let rule = client.rule(&format!(r#""{net}.outr0",[],[],[]"#));
+    client.send(&format!(r#"r=gsy("{rule}")"#));
+    assert_eq!(client.connection.rules.len(), 1);
+    client.send(&format!(r#"a=nest("{net}")"#));
+    client.send(&format!(r#"a=neab("{net}")"#));
+    client.pushes_until_all(&[r#"r=rs("INACTIVE")"#]);
+    assert!(client.connection.rules.is_empty());
+}

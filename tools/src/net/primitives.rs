@@ -1,0 +1,159 @@
+//! `takt net primitives`: what the registry knows of primitives. Those that a controller of another
+//! version knows are not asked for.
+
+use clap::Args;
+use serde_json::json;
+use takt_net::definition::{InPort, NullRule, Parameter, ParameterType};
+use takt_net::{Definition, Registry};
+
+use crate::Verdict;
+use crate::output::{complain, say};
+
+/// Show primitives.
+#[derive(Debug, Args)]
+pub(crate) struct Primitives {
+    /// Full name of one, such as Core::DoubleAdd, or a part of the names of several.
+    name: Option<String>,
+    /// Print one JSON array, with all ports and parameters.
+    #[arg(long)]
+    json: bool,
+}
+
+impl Primitives {
+    pub(super) fn run(self) -> anyhow::Result<Verdict> {
+        let registry = takt_core::registry();
+        let name = self.name.as_deref().unwrap_or_default();
+        let found = find(&registry, name);
+        if self.json {
+            let found: Vec<_> = found.iter().map(|d| as_json(d)).collect();
+            say(&serde_json::Value::from(found).to_string())?;
+        } else if let [one] = *found {
+            say(text(one).trim_end())?;
+        } else {
+            for definition in &found {
+                say(&line(definition))?;
+            }
+        }
+        if !found.is_empty() {
+            return Ok(Verdict::Good);
+        }
+        let similar = registry.similar(name);
+        let hint = similar.map_or_else(String::new, |s| format!("; did you mean {s}?"));
+        complain(&format!("no primitive is called `{name}`{hint}"));
+        Ok(Verdict::Failed)
+    }
+}
+
+/// The one of that name, or all whose name contains it, by name.
+fn find<'r>(registry: &'r Registry, name: &str) -> Vec<&'r Definition> {
+    if let Some(definition) = registry.find(name) {
+        return vec![definition];
+    }
+    let lower = name.to_lowercase();
+    let all = registry.definitions().iter();
+    let mut found: Vec<_> = all
+        .filter(|d| d.name.to_lowercase().contains(&lower))
+        .collect();
+    found.sort_by(|a, b| a.name.cmp(&b.name));
+    found
+}
+
+fn type_name(ty: ParameterType) -> String {
+    match ty {
+        ParameterType::Text => "text".to_owned(),
+        ParameterType::Value(ty) => ty.to_string(),
+    }
+}
+
+const fn null_rule(rule: NullRule) -> &'static str {
+    match rule {
+        NullRule::Propagates => "any input null makes all outputs null",
+        NullRule::Kleene => "null is \"unknown\" of three-valued logic",
+        NullRule::Own(sentence) => sentence,
+    }
+}
+
+fn as_json(definition: &Definition) -> serde_json::Value {
+    let inputs = definition.inputs.iter().map(|port| {
+        json!({
+            "name": port.name, "type": port.ty.to_string(), "doc": port.doc,
+            "required": port.required, "parameter": port.parameter,
+        })
+    });
+    let outputs = definition
+        .outputs
+        .iter()
+        .map(|port| json!({"name": port.name, "type": port.ty.to_string(), "doc": port.doc}));
+    let parameters = definition.parameters.iter().map(|parameter| {
+        json!({
+            "name": parameter.name, "type": type_name(parameter.ty),
+            "default": parameter.default, "doc": parameter.doc,
+        })
+    });
+    json!({
+        "name": definition.name, "doc": definition.doc, "null": null_rule(definition.null),
+        "inputs": inputs.collect::<Vec<_>>(),
+        "outputs": outputs.collect::<Vec<_>>(),
+        "parameters": parameters.collect::<Vec<_>>(),
+    })
+}
+
+/// A primitive among many.
+fn line(definition: &Definition) -> String {
+    let sentence = definition.doc.split_inclusive(". ").next();
+    let sentence = sentence.unwrap_or_default().trim_end();
+    format!("{:<32} {sentence}", definition.name)
+}
+
+/// All that is known of a primitive, for people.
+fn text(definition: &Definition) -> String {
+    let null = null_rule(definition.null);
+    let mut text = format!(
+        "{}\n  {}\n  null: {null}\n",
+        definition.name, definition.doc
+    );
+    let mut section = |title: &str, rows: Vec<String>| {
+        if !rows.is_empty() {
+            text += &format!("{title}\n{}", rows.concat());
+        }
+    };
+    let inputs = definition
+        .inputs
+        .iter()
+        .map(|port| in_row(definition, port));
+    section("in ports", inputs.collect());
+    let parameters = definition.parameters.iter().filter(|parameter| {
+        let mut ports = definition.inputs.iter();
+        !ports.any(|port| port.parameter == Some(parameter.name))
+    });
+    section("parameters", parameters.map(parameter_row).collect());
+    let outputs = definition.outputs.iter();
+    let outputs = outputs.map(|port| row(port.name, &port.ty.to_string(), port.doc));
+    section("out ports", outputs.collect());
+    text
+}
+
+fn row(name: &str, ty: &str, doc: &str) -> String {
+    format!("  {name:<24} {ty:<15} {doc}\n")
+}
+
+fn in_row(definition: &Definition, port: &InPort) -> String {
+    let stands_in = port.parameter.and_then(|name| {
+        let mut parameters = definition.parameters.iter();
+        parameters.find(|parameter| parameter.name == name)
+    });
+    let doc = match stands_in {
+        Some(parameter) => format!(
+            "{}; if not connected, parameter {} (default '{}')",
+            port.doc, parameter.name, parameter.default
+        ),
+        None if port.required => format!("{}; must be connected", port.doc),
+        None => port.doc.to_owned(),
+    };
+    row(port.name, &port.ty.to_string(), &doc)
+}
+
+fn parameter_row(parameter: &Parameter) -> String {
+    let doc = format!("{} (default '{}')", parameter.doc, parameter.default);
+    row(parameter.name, &type_name(parameter.ty), &doc)
+}

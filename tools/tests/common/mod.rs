@@ -1,0 +1,221 @@
+//! Processes of the `takt` command for tests: each is killed when its test ends, however that
+//! ends. Nothing is said here about how fast they are.
+
+#![allow(dead_code, reason = "each test binary uses a part")]
+
+use std::io::{BufRead as _, BufReader, Read};
+use std::path::PathBuf;
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::time::{Duration, Instant};
+
+/// After this time a test gives up; far longer than anything takes on a busy host.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// The command under test.
+pub fn takt(args: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_takt"));
+    command.args(args).stdin(Stdio::null());
+    command
+}
+
+/// Runs the command to its end.
+pub fn run(args: &[&str]) -> Output {
+    takt(args).output().unwrap()
+}
+
+/// Runs the command to its end with a text as its standard input.
+pub fn run_with_input(args: &[&str], input: &str) -> Output {
+    use std::io::Write as _;
+    let mut command = takt(args);
+    command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut child = command.spawn().unwrap();
+    child.stdin.take().unwrap().write_all(input.as_bytes()).unwrap();
+    child.wait_with_output().unwrap()
+}
+
+/// What a command wrote to standard output, if it ended with that status.
+#[track_caller]
+pub fn expect_status(output: &Output, status: i32) -> String {
+    let out = String::from_utf8_lossy(&output.stdout).into_owned();
+    let err = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(status), "stdout:\n{out}\nstderr:\n{err}");
+    out
+}
+
+/// What a command wrote to standard error.
+pub fn complaint(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// A process that goes on while the test does.
+pub struct Process {
+    child: Child,
+    lines: Receiver<String>,
+    seen: Vec<String>,
+}
+
+impl Process {
+    /// Starts it.
+    pub fn start(args: &[&str]) -> Self {
+        let mut child = takt(args)
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let (sender, lines) = channel();
+        let (out, err) = (child.stdout.take().unwrap(), child.stderr.take().unwrap());
+        let streams: [Box<dyn Read + Send>; 2] = [Box::new(out), Box::new(err)];
+        for stream in streams {
+            let sender = sender.clone();
+            std::thread::spawn(move || {
+                let lines = BufReader::new(stream).lines().map_while(Result::ok);
+                lines.take_while(|line| sender.send(line.clone()).is_ok()).count()
+            });
+        }
+        Self { child, lines, seen: Vec::new() }
+    }
+
+    /// Waits for a line that contains `what`, of either stream.
+    #[track_caller]
+    pub fn wait_for(&mut self, what: &str) -> String {
+        self.wait_until(what, |line| line.contains(what))
+    }
+
+    /// Waits for a line that fits.
+    #[track_caller]
+    pub fn wait_until(&mut self, what: &str, fits: impl Fn(&str) -> bool) -> String {
+        let until = Instant::now() + PATIENCE;
+        loop {
+            let left = until.saturating_duration_since(Instant::now());
+            match self.lines.recv_timeout(left) {
+                Ok(line) => {
+                    self.seen.push(line.clone());
+                    if fits(&line) {
+                        return line;
+                    }
+                }
+                Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {
+                    let seen = self.seen.join("\n");
+                    panic!("`{what}` did not come; what came:\n{seen}");
+                }
+            }
+        }
+    }
+
+    /// All lines that came, once it has ended, and its exit status.
+    pub fn end(mut self) -> (Vec<String>, Option<i32>) {
+        let until = Instant::now() + PATIENCE;
+        while let Ok(line) = self.lines.recv_timeout(until.saturating_duration_since(Instant::now())) {
+            self.seen.push(line);
+        }
+        let status = self.child.wait().unwrap().code();
+        (std::mem::take(&mut self.seen), status)
+    }
+
+    /// Ends it without a chance to say goodbye.
+    pub fn kill(&mut self) {
+        self.child.kill().unwrap();
+        self.child.wait().unwrap();
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        // It may have ended already.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// A folder of its own for a test.
+pub struct Folder(PathBuf);
+
+impl Folder {
+    pub fn new() -> Self {
+        static NUMBER: AtomicU32 = AtomicU32::new(0);
+        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+        let name = format!("takt-tools-{}-{number}", std::process::id());
+        let path = std::env::temp_dir().join(name);
+        std::fs::create_dir_all(&path).unwrap();
+        Self(path)
+    }
+
+    /// The path of a file in it.
+    pub fn file(&self, name: &str) -> String {
+        self.0.join(name).display().to_string()
+    }
+
+    /// Writes a file and gives its path.
+    pub fn write(&self, name: &str, text: &str) -> String {
+        let path = self.file(name);
+        std::fs::write(&path, text).unwrap();
+        path
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+/// A net of `tests/nets`.
+pub fn net(name: &str) -> String {
+    let path = format!("{}/../tests/nets/{name}/{name}.net", env!("CARGO_MANIFEST_DIR"));
+    std::fs::read_to_string(path).unwrap()
+}
+
+/// A controller with one arm, `left`, in a process of its own.
+pub struct Cell {
+    pub process: Process,
+    /// Where it takes DirectIO lines.
+    pub tcp: String,
+    /// Where the arm's datagrams are to go.
+    pub udp: String,
+    _folder: Folder,
+}
+
+impl Cell {
+    /// Starts it; the system chooses all ports.
+    pub fn start() -> Self {
+        let folder = Folder::new();
+        let config = folder.write(
+            "cell.toml",
+            "[controller]\nwebsocket = \"127.0.0.1:0\"\ntcp = \"127.0.0.1:0\"\n\
+             [[device]]\nname = \"left\"\ntype = \"kuka_lwr_fri\"\nlisten = \"127.0.0.1:0\"\n",
+        );
+        let mut process = Process::start(&["run", "--config", &config]);
+        let address = |line: String, before: &str| {
+            line.rsplit_once(before).map(|(_, address)| address.to_owned()).unwrap()
+        };
+        let tcp = address(process.wait_for("lines at tcp"), "tcp ");
+        let udp = address(process.wait_for("waits for its robot"), "udp ");
+        Self { process, tcp, udp, _folder: folder }
+    }
+
+    /// An emulated arm, once it can be commanded.
+    pub fn arm(&mut self) -> Process {
+        let arm = Process::start(&["emulate", "lwr", "--target", &self.udp]);
+        self.process.wait_for("now=operational");
+        arm
+    }
+
+    /// Runs `takt net` against this controller.
+    pub fn net(&self, args: &[&str]) -> Output {
+        run(&[&["net"], args, &["--server", &self.tcp]].concat())
+    }
+
+    /// Loads a net; returns its identifier.
+    #[track_caller]
+    pub fn load(&self, text: &str) -> String {
+        let output = run_with_input(&["net", "load", "-", "--server", &self.tcp], text);
+        expect_status(&output, 0).trim().to_owned()
+    }
+
+    /// Follows a net in a process of its own.
+    pub fn watch(&self, net: &str) -> Process {
+        Process::start(&["net", "watch", net, "--server", &self.tcp])
+    }
+}
