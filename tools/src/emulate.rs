@@ -142,10 +142,11 @@ impl Lwr {
 /// An arm in a posture in which every joint can move both ways.
 pub(crate) fn resting(period: Duration) -> KrcConfig {
     let joints = [0.0, 0.5, 0.0, -1.2, 0.0, 0.8, 0.0];
-    // A real KRC bridges ten missing answers. A host without PREEMPT_RT stalls for longer now and
-    // then, and the emulated one is to show Takt, not the host.
+    // A real KRC bridges fewer missing answers and ends command mode at a bad quality. A host
+    // without PREEMPT_RT stalls for longer now and then, and the demo is to show Takt, not the host.
     let timing = emulator::Timing {
         misses_max: MISSES_MAX,
+        bad_from: 0.0,
         ..emulator::Timing::default()
     };
     KrcConfig {

@@ -1,6 +1,7 @@
 //! The controller: what programs can ask of it, and the desk between them and the net thread. All
 //! calls may block for a cycle or two; none is made in a real-time thread.
 
+mod departed;
 mod desk;
 mod devices;
 mod ids;
@@ -16,8 +17,8 @@ use takt_rt::latest::latest;
 use takt_rt::thread::ThreadConfig;
 
 use crate::cell::{CellConfig, DeviceConfig};
-use crate::device::lwr::Lwr;
 use crate::device::DeviceStatus;
+use crate::device::lwr::Lwr;
 use crate::error::Error;
 use crate::executor::thread::{Command, NetThread, NetThreadConfig};
 use crate::executor::{ResourceSet, Running};
@@ -25,6 +26,7 @@ use crate::record::{Recorder, Tap};
 use desk::{Desk, Net, Session};
 
 pub use crate::executor::rules::RuleState;
+pub use departed::Departed;
 pub use ids::{NetId, NetState, SessionId, net_number};
 pub use rules::{RuleId, RuleInfo, RuleRequest};
 
@@ -443,7 +445,10 @@ impl Controller {
             | NetState::Unloaded => {}
         }
         desk.withdraw(id)?;
-        let net = desk.nets.remove(&id);
+        let mut net = desk.nets.remove(&id);
+        if let Some(net) = &mut net {
+            desk.remember(id, net);
+        }
         self.inner.announce(&desk);
         drop(desk);
         // A large net takes its time to be freed; nobody need wait for it.
@@ -564,6 +569,7 @@ fn supervise(inner: &Inner) {
     while !inner.stop.load(Ordering::Relaxed) {
         {
             let mut desk = inner.lock();
+            desk.forget_departed();
             let told = desk.take_events();
             let moved = desk.look_at_devices();
             if told || moved {

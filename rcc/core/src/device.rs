@@ -82,6 +82,8 @@ pub const SET_POINTS: usize = 4;
 pub struct JointSetPoints {
     /// Whether a net commanded the joint in the last cycle.
     pub active: bool,
+    /// Time from one set-point to the next, by the net that gives them.
+    pub period: Nanos,
     /// How many of `points` are of the present run of set-points.
     pub count: usize,
     /// The set-points, newest first.

@@ -125,6 +125,8 @@ pub struct Running {
     end: Option<End>,
     /// Whether it was evaluated in this cycle.
     evaluated: bool,
+    /// The group of `every` cycles in which it was last looked at.
+    last_group: Option<u64>,
     out: LatestWriter<Box<[u64]>>,
     inbox: LatestReader<Box<[u64]>>,
     inbox_seen: u64,
@@ -151,9 +153,21 @@ impl Running {
             fresh_cancel: false,
             end: None,
             evaluated: false,
+            last_group: None,
             out,
             inbox,
             inbox_seen: 0,
+        }
+    }
+
+    /// Whether it is to be evaluated in this cycle: in the first of each group of `every`, or the
+    /// first of it that the thread did not miss.
+    fn is_due(&mut self, cycle: u64) -> bool {
+        let every = self.every.max(1);
+        let group = cycle / every;
+        match self.last_group.replace(group) {
+            None => cycle.is_multiple_of(every),
+            Some(last) => last != group,
         }
     }
 
@@ -323,9 +337,10 @@ impl Executor {
             if let Some((number, _)) = failed {
                 net.end = net.end.or(Some(End::DeviceFault(*number)));
             }
-            net.evaluated = net.end.is_none() && moment.cycle.is_multiple_of(net.every);
+            net.evaluated = net.end.is_none() && net.is_due(moment.cycle);
             if net.evaluated {
                 let moment = Moment {
+                    every: net.every,
                     cancel: net.cancel,
                     takeover: net.takeover,
                     ..moment

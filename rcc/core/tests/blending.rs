@@ -118,14 +118,30 @@ impl Stage {
     fn new() -> Self {
         let mut executor = Executor::default();
         executor.use_joints(2);
-        executor.set_device(0, DeviceView { status: DeviceStatus::Operational, faults: 0 });
-        Self { executor, cycle: 0, path: vec![[0.0; 2]], velocity: [0.0; 2] }
+        executor.set_device(
+            0,
+            DeviceView {
+                status: DeviceStatus::Operational,
+                faults: 0,
+            },
+        );
+        Self {
+            executor,
+            cycle: 0,
+            path: vec![[0.0; 2]],
+            velocity: [0.0; 2],
+        }
     }
 
     /// Schedules net 2 to start when net 1 terminates.
     fn schedule(&mut self) {
         self.executor.schedule(net(2, SECOND)).unwrap();
-        let literal = Literal { net: 1, question: Question::Terminated, value: None, last: false };
+        let literal = Literal {
+            net: 1,
+            question: Question::Terminated,
+            value: None,
+            last: false,
+        };
         let mut rule = Box::new(Rule::new(0, vec![literal], vec![Step::Literal(0)]));
         rule.start = vec![2];
         self.executor.add_rule(rule).unwrap();
@@ -134,8 +150,11 @@ impl Stage {
     /// One cycle; returns the nets that ended in it.
     fn cycle(&mut self) -> Vec<u32> {
         self.cycle += 1;
-        for (joint, (at, velocity)) in
-            self.executor.joints().iter().zip(self.path.last().unwrap().iter().zip(self.velocity))
+        for (joint, (at, velocity)) in self
+            .executor
+            .joints()
+            .iter()
+            .zip(self.path.last().unwrap().iter().zip(self.velocity))
         {
             let mut state = joint.state.get();
             state.commanded_position = Some(*at);
@@ -144,7 +163,12 @@ impl Stage {
         }
         self.executor.announce_takeovers(|_, _| ());
         let time = Nanos(i64::try_from(self.cycle).unwrap() * 1_000_000);
-        let moment = Moment { cycle: self.cycle, time, wall: time, ..Moment::default() };
+        let moment = Moment {
+            cycle: self.cycle,
+            time,
+            wall: time,
+            ..Moment::default()
+        };
         self.executor.cycle(moment);
         let before = *self.path.last().unwrap();
         let mut now = before;
@@ -156,7 +180,8 @@ impl Stage {
         self.velocity = std::array::from_fn(|i| (now[i] - before[i]) / PERIOD.as_secs_f64());
         self.path.push(now);
         self.executor.fire_rules();
-        self.executor.rule_effects(|id, effect| assert_eq!((id, effect), (2, Effect::Started)));
+        self.executor
+            .rule_effects(|id, effect| assert_eq!((id, effect), (2, Effect::Started)));
         let mut ended = Vec::new();
         while self.executor.take_ended(|net, _| {
             ended.push(net.id);
@@ -196,11 +221,17 @@ impl Stage {
             assert!(fastest < 0.6, "joint {i} moves at {fastest} rad/s");
             for (cycle, pair) in speeds.windows(2).enumerate() {
                 let change = (pair[1] - pair[0]).abs();
-                assert!(change < 2.5 * dt, "joint {i}, cycle {cycle}: {pair:?} rad/s");
+                assert!(
+                    change < 2.5 * dt,
+                    "joint {i}, cycle {cycle}: {pair:?} rad/s"
+                );
             }
         }
         let [x, y] = *self.path.last().unwrap();
-        assert!((x - 0.4).abs() < 1e-6 && (y - 0.4).abs() < 1e-6, "ends at ({x}, {y})");
+        assert!(
+            (x - 0.4).abs() < 1e-6 && (y - 0.4).abs() < 1e-6,
+            "ends at ({x}, {y})"
+        );
     }
 
     /// The smallest distance of the path from C.
@@ -214,7 +245,11 @@ impl Stage {
 fn scheduled_in_time_the_second_net_takes_over_at_b() {
     let stage = Stage::run(500);
     stage.assert_smooth();
-    assert!(stage.distance_from_c() > 0.01, "{}", stage.distance_from_c());
+    assert!(
+        stage.distance_from_c() > 0.01,
+        "{}",
+        stage.distance_from_c()
+    );
     // One second to B, three more to E.
     assert!((4_000..4_010).contains(&stage.cycle), "{}", stage.cycle);
 }
@@ -223,6 +258,10 @@ fn scheduled_in_time_the_second_net_takes_over_at_b() {
 fn scheduled_too_late_the_second_net_starts_at_c() {
     let stage = Stage::run(1_500);
     stage.assert_smooth();
-    assert!(stage.distance_from_c() < 1e-6, "{}", stage.distance_from_c());
+    assert!(
+        stage.distance_from_c() < 1e-6,
+        "{}",
+        stage.distance_from_c()
+    );
     assert!((5_000..5_010).contains(&stage.cycle), "{}", stage.cycle);
 }

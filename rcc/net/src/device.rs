@@ -48,6 +48,8 @@ pub enum JointError {
 pub struct JointCommand {
     /// The cycle it was given in, as in `Moment::cycle`; 0 is "never".
     pub cycle: u64,
+    /// In how many cycles of the thread its net gives one; it stands until then.
+    pub every: u64,
     /// Position, rad.
     pub position: f64,
 }

@@ -19,6 +19,8 @@ pub struct Moment {
     pub time: Nanos,
     /// The clock read at the start of this cycle, on the same time line.
     pub wall: Nanos,
+    /// In how many cycles of the thread the net is evaluated once; 0 counts as 1.
+    pub every: u64,
     /// Whether the net was asked to cancel.
     pub cancel: bool,
     /// Whether a successor is scheduled.

@@ -16,7 +16,7 @@
 use std::borrow::Cow;
 use std::ops::Range;
 
-use logos::Logos;
+use logos::{Lexer, Logos};
 
 use crate::fault::{FAULTS_MAX, Fault, FaultKind};
 use crate::limits::Limits;
@@ -166,20 +166,18 @@ pub fn parse<'a>(text: &'a str, limits: &Limits, faults: &mut Vec<Fault>) -> Fra
         faults.push(Fault::new(FaultKind::Bound { what, found, bound }, 0..0));
         return Fragment::default();
     }
-    let mut tokens = Vec::with_capacity(text.len() / 4);
-    for (token, span) in Token::lexer(text).spanned() {
-        tokens.push((token.unwrap_or(Token::Bad), span));
-    }
     let mut parser = Parser {
         text,
-        tokens,
-        at: 0,
+        lexer: Token::lexer(text),
+        token: None,
+        last_end: 0,
         depth: limits.depth,
         depth_max: limits.depth,
         faults,
     };
+    parser.token = parser.lex();
     let root = parser.fragment().unwrap_or_default();
-    if parser.at < parser.tokens.len() && parser.faults.is_empty() {
+    if parser.token.is_some() && parser.faults.is_empty() {
         parser.expected("the end of the net");
     }
     root
@@ -187,8 +185,12 @@ pub fn parse<'a>(text: &'a str, limits: &Limits, faults: &mut Vec<Fault>) -> Fra
 
 struct Parser<'a, 'f> {
     text: &'a str,
-    tokens: Vec<(Token, Range<usize>)>,
-    at: usize,
+    /// Reads on behind [`Self::token`]. Tokens are not kept, as a text may have millions.
+    lexer: Lexer<'a, Token>,
+    /// The token to be looked at next; `None` at the end of the text.
+    token: Option<Token>,
+    /// End of the token before that one.
+    last_end: usize,
     /// How much deeper nodes may nest.
     depth: usize,
     depth_max: usize,
@@ -201,25 +203,29 @@ struct Recorded;
 type Parse<T> = Result<T, Recorded>;
 
 impl<'a> Parser<'a, '_> {
-    fn peek(&self) -> Option<Token> {
-        self.tokens.get(self.at).map(|(token, _)| *token)
+    fn lex(&mut self) -> Option<Token> {
+        let token = self.lexer.next()?;
+        Some(token.unwrap_or(Token::Bad))
+    }
+
+    fn advance(&mut self) {
+        self.last_end = self.lexer.span().end;
+        self.token = self.lex();
     }
 
     fn span(&self) -> Range<usize> {
         let end = self.text.len();
-        self.tokens
-            .get(self.at)
-            .map_or(end..end, |(_, span)| span.clone())
-    }
-
-    /// End of the token before this one.
-    fn last_end(&self) -> usize {
-        self.at.checked_sub(1).map_or(0, |i| self.tokens[i].1.end)
+        match self.token {
+            Some(_) => self.lexer.span(),
+            None => end..end,
+        }
     }
 
     fn eat(&mut self, token: Token) -> bool {
-        let is = self.peek() == Some(token);
-        self.at += usize::from(is);
+        let is = self.token == Some(token);
+        if is {
+            self.advance();
+        }
         is
     }
 
@@ -228,11 +234,11 @@ impl<'a> Parser<'a, '_> {
         if self.faults.len() >= FAULTS_MAX {
             return Recorded;
         }
-        if self.peek().is_none() && self.faults.last().is_some_and(Fault::is_syntax) {
+        if self.token.is_none() && self.faults.last().is_some_and(Fault::is_syntax) {
             // That the text ends, too, has the same cause.
             return Recorded;
         }
-        let found = match self.peek() {
+        let found = match self.token {
             None => "the end of the text".to_owned(),
             Some(Token::Bad) if self.text[span.clone()].starts_with('\'') => {
                 "a text without its closing `'`".to_owned()
@@ -249,11 +255,11 @@ impl<'a> Parser<'a, '_> {
     }
 
     fn ident(&mut self, expected: &str) -> Parse<Name<'a>> {
-        if self.peek() != Some(Token::Ident) {
+        if self.token != Some(Token::Ident) {
             return Err(self.expected(expected));
         }
         let span = self.span();
-        self.at += 1;
+        self.advance();
         Ok(Name {
             text: &self.text[span.clone()],
             start: span.start,
@@ -285,7 +291,7 @@ impl<'a> Parser<'a, '_> {
     /// Skips to the next comma or closing bracket of the present level.
     fn skip_item(&mut self) {
         let mut open = 0_usize;
-        while let Some(token) = self.peek() {
+        while let Some(token) = self.token {
             match token {
                 Token::OpenFragment | Token::OpenArgs => open += 1,
                 Token::CloseFragment | Token::CloseArgs if open == 0 => return,
@@ -300,7 +306,7 @@ impl<'a> Parser<'a, '_> {
                 | Token::Text
                 | Token::Bad => {}
             }
-            self.at += 1;
+            self.advance();
         }
     }
 
@@ -313,7 +319,7 @@ impl<'a> Parser<'a, '_> {
         self.list(Token::CloseFragment, "`,` or `}`", |p| {
             p.item(&mut fragment)
         });
-        fragment.at = start..self.last_end();
+        fragment.at = start..self.last_end;
         Ok(fragment)
     }
 
@@ -341,15 +347,12 @@ impl<'a> Parser<'a, '_> {
             return Ok(None);
         }
         let start = self.span().start;
-        while self
-            .peek()
-            .is_some_and(|t| matches!(t, Token::Ident | Token::Dot))
-        {
-            self.at += 1;
+        while matches!(self.token, Some(Token::Ident | Token::Dot)) {
+            self.advance();
         }
         let seconds = self
             .text
-            .get(start..self.last_end())
+            .get(start..self.last_end)
             .unwrap_or_default()
             .parse()
             .ok();
@@ -378,7 +381,7 @@ impl<'a> Parser<'a, '_> {
 
     fn node_or_source_within(&mut self) -> Parse<Expression<'a>> {
         let start = self.span().start;
-        let body = if self.peek() == Some(Token::OpenFragment) {
+        let body = if self.token == Some(Token::OpenFragment) {
             Body::Fragment(self.fragment()?)
         } else {
             let name = self.ident("a primitive `Type(…)`, a fragment `{…}` or a `child.port`")?;
@@ -403,7 +406,7 @@ impl<'a> Parser<'a, '_> {
         let node = Node {
             body,
             args,
-            at: start..self.last_end(),
+            at: start..self.last_end,
         };
         if !self.eat(Token::Dot) {
             return Ok(Expression::Node(node));
@@ -421,10 +424,10 @@ impl<'a> Parser<'a, '_> {
         if !self.eat(Token::Is) {
             return Err(self.expected("`=`"));
         }
-        let starts_link = matches!(self.peek(), Some(Token::Ident | Token::OpenFragment));
-        let value = if self.peek() == Some(Token::Text) {
+        let starts_link = matches!(self.token, Some(Token::Ident | Token::OpenFragment));
+        let value = if self.token == Some(Token::Text) {
             let span = self.span();
-            self.at += 1;
+            self.advance();
             let inside = &self.text[span.start + 1..span.end - 1];
             ArgValue::Text(unescape(inside), span.start + 1)
         } else if !starts_link {

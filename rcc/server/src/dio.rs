@@ -147,6 +147,9 @@ impl Connection {
                 true
             }
             None => {
+                if let Some(net) = controller.departed(*id) {
+                    out.extend(watch.handle_states(&net.states, || net.values, now));
+                }
                 out.extend(watch.handle_end());
                 out.extend((pushes == Pushes::All).then(|| watch.handle_gone()));
                 pushes != Pushes::All

@@ -13,6 +13,15 @@ use std::time::{Duration, Instant};
 /// After this time a test gives up; far longer than anything takes on a busy host.
 const PATIENCE: Duration = Duration::from_secs(60);
 
+/// Waits until no other test runs robots, in this process or another one: on a small machine they
+/// would take the processors from each other. Holds until it is dropped.
+pub fn alone() -> std::fs::File {
+    let path = std::env::temp_dir().join("takt-tools-tests.lock");
+    let lock = std::fs::File::create(path).unwrap();
+    lock.lock().unwrap();
+    lock
+}
+
 /// The command under test.
 pub fn takt(args: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_takt"));
@@ -29,9 +38,17 @@ pub fn run(args: &[&str]) -> Output {
 pub fn run_with_input(args: &[&str], input: &str) -> Output {
     use std::io::Write as _;
     let mut command = takt(args);
-    command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
     let mut child = command.spawn().unwrap();
-    child.stdin.take().unwrap().write_all(input.as_bytes()).unwrap();
+    child
+        .stdin
+        .take()
+        .unwrap()
+        .write_all(input.as_bytes())
+        .unwrap();
     child.wait_with_output().unwrap()
 }
 
@@ -40,7 +57,11 @@ pub fn run_with_input(args: &[&str], input: &str) -> Output {
 pub fn expect_status(output: &Output, status: i32) -> String {
     let out = String::from_utf8_lossy(&output.stdout).into_owned();
     let err = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(status), "stdout:\n{out}\nstderr:\n{err}");
+    assert_eq!(
+        output.status.code(),
+        Some(status),
+        "stdout:\n{out}\nstderr:\n{err}"
+    );
     out
 }
 
@@ -71,10 +92,16 @@ impl Process {
             let sender = sender.clone();
             std::thread::spawn(move || {
                 let lines = BufReader::new(stream).lines().map_while(Result::ok);
-                lines.take_while(|line| sender.send(line.clone()).is_ok()).count()
+                lines
+                    .take_while(|line| sender.send(line.clone()).is_ok())
+                    .count()
             });
         }
-        Self { child, lines, seen: Vec::new() }
+        Self {
+            child,
+            lines,
+            seen: Vec::new(),
+        }
     }
 
     /// Waits for a line that contains `what`, of either stream.
@@ -107,11 +134,21 @@ impl Process {
     /// All lines that came, once it has ended, and its exit status.
     pub fn end(mut self) -> (Vec<String>, Option<i32>) {
         let until = Instant::now() + PATIENCE;
-        while let Ok(line) = self.lines.recv_timeout(until.saturating_duration_since(Instant::now())) {
+        while let Ok(line) = self
+            .lines
+            .recv_timeout(until.saturating_duration_since(Instant::now()))
+        {
             self.seen.push(line);
         }
         let status = self.child.wait().unwrap().code();
         (std::mem::take(&mut self.seen), status)
+    }
+
+    /// Asks it to end, as a service manager does.
+    pub fn terminate(&self) {
+        let kill = format!("kill -TERM {}", self.child.id());
+        let status = Command::new("sh").args(["-c", &kill]).status().unwrap();
+        assert!(status.success());
     }
 
     /// Ends it without a chance to say goodbye.
@@ -163,7 +200,10 @@ impl Drop for Folder {
 
 /// A net of `tests/nets`.
 pub fn net(name: &str) -> String {
-    let path = format!("{}/../tests/nets/{name}/{name}.net", env!("CARGO_MANIFEST_DIR"));
+    let path = format!(
+        "{}/../tests/nets/{name}/{name}.net",
+        env!("CARGO_MANIFEST_DIR")
+    );
     std::fs::read_to_string(path).unwrap()
 }
 
@@ -188,11 +228,18 @@ impl Cell {
         );
         let mut process = Process::start(&["run", "--config", &config]);
         let address = |line: String, before: &str| {
-            line.rsplit_once(before).map(|(_, address)| address.to_owned()).unwrap()
+            line.rsplit_once(before)
+                .map(|(_, address)| address.to_owned())
+                .unwrap()
         };
         let tcp = address(process.wait_for("lines at tcp"), "tcp ");
         let udp = address(process.wait_for("waits for its robot"), "udp ");
-        Self { process, tcp, udp, _folder: folder }
+        Self {
+            process,
+            tcp,
+            udp,
+            _folder: folder,
+        }
     }
 
     /// An emulated arm, once it can be commanded.

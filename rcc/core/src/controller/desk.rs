@@ -11,6 +11,7 @@ use takt_net::fault::{Fault, FaultKind};
 use takt_net::netcomm::{Directory, Entry, OutStatus};
 use takt_rt::latest::{LatestReader, LatestWriter};
 
+use crate::controller::departed::Departed;
 use crate::controller::rules::{RuleEntry, RuleId};
 use crate::controller::{DeviceInfo, NetId, NetInfo, NetState, SessionId};
 use crate::device::lwr::Lwr;
@@ -224,6 +225,7 @@ type Wake = Box<dyn Fn() + Send + Sync>;
 /// Everything behind the lock.
 pub(super) struct Desk {
     pub(super) nets: BTreeMap<NetId, Net>,
+    pub(super) departed: BTreeMap<NetId, Departed>,
     pub(super) sessions: BTreeMap<SessionId, Session>,
     pub(super) rules: BTreeMap<RuleId, RuleEntry>,
     last_rule: Option<u32>,
@@ -251,6 +253,7 @@ impl Desk {
     pub(super) fn new(thread: NetThread, recorder: Option<Recorder>) -> Self {
         Self {
             nets: BTreeMap::new(),
+            departed: BTreeMap::new(),
             sessions: BTreeMap::new(),
             rules: BTreeMap::new(),
             last_rule: None,
@@ -486,8 +489,11 @@ impl Desk {
 
     /// Notes changes of devices; returns whether there were any.
     pub(super) fn look_at_devices(&mut self) -> bool {
-        let statuses: BTreeMap<String, DeviceStatus> =
-            self.devices.arms().map(|(_, arm)| (arm.name.clone(), arm.status())).collect();
+        let statuses: BTreeMap<String, DeviceStatus> = self
+            .devices
+            .arms()
+            .map(|(_, arm)| (arm.name.clone(), arm.status()))
+            .collect();
         if statuses == self.statuses {
             return false;
         }

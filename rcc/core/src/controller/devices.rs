@@ -47,15 +47,21 @@ impl Desk {
     /// Starts the driver of an LWR.
     pub(super) fn add_lwr(&mut self, config: &LwrConfig, period: Duration) -> Result<(), Error> {
         let (number, ports) = self.add_description(lwr::describe(&config.name))?;
-        let ArmPorts { state, command, driver_state, driver_command } = ports;
-        self.arms.push(Lwr::start(config, period, driver_state, driver_command)?);
+        let ArmPorts {
+            state,
+            command,
+            driver_state,
+            driver_command,
+        } = ports;
+        self.arms
+            .push(Lwr::start(config, period, driver_state, driver_command)?);
         self.serve(number, ArmDriver::Cells { state, command })
     }
 
     fn add_simulated(&mut self, arm: &SimArm) -> Result<(), Error> {
         let (number, ports) = self.add_description(arm.description.clone())?;
         let simulation = Simulation::new(arm, ports.driver_state);
-        self.serve(number, ArmDriver::Simulated(simulation))
+        self.serve(number, ArmDriver::Simulated(Box::new(simulation)))
     }
 
     fn add_description(&mut self, description: ArmDescription) -> Result<(usize, ArmPorts), Error> {
@@ -67,10 +73,18 @@ impl Desk {
     }
 
     fn serve(&mut self, number: usize, driver: ArmDriver) -> Result<(), Error> {
-        let Some(arm) = self.devices.get(number) else { return Ok(()) };
+        let Some(arm) = self.devices.get(number) else {
+            return Ok(());
+        };
         let (first_joint, joints) = (arm.first_joint, arm.limits.len());
         let set_points = [JointSetPoints::default(); ARM_JOINTS_MAX];
-        let end = Box::new(ArmEnd { number, first_joint, joints, driver, set_points });
+        let end = Box::new(ArmEnd {
+            number,
+            first_joint,
+            joints,
+            driver,
+            set_points,
+        });
         self.command(Command::AddArm(end))
     }
 
@@ -80,12 +94,21 @@ impl Desk {
         }
         if self.arms.iter().any(|arm| arm.name() == name) {
             let what = "it belongs to the cell; take it out of its configuration".to_owned();
-            return Err(Error::DeviceParameter { name: name.to_owned(), what });
+            return Err(Error::DeviceParameter {
+                name: name.to_owned(),
+                what,
+            });
         }
         let over = |state| matches!(state, NetState::Terminated | NetState::Rejected);
-        let user = self.nets.iter().find(|(_, net)| !over(net.state()) && net.uses(name));
+        let user = self
+            .nets
+            .iter()
+            .find(|(_, net)| !over(net.state()) && net.uses(name));
         if let Some((net, _)) = user {
-            return Err(Error::DeviceInUse { name: name.to_owned(), net: *net });
+            return Err(Error::DeviceInUse {
+                name: name.to_owned(),
+                net: *net,
+            });
         }
         match self.devices.remove(name) {
             Some(number) => self.command(Command::RemoveArm(number)),

@@ -22,7 +22,7 @@ use takt_rt::thread::{Thread, ThreadConfig};
 
 use crate::cell::LwrConfig;
 use crate::device::setpoint::Joint;
-use crate::device::{ArmCommand, ArmDescription, ArmState, DeviceStatus};
+use crate::device::{ArmCommand, ArmDescription, ArmState, DeviceStatus, JointSetPoints};
 use crate::error::Error;
 use clock::DatagramClock;
 
@@ -125,7 +125,7 @@ impl Lwr {
                 .map(Joint::new)
                 .collect(),
             last: Published::default(),
-            delay: Nanos::from(net_period * 3 / 2),
+            net_period: net_period.into(),
             cycles: 0,
             state,
             command,
@@ -227,9 +227,8 @@ struct Driver {
     clock: DatagramClock,
     joints: Vec<Joint>,
     last: Published,
-    /// How far behind the robot's clock set-points are played: one and a half periods of the nets,
-    /// so that the two around that instant are there even if the net thread is half a period late.
-    delay: Nanos,
+    /// Time from one cycle of the net thread to the next.
+    net_period: Nanos,
     /// The robot's cycles since the last answer. Its speed check counts in these, so the joints'
     /// limits do too, whatever its clock does.
     cycles: i64,
@@ -296,9 +295,10 @@ impl Driver {
         if sent {
             let now = takt_rt::monotonic();
             self.answer_time.record(now - at);
-            if self.session.is_commanding() && command.joints.iter().any(|j| j.active) {
-                self.set_point_age
-                    .record(now - (self.clock.now() - self.delay));
+            let moving = command.joints.iter().find(|joint| joint.active);
+            if let Some(set_points) = moving.filter(|_| self.session.is_commanding()) {
+                let played = self.clock.now() - delay(set_points);
+                self.set_point_age.record(now - played);
             }
         }
         self.publish(at);
@@ -317,9 +317,8 @@ impl Driver {
             }
             return positions;
         }
-        let play = self.clock.now() - self.delay;
         let period = self.clock.period();
-        let stale = Nanos(period.0 * STALE_AFTER) + self.delay;
+        let stale = Nanos(period.0 * STALE_AFTER) + self.net_period;
         let fresh = self.clock.now() - command.time <= stale;
         #[expect(
             clippy::cast_precision_loss,
@@ -332,6 +331,7 @@ impl Driver {
             .zip(&mut positions)
             .zip(&command.joints)
         {
+            let play = self.clock.now() - delay(set_points);
             *position = joint.sample(set_points, fresh, play, dt_s);
         }
         positions
@@ -409,6 +409,12 @@ impl Driver {
                 .store(worst.max(error).to_bits(), Ordering::Relaxed);
         }
     }
+}
+
+/// How far behind the robot's clock set-points are played: one and a half times what lies between
+/// two of them, so that the two around that instant are there even if the net is half of it late.
+const fn delay(set_points: &JointSetPoints) -> Nanos {
+    Nanos(set_points.period.0 * 3 / 2)
 }
 
 /// Change of each value per second; `None` while there is no earlier value or no time has passed.

@@ -2,6 +2,7 @@
 //! them itself, so they need no thread, no wire and no clock.
 
 use std::collections::BTreeMap;
+use std::time::Duration;
 
 use takt_net::value::text::parse_array;
 use takt_net::{JointLimits, JointState};
@@ -45,13 +46,20 @@ impl SimArm {
         kind: &str,
         parameters: &BTreeMap<String, String>,
     ) -> Result<Self, Error> {
-        let wrong = |what: String| Error::DeviceParameter { name: name.to_owned(), what };
+        let wrong = |what: String| Error::DeviceParameter {
+            name: name.to_owned(),
+            what,
+        };
         let Some((kind, joints, model)) = KINDS.iter().find(|(known, ..)| *known == kind) else {
             let known = kinds().join(", ");
-            return Err(wrong(format!("there is no type `{kind}`; there are {known}")));
+            return Err(wrong(format!(
+                "there is no type `{kind}`; there are {known}"
+            )));
         };
         let list = |key: &str| -> Result<Option<Vec<f64>>, Error> {
-            let Some(text) = parameters.get(key) else { return Ok(None) };
+            let Some(text) = parameters.get(key) else {
+                return Ok(None);
+            };
             let values = parse_array::<f64>(text, ARM_JOINTS_MAX)
                 .map_err(|e| wrong(format!("{key}: {}", e.what)))?;
             if values.len() != *joints || values.iter().any(|v| !v.is_finite()) {
@@ -77,7 +85,15 @@ impl SimArm {
             });
         }
         let (name, model) = (name.to_owned(), (*model).into());
-        Ok(Self { description: ArmDescription { name, kind, limits, model }, home })
+        Ok(Self {
+            description: ArmDescription {
+                name,
+                kind,
+                limits,
+                model,
+            },
+            home,
+        })
     }
 }
 
@@ -98,9 +114,22 @@ impl Simulation {
             joint.rest_at(*home, &JointSetPoints::default());
             joint
         };
-        let joints = arm.description.limits.iter().zip(&arm.home).map(joint).collect();
-        let state = ArmState { status: DeviceStatus::Operational, ..ArmState::default() };
-        let mut simulation = Self { joints, state, told };
+        let joints = arm
+            .description
+            .limits
+            .iter()
+            .zip(&arm.home)
+            .map(joint)
+            .collect();
+        let state = ArmState {
+            status: DeviceStatus::Operational,
+            ..ArmState::default()
+        };
+        let mut simulation = Self {
+            joints,
+            state,
+            told,
+        };
         simulation.tell(Nanos::ZERO);
         simulation
     }
@@ -111,10 +140,13 @@ impl Simulation {
         &self.state
     }
 
-    /// One cycle: takes the set-points of logical time `at`, `dt_s` after the last cycle.
-    pub fn step(&mut self, set_points: &[JointSetPoints], at: Nanos, dt_s: f64) {
+    /// One cycle: takes the set-points of logical time `at`, `dt` after the last cycle. Between two
+    /// set-points of a slower net it is on the line between them.
+    pub fn step(&mut self, set_points: &[JointSetPoints], at: Nanos, dt: Nanos) {
+        let dt_s = Duration::try_from(dt).unwrap_or_default().as_secs_f64();
         for (joint, set_points) in self.joints.iter_mut().zip(set_points) {
-            joint.sample(set_points, true, at, dt_s);
+            let behind = (set_points.period - dt).max(Nanos::ZERO);
+            joint.sample(set_points, true, at - behind, dt_s);
         }
         self.tell(at);
     }

@@ -70,15 +70,30 @@ impl DeviceTable {
     /// # Errors
     /// If the name is taken or there is no room.
     pub fn add_arm(&mut self, description: ArmDescription) -> Result<(usize, ArmPorts), Error> {
-        let ArmDescription { name, kind, limits, model } = description;
+        let ArmDescription {
+            name,
+            kind,
+            limits,
+            model,
+        } = description;
         if self.find(&name).is_some() {
             return Err(Error::DeviceTwice { name });
         }
-        let full = || Error::TooManyJoints { name: name.clone(), bound: JOINTS_MAX };
+        let full = || Error::TooManyJoints {
+            name: name.clone(),
+            bound: JOINTS_MAX,
+        };
         let first_joint = self.room_for(limits.len()).ok_or_else(full)?;
-        let number = self.arms.iter().position(Option::is_none).unwrap_or(self.arms.len());
+        let number = self
+            .arms
+            .iter()
+            .position(Option::is_none)
+            .unwrap_or(self.arms.len());
         if number >= DEVICES_MAX {
-            return Err(Error::TooMany { what: "devices", bound: DEVICES_MAX });
+            return Err(Error::TooMany {
+                what: "devices",
+                bound: DEVICES_MAX,
+            });
         }
         let (driver_state, state) = latest(STATE_READERS, ArmState::default);
         let (command, driver_command) = latest(1, ArmCommand::default);
@@ -86,19 +101,36 @@ impl DeviceTable {
         let kinematics = takt_motion::kinematics::limited(&model, &limits);
         let limits = limits.into();
         let state_of_table = Mutex::new(for_table);
-        let arm = Arm { name, kind, first_joint, limits, kinematics, state: state_of_table };
+        let arm = Arm {
+            name,
+            kind,
+            first_joint,
+            limits,
+            kinematics,
+            state: state_of_table,
+        };
         if number == self.arms.len() {
             self.arms.push(None);
         }
         self.arms[number] = Some(Arc::new(arm));
-        Ok((number, ArmPorts { state, command, driver_state, driver_command }))
+        Ok((
+            number,
+            ArmPorts {
+                state,
+                command,
+                driver_state,
+                driver_command,
+            },
+        ))
     }
 
     /// The first of so many joints in a row that no arm uses.
     fn room_for(&self, joints: usize) -> Option<usize> {
         let mut first = 0;
-        let mut used: Vec<_> =
-            self.arms().map(|(_, arm)| (arm.first_joint, arm.limits.len())).collect();
+        let mut used: Vec<_> = self
+            .arms()
+            .map(|(_, arm)| (arm.first_joint, arm.limits.len()))
+            .collect();
         used.sort_unstable();
         for (start, len) in used {
             if start >= first + joints {
@@ -138,7 +170,9 @@ impl DeviceTable {
     /// Number of the device of that name.
     #[must_use]
     pub fn number(&self, name: &str) -> Option<usize> {
-        self.arms().find(|(_, arm)| arm.name == name).map(|(number, _)| number)
+        self.arms()
+            .find(|(_, arm)| arm.name == name)
+            .map(|(number, _)| number)
     }
 }
 

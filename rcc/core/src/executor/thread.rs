@@ -98,7 +98,7 @@ pub enum ArmDriver {
         command: LatestWriter<ArmCommand>,
     },
     /// Nothing: the arm is simulated.
-    Simulated(Simulation),
+    Simulated(Box<Simulation>),
 }
 
 /// How the thread is to run.
@@ -143,7 +143,7 @@ impl NetThread {
         let mut cycle = Box::new(Cycle {
             executor: Executor::default(),
             arms: (0..DEVICES_MAX).map(|_| None).collect(),
-            period_s: config.period.as_secs_f64(),
+            period: config.period.into(),
             commands: command_end,
             events: event_end,
             hand_over,
@@ -194,6 +194,7 @@ fn run(cycle: &mut Cycle, period: Duration, stats: &mut StatsWriter, stop: &Atom
             cycle: tick.index + 1,
             time: Nanos(tick.scheduled.0),
             wall: Nanos(tick.woken.0),
+            every: 1,
             cancel: false,
             takeover: false,
         };
@@ -214,7 +215,7 @@ struct Cycle {
     executor: Executor,
     /// By device number.
     arms: Vec<Option<Box<ArmEnd>>>,
-    period_s: f64,
+    period: takt_rt::Nanos,
     commands: Consumer<Command>,
     events: Producer<Event>,
     hand_over: Recorder,
@@ -297,6 +298,8 @@ impl Cycle {
         if let Some(slot) = self.arms.get_mut(end.number) {
             self.executor.use_joints(end.first_joint + end.joints);
             *slot = Some(end);
+            // A net may start in this very cycle.
+            self.read_devices();
         }
     }
 
@@ -395,7 +398,10 @@ impl Cycle {
         for arm in self.arms.iter_mut().flatten() {
             let (number, first, joints) = (arm.number, arm.first_joint, arm.joints);
             let mut take = |state: &ArmState| {
-                let view = DeviceView { status: state.status, faults: state.faults };
+                let view = DeviceView {
+                    status: state.status,
+                    faults: state.faults,
+                };
                 executor.set_device(number, view);
                 let joints = &executor.image.joints[first..first + joints];
                 for (joint, told) in joints.iter().zip(&state.joints) {
@@ -412,17 +418,22 @@ impl Cycle {
     /// Hands set-points to all drivers, one right after the other.
     fn write_devices(&mut self, moment: Moment) {
         let time = takt_rt::Nanos(moment.time.0);
+        let period_ns = self.period.0;
         let (mut first, mut last) = (None, takt_rt::Nanos::ZERO);
         for arm in self.arms.iter_mut().flatten() {
             let joints = &self.executor.image.joints[arm.first_joint..][..arm.joints];
             let mut commanded = false;
             for (joint, set_points) in joints.iter().zip(&mut arm.set_points) {
                 let command = joint.command.get();
-                let position = command.position;
-                let point =
-                    (command.cycle == moment.cycle).then_some(SetPoint { time, position });
-                set_points.advance(point);
-                commanded |= point.is_some();
+                let given = command.cycle == moment.cycle;
+                commanded |= given;
+                // A set-point of a slower net stands until that net gives the next.
+                if given || moment.cycle - command.cycle >= command.every {
+                    let position = command.position;
+                    set_points.advance(given.then_some(SetPoint { time, position }));
+                    set_points.period =
+                        takt_rt::Nanos(period_ns * command.every.max(1).cast_signed());
+                }
             }
             let set_points = &arm.set_points;
             match &mut arm.driver {
@@ -431,7 +442,7 @@ impl Cycle {
                     command.joints = *set_points;
                 }),
                 ArmDriver::Simulated(simulation) => {
-                    simulation.step(set_points, time, self.period_s);
+                    simulation.step(set_points, time, self.period);
                 }
             }
             if commanded {

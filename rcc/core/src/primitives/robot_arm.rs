@@ -51,6 +51,7 @@ impl Primitive for JointPosition {
         if let (0, Some(position)) = (error, position) {
             joint.command.set(JointCommand {
                 cycle: cycle.moment.cycle,
+                every: cycle.moment.every.max(1),
                 position,
             });
         }

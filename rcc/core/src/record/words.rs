@@ -257,6 +257,7 @@ impl<'w> Reader<'w> {
             cycle,
             time: Nanos(time.cast_signed()),
             wall: Nanos(wall.cast_signed()),
+            every: 1,
             cancel: false,
             takeover: false,
         };

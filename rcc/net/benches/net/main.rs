@@ -34,7 +34,12 @@ fn main() {
         "floor_ns_by_size": by_size(&sizes, |c| c.floor_ns),
         "bytes_per_primitive": by_size(&sizes, |c| c.bytes),
     });
-    for part in [bench.straight_line(), bench.inactive(), bench.loading(), bench.cycles()] {
+    for part in [
+        bench.straight_line(),
+        bench.inactive(),
+        bench.loading(),
+        bench.cycles(),
+    ] {
         if let (Value::Object(all), Value::Object(part)) = (&mut result, part) {
             all.extend(part);
         }
@@ -171,7 +176,9 @@ impl Bench {
         let (fifo, [ours, floor]) = in_real_time(|| paced(CYCLES / 2, subjects));
         let ratio = ratio(&ours, &floor);
         if !fifo {
-            println!("SCHED_FIFO was refused: the figures of the loop are those of an ordinary thread");
+            println!(
+                "SCHED_FIFO was refused: the figures of the loop are those of an ordinary thread"
+            );
         }
         let each = |times: &[f64], share: f64| quantile(times, share) / 400.0;
         for (name, times) in [("net", &ours), ("floor", &floor)] {

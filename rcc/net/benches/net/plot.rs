@@ -3,4 +3,6 @@
 use std::path::Path;
 
 use crate::Cost;
-pub(crate) fn draw(_path: &Path, _costs: &[Cost]) -> Result<(), std::io::Error> { Ok(()) }
+pub(crate) fn draw(_path: &Path, _costs: &[Cost]) -> Result<(), std::io::Error> {
+    Ok(())
+}

@@ -21,10 +21,7 @@ pub(crate) fn now() -> i64 {
 }
 
 /// The time of one call of each subject, ns, in batches of `calls`; subjects take turns.
-pub(crate) fn warm<const N: usize>(
-    calls: u32,
-    mut subjects: [Subject<'_>; N],
-) -> [Vec<f64>; N] {
+pub(crate) fn warm<const N: usize>(calls: u32, mut subjects: [Subject<'_>; N]) -> [Vec<f64>; N] {
     let mut times = [const { Vec::new() }; N];
     for _ in 0..BATCHES {
         for (subject, times) in subjects.iter_mut().zip(&mut times) {
@@ -111,7 +108,10 @@ pub(crate) fn ratio(ours: &[f64], theirs: &[f64]) -> f64 {
 
 /// A count or a span in ns as a number; exact below 2^53.
 pub(crate) fn as_f64(value: impl TryInto<i64>) -> f64 {
-    #[expect(clippy::cast_precision_loss, reason = "measured values are far smaller")]
+    #[expect(
+        clippy::cast_precision_loss,
+        reason = "measured values are far smaller"
+    )]
     let number = value.try_into().unwrap_or(i64::MAX) as f64;
     number
 }

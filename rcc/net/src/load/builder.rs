@@ -77,7 +77,8 @@ impl Build<'_, '_> {
     pub fn kinematics(&mut self, parameter: &'static str) -> Result<Arc<dyn Kinematics>, Fault> {
         let why = format!("the kinematics of `{}` is not known", self.text(parameter));
         let arm = self.arm(parameter)?;
-        arm.kinematics.ok_or_else(|| self.parameter_fault(parameter, why))
+        arm.kinematics
+            .ok_or_else(|| self.parameter_fault(parameter, why))
     }
 
     /// Claims something of a device for this net alone; if the device fails, the net ends.

@@ -82,6 +82,7 @@ pub(super) fn resolve<'t>(
         guards: vec![GuardInfo::default()],
         guard_sources: Vec::new(),
         inline: HashMap::new(),
+        known: HashMap::new(),
         bound_told: false,
     };
     resolver.fragment(tree, None, 0, &[]);
@@ -91,8 +92,10 @@ pub(super) fn resolve<'t>(
         }
     }
     for (guard, scope, source) in std::mem::take(&mut resolver.guard_sources) {
-        let active = resolver.typed_origin(scope, source, "inActive", BOOL);
-        resolver.guards[guard as usize].active = active;
+        if resolver.faults.len() < FAULTS_MAX {
+            let active = resolver.typed_origin(scope, source, "inActive", BOOL);
+            resolver.guards[guard as usize].active = active;
+        }
     }
     let root = resolver.link_root(tree);
     Resolved {
@@ -114,6 +117,9 @@ struct Resolver<'t, 'f> {
     guard_sources: Vec<(u32, u32, &'t Source<'t>)>,
     /// Nodes written in place, by the first byte of their text.
     inline: HashMap<usize, Member>,
+    /// Where sources of fragment ports start, by the first byte of their port's name: links through
+    /// many fragments are followed once, else loading would take the square of their number.
+    known: HashMap<usize, Option<Origin>>,
     bound_told: bool,
 }
 
@@ -393,46 +399,68 @@ impl<'t> Resolver<'t, '_> {
 
     /// Follows a source through fragment ports to the primitive it starts at. `None` if there is
     /// none, which has then been told.
-    fn origin(&mut self, mut scope: u32, first: &'t Source<'t>) -> Option<Origin> {
+    fn origin(&mut self, scope: u32, first: &'t Source<'t>) -> Option<Origin> {
+        let mut passed = Vec::new();
+        let origin = self.follow(scope, first, &mut passed);
+        let passed = passed.into_iter().map(|start| (start, origin));
+        self.known.extend(passed);
+        origin
+    }
+
+    /// Follows a source; `passed` gets the sources of the fragment ports on its way.
+    fn follow(
+        &mut self,
+        mut scope: u32,
+        first: &'t Source<'t>,
+        passed: &mut Vec<usize>,
+    ) -> Option<Origin> {
         let mut source = first;
         // No path without a loop passes a fragment border more often than there are borders.
         for _ in 0..=2 * self.scopes.len() {
             let member = match &source.of {
-                SourceOf::Child(name) if name.text == "parent" => {
-                    (scope, source) = self.fed_from_outside(scope, *name, source.port)?;
-                    continue;
-                }
-                SourceOf::Child(name) => self.child(scope, *name)?,
-                SourceOf::Inline(node) => self.inline.get(&node.at.start).copied()?,
+                SourceOf::Child(name) if name.text == "parent" => None,
+                SourceOf::Child(name) => Some(self.child(scope, *name)?),
+                SourceOf::Inline(node) => Some(self.inline.get(&node.at.start).copied()?),
             };
-            match member {
-                Member::Broken => return None,
-                Member::Node(node) => return self.out_port(node, source.port),
-                Member::Scope(inner) => {
-                    let Some(inside) = self.scopes[inner as usize].outs.get(source.port.text)
-                    else {
-                        let known = names(self.scopes[inner as usize].outs.keys());
-                        self.unknown_out("this fragment".to_owned(), source.port, known);
-                        return None;
-                    };
-                    (scope, source) = (inner, inside);
-                }
+            (scope, source) = match member {
+                None => self.fed_from_outside(scope, source)?,
+                Some(Member::Broken) => return None,
+                Some(Member::Node(node)) => return self.out_port(node, source.port),
+                Some(Member::Scope(inner)) => (inner, self.fed_from_inside(inner, source.port)?),
+            };
+            if let Some(origin) = self.known.get(&source.port.start) {
+                return *origin;
             }
+            passed.push(source.port.start);
         }
+        // Every link into the loop is told.
+        passed.clear();
         let name = first.port.text.to_owned();
         self.fault(FaultKind::PortLoop { name }, first.span());
         None
     }
 
-    /// What feeds an in port of the fragment `scope`.
+    /// What feeds an out port of the fragment `scope`.
+    fn fed_from_inside(&mut self, scope: u32, port: Name<'t>) -> Option<&'t Source<'t>> {
+        let outs = &self.scopes[scope as usize].outs;
+        if let Some(source) = outs.get(port.text) {
+            return Some(source);
+        }
+        let known = names(outs.keys());
+        self.unknown_out("this fragment".to_owned(), port, known);
+        None
+    }
+
+    /// What feeds an in port of the fragment `scope`, named by `source` as `parent.port`.
     fn fed_from_outside(
         &mut self,
         scope: u32,
-        parent_word: Name<'t>,
-        port: Name<'t>,
+        source: &Source<'t>,
     ) -> Option<(u32, &'t Source<'t>)> {
+        let port = source.port;
         let Some(outer) = self.scopes[scope as usize].parent else {
-            self.fault(FaultKind::NoParent, parent_word.span());
+            let start = source.span().start;
+            self.fault(FaultKind::NoParent, start..start + "parent".len());
             return None;
         };
         match self.scopes[scope as usize].ins.get(port.text) {

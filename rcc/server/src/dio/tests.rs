@@ -31,6 +31,8 @@ fn controller() -> Controller {
 struct Client {
     connection: Connection,
     now: Duration,
+    /// All it was ever sent.
+    seen: Vec<String>,
 }
 
 impl Client {
@@ -38,6 +40,7 @@ impl Client {
         Self {
             connection: Connection::new(controller.clone()),
             now: Duration::ZERO,
+            seen: Vec::new(),
         }
     }
 
@@ -51,7 +54,9 @@ impl Client {
     }
 
     fn send(&mut self, line: &str) -> Vec<String> {
-        self.connection.handle_line(line, self.now)
+        let lines = self.connection.handle_line(line, self.now);
+        self.seen.extend_from_slice(&lines);
+        lines
     }
 
     /// The only answer to a line that causes no pushes.
@@ -64,7 +69,9 @@ impl Client {
     fn pushes(&mut self) -> Vec<String> {
         self.now += Duration::from_millis(1);
         self.connection.handle_change();
-        self.connection.poll_pushes(self.now)
+        let lines = self.connection.poll_pushes(self.now);
+        self.seen.extend_from_slice(&lines);
+        lines
     }
 
     /// All pushes up to the first one that holds `text`.
@@ -350,6 +357,33 @@ fn clients_see_each_others_nets() {
         other.pushes(),
         [r#"w=ns("TERMINATED")"#, r#"w=ns("UNLOADED")"#]
     );
+}
+
+#[test]
+fn last_values_are_told_though_another_client_unloads_at_once() {
+    let controller = controller();
+    let (mut one, mut other) = (Client::greeted(&controller), Client::greeted(&controller));
+    let net = one.load(PROBE);
+    other.send(&format!(r#"w=gne("{net}",60.0)"#));
+    one.send(&format!(r#"a=nest("{net}")"#));
+    other.pushes_until("outt");
+    one.send(&format!(r#"a=snc({{{net}:{{ingain:"3.5"}}}})"#));
+    one.send(&format!(r#"a=neca("{net}")"#));
+    let ended = || controller.net(net.parse().unwrap()).unwrap().state();
+    while ended() != takt_core::controller::NetState::Terminated {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    one.send(&format!(r#"a=neun("{net}")"#));
+    let told = other.pushes();
+    let last_values = told.iter().rfind(|line| line.starts_with("w=nc("));
+    let complete = r#"w=nc({outecho:"3.5",outr0:"true",outt:"#;
+    assert!(
+        last_values.is_some_and(|line| line.starts_with(complete)),
+        "{told:?}"
+    );
+    let end = [r#"w=ns("TERMINATED")"#, r#"w=ns("UNLOADED")"#];
+    assert_eq!(told[told.len() - 2..], end);
+    assert_eq!(one.ask(&format!(r#"a=nest("{net}")"#)), r#"a=err("invalid net")"#);
 }
 
 #[test]

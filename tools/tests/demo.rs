@@ -1,0 +1,134 @@
+//! `takt demo` as its users run it: report, recording, replay, lost datagrams. How good the
+//! figures are is not asked: that is the host's matter.
+
+mod common;
+
+use common::{Folder, alone, complaint, expect_status, run, run_with_input};
+use serde_json::Value;
+
+/// A demo's report, and whether the demo held it for good.
+fn demo(args: &[&str]) -> (Value, bool) {
+    let folder = Folder::new();
+    let svg = folder.file("demo.svg");
+    let basics = ["demo", "--duration", "2s", "--json", "--svg", &svg];
+    let output = run(&[&basics, args].concat());
+    let good = output.status.success();
+    if output.stdout.is_empty() {
+        // No robot came into command mode: this host is too busy to be asked.
+        assert_eq!(output.status.code(), Some(2), "{}", complaint(&output));
+        return (serde_json::json!({"faults": [complaint(&output)]}), good);
+    }
+    let report = expect_status(&output, if good { 0 } else { 1 });
+    assert_eq!(report.lines().count(), 1, "{report}");
+    assert!(std::fs::read_to_string(&svg).unwrap().ends_with("</svg>\n"));
+    (serde_json::from_str(&report).unwrap(), good)
+}
+
+/// A host that stalls makes a demo fail, and honestly so. Such a run says nothing about Takt.
+fn good_demo(args: &[&str]) -> Value {
+    for attempt in 1..=3 {
+        let (report, good) = demo(args);
+        if good {
+            return report;
+        }
+        eprintln!(
+            "attempt {attempt} of 3 failed, a busy host? {}",
+            report["faults"]
+        );
+    }
+    panic!("no demo of three was good");
+}
+
+#[test]
+fn demo_reports_what_was_promised() {
+    let _alone = alone();
+    let report = good_demo(&[]);
+    assert_eq!(report["ok"], true);
+    assert_eq!(report["faults"], serde_json::json!([]));
+    assert!(report["realtime"].is_boolean());
+    // The motion alone takes 2,000 cycles; those that were missed count.
+    let cycles = report["cycles"].as_u64().unwrap() + report["overruns"].as_u64().unwrap();
+    assert!(cycles >= 2000, "{report}");
+    assert_eq!(report["rt_allocations"], 0);
+    assert!(report["sync_error_ns_max"].as_i64().unwrap() > 0);
+    let quantiles = ["p50", "p99", "p999", "max"];
+    let latency = quantiles.map(|q| report["latency_ns"][q].as_i64().unwrap());
+    assert!(latency.is_sorted(), "{latency:?}");
+    let robots = report["robots"].as_array().unwrap();
+    let names: Vec<_> = robots.iter().map(|robot| &robot["name"]).collect();
+    assert_eq!(names, ["left", "right"]);
+    for robot in robots {
+        assert_eq!(robot["protocol"], "fri1");
+        assert_eq!(robot["period_ns"], 1_000_000);
+        assert!(robot["datagrams"].as_u64().unwrap() > 1000, "{robot}");
+        assert!(
+            robot["lost"].is_u64() && robot["quality"].is_string(),
+            "{robot}"
+        );
+        let error = robot["tracking_error_rad_max"].as_f64().unwrap();
+        assert!(error > 0.0 && error < 0.5, "{robot}");
+    }
+}
+
+#[test]
+fn demo_replayed_gives_every_byte_as_recorded() {
+    let _alone = alone();
+    let folder = Folder::new();
+    let recording = folder.file("demo.mcap");
+    // A demo that failed is replayed just the same, if its net ran at all.
+    let ran = (1..=3).any(|_| demo(&["--record", &recording]).0["cycles"].is_u64());
+    assert!(ran, "no demo of three ran");
+    let replay = run(&["demo", "--replay", &recording]);
+    let text = expect_status(&replay, 0);
+    assert!(text.contains("every byte as recorded"), "{text}");
+
+    let mut bytes = std::fs::read(&recording).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    std::fs::write(&recording, bytes).unwrap();
+    let replay = run(&["demo", "--replay", &recording]);
+    assert!(!replay.status.success(), "a changed recording passes");
+    assert!(
+        complaint(&replay).contains("demo.mcap"),
+        "{}",
+        complaint(&replay)
+    );
+}
+
+#[test]
+fn demo_goes_on_or_names_the_fault_at_five_percent_loss() {
+    let _alone = alone();
+    let (report, good) = demo(&["--drop", "0.05"]);
+    let faults = report["faults"].as_array().unwrap();
+    assert_eq!(good, faults.is_empty(), "{report}");
+    assert!(
+        faults
+            .iter()
+            .all(|fault| fault.as_str().is_some_and(|f| !f.is_empty()))
+    );
+    if good {
+        let lost = |robot: &Value| robot["lost"].as_u64().unwrap();
+        let robots = report["robots"].as_array().unwrap();
+        assert!(robots.iter().all(|robot| lost(robot) > 20), "{report}");
+    }
+}
+
+#[test]
+fn net_of_the_demo_is_an_ordinary_net() {
+    let net = expect_status(&run(&["demo", "--print-net"]), 0);
+    assert_eq!(
+        net,
+        common::net("demo"),
+        "tests/nets/demo is not the demo's net any more"
+    );
+    let check = run_with_input(&["net", "check", "-"], &net);
+    assert!(expect_status(&check, 0).contains("good"));
+}
+
+#[test]
+fn guarded_demo_survives() {
+    let _alone = alone();
+    // The process would end at the first allocation in a real-time thread, with a signal.
+    let (report, _) = demo(&["--guard"]);
+    assert!(report["faults"].is_array());
+}
