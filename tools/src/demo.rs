@@ -21,7 +21,7 @@ use takt_rt::host::{HostConfig, prepare};
 use crate::Verdict;
 use crate::client::Client;
 use crate::emulate::{Robot, resting};
-use crate::output::{complain, is_terminal, say, span};
+use crate::output::{complain, is_terminal, say, share, span};
 use crate::run::{Server, tell_grants};
 use report::Report;
 
@@ -36,7 +36,7 @@ const SAMPLE_EVERY: Duration = Duration::from_millis(10);
 #[derive(Debug, Args)]
 pub(crate) struct Demo {
     /// How long the motion takes.
-    #[arg(long, default_value = "10s", value_parser = span)]
+    #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span)]
     duration: Duration,
     /// Print one JSON object instead of the report.
     #[arg(long)]
@@ -45,7 +45,7 @@ pub(crate) struct Demo {
     #[arg(long, value_name = "FILE.svg", default_value = "takt-demo.svg")]
     svg: PathBuf,
     /// Lose this share of datagrams in each direction, 0 to 1.
-    #[arg(long, default_value_t = 0.0)]
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0, value_parser = share)]
     drop: f64,
     /// Record everything that enters and leaves the net thread.
     #[arg(long, value_name = "FILE.mcap", conflicts_with = "replay")]

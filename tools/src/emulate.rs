@@ -13,7 +13,7 @@ use takt_fri::lwr::{DEFAULT_PORT, emulator};
 use takt_rt::thread::{Thread, ThreadConfig};
 
 use crate::Verdict;
-use crate::output::{say, span};
+use crate::output::{say, share, span};
 use crate::run::until_stopped;
 
 /// Emulated robots.
@@ -35,41 +35,32 @@ impl Emulate {
 #[derive(Debug, Args)]
 pub(crate) struct Lwr {
     /// Where the controller listens; datagrams are sent there.
-    #[arg(long, default_value_t = SocketAddr::from(([127, 0, 0, 1], DEFAULT_PORT)))]
+    #[arg(long, value_name = "IP:PORT", default_value_t = SocketAddr::from(([127, 0, 0, 1], DEFAULT_PORT)))]
     target: SocketAddr,
     /// Time from one measurement to the next, 1ms to 100ms.
-    #[arg(long, default_value = "1ms", value_parser = span)]
+    #[arg(long, value_name = "TIME", default_value = "1ms", value_parser = span)]
     period: Duration,
     /// Share of datagrams to lose in each direction, 0 to 1.
-    #[arg(long, default_value_t = 0.0, value_parser = share)]
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0, value_parser = share)]
     drop: f64,
     /// Delay of every datagram.
-    #[arg(long, default_value = "0ms", value_parser = span)]
+    #[arg(long, value_name = "TIME", default_value = "0ms", value_parser = span)]
     delay: Duration,
     /// Longest additional delay, uniformly distributed.
-    #[arg(long, default_value = "0ms", value_parser = span)]
+    #[arg(long, value_name = "TIME", default_value = "0ms", value_parser = span)]
     jitter: Duration,
     /// Share of datagrams to send behind their successor, 0 to 1.
-    #[arg(long, default_value_t = 0.0, value_parser = share)]
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0, value_parser = share)]
     reorder: f64,
     /// Switch the drives off this long after the start.
-    #[arg(long, value_parser = span)]
+    #[arg(long, value_name = "TIME", value_parser = span)]
     power_off: Option<Duration>,
     /// Seed of all that is random.
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// End after this time; without it, at Ctrl-C.
-    #[arg(long, value_parser = span)]
+    #[arg(long, value_name = "TIME", value_parser = span)]
     duration: Option<Duration>,
-}
-
-fn share(text: &str) -> Result<f64, String> {
-    let share: f64 = text.parse().map_err(|_| format!("`{text}` is no number"))?;
-    if (0.0..=1.0).contains(&share) {
-        Ok(share)
-    } else {
-        Err("must be 0 to 1".to_owned())
-    }
 }
 
 impl Lwr {

@@ -62,7 +62,7 @@ fn main() -> ExitCode {
         Ok(Verdict::Failed) => ExitCode::from(1),
         Err(error) if output::is_broken_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
-            output::complain(&format!("takt: {error:#}"));
+            output::complain(&format!("takt: {}", output::chain(&error)));
             ExitCode::from(if is_refusal(&error) { 1 } else { 2 })
         }
     }

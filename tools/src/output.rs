@@ -30,6 +30,32 @@ pub(crate) fn is_broken_pipe(error: &anyhow::Error) -> bool {
         .any(|cause| cause.kind() == io::ErrorKind::BrokenPipe)
 }
 
+/// An error and its causes in one line. Causes that are already told are not told again.
+pub(crate) fn chain(error: &anyhow::Error) -> String {
+    error
+        .chain()
+        .map(ToString::to_string)
+        .fold(String::new(), |told, cause| {
+            if told.is_empty() {
+                cause
+            } else if told.contains(&cause) {
+                told
+            } else {
+                format!("{told}: {cause}")
+            }
+        })
+}
+
+/// Reads a share of the command line, 0 to 1.
+pub(crate) fn share(text: &str) -> Result<f64, String> {
+    let share: f64 = text.parse().map_err(|_| format!("`{text}` is no number"))?;
+    if (0.0..=1.0).contains(&share) {
+        Ok(share)
+    } else {
+        Err("must be 0 to 1".to_owned())
+    }
+}
+
 /// Reads a duration of the command line.
 pub(crate) fn span(text: &str) -> Result<Duration, String> {
     takt_core::span::parse(text).map_err(|e| e.to_string())
@@ -55,7 +81,23 @@ pub(crate) fn time(ns: i64) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::time;
+    use super::{chain, share, time};
+
+    #[test]
+    fn causes_are_told_once() {
+        let error = anyhow::anyhow!("no such file").context("a.toml: no such file");
+        assert_eq!(chain(&error), "a.toml: no such file");
+        let error = anyhow::anyhow!("no such file").context("cannot read a.toml");
+        assert_eq!(chain(&error), "cannot read a.toml: no such file");
+    }
+
+    #[test]
+    fn shares_are_bounded() {
+        assert_eq!(share("0.05"), Ok(0.05));
+        for wrong in ["1.5", "-0.1", "NaN", "5 %", ""] {
+            assert!(share(wrong).is_err(), "{wrong}");
+        }
+    }
 
     #[test]
     fn times_take_a_fitting_unit() {

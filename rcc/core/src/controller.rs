@@ -4,6 +4,7 @@
 mod departed;
 mod desk;
 mod devices;
+mod eval;
 mod ids;
 mod rules;
 
@@ -340,7 +341,7 @@ impl Controller {
             registry: &self.inner.registry,
             devices: &devices,
             period,
-            limits: Limits::default(),
+            limits: limits_for(period),
         };
         let plan = load(text, &context)?;
         let mut desk = self.inner.lock();
@@ -489,6 +490,13 @@ impl Controller {
             .unwrap_or_default()
     }
 
+    /// Values that a net takes in as they were last written, as key and text.
+    #[must_use]
+    pub fn in_values(&self, id: NetId) -> Vec<(String, String)> {
+        let desk = self.inner.lock();
+        desk.nets.get(&id).map(Net::in_values).unwrap_or_default()
+    }
+
     /// Writes a value that a net takes in; returns whether it has one of that key.
     ///
     /// # Errors
@@ -559,6 +567,12 @@ impl Controller {
         let recorder = self.inner.lock().recorder.take();
         recorder.map(Recorder::finish).transpose()
     }
+}
+
+/// Bounds on a net of that period: its cycles may cost four fifths of it.
+#[must_use]
+pub fn limits_for(period: Duration) -> Limits {
+    Limits { cost: Some(period * 4 / 5), ..Limits::default() }
 }
 
 /// How often the supervisor looks at what the net thread tells.

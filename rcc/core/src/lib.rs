@@ -13,6 +13,7 @@ pub mod span;
 pub use cell::CellConfig;
 pub use controller::{Controller, NetId, SessionId};
 pub use error::Error;
+pub use takt_net as net;
 
 use takt_net::Registry;
 

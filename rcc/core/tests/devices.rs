@@ -153,3 +153,17 @@ fn wrong_parameters_are_told() {
     assert!(refused("kuka_lwr_sim", still).contains("joint 0 leave it no motion"));
     assert!(controller.devices().is_empty());
 }
+
+#[test]
+fn a_net_that_cannot_fit_its_period_is_refused_with_the_figure() {
+    let controller = Controller::start(&CellConfig::default()).unwrap();
+    let mut text = String::from("{f=Core::BooleanValue(),outTerminate=f.outValue");
+    for i in 0..30_000 {
+        text += &format!(",a{i}=Core::DoubleAdd(First='1')");
+    }
+    text.push('}');
+    let (session, description, period) = (SessionId::NONE, String::new(), None);
+    let id = controller.load(LoadRequest { text, session, description, period }).unwrap();
+    let rejection = controller.net(id).unwrap().rejection.unwrap().to_string();
+    assert!(rejection.contains("costs up to 1.20004ms") && rejection.contains("has 800µs"), "{rejection}");
+}

@@ -13,6 +13,9 @@ use crate::value::{Element, Type, Value};
 
 pub use crate::load::Build;
 
+/// What a primitive of a few operations costs at most, ns: about ten times its usual cost.
+const COST_NS: u32 = 40;
+
 /// One instance of a primitive in a plan.
 pub trait Primitive: Send {
     /// Computes one cycle: reads in ports, writes out ports. It must not allocate, lock, wait or
@@ -95,6 +98,9 @@ pub struct Definition {
     pub parameters: Vec<Parameter>,
     /// What it makes of null.
     pub null: NullRule,
+    /// What one cycle of it costs at most, ns, on a host of the present day with cold caches. An
+    /// estimate by which nets are refused that cannot fit their period.
+    pub cost_ns: u32,
     /// Whether `inActive` switches it off; the plan then skips it and its outputs are null.
     pub(crate) gated: bool,
     pub(crate) build: Box<BuildFn>,
@@ -125,6 +131,7 @@ impl Definition {
             outputs: Vec::new(),
             parameters: Vec::new(),
             null: NullRule::Propagates,
+            cost_ns: COST_NS,
             gated: false,
             build: Box::new(move |b| Ok(Box::new(build(b)?))),
             early: None,
@@ -260,6 +267,13 @@ impl Definition {
     #[must_use]
     pub const fn null(mut self, rule: NullRule) -> Self {
         self.null = rule;
+        self
+    }
+
+    /// Sets what one cycle costs at most, ns, for a primitive that computes more than a few lines.
+    #[must_use]
+    pub const fn cost_ns(mut self, cost_ns: u32) -> Self {
+        self.cost_ns = cost_ns;
         self
     }
 

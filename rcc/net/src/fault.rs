@@ -5,6 +5,7 @@ mod excerpt;
 
 use std::fmt;
 use std::ops::Range;
+use std::time::Duration;
 
 /// Most faults that are told at once. Beyond it none is looked for, lest a text of faults alone
 /// take memory and time without bound.
@@ -36,6 +37,12 @@ pub enum FaultKind {
         found: usize,
         bound: usize,
     },
+    /// The net cannot be evaluated within its period.
+    #[error(
+        "a cycle of the net costs up to {cost:?} by what its primitives declare, and has {budget:?}; \
+         make it smaller, or give it a longer period"
+    )]
+    Cost { cost: Duration, budget: Duration },
     /// No primitive of that name exists.
     #[error("there is no primitive `{name}`{}", did_you_mean(.similar))]
     UnknownPrimitive {
@@ -179,7 +186,7 @@ impl FaultKind {
     pub const fn minor(&self) -> u32 {
         match self {
             Self::UnknownPrimitive { .. } => 2,
-            Self::Bound { .. } => 3,
+            Self::Bound { .. } | Self::Cost { .. } => 3,
             Self::NoTerminate => 4,
             Self::UnknownParameter { .. } | Self::LinkForParameter { .. } => 5,
             Self::Parameter { .. }

@@ -18,6 +18,7 @@ const LIMITS: Limits = Limits {
     depth: 32,
     array_size: 64,
     netcomm: 64,
+    cost: None,
     history: 2000,
     memory_bytes: 1 << 20,
 };

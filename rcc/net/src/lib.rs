@@ -14,6 +14,7 @@ pub mod registry;
 pub mod slots;
 pub mod text;
 pub mod value;
+pub mod xml;
 
 pub use definition::{Build, Definition, Inputs, NullRule, Outputs, Primitive, function};
 pub use device::{ArmBinding, Devices, Image, JointCommand, JointLimits, JointState, NoDevices};

@@ -1,5 +1,6 @@
-//! What a net may at most be, so that no client can make loading or a cycle unbounded. Whether
-//! a net fits its period is not decided here.
+//! What a net may at most be, so that no client can make loading or a cycle unbounded.
+
+use std::time::Duration;
 
 /// Upper bounds on one net. A net beyond one is refused with a text that names the bound.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -14,6 +15,8 @@ pub struct Limits {
     pub array_size: usize,
     /// Netcomm values, in and out together.
     pub netcomm: usize,
+    /// Time that one cycle of the net may cost at most; `None` for any.
+    pub cost: Option<Duration>,
     /// Samples that one primitive may keep of the past.
     pub history: usize,
     /// Bytes of all arrays and histories together.
@@ -28,6 +31,7 @@ impl Default for Limits {
             depth: 64,
             array_size: 1024,
             netcomm: 4096,
+            cost: None,
             history: 60_000,
             memory_bytes: 256 << 20,
         }

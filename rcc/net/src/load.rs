@@ -3,6 +3,7 @@
 
 mod build;
 mod builder;
+mod graph;
 mod resolve;
 mod sort;
 

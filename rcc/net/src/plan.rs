@@ -100,6 +100,7 @@ pub struct Plan {
     pub(crate) count: i64,
     pub(crate) devices: Box<[String]>,
     pub(crate) uses: Box<[String]>,
+    pub(crate) cost: Duration,
 }
 
 impl std::fmt::Debug for Plan {
@@ -212,6 +213,12 @@ impl Plan {
         self.period
     }
 
+    /// What one cycle costs at most by the primitives' declarations, everything active.
+    #[must_use]
+    pub const fn cost(&self) -> Duration {
+        self.cost
+    }
+
     /// How many primitives the net has.
     #[must_use]
     pub const fn primitives(&self) -> usize {
@@ -222,6 +229,15 @@ impl Plan {
     #[must_use]
     pub fn root_ports(&self) -> &[RootPort] {
         &self.root_ports
+    }
+
+    /// The non-null out ports of the root fragment, by name and text.
+    #[must_use]
+    pub fn root_values(&self) -> Vec<(String, String)> {
+        let ports = self.root_ports.iter();
+        ports
+            .filter_map(|port| Some((port.name.clone(), port.slot.text(&self.slots)?)))
+            .collect()
     }
 
     /// Memory that a cycle can touch, in bytes: slots, steps and their parameters and state, but

@@ -1,11 +1,14 @@
 //! The arena of a plan: every port a slot, one column per value type, and the typed handles by
 //! which primitives read and write them. Slots are `Cell`s, so a step needs no exclusive access;
-//! a plan belongs to one thread at a time.
+//! a plan belongs to one thread at a time. A handle fits the plan it was built for and is not
+//! tested for it; in another one it may read null and write nothing, but cannot panic, which also
+//! keeps the code of a step short.
 
 use std::cell::Cell;
 use std::marker::PhantomData;
 
 use crate::plan::Cycle;
+use crate::value::text::{TextValue, format_array};
 use crate::value::{Element, Frame, Nanos, Rotation, Twist, Type, Value, Vector, Wrench};
 
 /// All slots of one value type.
@@ -124,7 +127,7 @@ impl<T: Value> In<T> {
 
     #[inline]
     pub(crate) fn read(self, slots: &Slots) -> Option<T> {
-        T::column(slots).scalars[self.0 as usize].get()
+        T::column(slots).scalars.get(self.0 as usize)?.get()
     }
 }
 
@@ -132,13 +135,15 @@ impl<T: Value> Out<T> {
     /// Sets the value of this cycle; `None` is null.
     #[inline]
     pub fn set(self, cycle: &Cycle<'_>, value: impl Into<Option<T>>) {
-        T::column(cycle.slots).scalars[self.0 as usize].set(value.into());
+        if let Some(slot) = T::column(cycle.slots).scalars.get(self.0 as usize) {
+            slot.set(value.into());
+        }
     }
 
     /// The same slot, read back: what was last written.
     #[inline]
     pub fn held(self, cycle: &Cycle<'_>) -> Option<T> {
-        T::column(cycle.slots).scalars[self.0 as usize].get()
+        T::column(cycle.slots).scalars.get(self.0 as usize)?.get()
     }
 }
 
@@ -241,6 +246,25 @@ impl SlotRef {
                 slot: 0,
             }
         }
+    }
+
+    /// The text of the value; `None` while it is null.
+    pub(crate) fn text(self, slots: &Slots) -> Option<String> {
+        let mut out = String::new();
+        match self {
+            Self::Scalar { element, slot } => for_element!(element, T => {
+                let value = <T as Value>::column(slots).scalars[slot as usize].get()?;
+                value.format(&mut out);
+            }),
+            Self::Array { element, slot } => for_element!(element, T => {
+                let column = <T as Value>::column(slots);
+                if !column.present[slot.number as usize].get() {
+                    return None;
+                }
+                format_array(column.elements_of(slot).iter().map(Cell::get), &mut out);
+            }),
+        }
+        Some(out)
     }
 
     pub(crate) fn clear(self, slots: &Slots) {

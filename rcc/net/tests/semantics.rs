@@ -63,6 +63,24 @@ fn an_in_port_may_be_wired_straight_to_an_out_port() {
     assert_eq!(net.series(1), ["4"]);
 }
 
+/// Each link passes all fragments before it: followed anew each time, this would take minutes.
+#[test]
+fn links_through_many_fragments_load_in_time_that_grows_with_their_number() {
+    let many = 10_000;
+    let mut children =
+        "f0={outX=parent.inX}(inX=v.outValue),v=Core::DoubleValue(Value='4')".to_owned();
+    for i in 1..many {
+        let before = i - 1;
+        children += &format!(
+            ",f{i}={{outX=parent.inX}}(inX=f{before}.outX),\
+             a{i}=Core::DoubleAdd(inFirst=f{i}.outX,Second='{i}')"
+        );
+    }
+    let last = format!("a{}.outValue", many - 1);
+    let mut net = Bench::watching("Core::Double", &children, &last);
+    assert_eq!(net.series(1), ["10003"]);
+}
+
 /// A clock in a fragment that is switched by netcomm value `on`.
 fn switched(inside: &str) -> Bench {
     Bench::watching(

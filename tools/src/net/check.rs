@@ -9,7 +9,7 @@ use clap::Args;
 use takt_core::CellConfig;
 use takt_core::cell::DeviceConfig;
 use takt_core::device::{ARM_JOINTS_MAX, DeviceTable, lwr};
-use takt_net::{ArmBinding, Devices, JointLimits, Limits, LoadContext, load};
+use takt_net::{ArmBinding, Devices, JointLimits, LoadContext, load};
 
 use super::{complain_of, read};
 use crate::Verdict;
@@ -21,10 +21,10 @@ pub(crate) struct Check {
     /// The net; `-` for standard input.
     file: PathBuf,
     /// Devices are those of this cell; without it any robot is taken to exist, with 8 joints.
-    #[arg(long, value_name = "cell.toml")]
+    #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// Time from one cycle of the net to the next.
-    #[arg(long, default_value = "1ms", value_parser = span)]
+    #[arg(long, value_name = "TIME", default_value = "1ms", value_parser = span)]
     period: Duration,
     /// Print one JSON object.
     #[arg(long)]
@@ -40,7 +40,7 @@ impl Check {
             registry: &registry,
             devices: &*devices,
             period: self.period,
-            limits: Limits::default(),
+            limits: takt_core::controller::limits_for(self.period),
         };
         let name = self.file.display().to_string();
         let checked = load(&text, &context);

@@ -16,10 +16,10 @@ pub(crate) struct Watch {
     /// Its identifier, such as rpinet0.
     net: String,
     /// Shortest time between two reports of one value.
-    #[arg(long, default_value = "100ms", value_parser = span)]
+    #[arg(long, value_name = "TIME", default_value = "100ms", value_parser = span)]
     refresh: Duration,
     /// End after this time even if the net runs on.
-    #[arg(long, value_parser = span)]
+    #[arg(long, value_name = "TIME", value_parser = span)]
     duration: Option<Duration>,
     #[command(flatten)]
     server: Server,

@@ -15,7 +15,7 @@ const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Waits until no other test runs robots, in this process or another one: on a small machine they
 /// would take the processors from each other. Holds until it is dropped.
-pub fn alone() -> std::fs::File {
+pub(crate) fn alone() -> std::fs::File {
     let path = std::env::temp_dir().join("takt-tools-tests.lock");
     let lock = std::fs::File::create(path).unwrap();
     lock.lock().unwrap();
@@ -23,19 +23,19 @@ pub fn alone() -> std::fs::File {
 }
 
 /// The command under test.
-pub fn takt(args: &[&str]) -> Command {
+pub(crate) fn takt(args: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_takt"));
     command.args(args).stdin(Stdio::null());
     command
 }
 
 /// Runs the command to its end.
-pub fn run(args: &[&str]) -> Output {
+pub(crate) fn run(args: &[&str]) -> Output {
     takt(args).output().unwrap()
 }
 
 /// Runs the command to its end with a text as its standard input.
-pub fn run_with_input(args: &[&str], input: &str) -> Output {
+pub(crate) fn run_with_input(args: &[&str], input: &str) -> Output {
     use std::io::Write as _;
     let mut command = takt(args);
     command
@@ -54,7 +54,7 @@ pub fn run_with_input(args: &[&str], input: &str) -> Output {
 
 /// What a command wrote to standard output, if it ended with that status.
 #[track_caller]
-pub fn expect_status(output: &Output, status: i32) -> String {
+pub(crate) fn expect_status(output: &Output, status: i32) -> String {
     let out = String::from_utf8_lossy(&output.stdout).into_owned();
     let err = String::from_utf8_lossy(&output.stderr);
     assert_eq!(
@@ -66,12 +66,12 @@ pub fn expect_status(output: &Output, status: i32) -> String {
 }
 
 /// What a command wrote to standard error.
-pub fn complaint(output: &Output) -> String {
+pub(crate) fn complaint(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
 /// A process that goes on while the test does.
-pub struct Process {
+pub(crate) struct Process {
     child: Child,
     lines: Receiver<String>,
     seen: Vec<String>,
@@ -79,7 +79,7 @@ pub struct Process {
 
 impl Process {
     /// Starts it.
-    pub fn start(args: &[&str]) -> Self {
+    pub(crate) fn start(args: &[&str]) -> Self {
         let mut child = takt(args)
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
@@ -106,13 +106,13 @@ impl Process {
 
     /// Waits for a line that contains `what`, of either stream.
     #[track_caller]
-    pub fn wait_for(&mut self, what: &str) -> String {
+    pub(crate) fn wait_for(&mut self, what: &str) -> String {
         self.wait_until(what, |line| line.contains(what))
     }
 
     /// Waits for a line that fits.
     #[track_caller]
-    pub fn wait_until(&mut self, what: &str, fits: impl Fn(&str) -> bool) -> String {
+    pub(crate) fn wait_until(&mut self, what: &str, fits: impl Fn(&str) -> bool) -> String {
         let until = Instant::now() + PATIENCE;
         loop {
             let left = until.saturating_duration_since(Instant::now());
@@ -132,7 +132,7 @@ impl Process {
     }
 
     /// All lines that came, once it has ended, and its exit status.
-    pub fn end(mut self) -> (Vec<String>, Option<i32>) {
+    pub(crate) fn end(mut self) -> (Vec<String>, Option<i32>) {
         let until = Instant::now() + PATIENCE;
         while let Ok(line) = self
             .lines
@@ -145,14 +145,14 @@ impl Process {
     }
 
     /// Asks it to end, as a service manager does.
-    pub fn terminate(&self) {
+    pub(crate) fn terminate(&self) {
         let kill = format!("kill -TERM {}", self.child.id());
         let status = Command::new("sh").args(["-c", &kill]).status().unwrap();
         assert!(status.success());
     }
 
     /// Ends it without a chance to say goodbye.
-    pub fn kill(&mut self) {
+    pub(crate) fn kill(&mut self) {
         self.child.kill().unwrap();
         self.child.wait().unwrap();
     }
@@ -167,10 +167,10 @@ impl Drop for Process {
 }
 
 /// A folder of its own for a test.
-pub struct Folder(PathBuf);
+pub(crate) struct Folder(PathBuf);
 
 impl Folder {
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         static NUMBER: AtomicU32 = AtomicU32::new(0);
         let number = NUMBER.fetch_add(1, Ordering::Relaxed);
         let name = format!("takt-tools-{}-{number}", std::process::id());
@@ -180,12 +180,12 @@ impl Folder {
     }
 
     /// The path of a file in it.
-    pub fn file(&self, name: &str) -> String {
+    pub(crate) fn file(&self, name: &str) -> String {
         self.0.join(name).display().to_string()
     }
 
     /// Writes a file and gives its path.
-    pub fn write(&self, name: &str, text: &str) -> String {
+    pub(crate) fn write(&self, name: &str, text: &str) -> String {
         let path = self.file(name);
         std::fs::write(&path, text).unwrap();
         path
@@ -199,7 +199,7 @@ impl Drop for Folder {
 }
 
 /// A net of `tests/nets`.
-pub fn net(name: &str) -> String {
+pub(crate) fn net(name: &str) -> String {
     let path = format!(
         "{}/../tests/nets/{name}/{name}.net",
         env!("CARGO_MANIFEST_DIR")
@@ -208,18 +208,18 @@ pub fn net(name: &str) -> String {
 }
 
 /// A controller with one arm, `left`, in a process of its own.
-pub struct Cell {
-    pub process: Process,
+pub(crate) struct Cell {
+    pub(crate) process: Process,
     /// Where it takes DirectIO lines.
-    pub tcp: String,
+    pub(crate) tcp: String,
     /// Where the arm's datagrams are to go.
-    pub udp: String,
+    pub(crate) udp: String,
     _folder: Folder,
 }
 
 impl Cell {
     /// Starts it; the system chooses all ports.
-    pub fn start() -> Self {
+    pub(crate) fn start() -> Self {
         let folder = Folder::new();
         let config = folder.write(
             "cell.toml",
@@ -243,26 +243,26 @@ impl Cell {
     }
 
     /// An emulated arm, once it can be commanded.
-    pub fn arm(&mut self) -> Process {
+    pub(crate) fn arm(&mut self) -> Process {
         let arm = Process::start(&["emulate", "lwr", "--target", &self.udp]);
         self.process.wait_for("now=operational");
         arm
     }
 
     /// Runs `takt net` against this controller.
-    pub fn net(&self, args: &[&str]) -> Output {
+    pub(crate) fn net(&self, args: &[&str]) -> Output {
         run(&[&["net"], args, &["--server", &self.tcp]].concat())
     }
 
     /// Loads a net; returns its identifier.
     #[track_caller]
-    pub fn load(&self, text: &str) -> String {
+    pub(crate) fn load(&self, text: &str) -> String {
         let output = run_with_input(&["net", "load", "-", "--server", &self.tcp], text);
         expect_status(&output, 0).trim().to_owned()
     }
 
     /// Follows a net in a process of its own.
-    pub fn watch(&self, net: &str) -> Process {
+    pub(crate) fn watch(&self, net: &str) -> Process {
         Process::start(&["net", "watch", net, "--server", &self.tcp])
     }
 }

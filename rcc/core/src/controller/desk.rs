@@ -199,6 +199,19 @@ impl Net {
         })
     }
 
+    pub(super) fn in_values(&self) -> Vec<(String, String)> {
+        let Some(values) = &self.values else {
+            return Vec::new();
+        };
+        let entries = values.in_directory.entries().iter();
+        let text = |entry: &Entry| {
+            let mut text = String::new();
+            entry.format(&values.in_words, &mut text);
+            (entry.key.clone(), text)
+        };
+        entries.map(text).collect()
+    }
+
     pub(super) fn write_in(&mut self, id: NetId, key: &str, text: &str) -> Result<bool, Error> {
         let Some(values) = &mut self.values else {
             return Ok(false);

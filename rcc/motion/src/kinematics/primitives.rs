@@ -437,6 +437,17 @@ fn lwr_vel_kin() -> Definition {
         ))
 }
 
+/// What a forward solution costs at most.
+const FORWARD_NS: u32 = 3_000;
+/// What an inverse one costs at most: that of seven axes where limits force the arm angle.
+const INVERSE_NS: u32 = 60_000;
+
 pub(crate) fn table() -> Vec<Definition> {
-    vec![kin(), inv_kin(), lwr_kin(), lwr_inv_kin(), lwr_vel_kin()]
+    vec![
+        kin().cost_ns(FORWARD_NS),
+        inv_kin().cost_ns(INVERSE_NS),
+        lwr_kin().cost_ns(FORWARD_NS),
+        lwr_inv_kin().cost_ns(INVERSE_NS),
+        lwr_vel_kin().cost_ns(FORWARD_NS),
+    ]
 }

@@ -3,6 +3,15 @@
 
 use std::hint::black_box;
 
+/// How additions are linked.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Shape {
+    /// Each adds 1 to the result of the one before: the processor waits for every result.
+    Chain,
+    /// Each adds 1 to the same number: the processor overlaps them, so that nothing hides overhead.
+    Fan,
+}
+
 /// A block of the floor.
 trait Block {
     fn step(&mut self, slab: &mut [f64]);
@@ -20,18 +29,18 @@ impl Block for Add {
     }
 }
 
-/// A chain of additions as a slice of boxed blocks over one slab of numbers.
+/// Additions as a slice of boxed blocks over one slab of numbers.
 pub(crate) struct Floor {
     blocks: Box<[Box<dyn Block>]>,
     slab: Box<[f64]>,
 }
 
 impl Floor {
-    /// A chain of `additions`; each adds 1 to the result of the one before.
-    pub(crate) fn new(additions: usize) -> Self {
+    /// A graph of `additions`: a chain, or none of which needs another.
+    pub(crate) fn new(shape: Shape, additions: usize) -> Self {
         let add = |i: usize| -> Box<dyn Block> {
             Box::new(Add {
-                first: 2 * i,
+                first: if shape == Shape::Chain { 2 * i } else { 0 },
                 second: 2 * i + 1,
                 out: 2 * i + 2,
             })
@@ -48,12 +57,13 @@ impl Floor {
         }
     }
 
+    /// Result of the last addition.
     pub(crate) fn result(&self) -> f64 {
         self.slab.last().copied().unwrap_or_default()
     }
 }
 
-/// Results and addends of a chain, in turns.
+/// Results and addends, in turns.
 pub(crate) fn slab(additions: usize) -> Box<[f64]> {
     let number = |i: usize| if i % 2 == 1 { 1.0 } else { 0.0 };
     (0..=2 * additions).map(number).collect()

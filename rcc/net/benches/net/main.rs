@@ -16,7 +16,7 @@ use std::time::Duration;
 use serde_json::{Value, json};
 use takt_net::{Image, Limits, LoadContext, Moment, NoDevices, Plan, Registry, load};
 
-use floor::{Floor, slab, straight_line};
+use floor::{Floor, Shape, slab, straight_line};
 use timing::{as_f64, in_real_time, median, now, paced, quantile, ratio, warm};
 
 const SIZES: [usize; 6] = [10, 100, 400, 1000, 10_000, 100_000];
@@ -36,6 +36,7 @@ fn main() {
     });
     for part in [
         bench.straight_line(),
+        bench.fan(),
         bench.inactive(),
         bench.loading(),
         bench.cycles(),
@@ -103,10 +104,12 @@ impl Bench {
     }
 
     fn cost(&self, additions: usize) -> Cost {
-        let text = chain(additions);
-        let bytes = as_f64(self.load(&text).bytes()) / as_f64(additions);
+        let text = net(Shape::Chain, additions);
+        let mut plan = self.load(&text);
+        assert!(plan.evaluate(&self.image, Moment::default()), "a wrong sum");
+        let bytes = as_f64(plan.bytes()) / as_f64(additions);
         let mut ours = self.running(&text);
-        let mut floor = Floor::new(additions);
+        let mut floor = Floor::new(Shape::Chain, additions);
         let calls = u32::try_from(40_000 / additions).unwrap_or(1).max(1);
         let [ours, theirs] = warm(calls, [&mut ours, &mut || floor.evaluate()]);
         assert!((floor.result() - as_f64(additions)).abs() < 0.5);
@@ -129,7 +132,7 @@ impl Bench {
 
     fn straight_line(&self) -> Value {
         let mut numbers = slab(400);
-        let mut ours = self.running(&chain(400));
+        let mut ours = self.running(&net(Shape::Chain, 400));
         let [ours, straight] = warm(100, [&mut ours, &mut || straight_line(&mut numbers)]);
         let ratio = ratio(&ours, &straight);
         println!(
@@ -139,11 +142,26 @@ impl Bench {
         json!({ "ratio_to_straight_line_400": ratio, "active_primitive_ns": median(&ours) / 400.0 })
     }
 
+    /// Additions that do not wait for one another.
+    fn fan(&self) -> Value {
+        let mut ours = self.running(&net(Shape::Fan, 400));
+        let mut floor = Floor::new(Shape::Fan, 400);
+        let [ours, floor] = warm(100, [&mut ours, &mut || floor.evaluate()]);
+        let ratio = ratio(&ours, &floor);
+        let each = |times: &[f64]| median(times) / 400.0;
+        println!(
+            "back to back, 400 independent additions: {:.2} ns each, floor {:.2} ns, ratio {ratio:.2}",
+            each(&ours),
+            each(&floor)
+        );
+        json!({ "independent_ns": each(&ours), "ratio_to_floor_400_independent": ratio })
+    }
+
     /// A fragment of 10,000 primitives that is switched off, beside the same net without it.
     fn inactive(&self) -> Value {
-        let chain = chain(10_000);
+        let fragment = net(Shape::Chain, 10_000);
         let base = "off=Core::BooleanValue(Value='false'), outTerminate=off.outValue";
-        let with = format!("{{{base}, big={chain}(inActive=off.outValue)}}");
+        let with = format!("{{{base}, big={fragment}(inActive=off.outValue)}}");
         let mut with = self.running(&with);
         let mut without = self.running(&format!("{{{base}}}"));
         let [with, without] = warm(1000, [&mut with, &mut without]);
@@ -153,7 +171,7 @@ impl Bench {
     }
 
     fn loading(&self) -> Value {
-        let text = chain(10_000);
+        let text = net(Shape::Chain, 10_000);
         let (mut load, mut free) = (Vec::new(), Vec::new());
         for _ in 0..LOADS {
             let start = now();
@@ -170,8 +188,8 @@ impl Bench {
 
     /// The chain of 400 additions in a 1 kHz loop.
     fn cycles(&self) -> Value {
-        let mut ours = self.running(&chain(400));
-        let mut floor = Floor::new(400);
+        let mut ours = self.running(&net(Shape::Chain, 400));
+        let mut floor = Floor::new(Shape::Chain, 400);
         let subjects: [timing::Subject<'_>; 2] = [&mut ours, &mut || floor.evaluate()];
         let (fifo, [ours, floor]) = in_real_time(|| paced(CYCLES / 2, subjects));
         let ratio = ratio(&ours, &floor);
@@ -197,16 +215,25 @@ impl Bench {
     }
 }
 
-/// A chain of additions, each of which adds 1 to the result of the one before.
-fn chain(additions: usize) -> String {
-    let mut text = String::from("{a0=Core::DoubleAdd(Second='1'), ");
-    for i in 1..additions {
-        let before = i - 1;
+/// The text of a net of additions. It ends at once if the last one gives what it should.
+fn net(shape: Shape, additions: usize) -> String {
+    let mut text = String::from("{zero=Core::DoubleValue(Value='0'), ");
+    let mut first = "zero".to_owned();
+    for i in 0..additions {
         let _cannot_fail = write!(
             text,
-            "a{i}=Core::DoubleAdd(inFirst=a{before}.outValue, Second='1'), "
+            "a{i}=Core::DoubleAdd(inFirst={first}.outValue, Second='1'), "
         );
+        if shape == Shape::Chain {
+            first = format!("a{i}");
+        }
     }
-    text.push_str("never=Core::BooleanValue(Value='false'), outTerminate=never.outValue}");
+    let last = additions - 1;
+    let sum = if shape == Shape::Chain { additions } else { 1 };
+    let _cannot_fail = write!(
+        text,
+        "right=Core::DoubleEquals(inFirst=a{last}.outValue, Second='{sum}'), \
+         outTerminate=right.outValue}}"
+    );
     text
 }

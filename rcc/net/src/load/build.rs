@@ -9,7 +9,8 @@ use crate::definition::Primitive;
 use crate::fault::{Fault, FaultKind};
 use crate::load::LoadContext;
 use crate::load::builder::Build;
-use crate::load::resolve::{Origin, Resolved, Unit};
+use crate::load::graph::Unit;
+use crate::load::resolve::{Origin, Resolved};
 use crate::netcomm::{Directory, Mailbox};
 use crate::plan::{Guard, Op, Plan, RootPort};
 use crate::slots::{In, SlotRef, SlotsBuilder};
@@ -46,6 +47,11 @@ pub(super) fn build(
         outbox: Directory::default(),
         memory: 0,
     };
+    let cost = cost(resolved);
+    if let Some(budget) = context.limits.cost.filter(|budget| cost > *budget) {
+        faults.push(Fault::new(FaultKind::Cost { cost, budget }, 0..0));
+        return None;
+    }
     let mut walk = Walk::new(resolved);
     let known = faults.len();
     for unit in order {
@@ -77,7 +83,14 @@ pub(super) fn build(
         return None;
     }
     walk.close();
-    parts.finish(walk, resolved, context.period)
+    parts.finish(walk, resolved, context.period, cost)
+}
+
+/// What one cycle costs at most with everything active. Which fragments exclude each other is not
+/// known, so none is taken to.
+fn cost(resolved: &Resolved<'_>) -> Duration {
+    let each = resolved.nodes.iter().map(|node| u64::from(node.definition.cost_ns));
+    Duration::from_nanos(each.sum())
 }
 
 /// What is collected over all primitives.
@@ -164,7 +177,7 @@ impl Parts {
     }
 
     /// `None` if a part could not be built, which has then been told.
-    fn finish(mut self, walk: Walk<'_>, resolved: &Resolved<'_>, period: Duration) -> Option<Plan> {
+    fn finish(mut self, walk: Walk<'_>, resolved: &Resolved<'_>, period: Duration, cost: Duration) -> Option<Plan> {
         let guards = self.guards(resolved)?;
         let root_ports = self.root_ports(resolved)?;
         let terminate = root_ports.iter().find(|p| p.name == "outTerminate")?;
@@ -191,6 +204,7 @@ impl Parts {
             count: 0,
             devices: self.devices.into_boxed_slice(),
             uses: self.uses.into_boxed_slice(),
+            cost,
         })
     }
 }

@@ -1,0 +1,143 @@
+//! Net text to XML. Primitives written in place become children with a name of their own.
+
+use std::collections::HashSet;
+
+use quick_xml::escape::escape;
+
+use super::ROOT;
+use crate::fault::Rejection;
+use crate::limits::Limits;
+use crate::text::{self, Arg, ArgValue, Body, Fragment, Node, SourceOf};
+
+/// The XML that stands for a net text.
+///
+/// # Errors
+/// If the text does not follow the grammar.
+pub fn to_xml(text: &str, limits: &Limits) -> Result<String, Rejection> {
+    let mut faults = Vec::new();
+    let root = text::parse(text, limits, &mut faults);
+    if !faults.is_empty() {
+        return Err(Rejection { faults });
+    }
+    let mut out = "<?xml version=\"1.0\" encoding=\"utf-8\"?>\n<rpinet>\n".to_owned();
+    Scope::new(&root, ROOT).fragment(&root, &mut out);
+    out.push_str("</rpinet>\n");
+    Ok(out)
+}
+
+/// The inside of one fragment: its name, and the names of its children.
+struct Scope<'a> {
+    id: &'a str,
+    taken: HashSet<String>,
+}
+
+impl<'a> Scope<'a> {
+    fn new(fragment: &Fragment<'_>, id: &'a str) -> Self {
+        let children = fragment.children.iter();
+        let taken = children.map(|c| c.name.text.to_owned()).collect();
+        Self { id, taken }
+    }
+
+    fn fragment(&mut self, fragment: &Fragment<'_>, out: &mut String) {
+        for child in &fragment.children {
+            let name = self.child(child.name.text);
+            self.node(&name, &child.node, out);
+        }
+        for port in &fragment.outs {
+            self.arg("outport", port.name.text, port, out);
+        }
+    }
+
+    /// A child of the fragment's own name could not be told from the fragment.
+    fn child(&mut self, name: &str) -> String {
+        if name == self.id {
+            format!("{name}.child")
+        } else {
+            name.to_owned()
+        }
+    }
+
+    /// Writes a primitive or fragment, and before it what is written in place in its arguments.
+    fn node(&mut self, id: &str, node: &Node<'_>, out: &mut String) {
+        let mut args = String::new();
+        let (element, port) = match &node.body {
+            Body::Primitive(_) => ("module", "port"),
+            Body::Fragment(_) => ("fragment", "inport"),
+        };
+        let mut before = String::new();
+        for arg in &node.args {
+            let place = format!("{id}.{}", arg.name.text);
+            self.arg_to(port, &place, arg, &mut args, &mut before);
+        }
+        out.push_str(&before);
+        out.push_str(&format!("<{element}{}", attribute("id", id)));
+        match &node.body {
+            Body::Primitive(ty) => {
+                out.push_str(&format!("{}>\n", attribute("type", ty.text)));
+            }
+            Body::Fragment(fragment) => {
+                out.push_str(">\n");
+                Scope::new(fragment, id).fragment(fragment, out);
+            }
+        }
+        out.push_str(&format!("{args}</{element}>\n"));
+    }
+
+    fn arg(&mut self, element: &str, place: &str, arg: &Arg<'_>, out: &mut String) {
+        let (mut args, mut before) = (String::new(), String::new());
+        self.arg_to(element, place, arg, &mut args, &mut before);
+        out.push_str(&before);
+        out.push_str(&args);
+    }
+
+    /// Writes an argument to `out` and what is written in place in it to `before`.
+    fn arg_to(
+        &mut self,
+        element: &str,
+        place: &str,
+        arg: &Arg<'_>,
+        out: &mut String,
+        before: &mut String,
+    ) {
+        let name = attribute("name", arg.name.text);
+        let source = match &arg.value {
+            ArgValue::Text(value, _) => {
+                let value = attribute("value", value);
+                out.push_str(&format!("<parameter{name}{value}/>\n"));
+                return;
+            }
+            ArgValue::Link(source) => source,
+        };
+        let from = match &source.of {
+            SourceOf::Child(child) if child.text == "parent" => self.id.to_owned(),
+            SourceOf::Child(child) => self.child(child.text),
+            SourceOf::Inline(node) => {
+                let id = self.unused(format!("{place}.source"));
+                self.node(&id, node, before);
+                id
+            }
+        };
+        let (from, port) = (
+            attribute("frommodule", &from),
+            attribute("fromport", source.port.text),
+        );
+        let debug = arg.debug_s.map(|s| attribute("debug", &s.to_string()));
+        let debug = debug.unwrap_or_default();
+        out.push_str(&format!("<{element}{name}{from}{port}{debug}/>\n"));
+    }
+
+    /// A name that no sibling has, also when its dots are read as underscores.
+    fn unused(&mut self, mut name: String) -> String {
+        while !self.taken.insert(name.replace('.', "_")) {
+            name.push('_');
+        }
+        name
+    }
+}
+
+/// An attribute whose value is read back as it is: blanks that XML would unite are kept.
+fn attribute(name: &str, value: &str) -> String {
+    let value = escape(value);
+    let value = value.replace('\n', "&#10;").replace('\r', "&#13;");
+    format!(" {name}=\"{}\"", value.replace('\t', "&#9;"))
+}

@@ -1,0 +1,40 @@
+//! Tests that cannot run on this machine say so. Which those are, each decides itself.
+
+use std::fs::OpenOptions;
+use std::io::Write as _;
+
+/// Notes that `test` cannot run here; `why` begins with "needs". The test returns after it.
+///
+/// # Errors
+/// If the runner asked for such notes and its file cannot be written: then nobody would know.
+pub fn skip(test: &str, why: &str) -> std::io::Result<()> {
+    writeln!(std::io::stderr(), "skipped: {why}")?;
+    match std::env::var_os("TAKT_SKIPS") {
+        Some(path) => note(&path, test, why),
+        None => Ok(()),
+    }
+}
+
+fn note(path: &std::ffi::OsStr, test: &str, why: &str) -> std::io::Result<()> {
+    let mut skips = OpenOptions::new().append(true).open(path)?;
+    writeln!(skips, "{test}: {why}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::note;
+
+    #[test]
+    fn notes_go_to_the_file_of_the_runner() {
+        let path = std::env::temp_dir().join(format!("takt-skips-{}", std::process::id()));
+        std::fs::write(&path, "first: needs a bus\n").unwrap();
+        note(path.as_os_str(), "second", "needs a robot").unwrap();
+        let notes = std::fs::read_to_string(&path).unwrap();
+        std::fs::remove_file(&path).unwrap();
+        assert_eq!(notes, "first: needs a bus\nsecond: needs a robot\n");
+        assert!(
+            note(path.as_os_str(), "third", "needs a bus").is_err(),
+            "no runner made the file"
+        );
+    }
+}

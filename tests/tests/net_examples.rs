@@ -1,0 +1,72 @@
+//! The nets of `tests/nets`: each is taken, or has the faults that its README tells. What they do when
+//! they run is shown where they are run.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+use takt_core::device::{DeviceTable, lwr};
+use takt_net::{Limits, LoadContext, Plan, Rejection, load};
+
+fn folders() -> Vec<PathBuf> {
+    let nets = Path::new(env!("CARGO_MANIFEST_DIR")).join("nets");
+    let entries = std::fs::read_dir(nets).unwrap();
+    let paths = entries.map(|entry| entry.unwrap().path());
+    paths.filter(|path| path.is_dir()).collect()
+}
+
+/// The net of a folder: its file is called as the folder.
+fn text(folder: &Path) -> String {
+    let name = folder.file_name().unwrap().to_str().unwrap();
+    std::fs::read_to_string(folder.join(format!("{name}.net"))).unwrap()
+}
+
+/// Loads it for a cell with the arms of the demo.
+fn try_load(text: &str) -> Result<Plan, Rejection> {
+    let mut devices = DeviceTable::default();
+    for name in ["left", "right"] {
+        devices.add_arm(lwr::describe(name)).unwrap();
+    }
+    let registry = Arc::new(takt_core::registry());
+    load(
+        text,
+        &LoadContext {
+            registry: &registry,
+            devices: &devices,
+            period: Duration::from_millis(1),
+            limits: Limits::default(),
+        },
+    )
+}
+
+/// What a README says of its net: the lines of its `text` block that begin with a place.
+fn told_faults(folder: &Path) -> Vec<String> {
+    let readme = std::fs::read_to_string(folder.join("README.md")).unwrap();
+    let place = |line: &&str| line.starts_with(|c: char| c.is_ascii_digit());
+    readme.lines().filter(place).map(str::to_owned).collect()
+}
+
+#[test]
+fn every_net_is_taken_or_has_the_faults_its_readme_tells() {
+    let folders = folders();
+    assert!(folders.len() >= 3, "{folders:?}");
+    for folder in folders {
+        let text = text(&folder);
+        let faults = try_load(&text)
+            .err()
+            .map_or_else(Vec::new, |r| r.lines(&text));
+        assert_eq!(faults, told_faults(&folder), "{}", folder.display());
+    }
+}
+
+#[test]
+fn demo_holds_all_joints_of_both_arms() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("nets/demo");
+    let plan = try_load(&text(&folder)).unwrap();
+    assert_eq!(plan.devices(), ["left", "right"]);
+    let joints = |arm: &str| {
+        let of_arm = |r: &&String| r.starts_with(&format!("{arm}_Joint_"));
+        plan.resources().iter().filter(of_arm).count()
+    };
+    assert_eq!((joints("left"), joints("right")), (7, 7));
+}

@@ -1,0 +1,106 @@
+//! Every format that comes from outside, fed with bytes from a seeded generator: what `cargo fuzz`
+//! does for hours, for a moment in every run. The functions panic if one of their promises is broken.
+
+/// Inputs for each target.
+const INPUTS: u32 = 10_000;
+/// Longest input.
+const BYTES_MAX: u64 = 1000;
+
+/// A xorshift generator: the same inputs on every machine.
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> u64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        self.0
+    }
+
+    fn below(&mut self, bound: u64) -> usize {
+        usize::try_from(self.next() % bound).unwrap()
+    }
+
+    fn byte(&mut self) -> u8 {
+        self.next().to_le_bytes()[3]
+    }
+
+    /// Half of the inputs are bytes; the other half are words of the format, which get further, with
+    /// a few bytes replaced.
+    fn input(&mut self, words: &[&[u8]]) -> Vec<u8> {
+        let length = self.below(BYTES_MAX);
+        let mut input = Vec::new();
+        if self.next().is_multiple_of(2) {
+            input.resize_with(length, || self.byte());
+            return input;
+        }
+        while input.len() < length {
+            let word = self.below(u64::try_from(words.len()).unwrap());
+            input.extend_from_slice(words[word]);
+        }
+        for _ in 0..self.below(4) {
+            let at = self.below(u64::try_from(input.len()).unwrap().max(1));
+            if let Some(byte) = input.get_mut(at) {
+                *byte = self.next().to_le_bytes()[5];
+            }
+        }
+        input
+    }
+}
+
+fn feed(target: fn(&[u8]), words: &[&[u8]]) {
+    let mut random = Random(0x5eed_0f7a_c700_0001);
+    for _ in 0..INPUTS {
+        target(&random.input(words));
+    }
+}
+
+#[test]
+fn net_text_stands_random_input() {
+    let words = "{ } ( ) = , . [ ] 'true' '1' '2.5' '{1,2}' \\ # \n a b parent inValue inFirst inSecond inActive \
+                 outValue outTerminate Value Key Core::Clock() Core::DoubleAdd Core::DoublePre Core::BooleanValue \
+                 a=Core::Clock(), b=Core::DoubleAdd(inFirst=a.outValue), b.outValue";
+    feed(takt_net::fuzz::net_text, &split(words));
+}
+
+#[test]
+fn value_text_stands_random_input() {
+    let words = "true false null 1 -2 0.5 1e308 1e-320 NaN inf { } , ; {1,2,3} {1,2,3,0,0,0} 9223372036854775807 ' \"";
+    feed(takt_net::fuzz::value_text, &split(words));
+}
+
+#[test]
+fn directio_stands_random_input() {
+    let words = "a = ( ) , [ ] { } : ver nse nene nesc snc ok err \"2.0\" \" \\ 1 2147483648 1.5 a=ver(\"2.0\") \n \r\n {a:\"b\"} \
+                 \u{1} \u{81}";
+    feed(takt_server::wire::fuzz, &split(words));
+}
+
+#[test]
+fn fri_stands_random_input() {
+    // Datagrams have fixed lengths and headers: with those of each kind, the rest of it is read.
+    fn target(bytes: &[u8]) {
+        use takt_fri::lwr::wire::{Cmd, Msr};
+        takt_fri::lwr::wire::fuzz(bytes);
+        let headers = [
+            (Msr::LEN, [0x94, 0x03, 0x06, 0x20]),
+            (Cmd::LEN, [0x78, 0x01, 0x05, 0x10]),
+        ];
+        for (length, header) in headers {
+            let mut whole = bytes.to_vec();
+            whole.resize(length, 0);
+            whole[4..8].copy_from_slice(&header);
+            takt_fri::lwr::wire::fuzz(&whole);
+        }
+    }
+    let words: [&[u8]; 4] = [&[0; 4], &[1, 0], &[0, 0, 0xc0, 0x7f], &[0, 0, 0x80, 0x3f]];
+    feed(target, &words);
+}
+
+fn split(words: &str) -> Vec<&[u8]> {
+    words
+        .split(' ')
+        .filter(|word| !word.is_empty())
+        .map(str::as_bytes)
+        .collect()
+}
