@@ -1,5 +1,6 @@
 //! The nets of `tests/nets`: each is taken, or has the faults that its README tells. What they do when
 //! they run is shown where they are run.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -1,5 +1,6 @@
 //! Every format that comes from outside, fed with bytes from a seeded generator: what `cargo fuzz`
 //! does for hours, for a moment in every run. The functions panic if one of their promises is broken.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
 /// Inputs for each target.
 const INPUTS: u32 = 10_000;

@@ -81,9 +81,11 @@ impl Client {
         let Some(Value::Map(nets)) = reply.values.into_iter().next() else {
             return Ok(Vec::new());
         };
-        let members = |(id, net)| match net {
-            Value::Map(members) => (id, members),
-            _ => (id, BTreeMap::new()),
+        let members = |(id, net)| {
+            let Value::Map(members) = net else {
+                return (id, BTreeMap::new());
+            };
+            (id, members)
         };
         Ok(nets.into_iter().map(members).collect())
     }

@@ -154,8 +154,10 @@ impl Demo {
         client.command("nest", &id)?;
         let begin = Instant::now();
         let bar = self.progress();
-        let mut samples = Samples::default();
-        samples.joints = vec![vec![Vec::new(); takt_fri::lwr::AXES]; ROBOTS.len()];
+        let mut samples = Samples {
+            joints: vec![vec![Vec::new(); takt_fri::lwr::AXES]; ROBOTS.len()],
+            ..Samples::default()
+        };
         // Braking for want of set-points, or a slow host, may take longer than the motion itself.
         let latest = self.duration * 2 + Duration::from_secs(10);
         loop {

@@ -1,5 +1,11 @@
 //! `takt demo` as its users run it: report, recording, replay, lost datagrams. How good the
 //! figures are is not asked: that is the host's matter.
+#![expect(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stderr,
+    reason = "a test that cannot go on ends"
+)]
 
 mod common;
 

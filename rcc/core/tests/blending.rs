@@ -2,6 +2,12 @@
 //! of figure 4: from A by way of C to E, where the second net takes over at B if it was scheduled
 //! in time, and else starts at C. In virtual time; the arm follows its set-points at once.
 
+#![expect(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test may fail anywhere, its helpers too"
+)]
+
 use std::time::Duration;
 
 use takt_core::device::{ArmDescription, DeviceStatus, DeviceTable};

@@ -1,6 +1,11 @@
 //! Simulated devices made and removed while the controller runs, and nets of other periods than
 //! that of the thread that evaluates them.
 
+#![expect(
+    clippy::unwrap_used,
+    reason = "a test may fail anywhere, its helpers too"
+)]
+
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 

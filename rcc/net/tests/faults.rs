@@ -22,6 +22,7 @@ const LIMITS: Limits = Limits {
     depth: 6,
     array_size: 8,
     netcomm: 4,
+    cost: Some(Duration::from_nanos(470)),
     history: 5000,
     memory_bytes: 60_000,
 };
@@ -112,6 +113,7 @@ fn every_kind_of_fault_has_a_net() {
         "ArraySize",
         "Bound",
         "Cycle",
+        "Cost",
         "Device",
         "LinkForParameter",
         "Netcomm",

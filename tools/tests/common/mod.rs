@@ -2,6 +2,11 @@
 //! ends. Nothing is said here about how fast they are.
 
 #![allow(dead_code, reason = "each test binary uses a part")]
+#![expect(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test that cannot go on ends"
+)]
 
 use std::io::{BufRead as _, BufReader, Read};
 use std::path::PathBuf;

@@ -14,6 +14,8 @@ const SIZE: (u32, u32) = (800, 320);
 const OURS: RGBColor = RGBColor(0, 114, 178);
 const FLOOR: RGBColor = RGBColor(213, 94, 0);
 
+type Figure = fn(&Cost) -> f64;
+
 /// Draws the picture into a file.
 pub(crate) fn draw(path: &Path, costs: &[Cost]) -> Result<(), Box<dyn Error>> {
     let ns_max = costs.iter().map(|c| c.ours_ns).fold(0.0, f64::max);
@@ -44,10 +46,10 @@ pub(crate) fn draw(path: &Path, costs: &[Cost]) -> Result<(), Box<dyn Error>> {
         .light_line_style(TRANSPARENT)
         .bold_line_style(BLACK.mix(0.12))
         .draw()?;
-    let ours = |cost: &Cost| cost.ours_ns;
-    let floor = |cost: &Cost| cost.floor_ns;
-    let series: [(&str, RGBColor, fn(&Cost) -> f64); 2] =
-        [("net", OURS, ours), ("bare floor", FLOOR, floor)];
+    let series: [(&str, RGBColor, Figure); 2] = [
+        ("net", OURS, |cost| cost.ours_ns),
+        ("bare floor", FLOOR, |cost| cost.floor_ns),
+    ];
     for (name, colour, ns) in series {
         let points = costs.iter().map(|c| (as_f64(c.additions), ns(c)));
         let line = LineSeries::new(points, colour.stroke_width(2)).point_size(3);

@@ -48,7 +48,8 @@ pub(super) fn build(
         memory: 0,
     };
     let cost = cost(resolved);
-    if let Some(budget) = context.limits.cost.filter(|budget| cost > *budget) {
+    let budget = context.limits.cost.filter(|budget| cost > *budget);
+    if let (Some(budget), true) = (budget, faults.is_empty()) {
         faults.push(Fault::new(FaultKind::Cost { cost, budget }, 0..0));
         return None;
     }
