@@ -2,6 +2,7 @@
 //! TCP lines. Nothing here evaluates a net.
 
 mod check;
+mod dot;
 mod life;
 mod primitives;
 mod watch;
@@ -21,6 +22,8 @@ use crate::output::complain;
 pub(crate) enum Net {
     /// Check a net without a controller: all faults, with the places.
     Check(check::Check),
+    /// Draw a net: an SVG on standard output.
+    Dot(dot::Dot),
     /// Show which primitives there are, or what one of them does.
     Primitives(primitives::Primitives),
     /// Load a net and print its identifier.
@@ -45,6 +48,7 @@ impl Net {
     pub(crate) fn run(self) -> anyhow::Result<Verdict> {
         match self {
             Self::Check(check) => check.run(),
+            Self::Dot(dot) => dot.run(),
             Self::Primitives(primitives) => primitives.run(),
             Self::Load(load) => load.run(),
             Self::Start(target) => target.command("nest"),

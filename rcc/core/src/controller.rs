@@ -572,7 +572,10 @@ impl Controller {
 /// Bounds on a net of that period: its cycles may cost four fifths of it.
 #[must_use]
 pub fn limits_for(period: Duration) -> Limits {
-    Limits { cost: Some(period * 4 / 5), ..Limits::default() }
+    Limits {
+        cost: Some(period * 4 / 5),
+        ..Limits::default()
+    }
 }
 
 /// How often the supervisor looks at what the net thread tells.

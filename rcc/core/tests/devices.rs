@@ -153,7 +153,10 @@ fn wrong_parameters_are_told() {
     assert!(refused("kuka_lwr_simm", ("", "")).contains("there are kuka_lwr_sim, kuka_iiwa_sim"));
     assert!(refused("kuka_lwr_sim", ("max_vel", "[1,2]")).contains("max_vel: 7 numbers"));
     let unreadable = refused("kuka_lwr_sim", ("max_vel", "x"));
-    assert!(unreadable.contains("max_vel: ") && unreadable.contains("list"), "{unreadable}");
+    assert!(
+        unreadable.contains("max_vel: ") && unreadable.contains("list"),
+        "{unreadable}"
+    );
     let still = ("max_acc", "[0,0,0,0,0,0,0]");
     assert!(refused("kuka_lwr_sim", still).contains("joint 0 leave it no motion"));
     assert!(controller.devices().is_empty());
@@ -168,7 +171,17 @@ fn a_net_that_cannot_fit_its_period_is_refused_with_the_figure() {
     }
     text.push('}');
     let (session, description, period) = (SessionId::NONE, String::new(), None);
-    let id = controller.load(LoadRequest { text, session, description, period }).unwrap();
+    let id = controller
+        .load(LoadRequest {
+            text,
+            session,
+            description,
+            period,
+        })
+        .unwrap();
     let rejection = controller.net(id).unwrap().rejection.unwrap().to_string();
-    assert!(rejection.contains("costs up to 1.20004ms") && rejection.contains("has 800µs"), "{rejection}");
+    assert!(
+        rejection.contains("costs up to 1.20004ms") && rejection.contains("has 800µs"),
+        "{rejection}"
+    );
 }

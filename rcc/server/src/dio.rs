@@ -19,6 +19,7 @@ use takt_core::device::DeviceStatus;
 use takt_core::{Controller, NetId, SessionId};
 
 use crate::wire::{Message, Value};
+pub(crate) use commands::DESCRIPTION_BYTES_MAX;
 use devices::DeviceWatch;
 use nets::NetWatch;
 use refusal::Refusal;
@@ -192,7 +193,7 @@ fn push(tag: &str, command: &str, value: impl Into<Value>) -> Message {
 }
 
 /// The devices, and the controller itself, which clients expect to be one.
-fn all_devices(controller: &Controller) -> Vec<DeviceInfo> {
+pub(crate) fn all_devices(controller: &Controller) -> Vec<DeviceInfo> {
     let mut devices = controller.devices();
     if devices.iter().all(|d| d.name != CONTROLLER) {
         devices.push(DeviceInfo {

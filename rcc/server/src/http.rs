@@ -1,101 +1,233 @@
-//! The head of an HTTP request and what is answered to it. The only resource so far is the one
-//! where WebSocket connections begin; the known client's way of asking for it is not quite that
-//! of RFC 6455, which is why no library does this. Bodies are not read.
+//! HTTP requests: from bytes to a request with its form, and to what is answered. The known
+//! client's way of asking for a WebSocket is not quite that of RFC 6455, and its forms are not
+//! quite those of HTML, which is why no library does this. A connection carries one request.
 
-use httparse::{EMPTY_HEADER, Request, Status};
+mod element;
+mod form;
+mod resources;
+mod response;
+
+#[cfg(test)]
+mod tests;
+
+use httparse::{EMPTY_HEADER, Status};
+use percent_encoding::percent_decode_str;
 use tungstenite::handshake::derive_accept_key;
+
+use crate::wire::MESSAGE_BYTES_MAX;
+pub(crate) use resources::respond;
+pub(crate) use response::Response;
 
 /// Most bytes of a request's head.
 pub(crate) const HEAD_BYTES_MAX: usize = 16 << 10;
+
+/// Most bytes of a request's body: as many as a message may have.
+pub(crate) const BODY_BYTES_MAX: usize = MESSAGE_BYTES_MAX;
 
 /// Most header lines of a request.
 const HEADERS_MAX: usize = 64;
 
 /// Where DirectIO is.
-const DIRECT_IO: &str = "/DirectIO/";
+const DIRECT_IO: &str = "DirectIO";
 
-/// What to do with a connection after its first request.
+/// Keys and values of a form or query, in order.
+type Form = Vec<(String, String)>;
+
+/// What to do with a connection.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Answer {
     /// Send this and go on with WebSocket frames.
     Upgrade(String),
+    /// Send this, which asks for the body, and read on.
+    Continue(&'static str),
+    /// Do what the request says, send the response, and close.
+    Serve(Request),
     /// Send this and close.
-    Refuse(String),
+    Refuse(Response),
 }
 
-/// Looks at what was received so far. `None`: the head is not whole yet; otherwise how many bytes
-/// it has, and the answer.
-pub(crate) fn answer(received: &[u8]) -> Option<(usize, Answer)> {
+/// A request for a resource.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) struct Request {
+    /// Whether it is to change something.
+    pub(crate) post: bool,
+    /// The parts of the path between its slashes, decoded.
+    pub(crate) path: Vec<String>,
+    /// What follows the question mark.
+    pub(crate) query: Form,
+    /// The body.
+    pub(crate) form: Form,
+    /// Whether JSON is wanted rather than XML.
+    pub(crate) json: bool,
+}
+
+/// Looks at what was received so far; `continued` says whether the body was asked for. `None`: the
+/// request is not whole yet; otherwise how many bytes it has, and the answer.
+pub(crate) fn answer(received: &[u8], continued: bool) -> Option<(usize, Answer)> {
     let mut headers = [EMPTY_HEADER; HEADERS_MAX];
-    let mut request = Request::new(&mut headers);
-    match request.parse(received) {
-        Ok(Status::Complete(length)) => Some((length, respond(&request))),
-        Ok(Status::Partial) if received.len() <= HEAD_BYTES_MAX => None,
-        Ok(Status::Partial) => Some((
-            received.len(),
-            refuse(
-                "431 Request Header Fields Too Large",
-                &format!("The head of a request has at most {HEAD_BYTES_MAX} bytes.\n"),
-            ),
-        )),
-        Err(e) => Some((received.len(), refuse("400 Bad Request", &format!("{e}\n")))),
+    let mut head = httparse::Request::new(&mut headers);
+    let all = received.len();
+    let (length, read) = match head.parse(received) {
+        Ok(Status::Complete(length)) => (length, Head::read(&head)),
+        Ok(Status::Partial) if all <= HEAD_BYTES_MAX => return None,
+        Ok(Status::Partial) => {
+            let text = format!("The head of a request has at most {HEAD_BYTES_MAX} bytes.\n");
+            let status = "431 Request Header Fields Too Large";
+            return Some((all, Answer::Refuse(Response::text(status, text))));
+        }
+        Err(e) => (all, Err(Response::bad_request(e))),
+    };
+    let head = match read {
+        Ok(head) if head.path == [DIRECT_IO] => return Some((length, head.upgrade())),
+        Ok(head) => head,
+        Err(refusal) => return Some((length, Answer::Refuse(refusal))),
+    };
+    match received.get(length..length + head.body_bytes) {
+        Some(body) => Some((length + head.body_bytes, Answer::Serve(head.request(body)))),
+        None if head.expects_continue && !continued => {
+            Some((0, Answer::Continue("HTTP/1.1 100 Continue\r\n\r\n")))
+        }
+        None => None,
     }
 }
 
 /// That there are as many connections as the server takes.
-pub(crate) fn too_many_connections(bound: usize) -> String {
+pub(crate) fn too_many_connections(bound: usize) -> Response {
     let text = format!("This server takes at most {bound} connections; close one first.\n");
-    response("503 Service Unavailable", &text)
+    Response::text("503 Service Unavailable", text)
 }
 
-fn respond(request: &Request<'_, '_>) -> Answer {
-    let path = request.path.unwrap_or_default();
-    if !is_direct_io(path) {
-        return refuse(
-            "404 Not Found",
-            "There is DirectIO at /DirectIO/ and nothing else yet.\n",
+/// The head of a request that can be served.
+struct Head {
+    post: bool,
+    path: Vec<String>,
+    query: Form,
+    json: bool,
+    body_bytes: usize,
+    expects_continue: bool,
+    /// The key of a WebSocket handshake.
+    websocket: Option<String>,
+}
+
+impl Head {
+    fn read(request: &httparse::Request<'_, '_>) -> Result<Self, Response> {
+        if !header(request, "Origin").is_none_or(is_local_page) {
+            let text = "Web pages of other hosts may not reach a robot through your browser.\n";
+            return Err(Response::text("403 Forbidden", text));
+        }
+        let post = match request.method {
+            Some("GET") => false,
+            Some("POST") => true,
+            _ => {
+                return Err(Response::text(
+                    "405 Method Not Allowed",
+                    "Use GET or POST.\n",
+                ));
+            }
+        };
+        let target = request.path.unwrap_or_default();
+        let (path, query) = target.split_once('?').unwrap_or((target, ""));
+        let query = form::decode(query.as_bytes());
+        let accepts = header(request, "Accept").unwrap_or_default();
+        let format = query.iter().find(|(key, _)| key == "format");
+        let json = format.map_or_else(
+            || accepts.contains("application/json"),
+            |(_, value)| value == "json",
         );
+        let upgrades =
+            header(request, "Upgrade").is_some_and(|u| u.eq_ignore_ascii_case("websocket"));
+        let key = header(request, "Sec-WebSocket-Key").filter(|_| upgrades);
+        let expect = header(request, "Expect").unwrap_or_default();
+        Ok(Self {
+            post,
+            path: segments(path),
+            query,
+            json,
+            body_bytes: if post { body_bytes(request)? } else { 0 },
+            expects_continue: expect.eq_ignore_ascii_case("100-continue"),
+            websocket: key.map(str::to_owned),
+        })
     }
-    let wants_websocket =
-        header(request, "Upgrade").is_some_and(|u| u.eq_ignore_ascii_case("websocket"));
-    let Some(key) = header(request, "Sec-WebSocket-Key").filter(|_| wants_websocket) else {
-        return refuse("426 Upgrade Required", "This resource speaks WebSocket.\n");
-    };
-    if !header(request, "Origin").is_none_or(is_local_page) {
-        let text = "Web pages of other hosts may not reach a robot through your browser.\n";
-        return refuse("403 Forbidden", text);
+
+    fn upgrade(&self) -> Answer {
+        let Some(key) = &self.websocket else {
+            return Answer::Refuse(Response::upgrade_required());
+        };
+        // The known client compares the accept line byte by byte.
+        Answer::Upgrade(format!(
+            "HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n\
+             Sec-WebSocket-Accept: {}\r\n\r\n",
+            derive_accept_key(key.as_bytes())
+        ))
     }
-    // The known client compares the accept line byte by byte.
-    Answer::Upgrade(format!(
-        "HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n\
-         Sec-WebSocket-Accept: {}\r\n\r\n",
-        derive_accept_key(key.as_bytes())
-    ))
+
+    fn request(self, body: &[u8]) -> Request {
+        let Self {
+            post,
+            path,
+            query,
+            json,
+            ..
+        } = self;
+        Request {
+            post,
+            path,
+            query,
+            form: form::decode(body),
+            json,
+        }
+    }
 }
 
-/// Whether the path is that of DirectIO. Known clients double slashes.
-fn is_direct_io(path: &str) -> bool {
-    let path = path.split('?').next().unwrap_or_default();
-    let names = |p: &str| {
-        p.split('/')
-            .filter(|n| !n.is_empty())
-            .map(str::to_owned)
-            .collect()
+/// How long the body is. Only a length that is given once is sure not to be read in two ways.
+fn body_bytes(request: &httparse::Request<'_, '_>) -> Result<usize, Response> {
+    let mut lengths = headers(request, "Content-Length");
+    let (first, second) = (lengths.next(), lengths.next());
+    if header(request, "Transfer-Encoding").is_some() {
+        let text = "Send the body whole, with its Content-Length.\n";
+        return Err(Response::text("501 Not Implemented", text));
+    }
+    let Some(length) = first else {
+        let text = "A POST needs a Content-Length.\n";
+        return Err(Response::text("411 Length Required", text));
     };
-    let (asked, wanted): (Vec<_>, Vec<_>) = (names(path), names(DIRECT_IO));
-    asked == wanted
+    let digits = !length.is_empty() && length.bytes().all(|b| b.is_ascii_digit());
+    if second.is_some() || !digits {
+        return Err(Response::bad_request("the Content-Length is no number"));
+    }
+    match length.parse() {
+        Ok(length) if length <= BODY_BYTES_MAX => Ok(length),
+        _ => {
+            let text = format!("The body of a request has at most {BODY_BYTES_MAX} bytes.\n");
+            Err(Response::text("413 Content Too Large", text))
+        }
+    }
 }
 
-fn header<'a>(request: &Request<'_, 'a>, name: &str) -> Option<&'a str> {
-    let found = request
+/// The parts of a path. Known clients double slashes.
+fn segments(path: &str) -> Vec<String> {
+    let names = path.split('/').filter(|name| !name.is_empty());
+    let decoded = names.map(|name| percent_decode_str(name).decode_utf8_lossy());
+    decoded.map(|name| name.into_owned()).collect()
+}
+
+fn headers<'a>(
+    request: &httparse::Request<'_, 'a>,
+    name: &'static str,
+) -> impl Iterator<Item = &'a str> {
+    let named = request
         .headers
         .iter()
-        .find(|h| h.name.eq_ignore_ascii_case(name))?;
-    std::str::from_utf8(found.value).ok()
+        .filter(move |h| h.name.eq_ignore_ascii_case(name));
+    named.map(|h| std::str::from_utf8(h.value).unwrap_or("?"))
+}
+
+fn header<'a>(request: &httparse::Request<'_, 'a>, name: &'static str) -> Option<&'a str> {
+    headers(request, name).next()
 }
 
 /// Whether a browser says that the page which connects came from this host. Browsers let any
-/// page open a WebSocket to any host, also to this one.
+/// page open a WebSocket to any host, and send forms to it, also to this one.
 fn is_local_page(origin: &str) -> bool {
     let host = origin.split_once("://").map_or("", |(_, rest)| rest);
     let host = if host.starts_with('[') {
@@ -106,99 +238,11 @@ fn is_local_page(origin: &str) -> bool {
     matches!(host, "localhost" | "127.0.0.1" | "[::1]")
 }
 
-fn refuse(status: &str, text: &str) -> Answer {
-    Answer::Refuse(response(status, text))
-}
-
-fn response(status: &str, text: &str) -> String {
-    let upgrade = if status.starts_with("426") {
-        "Upgrade: websocket\r\n"
-    } else {
-        ""
-    };
-    format!(
-        "HTTP/1.1 {status}\r\nContent-Type: text/plain\r\nContent-Length: {}\r\n{upgrade}\
-         Connection: close\r\n\r\n{text}",
-        text.len()
-    )
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    const KNOWN_CLIENT: &str = "GET /DirectIO/ HTTP/1.1\r\nHost: h\r\nUpgrade: websocket\r\n\
-        Connection: Upgrade\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n";
-
-    fn status(request: &str) -> String {
-        let (_, answer) = answer(request.as_bytes()).unwrap();
-        let (Answer::Upgrade(text) | Answer::Refuse(text)) = answer;
-        text.lines().next().unwrap().to_owned()
-    }
-
-    #[test]
-    fn known_client_is_answered_in_the_letters_it_compares() {
-        let request = format!("{KNOWN_CLIENT}\r\n");
-        let (length, answer) = answer(request.as_bytes()).unwrap();
-        assert_eq!(length, request.len());
-        let expected = "HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\n\
-            Connection: Upgrade\r\nSec-WebSocket-Accept: s3pPLMBiTxaQ9kYGzzhZRbK+xOo=\r\n\r\n";
-        assert_eq!(answer, Answer::Upgrade(expected.to_owned()));
-    }
-
-    #[test]
-    fn part_of_a_head_is_waited_for_but_not_for_ever() {
-        for end in 0..KNOWN_CLIENT.len() {
-            assert_eq!(answer(&KNOWN_CLIENT.as_bytes()[..end]), None, "{end}");
-        }
-        let endless = format!("{KNOWN_CLIENT}X: {}", "x".repeat(HEAD_BYTES_MAX));
-        assert_eq!(
-            status(&endless),
-            "HTTP/1.1 431 Request Header Fields Too Large"
-        );
-    }
-
-    #[test]
-    fn other_requests_are_refused() {
-        assert_eq!(status("GET / HTTP/1.1\r\n\r\n"), "HTTP/1.1 404 Not Found");
-        assert_eq!(
-            status("GET /DirectIO/ HTTP/1.1\r\n\r\n"),
-            "HTTP/1.1 426 Upgrade Required"
-        );
-        assert_eq!(status("what?\0\r\n\r\n"), "HTTP/1.1 400 Bad Request");
-        let many = "A: b\r\n".repeat(HEADERS_MAX + 1);
-        assert_eq!(
-            status(&format!("GET / HTTP/1.1\r\n{many}\r\n")),
-            "HTTP/1.1 400 Bad Request"
-        );
-    }
-
-    #[test]
-    fn doubled_slashes_are_one() {
-        let request = KNOWN_CLIENT.replace("/DirectIO/", "//DirectIO");
-        assert_eq!(
-            status(&format!("{request}\r\n")),
-            "HTTP/1.1 101 Switching Protocols"
-        );
-    }
-
-    #[test]
-    fn pages_of_other_hosts_are_kept_out() {
-        let with = |origin: &str| status(&format!("{KNOWN_CLIENT}Origin: {origin}\r\n\r\n"));
-        for origin in [
-            "http://localhost:8080",
-            "http://127.0.0.1",
-            "http://[::1]:8080",
-        ] {
-            assert_eq!(with(origin), "HTTP/1.1 101 Switching Protocols", "{origin}");
-        }
-        for origin in [
-            "null",
-            "http://example.org",
-            "http://localhost.example.org",
-            "",
-        ] {
-            assert_eq!(with(origin), "HTTP/1.1 403 Forbidden", "{origin}");
-        }
+/// Feeds any bytes to the reader of requests, and answers what is one.
+#[doc(hidden)]
+pub fn fuzz(controller: &takt_core::Controller, data: &[u8]) {
+    if let Some((_, Answer::Serve(request))) = answer(data, false) {
+        let response = respond(controller, &request);
+        assert!(response.to_string().starts_with("HTTP/1.1 "), "{request:?}");
     }
 }

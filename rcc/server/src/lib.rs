@@ -11,5 +11,7 @@ pub mod wire;
 
 pub use client::{Client, Reply};
 pub use error::Error;
+#[doc(hidden)]
+pub use http::fuzz as fuzz_http;
 pub use server::{OnLoss, Server, ServerConfig};
 pub use wire::{Message, Value};

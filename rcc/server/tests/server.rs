@@ -266,20 +266,51 @@ fn pushes_come_without_being_asked_for() {
     }
 }
 
+/// Sends a request in pieces, so that it comes in several.
+fn ask(server: &Running, request: &str) -> String {
+    let mut stream = TcpStream::connect(server.http).unwrap();
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    for part in request.as_bytes().chunks(1 << 16) {
+        // The server may have answered before everything is sent.
+        let _ = stream.write_all(part);
+    }
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    answer
+}
+
 #[test]
-fn other_resources_are_not_there_yet() {
+fn resources_are_served_and_the_connection_is_closed() {
     let server = Running::start(OnLoss::Keep);
-    let ask = |request: &str| {
-        let mut stream = TcpStream::connect(server.http).unwrap();
-        stream.set_read_timeout(Some(PATIENCE)).unwrap();
-        stream.write_all(request.as_bytes()).unwrap();
-        let mut answer = String::new();
-        stream.read_to_string(&mut answer).unwrap();
-        answer
-    };
-    assert!(ask("GET /nets/ HTTP/1.1\r\nHost: h\r\n\r\n").starts_with("HTTP/1.1 404 "));
-    assert!(ask("GET /DirectIO/ HTTP/1.1\r\nHost: h\r\n\r\n").starts_with("HTTP/1.1 426 "));
-    assert!(ask("\0\r\n\r\n").starts_with("HTTP/1.1 400 "));
+    let get = |path: &str| ask(&server, &format!("GET {path} HTTP/1.1\r\nHost: h\r\n\r\n"));
+    let nets = get("//nets/");
+    assert!(nets.starts_with("HTTP/1.1 200 OK\r\n"), "{nets}");
+    assert!(
+        nets.contains("Connection: close\r\n") && nets.ends_with("<nets/>\n"),
+        "{nets}"
+    );
+    assert!(get("/").starts_with("HTTP/1.1 404 "));
+    assert!(get("/DirectIO/").starts_with("HTTP/1.1 426 "));
+    assert!(ask(&server, "\0\r\n\r\n").starts_with("HTTP/1.1 400 "));
+    let net = "{x=Cancel(),outTerminate=x.outCancel}";
+    let body = format!("dionet={net}&desc=[{}", "x".repeat(300_000));
+    let head = format!(
+        "POST /eval/ HTTP/1.1\r\nContent-Length: {}\r\n\r\n",
+        body.len()
+    );
+    let eval = ask(&server, &format!("{head}{body}"));
+    assert!(
+        eval.contains(r#"<data key="outTerminate">false</data>"#),
+        "{eval}"
+    );
+}
+
+#[test]
+fn body_that_is_too_long_is_refused_before_it_is_sent() {
+    let server = Running::start(OnLoss::Keep);
+    let head = "POST /nets/ HTTP/1.1\r\nContent-Length: 999999999\r\n\r\n";
+    let answer = ask(&server, &format!("{head}{}", "x".repeat(1 << 20)));
+    assert!(answer.starts_with("HTTP/1.1 413 "), "{answer}");
 }
 
 #[test]

@@ -47,7 +47,7 @@ pub(crate) fn draw(path: &Path, costs: &[Cost]) -> Result<(), Box<dyn Error>> {
         .bold_line_style(BLACK.mix(0.12))
         .draw()?;
     let series: [(&str, RGBColor, Figure); 2] = [
-        ("net", OURS, |cost| cost.ours_ns),
+        ("net, with its clock reads", OURS, |cost| cost.ours_ns),
         ("bare floor", FLOOR, |cost| cost.floor_ns),
     ];
     for (name, colour, ns) in series {

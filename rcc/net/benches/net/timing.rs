@@ -8,7 +8,7 @@ use nix::time::{ClockId, ClockNanosleepFlags, clock_gettime, clock_nanosleep};
 /// Something to be timed.
 pub(crate) type Subject<'s> = &'s mut dyn FnMut();
 
-const BATCHES: usize = 201;
+const BATCHES: usize = 5 * BLOCK;
 const PRIORITY: i32 = 90;
 const PERIOD_NS: i64 = 1_000_000;
 /// Cycles in a row before it is the next subject's turn.

@@ -90,7 +90,10 @@ pub(super) fn build(
 /// What one cycle costs at most with everything active. Which fragments exclude each other is not
 /// known, so none is taken to.
 fn cost(resolved: &Resolved<'_>) -> Duration {
-    let each = resolved.nodes.iter().map(|node| u64::from(node.definition.cost_ns));
+    let each = resolved
+        .nodes
+        .iter()
+        .map(|node| u64::from(node.definition.cost_ns));
     Duration::from_nanos(each.sum())
 }
 
@@ -178,7 +181,13 @@ impl Parts {
     }
 
     /// `None` if a part could not be built, which has then been told.
-    fn finish(mut self, walk: Walk<'_>, resolved: &Resolved<'_>, period: Duration, cost: Duration) -> Option<Plan> {
+    fn finish(
+        mut self,
+        walk: Walk<'_>,
+        resolved: &Resolved<'_>,
+        period: Duration,
+        cost: Duration,
+    ) -> Option<Plan> {
         let guards = self.guards(resolved)?;
         let root_ports = self.root_ports(resolved)?;
         let terminate = root_ports.iter().find(|p| p.name == "outTerminate")?;

@@ -51,8 +51,13 @@ fn fault(xml: &str, at: u64, kind: XmlFaultKind) -> XmlFault {
 
 /// An element that has begun, with what stands for it so far.
 enum Open {
-    Net { items: String },
-    Module { head: String, args: String },
+    Net {
+        items: String,
+    },
+    Module {
+        head: String,
+        args: String,
+    },
     Fragment(Fragment),
     /// A parameter or port, which is written down already.
     Leaf,

@@ -42,7 +42,10 @@ fn documented_example_is_read() {
         f={a=Core::DoubleAdd(inFirst=parent.inX),outY=a.outValue}(inX[2.0]=c.outValue),\
         outTerminate=f.outZ}";
     assert_eq!(text_of(xml).as_deref(), Ok(text));
-    assert_eq!(text_of(&xml_of(text)).as_deref(), Ok(text.replace("[2.0]", "[2]").as_str()));
+    assert_eq!(
+        text_of(&xml_of(text)).as_deref(),
+        Ok(text.replace("[2.0]", "[2]").as_str())
+    );
 }
 
 #[test]
@@ -52,8 +55,14 @@ fn primitives_in_place_get_names_and_the_net_stays_the_same() {
         f={outV=Core::DoubleAdd(inFirst=parent.inA).outValue}(inA=Core::Clock().outValue),\
         g_inFirst_source=Core::Clock(),outTerminate=g.outValue}";
     let again = text_of(&xml_of(text)).unwrap();
-    assert!(again.contains("g_inFirst_source_=Core::DoubleAdd("), "{again}");
-    assert!(again.contains("g_inFirst_source__inFirst_source=Core::Clock()"), "{again}");
+    assert!(
+        again.contains("g_inFirst_source_=Core::DoubleAdd("),
+        "{again}"
+    );
+    assert!(
+        again.contains("g_inFirst_source__inFirst_source=Core::Clock()"),
+        "{again}"
+    );
     let (one, other) = (loaded(text).unwrap(), loaded(&again).unwrap());
     assert_eq!(one.primitives(), other.primitives());
 }
@@ -63,7 +72,10 @@ fn child_of_the_fragments_own_name_is_told_from_it() {
     let text = "{f={f=Core::DoubleAdd(inFirst=parent.inX),outY=f.outValue}(inX=ROOT.outValue),\
         ROOT=Core::Clock(),g=Core::DoubleGreater(inFirst=f.outY),outTerminate=g.outValue}";
     let again = text_of(&xml_of(text)).unwrap();
-    assert!(again.contains("f={f_child=Core::DoubleAdd(inFirst=parent.inX),outY=f_child."), "{again}");
+    assert!(
+        again.contains("f={f_child=Core::DoubleAdd(inFirst=parent.inX),outY=f_child."),
+        "{again}"
+    );
     assert_eq!(loaded(&again).unwrap().primitives(), 3);
 }
 
@@ -72,13 +84,34 @@ fn what_is_no_net_is_told_with_its_line() {
     let net = |inside: &str| format!("<rpinet>\n{inside}</rpinet>");
     for (xml, fault) in [
         ("", "line 1: there is no `<rpinet>`, or it does not end"),
-        ("<rpinet>\n<module id='a' type='b'>", "line 2: there is no `<rpinet>`"),
-        ("<a/>", "line 1: `<a>` does not belong into the place of the net"),
-        (&net("<port/>"), "line 2: `<port>` does not belong into `<rpinet>`"),
-        (&net("<module id='a'/>"), "line 2: `<module>` needs the attribute `type`"),
-        (&net("<module id='a b' type='c'/>"), "line 2: id=\"a b\": a name of"),
-        (&net("<module id='a' type='c(),x=d'/>"), "line 2: type=\"c(),x=d\": a name of"),
-        (&net("<module id='' type='c'/>"), "line 2: id=\"\": a name of"),
+        (
+            "<rpinet>\n<module id='a' type='b'>",
+            "line 2: there is no `<rpinet>`",
+        ),
+        (
+            "<a/>",
+            "line 1: `<a>` does not belong into the place of the net",
+        ),
+        (
+            &net("<port/>"),
+            "line 2: `<port>` does not belong into `<rpinet>`",
+        ),
+        (
+            &net("<module id='a'/>"),
+            "line 2: `<module>` needs the attribute `type`",
+        ),
+        (
+            &net("<module id='a b' type='c'/>"),
+            "line 2: id=\"a b\": a name of",
+        ),
+        (
+            &net("<module id='a' type='c(),x=d'/>"),
+            "line 2: type=\"c(),x=d\": a name of",
+        ),
+        (
+            &net("<module id='' type='c'/>"),
+            "line 2: id=\"\": a name of",
+        ),
         (&net("<module id='a' type='&nope;'/>"), "line 2: "),
         (&net("<module id='a' id='b'/>"), "line 2: "),
         (&net("</module>"), "line 2: "),
@@ -86,7 +119,10 @@ fn what_is_no_net_is_told_with_its_line() {
             &net("<outport name='a' frommodule='b' fromport='c' debug='2s'/>"),
             "line 2: debug=\"2s\": a number of seconds",
         ),
-        ("<!DOCTYPE a [<!ENTITY b 'c'>]><rpinet/>", "line 1: a document type is not taken"),
+        (
+            "<!DOCTYPE a [<!ENTITY b 'c'>]><rpinet/>",
+            "line 1: a document type is not taken",
+        ),
         ("<rpinet/><rpinet/>", "line 1: `<rpinet>` does not belong"),
     ] {
         let told = text_of(xml).unwrap_err();
@@ -97,11 +133,24 @@ fn what_is_no_net_is_told_with_its_line() {
 #[test]
 fn depth_attributes_and_length_are_bounded() {
     let deep = format!("<rpinet>{}", "<fragment id='a'>".repeat(100_000));
-    assert!(text_of(&deep).unwrap_err().contains("65 fragments inside one another"));
+    assert!(
+        text_of(&deep)
+            .unwrap_err()
+            .contains("65 fragments inside one another")
+    );
     let many: String = (0..100_000).map(|i| format!(" a{i}='1'")).collect();
-    assert!(text_of(&format!("<rpinet{many}/>")).unwrap_err().contains("at most 16 are taken"));
-    let limits = Limits { text_bytes: 10, ..Limits::default() };
-    let long = from_xml("<rpinet></rpinet>", &limits).unwrap_err().to_string();
+    assert!(
+        text_of(&format!("<rpinet{many}/>"))
+            .unwrap_err()
+            .contains("at most 16 are taken")
+    );
+    let limits = Limits {
+        text_bytes: 10,
+        ..Limits::default()
+    };
+    let long = from_xml("<rpinet></rpinet>", &limits)
+        .unwrap_err()
+        .to_string();
     assert_eq!(long, "line 1: 17 bytes of XML; at most 10 are taken");
 }
 

@@ -22,7 +22,7 @@ const VERSION: &str = "2.0";
 const SYNTAX_FAULT: u32 = 12;
 
 /// Most bytes of the description of a session or a net.
-pub(super) const DESCRIPTION_BYTES_MAX: usize = 4096;
+pub(crate) const DESCRIPTION_BYTES_MAX: usize = 4096;
 
 /// Most faults of one net that are told.
 const FAULTS_MAX: usize = 20;

@@ -383,7 +383,10 @@ fn last_values_are_told_though_another_client_unloads_at_once() {
     );
     let end = [r#"w=ns("TERMINATED")"#, r#"w=ns("UNLOADED")"#];
     assert_eq!(told[told.len() - 2..], end);
-    assert_eq!(one.ask(&format!(r#"a=nest("{net}")"#)), r#"a=err("invalid net")"#);
+    assert_eq!(
+        one.ask(&format!(r#"a=nest("{net}")"#)),
+        r#"a=err("invalid net")"#
+    );
 }
 
 #[test]

@@ -23,8 +23,11 @@ use crate::wire::websocket::FrameReader;
 /// Bytes read at once.
 const READ_BYTES: usize = 64 << 10;
 
-/// How long a client may take to send the head of its request.
-const HEAD_WITHIN: Duration = Duration::from_secs(10);
+/// How long a client may take to send its request.
+const REQUEST_WITHIN: Duration = Duration::from_secs(10);
+
+/// How long a client may take to close after it was answered.
+const CLOSE_WITHIN: Duration = Duration::from_secs(1);
 
 /// How long a client may take to read what is sent before it counts as lost.
 const WRITE_WITHIN: Duration = Duration::from_secs(10);
@@ -61,7 +64,7 @@ pub(super) async fn serve(
 /// Tells a client that there is no room for it, without waiting for it to listen.
 pub(super) fn refuse(stream: TcpStream, kind: Kind) {
     let text = match kind {
-        Kind::Http => http::too_many_connections(CONNECTIONS_MAX),
+        Kind::Http => http::too_many_connections(CONNECTIONS_MAX).to_string(),
         Kind::Tcp => {
             let why = format!("too many connections: at most {CONNECTIONS_MAX}; close one first");
             format!("{}\n", Message::new("none", "err").with(why))
@@ -101,28 +104,59 @@ impl Link {
     }
 
     async fn serve_http(&mut self, visit: &Visit) -> Result<(), Error> {
-        match timeout(HEAD_WITHIN, self.read_head()).await {
+        let request = timeout(REQUEST_WITHIN, self.read_request()).await;
+        let response = match request {
             Ok(Ok(Some(http::Answer::Upgrade(text)))) => {
                 self.send(text.as_bytes()).await?;
-                self.serve_lines(visit).await
+                return self.serve_lines(visit).await;
             }
-            Ok(Ok(Some(http::Answer::Refuse(text)))) => self.send(text.as_bytes()).await,
-            Ok(Ok(None)) => Ok(()),
-            Ok(Err(error)) => Err(error),
-            Err(_) => Err(self.broken(io::ErrorKind::TimedOut.into())),
-        }
+            Ok(Ok(Some(http::Answer::Serve(request)))) => {
+                let controller = visit.controller.clone();
+                let work = move || http::respond(&controller, &request);
+                let worked = tokio::task::spawn_blocking(work).await;
+                worked.map_err(|e| self.broken(io::Error::other(e)))?
+            }
+            Ok(Ok(Some(http::Answer::Refuse(response)))) => response,
+            Ok(Ok(Some(http::Answer::Continue(_)) | None)) => return Ok(()),
+            Ok(Err(error)) => return Err(error),
+            Err(_) => return Err(self.broken(io::ErrorKind::TimedOut.into())),
+        };
+        self.send(response.to_string().as_bytes()).await?;
+        self.finish().await
     }
 
-    /// Reads a request's head; what follows it belongs to the frames.
-    async fn read_head(&mut self) -> Result<Option<http::Answer>, Error> {
-        let mut received = Vec::new();
+    /// Reads a request; what follows its head belongs to the frames if it asks for WebSocket.
+    async fn read_request(&mut self) -> Result<Option<http::Answer>, Error> {
+        let (mut received, mut continued) = (Vec::new(), false);
         while self.read(&mut received).await? {
-            if let Some((length, answer)) = http::answer(&received) {
-                self.codec.push(received.get(length..).unwrap_or_default());
-                return Ok(Some(answer));
+            match http::answer(&received, continued) {
+                Some((_, http::Answer::Continue(text))) => {
+                    continued = true;
+                    self.send(text.as_bytes()).await?;
+                }
+                Some((length, answer)) => {
+                    self.codec.push(received.get(length..).unwrap_or_default());
+                    return Ok(Some(answer));
+                }
+                None => {}
             }
         }
         Ok(None)
+    }
+
+    /// Closes this side and lets the client close its own: what it still sends, such as the rest
+    /// of a body that is too long, would otherwise make its system throw the response away.
+    async fn finish(&mut self) -> Result<(), Error> {
+        self.stream.shutdown().await.map_err(|e| self.broken(e))?;
+        let rest = async {
+            let mut bytes = Vec::new();
+            while self.read(&mut bytes).await.is_ok_and(|more| more) {
+                bytes.clear();
+            }
+        };
+        // A client that does not close has had its response all the same.
+        let _ = timeout(CLOSE_WITHIN, rest).await;
+        Ok(())
     }
 
     async fn serve_lines(&mut self, visit: &Visit) -> Result<(), Error> {

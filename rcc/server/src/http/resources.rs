@@ -1,0 +1,91 @@
+//! The resources: which there are, and who answers for each. Answering may block.
+
+mod devices;
+mod eval;
+mod modules;
+mod nets;
+mod sessions;
+
+use takt_core::Controller;
+use takt_core::net::{Limits, xml};
+
+use super::element::Element;
+use super::{Request, Response};
+
+/// What there is, for those who ask for something else.
+const MAP: &str = "There are /nets/ /eval/ /sessions/ /types/ /modules/ /modulesdetails/ /devices/ \
+    and, for WebSocket, /DirectIO/.";
+
+/// A response, or one that says why there is none.
+type Outcome = Result<Response, Response>;
+
+/// A resource as it is asked for.
+pub(super) struct Ask<'a> {
+    controller: &'a Controller,
+    request: &'a Request,
+}
+
+/// Does what a request says.
+pub(crate) fn respond(controller: &Controller, request: &Request) -> Response {
+    let ask = Ask {
+        controller,
+        request,
+    };
+    ask.route().unwrap_or_else(|refusal| refusal)
+}
+
+impl Ask<'_> {
+    fn route(&self) -> Outcome {
+        let path: Vec<_> = self.request.path.iter().map(String::as_str).collect();
+        let (first, rest) = path.split_first().unwrap_or((&"", &[]));
+        match (*first, rest, self.request.post) {
+            ("nets", [], false) => Ok(self.nets()),
+            ("nets", [], true) => self.load_net(),
+            ("nets", [net], false) => self.net(net),
+            ("nets", [net], true) => self.control_net(net),
+            ("nets", [net, part], false) => self.net_part(net, part),
+            ("eval", [], true) => self.evaluate(),
+            ("sessions", [], false) => Ok(self.sessions()),
+            ("sessions", [], true) => self.open_session(),
+            ("sessions", [session], false) => self.session(session),
+            ("sessions", [session], true) => self.control_session(session),
+            ("types", [], false) => Ok(self.types()),
+            ("types", [ty], false) => self.type_named(ty),
+            ("modules", [], false) => Ok(self.modules()),
+            ("modules", [module], false) => self.module(module),
+            ("modulesdetails", [], false) => Ok(self.modules_in_detail()),
+            ("devices", [], false) => Ok(self.devices()),
+            ("devices", [], true) => self.change_devices(),
+            ("devices", [device], false) => self.device(device),
+            ("devices", [device, "robotarm"], false) => self.robot_arm(device),
+            ("eval", [], false) | ("types" | "modules" | "modulesdetails", _, true) => {
+                Err(Response::text(
+                    "405 Method Not Allowed",
+                    "This resource takes the other of GET and POST.\n",
+                ))
+            }
+            _ => Err(Response::not_found(MAP)),
+        }
+    }
+
+    fn show(&self, element: &Element) -> Response {
+        Response::element(element, self.request.json)
+    }
+
+    /// The value of a form's field.
+    fn field(&self, key: &str) -> Option<&str> {
+        let field = self.request.form.iter().find(|(k, _)| k == key);
+        field.map(|(_, value)| value.as_str())
+    }
+
+    /// The net of a form, be it text or XML.
+    fn net_text(&self) -> Result<String, Response> {
+        if let Some(text) = self.field("dionet") {
+            return Ok(text.to_owned());
+        }
+        let xml = self
+            .field("rpinet")
+            .ok_or_else(|| Response::bad_request("give a net: dionet=<text> or rpinet=<XML>"))?;
+        xml::from_xml(xml, &Limits::default()).map_err(Response::bad_request)
+    }
+}

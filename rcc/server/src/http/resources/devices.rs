@@ -1,0 +1,118 @@
+//! `/devices/`: devices shown, made and removed. Known clients make theirs here and then wait for
+//! them to be pushed over DirectIO.
+
+use std::collections::BTreeMap;
+
+use takt_core::Error;
+use takt_core::controller::DeviceInfo;
+
+use super::super::Response;
+use super::super::element::Element;
+use super::{Ask, Outcome};
+use crate::dio::all_devices;
+
+impl Ask<'_> {
+    pub(super) fn devices(&self) -> Response {
+        let devices = all_devices(self.controller).into_iter();
+        self.show(&Element::new("devices").containing(devices.map(|d| describe(&d))))
+    }
+
+    pub(super) fn device(&self, name: &str) -> Outcome {
+        Ok(self.show(&describe(&self.find_device(name)?)))
+    }
+
+    /// What an arm last told of its joints, rad and rad/s.
+    pub(super) fn robot_arm(&self, name: &str) -> Outcome {
+        let info = self.find_device(name)?;
+        let joints = info
+            .interfaces
+            .get("robotarm")
+            .and_then(|p| p.get("jointcount"));
+        let joints = joints.and_then(|count| count.parse().ok());
+        let (Some(count), Some(state)) = (joints, self.controller.arm_state(name)) else {
+            return Err(Response::not_found(format!("{name} is no robot arm")));
+        };
+        let told = state.joints.iter().take(count).enumerate();
+        let joints = told.map(|(number, joint)| {
+            let values = [
+                ("commanded", joint.commanded_position),
+                ("measured", joint.measured_position),
+                ("velocity", joint.measured_velocity),
+            ];
+            let element = Element::new("joint")
+                .with("axis", number)
+                .with("error", joint.error);
+            let known = values.into_iter().filter_map(|(key, v)| Some((key, v?)));
+            known.fold(element, |element, (key, value)| element.with(key, value))
+        });
+        let arm = Element::new("robotarm").with("name", name);
+        Ok(self.show(&arm.with("state", info.status.word()).containing(joints)))
+    }
+
+    /// Makes the device of the form, or removes it.
+    pub(super) fn change_devices(&self) -> Outcome {
+        let name = self.field("name").filter(|name| !name.is_empty());
+        let name = name.ok_or_else(|| Response::bad_request("name is missing"))?;
+        match self.field("action") {
+            None => {}
+            Some("remove") => {
+                self.controller.remove_device(name).map_err(refused)?;
+                return Ok(Response::redirect("303 See Other", "/devices/"));
+            }
+            Some(_) => return Err(Response::bad_request("action: remove is expected, or none")),
+        }
+        if !is_name(name) || name == "rcc" {
+            let text = "name: at most 64 letters, digits and `_` are expected, and not rcc";
+            return Err(Response::bad_request(text));
+        }
+        let kind = self.field("type");
+        let kind = kind.ok_or_else(|| Response::bad_request("type is missing"))?;
+        let own = |key: &str| matches!(key, "name" | "type" | "action");
+        let fields = self.request.form.iter().filter(|(key, _)| !own(key));
+        // Configuration files are read in lower case, forms of old clients are not.
+        let parameters: BTreeMap<_, _> = fields
+            .map(|(key, value)| (key.to_ascii_lowercase(), value.clone()))
+            .collect();
+        let added = self.controller.add_device(name, kind, &parameters);
+        added.map_err(Response::bad_request)?;
+        Ok(Response::text("201 Created", format!("{name} is there\n")))
+    }
+
+    fn find_device(&self, name: &str) -> Result<DeviceInfo, Response> {
+        let mut devices = all_devices(self.controller).into_iter();
+        let found = devices.find(|d| d.name == name);
+        found.ok_or_else(|| Response::not_found("there is no such device"))
+    }
+}
+
+/// Names stand unquoted in messages and in net text.
+fn is_name(name: &str) -> bool {
+    name.len() <= 64 && name.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_')
+}
+
+fn refused(error: Error) -> Response {
+    if matches!(error, Error::NoSuchDevice(_)) {
+        Response::not_found(error)
+    } else {
+        Response::conflict(error)
+    }
+}
+
+fn describe(device: &DeviceInfo) -> Element {
+    let interfaces = device.interfaces.iter().map(|(name, parameters)| {
+        let parameters = parameters.iter().map(|(key, value)| {
+            Element::new("parameter")
+                .with("name", key)
+                .with("value", value)
+        });
+        Element::new("interface")
+            .with("name", name)
+            .containing(parameters)
+    });
+    Element::new("device")
+        .with("uri", format!("/devices/{}/", device.name))
+        .with("name", &device.name)
+        .with("type", &device.kind)
+        .with("state", device.status.word())
+        .containing(interfaces)
+}

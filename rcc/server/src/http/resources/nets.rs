@@ -1,0 +1,208 @@
+//! `/nets/` and what is below: nets listed, loaded, shown and controlled.
+
+use std::time::Duration;
+
+use takt_core::controller::{LoadRequest, NetInfo, RuleInfo};
+use takt_core::net::{Limits, xml};
+use takt_core::{Error, NetId, SessionId};
+
+use super::super::Response;
+use super::super::element::Element;
+use super::{Ask, Outcome};
+use crate::dio::DESCRIPTION_BYTES_MAX;
+
+/// Most faults of one net that are shown.
+const FAULTS_MAX: usize = 20;
+
+impl Ask<'_> {
+    pub(super) fn nets(&self) -> Response {
+        let controller = self.controller;
+        let infos = controller
+            .nets()
+            .into_iter()
+            .filter_map(|n| controller.net(n));
+        let nets = infos.map(|info| summary(&info));
+        self.show(&Element::new("nets").containing(nets))
+    }
+
+    pub(super) fn load_net(&self) -> Outcome {
+        self.load(SessionId::NONE)
+    }
+
+    /// Loads the net of a form. One that is rejected is there, too, and shows its faults.
+    pub(super) fn load(&self, session: SessionId) -> Outcome {
+        let request = LoadRequest {
+            text: self.net_text()?,
+            session,
+            description: self.description()?,
+            period: self.period()?,
+        };
+        let net = self.controller.load(request).map_err(Response::conflict)?;
+        Ok(Response::redirect("302 Found", &format!("/nets/{net}/")))
+    }
+
+    /// The field `desc`.
+    pub(super) fn description(&self) -> Result<String, Response> {
+        let text = self.field("desc").unwrap_or_default();
+        if text.len() > DESCRIPTION_BYTES_MAX {
+            let bound = DESCRIPTION_BYTES_MAX;
+            return Err(Response::bad_request(format!(
+                "desc has at most {bound} bytes"
+            )));
+        }
+        Ok(text.to_owned())
+    }
+
+    /// The field `frequency`, if `useparams` says that it counts: Hz, or below 1 the time of a
+    /// cycle in s, which is what the original takes it for. 0 is the controller's own.
+    fn period(&self) -> Result<Option<Duration>, Response> {
+        let wanted = self.field("useparams") == Some("1");
+        let Some(text) = self.field("frequency").filter(|_| wanted) else {
+            return Ok(None);
+        };
+        let wrong = || Response::bad_request("frequency: a number of Hz is expected, such as 1000");
+        let number: f64 = text.trim().parse().map_err(|_| wrong())?;
+        let seconds = if number < 1.0 { number } else { 1.0 / number };
+        let period = Duration::try_from_secs_f64(seconds).map_err(|_| wrong())?;
+        Ok((!period.is_zero()).then_some(period))
+    }
+
+    pub(super) fn net(&self, name: &str) -> Outcome {
+        let (id, info) = self.find_net(name)?;
+        let controller = self.controller;
+        let mut net = summary(&info).with("session", info.session);
+        if let Some(end) = &info.end {
+            net = net.with("end", end);
+        }
+        let values = controller
+            .out_values(id)
+            .into_iter()
+            .chain(controller.in_values(id));
+        let values = values.map(|(key, text)| Element::new("data").with("key", key).text(text));
+        let rules = controller.rules_of(id).into_iter().map(|r| rule(&r));
+        Ok(self.show(
+            &net.containing(values)
+                .containing(faults(&info))
+                .containing(rules),
+        ))
+    }
+
+    /// The text of a net, its XML, or its figures.
+    pub(super) fn net_part(&self, name: &str, part: &str) -> Outcome {
+        let (_, info) = self.find_net(name)?;
+        match part {
+            "dio" => Ok(Response::text("200 OK", &*info.text)),
+            "xml" => xml::to_xml(&info.text, &Limits::default())
+                .map(Response::xml)
+                .map_err(|r| Response::conflict(r.lines(&info.text).join("\n"))),
+            "stats" => Ok(self.show(&self.stats())),
+            _ => Err(Response::not_found("a net has dio, xml and stats")),
+        }
+    }
+
+    /// Writes the values of the form, then does its action.
+    pub(super) fn control_net(&self, name: &str) -> Outcome {
+        let (id, _) = self.find_net(name)?;
+        for (key, text) in self
+            .request
+            .form
+            .iter()
+            .filter(|(k, _)| k.starts_with("in"))
+        {
+            let known = self.controller.write_in(id, key, text);
+            if !known.map_err(Response::bad_request)? {
+                return Err(Response::bad_request(format!("{id} takes no value {key}")));
+            }
+        }
+        let done = match self.field("action") {
+            None => Ok(()),
+            Some("START") => self.controller.start_net(id),
+            Some("CANCEL") => self.controller.cancel(id),
+            Some("ABORT") => self.controller.abort(id),
+            Some("UNLOAD") => self.controller.unload(id),
+            Some(_) => {
+                let text = "action: START, CANCEL, ABORT or UNLOAD is expected";
+                return Err(Response::bad_request(text));
+            }
+        };
+        done.map_err(refused)?;
+        let place = match self.controller.net(id) {
+            Some(_) => format!("/nets/{id}/"),
+            None => "/nets/".to_owned(),
+        };
+        Ok(Response::redirect("303 See Other", &place))
+    }
+
+    fn find_net(&self, name: &str) -> Result<(NetId, NetInfo), Response> {
+        let id = name.parse().ok();
+        let found = id.and_then(|id| Some((id, self.controller.net(id)?)));
+        found.ok_or_else(|| Response::not_found("there is no such net"))
+    }
+
+    /// What is known of the thread that evaluates the net, in ms.
+    fn stats(&self) -> Element {
+        let stats = self.controller.stats();
+        let (exec, late) = (&stats.execution, &stats.latency);
+        let figure = |name, min, mean, max| {
+            let element = Element::new(name).with("min", min);
+            element.with("mean", mean).with("max", max)
+        };
+        Element::new("stats")
+            .with("period", ms(self.controller.period()))
+            .with("cycles", stats.cycles)
+            .with("overruns", stats.overruns)
+            .containing([
+                figure("exec", ms(exec.min), ms(exec.mean), ms(exec.max)),
+                figure("latency", ms(late.min), ms(late.mean), ms(late.max)),
+            ])
+    }
+}
+
+fn ms(time: impl TryInto<Duration>) -> String {
+    let time = time.try_into().unwrap_or_default();
+    format!("{:.6}", time.as_secs_f64() * 1e3)
+}
+
+fn refused(error: Error) -> Response {
+    if matches!(error, Error::NoSuchNet(_)) {
+        Response::not_found(error)
+    } else {
+        Response::conflict(error)
+    }
+}
+
+pub(super) fn summary(info: &NetInfo) -> Element {
+    Element::new("net")
+        .with("uri", format!("/nets/{}/", info.id))
+        .with("status", info.state())
+        .with("desc", &info.description)
+}
+
+fn faults(info: &NetInfo) -> Vec<Element> {
+    let faults = info.rejection.iter().flat_map(|r| &r.faults);
+    let fault = |fault: &takt_core::net::Fault| {
+        let (line, column) = fault.place(&info.text);
+        Element::new("errorState")
+            .with("major", 1)
+            .with("minor", fault.kind.minor())
+            .with("block", "")
+            .text(format!("{line}:{column}: {}", fault.kind))
+    };
+    faults.take(FAULTS_MAX).map(fault).collect()
+}
+
+fn rule(rule: &RuleInfo) -> Element {
+    let nets = |name: &'static str, nets: &[NetId]| -> Vec<Element> {
+        let net = |id: &NetId| Element::new(name).with("net", id);
+        nets.iter().map(net).collect()
+    };
+    let request = &rule.request;
+    Element::new("rule")
+        .with("id", rule.id)
+        .with("condition", &request.condition)
+        .with("state", rule.state.word())
+        .with("desc", &request.description)
+        .containing(nets("stop", &request.stop))
+        .containing(nets("start", &request.start))
+        .containing(nets("cancel", &request.cancel))
+}

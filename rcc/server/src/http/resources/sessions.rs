@@ -1,0 +1,68 @@
+//! `/sessions/`: sessions listed, opened, ended, and nets loaded into them.
+
+use takt_core::SessionId;
+
+use super::super::Response;
+use super::super::element::Element;
+use super::nets::summary;
+use super::{Ask, Outcome};
+
+impl Ask<'_> {
+    pub(super) fn sessions(&self) -> Response {
+        let sessions = self.controller.sessions().into_iter();
+        let sessions = sessions.map(|(id, description)| session(id, &description));
+        self.show(&Element::new("sessions").containing(sessions))
+    }
+
+    pub(super) fn open_session(&self) -> Outcome {
+        let opened = self.controller.open_session(&self.description()?);
+        let session = opened.map_err(Response::conflict)?;
+        Ok(Response::redirect(
+            "302 Found",
+            &format!("/sessions/{session}/"),
+        ))
+    }
+
+    pub(super) fn session(&self, name: &str) -> Outcome {
+        let (id, description) = self.find_session(name)?;
+        let nets = self
+            .controller
+            .session_nets(id)
+            .unwrap_or_default()
+            .into_iter();
+        let nets = nets
+            .filter_map(|n| self.controller.net(n))
+            .map(|info| summary(&info));
+        Ok(self.show(&session(id, &description).containing(nets)))
+    }
+
+    pub(super) fn control_session(&self, name: &str) -> Outcome {
+        let (id, _) = self.find_session(name)?;
+        match self.field("action") {
+            Some("LOADNET" | "LOADNETPARAM") => self.load(id),
+            Some("TERMINATE") => {
+                self.controller
+                    .end_session(id)
+                    .map_err(Response::conflict)?;
+                Ok(Response::redirect("303 See Other", "/sessions/"))
+            }
+            _ => Err(Response::bad_request(
+                "action: LOADNET or TERMINATE is expected",
+            )),
+        }
+    }
+
+    fn find_session(&self, name: &str) -> Result<(SessionId, String), Response> {
+        let id: Option<SessionId> = name.parse().ok();
+        let mut open = self.controller.sessions().into_iter();
+        let found = open.find(|(session, _)| Some(*session) == id);
+        found.ok_or_else(|| Response::not_found("there is no such session"))
+    }
+}
+
+fn session(id: SessionId, description: &str) -> Element {
+    Element::new("session")
+        .with("uri", format!("/sessions/{id}/"))
+        .with("id", id)
+        .with("desc", description)
+}

@@ -1,0 +1,102 @@
+//! What is answered to a request. After each, the connection is closed.
+
+use std::fmt;
+
+use super::element::Element;
+
+/// A response.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) struct Response {
+    status: &'static str,
+    kind: &'static str,
+    /// Other header lines.
+    extra: String,
+    body: String,
+}
+
+impl Response {
+    /// A text for people.
+    pub(crate) fn text(status: &'static str, body: impl Into<String>) -> Self {
+        Self {
+            status,
+            kind: "text/plain; charset=utf-8",
+            extra: String::new(),
+            body: body.into(),
+        }
+    }
+
+    /// What a resource is.
+    pub(super) fn element(element: &Element, json: bool) -> Self {
+        let (kind, body) = if json {
+            ("application/json", element.to_json())
+        } else {
+            ("application/xml", element.to_xml())
+        };
+        Self {
+            kind,
+            ..Self::text("200 OK", body)
+        }
+    }
+
+    /// An XML text.
+    pub(super) fn xml(body: String) -> Self {
+        Self {
+            kind: "application/xml",
+            ..Self::text("200 OK", body)
+        }
+    }
+
+    /// What is asked for is elsewhere.
+    pub(super) fn redirect(status: &'static str, location: &str) -> Self {
+        Self {
+            extra: format!("Location: {location}\r\n"),
+            ..Self::text(status, "")
+        }
+    }
+
+    /// The request cannot be understood, and why.
+    pub(super) fn bad_request(why: impl fmt::Display) -> Self {
+        Self::text("400 Bad Request", format!("{why}\n"))
+    }
+
+    /// The request cannot be done now, and why.
+    pub(super) fn conflict(why: impl fmt::Display) -> Self {
+        Self::text("409 Conflict", format!("{why}\n"))
+    }
+
+    /// There is no such resource.
+    pub(super) fn not_found(why: impl fmt::Display) -> Self {
+        Self::text("404 Not Found", format!("{why}\n"))
+    }
+
+    /// Only WebSocket is spoken here.
+    pub(super) fn upgrade_required() -> Self {
+        Self {
+            extra: "Upgrade: websocket\r\n".to_owned(),
+            ..Self::text("426 Upgrade Required", "This resource speaks WebSocket.\n")
+        }
+    }
+
+    #[cfg(test)]
+    pub(super) fn body(&self) -> &str {
+        &self.body
+    }
+}
+
+impl fmt::Display for Response {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            status,
+            kind,
+            extra,
+            body,
+        } = self;
+        let length = body.len();
+        write!(
+            f,
+            "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {length}\r\n{extra}\
+             Cache-Control: no-store\r\nX-Content-Type-Options: nosniff\r\n\
+             Connection: close\r\n\r\n{body}"
+        )
+    }
+}

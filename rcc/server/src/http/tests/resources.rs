@@ -1,0 +1,456 @@
+//! The resources with a real controller that has no devices at first.
+
+use std::time::Duration;
+
+use proptest::prelude::*;
+use takt_core::controller::{NetState, RuleRequest};
+use takt_core::{CellConfig, Controller, NetId};
+
+use super::super::*;
+
+const CANCELLABLE: &str = "{x=Cancel(),k=Core::BooleanNetcommOut(inValue=x.outCancel,Key='k'),\
+    i=Core::DoubleNetcommIn(Key='gain',Value='2'),\
+    e=Core::DoubleNetcommOut(inValue=i.outValue,Key='echo'),outTerminate=x.outCancel}";
+
+const ARM: &str = "name=lwr1&type=kuka_lwr_sim&com={pos:{x:0.0,y:0.0,z:0.0}}&\
+    link_lengths=[0.0,0.3105,0.4,0.39,0.078]&min_joint=[-2.9,-2.0,-2.9,-2.0,-2.9,-2.0,-2.9]&\
+    max_joint=[2.9,2.0,2.9,2.0,2.9,2.0,2.9]&home_joint=[0.0,0.5,0.0,1.5,0.0,-0.5,0.0]&\
+    max_vel=[1.9,1.9,2.2,2.2,3.5,3.2,3.2]&max_acc=[7.5,7.5,9.0,9.0,14.0,13.0,13.0]&mass=0.0";
+
+fn controller() -> Controller {
+    let mut cell = CellConfig::default();
+    cell.controller.priority = None;
+    Controller::start(&cell).unwrap()
+}
+
+fn ask(controller: &Controller, request: &str) -> String {
+    match answer(request.as_bytes(), false) {
+        Some((_, Answer::Serve(request))) => respond(controller, &request).to_string(),
+        other => panic!("{other:?}"),
+    }
+}
+
+fn get(controller: &Controller, path: &str) -> String {
+    ask(controller, &format!("GET {path} HTTP/1.1\r\n\r\n"))
+}
+
+fn post(controller: &Controller, path: &str, body: &str) -> String {
+    let length = body.len();
+    ask(
+        controller,
+        &format!("POST {path} HTTP/1.1\r\nContent-Length: {length}\r\n\r\n{body}"),
+    )
+}
+
+fn body(response: &str) -> &str {
+    response.split_once("\r\n\r\n").unwrap().1
+}
+
+#[track_caller]
+fn holds(text: &str, parts: &[&str]) {
+    for part in parts {
+        assert!(text.contains(part), "{part} is missing in {text}");
+    }
+}
+
+fn loaded(controller: &Controller, text: &str) -> NetId {
+    let response = post(controller, "/nets/", &format!("dionet={text}&desc=a <b>"));
+    holds(&response, &["HTTP/1.1 302 Found\r\n"]);
+    let (_, rest) = response.split_once("Location: /nets/").unwrap();
+    rest.split_once('/').unwrap().0.parse().unwrap()
+}
+
+#[test]
+fn net_is_loaded_shown_and_controlled() {
+    let controller = controller();
+    let net = loaded(&controller, CANCELLABLE);
+    let list = r#"<net uri="/nets/rpinet0/" status="READY" desc="a &lt;b&gt;"/>"#;
+    holds(
+        &get(&controller, "/nets/"),
+        &["200 OK", "application/xml", list],
+    );
+    holds(
+        &get(&controller, "/nets/?format=json"),
+        &["application/json", r#""status":"READY""#],
+    );
+    let page = format!("/nets/{net}/");
+    let started = post(&controller, &page, "action=START&ingain=3.5");
+    holds(&started, &["303 See Other", "Location: /nets/rpinet0/\r\n"]);
+    let rule = RuleRequest {
+        condition: format!("{net}.outk"),
+        stop: vec![net],
+        ..RuleRequest::default()
+    };
+    controller.schedule(rule).unwrap();
+    let echoed = || get(&controller, &page).contains(r#"<data key="outecho">3.5</data>"#);
+    while !echoed() {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    holds(
+        &get(&controller, &page),
+        &[
+            r#"status="RUNNING""#,
+            r#"<data key="ingain">3.5</data>"#,
+            r#"<data key="outk">false</data>"#,
+            r#"<rule id="1" condition="rpinet0.outk" state="ACTIVE" desc="">"#,
+            r#"<stop net="rpinet0"/>"#,
+        ],
+    );
+    holds(
+        &post(&controller, &page, "action=START"),
+        &["409 Conflict", "RUNNING"],
+    );
+    holds(&post(&controller, &page, "ingain=x"), &["400 Bad Request"]);
+    holds(&post(&controller, &page, "innone=1"), &["400 Bad Request"]);
+    holds(
+        &post(&controller, &page, "action=STOP"),
+        &["400 Bad Request"],
+    );
+    post(&controller, &page, "action=CANCEL");
+    while controller.net(net).unwrap().state() != NetState::Terminated {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    // The last values stay until the net is unloaded.
+    holds(
+        &get(&controller, &page),
+        &[r#"<data key="outk">true</data>"#],
+    );
+    let unloaded = post(&controller, &page, "action=UNLOAD");
+    holds(&unloaded, &["303 See Other", "Location: /nets/\r\n"]);
+    holds(&get(&controller, &page), &["404 Not Found"]);
+}
+
+#[test]
+fn net_is_aborted_before_it_runs() {
+    let controller = controller();
+    let net = loaded(&controller, CANCELLABLE);
+    post(&controller, &format!("/nets/{net}/"), "action=ABORT");
+    assert_eq!(controller.net(net).unwrap().state(), NetState::Terminated);
+}
+
+#[test]
+fn rejected_net_shows_its_faults() {
+    let controller = controller();
+    let net = loaded(&controller, "{a=Core::Nope(),outTerminate=a.outValue}");
+    let fault =
+        r#"<errorState major="1" minor="2" block="">1:4: there is no primitive `Core::Nope`"#;
+    let page = get(&controller, &format!("/nets/{net}/"));
+    holds(&page, &[r#"status="REJECTED""#, fault]);
+    let broken = loaded(&controller, "{");
+    holds(
+        &get(&controller, &format!("/nets/{broken}")),
+        &[r#"minor="12""#],
+    );
+    let xml = get(&controller, &format!("/nets/{broken}/xml"));
+    holds(&xml, &["409 Conflict"]);
+}
+
+#[test]
+fn net_has_text_xml_and_figures() {
+    let controller = controller();
+    let net = loaded(&controller, CANCELLABLE);
+    let text = get(&controller, &format!("/nets/{net}/dio"));
+    assert_eq!(body(&text), CANCELLABLE);
+    let xml = get(&controller, &format!("/nets/{net}/xml"));
+    holds(
+        &xml,
+        &["application/xml", r#"<module id="x" type="Cancel">"#],
+    );
+    let again = post(&controller, "/nets/", &format!("rpinet={}", body(&xml)));
+    holds(&again, &["302 Found", "Location: /nets/rpinet1/"]);
+    assert_eq!(*controller.net(NetId(1)).unwrap().text, *CANCELLABLE);
+    let stats = get(&controller, &format!("/nets/{net}/stats"));
+    holds(&stats, &[r#"<stats period="1.000000""#, "<exec min="]);
+    holds(
+        &get(&controller, &format!("/nets/{net}/x")),
+        &["404 Not Found"],
+    );
+}
+
+#[test]
+fn cycle_of_a_net_can_be_given() {
+    let controller = controller();
+    let load = |frequency: &str| {
+        let form = format!("useparams=1&frequency={frequency}&dionet={CANCELLABLE}");
+        post(&controller, "/nets/", &form)
+    };
+    for frequency in ["500", "0.002", "0"] {
+        holds(&load(frequency), &["302 Found"]);
+    }
+    holds(&get(&controller, "/nets/"), &[r#"status="READY""#]);
+    load("3000");
+    holds(
+        &get(&controller, "/nets/rpinet3/"),
+        &["REJECTED", "no whole multiple"],
+    );
+    for frequency in ["x", "-1", "nan", "inf1"] {
+        holds(&load(frequency), &["400 Bad Request", "frequency"]);
+    }
+}
+
+#[test]
+fn forms_without_a_net_are_refused() {
+    let controller = controller();
+    for path in ["/nets/", "/eval/"] {
+        holds(
+            &post(&controller, path, "a=b"),
+            &["400 Bad Request", "dionet="],
+        );
+        let xml = "rpinet=<rpinet>\n<modul/></rpinet>";
+        holds(
+            &post(&controller, path, xml),
+            &["400 Bad Request", "line 2: `<modul>`"],
+        );
+    }
+    let long = format!("desc={}&dionet={{}}", "x".repeat(4097));
+    holds(
+        &post(&controller, "/nets/", &long),
+        &["400 Bad Request", "4096"],
+    );
+}
+
+#[test]
+fn evaluation_is_one_cycle_of_which_nothing_stays() {
+    let controller = controller();
+    let net = "{c=Core::Clock(Increment='2'),t=Cancel(),\
+        a=Core::DoubleArray(Size='2'),v=Core::DoubleArrayNetcommOut(inValue=a.outArray,Key='a'),\
+        outValue=c.outValue,outTerminate=t.outCancel}";
+    let encoded: String = form_urlencoded::byte_serialize(net.as_bytes()).collect();
+    for form in [format!("dionet={net}"), format!("dionet={encoded}")] {
+        holds(
+            &post(&controller, "/eval/", &form),
+            &[
+                "200 OK",
+                r#"<data key="outValue">0.002</data>"#,
+                r#"<data key="outTerminate">false</data>"#,
+                r#"<data key="outa">[0,0]</data>"#,
+            ],
+        );
+    }
+    let error = post(
+        &controller,
+        "/eval/",
+        "dionet={a=Core::Nope(),outTerminate=a.b}",
+    );
+    holds(
+        &error,
+        &["200 OK", r#"<data key="error">1:4: there is no primitive"#],
+    );
+    assert!(controller.nets().is_empty());
+    holds(&get(&controller, "/eval/"), &["405 Method Not Allowed"]);
+}
+
+/// As the known client makes a device, reads it, and removes it: doubled slashes, no encoding.
+#[test]
+fn device_is_made_read_and_removed() {
+    let controller = controller();
+    holds(&post(&controller, "//devices/", ARM), &["201 Created"]);
+    let state = || controller.devices().iter().any(|d| d.status.word() == "op");
+    while !state() {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    holds(
+        &get(&controller, "/devices/"),
+        &[
+            r#"name="lwr1" type="kuka_lwr_sim" state="op""#,
+            r#"<parameter name="jointcount" value="7"/>"#,
+            r#"name="rcc" type="rcc" state="op"/>"#,
+        ],
+    );
+    let read = "dionet={m=RobotArm::JointMonitor(Robot='lwr1',Axis='3'),x=Cancel(),\
+        d=Core::DoubleNetcommOut(inValue=m.outMeasuredPosition,Key='d0'),outTerminate=x.outCancel}";
+    holds(
+        &post(&controller, "/eval/", read),
+        &[r#"<data key="outd0">1.5</data>"#],
+    );
+    holds(
+        &get(&controller, "/devices/lwr1/robotarm"),
+        &[r#"<joint axis="3" error="0" commanded="1.5" measured="1.5""#],
+    );
+    holds(&get(&controller, "/devices/rcc/"), &[r#"name="rcc""#]);
+    holds(
+        &get(&controller, "/devices/rcc/robotarm"),
+        &["404 Not Found"],
+    );
+    holds(
+        &post(&controller, "//devices/", ARM),
+        &["400 Bad Request", "lwr1"],
+    );
+    let remove = "name=lwr1&type=kuka_lwr_sim&action=remove";
+    holds(&post(&controller, "//devices/", remove), &["303 See Other"]);
+    assert!(controller.devices().is_empty());
+    holds(&post(&controller, "//devices/", remove), &["404 Not Found"]);
+}
+
+#[test]
+fn impossible_devices_are_refused() {
+    let controller = controller();
+    for form in [
+        "type=kuka_lwr_sim",
+        "name=&type=kuka_lwr_sim",
+        "name=a",
+        "name=a&type=nope",
+        "name=a b&type=kuka_lwr_sim",
+        "name=rcc&type=kuka_lwr_sim",
+        "name=a&type=kuka_lwr_sim&min_joint=[1]",
+        "name=a&action=x",
+    ] {
+        holds(&post(&controller, "/devices/", form), &["400 Bad Request"]);
+    }
+    assert!(controller.devices().is_empty());
+}
+
+#[test]
+fn nets_of_a_session_end_with_it() {
+    let controller = controller();
+    holds(
+        &post(&controller, "/sessions/", "desc=lab"),
+        &["302 Found", "Location: /sessions/s1/"],
+    );
+    let load = format!("action=LOADNET&dionet={CANCELLABLE}&desc=n");
+    holds(&post(&controller, "/sessions/s1/", &load), &["302 Found"]);
+    holds(
+        &get(&controller, "/sessions/"),
+        &[r#"<session uri="/sessions/s1/" id="s1" desc="lab"/>"#],
+    );
+    holds(
+        &get(&controller, "/sessions/s1/"),
+        &[r#"<net uri="/nets/rpinet0/""#],
+    );
+    holds(
+        &post(&controller, "/sessions/s1/", "action=x"),
+        &["400 Bad Request"],
+    );
+    holds(
+        &post(&controller, "/sessions/s1/", "action=TERMINATE"),
+        &["303 See Other"],
+    );
+    assert!(controller.nets().is_empty());
+    for session in ["s0", "s1", "x"] {
+        holds(
+            &get(&controller, &format!("/sessions/{session}/")),
+            &["404 Not Found"],
+        );
+    }
+}
+
+#[test]
+fn primitives_describe_themselves() {
+    let controller = controller();
+    let clock = get(&controller, "/modules/Core::Clock/");
+    holds(
+        &clock,
+        &[
+            r#"<module name="Core::Clock""#,
+            r#"<outport name="outValue" type="Core::double">"#,
+            r#"<parameter name="Increment" type="Core::double" default="1">"#,
+            r#"<inport name="inActive" type="Core::bool" required="false">"#,
+        ],
+    );
+    holds(
+        &get(&controller, "/modules/"),
+        &[r#"<module name="Core::Clock""#],
+    );
+    let details = get(&controller, "/modulesdetails/?format=json");
+    let details: serde_json::Value = serde_json::from_str(body(&details)).unwrap();
+    let modules = details["module"].as_array().unwrap().len();
+    assert_eq!(modules, controller.registry().definitions().len());
+    holds(
+        &get(&controller, "/modules/Core::Clokc"),
+        &["404", "did you mean Core::Clock?"],
+    );
+    holds(&get(&controller, "/types/"), &[r#"name="World::Frame[]""#]);
+    holds(&get(&controller, "/types/World::Frame%5B%5D/"), &["200 OK"]);
+    holds(&get(&controller, "/types/x"), &["404"]);
+    holds(&post(&controller, "/types/", ""), &["405"]);
+}
+
+#[test]
+fn other_places_say_where_something_is() {
+    let controller = controller();
+    for path in [
+        "/",
+        "/x/",
+        "/nets/rpinet0/a/b",
+        "/devices/a/b",
+        "/extensions/",
+    ] {
+        holds(&get(&controller, path), &["404 Not Found"]);
+    }
+    holds(&get(&controller, "/"), &["/modulesdetails/"]);
+}
+
+/// A request out of words, some of which make sense together.
+fn requests() -> impl Strategy<Value = Vec<u8>> {
+    let method = prop_oneof![4 => Just("POST"), 4 => Just("GET"), 1 => "[A-Z ]{0,6}".prop_map(|m| &*m.leak())];
+    let name = "(nets|eval|sessions|types|modules|devices|rpinet[0-3]|s[0-2]|xml|dio|stats|lwr1|\
+        robotarm|Core::Clock|%|%41|%ff|\\?|\\?format=json|\\.\\.|[ -~]{0,3})";
+    let path = prop::collection::vec(name, 0..5).prop_map(|p| format!("/{}", p.join("/")));
+    let value = "(START|ABORT|remove|TERMINATE|LOADNET|lwr1|kuka_lwr_sim|0\\.002|1|\\{\\}|\
+        \\{x=Cancel\\(\\),outTerminate=x\\.outCancel\\}|\\{a=b\\(inX=c\\.d,E='f'|<rpinet/>|<rpinet>|\
+        <rpinet><module id='a' type='Cancel'/></rpinet>|\\[1,2|%7B%7D|%|%zz|\\+|[ -~ä]{0,8})";
+    let key =
+        "(dionet|rpinet|desc|useparams|frequency|action|name|type|inX|min_joint|&|=|[a-z]{0,2})";
+    let form = prop::collection::vec((key, value), 0..5);
+    let form = form.prop_map(|f| {
+        f.into_iter()
+            .map(|(k, v)| format!("{k}={v}"))
+            .collect::<Vec<_>>()
+            .join("&")
+    });
+    let header = "(Host: h|Accept: application/json|Expect: 100-continue|Origin: null|\
+        Content-Length: [0-9]{1,3}|Transfer-Encoding: chunked|[ -~]{0,12})";
+    let headers = prop::collection::vec(header, 0..2);
+    let spoil = prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..2);
+    let parts = (method, path, headers, form, any::<bool>(), spoil);
+    parts.prop_map(|(method, path, headers, form, length, spoil)| {
+        let mut head = format!("{method} {path} HTTP/1.1\r\n");
+        headers
+            .iter()
+            .for_each(|h| head.push_str(&format!("{h}\r\n")));
+        if length {
+            head.push_str(&format!("Content-Length: {}\r\n", form.len()));
+        }
+        let mut bytes = format!("{head}\r\n{form}").into_bytes();
+        for (at, byte) in spoil {
+            let at = at.index(bytes.len());
+            bytes[at] = byte;
+        }
+        bytes
+    })
+}
+
+/// No panic, and always a whole response; what the requests make is bounded by the controller.
+#[test]
+fn any_request_is_survived() {
+    let controller = controller();
+    let served = std::cell::Cell::new(0);
+    let config = ProptestConfig {
+        failure_persistence: None,
+        ..ProptestConfig::with_cases(10_000)
+    };
+    proptest::test_runner::TestRunner::new(config)
+        .run(&requests(), |bytes| {
+            let whole = matches!(answer(&bytes, false), Some((_, Answer::Serve(_))));
+            served.set(served.get() + u32::from(whole));
+            fuzz(&controller, &bytes);
+            Ok(())
+        })
+        .unwrap();
+    assert!(served.get() > 2000, "only {} were requests", served.get());
+    assert!(controller.nets().len() <= takt_core::controller::NETS_MAX);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(10_000))]
+
+    #[test]
+    fn any_form_is_read(body in prop::collection::vec(
+        prop_oneof![any::<u8>(), prop::sample::select(&b"&=%+{ab1"[..])], 0..40))
+    {
+        let fields = form::decode(&body);
+        let length: usize = fields.iter().map(|(k, v)| k.len() + v.len()).sum();
+        // Each byte that is no UTF-8 becomes three.
+        prop_assert!(length <= 3 * body.len());
+    }
+}
