@@ -138,3 +138,16 @@ fn guarded_demo_survives() {
     let (report, _) = demo(&["--guard"]);
     assert!(report["faults"].is_array());
 }
+
+#[test]
+fn picture_of_a_net_shows_every_primitive() {
+    let net = common::net("demo");
+    let svg = expect_status(&run_with_input(&["net", "dot", "-"], &net), 0);
+    let boxes = svg.matches("rx=\"4\"").count();
+    let check = run_with_input(&["net", "check", "--json", "-"], &net);
+    let check: Value = serde_json::from_str(&expect_status(&check, 0)).unwrap();
+    assert_eq!(check["primitives"], boxes);
+    assert!(svg.ends_with("</svg>\n"));
+    let broken = run_with_input(&["net", "dot", "-"], "{a=Core::Clock(");
+    expect_status(&broken, 1);
+}

@@ -526,10 +526,12 @@ impl Desk {
         let info = |arm: &crate::device::Arm| {
             let joints = ("jointcount".to_owned(), arm.limits.len().to_string());
             let robot_arm = ("robotarm".to_owned(), BTreeMap::from([joints]));
+            let kinematics = arm.kinematics.iter();
+            let kinematics = kinematics.map(|_| ("armkinematics".to_owned(), BTreeMap::new()));
             DeviceInfo {
                 name: arm.name.clone(),
                 kind: arm.kind.to_owned(),
-                interfaces: BTreeMap::from([robot_arm]),
+                interfaces: kinematics.chain([robot_arm]).collect(),
                 status: arm.status(),
             }
         };

@@ -235,6 +235,30 @@ fn captured_exchange() {
     );
 }
 
+/// The known client makes its devices over HTTP and waits for these pushes.
+#[test]
+fn device_that_is_added_later_is_told() {
+    let controller = controller();
+    let mut client = Client::greeted(&controller);
+    client.send("c3=gde()");
+    let seven = |value: &str| format!("[{}]", [value; 7].join(","));
+    let parameters = [
+        ("min_joint", "-2.9"),
+        ("max_joint", "2.9"),
+        ("max_vel", "1.9"),
+        ("max_acc", "7.5"),
+    ];
+    let parameters = parameters.map(|(key, value)| (key.to_owned(), seven(value)));
+    let parameters = BTreeMap::from(parameters);
+    let added = controller.add_device("lwr1", "kuka_lwr_sim", &parameters);
+    added.unwrap();
+    let told = client.pushes_until(r#"c3=ds({lwr1:"op"})"#);
+    let interfaces = r#"c3=da({lwr1:{interfaces:{armkinematics:{},robotarm:{jointcount:"7"}},type:"kuka_lwr_sim"}})"#;
+    assert_eq!(told[0], interfaces);
+    controller.remove_device("lwr1").unwrap();
+    client.pushes_until(r#"c3=dr(["lwr1"])"#);
+}
+
 #[test]
 fn aborted_net_tells_its_last_values_before_the_reply() {
     let mut client = Client::greeted(&controller());

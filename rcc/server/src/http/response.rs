@@ -76,11 +76,6 @@ impl Response {
             ..Self::text("426 Upgrade Required", "This resource speaks WebSocket.\n")
         }
     }
-
-    #[cfg(test)]
-    pub(super) fn body(&self) -> &str {
-        &self.body
-    }
 }
 
 impl fmt::Display for Response {
