@@ -285,7 +285,8 @@ impl Controller {
         Some(of_session.map(|(id, _)| *id).collect())
     }
 
-    /// Loads a net. A net that is rejected gets an identifier too; its state tells.
+    /// Loads a net. A net that is rejected gets an identifier too; its state tells. If there are
+    /// as many nets as there may be, the oldest that is over is unloaded.
     ///
     /// # Errors
     /// If there are too many nets, or no such session.
@@ -302,7 +303,7 @@ impl Controller {
             if session != SessionId::NONE && !desk.sessions.contains_key(&session) {
                 return Err(Error::NoSuchSession(session.to_string()));
             }
-            if desk.nets.len() >= NETS_MAX {
+            if desk.nets.len() >= NETS_MAX && !desk.forget_oldest() {
                 return Err(Error::TooMany {
                     what: "loaded nets",
                     bound: NETS_MAX,

@@ -9,7 +9,7 @@
 )]
 
 use std::io::{BufRead as _, BufReader, Read};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
@@ -21,7 +21,7 @@ const PATIENCE: Duration = Duration::from_secs(60);
 /// Waits until no other test runs robots, in this process or another one: on a small machine they
 /// would take the processors from each other. Holds until it is dropped.
 pub(crate) fn alone() -> std::fs::File {
-    let path = std::env::temp_dir().join("takt-tools-tests.lock");
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("robots.lock");
     let lock = std::fs::File::create(path).unwrap();
     lock.lock().unwrap();
     lock
@@ -179,7 +179,7 @@ impl Folder {
         static NUMBER: AtomicU32 = AtomicU32::new(0);
         let number = NUMBER.fetch_add(1, Ordering::Relaxed);
         let name = format!("takt-tools-{}-{number}", std::process::id());
-        let path = std::env::temp_dir().join(name);
+        let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
         std::fs::create_dir_all(&path).unwrap();
         Self(path)
     }

@@ -41,6 +41,22 @@ impl Desk {
         }
     }
 
+    /// Unloads the oldest net that is over, if there is one: known clients never do it.
+    pub(super) fn forget_oldest(&mut self) -> bool {
+        let over = |net: &Net| matches!(net.state(), NetState::Terminated | NetState::Rejected);
+        let oldest = self.nets.iter().find(|(_, net)| over(net));
+        let Some(id) = oldest.map(|(id, _)| *id) else {
+            return false;
+        };
+        if self.withdraw(id).is_err() {
+            return false;
+        }
+        if let Some(mut net) = self.nets.remove(&id) {
+            self.remember(id, &mut net);
+        }
+        true
+    }
+
     /// Forgets the nets that were unloaded long ago.
     pub(super) fn forget_departed(&mut self) {
         if !self.departed.is_empty() {

@@ -413,6 +413,25 @@ fn last_values_are_told_though_another_client_unloads_at_once() {
     );
 }
 
+/// The known client rarely unloads a net.
+#[test]
+fn oldest_net_that_is_over_makes_room() {
+    use takt_core::controller::NETS_MAX;
+    let mut client = Client::greeted(&controller());
+    let first = client.load(ENDLESS);
+    let over = client.load(ENDLESS);
+    client.send(&format!(r#"a=neab("{over}")"#));
+    for _ in 2..NETS_MAX {
+        client.load(ENDLESS);
+    }
+    client.send(&format!(r#"w=gne("{over}",0.1)"#));
+    assert_eq!(client.load(ENDLESS), format!("rpinet{NETS_MAX}"));
+    assert_eq!(client.pushes(), [r#"w=ns("UNLOADED")"#]);
+    let full = client.ask(&format!(r#"a=nene("{ENDLESS}")"#));
+    assert!(full.contains("loaded nets: at most 1024"), "{full}");
+    assert_eq!(client.send(&format!(r#"a=nest("{first}")"#)), ["a=ok()"]);
+}
+
 #[test]
 fn second_subscription_takes_the_place_of_the_first() {
     let mut client = Client::greeted(&controller());
