@@ -92,7 +92,14 @@ impl Client {
 
     /// Does something with a net.
     pub(crate) fn command(&mut self, command: &str, net: &str) -> anyhow::Result<()> {
-        self.inner.call(command, [net])?;
+        let what = match command {
+            "nest" => "start",
+            "neca" => "cancel",
+            "neab" => "abort",
+            "neun" => "unload",
+            other => other,
+        };
+        self.inner.call(command, [net]).with_context(|| format!("cannot {what} {net}"))?;
         Ok(())
     }
 

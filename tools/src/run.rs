@@ -35,7 +35,10 @@ const CANCEL_WITHIN: Duration = Duration::from_secs(5);
 impl Run {
     pub(crate) fn run(self) -> anyhow::Result<Verdict> {
         start_logging();
-        let cell = CellConfig::read(&self.config)?;
+        let cell = CellConfig::read(&self.config).context(
+            "a cell needs its configuration: `[[device]]` with `name`, `type = \"kuka_lwr_fri\"` and \
+             `listen = \"0.0.0.0:49938\"` for each robot; an empty file is a controller without robots",
+        )?;
         let host = prepare(&HostConfig::default());
         if self.guard {
             takt_rt::alloc::set_guard(takt_rt::alloc::Guard::Abort);

@@ -53,7 +53,11 @@ pub fn load(text: &str, context: &LoadContext<'_>) -> Result<Plan, Rejection> {
     if readable {
         match sort::order(&resolved.graph()) {
             Ok(order) => plan = build::build(&resolved, &order, context, &mut faults),
-            Err(cycle) => faults.push(resolved.cycle_fault(&cycle)),
+            Err(unordered) => {
+                faults.push(resolved.cycle_fault(&unordered.cycle));
+                // Only for the faults of parameters; the plan is worth nothing.
+                build::build(&resolved, &unordered.units, context, &mut faults);
+            }
         }
     } else {
         faults.retain(|f| !is_consequence(&f.kind));

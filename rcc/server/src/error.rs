@@ -45,7 +45,7 @@ pub enum Error {
     #[error("no reply to `{command}` within {waited:?}")]
     NoReply { command: String, waited: Duration },
     /// The controller answered with an error.
-    #[error("`{command}` was refused: {text}")]
+    #[error("{text} (`{command}`)")]
     Refused { command: String, text: String },
     /// A line that is no message.
     #[error("received something that is no message: {0}")]

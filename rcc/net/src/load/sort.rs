@@ -12,18 +12,29 @@ pub(super) struct Graph {
     pub(super) edges: Vec<(u32, u32)>,
 }
 
+/// There is no order.
+#[derive(Debug)]
+pub(super) struct Unordered {
+    /// The units of one cycle, each before the one it feeds.
+    pub(super) cycle: Vec<u32>,
+    /// All units, in order as far as there is one.
+    pub(super) units: Vec<u32>,
+}
+
 /// Orders the units.
 ///
 /// # Errors
-/// The units of one cycle, each before the one it feeds.
-pub(super) fn order(graph: &Graph) -> Result<Vec<u32>, Vec<u32>> {
+/// If links form a cycle.
+pub(super) fn order(graph: &Graph) -> Result<Vec<u32>, Unordered> {
     let mut sorter = Sorter::new(graph);
     sorter.run();
     if sorter.order.len() == graph.guard_of.len() {
-        Ok(sorter.order)
-    } else {
-        Err(cycle(graph, &sorter.waits))
+        return Ok(sorter.order);
     }
+    let cycle = cycle(graph, &sorter.waits);
+    let mut units = sorter.order;
+    units.extend((0..).zip(&sorter.waits).filter(|(_, waits)| **waits > 0).map(|(u, _)| u));
+    Err(Unordered { cycle, units })
 }
 
 struct Sorter<'g> {
@@ -261,11 +272,11 @@ mod tests {
     #[test]
     fn a_cycle_is_told_as_such() {
         let g = graph(&[0; 5], &[0], &[(0, 1), (1, 2), (2, 3), (3, 1), (3, 4)]);
-        let mut cycle = order(&g).unwrap_err();
+        let mut cycle = order(&g).unwrap_err().cycle;
         let least = cycle.iter().position(|u| *u == 1).unwrap();
         cycle.rotate_left(least);
         assert_eq!(cycle, [1, 2, 3]);
-        assert_eq!(order(&graph(&[0], &[0], &[(0, 0)])).unwrap_err(), [0]);
+        assert_eq!(order(&graph(&[0], &[0], &[(0, 0)])).unwrap_err().cycle, [0]);
     }
 
     proptest! {
