@@ -99,7 +99,9 @@ impl Client {
             "neun" => "unload",
             other => other,
         };
-        self.inner.call(command, [net]).with_context(|| format!("cannot {what} {net}"))?;
+        self.inner
+            .call(command, [net])
+            .with_context(|| format!("cannot {what} {net}"))?;
         Ok(())
     }
 

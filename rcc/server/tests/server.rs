@@ -95,7 +95,7 @@ fn refusals_reach_the_caller() {
     let server = Running::start(OnLoss::Keep);
     let mut client = client(&server);
     let error = client.call("nest", ["rpinet5"]).unwrap_err();
-    assert_eq!(error.to_string(), "`nest` was refused: invalid net");
+    assert_eq!(error.to_string(), "invalid net (`nest`)");
     assert!(client.next_push(Duration::ZERO).unwrap().is_none());
 }
 

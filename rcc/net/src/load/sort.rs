@@ -33,7 +33,12 @@ pub(super) fn order(graph: &Graph) -> Result<Vec<u32>, Unordered> {
     }
     let cycle = cycle(graph, &sorter.waits);
     let mut units = sorter.order;
-    units.extend((0..).zip(&sorter.waits).filter(|(_, waits)| **waits > 0).map(|(u, _)| u));
+    units.extend(
+        (0..)
+            .zip(&sorter.waits)
+            .filter(|(_, waits)| **waits > 0)
+            .map(|(u, _)| u),
+    );
     Err(Unordered { cycle, units })
 }
 

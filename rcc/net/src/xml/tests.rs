@@ -163,7 +163,7 @@ fn faults_of_text_are_those_of_the_parser() {
 /// Children, parameters, links and nested fragments, written as [`from_xml`] writes them.
 fn nets() -> impl Strategy<Value = String> {
     let link = "[a-d]\\.out[XY]";
-    let value = r#"[ -&(-\[\]-~äß\n\t]{0,8}"#;
+    let value = r#"[ -&(-\[\]-~äß\n\r\t]{0,8}"#;
     let arg = prop_oneof![
         (Just(()), "in[A-C]", link).prop_map(|((), n, l)| format!("{n}={l}")),
         ("in[A-C]", 1..9_u8, link).prop_map(|(n, s, l)| format!("{n}[{s}]={l}")),

@@ -285,17 +285,21 @@ fn device_is_made_read_and_removed() {
 #[test]
 fn impossible_devices_are_refused() {
     let controller = controller();
+    let with = |from: &str, to: &str| ARM.replace(from, to);
     for form in [
-        "type=kuka_lwr_sim",
-        "name=&type=kuka_lwr_sim",
-        "name=a",
-        "name=a&type=nope",
-        "name=a b&type=kuka_lwr_sim",
-        "name=rcc&type=kuka_lwr_sim",
-        "name=a&type=kuka_lwr_sim&min_joint=[1]",
-        "name=a&action=x",
+        with("name=lwr1&", ""),
+        with("=lwr1", "="),
+        with("=lwr1", "=a b"),
+        with("=lwr1", "=a'"),
+        with("=lwr1", "=rcc"),
+        with("=lwr1", &format!("={}", "a".repeat(65))),
+        with("&type=kuka_lwr_sim", ""),
+        with("kuka_lwr_sim", "nope"),
+        with("max_vel=[1.9,", "max_vel=["),
+        with("mass=", "action=x&mass="),
     ] {
-        holds(&post(&controller, "/devices/", form), &["400 Bad Request"]);
+        let refused = post(&controller, "/devices/", &form);
+        assert!(refused.starts_with("HTTP/1.1 400 "), "{form}: {refused}");
     }
     assert!(controller.devices().is_empty());
 }
