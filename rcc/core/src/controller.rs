@@ -146,8 +146,11 @@ struct Inner {
 }
 
 impl Inner {
+    /// The desk, up to date with what the net thread has told.
     fn lock(&self) -> MutexGuard<'_, Desk> {
-        self.desk.lock().unwrap_or_else(PoisonError::into_inner)
+        let mut desk = self.desk.lock().unwrap_or_else(PoisonError::into_inner);
+        desk.unannounced |= desk.take_events();
+        desk
     }
 
     /// Wakes those who wait for a change and those who watch.
@@ -588,7 +591,7 @@ fn supervise(inner: &Inner) {
         {
             let mut desk = inner.lock();
             desk.forget_departed();
-            let told = desk.take_events();
+            let told = std::mem::take(&mut desk.unannounced);
             let moved = desk.look_at_devices();
             if told || moved {
                 inner.announce(&desk);

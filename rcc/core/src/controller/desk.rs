@@ -252,6 +252,8 @@ pub(super) struct Desk {
     resources: HashMap<String, usize>,
     statuses: BTreeMap<String, DeviceStatus>,
     thread: Option<NetThread>,
+    /// Whether events were taken of which nobody was told yet.
+    pub(super) unannounced: bool,
 }
 
 impl fmt::Debug for Desk {
@@ -280,6 +282,7 @@ impl Desk {
             resources: HashMap::new(),
             statuses: BTreeMap::new(),
             thread: Some(thread),
+            unannounced: false,
         }
     }
 

@@ -125,8 +125,11 @@ pub struct NetThread {
     stop: Arc<AtomicBool>,
 }
 
-/// Commands and events under way; more wait or are refused.
-const RING: usize = 1024;
+/// Commands under way; more are refused.
+const COMMANDS: usize = 1024;
+/// Events under way. The controller takes all of them before each command, so there are never more
+/// than what so many commands, all waiting rules and all nets of the thread can cause.
+const EVENTS: usize = 8 * COMMANDS;
 
 impl NetThread {
     /// Starts the thread, which from then on does nothing but cycles.
@@ -134,8 +137,8 @@ impl NetThread {
     /// # Errors
     /// If the system has no thread to give.
     pub fn start(config: NetThreadConfig, tap: Option<Tap>) -> Result<Self, Error> {
-        let (commands, command_end) = takt_rt::ring::ring(RING);
-        let (event_end, events) = takt_rt::ring::ring(RING);
+        let (commands, command_end) = takt_rt::ring::ring(COMMANDS);
+        let (event_end, events) = takt_rt::ring::ring(EVENTS);
         let (mut stats_writer, stats) = takt_rt::stats::pair();
         let hand_over = Recorder::new();
         let hand_over_reader = hand_over.reader();
@@ -353,7 +356,6 @@ impl Cycle {
     }
 
     /// Tells what rules did in this cycle.
-    #[expect(clippy::wildcard_enum_match_arm, reason = "what was pushed comes back")]
     fn tell_effects(&mut self) {
         let Self {
             executor,
@@ -377,17 +379,13 @@ impl Cycle {
             let told = events.push(event);
             debug_assert!(told.is_ok(), "more events than requests");
         });
-        while executor.take_rule(|rule| {
-            events
-                .push(Event::RuleDone(rule))
-                .map_err(|event| match event {
-                    Event::RuleDone(rule) => rule,
-                    _ => Box::new(Rule::new(0, Vec::new(), Vec::new())),
-                })
+        while executor.take_rule(|rule| match events.push(Event::RuleDone(rule)) {
+            Err(Event::RuleDone(rule)) => Err(rule),
+            _ => Ok(()),
         }) {}
     }
 
-    /// The controller never has more requests under way than the ring has room for answers.
+    /// There is room: see [`EVENTS`].
     fn tell(&mut self, event: Event) {
         let told = self.events.push(event);
         debug_assert!(told.is_ok(), "more events than requests");
