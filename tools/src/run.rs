@@ -2,7 +2,7 @@
 //! stands in its `cell.toml`.
 
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
@@ -35,10 +35,7 @@ const CANCEL_WITHIN: Duration = Duration::from_secs(5);
 impl Run {
     pub(crate) fn run(self) -> anyhow::Result<Verdict> {
         start_logging();
-        let cell = CellConfig::read(&self.config).context(
-            "a cell needs its configuration: `[[device]]` with `name`, `type = \"kuka_lwr_fri\"` and \
-             `listen = \"0.0.0.0:49938\"` for each robot; an empty file is a controller without robots",
-        )?;
+        let cell = read_cell(&self.config)?;
         let host = prepare(&HostConfig::default());
         if self.guard {
             takt_rt::alloc::set_guard(takt_rt::alloc::Guard::Abort);
@@ -61,6 +58,19 @@ impl Run {
         }
         Ok(Verdict::Good)
     }
+}
+
+/// Reads a cell; one that does not exist yet is shown how to begin.
+fn read_cell(path: &Path) -> anyhow::Result<CellConfig> {
+    let missing = !path.exists();
+    let cell = CellConfig::read(path);
+    if missing {
+        return cell.context(
+            "no cell yet; an empty file is a controller without robots, and each robot is \
+             `[[device]]` with `name`, `type = \"kuka_lwr_fri\"`, `listen = \"0.0.0.0:49938\"`",
+        );
+    }
+    Ok(cell?)
 }
 
 /// The server of a controller, in threads of its own.
