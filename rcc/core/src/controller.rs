@@ -5,6 +5,7 @@ mod departed;
 mod desk;
 mod devices;
 mod eval;
+mod figures;
 mod ids;
 mod rules;
 
@@ -19,7 +20,6 @@ use takt_rt::thread::ThreadConfig;
 
 use crate::cell::{CellConfig, DeviceConfig};
 use crate::device::DeviceStatus;
-use crate::device::lwr::Lwr;
 use crate::error::Error;
 use crate::executor::thread::{Command, NetThread, NetThreadConfig};
 use crate::executor::{ResourceSet, Running};
@@ -532,35 +532,6 @@ impl Controller {
     #[must_use]
     pub fn period(&self) -> Duration {
         self.inner.period
-    }
-
-    /// How well the net thread keeps its time.
-    #[must_use]
-    pub fn stats(&self) -> takt_rt::stats::Snapshot {
-        self.inner.lock().thread_stats()
-    }
-
-    /// Time between handing over set-points to the first and to the last arm of a cycle.
-    #[must_use]
-    pub fn hand_over(&self) -> takt_rt::stats::Summary {
-        self.inner.lock().hand_over()
-    }
-
-    /// How the host granted what the threads asked for, with the threads' names.
-    #[must_use]
-    pub fn grants(&self) -> Vec<(String, takt_rt::Grant)> {
-        self.inner.lock().grants()
-    }
-
-    /// Reads something of the driver of every arm.
-    pub fn with_arms<T>(&self, read: impl Fn(&Lwr) -> T) -> Vec<T> {
-        self.inner.lock().arms.iter().map(read).collect()
-    }
-
-    /// The state an arm's driver last told.
-    #[must_use]
-    pub fn arm_state(&self, name: &str) -> Option<crate::device::ArmState> {
-        self.inner.lock().devices.find(name).map(|arm| arm.state())
     }
 
     /// Ends the recording; returns how many cycles it holds, or `None` if there was none.
