@@ -20,6 +20,9 @@ use crate::run::until_stopped;
 #[derive(Debug, Subcommand)]
 pub(crate) enum Emulate {
     /// A KRC with a KUKA LWR, speaking FRI 1.0 over UDP.
+    ///
+    /// It bridges up to 100 missing answers and no quality ends its command mode: more patience than a
+    /// real KRC has, for hosts that stall.
     Lwr(Lwr),
 }
 
