@@ -1,0 +1,310 @@
+//! The object dictionary of CiA 301 (clause 7.4): what a device lets others read and write, by
+//! index and sub-index. CANopen and EtherCAT CoE use the same one; it knows neither of them.
+//!
+//! It is built once, with all its memory; reading and writing allocate nothing. A read or write
+//! from the bus goes through [`Dictionary::upload`] and [`Dictionary::download`], which check
+//! access, length and limits and ask the owner's [`Hooks`]; the owner itself uses typed [`Key`]s,
+//! for which no rule holds.
+
+mod abort;
+mod address;
+mod data_type;
+mod mapping;
+mod object;
+#[cfg(test)]
+mod tests;
+
+use std::fmt;
+use std::marker::PhantomData;
+
+pub use abort::AbortCode;
+pub use address::Address;
+pub use data_type::{DataType, Number};
+pub use mapping::{MAPPED_MAX, Mapped, Mapping};
+pub use object::{Access, Entry, Object, ObjectCode, PdoUse};
+
+/// Most bytes of one value: a string or a domain; numbers have at most 8.
+pub const VALUE_MAX: usize = 1 << 16;
+
+/// Why objects make no dictionary.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum DictionaryError {
+    /// An object or a sub-index is there twice.
+    #[error("{0} is there twice; keep one of them")]
+    Twice(Address),
+    /// A default value does not fit its type or its limits.
+    #[error("{address}: the default value is refused ({why})")]
+    Default {
+        /// Of which entry.
+        address: Address,
+        /// As a write of it would be.
+        why: AbortCode,
+    },
+    /// There is no such entry.
+    #[error("there is no {0}")]
+    Missing(Address),
+    /// The entry has another type than was asked for.
+    #[error("{address} is {actual}, not {wanted}")]
+    Type {
+        /// Which entry.
+        address: Address,
+        /// Its type.
+        actual: DataType,
+        /// What was asked for.
+        wanted: DataType,
+    },
+}
+
+/// What the owner of a dictionary has to say to reads and writes from the bus. `()` says nothing.
+pub trait Hooks {
+    /// Before a read: bring the value up to date, or refuse.
+    ///
+    /// # Errors
+    /// The reason is sent to who asked.
+    fn before_upload(&mut self, _: &mut Dictionary, _: Address) -> Result<(), AbortCode> {
+        Ok(())
+    }
+
+    /// Before a write of data that access, length and limits allow: the last word on it.
+    ///
+    /// # Errors
+    /// The reason is sent to who asked; nothing is written.
+    fn before_download(&mut self, _: &Dictionary, _: Address, _: &[u8]) -> Result<(), AbortCode> {
+        Ok(())
+    }
+
+    /// After a write: act on it.
+    fn after_download(&mut self, _: &mut Dictionary, _: Address) {}
+}
+
+impl Hooks for () {}
+
+/// Where a number lies in one dictionary: found once, then read and written without a search.
+pub struct Key<T> {
+    offset: usize,
+    number: PhantomData<fn() -> T>,
+}
+
+impl<T> Clone for Key<T> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<T> Copy for Key<T> {}
+
+impl<T> fmt::Debug for Key<T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Key({})", self.offset)
+    }
+}
+
+/// Where a value lies.
+#[derive(Clone, Copy, Debug)]
+struct Place {
+    offset: usize,
+    /// Bytes it has now; those of strings and domains vary.
+    len: usize,
+    capacity: usize,
+}
+
+/// An object dictionary with its values.
+#[derive(Clone, Debug, Default)]
+pub struct Dictionary {
+    /// By ascending index.
+    objects: Vec<Object>,
+    /// Where each entry of each object lies, in their order.
+    places: Vec<Place>,
+    /// Number of the first place of each object.
+    firsts: Vec<usize>,
+    values: Vec<u8>,
+}
+
+impl Dictionary {
+    /// A dictionary of these objects, in any order, each entry with its default value.
+    ///
+    /// # Errors
+    /// If one is there twice, or a default value does not fit.
+    pub fn new(mut objects: Vec<Object>) -> Result<Self, DictionaryError> {
+        objects.sort_by_key(|object| object.index);
+        for pair in objects.windows(2) {
+            if pair[0].index == pair[1].index {
+                return Err(DictionaryError::Twice(Address::new(pair[1].index, 0)));
+            }
+        }
+        let mut dictionary = Self::default();
+        for mut object in objects {
+            object.entries.sort_by_key(|(sub, _)| *sub);
+            dictionary.firsts.push(dictionary.places.len());
+            for (number, (sub, entry)) in object.entries.iter().enumerate() {
+                let address = Address::new(object.index, *sub);
+                if number > 0 && object.entries[number - 1].0 == *sub {
+                    return Err(DictionaryError::Twice(address));
+                }
+                let why = |why| DictionaryError::Default { address, why };
+                entry.check(&entry.default).map_err(why)?;
+                dictionary.place(entry);
+            }
+            dictionary.objects.push(object);
+        }
+        Ok(dictionary)
+    }
+
+    fn place(&mut self, entry: &Entry) {
+        let capacity = entry.capacity();
+        self.places.push(Place {
+            offset: self.values.len(),
+            len: entry.default.len(),
+            capacity,
+        });
+        self.values.extend_from_slice(&entry.default);
+        let rest = capacity - entry.default.len();
+        self.values.extend(std::iter::repeat_n(0, rest));
+    }
+
+    /// All objects by ascending index.
+    #[must_use]
+    pub fn objects(&self) -> &[Object] {
+        &self.objects
+    }
+
+    /// The object of an index.
+    #[must_use]
+    pub fn object(&self, index: u16) -> Option<&Object> {
+        let at = self
+            .objects
+            .binary_search_by_key(&index, |o| o.index)
+            .ok()?;
+        self.objects.get(at)
+    }
+
+    /// What is known of an entry.
+    #[must_use]
+    pub fn entry(&self, address: Address) -> Option<&Entry> {
+        self.find(address).ok().map(|(entry, _)| entry)
+    }
+
+    /// The entry and the number of its place.
+    fn find(&self, address: Address) -> Result<(&Entry, usize), AbortCode> {
+        let at = self
+            .objects
+            .binary_search_by_key(&address.index, |object| object.index)
+            .map_err(|_| AbortCode::NoObject)?;
+        let entries = &self.objects[at].entries;
+        let sub = entries
+            .binary_search_by_key(&address.sub, |(sub, _)| *sub)
+            .map_err(|_| AbortCode::NoSubIndex)?;
+        Ok((&entries[sub].1, self.firsts[at] + sub))
+    }
+
+    /// The value of an entry as it lies there, little-endian; no rule is asked.
+    #[must_use]
+    pub fn bytes(&self, address: Address) -> Option<&[u8]> {
+        let (_, place) = self.find(address).ok()?;
+        let Place { offset, len, .. } = self.places[place];
+        self.values.get(offset..offset + len)
+    }
+
+    /// Answers a read from the bus.
+    ///
+    /// # Errors
+    /// If there is no such entry, it is not readable, or the hooks refuse.
+    pub fn upload<H: Hooks>(
+        &mut self,
+        address: Address,
+        hooks: &mut H,
+    ) -> Result<&[u8], AbortCode> {
+        let (entry, place) = self.find(address)?;
+        if !entry.access.is_readable() {
+            return Err(AbortCode::WriteOnly);
+        }
+        hooks.before_upload(self, address)?;
+        let Place { offset, len, .. } = self.places[place];
+        Ok(&self.values[offset..offset + len])
+    }
+
+    /// Whether a write from the bus is allowed as far as the dictionary knows.
+    ///
+    /// # Errors
+    /// If there is no such entry, it is not writable, or length or value do not fit.
+    pub fn check_download(&self, address: Address, data: &[u8]) -> Result<(), AbortCode> {
+        let (entry, _) = self.find(address)?;
+        if !entry.access.is_writable() {
+            return Err(AbortCode::ReadOnly);
+        }
+        entry.check(data)
+    }
+
+    /// Answers a write from the bus.
+    ///
+    /// # Errors
+    /// As [`Self::check_download`], and if the hooks refuse; the value then stays as it was.
+    pub fn download<H: Hooks>(
+        &mut self,
+        address: Address,
+        data: &[u8],
+        hooks: &mut H,
+    ) -> Result<(), AbortCode> {
+        self.check_download(address, data)?;
+        hooks.before_download(self, address, data)?;
+        self.store(address, data)?;
+        hooks.after_download(self, address);
+        Ok(())
+    }
+
+    /// Sets a value as its owner does: access and limits do not matter, the length does.
+    ///
+    /// # Errors
+    /// If there is no such entry, or it has no room for so many bytes.
+    pub fn store(&mut self, address: Address, data: &[u8]) -> Result<(), AbortCode> {
+        let (entry, place) = self.find(address)?;
+        entry.check_length(data.len())?;
+        let place = &mut self.places[place];
+        place.len = data.len();
+        debug_assert!(data.len() <= place.capacity);
+        self.values[place.offset..place.offset + data.len()].copy_from_slice(data);
+        Ok(())
+    }
+
+    /// Sets all values to their defaults, as a reset of the application does.
+    pub fn restore_defaults(&mut self) {
+        let entries = self.objects.iter().flat_map(|object| &object.entries);
+        for ((_, entry), place) in entries.zip(&mut self.places) {
+            place.len = entry.default.len();
+            let room = &mut self.values[place.offset..place.offset + place.len];
+            room.copy_from_slice(&entry.default);
+        }
+    }
+
+    /// Where a number lies.
+    ///
+    /// # Errors
+    /// If there is no such entry or it has another type.
+    pub fn key<T: Number>(&self, address: Address) -> Result<Key<T>, DictionaryError> {
+        let found = self.find(address);
+        let (entry, place) = found.map_err(|_| DictionaryError::Missing(address))?;
+        if entry.data_type != T::TYPE {
+            return Err(DictionaryError::Type {
+                address,
+                actual: entry.data_type,
+                wanted: T::TYPE,
+            });
+        }
+        Ok(Key {
+            offset: self.places[place].offset,
+            number: PhantomData,
+        })
+    }
+
+    /// The number at a key of this dictionary.
+    #[must_use]
+    pub fn get<T: Number>(&self, key: Key<T>) -> T {
+        T::from_le(&self.values[key.offset..])
+    }
+
+    /// Sets the number at a key of this dictionary; access and limits do not matter.
+    pub fn set<T: Number>(&mut self, key: Key<T>, value: T) {
+        value.to_le(&mut self.values[key.offset..]);
+    }
+}
