@@ -2,14 +2,18 @@
 #![forbid(unsafe_code)]
 
 pub mod dictionary;
+#[cfg(feature = "emulator")]
+pub mod emulator;
 mod error;
 mod goal;
+mod master;
 mod state;
 mod transition;
 mod words;
 
 pub use error::DecodeError;
 pub use goal::{Goal, next_control_word};
+pub use master::{Feedback, Master, Obstacle, Orders, Patience};
 pub use state::State;
 pub use transition::{Command, TRANSITIONS, Transition, Trigger, transition};
 pub use words::{ControlWord, StatusWord};

@@ -1,0 +1,556 @@
+//! One axis of a drive: the objects of the profile, the state machine, the modes, the servo and
+//! the motor, put together. Which messages carry its objects is not known here.
+
+use std::time::Duration;
+
+use crate::dictionary::{AbortCode, Address, Dictionary, DictionaryError, Key, Object};
+use crate::{ControlWord, State};
+
+use super::guards::{DC_LINK, FaultCode, Guards, WARM, Watched};
+use super::homing::Method;
+use super::modes::{Follow, Modes, Said, View, is_supported, wrap};
+use super::motor::{Motor, MotorConfig, Switches};
+use super::objects::{Keys, objects};
+use super::power::{Motion, Options, Power, Seen};
+use super::quirks::Quirks;
+use super::servo::{Demand, Limits, Servo};
+
+/// The drive computes in steps of at most this, s.
+pub(super) const TICK: f64 = 250e-6;
+/// Longest time that one [`Drive::step`] makes up for.
+const STEP_MAX: Duration = Duration::from_millis(100);
+/// Slower than this the motor stands, rad/s.
+const REST: f64 = 0.1;
+
+/// What an emulated axis is like.
+#[derive(Clone, Debug, Default)]
+pub struct DriveConfig {
+    /// The motor and what it moves.
+    pub motor: MotorConfig,
+    /// In what the drive departs from the profile.
+    pub quirks: Quirks,
+    /// Where the motor is when power comes on, rad.
+    pub position: f64,
+}
+
+impl DriveConfig {
+    /// The objects of such an axis (0 to 7), to be put into the node's dictionary.
+    #[must_use]
+    pub fn objects(&self, axis: u8) -> Vec<Object> {
+        let mut objects = objects(axis);
+        let quirks = &self.quirks;
+        let (quick_stop, abort_connection, window) = quirks.defaults;
+        for (index, default) in [
+            (0x605A, quick_stop.to_le_bytes().to_vec()),
+            (0x6007, abort_connection.to_le_bytes().to_vec()),
+            (0x6065, window.to_le_bytes().to_vec()),
+            (0x6502, quirks.supported_modes.to_le_bytes().to_vec()),
+            (
+                0x6076,
+                milli(self.motor.rated_torque).to_le_bytes().to_vec(),
+            ),
+        ] {
+            let index = index + Address::AXIS * u16::from(axis.min(7));
+            if let Some(object) = objects.iter_mut().find(|o| o.index == index) {
+                object.entries[0].1.default = default;
+            }
+        }
+        objects
+    }
+}
+
+/// What a drive is told in a step.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Step {
+    /// Time since the last step; at most 100 ms of it are made up for.
+    pub dt: Duration,
+    /// New cyclic set-points came (SYNC, SYNC0 or the PDO).
+    pub set_point: bool,
+    /// The master is silent; 6007h says what then.
+    pub link_lost: bool,
+}
+
+/// What a drive says in a step.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Stepped {
+    /// An emergency to send: a new fault, or [`FaultCode::NONE`] for a fault that was reset.
+    pub emergency: Option<FaultCode>,
+}
+
+/// An emulated axis.
+#[derive(Clone, Debug)]
+pub struct Drive {
+    keys: Keys,
+    axis: u8,
+    motor: Motor,
+    quirks: Quirks,
+    power: Power,
+    modes: Modes,
+    servo: Servo,
+    guards: Guards,
+    /// User position is motor position times this, plus [`Self::origin`]; user units/rad.
+    scale: f64,
+    origin: f64,
+    /// A fault that was found or put in from outside, and is not answered yet.
+    new_fault: Option<FaultCode>,
+    /// A cause put in from outside that is still there.
+    cause: Option<FaultCode>,
+    link_was_lost: bool,
+    probes: u16,
+    /// DC link voltage, V.
+    pub dc_link: f64,
+    /// Digital inputs 16 to 31 of 60FDh.
+    pub inputs: u16,
+}
+
+impl Drive {
+    /// An axis over the objects of [`DriveConfig::objects`] in a dictionary.
+    ///
+    /// # Errors
+    /// If the dictionary lacks one of them.
+    pub fn new(
+        config: DriveConfig,
+        axis: u8,
+        dictionary: &Dictionary,
+    ) -> Result<Self, DictionaryError> {
+        let keys = Keys::new(dictionary, axis)?;
+        Ok(Self {
+            keys,
+            axis,
+            power: Power::new(config.motor.brake_release),
+            motor: Motor::new(config.motor, config.position),
+            quirks: config.quirks,
+            modes: Modes::default(),
+            servo: Servo::default(),
+            guards: Guards::default(),
+            scale: 1.0,
+            origin: 0.0,
+            new_fault: None,
+            cause: None,
+            link_was_lost: false,
+            probes: 0,
+            dc_link: 48.0,
+            inputs: 0,
+        })
+    }
+
+    /// The state of its power drive system.
+    #[must_use]
+    pub const fn state(&self) -> State {
+        self.power.state
+    }
+
+    /// The motor.
+    #[must_use]
+    pub const fn motor(&self) -> &Motor {
+        &self.motor
+    }
+
+    /// The motor, to push it around.
+    pub const fn motor_mut(&mut self) -> &mut Motor {
+        &mut self.motor
+    }
+
+    /// Puts in a fault whose cause stays until [`Self::mend`].
+    pub const fn fault(&mut self, code: FaultCode) {
+        self.new_fault = Some(code);
+        self.cause = Some(code);
+    }
+
+    /// Takes away the cause that was put in; the fault still has to be reset.
+    pub const fn mend(&mut self) {
+        self.cause = None;
+    }
+
+    /// What the drive says to a write from the bus beyond what its dictionary says.
+    ///
+    /// # Errors
+    /// If it refuses: a mode it has not, a homing method or an option code it does not know.
+    pub fn check_download(
+        &self,
+        dictionary: &Dictionary,
+        address: Address,
+        data: &[u8],
+    ) -> Result<(), AbortCode> {
+        let offset = Address::AXIS * u16::from(self.axis);
+        let number = |data: &[u8]| data.first().map_or(0, |byte| byte.cast_signed());
+        let allowed = match address.index.checked_sub(offset) {
+            Some(0x6060) => is_supported(number(data), dictionary.get(self.keys.supported_modes)),
+            Some(0x6098) => {
+                let number = number(data);
+                Method::new(number).is_some() || number == 0 && !self.quirks.no_homing_method_0
+            }
+            Some(0x605A) if !self.quirks.quick_stop_options.is_empty() => {
+                let option = data.first_chunk().map(|bytes| i16::from_le_bytes(*bytes));
+                option.is_some_and(|option| self.quirks.quick_stop_options.contains(&option))
+            }
+            _ => true,
+        };
+        if allowed {
+            Ok(())
+        } else {
+            Err(AbortCode::Value)
+        }
+    }
+
+    /// Lets time pass: reads what the master wrote, moves the motor, and writes what the master
+    /// may read.
+    pub fn step(&mut self, dictionary: &mut Dictionary, step: &Step) -> Stepped {
+        let mut left = step.dt.min(STEP_MAX).as_secs_f64().max(1e-9);
+        let word = self.word(dictionary, step.link_lost);
+        self.read_units(dictionary);
+        // One transition a step, so that whoever looks once a step sees each state.
+        let (motion, emergency) = self.step_power(dictionary, word, left);
+        let mut set_point = step.set_point;
+        while left > 0.0 {
+            let dt = left.min(TICK);
+            self.tick(dictionary, word, motion, set_point, dt);
+            set_point = false;
+            left -= TICK;
+        }
+        Stepped { emergency }
+    }
+
+    fn tick(
+        &mut self,
+        d: &mut Dictionary,
+        word: ControlWord,
+        motion: Motion,
+        set_point: bool,
+        dt: f64,
+    ) {
+        let halt = word.halt();
+        self.modes.switch(d, &self.keys, halt, &self.quirks, dt);
+        let said = self.move_motor(d, word, motion, set_point, dt);
+        self.guard(d, &said, motion, dt);
+        self.tell(d, &said, motion);
+    }
+
+    /// The factor group: user units per rad of the motor.
+    fn read_units(&mut self, d: &Dictionary) {
+        let k = &self.keys;
+        let ratio = |a: Key<u32>, b: Key<u32>| f64::from(d.get(a)) / f64::from(d.get(b).max(1));
+        let gear = ratio(k.gear_motor, k.gear_shaft).max(1e-9);
+        let turn = ratio(k.feed, k.feed_revolutions) / gear;
+        let sign = if d.get(k.polarity) & 0x80 != 0 {
+            -1.0
+        } else {
+            1.0
+        };
+        let scale = sign * turn / std::f64::consts::TAU;
+        if scale.total_cmp(&self.scale).is_ne() && scale.is_finite() && scale != 0.0 {
+            // The same place in other units.
+            self.origin *= scale / self.scale;
+            self.modes.shift(self.position_at(scale) - self.position());
+            self.scale = scale;
+        }
+    }
+
+    fn position_at(&self, scale: f64) -> f64 {
+        self.motor.position * scale + self.origin
+    }
+
+    /// Actual position, user units.
+    fn position(&self) -> f64 {
+        self.position_at(self.scale)
+    }
+
+    /// The controlword, or what 6007h makes of it while the master is silent.
+    fn word(&mut self, d: &Dictionary, link_lost: bool) -> ControlWord {
+        let word = ControlWord::new(d.get(self.keys.control_word));
+        let newly = link_lost && !std::mem::replace(&mut self.link_was_lost, link_lost);
+        if !link_lost {
+            return word;
+        }
+        match d.get(self.keys.abort_connection) {
+            1 if newly => {
+                self.new_fault = self.new_fault.or(Some(FaultCode::HEARTBEAT));
+                word
+            }
+            2 => ControlWord::DISABLE_VOLTAGE,
+            3 => ControlWord::QUICK_STOP,
+            _ => word,
+        }
+    }
+
+    /// The state machine; returns what the motor is to do, and an emergency.
+    fn step_power(
+        &mut self,
+        d: &mut Dictionary,
+        word: ControlWord,
+        dt: f64,
+    ) -> (Motion, Option<FaultCode>) {
+        let k = &self.keys;
+        let options = Options {
+            quick_stop: d.get(k.quick_stop_option),
+            shutdown: d.get(k.shutdown_option),
+            disable: d.get(k.disable_option),
+            fault: d.get(k.fault_option),
+        };
+        let (low, high) = DC_LINK;
+        let seen = Seen {
+            at_rest: self.is_at_rest(),
+            fault: self.new_fault.is_some(),
+            cause: self.cause.is_some() || self.dc_link > high || self.motor.heat > 1.0,
+            voltage: (low..=high).contains(&self.dc_link),
+            dt,
+        };
+        let before = self.power.state;
+        let motion = self.power.step(word, &seen, &options, &self.quirks);
+        let after = self.power.state;
+        let code = if after == State::FaultReactionActive && before != after {
+            self.new_fault.take().unwrap_or(FaultCode(0x1000))
+        } else if before == State::Fault && after != before {
+            FaultCode::NONE
+        } else {
+            return (motion, None);
+        };
+        d.set(k.error_code, code.0);
+        (motion, Some(code))
+    }
+
+    fn is_at_rest(&self) -> bool {
+        self.motor.velocity.abs() < REST
+    }
+
+    fn move_motor(
+        &mut self,
+        d: &mut Dictionary,
+        word: ControlWord,
+        motion: Motion,
+        set_point: bool,
+        dt: f64,
+    ) -> Said {
+        let limits = self.limits(d);
+        let ramp = self.modes.ramp.velocity.abs();
+        let index = self.probe(d, dt);
+        let view = View {
+            word,
+            motion,
+            set_point,
+            position: self.position(),
+            velocity: self.motor.velocity * self.scale,
+            switches: self.switches(),
+            index,
+            at_rest: self.is_at_rest() && ramp < REST * self.scale.abs(),
+            velocity_max: limits.speed * self.scale.abs(),
+            dt,
+        };
+        let said = self.modes.step(d, &self.keys, &self.quirks, &view);
+        let demand = self.demand(d, &said);
+        let torque = self.servo.torque(demand, &self.motor, &limits, dt);
+        self.motor.braked = matches!(motion, Motion::Off | Motion::Opening);
+        self.motor.step(torque, dt);
+        if let Some(home) = said.home {
+            let offset = f64::from(d.get(self.keys.home_offset));
+            let sign = if self.quirks.home_offset_positive {
+                1.0
+            } else {
+                -1.0
+            };
+            let shift = sign * offset - home;
+            self.origin += shift;
+            self.modes.shift(shift);
+        }
+        said
+    }
+
+    /// Torque limits 6072h, 60E0h and 60E1h, and the speed that motor and profile allow.
+    fn limits(&self, d: &Dictionary) -> Limits {
+        let k = &self.keys;
+        let most = d.get(k.max_torque);
+        let rated = self.motor.config().rated_torque / 1000.0;
+        let torque = |key: Key<u16>| f64::from(d.get(key).min(most)) * rated;
+        let motor = f64::from(d.get(k.max_motor_speed)) * std::f64::consts::TAU / 60.0;
+        let profile = f64::from(d.get(k.max_profile_velocity)) / self.scale.abs();
+        Limits {
+            positive: torque(k.positive_torque_limit),
+            negative: torque(k.negative_torque_limit),
+            speed: motor.min(profile),
+        }
+    }
+
+    /// What the servo is to do, in the motor's units.
+    fn demand(&self, d: &Dictionary, said: &Said) -> Demand {
+        let rated = self.motor.config().rated_torque / 1000.0;
+        let ramp = self.modes.ramp;
+        let velocity = ramp.velocity / self.scale;
+        let offset = f64::from(d.get(self.keys.torque_offset)) * rated;
+        match said.follow {
+            Follow::Nothing => Demand::Off,
+            Follow::Position => {
+                let position = (ramp.position - self.origin) / self.scale;
+                Demand::Position(position, velocity, offset)
+            }
+            Follow::Velocity => Demand::Velocity(velocity, offset),
+            Follow::Torque => Demand::Torque(self.modes.torque * rated),
+        }
+    }
+
+    /// The switches in user directions.
+    fn switches(&self) -> Switches {
+        let switches = self.motor.switches();
+        if self.scale > 0.0 {
+            return switches;
+        }
+        Switches {
+            negative: switches.positive,
+            positive: switches.negative,
+            home: switches.home,
+        }
+    }
+
+    /// Touch probes 60B8h to 60BDh: probe 1 is the home switch, probe 2 the negative limit; each
+    /// may take the index pulse instead. Returns where the last tick met an index pulse.
+    fn probe(&mut self, d: &mut Dictionary, dt: f64) -> Option<f64> {
+        let k = self.keys;
+        let to = self.motor.position;
+        let from = to - self.motor.velocity * dt;
+        let index = self.motor.index_between(from, to);
+        let index = index.map(|at| at * self.scale + self.origin);
+        let switches = self.switches();
+        let now = u16::from(switches.home) | u16::from(switches.negative) << 1;
+        let (rose, fell) = (now & !self.probes, self.probes & !now);
+        self.probes = now;
+        let function = d.get(k.probe_function);
+        let mut status = d.get(k.probe_status);
+        let here = self.position();
+        for (number, positive, negative) in [
+            (0, k.probe_1_positive, k.probe_1_negative),
+            (1, k.probe_2_positive, k.probe_2_negative),
+        ] {
+            let bit = |n: u16| function >> (8 * number + n) & 1 == 1;
+            let shown = |n: u16| 1_u16 << (8 * number + n);
+            if !bit(0) {
+                status &= !(shown(0) | shown(1) | shown(2));
+                continue;
+            }
+            status |= shown(0);
+            let (up, down) = if bit(2) {
+                (index, None)
+            } else {
+                let edge = |edges: u16| (edges >> number & 1 == 1).then_some(here);
+                (edge(rose), edge(fell))
+            };
+            for (at, wanted, stored, key) in [
+                (up, bit(4), shown(1), positive),
+                (down, bit(5), shown(2), negative),
+            ] {
+                if let Some(at) = at.filter(|_| wanted && (bit(1) || status & stored == 0)) {
+                    d.set(key, wrap(at));
+                    status |= stored;
+                }
+            }
+        }
+        d.set(k.probe_status, status);
+        index
+    }
+
+    fn guard(&mut self, d: &Dictionary, said: &Said, motion: Motion, dt: f64) {
+        let k = &self.keys;
+        let position = said.follow == Follow::Position;
+        let watched = Watched {
+            following_error: position.then(|| self.modes.ramp.position - self.position()),
+            window: d.get(k.following_window),
+            timeout: f64::from(d.get(k.following_timeout)) / 1000.0,
+            heat: self.motor.heat,
+            dc_link: self.dc_link,
+            powered: !matches!(motion, Motion::Off | Motion::Opening),
+            dt,
+        };
+        let found = self.guards.step(&watched);
+        let found = found.or_else(|| said.missing.then_some(FaultCode::SYNC));
+        let answered = matches!(
+            self.power.state,
+            State::FaultReactionActive | State::Fault | State::NotReadyToSwitchOn
+        );
+        if let Some(code) = found.filter(|_| !answered) {
+            self.new_fault = self.new_fault.or(Some(code));
+        } else if answered {
+            self.new_fault = None;
+        }
+    }
+
+    /// Writes what the master may read.
+    fn tell(&mut self, d: &mut Dictionary, said: &Said, motion: Motion) {
+        let k = self.keys;
+        let ramp = self.modes.ramp;
+        let rated = self.motor.config().rated_torque / 1000.0;
+        let position = self.position();
+        let velocity = self.motor.velocity * self.scale;
+        let increments = f64::from(self.motor.config().increments) / std::f64::consts::TAU;
+        let torque = self.motor.torque / rated;
+        d.set(k.mode_display, self.modes.mode);
+        d.set(k.position_actual, wrap(position));
+        d.set(k.position_internal, wrap(self.motor.position * increments));
+        d.set(k.velocity_actual, wrap(velocity));
+        d.set(k.torque_actual, short(torque));
+        d.set(k.current_actual, short(torque));
+        d.set(k.position_demand, wrap(ramp.position));
+        let internal = (ramp.position - self.origin) / self.scale * increments;
+        d.set(k.position_demand_internal, wrap(internal));
+        d.set(k.velocity_demand, wrap(ramp.velocity));
+        d.set(k.torque_demand, short(self.modes.torque));
+        d.set(k.following_error, wrap(ramp.position - position));
+        d.set(k.dc_link, milli(self.dc_link));
+        let switches = self.switches();
+        let inputs = u32::from(switches.negative)
+            | u32::from(switches.positive) << 1
+            | u32::from(switches.home) << 2
+            | u32::from(self.inputs) << 16;
+        d.set(k.digital_inputs, inputs);
+        d.set(k.status_word, self.status(said, motion));
+    }
+
+    fn status(&self, said: &Said, motion: Motion) -> u16 {
+        let state = self.power.state;
+        let mut word = state.status_bits();
+        if self.quirks.sod_as_0020 && state == State::SwitchOnDisabled {
+            word = 0x0020;
+        }
+        let following = motion == Motion::Follow;
+        let outside = self.guards.is_outside() && self.modes.mode != super::modes::HM;
+        let (low, high) = DC_LINK;
+        for (bit, so) in [
+            (4, (low..=high).contains(&self.dc_link)),
+            (7, self.motor.heat > WARM),
+            (9, true),
+            (
+                10,
+                (said.reached && following) || self.stands_after_stop(motion),
+            ),
+            (11, said.limited || self.servo.limited),
+            (12, said.bit_12 && following),
+            (13, (said.bit_13 || outside) && following),
+        ] {
+            word |= u16::from(so) << bit;
+        }
+        word
+    }
+
+    /// A quick stop that is held shows that the motor stands.
+    fn stands_after_stop(&self, motion: Motion) -> bool {
+        matches!(motion, Motion::Stopping(_)) && self.is_at_rest()
+    }
+}
+
+/// Thousandths of a positive number.
+fn milli(value: f64) -> u32 {
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "saturates, as a measurement does"
+    )]
+    let milli = (value * 1000.0).round() as u32;
+    milli
+}
+
+/// Per mille as 16 bits carry it.
+fn short(value: f64) -> i16 {
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "saturates, as a measurement does"
+    )]
+    let short = value.round() as i16;
+    short
+}

@@ -1,0 +1,149 @@
+//! What makes the drive fault by itself: following error, heat, voltage, silence of the master. It
+//! does not decide how the drive stops.
+
+use std::fmt;
+
+/// An error code as object 603Fh and the emergency message carry it (CiA 402-1, IEC 61800-7-201).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[doc(alias = "603Fh")]
+pub struct FaultCode(pub u16);
+
+impl FaultCode {
+    /// Nothing is wrong (any more).
+    pub const NONE: Self = Self(0x0000);
+    /// Short circuit at the output.
+    pub const SHORT_CIRCUIT: Self = Self(0x2320);
+    /// The DC link has too much voltage.
+    pub const OVER_VOLTAGE: Self = Self(0x3210);
+    /// The DC link has too little voltage.
+    pub const UNDER_VOLTAGE: Self = Self(0x3220);
+    /// Drive or motor is too hot.
+    pub const TEMPERATURE: Self = Self(0x4310);
+    /// The incremental encoder failed.
+    pub const ENCODER: Self = Self(0x7305);
+    /// Heartbeat or guarding of the master stopped.
+    pub const HEARTBEAT: Self = Self(0x8130);
+    /// A received PDO is too short.
+    pub const PDO_LENGTH: Self = Self(0x8210);
+    /// An expected PDO did not come.
+    pub const PDO_TIMEOUT: Self = Self(0x8250);
+    /// The position does not follow.
+    pub const FOLLOWING_ERROR: Self = Self(0x8611);
+    /// A cyclic set-point did not come.
+    pub const SYNC: Self = Self(0x8700);
+
+    /// Bits of the error register 1001h that go with it.
+    #[must_use]
+    pub const fn register(self) -> u8 {
+        match self.0 >> 8 {
+            0x00 => 0,
+            0x20..=0x2F => 0x03,
+            0x30..=0x3F => 0x05,
+            0x40..=0x4F => 0x09,
+            0x81 | 0x82 => 0x11,
+            0x83..=0x87 => 0x21,
+            0xFF => 0x81,
+            _ => 0x01,
+        }
+    }
+}
+
+/// Code and text of those met most.
+const TEXTS: [(u16, &str); 28] = [
+    (0x0000, "no error"),
+    (0x1000, "generic error"),
+    (0x2220, "continuous over-current"),
+    (0x2310, "continuous over-current at the output"),
+    (0x2320, "short circuit or earth leakage at the motor"),
+    (0x2350, "load level (I2t) fault"),
+    (0x3110, "mains over-voltage"),
+    (0x3120, "mains under-voltage"),
+    (0x3130, "mains phase missing"),
+    (0x3210, "DC link over-voltage"),
+    (0x3220, "DC link under-voltage"),
+    (0x4210, "device too hot"),
+    (0x4310, "drive or motor too hot"),
+    (0x5441, "enabling contact open"),
+    (0x5530, "parameter memory failed"),
+    (0x6010, "watchdog of the software"),
+    (0x6320, "parameter error"),
+    (0x7121, "motor blocked"),
+    (0x7122, "motor or commutation error"),
+    (0x7305, "incremental encoder 1 failed"),
+    (0x8110, "CAN overrun: messages lost"),
+    (0x8120, "CAN in error passive mode"),
+    (0x8130, "heartbeat or guarding of the master stopped"),
+    (0x8140, "recovered from bus-off"),
+    (0x8210, "PDO not processed: too short"),
+    (0x8250, "PDO did not come in time"),
+    (0x8611, "following error"),
+    (0x8700, "synchronisation: a set-point is missing"),
+];
+
+impl fmt::Display for FaultCode {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let text = TEXTS.iter().find(|(code, _)| *code == self.0);
+        let text = text.map_or("an error of the device's own", |(_, text)| text);
+        write!(f, "{text} ({:04X}h)", self.0)
+    }
+}
+
+/// What the guards look at, once a step.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Watched {
+    /// Demand less actual position, user units; `None` where no position is followed.
+    pub(super) following_error: Option<f64>,
+    pub(super) window: u32,
+    /// s
+    pub(super) timeout: f64,
+    /// 1 is as hot as it may be.
+    pub(super) heat: f64,
+    /// V
+    pub(super) dc_link: f64,
+    /// The power stage is on.
+    pub(super) powered: bool,
+    /// s
+    pub(super) dt: f64,
+}
+
+/// The DC link of the drive may have these voltages, V.
+pub(super) const DC_LINK: (f64, f64) = (20.0, 60.0);
+/// From this share of the allowed heat on the drive warns.
+pub(super) const WARM: f64 = 0.8;
+
+/// Timers of the guards.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Guards {
+    /// How long the following error has been out of its window, s.
+    outside: f64,
+}
+
+impl Guards {
+    /// Whether the following error is out of its window, long enough or not.
+    pub(super) fn is_outside(&self) -> bool {
+        self.outside > 0.0
+    }
+
+    /// The fault that is there, if any.
+    pub(super) fn step(&mut self, seen: &Watched) -> Option<FaultCode> {
+        let off = seen.window == u32::MAX;
+        let outside = |error: f64| !off && error.abs() > f64::from(seen.window);
+        if seen.powered && seen.following_error.is_some_and(outside) {
+            self.outside += seen.dt;
+        } else {
+            self.outside = 0.0;
+        }
+        let (low, high) = DC_LINK;
+        if self.outside > seen.timeout {
+            Some(FaultCode::FOLLOWING_ERROR)
+        } else if seen.heat > 1.0 {
+            Some(FaultCode::TEMPERATURE)
+        } else if seen.dc_link > high {
+            Some(FaultCode::OVER_VOLTAGE)
+        } else if seen.dc_link < low && seen.powered {
+            Some(FaultCode::UNDER_VOLTAGE)
+        } else {
+            None
+        }
+    }
+}

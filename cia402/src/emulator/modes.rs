@@ -1,0 +1,348 @@
+//! Modes of operation: from the objects of a mode to a demand for the servo, and the bits of the
+//! statusword that the mode owns. Whether the motor may follow at all is said by the power state.
+
+mod cyclic;
+mod position;
+
+use crate::ControlWord;
+use crate::dictionary::{Dictionary, Key};
+
+use super::homing::{Homing, Sight};
+use super::motor::Switches;
+use super::objects::Keys;
+use super::power::{Motion, Stop};
+use super::quirks::Quirks;
+use super::ramp::{Bounds, Ramp};
+
+use cyclic::Cyclic;
+use position::SetPoints;
+
+/// Profile position.
+pub(super) const PP: i8 = 1;
+/// Profile velocity.
+pub(super) const PV: i8 = 3;
+/// Profile torque.
+pub(super) const TQ: i8 = 4;
+/// Homing.
+pub(super) const HM: i8 = 6;
+/// Interpolated position.
+pub(super) const IP: i8 = 7;
+/// Cyclic synchronous position.
+pub(super) const CSP: i8 = 8;
+/// Cyclic synchronous velocity.
+pub(super) const CSV: i8 = 9;
+/// Cyclic synchronous torque.
+pub(super) const CST: i8 = 10;
+
+/// Whether a drive with that 6502h has a mode; 0 is no mode and always there.
+pub(super) fn is_supported(mode: i8, supported: u32) -> bool {
+    match mode {
+        0 => true,
+        PP | PV | TQ | HM | IP | CSP | CSV | CST => supported >> (mode - 1) & 1 == 1,
+        _ => false,
+    }
+}
+
+/// What a mode sees in a step; positions and velocities in user units.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct View {
+    pub(super) word: ControlWord,
+    pub(super) motion: Motion,
+    /// The master gave new cyclic set-points.
+    pub(super) set_point: bool,
+    pub(super) position: f64,
+    pub(super) velocity: f64,
+    pub(super) switches: Switches,
+    pub(super) index: Option<f64>,
+    pub(super) at_rest: bool,
+    /// Largest velocity of motor and profile.
+    pub(super) velocity_max: f64,
+    /// s
+    pub(super) dt: f64,
+}
+
+/// What the servo is to follow.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Follow {
+    /// Nothing.
+    Nothing,
+    /// Position and velocity of [`Modes::ramp`], with the torque offset.
+    Position,
+    /// Velocity of [`Modes::ramp`], with the torque offset.
+    Velocity,
+    /// [`Modes::torque`].
+    Torque,
+}
+
+/// What a mode says in a step.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Said {
+    pub(super) follow: Follow,
+    /// Statusword bit 10.
+    pub(super) reached: bool,
+    /// Statusword bits 12 and 13.
+    pub(super) bit_12: bool,
+    pub(super) bit_13: bool,
+    /// A target was clamped to a software limit.
+    pub(super) limited: bool,
+    /// Too many cyclic set-points are missing.
+    pub(super) missing: bool,
+    /// Home was found there: the origin moves.
+    pub(super) home: Option<f64>,
+}
+
+impl Said {
+    const fn new(follow: Follow) -> Self {
+        Self {
+            follow,
+            reached: false,
+            bit_12: false,
+            bit_13: false,
+            limited: false,
+            missing: false,
+            home: None,
+        }
+    }
+}
+
+/// The modes' memory.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Modes {
+    /// The mode that 6061h shows.
+    pub(super) mode: i8,
+    /// The mode that is to come, and the time until then, s.
+    coming: Option<(i8, f64)>,
+    /// The demand in user units.
+    pub(super) ramp: Ramp,
+    /// The demanded torque, per mille of 6076h.
+    pub(super) torque: f64,
+    /// What the servo followed in the last step.
+    follow: Option<Follow>,
+    set_points: SetPoints,
+    cyclic: Cyclic,
+    homing: Homing,
+    homing_bit: bool,
+    /// How long the actual value has been within its window, s.
+    inside: f64,
+    /// How long the motor has been slow, s.
+    slow: f64,
+}
+
+impl Modes {
+    /// The origin moved by so many user units.
+    pub(super) fn shift(&mut self, by: f64) {
+        self.ramp.position += by;
+    }
+
+    /// Takes over a change of 6060h; returns whether the mode is another than before.
+    pub(super) fn switch(
+        &mut self,
+        dictionary: &Dictionary,
+        keys: &Keys,
+        halt: bool,
+        quirks: &Quirks,
+        dt: f64,
+    ) -> bool {
+        let wanted = dictionary.get(keys.mode);
+        let supported = dictionary.get(keys.supported_modes);
+        let refused = quirks.mode_needs_no_halt && halt;
+        if wanted == self.mode || refused || !is_supported(wanted, supported) {
+            self.coming = None;
+            return false;
+        }
+        let delay = quirks.mode_delay.as_secs_f64();
+        let left = match self.coming {
+            Some((mode, left)) if mode == wanted => left - dt,
+            _ => delay,
+        };
+        if left > 0.0 {
+            self.coming = Some((wanted, left));
+            return false;
+        }
+        self.mode = wanted;
+        self.coming = None;
+        self.forget();
+        true
+    }
+
+    /// Drops all targets, as a change of mode and leaving Operation enabled do.
+    fn forget(&mut self) {
+        self.set_points = SetPoints::default();
+        self.cyclic = Cyclic::default();
+        self.homing.interrupt();
+        self.homing_bit = false;
+        (self.inside, self.slow) = (0.0, 0.0);
+    }
+
+    /// One step.
+    pub(super) fn step(&mut self, d: &Dictionary, k: &Keys, quirks: &Quirks, see: &View) -> Said {
+        if self.follow != Some(Follow::Position) {
+            // Whoever begins to follow a position begins where the motor is.
+            (self.ramp.position, self.ramp.velocity) = match self.follow {
+                Some(Follow::Velocity) => (see.position, self.ramp.velocity),
+                _ => (see.position, see.velocity),
+            };
+        }
+        let said = match see.motion {
+            Motion::Off => {
+                self.forget();
+                self.torque = 0.0;
+                self.ramp.velocity = 0.0;
+                Said::new(Follow::Nothing)
+            }
+            Motion::Opening => {
+                self.ramp.velocity = 0.0;
+                Said::new(Follow::Position)
+            }
+            Motion::Stopping(stop) => {
+                self.forget();
+                self.stop(stop, d, k, see)
+            }
+            Motion::Follow => self.follow(d, k, quirks, see),
+        };
+        if said.follow != Follow::Torque {
+            self.torque = 0.0;
+        }
+        self.follow = match see.motion {
+            Motion::Off => None,
+            Motion::Opening | Motion::Follow | Motion::Stopping(_) => Some(said.follow),
+        };
+        said
+    }
+
+    fn follow(&mut self, d: &Dictionary, k: &Keys, quirks: &Quirks, see: &View) -> Said {
+        let halted = see.word.halt() && matches!(self.mode, PP | PV | TQ | HM);
+        if halted {
+            self.homing.interrupt();
+            let stop = Stop::from_option(d.get(k.halt_option));
+            let mut said = self.stop(stop, d, k, see);
+            said.reached = see.at_rest;
+            return said;
+        }
+        match self.mode {
+            PP => self.profile_position(d, k, see),
+            PV => self.profile_velocity(d, k, see),
+            TQ => self.profile_torque(d, k, see),
+            HM => self.home(d, k, quirks, see),
+            IP | CSP | CSV | CST => self.cyclic(d, k, quirks, see),
+            _ => self.stop(Stop::Ramp, d, k, see),
+        }
+    }
+
+    /// Bounds of the profile objects.
+    fn bounds(d: &Dictionary, k: &Keys, see: &View) -> Bounds {
+        let rate = |key: Key<u32>, max: Key<u32>| {
+            f64::from(d.get(key)).min(f64::from(d.get(max))).max(1.0)
+        };
+        Bounds {
+            velocity: f64::from(d.get(k.profile_velocity)).min(see.velocity_max),
+            acceleration: rate(k.profile_acceleration, k.max_acceleration),
+            deceleration: rate(k.profile_deceleration, k.max_deceleration),
+        }
+    }
+
+    fn stop(&mut self, stop: Stop, d: &Dictionary, k: &Keys, see: &View) -> Said {
+        let mut bounds = Self::bounds(d, k, see);
+        bounds.velocity = f64::INFINITY;
+        bounds.deceleration = match stop {
+            Stop::Ramp | Stop::Coast => bounds.deceleration,
+            Stop::QuickRamp => f64::from(d.get(k.quick_stop_deceleration)).max(1.0),
+            Stop::Limit => f64::from(d.get(k.max_deceleration)).max(1.0),
+        };
+        self.ramp.toward_velocity(0.0, &bounds, see.dt);
+        Said::new(Follow::Position)
+    }
+
+    fn profile_velocity(&mut self, d: &Dictionary, k: &Keys, see: &View) -> Said {
+        let target = f64::from(d.get(k.target_velocity));
+        let mut bounds = Self::bounds(d, k, see);
+        bounds.velocity = see.velocity_max;
+        self.ramp.toward_velocity(target, &bounds, see.dt);
+        let window = f64::from(d.get(k.velocity_window));
+        let within = (see.velocity - target).abs() <= window;
+        let slow = see.velocity.abs() <= f64::from(d.get(k.velocity_threshold));
+        let mut said = Said::new(Follow::Velocity);
+        said.reached = held(
+            &mut self.inside,
+            within,
+            d.get(k.velocity_window_time),
+            see.dt,
+        );
+        said.bit_12 = held(
+            &mut self.slow,
+            slow,
+            d.get(k.velocity_threshold_time),
+            see.dt,
+        );
+        said.limited = target.abs() > see.velocity_max;
+        said
+    }
+
+    fn profile_torque(&mut self, d: &Dictionary, k: &Keys, see: &View) -> Said {
+        let target = f64::from(d.get(k.target_torque));
+        let change = f64::from(d.get(k.torque_slope)) * see.dt;
+        self.torque += (target - self.torque).clamp(-change, change);
+        let mut said = Said::new(Follow::Torque);
+        said.reached = self.torque.total_cmp(&target).is_eq();
+        said
+    }
+
+    fn home(&mut self, d: &Dictionary, k: &Keys, quirks: &Quirks, see: &View) -> Said {
+        let bit = see.word.raw() & 0x0010 != 0;
+        let sight = Sight {
+            position: see.position,
+            velocity: see.velocity,
+            switches: see.switches,
+            index: see.index,
+            at_rest: see.at_rest,
+        };
+        match (self.homing_bit, bit) {
+            (false, true) => self.homing.start(d.get(k.homing_method), &sight),
+            (true, false) => self.homing.interrupt(),
+            (false, false) | (true, true) => {}
+        }
+        self.homing_bit = bit;
+        let wish = self.homing.step(&sight);
+        let speed = if wish.fast {
+            k.homing_fast
+        } else {
+            k.homing_slow
+        };
+        let rate = f64::from(d.get(k.homing_acceleration)).max(1.0);
+        let bounds = Bounds {
+            velocity: see.velocity_max,
+            acceleration: rate,
+            deceleration: rate,
+        };
+        let velocity = f64::from(wish.direction) * f64::from(d.get(speed));
+        self.ramp.toward_velocity(velocity, &bounds, see.dt);
+        let mut said = Said::new(Follow::Position);
+        (said.reached, said.bit_12, said.bit_13) = self.homing.bits(see.at_rest);
+        said.reached &= !(quirks.homing_without_target_reached && said.bit_12);
+        said.home = wish.home;
+        said
+    }
+}
+
+/// Counts how long something is so; returns whether it has been for `wanted` ms.
+fn held(since: &mut f64, so: bool, wanted: u16, dt: f64) -> bool {
+    *since = if so { *since + dt } else { 0.0 };
+    so && *since * 1000.0 >= f64::from(wanted)
+}
+
+/// The position nearest to `reference` whose lowest 32 bits are `raw`: positions wrap.
+fn extend(reference: f64, raw: i32) -> f64 {
+    let near = reference.round();
+    let wrapped = wrap(near);
+    near + f64::from(raw.wrapping_sub(wrapped))
+}
+
+/// The lowest 32 bits of a position.
+pub(super) fn wrap(position: f64) -> i32 {
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "positions stay far within 2^53; the lowest 32 bits are what is wanted"
+    )]
+    let bits = position.round() as i64 as i32;
+    bits
+}

@@ -1,0 +1,368 @@
+//! The master's side over time: brings one axis to a goal, keeps its targets where the motor is
+//! until it follows, resets faults by an edge, and tells why a drive does not come. It sends
+//! nothing itself, and it never resets a fault unasked.
+//!
+//! ```text
+//! each cycle: Feedback (6041h, 6061h, 6064h) -> step -> Orders (6040h, 6060h, may the target move)
+//!
+//!             set_goal         1 mode first: 6060h until 6061h shows it (mode_after_enable: last)
+//! Operation   ---------->      2 one command a state, by next_control_word
+//! enabled                      3 target = actual until Operation enabled, and in cyclic modes
+//!                                until bit 12 says that the drive follows
+//! reset_fault ---------->      bit 7 low, high for two cycles, low; at most so many tries
+//! ```
+
+use std::fmt;
+use std::time::Duration;
+
+use crate::{ControlWord, DecodeError, Goal, State, StatusWord, next_control_word};
+
+/// What a master hears of an axis in a cycle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Feedback {
+    /// 6041h.
+    pub status: StatusWord,
+    /// 6061h; `None` if it is not mapped.
+    pub mode: Option<i8>,
+    /// 6064h, user units.
+    pub position: i32,
+}
+
+/// What a master sends to an axis in a cycle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Orders {
+    /// 6040h without the bits of the mode.
+    pub control: ControlWord,
+    /// 6060h.
+    pub mode: i8,
+    /// Whether the drive follows its target. While it does not, the target must be the actual
+    /// value: [`Self::hold`] for 607Ah, zero for 60FFh and 6071h.
+    pub follows: bool,
+    /// The actual position as last heard, user units.
+    pub hold: i32,
+}
+
+/// In what a drive may depart from the profile, and how patient the master is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Patience {
+    /// 0020h in the statusword is Switch on disabled (slaves on an old sample stack).
+    pub sod_as_0020: bool,
+    /// The mode is taken only in Operation enabled.
+    pub mode_after_enable: bool,
+    /// Bit 12 does not tell whether a cyclic mode follows.
+    pub no_follow_bit: bool,
+    /// Longest time from a command to the state it leads to; that of enabling, with its brake and
+    /// its DC link, is [`Self::enable`].
+    pub state: Duration,
+    /// Longest time for Switched on and Operation enabled.
+    pub enable: Duration,
+    /// Longest time from 6060h to 6061h.
+    pub mode: Duration,
+    /// How often a fault reset is tried.
+    pub resets: u8,
+}
+
+impl Default for Patience {
+    fn default() -> Self {
+        Self {
+            sod_as_0020: false,
+            mode_after_enable: false,
+            no_follow_bit: false,
+            state: Duration::from_secs(1),
+            enable: Duration::from_secs(3),
+            mode: Duration::from_secs(1),
+            resets: 3,
+        }
+    }
+}
+
+/// Why an axis is not where it is wanted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Obstacle {
+    /// The statusword shows no state.
+    Undefined(DecodeError),
+    /// A fault is present; 603Fh says which.
+    Fault,
+    /// The fault stayed after so many resets.
+    ResetRefused(u8),
+    /// Bit 9 is low: the drive obeys somebody else.
+    NotRemote,
+    /// Bit 4 is low: the power stage has no voltage.
+    NoVoltage,
+    /// 6061h does not show the wanted mode.
+    Mode {
+        /// 6060h.
+        wanted: i8,
+        /// 6061h.
+        shown: i8,
+    },
+    /// The state did not follow the controlword.
+    Stuck {
+        /// Where it is.
+        state: State,
+        /// What was sent.
+        sent: ControlWord,
+        /// For how long.
+        waited: Duration,
+    },
+    /// A quick stop is held: the option code leaves the drive in Quick stop active.
+    QuickStopHeld,
+    /// Enabled, but bit 12 says that it does not follow its target.
+    NotFollowing,
+}
+
+impl fmt::Display for Obstacle {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Undefined(error) => error.fmt(f),
+            Self::Fault => f.write_str("the drive is in fault: read 603Fh, mend the cause, reset"),
+            Self::ResetRefused(tries) => write!(
+                f,
+                "the fault stayed after {tries} resets: its cause is still there; see 603Fh"
+            ),
+            Self::NotRemote => f.write_str(
+                "bit 9 of 6041h is low: the drive is controlled locally; close its service tool",
+            ),
+            Self::NoVoltage => f.write_str(
+                "bit 4 of 6041h is low: no voltage; check mains, DC link, safe torque off",
+            ),
+            Self::Mode { wanted, shown } => write!(
+                f,
+                "6061h shows mode {shown}, not {wanted}; check 6502h, and whether the drive \
+                 changes mode only with halt low or only when enabled"
+            ),
+            Self::Stuck {
+                state,
+                sent,
+                waited,
+            } => write!(
+                f,
+                "{state} for {waited:?} although 6040h is {sent}; is 6040h mapped and the PDO \
+                 received?"
+            ),
+            Self::QuickStopHeld => f.write_str(
+                "a quick stop is held (605Ah is 5 to 8); ask for Switch on disabled to leave it",
+            ),
+            Self::NotFollowing => f.write_str(
+                "enabled, but bit 12 of 6041h says that the target is ignored; check the mode \
+                 and that set-points come in every cycle",
+            ),
+        }
+    }
+}
+
+/// Where a fault reset is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Reset {
+    /// Nobody asked.
+    Idle,
+    /// Bit 7 is low for so many cycles more, to make an edge.
+    Low(u8),
+    /// Bit 7 is high for so many cycles more.
+    High(u8),
+}
+
+/// The master of one axis.
+#[derive(Clone, Debug)]
+pub struct Master {
+    patience: Patience,
+    goal: Goal,
+    mode: i8,
+    reset: Reset,
+    tries: u8,
+    /// The state last seen and since when.
+    seen: Option<(State, Duration)>,
+    /// Since when the mode has been wanted.
+    mode_since: Option<Duration>,
+    obstacle: Option<Obstacle>,
+}
+
+impl Master {
+    /// An axis that is to be without power.
+    #[must_use]
+    pub const fn new(patience: Patience) -> Self {
+        Self {
+            patience,
+            goal: Goal::SwitchOnDisabled,
+            mode: 0,
+            reset: Reset::Idle,
+            tries: 0,
+            seen: None,
+            mode_since: None,
+            obstacle: None,
+        }
+    }
+
+    /// Says where the axis is wanted from now on.
+    pub fn set_goal(&mut self, goal: Goal) {
+        if goal != self.goal {
+            self.goal = goal;
+            self.seen = None;
+        }
+    }
+
+    /// Says which mode of operation is wanted (6060h).
+    pub fn set_mode(&mut self, mode: i8) {
+        if mode != self.mode {
+            self.mode = mode;
+            self.mode_since = None;
+        }
+    }
+
+    /// Asks for a fault to be reset; what the drive does after that, the goal says.
+    pub const fn reset_fault(&mut self) {
+        self.reset = Reset::Low(2);
+        self.tries = 0;
+    }
+
+    /// Why the axis is not where it is wanted; `None` while it is, or is on its way in time.
+    #[must_use]
+    pub const fn obstacle(&self) -> Option<Obstacle> {
+        self.obstacle
+    }
+
+    /// One cycle at time `now` of any clock that does not go back.
+    pub fn step(&mut self, feedback: &Feedback, now: Duration) -> Orders {
+        let (control, follows) = match self.state(feedback.status) {
+            Ok(state) => {
+                self.note(state, now);
+                let control = self.control(state, feedback, now);
+                let enabled = state == State::OperationEnabled;
+                let wanted = self.goal == Goal::OperationEnabled;
+                let mode = feedback.mode.is_none_or(|mode| mode == self.mode);
+                (
+                    control,
+                    enabled && wanted && mode && self.is_followed(feedback.status),
+                )
+            }
+            Err(error) => {
+                self.obstacle = Some(Obstacle::Undefined(error));
+                (ControlWord::DISABLE_VOLTAGE, false)
+            }
+        };
+        Orders {
+            control,
+            mode: self.mode,
+            follows,
+            hold: feedback.position,
+        }
+    }
+
+    fn state(&self, status: StatusWord) -> Result<State, DecodeError> {
+        if self.patience.sod_as_0020 && status.raw() & 0x6F == 0x20 {
+            return Ok(State::SwitchOnDisabled);
+        }
+        status.state()
+    }
+
+    /// Cyclic modes tell by bit 12 whether the target is used.
+    fn is_followed(&self, status: StatusWord) -> bool {
+        let cyclic = (8..=11).contains(&self.mode);
+        !cyclic || self.patience.no_follow_bit || status.raw() & 0x1000 != 0
+    }
+
+    fn note(&mut self, state: State, now: Duration) {
+        if self.seen.is_none_or(|(seen, _)| seen != state) {
+            self.seen = Some((state, now));
+        }
+    }
+
+    fn control(&mut self, state: State, feedback: &Feedback, now: Duration) -> ControlWord {
+        if state == State::Fault {
+            return self.reset();
+        }
+        self.reset = Reset::Idle;
+        let mode_first = !self.patience.mode_after_enable && self.goal == Goal::OperationEnabled;
+        let shown = feedback.mode.unwrap_or(self.mode);
+        let since = *self.mode_since.get_or_insert(now);
+        let late = now.saturating_sub(since) > self.patience.mode;
+        let wrong = shown != self.mode && self.goal == Goal::OperationEnabled;
+        let mode = (wrong && late).then_some(Obstacle::Mode {
+            wanted: self.mode,
+            shown,
+        });
+        // With the wrong mode the drive comes up to Switched on and waits there.
+        let enables = state == State::SwitchedOn && wrong && mode_first;
+        let goal = if enables { Goal::SwitchedOn } else { self.goal };
+        let control = next_control_word(state, goal);
+        self.obstacle = mode.or_else(|| self.judge(state, feedback.status, control, now));
+        control
+    }
+
+    fn judge(
+        &self,
+        state: State,
+        status: StatusWord,
+        sent: ControlWord,
+        now: Duration,
+    ) -> Option<Obstacle> {
+        let since = self.seen.map_or(now, |(_, since)| since);
+        let waited = now.saturating_sub(since);
+        let slow = matches!(state, State::ReadyToSwitchOn | State::SwitchedOn);
+        let patience = if slow {
+            self.patience.enable
+        } else {
+            self.patience.state
+        };
+        let late = waited > patience;
+        if self.goal.is_reached(state) {
+            let ignored = self.goal == Goal::OperationEnabled && !self.is_followed(status);
+            return (ignored && late).then_some(Obstacle::NotFollowing);
+        }
+        if state == State::FaultReactionActive {
+            return Some(Obstacle::Fault);
+        }
+        if !late {
+            return None;
+        }
+        Some(if state == State::QuickStopActive {
+            Obstacle::QuickStopHeld
+        } else if !status.remote() {
+            Obstacle::NotRemote
+        } else if !status.voltage_enabled() && state != State::NotReadyToSwitchOn {
+            Obstacle::NoVoltage
+        } else {
+            Obstacle::Stuck {
+                state,
+                sent,
+                waited,
+            }
+        })
+    }
+
+    /// In Fault: bit 7 low unless a reset was asked for, then an edge.
+    fn reset(&mut self) -> ControlWord {
+        self.obstacle = Some(if self.tries >= self.patience.resets {
+            Obstacle::ResetRefused(self.tries)
+        } else {
+            Obstacle::Fault
+        });
+        match self.reset {
+            Reset::Idle => ControlWord::DISABLE_VOLTAGE,
+            Reset::Low(0) if self.tries >= self.patience.resets => {
+                self.reset = Reset::Idle;
+                ControlWord::DISABLE_VOLTAGE
+            }
+            Reset::Low(0) => {
+                self.tries += 1;
+                self.reset = Reset::High(1);
+                ControlWord::FAULT_RESET
+            }
+            Reset::Low(left) => {
+                self.reset = Reset::Low(left - 1);
+                ControlWord::DISABLE_VOLTAGE
+            }
+            Reset::High(0) => {
+                self.reset = Reset::Low(10);
+                ControlWord::DISABLE_VOLTAGE
+            }
+            Reset::High(left) => {
+                self.reset = Reset::High(left - 1);
+                ControlWord::FAULT_RESET
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;
