@@ -2,6 +2,7 @@
 #![forbid(unsafe_code)]
 
 mod candump;
+pub mod canopen;
 mod error;
 mod frame;
 

@@ -1,0 +1,108 @@
+//! The value of a transfer while it is under way, in memory taken once. It knows no message.
+
+use takt_cia402::dictionary::AbortCode;
+
+use super::{BlockSegment, Bytes, TRANSFER_MAX, crc};
+
+/// A value of bounded length.
+#[derive(Clone, Debug)]
+pub(super) struct Buffer {
+    bytes: Vec<u8>,
+    len: usize,
+}
+
+/// The last segment of a block is taken whole before it is known how much of it counts.
+const SLACK: usize = 6;
+
+impl Buffer {
+    pub(super) fn new(max: usize) -> Self {
+        Self {
+            bytes: vec![0; max.min(TRANSFER_MAX) + SLACK],
+            len: 0,
+        }
+    }
+
+    pub(super) const fn clear(&mut self) {
+        self.len = 0;
+    }
+
+    pub(super) const fn len(&self) -> usize {
+        self.len
+    }
+
+    /// The length as messages carry it.
+    pub(super) fn size(&self) -> u32 {
+        u32::try_from(self.len).unwrap_or(u32::MAX)
+    }
+
+    pub(super) fn as_slice(&self) -> &[u8] {
+        self.bytes.get(..self.len).unwrap_or_default()
+    }
+
+    /// The segment that begins at a byte, and whether it is the last.
+    pub(super) fn segment(&self, at: usize) -> (Bytes, bool) {
+        let rest = self.as_slice().get(at..).unwrap_or_default();
+        (Bytes::new(rest), rest.len() <= 7)
+    }
+
+    /// The segment of a block that begins at a byte.
+    pub(super) fn block_segment(&self, start: usize, sequence: u8) -> BlockSegment {
+        let (data, last) = self.segment(start + 7 * usize::from(sequence - 1));
+        BlockSegment {
+            last,
+            sequence,
+            data: data.bytes,
+        }
+    }
+
+    /// Whether a block that begins at byte `start` has a segment after the first `sent`.
+    pub(super) const fn has_segment(&self, start: usize, sent: u8, block: u8) -> bool {
+        let at = start + 7 * sent as usize;
+        sent < block && (at < self.len || (self.len == 0 && sent == 0))
+    }
+
+    /// Replaces the value.
+    pub(super) fn set(&mut self, value: &[u8]) -> Result<(), AbortCode> {
+        self.clear();
+        self.fits(value.len())?;
+        self.put(value)
+    }
+
+    /// Adds to the value.
+    pub(super) fn put(&mut self, data: &[u8]) -> Result<(), AbortCode> {
+        let end = self.len + data.len();
+        let room = self.bytes.get_mut(self.len..end);
+        room.ok_or(AbortCode::OutOfMemory)?.copy_from_slice(data);
+        self.len = end;
+        Ok(())
+    }
+
+    /// Takes back what did not count of the last segment.
+    pub(super) fn drop_last(&mut self, unused: u8) {
+        self.len = self.len.saturating_sub(unused.into());
+    }
+
+    /// How many bytes of the last segment do not count if the last block ended at byte `end`.
+    pub(super) fn unused(&self, end: usize) -> u8 {
+        u8::try_from(end.saturating_sub(self.len)).unwrap_or(0)
+    }
+
+    pub(super) fn crc(&self) -> u16 {
+        crc(0, self.as_slice())
+    }
+
+    /// Whether a value of that length could be taken.
+    pub(super) fn fits(&self, len: usize) -> Result<(), AbortCode> {
+        if len + SLACK > self.bytes.len() {
+            return Err(AbortCode::OutOfMemory);
+        }
+        Ok(())
+    }
+
+    /// A size that was announced, if it fits.
+    pub(super) fn announced(&self, size: Option<u32>) -> Result<Option<usize>, AbortCode> {
+        let size = size.map(|size| usize::try_from(size).unwrap_or(usize::MAX / 2));
+        self.fits(size.unwrap_or(0))?;
+        Ok(size)
+    }
+}
