@@ -6,6 +6,7 @@ mod wire;
 
 pub use error::{DecodeError, EncodeError};
 pub use wire::{
-    Address, Command, Datagram, DatagramHeader, Datagrams, Frame, FrameHeader, FrameWriter,
-    WorkingCounter,
+    Address, AlState, AlStatus, AlStatusCode, CoeService, Command, Datagram, DatagramHeader,
+    Datagrams, Emergency, Fmmu, Frame, FrameHeader, FrameWriter, MailboxError, MailboxHeader,
+    MailboxKind, SyncManager, WorkingCounter, coe, register, sii,
 };

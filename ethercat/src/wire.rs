@@ -3,14 +3,22 @@
 // Bytes come from outside; tests index their own.
 #![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
+mod al;
+pub mod coe;
 mod command;
 mod datagram;
 mod frame;
+mod mailbox;
+pub mod register;
+pub mod sii;
 mod writer;
 
+pub use al::{AlState, AlStatus, AlStatusCode};
 pub use command::Command;
 pub use datagram::{Address, Datagram, DatagramHeader, WorkingCounter};
 pub use frame::{Datagrams, Frame, FrameHeader};
+pub use mailbox::{CoeService, Emergency, MailboxError, MailboxHeader, MailboxKind};
+pub use register::{Fmmu, SyncManager};
 pub use writer::FrameWriter;
 
 /// Lengths on the wire have eleven bits.

@@ -1,0 +1,469 @@
+//! The slave information interface: what a slave's EEPROM says of it (ETG.2010). A reader over
+//! words that were fetched, and the image of one; how words are fetched is not here.
+
+use std::fmt;
+
+/// A word address in the SII.
+pub type Word = u16;
+
+/// Where the fixed part holds what; 16-bit words.
+pub mod word {
+    use super::Word;
+
+    /// Station alias.
+    pub const ALIAS: Word = 0x04;
+    /// Checksum over the words before, in the low byte.
+    pub const CHECKSUM: Word = 0x07;
+    /// Vendor, product, revision, serial number: two words each.
+    pub const IDENTITY: Word = 0x08;
+    /// Mailbox in BOOT: receive offset and size, send offset and size.
+    pub const BOOT_MAILBOX: Word = 0x14;
+    /// Mailbox: receive offset and size, send offset and size, then the protocols.
+    pub const MAILBOX: Word = 0x18;
+    /// Size of the EEPROM in Kibit, less one.
+    pub const SIZE: Word = 0x3E;
+    /// First category.
+    pub const CATEGORIES: Word = 0x40;
+}
+
+/// Who made the slave and what it is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct Identity {
+    /// Vendor, as object 1018h:01.
+    pub vendor: u32,
+    /// Product code, as object 1018h:02.
+    pub product: u32,
+    /// Revision, as object 1018h:03.
+    pub revision: u32,
+    /// Serial number, as object 1018h:04.
+    pub serial: u32,
+}
+
+impl fmt::Display for Identity {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            vendor,
+            product,
+            revision,
+            serial,
+        } = self;
+        write!(
+            f,
+            "vendor {vendor:08X}h product {product:08X}h revision {revision:08X}h"
+        )?;
+        write!(f, " serial {serial}")
+    }
+}
+
+/// A kind of category.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Category {
+    /// Names.
+    Strings,
+    /// General.
+    General,
+    /// Uses of FMMUs.
+    Fmmu,
+    /// SyncManagers.
+    SyncManager,
+    /// PDOs that the slave sends.
+    TxPdo,
+    /// PDOs that the slave receives.
+    RxPdo,
+    /// Distributed clock settings.
+    Dc,
+    /// Any other, as it came.
+    Other(u16),
+}
+
+impl Category {
+    /// The number in the SII.
+    #[must_use]
+    pub const fn raw(self) -> u16 {
+        match self {
+            Self::Strings => 10,
+            Self::General => 30,
+            Self::Fmmu => 40,
+            Self::SyncManager => 41,
+            Self::TxPdo => 50,
+            Self::RxPdo => 51,
+            Self::Dc => 60,
+            Self::Other(raw) => raw,
+        }
+    }
+
+    /// From the number in the SII.
+    #[must_use]
+    pub const fn from_raw(raw: u16) -> Self {
+        match raw {
+            10 => Self::Strings,
+            30 => Self::General,
+            40 => Self::Fmmu,
+            41 => Self::SyncManager,
+            50 => Self::TxPdo,
+            51 => Self::RxPdo,
+            60 => Self::Dc,
+            other => Self::Other(other),
+        }
+    }
+}
+
+/// An SII image, or as much of it as was read.
+#[derive(Clone, Copy, Debug)]
+pub struct Sii<'a> {
+    bytes: &'a [u8],
+}
+
+/// Mailbox areas, as the fixed part has them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct MailboxAreas {
+    /// Where the master writes.
+    pub receive: u16,
+    /// Its length, bytes.
+    pub receive_len: u16,
+    /// Where the master reads.
+    pub send: u16,
+    /// Its length, bytes.
+    pub send_len: u16,
+}
+
+/// What the category General says, as far as a master needs it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct General {
+    /// Number of the string with the group's name; 0 for none.
+    pub group: u8,
+    /// Number of the string with the order code; 0 for none.
+    pub order: u8,
+    /// Number of the string with the name; 0 for none.
+    pub name: u8,
+    /// CoE: bit 0 SDO, 1 information, 2 PDO assignment, 3 PDO configuration, 5 complete access.
+    pub coe: u8,
+    /// Bit 1: it does not do LRW.
+    pub flags: u8,
+    /// Current taken from the E-bus; negative is given, mA.
+    pub ebus_ma: i16,
+}
+
+/// A SyncManager as its category describes it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SiiSyncManager {
+    /// Physical start address.
+    pub start: u16,
+    /// Length, bytes.
+    pub len: u16,
+    /// Control register.
+    pub control: u8,
+    /// Bit 0: enabled.
+    pub enable: u8,
+    /// 1 mailbox out, 2 mailbox in, 3 outputs, 4 inputs; 0 unused.
+    pub kind: u8,
+}
+
+/// A PDO as its category describes it.
+#[derive(Clone, Copy, Debug)]
+pub struct SiiPdo<'a> {
+    /// Index, 1600h or 1A00h and following.
+    pub index: u16,
+    /// SyncManager; FFh for none.
+    pub sync_manager: u8,
+    /// Number of the string with its name; 0 for none.
+    pub name: u8,
+    entries: &'a [u8],
+}
+
+/// An entry of a PDO as its category describes it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SiiEntry {
+    /// Index of the object; 0 is a gap.
+    pub index: u16,
+    /// Its sub-index.
+    pub sub: u8,
+    /// Number of the string with its name; 0 for none.
+    pub name: u8,
+    /// Its data type, as CiA 301 numbers them.
+    pub data_type: u8,
+    /// Its length, bits.
+    pub bits: u8,
+}
+
+fn u16_at(bytes: &[u8], at: usize) -> Option<u16> {
+    bytes
+        .get(at..)?
+        .first_chunk()
+        .map(|two| u16::from_le_bytes(*two))
+}
+
+impl<'a> Sii<'a> {
+    /// Over the bytes of the EEPROM from its beginning.
+    #[must_use]
+    pub const fn new(bytes: &'a [u8]) -> Self {
+        Self { bytes }
+    }
+
+    /// The 16 bits at a word address.
+    #[must_use]
+    pub fn word(&self, at: Word) -> Option<u16> {
+        u16_at(self.bytes, 2 * usize::from(at))
+    }
+
+    fn double(&self, at: Word) -> Option<u32> {
+        let (low, high) = (self.word(at)?, self.word(at + 1)?);
+        Some(u32::from(low) | u32::from(high) << 16)
+    }
+
+    /// Vendor, product, revision and serial number.
+    #[must_use]
+    pub fn identity(&self) -> Option<Identity> {
+        Some(Identity {
+            vendor: self.double(word::IDENTITY)?,
+            product: self.double(word::IDENTITY + 2)?,
+            revision: self.double(word::IDENTITY + 4)?,
+            serial: self.double(word::IDENTITY + 6)?,
+        })
+    }
+
+    /// Mailbox areas: at [`word::MAILBOX`] or [`word::BOOT_MAILBOX`].
+    #[must_use]
+    pub fn mailbox(&self, at: Word) -> Option<MailboxAreas> {
+        Some(MailboxAreas {
+            receive: self.word(at)?,
+            receive_len: self.word(at + 1)?,
+            send: self.word(at + 2)?,
+            send_len: self.word(at + 3)?,
+        })
+    }
+
+    /// Protocols of the mailbox: bit 0 AoE, 1 EoE, 2 CoE, 3 FoE, 4 SoE, 5 VoE.
+    #[must_use]
+    pub fn protocols(&self) -> Option<u16> {
+        self.word(word::MAILBOX + 4)
+    }
+
+    /// Whether the checksum over the first seven words is right.
+    #[must_use]
+    pub fn is_checked(&self) -> bool {
+        let told = self.bytes.get(14).copied();
+        self.bytes.get(..14).map(checksum) == told
+    }
+
+    /// The categories with their data, as far as the bytes go.
+    pub fn categories(&self) -> impl Iterator<Item = (Category, &'a [u8])> + use<'a> {
+        let bytes = self.bytes;
+        let mut at = 2 * usize::from(word::CATEGORIES);
+        std::iter::from_fn(move || {
+            let kind = u16_at(bytes, at).filter(|kind| *kind != 0xFFFF)?;
+            let len = 2 * usize::from(u16_at(bytes, at + 2)?);
+            let data = bytes.get(at + 4..at + 4 + len)?;
+            at += 4 + len;
+            Some((Category::from_raw(kind), data))
+        })
+    }
+
+    fn category(&self, kind: Category) -> Option<&'a [u8]> {
+        self.categories()
+            .find(|(found, _)| *found == kind)
+            .map(|(_, data)| data)
+    }
+
+    /// The string of a number, from 1; `None` if there is none or it is not text.
+    #[must_use]
+    pub fn string(&self, number: u8) -> Option<&'a str> {
+        let (count, mut rest) = self.category(Category::Strings)?.split_first()?;
+        if number == 0 || number > *count {
+            return None;
+        }
+        for left in (0..number).rev() {
+            let (len, after) = rest.split_first()?;
+            let (text, after) = after.split_at_checked(usize::from(*len))?;
+            if left == 0 {
+                return std::str::from_utf8(text).ok();
+            }
+            rest = after;
+        }
+        None
+    }
+
+    /// The category General.
+    #[must_use]
+    pub fn general(&self) -> Option<General> {
+        let data = self.category(Category::General)?;
+        let [group, _, order, name, _, coe, _, _, _, _, _, flags] = *data.first_chunk()?;
+        let ebus = u16_at(data, 12)?;
+        Some(General {
+            group,
+            order,
+            name,
+            coe,
+            flags,
+            ebus_ma: ebus.cast_signed(),
+        })
+    }
+
+    /// What each FMMU is for: 1 outputs, 2 inputs, 3 state of the mailbox.
+    #[must_use]
+    pub fn fmmus(&self) -> &'a [u8] {
+        self.category(Category::Fmmu).unwrap_or_default()
+    }
+
+    /// The SyncManagers.
+    pub fn sync_managers(&self) -> impl Iterator<Item = SiiSyncManager> + use<'a> {
+        let data = self.category(Category::SyncManager).unwrap_or_default();
+        data.chunks_exact(8).filter_map(|chunk| {
+            let [a, b, c, d, control, _, enable, kind] = *chunk.first_chunk()?;
+            Some(SiiSyncManager {
+                start: u16::from_le_bytes([a, b]),
+                len: u16::from_le_bytes([c, d]),
+                control,
+                enable,
+                kind,
+            })
+        })
+    }
+
+    /// The PDOs of a category: [`Category::RxPdo`] or [`Category::TxPdo`].
+    pub fn pdos(&self, kind: Category) -> impl Iterator<Item = SiiPdo<'a>> + use<'a> {
+        let mut data = self.category(kind).unwrap_or_default();
+        std::iter::from_fn(move || {
+            let ([low, high, count, sync_manager, _, name, _, _], rest) =
+                data.split_first_chunk()?;
+            let (entries, rest) = rest.split_at_checked(8 * usize::from(*count))?;
+            data = rest;
+            Some(SiiPdo {
+                index: u16::from_le_bytes([*low, *high]),
+                sync_manager: *sync_manager,
+                name: *name,
+                entries,
+            })
+        })
+    }
+}
+
+impl SiiPdo<'_> {
+    /// Its entries.
+    pub fn entries(&self) -> impl Iterator<Item = SiiEntry> + '_ {
+        self.entries.chunks_exact(8).filter_map(|chunk| {
+            let [low, high, sub, name, data_type, bits, _, _] = *chunk.first_chunk()?;
+            Some(SiiEntry {
+                index: u16::from_le_bytes([low, high]),
+                sub,
+                name,
+                data_type,
+                bits,
+            })
+        })
+    }
+
+    /// How many bits it has.
+    #[must_use]
+    pub fn bits(&self) -> usize {
+        self.entries().map(|entry| usize::from(entry.bits)).sum()
+    }
+}
+
+/// The checksum of the first seven words: CRC-8 with polynomial 07h, begun at FFh.
+#[must_use]
+pub fn checksum(bytes: &[u8]) -> u8 {
+    let bit = |crc: u8| crc << 1 ^ if crc & 0x80 == 0 { 0 } else { 0x07 };
+    bytes
+        .iter()
+        .fold(0xFF, |crc, byte| (0..8).fold(crc ^ byte, |crc, _| bit(crc)))
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn image() -> Vec<u8> {
+        let mut image = vec![0_u8; 0x80];
+        image[8] = 0x34;
+        image[14] = checksum(&image[..14]);
+        image[16..20].copy_from_slice(&0x0000_0ABC_u32.to_le_bytes());
+        image[28..32].copy_from_slice(&42_u32.to_le_bytes());
+        image[0x30..0x3A].copy_from_slice(&[0, 0x10, 0x80, 0, 0x80, 0x10, 0x80, 0, 4, 0]);
+        let category = |kind: u16, data: &[u8]| {
+            let mut bytes = kind.to_le_bytes().to_vec();
+            let words = u16::try_from(data.len() / 2).unwrap();
+            bytes.extend(words.to_le_bytes());
+            bytes.extend(data);
+            bytes
+        };
+        image.extend(category(
+            10,
+            &[2, 4, b'a', b'x', b'i', b's', 2, b'i', b'n', 0],
+        ));
+        let mut general = [0; 32];
+        (general[2], general[3], general[5], general[11]) = (1, 2, 0x2D, 2);
+        general[12..14].copy_from_slice(&(-100_i16).to_le_bytes());
+        image.extend(category(30, &general));
+        image.extend(category(40, &[1, 2, 3, 0]));
+        image.extend(category(41, &[0, 0x11, 6, 0, 0x64, 0, 1, 3]));
+        let pdo = [
+            0, 0x16, 2, 2, 0, 1, 0, 0, 0x40, 0x60, 0, 0, 6, 16, 0, 0, 0x7A, 0x60, 0, 0, 4, 32, 0, 0,
+        ];
+        image.extend(category(51, &pdo));
+        image.extend([0xFF, 0xFF]);
+        image
+    }
+
+    #[test]
+    fn an_image_is_read() {
+        let image = image();
+        let sii = Sii::new(&image);
+        assert!(sii.is_checked());
+        let identity = sii.identity().unwrap();
+        assert_eq!((identity.vendor, identity.serial), (0xABC, 42));
+        assert_eq!(sii.word(word::ALIAS), Some(0x34));
+        assert_eq!(sii.protocols(), Some(4));
+        let areas = sii.mailbox(word::MAILBOX).unwrap();
+        assert_eq!(
+            (areas.receive, areas.send, areas.send_len),
+            (0x1000, 0x1080, 128)
+        );
+        assert_eq!((sii.string(1), sii.string(2)), (Some("axis"), Some("in")));
+        assert_eq!((sii.string(0), sii.string(3)), (None, None));
+        let general = sii.general().unwrap();
+        assert_eq!((general.order, general.name, general.coe), (1, 2, 0x2D));
+        assert_eq!((general.flags, general.ebus_ma), (2, -100));
+        assert_eq!(sii.fmmus(), [1, 2, 3, 0]);
+        let sm: Vec<_> = sii.sync_managers().collect();
+        assert_eq!((sm.len(), sm[0].start, sm[0].kind), (1, 0x1100, 3));
+        let pdos: Vec<_> = sii.pdos(Category::RxPdo).collect();
+        assert_eq!((pdos.len(), pdos[0].index, pdos[0].bits()), (1, 0x1600, 48));
+        let second = pdos[0].entries().nth(1).unwrap();
+        assert_eq!((second.index, second.bits), (0x607A, 32));
+        assert_eq!(sii.pdos(Category::TxPdo).count(), 0);
+    }
+
+    #[test]
+    fn a_cut_image_gives_what_it_has() {
+        let image = image();
+        for len in 0..image.len() {
+            let sii = Sii::new(&image[..len]);
+            let _ = (
+                sii.identity(),
+                sii.general(),
+                sii.string(2),
+                sii.is_checked(),
+            );
+            let categories = sii.categories().count();
+            assert!(categories <= 5);
+            let _ = sii
+                .pdos(Category::RxPdo)
+                .map(|pdo| pdo.bits())
+                .sum::<usize>();
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn any_bytes_are_answered(bytes in prop::collection::vec(any::<u8>(), 0..600)) {
+            let sii = Sii::new(&bytes);
+            let _ = sii.categories().count();
+            let _ = (0..=u8::MAX).filter_map(|n| sii.string(n)).count();
+            let _ = sii.sync_managers().count();
+            let _ = sii.pdos(Category::TxPdo).map(|pdo| pdo.entries().count()).sum::<usize>();
+        }
+    }
+}
