@@ -84,6 +84,17 @@ impl Frame {
         Ok(frame)
     }
 
+    /// A frame that carries nothing.
+    #[must_use]
+    pub const fn empty(id: Id) -> Self {
+        Self {
+            id,
+            remote: false,
+            dlc: 0,
+            data: [0; 8],
+        }
+    }
+
     /// A frame that asks for `len` bytes of the same identifier.
     pub fn remote(id: Id, len: usize) -> Result<Self, FrameError> {
         match u8::try_from(len) {

@@ -340,6 +340,7 @@ mod tests {
     }
 
     #[test]
+    #[expect(clippy::too_many_lines, reason = "a table of bytes")]
     fn golden_messages() {
         let (address, whole) = (ADDRESS, Whole::Entry);
         let data: &[u8] = &[1, 2, 3, 4, 5];
