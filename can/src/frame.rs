@@ -84,6 +84,17 @@ impl Frame {
         Ok(frame)
     }
 
+    /// A frame that carries eight bytes, which always fit.
+    #[must_use]
+    pub const fn full(id: Id, data: [u8; 8]) -> Self {
+        Self {
+            id,
+            remote: false,
+            dlc: 8,
+            data,
+        }
+    }
+
     /// A frame that carries nothing.
     #[must_use]
     pub const fn empty(id: Id) -> Self {

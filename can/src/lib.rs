@@ -5,6 +5,7 @@ mod candump;
 pub mod canopen;
 mod error;
 mod frame;
+pub mod rmp;
 
 pub use candump::{Direction, LogLine};
 pub use error::{FrameError, LogError};

@@ -1,0 +1,28 @@
+//! The Segway Robotic Mobility Platform on CAN and on its USB port: messages, the driver of one power
+//! base, the omnidirectional base of two, and (feature `emulator`) the power bases themselves. There is
+//! no socket and no clock here; the owner moves frames and says what time it is.
+//!
+//! The manufacturer's interface guide is not public. The facts are those on which the public drivers
+//! and a recorded log agree; where they differ the difference is a parameter.
+
+mod base;
+mod command;
+mod cycle;
+mod driver;
+#[cfg(feature = "emulator")]
+pub mod emulator;
+mod model;
+mod odometry;
+mod omni;
+mod status;
+mod usb;
+
+pub use base::{Base, Motion};
+pub use command::{Command, Config, Gain, Integrators, Mode, SHUTDOWN};
+pub use cycle::{Cycles, Measurement};
+pub use driver::{Driver, DriverConfig, Hindrance, State};
+pub use model::{Model, Scales};
+pub use odometry::{Odometer, Pose};
+pub use omni::{BACK, FRONT, Geometry, Omni, OmniConfig, Wheels};
+pub use status::{ControlUnit, Message, StatusWord1, StatusWord2};
+pub use usb::{Channel, Packet, PacketReader};

@@ -1,0 +1,187 @@
+//! One power base as a mobile base: velocities in, pose and measured velocity out, in SI units. How
+//! frames reach it is the business of its [`Driver`].
+
+use std::time::Duration;
+
+use super::command::{TURN_MAX, VELOCITY_MAX};
+use super::model::COUNTS_PER_DEGREE;
+use super::odometry::Counter;
+use super::{Channel, Driver, DriverConfig, Measurement, Odometer, Pose};
+use crate::Frame;
+
+/// What is known of how a base moves.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Motion {
+    /// When it was measured.
+    pub stamp: Duration,
+    /// Where it is, by its wheels.
+    pub pose: Pose,
+    /// Forward and left, m/s, and rotation, rad/s, counter-clockwise.
+    pub velocity: [f64; 3],
+}
+
+/// Two wheels of one power base.
+#[derive(Clone, Debug)]
+pub struct Base {
+    driver: Driver,
+    config: DriverConfig,
+    /// Velocity now, m/s and rad/s, on its way to what is asked for.
+    velocity: [f64; 2],
+    ramp: Ramp,
+    odometer: Odometer,
+    counters: [Counter; 3],
+    last: Option<Measurement>,
+    motion: Motion,
+}
+
+/// How fast velocities may change.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Ramp {
+    /// Along the ground, m/s².
+    pub(super) acceleration: f64,
+    /// Of the rotation, rad/s².
+    pub(super) rotation: f64,
+}
+
+impl Ramp {
+    /// What a rate becomes within a time on its way to another.
+    pub(super) fn towards(limit: f64, from: f64, to: f64, dt_s: f64) -> f64 {
+        from + (to - from).clamp(-limit * dt_s, limit * dt_s)
+    }
+}
+
+/// Farther from what the speed makes of it than this part of a metre, a step of a displacement is none.
+const JUMP_M: f64 = 0.2;
+/// As [`JUMP_M`], for the heading, turns.
+const JUMP_TURNS: f64 = 0.15;
+
+impl Base {
+    /// A base that changes its velocity by `acceleration`, m/s², and its rotation by
+    /// `angular_acceleration`, rad/s², at most.
+    #[must_use]
+    pub fn new(config: DriverConfig, acceleration: f64, angular_acceleration: f64) -> Self {
+        Self {
+            driver: Driver::new(config),
+            config,
+            velocity: [0.0; 2],
+            ramp: Ramp {
+                acceleration,
+                rotation: angular_acceleration,
+            },
+            odometer: Odometer::default(),
+            counters: [Counter::default(); 3],
+            last: None,
+            motion: Motion::default(),
+        }
+    }
+
+    /// The driver of its power base.
+    #[must_use]
+    pub const fn driver(&self) -> &Driver {
+        &self.driver
+    }
+
+    /// Has the power base switch itself off.
+    pub const fn shut_down(&mut self) {
+        self.driver.shut_down();
+    }
+
+    /// Where it is and how it moves.
+    #[must_use]
+    pub const fn motion(&self) -> &Motion {
+        &self.motion
+    }
+
+    /// Steps of displacements that were not believed: integrators that were reset, or a power base that
+    /// was switched off and on.
+    #[must_use]
+    pub const fn jumps(&self) -> u64 {
+        let [left, right, yaw] = &self.counters;
+        left.jumps() + right.jumps() + yaw.jumps()
+    }
+
+    /// Takes a frame; true if the motion is new.
+    pub fn handle_frame(&mut self, channel: Channel, frame: &Frame, now: Duration) -> bool {
+        let Some(measured) = self.driver.handle_frame(channel, frame, now) else {
+            return false;
+        };
+        self.measure(&measured);
+        true
+    }
+
+    fn measure(&mut self, measured: &Measurement) {
+        let scales = self.config.model.scales();
+        let dt_s = self.last.map_or(0.0, |last| frames_s(&last, measured));
+        let [left, right] = measured.speed;
+        let [l, r, yaw] = &mut self.counters;
+        let wheel = |counter: &mut Counter, value: i32, speed: f64| {
+            let expected = speed * dt_s * scales.displacement;
+            let tolerance =
+                (JUMP_M + 2.0 * expected.abs() / scales.displacement) * scales.displacement;
+            counter.advance(value, expected, tolerance) / scales.displacement
+        };
+        let [at_left, at_right] = measured.displacement;
+        let ahead = (wheel(l, at_left, left) + wheel(r, at_right, right)) / 2.0;
+        let turns = -measured.yaw_rate * dt_s / std::f64::consts::TAU;
+        let tolerance = (JUMP_TURNS + 2.0 * turns.abs()) * scales.yaw;
+        let turned = yaw.advance(measured.travel[1], turns * scales.yaw, tolerance);
+        let rotation = -turned / scales.yaw * std::f64::consts::TAU;
+        self.odometer.add([ahead, 0.0, rotation]);
+        self.motion = Motion {
+            stamp: measured.stamp,
+            pose: self.odometer.pose(),
+            velocity: [f64::midpoint(left, right), 0.0, measured.yaw_rate],
+        };
+        self.last = Some(*measured);
+    }
+
+    /// When [`Self::poll_transmit`] has something next.
+    #[must_use]
+    pub const fn poll_timeout(&self) -> Duration {
+        self.driver.poll_timeout()
+    }
+
+    /// The command that is due, towards a velocity forward, m/s, and a rotation, rad/s; none is asked for
+    /// by no program: then the base comes to rest.
+    pub fn poll_transmit(&mut self, wanted: Option<[f64; 2]>, now: Duration) -> Option<Frame> {
+        if now < self.driver.poll_timeout() {
+            return None;
+        }
+        let dt_s = self.config.period.as_secs_f64();
+        let [ahead, turn] = wanted
+            .filter(|_| self.driver.follows())
+            .unwrap_or_default()
+            .map(|rate| if rate.is_finite() { rate } else { 0.0 });
+        self.velocity = [
+            Ramp::towards(self.ramp.acceleration, self.velocity[0], ahead, dt_s),
+            Ramp::towards(self.ramp.rotation, self.velocity[1], turn, dt_s),
+        ];
+        if !self.driver.follows() {
+            self.velocity = [0.0; 2];
+        }
+        let resting = wanted.is_none() && self.velocity.iter().all(|rate| rate.abs() < 1e-9);
+        self.driver.drive((!resting).then(|| self.counts()));
+        self.driver.poll_transmit(now)
+    }
+
+    fn counts(&self) -> [i16; 2] {
+        let velocity = self.velocity[0] * self.config.model.scales().velocity;
+        let turn = -self.velocity[1].to_degrees() * COUNTS_PER_DEGREE;
+        [counts(velocity, VELOCITY_MAX), counts(turn, TURN_MAX)]
+    }
+}
+
+/// Time between two measurements by the clock of the device, s.
+pub(super) fn frames_s(from: &Measurement, to: &Measurement) -> f64 {
+    f64::from(to.frames.wrapping_sub(from.frames)) / 100.0
+}
+
+/// The nearest number of counts within a limit.
+pub(super) fn counts(value: f64, max: i16) -> i16 {
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "within the limit, which fits; a float that is no number becomes 0"
+    )]
+    let counts = value.round().clamp(f64::from(-max), f64::from(max)) as i16;
+    counts
+}

@@ -1,0 +1,392 @@
+//! Leads one power base over one link, in counts: waits until it talks, configures it, sends a command
+//! every period, and says why it does not move. What a count is worth in metres is the business of
+//! [`super::Base`] and [`super::Omni`].
+//!
+//! ```text
+//!            UI only                         whole cycle
+//!   Silent ----------> PoweredOff   Silent ----------------> Configuring
+//!   Configuring -- all sent, mode as asked, motors enabled --> Ready
+//!   Configuring -- mode refused, or a hindrance -------------> Blocked
+//!   Ready       -- a hindrance ------------------------------> Blocked
+//!   Blocked     -- the hindrance is gone --------------------> Configuring
+//!   any         -- no whole cycle for `silence` -------------> Silent
+//! ```
+//!
+//! After every way back to Ready the power base stands still until the program has asked for rest once:
+//! what a program commanded before a fault does not go on after it.
+
+use std::fmt;
+use std::time::Duration;
+
+use super::command::{CURRENT_MAX, SCALE_MAX, TURN_MAX, VELOCITY_MAX};
+use super::{
+    Channel, Command, Config, Cycles, Gain, Integrators, Measurement, Message, Mode, Model,
+    SHUTDOWN, StatusWord1,
+};
+use crate::Frame;
+
+/// Shortest time between two commands that a power base takes.
+const PERIOD_MIN: Duration = Duration::from_millis(10);
+/// Longest time between two commands before a power base may stop by itself.
+const PERIOD_MAX: Duration = Duration::from_millis(300);
+/// How often a mode is asked for before the power base is said to refuse it.
+const ASKED_MAX: u8 = 20;
+
+/// How a power base is led.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DriverConfig {
+    /// Model.
+    pub model: Model,
+    /// Time between commands, 10 ms to 300 ms.
+    pub period: Duration,
+    /// Without a whole cycle for so long the power base is silent.
+    pub silence: Duration,
+    /// Mode in which it moves.
+    pub mode: Mode,
+    /// What it carries.
+    pub gain: Gain,
+    /// Scale of its accelerations, sixteenths.
+    pub acceleration: u8,
+    /// Current limit, 1 to 256.
+    pub current: u16,
+}
+
+impl Default for DriverConfig {
+    fn default() -> Self {
+        Self {
+            model: Model::default(),
+            period: Duration::from_millis(50),
+            silence: Duration::from_millis(200),
+            mode: Mode::Tractor,
+            gain: Gain::Light,
+            acceleration: SCALE_MAX,
+            current: CURRENT_MAX,
+        }
+    }
+}
+
+/// Where the driver is with its power base.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum State {
+    /// Nothing is heard.
+    #[default]
+    Silent,
+    /// Its user interface is on, its motors' part is off.
+    PoweredOff,
+    /// Being configured.
+    Configuring,
+    /// It follows.
+    Ready,
+    /// It cannot move.
+    Blocked(Hindrance),
+}
+
+/// Why a power base does not move although it talks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Hindrance {
+    /// An emergency stop switch is open.
+    EmergencyStop,
+    /// It reports a fault: what is in status word 1.
+    Fault(StatusWord1),
+    /// Its motors are not enabled.
+    MotorsDisabled,
+    /// It does not take the mode it is asked for; this is the one it stays in.
+    ModeRefused(Mode),
+}
+
+impl fmt::Display for Hindrance {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::EmergencyStop => {
+                f.write_str("its emergency stop is open; close it, the driver goes on by itself")
+            }
+            Self::Fault(word) => {
+                f.write_str("it reports")?;
+                for (index, name) in word.faults().enumerate() {
+                    write!(f, "{}{name}", if index == 0 { " " } else { ", " })?;
+                }
+                f.write_str("; switch the power base off and on")
+            }
+            Self::MotorsDisabled => f.write_str(
+                "its motors are disabled; connect the host before switching the power base on, \
+                 and switch it off and on",
+            ),
+            Self::ModeRefused(mode) => write!(
+                f,
+                "it stays in mode {mode}; switch the power base off and on, and look whether \
+                 another host commands it"
+            ),
+        }
+    }
+}
+
+impl fmt::Display for State {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Silent => {
+                f.write_str("nothing is heard; look at power, cable and bit rate (500 kbit/s)")
+            }
+            Self::PoweredOff => {
+                f.write_str("its user interface is on, the power base is off; switch it on")
+            }
+            Self::Configuring => f.write_str("it is being configured"),
+            Self::Ready => f.write_str("it follows commands"),
+            Self::Blocked(hindrance) => hindrance.fmt(f),
+        }
+    }
+}
+
+/// The driver of one power base.
+#[derive(Clone, Debug)]
+pub struct Driver {
+    config: DriverConfig,
+    cycles: [Cycles; 2],
+    /// The channel whose measurements count, and when it last gave one.
+    channel: Channel,
+    last: Option<Measurement>,
+    state: State,
+    /// Which step of the configuration comes next.
+    step: u8,
+    asked: u8,
+    heard: Option<Duration>,
+    next: Duration,
+    /// Whether rest was asked for since the power base became ready.
+    armed: bool,
+    motion: [i16; 2],
+    shut_down: bool,
+    lost: u64,
+}
+
+impl Driver {
+    /// One that has heard nothing yet. A period outside of its range is moved into it.
+    #[must_use]
+    pub fn new(config: DriverConfig) -> Self {
+        Self {
+            config: DriverConfig {
+                period: config.period.clamp(PERIOD_MIN, PERIOD_MAX),
+                ..config
+            },
+            cycles: [Cycles::new(config.model); 2],
+            channel: Channel::A,
+            last: None,
+            state: State::Silent,
+            step: 0,
+            asked: 0,
+            heard: None,
+            next: Duration::ZERO,
+            armed: false,
+            motion: [0; 2],
+            shut_down: false,
+            lost: 0,
+        }
+    }
+
+    /// Where it is.
+    #[must_use]
+    pub const fn state(&self) -> State {
+        self.state
+    }
+
+    /// How often a ready power base ceased to be ready.
+    #[must_use]
+    pub const fn lost(&self) -> u64 {
+        self.lost
+    }
+
+    /// Cycles in which a message was missing, of the channel that counts.
+    #[must_use]
+    pub const fn broken(&self) -> u64 {
+        let [a, b] = &self.cycles;
+        match self.channel {
+            Channel::A => a.broken(),
+            Channel::B => b.broken(),
+        }
+    }
+
+    /// The last measurement.
+    #[must_use]
+    pub const fn measurement(&self) -> Option<&Measurement> {
+        self.last.as_ref()
+    }
+
+    /// Whether what is asked for is done: it is ready, and rest was asked for since.
+    #[must_use]
+    pub fn follows(&self) -> bool {
+        self.state == State::Ready && self.armed
+    }
+
+    /// What it is to do from now on, counts at full scale: velocity, and turn clockwise; none to rest.
+    pub fn drive(&mut self, motion: Option<[i16; 2]>) {
+        self.armed |= motion.is_none() && self.state == State::Ready;
+        self.motion = match motion {
+            Some([velocity, turn]) if self.follows() => [
+                velocity.clamp(-VELOCITY_MAX, VELOCITY_MAX),
+                turn.clamp(-TURN_MAX, TURN_MAX),
+            ],
+            Some(_) | None => [0; 2],
+        };
+    }
+
+    /// Has the power base switch itself off, with the next command.
+    pub const fn shut_down(&mut self) {
+        self.shut_down = true;
+    }
+
+    /// Takes a frame; gives the measurement that it completes. Of two channels the one that speaks
+    /// counts; the other takes over when it falls silent.
+    pub fn handle_frame(
+        &mut self,
+        channel: Channel,
+        frame: &Frame,
+        now: Duration,
+    ) -> Option<Measurement> {
+        let message = Message::decode(frame)?;
+        if matches!(message, Message::PowerbaseOff { .. }) && self.state == State::Silent {
+            self.state = State::PoweredOff;
+        }
+        let [a, b] = &mut self.cycles;
+        let cycles = match channel {
+            Channel::A => a,
+            Channel::B => b,
+        };
+        let measured = cycles.handle(&message, now)?;
+        let stale = self
+            .last
+            .is_none_or(|last| now.saturating_sub(last.stamp) > self.config.silence / 2);
+        if channel != self.channel && !stale {
+            return None;
+        }
+        self.channel = channel;
+        self.heard = Some(now);
+        self.last = Some(measured);
+        self.judge(&measured);
+        Some(measured)
+    }
+
+    fn judge(&mut self, measured: &Measurement) {
+        let hindrance = self.hindrance(measured);
+        self.state = match (self.state, hindrance) {
+            (State::Silent | State::PoweredOff, _) => {
+                (self.step, self.asked) = (0, 0);
+                State::Configuring
+            }
+            (State::Configuring, _) if self.step < STEPS => State::Configuring,
+            (State::Configuring, None) => {
+                self.armed = false;
+                State::Ready
+            }
+            (State::Configuring, Some(hindrance)) if self.asked >= ASKED_MAX => {
+                State::Blocked(hindrance)
+            }
+            (State::Configuring, Some(_)) => State::Configuring,
+            (State::Ready, Some(hindrance)) => {
+                self.leave();
+                State::Blocked(hindrance)
+            }
+            (State::Ready, None) => State::Ready,
+            (State::Blocked(Hindrance::ModeRefused(_)), Some(hindrance)) => {
+                State::Blocked(hindrance)
+            }
+            (State::Blocked(_), Some(Hindrance::ModeRefused(_)) | None) => {
+                (self.step, self.asked) = (0, 0);
+                State::Configuring
+            }
+            (State::Blocked(_), Some(hindrance)) => State::Blocked(hindrance),
+        };
+    }
+
+    fn hindrance(&self, measured: &Measurement) -> Option<Hindrance> {
+        let unit = &measured.unit;
+        if unit.word2.emergency_stop() {
+            Some(Hindrance::EmergencyStop)
+        } else if unit.word1.faults().next().is_some() {
+            Some(Hindrance::Fault(unit.word1))
+        } else if measured.mode != self.config.mode {
+            Some(Hindrance::ModeRefused(measured.mode))
+        } else if !unit.word1.contains(StatusWord1::MOTORS_ENABLED) {
+            Some(Hindrance::MotorsDisabled)
+        } else {
+            None
+        }
+    }
+
+    fn leave(&mut self) {
+        self.lost += 1;
+        self.armed = false;
+        self.motion = [0; 2];
+    }
+
+    /// When [`Self::poll_transmit`] has something next.
+    #[must_use]
+    pub const fn poll_timeout(&self) -> Duration {
+        self.next
+    }
+
+    /// The command that is due, for both channels. One is sent also to a power base that is silent:
+    /// it may hear without being heard, and rest is what it is told.
+    pub fn poll_transmit(&mut self, now: Duration) -> Option<Frame> {
+        if now < self.next {
+            return None;
+        }
+        let next = self.next + self.config.period;
+        self.next = if next > now {
+            next
+        } else {
+            now + self.config.period
+        };
+        if now.saturating_sub(self.heard.unwrap_or_default()) > self.config.silence {
+            self.fall_silent();
+        }
+        if std::mem::take(&mut self.shut_down) {
+            return Some(SHUTDOWN);
+        }
+        let [velocity, turn] = self.motion;
+        Some(match self.state {
+            State::Configuring => self.configure(),
+            State::Ready => Command {
+                velocity,
+                turn,
+                config: Config::None,
+            }
+            .frame(),
+            State::Silent | State::PoweredOff | State::Blocked(_) => Command::default().frame(),
+        })
+    }
+
+    fn fall_silent(&mut self) {
+        match self.state {
+            State::Ready => self.leave(),
+            State::Silent | State::PoweredOff => return,
+            State::Configuring | State::Blocked(_) => {}
+        }
+        self.state = State::Silent;
+        self.heard = None;
+    }
+
+    /// The next step of the configuration. What it sets cannot be read back except the mode, which
+    /// therefore is asked for until it is there; displacements need no reset, odometry begins anywhere.
+    fn configure(&mut self) -> Frame {
+        let config = match self.step {
+            0 => Config::ResetIntegrators(Integrators::ALL),
+            1 => Config::MaxVelocity(SCALE_MAX),
+            2 => Config::MaxTurn(SCALE_MAX),
+            3 => Config::MaxAcceleration(self.config.acceleration.min(SCALE_MAX)),
+            4 => Config::Gain(self.config.gain),
+            5 => Config::CurrentLimit(self.config.current.clamp(1, CURRENT_MAX)),
+            6 => Config::BalanceLockout(self.config.mode != Mode::Balance),
+            _ => {
+                self.asked = self.asked.saturating_add(1);
+                Config::Mode(self.config.mode)
+            }
+        };
+        self.step = (self.step + 1).min(STEPS);
+        Command {
+            config,
+            ..Command::default()
+        }
+        .frame()
+    }
+}
+
+/// Steps of the configuration, of which the last is repeated.
+const STEPS: u8 = 8;

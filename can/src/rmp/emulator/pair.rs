@@ -1,0 +1,83 @@
+//! Two power bases under one platform on mecanum wheels, and where the platform truly is. Each keeps
+//! its own link; nothing ties them but the ground.
+
+use std::time::Duration;
+
+use super::super::omni::wheels_of;
+use super::super::{Channel, Model, Odometer, OmniConfig, Pose};
+use super::{Powerbase, PowerbaseConfig};
+use crate::Frame;
+
+/// Step in which the truth is integrated.
+const STEP: Duration = Duration::from_millis(1);
+
+/// The platform.
+#[derive(Clone, Debug)]
+pub struct Pair {
+    config: OmniConfig,
+    /// In front, and at the back.
+    pub parts: [Powerbase; 2],
+    turned: [f64; 4],
+    odometer: Odometer,
+    now: Duration,
+}
+
+impl Pair {
+    /// A platform whose power bases tell half a cycle apart.
+    #[must_use]
+    pub fn new(config: OmniConfig) -> Self {
+        let part = |phase_ms| {
+            Powerbase::new(PowerbaseConfig {
+                model: Model::Rmp50,
+                turn_gain: Some(config.turn_gain),
+                phase: Duration::from_millis(phase_ms),
+                ..PowerbaseConfig::default()
+            })
+        };
+        Self {
+            config,
+            parts: [part(0), part(5)],
+            turned: [0.0; 4],
+            odometer: Odometer::default(),
+            now: Duration::ZERO,
+        }
+    }
+
+    /// Where it truly is.
+    #[must_use]
+    pub const fn truth(&self) -> Pose {
+        self.odometer.pose()
+    }
+
+    /// Takes a frame of the host for one part.
+    pub fn handle_frame(&mut self, part: usize, frame: &Frame, now: Duration) {
+        self.advance(now);
+        if let Some(part) = self.parts.get_mut(part) {
+            part.handle_frame(frame, now);
+        }
+    }
+
+    /// The next message that is due at one part.
+    pub fn poll_transmit(&mut self, part: usize, now: Duration) -> Option<(Channel, Frame)> {
+        self.advance(now);
+        self.parts.get_mut(part)?.poll_transmit(now)
+    }
+
+    /// Moves on to a time.
+    pub fn advance(&mut self, now: Duration) {
+        while self.now + STEP <= now {
+            self.now += STEP;
+            let mut steps = [0.0; 4];
+            for (index, part) in self.parts.iter_mut().enumerate() {
+                part.advance(self.now);
+                let sides = part.turned();
+                for (wheel, side, sign) in wheels_of(index) {
+                    let angle = sign * sides[side] / self.config.counts_per_radian;
+                    steps[wheel] = angle - self.turned[wheel];
+                    self.turned[wheel] = angle;
+                }
+            }
+            self.odometer.add(self.config.geometry.velocity(steps));
+        }
+    }
+}

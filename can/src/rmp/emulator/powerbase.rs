@@ -1,0 +1,460 @@
+//! One power base: takes commands as the real one does, moves its wheels, and tells of it every 10 ms.
+//! It does not balance: it stands on casters, or on a second power base.
+
+use std::time::Duration;
+
+use super::super::command::{CURRENT_MAX, SCALE_MAX, TURN_MAX, VELOCITY_MAX, is_shutdown};
+use super::super::model::COUNTS_PER_DEGREE;
+use super::super::status::ControlUnit;
+use super::super::{
+    Channel, Command, Config, Gain, Integrators, Message, Mode, Model, Odometer, Pose, StatusWord1,
+    StatusWord2,
+};
+use crate::Frame;
+
+/// Time from one burst of messages to the next.
+const CYCLE: Duration = Duration::from_millis(10);
+/// Step of the motion.
+const STEP: Duration = Duration::from_millis(1);
+/// A command older than this is not followed any more.
+const COMMAND_AGE_MAX: Duration = Duration::from_millis(400);
+/// Two commands nearer together than this are one too many.
+const COMMAND_SPACING_MIN: Duration = Duration::from_millis(9);
+/// Acceleration at the whole scale, m/s².
+const ACCELERATION: f64 = 3.0;
+
+/// What a power base is like.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PowerbaseConfig {
+    /// Model.
+    pub model: Model,
+    /// Distance between its wheels, m.
+    pub track: f64,
+    /// Displacement counts per second of a wheel by a count of turn; by default what 7.8 counts per degree
+    /// per second and the track make of it.
+    pub turn_gain: Option<f64>,
+    /// When its cycles begin, within the first 10 ms.
+    pub phase: Duration,
+    /// Whether both channels speak; else only A does.
+    pub both_channels: bool,
+}
+
+impl Default for PowerbaseConfig {
+    fn default() -> Self {
+        Self {
+            model: Model::default(),
+            track: 0.54,
+            turn_gain: None,
+            phase: Duration::ZERO,
+            both_channels: false,
+        }
+    }
+}
+
+/// What is wrong with it. By default nothing is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Faults {
+    /// It keeps the velocity scale it has stored, whatever it is told.
+    pub keeps_scale: bool,
+    /// Integrators that do not clear.
+    pub keeps: Integrators,
+    /// Channels that do not speak: A, B.
+    pub silent: [bool; 2],
+    /// Its emergency stop is open.
+    pub emergency_stop: bool,
+    /// It does not take another mode.
+    pub refuses_mode: bool,
+    /// Further bits of status word 1.
+    pub word1: u16,
+    /// The message with this identifier is missing in every cycle.
+    pub lacks: Option<u16>,
+}
+
+/// One power base.
+#[derive(Clone, Debug)]
+pub struct Powerbase {
+    config: PowerbaseConfig,
+    /// What is wrong with it.
+    pub faults: Faults,
+    powered: bool,
+    mode: Mode,
+    gain: Gain,
+    scales: [u8; 3],
+    current: u16,
+    command: [i16; 2],
+    commanded: Option<Duration>,
+    hurried: u64,
+    /// Rates of the wheels, counts/s.
+    rates: [f64; 2],
+    /// What its wheels have truly turned, counts.
+    turned: [f64; 2],
+    /// What was subtracted by resets: right, left, yaw, fore and aft.
+    offsets: [f64; 4],
+    odometer: Odometer,
+    now: Duration,
+    burst: Duration,
+    /// Messages of the burst that are still to be sent.
+    pending: usize,
+    frames: u16,
+    counter: u16,
+}
+
+/// The identifiers in the order in which they are on a wire.
+const ORDER: [u16; 10] = [
+    0x400, 0x401, 0x688, 0x680, 0x402, 0x403, 0x404, 0x405, 0x406, 0x407,
+];
+const VELOCITY: usize = 0;
+const ACCELERATE: usize = 1;
+const TURN: usize = 2;
+
+impl Powerbase {
+    /// A power base that is switched on and disabled, with a velocity scale of 12 stored.
+    #[must_use]
+    pub fn new(config: PowerbaseConfig) -> Self {
+        Self {
+            config,
+            faults: Faults::default(),
+            powered: true,
+            mode: Mode::Disabled,
+            gain: Gain::Light,
+            scales: [12, SCALE_MAX, SCALE_MAX],
+            current: CURRENT_MAX,
+            command: [0; 2],
+            commanded: None,
+            hurried: 0,
+            rates: [0.0; 2],
+            turned: [0.0; 2],
+            offsets: [0.0; 4],
+            odometer: Odometer::default(),
+            now: Duration::ZERO,
+            burst: config.phase,
+            pending: 0,
+            frames: 0,
+            counter: 0,
+        }
+    }
+
+    /// Stores a velocity scale, sixteenths, as an owner before may have done.
+    pub fn store_scale(&mut self, scale: u8) {
+        self.scales[VELOCITY] = scale.min(SCALE_MAX);
+    }
+
+    /// Switches it on or off. What it counted is lost with the power, the stored scale is not.
+    pub fn power(&mut self, on: bool) {
+        if on && !self.powered {
+            self.offsets = self.raw_integrators();
+        }
+        (self.powered, self.mode, self.commanded) = (on, Mode::Disabled, None);
+        self.command = [0; 2];
+    }
+
+    /// Where it truly is.
+    #[must_use]
+    pub const fn truth(&self) -> Pose {
+        self.odometer.pose()
+    }
+
+    /// What its left and right wheel have truly turned, counts.
+    #[must_use]
+    pub const fn turned(&self) -> [f64; 2] {
+        self.turned
+    }
+
+    /// Speed of the left and the right wheel, m/s on the wheels of its model.
+    #[must_use]
+    pub fn speed(&self) -> [f64; 2] {
+        let scale = self.config.model.scales().displacement;
+        self.rates.map(|rate| rate / scale)
+    }
+
+    /// Operational mode.
+    #[must_use]
+    pub const fn mode(&self) -> Mode {
+        self.mode
+    }
+
+    /// Stored scales of velocity, acceleration and turn, sixteenths.
+    #[must_use]
+    pub const fn scales(&self) -> [u8; 3] {
+        self.scales
+    }
+
+    /// Commands that came too soon after the one before.
+    #[must_use]
+    pub const fn hurried(&self) -> u64 {
+        self.hurried
+    }
+
+    /// Takes a frame of the host.
+    pub fn handle_frame(&mut self, frame: &Frame, now: Duration) {
+        self.advance(now);
+        if !self.powered {
+            return;
+        }
+        if is_shutdown(frame) {
+            self.power(false);
+        } else if let Some(command) = Command::decode(frame) {
+            self.obey(command, now);
+        }
+    }
+
+    fn obey(&mut self, command: Command, now: Duration) {
+        if self
+            .commanded
+            .is_some_and(|last| now.saturating_sub(last) < COMMAND_SPACING_MIN)
+        {
+            self.hurried += 1;
+        }
+        self.commanded = Some(now);
+        self.command = [
+            command.velocity.clamp(-VELOCITY_MAX, VELOCITY_MAX),
+            command.turn.clamp(-TURN_MAX, TURN_MAX),
+        ];
+        match command.config {
+            Config::MaxVelocity(_) if self.faults.keeps_scale => {}
+            Config::MaxVelocity(scale) => self.scales[VELOCITY] = scale.min(SCALE_MAX),
+            Config::MaxAcceleration(scale) => self.scales[ACCELERATE] = scale.min(SCALE_MAX),
+            Config::MaxTurn(scale) => self.scales[TURN] = scale.min(SCALE_MAX),
+            Config::Gain(gain) => self.gain = gain,
+            Config::CurrentLimit(limit) => self.current = limit.min(CURRENT_MAX),
+            Config::Mode(mode) if !self.faults.refuses_mode => self.set_mode(mode),
+            Config::ResetIntegrators(which) => self.reset(which),
+            Config::None | Config::Mode(_) | Config::BalanceLockout(_) | Config::Other { .. } => {}
+        }
+    }
+
+    /// It does not balance, and switches off when told so.
+    fn set_mode(&mut self, mode: Mode) {
+        match mode {
+            Mode::Disabled | Mode::Tractor => self.mode = mode,
+            Mode::PowerDown => self.power(false),
+            Mode::Balance | Mode::Other(_) => {}
+        }
+    }
+
+    fn reset(&mut self, which: Integrators) {
+        let order = [
+            Integrators::RIGHT,
+            Integrators::LEFT,
+            Integrators::YAW,
+            Integrators::FORE_AFT,
+        ];
+        let raw = self.raw_integrators();
+        for ((offset, raw), one) in self.offsets.iter_mut().zip(raw).zip(order) {
+            if which.contains(one) && !self.faults.keeps.contains(one) {
+                *offset = raw;
+            }
+        }
+    }
+
+    /// Right, left, yaw (clockwise), fore and aft, counts since ever.
+    fn raw_integrators(&self) -> [f64; 4] {
+        let [left, right] = self.turned;
+        let turns = self.odometer.pose().heading / std::f64::consts::TAU;
+        let yaw = -turns * self.config.model.scales().yaw;
+        [right, left, yaw, f64::midpoint(left, right)]
+    }
+
+    /// Moves on to a time.
+    pub fn advance(&mut self, now: Duration) {
+        while self.now + STEP <= now {
+            self.now += STEP;
+            self.step();
+        }
+    }
+
+    fn moves(&self) -> bool {
+        let fresh = |at: Duration| self.now.saturating_sub(at) <= COMMAND_AGE_MAX;
+        self.powered
+            && self.mode == Mode::Tractor
+            && !self.faults.emergency_stop
+            && self.commanded.is_some_and(fresh)
+    }
+
+    fn step(&mut self) {
+        let scales = self.config.model.scales();
+        let dt_s = STEP.as_secs_f64();
+        let share = |which: usize| f64::from(self.scales[which]) / f64::from(SCALE_MAX);
+        let turn_gain = self.config.turn_gain.unwrap_or_else(|| {
+            (1.0 / COUNTS_PER_DEGREE).to_radians() * self.config.track / 2.0 * scales.displacement
+        });
+        let [velocity, turn] = if self.moves() {
+            self.command.map(f64::from)
+        } else {
+            [0.0; 2]
+        };
+        let ahead = velocity * share(VELOCITY) * scales.displacement / scales.velocity;
+        let around = turn * share(TURN) * turn_gain;
+        let most = ACCELERATION * share(ACCELERATE).max(0.1) * scales.displacement * dt_s;
+        for (rate, wanted) in self.rates.iter_mut().zip([ahead + around, ahead - around]) {
+            *rate += (wanted - *rate).clamp(-most, most);
+        }
+        let steps = self.rates.map(|rate| rate * dt_s);
+        for (turned, step) in self.turned.iter_mut().zip(steps) {
+            *turned += step;
+        }
+        let [left, right] = steps.map(|step| step / scales.displacement);
+        let rotation = (right - left) / self.config.track;
+        self.odometer
+            .add([f64::midpoint(left, right), 0.0, rotation]);
+    }
+
+    /// When [`Self::poll_transmit`] has something next.
+    #[must_use]
+    pub const fn poll_timeout(&self) -> Duration {
+        self.burst
+    }
+
+    /// The next message that is due, and the channel on which it goes out.
+    pub fn poll_transmit(&mut self, now: Duration) -> Option<(Channel, Frame)> {
+        self.advance(now);
+        loop {
+            if self.pending == 0 {
+                if now < self.burst {
+                    return None;
+                }
+                self.begin();
+            }
+            let at = self.burst_len() - self.pending;
+            self.pending -= 1;
+            if let Some(sent) = self.message(at) {
+                return Some(sent);
+            }
+        }
+    }
+
+    const fn burst_len(&self) -> usize {
+        let both = if self.config.both_channels { 2 } else { 1 };
+        ORDER.len() * both
+    }
+
+    fn begin(&mut self) {
+        self.burst += CYCLE;
+        self.pending = self.burst_len();
+        if self.powered {
+            self.frames = self.frames.wrapping_add(1);
+            self.counter = self.counter.wrapping_add(2);
+        }
+    }
+
+    fn message(&self, at: usize) -> Option<(Channel, Frame)> {
+        let channel = if at < ORDER.len() {
+            Channel::A
+        } else {
+            Channel::B
+        };
+        let id = *ORDER.get(at % ORDER.len())?;
+        let [a, b] = self.faults.silent;
+        let silent = match channel {
+            Channel::A => a,
+            Channel::B => b,
+        };
+        if silent || self.faults.lacks == Some(id) {
+            return None;
+        }
+        let message = if self.powered {
+            self.tell(id)?
+        } else if id == 0x400 {
+            Message::PowerbaseOff {
+                rest: [0; 3],
+                ui_battery: 398,
+            }
+        } else {
+            return None;
+        };
+        Some((channel, message.frame()))
+    }
+
+    fn tell(&self, id: u16) -> Option<Message> {
+        let scales = self.config.model.scales();
+        let speeds = self.speed().map(|speed| small(speed * scales.speed));
+        let [left_m_s, right_m_s] = self.speed();
+        let clockwise = (left_m_s - right_m_s) / self.config.track;
+        let mut integrators = self.raw_integrators();
+        for (value, offset) in integrators.iter_mut().zip(&self.offsets) {
+            *value -= offset;
+        }
+        let [right, left, yaw, forward] = integrators.map(wrapped);
+        Some(match id {
+            0x400 => Message::Build {
+                build: 0x7F0,
+                rest: [0; 2],
+                counter: self.counter,
+            },
+            0x401 => Message::Attitude {
+                pitch: 0,
+                pitch_rate: 0,
+                roll: 0,
+                roll_rate: 0,
+            },
+            0x402 => Message::Speed {
+                left: speeds[0],
+                right: speeds[1],
+                yaw_rate: small(clockwise.to_degrees() * COUNTS_PER_DEGREE),
+                frames: self.frames,
+            },
+            0x403 => Message::Wheels { left, right },
+            0x404 => Message::Travel { forward, yaw },
+            0x405 => Message::Torque {
+                left: 0,
+                right: 0,
+                rest: [0x80, 0],
+            },
+            0x406 => Message::Operation {
+                mode: self.mode,
+                gain: self.gain,
+                ui_battery: 398,
+                battery: 304,
+            },
+            0x407 => Message::Echo {
+                velocity: self.command[0],
+                turn: self.command[1],
+                rest: [0; 2],
+            },
+            0x680 => Message::ControlUnit(self.unit()),
+            0x688 => Message::Heartbeat {
+                rest: [0; 2],
+                ui_battery: 398,
+                status: 0,
+            },
+            _ => return None,
+        })
+    }
+
+    fn unit(&self) -> ControlUnit {
+        let enabled = self.mode == Mode::Tractor && !self.faults.emergency_stop;
+        let motors = if enabled {
+            StatusWord1::MOTORS_ENABLED.0
+        } else {
+            0
+        };
+        let open = if self.faults.emergency_stop {
+            StatusWord2::EMERGENCY_STOP_A.0 | StatusWord2::EMERGENCY_STOP_B.0
+        } else {
+            0
+        };
+        ControlUnit {
+            mode: self.mode.raw(),
+            word1: StatusWord1(motors | self.faults.word1),
+            word2: StatusWord2(open),
+            counter: self.counter,
+        }
+    }
+}
+
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "saturates, as the device does"
+)]
+fn small(value: f64) -> i16 {
+    value.round() as i16
+}
+
+/// A count as 32 bits tell it, which wrap.
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "wrapping is what the device does"
+)]
+fn wrapped(value: f64) -> i32 {
+    value.floor() as i64 as i32
+}

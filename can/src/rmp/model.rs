@@ -1,0 +1,86 @@
+//! What a count means, by model. The scale that a power base has stored for its commands is not here:
+//! it is a state of the device.
+
+/// A model of power base.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Model {
+    /// One axle, statically stable.
+    Rmp50,
+    /// As the RMP50.
+    Rmp100,
+    /// Two wheels, balancing or on a caster.
+    #[default]
+    Rmp200,
+    /// Two RMP200 in one chassis.
+    Rmp400,
+}
+
+/// Counts per unit of what a power base measures and takes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Scales {
+    /// Measured wheel speed, counts per m/s.
+    pub speed: f64,
+    /// Displacement of a wheel, counts per m.
+    pub displacement: f64,
+    /// Yaw displacement, counts per turn.
+    pub yaw: f64,
+    /// Motor torque, counts per Nm.
+    pub torque: f64,
+    /// Velocity command, counts per m/s at the full velocity scale of 16.
+    pub velocity: f64,
+}
+
+/// Angles and angular rates of every model, counts per degree and per degree per second.
+pub(super) const COUNTS_PER_DEGREE: f64 = 7.8;
+
+impl Model {
+    /// All models.
+    pub const ALL: [Self; 4] = [Self::Rmp50, Self::Rmp100, Self::Rmp200, Self::Rmp400];
+
+    /// Its scales.
+    #[must_use]
+    pub const fn scales(self) -> Scales {
+        match self {
+            Self::Rmp50 | Self::Rmp100 => Scales {
+                speed: 401.0,
+                displacement: 40_181.0,
+                yaw: 117_031.0,
+                torque: 1463.0,
+                velocity: 401.0,
+            },
+            Self::Rmp200 | Self::Rmp400 => Scales {
+                speed: 332.0,
+                displacement: 33_215.0,
+                yaw: 112_644.0,
+                torque: 1094.0,
+                velocity: 332.0,
+            },
+        }
+    }
+
+    /// Whether it stands by itself, so that it never balances.
+    #[must_use]
+    pub const fn is_statically_stable(self) -> bool {
+        match self {
+            Self::Rmp50 | Self::Rmp100 | Self::Rmp400 => true,
+            Self::Rmp200 => false,
+        }
+    }
+
+    /// Its name, such as `rmp200`.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Rmp50 => "rmp50",
+            Self::Rmp100 => "rmp100",
+            Self::Rmp200 => "rmp200",
+            Self::Rmp400 => "rmp400",
+        }
+    }
+
+    /// The model of this name.
+    #[must_use]
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|model| model.name() == name)
+    }
+}

@@ -1,0 +1,95 @@
+//! Where a base is, from how far its wheels turned. It knows no base: whoever has turned wheels into
+//! displacements of the base adds them here.
+
+/// Pose in the plane in which the base started.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Pose {
+    /// Forward at the start, m.
+    pub x: f64,
+    /// To the left at the start, m.
+    pub y: f64,
+    /// Heading, rad, counter-clockwise; it is not wrapped.
+    pub heading: f64,
+}
+
+/// Integrates displacements with the heading in the middle of each.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Odometer {
+    pose: Pose,
+}
+
+impl Odometer {
+    /// The pose so far.
+    #[must_use]
+    pub const fn pose(&self) -> Pose {
+        self.pose
+    }
+
+    /// Adds a displacement in the base's own frame: forward and left, m, and rotation, rad.
+    pub fn add(&mut self, [forward, left, rotation]: [f64; 3]) {
+        let (sin, cos) = (self.pose.heading + rotation / 2.0).sin_cos();
+        self.pose.x += cos * forward - sin * left;
+        self.pose.y += sin * forward + cos * left;
+        self.pose.heading += rotation;
+    }
+}
+
+/// A counter of 32 bits that wraps, that starts anywhere, and that may be set to another value behind
+/// our back: then the step it makes is not believed.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Counter {
+    last: Option<i32>,
+    jumps: u64,
+}
+
+impl Counter {
+    /// Counts since the last value; `expected` is what the measured speed makes of the time between,
+    /// and is taken where the step differs by more than `tolerance` from it.
+    pub(super) fn advance(&mut self, value: i32, expected: f64, tolerance: f64) -> f64 {
+        let Some(last) = self.last.replace(value) else {
+            return 0.0;
+        };
+        let step = f64::from(value.wrapping_sub(last));
+        if (step - expected).abs() <= tolerance {
+            return step;
+        }
+        self.jumps += 1;
+        expected
+    }
+
+    pub(super) const fn jumps(&self) -> u64 {
+        self.jumps
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_circle_ends_where_it_began() {
+        let mut odometer = Odometer::default();
+        let steps = 10_000;
+        let angle = std::f64::consts::TAU / f64::from(steps);
+        for _ in 0..steps {
+            odometer.add([0.5 * angle, 0.0, angle]);
+        }
+        let pose = odometer.pose();
+        assert!(pose.x.hypot(pose.y) < 1e-9, "{pose:?}");
+        assert!((pose.heading - std::f64::consts::TAU).abs() < 1e-9);
+    }
+
+    #[test]
+    fn counters_wrap_start_anywhere_and_survive_a_reset() {
+        let mut counter = Counter::default();
+        let mut advance = |value| counter.advance(value, 10.0, 200.0);
+        assert_eq!(
+            advance(i32::MAX - 5).total_cmp(&0.0),
+            std::cmp::Ordering::Equal
+        );
+        assert!((advance(i32::MIN + 4) - 10.0).abs() < 1e-12);
+        assert!((advance(0) - 10.0).abs() < 1e-12, "a reset is not a motion");
+        assert!((advance(150) - 150.0).abs() < 1e-12);
+        assert_eq!(counter.jumps(), 1);
+    }
+}
