@@ -1,11 +1,21 @@
 //! The heartbeat: an absolute time grid, and a loop that sleeps from slot to slot of it.
 //!
-//! It does not follow another clock, and never catches up: slots missed are skipped and counted, since
-//! a burst of late cycles would send a burst of old set-points.
+//! The grid is that of the host's clock, or keeps a phase to a device's ([`Follow`]); then it moves
+//! smoothly, and only when its slots begin changes, never how many there are.
+//!
+//! It never catches up: slots missed are skipped and counted, since a burst of late cycles would send a
+//! burst of old set-points.
+
+mod follow;
 
 use std::{ops::ControlFlow, time::Duration};
 
-use crate::{Nanos, linux::clock, stats::StatsWriter};
+pub use self::follow::Follow;
+use crate::{Nanos, flight::FlightRecorder, linux::clock, servo::Estimate, stats::StatsWriter};
+
+/// A followed clock moves a slot by at most this part of a period, 0.5 %: the least distance of slots,
+/// on which a device and the budget of a cycle rely, is never less than the rest.
+const STEER_PART: i64 = 200;
 
 /// One cycle about to be run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -14,7 +24,9 @@ pub struct Tick {
     pub index: u64,
     /// Slots skipped just before this one.
     pub missed: u32,
-    /// When the slot began, on the grid.
+    /// Its logical time: exactly the first slot's plus `index` periods, whatever clock the grid follows.
+    pub time: Nanos,
+    /// When the slot began, on the grid. The same as `time` unless the grid follows a device's clock.
     pub scheduled: Nanos,
     /// When the thread came to serve it.
     pub woken: Nanos,
@@ -25,6 +37,10 @@ pub struct Tick {
 pub struct Grid {
     period_ns: i64,
     index: u64,
+    /// Logical time of the next slot.
+    time: Nanos,
+    /// When it would begin if nothing were followed: a period after the one before.
+    unsteered: Nanos,
     deadline: Nanos,
 }
 
@@ -34,6 +50,8 @@ impl Grid {
         Self {
             period_ns: Nanos::from(period).0.max(1),
             index: 0,
+            time: start,
+            unsteered: start,
             deadline: start,
         }
     }
@@ -56,6 +74,7 @@ impl Grid {
         let tick = Tick {
             index: self.index,
             missed: u32::try_from(missed).unwrap_or(u32::MAX),
+            time: self.time,
             scheduled: self.deadline,
             woken: now,
         };
@@ -72,6 +91,15 @@ impl Grid {
         }
     }
 
+    /// Moves the next slot towards the nearest instant at which the clock of `estimate` shows
+    /// `n · period + phase`, by 0.5 % of a period at most. Once on it, slots follow that clock's rate.
+    /// Only the last call before a slot counts.
+    pub fn steer(&mut self, estimate: &Estimate, phase: Nanos) {
+        let error = estimate.phase_error(self.unsteered, self.period(), phase);
+        let most = self.period_ns / STEER_PART;
+        self.deadline = self.unsteered - Nanos(error.0.clamp(-most, most));
+    }
+
     /// How many slots, from the next on, have ended by `now`.
     fn over(&self, now: Nanos) -> i64 {
         let late = (now - self.deadline).0;
@@ -84,42 +112,99 @@ impl Grid {
     }
 
     fn advance(&mut self, slots: i64) {
+        let span = Nanos(slots.saturating_mul(self.period_ns));
         self.index = self.index.saturating_add(slots.unsigned_abs());
-        self.deadline += Nanos(slots.saturating_mul(self.period_ns));
+        self.time += span;
+        self.deadline += span;
+        self.unsteered = self.deadline;
     }
 }
 
-/// Runs `body` once per slot of a grid until it breaks; returns the number of cycles run.
-///
-/// Slot 0 is at `start`, or one period from now. If `start` lies in the past, the first cycle is the
-/// next slot of that grid. Each cycle is recorded in `stats`, after the body. The sleep is left out when
-/// the next slot has begun already. Allocates nothing; ends early only if the kernel refuses to sleep
-/// ([`sleep_until`](crate::sleep_until)), since going on would be an endless loop at top priority.
+/// Runs `body` once per slot of the host's clock: [`Cycles::run`] with nothing but a period and a start.
 pub fn run_cycles(
     period: Duration,
     start: Option<Nanos>,
     stats: &mut StatsWriter,
-    mut body: impl FnMut(&Tick) -> ControlFlow<()>,
+    body: impl FnMut(&Tick) -> ControlFlow<()>,
 ) -> u64 {
-    let mut now = clock::monotonic();
-    let mut grid = Grid::new(start.unwrap_or_else(|| now + period.into()), period);
-    grid.skip_to(now);
-    for cycles in 0.. {
-        if now < grid.deadline() {
-            if clock::sleep_until(grid.deadline()).is_err() {
-                return cycles;
-            }
-            now = clock::monotonic();
-        }
-        let tick = grid.next(now);
-        let flow = body(&tick);
-        now = clock::monotonic();
-        stats.record(&tick, now);
-        if flow.is_break() {
-            return cycles + 1;
+    let cycles = Cycles {
+        start,
+        ..Cycles::every(period)
+    };
+    cycles.run(stats, body)
+}
+
+/// The cycles of a thread: how often, from when, by whose clock.
+#[derive(Debug)]
+pub struct Cycles<'a> {
+    /// The distance between two slots.
+    pub period: Duration,
+    /// Where slot 0 is; `None` for one period from the call. If it lies in the past, the first cycle is
+    /// the next slot of that grid.
+    pub start: Option<Nanos>,
+    /// The device's clock to keep phase with; `None` for the host's.
+    pub follow: Option<Follow>,
+    /// Where missed slots and changes of the followed clock are noted.
+    pub flight: Option<&'a FlightRecorder>,
+}
+
+impl Cycles<'_> {
+    /// A cycle every `period` of the host's clock.
+    pub fn every(period: Duration) -> Self {
+        Self {
+            period,
+            start: None,
+            follow: None,
+            flight: None,
         }
     }
-    u64::MAX
+
+    /// Runs `body` once per slot until it breaks; returns the number of cycles run.
+    ///
+    /// Each cycle is recorded in `stats`, after the body. An estimate that the body writes counts for
+    /// the next slot. The sleep is left out when the next slot has begun already. Allocates nothing; ends
+    /// early only if the kernel refuses to sleep ([`sleep_until`](crate::sleep_until)), since going on
+    /// would be an endless loop at top priority.
+    pub fn run(
+        mut self,
+        stats: &mut StatsWriter,
+        mut body: impl FnMut(&Tick) -> ControlFlow<()>,
+    ) -> u64 {
+        let mut now = clock::monotonic();
+        let start = self.start.unwrap_or_else(|| now + self.period.into());
+        let mut grid = Grid::new(start, self.period);
+        grid.skip_to(now);
+        for cycles in 0.. {
+            if let Some(follow) = &mut self.follow {
+                follow.steer(&mut grid, now, self.flight);
+            }
+            if now < grid.deadline() {
+                if clock::sleep_until(grid.deadline()).is_err() {
+                    return cycles;
+                }
+                now = clock::monotonic();
+            }
+            let tick = grid.next(now);
+            let flow = body(&tick);
+            now = clock::monotonic();
+            stats.record(&tick, now);
+            self.note(&grid, &tick, stats);
+            if flow.is_break() {
+                return cycles + 1;
+            }
+        }
+        u64::MAX
+    }
+
+    fn note(&self, grid: &Grid, tick: &Tick, stats: &mut StatsWriter) {
+        let follow = self.follow.as_ref();
+        if let Some(error) = follow.and_then(|follow| follow.phase_error(grid, tick)) {
+            stats.record_phase(error);
+        }
+        if let (Some(flight), 1..) = (self.flight, tick.missed) {
+            flight.note(tick.index, "cycle", "missed slots", tick.missed.into());
+        }
+    }
 }
 
 #[cfg(test)]
@@ -134,6 +219,7 @@ mod tests {
         Tick {
             index,
             missed,
+            time: Nanos(scheduled),
             scheduled: Nanos(scheduled),
             woken: Nanos(woken),
         }
@@ -210,6 +296,116 @@ mod tests {
                 prop_assert_eq!(grid.deadline(), tick.scheduled + Nanos(period));
             }
         }
+    }
+
+    #[test]
+    fn a_steered_grid_keeps_numbers_and_logical_time() {
+        let clock = Estimate {
+            state: crate::servo::State::Locked,
+            remote: Nanos(3_000),
+            frequency_ppb: 100_000.0,
+            ..Estimate::default()
+        };
+        let period = Duration::from_micros(100);
+        let mut grid = Grid::new(Nanos::ZERO, period);
+        let mut spacings = Vec::new();
+        let mut before = Nanos::ZERO;
+        for index in 0..80 {
+            let tick = grid.next(grid.deadline());
+            assert_eq!((tick.index, tick.missed), (index, 0));
+            assert_eq!(tick.time, Nanos(100_000 * i64::try_from(index).unwrap()));
+            spacings.push((tick.scheduled - before).0);
+            before = tick.scheduled;
+            // Asking twice must not move it twice.
+            grid.steer(&clock, Nanos(30_000));
+            grid.steer(&clock, Nanos(30_000));
+        }
+        assert_eq!(spacings[1], 100_500, "27 us ahead, at 0.5 % a cycle");
+        assert_eq!(spacings[79], 99_990, "then at the rate of that clock");
+        let error = clock.phase_error(before, grid.period(), Nanos(30_000));
+        assert!(error.abs() <= Nanos(1), "{error}");
+    }
+
+    proptest! {
+        /// Whatever is followed, jumps included, slots keep their least distance and none is lost.
+        #[test]
+        fn no_clock_breaks_the_spacing(
+            period in 1_000_i64..50_000_000,
+            phase: i64,
+            clocks in proptest::collection::vec((any::<i64>(), any::<i64>(), -5e8..5e8_f64, 0_i64..200), 1..60),
+        ) {
+            let mut grid = Grid::new(Nanos::ZERO, Duration::from_nanos(period.unsigned_abs()));
+            let mut before = grid.next(Nanos::ZERO);
+            for (local, remote, frequency_ppb, late) in clocks {
+                let clock = Estimate {
+                    local: Nanos(local),
+                    remote: Nanos(remote),
+                    frequency_ppb,
+                    ..Estimate::default()
+                };
+                grid.steer(&clock, Nanos(phase));
+                let tick = grid.next(grid.deadline() + Nanos(period * late / 100));
+                let slots = i64::from(tick.missed) + 1;
+                prop_assert_eq!(tick.index, before.index + slots.unsigned_abs());
+                prop_assert_eq!(tick.missed, u32::try_from(late / 100).unwrap());
+                prop_assert_eq!(tick.time - before.time, Nanos(slots * period));
+                let spacing = (tick.scheduled - before.scheduled).0;
+                prop_assert!((spacing - slots * period).abs() <= period / STEER_PART, "{}", spacing);
+                before = tick;
+            }
+        }
+    }
+
+    #[test]
+    fn the_loop_follows_and_records_its_phase() {
+        let clock = Estimate {
+            state: crate::servo::State::Locked,
+            local: clock::monotonic(),
+            expires: Nanos::MAX,
+            ..Estimate::default()
+        };
+        let (_writer, estimates) = crate::latest::latest(1, || clock);
+        let (mut writer, reader) = crate::stats::pair();
+        let cycles = Cycles {
+            follow: Some(Follow::new(estimates, Nanos(5_000))),
+            ..Cycles::every(Duration::from_micros(50))
+        };
+        let mut last = None;
+        let mut left = 200;
+        let ran = cycles.run(&mut writer, |tick| {
+            last = Some(*tick);
+            left -= 1;
+            if left > 0 {
+                ControlFlow::Continue(())
+            } else {
+                ControlFlow::Break(())
+            }
+        });
+        let error = clock.phase_error(last.unwrap().scheduled, Nanos(50_000), Nanos(5_000));
+        assert!(error.abs() <= Nanos(250), "{error}");
+        assert_eq!(reader.snapshot().phase_error.count, ran);
+    }
+
+    #[test]
+    fn missed_slots_are_noted() {
+        let (mut writer, _reader) = crate::stats::pair();
+        let flight = FlightRecorder::new(4);
+        let cycles = Cycles {
+            flight: Some(&flight),
+            ..Cycles::every(Duration::from_micros(50))
+        };
+        let mut missed = 0;
+        cycles.run(&mut writer, |tick| {
+            while clock::monotonic() < tick.scheduled + Nanos(200_000) {}
+            missed = tick.missed;
+            if missed > 0 {
+                ControlFlow::Break(())
+            } else {
+                ControlFlow::Continue(())
+            }
+        });
+        let last = flight.entries().last().unwrap();
+        assert_eq!((last.what, last.value), ("missed slots", i64::from(missed)));
     }
 
     #[test]

@@ -1,9 +1,10 @@
 //! The flight recorder: the last so many things a real-time thread did, for the report after a fault.
 //!
-//! It does not leave the thread by itself. Its owner hands it over when the thread ends, or copies the
-//! entries out once a fault has ended the real-time part.
+//! It does not leave the thread by itself. Its owner hands it over when the thread ends, or, on a fault in
+//! a thread that goes on, copies the entries into a [`latest`](crate::latest) cell
+//! ([`FlightRecorder::copy_to`]).
 
-use std::fmt;
+use std::{cell::Cell, fmt};
 
 /// One thing that happened. Displays as one line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -30,49 +31,77 @@ impl fmt::Display for Entry {
     }
 }
 
-/// A ring of entries that overwrites its oldest.
+impl Entry {
+    /// No entry yet: what memory for entries is filled with.
+    pub const BLANK: Self = Self {
+        cycle: 0,
+        source: "",
+        what: "",
+        value: 0,
+    };
+}
+
+/// A ring of entries that overwrites its oldest. Recording takes `&self`, so that the loop that runs a
+/// cycle and the cycle's body can share it; it may be sent to another thread, not shared with one.
 #[derive(Debug)]
 pub struct FlightRecorder {
-    entries: Box<[Entry]>,
-    recorded: u64,
+    entries: Box<[Cell<Entry>]>,
+    recorded: Cell<u64>,
     /// Where the next entry goes, below `entries.len()`.
-    next: usize,
+    next: Cell<usize>,
 }
 
 impl FlightRecorder {
     /// Remembers the last `capacity` entries (at least 1). All memory is taken here.
     pub fn new(capacity: usize) -> Self {
-        let blank = Entry {
-            cycle: 0,
-            source: "",
-            what: "",
-            value: 0,
-        };
         Self {
-            entries: vec![blank; capacity.max(1)].into(),
-            recorded: 0,
-            next: 0,
+            entries: vec![Cell::new(Entry::BLANK); capacity.max(1)].into(),
+            recorded: Cell::new(0),
+            next: Cell::new(0),
         }
     }
 
+    /// Remembers that in cycle `cycle` `source` met `what`, in place of the oldest entry if need be.
+    pub fn note(&self, cycle: u64, source: &'static str, what: &'static str, value: i64) {
+        self.record(Entry {
+            cycle,
+            source,
+            what,
+            value,
+        });
+    }
+
     /// Remembers `entry`, in place of the oldest if need be.
-    pub fn record(&mut self, entry: Entry) {
-        self.entries[self.next] = entry;
-        self.next = (self.next + 1) % self.entries.len();
-        self.recorded += 1;
+    pub fn record(&self, entry: Entry) {
+        let next = self.next.get();
+        self.entries[next].set(entry);
+        self.next.set((next + 1) % self.entries.len());
+        self.recorded.set(self.recorded.get() + 1);
     }
 
     /// Entries recorded so far, forgotten ones included.
     pub fn recorded(&self) -> u64 {
-        self.recorded
+        self.recorded.get()
     }
 
     /// The entries remembered, oldest first.
-    pub fn entries(&self) -> impl Iterator<Item = &Entry> {
-        let (newer, older) = self.entries.split_at(self.next);
-        let is_full = self.recorded >= self.entries.len() as u64;
+    pub fn entries(&self) -> impl DoubleEndedIterator<Item = Entry> {
+        let (newer, older) = self.entries.split_at(self.next.get());
+        let is_full = self.recorded() >= self.entries.len() as u64;
         let older = if is_full { older } else { &[] };
-        older.iter().chain(newer)
+        older.iter().chain(newer).map(Cell::get)
+    }
+
+    /// Copies the newest entries that fit into `into`, oldest first, and blanks the rest. Returns how many.
+    pub fn copy_to(&self, into: &mut [Entry]) -> usize {
+        let mut count = 0;
+        for (slot, entry) in into.iter_mut().zip(self.entries().rev()) {
+            *slot = entry;
+            count += 1;
+        }
+        into[..count].reverse();
+        into[count..].fill(Entry::BLANK);
+        count
     }
 }
 
@@ -86,19 +115,27 @@ mod tests {
 
     #[test]
     fn remembers_the_last_in_order() {
-        let mut recorder = FlightRecorder::new(3);
+        let recorder = FlightRecorder::new(3);
         assert_eq!(cycles(&recorder), []);
         let expected: [&[u64]; 5] = [&[0], &[0, 1], &[0, 1, 2], &[1, 2, 3], &[2, 3, 4]];
         for (cycle, expected) in (0..).zip(expected) {
-            recorder.record(Entry {
-                cycle,
-                source: "test",
-                what: "count",
-                value: 0,
-            });
+            recorder.note(cycle, "test", "count", 0);
             assert_eq!(cycles(&recorder), expected);
         }
         assert_eq!(recorder.recorded(), 5);
+    }
+
+    #[test]
+    fn the_newest_are_copied_in_order() {
+        let recorder = FlightRecorder::new(3);
+        (0..5).for_each(|cycle| recorder.note(cycle, "test", "count", 0));
+        let mut two = [Entry::BLANK; 2];
+        assert_eq!(recorder.copy_to(&mut two), 2);
+        assert_eq!(two.map(|entry| entry.cycle), [3, 4]);
+        let mut five = [two[1]; 5];
+        assert_eq!(recorder.copy_to(&mut five), 3);
+        assert_eq!(five.map(|entry| entry.cycle), [2, 3, 4, 0, 0]);
+        assert_eq!(five[4], Entry::BLANK);
     }
 
     #[test]

@@ -21,6 +21,8 @@ mod linux;
 #[cfg(not(loom))]
 mod nanos;
 #[cfg(not(loom))]
+pub mod servo;
+#[cfg(not(loom))]
 pub mod stats;
 #[cfg(not(loom))]
 pub mod thread;
@@ -28,6 +30,10 @@ pub mod thread;
 #[cfg(not(loom))]
 pub use self::{
     grant::{Grant, Outcome},
-    linux::clock::{monotonic, sleep_until},
+    linux::{
+        clock::{monotonic, sleep_until},
+        ethtool,
+        usage::{Usage, thread_usage},
+    },
     nanos::Nanos,
 };

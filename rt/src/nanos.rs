@@ -31,6 +31,21 @@ impl Nanos {
         Self(millis.saturating_mul(1_000_000))
     }
 
+    /// The nearest to `ns`; no number is no offset.
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "saturates, as all arithmetic here"
+    )]
+    pub(crate) fn from_f64(ns: f64) -> Self {
+        Self(ns.round() as i64)
+    }
+
+    /// In ns, exact to 104 days.
+    #[expect(clippy::cast_precision_loss, reason = "that is what the name says")]
+    pub(crate) const fn to_f64(self) -> f64 {
+        self.0 as f64
+    }
+
     /// The magnitude.
     pub const fn abs(self) -> Self {
         Self(self.0.saturating_abs())

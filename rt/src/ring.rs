@@ -140,6 +140,12 @@ impl<T: Send> Producer<T> {
         self.shared.dropped.load(Ordering::Relaxed)
     }
 
+    /// How many items can be pushed now at least; the consumer may make more room at any time.
+    pub fn room(&mut self) -> usize {
+        self.head_seen = self.shared.head.0.load(Ordering::Acquire);
+        self.shared.capacity - self.tail.wrapping_sub(self.head_seen)
+    }
+
     fn has_room(&mut self) -> bool {
         let capacity = self.shared.capacity;
         if self.tail.wrapping_sub(self.head_seen) < capacity {
@@ -212,7 +218,9 @@ mod tests {
         }
         assert_eq!(producer.push(3), Err(3));
         assert_eq!((producer.dropped(), consumer.dropped()), (1, 1));
+        assert_eq!(producer.room(), 0);
         assert_eq!(consumer.pop(), Some(0));
+        assert_eq!(producer.room(), 1);
         assert_eq!(producer.push(4), Ok(()));
         assert_eq!(
             [consumer.pop(), consumer.pop(), consumer.pop()],

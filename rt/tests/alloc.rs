@@ -15,10 +15,11 @@ use std::{
 use takt_rt::{
     Nanos,
     alloc::{CountingAllocator, Guard, enter_real_time, real_time_allocations, set_guard},
-    cycle::{Grid, run_cycles},
+    cycle::{Cycles, Follow, Grid, run_cycles},
     flight::{Entry, FlightRecorder},
     latest::latest,
     ring::ring,
+    servo::{Estimate, Servo, ServoConfig},
     stats,
     thread::{ThreadConfig, spawn},
 };
@@ -47,8 +48,9 @@ fn ten_thousand_cycles_allocate_nothing() {
     let (mut writer, reader) = stats::pair();
     let (mut image_out, mut image_in) = latest(1, || [0_u64; 64]);
     let (mut producer, mut consumer) = ring(16);
-    let mut flight = FlightRecorder::new(64);
+    let flight = FlightRecorder::new(64);
     let mut grid = Grid::new(Nanos(0), Duration::from_millis(1));
+    let mut servo = Servo::new(&ServoConfig::new(Duration::from_millis(1)));
     let count = allocations(|| {
         for cycle in 0..10_000 {
             let late = Nanos(i64::try_from(cycle).unwrap() * 7_919 % 3_000_000);
@@ -65,6 +67,10 @@ fn ten_thousand_cycles_allocate_nothing() {
                 value: late.0,
             });
             writer.record(&tick, tick.woken + late);
+            // Steps, outliers and rest: every path of the servo.
+            let step = Nanos(i64::try_from(cycle / 1_500).unwrap() * 40_000_000);
+            servo.handle_sample(tick.scheduled, tick.time + step);
+            grid.steer(&servo.estimate(), Nanos(300_000));
         }
     });
     assert_eq!(count, 0);
@@ -95,6 +101,49 @@ fn a_cycle_thread_with_its_sleeps_allocates_nothing() {
     assert_eq!(thread.unwrap().join().unwrap(), 1_000);
     assert_eq!(real_time_allocations() - before, 0);
     assert_eq!(reader.snapshot().cycles, 1_000);
+}
+
+/// A driver thread that measures a clock and follows its own servo, with missed slots to note.
+#[test]
+fn a_disciplined_cycle_thread_allocates_nothing() {
+    let _turn = take_turn();
+    let before = real_time_allocations();
+    let period = Duration::from_micros(50);
+    let (mut clock_out, clock) = latest(1, Estimate::default);
+    let (mut writer, reader) = stats::pair();
+    let thread = spawn(ThreadConfig::new("disciplined"), move || {
+        let flight = FlightRecorder::new(1_024);
+        let mut servo = Servo::new(&ServoConfig {
+            uncertainty_max: Nanos::from_millis(1),
+            ..ServoConfig::new(period)
+        });
+        let scope = enter_real_time();
+        let cycles = Cycles {
+            follow: Some(Follow::new(clock, Nanos(10_000))),
+            flight: Some(&flight),
+            ..Cycles::every(period)
+        };
+        let mut left = 500;
+        cycles.run(&mut writer, |tick| {
+            // A clock 100 ppm fast, read without delay.
+            let remote = Nanos(tick.woken.0 + tick.woken.0 / 10_000);
+            servo.handle_sample(tick.woken, remote);
+            clock_out.write(servo.estimate());
+            left -= 1;
+            if left > 0 {
+                ControlFlow::Continue(())
+            } else {
+                ControlFlow::Break(())
+            }
+        });
+        drop(scope);
+        flight
+    });
+    let flight = thread.unwrap().join().unwrap();
+    assert_eq!(real_time_allocations() - before, 0);
+    let of_the_clock = |entry: Entry| entry.source == "clock";
+    assert!(flight.entries().any(of_the_clock));
+    assert!(reader.snapshot().phase_error.count > 0);
 }
 
 #[test]

@@ -5,6 +5,8 @@
 //! `thread`.
 
 pub(crate) mod clock;
+pub mod ethtool;
 pub(crate) mod memory;
 pub(crate) mod process;
 pub(crate) mod scheduler;
+pub(crate) mod usage;
