@@ -9,6 +9,8 @@ pub const SYSUSERS: &str = include_str!("../sysusers/takt.conf");
 pub const UDEV_RULES: &str = include_str!("../udev/60-takt.rules");
 /// Kernel settings.
 pub const SYSCTL: &str = include_str!("../sysctl/60-takt.conf");
+/// A cell to begin with.
+pub const CELL: &str = include_str!("../config/cell.toml");
 /// Limits of people who run takt at a terminal.
 pub const LIMITS: &str = include_str!("../limits/takt.conf");
 
@@ -22,7 +24,7 @@ pub struct InstalledFile {
 }
 
 /// Everything an installation puts in place beside the program.
-pub const FILES: [InstalledFile; 5] = [
+pub const FILES: [InstalledFile; 6] = [
     InstalledFile {
         path: "/usr/lib/systemd/system/takt.service",
         text: SERVICE,
@@ -38,6 +40,10 @@ pub const FILES: [InstalledFile; 5] = [
     InstalledFile {
         path: "/usr/lib/sysctl.d/60-takt.conf",
         text: SYSCTL,
+    },
+    InstalledFile {
+        path: "/etc/takt/cell.toml",
+        text: CELL,
     },
     InstalledFile {
         path: "/etc/security/limits.d/takt.conf",

@@ -3,30 +3,29 @@
 use std::path::Path;
 
 use anyhow::Context;
+use serde_json::{Map, Value};
 
 use crate::cargo::{Cargo, note, say};
 use crate::metadata::Workspace;
 use crate::parts::{self, Part};
 
 /// Runs every bench binary of the part (`harness = false`). With `json`, the last line of output is
-/// the line of JSON the binary printed.
+/// one object with all figures that the binaries printed as lines of JSON.
 pub(crate) fn run(root: &Path, name: &str, json: bool) -> anyhow::Result<bool> {
     let part = parts::find(name).with_context(|| format!("no part is called {name}"))?;
     let lines = lines(part, &Workspace::load(root)?, json);
     anyhow::ensure!(!lines.is_empty(), "part {name} has no benchmark");
     let mut good = true;
-    let mut results = Vec::new();
+    let mut results = Map::new();
     for line in lines {
-        good &= line.lines(root, |text| {
-            if text.starts_with('{') {
-                results.push(text.to_owned());
-            } else {
-                say(text);
-            }
+        good &= line.lines(root, |text| match serde_json::from_str(text) {
+            Ok(Value::Object(result)) => results.extend(result),
+            Ok(_) | Err(_) => say(text),
         })?;
     }
-    results.iter().for_each(|line| say(line));
-    if json && results.is_empty() {
+    if !results.is_empty() {
+        say(&Value::Object(results).to_string());
+    } else if json {
         note("the benchmark printed no line of JSON");
         good = false;
     }

@@ -4,11 +4,14 @@
 mod bench;
 mod cargo;
 mod ci;
+mod deb;
 mod metadata;
 mod parts;
+mod shell;
 mod test;
 mod tidy;
 mod tree;
+mod vm;
 
 use std::process::ExitCode;
 
@@ -43,6 +46,20 @@ enum Task {
         #[arg(long)]
         json: bool,
     },
+    /// The Debian package, checked by lintian where that is installed
+    Deb,
+    /// Run a command in a virtual machine with Debian's PREEMPT_RT kernel and this checkout
+    ///
+    /// Installs what it needs on Debian and the like when run by root. The exit status is the command's,
+    /// 124 if the time is up, 2 if there can be no machine here.
+    Vm {
+        /// End it after this many seconds
+        #[arg(long, default_value_t = 600)]
+        seconds: u64,
+        /// The command, with vcan0 and vcan1 up
+        #[arg(required = true, trailing_var_arg = true)]
+        command: Vec<String>,
+    },
     /// Run the tests of some parts (default all) and rewrite their golden files
     Bless {
         /// Which parts
@@ -53,8 +70,7 @@ enum Task {
 
 fn main() -> ExitCode {
     match perform(&Cli::parse().task) {
-        Ok(true) => ExitCode::SUCCESS,
-        Ok(false) => ExitCode::from(1),
+        Ok(status) => ExitCode::from(status),
         Err(error) => {
             cargo::note(&format!("error: {error:#}"));
             ExitCode::from(2)
@@ -62,15 +78,18 @@ fn main() -> ExitCode {
     }
 }
 
-fn perform(task: &Task) -> anyhow::Result<bool> {
+fn perform(task: &Task) -> anyhow::Result<u8> {
     let root = cargo::workspace_root()?;
-    match task {
+    let good = match task {
+        Task::Vm { seconds, command } => return vm::run(&root, command, *seconds),
+        Task::Deb => deb::run(&root),
         Task::Ci => ci::run(&root),
         Task::Tidy => tidy::run(&root),
         Task::Test { parts } => test::run(&root, parts, test::Golden::Compare),
         Task::Bench { part, json } => bench::run(&root, part, *json),
         Task::Bless { parts } => test::run(&root, parts, test::Golden::Rewrite),
-    }
+    };
+    Ok(u8::from(!good?))
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 //! reads libtest's own text (`tally`), so that nothing but the toolchain is needed; a test that
 //! cannot run here says so by a line in the file that `TAKT_SKIPS` names. Compares no golden itself.
 
-mod tally;
+pub(crate) mod tally;
 
 use std::fs;
 use std::path::Path;
@@ -11,8 +11,8 @@ use anyhow::Context;
 
 use crate::cargo::{self, Cargo, note, say};
 use crate::parts::{self, Part};
-use tally::Reader;
-pub(crate) use tally::Tally;
+use crate::vm::{self, Wanted};
+use tally::{Reader, Tally};
 
 /// What tests do with a golden file that differs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -45,7 +45,8 @@ pub(crate) fn count(root: &Path, parts: &[String], golden: Golden) -> anyhow::Re
     fs::create_dir_all(cargo::target_dir(root)).context("cannot make the target directory")?;
     fs::write(&skips, "").with_context(|| format!("cannot write {}", skips.display()))?;
     let mut tally = Tally::default();
-    for line in lines(root, parts)? {
+    let lines = lines(root, parts)?;
+    for line in lines.clone() {
         let mut line = line.env("TAKT_SKIPS", &skips.to_string_lossy());
         if golden == Golden::Rewrite {
             line = REWRITE
@@ -60,7 +61,14 @@ pub(crate) fn count(root: &Path, parts: &[String], golden: Golden) -> anyhow::Re
         })?;
         tally.add(reader.finish(good));
     }
-    tally.skip_passed(&fs::read_to_string(&skips).unwrap_or_default());
+    let parts: Vec<&Part> = parts.iter().filter_map(|name| parts::find(name)).collect();
+    let inside = match golden {
+        Golden::Compare => vm::test(root, Wanted::by(&parts), &lines, &skips)?,
+        Golden::Rewrite => Tally::default(),
+    };
+    let skipped = fs::read_to_string(&skips).unwrap_or_default();
+    tally.skip_passed(&inside.without_passed(&skipped));
+    tally.add(inside);
     if fs::remove_file(&skips).is_err() {
         note(&format!("could not remove {}", skips.display()));
     }

@@ -8,6 +8,8 @@ pub(crate) struct Tally {
     pub(crate) failed: usize,
     /// Name and reason of each skipped test.
     pub(crate) skips: Vec<String>,
+    /// Names of the tests that passed, without their modules.
+    pub(crate) names: Vec<String>,
 }
 
 impl Tally {
@@ -15,6 +17,7 @@ impl Tally {
         self.passed += other.passed;
         self.failed += other.failed;
         self.skips.extend(other.skips);
+        self.names.extend(other.names);
     }
 
     /// Takes the lines of the skip file. libtest counted each such test as passed, as it has no
@@ -25,6 +28,20 @@ impl Tally {
             self.skips
                 .push(line.trim_start_matches("skipped:").trim().to_owned());
         }
+    }
+
+    /// The lines of the skip file without tests that are among these: they were skipped on the host and
+    /// ran elsewhere.
+    pub(crate) fn without_passed(&self, lines: &str) -> String {
+        let ran = |line: &&str| {
+            let name = line.split(':').next().unwrap_or_default();
+            self.names.iter().any(|passed| passed == name)
+        };
+        lines
+            .lines()
+            .filter(|line| !ran(line))
+            .collect::<Vec<_>>()
+            .join("\n")
     }
 
     /// Each skip with its reason, then the count.
@@ -99,6 +116,10 @@ impl Reader {
                 reason
             };
             self.tally.skips.push(format!("{name}: {reason}"));
+        }
+        if verdict == "ok" {
+            let name = name.rsplit("::").next().unwrap_or(name);
+            self.tally.names.push(name.to_owned());
         }
         verdict != "ok" && !verdict.starts_with("ignored")
     }

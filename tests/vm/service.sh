@@ -1,0 +1,313 @@
+#!/bin/sh
+# The package as an administrator meets it: install, enable, run, disturb, upgrade, remove. Runs as root
+# within a virtual machine made for it (`cargo xtask test host`), never on a host. The steps build on each
+# other. The folder of this script holds takt.deb and swing.net. Output is that of a Rust test binary, so
+# that whoever counts those counts this too.
+
+here=$(cd "$(dirname "$0")" && pwd)
+work=$(mktemp -d)
+arm_log="$work/arm.log"
+failures=0
+passed=0
+
+# --- tools -------------------------------------------------------------------------------------------
+
+# wait_for SECONDS COMMAND...: until it succeeds.
+wait_for() {
+    patience=$1
+    shift
+    until "$@" >/dev/null 2>&1; do
+        patience=$((patience - 1))
+        if [ "$patience" -le 0 ]; then
+            echo "did not happen: $*"
+            return 1
+        fi
+        sleep 1
+    done
+}
+
+property() { systemctl show --value --property "$1" takt; }
+is() { [ "$(property "$1")" = "$2" ]; }
+status_says() { property StatusText | grep -q -e "$1"; }
+journal_says() { journalctl --no-pager --output cat --unit takt | grep -q -e "$1"; }
+state_says() { grep -q -e "$1" /var/lib/takt/state.json; }
+net_is() { takt net list | grep "^$1 " | grep -q "$2"; }
+# A command that must fail; the shell does not count a plain `!`.
+not() { if "$@"; then return 1; fi; }
+
+# The emulated robot controller: slow, as everything here is.
+start_arm() {
+    takt emulate lwr --period 20ms >"$arm_log" 2>&1 &
+    echo $! >"$work/arm.pid"
+}
+
+# Loads swing.net so that it takes a minute, starts it, and prints its name.
+start_slow_swing() {
+    sed "s/Max='1'/Max='60'/; s/Second='1'/Second='60'/" "$here/swing.net" >"$work/slow.net"
+    takt net load --start "$work/slow.net"
+}
+
+# Where the arm's joint is now, rad: a net that only looks tells it.
+position() {
+    look=$(takt net load --start "$work/look.net")
+    # The first line of a value comes at once; then the watch is not needed any more.
+    timeout 10 takt net watch "$look" | sed -n '/^measured /{s///p;q}'
+    takt net abort "$look" >&2
+    takt net unload "$look" >&2
+}
+
+cat >"$work/look.net" <<EOF
+{
+  monitor=RobotArm::JointMonitor(Robot='left', Axis='6'),
+  measured=Core::DoubleNetcommOut(inValue=monitor.outMeasuredPosition, Key='measured'),
+  cancel=Cancel(), outTerminate=cancel.outCancel
+}
+EOF
+
+# differ A B BY: whether two numbers differ by more than that.
+differ() { awk "BEGIN { d = $1 - $2; exit !(d > $3 || -d > $3) }"; }
+
+write_cell() {
+    cat >/etc/takt/cell.toml <<EOF
+[controller]
+period = "20ms"
+cpus = [1]
+$1
+[[device]]
+name = "left"
+type = "kuka_lwr_fri"
+listen = "127.0.0.1:49938"
+EOF
+}
+
+# --- the steps ---------------------------------------------------------------------------------------
+
+package_installs_and_starts_nothing() {
+    dpkg -i "$here/takt.deb"
+    id takt
+    [ -f /etc/takt/cell.toml ]
+    [ -f /usr/share/man/man1/takt.1.gz ]
+    is LoadState loaded
+    is ActiveState inactive
+    [ "$(systemctl is-enabled takt)" = disabled ]
+}
+
+doctor_runs_on_a_real_time_kernel() {
+    if ! takt help doctor >/dev/null 2>&1; then
+        echo "skipped: this takt has no doctor"
+        return 0
+    fi
+    takt doctor --json >"$work/doctor.json" || [ $? -eq 1 ]
+    grep -q '"conditions"' "$work/doctor.json"
+    head -c 400 "$work/doctor.json"
+}
+
+jitter_runs_on_a_real_time_kernel() {
+    if ! takt help jitter >/dev/null 2>&1; then
+        echo "skipped: this takt has no jitter"
+        return 0
+    fi
+    takt jitter --duration 5s --json >"$work/jitter.json" || [ $? -eq 1 ]
+    grep -q '"' "$work/jitter.json"
+    head -c 400 "$work/jitter.json"
+}
+
+service_starts_and_tells_when_it_is_ready() {
+    write_cell ''
+    systemctl enable --now takt
+    is ActiveState active
+    is Type notify
+    status_says 'left is offline'
+    journal_says 'left waits for its robot'
+    # Active is told by the program, not by having been started.
+    takt net list
+}
+
+cycles_are_real_time_within_the_sandbox() {
+    pid=$(property MainPID)
+    ps -L -o user=,cls=,rtprio=,comm= -p "$pid"
+    ps -L -o user=,cls=,rtprio=,comm= -p "$pid" | grep -q '^takt *FF *80 takt-'
+    ps -L -o user=,cls=,rtprio=,comm= -p "$pid" | grep -q '^takt *FF *85 takt-left'
+    ps -o cls= -p "$pid" | grep -q TS
+    grep '^VmLck' "/proc/$pid/status"
+    [ "$(awk '/^VmLck/ {print $2}' "/proc/$pid/status")" -gt 1000 ]
+    # CAP_NET_RAW and nothing else.
+    grep -q '^CapBnd:[[:space:]]*0*2000$' "/proc/$pid/status"
+    not journal_says 'warning: '
+}
+
+exposure_is_as_stated() {
+    systemd-analyze security --no-pager takt | tail -n 1
+    systemd-analyze security --no-pager --threshold=25 takt >/dev/null
+}
+
+log_has_fields() {
+    start_arm
+    wait_for 60 status_says 'left is operational'
+    journalctl --no-pager --output cat --unit takt TAKT_DEVICE=left
+    journalctl --no-pager --output cat --unit takt TAKT_DEVICE=left TAKT_NOW=operational | grep -q device
+}
+
+net_moves_an_emulated_arm() {
+    net=$(takt net load "$here/swing.net")
+    timeout 120 takt net watch "$net" >"$work/watch.log" &
+    wait_for 20 grep -q READY "$work/watch.log"
+    takt net start "$net"
+    wait $!
+    cat "$work/watch.log"
+    sed -n 's/^measured //p' "$work/watch.log" | awk '
+        NR == 1 { min = $1; max = $1 }
+        { if ($1 < min) min = $1; if ($1 > max) max = $1 }
+        END { exit !(NR > 1 && max - min > 0.3) }'
+    tail -n 1 "$work/watch.log" | grep -q TERMINATED
+}
+
+reload_keeps_a_running_net() {
+    net=$(start_slow_swing)
+    pid=$(property MainPID)
+    write_cell 'log = "debug"'
+    cat >>/etc/takt/cell.toml <<EOF
+[[device]]
+name = "right"
+type = "kuka_lwr_fri"
+listen = "127.0.0.1:49939"
+EOF
+    systemctl reload takt
+    wait_for 20 status_says 'right is offline'
+    net_is "$net" RUNNING
+    # A device that a net uses stays, and what needs a restart is told.
+    sed -i 's/49938/49940/; s/20ms/40ms/' /etc/takt/cell.toml
+    systemctl reload takt
+    wait_for 20 status_says 'period needs a restart'
+    status_says 'device left stays'
+    net_is "$net" RUNNING
+    # So does everything if the cell cannot be read.
+    echo '[[dev' >>/etc/takt/cell.toml
+    systemctl reload takt
+    wait_for 20 status_says 'the cell stays as it is'
+    net_is "$net" RUNNING
+    [ "$(property MainPID)" = "$pid" ]
+    is ActiveState active
+    write_cell ''
+    systemctl reload takt
+    wait_for 20 status_says 'reloaded'
+    not status_says 'right'
+    takt net cancel "$net"
+    wait_for 20 net_is "$net" TERMINATED
+}
+
+kill_stops_the_robot_and_the_next_start_tells() {
+    net=$(start_slow_swing)
+    wait_for 20 state_says "$net"
+    from=$(position)
+    sleep 2
+    differ "$from" "$(position)" 0.001
+    before=$(property MainPID)
+    kill -9 "$before"
+    wait_for 60 not is MainPID "$before"
+    wait_for 60 is ActiveState active
+    is NRestarts 1
+    journal_says "broken off while running $net"
+    status_says "broken off while running $net"
+    # It is not resumed.
+    wait_for 60 status_says 'left is operational'
+    status_says 'no net runs'
+    from=$(position)
+    sleep 2
+    not differ "$from" "$(position)" 0.001
+}
+
+watchdog_bites_when_the_net_thread_hangs() {
+    restarts=$(property NRestarts)
+    # Cycles run on processor 1 only. Whoever holds it above their priority starves them, while the rest
+    # of the program goes on.
+    sysctl -q kernel.sched_rt_runtime_us=-1
+    # Who is to end it must be on the other processor.
+    taskset -c 0 timeout -s KILL 12 taskset -c 1 chrt -f 90 sh -c 'while :; do :; done' || true
+    wait_for 60 journal_says 'Watchdog timeout'
+    wait_for 60 is ActiveState active
+    [ "$(property NRestarts)" -gt "$restarts" ]
+    sysctl -q kernel.sched_rt_runtime_us=950000
+    wait_for 60 status_says 'left is operational'
+}
+
+upgrade_leaves_a_running_net_alone() {
+    net=$(start_slow_swing)
+    pid=$(property MainPID)
+    dpkg -i "$here/takt.deb"
+    net_is "$net" RUNNING
+    [ "$(property MainPID)" = "$pid" ]
+    grep -q '20ms' /etc/takt/cell.toml
+    takt net list
+}
+
+stop_brings_everything_to_rest() {
+    # The net of the step before still runs.
+    state_says RUNNING
+    timeout 30 systemctl stop takt
+    is ActiveState inactive
+    is Result success
+    state_says '"stopped": true'
+    not state_says RUNNING
+    not journal_says 'is aborted'
+    not journal_says 'came to rest within'
+    systemctl start takt
+    wait_for 60 status_says 'left is operational'
+    not status_says 'broken off'
+}
+
+wrong_cell_is_not_started_again_and_again() {
+    echo 'nonsense' >>/etc/takt/cell.toml
+    not systemctl restart takt
+    sleep 3
+    is ActiveState failed
+    is NRestarts 0
+    journal_says 'nonsense'
+    write_cell ''
+    systemctl restart takt
+    is ActiveState active
+}
+
+removal_and_purge_leave_nothing() {
+    kill "$(cat "$work/arm.pid")"
+    dpkg -r takt
+    not pgrep -x takt
+    [ ! -e /usr/bin/takt ]
+    [ -f /etc/takt/cell.toml ]
+    dpkg --purge takt
+    is LoadState not-found
+    left=$(find / -xdev -path /proc -prune -o -path /opt -prune -o -path /tmp -prune -o -path '*takt*' -print |
+        grep -v -e /takt-test -e '^/var/log/' -e '^/run/' || true)
+    echo "$left"
+    [ -z "$left" ]
+}
+
+# --- running them ------------------------------------------------------------------------------------
+
+step() {
+    (
+        set -e
+        "$1"
+    ) >"$work/step.log" 2>&1
+    if [ $? -eq 0 ]; then
+        passed=$((passed + 1))
+        echo "test service::$1 ... ok"
+        return
+    fi
+    failures=$((failures + 1))
+    echo "test service::$1 ... FAILED"
+    sed 's/^/    /' "$work/step.log"
+    systemctl --no-pager --full status takt 2>&1 | head -n 12 | sed 's/^/    /'
+    journalctl --no-pager --lines 20 --unit takt | sed 's/^/    /'
+    tail -n 5 "$arm_log" 2>/dev/null | sed 's/^/    arm: /'
+}
+
+steps=$(sed -n 's/^\([a-z_]*_[a-z_]*\)() {$/\1/p' "$0" |
+    grep -v -e wait_for -e write_cell -e start_arm -e start_slow_swing)
+echo "running $(echo "$steps" | wc -l) tests"
+for name in ${1:-$steps}; do
+    step "$name"
+done
+verdict=ok
+[ "$failures" -eq 0 ] || verdict=FAILED
+echo "test result: $verdict. $passed passed; $failures failed; 0 ignored; 0 measured; 0 filtered out"

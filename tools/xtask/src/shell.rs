@@ -1,0 +1,177 @@
+//! Programs other than cargo: each line is shown before it runs, so that it can be repeated by hand.
+//! Interprets no output.
+
+use std::ffi::{OsStr, OsString};
+use std::fmt;
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use anyhow::Context;
+
+use crate::cargo::note;
+
+/// A program with its arguments.
+#[derive(Clone, Debug)]
+pub(crate) struct Line {
+    words: Vec<OsString>,
+    env: Vec<(&'static str, &'static str)>,
+    folder: Option<PathBuf>,
+    quiet: bool,
+}
+
+impl Line {
+    pub(crate) fn new(program: impl AsRef<OsStr>) -> Self {
+        Self {
+            words: vec![program.as_ref().to_owned()],
+            env: Vec::new(),
+            folder: None,
+            quiet: false,
+        }
+    }
+
+    pub(crate) fn arg(mut self, word: impl AsRef<OsStr>) -> Self {
+        self.words.push(word.as_ref().to_owned());
+        self
+    }
+
+    pub(crate) fn args<W: AsRef<OsStr>>(self, words: impl IntoIterator<Item = W>) -> Self {
+        words.into_iter().fold(self, Self::arg)
+    }
+
+    pub(crate) fn env(mut self, name: &'static str, value: &'static str) -> Self {
+        self.env.push((name, value));
+        self
+    }
+
+    /// Shows nothing of its standard output.
+    pub(crate) fn quiet(mut self) -> Self {
+        self.quiet = true;
+        self
+    }
+
+    /// Runs it in that folder.
+    pub(crate) fn within(mut self, folder: &Path) -> Self {
+        self.folder = Some(folder.to_owned());
+        self
+    }
+
+    /// The same under a time limit; its exit status is 124 when the time is up.
+    pub(crate) fn limited(self, seconds: u64) -> Self {
+        let mut words = vec!["timeout".into(), "--kill-after=10".into()];
+        words.push(seconds.to_string().into());
+        words.extend(self.words.iter().cloned());
+        Self { words, ..self }
+    }
+
+    /// Runs to the end and returns the exit status; 1 if a signal ended it.
+    pub(crate) fn status(&self) -> anyhow::Result<u8> {
+        note(&format!("+ {self}"));
+        let status = self.command().status().with_context(|| self.trouble())?;
+        Ok(code(status))
+    }
+
+    /// Runs to the end; true if it was content.
+    pub(crate) fn succeeds(&self) -> anyhow::Result<bool> {
+        Ok(self.status()? == 0)
+    }
+
+    /// As [`Line::status`], giving each line of its standard output to `take` as it comes.
+    pub(crate) fn lines(&self, mut take: impl FnMut(&str)) -> anyhow::Result<u8> {
+        note(&format!("+ {self}"));
+        let mut child = self
+            .command()
+            .stdout(Stdio::piped())
+            .spawn()
+            .with_context(|| self.trouble())?;
+        if let Some(stdout) = child.stdout.take() {
+            for line in BufReader::new(stdout).split(b'\n') {
+                let line = line.context("cannot read its output")?;
+                take(String::from_utf8_lossy(&line).trim_end_matches('\r'));
+            }
+        }
+        Ok(code(child.wait().context("cannot wait for it")?))
+    }
+
+    fn command(&self) -> Command {
+        let mut command = Command::new(&self.words[0]);
+        command.args(&self.words[1..]).stdin(Stdio::null());
+        command.envs(self.env.iter().copied());
+        if self.quiet {
+            command.stdout(Stdio::null());
+        }
+        if let Some(folder) = &self.folder {
+            command.current_dir(folder);
+        }
+        command
+    }
+
+    fn trouble(&self) -> String {
+        format!("cannot start {}", self.words[0].to_string_lossy())
+    }
+}
+
+fn code(status: std::process::ExitStatus) -> u8 {
+    status
+        .code()
+        .and_then(|code| u8::try_from(code).ok())
+        .unwrap_or(1)
+}
+
+impl fmt::Display for Line {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (name, value) in &self.env {
+            write!(f, "{name}={} ", quoted(value))?;
+        }
+        for (index, word) in self.words.iter().enumerate() {
+            let space = if index == 0 { "" } else { " " };
+            write!(f, "{space}{}", quoted(&word.to_string_lossy()))?;
+        }
+        Ok(())
+    }
+}
+
+/// A word as a shell takes it.
+pub(crate) fn quoted(word: &str) -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./=:,+@%".contains(c);
+    if !word.is_empty() && word.chars().all(plain) {
+        word.to_owned()
+    } else {
+        format!("'{}'", word.replace('\'', r"'\''"))
+    }
+}
+
+/// Whether a program is found in the search path.
+pub(crate) fn exists(program: &str) -> bool {
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    std::env::split_paths(&path).any(|folder| folder.join(program).is_file())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_are_quoted_as_a_shell_reads_them() {
+        assert_eq!(quoted("--memory=1G"), "--memory=1G");
+        assert_eq!(quoted(""), "''");
+        assert_eq!(quoted("it's $HOME"), r"'it'\''s $HOME'");
+        let line = Line::new("vng").arg("--").arg("echo a").limited(9);
+        assert_eq!(
+            line.to_string(),
+            "timeout --kill-after=10 9 vng -- 'echo a'"
+        );
+    }
+
+    #[test]
+    fn exit_status_and_output_come_through() {
+        let line = Line::new("sh").args(["-c", "echo one; echo two; exit 7"]);
+        let mut lines = Vec::new();
+        assert_eq!(line.lines(|line| lines.push(line.to_owned())).unwrap(), 7);
+        assert_eq!(lines, ["one", "two"]);
+        let endless = Line::new("sleep").arg("60").limited(0);
+        assert_eq!(Line::new("true").status().unwrap(), 0);
+        assert!(endless.to_string().starts_with("timeout"));
+        assert!(exists("sh") && !exists("no-such-program"));
+    }
+}

@@ -1,0 +1,144 @@
+//! What machines are made of, fetched from Debian's and Python's registries where it is missing. On
+//! other systems, or without root, nothing is touched and the obstacle is told.
+
+use std::os::unix::fs::MetadataExt as _;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use super::{Had, Obstacle};
+use crate::cargo;
+use crate::shell::{self, Line};
+
+/// Debian packages of every machine.
+pub(super) const MACHINE: &[&str] = &["linux-image-rt-amd64", "qemu-system-x86"];
+/// And of one around the host's files.
+pub(super) const GUEST: &[&str] = &["busybox-static", "iproute2", "kmod"];
+/// And of one around a Debian of its own.
+pub(super) const SERVICE: &[&str] = &["debootstrap", "e2fsprogs"];
+
+/// Installs what is missing of these packages.
+pub(super) fn packages(names: &[&str]) -> Had<()> {
+    let missing: Vec<&str> = names
+        .iter()
+        .copied()
+        .filter(|name| !is_installed(name))
+        .collect();
+    if missing.is_empty() {
+        return Ok(Ok(()));
+    }
+    let list = missing.join(" ");
+    if !is_debian(&std::fs::read_to_string("/etc/os-release").unwrap_or_default()) {
+        return Ok(Err(Obstacle(format!(
+            "needs Debian or the like for {list}"
+        ))));
+    }
+    if !is_root() {
+        return Ok(Err(Obstacle(format!(
+            "needs root to apt-get install {list}"
+        ))));
+    }
+    // Another apt may be at work.
+    let apt = || Line::new("apt-get").args(["--quiet", "--quiet", "-o", "DPkg::Lock::Timeout=600"]);
+    let install = apt()
+        .args(["install", "--yes", "--no-install-recommends"])
+        .args(&missing);
+    let install = install.env("DEBIAN_FRONTEND", "noninteractive");
+    if apt().arg("update").succeeds()? && install.succeeds()? {
+        Ok(Ok(()))
+    } else {
+        Ok(Err(Obstacle(format!(
+            "needs {list}, and apt-get cannot install it"
+        ))))
+    }
+}
+
+fn is_installed(package: &str) -> bool {
+    let query = ["--show", "--showformat=${db:Status-Status}", package];
+    let output = Command::new("dpkg-query").args(query).output();
+    output.is_ok_and(|output| output.stdout == b"installed")
+}
+
+fn is_debian(os_release: &str) -> bool {
+    os_release.lines().any(|line| {
+        let (name, value) = line.split_once('=').unwrap_or_default();
+        let mut words = value.trim_matches('"').split(' ');
+        matches!(name, "ID" | "ID_LIKE") && words.any(|word| word == "debian")
+    })
+}
+
+/// Whether this process may do what only root may.
+pub(super) fn is_root() -> bool {
+    std::fs::metadata("/proc/self").is_ok_and(|process| process.uid() == 0)
+}
+
+/// virtme-ng: one that is installed, or one in a virtual environment of our own, as Debian's Python
+/// refuses to be added to.
+pub(super) fn vng(root: &Path) -> Had<PathBuf> {
+    if shell::exists("vng") {
+        return Ok(Ok(PathBuf::from("vng")));
+    }
+    let folder = cargo::target_dir(root).join("vm/python");
+    let program = folder.join("bin/vng");
+    if program.is_file() {
+        return Ok(Ok(program));
+    }
+    if let Err(obstacle) = packages(&["python3-venv"])? {
+        return Ok(Err(obstacle));
+    }
+    let make = Line::new("/usr/bin/python3")
+        .args(["-m", "venv"])
+        .arg(&folder);
+    let fetch = Line::new(folder.join("bin/pip")).args(["install", "--quiet", "virtme-ng"]);
+    if make.succeeds()? && fetch.succeeds()? {
+        Ok(Ok(program))
+    } else {
+        Ok(Err(Obstacle(
+            "needs virtme-ng, and pip cannot install it".to_owned(),
+        )))
+    }
+}
+
+/// The newest real-time kernel of the host.
+pub(super) fn kernel() -> Result<PathBuf, Obstacle> {
+    let files = std::fs::read_dir("/boot").into_iter().flatten().flatten();
+    let names = files.filter_map(|file| file.file_name().into_string().ok());
+    newest(names)
+        .map(|name| Path::new("/boot").join(name))
+        .ok_or_else(|| Obstacle("needs a kernel /boot/vmlinuz-*-rt-amd64".to_owned()))
+}
+
+fn newest(names: impl Iterator<Item = String>) -> Option<String> {
+    let kernels = names.filter(|n| n.starts_with("vmlinuz-") && n.ends_with("-rt-amd64"));
+    // Versions are compared as numbers: 6.1.0-9 is older than 6.1.0-56.
+    kernels.max_by_key(|name| {
+        let numbers = name.split(|c: char| !c.is_ascii_digit());
+        numbers
+            .filter_map(|n| n.parse::<u64>().ok())
+            .collect::<Vec<_>>()
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn debian_and_what_is_made_of_it_are_known() {
+        assert!(is_debian("NAME=x\nID=debian\n"));
+        assert!(is_debian("ID=pop\nID_LIKE=\"ubuntu debian\"\n"));
+        assert!(!is_debian("ID=fedora\nHOME_URL=\"debian\"\n"));
+        assert!(!is_debian(""));
+    }
+
+    #[test]
+    fn newest_kernel_is_the_one_with_the_highest_numbers() {
+        let names = [
+            "vmlinuz-6.1.0-9-rt-amd64",
+            "vmlinuz-6.1.0-56-rt-amd64",
+            "vmlinuz-7.0-amd64",
+        ];
+        let names = names.iter().map(ToString::to_string);
+        assert_eq!(newest(names).as_deref(), Some("vmlinuz-6.1.0-56-rt-amd64"));
+        assert_eq!(newest(std::iter::empty()), None);
+    }
+}
