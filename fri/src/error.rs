@@ -1,5 +1,8 @@
 //! Why a datagram was refused, in values small enough for the cycle thread. It holds no text: `Display` makes it.
 
+use crate::generation::Kind;
+use crate::sunrise::wire::Dialect;
+
 /// A received datagram is not what its generation of FRI prescribes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
@@ -35,6 +38,84 @@ pub enum DecodeError {
         actual: u16,
         /// Byte offset of the field.
         offset: usize,
+    },
+    /// The datagram is a sound one of another kind than the one due here.
+    #[error("{found}, expected {expected}: {}", found.remedy(*expected))]
+    Foreign {
+        /// What was due.
+        expected: Kind,
+        /// What came.
+        found: Kind,
+    },
+    /// The controller speaks another dialect than the one asked for.
+    #[error(
+        "the controller speaks {actual}, this session was told to speak {expected}: correct the setting or leave it to detection"
+    )]
+    Dialect {
+        /// What the session was told.
+        expected: Dialect,
+        /// What the controller speaks.
+        actual: Dialect,
+    },
+    /// The datagram begins neither with a message header nor with the length of its message.
+    #[error("datagram of {actual} bytes is no message of Sunrise FRI, bare or framed")]
+    NoMessage {
+        /// Bytes received.
+        actual: usize,
+    },
+    /// The checksum of a framed message is wrong.
+    #[error("CRC-32 {stated:#010x} of the message, computed {computed:#010x}: damaged on the way")]
+    Checksum {
+        /// Value in the datagram.
+        stated: u32,
+        /// Value of the bytes received.
+        computed: u32,
+    },
+    /// A message ends inside a field.
+    #[error("the message ends inside a field, at offset {offset}")]
+    Truncated {
+        /// Byte offset in the message.
+        offset: usize,
+    },
+    /// A field has another wire type than its schema.
+    #[error("protobuf wire type {wire_type} at offset {offset} does not fit the schema")]
+    WireType {
+        /// Byte offset of the field in the message.
+        offset: usize,
+        /// Type received.
+        wire_type: u64,
+    },
+    /// A required field is missing.
+    #[error("required field {field} is missing")]
+    Missing {
+        /// Its name in the schema.
+        field: &'static str,
+    },
+    /// A repeated field has another number of values than the robot has axes, or its type has components.
+    #[error("{actual} values of {field}, expected {expected}")]
+    Count {
+        /// Its name in the schema.
+        field: &'static str,
+        /// Values due.
+        expected: usize,
+        /// Values received.
+        actual: usize,
+    },
+    /// A repeated field or a name is longer than the schema allows.
+    #[error("more than {max} values or bytes of {field}")]
+    TooMany {
+        /// Its name in the schema.
+        field: &'static str,
+        /// Largest number allowed.
+        max: usize,
+    },
+    /// The message identifier is another one.
+    #[error("messageIdentifier {actual:#x}, expected {expected:#x}: another direction or version")]
+    MessageId {
+        /// Identifier of the expected message.
+        expected: u32,
+        /// Identifier received.
+        actual: u32,
     },
 }
 

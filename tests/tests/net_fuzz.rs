@@ -60,7 +60,8 @@ fn feed(target: fn(&[u8]), words: &[&[u8]]) {
 fn net_text_stands_random_input() {
     let words = "{ } ( ) = , . [ ] 'true' '1' '2.5' '{1,2}' \\ # \n a b parent inValue inFirst inSecond inActive \
                  outValue outTerminate Value Key Core::Clock() Core::DoubleAdd Core::DoublePre Core::BooleanValue \
-                 a=Core::Clock(), b=Core::DoubleAdd(inFirst=a.outValue), b.outValue";
+                 a=Core::Clock(), b=Core::DoubleAdd(inFirst=a.outValue), b=Core::DoubleAdd(inFirst[2.0]=a.outValue), \
+                 Core::DoubleInterNetcommIn(RemoteNet='rpinet0') b.outValue";
     feed(takt_net::fuzz::net_text, &split(words));
 }
 
@@ -75,6 +76,37 @@ fn directio_stands_random_input() {
     let words = "a = ( ) , [ ] { } : ver nse nene nesc snc ok err \"2.0\" \" \\ 1 2147483648 1.5 a=ver(\"2.0\") \n \r\n {a:\"b\"} \
                  \u{1} \u{81}";
     feed(takt_server::wire::fuzz, &split(words));
+}
+
+#[test]
+fn net_xml_stands_random_input() {
+    let words = "<rpinet> </rpinet> <module <fragment <parameter <inport <outport id='a' type='Core::Clock' name='inX' \
+                 frommodule='a' fromport='outValue' debug='2' debug='x' value='1' > /> </module> </fragment> &lt; &#x0; &amp; \" \
+                 <?xml?> <!-- --> <![CDATA[ ]]> parent ROOT";
+    feed(takt_net::fuzz::net_xml, &split(words));
+}
+
+#[test]
+fn http_requests_stand_random_input() {
+    let mut words = split("GET POST PUT /nets/ //eval// /DirectIO/ /?token= %41 %ff ?format=json & = { } [ ] ' < >");
+    let lines: [&[u8]; 14] = [
+        b" HTTP/1.1\r\n",
+        b"\r\n",
+        b"\r\n\r\n",
+        b"GET / HTTP/1.1\r\n",
+        b"POST /nets/ HTTP/1.1\r\n",
+        b"Authorization: Bearer ",
+        b"Cookie: a=b; takt_token=",
+        b"0123456789abcdef",
+        b"Content-Length: 3\r\n",
+        b"Transfer-Encoding: chunked\r\n",
+        b"Upgrade: websocket\r\nSec-WebSocket-Key: a\r\n",
+        b"Origin: http://h:80\r\nHost: h:80\r\n",
+        b"Expect: 100-continue\r\n",
+        b"GET /?token=0123456789abcdef HTTP/1.1\r\n\r\n",
+    ];
+    words.extend(lines);
+    feed(takt_server::fuzz_http_head, &words);
 }
 
 #[test]

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use anyhow::Context as _;
-use takt_server::{Message, Value};
+use takt_server::{Message, Token, Value};
 
 /// A connection to a controller.
 #[derive(Debug)]
@@ -14,10 +14,10 @@ pub(crate) struct Client {
 }
 
 impl Client {
-    /// Connects to `host:port`.
-    pub(crate) fn connect(address: &str) -> anyhow::Result<Self> {
+    /// Connects to `host:port`, giving the token if there is one.
+    pub(crate) fn connect(address: &str, token: Option<&Token>) -> anyhow::Result<Self> {
         Ok(Self {
-            inner: takt_server::Client::connect(address)?,
+            inner: takt_server::Client::connect_with(address, token)?,
             session: "s0".to_owned(),
         })
     }
@@ -88,6 +88,27 @@ impl Client {
             (id, members)
         };
         Ok(nets.into_iter().map(members).collect())
+    }
+
+    /// Figures of a net, or of all, in the order in which they were loaded. Those that were never
+    /// ready have none.
+    pub(crate) fn figures(&mut self, net: Option<&str>) -> anyhow::Result<Vec<NetFigures>> {
+        let reply = self.inner.call("nst", net)?;
+        let Some(Value::Map(nets)) = reply.values.into_iter().next() else {
+            return Ok(Vec::new());
+        };
+        let figures = |(id, members)| {
+            let figures = match members {
+                Value::Map(members) => members.into_iter().filter_map(figure).collect(),
+                Value::String(_) | Value::Integer(_) | Value::Float(_) | Value::List(_) => {
+                    BTreeMap::new()
+                }
+            };
+            NetFigures { id, figures }
+        };
+        let mut nets: Vec<_> = nets.into_iter().map(figures).collect();
+        nets.sort_by_key(|net| (net.id.len(), net.id.clone()));
+        Ok(nets)
     }
 
     /// Does something with a net.
@@ -166,6 +187,30 @@ pub(crate) struct NetInfo {
     pub(crate) description: String,
     /// Why it ended; empty if by itself, or not yet.
     pub(crate) end: String,
+}
+
+/// What the evaluation of a net costs, by name: counts, and times in ms.
+#[derive(Debug)]
+pub(crate) struct NetFigures {
+    /// Its identifier, such as rpinet0.
+    pub(crate) id: String,
+    /// The figures.
+    pub(crate) figures: BTreeMap<String, f64>,
+}
+
+impl NetFigures {
+    /// The figure of that name; not a number if the controller does not tell it.
+    pub(crate) fn get(&self, name: &str) -> f64 {
+        self.figures.get(name).copied().unwrap_or(f64::NAN)
+    }
+}
+
+fn figure((name, value): (String, Value)) -> Option<(String, f64)> {
+    match value {
+        Value::Float(number) => Some((name, number)),
+        Value::Integer(number) => Some((name, number.into())),
+        Value::String(_) | Value::List(_) | Value::Map(_) => None,
+    }
 }
 
 fn text(net: &BTreeMap<String, Value>, key: &str) -> String {

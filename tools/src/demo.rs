@@ -17,6 +17,7 @@ use takt_core::device::DeviceStatus;
 use takt_core::record::Recorder;
 use takt_core::{CellConfig, Controller};
 use takt_rt::host::{HostConfig, prepare};
+use takt_server::LogBook;
 
 use crate::Verdict;
 use crate::client::Client;
@@ -104,7 +105,7 @@ impl Demo {
         if !self.json {
             tell_grants(&host, &controller);
         }
-        let server = Server::start(&cell, &controller)?;
+        let server = Server::start(&cell, &controller, None, LogBook::default())?;
         let robots = self.start_robots(&controller)?;
         wait_until_ready(&controller)?;
         let address = server.tcp().context("the server does not listen")?;
@@ -141,7 +142,7 @@ impl Demo {
         address: SocketAddr,
         net: &str,
     ) -> anyhow::Result<(Samples, Option<String>)> {
-        let mut client = Client::connect(&address.to_string())?;
+        let mut client = Client::connect(&address.to_string(), None)?;
         client.open_session("takt demo")?;
         let id = client.load(net, "demo motion")?;
         let faults = client.faults(&id)?;
@@ -218,6 +219,9 @@ fn cell() -> CellConfig {
     let controller = ControllerConfig {
         websocket: None,
         tcp: Some(anywhere),
+        // Between two datagrams, so that neither the arms' drivers nor the robots are in the way.
+        follow: Some(ROBOTS[0].to_owned()),
+        phase: Some(Duration::from_micros(500)),
         ..Default::default()
     };
     let devices = ROBOTS.map(|name| DeviceConfig::Lwr(LwrConfig::new(name, anywhere)));

@@ -3,10 +3,14 @@
 
 mod client;
 mod demo;
+mod doctor;
 mod emulate;
+mod jitter;
+mod manual;
 mod net;
 mod output;
 mod run;
+mod token;
 
 use std::process::ExitCode;
 
@@ -33,12 +37,18 @@ enum Command {
     Run(run::Run),
     /// Move two emulated robots with a net and report; needs no hardware and no root.
     Demo(demo::Demo),
+    Doctor(doctor::Doctor),
     /// Be the other end of a wire: an emulated robot controller.
     #[command(subcommand)]
     Emulate(emulate::Emulate),
+    /// Measure how late cycles begin on this host.
+    Jitter(jitter::Jitter),
     /// Check, load and control primitive nets.
     #[command(subcommand)]
     Net(net::Net),
+    /// Write manual pages and shell completions, for packages.
+    #[command(hide = true)]
+    Manual(manual::Manual),
 }
 
 /// What a subcommand found out.
@@ -54,8 +64,11 @@ fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Run(run) => run.run(),
         Command::Demo(demo) => demo.run(),
+        Command::Doctor(doctor) => doctor.run(),
         Command::Emulate(emulate) => emulate.run(),
+        Command::Jitter(jitter) => jitter.run(),
         Command::Net(net) => net.run(),
+        Command::Manual(manual) => manual.run(),
     };
     match result {
         Ok(Verdict::Good) => ExitCode::SUCCESS,

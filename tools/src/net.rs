@@ -1,21 +1,23 @@
 //! `takt net`: check nets here, and load and control them in a running controller over its plain
 //! TCP lines. Nothing here evaluates a net.
 
+mod calibrate;
 mod check;
 mod dot;
 mod life;
 mod primitives;
+mod stats;
 mod watch;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use clap::{Args, Subcommand};
 use takt_net::Rejection;
 
-use crate::Verdict;
 use crate::client::Client;
 use crate::output::complain;
+use crate::{Verdict, token};
 
 /// Check, load and control primitive nets.
 #[derive(Debug, Subcommand)]
@@ -24,6 +26,8 @@ pub(crate) enum Net {
     Check(check::Check),
     /// Draw a net: an SVG on standard output.
     Dot(dot::Dot),
+    /// Measure what each primitive costs on this host.
+    Calibrate(calibrate::Calibrate),
     /// Show which primitives there are, or what one of them does.
     Primitives(primitives::Primitives),
     /// Load a net and print its identifier.
@@ -42,6 +46,8 @@ pub(crate) enum Net {
     Watch(watch::Watch),
     /// List the nets of a controller.
     List(watch::List),
+    /// Show what the evaluation of nets costs: by declaration, and as it was measured.
+    Stats(stats::Stats),
 }
 
 impl Net {
@@ -49,6 +55,7 @@ impl Net {
         match self {
             Self::Check(check) => check.run(),
             Self::Dot(dot) => dot.run(),
+            Self::Calibrate(calibrate) => calibrate.run(),
             Self::Primitives(primitives) => primitives.run(),
             Self::Load(load) => load.run(),
             Self::Start(target) => target.command("nest"),
@@ -58,6 +65,7 @@ impl Net {
             Self::Unload(target) => target.command("neun"),
             Self::Watch(watch) => watch.run(),
             Self::List(list) => list.run(),
+            Self::Stats(stats) => stats.run(),
         }
     }
 }
@@ -68,11 +76,15 @@ struct Server {
     /// Where the controller takes plain TCP connections.
     #[arg(long, value_name = "HOST:PORT", default_value = "127.0.0.1:8081")]
     server: String,
+    /// File with the token that the controller asks for; else TAKT_TOKEN_FILE or TAKT_TOKEN.
+    #[arg(long, value_name = "FILE")]
+    token_file: Option<PathBuf>,
 }
 
 impl Server {
     fn connect(&self) -> anyhow::Result<Client> {
-        Client::connect(&self.server)
+        let token = token::of_client(self.token_file.as_deref())?;
+        Client::connect(&self.server, token.as_ref())
     }
 }
 

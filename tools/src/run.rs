@@ -1,21 +1,34 @@
 //! `takt run`: the controller in the foreground, as a service runs it. What a cell is made of
-//! stands in its `cell.toml`.
+//! stands in its `cell.toml`; how the service manager is told stands in `service`.
+
+mod logging;
+mod reload;
+mod rest;
+mod service;
+mod state_file;
+mod watchdog;
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use anyhow::Context as _;
 use clap::Args;
-use takt_core::controller::NetState;
 use takt_core::record::Recorder;
 use takt_core::{CellConfig, Controller};
 use takt_rt::host::{HostConfig, prepare};
+use takt_server::{LogBook, Token};
 
-use crate::Verdict;
+use self::logging::Logging;
+use self::service::Service;
 use crate::output::{complain, say};
+use crate::{Verdict, token};
 
 /// Run the controller.
+///
+/// SIGHUP reads the cell anew: devices that are new or gone, and what is logged, change while nets run;
+/// the rest needs a restart. SIGTERM and Ctrl-C cancel all nets, wait until the robots are at rest, and
+/// end. Under systemd it tells its state and feeds the watchdog.
 #[derive(Debug, Args)]
 pub(crate) struct Run {
     /// What the cell is made of.
@@ -29,13 +42,11 @@ pub(crate) struct Run {
     guard: bool,
 }
 
-/// How long nets get to end after a cancel, before they are aborted.
-const CANCEL_WITHIN: Duration = Duration::from_secs(5);
-
 impl Run {
     pub(crate) fn run(self) -> anyhow::Result<Verdict> {
-        start_logging();
         let cell = read_cell(&self.config)?;
+        let book = LogBook::default();
+        let logging = Logging::start(cell.controller.log.as_deref(), &book)?;
         let host = prepare(&HostConfig::default());
         if self.guard {
             takt_rt::alloc::set_guard(takt_rt::alloc::Guard::Abort);
@@ -43,15 +54,15 @@ impl Run {
         let recording = self.record.as_deref().map(Recorder::start).transpose()?;
         let controller = Controller::start_recording(&cell, recording)?;
         tell_grants(&host, &controller);
-        let server = Server::start(&cell, &controller)?;
+        let token = token::of_controller(cell.controller.token_file.as_deref())?;
+        let server = Server::start(&cell, &controller, token, book)?;
         for address in server.addresses() {
             say(&address)?;
         }
         for (name, address) in controller.with_arms(|a| (a.name().to_owned(), a.address())) {
             say(&format!("{name} waits for its robot at udp {address}"))?;
         }
-        until_stopped(None, || Ok(()))?;
-        come_to_rest(&controller);
+        Service::new(&self.config, cell, &controller, logging).run()?;
         server.stop();
         if let Some(cycles) = controller.finish_recording()? {
             say(&format!("recorded {cycles} cycles"))?;
@@ -85,7 +96,12 @@ pub(crate) struct Server {
 
 impl Server {
     /// Begins to listen where the cell says.
-    pub(crate) fn start(cell: &CellConfig, controller: &Controller) -> anyhow::Result<Self> {
+    pub(crate) fn start(
+        cell: &CellConfig,
+        controller: &Controller,
+        token: Option<Token>,
+        log: LogBook,
+    ) -> anyhow::Result<Self> {
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(2)
             .enable_all()
@@ -95,7 +111,9 @@ impl Server {
         let config = takt_server::ServerConfig {
             http: cell.controller.websocket,
             tcp: cell.controller.tcp,
-            ..takt_server::ServerConfig::default()
+            on_loss: cell.controller.on_loss,
+            token,
+            log,
         };
         let server = runtime.block_on(takt_server::Server::bind(config))?;
         let (http, tcp) = (server.http_address(), server.tcp_address());
@@ -148,46 +166,6 @@ pub(crate) fn tell_grants(host: &takt_rt::host::Host, controller: &Controller) {
             refused.push(line);
         }
     }
-}
-
-/// Cancels all running nets, waits for them, and aborts those that do not end.
-fn come_to_rest(controller: &Controller) {
-    let running = || {
-        let nets = controller
-            .nets()
-            .into_iter()
-            .filter_map(|id| controller.net(id));
-        let runs = |s: NetState| matches!(s, NetState::Running | NetState::Cancelling);
-        nets.filter(|net| runs(net.state()))
-            .map(|net| net.id)
-            .collect::<Vec<_>>()
-    };
-    for net in running() {
-        if let Err(error) = controller.cancel(net) {
-            complain(&format!("cannot cancel {net}: {error}"));
-        }
-    }
-    let until = Instant::now() + CANCEL_WITHIN;
-    while !running().is_empty() && Instant::now() < until {
-        std::thread::sleep(Duration::from_millis(10));
-    }
-    for net in running() {
-        complain(&format!(
-            "{net} did not end within {CANCEL_WITHIN:?}; it is aborted"
-        ));
-        if let Err(error) = controller.abort(net) {
-            complain(&format!("cannot abort {net}: {error}"));
-        }
-    }
-}
-
-fn start_logging() {
-    let filter = tracing_subscriber::EnvFilter::try_from_default_env()
-        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info"));
-    tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(std::io::stderr)
-        .init();
 }
 
 /// Calls `look` ten times a second until Ctrl-C, a request to terminate, or the end of `duration`.

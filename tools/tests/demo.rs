@@ -60,6 +60,10 @@ fn demo_reports_what_was_promised() {
     let quantiles = ["p50", "p99", "p999", "max"];
     let latency = quantiles.map(|q| report["latency_ns"][q].as_i64().unwrap());
     assert!(latency.is_sorted(), "{latency:?}");
+    let phase = quantiles.map(|q| report["phase_error_ns"][q].as_i64().unwrap());
+    assert!(phase.is_sorted(), "{phase:?}");
+    let known = report["phase_known"].as_u64().unwrap();
+    assert!(known > 1000, "the robot's clock was hardly known: {known}");
     let robots = report["robots"].as_array().unwrap();
     let names: Vec<_> = robots.iter().map(|robot| &robot["name"]).collect();
     assert_eq!(names, ["left", "right"]);

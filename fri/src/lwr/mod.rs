@@ -3,12 +3,11 @@
 
 #[cfg(feature = "emulator")]
 pub mod emulator;
-mod sequence;
 mod session;
 pub mod wire;
 
 pub use crate::error::AnswerError;
-pub use sequence::Order;
+pub use crate::sequence::Order;
 pub use session::{Counters, Event, Phase, Reception, Session, SessionConfig};
 
 /// Number of axes.

@@ -1,10 +1,10 @@
 //! The PC's side of one FRI connection: takes measurements, builds answers. It moves no bytes and plans no motion:
 //! how the commanded values change from cycle to cycle is its owner's duty.
 
-use super::sequence::{Order, Tracker};
 use super::wire::{Cmd, CmdFlags, Header, Krl, Msr, Quality, State};
 use super::{AXES, AnswerError};
 use crate::error::DecodeError;
+use crate::sequence::{Order, Tracker};
 use std::fmt;
 use std::time::Duration;
 

@@ -1,4 +1,4 @@
-//! `cell.toml`: what a controller is made of. It is read once at the start.
+//! `cell.toml`: what a controller is made of. It starts nothing.
 //!
 //! ```toml
 //! [controller]
@@ -7,16 +7,29 @@
 //! cpus = [1]               # processors of the net thread; leave out for any
 //! websocket = "127.0.0.1:8080"
 //! tcp = "127.0.0.1:8081"
+//! token_file = "/etc/takt/token" # clients must give what is in it; needed beyond loopback
+//! follow = "left"          # net threads keep phase with this device's clock; leave out for the host's
+//! phase = "300us"          # cycles begin so long after the device's own; leave out for at once
+//! on_loss = "keep"         # nets of a lost client run on; "end": they are cancelled, then aborted
+//! log = "info"             # or debug, warn, error; also by part: "warn,takt_core=debug"
+//! costs = "costs.toml"     # what primitives cost here, by `takt net calibrate`; beside this file
+//!
+//! [[controller.thread]]    # one more net thread, for nets of its period
+//! period = "4ms"
+//! priority = 79
+//! cpus = [1]
+//! phase = "500us"          # leave out for that of the controller
 //!
 //! [[device]]
 //! name = "left"
 //! type = "kuka_lwr_fri"
 //! listen = "0.0.0.0:49938" # where the KRC sends its datagrams
 //! priority = 85
+//! thread = "4ms"           # the net thread that commands it; leave out for the first
 //! ```
 
 use std::net::SocketAddr;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use serde::Deserialize;
@@ -24,8 +37,15 @@ use serde::Deserialize;
 use crate::error::Error;
 use crate::span;
 
+/// Net threads that a controller may have.
+pub const THREADS_MAX: usize = 8;
+/// Shortest period of a net thread.
+pub const PERIOD_MIN: Duration = Duration::from_micros(100);
+/// Longest period of a net thread.
+pub const PERIOD_MAX: Duration = Duration::from_millis(100);
+
 /// A controller and its devices.
-#[derive(Clone, Debug, Default, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CellConfig {
     /// The controller itself.
@@ -37,7 +57,7 @@ pub struct CellConfig {
 }
 
 /// Settings of the controller itself.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ControllerConfig {
     /// Time from one cycle to the next, 100 us to 100 ms.
@@ -51,6 +71,55 @@ pub struct ControllerConfig {
     pub websocket: Option<SocketAddr>,
     /// Where DirectIO over plain TCP listens.
     pub tcp: Option<SocketAddr>,
+    /// File with the token that clients must give; needed beyond loopback.
+    pub token_file: Option<PathBuf>,
+    /// Device whose clock the net threads keep phase with; `None` for the host's own clock.
+    pub follow: Option<String>,
+    /// How long after the instants of that clock a cycle begins, less than its period; `None` for 0.
+    /// For an LWR these instants are those of its measurements.
+    #[serde(deserialize_with = "span::text::deserialize_some")]
+    pub phase: Option<Duration>,
+    /// What becomes of the nets of a session whose client is lost, unless the session says otherwise.
+    pub on_loss: OnLoss,
+    /// Net threads beside the first, each with a period of its own.
+    #[serde(rename = "thread")]
+    pub threads: Vec<NetThreadSettings>,
+    /// What is logged, such as `info` or `warn,takt_core=debug`; `None` for `info`.
+    pub log: Option<String>,
+    /// File with what primitives cost on this host, from the folder of the cell's own file; `None`
+    /// for what they declare.
+    pub costs: Option<PathBuf>,
+}
+
+/// What becomes of the nets of a session when the connection that opened it is lost.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum OnLoss {
+    /// Nothing: they run on, and the session stays for the next connection. Existing clients
+    /// count on this when they connect anew.
+    #[default]
+    Keep,
+    /// They are cancelled; after 2 s those that still run are aborted, and the session ends.
+    End,
+}
+
+impl OnLoss {
+    /// The word for it in configurations and messages.
+    #[must_use]
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Keep => "keep",
+            Self::End => "end",
+        }
+    }
+
+    /// What a word stands for.
+    #[must_use]
+    pub fn of_word(word: &str) -> Option<Self> {
+        [Self::Keep, Self::End]
+            .into_iter()
+            .find(|p| p.word() == word)
+    }
 }
 
 impl Default for ControllerConfig {
@@ -61,12 +130,58 @@ impl Default for ControllerConfig {
             cpus: Vec::new(),
             websocket: Some(SocketAddr::from(([127, 0, 0, 1], 8080))),
             tcp: Some(SocketAddr::from(([127, 0, 0, 1], 8081))),
+            token_file: None,
+            follow: None,
+            phase: None,
+            on_loss: OnLoss::Keep,
+            threads: Vec::new(),
+            log: None,
+            costs: None,
         }
     }
 }
 
+/// A net thread beside the first.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NetThreadSettings {
+    /// Time from one cycle to the next, 100 us to 100 ms; no two threads have the same.
+    #[serde(deserialize_with = "span::text::deserialize")]
+    pub period: Duration,
+    /// `SCHED_FIFO` priority, 1 to 98; `None` for an ordinary thread.
+    #[serde(default = "NetThreadSettings::default_priority")]
+    pub priority: Option<u8>,
+    /// Processors of the thread; empty for any.
+    #[serde(default)]
+    pub cpus: Vec<usize>,
+    /// Its phase to the clock that is followed, less than its period; `None` for the controller's.
+    #[serde(default, deserialize_with = "span::text::deserialize_some")]
+    pub phase: Option<Duration>,
+}
+
+impl NetThreadSettings {
+    /// A thread of that period with default settings.
+    #[must_use]
+    pub const fn new(period: Duration) -> Self {
+        Self {
+            period,
+            priority: Self::default_priority(),
+            cpus: Vec::new(),
+            phase: None,
+        }
+    }
+
+    #[expect(
+        clippy::unnecessary_wraps,
+        reason = "the type of the field it is the default of"
+    )]
+    const fn default_priority() -> Option<u8> {
+        Some(79)
+    }
+}
+
 /// A device.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(tag = "type", deny_unknown_fields)]
 pub enum DeviceConfig {
     /// A KUKA LWR on a KRC2lr, over FRI 1.0.
@@ -75,7 +190,7 @@ pub enum DeviceConfig {
 }
 
 /// A KUKA LWR.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LwrConfig {
     /// Name by which nets find it.
@@ -89,6 +204,9 @@ pub struct LwrConfig {
     /// Processors of its driver thread; empty for any.
     #[serde(default)]
     pub cpus: Vec<usize>,
+    /// Period of the net thread that commands it; `None` for the first.
+    #[serde(default, deserialize_with = "span::text::deserialize_some")]
+    pub thread: Option<Duration>,
 }
 
 impl LwrConfig {
@@ -101,6 +219,7 @@ impl LwrConfig {
             listen,
             priority,
             cpus: Vec::new(),
+            thread: None,
         }
     }
 
@@ -130,10 +249,14 @@ impl CellConfig {
             path: path.to_owned(),
             source,
         })?;
-        Self::parse(&text).map_err(|what| Error::Config {
+        let mut cell = Self::parse(&text).map_err(|what| Error::Config {
             path: path.to_owned(),
             what,
-        })
+        })?;
+        if let (Some(costs), Some(folder)) = (&mut cell.controller.costs, path.parent()) {
+            *costs = folder.join(&*costs);
+        }
+        Ok(cell)
     }
 
     fn parse(text: &str) -> Result<Self, String> {
@@ -142,18 +265,90 @@ impl CellConfig {
         Ok(config)
     }
 
-    fn check(&self) -> Result<(), String> {
-        let period = self.controller.period;
-        if !(Duration::from_micros(100)..=Duration::from_millis(100)).contains(&period) {
+    /// Periods of the net threads, the first one first.
+    pub(crate) fn periods(&self) -> impl Iterator<Item = Duration> {
+        let others = self.controller.threads.iter().map(|thread| thread.period);
+        [self.controller.period].into_iter().chain(others)
+    }
+
+    /// Phases of the net threads to the clock that is followed, the first one first.
+    pub(crate) fn phases(&self) -> impl Iterator<Item = Duration> {
+        let first = self.controller.phase.unwrap_or_default();
+        let others = self.controller.threads.iter();
+        let others = others.map(move |thread| thread.phase.unwrap_or(first));
+        [first].into_iter().chain(others)
+    }
+
+    /// Whether there is a clock to follow, and phases are phases.
+    fn check_clock(&self) -> Result<(), String> {
+        let threads = &self.controller.threads;
+        let Some(device) = &self.controller.follow else {
+            let phases = threads.iter().map(|thread| thread.phase);
+            return match phases.chain([self.controller.phase]).flatten().next() {
+                Some(phase) => Err(format!(
+                    "phase is {phase:?}, but nothing is followed; name the device whose clock it \
+                     refers to: controller.follow"
+                )),
+                None => Ok(()),
+            };
+        };
+        let mut names = self.devices.iter().map(|DeviceConfig::Lwr(d)| &d.name);
+        if !names.any(|name| name == device) {
             return Err(format!(
-                "controller.period is {period:?}; it must be 100us to 100ms"
+                "controller.follow is `{device}`, but the cell has no device of that name"
             ));
         }
-        let priorities = self
-            .devices
-            .iter()
-            .map(|DeviceConfig::Lwr(d)| (&*d.name, d.priority));
-        for (name, priority) in priorities.chain([("controller", self.controller.priority)]) {
+        let mut threads = self.periods().zip(self.phases());
+        match threads.find(|(period, phase)| phase >= period) {
+            Some((period, phase)) => Err(format!(
+                "phase is {phase:?}; it must be less than the net thread's period of {period:?}"
+            )),
+            None => Ok(()),
+        }
+    }
+
+    fn check_threads(&self) -> Result<(), String> {
+        let periods: Vec<_> = self.periods().collect();
+        if periods.len() > THREADS_MAX {
+            let (found, bound) = (periods.len(), THREADS_MAX);
+            return Err(format!("{found} net threads; at most {bound} are possible"));
+        }
+        for (i, period) in periods.iter().enumerate() {
+            let key = if i == 0 {
+                "controller.period"
+            } else {
+                "controller.thread: period"
+            };
+            if !(PERIOD_MIN..=PERIOD_MAX).contains(period) {
+                return Err(format!("{key} is {period:?}; it must be 100us to 100ms"));
+            }
+            if periods[..i].contains(period) {
+                return Err(format!(
+                    "{key} {period:?} is given twice; nets of one period share a thread"
+                ));
+            }
+        }
+        for DeviceConfig::Lwr(device) in &self.devices {
+            if let Some(thread) = device.thread.filter(|thread| !periods.contains(thread)) {
+                let (name, periods) = (&device.name, listed(&periods));
+                return Err(format!(
+                    "{name}: thread = {thread:?}, but the net threads are those of {periods}"
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether it makes sense; the first thing that does not.
+    pub(crate) fn check(&self) -> Result<(), String> {
+        self.check_threads()?;
+        self.check_clock()?;
+        let devices = self.devices.iter();
+        let devices = devices.map(|DeviceConfig::Lwr(d)| (&*d.name, d.priority));
+        let threads = self.controller.threads.iter();
+        let threads = threads.map(|thread| ("controller.thread", thread.priority));
+        let first = ("controller", self.controller.priority);
+        for (name, priority) in devices.chain(threads).chain([first]) {
             if priority.is_some_and(|p| !(1..=98).contains(&p)) {
                 return Err(format!("{name}: priority must be 1 to 98, or be left out"));
             }
@@ -171,6 +366,15 @@ impl CellConfig {
     }
 }
 
+/// Periods as people list them.
+pub(crate) fn listed(periods: &[Duration]) -> String {
+    let texts: Vec<_> = periods.iter().map(|p| format!("{p:?}")).collect();
+    match texts.split_last() {
+        Some((last, rest)) if !rest.is_empty() => format!("{} and {last}", rest.join(", ")),
+        _ => texts.concat(),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -181,14 +385,30 @@ mod tests {
             [controller]
             period = "500us"
             cpus = [1]
+            follow = "left"
+            phase = "300us"
+            [[controller.thread]]
+            period = "4ms"
+            cpus = [0]
+            phase = "2ms"
+            [[controller.thread]]
+            period = "8ms"
             [[device]]
             name = "left"
             type = "kuka_lwr_fri"
             listen = "127.0.0.1:49938"
+            thread = "4ms"
         "#;
         let config = CellConfig::parse(text).unwrap();
         assert_eq!(config.controller.period, Duration::from_micros(500));
+        let periods: Vec<_> = config.periods().collect();
+        assert_eq!(periods, [500, 4000, 8000].map(Duration::from_micros));
+        assert_eq!(config.controller.follow.as_deref(), Some("left"));
+        let phases: Vec<_> = config.phases().collect();
+        assert_eq!(phases, [300, 2000, 300].map(Duration::from_micros));
+        assert_eq!(config.controller.threads[0].priority, Some(79));
         let DeviceConfig::Lwr(lwr) = &config.devices[0];
+        assert_eq!(lwr.thread, Some(Duration::from_millis(4)));
         assert_eq!((lwr.name.as_str(), lwr.priority), ("left", Some(85)));
     }
 
@@ -199,6 +419,41 @@ mod tests {
             ("[controller]\nperiod = \"1\"", "is no duration"),
             ("[controller]\nperiod = \"1s\"", "must be 100us to 100ms"),
             ("[controller]\npriority = 99", "priority must be 1 to 98"),
+            (
+                "[[controller.thread]]\nperiod = \"50us\"",
+                "period is 50µs; it must be 100us to 100ms",
+            ),
+            (
+                "[[controller.thread]]\nperiod = \"1ms\"",
+                "period 1ms is given twice",
+            ),
+            (
+                "[[controller.thread]]\nperiod = \"2ms\"\npriority = 0",
+                "controller.thread: priority must be 1 to 98",
+            ),
+            (
+                "[[controller.thread]]\npriority = 70",
+                "missing field `period`",
+            ),
+            (
+                "[[device]]\nname = \"a\"\ntype = \"kuka_lwr_fri\"\nthread = \"4ms\"\n\
+                 [[controller.thread]]\nperiod = \"2ms\"",
+                "a: thread = 4ms, but the net threads are those of 1ms and 2ms",
+            ),
+            (
+                "[controller]\nphase = \"300us\"",
+                "phase is 300µs, but nothing is followed",
+            ),
+            (
+                "[controller]\nfollow = \"left\"",
+                "controller.follow is `left`, but the cell has no device of that name",
+            ),
+            (
+                "[controller]\nfollow = \"a\"\nphase = \"1ms\"\n\
+                 [[device]]\nname = \"a\"\ntype = \"kuka_lwr_fri\"",
+                "phase is 1ms; it must be less than the net thread's period of 1ms",
+            ),
+            ("[controller]\nfollow = \"a\"\nphase = 3\n", "invalid type"),
             ("[controller]\nperoid = \"1ms\"", "unknown field `peroid`"),
             (
                 "[[device]]\nname = \"a\"\ntype = \"kuka\"",
@@ -212,6 +467,11 @@ mod tests {
             let error = CellConfig::parse(text).unwrap_err();
             assert!(error.contains(said), "{text}: {error}");
         }
+        let many: String = (1..=8)
+            .map(|n| format!("[[controller.thread]]\nperiod = \"{}ms\"\n", 2 * n))
+            .collect();
+        let many = CellConfig::parse(&many).unwrap_err();
+        assert!(many.contains("9 net threads; at most 8"), "{many}");
         let twice = "[[device]]\nname = \"a\"\ntype = \"kuka_lwr_fri\"\n".repeat(2);
         assert!(
             CellConfig::parse(&twice)

@@ -1,34 +1,44 @@
 //! The controller: what programs can ask of it, and the desk between them and the net thread. All
 //! calls may block for a cycle or two; none is made in a real-time thread.
 
+mod clock;
+mod condition;
 mod departed;
 mod desk;
 mod devices;
 mod eval;
+mod events;
 mod figures;
-mod ids;
+mod inter;
+mod load;
+mod reload;
 mod rules;
+mod threads;
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use takt_net::{Limits, LoadContext, Registry, Rejection, load};
-use takt_rt::latest::latest;
-use takt_rt::thread::ThreadConfig;
+use takt_net::{Limits, Registry, Rejection};
 
-use crate::cell::{CellConfig, DeviceConfig};
+use crate::cell::{CellConfig, DeviceConfig, OnLoss};
 use crate::device::DeviceStatus;
 use crate::error::Error;
-use crate::executor::thread::{Command, NetThread, NetThreadConfig};
-use crate::executor::{ResourceSet, Running};
+use crate::executor::thread::Command;
 use crate::record::{Recorder, Tap};
+use clock::FollowedClock;
 use desk::{Desk, Net, Session};
 
+pub use crate::executor::figures::NetCounts;
 pub use crate::executor::rules::RuleState;
+pub use crate::ids::{NetId, NetState, SessionId};
+pub use clock::ClockInfo;
 pub use departed::Departed;
-pub use ids::{NetId, NetState, SessionId, net_number};
+pub use eval::{EVAL_COST_MAX, EVAL_PRIMITIVES_MAX};
+pub use figures::{NetFigures, ThreadInfo};
+pub use inter::{LOOK_LASTS, LOOKS_MAX, TapRecord, Taps};
+pub use load::LoadRequest;
 pub use rules::{RuleId, RuleInfo, RuleRequest};
 
 /// Nets that may be loaded at once.
@@ -37,20 +47,6 @@ pub const NETS_MAX: usize = 1024;
 pub const SESSIONS_MAX: usize = 256;
 /// How long the net thread may take to answer.
 const ANSWER_WITHIN: Duration = Duration::from_secs(2);
-
-/// A net to be loaded.
-#[derive(Clone, Debug)]
-pub struct LoadRequest {
-    /// The net.
-    pub text: String,
-    /// Session it belongs to; `SessionId(0)` for none.
-    pub session: SessionId,
-    /// What it is, for people.
-    pub description: String,
-    /// Time from one of its cycles to the next, a whole multiple of the net thread's; `None` for
-    /// the net thread's own.
-    pub period: Option<Duration>,
-}
 
 /// A net as programs see it.
 #[derive(Clone, Debug)]
@@ -146,7 +142,7 @@ struct Inner {
 }
 
 impl Inner {
-    /// The desk, up to date with what the net thread has told.
+    /// The desk, up to date with what the net threads have told.
     fn lock(&self) -> MutexGuard<'_, Desk> {
         let mut desk = self.desk.lock().unwrap_or_else(PoisonError::into_inner);
         desk.unannounced |= desk.take_events();
@@ -186,37 +182,33 @@ impl Controller {
     /// Starts the threads of a cell.
     ///
     /// # Errors
-    /// If a device cannot be opened or a thread not be started.
+    /// If the cell makes no sense, a device cannot be opened or a thread not be started.
     pub fn start(cell: &CellConfig) -> Result<Self, Error> {
         Self::start_recording(cell, None)
     }
 
-    /// Starts the threads of a cell and records the net thread.
+    /// Starts the threads of a cell and records the first net thread.
     ///
     /// # Errors
-    /// If a device cannot be opened or a thread not be started.
+    /// If the cell makes no sense, a device cannot be opened or a thread not be started.
     pub fn start_recording(
         cell: &CellConfig,
         recording: Option<(Recorder, Tap)>,
     ) -> Result<Self, Error> {
-        let period = cell.controller.period;
+        cell.check().map_err(Error::Cell)?;
         let (recorder, tap) = recording.unzip();
-        let thread = ThreadConfig {
-            priority: cell.controller.priority,
-            cpus: cell.controller.cpus.clone(),
-            ..ThreadConfig::new("takt-nets")
-        };
-        let net_thread = NetThread::start(NetThreadConfig { period, thread }, tap)?;
-        let mut desk = Desk::new(net_thread, recorder);
+        let clock = FollowedClock::of(cell);
+        let threads = threads::start(cell, clock.as_ref(), tap)?;
+        let mut desk = Desk::new(threads, clock, recorder);
         for DeviceConfig::Lwr(config) in &cell.devices {
-            desk.add_lwr(config, period)?;
+            desk.add_lwr(config)?;
         }
         let inner = Arc::new(Inner {
             desk: Mutex::new(desk),
             changed: Condvar::new(),
             stop: AtomicBool::new(false),
-            registry: crate::registry(),
-            period,
+            registry: crate::costs::registry(cell.controller.costs.as_deref())?,
+            period: cell.controller.period,
         });
         let supervised = Arc::clone(&inner);
         let name = "takt-supervisor".to_owned();
@@ -239,6 +231,19 @@ impl Controller {
     /// # Errors
     /// If too many are open.
     pub fn open_session(&self, description: &str) -> Result<SessionId, Error> {
+        self.open_session_with(description, OnLoss::Keep)
+    }
+
+    /// The same, saying what becomes of its nets when the connection that opens it is lost; to watch
+    /// the connection is the caller's part.
+    ///
+    /// # Errors
+    /// If too many are open.
+    pub fn open_session_with(
+        &self,
+        description: &str,
+        on_loss: OnLoss,
+    ) -> Result<SessionId, Error> {
         let mut desk = self.inner.lock();
         if desk.sessions.len() >= SESSIONS_MAX {
             return Err(Error::TooMany {
@@ -252,9 +257,28 @@ impl Controller {
             id,
             Session {
                 description: description.to_owned(),
+                on_loss,
             },
         );
         Ok(id)
+    }
+
+    /// What becomes of the nets of a session whose connection is lost; `None` if there is none.
+    #[must_use]
+    pub fn session_on_loss(&self, id: SessionId) -> Option<OnLoss> {
+        Some(self.inner.lock().sessions.get(&id)?.on_loss)
+    }
+
+    /// Describes a session anew.
+    ///
+    /// # Errors
+    /// If there is no such session.
+    pub fn describe_session(&self, id: SessionId, description: &str) -> Result<(), Error> {
+        let mut desk = self.inner.lock();
+        let session = desk.sessions.get_mut(&id);
+        let session = session.ok_or_else(|| Error::NoSuchSession(id.to_string()))?;
+        description.clone_into(&mut session.description);
+        Ok(())
     }
 
     /// Aborts and unloads all nets of a session and closes it.
@@ -286,98 +310,6 @@ impl Controller {
         }
         let of_session = desk.nets.iter().filter(|(_, net)| net.session == id);
         Some(of_session.map(|(id, _)| *id).collect())
-    }
-
-    /// Loads a net. A net that is rejected gets an identifier too; its state tells. If there are
-    /// as many nets as there may be, the oldest that is over is unloaded.
-    ///
-    /// # Errors
-    /// If there are too many nets, or no such session.
-    pub fn load(&self, request: LoadRequest) -> Result<NetId, Error> {
-        let LoadRequest {
-            text,
-            session,
-            description,
-            period,
-        } = request;
-        let text: Arc<str> = text.into();
-        let id = {
-            let mut desk = self.inner.lock();
-            if session != SessionId::NONE && !desk.sessions.contains_key(&session) {
-                return Err(Error::NoSuchSession(session.to_string()));
-            }
-            if desk.nets.len() >= NETS_MAX && !desk.forget_oldest() {
-                return Err(Error::TooMany {
-                    what: "loaded nets",
-                    bound: NETS_MAX,
-                });
-            }
-            let id = desk.next_net();
-            let net = Net::new(session, description, Arc::clone(&text));
-            desk.nets.insert(id, net);
-            self.inner.announce(&desk);
-            id
-        };
-        let prepared = self.prepare(id, &text, period);
-        let mut desk = self.inner.lock();
-        if let Some(net) = desk.nets.get_mut(&id) {
-            match prepared {
-                Ok(prepared) => net.make_ready(prepared),
-                Err(rejection) => net.reject(rejection),
-            }
-        }
-        self.inner.announce(&desk);
-        Ok(id)
-    }
-
-    /// Checks a net and makes it ready, without the desk but for a copy of the devices.
-    fn prepare(
-        &self,
-        id: NetId,
-        text: &Arc<str>,
-        period: Option<Duration>,
-    ) -> Result<desk::Prepared, Rejection> {
-        let thread_period = self.inner.period;
-        let period = period.unwrap_or(thread_period);
-        let every = desk::multiple(period, thread_period)?;
-        let devices = self.inner.lock().devices.clone();
-        let context = LoadContext {
-            registry: &self.inner.registry,
-            devices: &devices,
-            period,
-            limits: limits_for(period),
-        };
-        let plan = load(text, &context)?;
-        let mut desk = self.inner.lock();
-        let mut resources = ResourceSet::default();
-        for name in plan.resources() {
-            resources.insert(desk.resource(name)?);
-        }
-        if let Some(recorder) = &desk.recorder {
-            recorder.net(id.0, every, period, text);
-        }
-        drop(desk);
-        let numbers = plan
-            .devices()
-            .iter()
-            .filter_map(|name| devices.number(name));
-        let numbers: Vec<_> = numbers.map(|number| (number, 0)).collect();
-        let (out_directory, in_directory) = (Arc::clone(plan.outbox()), Arc::clone(plan.inbox()));
-        let in_words: Box<[u64]> = plan.inbox_words().collect();
-        let (out, out_reader) = latest(1, || vec![0; out_directory.words()].into_boxed_slice());
-        let (in_writer, inbox) = latest(1, || in_words.clone());
-        let mut running = Box::new(Running::new(id.0, plan, out, inbox));
-        running.resources = resources;
-        running.devices = numbers;
-        running.every = every;
-        Ok(desk::Prepared {
-            running,
-            out_directory,
-            out_reader,
-            in_directory,
-            in_writer,
-            in_words,
-        })
     }
 
     /// Starts a net and waits until it runs.
@@ -528,7 +460,7 @@ impl Controller {
         }
     }
 
-    /// Time from one cycle of the net thread to the next.
+    /// Time from one cycle of the first net thread to the next.
     #[must_use]
     pub fn period(&self) -> Duration {
         self.inner.period
@@ -548,7 +480,7 @@ impl Controller {
 #[must_use]
 pub fn limits_for(period: Duration) -> Limits {
     Limits {
-        cost: Some(period * 4 / 5),
+        cost: Some(crate::executor::figures::budget(period)),
         ..Limits::default()
     }
 }
@@ -556,12 +488,13 @@ pub fn limits_for(period: Duration) -> Limits {
 /// How often the supervisor looks at what the net thread tells.
 const SUPERVISION: Duration = Duration::from_millis(2);
 
-/// Carries what the net thread tells to the desk, and notes changes of devices.
+/// Carries what the net threads tell to the desk, and notes changes of devices.
 fn supervise(inner: &Inner) {
     while !inner.stop.load(Ordering::Relaxed) {
         {
             let mut desk = inner.lock();
             desk.forget_departed();
+            desk.drain_taps();
             let told = std::mem::take(&mut desk.unannounced);
             let moved = desk.look_at_devices();
             if told || moved {

@@ -2,17 +2,20 @@
 //! are in the modules below; what nets see of a device is in `takt_net::device`.
 
 pub mod lwr;
+pub mod parts;
 pub mod setpoint;
 pub mod sim;
 mod table;
 
 use std::borrow::Cow;
 use std::fmt;
+use std::ops::Range;
 
-use takt_net::{JointLimits, JointState};
+use takt_net::{Image, JointLimits, JointState};
 use takt_rt::Nanos;
 
-pub use table::{Arm, ArmPorts, DeviceTable};
+pub use parts::Part;
+pub use table::{Device, DevicePorts, DeviceTable};
 
 /// Most joints of one robot arm.
 pub const ARM_JOINTS_MAX: usize = 8;
@@ -51,23 +54,57 @@ impl fmt::Display for DeviceStatus {
     }
 }
 
-/// What the driver of an arm tells nets.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct ArmState {
+/// What a driver tells nets.
+#[derive(Clone, Debug, Default)]
+pub struct DeviceState {
     /// When the measurement arrived.
     pub stamp: Nanos,
-    /// Whether the arm follows commands.
+    /// Whether the device follows commands.
     pub status: DeviceStatus,
-    /// How often the arm left [`DeviceStatus::Operational`]; a net that commands it ends then.
+    /// How often it left [`DeviceStatus::Operational`]; a net that commands it ends then.
     pub faults: u64,
     /// Its joints.
     pub joints: [JointState; ARM_JOINTS_MAX],
+    /// What else it tells, in the places of its interfaces.
+    pub signals: Box<[u64]>,
 }
 
-/// A position at a point of logical time.
+impl DeviceState {
+    /// One that knows nothing yet, with so many words for what is told beside joints.
+    #[must_use]
+    pub fn new(signals: usize) -> Self {
+        Self {
+            signals: vec![0; signals].into(),
+            ..Self::default()
+        }
+    }
+
+    /// Puts it into the image, at the place of its device.
+    pub fn show(&self, place: &Place, image: &Image) {
+        let joints = image.joints.iter().skip(place.first_joint);
+        for (joint, told) in joints.take(place.joints).zip(&self.joints) {
+            joint.state.set(*told);
+        }
+        let cells = image.signals.get(place.signals.clone());
+        for (cell, word) in cells.into_iter().flatten().zip(&self.signals) {
+            cell.set(*word);
+        }
+    }
+
+    /// Becomes like another of the same device, in the memory it has.
+    pub fn copy_from(&mut self, other: &Self) {
+        (self.stamp, self.status, self.faults) = (other.stamp, other.status, other.faults);
+        self.joints = other.joints;
+        for (word, told) in self.signals.iter_mut().zip(&other.signals) {
+            *word = *told;
+        }
+    }
+}
+
+/// A position at an instant.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SetPoint {
-    /// Logical time of the cycle that made it.
+    /// When the cycle that made it began on this host's clock, without jitter.
     pub time: Nanos,
     /// Position, rad.
     pub position: f64,
@@ -105,13 +142,37 @@ impl JointSetPoints {
     }
 }
 
-/// What nets command to an arm, handed over once a cycle.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct ArmCommand {
-    /// Logical time of the cycle; a driver that sees it stand still stops the arm.
+/// What nets command to a device, handed over once a cycle.
+#[derive(Clone, Debug, Default)]
+pub struct DeviceCommand {
+    /// When the cycle began on this host's clock, without jitter; a driver that sees it stand still
+    /// stops the device.
     pub time: Nanos,
+    /// Number of the cycle, to which the stamps of commands refer.
+    pub cycle: u64,
     /// By joint.
     pub joints: [JointSetPoints; ARM_JOINTS_MAX],
+    /// What else is commanded, in the places of its interfaces.
+    pub words: Box<[u64]>,
+}
+
+impl DeviceCommand {
+    /// One that commands nothing, with so many words for what is commanded beside joints.
+    #[must_use]
+    pub fn new(words: usize) -> Self {
+        Self {
+            words: vec![0; words].into(),
+            ..Self::default()
+        }
+    }
+
+    /// Becomes like another for the same device, in the memory it has.
+    pub fn copy_from(&mut self, other: &Self) {
+        (self.time, self.cycle, self.joints) = (other.time, other.cycle, other.joints);
+        for (word, told) in self.words.iter_mut().zip(&other.words) {
+            *word = *told;
+        }
+    }
 }
 
 /// What is known of an arm before it is in contact.
@@ -125,4 +186,46 @@ pub struct ArmDescription {
     pub limits: Vec<JointLimits>,
     /// Model of its kinematics, as `takt_motion::kinematics` names it; empty for none.
     pub model: Cow<'static, str>,
+}
+
+impl ArmDescription {
+    /// The arm as a device that offers this beside its joints.
+    #[must_use]
+    pub fn with(self, parts: &[Part]) -> DeviceDescription {
+        DeviceDescription {
+            name: self.name,
+            kind: self.kind,
+            limits: self.limits,
+            model: self.model,
+            parts: parts.to_vec(),
+        }
+    }
+}
+
+/// What is known of a device before it is in contact.
+#[derive(Clone, Debug)]
+pub struct DeviceDescription {
+    /// Name by which nets find it.
+    pub name: String,
+    /// Device type, such as `kuka_lwr_fri`.
+    pub kind: &'static str,
+    /// Limits by joint; empty if it is no arm.
+    pub limits: Vec<JointLimits>,
+    /// Model of its kinematics, as `takt_motion::kinematics` names it; empty for none.
+    pub model: Cow<'static, str>,
+    /// What it offers beside joints.
+    pub parts: Vec<Part>,
+}
+
+/// Where a device lies in the image.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Place {
+    /// Number of its first joint.
+    pub first_joint: usize,
+    /// How many joints it has.
+    pub joints: usize,
+    /// The words of what else it tells.
+    pub signals: Range<usize>,
+    /// The words of what else it is told.
+    pub commands: Range<usize>,
 }

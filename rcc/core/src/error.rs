@@ -3,7 +3,7 @@
 
 use std::path::PathBuf;
 
-use crate::controller::{NetId, NetState};
+use crate::ids::{NetId, NetState};
 
 /// Why the controller could not do what it was asked.
 #[derive(Debug, thiserror::Error)]
@@ -20,6 +20,11 @@ pub enum Error {
     /// No room for the joints of an arm.
     #[error("no room for the joints of `{name}`: at most {bound} in all and 8 in one arm")]
     TooManyJoints { name: String, bound: usize },
+    /// No room for the values of a device.
+    #[error(
+        "no room for the values of `{name}`: all devices together have {bound} words of each kind"
+    )]
+    TooManyValues { name: String, bound: usize },
     /// A device cannot be made as asked for.
     #[error("device `{name}`: {what}")]
     DeviceParameter { name: String, what: String },
@@ -96,6 +101,9 @@ pub enum Error {
         path: PathBuf,
         source: std::io::Error,
     },
+    /// The configuration of a cell makes no sense.
+    #[error("cell: {0}")]
+    Cell(String),
     /// A configuration is wrong.
     #[error("{path}: {what}")]
     Config { path: PathBuf, what: String },

@@ -2,13 +2,24 @@
 //! owns no thread and reads no clock, so that a recording replays through the very same code; the
 //! live thread around it is in [`thread`], and what happens between nets in [`rules`].
 
+pub mod figures;
+pub mod links;
 pub mod rules;
+pub mod serve;
 pub mod thread;
 
+use std::sync::Arc;
+
+use std::cell::Cell;
+use std::ops::Range;
+
+use takt_net::device::Layout;
 use takt_net::{Image, Moment, Plan};
+use takt_rt::Nanos;
 use takt_rt::latest::{LatestReader, LatestWriter};
 
-use crate::device::DeviceStatus;
+use crate::device::{DeviceStatus, Place};
+use figures::{NetCounters, RUNAWAY_AFTER};
 
 /// Most nets that run in one thread.
 pub const RUNNING_MAX: usize = 256;
@@ -72,6 +83,8 @@ pub enum End {
     Aborted,
     /// A synchronization rule stopped it.
     Stopped,
+    /// Its evaluation took longer than its period, [`RUNAWAY_AFTER`] times in a row.
+    Runaway,
     /// A device that it commands, by its number, ceased to follow commands.
     DeviceFault(usize),
 }
@@ -89,9 +102,11 @@ pub enum Refusal {
     TooMany,
 }
 
-/// What a rule did to a net.
+/// What happened to a net in a cycle that neither the net nor the controller did.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Effect {
+    /// It took too long too often, and ends with this cycle.
+    RanAway,
     /// It ends with this cycle.
     Stopped,
     /// It is told to cancel from the next cycle on.
@@ -117,8 +132,10 @@ pub struct Running {
     pub cancel: bool,
     /// Whether a successor waits for it.
     pub takeover: bool,
-    /// Whether a rule started it, and nobody was told yet.
+    /// Whether a rule started it in this cycle.
     fresh: bool,
+    /// Whether a rule started it, and the controller was not told yet.
+    untold: bool,
     /// Whether a rule asked it to cancel, and nobody was told yet.
     fresh_cancel: bool,
     /// Whether it ends after this cycle, and why.
@@ -127,9 +144,16 @@ pub struct Running {
     evaluated: bool,
     /// The group of `every` cycles in which it was last looked at.
     last_group: Option<u64>,
+    counters: Arc<NetCounters>,
+    period: Nanos,
+    budget: Nanos,
+    /// Evaluations in a row that took longer than `period`.
+    too_long: u32,
     out: LatestWriter<Box<[u64]>>,
     inbox: LatestReader<Box<[u64]>>,
     inbox_seen: u64,
+    /// What it exchanges with other nets and those who look into it.
+    pub links: links::Links,
 }
 
 impl Running {
@@ -141,15 +165,23 @@ impl Running {
         out: LatestWriter<Box<[u64]>>,
         inbox: LatestReader<Box<[u64]>>,
     ) -> Self {
+        let period = plan.period();
+        let (links, _) = links::links(&plan);
         Self {
             id,
+            links,
             plan,
+            counters: Arc::default(),
+            period: period.into(),
+            budget: figures::budget(period).into(),
+            too_long: 0,
             resources: ResourceSet::default(),
             devices: Vec::new(),
             every: 1,
             cancel: false,
             takeover: false,
             fresh: false,
+            untold: false,
             fresh_cancel: false,
             end: None,
             evaluated: false,
@@ -171,15 +203,41 @@ impl Running {
         }
     }
 
-    /// Takes over what programs wrote since the last cycle; returns whether there was anything.
+    /// Whether a rule started it and the controller was not told; from now on it was.
+    const fn take_untold(&mut self) -> bool {
+        std::mem::replace(&mut self.untold, false)
+    }
+
+    /// Its figures, which go on being counted.
+    #[must_use]
+    pub const fn counters(&self) -> &Arc<NetCounters> {
+        &self.counters
+    }
+
+    /// Counts an evaluation; one that is too long too often ends the net.
+    fn account(&mut self, took: Nanos) {
+        self.counters.evaluated(took, self.budget);
+        self.too_long = if took > self.period {
+            self.too_long + 1
+        } else {
+            0
+        };
+        if self.too_long >= RUNAWAY_AFTER {
+            self.end = self.end.or(Some(End::Runaway));
+        }
+    }
+
+    /// Takes over what programs and other nets wrote since the last cycle; returns whether there was
+    /// anything.
     pub fn receive(&mut self) -> bool {
+        let given = self.links.receive(&self.plan);
         let version = self.inbox.version();
         if version == self.inbox_seen {
-            return false;
+            return given;
         }
         self.inbox_seen = version;
-        let plan = &self.plan;
-        self.inbox.read_with(|words| plan.import(words));
+        let (plan, links) = (&self.plan, &mut self.links);
+        self.inbox.read_with(|words| links.import(plan, words));
         true
     }
 
@@ -209,6 +267,10 @@ pub struct Executor {
     rules: rules::Rules,
     /// How many joints of the image belong to a device.
     joints: usize,
+    /// How many words of the image do.
+    used: Layout,
+    /// Commands of devices that came into use before this cycle, to be recorded.
+    fresh: Vec<Range<usize>>,
 }
 
 impl Default for Executor {
@@ -219,6 +281,8 @@ impl Default for Executor {
             running: Vec::with_capacity(RUNNING_MAX),
             rules: rules::Rules::new(),
             joints: 0,
+            used: Layout::default(),
+            fresh: Vec::with_capacity(DEVICES_MAX),
         }
     }
 }
@@ -255,6 +319,31 @@ impl Executor {
         self.joints = self.joints.max(joints).min(self.image.joints.len());
     }
 
+    /// Puts the place of a device into use; what lay there of another device is gone.
+    pub fn use_place(&mut self, place: &Place) {
+        self.use_joints(place.first_joint + place.joints);
+        self.use_words(place.signals.end, place.commands.end);
+        let signals = self.image.signals.get(place.signals.clone());
+        signals.into_iter().flatten().for_each(|word| word.set(0));
+        self.use_commands(place.commands.clone());
+    }
+
+    /// Puts the first so many words of the image into use.
+    pub(crate) fn use_words(&mut self, signals: usize, commands: usize) {
+        self.used.signals = self.used.signals.max(signals);
+        self.used.commands = self.used.commands.max(commands);
+    }
+
+    /// Forgets what was commanded in these words.
+    pub(crate) fn use_commands(&mut self, commands: Range<usize>) {
+        let words = self.image.commands.get(commands.clone());
+        words.into_iter().flatten().for_each(|word| word.set(0));
+        // There are never more than devices in one cycle; a push would allocate beyond that.
+        if self.fresh.len() < self.fresh.capacity() {
+            self.fresh.push(commands);
+        }
+    }
+
     /// Says how a device is.
     pub fn set_device(&mut self, number: usize, view: DeviceView) {
         while self.devices.len() <= number && self.devices.len() < DEVICES_MAX {
@@ -269,6 +358,23 @@ impl Executor {
     #[must_use]
     pub fn joints(&self) -> &[takt_net::device::Joint] {
         &self.image.joints[..self.joints]
+    }
+
+    /// The words in use of what drivers report beside joints.
+    pub(crate) fn signals(&self) -> &[Cell<u64>] {
+        let signals = &self.image.signals;
+        &signals[..self.used.signals.min(signals.len())]
+    }
+
+    /// The words in use of what nets command beside joints.
+    pub(crate) fn commands(&self) -> &[Cell<u64>] {
+        let commands = &self.image.commands;
+        &commands[..self.used.commands.min(commands.len())]
+    }
+
+    /// Commands of devices that came into use since the last cycle.
+    pub(crate) fn fresh(&self) -> &[Range<usize>] {
+        &self.fresh
     }
 
     /// Asks a net to cancel; the next cycle tells it. Returns whether it runs.
@@ -312,8 +418,17 @@ impl Executor {
 
     /// Ends a net after this cycle, as a rule does.
     pub fn stop(&mut self, id: u32) {
+        self.end(id, End::Stopped);
+    }
+
+    /// Ends a net after this cycle because it took too long.
+    pub fn end_runaway(&mut self, id: u32) {
+        self.end(id, End::Runaway);
+    }
+
+    fn end(&mut self, id: u32, end: End) {
         if let Some(net) = self.find(id) {
-            net.end = net.end.or(Some(End::Stopped));
+            net.end = net.end.or(Some(end));
         }
     }
 
@@ -328,6 +443,13 @@ impl Executor {
 
     /// Evaluates one cycle of all nets. What they command is then in the image.
     pub fn cycle(&mut self, moment: Moment) {
+        self.cycle_timed(moment, || Nanos::ZERO);
+    }
+
+    /// The same, measuring how long each net takes by a clock that is read once a net.
+    pub fn cycle_timed(&mut self, moment: Moment, mut clock: impl FnMut() -> Nanos) {
+        self.fresh.clear();
+        let mut before = clock();
         for net in &mut self.running {
             let failed = net.devices.iter().find(|(number, faults)| {
                 self.devices
@@ -348,7 +470,18 @@ impl Executor {
                 if net.plan.evaluate(&self.image, moment) {
                     net.end = Some(End::Terminated);
                 }
+                net.links.record(&net.plan, moment.time);
+                let after = clock();
+                net.account(after - before);
+                before = after;
             }
+        }
+    }
+
+    /// Notes, with the nets that were evaluated, that the cycle ended too late.
+    pub fn overran(&mut self) {
+        for net in self.running.iter().filter(|net| net.evaluated) {
+            net.counters.overran();
         }
     }
 
@@ -361,9 +494,13 @@ impl Executor {
         }
     }
 
-    /// Tells what rules did to nets in this cycle: those stopped, asked to cancel, and started.
-    pub fn rule_effects(&mut self, mut tell: impl FnMut(u32, Effect)) {
+    /// Tells what happened to nets that they did not do themselves: those that ran away, and those
+    /// that rules stopped, asked to cancel, and started.
+    pub fn effects(&mut self, mut tell: impl FnMut(u32, Effect)) {
         for net in &mut self.running {
+            if net.end == Some(End::Runaway) {
+                tell(net.id, Effect::RanAway);
+            }
             if net.end == Some(End::Stopped) {
                 tell(net.id, Effect::Stopped);
             }
@@ -371,7 +508,17 @@ impl Executor {
                 tell(net.id, Effect::Cancelled);
             }
             if std::mem::take(&mut net.fresh) {
+                net.untold = true;
                 tell(net.id, Effect::Started);
+            }
+        }
+    }
+
+    /// Tells which nets rules started since this was last called.
+    pub fn started(&mut self, mut tell: impl FnMut(u32)) {
+        for net in &mut self.running {
+            if net.take_untold() {
+                tell(net.id);
             }
         }
     }

@@ -3,17 +3,21 @@
 
 pub mod cell;
 pub mod controller;
+pub mod costs;
 pub mod device;
 pub mod error;
 pub mod executor;
+pub mod ids;
 mod primitives;
 pub mod record;
 pub mod span;
 
-pub use cell::CellConfig;
-pub use controller::{Controller, NetId, SessionId};
+pub use cell::{CellConfig, OnLoss};
+pub use controller::Controller;
 pub use error::Error;
+pub use ids::{NetId, SessionId};
 pub use takt_net as net;
+pub use takt_rt::stats::{Snapshot, Summary};
 
 use takt_net::Registry;
 

@@ -14,7 +14,7 @@ use std::time::Duration;
 use takt_net::Moment;
 use takt_rt::ring::{Consumer, Producer, ring};
 
-use crate::device::ArmDescription;
+use crate::device::{DeviceDescription, Place};
 use crate::error::Error;
 use crate::executor::{End, Executor, Running};
 use file::Writer;
@@ -25,7 +25,7 @@ pub use replay::{Replay, replay};
 /// Buffers between the net thread and the file; each holds one cycle.
 const BUFFERS: usize = 512;
 /// Words that one cycle may take.
-const WORDS_A_CYCLE: usize = 8192;
+const WORDS_A_CYCLE: usize = 16_384;
 
 /// The net thread's end of a recording. It never waits: a cycle for which no buffer is free, or
 /// that does not fit one, is counted as lost.
@@ -73,6 +73,13 @@ impl Tap {
     pub fn stopped(&mut self, id: u32) {
         if let Some(words) = self.words() {
             words.stopped(id);
+        }
+    }
+
+    /// A net took too long too often.
+    pub fn ran_away(&mut self, id: u32) {
+        if let Some(words) = self.words() {
+            words.ran_away(id);
         }
     }
 
@@ -136,7 +143,12 @@ impl Tap {
 
 /// What the file is told besides cycles.
 enum Note {
-    Arm(ArmDescription, usize),
+    Device {
+        number: usize,
+        place: Place,
+        description: DeviceDescription,
+    },
+    Gone(String),
     Net {
         id: u32,
         every: u64,
@@ -205,10 +217,19 @@ impl Recorder {
         ))
     }
 
-    /// Tells of an arm of the cell.
-    pub fn arm(&self, description: &ArmDescription, first_joint: usize) {
+    /// Tells of a device that came, and where it lies in the image.
+    pub fn device(&self, number: usize, place: &Place, description: &DeviceDescription) {
         // The desk is gone only if the file failed, which `finish` tells.
-        let _ = self.notes.send(Note::Arm(description.clone(), first_joint));
+        let _ = self.notes.send(Note::Device {
+            number,
+            place: place.clone(),
+            description: description.clone(),
+        });
+    }
+
+    /// Tells of a device that went.
+    pub fn device_gone(&self, name: &str) {
+        let _ = self.notes.send(Note::Gone(name.to_owned()));
     }
 
     /// Tells of a net that was loaded.

@@ -45,6 +45,16 @@ pub mod text {
     pub fn deserialize<'de, D: Deserializer<'de>>(input: D) -> Result<Duration, D::Error> {
         super::parse(&String::deserialize(input)?).map_err(serde::de::Error::custom)
     }
+
+    /// Reads the duration of a field that may be left out.
+    ///
+    /// # Errors
+    /// If the field holds no text, or no duration.
+    pub fn deserialize_some<'de, D: Deserializer<'de>>(
+        input: D,
+    ) -> Result<Option<Duration>, D::Error> {
+        deserialize(input).map(Some)
+    }
 }
 
 #[cfg(test)]

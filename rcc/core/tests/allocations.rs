@@ -12,7 +12,10 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use common::{Cell, swing};
+use takt_core::cell::{DeviceConfig, LwrConfig, NetThreadSettings};
+use takt_core::controller::RuleRequest;
 use takt_core::record::Recorder;
+use takt_core::{CellConfig, Controller, NetId};
 use takt_net::{Cycle, Definition, Image, Limits, LoadContext, Moment, NoDevices, Primitive, load};
 use takt_rt::alloc::{CountingAllocator, enter_real_time, real_time_allocations};
 
@@ -66,6 +69,129 @@ fn nor_does_one_that_is_recorded() {
         cell.wait("cycles without a recording", |c| {
             c.stats().cycles > cycles + 600
         });
+    });
+    assert_eq!(count, 0);
+}
+
+/// Ends after so many seconds.
+fn lasting(seconds: f64) -> String {
+    format!(
+        "{{clock=Core::Clock(),over=Core::DoubleGreater(inFirst=clock.outValue,Second='{seconds}'),
+        done=Core::BooleanNetcommOut(inValue=over.outValue,Key='done'),
+        outTerminate=over.outValue}}"
+    )
+}
+
+#[test]
+fn nor_do_two_threads_with_rules_between_them() {
+    let slow = Duration::from_millis(4);
+    let anywhere = std::net::SocketAddr::from(([127, 0, 0, 1], 0));
+    let mut cell = CellConfig::default();
+    cell.controller.threads = vec![NetThreadSettings::new(slow)];
+    let arm = |name: &str, thread| {
+        let lwr = LwrConfig::new(name, anywhere);
+        DeviceConfig::Lwr(LwrConfig { thread, ..lwr })
+    };
+    cell.devices = vec![arm("left", None), arm("right", Some(slow))];
+    let count = allocations(|| {
+        let cell = Cell::of(&cell, None);
+        let first = cell.controller.stats().cycles;
+        let mut angle = 0.0;
+        while cell.controller.stats().cycles < first + CYCLES {
+            let [left, right] = ["left", "right"].map(|arm| cell.load(&swing(arm, 0.9)));
+            let periods = [Duration::from_millis(1), slow];
+            let [fast, late] = periods.map(|period| cell.load_every(&lasting(0.1), period));
+            // Started by what happens in the other thread.
+            let request = |condition: String, start| RuleRequest {
+                condition,
+                start: vec![start],
+                ..RuleRequest::default()
+            };
+            let controller = &cell.controller;
+            controller
+                .schedule(request(format!("{late}.outdone"), left))
+                .unwrap();
+            controller
+                .schedule(request(format!("{fast}.terminated"), right))
+                .unwrap();
+            controller.start_net(fast).unwrap();
+            controller.start_net(late).unwrap();
+            for net in [left, right] {
+                assert_eq!(cell.wait_for_end(net).end, None);
+            }
+            angle += 0.5;
+            assert!(angle < 2.5, "the joints come to their end");
+        }
+        let threads = cell.controller.threads();
+        assert!(
+            threads
+                .iter()
+                .all(|thread| thread.stats.cycles > CYCLES / 8)
+        );
+    });
+    assert_eq!(count, 0);
+}
+
+/// Counts its cycles in `count` and never ends.
+const ENDLESS: &str = "{kept=Core::IntPre(inValue=cycles.outValue),
+    isNull=Core::IntIsNull(inValue=kept.outValue),
+    before=Core::IntConditional(inCondition=isNull.outValue,inFalse=kept.outValue),
+    cycles=Core::IntAdd(inFirst=before.outValue,Second='1'),
+    count=Core::IntNetcommOut(inValue=cycles.outValue,Key='count'),
+    never=Core::BooleanValue(),outTerminate=never.outValue}";
+
+/// By how much a net's cycles are ahead of its thread's: always the same between two cycles, if
+/// none is missing or doubled, and one more during a cycle.
+fn ahead(controller: &Controller, net: NetId, thread: usize) -> i64 {
+    let cycles = || controller.threads()[thread].stats.cycles;
+    let sample = || loop {
+        let before = cycles();
+        let net = controller.net_figures(net).unwrap().counts.cycles;
+        if cycles() == before {
+            return i64::try_from(net).unwrap() - i64::try_from(before).unwrap();
+        }
+    };
+    (0..50).map(|_| sample()).min().unwrap()
+}
+
+#[test]
+fn loading_and_unloading_large_nets_costs_the_running_ones_no_cycle() {
+    let mut large = String::from("{never=Core::BooleanValue(),outTerminate=never.outValue");
+    for i in 0..10_000 {
+        large += &format!(",a{i}=Core::DoubleAdd(First='1')");
+    }
+    large.push('}');
+    let slow = Duration::from_millis(4);
+    let mut cell = CellConfig::default();
+    cell.controller.threads = vec![NetThreadSettings::new(slow)];
+    let count = allocations(|| {
+        let cell = Cell::of(&cell, None);
+        let controller = &cell.controller;
+        let nets = [cell.load(ENDLESS), cell.load_every(ENDLESS, slow)];
+        for net in nets {
+            controller.start_net(net).unwrap();
+        }
+        let ahead = || [0, 1].map(|i| ahead(controller, nets[i], i));
+        let before = ahead();
+        for round in 0..6 {
+            let period = [Duration::from_millis(1), slow][round % 2];
+            let net = cell.load_every(&large, period);
+            // Into the net thread, and out of it again.
+            let request = RuleRequest {
+                condition: format!("{}.terminated", nets[round % 2]),
+                start: vec![net],
+                ..RuleRequest::default()
+            };
+            controller.schedule(request).unwrap();
+            controller.unload(net).unwrap();
+        }
+        assert_eq!(ahead(), before);
+        for net in nets {
+            controller.abort(net).unwrap();
+            let counted = controller.net_figures(net).unwrap().counts.cycles;
+            let values = controller.out_values(net);
+            assert_eq!(values[0].1, counted.to_string(), "the net's own count");
+        }
     });
     assert_eq!(count, 0);
 }

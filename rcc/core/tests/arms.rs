@@ -8,11 +8,12 @@ mod common;
 use std::net::SocketAddr;
 use std::time::Duration;
 
-use common::{Cell, swing};
-use takt_core::cell::{ControllerConfig, DeviceConfig, LwrConfig};
-use takt_core::controller::NetState;
+use common::{Cell, Robot, swing};
+use takt_core::cell::{ControllerConfig, DeviceConfig, LwrConfig, NetThreadSettings};
+use takt_core::controller::{ClockInfo, NetState};
 use takt_core::device::DeviceStatus;
 use takt_core::{CellConfig, Controller};
+use takt_rt::servo::State;
 
 #[test]
 fn a_net_moves_an_arm_and_ends() {
@@ -115,4 +116,91 @@ fn an_arm_that_is_not_ready_cannot_be_commanded() {
     let net = cell.load(&swing("left", 1.0));
     let error = cell.controller.start_net(net).unwrap_err().to_string();
     assert!(error.contains("commands left, which is offline"), "{error}");
+}
+
+#[test]
+fn net_threads_follow_the_clock_of_a_robot_and_of_its_successor() {
+    let anywhere = SocketAddr::from(([127, 0, 0, 1], 0));
+    let mut config = CellConfig {
+        devices: vec![DeviceConfig::Lwr(LwrConfig::new("left", anywhere))],
+        ..CellConfig::default()
+    };
+    config.controller.follow = Some("left".to_owned());
+    config.controller.phase = Some(Duration::from_micros(300));
+    config.controller.threads = vec![NetThreadSettings {
+        phase: Some(Duration::from_millis(2)),
+        ..NetThreadSettings::new(Duration::from_millis(4))
+    }];
+    let mut cell = Cell::of(&config, None);
+    let phases = |cell: &Cell| -> Vec<_> {
+        let threads = cell.controller.threads().into_iter();
+        threads.map(|t| t.stats.phase_error.count).collect()
+    };
+    let follow = |cell: &Cell| {
+        cell.wait("the clock to be followed", |c| {
+            let is_followed = |clock: &ClockInfo| clock.state.is_followed();
+            let threads = c.threads();
+            threads
+                .iter()
+                .all(|t| t.clock.as_ref().is_some_and(is_followed))
+        });
+        let before = phases(cell);
+        cell.wait("phases to be told", |_| {
+            phases(cell)
+                .iter()
+                .zip(&before)
+                .all(|(now, before)| now > before)
+        });
+    };
+    follow(&cell);
+    let clocks = cell
+        .controller
+        .threads()
+        .into_iter()
+        .map(|t| t.clock.unwrap());
+    let told: Vec<_> = clocks.map(|clock| (clock.device, clock.phase)).collect();
+    let [short, long] = [300, 2_000].map(Duration::from_micros);
+    assert_eq!(
+        told,
+        [("left".to_owned(), short), ("left".to_owned(), long)]
+    );
+    // Its driver goes and comes anew, as when the cell's file is read again.
+    cell.robots.clear();
+    cell.wait("the arm at rest", Controller::is_at_rest);
+    cell.controller.remove_cell_device("left").unwrap();
+    let lost = cell.controller.threads()[0].clone().clock.unwrap();
+    assert_eq!((lost.state, lost.ppb), (State::Unlocked, None));
+    cell.controller.add_cell_device(&config.devices[0]).unwrap();
+    let address = cell
+        .controller
+        .with_arms(takt_core::device::lwr::Lwr::address)[0];
+    cell.robots.push(Robot::start(address));
+    follow(&cell);
+}
+
+#[test]
+fn torques_and_forces_are_told_while_the_robot_is_there() {
+    let mut cell = Cell::new(&["left"]);
+    let watched = |kind: &str, key: &str, port: &str| {
+        format!(
+            "n_{key}=Core::DoubleIsNull(inValue={kind}.{port}),
+            w_{key}=Core::BooleanNetcommOut(inValue=n_{key}.outValue,Key='{key}')"
+        )
+    };
+    let text = format!(
+        "{{all=KUKA::LWR::FTMonitor(Robot='left'),{},{},{},
+        cancel=Cancel(),outTerminate=cancel.outCancel}}",
+        watched("all", "estimated", "outEstJ7"),
+        watched("all", "measured", "outMsrJ1"),
+        watched("all", "force", "outTcpTz"),
+    );
+    let net = cell.load(&text);
+    cell.controller.start_net(net).unwrap();
+    let all = |cell: &Cell, null: &str| {
+        let values = cell.controller.out_values(net);
+        values.len() == 3 && values.iter().all(|(_, text)| text == null)
+    };
+    cell.wait("all known", |_| all(&cell, "false"));
+    cell.robots[0].kill();
+    cell.wait("all unknown", |_| all(&cell, "true"));
 }

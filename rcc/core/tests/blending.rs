@@ -187,7 +187,7 @@ impl Stage {
         self.path.push(now);
         self.executor.fire_rules();
         self.executor
-            .rule_effects(|id, effect| assert_eq!((id, effect), (2, Effect::Started)));
+            .effects(|id, effect| assert_eq!((id, effect), (2, Effect::Started)));
         let mut ended = Vec::new();
         while self.executor.take_ended(|net, _| {
             ended.push(net.id);

@@ -180,8 +180,12 @@ fn a_net_that_cannot_fit_its_period_is_refused_with_the_figure() {
         })
         .unwrap();
     let rejection = controller.net(id).unwrap().rejection.unwrap().to_string();
-    assert!(
-        rejection.contains("costs up to 1.20004ms") && rejection.contains("has 800µs"),
-        "{rejection}"
-    );
+    for told in [
+        "costs up to 1.20044ms",
+        "may cost 800µs of its period of 1ms",
+        "the heaviest are 30000 `Core::DoubleAdd` 100 %",
+        "`takt net calibrate`",
+    ] {
+        assert!(rejection.contains(told), "{told} is missing in {rejection}");
+    }
 }

@@ -261,6 +261,7 @@ fn frame_otg() -> Definition {
          connected it starts at rest at the goal.",
         FrameOtg::new,
     )
+    .cost_ns(3_000)
     .active()
     .input::<Frame>(port(
         "inCurPos",

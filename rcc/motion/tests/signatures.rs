@@ -1,12 +1,10 @@
 //! All primitives that existing clients know exist here with the same ports, parameters and
 //! defaults, or belong to the crates of devices. What the primitives do is tested elsewhere.
 
-use std::collections::{BTreeMap, BTreeSet};
+#[path = "../../net/tests/common/signatures.rs"]
+mod signatures;
 
-use takt_net::definition::ParameterType;
-use takt_net::{Definition, Registry};
-
-const SIGNATURES: &str = include_str!("../../net/tests/signatures.txt");
+use takt_net::Registry;
 
 /// Families of primitives that are defined where devices and networks are.
 const ELSEWHERE: &[&str] = &[
@@ -24,172 +22,28 @@ const ELSEWHERE: &[&str] = &[
 /// Families of primitives of Takt alone.
 const OWN: &[&str] = &["Motion::", "Takeover"];
 
-fn is_own(name: &str) -> bool {
-    OWN.iter().any(|prefix| name.starts_with(prefix))
-}
-
 /// Out ports that Takt adds to primitives that clients know.
 const ADDED: &[(&str, &str)] = &[
     ("ArmKinematics::InvKin", "outError:int"),
     ("KUKA::LWR::InvKin", "outError:int"),
 ];
 
-/// Prefix of a generic family's names, and the type's name in the list.
-const TYPES: &[(&str, &str)] = &[
-    ("Core::Boolean", "bool"),
-    ("Core::Int", "int"),
-    ("Core::Double", "double"),
-    ("World::Vector", "Vector"),
-    ("World::Rotation", "Rotation"),
-    ("World::Frame", "Frame"),
-    ("World::Twist", "Twist"),
-    ("World::Wrench", "Wrench"),
-];
-
-/// What is compared: names with types, and defaults where there are any.
-#[derive(Debug, PartialEq, Eq)]
-struct Signature {
-    inputs: BTreeSet<String>,
-    outputs: BTreeSet<String>,
-    parameters: BTreeSet<String>,
-}
-
 fn is_elsewhere(name: &str) -> bool {
     ELSEWHERE.iter().any(|prefix| name.starts_with(prefix)) || name.contains("InterNetcomm")
 }
 
-fn ports(list: &str) -> BTreeSet<String> {
-    let typed = |port: &str| match port.split_once(':') {
-        Some((name, ty)) => format!("{name}:{ty}"),
-        None => format!("{port}:double"),
-    };
-    list.split(", ")
-        .filter(|p| !p.is_empty())
-        .map(typed)
-        .collect()
-}
-
-fn parameters(list: &str) -> BTreeSet<String> {
-    let one = |parameter: &str| {
-        let (name, default) = parameter.split_once('=').expect("a default");
-        let typed = ports(name).into_iter().next().expect("a name");
-        format!("{typed}={}", default.trim_matches('\''))
-    };
-    list.split(", ")
-        .filter(|p| !p.is_empty())
-        .map(one)
-        .collect()
-}
-
-/// Reads `name(inputs) -> outputs [parameters]`.
-fn read(line: &str) -> (String, Signature) {
-    let (name, rest) = line.split_once('(').expect("`(`");
-    let (inputs, rest) = rest.split_once(')').expect("`)`");
-    // The brackets of an array type are not preceded by a blank.
-    let (outputs, list) = rest.split_once(" [").unwrap_or((rest, ""));
-    let outputs = outputs.trim_start_matches(" -> ");
-    let signature = Signature {
-        inputs: ports(inputs),
-        outputs: ports(outputs),
-        parameters: parameters(list.strip_suffix(']').unwrap_or(list)),
-    };
-    (name.to_owned(), signature)
-}
-
-fn expected() -> BTreeMap<String, Signature> {
-    let mut expected = BTreeMap::new();
-    for line in SIGNATURES.lines().filter(|l| !l.starts_with('#')) {
-        if !line.contains("<T>") {
-            expected.extend([read(line)]);
-            continue;
-        }
-        for (prefix, ty) in TYPES {
-            let zero = match *ty {
-                "bool" => "=false",
-                "int" | "double" => "=0",
-                _ => "={}",
-            };
-            let line = line
-                .replace(":T", &format!(":{ty}"))
-                .replace("<T>", prefix)
-                .replace("=zero", zero);
-            expected.extend([read(&line)]);
-        }
-    }
-    expected
-}
-
-fn short(ty: &str) -> &str {
-    ty.trim_start_matches("Core::")
-        .trim_start_matches("World::")
-}
-
-fn actual(definition: &Definition) -> Signature {
-    let parameter = |p: &takt_net::definition::Parameter| {
-        let ty = match p.ty {
-            ParameterType::Text => "string".to_owned(),
-            ParameterType::Value(ty) => short(&ty.to_string()).to_owned(),
-        };
-        format!("{}:{ty}={}", p.name, p.default)
-    };
-    let port = |name: &str, ty: takt_net::Type| format!("{name}:{}", short(&ty.to_string()));
-    let is_added = |port: &String| ADDED.contains(&(definition.name.as_str(), port));
-    Signature {
-        inputs: definition
-            .inputs
-            .iter()
-            .map(|p| port(p.name, p.ty))
-            .collect(),
-        outputs: definition
-            .outputs
-            .iter()
-            .map(|p| port(p.name, p.ty))
-            .filter(|port| !is_added(port))
-            .collect(),
-        parameters: definition.parameters.iter().map(parameter).collect(),
-    }
+fn registry() -> Registry {
+    let mut registry = Registry::core();
+    registry.add(takt_motion::all());
+    registry
 }
 
 #[test]
 fn every_primitive_has_its_known_signature() {
-    let mut registry = Registry::core();
-    registry.add(takt_motion::all());
-    let expected = expected();
-    assert_eq!(expected.len(), 303, "the list is complete");
-    let mut wrong = Vec::new();
-    for (name, signature) in &expected {
-        match registry.find(name) {
-            None if is_elsewhere(name) => {}
-            None => wrong.push(format!("{name} is missing")),
-            Some(definition) if actual(definition) != *signature => {
-                wrong.push(format!(
-                    "{name}: {signature:?}\n    is {:?}",
-                    actual(definition)
-                ));
-            }
-            Some(_) => {}
-        }
-    }
-    for definition in registry.definitions() {
-        let name = definition.name.as_str();
-        if !expected.contains_key(name) && !is_own(name) {
-            wrong.push(format!("{name} is not in the list"));
-        }
-    }
-    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    signatures::are_known(&registry(), is_elsewhere, OWN, ADDED);
 }
 
 #[test]
 fn everything_is_explained() {
-    let mut registry = Registry::core();
-    registry.add(takt_motion::all());
-    for definition in registry.definitions() {
-        let name = &definition.name;
-        assert!(definition.doc.ends_with('.'), "{name}: {}", definition.doc);
-        let ports = definition.inputs.iter().map(|p| p.doc);
-        let ports = ports.chain(definition.outputs.iter().map(|p| p.doc));
-        for doc in ports.chain(definition.parameters.iter().map(|p| p.doc)) {
-            assert!(doc.len() > 3, "{name}: a port or parameter without doc");
-        }
-    }
+    signatures::are_explained(&registry());
 }

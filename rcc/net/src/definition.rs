@@ -6,6 +6,7 @@
 
 use std::time::Duration;
 
+use crate::cost::Cost;
 use crate::fault::Fault;
 use crate::plan::Cycle;
 use crate::slots::{In, Out};
@@ -13,8 +14,13 @@ use crate::value::{Element, Type, Value};
 
 pub use crate::load::Build;
 
-/// What a primitive of a few operations costs at most, ns: about ten times its usual cost.
-const COST_NS: u32 = 40;
+/// What a primitive of a few operations costs at most on a host of the present day whose caches are
+/// cold: about ten times what it usually costs.
+const COST: Cost = Cost {
+    first_ns: 200.0,
+    ns: 40.0,
+    element_ns: 10.0,
+};
 
 /// One instance of a primitive in a plan.
 pub trait Primitive: Send {
@@ -98,9 +104,9 @@ pub struct Definition {
     pub parameters: Vec<Parameter>,
     /// What it makes of null.
     pub null: NullRule,
-    /// What one cycle of it costs at most, ns, on a host of the present day with cold caches. An
-    /// estimate by which nets are refused that cannot fit their period.
-    pub cost_ns: u32,
+    /// What one cycle of it costs at most: an estimate for a host of the present day, until
+    /// [`Registry::set_costs`](crate::Registry::set_costs) puts what was measured in its place.
+    pub cost: Cost,
     /// Whether `inActive` switches it off; the plan then skips it and its outputs are null.
     pub(crate) gated: bool,
     pub(crate) build: Box<BuildFn>,
@@ -131,7 +137,7 @@ impl Definition {
             outputs: Vec::new(),
             parameters: Vec::new(),
             null: NullRule::Propagates,
-            cost_ns: COST_NS,
+            cost: COST,
             gated: false,
             build: Box::new(move |b| Ok(Box::new(build(b)?))),
             early: None,
@@ -272,8 +278,8 @@ impl Definition {
 
     /// Sets what one cycle costs at most, ns, for a primitive that computes more than a few lines.
     #[must_use]
-    pub const fn cost_ns(mut self, cost_ns: u32) -> Self {
-        self.cost_ns = cost_ns;
+    pub fn cost_ns(mut self, cost_ns: u32) -> Self {
+        self.cost.ns = f64::from(cost_ns);
         self
     }
 

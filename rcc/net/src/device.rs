@@ -1,11 +1,21 @@
 //! What nets see of devices: an image of their interfaces, refreshed before and handed over
 //! after each cycle by the thread that evaluates nets. No driver and no wire is known here.
 
+pub mod interface;
+mod signal;
+
 use std::cell::Cell;
 use std::fmt;
 use std::sync::Arc;
 
+use crate::netcomm::NetBoxes;
 use crate::value::Frame;
+
+pub use interface::{
+    Answer, Base, CartesianImpedance, CartesianPosition, Gripper, Interfaces, Io, JointImpedance,
+    JointTorque, Order, Output, Tool, Wheel,
+};
+pub use signal::{COMMAND_WORDS_MAX, Command, Given, Layout, SIGNAL_WORDS_MAX, Signal, Words};
 
 /// Most joints in the image; the sum over all robot arms.
 pub const JOINTS_MAX: usize = 512;
@@ -68,12 +78,18 @@ pub struct Joint {
 pub struct Image {
     /// Joints of all robot arms.
     pub joints: Box<[Joint]>,
+    /// What else drivers report, in the places of [`Signal`]s.
+    pub signals: Box<[Cell<u64>]>,
+    /// What else nets command, in the places of [`Command`]s.
+    pub commands: Box<[Cell<u64>]>,
 }
 
 impl Default for Image {
     fn default() -> Self {
         Self {
             joints: (0..JOINTS_MAX).map(|_| Joint::default()).collect(),
+            signals: (0..SIGNAL_WORDS_MAX).map(|_| Cell::new(0)).collect(),
+            commands: (0..COMMAND_WORDS_MAX).map(|_| Cell::new(0)).collect(),
         }
     }
 }
@@ -135,13 +151,23 @@ pub struct ArmBinding {
     pub kinematics: Option<Arc<dyn Kinematics>>,
 }
 
-/// Finds devices by name while a net is loaded.
+/// Finds devices, and other nets, by name while a net is loaded.
 pub trait Devices {
     /// The robot arm of that name.
     fn arm(&self, name: &str) -> Option<ArmBinding>;
 
+    /// What else the device of that name offers; `None` if there is no such device.
+    fn interfaces(&self, _name: &str) -> Option<Interfaces> {
+        None
+    }
+
     /// Names of all devices, for the text of a fault.
     fn names(&self) -> Vec<String>;
+
+    /// What the loaded net of that name takes in and gives out; nets are known to a controller only.
+    fn net(&self, _name: &str) -> Option<NetBoxes> {
+        None
+    }
 }
 
 /// A controller without devices.

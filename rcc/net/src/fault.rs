@@ -7,6 +7,8 @@ use std::fmt;
 use std::ops::Range;
 use std::time::Duration;
 
+use crate::cost::NetCost;
+
 /// Most faults that are told at once. Beyond it none is looked for, lest a text of faults alone
 /// take memory and time without bound.
 pub(crate) const FAULTS_MAX: usize = 100;
@@ -39,10 +41,16 @@ pub enum FaultKind {
     },
     /// The net cannot be evaluated within its period.
     #[error(
-        "a cycle of the net costs up to {cost:?} by what its primitives declare, and has {budget:?}; \
-         make it smaller, or give it a longer period"
+        "a cycle of the net costs up to {:?}, and may cost {budget:?} of its period of {period:?}; the \
+         heaviest are {}; use fewer of these, give the net a longer period, or measure what \
+         primitives cost on this host: `takt net calibrate`",
+        .cost.total, .cost.heaviest(3)
     )]
-    Cost { cost: Duration, budget: Duration },
+    Cost {
+        cost: NetCost,
+        budget: Duration,
+        period: Duration,
+    },
     /// No primitive of that name exists.
     #[error("there is no primitive `{name}`{}", did_you_mean(.similar))]
     UnknownPrimitive {
@@ -131,10 +139,11 @@ pub enum FaultKind {
     )]
     NoTerminate,
     /// No such device, or not one of the kind wanted.
-    #[error("there is no {kind} `{name}`; the devices are {}", listed(.known))]
+    #[error("there is no {kind} `{name}`; of that kind there are {}", listed(.known))]
     Device {
         kind: &'static str,
         name: String,
+        /// Devices of that kind.
         known: Vec<String>,
     },
     /// Two netcomm primitives that cannot share a key.

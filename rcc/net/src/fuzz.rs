@@ -8,7 +8,7 @@ use crate::slots::for_element;
 use crate::value::Element;
 use crate::value::text::{TextValue, format_array, parse_array};
 use crate::{
-    Image, Limits, LoadContext, Moment, Nanos, NoDevices, Plan, Registry, Rejection, load,
+    Image, Limits, LoadContext, Moment, Nanos, NoDevices, Plan, Registry, Rejection, load, xml,
 };
 
 /// So small that one text costs a fraction of a second at most.
@@ -56,6 +56,11 @@ fn run(mut plan: Plan) {
             ..Moment::default()
         };
         plan.evaluate(&image, moment);
+        let mut record = vec![0; plan.record_words()];
+        plan.record(time, &mut record);
+        for tap in plan.taps().iter() {
+            let _ = tap.text(&record);
+        }
     }
 }
 
@@ -69,6 +74,27 @@ fn show(rejection: &Rejection, text: &str) {
     }
     assert_eq!(rejection.lines(text).len(), rejection.faults.len());
     assert!(rejection.render("net", text).contains("Error"));
+}
+
+/// The XML of a net is either refused, or becomes a net text; a text that can be written as XML is read
+/// back from it.
+///
+/// # Panics
+/// If it is not so, or reading or writing panics.
+pub fn net_xml(data: &[u8]) {
+    let xml = String::from_utf8_lossy(data);
+    let Ok(text) = xml::from_xml(&xml, &LIMITS) else {
+        return;
+    };
+    net_text(text.as_bytes());
+    if let Ok(written) = xml::to_xml(&text, &LIMITS) {
+        let wide = Limits {
+            text_bytes: usize::MAX,
+            ..LIMITS
+        };
+        let again = xml::from_xml(&written, &wide);
+        assert!(again.is_ok(), "{text} was written as {written}: {again:?}");
+    }
 }
 
 /// A value that could be read is written so that it can be read again, and then is the same. The

@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
+pub mod cost;
 pub mod definition;
 pub mod device;
 pub mod fault;
@@ -12,10 +13,12 @@ pub mod plan;
 pub mod primitives;
 pub mod registry;
 pub mod slots;
+pub mod taps;
 pub mod text;
 pub mod value;
 pub mod xml;
 
+pub use cost::{Cost, CostShare, NetCost};
 pub use definition::{Build, Definition, Inputs, NullRule, Outputs, Primitive, function};
 pub use device::{ArmBinding, Devices, Image, JointCommand, JointLimits, JointState, NoDevices};
 pub use fault::{Fault, FaultKind, Rejection};

@@ -4,8 +4,10 @@
 mod build;
 mod builder;
 mod graph;
+mod inter;
 mod resolve;
 mod sort;
+mod taps;
 
 use std::time::Duration;
 

@@ -2,11 +2,15 @@
 //! (NetcommOut) and into it (NetcommIn), laid out as words so that a whole box can be handed over
 //! by copying. How the words cross threads is the executor's business.
 
+mod inter;
+
 use std::cell::Cell;
 use std::sync::Arc;
 
 use crate::value::text::{ValueError, format_words, parse_words};
 use crate::value::{Type, Value};
+pub(crate) use inter::STATUS as INTER_STATUS;
+pub use inter::{Inter, NetBoxes};
 
 /// One value of a box.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -83,6 +87,12 @@ impl Entry {
     #[must_use]
     pub const fn at(&self) -> usize {
         self.at
+    }
+
+    /// Whether it passes between nets only, unseen by programs.
+    #[must_use]
+    pub fn is_hidden(&self) -> bool {
+        self.key.starts_with(['<', '>'])
     }
 
     pub(crate) const fn value_words(&self) -> usize {
@@ -176,6 +186,11 @@ impl Mailbox {
             self.words[at].set(2);
             self.changed.set(true);
         }
+    }
+
+    /// The time of the last change of a value that another net gives; `None` while it is null.
+    pub(crate) fn inter_time(&self, at: usize) -> Option<u64> {
+        (self.words[at + HEAD].get() != 0).then(|| self.words[at + 1].get())
     }
 
     /// How often an in value was written.

@@ -4,10 +4,12 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use crate::cost::NetCost;
 use crate::definition::Primitive;
 use crate::device::Image;
-use crate::netcomm::{Directory, Mailbox};
+use crate::netcomm::{Directory, Inter, Mailbox};
 use crate::slots::{In, SlotRef, Slots};
+use crate::taps::Taps;
 use crate::value::{Nanos, Type};
 
 /// What a cycle is told from outside.
@@ -17,7 +19,8 @@ pub struct Moment {
     pub cycle: u64,
     /// Logical time of the cycle: start of the thread plus whole periods, without jitter.
     pub time: Nanos,
-    /// The clock read at the start of this cycle, on the same time line.
+    /// The clock read at the start of this cycle: on the same time line, unless the thread keeps phase
+    /// with a device's clock, by which the two then drift apart.
     pub wall: Nanos,
     /// In how many cycles of the thread the net is evaluated once; 0 counts as 1.
     pub every: u64,
@@ -93,6 +96,9 @@ pub struct Plan {
     pub(crate) root_ports: Box<[RootPort]>,
     pub(crate) inbox: Mailbox,
     pub(crate) outbox: Mailbox,
+    pub(crate) inter_ins: Box<[Inter]>,
+    pub(crate) inter_outs: Box<[Inter]>,
+    pub(crate) taps: Taps,
     pub(crate) resources: Box<[String]>,
     pub(crate) period: Duration,
     pub(crate) primitives: usize,
@@ -100,7 +106,7 @@ pub struct Plan {
     pub(crate) count: i64,
     pub(crate) devices: Box<[String]>,
     pub(crate) uses: Box<[String]>,
-    pub(crate) cost: Duration,
+    pub(crate) cost: NetCost,
 }
 
 impl std::fmt::Debug for Plan {
@@ -213,10 +219,11 @@ impl Plan {
         self.period
     }
 
-    /// What one cycle costs at most by the primitives' declarations, everything active.
+    /// What one cycle costs at most by what its primitives declare or were measured to cost,
+    /// everything active.
     #[must_use]
-    pub const fn cost(&self) -> Duration {
-        self.cost
+    pub const fn cost(&self) -> &NetCost {
+        &self.cost
     }
 
     /// How many primitives the net has.

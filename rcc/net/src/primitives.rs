@@ -1,6 +1,23 @@
 //! The primitives of this crate, a table for each field of use. Primitives of devices and motions
 //! are defined where devices and motions are.
 
+/// What a generic function of definitions gives for each type of which programs can write values, as
+/// an array.
+macro_rules! for_each_type {
+    ($family:ident) => {
+        [
+            $family::<bool>(),
+            $family::<i32>(),
+            $family::<f64>(),
+            $family::<$crate::Vector>(),
+            $family::<$crate::Rotation>(),
+            $family::<$crate::Frame>(),
+            $family::<$crate::Twist>(),
+            $family::<$crate::Wrench>(),
+        ]
+    };
+}
+
 mod array;
 mod bits;
 mod compare;
@@ -9,6 +26,7 @@ mod event;
 mod exchange;
 mod generic;
 mod history;
+mod inter;
 mod logic;
 mod math;
 mod range;
@@ -36,6 +54,7 @@ pub fn all() -> Vec<Definition> {
         generic::table(),
         array::table(),
         exchange::table(),
+        inter::table(),
         world::table(),
     ];
     tables.into_iter().flatten().collect()

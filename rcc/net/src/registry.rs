@@ -3,6 +3,7 @@
 
 use std::collections::HashMap;
 
+use crate::cost::Cost;
 use crate::definition::Definition;
 use crate::fault::similar;
 
@@ -49,6 +50,22 @@ impl Registry {
     #[must_use]
     pub fn definitions(&self) -> &[Definition] {
         &self.definitions
+    }
+
+    /// Puts costs, by name, in the place of those declared; what is not named keeps the declared
+    /// one. Returns the names that no primitive has.
+    pub fn set_costs<'n>(
+        &mut self,
+        costs: impl IntoIterator<Item = (&'n str, Cost)>,
+    ) -> Vec<&'n str> {
+        let mut unknown = Vec::new();
+        for (name, cost) in costs {
+            match self.by_name.get(name) {
+                Some(number) => self.definitions[*number].cost = cost,
+                None => unknown.push(name),
+            }
+        }
+        unknown
     }
 
     /// The known name most like `name`.

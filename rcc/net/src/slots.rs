@@ -267,6 +267,39 @@ impl SlotRef {
         Some(out)
     }
 
+    /// Words of the value.
+    pub(crate) fn words(self) -> usize {
+        match self {
+            Self::Scalar { element, .. } => for_element!(element, T => <T as Value>::WORDS),
+            Self::Array { element, slot } => {
+                for_element!(element, T => <T as Value>::WORDS * slot.len as usize)
+            }
+        }
+    }
+
+    /// Writes the value's words; returns whether it is non-null, else nothing is written.
+    pub(crate) fn put(self, slots: &Slots, out: &mut [u64]) -> bool {
+        match self {
+            Self::Scalar { element, slot } => for_element!(element, T => {
+                let Some(value) = <T as Value>::column(slots).scalars[slot as usize].get() else {
+                    return false;
+                };
+                put(value, out);
+            }),
+            Self::Array { element, slot } => for_element!(element, T => {
+                let column = <T as Value>::column(slots);
+                if !column.present[slot.number as usize].get() {
+                    return false;
+                }
+                let cells = column.elements_of(slot).iter();
+                for (cell, chunk) in cells.zip(out.chunks_exact_mut(<T as Value>::WORDS)) {
+                    put(cell.get(), chunk);
+                }
+            }),
+        }
+        true
+    }
+
     pub(crate) fn clear(self, slots: &Slots) {
         match self {
             Self::Scalar { element, slot } => {
@@ -277,6 +310,15 @@ impl SlotRef {
             }
         }
     }
+}
+
+/// Writes as many words of a value as there is room for.
+fn put<T: Value>(value: T, out: &mut [u64]) {
+    value.put(|i, word| {
+        if let Some(place) = out.get_mut(i) {
+            *place = word;
+        }
+    });
 }
 
 /// Collects slots while a plan is built.

@@ -22,7 +22,7 @@ const LIMITS: Limits = Limits {
     depth: 6,
     array_size: 8,
     netcomm: 4,
-    cost: Some(Duration::from_nanos(470)),
+    cost: Some(Duration::from_nanos(870)),
     history: 5000,
     memory_bytes: 60_000,
 };

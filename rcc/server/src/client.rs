@@ -6,6 +6,7 @@ use std::io::{self, ErrorKind, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::time::{Duration, Instant};
 
+use crate::access::Token;
 use crate::error::Error;
 use crate::wire::lines::LineReader;
 use crate::wire::{Message, Value};
@@ -51,6 +52,14 @@ impl Client {
     /// # Errors
     /// If nobody listens there, or it is no controller.
     pub fn connect(address: &str) -> Result<Self, Error> {
+        Self::connect_with(address, None)
+    }
+
+    /// Connects to `host:port`, gives the token, and shakes hands.
+    ///
+    /// # Errors
+    /// If nobody listens there, it is no controller, or the token is wrong.
+    pub fn connect_with(address: &str, token: Option<&Token>) -> Result<Self, Error> {
         let stream = open(address).map_err(|e| cannot_connect(address, e))?;
         let mut client = Self {
             stream,
@@ -60,6 +69,9 @@ impl Client {
             commands: 0,
             last_words: None,
         };
+        if let Some(token) = token {
+            client.call("tok", [token.text()])?;
+        }
         client.call("ver", ["2.0"])?;
         Ok(client)
     }

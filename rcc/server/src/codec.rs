@@ -36,6 +36,13 @@ impl Codec {
         }
     }
 
+    /// Takes messages of full length from now on.
+    pub(crate) const fn unbind(&mut self) {
+        if let Self::Plain(reader) = self {
+            reader.unbind();
+        }
+    }
+
     /// What came next.
     ///
     /// # Errors

@@ -3,6 +3,7 @@
 
 mod commands;
 mod devices;
+mod figures;
 mod nets;
 mod refusal;
 mod rules;
@@ -14,10 +15,14 @@ mod tests;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
+use std::net::IpAddr;
+use std::sync::Arc;
+
 use takt_core::controller::{DeviceInfo, RuleId};
 use takt_core::device::DeviceStatus;
-use takt_core::{Controller, NetId, SessionId};
+use takt_core::{Controller, NetId, OnLoss, SessionId};
 
+use crate::access::{Admission, Gate};
 use crate::wire::{Message, Value};
 pub(crate) use commands::DESCRIPTION_BYTES_MAX;
 use devices::DeviceWatch;
@@ -53,6 +58,27 @@ pub struct Connection {
     devices: Option<DeviceWatch>,
     opened: Vec<SessionId>,
     changed: bool,
+    /// What becomes of sessions that do not say otherwise.
+    on_loss: OnLoss,
+    /// Where a token must be given first; `None` once it was.
+    door: Option<Door>,
+    /// Whether the client gave a wrong token.
+    refused: bool,
+}
+
+/// A gate, and who stands before it.
+#[derive(Debug)]
+struct Door {
+    gate: Arc<Gate>,
+    address: IpAddr,
+    /// When the connection began, on the time line of the gate.
+    begin: Duration,
+}
+
+impl Door {
+    fn check(&self, given: Option<&str>, now: Duration) -> Admission {
+        self.gate.check(self.address, given, self.begin + now)
+    }
 }
 
 /// How much of what is due is sent.
@@ -77,7 +103,43 @@ impl Connection {
             devices: None,
             opened: Vec::new(),
             changed: false,
+            on_loss: OnLoss::Keep,
+            door: None,
+            refused: false,
         }
+    }
+
+    /// The same, with what becomes of sessions that do not say it themselves.
+    #[must_use]
+    pub const fn with_on_loss(mut self, on_loss: OnLoss) -> Self {
+        self.on_loss = on_loss;
+        self
+    }
+
+    /// The same, but before anything else the client must give a token; the connection begins at
+    /// `begin` on the gate's time line.
+    #[must_use]
+    pub fn behind(mut self, gate: &Arc<Gate>, address: IpAddr, begin: Duration) -> Self {
+        let gate = Arc::clone(gate);
+        let door = Door {
+            gate,
+            address,
+            begin,
+        };
+        self.door = (!door.gate.is_open()).then_some(door);
+        self
+    }
+
+    /// Whether the client may say anything.
+    #[must_use]
+    pub const fn is_admitted(&self) -> bool {
+        self.door.is_none()
+    }
+
+    /// Whether the client gave a wrong token, after which the connection is to end.
+    #[must_use]
+    pub const fn is_refused(&self) -> bool {
+        self.refused
     }
 
     /// Does what the line says and returns what to send: pushes caused by it, then its reply.

@@ -17,7 +17,9 @@ use crate::wire::websocket::FrameError;
 pub enum Error {
     /// The server would be reachable from other machines.
     #[error(
-        "refusing to listen at {0}: the server has no access control, so only loopback addresses such as 127.0.0.1 are taken"
+        "refusing to listen at {0} without a token: make one with `openssl rand -hex 32 > FILE; chmod 600 \
+         FILE` and name it as token_file under [controller] of cell.toml, or in TAKT_TOKEN_FILE, or as \
+         the systemd credential takt-token; or listen at a loopback address such as 127.0.0.1"
     )]
     NotLoopback(SocketAddr),
     /// The address is taken or not there.

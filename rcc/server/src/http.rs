@@ -4,6 +4,7 @@
 
 mod element;
 mod form;
+mod page;
 mod resources;
 mod response;
 
@@ -14,7 +15,10 @@ use httparse::{EMPTY_HEADER, Status};
 use percent_encoding::percent_decode_str;
 use tungstenite::handshake::derive_accept_key;
 
+use crate::access::{Admission, WRONG_MAX, WRONG_WITHIN};
+use crate::site::Site;
 use crate::wire::MESSAGE_BYTES_MAX;
+pub(crate) use resources::debug::{DEBUG_STREAMS_MAX, DebugStream};
 pub(crate) use resources::respond;
 pub(crate) use response::Response;
 
@@ -26,6 +30,9 @@ pub(crate) const BODY_BYTES_MAX: usize = MESSAGE_BYTES_MAX;
 
 /// Most header lines of a request.
 const HEADERS_MAX: usize = 64;
+
+/// Name of the cookie that may hold the token, for browsers.
+const COOKIE: &str = "takt_token";
 
 /// Where DirectIO is.
 const DIRECT_IO: &str = "DirectIO";
@@ -61,14 +68,19 @@ pub(crate) struct Request {
     pub(crate) json: bool,
 }
 
-/// Looks at what was received so far; `continued` says whether the body was asked for. `None`: the
-/// request is not whole yet; otherwise how many bytes it has, and the answer.
-pub(crate) fn answer(received: &[u8], continued: bool) -> Option<(usize, Answer)> {
+/// Looks at what was received so far; `continued` says whether the body was asked for, `admit` whether
+/// the token that the request carries lets it in. `None`: the request is not whole yet; otherwise how
+/// many bytes it has, and the answer.
+pub(crate) fn answer(
+    received: &[u8],
+    continued: bool,
+    admit: &dyn Fn(Option<&str>) -> Admission,
+) -> Option<(usize, Answer)> {
     let mut headers = [EMPTY_HEADER; HEADERS_MAX];
     let mut head = httparse::Request::new(&mut headers);
     let all = received.len();
     let (length, read) = match head.parse(received) {
-        Ok(Status::Complete(length)) => (length, Head::read(&head)),
+        Ok(Status::Complete(length)) => (length, Head::admitted(&head, admit)),
         Ok(Status::Partial) if all <= HEAD_BYTES_MAX => return None,
         Ok(Status::Partial) => {
             let text = format!("The head of a request has at most {HEAD_BYTES_MAX} bytes.\n");
@@ -91,6 +103,25 @@ pub(crate) fn answer(received: &[u8], continued: bool) -> Option<(usize, Answer)
     }
 }
 
+/// That a request does not carry the token it needs.
+fn denied(admission: Admission) -> Option<Response> {
+    let why = match admission {
+        Admission::Admitted => return None,
+        Admission::Missing => {
+            "A token is needed: `Authorization: Bearer …`, `?token=…` or the cookie takt_token.\n"
+        }
+        Admission::Wrong => "The token is wrong.\n",
+        Admission::TooMany => {
+            let seconds = WRONG_WITHIN.as_secs();
+            let text = format!(
+                "Too many wrong tokens: at most {WRONG_MAX} within {seconds} s from one address; wait that long.\n"
+            );
+            return Some(Response::text("429 Too Many Requests", text));
+        }
+    };
+    Some(Response::unauthorized(why))
+}
+
 /// That there are as many connections as the server takes.
 pub(crate) fn too_many_connections(bound: usize) -> Response {
     let text = format!("This server takes at most {bound} connections; close one first.\n");
@@ -110,8 +141,47 @@ struct Head {
 }
 
 impl Head {
-    fn read(request: &httparse::Request<'_, '_>) -> Result<Self, Response> {
-        if !header(request, "Origin").is_none_or(is_local_page) {
+    /// Reads the head of a request that is let in.
+    fn admitted(
+        request: &httparse::Request<'_, '_>,
+        admit: &dyn Fn(Option<&str>) -> Admission,
+    ) -> Result<Self, Response> {
+        let target = request.path.unwrap_or_default();
+        let (path, query) = target.split_once('?').unwrap_or((target, ""));
+        let mut query = form::decode(query.as_bytes());
+        let asked = query.iter().position(|(key, _)| key == "token");
+        let asked = asked.map(|at| query.remove(at).1);
+        let token = bearer(request)
+            .or(asked.as_deref())
+            .or_else(|| cookie(request));
+        let open = admit(None) == Admission::Admitted;
+        if let Some(refusal) = denied(if open {
+            Admission::Admitted
+        } else {
+            admit(token)
+        }) {
+            return Err(refusal);
+        }
+        let path = segments(path);
+        if let (false, Some(token), true) = (open, &asked, path.is_empty()) {
+            return Err(Response::with_cookie(COOKIE, token));
+        }
+        Self::read(request, path, query, open)
+    }
+
+    fn read(
+        request: &httparse::Request<'_, '_>,
+        path: Vec<String>,
+        query: Form,
+        open: bool,
+    ) -> Result<Self, Response> {
+        // With a token, pages of this very server are let in by whatever name it has.
+        let own = |origin: &str| {
+            let host = header(request, "Host").filter(|_| !open);
+            let rest = origin.split_once("://").map(|(_, rest)| rest);
+            rest.is_some_and(|rest| Some(rest) == host)
+        };
+        if !header(request, "Origin").is_none_or(|origin| is_local_page(origin) || own(origin)) {
             let text = "Web pages of other hosts may not reach a robot through your browser.\n";
             return Err(Response::text("403 Forbidden", text));
         }
@@ -125,9 +195,6 @@ impl Head {
                 ));
             }
         };
-        let target = request.path.unwrap_or_default();
-        let (path, query) = target.split_once('?').unwrap_or((target, ""));
-        let query = form::decode(query.as_bytes());
         let accepts = header(request, "Accept").unwrap_or_default();
         let format = query.iter().find(|(key, _)| key == "format");
         let json = format.map_or_else(
@@ -140,7 +207,7 @@ impl Head {
         let expect = header(request, "Expect").unwrap_or_default();
         Ok(Self {
             post,
-            path: segments(path),
+            path,
             query,
             json,
             body_bytes: if post { body_bytes(request)? } else { 0 },
@@ -226,6 +293,21 @@ fn header<'a>(request: &httparse::Request<'_, 'a>, name: &'static str) -> Option
     headers(request, name).next()
 }
 
+/// The token of an `Authorization` header.
+fn bearer<'a>(request: &httparse::Request<'_, 'a>) -> Option<&'a str> {
+    let (scheme, token) = header(request, "Authorization")?.split_once(' ')?;
+    scheme.eq_ignore_ascii_case("bearer").then(|| token.trim())
+}
+
+/// The token of a cookie.
+fn cookie<'a>(request: &httparse::Request<'_, 'a>) -> Option<&'a str> {
+    let mut cookies = headers(request, "Cookie").flat_map(|line| line.split(';'));
+    cookies.find_map(|cookie| {
+        let (name, value) = cookie.trim().split_once('=')?;
+        (name == COOKIE).then_some(value)
+    })
+}
+
 /// Whether a browser says that the page which connects came from this host. Browsers let any
 /// page open a WebSocket to any host, and send forms to it, also to this one.
 fn is_local_page(origin: &str) -> bool {
@@ -238,11 +320,40 @@ fn is_local_page(origin: &str) -> bool {
     matches!(host, "localhost" | "127.0.0.1" | "[::1]")
 }
 
+/// Feeds any bytes to the reader of requests, behind a gate and without one.
+///
+/// # Panics
+/// If a request gets in without its token, or the reader breaks another promise.
+#[doc(hidden)]
+pub fn fuzz_head(data: &[u8]) {
+    const TOKEN: &str = "0123456789abcdef";
+    let guarded = |given: Option<&str>| match given {
+        Some(TOKEN) => Admission::Admitted,
+        Some(_) => Admission::Wrong,
+        None => Admission::Missing,
+    };
+    let holds_token = data.windows(TOKEN.len()).any(|w| w == TOKEN.as_bytes());
+    let encoded = data.contains(&b'%');
+    if let Some((length, answer)) = answer(data, false, &guarded) {
+        assert!(length <= data.len());
+        let inside = matches!(answer, Answer::Upgrade(_) | Answer::Serve(_));
+        assert!(!inside || holds_token || encoded, "let in without a token");
+    }
+    if let Some((length, _)) = answer(data, true, &|_| Admission::Admitted) {
+        assert!(length <= data.len());
+    }
+}
+
 /// Feeds any bytes to the reader of requests, and answers what is one.
+///
+/// # Panics
+/// If the answer is no response.
 #[doc(hidden)]
 pub fn fuzz(controller: &takt_core::Controller, data: &[u8]) {
-    if let Some((_, Answer::Serve(request))) = answer(data, false) {
-        let response = respond(controller, &request);
+    if let Some((_, Answer::Serve(request))) = answer(data, false, &|_| Admission::Admitted) {
+        let (keep, log) = (takt_core::OnLoss::Keep, crate::LogBook::default());
+        let site = Site::new(controller.clone(), None, keep, log);
+        let response = respond(&site, &request);
         assert!(response.to_string().starts_with("HTTP/1.1 "), "{request:?}");
     }
 }

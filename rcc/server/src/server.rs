@@ -6,17 +6,25 @@ mod loss;
 
 use std::net::SocketAddr;
 use std::sync::Arc;
-use std::time::Duration;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
 
-use takt_core::Controller;
+use takt_core::{Controller, SessionId};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 use tokio::task::JoinSet;
 
+use crate::access::Token;
 use crate::error::Error;
+use crate::http::DEBUG_STREAMS_MAX;
+use crate::log::LogBook;
+use crate::site::{Counters, Site};
 
 /// Most connections at once, of both kinds together.
 pub const CONNECTIONS_MAX: usize = 64;
+
+/// Nets that are evaluated at once; others wait.
+pub const EVALUATIONS_MAX: usize = 2;
 
 /// How long connections may take to end when the server is shut down.
 const SHUTDOWN_WITHIN: Duration = Duration::from_secs(3);
@@ -24,26 +32,21 @@ const SHUTDOWN_WITHIN: Duration = Duration::from_secs(3);
 /// Pause after a connection could not be accepted, so that a lack of files is no busy loop.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 
-/// What becomes of the nets of a session when the connection that opened it is lost.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum OnLoss {
-    /// Nothing: they run on, and the session stays for the next connection. Existing clients
-    /// count on this when they connect anew.
-    #[default]
-    Keep,
-    /// They are cancelled; after 2 s those that still run are aborted, and the session ends.
-    End,
-}
+pub use takt_core::OnLoss;
 
 /// Where a server listens and how it behaves. Port 0 takes any free port.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default)]
 pub struct ServerConfig {
     /// For HTTP and WebSocket; `None` for not at all.
     pub http: Option<SocketAddr>,
     /// For lines over plain TCP; `None` for not at all.
     pub tcp: Option<SocketAddr>,
-    /// What becomes of nets whose client is gone.
+    /// What becomes of nets whose client is gone, unless their session says otherwise.
     pub on_loss: OnLoss,
+    /// What every client must give, on loopback too; `None` for nothing, on loopback only.
+    pub token: Option<Token>,
+    /// The log that is shown.
+    pub log: LogBook,
 }
 
 /// A server that listens but does not answer yet.
@@ -52,6 +55,8 @@ pub struct Server {
     http: Option<TcpListener>,
     tcp: Option<TcpListener>,
     on_loss: OnLoss,
+    token: Option<Token>,
+    log: LogBook,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -62,8 +67,11 @@ enum Kind {
 
 /// What a connection needs of its server.
 struct Visit {
-    controller: Controller,
-    on_loss: OnLoss,
+    site: Site,
+    /// Time of the gate.
+    begin: Instant,
+    streams: Arc<Semaphore>,
+    evaluations: Arc<Semaphore>,
     /// Turns true when the server is shut down.
     closing: watch::Receiver<bool>,
     _place: OwnedSemaphorePermit,
@@ -73,13 +81,21 @@ impl Server {
     /// Begins to listen.
     ///
     /// # Errors
-    /// If an address is not one of loopback, or cannot be had.
+    /// If an address is not one of loopback and there is no token, or it cannot be had.
     pub async fn bind(config: ServerConfig) -> Result<Self, Error> {
-        let ServerConfig { http, tcp, on_loss } = config;
-        Ok(Self {
-            http: listen(http).await?,
-            tcp: listen(tcp).await?,
+        let ServerConfig {
+            http,
+            tcp,
             on_loss,
+            token,
+            log,
+        } = config;
+        Ok(Self {
+            http: listen(http, token.is_some()).await?,
+            tcp: listen(tcp, token.is_some()).await?,
+            on_loss,
+            token,
+            log,
         })
     }
 
@@ -98,6 +114,10 @@ impl Server {
     /// Serves clients until `shutdown` is over, then closes their connections.
     pub async fn run(self, controller: Controller, shutdown: impl Future<Output = ()>) {
         let places = Arc::new(Semaphore::new(CONNECTIONS_MAX));
+        let streams = Arc::new(Semaphore::new(DEBUG_STREAMS_MAX));
+        let evaluations = Arc::new(Semaphore::new(EVALUATIONS_MAX));
+        let site = Site::new(controller, self.token, self.on_loss, self.log);
+        let begin = Instant::now();
         let (close, closing) = watch::channel(false);
         let mut visits = JoinSet::new();
         tokio::pin!(shutdown);
@@ -113,17 +133,20 @@ impl Server {
             };
             match Arc::clone(&places).try_acquire_owned() {
                 Ok(place) => {
-                    let controller = controller.clone();
-                    let (on_loss, closing) = (self.on_loss, closing.clone());
                     let visit = Visit {
-                        controller,
-                        on_loss,
-                        closing,
+                        site: site.clone(),
+                        begin,
+                        streams: Arc::clone(&streams),
+                        evaluations: Arc::clone(&evaluations),
+                        closing: closing.clone(),
                         _place: place,
                     };
                     visits.spawn(serve(stream, kind, visit));
                 }
-                Err(_) => link::refuse(stream, kind),
+                Err(_) => {
+                    Counters::add(&site.counters.refused, 1);
+                    link::refuse(stream, kind);
+                }
             }
         }
         // Nobody is left to listen if all connections have ended already.
@@ -135,11 +158,11 @@ impl Server {
     }
 }
 
-async fn listen(address: Option<SocketAddr>) -> Result<Option<TcpListener>, Error> {
+async fn listen(address: Option<SocketAddr>, guarded: bool) -> Result<Option<TcpListener>, Error> {
     let Some(address) = address else {
         return Ok(None);
     };
-    if !address.ip().is_loopback() {
+    if !guarded && !address.ip().is_loopback() {
         return Err(Error::NotLoopback(address));
     }
     let listener = TcpListener::bind(address).await;
@@ -167,6 +190,9 @@ async fn accept(listener: Option<&TcpListener>) -> TcpStream {
 async fn serve(stream: TcpStream, kind: Kind, visit: Visit) {
     let peer = stream.peer_addr().ok();
     tracing::debug!(?peer, ?kind, "connection begins");
+    let counters = &visit.site.counters;
+    Counters::add(&counters.connections, 1);
+    Counters::add(&counters.clients, 1);
     let opened = match link::serve(stream, kind, &visit).await {
         Ok(opened) => opened,
         Err(link::Failure { error, opened }) => {
@@ -175,8 +201,12 @@ async fn serve(stream: TcpStream, kind: Kind, visit: Visit) {
         }
     };
     tracing::debug!(?peer, "connection ends");
-    if visit.on_loss == OnLoss::End {
-        loss::end_sessions(&visit.controller, opened, loss::CANCEL_WITHIN).await;
+    counters.clients.fetch_sub(1, Ordering::Relaxed);
+    let controller = &visit.site.controller;
+    let ends = |id: &SessionId| controller.session_on_loss(*id) == Some(OnLoss::End);
+    let lost: Vec<_> = opened.into_iter().filter(ends).collect();
+    if !lost.is_empty() {
+        loss::end_sessions(controller, lost, loss::CANCEL_WITHIN).await;
     }
 }
 

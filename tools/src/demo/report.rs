@@ -59,6 +59,10 @@ pub(super) struct Report {
     overruns: u64,
     latency_ns: Quantiles,
     execution_ns: Quantiles,
+    /// How far cycles of nets began from their places on the first robot's clock, while it was known.
+    phase_error_ns: Quantiles,
+    /// In how many cycles it was.
+    phase_known: u64,
     rt_allocations: u64,
     /// Whether the threads have real-time priority and locked memory.
     realtime: bool,
@@ -125,6 +129,8 @@ impl Report {
             overruns: stats.overruns,
             latency_ns: stats.latency.into(),
             execution_ns: stats.execution.into(),
+            phase_error_ns: stats.phase_error.into(),
+            phase_known: stats.phase_error.count,
             rt_allocations,
             realtime: is_real_time(controller, host),
             preempt_rt: host.is_preempt_rt(),
@@ -147,11 +153,15 @@ impl Report {
             }
         };
         let mut text = format!(
-            "cycle      1 ms, {} cycles, {} overruns; {kind}\nlatency    {}\nexecution  {}\n",
+            "cycle      1 ms, {} cycles, {} overruns; {kind}\nlatency    {}\nexecution  {}\n\
+             phase      {}; on {}'s clock in {} cycles\n",
             self.cycles,
             self.overruns,
             q(self.latency_ns),
-            q(self.execution_ns)
+            q(self.execution_ns),
+            q(self.phase_error_ns),
+            ROBOTS[0],
+            self.phase_known
         );
         for robot in &self.robots {
             text += &format!(

@@ -1,5 +1,6 @@
 //! Settings and fault knobs of the emulated controller, with the defaults and where they come from. No behaviour.
 
+use crate::emulator::{Contact, LineFaults, PowerOff, Timing};
 use crate::lwr::AXES;
 use crate::lwr::wire::Quality;
 use std::time::Duration;
@@ -19,6 +20,8 @@ pub struct KrcConfig {
     pub timing: Timing,
     /// How far a mirrored position may lie from the set-point, rad; *assumption*: 0.01.
     pub mirror_tolerance_rad: f64,
+    /// What the flange touches.
+    pub contact: Option<Contact>,
     /// What the KRL program does.
     pub script: Script,
     /// What goes wrong.
@@ -36,6 +39,7 @@ impl Default for KrcConfig {
             lag: Duration::from_millis(10),
             timing: Timing::default(),
             mirror_tolerance_rad: 0.01,
+            contact: None,
             script: Script::default(),
             faults: Faults::default(),
             seed: 1,
@@ -62,37 +66,6 @@ impl Default for Limits {
             position_rad: degrees.map(f64::to_radians),
             speed_rad_per_s: [112.5_f64.to_radians(); AXES],
             acceleration_rad_per_s2: [4.0; AXES],
-        }
-    }
-}
-
-/// How answers are judged. KUKA publishes that statistics are means over 100 datagrams, not the numbers below: all of them
-/// are *assumptions*.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Timing {
-    /// Share of answers in time, 0..=1, below which quality is UNACCEPTABLE: 0.5.
-    pub bad_from: f64,
-    /// Share below which quality is BAD: 0.9.
-    pub ok_from: f64,
-    /// Share below which quality is OK, from which it is PERFECT: 0.97.
-    pub perfect_from: f64,
-    /// How many measurements back the one may lie that an answer in time reflects, 0..=63: 1.
-    ///
-    /// Every cycle wants one answer. With 0 it must reflect that cycle's measurement; with 1 a client that once fell
-    /// behind and now answers each measurement one cycle later, as the reference client does, is still in time.
-    pub reflected_age_max: u16,
-    /// Consecutive cycles without answer that end command mode, from 1: 10. Fewer are bridged by extrapolation.
-    pub misses_max: u32,
-}
-
-impl Default for Timing {
-    fn default() -> Self {
-        Self {
-            bad_from: 0.5,
-            ok_from: 0.9,
-            perfect_from: 0.97,
-            reflected_age_max: 1,
-            misses_max: 10,
         }
     }
 }
@@ -135,37 +108,6 @@ pub struct Faults {
     pub power_off: Option<PowerOff>,
     /// Reported and acted upon instead of the computed quality.
     pub quality: Option<Quality>,
-}
-
-/// What goes wrong with datagrams of one direction. At most 64 are under way; more are lost.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct LineFaults {
-    /// Probability that a datagram is lost, 0..=1.
-    pub drop: f64,
-    /// Probability that a datagram comes twice, 0..=1.
-    pub duplicate: f64,
-    /// Probability that a datagram is held back by 1.5 periods, behind its successor, 0..=1.
-    pub reorder: f64,
-    /// Delay of every datagram.
-    pub delay: Duration,
-    /// Longest additional delay, uniformly distributed.
-    pub jitter: Duration,
-    /// Number of datagrams to lose next, whatever the probabilities.
-    pub drop_next: u32,
-}
-
-/// A loss of drive power in the course of time.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct PowerOff {
-    /// When, since the controller's start.
-    pub at: Duration,
-    /// For how long.
-    pub span: Duration,
-}
-
-impl PowerOff {
-    /// Whether the power is away at `time` since the controller's start.
-    pub(super) fn covers(&self, time: Duration) -> bool {
-        time >= self.at && time - self.at < self.span
-    }
+    /// How slow the controller's clock runs, parts per million; at most 100,000 either way. Read at the start only.
+    pub drift_ppm: f64,
 }

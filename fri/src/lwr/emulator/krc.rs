@@ -1,26 +1,19 @@
 //! The emulated controller as a machine without I/O: sends a measurement per period, judges the answers. It has no
 //! Cartesian or impedance modes; commands of those fields are ignored.
 
-use super::arm::Arm;
 use super::config::{Faults, KrcConfig, Script};
 use super::leave::Leave;
-use super::line::Line;
-use super::rng::Rng;
-use super::statistics::Window;
+use crate::emulator::{Arm, Body, Chain, Grid, History, INERTIA, Law, Line, Rng, Sent, Window};
 use crate::error::DecodeError;
 use crate::lwr::AXES;
-use crate::lwr::sequence::{Order, Tracker};
 use crate::lwr::wire::{
-    Cmd, CmdFlags, Control, Header, Interface, Krl, Msr, Quality, Robot, State,
+    Cmd, CmdFlags, Control, Header, Interface, Krl, Msr, Quality, Robot, State, Statistics,
 };
-use grid::Grid;
-use history::{History, Sent};
+use crate::sequence::{Order, Tracker};
 use std::collections::VecDeque;
 use std::fmt;
 use std::time::Duration;
 
-mod grid;
-mod history;
 mod judge;
 #[cfg(test)]
 mod tests;
@@ -151,21 +144,17 @@ impl Krc {
     /// A controller in monitor mode that sends its first measurement at `start`. All memory is taken here.
     #[must_use]
     pub fn new(config: KrcConfig, start: Duration) -> Self {
-        let grid = Grid::new(start, config.period);
+        let grid = Grid::new(start, config.period, config.faults.drift_ppm);
         let period_s = grid.period().as_secs_f64();
-        let lag_s = config.lag.as_secs_f64();
-        let follow_share = if lag_s > 0.0 {
-            1.0 - (-period_s / lag_s).exp()
-        } else {
-            1.0
-        };
+        let mut body = Body::new(Chain::LWR, config.joints, config.lag);
+        body.contact = config.contact;
         Self {
             grid,
             state: State::Mon,
             power: true,
             scale: 1.0,
             base: config.joints,
-            arm: Arm::new(config.joints, follow_share),
+            arm: Arm::new(body),
             brake_step: config
                 .limits
                 .acceleration_rad_per_s2
@@ -208,10 +197,8 @@ impl Krc {
     /// Takes an answer that left the client's side of the wire at `now`; the line's faults come on top.
     pub fn handle_datagram(&mut self, bytes: &[u8], now: Duration) -> Result<(), DecodeError> {
         Cmd::decode(bytes).inspect_err(|_| self.counters.malformed += 1)?;
-        if let Ok(bytes) = bytes.try_into() {
-            let (behind, faults) = (self.behind(), &mut self.config.faults.to_krc);
-            self.to_krc.push(bytes, now, behind, faults, &mut self.rng);
-        }
+        let (behind, faults) = (self.behind(), &mut self.config.faults.to_krc);
+        self.to_krc.push(bytes, now, behind, faults, &mut self.rng);
         self.deliver(now);
         Ok(())
     }
@@ -288,7 +275,7 @@ impl Krc {
     /// Measured joint positions, rad.
     #[must_use]
     pub fn joints(&self) -> [f64; AXES] {
-        self.arm.measured
+        self.arm.body.joints()
     }
 
     /// Joint set-point, rad.
@@ -355,7 +342,7 @@ impl Krc {
             }
             Order::First | Order::Next { .. } | Order::Restart => self.counters.answers += 1,
         }
-        let sent = self.history.find(cmd.header.reflected).copied();
+        let sent = self.history.find(cmd.header.reflected.into()).copied();
         let age = self.sequence.wrapping_sub(cmd.header.reflected);
         if let Some(sent) = sent.filter(|_| age <= self.config.timing.reflected_age_max) {
             self.latency
@@ -393,7 +380,8 @@ impl Krc {
 
     fn judge_timing(&mut self) {
         let forced = self.config.faults.quality;
-        self.quality = forced.unwrap_or_else(|| self.window.quality(&self.config.timing));
+        self.quality =
+            forced.unwrap_or_else(|| u16::from(self.window.rank(&self.config.timing)).into());
         if self.misses >= self.misses_max() {
             let span_ms = self.grid.period().as_secs_f64() * 1e3 * f64::from(self.misses);
             self.leave(Leave::Misses {
@@ -461,9 +449,10 @@ impl Krc {
         match received {
             _ if !self.following => self.arm.brake(&self.brake_step),
             Some(received) => self.follow(&received),
-            None => self.arm.extrapolate(&self.config.limits.position_rad),
+            None => self.arm.go_on(&self.config.limits.position_rad),
         }
-        self.arm.settle();
+        self.arm
+            .settle(&Law::Position, self.grid.period().as_secs_f64());
     }
 
     fn follow(&mut self, received: &Received) {
@@ -474,7 +463,7 @@ impl Krc {
         }
         let target = received.cmd.joints.map(f64::from);
         self.arm
-            .follow(&target, &self.last.1, self.cycles_since_last(received));
+            .follow(&target, &self.last.1, self.cycles_since_last(received), 1);
         self.last = (self.cycle_of(received), target);
     }
 
@@ -499,7 +488,7 @@ impl Krc {
         self.sequence = self.sequence.wrapping_add(1);
         self.counters.sent += 1;
         self.history.push(Sent {
-            sequence: self.sequence,
+            sequence: self.sequence.into(),
             index: self.grid.index(),
             at: now,
             set_point: self.arm.set_point,
@@ -523,7 +512,7 @@ impl Krc {
         Msr {
             header: Header {
                 sequence: self.sequence,
-                reflected: self.tracker.newest(),
+                reflected: u16::try_from(self.tracker.newest()).unwrap_or(0),
             },
             krl: self.krl_out,
             interface: Interface {
@@ -534,7 +523,7 @@ impl Krc {
                 cmd_period_s: period_s,
                 safety_scale: to_f32(self.scale),
             },
-            statistics: self.window.statistics(),
+            statistics: statistics(&self.window),
             robot: Robot {
                 power: if self.has_power() { ALL_DRIVES } else { 0 },
                 control: Control::Position,
@@ -542,7 +531,7 @@ impl Krc {
                 warning: 0,
                 temperature: [25.0; AXES],
             },
-            measured_joints: self.arm.measured.map(to_f32),
+            measured_joints: self.arm.body.joints().map(to_f32),
             measured_frame: IDENTITY,
             commanded_joints: self.base.map(to_f32),
             joint_offset: offset.map(to_f32),
@@ -559,6 +548,17 @@ impl Krc {
 }
 
 const IDENTITY: [f32; 12] = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
+
+fn statistics(window: &Window) -> Statistics {
+    let (latency_s, jitter_s) = window.latency_and_jitter();
+    Statistics {
+        answer_rate: to_f32(window.answer_rate()),
+        latency_s: to_f32(latency_s),
+        jitter_s: to_f32(jitter_s),
+        miss_rate: to_f32(window.miss_rate()),
+        miss_counter: window.missed(),
+    }
+}
 
 #[expect(
     clippy::cast_possible_truncation,

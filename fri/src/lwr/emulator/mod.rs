@@ -5,18 +5,15 @@
 //! Jacobian and mass matrix are zero. Numbers that KUKA does not publish (thresholds of quality, tolerated misses,
 //! tolerance of the mirror) are marked *assumption* in [`KrcConfig`] and can be set.
 
-mod arm;
 mod config;
 mod krc;
 mod leave;
-mod line;
-mod rng;
 #[cfg(target_os = "linux")]
 mod serve;
-mod statistics;
 mod status;
 
-pub use config::{Faults, KrcConfig, Limits, LineFaults, PowerOff, Script, Timing};
+pub use crate::emulator::{Contact, LineFaults, PowerOff, Shape, Timing};
+pub use config::{Faults, KrcConfig, Limits, Script};
 pub use krc::{Krc, KrcCounters, Left, StartRefused};
 pub use leave::Leave;
 #[cfg(target_os = "linux")]

@@ -1,53 +1,11 @@
 //! The coded fields of a measurement. Codes we do not know are kept, not judged.
 
-use std::fmt;
-
-/// Declares an enum over a `u16` code that loses no value.
-macro_rules! codes {
-    ($(#[$doc:meta])* $name:ident { $($(#[$vdoc:meta])* $variant:ident = $code:literal $text:literal,)+ }) => {
-        $(#[$doc])*
-        #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-        pub enum $name {
-            $($(#[$vdoc])* $variant,)+
-            /// A code this crate does not know.
-            Other(u16),
-        }
-
-        impl $name {
-            /// The number on the wire.
-            #[must_use]
-            pub fn code(self) -> u16 {
-                match self {
-                    $(Self::$variant => $code,)+
-                    Self::Other(code) => code,
-                }
-            }
-        }
-
-        impl From<u16> for $name {
-            fn from(code: u16) -> Self {
-                match code {
-                    $($code => Self::$variant,)+
-                    code => Self::Other(code),
-                }
-            }
-        }
-
-        impl fmt::Display for $name {
-            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                match self {
-                    $(Self::$variant => f.pad($text),)+
-                    Self::Other(code) => write!(f, "?{code}"),
-                }
-            }
-        }
-    };
-}
+use crate::codes::codes;
 
 codes! {
     /// State of the interface, as KRL `$FRISTATE`.
     #[doc(alias = "FRI_STATE")]
-    State {
+    State: u16 {
         /// Closed; the controller sends nothing in this state.
         Off = 0 "OFF",
         /// Monitor mode: measurements flow, commands are ignored but expected.
@@ -60,7 +18,7 @@ codes! {
 codes! {
     /// The controller's judgement of our timing, as KRL `$FRIQUALITY`.
     #[doc(alias = "FRI_QUALITY")]
-    Quality {
+    Quality: u16 {
         /// Command mode is not allowed.
         Unacceptable = 0 "UNACCEPTABLE",
         /// Command mode is allowed; many answers are missing.
@@ -75,7 +33,7 @@ codes! {
 codes! {
     /// Control strategy in force, as KRL `$STIFFNESS.STRATEGY` / 10.
     #[doc(alias = "FRI_CTRL")]
-    Control {
+    Control: u16 {
         /// None of those below.
         Unspecified = 0 "other",
         /// Joint position control.

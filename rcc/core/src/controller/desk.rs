@@ -1,4 +1,4 @@
-//! What the controller knows: nets, sessions, devices, and the way to the net thread. Guarded by
+//! What the controller knows: nets, sessions, devices, and the way to the net threads. Guarded by
 //! one lock that no real-time thread ever takes.
 
 use std::collections::{BTreeMap, HashMap};
@@ -8,29 +8,38 @@ use std::time::Duration;
 
 use takt_net::Rejection;
 use takt_net::fault::{Fault, FaultKind};
-use takt_net::netcomm::{Directory, Entry, OutStatus};
+use takt_net::netcomm::{Directory, Entry, NetBoxes, OutStatus};
 use takt_rt::latest::{LatestReader, LatestWriter};
 
+use crate::cell::OnLoss;
+use crate::controller::clock::FollowedClock;
 use crate::controller::departed::Departed;
+use crate::controller::inter::{Look, NetLinks};
 use crate::controller::rules::{RuleEntry, RuleId};
+use crate::controller::threads::busy;
 use crate::controller::{DeviceInfo, NetId, NetInfo, NetState, SessionId};
 use crate::device::lwr::Lwr;
 use crate::device::{DeviceStatus, DeviceTable};
 use crate::error::Error;
-use crate::executor::thread::{Command, Event, NetThread};
-use crate::executor::{End, Refusal, ResourceSet, Running};
+use crate::executor::figures::NetCounters;
+use crate::executor::thread::{Command, NetThread};
+use crate::executor::{ResourceSet, Running};
 use crate::record::Recorder;
 
 /// An open session.
 #[derive(Debug)]
 pub(super) struct Session {
     pub(super) description: String,
+    pub(super) on_loss: OnLoss,
 }
 
 /// A net made ready, with the program's ends of its values.
 #[derive(Debug)]
 pub(super) struct Prepared {
+    /// The number of its thread.
+    pub(super) thread: usize,
     pub(super) running: Box<Running>,
+    pub(super) links: NetLinks,
     pub(super) out_directory: Arc<Directory>,
     pub(super) out_reader: LatestReader<Box<[u64]>>,
     pub(super) in_directory: Arc<Directory>,
@@ -40,6 +49,7 @@ pub(super) struct Prepared {
 
 #[derive(Debug)]
 struct Values {
+    links: NetLinks,
     out_directory: Arc<Directory>,
     out_reader: LatestReader<Box<[u64]>>,
     in_directory: Arc<Directory>,
@@ -65,6 +75,18 @@ pub(super) struct Net {
     values: Option<Values>,
     /// Devices that the net reads or commands.
     devices: Vec<String>,
+    /// The number of its thread, 0 until it is known.
+    pub(super) thread: usize,
+    counted: Option<Counted>,
+}
+
+/// What is known of a net's evaluation.
+#[derive(Debug)]
+pub(super) struct Counted {
+    pub(super) counters: Arc<NetCounters>,
+    pub(super) period: Duration,
+    pub(super) primitives: usize,
+    pub(super) cost: Duration,
 }
 
 impl Net {
@@ -81,6 +103,8 @@ impl Net {
             with_rules: false,
             values: None,
             devices: Vec::new(),
+            thread: 0,
+            counted: None,
         }
     }
 
@@ -88,22 +112,32 @@ impl Net {
         self.states.last().copied().unwrap_or(NetState::Loading)
     }
 
-    fn enter(&mut self, state: NetState) {
+    pub(super) fn enter(&mut self, state: NetState) {
         self.states.push(state);
     }
 
     pub(super) fn make_ready(&mut self, prepared: Prepared) {
         let Prepared {
+            thread,
             running,
+            links,
             out_directory,
             out_reader,
             in_directory,
             in_writer,
             in_words,
         } = prepared;
+        self.thread = thread;
         self.devices = running.plan.uses().to_vec();
+        self.counted = Some(Counted {
+            counters: Arc::clone(running.counters()),
+            period: running.plan.period(),
+            primitives: running.plan.primitives(),
+            cost: running.plan.cost().total,
+        });
         self.running = Some(running);
         self.values = Some(Values {
+            links,
             out_directory,
             out_reader,
             in_directory,
@@ -116,6 +150,63 @@ impl Net {
     pub(super) fn reject(&mut self, rejection: Rejection) {
         self.rejection = Some(Arc::new(rejection));
         self.enter(NetState::Rejected);
+    }
+
+    /// Gives the net away to be started.
+    fn begin(&mut self, id: NetId) -> Result<Command, Error> {
+        let state = self.state();
+        let wrong = |what| Error::WrongState {
+            net: id,
+            state,
+            what,
+        };
+        if !matches!(state, NetState::Ready | NetState::Scheduled) || self.starting.is_some() {
+            return Err(wrong(
+                "only a net that is READY can be started; load it again",
+            ));
+        }
+        let command = match self.running.take() {
+            Some(running) => Command::Start(running),
+            None if self.with_rules => Command::StartScheduled(id.0),
+            None => return Err(wrong("it is being started already")),
+        };
+        self.starting = Some(None);
+        Ok(command)
+    }
+
+    /// It runs.
+    pub(super) fn started(&mut self) {
+        self.with_rules = false;
+        self.starting = self.starting.take().map(|_| Some(Ok(())));
+        self.enter(NetState::Running);
+    }
+
+    /// It ran and has ended.
+    pub(super) fn ended(&mut self, why: Option<String>) {
+        self.end = why;
+        self.enter(NetState::Terminated);
+    }
+
+    /// It is back without having run; `why` if it could not be started.
+    pub(super) fn take_back(&mut self, running: Box<Running>, why: Option<Error>) {
+        self.with_rules = false;
+        self.running = Some(running);
+        self.starting = why.map(|error| Some(Err(error)));
+    }
+
+    /// Rules do not have it any more.
+    pub(super) const fn leave_rules(&mut self) {
+        self.with_rules = false;
+    }
+
+    /// Whether a start is asked for and not answered.
+    pub(super) const fn is_to_start(&self) -> bool {
+        matches!(self.starting, Some(None))
+    }
+
+    /// What is known of its evaluation; `None` if it was never made ready.
+    pub(super) const fn counted(&self) -> Option<&Counted> {
+        self.counted.as_ref()
     }
 
     /// Ends a net that never ran.
@@ -156,6 +247,34 @@ impl Net {
     /// Where an out value lies.
     pub(super) fn out_entry(&self, key: &str) -> Option<Entry> {
         self.values.as_ref()?.out_directory.find(key).cloned()
+    }
+
+    /// What other nets may exchange with it.
+    pub(super) fn boxes(&self) -> Option<NetBoxes> {
+        let values = self.values.as_ref()?;
+        Some(NetBoxes {
+            inbox: Arc::clone(&values.in_directory),
+            outbox: Arc::clone(&values.out_directory),
+        })
+    }
+
+    /// Reads what it gave out last.
+    pub(super) fn with_out_words<T>(&mut self, read: impl FnOnce(&[u64]) -> T) -> Option<T> {
+        let values = self.values.as_mut()?;
+        Some(values.out_reader.read_with(|words| read(words)))
+    }
+
+    pub(super) fn links_mut(&mut self) -> Option<&mut NetLinks> {
+        Some(&mut self.values.as_mut()?.links)
+    }
+
+    pub(super) fn look_mut(&mut self) -> Option<&mut Look> {
+        self.links_mut()?.look.as_mut()
+    }
+
+    /// One more reader of what it gives out; `None` if there are as many as there may be.
+    pub(super) fn another_out_reader(&self) -> Option<LatestReader<Box<[u64]>>> {
+        self.values.as_ref()?.out_reader.another()
     }
 
     /// A Boolean out value, if it is non-null.
@@ -204,6 +323,7 @@ impl Net {
             return Vec::new();
         };
         let entries = values.in_directory.entries().iter();
+        let entries = entries.filter(|entry| !entry.is_hidden());
         let text = |entry: &Entry| {
             let mut text = String::new();
             entry.format(&values.in_words, &mut text);
@@ -216,7 +336,8 @@ impl Net {
         let Some(values) = &mut self.values else {
             return Ok(false);
         };
-        let Some(entry) = values.in_directory.find(key) else {
+        let entry = values.in_directory.find(key);
+        let Some(entry) = entry.filter(|entry| !entry.is_hidden()) else {
             return Ok(false);
         };
         let written = entry.write(text, &mut values.in_words);
@@ -237,6 +358,8 @@ type Wake = Box<dyn Fn() + Send + Sync>;
 
 /// Everything behind the lock.
 pub(super) struct Desk {
+    /// The device's clock that net threads follow.
+    pub(super) clock: Option<FollowedClock>,
     pub(super) nets: BTreeMap<NetId, Net>,
     pub(super) departed: BTreeMap<NetId, Departed>,
     pub(super) sessions: BTreeMap<SessionId, Session>,
@@ -247,11 +370,15 @@ pub(super) struct Desk {
     pub(super) recorder: Option<Recorder>,
     pub(super) watches: BTreeMap<u64, Wake>,
     pub(super) last_watch: u64,
+    /// How many nets were looked at when this was last counted.
+    pub(super) looks: usize,
     pub(super) last_session: u32,
     last_net: Option<u32>,
     resources: HashMap<String, usize>,
     statuses: BTreeMap<String, DeviceStatus>,
-    thread: Option<NetThread>,
+    pub(super) threads: Vec<NetThread>,
+    /// Threads of devices, by their name; the first for those that are not here.
+    pub(super) serving: BTreeMap<String, usize>,
     /// Whether events were taken of which nobody was told yet.
     pub(super) unannounced: bool,
 }
@@ -265,8 +392,13 @@ impl fmt::Debug for Desk {
 }
 
 impl Desk {
-    pub(super) fn new(thread: NetThread, recorder: Option<Recorder>) -> Self {
+    pub(super) fn new(
+        threads: Vec<NetThread>,
+        clock: Option<FollowedClock>,
+        recorder: Option<Recorder>,
+    ) -> Self {
         Self {
+            clock,
             nets: BTreeMap::new(),
             departed: BTreeMap::new(),
             sessions: BTreeMap::new(),
@@ -277,11 +409,13 @@ impl Desk {
             recorder,
             watches: BTreeMap::new(),
             last_watch: 0,
+            looks: 0,
             last_session: 0,
             last_net: None,
             resources: HashMap::new(),
             statuses: BTreeMap::new(),
-            thread: Some(thread),
+            threads,
+            serving: BTreeMap::new(),
             unannounced: false,
         }
     }
@@ -329,44 +463,19 @@ impl Desk {
         found.map_or_else(|| format!("resource {number}"), |(name, _)| name.clone())
     }
 
-    /// Tells the net thread something.
-    pub(super) fn command(&mut self, command: Command) -> Result<(), Error> {
-        let bound = crate::executor::RUNNING_MAX;
-        let busy = || Error::TooMany {
-            what: "requests to the net thread",
-            bound,
-        };
-        let thread = self.thread.as_mut().ok_or_else(busy)?;
-        thread.commands.push(command).map_err(|_| busy())
-    }
-
     /// Sends a net off to run.
     pub(super) fn begin(&mut self, id: NetId) -> Result<(), Error> {
         let net = self.net(id)?;
-        let state = net.state();
-        if !matches!(state, NetState::Ready | NetState::Scheduled) || net.starting.is_some() {
-            let what = "only a net that is READY can be started; load it again";
-            return Err(Error::WrongState {
-                net: id,
-                state,
-                what,
-            });
-        }
-        let command = match net.running.take() {
-            Some(running) => Command::Start(running),
-            None if net.with_rules => Command::StartScheduled(id.0),
-            None => {
-                let what = "it is being started already";
-                return Err(Error::WrongState {
-                    net: id,
-                    state,
-                    what,
-                });
-            }
-        };
-        net.starting = Some(None);
+        let (thread, command) = (net.thread, net.begin(id)?);
         self.next_rule();
-        self.command(command)
+        self.send(thread, command).map_err(|command| {
+            if let (Command::Start(running), Ok(net)) = (command, self.net(id)) {
+                net.take_back(running, None);
+            } else if let Ok(net) = self.net(id) {
+                net.starting = None;
+            }
+            busy()
+        })
     }
 
     /// Takes a net that does not run away from rules that wait to start it or wait for it.
@@ -395,120 +504,12 @@ impl Desk {
         }
     }
 
-    /// Takes what the net thread has to tell; returns whether it had anything.
-    pub(super) fn take_events(&mut self) -> bool {
-        let mut any = false;
-        while let Some(event) = self.thread.as_mut().and_then(|t| t.events.pop()) {
-            any = true;
-            match event {
-                Event::Started(id) => self.with(id, |net| {
-                    net.with_rules = false;
-                    net.starting = net.starting.take().map(|_| Some(Ok(())));
-                    net.enter(NetState::Running);
-                }),
-                Event::Cancelling(id) => self.with(id, |net| {
-                    if net.state() == NetState::Running {
-                        net.enter(NetState::Cancelling);
-                    }
-                }),
-                Event::Refused(running, refusal) => self.refused(running, refusal),
-                Event::ArmRemoved(end) => drop(end),
-                Event::RuleAdded(id) => self.rule_added(id),
-                Event::RuleRefused(rule, why) => self.rule_refused(&rule, why),
-                Event::RuleDone(rule) => self.rule_done(&rule),
-                Event::Unscheduled(running) => self.unscheduled(running),
-                Event::Ended(running, end) => {
-                    let why = self.end_text(end);
-                    if let (Some(why), End::DeviceFault(_)) = (&why, end) {
-                        tracing::warn!(net = %NetId(running.id), why, "net ended");
-                    }
-                    self.with(running.id, |net| {
-                        net.end = why;
-                        net.enter(NetState::Terminated);
-                    });
-                }
-            }
-        }
-        any
-    }
-
-    fn with(&mut self, id: u32, change: impl FnOnce(&mut Net)) {
-        if let Some(net) = self.nets.get_mut(&NetId(id)) {
-            change(net);
-        }
-    }
-
-    /// A net is back from the rules. If a start by hand crossed its way, it is sent off again.
-    fn unscheduled(&mut self, running: Box<Running>) {
-        let Some(net) = self.nets.get_mut(&NetId(running.id)) else {
-            return;
-        };
-        net.with_rules = false;
-        if matches!(net.starting, Some(None)) {
-            if self.command(Command::Start(running)).is_err() {
-                tracing::error!("the net thread takes no more requests");
-            }
-        } else {
-            net.running = Some(running);
-        }
-    }
-
-    fn refused(&mut self, running: Box<Running>, refusal: Refusal) {
-        let net = NetId(running.id);
-        let error = match refusal {
-            Refusal::TooMany => Error::TooMany {
-                what: "running nets",
-                bound: crate::executor::RUNNING_MAX,
-            },
-            Refusal::ResourceKept(number) => Error::ResourceKept {
-                net,
-                resource: self.resource_name(number),
-            },
-            Refusal::ResourceInUse(number) => Error::ResourceInUse {
-                net,
-                resource: self.resource_name(number),
-            },
-            Refusal::DeviceNotReady(number) => {
-                let arm = self.devices.get(number);
-                Error::DeviceNotReady {
-                    net,
-                    device: arm.map_or_else(|| format!("device {number}"), |a| a.name.clone()),
-                    status: arm
-                        .map_or(DeviceStatus::Offline, |a| a.status())
-                        .to_string(),
-                }
-            }
-        };
-        self.with(running.id, |net| {
-            net.with_rules = false;
-            net.running = Some(running);
-            net.starting = Some(Some(Err(error)));
-        });
-    }
-
-    /// Why a net ended, unless it did so by itself.
-    fn end_text(&self, end: End) -> Option<String> {
-        match end {
-            End::Terminated => None,
-            End::Aborted => Some("aborted".to_owned()),
-            End::Stopped => Some("stopped by a rule".to_owned()),
-            End::DeviceFault(number) => {
-                let arm = self.devices.get(number);
-                let name = arm.map_or("?", |a| a.name.as_str());
-                let status = arm.map_or(DeviceStatus::Offline, |a| a.status());
-                Some(format!(
-                    "device {name} ceased to follow commands and is {status}"
-                ))
-            }
-        }
-    }
-
     /// Notes changes of devices; returns whether there were any.
     pub(super) fn look_at_devices(&mut self) -> bool {
         let statuses: BTreeMap<String, DeviceStatus> = self
             .devices
-            .arms()
-            .map(|(_, arm)| (arm.name.clone(), arm.status()))
+            .all()
+            .map(|(_, device)| (device.name.clone(), device.status()))
             .collect();
         if statuses == self.statuses {
             return false;
@@ -526,66 +527,23 @@ impl Desk {
     }
 
     pub(super) fn device_infos(&self) -> Vec<DeviceInfo> {
-        let info = |arm: &crate::device::Arm| {
-            let joints = ("jointcount".to_owned(), arm.limits.len().to_string());
-            let robot_arm = ("robotarm".to_owned(), BTreeMap::from([joints]));
-            let kinematics = arm.kinematics.iter();
-            let kinematics = kinematics.map(|_| ("armkinematics".to_owned(), BTreeMap::new()));
-            DeviceInfo {
-                name: arm.name.clone(),
-                kind: arm.kind.to_owned(),
-                interfaces: kinematics.chain([robot_arm]).collect(),
-                status: arm.status(),
-            }
+        let info = |device: &crate::device::Device| DeviceInfo {
+            name: device.name.clone(),
+            kind: device.kind.to_owned(),
+            interfaces: device.told(),
+            status: device.status(),
         };
-        self.devices.arms().map(|(_, arm)| info(arm)).collect()
-    }
-
-    pub(super) fn thread_stats(&self) -> takt_rt::stats::Snapshot {
-        match &self.thread {
-            Some(thread) => thread.stats.snapshot(),
-            None => takt_rt::stats::pair().1.snapshot(),
-        }
-    }
-
-    pub(super) fn hand_over(&self) -> takt_rt::stats::Summary {
-        match &self.thread {
-            Some(thread) => thread.hand_over.read().summary(),
-            None => takt_rt::stats::Recorder::new().reader().read().summary(),
-        }
-    }
-
-    pub(super) fn grants(&self) -> Vec<(String, takt_rt::Grant)> {
-        let nets = self.thread.iter().flat_map(|t| t.grants().iter());
-        let nets = nets.map(|grant| ("net thread".to_owned(), grant.clone()));
-        let arms = self.arms.iter();
-        let arms = arms.flat_map(|a| a.grants().iter().map(|g| (a.name().to_owned(), g.clone())));
-        nets.chain(arms).collect()
+        self.devices.all().map(|(_, device)| info(device)).collect()
     }
 
     /// Ends all threads. Drivers go last, so that they see their set-points end and brake.
     pub(super) fn stop(&mut self) {
-        if let Some(thread) = self.thread.take() {
+        self.threads.iter().for_each(NetThread::ask_to_stop);
+        for thread in self.threads.drain(..) {
             thread.stop();
         }
         for arm in self.arms.drain(..) {
-            arm.stop();
+            drop(arm.stop());
         }
     }
-}
-
-/// How many cycles of the thread one cycle of a net takes.
-pub(super) fn multiple(period: Duration, thread_period: Duration) -> Result<u64, Rejection> {
-    let (wanted, given) = (period.as_nanos(), thread_period.as_nanos().max(1));
-    if wanted > 0 && wanted.is_multiple_of(given) {
-        return Ok(u64::try_from(wanted / given).unwrap_or(u64::MAX));
-    }
-    let why = format!("{period:?} is no whole multiple of the controller's {thread_period:?}");
-    let kind = FaultKind::Parameter {
-        parameter: "cycle".to_owned(),
-        why,
-    };
-    Err(Rejection {
-        faults: vec![Fault::new(kind, 0..0)],
-    })
 }

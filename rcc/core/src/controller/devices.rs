@@ -2,19 +2,22 @@
 //! remove.
 
 use std::collections::BTreeMap;
-use std::time::Duration;
 
 use crate::cell::LwrConfig;
+use crate::controller::Controller;
+use crate::controller::clock::FollowedClock;
 use crate::controller::desk::Desk;
-use crate::controller::{Controller, NetState};
 use crate::device::lwr::{self, Lwr};
-use crate::device::sim::{SimArm, Simulation};
-use crate::device::{ARM_JOINTS_MAX, ArmDescription, ArmPorts, JointSetPoints};
+use crate::device::sim::{self, Simulated};
+use crate::device::{DeviceDescription, DevicePorts};
 use crate::error::Error;
-use crate::executor::thread::{ArmDriver, ArmEnd, Command};
+use crate::executor::serve::{DeviceEnd, Driver};
+use crate::executor::thread::Command;
+use crate::span;
 
 impl Controller {
-    /// Makes a simulated device of one of `device::sim::kinds` with parameters as text.
+    /// Makes a simulated device of one of `device::sim::kinds` with parameters as text. It is commanded
+    /// by the net thread whose period `thread` tells, such as `4ms`; without that, by the first.
     ///
     /// # Errors
     /// If the name is taken, there is no such type, or a parameter is wrong or missing.
@@ -24,9 +27,17 @@ impl Controller {
         kind: &str,
         parameters: &BTreeMap<String, String>,
     ) -> Result<(), Error> {
-        let arm = SimArm::read(name, kind, parameters)?;
+        let (description, device) = sim::make(name, kind, parameters)?;
+        let wrong = |what| Error::DeviceParameter {
+            name: name.to_owned(),
+            what,
+        };
+        let period = parameters.get("thread").map(|text| span::parse(text));
+        let period = period.transpose();
+        let period = period.map_err(|e| wrong(format!("thread: {e}")))?;
         let mut desk = self.inner.lock();
-        desk.add_simulated(&arm)?;
+        let thread = desk.thread_of_period(period).map_err(wrong)?;
+        desk.add_simulated(description, device, thread)?;
         self.inner.announce(&desk);
         Ok(())
     }
@@ -45,47 +56,53 @@ impl Controller {
 
 impl Desk {
     /// Starts the driver of an LWR.
-    pub(super) fn add_lwr(&mut self, config: &LwrConfig, period: Duration) -> Result<(), Error> {
-        let (number, ports) = self.add_description(lwr::describe(&config.name))?;
-        let ArmPorts {
+    pub(super) fn add_lwr(&mut self, config: &LwrConfig) -> Result<(), Error> {
+        let thread = self.thread_of_period(config.thread).map_err(Error::Cell)?;
+        let period = self.threads[thread].period;
+        let (number, ports) = self.add_description(lwr::describe(&config.name).with(lwr::PARTS))?;
+        let DevicePorts {
             state,
             command,
             driver_state,
             driver_command,
         } = ports;
-        self.arms
-            .push(Lwr::start(config, period, driver_state, driver_command)?);
-        self.serve(number, ArmDriver::Cells { state, command })
+        let link = lwr::listen(config)?;
+        let clock = FollowedClock::writer_for(&mut self.clock, &config.name);
+        let arm = Lwr::start(config, link, period, driver_state, driver_command, clock)?;
+        self.arms.push(arm);
+        self.serve(number, Driver::Cells { state, command }, thread)
     }
 
-    fn add_simulated(&mut self, arm: &SimArm) -> Result<(), Error> {
-        let (number, ports) = self.add_description(arm.description.clone())?;
-        let simulation = Simulation::new(arm, ports.driver_state);
-        self.serve(number, ArmDriver::Simulated(Box::new(simulation)))
+    fn add_simulated(
+        &mut self,
+        description: DeviceDescription,
+        device: Box<dyn Simulated>,
+        thread: usize,
+    ) -> Result<(), Error> {
+        let (number, ports) = self.add_description(description)?;
+        let mut told = ports.driver_state;
+        told.write_with(|state| state.copy_from(device.state()));
+        self.serve(number, Driver::Simulated { device, told }, thread)
     }
 
-    fn add_description(&mut self, description: ArmDescription) -> Result<(usize, ArmPorts), Error> {
-        let (number, ports) = self.devices.add_arm(description.clone())?;
-        if let (Some(recorder), Some(arm)) = (&self.recorder, self.devices.get(number)) {
-            recorder.arm(&description, arm.first_joint);
+    fn add_description(
+        &mut self,
+        description: DeviceDescription,
+    ) -> Result<(usize, DevicePorts), Error> {
+        let (number, ports) = self.devices.add(description.clone())?;
+        if let (Some(recorder), Some(device)) = (&self.recorder, self.devices.get(number)) {
+            recorder.device(number, &device.place, &description);
         }
         Ok((number, ports))
     }
 
-    fn serve(&mut self, number: usize, driver: ArmDriver) -> Result<(), Error> {
-        let Some(arm) = self.devices.get(number) else {
+    fn serve(&mut self, number: usize, driver: Driver, thread: usize) -> Result<(), Error> {
+        let Some(device) = self.devices.get(number).cloned() else {
             return Ok(());
         };
-        let (first_joint, joints) = (arm.first_joint, arm.limits.len());
-        let set_points = [JointSetPoints::default(); ARM_JOINTS_MAX];
-        let end = Box::new(ArmEnd {
-            number,
-            first_joint,
-            joints,
-            driver,
-            set_points,
-        });
-        self.command(Command::AddArm(end))
+        self.serve_in(&device.name, thread);
+        let end = Box::new(DeviceEnd::new(number, device.place.clone(), driver));
+        self.command(Command::AddDevice(end))
     }
 
     fn remove_simulated(&mut self, name: &str) -> Result<(), Error> {
@@ -99,19 +116,12 @@ impl Desk {
                 what,
             });
         }
-        let over = |state| matches!(state, NetState::Terminated | NetState::Rejected);
-        let user = self
-            .nets
-            .iter()
-            .find(|(_, net)| !over(net.state()) && net.uses(name));
-        if let Some((net, _)) = user {
-            return Err(Error::DeviceInUse {
-                name: name.to_owned(),
-                net: *net,
-            });
+        self.refuse_if_used(name)?;
+        if let Some(recorder) = &self.recorder {
+            recorder.device_gone(name);
         }
         match self.devices.remove(name) {
-            Some(number) => self.command(Command::RemoveArm(number)),
+            Some(number) => self.command(Command::RemoveDevice(number)),
             None => Ok(()),
         }
     }

@@ -1,10 +1,13 @@
 //! One cycle of a net outside the net thread: what programs use to read devices and to compute
 //! kinematics. It starts nothing, holds nothing and commands nothing.
 
+use std::time::Duration;
+
 use takt_net::netcomm::OutStatus;
 use takt_net::{Image, Limits, LoadContext, Moment, Nanos, Plan, Registry, Rejection, load};
 
 use crate::controller::Controller;
+use crate::controller::inter::Surroundings;
 use crate::device::DeviceTable;
 
 impl Controller {
@@ -17,9 +20,12 @@ impl Controller {
         let devices = self.inner.lock().devices.clone();
         let context = LoadContext {
             registry: &self.inner.registry,
-            devices: &devices,
+            devices: &Surroundings {
+                devices: &devices,
+                inner: &self.inner,
+            },
             period: self.inner.period,
-            limits: Limits::default(),
+            limits: eval_limits(),
         };
         let mut plan = load(text, &context)?;
         let now = Nanos(takt_rt::monotonic().0);
@@ -29,6 +35,7 @@ impl Controller {
             wall: now,
             ..Moment::default()
         };
+        self.inner.lock().give_inter(&plan);
         // The image is this call's own: what is commanded in it reaches no driver.
         plan.evaluate(&image(&devices), moment);
         let mut values = plan.root_values();
@@ -43,15 +50,28 @@ impl Controller {
     }
 }
 
+/// Most primitives of a net that is evaluated once.
+pub const EVAL_PRIMITIVES_MAX: usize = 20_000;
+
+/// Longest time that an evaluation may take by what its primitives declare.
+pub const EVAL_COST_MAX: Duration = Duration::from_millis(50);
+
+/// Bounds on a net that is evaluated once, by anybody and at any time.
+fn eval_limits() -> Limits {
+    Limits {
+        text_bytes: 4 << 20,
+        primitives: EVAL_PRIMITIVES_MAX,
+        cost: Some(EVAL_COST_MAX),
+        memory_bytes: 32 << 20,
+        ..Limits::default()
+    }
+}
+
 /// The devices as their drivers last told.
 fn image(devices: &DeviceTable) -> Image {
     let image = Image::default();
-    for (_, arm) in devices.arms() {
-        let joints = image.joints.iter().skip(arm.first_joint);
-        let told = arm.state().joints;
-        for (joint, state) in joints.zip(told).take(arm.limits.len()) {
-            joint.state.set(state);
-        }
+    for (_, device) in devices.all() {
+        device.state().show(&device.place, &image);
     }
     image
 }

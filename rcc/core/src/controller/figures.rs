@@ -1,17 +1,74 @@
 //! Figures of a running controller: how its threads keep their time and what its drivers count.
 //! They judge nothing.
 
+use std::time::Duration;
+
 use crate::controller::Controller;
+use crate::controller::clock::ClockInfo;
+use crate::controller::desk::Desk;
 use crate::device::lwr::Lwr;
+use crate::executor::figures::{NetCounts, budget};
+use crate::executor::thread::NetThread;
+use crate::ids::NetId;
+
+/// How a net thread keeps its time.
+#[derive(Clone, Debug)]
+pub struct ThreadInfo {
+    /// Time from one of its cycles to the next.
+    pub period: Duration,
+    /// Its cycles.
+    pub stats: takt_rt::stats::Snapshot,
+    /// Time between handing over set-points to its first and to its last device in a cycle.
+    pub hand_over: takt_rt::stats::Summary,
+    /// The device's clock that it keeps phase with; `None` if it runs by the host's. How far its cycles
+    /// are from their places on that clock is `stats.phase_error`.
+    pub clock: Option<ClockInfo>,
+}
+
+/// What the evaluation of a net costs, by declaration and by the clock.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NetFigures {
+    /// Time from one of its cycles to the next.
+    pub period: Duration,
+    /// The same of the thread that evaluates it.
+    pub thread_period: Duration,
+    /// What a cycle of it may cost.
+    pub budget: Duration,
+    /// What a cycle of it costs at most by what its primitives declare, everything active.
+    pub cost: Duration,
+    /// How many primitives it has.
+    pub primitives: usize,
+    /// What was counted while it ran.
+    pub counts: NetCounts,
+}
 
 impl Controller {
-    /// How well the net thread keeps its time.
+    /// What the evaluation of a net costs; `None` if there is no such net, or it was not taken.
+    #[must_use]
+    pub fn net_figures(&self, id: NetId) -> Option<NetFigures> {
+        self.inner.lock().net_figures(id)
+    }
+
+    /// The net threads, the first one first.
+    #[must_use]
+    pub fn threads(&self) -> Vec<ThreadInfo> {
+        self.inner.lock().thread_infos()
+    }
+
+    /// How well the first net thread keeps its time.
     #[must_use]
     pub fn stats(&self) -> takt_rt::stats::Snapshot {
         self.inner.lock().thread_stats()
     }
 
-    /// Time between handing over set-points to the first and to the last arm of a cycle.
+    /// Allocations that real-time threads made, which should be none; 0 also where the program does
+    /// not count them.
+    #[must_use]
+    pub fn real_time_allocations(&self) -> u64 {
+        takt_rt::alloc::real_time_allocations()
+    }
+
+    /// Time between handing over set-points to the first and to the last arm of a cycle of the first net thread.
     #[must_use]
     pub fn hand_over(&self) -> takt_rt::stats::Summary {
         self.inner.lock().hand_over()
@@ -28,9 +85,59 @@ impl Controller {
         self.inner.lock().arms.iter().map(read).collect()
     }
 
-    /// The state an arm's driver last told.
+    /// The state a device's driver last told.
     #[must_use]
-    pub fn arm_state(&self, name: &str) -> Option<crate::device::ArmState> {
-        self.inner.lock().devices.find(name).map(|arm| arm.state())
+    pub fn arm_state(&self, name: &str) -> Option<crate::device::DeviceState> {
+        let device = self.inner.lock().devices.find(name).cloned();
+        device.map(|device| device.state())
+    }
+}
+
+impl Desk {
+    fn net_figures(&self, id: NetId) -> Option<NetFigures> {
+        let net = self.nets.get(&id)?;
+        let counted = net.counted()?;
+        Some(NetFigures {
+            period: counted.period,
+            thread_period: self.threads.get(net.thread)?.period,
+            budget: budget(counted.period),
+            cost: counted.cost,
+            primitives: counted.primitives,
+            counts: counted.counters.read(),
+        })
+    }
+
+    fn thread_stats(&self) -> takt_rt::stats::Snapshot {
+        match self.threads.first() {
+            Some(thread) => thread.stats.snapshot(),
+            None => takt_rt::stats::pair().1.snapshot(),
+        }
+    }
+
+    /// Figures of all net threads.
+    fn thread_infos(&mut self) -> Vec<ThreadInfo> {
+        let clock = &mut self.clock;
+        let info = |(number, thread): (usize, &NetThread)| ThreadInfo {
+            period: thread.period,
+            stats: thread.stats.snapshot(),
+            hand_over: thread.hand_over.read().summary(),
+            clock: clock.as_mut().and_then(|clock| clock.info(number)),
+        };
+        self.threads.iter().enumerate().map(info).collect()
+    }
+
+    fn hand_over(&self) -> takt_rt::stats::Summary {
+        match self.threads.first() {
+            Some(thread) => thread.hand_over.read().summary(),
+            None => takt_rt::stats::Recorder::new().reader().read().summary(),
+        }
+    }
+
+    fn grants(&self) -> Vec<(String, takt_rt::Grant)> {
+        let nets = self.threads.iter().flat_map(|t| t.grants().iter());
+        let nets = nets.map(|grant| ("net thread".to_owned(), grant.clone()));
+        let arms = self.arms.iter();
+        let arms = arms.flat_map(|a| a.grants().iter().map(|g| (a.name().to_owned(), g.clone())));
+        nets.chain(arms).collect()
     }
 }

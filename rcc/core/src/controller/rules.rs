@@ -1,32 +1,23 @@
 //! Synchronization rules as programs give them: conditions as text, nets by identifier. Watching
 //! them is the net thread's business.
-//!
-//! ```text
-//! or   = and { "|" and }      and  = not { "&" not }      not = [ "!" ] atom
-//! atom = "t" | net "." key | net ".terminated" | "(" or ")"
-//! ```
-//! `key` is that of a Boolean value which the net reports, such as `outdone`. `terminated`, an
-//! addition of Takt, is true once the net has ended by itself: "schedule after" of Vistein et al.
-//! 2014, section 5.3.
 
-use std::collections::HashMap;
 use std::fmt;
 use std::str::FromStr;
+use std::sync::Arc;
 
 use takt_net::{Element, Type};
 
+use crate::controller::condition::{Condition, Parser, names};
 use crate::controller::desk::Desk;
+use crate::controller::threads::busy;
 use crate::controller::{Controller, NetId, NetState};
 use crate::error::Error;
-use crate::executor::rules::{
-    CONDITION_MAX, Literal, Question, Rule, RuleRefusal, RuleState, Step,
-};
+use crate::executor::rules::shared::{Part, Shared};
+use crate::executor::rules::{Literal, Question, Rule, RuleRefusal, RuleState};
 use crate::executor::thread::Command;
 
 /// Rules that are remembered; the oldest that no longer wait are forgotten first.
 const RULES_KEPT: usize = 4096;
-/// Parentheses inside one another.
-const DEPTH_MAX: usize = 64;
 
 /// Identifier of a rule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -90,8 +81,14 @@ pub struct RuleInfo {
 pub(super) struct RuleEntry {
     request: RuleRequest,
     pub(super) state: RuleState,
-    /// Set while the net thread has not answered, and then to its answer.
+    /// Set while net threads have not answered, and then to their answer.
     adding: Option<Option<Result<(), Error>>>,
+    /// Net threads that have not answered yet.
+    unanswered: usize,
+    /// Net threads in which it still waits.
+    waiting: usize,
+    /// What became of it in those in which it does not.
+    outcome: RuleState,
 }
 
 impl Controller {
@@ -146,24 +143,54 @@ impl Controller {
     }
 }
 
-/// The words of a condition.
-fn names(condition: &str) -> impl Iterator<Item = &str> {
-    condition
-        .split(|c: char| !is_name(c))
-        .filter(|word| !word.is_empty())
-}
-
-const fn is_name(c: char) -> bool {
-    c.is_ascii_alphanumeric() || matches!(c, ':' | '_')
-}
-
 impl Desk {
-    fn install(&mut self, request: RuleRequest) -> Result<RuleId, Error> {
+    pub(super) fn install(&mut self, request: RuleRequest) -> Result<RuleId, Error> {
         let condition = Parser::parse(&request.condition)?;
         let mut literals = Vec::with_capacity(condition.literals.len());
         for (net, key) in &condition.literals {
             literals.push(self.literal(net, key)?);
         }
+        self.check_nets(&request)?;
+        let threads = self.threads_of(&request, &literals);
+        // What is given away below must arrive, or a net would be lost.
+        self.has_room(request.start.len() + 1)?;
+        let id = self.next_rule();
+        let shared = (threads.len() > 1)
+            .then(|| Arc::new(self.share(&threads, &literals, !request.start.is_empty())));
+        for net in &request.start {
+            if let Some(running) = self.net(*net)?.hand_to_rules() {
+                self.command(Command::Schedule(running))?;
+            }
+        }
+        for (number, thread) in threads.iter().enumerate() {
+            let of_thread = |nets: &[NetId]| -> Vec<u32> {
+                let nets = nets.iter().map(|net| net.0);
+                nets.filter(|net| self.thread_of(*net) == *thread).collect()
+            };
+            let Condition { steps, .. } = &condition;
+            let mut rule = Box::new(Rule::new(id.0, literals.clone(), steps.clone()));
+            rule.stop = of_thread(&request.stop);
+            rule.cancel = of_thread(&request.cancel);
+            rule.start = of_thread(&request.start);
+            rule.part = shared.clone().map(|shared| Part::new(shared, number));
+            self.send(*thread, Command::AddRule(rule))
+                .map_err(|_| busy())?;
+        }
+        let entry = RuleEntry {
+            request,
+            state: RuleState::Active,
+            adding: Some(None),
+            unanswered: threads.len(),
+            waiting: threads.len(),
+            outcome: RuleState::Fired,
+        };
+        self.rules.insert(id, entry);
+        self.forget_old_rules();
+        Ok(id)
+    }
+
+    /// Whether all nets of a rule are in a state for it.
+    fn check_nets(&mut self, request: &RuleRequest) -> Result<(), Error> {
         for id in request.stop.iter().chain(&request.cancel) {
             let state = self.net(*id)?.state();
             if matches!(
@@ -192,26 +219,41 @@ impl Desk {
                 });
             }
         }
-        let id = self.next_rule();
-        let numbers = |nets: &[NetId]| nets.iter().map(|n| n.0).collect::<Vec<_>>();
-        let mut rule = Box::new(Rule::new(id.0, literals, condition.steps));
-        rule.stop = numbers(&request.stop);
-        rule.cancel = numbers(&request.cancel);
-        rule.start = numbers(&request.start);
-        for net in &request.start {
-            if let Some(running) = self.net(*net)?.hand_to_rules() {
-                self.command(Command::Schedule(running))?;
-            }
+        Ok(())
+    }
+
+    /// The threads that a rule concerns. What is answered for good concerns none.
+    fn threads_of(&self, request: &RuleRequest, literals: &[Literal]) -> Vec<usize> {
+        let RuleRequest {
+            stop,
+            cancel,
+            start,
+            ..
+        } = request;
+        let done_to = stop.iter().chain(cancel).chain(start).map(|net| net.0);
+        let asked = literals.iter().filter(|l| !l.last).map(|l| l.net);
+        let mut threads: Vec<_> = done_to.chain(asked).map(|n| self.thread_of(n)).collect();
+        threads.sort_unstable();
+        threads.dedup();
+        if threads.is_empty() {
+            threads.push(0);
         }
-        self.command(Command::AddRule(rule))?;
-        let entry = RuleEntry {
-            request,
-            state: RuleState::Active,
-            adding: Some(None),
-        };
-        self.rules.insert(id, entry);
-        self.forget_old_rules();
-        Ok(id)
+        threads
+    }
+
+    /// What joins a rule in several threads. The fastest with a literal decides.
+    fn share(&self, threads: &[usize], literals: &[Literal], starts: bool) -> Shared {
+        let part = |net: u32| threads.iter().position(|t| *t == self.thread_of(net));
+        let owned = literals.iter().map(|literal| {
+            let owner = part(literal.net).filter(|_| !literal.last);
+            (*literal, owner)
+        });
+        let owned: Vec<_> = owned.collect();
+        let period = |part: &usize| self.threads.get(threads[*part]).map(|t| t.period);
+        let answering = owned.iter().filter_map(|(_, owner)| *owner);
+        let decider = answering.min_by_key(period);
+        let decider = decider.or_else(|| (0..threads.len()).min_by_key(period));
+        Shared::new(&owned, threads.len(), decider.unwrap_or(0), starts)
     }
 
     fn forget_old_rules(&mut self) {
@@ -253,6 +295,11 @@ impl Desk {
             state,
             NetState::Terminated | NetState::Unloaded | NetState::Rejected
         );
+        if key == "terminated" && state == NetState::Loading {
+            return Err(unknown(format!(
+                "{id} is still {state}; wait until it is READY"
+            )));
+        }
         if key == "terminated" {
             let value = over.then(|| net.ended_by_itself());
             return Ok(Literal {
@@ -280,19 +327,24 @@ impl Desk {
         })
     }
 
-    /// A rule waits now.
+    /// A rule waits now in one more thread.
     pub(super) fn rule_added(&mut self, id: u32) {
-        if let Some(entry) = self.rules.get_mut(&RuleId(id)) {
-            entry.adding = Some(Some(Ok(())));
-            for net in entry.request.start.clone() {
-                if let Some(net) = self.nets.get_mut(&net) {
-                    net.become_scheduled();
-                }
+        let Some(entry) = self.rules.get_mut(&RuleId(id)) else {
+            return;
+        };
+        entry.unanswered = entry.unanswered.saturating_sub(1);
+        if entry.unanswered > 0 || !matches!(entry.adding, Some(None)) {
+            return;
+        }
+        entry.adding = Some(Some(Ok(())));
+        for net in entry.request.start.clone() {
+            if let Some(net) = self.nets.get_mut(&net) {
+                net.become_scheduled();
             }
         }
     }
 
-    /// A rule could not be kept.
+    /// A rule could not be kept in one of its threads, and so waits in none.
     pub(super) fn rule_refused(&mut self, rule: &Rule, why: RuleRefusal) {
         let error = match why {
             RuleRefusal::TooMany => {
@@ -308,23 +360,33 @@ impl Desk {
                 }
             }
         };
-        self.release(rule);
         if let Some(entry) = self.rules.get_mut(&RuleId(rule.id)) {
-            entry.state = RuleState::Inactive;
+            entry.unanswered = entry.unanswered.saturating_sub(1);
             entry.adding = Some(Some(Err(error)));
         }
+        self.rule_over(rule, RuleState::Inactive);
     }
 
-    /// A rule no longer waits.
+    /// A rule no longer waits in one of its threads.
     pub(super) fn rule_done(&mut self, rule: &Rule) {
-        if rule.state != RuleState::Fired {
+        self.rule_over(rule, rule.state);
+    }
+
+    fn rule_over(&mut self, rule: &Rule, state: RuleState) {
+        if state != RuleState::Fired {
             self.release(rule);
         }
-        if let Some(entry) = self.rules.get_mut(&RuleId(rule.id)) {
-            entry.state = rule.state;
-            if rule.state == RuleState::FireFailed {
-                tracing::warn!(rule = rule.id, "rule could not start its nets");
-            }
+        let Some(entry) = self.rules.get_mut(&RuleId(rule.id)) else {
+            return;
+        };
+        entry.outcome = worse(entry.outcome, state);
+        entry.waiting = entry.waiting.saturating_sub(1);
+        if entry.waiting > 0 {
+            return;
+        }
+        entry.state = entry.outcome;
+        if entry.state == RuleState::FireFailed {
+            tracing::warn!(rule = rule.id, "rule could not start its nets");
         }
     }
 
@@ -344,181 +406,12 @@ impl Desk {
     }
 }
 
-/// A condition before its nets are known.
-#[derive(Debug, Default)]
-struct Condition {
-    /// Net and key by literal.
-    literals: Vec<(String, String)>,
-    steps: Vec<Step>,
-}
-
-struct Parser<'t> {
-    text: &'t str,
-    at: usize,
-    condition: Condition,
-    known: HashMap<(&'t str, &'t str), usize>,
-}
-
-impl<'t> Parser<'t> {
-    fn parse(text: &'t str) -> Result<Condition, Error> {
-        let mut parser = Self {
-            text,
-            at: 0,
-            condition: Condition::default(),
-            known: HashMap::new(),
-        };
-        parser.or(DEPTH_MAX)?;
-        if parser.peek().is_some() {
-            return Err(parser.expected("`&`, `|` or the end"));
-        }
-        if parser.condition.steps.len() > CONDITION_MAX {
-            let bound = CONDITION_MAX;
-            return Err(Error::TooMany {
-                what: "operations in a condition",
-                bound,
-            });
-        }
-        Ok(parser.condition)
-    }
-
-    fn peek(&mut self) -> Option<char> {
-        let rest = self.text.get(self.at..)?.trim_start();
-        self.at = self.text.len() - rest.len();
-        rest.chars().next()
-    }
-
-    fn eat(&mut self, c: char) -> bool {
-        let is = self.peek() == Some(c);
-        self.at += if is { c.len_utf8() } else { 0 };
-        is
-    }
-
-    fn expected(&mut self, expected: &str) -> Error {
-        let found = self
-            .peek()
-            .map_or_else(|| "the end".to_owned(), |c| format!("`{c}`"));
-        let column = self.text[..self.at].chars().count() + 1;
-        Error::Condition {
-            what: format!("column {column}: {expected} is expected here, not {found}"),
-        }
-    }
-
-    fn or(&mut self, depth: usize) -> Result<(), Error> {
-        self.and(depth)?;
-        while self.eat('|') {
-            self.and(depth)?;
-            self.condition.steps.push(Step::Or);
-        }
-        Ok(())
-    }
-
-    fn and(&mut self, depth: usize) -> Result<(), Error> {
-        self.not(depth)?;
-        while self.eat('&') {
-            self.not(depth)?;
-            self.condition.steps.push(Step::And);
-        }
-        Ok(())
-    }
-
-    fn not(&mut self, depth: usize) -> Result<(), Error> {
-        let negated = self.eat('!');
-        self.atom(depth)?;
-        if negated {
-            self.condition.steps.push(Step::Not);
-        }
-        Ok(())
-    }
-
-    fn atom(&mut self, depth: usize) -> Result<(), Error> {
-        if self.eat('(') {
-            if depth == 0 {
-                return Err(self.expected("fewer parentheses inside one another"));
-            }
-            self.or(depth - 1)?;
-            return if self.eat(')') {
-                Ok(())
-            } else {
-                Err(self.expected("`)`"))
-            };
-        }
-        let net = self.name();
-        if net.is_empty() {
-            return Err(self.expected("`t`, `net.key`, `!` or `(`"));
-        }
-        if self.eat('.') {
-            let key = self.name();
-            if key.is_empty() {
-                return Err(self.expected("a key such as `outdone`, or `terminated`,"));
-            }
-            let literals = &mut self.condition.literals;
-            let number = *self.known.entry((net, key)).or_insert_with(|| {
-                literals.push((net.to_owned(), key.to_owned()));
-                literals.len() - 1
-            });
-            self.condition.steps.push(Step::Literal(number));
-        } else if net == "t" {
-            self.condition.steps.push(Step::Constant(true));
-        } else {
-            return Err(self.expected("`.` and a key"));
-        }
-        Ok(())
-    }
-
-    fn name(&mut self) -> &'t str {
-        self.peek();
-        let rest = &self.text[self.at..];
-        let end = rest.find(|c: char| !is_name(c)).unwrap_or(rest.len());
-        self.at += end;
-        &rest[..end]
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use proptest::prelude::*;
-
-    use super::*;
-
-    fn fault(text: &str) -> String {
-        Parser::parse(text).unwrap_err().to_string()
-    }
-
-    #[test]
-    fn conditions_bind_as_usual() {
-        let condition = Parser::parse("!rpinet0.outa & (t | rpinet1.outb)|rpinet0.outa").unwrap();
-        let literal = Step::Literal;
-        assert_eq!(
-            condition.steps,
-            [
-                literal(0),
-                Step::Not,
-                Step::Constant(true),
-                literal(1),
-                Step::Or,
-                Step::And,
-                literal(0),
-                Step::Or
-            ]
-        );
-        assert_eq!(condition.literals.len(), 2);
-    }
-
-    #[test]
-    fn faults_name_the_column() {
-        assert!(fault("a b c").contains("column 3: `.` and a key is expected here, not `b`"));
-        assert!(fault("").contains("column 1"));
-        assert!(fault("(t").contains("`)` is expected here, not the end"));
-        assert!(fault("t &").contains("column 4"));
-        assert!(fault(&"(".repeat(100_000)).contains("fewer parentheses"));
-        assert!(fault(&"t|".repeat(300)).contains("column 601"));
-        assert!(fault(&format!("{}t", "t|".repeat(300))).contains("at most 256"));
-    }
-
-    proptest! {
-        #[test]
-        fn any_text_is_read_without_panic(text in "[a-c.t()!&| ä]{0,40}") {
-            let _ = Parser::parse(&text);
-        }
+/// What became of a rule of which two threads did this.
+const fn worse(one: RuleState, other: RuleState) -> RuleState {
+    match (one, other) {
+        (RuleState::FireFailed, _) | (_, RuleState::FireFailed) => RuleState::FireFailed,
+        (RuleState::Inactive, _) | (_, RuleState::Inactive) => RuleState::Inactive,
+        (RuleState::Active, _) | (_, RuleState::Active) => RuleState::Active,
+        (RuleState::Fired, RuleState::Fired) => RuleState::Fired,
     }
 }

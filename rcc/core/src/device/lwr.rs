@@ -13,16 +13,20 @@ use takt_fri::link::Link;
 use takt_fri::linux::UdpLink;
 use takt_fri::lwr::wire::{Cmd, Msr, Quality};
 use takt_fri::lwr::{AXES, Phase, Session, SessionConfig};
-use takt_net::device::JointError;
+use takt_net::device::{Interfaces, JointError, Layout};
+use takt_net::value::{Vector, Wrench};
 use takt_net::{JointLimits, JointState};
 use takt_rt::Nanos;
 use takt_rt::latest::{LatestReader, LatestWriter};
+use takt_rt::servo::Estimate;
 use takt_rt::stats::{Recorder, RecorderReader};
 use takt_rt::thread::{Thread, ThreadConfig};
 
 use crate::cell::LwrConfig;
 use crate::device::setpoint::Joint;
-use crate::device::{ArmCommand, ArmDescription, ArmState, DeviceStatus, JointSetPoints};
+use crate::device::{
+    ArmDescription, DeviceCommand, DeviceState, DeviceStatus, JointSetPoints, Part, parts,
+};
 use crate::error::Error;
 use clock::DatagramClock;
 
@@ -52,6 +56,9 @@ pub fn describe(name: &str) -> ArmDescription {
     }
 }
 
+/// What an LWR tells beside its joints.
+pub const PARTS: &[Part] = &[Part::Torques, Part::Wrench];
+
 /// Figures of a driver that others read while it runs.
 #[derive(Debug, Default)]
 struct Shared {
@@ -61,6 +68,8 @@ struct Shared {
     quality: AtomicU16,
     period_ns: AtomicU64,
     tracking_error_bits: AtomicU64,
+    /// No number while the clock is not known.
+    clock_ppb_bits: AtomicU64,
 }
 
 /// Figures of a driver.
@@ -78,6 +87,8 @@ pub struct LwrFigures {
     pub period: Option<Duration>,
     /// Largest distance of a joint from its set-point while commanding, rad.
     pub tracking_error_rad_max: f64,
+    /// How much faster than this host's the robot's clock runs, ppb; `None` while that is not known.
+    pub clock_ppb: Option<f64>,
 }
 
 /// A running driver.
@@ -88,32 +99,51 @@ pub struct Lwr {
     shared: Arc<Shared>,
     /// Time from the arrival of a measurement to the sending of its answer.
     pub answer_time: RecorderReader,
-    /// Time from the logical time of a position to its sending.
+    /// Time from the instant for which a position was meant to its sending.
     pub set_point_age: RecorderReader,
-    thread: Thread<()>,
+    /// Time between the arrival of a measurement, early or late, and its instant on the robot's clock.
+    pub phase_error: RecorderReader,
+    thread: Thread<LatestWriter<Estimate>>,
     stop: Arc<AtomicBool>,
 }
 
+/// Opens the socket at which the KRC's datagrams arrive.
+///
+/// # Errors
+/// If the address cannot be listened at.
+pub fn listen(config: &LwrConfig) -> Result<UdpLink, Error> {
+    UdpLink::bind(config.listen).map_err(|source| refused(config, source))
+}
+
+fn refused(config: &LwrConfig, source: std::io::Error) -> Error {
+    Error::Device {
+        name: config.name.clone(),
+        what: format!("listen at {}", config.listen),
+        source,
+    }
+}
+
 impl Lwr {
-    /// Opens the socket and starts the driver thread. `net_period` is the time between set-points.
+    /// Starts the driver thread. `net_period` is the time between set-points. The
+    /// robot's clock goes to `clock`: there, zero and every whole period is the instant of a measurement.
     ///
     /// # Errors
-    /// If the address cannot be listened at or the system has no thread to give.
+    /// If the socket has no address or the system has no thread to give.
     pub fn start(
         config: &LwrConfig,
+        link: UdpLink,
         net_period: Duration,
-        state: LatestWriter<ArmState>,
-        command: LatestReader<ArmCommand>,
+        state: LatestWriter<DeviceState>,
+        command: LatestReader<DeviceCommand>,
+        clock: LatestWriter<Estimate>,
     ) -> Result<Self, Error> {
-        let refused = |source| Error::Device {
-            name: config.name.clone(),
-            what: format!("listen at {}", config.listen),
-            source,
-        };
-        let link = UdpLink::bind(config.listen).map_err(refused)?;
-        let address = link.local_addr().map_err(refused)?;
+        let address = link
+            .local_addr()
+            .map_err(|source| refused(config, source))?;
         let shared = Arc::new(Shared::default());
         let stop = Arc::new(AtomicBool::new(false));
+        let mut layout = Layout::default();
+        let interfaces = parts::lay(PARTS, AXES, &mut layout);
         // Boxed, so that the thread's small stack does not hold it as it is moved there.
         let mut driver = Box::new(Driver {
             link,
@@ -124,7 +154,12 @@ impl Lwr {
                 .into_iter()
                 .map(Joint::new)
                 .collect(),
-            last: Published::default(),
+            last: Published {
+                state: DeviceState::new(layout.signals),
+                ..Published::default()
+            },
+            taken: DeviceCommand::new(layout.commands),
+            interfaces,
             net_period: net_period.into(),
             cycles: 0,
             state,
@@ -132,9 +167,12 @@ impl Lwr {
             shared: Arc::clone(&shared),
             answer_time: Recorder::new(),
             set_point_age: Recorder::new(),
+            phase_error: Recorder::new(),
+            clock_out: clock,
         });
         let (answer_time, set_point_age) =
             (driver.answer_time.reader(), driver.set_point_age.reader());
+        let phase_error = driver.phase_error.reader();
         let thread = ThreadConfig {
             priority: config.priority,
             cpus: config.cpus.clone(),
@@ -147,6 +185,9 @@ impl Lwr {
                 driver.serve();
             }
             drop(scope);
+            // Nobody measures it any more.
+            driver.clock_out.write(Estimate::default());
+            driver.clock_out
         })
         .map_err(|source| Error::Thread {
             name: config.name.clone(),
@@ -159,6 +200,7 @@ impl Lwr {
             shared,
             answer_time,
             set_point_age,
+            phase_error,
             thread,
             stop,
         })
@@ -192,7 +234,9 @@ impl Lwr {
             quality,
             period_ns,
             tracking_error_bits,
+            clock_ppb_bits,
         } = &*self.shared;
+        let clock_ppb = f64::from_bits(clock_ppb_bits.load(Ordering::Relaxed));
         let period_ns = period_ns.load(Ordering::Relaxed);
         LwrFigures {
             datagrams: received.load(Ordering::Relaxed),
@@ -201,22 +245,25 @@ impl Lwr {
             quality: Quality::from(quality.load(Ordering::Relaxed)),
             period: (period_ns > 0).then(|| Duration::from_nanos(period_ns)),
             tracking_error_rad_max: f64::from_bits(tracking_error_bits.load(Ordering::Relaxed)),
+            clock_ppb: (period_ns > 0 && !clock_ppb.is_nan()).then_some(clock_ppb),
         }
     }
 
-    /// Ends the thread and waits for that.
-    pub fn stop(self) {
+    /// Ends the thread, waits for that, and gives back where it told the robot's clock.
+    pub fn stop(self) -> Option<LatestWriter<Estimate>> {
         self.stop.store(true, Ordering::Relaxed);
-        if self.thread.join().is_err() {
+        let clock = self.thread.join().ok();
+        if clock.is_none() {
             tracing::error!(arm = self.name, "the driver thread had ended by a panic");
         }
+        clock
     }
 }
 
 /// What was last told to nets, for differences.
 #[derive(Default)]
 struct Published {
-    state: ArmState,
+    state: DeviceState,
     positions: Option<[f64; AXES]>,
     velocities: Option<[f64; AXES]>,
 }
@@ -227,16 +274,21 @@ struct Driver {
     clock: DatagramClock,
     joints: Vec<Joint>,
     last: Published,
+    /// The newest command.
+    taken: DeviceCommand,
+    interfaces: Interfaces,
     /// Time from one cycle of the net thread to the next.
     net_period: Nanos,
     /// The robot's cycles since the last answer. Its speed check counts in these, so the joints'
     /// limits do too, whatever its clock does.
     cycles: i64,
-    state: LatestWriter<ArmState>,
-    command: LatestReader<ArmCommand>,
+    state: LatestWriter<DeviceState>,
+    command: LatestReader<DeviceCommand>,
     shared: Arc<Shared>,
     answer_time: Recorder,
     set_point_age: Recorder,
+    phase_error: Recorder,
+    clock_out: LatestWriter<Estimate>,
 }
 
 impl Driver {
@@ -262,10 +314,12 @@ impl Driver {
         match newest {
             Some(at) => self.answer(nanos(at)),
             None => {
-                if let Ok(now) = takt_fri::linux::monotonic()
-                    && self.session.handle_timeout(now)
-                {
-                    self.publish(nanos(now));
+                if let Ok(now) = takt_fri::linux::monotonic() {
+                    self.clock.handle_time(nanos(now));
+                    self.publish_clock();
+                    if self.session.handle_timeout(now) {
+                        self.publish(nanos(now));
+                    }
                 }
             }
         }
@@ -281,21 +335,25 @@ impl Driver {
             let period = self.session.period().unwrap_or(Duration::from_millis(1));
             self.clock
                 .tick(nanos(at), Nanos::from(period), reception.lost);
+            self.publish_clock();
+            self.phase_error
+                .record((nanos(at) - self.clock.now()).abs());
             self.cycles += 1 + i64::from(reception.lost);
         }
         reception.order.is_new()
     }
 
     fn answer(&mut self, at: Nanos) {
-        let command = self.command.read();
-        let joints = self.next_positions(&command);
+        let taken = &mut self.taken;
+        self.command.read_with(|command| taken.copy_from(command));
+        let joints = self.next_positions();
         let mut buffer = [0; Cmd::LEN];
         let answer = self.session.answer(Some(&joints), &mut buffer);
         let sent = answer.is_ok_and(|len| self.link.send(&buffer[..len]).is_ok_and(|n| n > 0));
         if sent {
             let now = takt_rt::monotonic();
             self.answer_time.record(now - at);
-            let moving = command.joints.iter().find(|joint| joint.active);
+            let moving = self.taken.joints.iter().find(|joint| joint.active);
             if let Some(set_points) = moving.filter(|_| self.session.is_commanding()) {
                 let played = self.clock.now() - delay(set_points);
                 self.set_point_age.record(now - played);
@@ -306,7 +364,8 @@ impl Driver {
     }
 
     /// Where the joints are to be now.
-    fn next_positions(&mut self, command: &ArmCommand) -> [f64; AXES] {
+    fn next_positions(&mut self) -> [f64; AXES] {
+        let command = &self.taken;
         let mut positions = self.session.mirror();
         if !self.session.is_commanding() {
             self.cycles = 0;
@@ -374,7 +433,44 @@ impl Driver {
                 error: error as i32,
             };
         }
-        self.state.write(self.last.state);
+        self.tell_torques();
+        let told = &self.last.state;
+        self.state.write_with(|state| state.copy_from(told));
+    }
+
+    /// Tells what the robot's sensors say of torques and forces; nothing while it is silent.
+    fn tell_torques(&mut self) {
+        let silent = self.last.state.status == DeviceStatus::Offline;
+        let msr = self.session.measurement().filter(|_| !silent);
+        let signals = &mut self.last.state.signals;
+        for (axis, place) in self
+            .interfaces
+            .torques
+            .iter()
+            .flat_map(|t| t.iter())
+            .enumerate()
+        {
+            let of_axis = |values: &[f32; AXES]| values.get(axis).copied().map(f64::from);
+            let estimated = msr.and_then(|msr| of_axis(&msr.external_torque));
+            let measured = msr.and_then(|msr| of_axis(&msr.measured_torque));
+            place.estimated.tell(signals, estimated);
+            place.measured.tell(signals, measured);
+        }
+        if let Some(place) = &self.interfaces.wrench {
+            place.tell(signals, msr.map(|msr| wrench(&msr.external_wrench)));
+        }
+    }
+
+    fn publish_clock(&mut self) {
+        let clock = self.clock.estimate();
+        self.clock_out.write(clock);
+        let ppb = if clock.state.is_followed() {
+            clock.frequency_ppb
+        } else {
+            f64::NAN
+        };
+        let bits = &self.shared.clock_ppb_bits;
+        bits.store(ppb.to_bits(), Ordering::Relaxed);
     }
 
     fn count(&self) {
@@ -417,6 +513,15 @@ const fn delay(set_points: &JointSetPoints) -> Nanos {
     Nanos(set_points.period.0 * 3 / 2)
 }
 
+/// Force and torque in the wire's order, in which torques are about z, y, x.
+fn wrench(values: &[f32; 6]) -> Wrench {
+    let [x, y, z, about_z, about_y, about_x] = values.map(f64::from);
+    Wrench {
+        force: Vector::new(x, y, z),
+        torque: Vector::new(about_x, about_y, about_z),
+    }
+}
+
 /// Change of each value per second; `None` while there is no earlier value or no time has passed.
 fn rates(
     now: Option<[f64; AXES]>,
@@ -434,4 +539,16 @@ fn rates(
 
 fn nanos(time: Duration) -> Nanos {
     Nanos::from(time)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn torques_about_z_come_first_on_the_wire() {
+        let wrench = wrench(&[1.0, 2.0, 3.0, 6.0, 5.0, 4.0]);
+        assert_eq!(wrench.force, Vector::new(1.0, 2.0, 3.0));
+        assert_eq!(wrench.torque, Vector::new(4.0, 5.0, 6.0));
+    }
 }

@@ -86,7 +86,7 @@ impl Joint {
         self.acceleration = 0.0;
     }
 
-    /// The position for logical time `at`, `dt_s` after the last one. `fresh` is whether the net
+    /// The position for the instant `at`, `dt_s` after the last one. `fresh` is whether the net
     /// thread is alive. Without time passing nothing changes.
     pub fn sample(
         &mut self,

@@ -1,121 +1,202 @@
 //! The devices of a controller and where their interfaces lie in the image. It starts no driver.
 
+use std::collections::BTreeMap;
+use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use takt_net::device::{JOINTS_MAX, Kinematics};
+use takt_net::device::{
+    COMMAND_WORDS_MAX, Interfaces, JOINTS_MAX, Kinematics, Layout, SIGNAL_WORDS_MAX,
+};
 use takt_net::{ArmBinding, Devices, JointLimits};
 use takt_rt::latest::{LatestReader, LatestWriter, latest};
 
-use crate::device::{ArmCommand, ArmDescription, ArmState, DeviceStatus};
+use crate::device::{
+    ARM_JOINTS_MAX, ArmDescription, DeviceCommand, DeviceDescription, DeviceState, DeviceStatus,
+    Place, parts,
+};
 use crate::error::Error;
 use crate::executor::DEVICES_MAX;
 
-/// Readers of an arm's state: the net thread, the table itself, and room for drivers' tools.
-const STATE_READERS: usize = 4;
+/// Readers of a device's state: the net threads, the table itself, and room for drivers' tools.
+const STATE_READERS: usize = 20;
 
-/// A robot arm of the controller, as programs see it.
+/// A device of the controller, as programs see it.
 #[derive(Debug)]
-pub struct Arm {
+pub struct Device {
     /// Its name.
     pub name: String,
     /// Its device type.
     pub kind: &'static str,
-    /// Number of its first joint in the image.
-    pub first_joint: usize,
-    /// Limits by joint.
+    /// Where it lies in the image.
+    pub place: Place,
+    /// Limits by joint; empty if it is no arm.
     pub limits: Arc<[JointLimits]>,
     /// Where its flange is, and how to get it there.
     pub kinematics: Option<Arc<dyn Kinematics>>,
-    state: Mutex<LatestReader<ArmState>>,
+    /// What it offers beside joints.
+    pub interfaces: Interfaces,
+    state: Mutex<LatestReader<DeviceState>>,
 }
 
-impl Arm {
+impl Device {
     /// The last state its driver told.
-    pub fn state(&self) -> ArmState {
-        self.state
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .read()
+    pub fn state(&self) -> DeviceState {
+        self.read(Clone::clone)
     }
 
     /// Whether it can be used.
     pub fn status(&self) -> DeviceStatus {
-        self.state().status
+        self.read(|state| state.status)
+    }
+
+    fn read<R>(&self, read: impl FnOnce(&DeviceState) -> R) -> R {
+        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        state.read_with(read)
+    }
+
+    /// Another reader of its state, for a net thread that does not command it; `None` if there are
+    /// too many.
+    pub fn reader(&self) -> Option<LatestReader<DeviceState>> {
+        let state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        state.another()
+    }
+
+    /// Its interfaces and their parameters by the names that clients know.
+    #[must_use]
+    pub fn told(&self) -> BTreeMap<String, BTreeMap<String, String>> {
+        let none = |there: bool, name| there.then(|| (String::from(name), BTreeMap::new()));
+        let counted = |pairs: &[(&str, usize)]| {
+            let pair = |(name, n): &(&str, usize)| ((*name).to_owned(), n.to_string());
+            pairs.iter().map(pair).collect::<BTreeMap<_, _>>()
+        };
+        let arm = (!self.limits.is_empty()).then(|| {
+            let joints = counted(&[("jointcount", self.limits.len())]);
+            ("robotarm".to_owned(), joints)
+        });
+        let io = self.interfaces.io.as_ref().map(|io| {
+            let counts = counted(&[
+                ("digin", io.bool_in.len()),
+                ("digout", io.bool_out.len()),
+                ("anin", io.real_in.len()),
+                ("anout", io.real_out.len()),
+            ]);
+            ("io".to_owned(), counts)
+        });
+        [
+            arm,
+            io,
+            none(self.kinematics.is_some(), "armkinematics"),
+            none(self.interfaces.base.is_some(), "robotbase"),
+            none(self.interfaces.cartesian.is_some(), "cartesianposition"),
+        ]
+        .into_iter()
+        .flatten()
+        .collect()
     }
 }
 
-/// The ends of an arm's cells.
+/// The ends of a device's cells.
 #[derive(Debug)]
-pub struct ArmPorts {
-    /// For the net thread: reads the state.
-    pub state: LatestReader<ArmState>,
-    /// For the net thread: writes commands.
-    pub command: LatestWriter<ArmCommand>,
+pub struct DevicePorts {
+    /// For the net thread that commands it: reads the state.
+    pub state: LatestReader<DeviceState>,
+    /// For the net thread that commands it: writes commands.
+    pub command: LatestWriter<DeviceCommand>,
     /// For the driver: writes the state.
-    pub driver_state: LatestWriter<ArmState>,
+    pub driver_state: LatestWriter<DeviceState>,
     /// For the driver: reads commands.
-    pub driver_command: LatestReader<ArmCommand>,
+    pub driver_command: LatestReader<DeviceCommand>,
 }
 
 /// The devices of a controller. A device keeps its number until it is removed; a new one may get
 /// the number of one that is gone.
 #[derive(Clone, Debug, Default)]
 pub struct DeviceTable {
-    arms: Vec<Option<Arc<Arm>>>,
+    devices: Vec<Option<Arc<Device>>>,
 }
 
 impl DeviceTable {
-    /// Adds an arm and makes its cells; returns its number.
+    /// Adds an arm that has joints alone.
     ///
     /// # Errors
     /// If the name is taken or there is no room.
-    pub fn add_arm(&mut self, description: ArmDescription) -> Result<(usize, ArmPorts), Error> {
-        let ArmDescription {
-            name,
-            kind,
-            limits,
-            model,
-        } = description;
-        if self.find(&name).is_some() {
-            return Err(Error::DeviceTwice { name });
+    pub fn add_arm(&mut self, arm: ArmDescription) -> Result<(usize, DevicePorts), Error> {
+        self.add(arm.with(&[]))
+    }
+
+    /// Adds a device and makes its cells; returns its number.
+    ///
+    /// # Errors
+    /// If the name is taken or there is no room.
+    pub fn add(&mut self, device: DeviceDescription) -> Result<(usize, DevicePorts), Error> {
+        if self.find(&device.name).is_some() {
+            return Err(Error::DeviceTwice { name: device.name });
         }
-        let full = || Error::TooManyJoints {
-            name: name.clone(),
-            bound: JOINTS_MAX,
-        };
-        let first_joint = self.room_for(limits.len()).ok_or_else(full)?;
         let number = self
-            .arms
+            .devices
             .iter()
             .position(Option::is_none)
-            .unwrap_or(self.arms.len());
+            .unwrap_or(self.devices.len());
         if number >= DEVICES_MAX {
             return Err(Error::TooMany {
                 what: "devices",
                 bound: DEVICES_MAX,
             });
         }
-        let (driver_state, state) = latest(STATE_READERS, ArmState::default);
-        let (command, driver_command) = latest(1, ArmCommand::default);
-        let for_table = state.another().ok_or_else(full)?;
-        let kinematics = takt_motion::kinematics::limited(&model, &limits);
-        let limits = limits.into();
-        let state_of_table = Mutex::new(for_table);
-        let arm = Arm {
-            name,
-            kind,
-            first_joint,
-            limits,
-            kinematics,
-            state: state_of_table,
+        let place = self.place_for(&device)?;
+        self.add_at(number, place, device)
+    }
+
+    /// Adds a device where it lay in a recording.
+    ///
+    /// # Errors
+    /// If the name is taken, or the number or the place cannot be.
+    pub fn add_at(
+        &mut self,
+        number: usize,
+        place: Place,
+        device: DeviceDescription,
+    ) -> Result<(usize, DevicePorts), Error> {
+        let joints = device.limits.len();
+        let mut layout = Layout {
+            signals: place.signals.start,
+            commands: place.commands.start,
         };
-        if number == self.arms.len() {
-            self.arms.push(None);
+        let interfaces = parts::lay(&device.parts, joints, &mut layout);
+        let fits = layout.signals == place.signals.end
+            && layout.commands == place.commands.end
+            && place.signals.end <= SIGNAL_WORDS_MAX
+            && place.commands.end <= COMMAND_WORDS_MAX
+            && joints == place.joints
+            && joints <= ARM_JOINTS_MAX
+            && place.first_joint.saturating_add(joints) <= JOINTS_MAX
+            && number < DEVICES_MAX;
+        if !fits || self.find(&device.name).is_some() {
+            return Err(Error::DeviceTwice { name: device.name });
         }
-        self.arms[number] = Some(Arc::new(arm));
+        let (signals, commands) = (place.signals.len(), place.commands.len());
+        let (driver_state, state) = latest(STATE_READERS, || DeviceState::new(signals));
+        let (command, driver_command) = latest(1, || DeviceCommand::new(commands));
+        let for_table = state.another().ok_or(Error::TooMany {
+            what: "readers of a device",
+            bound: STATE_READERS,
+        })?;
+        let kinematics = takt_motion::kinematics::limited(&device.model, &device.limits);
+        if number >= self.devices.len() {
+            self.devices.resize_with(number + 1, || None);
+        }
+        self.devices[number] = Some(Arc::new(Device {
+            name: device.name,
+            kind: device.kind,
+            place,
+            limits: device.limits.into(),
+            kinematics,
+            interfaces,
+            state: Mutex::new(for_table),
+        }));
         Ok((
             number,
-            ArmPorts {
+            DevicePorts {
                 state,
                 command,
                 driver_state,
@@ -124,69 +205,183 @@ impl DeviceTable {
         ))
     }
 
-    /// The first of so many joints in a row that no arm uses.
-    fn room_for(&self, joints: usize) -> Option<usize> {
-        let mut first = 0;
-        let mut used: Vec<_> = self
-            .arms()
-            .map(|(_, arm)| (arm.first_joint, arm.limits.len()))
-            .collect();
-        used.sort_unstable();
-        for (start, len) in used {
-            if start >= first + joints {
-                break;
-            }
-            first = start + len;
-        }
-        let fits = first + joints <= JOINTS_MAX && joints <= crate::device::ARM_JOINTS_MAX;
-        fits.then_some(first)
+    /// Where a new device would lie: in the first gaps that are wide enough.
+    fn place_for(&self, device: &DeviceDescription) -> Result<Place, Error> {
+        let joints = device.limits.len();
+        let mut size = Layout::default();
+        // Only what it takes is of interest here.
+        let _ = parts::lay(&device.parts, joints, &mut size);
+        let used = |range: fn(&Place) -> Range<usize>| {
+            let mut used: Vec<_> = self.all().map(|(_, d)| range(&d.place)).collect();
+            used.sort_unstable_by_key(|range| range.start);
+            used
+        };
+        let of_joints = used(|place| place.first_joint..place.first_joint + place.joints);
+        let first_joint = gap(&of_joints, joints, JOINTS_MAX)
+            .filter(|_| joints <= ARM_JOINTS_MAX)
+            .ok_or_else(|| Error::TooManyJoints {
+                name: device.name.clone(),
+                bound: JOINTS_MAX,
+            })?;
+        let full = |bound| Error::TooManyValues {
+            name: device.name.clone(),
+            bound,
+        };
+        let signals = gap(
+            &used(|place| place.signals.clone()),
+            size.signals,
+            SIGNAL_WORDS_MAX,
+        );
+        let signals = signals.ok_or_else(|| full(SIGNAL_WORDS_MAX))?;
+        let commands = gap(
+            &used(|place| place.commands.clone()),
+            size.commands,
+            COMMAND_WORDS_MAX,
+        );
+        let commands = commands.ok_or_else(|| full(COMMAND_WORDS_MAX))?;
+        Ok(Place {
+            first_joint,
+            joints,
+            signals: signals..signals + size.signals,
+            commands: commands..commands + size.commands,
+        })
     }
 
     /// Forgets a device; returns its number.
     pub fn remove(&mut self, name: &str) -> Option<usize> {
         let number = self.number(name)?;
-        self.arms[number] = None;
+        self.devices[number] = None;
         Some(number)
     }
 
-    /// The arms with their numbers.
-    pub fn arms(&self) -> impl Iterator<Item = (usize, &Arc<Arm>)> {
-        let arms = self.arms.iter().enumerate();
-        arms.filter_map(|(number, arm)| Some((number, arm.as_ref()?)))
+    /// The devices with their numbers.
+    pub fn all(&self) -> impl Iterator<Item = (usize, &Arc<Device>)> {
+        let devices = self.devices.iter().enumerate();
+        devices.filter_map(|(number, device)| Some((number, device.as_ref()?)))
     }
 
-    /// The arm of that number.
-    #[must_use]
-    pub fn get(&self, number: usize) -> Option<&Arc<Arm>> {
-        self.arms.get(number)?.as_ref()
+    /// Those of them that are arms.
+    pub fn arms(&self) -> impl Iterator<Item = (usize, &Arc<Device>)> {
+        self.all().filter(|(_, device)| !device.limits.is_empty())
     }
 
-    /// The arm of that name.
+    /// The device of that number.
     #[must_use]
-    pub fn find(&self, name: &str) -> Option<&Arc<Arm>> {
-        self.arms().map(|(_, arm)| arm).find(|arm| arm.name == name)
+    pub fn get(&self, number: usize) -> Option<&Arc<Device>> {
+        self.devices.get(number)?.as_ref()
+    }
+
+    /// The device of that name.
+    #[must_use]
+    pub fn find(&self, name: &str) -> Option<&Arc<Device>> {
+        self.all().map(|(_, d)| d).find(|d| d.name == name)
     }
 
     /// Number of the device of that name.
     #[must_use]
     pub fn number(&self, name: &str) -> Option<usize> {
-        self.arms()
-            .find(|(_, arm)| arm.name == name)
+        self.all()
+            .find(|(_, device)| device.name == name)
             .map(|(number, _)| number)
     }
 }
 
+/// The first of `len` in a row below `bound` that are in none of these ranges, sorted by start.
+fn gap(used: &[Range<usize>], len: usize, bound: usize) -> Option<usize> {
+    let mut first = 0;
+    for range in used.iter().filter(|range| !range.is_empty()) {
+        if range.start >= first + len {
+            break;
+        }
+        first = range.end;
+    }
+    (first + len <= bound).then_some(first)
+}
+
 impl Devices for DeviceTable {
     fn arm(&self, name: &str) -> Option<ArmBinding> {
-        let arm = self.find(name)?;
+        let device = self.find(name).filter(|d| !d.limits.is_empty())?;
         Some(ArmBinding {
-            first_joint: arm.first_joint,
-            limits: Arc::clone(&arm.limits),
-            kinematics: arm.kinematics.clone(),
+            first_joint: device.place.first_joint,
+            limits: Arc::clone(&device.limits),
+            kinematics: device.kinematics.clone(),
         })
     }
 
+    fn interfaces(&self, name: &str) -> Option<Interfaces> {
+        self.find(name).map(|device| device.interfaces.clone())
+    }
+
     fn names(&self) -> Vec<String> {
-        self.arms().map(|(_, arm)| arm.name.clone()).collect()
+        self.all().map(|(_, device)| device.name.clone()).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::device::Part;
+
+    fn io(name: &str, outputs: usize) -> DeviceDescription {
+        let part = Part::Io {
+            bool_in: 0,
+            bool_out: outputs,
+            real_in: 0,
+            real_out: 0,
+        };
+        DeviceDescription {
+            name: name.to_owned(),
+            kind: "test",
+            limits: Vec::new(),
+            model: "".into(),
+            parts: vec![part],
+        }
+    }
+
+    #[test]
+    fn devices_never_overlap_and_gaps_are_used_again() {
+        let mut table = DeviceTable::default();
+        for (name, outputs) in [("a", 4), ("b", 8), ("c", 2)] {
+            table.add(io(name, outputs)).unwrap();
+        }
+        let place = |table: &DeviceTable, name| table.find(name).unwrap().place.clone();
+        assert_eq!(
+            place(&table, "b").commands.start,
+            place(&table, "a").commands.end
+        );
+        let gap = place(&table, "b");
+        assert_eq!(table.remove("b"), Some(1));
+        table.add(io("d", 9)).unwrap();
+        assert_eq!(
+            place(&table, "d").commands.start,
+            place(&table, "c").commands.end
+        );
+        table.add(io("e", 8)).unwrap();
+        assert_eq!(place(&table, "e"), gap);
+    }
+
+    #[test]
+    fn what_does_not_fit_is_refused_with_the_bound() {
+        let mut table = DeviceTable::default();
+        let error = table
+            .add(io("a", COMMAND_WORDS_MAX))
+            .unwrap_err()
+            .to_string();
+        assert!(error.contains(&COMMAND_WORDS_MAX.to_string()), "{error}");
+        table.add(io("a", 1)).unwrap();
+        let error = table.add(io("a", 1)).unwrap_err().to_string();
+        assert!(error.contains("`a` is there already"), "{error}");
+    }
+
+    #[test]
+    fn what_a_device_is_not_is_not_found() {
+        let mut table = DeviceTable::default();
+        table.add(io("a", 1)).unwrap();
+        assert!(table.arm("a").is_none());
+        let has = table.interfaces("a").unwrap();
+        assert!(has.io.is_some() && has.base.is_none());
+        let told = &table.find("a").unwrap().told();
+        assert_eq!(told["io"]["digout"], "1");
+        assert_eq!(told.len(), 1);
     }
 }

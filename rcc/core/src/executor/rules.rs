@@ -1,10 +1,14 @@
 //! Synchronization rules: when a condition over values of nets becomes true, nets are stopped,
 //! cancelled and started between two cycles, all at once. It evaluates nothing itself and knows
-//! no text: conditions come here compiled.
+//! no text: conditions come here compiled. Of a rule whose nets are in several threads each has a
+//! part, and [`shared`] is between them.
 
 #![expect(clippy::borrowed_box, reason = "what lists of boxes lend")]
 
+pub mod shared;
+
 use crate::executor::{End, Executor, ResourceSet, Running};
+use shared::{Decision, Part};
 
 /// Most rules that wait at once in one thread.
 pub const RULES_MAX: usize = 1024;
@@ -70,12 +74,14 @@ pub struct Rule {
     pub literals: Vec<Literal>,
     /// The condition.
     pub steps: Vec<Step>,
-    /// Nets that it ends.
+    /// Nets of this thread that it ends.
     pub stop: Vec<u32>,
-    /// Nets that it asks to cancel.
+    /// Nets of this thread that it asks to cancel.
     pub cancel: Vec<u32>,
-    /// Nets that it starts.
+    /// Nets of this thread that it starts.
     pub start: Vec<u32>,
+    /// What joins it to its parts in other threads; `None` if it is whole.
+    pub part: Option<Part>,
     /// What became of it.
     pub state: RuleState,
     /// What the nets that it starts need and was free when it was added: kept for them.
@@ -110,6 +116,7 @@ impl Rule {
             stop: Vec::new(),
             cancel: Vec::new(),
             start: Vec::new(),
+            part: None,
             state: RuleState::Active,
             reserved: ResourceSet::default(),
         }
@@ -177,6 +184,32 @@ impl Rule {
         .yes
     }
 
+    /// Whether it is to fire now.
+    fn is_due(&self) -> bool {
+        match &self.part {
+            Some(part) => part.shared().decision() == Decision::Fire,
+            None => self.holds(),
+        }
+    }
+
+    /// Ends the wait for good without firing, in all threads.
+    fn give_up(&mut self) {
+        let decided = self
+            .part
+            .as_ref()
+            .map(|p| p.shared().decide(Decision::Never));
+        // Other parts may have been told to fire already; this one cannot.
+        self.state = match decided {
+            None | Some(Decision::Never) => RuleState::Inactive,
+            Some(Decision::Open | Decision::Fire | Decision::Fail) => RuleState::FireFailed,
+        };
+    }
+
+    /// Whether it starts a net, be it in another thread.
+    fn starts_any(&self) -> bool {
+        !self.start.is_empty() || self.part.as_ref().is_some_and(Part::starts)
+    }
+
     /// Whether the rule hands over from this net: it stops it or waits for it.
     fn follows(&self, net: u32) -> bool {
         self.stop.contains(&net) || self.literals.iter().any(|l| l.net == net)
@@ -238,7 +271,7 @@ impl Executor {
         if !always && waiting.peek().is_some() {
             return None;
         }
-        waiting.for_each(|rule| rule.state = RuleState::Inactive);
+        waiting.for_each(|rule| rule.give_up());
         let at = self.rules.scheduled.iter().position(|net| net.id == id)?;
         Some(self.rules.scheduled.remove(at))
     }
@@ -246,10 +279,30 @@ impl Executor {
     /// Takes a rule. What its nets need and is free is kept for them from now on.
     ///
     /// # Errors
-    /// If it cannot be kept; the rule comes back with the reason.
+    /// If it cannot be kept; the rule comes back with the reason, and its parts in other threads do
+    /// nothing any more.
     pub fn add_rule(&mut self, mut rule: Box<Rule>) -> Result<(), (Box<Rule>, RuleRefusal)> {
+        match self.reserve(&rule) {
+            Ok(reserved) => rule.reserved = reserved,
+            Err(refusal) => {
+                rule.give_up();
+                return Err((rule, refusal));
+            }
+        }
+        for literal in rule.literals.iter_mut().filter(|l| !l.last) {
+            let net = self.running.iter().find(|net| net.id == literal.net);
+            if let Some(net) = net {
+                answer(literal, net, None);
+            }
+        }
+        self.rules.waiting.push(rule);
+        Ok(())
+    }
+
+    /// What is to be kept for a new rule.
+    fn reserve(&self, rule: &Rule) -> Result<ResourceSet, RuleRefusal> {
         if self.rules.waiting.len() == RULES_MAX {
-            return Err((rule, RuleRefusal::TooMany));
+            return Err(RuleRefusal::TooMany);
         }
         let mut wanted = ResourceSet::default();
         for net in self
@@ -259,13 +312,13 @@ impl Executor {
             .filter(|net| rule.start.contains(&net.id))
         {
             if let Some(twice) = wanted.common(&net.resources) {
-                return Err((rule, RuleRefusal::ResourceTwice(twice)));
+                return Err(RuleRefusal::ResourceTwice(twice));
             }
             wanted.add(&net.resources);
         }
         for net in self.running.iter().filter(|net| !rule.follows(net.id)) {
             if let Some(held) = wanted.common(&net.resources) {
-                return Err((rule, RuleRefusal::ResourceInUse(held)));
+                return Err(RuleRefusal::ResourceInUse(held));
             }
         }
         // Alternatives of one predecessor may want the same: only one of them will come to run.
@@ -278,19 +331,11 @@ impl Executor {
         };
         for other in self.rules.waiting.iter().filter(stranger) {
             if let Some(kept) = wanted.common(&other.reserved) {
-                return Err((rule, RuleRefusal::ResourceInUse(kept)));
+                return Err(RuleRefusal::ResourceInUse(kept));
             }
         }
-        rule.reserved = wanted;
-        rule.reserved.remove(&self.held());
-        for literal in rule.literals.iter_mut().filter(|l| !l.last) {
-            let net = self.running.iter().find(|net| net.id == literal.net);
-            if let Some(net) = net {
-                answer(literal, net, None);
-            }
-        }
-        self.rules.waiting.push(rule);
-        Ok(())
+        wanted.remove(&self.held());
+        Ok(wanted)
     }
 
     /// The lowest resource of a net that is kept for other nets.
@@ -310,7 +355,7 @@ impl Executor {
     pub fn announce_takeovers(&mut self, mut changed: impl FnMut(u32, bool)) {
         for net in &mut self.running {
             let waits = |rule: &Box<Rule>| {
-                rule.state == RuleState::Active && !rule.start.is_empty() && rule.follows(net.id)
+                rule.state == RuleState::Active && rule.starts_any() && rule.follows(net.id)
             };
             let waits = self.rules.waiting.iter().any(waits);
             if std::mem::replace(&mut net.takeover, waits) != waits {
@@ -333,24 +378,70 @@ impl Executor {
                 }
             }
         }
+        self.consult();
         // Those that start nothing cannot fail, and may free what others need.
         for starts in [false, true] {
             for i in 0..self.rules.waiting.len() {
                 let rule = &self.rules.waiting[i];
-                let due = rule.state == RuleState::Active && rule.holds();
+                let due = rule.state == RuleState::Active && rule.is_due();
                 if due && rule.start.is_empty() != starts {
                     self.fire(i);
                 }
             }
         }
         for rule in &mut self.rules.waiting {
-            if rule.state == RuleState::Active && !rule.can_hold() {
+            let whole = rule.part.is_none();
+            if whole && rule.state == RuleState::Active && !rule.can_hold() {
                 rule.state = RuleState::Inactive;
             }
         }
     }
 
-    fn fire(&mut self, number: usize) {
+    /// Does what was decided about rules in several threads since the last cycle. Called before each
+    /// cycle; returns whether nets may have been changed.
+    pub fn fire_decided(&mut self) -> bool {
+        let mut any = false;
+        for i in 0..self.rules.waiting.len() {
+            let rule = &self.rules.waiting[i];
+            let decided = rule.state == RuleState::Active && rule.part.is_some() && rule.is_due();
+            if decided {
+                self.fire(i);
+                any = true;
+            }
+        }
+        any
+    }
+
+    /// Exchanges literals of rules in several threads, and decides about those that are decided here.
+    fn consult(&mut self) {
+        for i in 0..self.rules.waiting.len() {
+            let rule = &self.rules.waiting[i];
+            if rule.part.is_none() || rule.state != RuleState::Active {
+                continue;
+            }
+            let able = self.is_able(i);
+            let rule = &mut *self.rules.waiting[i];
+            let Some(part) = &rule.part else {
+                continue;
+            };
+            part.exchange(&mut rule.literals, able);
+            if part.is_to_decide() {
+                if rule.holds() {
+                    part.decide_to_fire();
+                } else if !rule.can_hold() {
+                    part.shared().decide(Decision::Never);
+                }
+            }
+            match part.shared().decision() {
+                Decision::Open | Decision::Fire => {}
+                Decision::Fail => rule.state = RuleState::FireFailed,
+                Decision::Never => rule.state = RuleState::Inactive,
+            }
+        }
+    }
+
+    /// Whether the nets that a rule starts here could start now.
+    fn is_able(&self, number: usize) -> bool {
         let rule = &self.rules.waiting[number];
         let ending = |net: &Running| net.end.is_some() || rule.stop.contains(&net.id);
         let mut held = ResourceSet::default();
@@ -364,10 +455,15 @@ impl Executor {
             net.resources.common(&held).is_some() || net.devices.iter().any(device)
         });
         let room = self.running.len() + found <= super::RUNNING_MAX;
-        if blocked || !room || found != rule.start.len() {
+        !blocked && room && found == rule.start.len()
+    }
+
+    fn fire(&mut self, number: usize) {
+        if !self.is_able(number) {
             self.rules.waiting[number].state = RuleState::FireFailed;
             return;
         }
+        let rule = &self.rules.waiting[number];
         for net in &mut self.running {
             if rule.stop.contains(&net.id) {
                 net.end = net.end.or(Some(End::Stopped));

@@ -6,17 +6,16 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use takt_net::{JointState, Moment, Nanos};
-use takt_rt::latest::{LatestReader, LatestWriter};
+use takt_net::{Moment, Nanos};
+use takt_rt::cycle::{Cycles, Follow, Tick};
 use takt_rt::ring::{Consumer, Producer};
 use takt_rt::stats::{Recorder, RecorderReader, StatsReader, StatsWriter};
 use takt_rt::thread::{Thread, ThreadConfig};
 
-use crate::device::sim::Simulation;
-use crate::device::{ARM_JOINTS_MAX, ArmCommand, ArmState, JointSetPoints, SetPoint};
 use crate::error::Error;
 use crate::executor::rules::{Rule, RuleRefusal};
-use crate::executor::{DEVICES_MAX, DeviceView, Effect, End, Executor, Refusal, Running};
+use crate::executor::serve::{DeviceEnd, Served};
+use crate::executor::{Effect, End, Executor, Refusal, Running};
 use crate::record::Tap;
 
 /// What the controller asks of the thread.
@@ -43,10 +42,10 @@ pub enum Command {
     StartScheduled(u32),
     /// This net will never run.
     Forget(u32),
-    /// Serve an arm.
-    AddArm(Box<ArmEnd>),
+    /// Serve a device.
+    AddDevice(Box<DeviceEnd>),
     /// Serve the device of that number no longer.
-    RemoveArm(usize),
+    RemoveDevice(usize),
 }
 
 /// What the thread tells the controller.
@@ -66,39 +65,10 @@ pub enum Event {
     RuleRefused(Box<Rule>, RuleRefusal),
     /// A rule no longer waits.
     RuleDone(Box<Rule>),
-    /// An arm is no longer served.
-    ArmRemoved(Box<ArmEnd>),
+    /// A device is no longer served.
+    DeviceRemoved(Box<DeviceEnd>),
     /// A net that no rule starts any more is back.
     Unscheduled(Box<Running>),
-}
-
-/// An arm as the thread serves it.
-#[derive(Debug)]
-pub struct ArmEnd {
-    /// Its device number.
-    pub number: usize,
-    /// Number of its first joint in the image.
-    pub first_joint: usize,
-    /// How many joints it has.
-    pub joints: usize,
-    /// What moves it.
-    pub driver: ArmDriver,
-    /// What nets command to it.
-    pub set_points: [JointSetPoints; ARM_JOINTS_MAX],
-}
-
-/// What moves an arm.
-#[derive(Debug)]
-pub enum ArmDriver {
-    /// A driver in a thread of its own.
-    Cells {
-        /// What it tells.
-        state: LatestReader<ArmState>,
-        /// What it is told.
-        command: LatestWriter<ArmCommand>,
-    },
-    /// Nothing: the arm is simulated.
-    Simulated(Box<Simulation>),
 }
 
 /// How the thread is to run.
@@ -106,6 +76,12 @@ pub enum ArmDriver {
 pub struct NetThreadConfig {
     /// Time from one cycle to the next.
     pub period: Duration,
+    /// Cycle n begins at `base` plus n periods. In the past, and the same for all threads whose
+    /// multiples are to coincide.
+    pub base: takt_rt::Nanos,
+    /// The device's clock that its cycles keep phase with; `None` for the host's. Logical time is
+    /// `base` plus n periods either way.
+    pub follow: Option<Follow>,
     /// Name, priority and processors.
     pub thread: ThreadConfig,
 }
@@ -121,12 +97,14 @@ pub struct NetThread {
     pub stats: StatsReader,
     /// Time between handing over set-points to the first and to the last arm in one cycle.
     pub hand_over: RecorderReader,
+    /// Time from one cycle to the next.
+    pub period: Duration,
     thread: Thread<()>,
     stop: Arc<AtomicBool>,
 }
 
 /// Commands under way; more are refused.
-const COMMANDS: usize = 1024;
+pub(crate) const COMMANDS: usize = 1024;
 /// Events under way. The controller takes all of them before each command, so there are never more
 /// than what so many commands, all waiting rules and all nets of the thread can cause.
 const EVENTS: usize = 8 * COMMANDS;
@@ -145,18 +123,22 @@ impl NetThread {
         let stop = Arc::new(AtomicBool::new(false));
         let mut cycle = Box::new(Cycle {
             executor: Executor::default(),
-            arms: (0..DEVICES_MAX).map(|_| None).collect(),
-            period: config.period.into(),
+            served: Served::new(config.period.into(), hand_over),
             commands: command_end,
             events: event_end,
-            hand_over,
             tap,
+            clock: takt_rt::monotonic,
         });
         let stopping = Arc::clone(&stop);
         let name = config.thread.name.clone();
-        let period = config.period;
+        let (period, base, follow) = (config.period, config.base, config.follow);
         let thread = takt_rt::thread::spawn(config.thread, move || {
-            run(&mut cycle, period, &mut stats_writer, &stopping);
+            let cycles = Cycles {
+                start: Some(base),
+                follow,
+                ..Cycles::every(period)
+            };
+            run(&mut cycle, cycles, &mut stats_writer, &stopping);
         })
         .map_err(|source| Error::Thread { name, source })?;
         Ok(Self {
@@ -164,6 +146,7 @@ impl NetThread {
             events,
             stats,
             hand_over: hand_over_reader,
+            period,
             thread,
             stop,
         })
@@ -181,27 +164,25 @@ impl NetThread {
         self.thread.is_finished()
     }
 
-    /// Ends the thread after its present cycle and waits for that.
-    pub fn stop(self) {
+    /// Ends the thread after its next cycle, without waiting for that.
+    pub fn ask_to_stop(&self) {
         self.stop.store(true, Ordering::Relaxed);
+    }
+
+    /// Ends the thread after its next cycle and waits for that.
+    pub fn stop(self) {
+        self.ask_to_stop();
         if self.thread.join().is_err() {
             tracing::error!("the net thread had ended by a panic");
         }
     }
 }
 
-fn run(cycle: &mut Cycle, period: Duration, stats: &mut StatsWriter, stop: &AtomicBool) {
+fn run(cycle: &mut Cycle, cycles: Cycles<'_>, stats: &mut StatsWriter, stop: &AtomicBool) {
     let scope = takt_rt::alloc::enter_real_time();
-    takt_rt::cycle::run_cycles(period, None, stats, |tick| {
-        let moment = Moment {
-            cycle: tick.index + 1,
-            time: Nanos(tick.scheduled.0),
-            wall: Nanos(tick.woken.0),
-            every: 1,
-            cancel: false,
-            takeover: false,
-        };
-        cycle.run(moment);
+    let period = cycles.period.into();
+    cycles.run(stats, |tick| {
+        cycle.run(&Slot::of(tick, period));
         if stop.load(Ordering::Relaxed) {
             ControlFlow::Break(())
         } else {
@@ -211,23 +192,51 @@ fn run(cycle: &mut Cycle, period: Duration, stats: &mut StatsWriter, stop: &Atom
     drop(scope);
 }
 
+/// When a cycle is, to nets and to drivers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Slot {
+    /// What nets see: time is logical, so that the same inputs give the same outputs.
+    moment: Moment,
+    /// When it began on the clock of this host, by which drivers place set-points. The same as logical
+    /// time, unless the thread follows a device's clock.
+    begin: takt_rt::Nanos,
+    /// When it is to be over.
+    end: takt_rt::Nanos,
+}
+
+impl Slot {
+    fn of(tick: &Tick, period: takt_rt::Nanos) -> Self {
+        let moment = Moment {
+            // 0 is "never".
+            cycle: tick.index.max(1),
+            time: Nanos(tick.time.0),
+            wall: Nanos(tick.woken.0),
+            ..Moment::default()
+        };
+        Self {
+            moment,
+            begin: tick.scheduled,
+            end: tick.scheduled + period,
+        }
+    }
+}
+
 /// Most commands taken in one cycle; the rest waits for the next.
 const COMMANDS_A_CYCLE: usize = 16;
 
 struct Cycle {
     executor: Executor,
-    /// By device number.
-    arms: Vec<Option<Box<ArmEnd>>>,
-    period: takt_rt::Nanos,
+    served: Served,
     commands: Consumer<Command>,
     events: Producer<Event>,
-    hand_over: Recorder,
     tap: Option<Tap>,
+    clock: fn() -> takt_rt::Nanos,
 }
 
 impl Cycle {
-    fn run(&mut self, moment: Moment) {
-        self.read_devices();
+    fn run(&mut self, slot: &Slot) {
+        let moment = slot.moment;
+        self.served.read(&mut self.executor);
         for _ in 0..COMMANDS_A_CYCLE {
             let Some(command) = self.commands.pop() else {
                 break;
@@ -240,6 +249,9 @@ impl Cycle {
                 tap.inbox(net);
             }
         }
+        if self.executor.fire_decided() {
+            self.tell_effects();
+        }
         let tap = &mut self.tap;
         self.executor.announce_takeovers(|id, waits| {
             if let Some(tap) = tap {
@@ -249,8 +261,8 @@ impl Cycle {
         if let Some(tap) = &mut self.tap {
             tap.inputs(moment, &self.executor);
         }
-        self.executor.cycle(moment);
-        self.write_devices(moment);
+        self.executor.cycle_timed(moment, self.clock);
+        self.served.write(&mut self.executor, moment, slot.begin);
         let tap = &mut self.tap;
         self.executor.publish(|net| {
             if let Some(tap) = tap {
@@ -259,7 +271,11 @@ impl Cycle {
         });
         self.executor.fire_rules();
         self.tell_effects();
+        if !self.executor.running().is_empty() && (self.clock)() >= slot.end {
+            self.executor.overran();
+        }
         self.hand_back();
+        self.tell_rules();
         if let Some(tap) = &mut self.tap {
             tap.outputs(moment, &self.executor);
         }
@@ -292,24 +308,12 @@ impl Cycle {
             | Command::AddRule(_)
             | Command::Unschedule { .. }
             | Command::Forget(_)) => self.obey_rule(rule),
-            Command::AddArm(end) => self.add_arm(end),
-            Command::RemoveArm(number) => self.remove_arm(number),
-        }
-    }
-
-    fn add_arm(&mut self, end: Box<ArmEnd>) {
-        if let Some(slot) = self.arms.get_mut(end.number) {
-            self.executor.use_joints(end.first_joint + end.joints);
-            *slot = Some(end);
-            // A net may start in this very cycle.
-            self.read_devices();
-        }
-    }
-
-    fn remove_arm(&mut self, number: usize) {
-        if let Some(end) = self.arms.get_mut(number).and_then(Option::take) {
-            self.executor.set_device(number, DeviceView::default());
-            self.tell(Event::ArmRemoved(end));
+            Command::AddDevice(end) => self.served.add(end, &mut self.executor),
+            Command::RemoveDevice(number) => {
+                if let Some(end) = self.served.remove(number, &mut self.executor) {
+                    self.tell(Event::DeviceRemoved(end));
+                }
+            }
         }
     }
 
@@ -350,12 +354,13 @@ impl Cycle {
             | Command::StartScheduled(_)
             | Command::Cancel(_)
             | Command::Abort(_)
-            | Command::AddArm(_)
-            | Command::RemoveArm(_) => {}
+            | Command::AddDevice(_)
+            | Command::RemoveDevice(_) => {}
         }
     }
 
-    /// Tells what rules did in this cycle.
+    /// Notes what happened to nets that they did not do themselves. Starts are told later, when the
+    /// predecessors' ends are.
     fn tell_effects(&mut self) {
         let Self {
             executor,
@@ -363,20 +368,29 @@ impl Cycle {
             tap,
             ..
         } = self;
-        executor.rule_effects(|id, effect| {
+        executor.effects(|id, effect| {
             if let Some(tap) = tap {
                 match effect {
+                    Effect::RanAway => tap.ran_away(id),
                     Effect::Stopped => tap.stopped(id),
                     Effect::Cancelled => tap.cancelled(id),
                     Effect::Started => tap.started(id),
                 }
             }
-            let event = match effect {
-                Effect::Stopped => return,
-                Effect::Cancelled => Event::Cancelling(id),
-                Effect::Started => Event::Started(id),
-            };
-            let told = events.push(event);
+            if effect == Effect::Cancelled {
+                let told = events.push(Event::Cancelling(id));
+                debug_assert!(told.is_ok(), "more events than requests");
+            }
+        });
+    }
+
+    /// Tells what rules started, and which rules no longer wait.
+    fn tell_rules(&mut self) {
+        let Self {
+            executor, events, ..
+        } = self;
+        executor.started(|id| {
+            let told = events.push(Event::Started(id));
             debug_assert!(told.is_ok(), "more events than requests");
         });
         while executor.take_rule(|rule| match events.push(Event::RuleDone(rule)) {
@@ -391,68 +405,8 @@ impl Cycle {
         debug_assert!(told.is_ok(), "more events than requests");
     }
 
-    fn read_devices(&mut self) {
-        let executor = &mut self.executor;
-        for arm in self.arms.iter_mut().flatten() {
-            let (number, first, joints) = (arm.number, arm.first_joint, arm.joints);
-            let mut take = |state: &ArmState| {
-                let view = DeviceView {
-                    status: state.status,
-                    faults: state.faults,
-                };
-                executor.set_device(number, view);
-                let joints = &executor.image.joints[first..first + joints];
-                for (joint, told) in joints.iter().zip(&state.joints) {
-                    joint.state.set(*told);
-                }
-            };
-            match &mut arm.driver {
-                ArmDriver::Cells { state, .. } => state.read_with(take),
-                ArmDriver::Simulated(simulation) => take(simulation.state()),
-            }
-        }
-    }
-
-    /// Hands set-points to all drivers, one right after the other.
-    fn write_devices(&mut self, moment: Moment) {
-        let time = takt_rt::Nanos(moment.time.0);
-        let period_ns = self.period.0;
-        let (mut first, mut last) = (None, takt_rt::Nanos::ZERO);
-        for arm in self.arms.iter_mut().flatten() {
-            let joints = &self.executor.image.joints[arm.first_joint..][..arm.joints];
-            let mut commanded = false;
-            for (joint, set_points) in joints.iter().zip(&mut arm.set_points) {
-                let command = joint.command.get();
-                let given = command.cycle == moment.cycle;
-                commanded |= given;
-                // A set-point of a slower net stands until that net gives the next.
-                if given || moment.cycle - command.cycle >= command.every {
-                    let position = command.position;
-                    set_points.advance(given.then_some(SetPoint { time, position }));
-                    set_points.period =
-                        takt_rt::Nanos(period_ns * command.every.max(1).cast_signed());
-                }
-            }
-            let set_points = &arm.set_points;
-            match &mut arm.driver {
-                ArmDriver::Cells { command, .. } => command.write_with(|command| {
-                    command.time = time;
-                    command.joints = *set_points;
-                }),
-                ArmDriver::Simulated(simulation) => {
-                    simulation.step(set_points, time, self.period);
-                }
-            }
-            if commanded {
-                last = takt_rt::monotonic();
-                first.get_or_insert(last);
-            }
-        }
-        if let Some(first) = first {
-            self.hand_over.record(last - first);
-        }
-    }
-
+    /// Hands ended nets back, in the order in which they came: a predecessor's end is told before its
+    /// successor's start, and that before the successor's own end.
     fn hand_back(&mut self) {
         let Self {
             executor,
@@ -460,8 +414,12 @@ impl Cycle {
             tap,
             ..
         } = self;
-        while executor.take_ended(|net, end| {
+        while executor.take_ended(|mut net, end| {
             let id = net.id;
+            if net.take_untold() {
+                let told = events.push(Event::Started(id));
+                debug_assert!(told.is_ok(), "more events than requests");
+            }
             match events.push(Event::Ended(net, end)) {
                 Ok(()) => {
                     if let Some(tap) = tap {
@@ -476,42 +434,5 @@ impl Cycle {
     }
 }
 
-/// How a joint's state is laid out in a recording: error, then six values with a word before each
-/// that is 1 if it is known.
-pub(crate) const JOINT_WORDS: usize = 13;
-
-/// Writes a joint's state as words.
-pub(crate) fn joint_words(state: &JointState) -> [u64; JOINT_WORDS] {
-    let values = [
-        state.commanded_position,
-        state.commanded_velocity,
-        state.commanded_acceleration,
-        state.measured_position,
-        state.measured_velocity,
-        state.measured_acceleration,
-    ];
-    let mut words = [0; JOINT_WORDS];
-    words[0] = u64::from(state.error.cast_unsigned());
-    for (pair, value) in words[1..].chunks_exact_mut(2).zip(values) {
-        pair[0] = u64::from(value.is_some());
-        pair[1] = value.unwrap_or(0.0).to_bits();
-    }
-    words
-}
-
-/// Reads a joint's state back.
-pub(crate) fn joint_state(words: &[u64]) -> Option<JointState> {
-    let value = |i: usize| {
-        let pair = words.get(1 + 2 * i..3 + 2 * i)?;
-        Some((pair[0] != 0).then(|| f64::from_bits(pair[1])))
-    };
-    Some(JointState {
-        error: u32::try_from(*words.first()?).ok()?.cast_signed(),
-        commanded_position: value(0)?,
-        commanded_velocity: value(1)?,
-        commanded_acceleration: value(2)?,
-        measured_position: value(3)?,
-        measured_velocity: value(4)?,
-        measured_acceleration: value(5)?,
-    })
-}
+#[cfg(test)]
+mod tests;

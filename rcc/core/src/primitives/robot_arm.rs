@@ -1,18 +1,13 @@
 //! `RobotArm::*`: joints of any robot arm.
 
 use takt_net::definition::port;
-use takt_net::device::{JointCommand, JointLimits, JointState};
-use takt_net::{ArmBinding, Build, Cycle, Definition, Fault, In, NullRule, Out, Primitive};
+use takt_net::device::{JointCommand, JointLimits, JointState, Order, Tool};
+use takt_net::{
+    ArmBinding, Build, Cycle, Definition, Fault, Frame, In, NullRule, Out, Primitive, Vector,
+};
 
-/// Values of `outError` beside those of `takt_net::device::JointError`.
-mod error {
-    /// Another primitive of the net commands the joint in this cycle.
-    pub(super) const CONCURRENT: i32 = -1;
-    /// The position is outside the joint's range.
-    pub(super) const RANGE: i32 = 1;
-    /// The position is not a number.
-    pub(super) const INVALID: i32 = 2;
-}
+use super::order::Standing;
+use super::{error, first_error};
 
 struct JointPosition {
     position: In<f64>,
@@ -43,11 +38,7 @@ impl Primitive for JointPosition {
         let concurrent = joint.command.get().cycle == cycle.moment.cycle;
         let failed = joint.state.get().error;
         let illegal = position.map_or(0, |p| self.check(p));
-        let error = match (concurrent, failed) {
-            (true, _) => error::CONCURRENT,
-            (false, 0) => illegal,
-            (false, failed) => failed,
-        };
+        let error = first_error(concurrent, failed, illegal);
         if let (0, Some(position)) = (error, position) {
             joint.command.set(JointCommand {
                 cycle: cycle.moment.cycle,
@@ -124,10 +115,118 @@ fn joint_monitor(b: &mut Build<'_, '_>) -> Result<JointMonitor, Fault> {
     })
 }
 
+/// Tells an arm what it carries, once for each change.
+pub(super) struct TellTool<C> {
+    pub(super) mass: In<f64>,
+    pub(super) com: In<C>,
+    pub(super) moi: In<Vector>,
+    pub(super) tcp: In<Frame>,
+    tool: Standing<Tool>,
+    completed: Out<bool>,
+    error: Out<i32>,
+}
+
+/// What can be told of a centre of mass: where it is, or also how the axes of inertia lie.
+pub(super) trait CentreOfMass: takt_net::Value {
+    fn frame(self) -> Frame;
+}
+
+impl CentreOfMass for Vector {
+    fn frame(self) -> Frame {
+        Frame::from_parts(self.into(), takt_net::Rotation::identity())
+    }
+}
+
+impl CentreOfMass for Frame {
+    fn frame(self) -> Frame {
+        self
+    }
+}
+
+impl<C: CentreOfMass> TellTool<C> {
+    /// The tool, unless a part of it is null.
+    fn tool(&self, cycle: &Cycle<'_>) -> Option<Tool> {
+        Some(Tool {
+            mass: self.mass.get(cycle)?,
+            com: self.com.get(cycle)?.frame(),
+            moi: self.moi.get(cycle)?,
+            tcp: self.tcp.get(cycle)?,
+        })
+    }
+}
+
+impl<C: CentreOfMass> Primitive for TellTool<C> {
+    fn step(&mut self, cycle: &Cycle<'_>) {
+        let Some(tool) = self.tool(cycle) else {
+            self.completed.set(cycle, None);
+            self.error.set(cycle, None);
+            return;
+        };
+        if let error @ 1.. = check_tool(&tool) {
+            self.completed.set(cycle, false);
+            self.error.set(cycle, error);
+            return;
+        }
+        let outcome = self.tool.give(cycle, tool);
+        self.completed.set(cycle, outcome.is_done());
+        self.error.set(cycle, outcome.error);
+    }
+}
+
+fn check_tool(tool: &Tool) -> i32 {
+    let frames = [&tool.com, &tool.tcp];
+    let lengths = frames.iter().flat_map(|f| f.translation.vector.iter());
+    let turns = frames.iter().flat_map(|f| f.rotation.coords.iter());
+    let mut all = lengths.chain(turns).chain(tool.moi.iter());
+    if !tool.mass.is_finite() || !all.all(|v| v.is_finite()) {
+        error::INVALID
+    } else if tool.mass < 0.0 || tool.moi.min() < 0.0 {
+        error::RANGE
+    } else {
+        0
+    }
+}
+
+/// Builds what tells the arm of that parameter its tool, which it carries behind its last joint.
+pub(super) fn tell_tool<C: CentreOfMass + takt_net::value::text::TextValue>(
+    b: &mut Build<'_, '_>,
+    robot: &'static str,
+    tcp: In<Frame>,
+) -> Result<TellTool<C>, Fault> {
+    let order: Order<Tool> =
+        b.interface(robot, "robot arm that can be told its tool", |has| has.tool)?;
+    let joints = b.arm(robot)?.limits.len();
+    let name = b.text(robot).to_owned();
+    b.hold(format!("{name}_ToolParam_{}", joints.saturating_sub(1)));
+    Ok(TellTool {
+        mass: b.input("inMass")?,
+        com: b.input("inCOM")?,
+        moi: b.input("inMOI")?,
+        tcp,
+        tool: Standing::new(order),
+        completed: b.output("outCompleted"),
+        error: b.output("outError"),
+    })
+}
+
+fn tool_parameters(b: &mut Build<'_, '_>) -> Result<TellTool<Vector>, Fault> {
+    let (arm, axis) = joint(b)?;
+    let last = arm.limits.len() - 1;
+    if axis != last {
+        let why = format!("axis {axis} carries the next one; tools are told for axis {last}");
+        return Err(b.parameter_fault("Axis", why));
+    }
+    let flange = b.constant(Frame::identity());
+    tell_tool(b, "Robot", flange)
+}
+
 const ROBOT: &str = "name of the robot arm";
 const AXIS: &str = "which joint, from 0";
 const ERROR: &str = "0 none, 1 offline or out of range, 2 not enabled or no number, 3 set-points \
                      refused by the driver, -1 concurrent access";
+
+pub(super) const TOOL_ERROR: &str =
+    "0 none, 1 no such tool, 2 no number, -1 concurrent access, others as the arm says";
 
 pub(super) fn table() -> Vec<Definition> {
     vec![
@@ -161,15 +260,39 @@ pub(super) fn table() -> Vec<Definition> {
         )
         .text("Robot", ROBOT)
         .parameter::<i32>("Axis", "0", AXIS)
-        .output::<f64>("outCommandedPosition", "rad")
-        .output::<f64>("outCommandedVelocity", "rad/s")
-        .output::<f64>("outCommandedAcceleration", "rad/s²")
-        .output::<f64>("outMeasuredPosition", "rad")
-        .output::<f64>("outMeasuredVelocity", "rad/s")
-        .output::<f64>("outMeasuredAcceleration", "rad/s²")
+        .output::<f64>("outCommandedPosition", "commanded position, rad")
+        .output::<f64>("outCommandedVelocity", "commanded velocity, rad/s")
+        .output::<f64>("outCommandedAcceleration", "commanded acceleration, rad/s²")
+        .output::<f64>("outMeasuredPosition", "measured position, rad")
+        .output::<f64>("outMeasuredVelocity", "measured velocity, rad/s")
+        .output::<f64>("outMeasuredAcceleration", "measured acceleration, rad/s²")
         .output::<i32>("outError", ERROR)
         .null(NullRule::Own(
             "Null while the driver does not know the value.",
+        )),
+        Definition::new(
+            "RobotArm::ToolParameters",
+            "Tells an arm what its last joint carries, again whenever that changes.",
+            tool_parameters,
+        )
+        .active()
+        .input::<f64>(port("inMass", "mass, kg").or("Mass", "0"))
+        .input::<Vector>(
+            port("inCOM", "centre of mass in the flange, m").or("COM", "{x:0,y:0,z:0}"),
+        )
+        .input::<Vector>(
+            port(
+                "inMOI",
+                "moments of inertia about axes along those of the flange, kg m²",
+            )
+            .or("MOI", "{x:0,y:0,z:0}"),
+        )
+        .text("Robot", ROBOT)
+        .parameter::<i32>("Axis", "0", "which joint, from 0; it must be the last")
+        .output::<bool>("outCompleted", "the arm has taken it")
+        .output::<i32>("outError", TOOL_ERROR)
+        .null(NullRule::Own(
+            "While an input is null nothing is told, and the outputs are null.",
         )),
     ]
 }

@@ -1,5 +1,5 @@
 //! The file of a recording: MCAP, readable by common viewers as far as its framing goes. Channels:
-//! `/takt/cycles` (words, little-endian), `/takt/arms` and `/takt/nets` (TOML).
+//! `/takt/cycles` (words, little-endian), `/takt/devices` and `/takt/nets` (TOML).
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
@@ -13,34 +13,85 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use takt_net::JointLimits;
 
+use crate::device::{DeviceDescription, Part, Place};
 use crate::error::Error;
 use crate::record::Note;
 
 const CYCLES: &str = "/takt/cycles";
-const ARMS: &str = "/takt/arms";
+const DEVICES: &str = "/takt/devices";
 const NETS: &str = "/takt/nets";
 
-/// An arm of the recorded cell.
+/// A device of the recorded cell.
 #[derive(Debug, Serialize, Deserialize)]
-pub(super) struct ArmNote {
+pub(super) struct DeviceNote {
     pub(super) name: String,
-    pub(super) first_joint: usize,
+    pub(super) number: usize,
+    first_joint: usize,
+    /// From and to.
+    signals: [usize; 2],
+    /// From and to.
+    commands: [usize; 2],
     /// Model of its kinematics.
-    pub(super) model: String,
+    model: String,
     /// By joint: smallest and largest position (rad), speed (rad/s), acceleration (rad/s²).
     limits: Vec<[f64; 4]>,
+    parts: Vec<Part>,
 }
 
-impl ArmNote {
-    pub(super) fn limits(&self) -> Vec<JointLimits> {
+impl DeviceNote {
+    fn new(number: usize, place: &Place, device: &DeviceDescription) -> Self {
+        let limits = device.limits.iter().map(|l| {
+            [
+                l.position_min,
+                l.position_max,
+                l.velocity_max,
+                l.acceleration_max,
+            ]
+        });
+        Self {
+            name: device.name.clone(),
+            number,
+            first_joint: place.first_joint,
+            signals: [place.signals.start, place.signals.end],
+            commands: [place.commands.start, place.commands.end],
+            model: device.model.as_ref().to_owned(),
+            limits: limits.collect(),
+            parts: device.parts.clone(),
+        }
+    }
+
+    pub(super) fn place(&self) -> Place {
+        Place {
+            first_joint: self.first_joint,
+            joints: self.limits.len(),
+            signals: self.signals[0]..self.signals[1],
+            commands: self.commands[0]..self.commands[1],
+        }
+    }
+
+    pub(super) fn description(&self) -> DeviceDescription {
         let limits = |l: &[f64; 4]| JointLimits {
             position_min: l[0],
             position_max: l[1],
             velocity_max: l[2],
             acceleration_max: l[3],
         };
-        self.limits.iter().map(limits).collect()
+        DeviceDescription {
+            name: self.name.clone(),
+            kind: "",
+            limits: self.limits.iter().map(limits).collect(),
+            model: self.model.clone().into(),
+            parts: self.parts.clone(),
+        }
     }
+}
+
+/// What happened to a device.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum DeviceEvent {
+    Came(DeviceNote),
+    Went { name: String },
 }
 
 /// A net of the recording.
@@ -63,7 +114,7 @@ pub(super) struct Writer {
     mcap: mcap::Writer<BufWriter<File>>,
     path: PathBuf,
     cycles: u16,
-    arms: u16,
+    devices: u16,
     nets: u16,
     bytes: Vec<u8>,
     sequence: u32,
@@ -84,13 +135,13 @@ impl Writer {
             .map_err(failed)?;
         let metadata = BTreeMap::new();
         let words = mcap
-            .add_schema("takt.words.1", "takt", b"")
+            .add_schema("takt.words.2", "takt", b"")
             .map_err(failed)?;
         let cycles = mcap
             .add_channel(words, CYCLES, "takt", &metadata)
             .map_err(failed)?;
-        let arms = mcap
-            .add_channel(0, ARMS, "toml", &metadata)
+        let devices = mcap
+            .add_channel(0, DEVICES, "toml", &metadata)
             .map_err(failed)?;
         let nets = mcap
             .add_channel(0, NETS, "toml", &metadata)
@@ -100,7 +151,7 @@ impl Writer {
             mcap,
             path,
             cycles,
-            arms,
+            devices,
             nets,
             bytes: Vec::new(),
             sequence: 0,
@@ -123,22 +174,17 @@ impl Writer {
 
     pub(super) fn note(&mut self, note: &Note) -> Result<(), Error> {
         let (channel, text) = match note {
-            Note::Arm(arm, first_joint) => {
-                let limits = arm.limits.iter().map(|l| {
-                    [
-                        l.position_min,
-                        l.position_max,
-                        l.velocity_max,
-                        l.acceleration_max,
-                    ]
-                });
-                let note = ArmNote {
-                    name: arm.name.clone(),
-                    first_joint: *first_joint,
-                    model: arm.model.as_ref().to_owned(),
-                    limits: limits.collect(),
-                };
-                (self.arms, toml::to_string(&note))
+            Note::Device {
+                number,
+                place,
+                description,
+            } => {
+                let note = DeviceNote::new(*number, place, description);
+                (self.devices, toml::to_string(&DeviceEvent::Came(note)))
+            }
+            Note::Gone(name) => {
+                let name = name.clone();
+                (self.devices, toml::to_string(&DeviceEvent::Went { name }))
             }
             Note::Net {
                 id,
@@ -196,11 +242,18 @@ fn broken(path: &Path, error: &mcap::McapError) -> Error {
     wrong(path, format!("cannot write it: {error}"))
 }
 
+/// What a recording tells besides cycles.
+#[derive(Debug)]
+pub(super) enum Told {
+    Device(DeviceEvent),
+    Net(NetNote),
+}
+
 /// A recording in memory.
 #[derive(Debug, Default)]
 pub(super) struct Recording {
-    pub(super) arms: Vec<ArmNote>,
-    pub(super) nets: Vec<NetNote>,
+    /// Devices and nets as they came.
+    pub(super) notes: Vec<Told>,
     pub(super) cycles: Vec<Vec<u64>>,
 }
 
@@ -257,8 +310,8 @@ impl Recording {
 
     fn message(&mut self, topic: &str, data: &[u8]) -> Result<(), String> {
         match topic {
-            ARMS => self.arms.push(note(data)?),
-            NETS => self.nets.push(note(data)?),
+            DEVICES => self.notes.push(Told::Device(note(data)?)),
+            NETS => self.notes.push(Told::Net(note(data)?)),
             CYCLES => {
                 let (words, rest) = data.as_chunks();
                 if !rest.is_empty() {

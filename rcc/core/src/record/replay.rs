@@ -4,15 +4,17 @@
 use std::collections::HashMap;
 use std::path::Path;
 
-use takt_net::{Limits, LoadContext, load};
+use takt_net::device::Interfaces;
+use takt_net::netcomm::NetBoxes;
+use takt_net::{ArmBinding, Devices, Limits, LoadContext, Registry, load};
 use takt_rt::latest::latest;
 
-use crate::controller::net_number;
-use crate::device::{ArmDescription, DeviceTable};
+use crate::device::DeviceTable;
 use crate::error::Error;
 use crate::executor::{Executor, Running};
+use crate::ids::NetId;
 use crate::record::WORDS_A_CYCLE;
-use crate::record::file::Recording;
+use crate::record::file::{DeviceEvent, NetNote, Recording, Told};
 use crate::record::words::{Entry, Reader, Words};
 
 /// The outcome of a replay.
@@ -50,6 +52,66 @@ pub fn replay(path: &Path) -> Result<Replay, Error> {
     Ok(outcome)
 }
 
+/// Devices and nets, as a net of the recording may refer to them.
+struct Recorded<'a> {
+    devices: &'a DeviceTable,
+    nets: &'a HashMap<u32, Box<Running>>,
+}
+
+impl Devices for Recorded<'_> {
+    fn arm(&self, name: &str) -> Option<ArmBinding> {
+        self.devices.arm(name)
+    }
+
+    fn interfaces(&self, name: &str) -> Option<Interfaces> {
+        self.devices.interfaces(name)
+    }
+
+    fn names(&self) -> Vec<String> {
+        self.devices.names()
+    }
+
+    fn net(&self, name: &str) -> Option<NetBoxes> {
+        let id: NetId = name.parse().ok()?;
+        let plan = &self.nets.get(&id.0)?.plan;
+        Some(NetBoxes {
+            inbox: plan.inbox().clone(),
+            outbox: plan.outbox().clone(),
+        })
+    }
+}
+
+/// Loads a net of the recording as it was loaded then.
+fn prepare(
+    net: &NetNote,
+    registry: &Registry,
+    known: &Recorded<'_>,
+    path: &Path,
+) -> Result<Box<Running>, Error> {
+    let context = LoadContext {
+        registry,
+        devices: known,
+        period: net.period(),
+        limits: Limits::default(),
+    };
+    let plan = load(&net.text, &context).map_err(|rejection| Error::Recording {
+        path: path.to_owned(),
+        what: format!("its net {} is rejected: {rejection}", NetId(net.id)),
+    })?;
+    let words = |n: usize| vec![0; n].into_boxed_slice();
+    let (out, _) = latest(1, || words(plan.outbox().words()));
+    let (_, inbox) = latest(1, || words(plan.inbox().words()));
+    let numbers = plan
+        .devices()
+        .iter()
+        .filter_map(|d| known.devices.number(d));
+    let numbers = numbers.map(|number| (number, 0)).collect();
+    let mut running = Box::new(Running::new(net.id, plan, out, inbox));
+    running.devices = numbers;
+    running.every = net.every;
+    Ok(running)
+}
+
 struct Stage<'r> {
     executor: Executor,
     nets: HashMap<u32, Box<Running>>,
@@ -59,38 +121,26 @@ struct Stage<'r> {
 impl<'r> Stage<'r> {
     fn new(recording: &Recording, path: &'r Path) -> Result<Self, Error> {
         let mut devices = DeviceTable::default();
-        for arm in &recording.arms {
-            let limits = arm.limits();
-            let description = ArmDescription {
-                name: arm.name.clone(),
-                kind: "",
-                limits,
-                model: arm.model.clone().into(),
-            };
-            devices.add_arm(description)?;
-        }
         let registry = crate::registry();
         let mut nets = HashMap::new();
-        for net in &recording.nets {
-            let context = LoadContext {
-                registry: &registry,
-                devices: &devices,
-                period: net.period(),
-                limits: Limits::default(),
-            };
-            let plan = load(&net.text, &context).map_err(|rejection| Error::Recording {
-                path: path.to_owned(),
-                what: format!("its net {} is rejected: {rejection}", net_number(net.id)),
-            })?;
-            let words = |n: usize| vec![0; n].into_boxed_slice();
-            let (out, _) = latest(1, || words(plan.outbox().words()));
-            let (_, inbox) = latest(1, || words(plan.inbox().words()));
-            let numbers = plan.devices().iter().filter_map(|d| devices.number(d));
-            let numbers = numbers.map(|number| (number, 0)).collect();
-            let mut running = Box::new(Running::new(net.id, plan, out, inbox));
-            running.devices = numbers;
-            running.every = net.every;
-            nets.insert(net.id, running);
+        for told in &recording.notes {
+            match told {
+                Told::Device(DeviceEvent::Came(device)) => {
+                    let (number, place) = (device.number, device.place());
+                    devices.add_at(number, place, device.description())?;
+                }
+                Told::Device(DeviceEvent::Went { name }) => {
+                    devices.remove(name);
+                }
+                Told::Net(net) => {
+                    let known = Recorded {
+                        devices: &devices,
+                        nets: &nets,
+                    };
+                    let running = prepare(net, &registry, &known, path)?;
+                    nets.insert(net.id, running);
+                }
+            }
         }
         Ok(Self {
             executor: Executor::default(),
@@ -161,6 +211,10 @@ impl<'r> Stage<'r> {
             Entry::Stopped(id) => {
                 self.executor.stop(id);
                 words.stopped(id);
+            }
+            Entry::RanAway(id) => {
+                self.executor.end_runaway(id);
+                words.ran_away(id);
             }
             Entry::Takeover(id, waits) => {
                 self.executor.set_takeover(id, waits);

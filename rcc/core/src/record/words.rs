@@ -1,10 +1,9 @@
 //! One cycle as words: entries of a kind, a length where it varies, and a body. The same code
 //! writes them in the net thread and in a replay; nothing here allocates.
 
-use takt_net::{Moment, Nanos};
+use takt_net::{JointState, Moment, Nanos};
 
 use crate::device::DeviceStatus;
-use crate::executor::thread::{JOINT_WORDS, joint_state, joint_words};
 use crate::executor::{DeviceView, End, Executor, Running};
 
 mod kind {
@@ -18,6 +17,7 @@ mod kind {
     pub(super) const OUTPUTS: u64 = 8;
     pub(super) const STOPPED: u64 = 9;
     pub(super) const TAKEOVER: u64 = 10;
+    pub(super) const RAN_AWAY: u64 = 11;
 }
 
 /// A cycle being written into a buffer whose capacity is its bound.
@@ -74,6 +74,10 @@ impl Words {
         self.entry([kind::STOPPED, id.into()]);
     }
 
+    pub(super) fn ran_away(&mut self, id: u32) {
+        self.entry([kind::RAN_AWAY, id.into()]);
+    }
+
     pub(super) fn takeover(&mut self, id: u32, waits: bool) {
         self.entry([kind::TAKEOVER, id.into(), waits.into()]);
     }
@@ -100,12 +104,21 @@ impl Words {
         let joints = executor.joints();
         self.entry([kind::INPUTS, moment.cycle]);
         self.entry([moment.time.0.cast_unsigned(), moment.wall.0.cast_unsigned()]);
+        let (signals, commands) = (executor.signals(), executor.commands());
         self.entry([executor.devices.len() as u64, joints.len() as u64]);
+        self.entry([signals.len() as u64, commands.len() as u64]);
+        self.entry([executor.fresh().len() as u64]);
         for device in &executor.devices {
             self.entry([status_word(device.status), device.faults]);
         }
         for joint in joints {
             self.entry(joint_words(&joint.state.get()));
+        }
+        for word in signals {
+            self.push(word.get());
+        }
+        for range in executor.fresh() {
+            self.entry([range.start as u64, range.end as u64]);
         }
     }
 
@@ -115,6 +128,7 @@ impl Words {
             End::Aborted => (1, 0),
             End::DeviceFault(device) => (2, device as u64),
             End::Stopped => (3, 0),
+            End::Runaway => (4, 0),
         };
         self.entry([kind::ENDED, id.into(), code, device]);
     }
@@ -134,6 +148,11 @@ impl Words {
         {
             self.entry([i as u64, joint.command.get().position.to_bits()]);
         }
+        let commands = executor.commands();
+        self.entry([commands.len() as u64]);
+        for word in commands {
+            self.push(word.get());
+        }
     }
 }
 
@@ -152,6 +171,7 @@ pub(super) enum Entry<'w> {
     Cancelled(u32),
     Aborted(u32),
     Stopped(u32),
+    RanAway(u32),
     Takeover(u32, bool),
     Inbox(u32, &'w [u64]),
     Inputs(Inputs<'w>),
@@ -165,6 +185,11 @@ pub(super) struct Inputs<'w> {
     pub(super) moment: Moment,
     devices: &'w [u64],
     joints: &'w [u64],
+    signals: &'w [u64],
+    /// How many words of commands are in use.
+    commands: usize,
+    /// Commands of devices that came into use: from and to.
+    fresh: &'w [u64],
 }
 
 impl Inputs<'_> {
@@ -188,6 +213,14 @@ impl Inputs<'_> {
             if let Some(state) = joint_state(words) {
                 joint.state.set(state);
             }
+        }
+        executor.use_words(self.signals.len(), self.commands);
+        for (cell, word) in executor.signals().iter().zip(self.signals) {
+            cell.set(*word);
+        }
+        for range in self.fresh.chunks_exact(2) {
+            let bound = |word: u64| usize::try_from(word).unwrap_or(usize::MAX);
+            executor.use_commands(bound(range[0])..bound(range[1]));
         }
     }
 }
@@ -226,6 +259,7 @@ impl<'w> Reader<'w> {
             kind::CANCELLED => Entry::Cancelled(self.id()?),
             kind::ABORTED => Entry::Aborted(self.id()?),
             kind::STOPPED => Entry::Stopped(self.id()?),
+            kind::RAN_AWAY => Entry::RanAway(self.id()?),
             kind::TAKEOVER => Entry::Takeover(self.id()?, self.word()? != 0),
             kind::INBOX => {
                 let (id, len) = (self.id()?, self.word()?);
@@ -244,6 +278,8 @@ impl<'w> Reader<'w> {
             kind::OUTPUTS => {
                 let joints = self.word()?;
                 self.body(joints.checked_mul(2)?)?;
+                let commands = self.word()?;
+                self.body(commands)?;
                 Entry::Result
             }
             _ => return None,
@@ -253,6 +289,7 @@ impl<'w> Reader<'w> {
     fn inputs(&mut self) -> Option<Inputs<'w>> {
         let (cycle, time, wall) = (self.word()?, self.word()?, self.word()?);
         let (devices, joints) = (self.word()?, self.word()?);
+        let (signals, commands, fresh) = (self.word()?, self.word()?, self.word()?);
         let moment = Moment {
             cycle,
             time: Nanos(time.cast_signed()),
@@ -267,6 +304,49 @@ impl<'w> Reader<'w> {
             moment,
             devices,
             joints,
+            signals: self.body(signals)?,
+            commands: usize::try_from(commands).ok()?,
+            fresh: self.body(fresh.checked_mul(2)?)?,
         })
     }
+}
+
+/// How a joint's state is laid out in a recording: error, then six values with a word before each
+/// that is 1 if it is known.
+const JOINT_WORDS: usize = 13;
+
+/// Writes a joint's state as words.
+fn joint_words(state: &JointState) -> [u64; JOINT_WORDS] {
+    let values = [
+        state.commanded_position,
+        state.commanded_velocity,
+        state.commanded_acceleration,
+        state.measured_position,
+        state.measured_velocity,
+        state.measured_acceleration,
+    ];
+    let mut words = [0; JOINT_WORDS];
+    words[0] = u64::from(state.error.cast_unsigned());
+    for (pair, value) in words[1..].chunks_exact_mut(2).zip(values) {
+        pair[0] = u64::from(value.is_some());
+        pair[1] = value.unwrap_or(0.0).to_bits();
+    }
+    words
+}
+
+/// Reads a joint's state back.
+fn joint_state(words: &[u64]) -> Option<JointState> {
+    let value = |i: usize| {
+        let pair = words.get(1 + 2 * i..3 + 2 * i)?;
+        Some((pair[0] != 0).then(|| f64::from_bits(pair[1])))
+    };
+    Some(JointState {
+        error: u32::try_from(*words.first()?).ok()?.cast_signed(),
+        commanded_position: value(0)?,
+        commanded_velocity: value(1)?,
+        commanded_acceleration: value(2)?,
+        measured_position: value(3)?,
+        measured_velocity: value(4)?,
+        measured_acceleration: value(5)?,
+    })
 }

@@ -100,7 +100,12 @@ impl Cell {
             devices: names.iter().map(lwr).collect(),
             ..CellConfig::default()
         };
-        let controller = Controller::start_recording(&config, recording).unwrap();
+        Self::of(&config, recording)
+    }
+
+    /// The controller of a cell whose devices are all arms, with their robots.
+    pub fn of(config: &CellConfig, recording: Option<(Recorder, Tap)>) -> Self {
+        let controller = Controller::start_recording(config, recording).unwrap();
         let robots = controller.with_arms(takt_core::device::lwr::Lwr::address);
         let robots = robots.into_iter().map(Robot::start).collect();
         let cell = Self { controller, robots };

@@ -441,13 +441,16 @@ fn lwr_vel_kin() -> Definition {
 const FORWARD_NS: u32 = 3_000;
 /// What an inverse one costs at most: that of seven axes where limits force the arm angle.
 const INVERSE_NS: u32 = 60_000;
+/// What an inverse one costs at most that looks for a better arm angle: up to 16 of the simple ones,
+/// of which few meet the limits.
+const APPROACH_NS: u32 = 150_000;
 
 pub(crate) fn table() -> Vec<Definition> {
     vec![
         kin().cost_ns(FORWARD_NS),
         inv_kin().cost_ns(INVERSE_NS),
         lwr_kin().cost_ns(FORWARD_NS),
-        lwr_inv_kin().cost_ns(INVERSE_NS),
+        lwr_inv_kin().cost_ns(APPROACH_NS),
         lwr_vel_kin().cost_ns(FORWARD_NS),
     ]
 }

@@ -53,7 +53,9 @@ pub(super) struct Runner {
 
 /// Adds the ports that all motions have.
 pub(super) fn with_ports(definition: Definition) -> Definition {
+    // Another override or a stop is planned for within the cycle it comes in.
     definition
+        .cost_ns(15_000)
         .stateful()
         .input::<f64>(OVERRIDE)
         .input::<bool>(port(

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use plotters::prelude::*;
 
-use crate::{Cost, timing::as_f64};
+use crate::{Cost, quantiles::as_f64};
 
 /// Width and height, in CSS pixels.
 const SIZE: (u32, u32) = (800, 320);

@@ -5,6 +5,8 @@ use nix::errno::Errno;
 use nix::sys::time::TimeSpec;
 use nix::time::{ClockId, ClockNanosleepFlags, clock_gettime, clock_nanosleep};
 
+use crate::quantiles::{as_f64, median};
+
 /// Something to be timed.
 pub(crate) type Subject<'s> = &'s mut dyn FnMut();
 
@@ -46,7 +48,7 @@ pub(crate) fn paced<const N: usize>(
     for _ in 0..cycles / BLOCK {
         for (subject, times) in subjects.iter_mut().zip(&mut times) {
             for _ in 0..BLOCK {
-                next = sleep_until(next + PERIOD_NS);
+                next = wait(next);
                 let start = now();
                 subject();
                 times.push(as_f64(now() - start));
@@ -56,9 +58,10 @@ pub(crate) fn paced<const N: usize>(
     times
 }
 
-/// Sleeps until `next`, or does not if that is over; returns the instant the next cycle counts from.
-fn sleep_until(next: i64) -> i64 {
-    let now = now();
+/// Sleeps until a millisecond after `last`, or does not if that is over; returns the instant from
+/// which the next cycle counts.
+fn wait(last: i64) -> i64 {
+    let (now, next) = (now(), last + PERIOD_NS);
     if next <= now {
         return now;
     }
@@ -81,37 +84,10 @@ fn schedule(policy: i32, sched_priority: i32) -> bool {
     unsafe { libc::sched_setscheduler(0, policy, &raw const parameters) == 0 }
 }
 
-/// The value that a share of the others does not exceed.
-pub(crate) fn quantile(values: &[f64], share: f64) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    #[expect(
-        clippy::cast_possible_truncation,
-        clippy::cast_sign_loss,
-        reason = "a share of a small number"
-    )]
-    let at = (as_f64(sorted.len()) * share) as usize;
-    sorted[at.min(sorted.len() - 1)]
-}
-
-pub(crate) fn median(values: &[f64]) -> f64 {
-    quantile(values, 0.5)
-}
-
 /// The median over pieces of the run of the ratio of the medians within a piece, so that neither a
 /// disturbed piece nor a slow drift of the machine decides.
 pub(crate) fn ratio(ours: &[f64], theirs: &[f64]) -> f64 {
     let pieces = ours.chunks(BLOCK).zip(theirs.chunks(BLOCK));
     let ratios: Vec<f64> = pieces.map(|(a, b)| median(a) / median(b)).collect();
     median(&ratios)
-}
-
-/// A count or a span in ns as a number; exact below 2^53.
-pub(crate) fn as_f64(value: impl TryInto<i64>) -> f64 {
-    #[expect(
-        clippy::cast_precision_loss,
-        reason = "measured values are far smaller"
-    )]
-    let number = value.try_into().unwrap_or(i64::MAX) as f64;
-    number
 }

@@ -5,15 +5,18 @@ use std::collections::HashMap;
 use std::marker::PhantomData;
 use std::time::Duration;
 
+use crate::cost::NetCost;
 use crate::definition::Primitive;
 use crate::fault::{Fault, FaultKind};
 use crate::load::LoadContext;
 use crate::load::builder::Build;
 use crate::load::graph::Unit;
 use crate::load::resolve::{Origin, Resolved};
-use crate::netcomm::{Directory, Mailbox};
+use crate::load::taps::Tapped;
+use crate::netcomm::{Directory, Inter, Mailbox};
 use crate::plan::{Guard, Op, Plan, RootPort};
 use crate::slots::{In, SlotRef, SlotsBuilder};
+use crate::taps::Taps;
 use crate::value::{Type, Value};
 
 /// Marks what cannot be built because something before it could not; never shown.
@@ -45,14 +48,12 @@ pub(super) fn build(
         inbox: Directory::default(),
         inbox_words: Vec::new(),
         outbox: Directory::default(),
+        inter_ins: Vec::new(),
+        inter_outs: Vec::new(),
         memory: 0,
+        elements: 0,
     };
-    let cost = cost(resolved);
-    let budget = context.limits.cost.filter(|budget| cost > *budget);
-    if let (Some(budget), true) = (budget, faults.is_empty()) {
-        faults.push(Fault::new(FaultKind::Cost { cost, budget }, 0..0));
-        return None;
-    }
+    let mut elements = vec![0; resolved.nodes.len()];
     let mut walk = Walk::new(resolved);
     let known = faults.len();
     for unit in order {
@@ -79,22 +80,26 @@ pub(super) fn build(
             Ok(step) => walk.step(node.guard, step),
             Err(fault) => faults.push(fault),
         }
+        elements[number as usize] += std::mem::take(&mut parts.elements);
     }
     if faults.len() > known {
         return None;
     }
     walk.close();
+    let primitives = resolved.nodes.iter().map(|node| node.definition);
+    let cost = NetCost::of(primitives.zip(elements), walk.guard_tests());
+    let budget = context.limits.cost.filter(|budget| cost.total > *budget);
+    if let (Some(budget), 0) = (budget, known) {
+        let period = context.period;
+        let kind = FaultKind::Cost {
+            cost,
+            budget,
+            period,
+        };
+        faults.push(Fault::new(kind, 0..0));
+        return None;
+    }
     parts.finish(walk, resolved, context.period, cost)
-}
-
-/// What one cycle costs at most with everything active. Which fragments exclude each other is not
-/// known, so none is taken to.
-fn cost(resolved: &Resolved<'_>) -> Duration {
-    let each = resolved
-        .nodes
-        .iter()
-        .map(|node| u64::from(node.definition.cost_ns));
-    Duration::from_nanos(each.sum())
 }
 
 /// What is collected over all primitives.
@@ -113,8 +118,13 @@ pub(super) struct Parts {
     pub(super) inbox: Directory,
     pub(super) inbox_words: Vec<u64>,
     pub(super) outbox: Directory,
+    /// Values read from other nets, and written to them.
+    pub(super) inter_ins: Vec<Inter>,
+    pub(super) inter_outs: Vec<Inter>,
     /// Bytes of arrays and histories.
     pub(super) memory: usize,
+    /// Array elements at the ports of the primitive that is being built.
+    pub(super) elements: usize,
 }
 
 impl Parts {
@@ -186,10 +196,11 @@ impl Parts {
         walk: Walk<'_>,
         resolved: &Resolved<'_>,
         period: Duration,
-        cost: Duration,
+        cost: NetCost,
     ) -> Option<Plan> {
         let guards = self.guards(resolved)?;
         let root_ports = self.root_ports(resolved)?;
+        let taps = taps(&mut self, resolved)?;
         let terminate = root_ports.iter().find(|p| p.name == "outTerminate")?;
         let terminate = boolean(terminate.slot)?;
         let out_words = vec![0; self.outbox.words()];
@@ -208,6 +219,9 @@ impl Parts {
             root_ports,
             inbox: Mailbox::new(self.inbox, &self.inbox_words),
             outbox: Mailbox::new(self.outbox, &out_words),
+            inter_ins: self.inter_ins.into_boxed_slice(),
+            inter_outs: self.inter_outs.into_boxed_slice(),
+            taps,
             resources: self.resources.into_boxed_slice(),
             period,
             primitives: resolved.nodes.len(),
@@ -217,6 +231,24 @@ impl Parts {
             cost,
         })
     }
+}
+
+/// The debug taps of a net; `None` if a slot could not be built, which has then been told.
+fn taps(parts: &mut Parts, resolved: &Resolved<'_>) -> Option<Taps> {
+    let tap = |tapped: &Tapped| {
+        let node = &resolved.nodes[tapped.origin.node as usize];
+        let mut guards = Vec::new();
+        let mut guard = node.guard;
+        while guard != 0 {
+            guards.push(guard);
+            guard = resolved.guards[guard as usize].parent;
+        }
+        let ty = node.definition.outputs[tapped.origin.port as usize].ty;
+        let slot = (*parts.output(tapped.origin))?;
+        Some((tapped.name.clone(), ty, tapped.seconds, slot, guards))
+    };
+    let taps: Option<Vec<_>> = resolved.taps.iter().map(tap).collect();
+    Some(Taps::new(taps?))
 }
 
 /// The handle of a slot that must be a Boolean.
@@ -305,6 +337,12 @@ impl<'r> Walk<'r> {
         if let Some(Op::Guard { skip_to, .. }) = self.ops.get_mut(op) {
             *skip_to = end;
         }
+    }
+
+    /// How often a cycle tests at most whether something is active.
+    fn guard_tests(&self) -> usize {
+        let is_guard = |op: &&Op| matches!(op, Op::Guard { .. });
+        self.ops.iter().filter(is_guard).count()
     }
 
     /// Leaves all guards.

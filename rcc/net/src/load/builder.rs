@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::definition::ParameterType;
-use crate::device::{ArmBinding, Devices, Kinematics};
+use crate::device::{ArmBinding, Devices, Interfaces, Kinematics};
 use crate::fault::{Fault, FaultKind};
 use crate::limits::Limits;
 use crate::load::LoadContext;
@@ -57,16 +57,38 @@ impl Build<'_, '_> {
     /// # Errors
     /// If there is no such arm.
     pub fn arm(&mut self, parameter: &'static str) -> Result<ArmBinding, Fault> {
+        self.device(parameter, "robot arm", |devices, name| devices.arm(name))
+    }
+
+    /// Something that the device named by parameter `parameter` offers; `kind` says in a fault what
+    /// such a device is called.
+    ///
+    /// # Errors
+    /// If there is no device of that name, or it does not offer that.
+    pub fn interface<T>(
+        &mut self,
+        parameter: &'static str,
+        kind: &'static str,
+        pick: impl Fn(&Interfaces) -> Option<T>,
+    ) -> Result<T, Fault> {
+        self.device(parameter, kind, |devices, name| {
+            pick(&devices.interfaces(name)?)
+        })
+    }
+
+    fn device<T>(
+        &mut self,
+        parameter: &'static str,
+        kind: &'static str,
+        find: impl Fn(&dyn Devices, &str) -> Option<T>,
+    ) -> Result<T, Fault> {
         let name = self.text(parameter).to_owned();
         self.parts.uses.push(name.clone());
-        let name = name.as_str();
-        self.devices().arm(name).ok_or_else(|| {
-            let kind = FaultKind::Device {
-                kind: "robot arm",
-                name: name.to_owned(),
-                known: self.devices().names(),
-            };
-            self.at_parameter(parameter, kind, None)
+        let devices = self.context.devices;
+        find(devices, &name).ok_or_else(|| {
+            let mut known = devices.names();
+            known.retain(|name| find(devices, name).is_some());
+            self.at_parameter(parameter, FaultKind::Device { kind, name, known }, None)
         })
     }
 
@@ -83,8 +105,13 @@ impl Build<'_, '_> {
 
     /// Claims something of a device for this net alone; if the device fails, the net ends.
     pub fn claim(&mut self, device: &str, resource: String) {
-        self.parts.resources.push(resource);
+        self.hold(resource);
         self.parts.devices.push(device.to_owned());
+    }
+
+    /// Claims something for this net alone that it may use whether the device follows commands or not.
+    pub fn hold(&mut self, resource: String) {
+        self.parts.resources.push(resource);
     }
 
     /// Whether an in port is connected.
@@ -136,6 +163,7 @@ impl Build<'_, '_> {
             }
             _ => crate::slots::ArraySlot::default(),
         };
+        self.parts.elements += slot.len as usize;
         Ok(ArrayIn(slot, PhantomData))
     }
 
@@ -233,6 +261,7 @@ impl Build<'_, '_> {
             return Err(self.fault(kind));
         }
         self.take_memory(len * size_of::<T>())?;
+        self.parts.elements += len;
         let origin = self.own_output(port, Type::array(T::ELEMENT));
         let slot = self.parts.slots.array(T::ELEMENT, len);
         *self.parts.output(origin) = Some(slot);
@@ -455,7 +484,7 @@ impl Build<'_, '_> {
         Ok(at)
     }
 
-    fn check_netcomm_bound(&self) -> Result<(), Fault> {
+    pub(super) fn check_netcomm_bound(&self) -> Result<(), Fault> {
         let bound = self.limits().netcomm;
         let found = self.parts.inbox.entries().len() + self.parts.outbox.entries().len() + 1;
         if found > bound {

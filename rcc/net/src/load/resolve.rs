@@ -7,6 +7,7 @@ use std::ops::Range;
 use crate::definition::Definition;
 use crate::fault::{FAULTS_MAX, Fault, FaultKind, similar};
 use crate::load::LoadContext;
+use crate::load::taps::Tapped;
 use crate::text::{Arg, ArgValue, Body, Fragment, Name, Node as TextNode, Source, SourceOf};
 use crate::value::{Element, Type};
 
@@ -35,8 +36,9 @@ pub(super) struct Node<'t> {
 
 /// A fragment instance.
 #[derive(Debug, Default)]
-struct Scope<'t> {
-    parent: Option<u32>,
+pub(super) struct Scope<'t> {
+    pub(super) name: &'t str,
+    pub(super) parent: Option<u32>,
     guard: u32,
     children: HashMap<&'t str, Member>,
     ins: HashMap<&'t str, &'t Arg<'t>>,
@@ -65,6 +67,8 @@ pub(super) struct Resolved<'t> {
     pub(super) guards: Vec<GuardInfo>,
     /// Out ports of the root fragment.
     pub(super) root: Vec<(&'t str, Option<Origin>)>,
+    /// Ports that are to be recorded.
+    pub(super) taps: Vec<Tapped>,
 }
 
 /// Resolves all names of a net.
@@ -83,8 +87,9 @@ pub(super) fn resolve<'t>(
         inline: HashMap::new(),
         known: HashMap::new(),
         bound_told: false,
+        taps: Vec::new(),
     };
-    resolver.fragment(tree, None, 0, &[]);
+    resolver.fragment(tree, "", None, 0, &[]);
     for node in 0..resolver.nodes.len() {
         if resolver.faults.len() < FAULTS_MAX {
             resolver.link_node(node);
@@ -97,20 +102,22 @@ pub(super) fn resolve<'t>(
         }
     }
     let root = resolver.link_root(tree);
+    let taps = resolver.link_taps();
     Resolved {
         nodes: resolver.nodes,
         guards: resolver.guards,
         root,
+        taps,
     }
 }
 
 const BOOL: Type = Type::scalar(Element::Bool);
 
-struct Resolver<'t, 'f> {
+pub(super) struct Resolver<'t, 'f> {
     context: LoadContext<'t>,
     faults: &'f mut Vec<Fault>,
     nodes: Vec<Node<'t>>,
-    scopes: Vec<Scope<'t>>,
+    pub(super) scopes: Vec<Scope<'t>>,
     guards: Vec<GuardInfo>,
     /// Guards with the scope and source of their activation.
     guard_sources: Vec<(u32, u32, &'t Source<'t>)>,
@@ -120,6 +127,8 @@ struct Resolver<'t, 'f> {
     /// many fragments are followed once, else loading would take the square of their number.
     known: HashMap<usize, Option<Origin>>,
     bound_told: bool,
+    /// Ports that are to be recorded, with the scope of their source.
+    pub(super) taps: Vec<(u32, &'t Arg<'t>, String)>,
 }
 
 pub(super) fn number(len: usize) -> u32 {
@@ -127,22 +136,29 @@ pub(super) fn number(len: usize) -> u32 {
 }
 
 impl<'t> Resolver<'t, '_> {
-    fn fault(&mut self, kind: FaultKind, at: Range<usize>) {
+    pub(super) fn fault(&mut self, kind: FaultKind, at: Range<usize>) {
         if self.faults.len() < FAULTS_MAX {
             self.faults.push(Fault::new(kind, at));
         }
+    }
+
+    /// Whether nothing wrong was found so far.
+    pub(super) fn is_faultless(&self) -> bool {
+        self.faults.is_empty()
     }
 
     /// Enters a fragment and everything in it.
     fn fragment(
         &mut self,
         fragment: &'t Fragment<'t>,
+        name: &'t str,
         parent: Option<u32>,
         guard: u32,
         args: &'t [Arg<'t>],
     ) -> u32 {
         let scope = number(self.scopes.len());
         self.scopes.push(Scope {
+            name,
             parent,
             guard,
             ..Scope::default()
@@ -163,6 +179,7 @@ impl<'t> Resolver<'t, '_> {
                 self.twice(arg.name);
             }
         }
+        self.tap(&fragment.outs, None, scope);
         for out in &fragment.outs {
             let ArgValue::Link(source) = &out.value else {
                 continue;
@@ -199,6 +216,7 @@ impl<'t> Resolver<'t, '_> {
     }
 
     fn node(&mut self, node: &'t TextNode<'t>, name: &'t str, scope: u32) -> Member {
+        self.tap(&node.args, Some(name), scope);
         for arg in &node.args {
             if let ArgValue::Link(source) = &arg.value {
                 self.inline_source(source, scope);
@@ -207,7 +225,7 @@ impl<'t> Resolver<'t, '_> {
         match &node.body {
             Body::Fragment(fragment) => {
                 let guard = self.guard(scope, &node.args);
-                Member::Scope(self.fragment(fragment, Some(scope), guard, &node.args))
+                Member::Scope(self.fragment(fragment, name, Some(scope), guard, &node.args))
             }
             Body::Primitive(ty) => self.primitive(*ty, node, name, scope),
         }
@@ -398,7 +416,7 @@ impl<'t> Resolver<'t, '_> {
 
     /// Follows a source through fragment ports to the primitive it starts at. `None` if there is
     /// none, which has then been told.
-    fn origin(&mut self, scope: u32, first: &'t Source<'t>) -> Option<Origin> {
+    pub(super) fn origin(&mut self, scope: u32, first: &'t Source<'t>) -> Option<Origin> {
         let mut passed = Vec::new();
         let origin = self.follow(scope, first, &mut passed);
         let passed = passed.into_iter().map(|start| (start, origin));

@@ -5,7 +5,6 @@ use crate::fault::{Fault, FaultKind};
 use crate::plan::Cycle;
 use crate::slots::{ArrayIn, ArrayOut, In, Out};
 use crate::value::text::TextValue;
-use crate::value::{Frame, Rotation, Twist, Vector, Wrench};
 
 struct Array<T> {
     out: ArrayOut<T>,
@@ -243,13 +242,5 @@ fn family<T: TextValue>() -> Vec<Definition> {
 }
 
 pub(super) fn table() -> Vec<Definition> {
-    let mut table = family::<bool>();
-    table.extend(family::<i32>());
-    table.extend(family::<f64>());
-    table.extend(family::<Vector>());
-    table.extend(family::<Rotation>());
-    table.extend(family::<Frame>());
-    table.extend(family::<Twist>());
-    table.extend(family::<Wrench>());
-    table
+    for_each_type!(family).into_iter().flatten().collect()
 }

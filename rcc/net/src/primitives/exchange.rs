@@ -5,8 +5,8 @@ use crate::fault::Fault;
 use crate::plan::Cycle;
 use crate::primitives::generic::zero;
 use crate::slots::{ArrayIn, ArrayOut, In, Out};
+use crate::value::Nanos;
 use crate::value::text::TextValue;
-use crate::value::{Frame, Nanos, Rotation, Twist, Vector, Wrench};
 
 struct NetcommIn<T> {
     at: usize,
@@ -191,13 +191,5 @@ fn family<T: TextValue>() -> [Definition; 4] {
 }
 
 pub(super) fn table() -> Vec<Definition> {
-    let mut table = Vec::from(family::<bool>());
-    table.extend(family::<i32>());
-    table.extend(family::<f64>());
-    table.extend(family::<Vector>());
-    table.extend(family::<Rotation>());
-    table.extend(family::<Frame>());
-    table.extend(family::<Twist>());
-    table.extend(family::<Wrench>());
-    table
+    for_each_type!(family).into_iter().flatten().collect()
 }

@@ -4,8 +4,8 @@ use crate::definition::{Build, Definition, NullRule, Primitive, port};
 use crate::fault::Fault;
 use crate::plan::Cycle;
 use crate::slots::{In, Out};
+use crate::value::Nanos;
 use crate::value::text::TextValue;
-use crate::value::{Frame, Nanos, Rotation, Twist, Vector, Wrench};
 
 /// A constant: its slot is set once and read by everybody.
 struct Constant<T> {
@@ -268,13 +268,6 @@ fn family<T: TextValue>() -> Vec<Definition> {
 
 pub(super) fn table() -> Vec<Definition> {
     let mut table = vec![pre::<Nanos>()];
-    table.extend(family::<bool>());
-    table.extend(family::<i32>());
-    table.extend(family::<f64>());
-    table.extend(family::<Vector>());
-    table.extend(family::<Rotation>());
-    table.extend(family::<Frame>());
-    table.extend(family::<Twist>());
-    table.extend(family::<Wrench>());
+    table.extend(for_each_type!(family).into_iter().flatten());
     table
 }

@@ -5,12 +5,14 @@ use crate::definition::{Build, Definition, NullRule, Primitive, port};
 use crate::fault::Fault;
 use crate::plan::Cycle;
 use crate::slots::{In, Out};
+use crate::value::Nanos;
 use crate::value::text::TextValue;
-use crate::value::{Frame, Nanos, Rotation, Twist, Vector, Wrench};
 
 /// One value per cycle, found by the count of its cycle.
 struct History<T> {
     samples: Box<[(i64, Option<T>)]>,
+    /// Count of the first cycle that is remembered. To write over all samples would take long.
+    since: i64,
 }
 
 impl<T: Copy> History<T> {
@@ -19,6 +21,7 @@ impl<T: Copy> History<T> {
         let samples = b.history("MaxAge", size_of::<(i64, Option<T>)>())? + 1;
         Ok(Self {
             samples: vec![(-1, None); samples].into_boxed_slice(),
+            since: 0,
         })
     }
 
@@ -34,7 +37,7 @@ impl<T: Copy> History<T> {
 
     fn at(&self, count: i64) -> Option<T> {
         let (stored, value) = self.samples[self.place(count)];
-        value.filter(|_| stored == count)
+        value.filter(|_| stored == count && count >= self.since)
     }
 
     /// Most cycles that can be looked back.
@@ -42,8 +45,9 @@ impl<T: Copy> History<T> {
         self.samples.len() - 1
     }
 
-    fn clear(&mut self) {
-        self.samples.fill((-1, None));
+    /// Forgets what was before cycle `count`.
+    const fn clear(&mut self, count: i64) {
+        self.since = count;
     }
 }
 
@@ -126,7 +130,7 @@ impl TimeHistory {
 impl Primitive for TimeHistory {
     fn step(&mut self, cycle: &Cycle<'_>) {
         if self.reset.get(cycle) == Some(true) {
-            self.history.clear();
+            self.history.clear(cycle.count);
         }
         let stamp = self.value.get(cycle);
         let held = stamp.or_else(|| self.history.at(cycle.count - 1));
@@ -164,16 +168,7 @@ fn time_history() -> Definition {
 }
 
 pub(super) fn table() -> Vec<Definition> {
-    vec![
-        at_time::<bool>(),
-        at_time::<i32>(),
-        at_time::<f64>(),
-        at_time::<Nanos>(),
-        at_time::<Vector>(),
-        at_time::<Rotation>(),
-        at_time::<Frame>(),
-        at_time::<Twist>(),
-        at_time::<Wrench>(),
-        time_history(),
-    ]
+    let mut table = vec![at_time::<Nanos>(), time_history()];
+    table.extend(for_each_type!(at_time));
+    table
 }

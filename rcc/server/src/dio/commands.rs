@@ -5,14 +5,16 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use takt_core::controller::{LoadRequest, NetInfo, RuleId, RuleRequest};
-use takt_core::{Error, NetId, SessionId};
+use takt_core::{Error, NetId, OnLoss, SessionId};
 
 use super::devices::DeviceWatch;
+use super::figures;
 use super::nets::NetWatch;
 use super::refusal::Refusal;
 use super::rules::RuleWatch;
 use super::sessions::SessionWatch;
 use super::{Connection, Pushes, SUBSCRIPTIONS_MAX};
+use crate::access::Admission;
 use crate::wire::{Message, Value};
 
 /// The version that a client must ask for.
@@ -45,6 +47,8 @@ impl Connection {
         let tag = || message.tag.clone();
         match message.command.as_str() {
             "quit" => Ok(vec!["quitting".into()]),
+            "tok" => self.admit(args, now),
+            _ if self.door.is_some() => Err(Refusal::TokenMissing),
             "ver" if !self.greeted => self.greet(args),
             _ if !self.greeted => Err(Refusal::BadHandshake),
             "nse" => self.open_session(args),
@@ -59,10 +63,32 @@ impl Connection {
             "gne" => self.watch_net(args, tag()),
             "snc" => self.write_values(args),
             "nin" => self.describe_nets(args),
+            "nst" => self.figures(args),
             "nesc" => self.schedule(args),
             "gsy" => self.watch_rule(args, tag()),
             _ => Err(Refusal::UnknownCommand),
         }
+    }
+
+    /// Takes a token; where none is needed, any will do.
+    fn admit(&mut self, args: Args<'_>, now: Duration) -> Outcome {
+        let given = args.text(0)?;
+        let admission = match &self.door {
+            Some(door) => door.check(Some(given), now),
+            None => Admission::Admitted,
+        };
+        match admission {
+            Admission::Admitted => {
+                self.door = None;
+                return Ok(vec!["token ok".into()]);
+            }
+            Admission::Missing | Admission::Wrong => self.refused = true,
+            Admission::TooMany => {
+                self.refused = true;
+                return Err(Refusal::TooManyTokens);
+            }
+        }
+        Err(Refusal::WrongToken)
     }
 
     fn greet(&mut self, args: Args<'_>) -> Outcome {
@@ -75,7 +101,12 @@ impl Connection {
     }
 
     fn open_session(&mut self, args: Args<'_>) -> Outcome {
-        let session = self.controller.open_session(args.description(0)?)?;
+        let on_loss = match args.optional(1, Args::text)? {
+            None => self.on_loss,
+            Some(word) => OnLoss::of_word(word).ok_or(Refusal::OnLoss)?,
+        };
+        let description = args.description(0)?;
+        let session = self.controller.open_session_with(description, on_loss)?;
         self.opened.push(session);
         Ok(vec![session.to_string().into()])
     }
@@ -237,6 +268,19 @@ impl Connection {
         Ok(vec![Value::map_of(
             infos.map(|i| (i.id.to_string(), describe(&i))),
         )])
+    }
+
+    /// Not part of the original protocol either: what the evaluation of all nets, or of one, costs.
+    fn figures(&self, args: Args<'_>) -> Outcome {
+        let nets = match args.optional(0, Args::text)? {
+            Some(name) => vec![self.known_net(name).ok_or(Refusal::InvalidNet)?],
+            None => self.controller.nets(),
+        };
+        let figures = |net: NetId| {
+            let figures = self.controller.net_figures(net)?;
+            Some((net.to_string(), figures::value(&figures)))
+        };
+        Ok(vec![Value::map_of(nets.into_iter().filter_map(figures))])
     }
 
     fn check_room(&self, replaces: bool) -> Result<(), Refusal> {

@@ -3,6 +3,7 @@
 
 use super::SUBSCRIPTIONS_MAX;
 use super::commands::DESCRIPTION_BYTES_MAX;
+use crate::access::{WRONG_MAX, WRONG_WITHIN};
 use crate::wire::Message;
 
 /// Why a command was not done.
@@ -52,6 +53,21 @@ pub(super) enum Refusal {
         "too many subscriptions: a connection has at most {SUBSCRIPTIONS_MAX}; unload nets or open another connection"
     )]
     TooManySubscriptions,
+    /// A token is needed first.
+    #[error("token missing: send tok(\"…\") first; tools take --token-file or TAKT_TOKEN")]
+    TokenMissing,
+    /// It is another one.
+    #[error("wrong token")]
+    WrongToken,
+    /// The bound on guesses.
+    #[error(
+        "too many wrong tokens: at most {WRONG_MAX} within {} s from one address; wait that long",
+        WRONG_WITHIN.as_secs()
+    )]
+    TooManyTokens,
+    /// What becomes of a session whose client is lost.
+    #[error("on loss: \"keep\" or \"end\" is expected")]
+    OnLoss,
     /// The bound on descriptions.
     #[error("the description has {bytes} bytes; at most {DESCRIPTION_BYTES_MAX} are taken")]
     DescriptionTooLong { bytes: usize },
@@ -79,6 +95,10 @@ impl Refusal {
             | Self::InvalidRuleNet
             | Self::InvalidRule
             | Self::TooManySubscriptions
+            | Self::TokenMissing
+            | Self::WrongToken
+            | Self::TooManyTokens
+            | Self::OnLoss
             | Self::DescriptionTooLong { .. }
             | Self::Controller(_) => reply,
         }

@@ -328,6 +328,25 @@ fn net_of_an_unknown_session_belongs_to_none() {
 }
 
 #[test]
+fn figures_of_nets_are_told_but_of_those_that_were_never_ready() {
+    let mut client = Client::greeted(&controller());
+    let net = client.load(ENDLESS);
+    client.load(REJECTED);
+    let all = client.ask("a=nst()");
+    assert_eq!(client.ask(&format!(r#"a=nst("{net}")"#)), all);
+    for part in [
+        "a=ok({rpinet0:{budget:0.800000,cost:0.0",
+        ",cycles:0.000000,max:0.000000,mean:0.000000,min:0.000000,overbudget:0.000000",
+        ",overruns:0.000000,period:1.000000,primitives:",
+        ",thread:1.000000}})",
+    ] {
+        assert!(all.contains(part), "{all}");
+    }
+    let unknown = client.ask(r#"a=nst("rpinet9")"#);
+    assert!(unknown.starts_with("a=err("), "{unknown}");
+}
+
+#[test]
 fn rejected_net_says_what_is_wrong_with_it() {
     let mut client = Client::greeted(&controller());
     let net = client.load(REJECTED);
@@ -554,7 +573,7 @@ fn any_line_is_survived() {
     ];
     let commands = [
         "ver", "nse", "ase", "gse", "gde", "nene", "nest", "neca", "neab", "neun", "gne", "snc",
-        "nin", "nesc", "gsy", "quit",
+        "nin", "nst", "nesc", "gsy", "quit",
     ];
     for command in commands {
         for first in values {

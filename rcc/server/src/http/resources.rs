@@ -1,34 +1,41 @@
 //! The resources: which there are, and who answers for each. Answering may block.
 
+pub(super) mod debug;
 mod devices;
 mod eval;
+mod interfaces;
+mod metrics;
 mod modules;
 mod nets;
 mod sessions;
+mod status;
 
 use takt_core::Controller;
 use takt_core::net::{Limits, xml};
 
 use super::element::Element;
 use super::{Request, Response};
+use crate::site::Site;
 
 /// What there is, for those who ask for something else.
-const MAP: &str = "There are /nets/ /eval/ /sessions/ /types/ /modules/ /modulesdetails/ /devices/ \
-    and, for WebSocket, /DirectIO/.";
+const MAP: &str = "There are / /status/ /metrics /stats/ /nets/ /eval/ /sessions/ /types/ \
+    /modules/ /modulesdetails/ /devices/ /extensions/ /log/ and, for WebSocket, /DirectIO/.";
 
 /// A response, or one that says why there is none.
 type Outcome = Result<Response, Response>;
 
 /// A resource as it is asked for.
 pub(super) struct Ask<'a> {
+    site: &'a Site,
     controller: &'a Controller,
     request: &'a Request,
 }
 
 /// Does what a request says.
-pub(crate) fn respond(controller: &Controller, request: &Request) -> Response {
+pub(crate) fn respond(site: &Site, request: &Request) -> Response {
     let ask = Ask {
-        controller,
+        site,
+        controller: &site.controller,
         request,
     };
     ask.route().unwrap_or_else(|refusal| refusal)
@@ -39,6 +46,19 @@ impl Ask<'_> {
         let path: Vec<_> = self.request.path.iter().map(String::as_str).collect();
         let (first, rest) = path.split_first().unwrap_or((&"", &[]));
         match (*first, rest, self.request.post) {
+            ("", [], false) => Ok(Response::page(super::page::PAGE)),
+            ("status", [], false) => Ok(self.status()),
+            ("metrics", [], false) => Ok(self.metrics()),
+            ("stats", [], false) => Ok(self.all_stats()),
+            ("log", [], false) => Ok(self.log()),
+            ("extensions", [], false) => Ok(self.show(&Element::new("extensions"))),
+            ("extensions", _, true) => Err(Response::text(
+                "403 Forbidden",
+                "No code is loaded from the network; drivers are part of the controller.\n",
+            )),
+            (_, [.., "source.java"], false) => Err(Response::not_found(
+                "Java sources are not made here; ?format=json describes types and primitives",
+            )),
             ("nets", [], false) => Ok(self.nets()),
             ("nets", [], true) => self.load_net(),
             ("nets", [net], false) => self.net(net),
@@ -57,19 +77,39 @@ impl Ask<'_> {
             ("devices", [], false) => Ok(self.devices()),
             ("devices", [], true) => self.change_devices(),
             ("devices", [device], false) => self.device(device),
-            ("devices", [device, "robotarm"], false) => self.robot_arm(device),
-            ("eval", [], false) | ("types" | "modules" | "modulesdetails", _, true) => {
-                Err(Response::text(
-                    "405 Method Not Allowed",
-                    "This resource takes the other of GET and POST.\n",
-                ))
-            }
+            ("devices", [device, interface], post) => self.interface(device, interface, post),
+            ("eval", [], false)
+            | (
+                "" | "types" | "modules" | "modulesdetails" | "status" | "metrics" | "log",
+                _,
+                true,
+            ) => Err(Response::text(
+                "405 Method Not Allowed",
+                "This resource takes the other of GET and POST.\n",
+            )),
             _ => Err(Response::not_found(MAP)),
         }
     }
 
     fn show(&self, element: &Element) -> Response {
         Response::element(element, self.request.json)
+    }
+
+    /// The value of a field of the query.
+    fn query(&self, key: &str) -> Option<&str> {
+        let field = self.request.query.iter().find(|(k, _)| k == key);
+        field.map(|(_, value)| value.as_str())
+    }
+
+    /// The last lines of the log: from number `start` on, those that contain `filter`.
+    fn log(&self) -> Response {
+        let start = self.query("start").and_then(|n| n.parse().ok());
+        let filter = self.query("filter").unwrap_or_default();
+        let (lines, next) = self.site.log.lines(start.unwrap_or(0), filter);
+        let line =
+            |(number, text): (u64, String)| Element::new("line").with("number", number).text(text);
+        let log = Element::new("log").with("next", next);
+        self.show(&log.containing(lines.into_iter().map(line)))
     }
 
     /// The value of a form's field.

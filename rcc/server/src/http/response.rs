@@ -69,6 +69,51 @@ impl Response {
         Self::text("404 Not Found", format!("{why}\n"))
     }
 
+    /// A token is needed, and why what came is none.
+    pub(super) fn unauthorized(why: &str) -> Self {
+        Self {
+            extra: "WWW-Authenticate: Bearer realm=\"takt\"\r\n".to_owned(),
+            ..Self::text("401 Unauthorized", why)
+        }
+    }
+
+    /// The same page again, with the token in a cookie rather than in the address. `token` was found to
+    /// be right, so it holds no character that could end a header.
+    pub(super) fn with_cookie(name: &str, token: &str) -> Self {
+        let extra = format!(
+            "Location: /\r\nSet-Cookie: {name}={token}; Path=/; HttpOnly; SameSite=Strict\r\n"
+        );
+        Self {
+            extra,
+            ..Self::text("303 See Other", "")
+        }
+    }
+
+    /// The page for people, which takes nothing from elsewhere.
+    pub(super) fn page(body: &str) -> Self {
+        Self {
+            kind: "text/html; charset=utf-8",
+            extra: "Content-Security-Policy: default-src 'none'; style-src 'unsafe-inline'; \
+                    script-src 'unsafe-inline'; connect-src 'self'; img-src data:; \
+                    frame-ancestors 'none'\r\n"
+                .to_owned(),
+            ..Self::text("200 OK", body)
+        }
+    }
+
+    /// A text of another kind.
+    pub(super) fn of_kind(kind: &'static str, body: String) -> Self {
+        Self {
+            kind,
+            ..Self::text("200 OK", body)
+        }
+    }
+
+    /// There are too many of something, and what the bound is.
+    pub(crate) fn too_many(why: impl fmt::Display) -> Self {
+        Self::text("503 Service Unavailable", format!("{why}\n"))
+    }
+
     /// Only WebSocket is spoken here.
     pub(super) fn upgrade_required() -> Self {
         Self {

@@ -5,7 +5,14 @@ use super::*;
 const KNOWN_CLIENT: &str = "GET /DirectIO/ HTTP/1.1\r\nHost: h\r\nUpgrade: websocket\r\n\
     Connection: Upgrade\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n";
 
+mod access;
+mod metrics;
 mod resources;
+
+/// What a server that asks for no token answers.
+fn answer(received: &[u8], continued: bool) -> Option<(usize, Answer)> {
+    super::answer(received, continued, &|_| Admission::Admitted)
+}
 
 /// The first line of what a request is answered.
 fn status(request: &str) -> String {
@@ -174,4 +181,12 @@ fn forms_of_pages_of_other_hosts_are_kept_out() {
 fn parts_of_a_path_are_decoded() {
     let request = "GET //modules/Core%3A%3AClock%2f/ HTTP/1.1\r\n\r\n";
     assert_eq!(status(request), r#"["modules", "Core::Clock/"]"#);
+}
+
+/// Whether an open server goes on with WebSocket frames.
+fn is_upgrade(request: &str) -> bool {
+    matches!(
+        answer(request.as_bytes(), false),
+        Some((_, Answer::Upgrade(_)))
+    )
 }

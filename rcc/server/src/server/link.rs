@@ -2,6 +2,7 @@
 //! in threads that may block. It opens and ends no session.
 
 use std::io;
+use std::net::{IpAddr, Ipv4Addr};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -9,13 +10,16 @@ use takt_core::SessionId;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 use tokio::sync::{Notify, watch};
+use tokio::task::JoinError;
 use tokio::time::{Instant, timeout};
 
 use super::{CONNECTIONS_MAX, Kind, Visit};
+use crate::access::{Admission, TOKEN_CHARS_MAX};
 use crate::codec::{Codec, Received};
 use crate::dio::Connection;
 use crate::error::Error;
-use crate::http;
+use crate::http::{self, DebugStream};
+use crate::site::Counters;
 use crate::wire::Message;
 use crate::wire::lines::LineReader;
 use crate::wire::websocket::FrameReader;
@@ -25,6 +29,12 @@ const READ_BYTES: usize = 64 << 10;
 
 /// How long a client may take to send its request.
 const REQUEST_WITHIN: Duration = Duration::from_secs(10);
+
+/// Most bytes of a line before the token was given.
+const TOKEN_LINE_BYTES_MAX: usize = 2 * TOKEN_CHARS_MAX;
+
+/// How often a debug stream sends.
+const STREAM_EVERY: Duration = Duration::from_millis(100);
 
 /// How long a client may take to close after it was answered.
 const CLOSE_WITHIN: Duration = Duration::from_secs(1);
@@ -78,6 +88,8 @@ pub(super) fn refuse(stream: TcpStream, kind: Kind) {
 struct Link {
     stream: TcpStream,
     peer: String,
+    address: IpAddr,
+    counters: Arc<Counters>,
     codec: Codec,
     /// Away only while a blocking thread has it; lost if that thread panics.
     connection: Option<Connection>,
@@ -90,31 +102,47 @@ impl Link {
             .peer_addr()
             .map_or_else(|e| e.to_string(), |a| a.to_string());
         let codec = match kind {
-            Kind::Tcp => Codec::Plain(LineReader::default()),
+            Kind::Tcp if visit.site.gate.is_open() => Codec::Plain(LineReader::default()),
+            Kind::Tcp => Codec::Plain(LineReader::bounded(TOKEN_LINE_BYTES_MAX)),
             Kind::Http => Codec::WebSocket(FrameReader::default()),
         };
-        let connection = Some(Connection::new(visit.controller.clone()));
+        let address = stream.peer_addr().map(|a| a.ip());
+        let address = address.unwrap_or(IpAddr::V4(Ipv4Addr::UNSPECIFIED));
+        let site = &visit.site;
+        let connection = Connection::new(site.controller.clone()).with_on_loss(site.on_loss);
+        let connection = match kind {
+            Kind::Tcp => connection.behind(&site.gate, address, visit.begin.elapsed()),
+            // Its request carries the token.
+            Kind::Http => connection,
+        };
         Self {
             stream,
             peer,
+            address,
+            counters: Arc::clone(&site.counters),
             codec,
-            connection,
+            connection: Some(connection),
             begin: Instant::now(),
         }
     }
 
     async fn serve_http(&mut self, visit: &Visit) -> Result<(), Error> {
-        let request = timeout(REQUEST_WITHIN, self.read_request()).await;
+        let request = timeout(REQUEST_WITHIN, self.read_request(visit)).await;
         let response = match request {
             Ok(Ok(Some(http::Answer::Upgrade(text)))) => {
                 self.send(text.as_bytes()).await?;
                 return self.serve_lines(visit).await;
             }
             Ok(Ok(Some(http::Answer::Serve(request)))) => {
-                let controller = visit.controller.clone();
-                let work = move || http::respond(&controller, &request);
-                let worked = tokio::task::spawn_blocking(work).await;
-                worked.map_err(|e| self.broken(io::Error::other(e)))?
+                Counters::add(&self.counters.requests, 1);
+                match DebugStream::asked_for(&visit.site.controller, &request) {
+                    None => self.respond(request, visit).await?,
+                    Some(Err(refusal)) => refusal,
+                    Some(Ok(stream)) => match Arc::clone(&visit.streams).try_acquire_owned() {
+                        Ok(_place) => return self.stream(stream, visit).await,
+                        Err(_) => DebugStream::too_many(),
+                    },
+                }
             }
             Ok(Ok(Some(http::Answer::Refuse(response)))) => response,
             Ok(Ok(Some(http::Answer::Continue(_)) | None)) => return Ok(()),
@@ -125,11 +153,64 @@ impl Link {
         self.finish().await
     }
 
+    async fn respond(
+        &self,
+        request: http::Request,
+        visit: &Visit,
+    ) -> Result<http::Response, Error> {
+        let broken = |e: JoinError| self.broken(io::Error::other(e));
+        let _place = match request.path.first().map(String::as_str) {
+            // The semaphore is never closed.
+            Some("eval") => visit.evaluations.acquire().await.ok(),
+            _ => None,
+        };
+        let site = visit.site.clone();
+        let work = move || http::respond(&site, &request);
+        tokio::task::spawn_blocking(work).await.map_err(broken)
+    }
+
+    /// Sends what the debug taps of a net record, until the net ends or the client is gone.
+    async fn stream(&mut self, mut stream: DebugStream, visit: &Visit) -> Result<(), Error> {
+        self.send(DebugStream::HEAD.as_bytes()).await?;
+        let mut closing = visit.closing.clone();
+        let mut received = Vec::new();
+        loop {
+            let worked = tokio::task::spawn_blocking(move || {
+                let chunk = stream.poll();
+                (stream, chunk)
+            });
+            let (back, chunk) = worked.await.map_err(|e| self.broken(io::Error::other(e)))?;
+            stream = back;
+            let Some(chunk) = chunk else {
+                self.send(b"0\r\n\r\n").await?;
+                return self.finish().await;
+            };
+            if !chunk.is_empty() {
+                let framed = format!("{:x}\r\n{chunk}\r\n", chunk.len());
+                self.send(framed.as_bytes()).await?;
+            }
+            tokio::select! {
+                () = closed(&mut closing) => return Ok(()),
+                // A client that closes, or sends what nobody asked for, has seen enough.
+                _ = read(&mut self.stream, &mut received) => return Ok(()),
+                () = tokio::time::sleep(STREAM_EVERY) => {}
+            }
+        }
+    }
+
     /// Reads a request; what follows its head belongs to the frames if it asks for WebSocket.
-    async fn read_request(&mut self) -> Result<Option<http::Answer>, Error> {
+    async fn read_request(&mut self, visit: &Visit) -> Result<Option<http::Answer>, Error> {
+        let (gate, counters) = (Arc::clone(&visit.site.gate), Arc::clone(&self.counters));
+        let address = self.address;
+        let admit = |given: Option<&str>| {
+            let admission = gate.check(address, given, visit.begin.elapsed());
+            let denied = given.is_some() && admission != Admission::Admitted;
+            Counters::add(&counters.denied, denied.into());
+            admission
+        };
         let (mut received, mut continued) = (Vec::new(), false);
         while self.read(&mut received).await? {
-            match http::answer(&received, continued) {
+            match http::answer(&received, continued, &admit) {
                 Some((_, http::Answer::Continue(text))) => {
                     continued = true;
                     self.send(text.as_bytes()).await?;
@@ -164,9 +245,10 @@ impl Link {
         self.stream.set_nodelay(true).map_err(|e| self.broken(e))?;
         let changed = Arc::new(Notify::new());
         let wake = Arc::clone(&changed);
-        let _watch = visit.controller.on_change(move || wake.notify_one());
+        let _watch = visit.site.controller.on_change(move || wake.notify_one());
         let mut closing = visit.closing.clone();
         let mut received = Vec::with_capacity(READ_BYTES);
+        let admitted_by = Instant::now() + REQUEST_WITHIN;
         loop {
             if !self.handle_received().await? {
                 return Ok(());
@@ -183,6 +265,9 @@ impl Link {
                     self.codec.push(&received);
                     received.clear();
                 }
+                () = tokio::time::sleep_until(admitted_by), if !self.is_admitted() => {
+                    return Err(self.broken(io::ErrorKind::TimedOut.into()));
+                }
                 () = changed.notified() => self.push(true).await?,
                 () = sleep_until(next) => self.push(false).await?,
             }
@@ -195,12 +280,21 @@ impl Link {
             match self.codec.poll() {
                 Ok(None) => return Ok(true),
                 Ok(Some(Received::Line(line))) => {
+                    Counters::add(&self.counters.received, 1);
+                    let before = self.is_admitted();
                     self.with_connection(move |c, now| {
                         let mut out = c.handle_line(&line, now);
                         out.extend(c.poll_pushes(now));
                         out
                     })
                     .await?;
+                    if self.connection.as_ref().is_some_and(Connection::is_refused) {
+                        Counters::add(&self.counters.denied, 1);
+                        return Ok(false);
+                    }
+                    if !before && self.is_admitted() {
+                        self.codec.unbind();
+                    }
                 }
                 Ok(Some(Received::Answer(bytes))) => self.send(&bytes).await?,
                 Ok(Some(Received::Goodbye(bytes))) => {
@@ -216,6 +310,11 @@ impl Link {
                 }
             }
         }
+    }
+
+    /// Whether the client gave the token it needs.
+    fn is_admitted(&self) -> bool {
+        self.connection.as_ref().is_none_or(Connection::is_admitted)
     }
 
     async fn push(&mut self, changed: bool) -> Result<(), Error> {
@@ -247,6 +346,7 @@ impl Link {
     }
 
     async fn send_lines(&mut self, lines: &[String]) -> Result<(), Error> {
+        Counters::add(&self.counters.sent, lines.len() as u64);
         let mut bytes = Vec::new();
         for line in lines {
             self.codec.write(line, &mut bytes);

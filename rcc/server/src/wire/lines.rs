@@ -6,7 +6,7 @@
 use super::MESSAGE_BYTES_MAX;
 
 /// Cuts a stream into messages.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct LineReader {
     bytes: Vec<u8>,
     /// First byte of the message in progress.
@@ -14,6 +14,13 @@ pub struct LineReader {
     /// First byte not looked at yet.
     scanned: usize,
     place: Place,
+    bound: usize,
+}
+
+impl Default for LineReader {
+    fn default() -> Self {
+        Self::bounded(MESSAGE_BYTES_MAX)
+    }
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -24,12 +31,32 @@ enum Place {
     Escaped,
 }
 
-/// A message longer than [`MESSAGE_BYTES_MAX`] bytes; the stream cannot be read on.
+/// A message longer than the reader's bound, [`MESSAGE_BYTES_MAX`] or less; the stream cannot be read on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("a message has more than {MESSAGE_BYTES_MAX} bytes (is a quotation mark missing?)")]
-pub struct LineTooLong;
+#[error("a message has more than {bound} bytes (is a quotation mark missing?)")]
+pub struct LineTooLong {
+    /// The bound.
+    pub bound: usize,
+}
 
 impl LineReader {
+    /// Cuts a stream into messages of at most so many bytes.
+    #[must_use]
+    pub fn bounded(bound: usize) -> Self {
+        Self {
+            bytes: Vec::new(),
+            start: 0,
+            scanned: 0,
+            place: Place::default(),
+            bound: bound.min(MESSAGE_BYTES_MAX),
+        }
+    }
+
+    /// Takes messages of at most [`MESSAGE_BYTES_MAX`] bytes from now on.
+    pub const fn unbind(&mut self) {
+        self.bound = MESSAGE_BYTES_MAX;
+    }
+
     /// Adds received bytes.
     pub fn push(&mut self, bytes: &[u8]) {
         self.bytes.drain(..self.start);
@@ -48,15 +75,15 @@ impl LineReader {
             let line = self.bytes.get(self.start..end).unwrap_or_default();
             let line = line.strip_suffix(b"\r").unwrap_or(line);
             self.start = end + 1;
-            if line.len() > MESSAGE_BYTES_MAX {
-                return Err(LineTooLong);
+            if line.len() > self.bound {
+                return Err(LineTooLong { bound: self.bound });
             }
             if !line.is_empty() {
                 return Ok(Some(String::from_utf8_lossy(line).into_owned()));
             }
         }
-        if self.bytes.len() - self.start > MESSAGE_BYTES_MAX {
-            return Err(LineTooLong);
+        if self.bytes.len() - self.start > self.bound {
+            return Err(LineTooLong { bound: self.bound });
         }
         Ok(None)
     }

@@ -300,7 +300,12 @@ fn endless_lines_are_refused() {
     reader.push(&part);
     assert_eq!(reader.poll_message(), Ok(None));
     reader.push(&part);
-    assert_eq!(reader.poll_message(), Err(LineTooLong));
+    assert_eq!(
+        reader.poll_message(),
+        Err(LineTooLong {
+            bound: MESSAGE_BYTES_MAX
+        })
+    );
 }
 
 fn client_frame(opcode: OpCode, is_final: bool, mask: Option<[u8; 4]>, payload: &[u8]) -> Vec<u8> {

@@ -1,5 +1,7 @@
 //! A server with a controller without devices, on free ports of this host. It tests nothing.
 
+#![allow(dead_code, reason = "shared by test files that need different parts")]
+
 use std::net::SocketAddr;
 use std::thread::JoinHandle;
 
@@ -18,6 +20,14 @@ pub(crate) struct Running {
 
 impl Running {
     pub(crate) fn start(on_loss: OnLoss) -> Self {
+        Self::start_with(ServerConfig {
+            on_loss,
+            ..ServerConfig::default()
+        })
+    }
+
+    /// Starts a server on any free ports.
+    pub(crate) fn start_with(config: ServerConfig) -> Self {
         let mut cell = CellConfig::default();
         cell.controller.priority = None;
         let controller = Controller::start(&cell).unwrap();
@@ -30,7 +40,7 @@ impl Running {
         let config = ServerConfig {
             http: any,
             tcp: any,
-            on_loss,
+            ..config
         };
         let server = runtime.block_on(Server::bind(config)).unwrap();
         let (http, tcp) = (

@@ -1,65 +1,57 @@
 //! The robot's clock as told by its datagrams: it ticks once a period, and arrivals only say how
 //! it runs. Jitter of the network and of this host must not become jitter of the motion.
+//!
+//! How it is found is the servo's affair; here is what a datagram means to it.
 
 use takt_rt::Nanos;
-
-/// Share of an arrival's deviation that is believed.
-const GAIN: f64 = 0.02;
-/// Largest deviation of one arrival that counts, so that a stall does not move the clock.
-const CLAMP_NS: i64 = 100_000;
-/// After so many arrivals that were all late, the clock jumps: they are not late, it is wrong.
-const LATE_MAX: u32 = 16;
+use takt_rt::servo::{Estimate, Servo, ServoConfig};
 
 /// The instant that the newest datagram stands for.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Debug, Default)]
 pub(super) struct DatagramClock {
-    now: Option<Nanos>,
+    /// `None` before the first datagram.
+    servo: Option<Servo>,
+    /// The robot's own time: periods since its first datagram.
+    robot: Nanos,
+    now: Nanos,
     period: Nanos,
     elapsed: Nanos,
-    late: u32,
-    late_min: Nanos,
 }
 
 impl DatagramClock {
     /// A datagram arrived, `lost` periods after those before it at least.
     pub(super) fn tick(&mut self, arrival: Nanos, period: Nanos, lost: u16) {
-        let before = self.now;
-        let expected = match before {
-            Some(now) if self.period == period => now + Nanos(period.0 * (1 + i64::from(lost))),
-            _ => arrival,
-        };
-        let mut error = arrival - expected;
-        let half = Nanos(period.0 / 2);
-        let is_late = error > half;
-        self.late_min = if self.late == 0 {
-            error
+        if self.period != period {
+            (self.servo, self.period) = (None, period);
+        }
+        let is_first = self.servo.is_none();
+        let servo = self.servo.get_or_insert_with(|| new_servo(period));
+        self.robot += Nanos(period.0.saturating_mul(1 + i64::from(lost)));
+        servo.handle_sample(arrival, self.robot);
+        let now = servo.estimate().local_at(self.robot);
+        self.elapsed = if is_first {
+            period
         } else {
-            self.late_min.min(error)
+            (now - self.now).max(Nanos(0))
         };
-        self.late = if is_late { self.late + 1 } else { 0 };
-        let wrong = error < Nanos(-period.0) || self.late > LATE_MAX;
-        let now = if wrong {
-            let jump = if error.0 < 0 { error } else { self.late_min };
-            self.late = 0;
-            expected + jump
-        } else {
-            error = Nanos(error.0.clamp(-CLAMP_NS, CLAMP_NS));
-            #[expect(
-                clippy::cast_possible_truncation,
-                clippy::cast_precision_loss,
-                reason = "at most the clamp"
-            )]
-            let step = (error.0 as f64 * GAIN) as i64;
-            expected + Nanos(step)
-        };
-        self.elapsed = before.map_or(period, |before| (now - before).max(Nanos(0)));
-        self.now = Some(now);
-        self.period = period;
+        self.now = now;
+    }
+
+    /// It is `now`, and no datagram came.
+    pub(super) fn handle_time(&mut self, now: Nanos) {
+        if let Some(servo) = &mut self.servo {
+            servo.handle_time(now);
+        }
+    }
+
+    /// The clock, for those who follow it: zero and every whole period is the instant of a datagram.
+    pub(super) fn estimate(&self) -> Estimate {
+        self.servo.as_ref().map(Servo::estimate).unwrap_or_default()
     }
 
     /// The instant of the newest datagram.
-    pub(super) fn now(&self) -> Nanos {
-        self.now.unwrap_or_default()
+    pub(super) const fn now(&self) -> Nanos {
+        self.now
     }
 
     /// The time between the newest datagram and the one before it.
@@ -76,6 +68,16 @@ impl DatagramClock {
     pub(super) fn is_late(&self, at: Nanos) -> bool {
         at - self.now() > Nanos(self.period.0 * 3 / 4)
     }
+}
+
+/// Datagrams come over a network and past a scheduler: what would be much uncertainty for a fieldbus is
+/// ordinary here, and set-points are interpolated over more than a period anyway.
+fn new_servo(period: Nanos) -> Servo {
+    let config = ServoConfig::new(period.try_into().unwrap_or_default());
+    Servo::new(&ServoConfig {
+        uncertainty_max: Nanos(period.0 / 4),
+        ..config
+    })
 }
 
 #[cfg(test)]
@@ -128,6 +130,18 @@ mod tests {
         clock.tick(Nanos(12 * PERIOD.0), PERIOD, 2);
         assert_eq!(clock.now(), Nanos(12 * PERIOD.0));
         assert_eq!(clock.elapsed(), Nanos(3 * PERIOD.0));
+    }
+
+    #[test]
+    fn others_may_follow_it_until_datagrams_stop() {
+        let mut clock = after((0..2000).map(|i| i * 1_000_100));
+        let estimate = clock.estimate();
+        assert!(estimate.is_valid_at(clock.now()));
+        assert!((estimate.frequency_ppb + 100_000.0).abs() < 100.0);
+        let phase_error = estimate.phase_error(clock.now(), PERIOD, Nanos(0));
+        assert!(phase_error.abs() < Nanos(10), "{phase_error}");
+        clock.handle_time(clock.now() + Nanos(600_000_000_000));
+        assert!(!clock.estimate().state.is_followed());
     }
 
     #[test]

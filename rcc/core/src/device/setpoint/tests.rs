@@ -240,7 +240,7 @@ const STALE_AFTER: Nanos = Nanos(PERIOD.0 * 10 + DELAY.0);
 struct Rig {
     joint: Joint,
     points: JointSetPoints,
-    /// Logical time of the last cycle of nets.
+    /// When the last cycle of nets began.
     net_time: Nanos,
     /// The robot's clock.
     now: Nanos,

@@ -78,7 +78,7 @@ impl Ask<'_> {
         Ok(Response::text("201 Created", format!("{name} is there\n")))
     }
 
-    fn find_device(&self, name: &str) -> Result<DeviceInfo, Response> {
+    pub(super) fn find_device(&self, name: &str) -> Result<DeviceInfo, Response> {
         let mut devices = all_devices(self.controller).into_iter();
         let found = devices.find(|d| d.name == name);
         found.ok_or_else(|| Response::not_found("there is no such device"))
@@ -90,7 +90,7 @@ fn is_name(name: &str) -> bool {
     name.len() <= 64 && name.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_')
 }
 
-fn refused(error: Error) -> Response {
+pub(super) fn refused(error: Error) -> Response {
     if matches!(error, Error::NoSuchDevice(_)) {
         Response::not_found(error)
     } else {

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use takt_core::controller::{LoadRequest, NetInfo, RuleInfo};
+use takt_core::controller::{LoadRequest, NetFigures, NetInfo, RuleInfo};
 use takt_core::net::{Limits, xml};
 use takt_core::{Error, NetId, SessionId};
 
@@ -89,14 +89,17 @@ impl Ask<'_> {
 
     /// The text of a net, its XML, or its figures.
     pub(super) fn net_part(&self, name: &str, part: &str) -> Outcome {
-        let (_, info) = self.find_net(name)?;
+        let (id, info) = self.find_net(name)?;
         match part {
             "dio" => Ok(Response::text("200 OK", &*info.text)),
             "xml" => xml::to_xml(&info.text, &Limits::default())
                 .map(Response::xml)
                 .map_err(|r| Response::conflict(r.lines(&info.text).join("\n"))),
-            "stats" => Ok(self.show(&self.stats())),
-            _ => Err(Response::not_found("a net has dio, xml and stats")),
+            "stats" => self.stats(id),
+            "debug" => self.debug(name),
+            _ => Err(Response::not_found(
+                "a net has dio, xml, stats, debug and debugstream",
+            )),
         }
     }
 
@@ -133,32 +136,72 @@ impl Ask<'_> {
         Ok(Response::redirect("303 See Other", &place))
     }
 
-    fn find_net(&self, name: &str) -> Result<(NetId, NetInfo), Response> {
+    pub(super) fn find_net(&self, name: &str) -> Result<(NetId, NetInfo), Response> {
         let id = name.parse().ok();
         let found = id.and_then(|id| Some((id, self.controller.net(id)?)));
         found.ok_or_else(|| Response::not_found("there is no such net"))
     }
 
-    /// What is known of the thread that evaluates the net, in ms.
-    fn stats(&self) -> Element {
-        let stats = self.controller.stats();
-        let (exec, late) = (&stats.execution, &stats.latency);
-        let figure = |name, min, mean, max| {
-            let element = Element::new(name).with("min", min);
-            element.with("mean", mean).with("max", max)
-        };
-        Element::new("stats")
-            .with("period", ms(self.controller.period()))
-            .with("cycles", stats.cycles)
-            .with("overruns", stats.overruns)
-            .containing([
-                figure("exec", ms(exec.min), ms(exec.mean), ms(exec.max)),
-                figure("latency", ms(late.min), ms(late.mean), ms(late.max)),
-            ])
+    /// What is known of the evaluation of a net and of its thread, in ms.
+    fn stats(&self, id: NetId) -> Outcome {
+        let figures = self.controller.net_figures(id);
+        let figures = figures.ok_or_else(|| Response::conflict("it was never ready"))?;
+        let threads = self.controller.threads();
+        let thread = threads.iter().find(|t| t.period == figures.thread_period);
+        let late = thread.map(|thread| {
+            let late = &thread.stats.latency;
+            times("latency", late.min, late.mean, late.max)
+        });
+        Ok(self.show(&figures_of(&figures).containing(late)))
+    }
+
+    /// The figures of all net threads and of all nets.
+    pub(super) fn all_stats(&self) -> Response {
+        let controller = self.controller;
+        let threads = super::metrics::threads(controller);
+        let threads = threads.iter().map(|thread| {
+            let stats = &thread.stats;
+            let (exec, late) = (&stats.execution, &stats.latency);
+            Element::new("thread")
+                .with("name", &thread.name)
+                .with("period", ms(thread.period))
+                .with("cycles", stats.cycles)
+                .with("overruns", stats.overruns)
+                .containing([
+                    times("exec", exec.min, exec.mean, exec.max),
+                    times("latency", late.min, late.mean, late.max),
+                ])
+        });
+        let nets = controller.nets().into_iter();
+        let nets = nets.filter_map(|id| Some((id, controller.net_figures(id)?)));
+        let nets = nets.map(|(id, figures)| {
+            let net = Element::new("net").with("uri", format!("/nets/{id}/"));
+            net.containing([figures_of(&figures)])
+        });
+        self.show(&Element::new("stats").containing(threads).containing(nets))
     }
 }
 
-fn ms(time: impl TryInto<Duration>) -> String {
+fn figures_of(figures: &NetFigures) -> Element {
+    let counts = &figures.counts;
+    Element::new("stats")
+        .with("period", ms(figures.period))
+        .with("thread", ms(figures.thread_period))
+        .with("cycles", counts.cycles)
+        .with("overruns", counts.overruns)
+        .with("overbudget", counts.over_budget)
+        .with("primitives", figures.primitives)
+        .with("cost", ms(figures.cost))
+        .with("budget", ms(figures.budget))
+        .containing([times("exec", counts.min, counts.mean, counts.max)])
+}
+
+fn times<T: TryInto<Duration>>(name: &'static str, min: T, mean: T, max: T) -> Element {
+    let element = Element::new(name).with("min", ms(min));
+    element.with("mean", ms(mean)).with("max", ms(max))
+}
+
+pub(super) fn ms(time: impl TryInto<Duration>) -> String {
     let time = time.try_into().unwrap_or_default();
     format!("{:.6}", time.as_secs_f64() * 1e3)
 }

@@ -1,6 +1,6 @@
 //! `/sessions/`: sessions listed, opened, ended, and nets loaded into them.
 
-use takt_core::SessionId;
+use takt_core::{OnLoss, SessionId};
 
 use super::super::Response;
 use super::super::element::Element;
@@ -10,11 +10,18 @@ use super::{Ask, Outcome};
 impl Ask<'_> {
     pub(super) fn sessions(&self) -> Response {
         let sessions = self.controller.sessions().into_iter();
-        let sessions = sessions.map(|(id, description)| session(id, &description));
+        let sessions = sessions.map(|(id, description)| self.describe(id, &description));
         self.show(&Element::new("sessions").containing(sessions))
     }
 
     pub(super) fn open_session(&self) -> Outcome {
+        if self
+            .field("onloss")
+            .is_some_and(|word| word != OnLoss::Keep.word())
+        {
+            let text = "onloss: a session that is opened here has no connection to lose";
+            return Err(Response::bad_request(text));
+        }
         let opened = self.controller.open_session(&self.description()?);
         let session = opened.map_err(Response::conflict)?;
         Ok(Response::redirect(
@@ -33,7 +40,7 @@ impl Ask<'_> {
         let nets = nets
             .filter_map(|n| self.controller.net(n))
             .map(|info| summary(&info));
-        Ok(self.show(&session(id, &description).containing(nets)))
+        Ok(self.show(&self.describe(id, &description).containing(nets)))
     }
 
     pub(super) fn control_session(&self, name: &str) -> Outcome {
@@ -46,10 +53,24 @@ impl Ask<'_> {
                     .map_err(Response::conflict)?;
                 Ok(Response::redirect("303 See Other", "/sessions/"))
             }
+            Some("UPDATE") => {
+                let description = self.description()?;
+                let updated = self.controller.describe_session(id, &description);
+                updated.map_err(Response::conflict)?;
+                Ok(Response::redirect(
+                    "303 See Other",
+                    &format!("/sessions/{id}/"),
+                ))
+            }
             _ => Err(Response::bad_request(
-                "action: LOADNET or TERMINATE is expected",
+                "action: LOADNET, UPDATE or TERMINATE is expected",
             )),
         }
+    }
+
+    fn describe(&self, id: SessionId, description: &str) -> Element {
+        let on_loss = self.controller.session_on_loss(id).unwrap_or_default();
+        session(id, description).with("onloss", on_loss.word())
     }
 
     fn find_session(&self, name: &str) -> Result<(SessionId, String), Response> {

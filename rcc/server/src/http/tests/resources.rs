@@ -7,6 +7,7 @@ use takt_core::controller::{NetState, RuleRequest};
 use takt_core::{CellConfig, Controller, NetId};
 
 use super::super::*;
+use super::answer;
 
 const CANCELLABLE: &str = "{x=Cancel(),k=Core::BooleanNetcommOut(inValue=x.outCancel,Key='k'),\
     i=Core::DoubleNetcommIn(Key='gain',Value='2'),\
@@ -17,7 +18,7 @@ const ARM: &str = "name=lwr1&type=kuka_lwr_sim&com={pos:{x:0.0,y:0.0,z:0.0}}&\
     max_joint=[2.9,2.0,2.9,2.0,2.9,2.0,2.9]&home_joint=[0.0,0.5,0.0,1.5,0.0,-0.5,0.0]&\
     max_vel=[1.9,1.9,2.2,2.2,3.5,3.2,3.2]&max_acc=[7.5,7.5,9.0,9.0,14.0,13.0,13.0]&mass=0.0";
 
-fn controller() -> Controller {
+pub(super) fn controller() -> Controller {
     let mut cell = CellConfig::default();
     cell.controller.priority = None;
     Controller::start(&cell).unwrap()
@@ -25,16 +26,21 @@ fn controller() -> Controller {
 
 fn ask(controller: &Controller, request: &str) -> String {
     match answer(request.as_bytes(), false) {
-        Some((_, Answer::Serve(request))) => respond(controller, &request).to_string(),
+        Some((_, Answer::Serve(request))) => {
+            let log = crate::LogBook::default();
+            log.push("a robot is there");
+            let site = Site::new(controller.clone(), None, takt_core::OnLoss::Keep, log);
+            respond(&site, &request).to_string()
+        }
         other => panic!("{other:?}"),
     }
 }
 
-fn get(controller: &Controller, path: &str) -> String {
+pub(super) fn get(controller: &Controller, path: &str) -> String {
     ask(controller, &format!("GET {path} HTTP/1.1\r\n\r\n"))
 }
 
-fn post(controller: &Controller, path: &str, body: &str) -> String {
+pub(super) fn post(controller: &Controller, path: &str, body: &str) -> String {
     let length = body.len();
     ask(
         controller,
@@ -42,18 +48,18 @@ fn post(controller: &Controller, path: &str, body: &str) -> String {
     )
 }
 
-fn body(response: &str) -> &str {
+pub(super) fn body(response: &str) -> &str {
     response.split_once("\r\n\r\n").unwrap().1
 }
 
 #[track_caller]
-fn holds(text: &str, parts: &[&str]) {
+pub(super) fn holds(text: &str, parts: &[&str]) {
     for part in parts {
         assert!(text.contains(part), "{part} is missing in {text}");
     }
 }
 
-fn loaded(controller: &Controller, text: &str) -> NetId {
+pub(super) fn loaded(controller: &Controller, text: &str) -> NetId {
     let response = post(controller, "/nets/", &format!("dionet={text}&desc=a <b>"));
     holds(&response, &["HTTP/1.1 302 Found\r\n"]);
     let (_, rest) = response.split_once("Location: /nets/").unwrap();
@@ -160,7 +166,25 @@ fn net_has_text_xml_and_figures() {
     holds(&again, &["302 Found", "Location: /nets/rpinet1/"]);
     assert_eq!(*controller.net(NetId(1)).unwrap().text, *CANCELLABLE);
     let stats = get(&controller, &format!("/nets/{net}/stats"));
-    holds(&stats, &[r#"<stats period="1.000000""#, "<exec min="]);
+    holds(
+        &stats,
+        &[
+            r#"<stats period="1.000000" thread="1.000000" cycles="0" overruns="0" overbudget="0""#,
+            r#"primitives="4" cost="0.000960""#,
+            r#"budget="0.800000""#,
+            r#"<exec min="0.000000" mean="0.000000" max="0.000000"/>"#,
+            "<latency min=",
+        ],
+    );
+    let json = get(&controller, &format!("/nets/{net}/stats?format=json"));
+    holds(&json, &["application/json", r#""overbudget":"0""#]);
+    holds(
+        &get(&controller, "/stats/"),
+        &[
+            r#"<thread name="nets" period="1.000000" cycles=""#,
+            r#"<net uri="/nets/rpinet0/">"#,
+        ],
+    );
     holds(
         &get(&controller, &format!("/nets/{net}/x")),
         &["404 Not Found"],
@@ -315,8 +339,14 @@ fn nets_of_a_session_end_with_it() {
     holds(&post(&controller, "/sessions/s1/", &load), &["302 Found"]);
     holds(
         &get(&controller, "/sessions/"),
-        &[r#"<session uri="/sessions/s1/" id="s1" desc="lab"/>"#],
+        &[r#"<session uri="/sessions/s1/" id="s1" desc="lab" onloss="keep"/>"#],
     );
+    let updated = post(&controller, "/sessions/s1/", "action=UPDATE&desc=line 2");
+    holds(&updated, &["303 See Other", "Location: /sessions/s1/"]);
+    let listed = get(&controller, "/sessions/?format=json");
+    holds(&listed, &[r#""desc":"line 2","id":"s1","onloss":"keep""#]);
+    let lost = post(&controller, "/sessions/", "desc=lab&onloss=end");
+    holds(&lost, &["400 Bad Request", "no connection to lose"]);
     holds(
         &get(&controller, "/sessions/s1/"),
         &[r#"<net uri="/nets/rpinet0/""#],
@@ -373,15 +403,208 @@ fn primitives_describe_themselves() {
 fn other_places_say_where_something_is() {
     let controller = controller();
     for path in [
-        "/",
         "/x/",
         "/nets/rpinet0/a/b",
         "/devices/a/b",
-        "/extensions/",
+        "/modules/Core::Clock/source.java",
     ] {
         holds(&get(&controller, path), &["404 Not Found"]);
     }
-    holds(&get(&controller, "/"), &["/modulesdetails/"]);
+    holds(&get(&controller, "/x"), &["/modulesdetails/"]);
+}
+
+#[test]
+fn no_code_is_loaded_and_the_page_takes_none_from_elsewhere() {
+    let controller = controller();
+    holds(
+        &get(&controller, "/extensions/"),
+        &["200 OK", "<extensions/>"],
+    );
+    let loaded = post(&controller, "/extensions/", "extension=evil");
+    holds(
+        &loaded,
+        &["403 Forbidden", "No code is loaded from the network"],
+    );
+    let page = get(&controller, "//");
+    holds(
+        &page,
+        &[
+            "200 OK",
+            "text/html",
+            "Content-Security-Policy: default-src 'none'",
+        ],
+    );
+    for elsewhere in ["https://", "http://", "src=", "@import", "url("] {
+        assert!(!body(&page).contains(elsewhere), "{elsewhere}");
+    }
+}
+
+#[test]
+fn the_log_is_told_from_a_number_on_and_by_a_word() {
+    let controller = controller();
+    holds(
+        &get(&controller, "/log/"),
+        &[
+            r#"<log next="1">"#,
+            r#"<line number="0">a robot is there</line>"#,
+        ],
+    );
+    holds(&get(&controller, "/log/?start=1"), &[r#"<log next="1"/>"#]);
+    holds(
+        &get(&controller, "/log/?filter=hand&format=json"),
+        &[r#"{"next":"1"}"#],
+    );
+}
+
+#[test]
+fn status_tells_what_is_used_of_each_bound() {
+    let controller = controller();
+    loaded(&controller, CANCELLABLE);
+    while controller.stats().cycles < 3 {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    let status = get(&controller, "//status/?format=json");
+    let status: serde_json::Value = serde_json::from_str(body(&status)).unwrap();
+    let nets = &status["count"][0];
+    assert_eq!(
+        (&nets["name"], &nets["used"]),
+        (&"nets".into(), &"1".into())
+    );
+    assert_eq!(nets["bound"], "1024");
+    let thread = &status["thread"][0];
+    assert_eq!(thread["period"], "1.000000");
+    let buckets = thread["latency"][0]["bucket"].as_array().unwrap();
+    assert_eq!(buckets.last().unwrap()["le"], "100.000000");
+}
+
+#[test]
+fn kinematics_of_an_arm_go_both_ways() {
+    let controller = controller();
+    holds(&post(&controller, "//devices/", ARM), &["201"]);
+    let parameters = get(&controller, "/devices/lwr1/parameters");
+    holds(
+        &parameters,
+        &[r#"<parameter name="jointcount" value="7"/>"#],
+    );
+    let changed = post(&controller, "/devices/lwr1/parameters", "jointcount=6");
+    holds(&changed, &["409 Conflict", "make it anew"]);
+    holds(
+        &get(&controller, "/devices/lwr1/nope"),
+        &["404", "robotarm"],
+    );
+    let at = "j1=0.1&j2=0.2&j3=0.3&j4=1.4&j5=0.5&j6=0.6&j7=0.7";
+    let frame = get(&controller, &format!("/devices/lwr1/armkinematics?{at}"));
+    let (_, frame) = frame.split_once(r#"key="outFrame">{pos:{"#).unwrap();
+    let (frame, _) = frame.split_once("}}").unwrap();
+    let frame = frame
+        .replace("},rot:{", ",")
+        .replace(':', "=")
+        .replace(',', "&");
+    let back = get(
+        &controller,
+        &format!("/devices/lwr1/armkinematics?{frame}&{at}"),
+    );
+    let (_, joints) = back.split_once(r#"key="outJoints">["#).unwrap();
+    let (joints, _) = joints.split_once(']').unwrap();
+    let joints: Vec<f64> = joints.split(',').map(|j| j.parse().unwrap()).collect();
+    for (joint, expected) in joints.iter().zip([0.1, 0.2, 0.3, 1.4, 0.5, 0.6, 0.7]) {
+        assert!((joint - expected).abs() < 1e-9, "{joints:?}");
+    }
+    let far = get(&controller, "/devices/lwr1/kinematics?x=10");
+    holds(&far, &["409 Conflict", "cannot reach"]);
+    let wrong = get(&controller, "/devices/lwr1/armkinematics?j1='%7D");
+    holds(&wrong, &["400 Bad Request", "j1: a number"]);
+}
+
+const TAPPED: &str = "{c=Core::Clock(),x=Cancel(),a=Core::DoubleAdd(inFirst[0.5]=c.outValue,Second='1'),\
+    n=Core::DoubleSetNull(inValue=a.outValue,inNull=x.outCancel),\
+    o=Core::DoubleNetcommOut(inValue[0.5]=n.outValue,Key='o'),\
+    f=Core::BooleanValue(),outTerminate=f.outValue}";
+
+#[test]
+fn debug_taps_are_recorded_for_each_cycle_while_somebody_looks() {
+    let controller = controller();
+    let net = loaded(&controller, TAPPED);
+    let debug = format!("/nets/{net}/debug");
+    controller.start_net(net).unwrap();
+    let first = get(&controller, &debug);
+    holds(
+        &first,
+        &[
+            "text/tab-separated-values",
+            "\r\n\r\ntime\ta.inFirst\to.inValue\n",
+        ],
+    );
+    while body(&get(&controller, &debug)).lines().count() < 30 {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    controller.abort(net).unwrap();
+    let text = get(&controller, &debug);
+    let rows = body(&text).lines().skip(1).map(|line| {
+        let fields: Vec<f64> = line.split('\t').map(|f| f.parse().unwrap()).collect();
+        fields.try_into().unwrap()
+    });
+    let rows: Vec<[f64; 3]> = rows.collect();
+    for pair in rows.windows(2) {
+        let [before, after] = [pair[0], pair[1]];
+        // No cycle is missing that the thread ran: the clock counts them.
+        assert!(
+            (after[1] - before[1] - 0.001).abs() < 1e-9,
+            "{before:?} {after:?}"
+        );
+        assert!(after[0] > before[0], "{before:?} {after:?}");
+        assert!((after[2] - after[1] - 1.0).abs() < 1e-9, "{after:?}");
+    }
+    let json = get(&controller, &format!("{debug}?format=json"));
+    let json: serde_json::Value = serde_json::from_str(body(&json)).unwrap();
+    assert_eq!(json["time_ns"].as_array().unwrap().len(), rows.len());
+    assert_eq!(json["ports"][1]["name"], "o.inValue");
+    assert_eq!(json["ports"][1]["type"], "Core::double");
+}
+
+#[test]
+fn a_net_without_taps_has_an_empty_record() {
+    let controller = controller();
+    let net = loaded(&controller, CANCELLABLE);
+    let debug = get(&controller, &format!("/nets/{net}/debug"));
+    assert_eq!(body(&debug), "time\n");
+    holds(&get(&controller, "/nets/rpinet7/debug"), &["404"]);
+}
+
+#[test]
+fn nets_that_are_looked_at_are_bounded() {
+    use takt_core::controller::LOOKS_MAX;
+    let controller = controller();
+    for _ in 0..LOOKS_MAX {
+        let net = loaded(&controller, TAPPED);
+        holds(
+            &get(&controller, &format!("/nets/{net}/debug")),
+            &["200 OK"],
+        );
+    }
+    let net = loaded(&controller, TAPPED);
+    let refused = get(&controller, &format!("/nets/{net}/debug"));
+    holds(
+        &refused,
+        &["503", "nets whose debug taps are recorded", "16"],
+    );
+    // A look that goes on is no new one.
+    holds(&get(&controller, "/nets/rpinet0/debug"), &["200 OK"]);
+}
+
+#[test]
+fn an_evaluation_is_bounded_in_size_and_time() {
+    use takt_core::controller::EVAL_PRIMITIVES_MAX;
+    let controller = controller();
+    let net = |primitives: usize| {
+        let adds: String = (0..primitives)
+            .map(|i| format!("a{i}=Core::DoubleAdd(),"))
+            .collect();
+        format!("dionet={{{adds}e=Core::BooleanValue(),outTerminate=e.outValue}}")
+    };
+    holds(&post(&controller, "/eval/", &net(100)), &["outTerminate"]);
+    let refused = post(&controller, "/eval/", &net(EVAL_PRIMITIVES_MAX));
+    holds(&refused, &[r#"<data key="error">"#, "20000"]);
 }
 
 /// A request out of words, some of which make sense together.

@@ -1,0 +1,32 @@
+//! What the emulated controllers of both generations share: an unreliable wire, repeatable randomness, the controller's
+//! time grid and its judgement of timing, the arm and what it touches. No protocol.
+
+mod arm;
+mod body;
+mod chain;
+mod contact;
+mod faults;
+mod grid;
+mod history;
+mod line;
+mod rng;
+#[cfg(target_os = "linux")]
+mod serve;
+mod window;
+
+pub(crate) use arm::Arm;
+pub(crate) use body::{Body, INERTIA, Law};
+pub(crate) use chain::{Chain, Place};
+pub use contact::{Contact, Shape};
+pub use faults::{LineFaults, PowerOff};
+pub(crate) use grid::Grid;
+pub(crate) use history::{History, Sent};
+pub(crate) use line::Line;
+pub(crate) use rng::Rng;
+#[cfg(target_os = "linux")]
+pub(crate) use serve::{Controller, serve};
+pub use window::Timing;
+pub(crate) use window::Window;
+
+/// Number of axes of both generations.
+pub(crate) const AXES: usize = 7;

@@ -1,0 +1,85 @@
+//! Something the flange can touch: a wall or a spring at a place. No friction, no geometry of the arm but its flange.
+
+use nalgebra::Vector3;
+
+/// Kind of a [`Contact`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Shape {
+    /// Fills the half-space behind the place; pushes, never pulls.
+    Wall,
+    /// Ties the flange to the plane through the place; pushes and pulls.
+    Spring,
+}
+
+/// Something that presses on the flange along one direction.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Contact {
+    /// Wall or spring.
+    pub shape: Shape,
+    /// A point of its surface in the robot's base frame, m.
+    pub place: [f64; 3],
+    /// Direction in which it pushes, out of the wall; of any length but zero.
+    pub normal: [f64; 3],
+    /// N/m, from 0; above 50,000 the emulator takes 50,000.
+    pub stiffness: f64,
+    /// Ns/m, from 0; above 500 the emulator takes 500.
+    pub damping: f64,
+}
+
+/// Stiffest contact that the emulators' step of integration bears, N/m.
+const STIFFEST: f64 = 50_000.0;
+/// Strongest damping that the emulators' step of integration bears, Ns/m.
+const STRONGEST: f64 = 500.0;
+
+impl Contact {
+    /// Force on the flange, N, in the base frame.
+    pub(crate) fn force(&self, position: &Vector3<f64>, velocity: &Vector3<f64>) -> Vector3<f64> {
+        let normal = Vector3::from(self.normal).normalize();
+        if !normal.norm().is_finite() {
+            return Vector3::zeros();
+        }
+        let depth = normal.dot(&(Vector3::from(self.place) - position));
+        let push = self.stiffness.clamp(0.0, STIFFEST) * depth
+            - self.damping.clamp(0.0, STRONGEST) * normal.dot(velocity);
+        match self.shape {
+            Shape::Spring => normal * push,
+            Shape::Wall if depth > 0.0 => normal * push.max(0.0),
+            Shape::Wall => Vector3::zeros(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn force(shape: Shape, height: f64, speed: f64) -> f64 {
+        let contact = Contact {
+            shape,
+            place: [0.0, 0.0, 0.5],
+            normal: [0.0, 0.0, 2.0],
+            stiffness: 1000.0,
+            damping: 10.0,
+        };
+        let force = contact.force(&Vector3::new(9.0, 9.0, height), &Vector3::z().scale(speed));
+        assert!(force.xy().norm() < 1e-12);
+        force.z
+    }
+
+    #[test]
+    fn a_wall_pushes_and_a_spring_pulls_too() {
+        for (shape, height, speed, expected) in [
+            (Shape::Wall, 0.51, 0.0, 0.0),
+            (Shape::Wall, 0.49, 0.0, 10.0),
+            (Shape::Wall, 0.49, -0.1, 11.0),
+            (Shape::Wall, 0.49, 2.0, 0.0),
+            (Shape::Spring, 0.51, 0.0, -10.0),
+            (Shape::Spring, 0.49, 2.0, -10.0),
+        ] {
+            assert!(
+                (force(shape, height, speed) - expected).abs() < 1e-9,
+                "{shape:?} {height}"
+            );
+        }
+    }
+}

@@ -1,0 +1,129 @@
+//! The controller's own clock: a grid of cycles that never shifts, whoever is late. It does not read any clock.
+
+use std::ops::RangeInclusive;
+use std::time::Duration;
+
+const PERIODS: RangeInclusive<Duration> = Duration::from_millis(1)..=Duration::from_millis(100);
+
+/// Cycles of one period from a start.
+#[derive(Debug, Clone)]
+pub(crate) struct Grid {
+    period: Duration,
+    /// The period on the clock of whoever runs the emulator; differs by the drift.
+    span: Duration,
+    next: Duration,
+    index: u64,
+    is_late: bool,
+    stalls: u64,
+}
+
+impl Grid {
+    /// The first cycle is due at `start`; the controller's clock runs slow by `drift_ppm` (at most 100,000 either way).
+    pub(crate) fn new(start: Duration, period: Duration, drift_ppm: f64) -> Self {
+        let period = period.clamp(*PERIODS.start(), *PERIODS.end());
+        let slower = 1.0 + drift_ppm.clamp(-1e5, 1e5) / 1e6;
+        Self {
+            period,
+            span: if drift_ppm.is_nan() {
+                period
+            } else {
+                period.mul_f64(slower)
+            },
+            next: start,
+            index: 0,
+            is_late: false,
+            stalls: 0,
+        }
+    }
+
+    /// Begins the cycle that `now` lies in, skipping those missed, and returns its number, from 1.
+    pub(crate) fn advance(&mut self, now: Duration) -> u64 {
+        let behind = now.saturating_sub(self.next);
+        let missed = behind.as_nanos() / self.span.as_nanos();
+        let missed = u32::try_from(missed).unwrap_or(u32::MAX - 1);
+        self.is_late = behind > self.period / 4;
+        self.next += self.span * (missed + 1);
+        self.index += u64::from(missed) + 1;
+        self.stalls += u64::from(missed);
+        self.index
+    }
+
+    /// Number of the cycle begun last.
+    pub(crate) fn index(&self) -> u64 {
+        self.index
+    }
+
+    /// Nominal time of the cycle begun last, since the start, on the controller's clock.
+    pub(crate) fn time(&self) -> Duration {
+        let cycles = self.index.saturating_sub(1);
+        let nanos = self.period.as_nanos() * u128::from(cycles);
+        Duration::from_nanos(u64::try_from(nanos).unwrap_or(u64::MAX))
+    }
+
+    /// When the next cycle is due.
+    pub(crate) fn next(&self) -> Duration {
+        self.next
+    }
+
+    pub(crate) fn period(&self) -> Duration {
+        self.period
+    }
+
+    /// Whether the cycle begun last began more than a quarter period late.
+    pub(crate) fn is_late(&self) -> bool {
+        self.is_late
+    }
+
+    /// Cycles skipped so far.
+    pub(crate) fn stalls(&self) -> u64 {
+        self.stalls
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_grid_never_shifts() {
+        let ms = Duration::from_millis;
+        let mut grid = Grid::new(ms(10), ms(4), 0.0);
+        for (now, index, next, late, stalls) in [
+            (10, 1, 14, false, 0),
+            (15, 2, 18, false, 0),
+            (20, 3, 22, true, 0),
+            (33, 6, 34, true, 2),
+            (34, 7, 38, false, 2),
+        ] {
+            assert_eq!(grid.advance(ms(now)), index);
+            assert_eq!(
+                (grid.next(), grid.is_late(), grid.stalls()),
+                (ms(next), late, stalls)
+            );
+            assert_eq!(grid.time(), ms(4) * u32::try_from(index - 1).unwrap());
+        }
+    }
+
+    #[test]
+    fn periods_are_those_of_fri_open() {
+        assert_eq!(
+            Grid::new(Duration::ZERO, Duration::ZERO, 0.0).period(),
+            Duration::from_millis(1)
+        );
+        assert_eq!(
+            Grid::new(Duration::ZERO, Duration::MAX, 0.0).period(),
+            Duration::from_millis(100)
+        );
+    }
+
+    #[test]
+    fn a_slow_clock_spreads_the_grid_and_not_its_time() {
+        let ms = Duration::from_millis;
+        let mut grid = Grid::new(ms(0), ms(1), 200.0);
+        for _ in 0..=10_000 {
+            grid.advance(grid.next());
+        }
+        assert_eq!(grid.time(), ms(10_000));
+        assert_eq!(grid.next() - ms(1), ms(10_002) + Duration::from_nanos(200));
+    }
+}

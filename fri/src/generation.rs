@@ -1,0 +1,116 @@
+//! What a datagram is, whatever was expected: the two generations, their directions and framings tell themselves apart. It
+//! reads identifiers only, no content.
+
+use crate::error::DecodeError;
+use crate::lwr::wire::{Cmd, Msr};
+use crate::sunrise::wire::{Command, Monitoring, unframe};
+use std::fmt;
+
+/// Kind of a datagram.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Kind {
+    /// Measurement of FRI 1.0, controller to PC.
+    LwrMeasurement,
+    /// Command of FRI 1.0, PC to controller.
+    LwrCommand,
+    /// Monitoring message of Sunrise, controller to client; whether in the frame of 2.7.
+    SunriseMonitoring {
+        /// Whether length and checksum surround the message.
+        is_framed: bool,
+    },
+    /// Command message of Sunrise, client to controller; whether in the frame of 2.7.
+    SunriseCommand {
+        /// Whether length and checksum surround the message.
+        is_framed: bool,
+    },
+    /// None of these.
+    Unknown,
+}
+
+impl Kind {
+    /// What `datagram` is, by its identifiers.
+    #[must_use]
+    pub fn of(datagram: &[u8]) -> Self {
+        Self::lwr(datagram)
+            .or_else(|| Self::sunrise(datagram))
+            .unwrap_or(Self::Unknown)
+    }
+
+    fn lwr(datagram: &[u8]) -> Option<Self> {
+        let (head, _) = datagram.split_first_chunk::<8>()?;
+        let [.., size_low, size_high, id_low, id_high] = *head;
+        let size = u16::from_le_bytes([size_low, size_high]);
+        match (u16::from_le_bytes([id_low, id_high]), usize::from(size)) {
+            (Msr::ID, Msr::LEN) => Some(Self::LwrMeasurement),
+            (Cmd::ID, Cmd::LEN) => Some(Self::LwrCommand),
+            _ => None,
+        }
+    }
+
+    fn sunrise(datagram: &[u8]) -> Option<Self> {
+        let (is_framed, message) = unframe(datagram).ok()?;
+        if Monitoring::decode(message).is_ok() {
+            Some(Self::SunriseMonitoring { is_framed })
+        } else {
+            Command::decode(message).ok()?;
+            Some(Self::SunriseCommand { is_framed })
+        }
+    }
+
+    /// Why `datagram` was refused where `expected` was due: `error`, unless it is another kind of datagram altogether.
+    #[must_use]
+    pub(crate) fn explain(expected: Self, datagram: &[u8], error: DecodeError) -> DecodeError {
+        match Self::of(datagram) {
+            Self::Unknown => error,
+            found if found == expected => error,
+            found => DecodeError::Foreign { expected, found },
+        }
+    }
+
+    /// What to look at when this comes where `expected` was due.
+    pub(crate) fn remedy(self, expected: Self) -> &'static str {
+        let expects_controller = expected.is_from_controller();
+        match (self.is_from_controller(), expects_controller) {
+            (true, true) | (false, false) => {
+                "the other generation of robot talks to this port: check device kind and the controller's target port"
+            }
+            (false, true) => {
+                "a client talks to this port, not a controller: look for a second client and for equal addresses"
+            }
+            (true, false) => {
+                "a controller talks to this port, not a client: check addresses and ports of both sides"
+            }
+        }
+    }
+
+    /// Whether controllers send it.
+    #[must_use]
+    pub fn is_from_controller(self) -> bool {
+        match self {
+            Self::LwrMeasurement | Self::SunriseMonitoring { .. } => true,
+            Self::LwrCommand | Self::SunriseCommand { .. } | Self::Unknown => false,
+        }
+    }
+}
+
+impl fmt::Display for Kind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::LwrMeasurement => "a measurement of FRI 1.0 (LWR)",
+            Self::LwrCommand => "a command of FRI 1.0 (LWR)",
+            Self::SunriseMonitoring { is_framed: false } => {
+                "a monitoring message of Sunrise FRI 1.x or 2.0 to 2.5"
+            }
+            Self::SunriseMonitoring { is_framed: true } => {
+                "a monitoring message of Sunrise FRI 2.7 (3.0)"
+            }
+            Self::SunriseCommand { is_framed: false } => {
+                "a command message of Sunrise FRI 1.x or 2.0 to 2.5"
+            }
+            Self::SunriseCommand { is_framed: true } => {
+                "a command message of Sunrise FRI 2.7 (3.0)"
+            }
+            Self::Unknown => "no FRI datagram",
+        })
+    }
+}

@@ -1,0 +1,148 @@
+//! Order of datagrams by their counters, of 16 bits (LWR) or 32 (Sunrise). It judges by increments only: any first value is right.
+
+/// Place of a datagram in the peer's sequence.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Order {
+    /// The first one, or the first after silence.
+    First,
+    /// Newer than all before; `lost` datagrams between are missing (0 is the normal case).
+    Next {
+        /// Number of datagrams that did not come before this one.
+        lost: u16,
+    },
+    /// The same number again: a copy.
+    Duplicate,
+    /// Older than the newest one.
+    Old,
+    /// A jump too wide for loss or reordering: the peer has started again.
+    Restart,
+}
+
+impl Order {
+    /// Whether the datagram is to be used: all but copies and old ones.
+    #[must_use]
+    pub fn is_new(self) -> bool {
+        match self {
+            Self::First | Self::Next { .. } | Self::Restart => true,
+            Self::Duplicate | Self::Old => false,
+        }
+    }
+}
+
+/// Follows the counter of one peer.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Tracker {
+    newest: Option<u32>,
+    window: u16,
+    /// Largest counter value; one less than the modulus.
+    mask: u32,
+}
+
+impl Tracker {
+    /// For 16-bit counters. Jumps of more than `window` in either direction are taken for a restart of the peer.
+    pub(crate) fn new(window: u16) -> Self {
+        Self {
+            newest: None,
+            window,
+            mask: 0xffff,
+        }
+    }
+
+    /// For 32-bit counters.
+    pub(crate) fn wide(window: u16) -> Self {
+        Self {
+            mask: u32::MAX,
+            ..Self::new(window)
+        }
+    }
+
+    /// Takes whatever comes next for the first.
+    pub(crate) fn forget(&mut self) {
+        self.newest = None;
+    }
+
+    /// The newest number, 0 before any: what is reflected to the peer.
+    #[cfg(feature = "emulator")]
+    pub(crate) fn newest(&self) -> u32 {
+        self.newest.unwrap_or(0)
+    }
+
+    /// Judges a received number and remembers it if it is new.
+    pub(crate) fn accept(&mut self, number: impl Into<u32>) -> Order {
+        let number = number.into();
+        let order = self.judge(number);
+        if order.is_new() {
+            self.newest = Some(number);
+        }
+        order
+    }
+
+    fn judge(&self, number: u32) -> Order {
+        let Some(newest) = self.newest else {
+            return Order::First;
+        };
+        let forward = number.wrapping_sub(newest) & self.mask;
+        let backward = newest.wrapping_sub(number) & self.mask;
+        let within = |gap: u32| u16::try_from(gap).ok().filter(|gap| *gap <= self.window);
+        match (within(forward), within(backward)) {
+            (Some(0), _) => Order::Duplicate,
+            (Some(gap), _) => Order::Next { lost: gap - 1 },
+            (None, Some(_)) => Order::Old,
+            (None, None) => Order::Restart,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Judges every number after every newest in a neighbourhood of the wrap and a sample of the rest.
+    #[test]
+    fn agrees_with_signed_differences_everywhere() {
+        for newest in (0..=u16::MAX).step_by(4099).chain([0, 1, u16::MAX]) {
+            for number in 0..=u16::MAX {
+                let mut tracker = Tracker::new(50);
+                assert_eq!(tracker.accept(newest), Order::First);
+                let expected = match number.wrapping_sub(newest).cast_signed() {
+                    0 => Order::Duplicate,
+                    gap @ 1..=50 => Order::Next {
+                        lost: u16::try_from(gap - 1).unwrap(),
+                    },
+                    -50..=-1 => Order::Old,
+                    _ => Order::Restart,
+                };
+                assert_eq!(tracker.accept(number), expected, "{newest} then {number}");
+            }
+        }
+    }
+
+    #[test]
+    fn an_old_number_does_not_move_the_newest() {
+        let mut tracker = Tracker::new(50);
+        for (number, order) in [
+            (65534_u16, Order::First),
+            (0, Order::Next { lost: 1 }),
+            (65535, Order::Old),
+            (0, Order::Duplicate),
+            (1, Order::Next { lost: 0 }),
+            (5000, Order::Restart),
+        ] {
+            assert_eq!(tracker.accept(number), order);
+        }
+    }
+
+    #[test]
+    fn wide_counters_wrap_at_32_bits() {
+        let mut tracker = Tracker::wide(10);
+        for (number, order) in [
+            (u32::MAX - 1, Order::First),
+            (1, Order::Next { lost: 2 }),
+            (65_537, Order::Restart),
+            (65_536, Order::Old),
+            (65_538, Order::Next { lost: 0 }),
+        ] {
+            assert_eq!(tracker.accept(number), order, "{number}");
+        }
+    }
+}

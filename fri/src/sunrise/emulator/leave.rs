@@ -1,0 +1,317 @@
+//! Why the emulated cabinet ended an overlay, as a value with the joint, the number and its limit. No policy. Where the
+//! controller's own words are known from its users' reports they begin the text.
+
+use crate::sunrise::JOINT_NAMES;
+use crate::sunrise::wire::Safety;
+use std::fmt;
+
+/// A reason to end an overlay, or to give up waiting for one. All but [`Leave::Cancelled`] and [`Leave::Closed`] are faults.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Leave {
+    /// The robot program cancelled its motion.
+    Cancelled,
+    /// The robot program closed the session.
+    Closed,
+    /// Quality did not reach GOOD in 10 s.
+    Await {
+        /// Share of answers in time, 0..=1.
+        answer_rate: f64,
+    },
+    /// Quality fell below GOOD.
+    Quality {
+        /// Share of answers in time, 0..=1.
+        answer_rate: f64,
+    },
+    /// Too many consecutive periods without answer.
+    Misses {
+        /// Number of periods.
+        cycles: u32,
+        /// Their duration, ms.
+        span_ms: f64,
+    },
+    /// No command agreed with the interpolator in time.
+    NotSynchronised {
+        /// Joint, 0..=6.
+        joint: usize,
+        /// Commanded last, rad; not a number if nothing was.
+        commanded: f64,
+        /// Interpolator, rad.
+        expected: f64,
+    },
+    /// A command lacks what the overlay wants.
+    Missing {
+        /// Which.
+        what: Lacking,
+    },
+    /// A joint was commanded to move too fast.
+    Speed {
+        /// Joint, 0..=6.
+        joint: usize,
+        /// Commanded speed, rad/s, signed.
+        speed: f64,
+        /// Limit, rad/s.
+        limit: f64,
+    },
+    /// A joint was commanded out of its range.
+    Position {
+        /// Joint, 0..=6.
+        joint: usize,
+        /// Commanded position, rad.
+        position: f64,
+        /// Limit, rad, absolute.
+        limit: f64,
+    },
+    /// A position beside torques lies too far from the measured one.
+    AxisDelta {
+        /// Joint, 0..=6.
+        joint: usize,
+        /// Commanded minus measured position, rad.
+        delta: f64,
+        /// Limit, rad.
+        limit: f64,
+    },
+    /// A commanded value is infinite or not a number.
+    NotFinite {
+        /// Joint or component.
+        joint: usize,
+    },
+    /// A commanded pose is out of reach.
+    OutOfReach,
+    /// The flange was too fast for T1.
+    T1Speed {
+        /// m/s.
+        speed: f64,
+        /// m/s.
+        limit: f64,
+    },
+    /// The drives lost their power.
+    Power,
+    /// The safety controller stopped the robot.
+    Safety(Safety),
+}
+
+/// What a command lacks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Lacking {
+    /// Joint positions.
+    Joints,
+    /// Joint torques.
+    Torque,
+    /// The wrench.
+    Wrench,
+    /// The pose.
+    Pose,
+}
+
+impl Lacking {
+    const ALL: [Self; 4] = [Self::Joints, Self::Torque, Self::Wrench, Self::Pose];
+}
+
+impl fmt::Display for Lacking {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Joints => "joint positions",
+            Self::Torque => "joint torques",
+            Self::Wrench => "the wrench",
+            Self::Pose => "the pose",
+        })
+    }
+}
+
+impl Leave {
+    /// As three words for a shared status: code and joint, then two numbers.
+    pub(super) fn to_words(self) -> [u64; 3] {
+        let words = |code: u64, joint: usize, a: f64, b: f64| {
+            let joint = u64::try_from(joint).unwrap_or(u64::MAX >> 8);
+            [code | joint << 8, a.to_bits(), b.to_bits()]
+        };
+        match self {
+            Self::Cancelled => words(1, 0, 0.0, 0.0),
+            Self::Closed => words(2, 0, 0.0, 0.0),
+            Self::Await { answer_rate } => words(3, 0, answer_rate, 0.0),
+            Self::Quality { answer_rate } => words(4, 0, answer_rate, 0.0),
+            Self::Misses { cycles, span_ms } => words(5, 0, f64::from(cycles), span_ms),
+            Self::NotSynchronised {
+                joint,
+                commanded,
+                expected,
+            } => words(6, joint, commanded, expected),
+            Self::Missing { what } => words(7, what as usize, 0.0, 0.0),
+            Self::Speed {
+                joint,
+                speed,
+                limit,
+            } => words(8, joint, speed, limit),
+            Self::Position {
+                joint,
+                position,
+                limit,
+            } => words(9, joint, position, limit),
+            Self::AxisDelta {
+                joint,
+                delta,
+                limit,
+            } => words(10, joint, delta, limit),
+            Self::NotFinite { joint } => words(11, joint, 0.0, 0.0),
+            Self::OutOfReach => words(12, 0, 0.0, 0.0),
+            Self::T1Speed { speed, limit } => words(13, 0, speed, limit),
+            Self::Power => words(14, 0, 0.0, 0.0),
+            Self::Safety(safety) => words(15, 0, f64::from(safety.code()), 0.0),
+        }
+    }
+
+    /// The reason that [`Leave::to_words`] wrote; `None` for anything else.
+    #[expect(clippy::cast_possible_truncation, reason = "the numbers came from these types")]
+    #[expect(clippy::cast_sign_loss, reason = "the number was unsigned")]
+    pub(super) fn from_words([head, a, b]: [u64; 3]) -> Option<Self> {
+        let joint = (head >> 8) as usize;
+        let (x, y) = (f64::from_bits(a), f64::from_bits(b));
+        Some(match head & 0xff {
+            1 => Self::Cancelled,
+            2 => Self::Closed,
+            3 => Self::Await { answer_rate: x },
+            4 => Self::Quality { answer_rate: x },
+            5 => Self::Misses {
+                cycles: x as u32,
+                span_ms: y,
+            },
+            6 => Self::NotSynchronised {
+                joint,
+                commanded: x,
+                expected: y,
+            },
+            7 => Self::Missing {
+                what: Lacking::ALL.get(joint).copied()?,
+            },
+            8 => Self::Speed {
+                joint,
+                speed: x,
+                limit: y,
+            },
+            9 => Self::Position {
+                joint,
+                position: x,
+                limit: y,
+            },
+            10 => Self::AxisDelta {
+                joint,
+                delta: x,
+                limit: y,
+            },
+            11 => Self::NotFinite { joint },
+            12 => Self::OutOfReach,
+            13 => Self::T1Speed { speed: x, limit: y },
+            14 => Self::Power,
+            15 => Self::Safety((x as i32).into()),
+            _ => return None,
+        })
+    }
+}
+
+fn name(joint: usize) -> &'static str {
+    JOINT_NAMES.get(joint).copied().unwrap_or("?")
+}
+
+impl fmt::Display for Leave {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::Cancelled => write!(f, "motion cancelled"),
+            Self::Closed => write!(f, "session closed"),
+            Self::Await { answer_rate } => {
+                let percent = answer_rate * 100.0;
+                f.write_str("Timeout before FRI connection quality reached GOOD or EXCELLENT")?;
+                write!(f, ": {percent:.0} % of answers in time")
+            }
+            Self::Quality { answer_rate } => {
+                let percent = answer_rate * 100.0;
+                f.write_str("CK_COMPOUND_RETURN_ERROR: WRONG_SESSION_STATE_MONITORING_WAIT")?;
+                write!(f, ": quality below GOOD, {percent:.0} % of answers in time")
+            }
+            Self::Misses { cycles, span_ms } => {
+                f.write_str("CK_COMPOUND_RETURN_ERROR: WRONG_SESSION_STATE_MONITORING_WAIT")?;
+                write!(f, ": no answer for {cycles} periods ({span_ms:.1} ms)")
+            }
+            Self::NotSynchronised {
+                joint,
+                commanded,
+                expected,
+            } => {
+                write!(f, "commands do not agree with the interpolator: {} ", name(joint))?;
+                write!(f, "commanded {commanded:.4} rad, interpolator {expected:.4} rad")
+            }
+            Self::Missing { what } => write!(f, "a command lacks {what}, which the overlay wants"),
+            Self::Speed {
+                joint,
+                speed,
+                limit,
+            } => {
+                let name = name(joint);
+                write!(f, "{name} commanded {speed:.2} rad/s, limit {limit:.2} rad/s")
+            }
+            Self::Position {
+                joint,
+                position,
+                limit,
+            } => {
+                let name = name(joint);
+                write!(f, "{name} commanded {position:.3} rad, limit {limit:.3} rad")
+            }
+            Self::AxisDelta {
+                joint,
+                delta,
+                limit,
+            } => {
+                write!(f, "Illegal axis delta: {} commanded {delta:.3} rad ", name(joint))?;
+                write!(f, "from the measured position, limit {limit:.3} rad")
+            }
+            Self::NotFinite { joint } => {
+                write!(f, "value {joint} of a command is not a finite number")
+            }
+            Self::OutOfReach => write!(f, "the commanded pose is out of reach"),
+            Self::T1Speed { speed, limit } => {
+                write!(f, "flange at {:.0} mm/s in T1, limit ", speed * 1e3)?;
+                write!(f, "{:.0} mm/s", limit * 1e3)
+            }
+            Self::Power => write!(f, "the drives lost their power"),
+            Self::Safety(safety) => write!(f, "the safety controller asks for {safety}"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_reason_survives_the_shared_status_and_says_what_it_is() {
+        let awaited = "Timeout before FRI connection quality reached GOOD or EXCELLENT";
+        let wrong_state = "CK_COMPOUND_RETURN_ERROR: WRONG_SESSION_STATE_MONITORING_WAIT";
+        for (reason, text) in [
+            (Leave::Cancelled, "motion cancelled".to_owned()),
+            (Leave::Closed, "session closed".into()),
+            (Leave::Await { answer_rate: 0.25 }, format!("{awaited}: 25 % of answers in time")),
+            (Leave::Quality { answer_rate: 0.5 }, format!("{wrong_state}: quality below GOOD, 50 % of answers in time")),
+            (Leave::Misses { cycles: 10, span_ms: 20.0 }, format!("{wrong_state}: no answer for 10 periods (20.0 ms)")),
+            (
+                Leave::NotSynchronised { joint: 6, commanded: 0.5, expected: 0.25 },
+                "commands do not agree with the interpolator: A7 commanded 0.5000 rad, interpolator 0.2500 rad".into(),
+            ),
+            (Leave::Missing { what: Lacking::Torque }, "a command lacks joint torques, which the overlay wants".into()),
+            (Leave::Speed { joint: 3, speed: 2.31, limit: 1.9635 }, "A4 commanded 2.31 rad/s, limit 1.96 rad/s".into()),
+            (Leave::Position { joint: 2, position: -3.0, limit: 2.967 }, "A3 commanded -3.000 rad, limit 2.967 rad".into()),
+            (
+                Leave::AxisDelta { joint: 0, delta: 0.3, limit: 0.2 },
+                "Illegal axis delta: A1 commanded 0.300 rad from the measured position, limit 0.200 rad".into(),
+            ),
+            (Leave::NotFinite { joint: 6 }, "value 6 of a command is not a finite number".into()),
+            (Leave::OutOfReach, "the commanded pose is out of reach".into()),
+            (Leave::T1Speed { speed: 0.3, limit: 0.25 }, "flange at 300 mm/s in T1, limit 250 mm/s".into()),
+            (Leave::Power, "the drives lost their power".into()),
+            (Leave::Safety(Safety::Stop1), "the safety controller asks for stop-1".into()),
+        ] {
+            assert_eq!(Leave::from_words(reason.to_words()), Some(reason));
+            assert_eq!(reason.to_string(), text);
+        }
+        assert_eq!(Leave::from_words([0; 3]), None);
+    }
+}

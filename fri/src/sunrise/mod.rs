@@ -1,0 +1,20 @@
+//! FRI of Sunrise, the generation of the LBR iiwa and LBR Med: protobuf messages in UDP, in three dialects.
+
+mod session;
+pub mod wire;
+
+pub use crate::error::AnswerError;
+pub use crate::sequence::Order;
+pub use session::{
+    Answer, Counters, Demand, Event, IoError, IoLevel, Phase, PlaceError, Reception, Session,
+    SessionConfig, Withheld,
+};
+
+/// Number of axes.
+pub const AXES: usize = 7;
+
+/// Names of the axes in the order of every joint array.
+pub const JOINT_NAMES: [&str; AXES] = ["A1", "A2", "A3", "A4", "A5", "A6", "A7"];
+
+/// UDP port of both sides by default; 30200 to 30209 are allowed by controllers.
+pub const DEFAULT_PORT: u16 = 30200;

@@ -1,0 +1,475 @@
+//! The client's side of one FRI connection to Sunrise: takes monitoring messages, builds answers. It moves no bytes and plans
+//! no motion: how commanded values change from cycle to cycle is its owner's duty.
+
+use super::wire::{
+    Command, CommandData, CommandMode, Dialect, Header, IOS_MAX, IoValue, Joints, List, Monitoring,
+    Quality, SessionState, TRANSFORMATIONS_MAX, Transformation, unframe,
+};
+use super::{AXES, JOINT_NAMES};
+use crate::error::{AnswerError, DecodeError};
+use crate::generation::Kind;
+use crate::guard::Guard;
+use crate::sequence::{Order, Tracker};
+use std::time::Duration;
+
+mod demand;
+mod exchange;
+mod phase;
+#[cfg(test)]
+mod tests;
+
+pub use demand::{Demand, Withheld};
+pub use exchange::{IoError, IoLevel, PlaceError};
+pub use phase::{Event, Phase};
+
+/// What a controller's sendPeriod may be, ms; a wilder one on the wire must not make the silence timer absurd.
+const PERIOD_MS: std::ops::RangeInclusive<u32> = 1..=100;
+
+/// Settings of a [`Session`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SessionConfig {
+    /// What the controller must speak; `None` finds out.
+    pub dialect: Option<Dialect>,
+    /// Number of periods without a datagram after which the controller counts as gone, from 1. Counter jumps up to this
+    /// width are loss or reordering, wider ones a restart of the controller.
+    pub offline_after: u16,
+    /// Limits of what is sent.
+    pub guard: Guard,
+    /// Share of the distance to the measured positions, 0..=1, that the centre of the impedance makes up per answer when
+    /// torques are commanded without joint positions.
+    ///
+    /// Positions far from the measured ones are an illegal axis delta to the controller; the measured ones themselves
+    /// switch its friction observer off. A delayed copy is neither.
+    pub torque_follow: f64,
+}
+
+impl Default for SessionConfig {
+    fn default() -> Self {
+        Self {
+            dialect: None,
+            offline_after: 50,
+            guard: Guard::open(JOINT_NAMES),
+            torque_follow: 0.1,
+        }
+    }
+}
+
+/// What one datagram told.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Reception {
+    /// Place in the controller's sequence; if not [`Order::is_new`], the datagram was ignored.
+    pub order: Order,
+    /// State it carries.
+    pub state: SessionState,
+    /// Quality it carries.
+    pub quality: Quality,
+    /// Number of messages lost since the previous one.
+    pub lost: u16,
+    /// Whether an answer is due now.
+    pub is_due: bool,
+    /// Change of phase it caused.
+    pub event: Option<Event>,
+}
+
+/// An answer that was built.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Answer {
+    /// Bytes to send.
+    pub len: usize,
+    /// Why the demand was not in it, if it was not.
+    pub withheld: Option<Withheld>,
+}
+
+/// Totals since the session was made.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Counters {
+    /// Datagrams accepted as new.
+    pub received: u64,
+    /// Answers built.
+    pub answered: u64,
+    /// Messages that never came, by the controller's counter.
+    pub lost: u64,
+    /// Messages whose answer was due and that were followed by the next before they had it: this host was late.
+    pub skipped: u64,
+    /// Datagrams ignored as copies or as older than the newest.
+    pub old: u64,
+    /// Datagrams refused by the decoder.
+    pub malformed: u64,
+    /// Restarts of the controller seen in its counter.
+    pub restarts: u64,
+    /// Times the controller fell silent.
+    pub silences: u64,
+    /// Demands withheld.
+    pub withheld: u64,
+}
+
+/// One FRI connection to a Sunrise controller, client side.
+///
+/// Per cycle: [`handle_datagram`](Self::handle_datagram), then, if [`is_pending`](Self::is_pending),
+/// [`answer`](Self::answer), and send what it wrote. If several datagrams wait in the socket, handle all and answer once.
+///
+/// * Outside the COMMANDING states an answer commands nothing: commandedJointPosition mirrored (1.x), or empty (2.x).
+/// * In COMMANDING_WAIT it mirrors the interpolator, with a zero wrench or torque where the overlay wants one.
+/// * In COMMANDING_ACTIVE it carries the demand, after [`engage`](Self::engage): whoever was moving before a fall back to
+///   monitoring does not go on by itself. Until then it mirrors the interpolator.
+/// * A demand that cannot be followed is [`Withheld`] and the answer holds: an answer goes out in every case, for a missing
+///   one costs quality.
+///
+/// See [`Phase`] for the state machine.
+#[derive(Debug, Clone)]
+pub struct Session {
+    config: SessionConfig,
+    phase: Phase,
+    dialect: Option<Dialect>,
+    tracker: Tracker,
+    message: Monitoring,
+    heard: Option<Duration>,
+    is_pending: bool,
+    is_engaged: bool,
+    next_sequence: u32,
+    /// Sequence number of the message answered last.
+    answered: Option<u32>,
+    held: Joints,
+    outputs: List<IoValue, IOS_MAX>,
+    frames: List<Transformation, TRANSFORMATIONS_MAX>,
+    counters: Counters,
+}
+
+impl Session {
+    /// A session that has heard nothing yet.
+    #[must_use]
+    pub fn new(config: SessionConfig) -> Self {
+        Self {
+            phase: Phase::Offline,
+            dialect: None,
+            tracker: Tracker::wide(config.offline_after.max(1)),
+            message: Monitoring::default(),
+            heard: None,
+            is_pending: false,
+            is_engaged: false,
+            next_sequence: 0,
+            answered: None,
+            held: [0.0; AXES],
+            outputs: List::new(),
+            frames: List::new(),
+            counters: Counters::default(),
+            config,
+        }
+    }
+
+    /// Takes a received datagram; `now` is its time of arrival. Copies and old ones are counted, else ignored.
+    pub fn handle_datagram(
+        &mut self,
+        datagram: &[u8],
+        now: Duration,
+    ) -> Result<Reception, DecodeError> {
+        let (is_framed, message) = self
+            .decode(datagram)
+            .inspect_err(|_| self.counters.malformed += 1)?;
+        self.handle_timeout(now);
+        let order = self.tracker.accept(message.header.sequence);
+        let lost = self.count(order);
+        let event = if order.is_new() {
+            self.note_dialect(order, is_framed, &message);
+            self.accept(message, now)
+        } else {
+            None
+        };
+        Ok(Reception {
+            order,
+            state: message.state(),
+            quality: message.quality(),
+            lost,
+            is_due: order.is_new() && self.is_pending,
+            event,
+        })
+    }
+
+    fn decode(&self, datagram: &[u8]) -> Result<(bool, Monitoring), DecodeError> {
+        let decoded = unframe(datagram)
+            .and_then(|(is_framed, message)| Ok((is_framed, Monitoring::decode(message)?)));
+        let (is_framed, message) = decoded.map_err(|error| {
+            let is_framed = self.config.dialect.is_some_and(Dialect::is_framed);
+            Kind::explain(Kind::SunriseMonitoring { is_framed }, datagram, error)
+        })?;
+        let told = Dialect::of(is_framed, &message);
+        match (self.config.dialect, told) {
+            (Some(expected), Some(actual)) if expected != actual => {
+                Err(DecodeError::Dialect { expected, actual })
+            }
+            _ => Ok((is_framed, message)),
+        }
+    }
+
+    fn count(&mut self, order: Order) -> u16 {
+        let lost = match order {
+            Order::First => 0,
+            Order::Next { lost } => lost,
+            Order::Restart => {
+                self.counters.restarts += 1;
+                0
+            }
+            Order::Duplicate | Order::Old => {
+                self.counters.old += 1;
+                return 0;
+            }
+        };
+        self.counters.lost += u64::from(lost);
+        self.counters.received += 1;
+        lost
+    }
+
+    fn note_dialect(&mut self, order: Order, is_framed: bool, message: &Monitoring) {
+        if matches!(order, Order::First | Order::Restart) {
+            // Who starts again may have got another version of its software.
+            self.dialect = self.config.dialect;
+            self.answered = None;
+        }
+        self.dialect = Dialect::of(is_framed, message).or(self.dialect);
+    }
+
+    fn accept(&mut self, message: Monitoring, now: Duration) -> Option<Event> {
+        let from = self.phase;
+        self.phase = message.state().into();
+        if self.is_pending {
+            self.counters.skipped += 1;
+        }
+        self.message = message;
+        self.heard = Some(now);
+        self.is_pending = self.phase != Phase::Idle && self.is_due();
+        self.is_engaged &= self.phase == Phase::CommandingActive;
+        if !self.is_engaged {
+            self.held = self.reference();
+        }
+        from.event(self.phase)
+    }
+
+    /// Every `receiveMultiplier`-th message wants an answer, counted by the controller's counter so that loss shifts nothing.
+    fn is_due(&self) -> bool {
+        let connection = self.message.connection;
+        let times = connection.and_then(|it| it.receive_multiplier).unwrap_or(1);
+        let sequence = self.message.header.sequence;
+        self.answered
+            .is_none_or(|last| sequence.wrapping_sub(last) >= times)
+    }
+
+    /// Where the controller itself would have the joints: the interpolator's position, else the commanded (1.x), else the
+    /// measured one.
+    fn reference(&self) -> Joints {
+        let ipo = self.message.ipo.and_then(|ipo| ipo.joints);
+        let commanded = self.message.monitor.and_then(|data| data.commanded);
+        let interpolated = ipo.filter(|_| self.phase.is_commanding());
+        interpolated
+            .or(commanded)
+            .or_else(|| self.message.measured())
+            .unwrap_or(self.held)
+    }
+
+    /// Lets demands through from now on; they start at [`mirror`](Self::mirror). Refused unless the overlay is active.
+    pub fn engage(&mut self) -> Result<(), Withheld> {
+        if self.phase != Phase::CommandingActive {
+            return Err(Withheld::NotCommanding { phase: self.phase });
+        }
+        self.is_engaged = true;
+        Ok(())
+    }
+
+    /// Mirrors the interpolator again until the next [`engage`](Self::engage). The robot goes there as fast as the
+    /// controller lets it, so bring it back first.
+    pub fn disengage(&mut self) {
+        self.is_engaged = false;
+    }
+
+    /// Builds the answer to the last message at the front of `buf`. Every message gets one answer: a second call before
+    /// the next message is [`AnswerError::NothingToAnswer`].
+    pub fn answer(&mut self, demand: &Demand, buf: &mut [u8]) -> Result<Answer, AnswerError> {
+        if !self.is_pending {
+            return Err(AnswerError::NothingToAnswer);
+        }
+        let withheld = self.admit(demand).err();
+        let demand = if withheld.is_none() {
+            demand
+        } else {
+            &Demand::Hold
+        };
+        let held = self.next_held(demand);
+        let reflected = self.message.header.sequence;
+        let command = Command {
+            header: Header {
+                sequence: self.next_sequence,
+                reflected,
+            },
+            data: self.data(demand, held),
+            end: None,
+        };
+        let dialect = self.dialect.unwrap_or(Dialect::V1);
+        let len = dialect.frame(buf, |buf| command.encode(buf))?;
+        self.held = held;
+        self.is_pending = false;
+        self.answered = Some(reflected);
+        self.next_sequence = self.next_sequence.wrapping_add(1);
+        self.counters.answered += 1;
+        self.counters.withheld += u64::from(withheld.is_some());
+        Ok(Answer { len, withheld })
+    }
+
+    fn next_held(&self, demand: &Demand) -> Joints {
+        if let Some(joints) = demand.joints() {
+            return *joints;
+        }
+        let measured = self.message.measured();
+        let follows = self.is_engaged && self.command_mode() == CommandMode::Torque;
+        let mut held = self.held;
+        for (held, measured) in held
+            .iter_mut()
+            .zip(measured.filter(|_| follows).iter().flatten())
+        {
+            *held += (measured - *held) * self.config.torque_follow.clamp(0.0, 1.0);
+        }
+        held
+    }
+
+    fn data(&self, demand: &Demand, held: Joints) -> Option<CommandData> {
+        let mut data = CommandData::default();
+        self.exchange(&mut data);
+        if self.phase.is_commanding() {
+            self.command(demand, held, &mut data);
+        } else if self.dialect == Some(Dialect::V1) {
+            data.joints = Some(held);
+        }
+        (data != CommandData::default()).then_some(data)
+    }
+
+    fn command(&self, demand: &Demand, held: Joints, data: &mut CommandData) {
+        match self.command_mode() {
+            CommandMode::Position | CommandMode::None | CommandMode::Other(_) => {
+                data.joints = Some(held);
+            }
+            CommandMode::Wrench => {
+                data.joints = Some(held);
+                data.wrench = Some([0.0; 6]);
+            }
+            CommandMode::Torque => {
+                data.joints = Some(held);
+                data.torque = Some([0.0; AXES]);
+            }
+            CommandMode::CartesianPose => self.mirror_pose(data),
+        }
+        match demand {
+            Demand::Hold | Demand::Position(_) => {}
+            Demand::Wrench { wrench, .. } => data.wrench = Some(*wrench),
+            Demand::Torque { torque, .. } => data.torque = Some(*torque),
+            Demand::Pose { pose, redundancy } => {
+                let placement = Some(super::wire::Placement::Quaternion(*pose));
+                data.pose = data.pose.map(|mirrored| Transformation {
+                    placement,
+                    stamp: None,
+                    ..mirrored
+                });
+                data.redundancy = *redundancy;
+            }
+        }
+    }
+
+    fn mirror_pose(&self, data: &mut CommandData) {
+        let measured = self.message.monitor.and_then(|data| data.pose);
+        let ipo = self.message.ipo;
+        let pose = ipo.and_then(|ipo| ipo.pose).or(measured);
+        data.pose = Some(Transformation {
+            stamp: None,
+            ..pose.unwrap_or_default()
+        });
+        data.redundancy = ipo.and_then(|ipo| ipo.redundancy);
+    }
+
+    /// When the controller counts as gone if nothing comes; `None` while it does already.
+    #[must_use]
+    pub fn poll_timeout(&self) -> Option<Duration> {
+        if self.phase == Phase::Offline {
+            return None;
+        }
+        Some(self.heard? + self.period()? * u32::from(self.config.offline_after.max(1)))
+    }
+
+    /// Tells the time; returns whether the controller has just been found gone.
+    pub fn handle_timeout(&mut self, now: Duration) -> bool {
+        let gone = self.poll_timeout().is_some_and(|at| now >= at);
+        if gone {
+            self.phase = Phase::Offline;
+            self.is_pending = false;
+            self.is_engaged = false;
+            self.answered = None;
+            self.tracker.forget();
+            self.counters.silences += 1;
+        }
+        gone
+    }
+
+    /// The newest message; it stays readable when the controller is gone. `None` before the first one.
+    #[must_use]
+    pub fn message(&self) -> Option<&Monitoring> {
+        self.heard.map(|_| &self.message)
+    }
+
+    /// When the newest message came.
+    #[must_use]
+    pub fn arrival(&self) -> Option<Duration> {
+        self.heard
+    }
+
+    /// Period of messages as the controller states it, 1 ms to 100 ms; `None` before the first one. Answers are due every
+    /// `receiveMultiplier`-th time.
+    #[must_use]
+    pub fn period(&self) -> Option<Duration> {
+        self.heard?;
+        let connection = self.message.connection;
+        let stated = connection
+            .and_then(|it| it.send_period_ms)
+            .unwrap_or(*PERIOD_MS.end());
+        let ms = stated.clamp(*PERIOD_MS.start(), *PERIOD_MS.end());
+        Some(Duration::from_millis(ms.into()))
+    }
+
+    /// What the controller speaks, once told.
+    #[must_use]
+    pub fn dialect(&self) -> Option<Dialect> {
+        self.dialect
+    }
+
+    /// Where the connection stands.
+    #[must_use]
+    pub fn phase(&self) -> Phase {
+        self.phase
+    }
+
+    /// What the overlay of the robot program wants.
+    #[must_use]
+    pub fn command_mode(&self) -> CommandMode {
+        self.message.command_mode()
+    }
+
+    /// Whether the robot follows demands: COMMANDING_ACTIVE and engaged.
+    #[must_use]
+    pub fn is_engaged(&self) -> bool {
+        self.is_engaged
+    }
+
+    /// Whether a message waits for its answer.
+    #[must_use]
+    pub fn is_pending(&self) -> bool {
+        self.is_pending
+    }
+
+    /// Joint positions, rad, that the next answer may carry without a jump: the last commanded ones when engaged, else the
+    /// interpolator's. Zeros before the first message.
+    #[must_use]
+    pub fn mirror(&self) -> Joints {
+        self.held
+    }
+
+    /// Totals since the session was made.
+    #[must_use]
+    pub fn counters(&self) -> Counters {
+        self.counters
+    }
+}

@@ -1,0 +1,176 @@
+//! Inputs, outputs and frames that a robot program shares with its client. They hold no command.
+
+use super::Session;
+use crate::sunrise::wire::{
+    CommandData, Dialect, IoDirection, IoType, IoValue, Name, Placement, TimeStamp, Transformation,
+};
+
+/// Value of an input or output.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum IoLevel {
+    /// Truth value.
+    Boolean(bool),
+    /// Unsigned integer.
+    Digital(u64),
+    /// Real number.
+    Analog(f64),
+}
+
+/// Why an output was not written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum IoError {
+    /// The last message does not list it.
+    #[error("not listed by the controller: let the robot program add it to the FRI configuration")]
+    NotListed,
+    /// It is an input.
+    #[error("an input for this client: let the robot program share it as output")]
+    Input,
+    /// It has another type.
+    #[error("of type {actual}, not {given}")]
+    Type {
+        /// Type on the controller.
+        actual: IoType,
+        /// Type of the value given.
+        given: IoType,
+    },
+    /// All places for outputs are taken.
+    #[error("more than 10 outputs")]
+    Full,
+}
+
+/// Why a frame was not taken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum PlaceError {
+    /// No robot program asks for it.
+    #[error("not requested by the robot program")]
+    NotRequested,
+    /// The controller's generation wants the other form.
+    #[error("{dialect} wants frames as {}", if *dialect == Dialect::V1 { "matrix" } else { "quaternion" })]
+    Form {
+        /// What the controller speaks.
+        dialect: Dialect,
+    },
+    /// All places for frames are taken.
+    #[error("more than 5 frames")]
+    Full,
+}
+
+impl IoLevel {
+    fn kind(self) -> IoType {
+        match self {
+            Self::Boolean(_) => IoType::Boolean,
+            Self::Digital(_) => IoType::Digital,
+            Self::Analog(_) => IoType::Analog,
+        }
+    }
+
+    /// The level in a message; `None` if the message has none of the type it states.
+    #[must_use]
+    pub fn of(io: &IoValue) -> Option<Self> {
+        match io.kind {
+            IoType::Boolean => io.digital.map(|value| Self::Boolean(value != 0)),
+            IoType::Digital => io.digital.map(Self::Digital),
+            IoType::Analog => io.analog.map(Self::Analog),
+            IoType::Other(_) => None,
+        }
+    }
+
+    fn output(self, name: Name) -> IoValue {
+        let (digital, analog) = match self {
+            Self::Boolean(value) => (Some(u64::from(value)), None),
+            Self::Digital(value) => (Some(value), None),
+            Self::Analog(value) => (None, Some(value)),
+        };
+        IoValue {
+            name,
+            kind: self.kind(),
+            direction: IoDirection::Output,
+            digital,
+            analog,
+        }
+    }
+}
+
+impl Session {
+    fn listed(&self, name: &[u8]) -> Option<&IoValue> {
+        let data = self.message.monitor.as_ref()?;
+        data.ios.iter().find(|io| io.name.as_bytes() == name)
+    }
+
+    /// Value of an input or output in the newest message.
+    #[must_use]
+    pub fn read(&self, name: &str) -> Option<IoLevel> {
+        self.listed(name.as_bytes()).and_then(IoLevel::of)
+    }
+
+    /// Writes an output with every answer from now on, as long as the controller lists it.
+    pub fn write(&mut self, name: &str, level: IoLevel) -> Result<(), IoError> {
+        let io = self.listed(name.as_bytes()).ok_or(IoError::NotListed)?;
+        let given = level.kind();
+        if io.direction != IoDirection::Output {
+            return Err(IoError::Input);
+        }
+        if io.kind != given {
+            let actual = io.kind;
+            return Err(IoError::Type { actual, given });
+        }
+        let output = level.output(io.name);
+        if let Some(known) = self
+            .outputs
+            .iter_mut()
+            .find(|known| known.name == output.name)
+        {
+            *known = output;
+            return Ok(());
+        }
+        self.outputs.push(output).map_err(|_| IoError::Full)
+    }
+
+    /// Sends a frame that the robot program asks for with every answer from now on, as long as it asks.
+    pub fn place(
+        &mut self,
+        name: &str,
+        placement: Placement,
+        stamp: Option<TimeStamp>,
+    ) -> Result<(), PlaceError> {
+        let requested = self.message.requested.iter().find(|it| it.name.is(name));
+        let name = requested.ok_or(PlaceError::NotRequested)?.name;
+        let is_matrix = match placement {
+            Placement::Matrix(_) => true,
+            Placement::Quaternion(_) => false,
+        };
+        if let Some(dialect) = self.dialect.filter(|it| (*it == Dialect::V1) != is_matrix) {
+            return Err(PlaceError::Form { dialect });
+        }
+        let frame = Transformation {
+            name,
+            placement: Some(placement),
+            stamp,
+        };
+        if let Some(known) = self.frames.iter_mut().find(|known| known.name == name) {
+            *known = frame;
+            return Ok(());
+        }
+        self.frames.push(frame).map_err(|_| PlaceError::Full)
+    }
+
+    /// Adds what the newest message wants or allows to an answer.
+    pub(super) fn exchange(&self, data: &mut CommandData) {
+        for output in self.outputs.iter() {
+            let io = self.listed(output.name.as_bytes());
+            let fits =
+                |io: &&IoValue| io.direction == IoDirection::Output && io.kind == output.kind;
+            if io.filter(fits).is_some() {
+                let _full = data.ios.push(*output);
+            }
+        }
+        for frame in self.frames.iter() {
+            let mut requested = self.message.requested.iter();
+            if requested.any(|it| it.name == frame.name) {
+                let _full = data.transformations.push(*frame);
+            }
+        }
+    }
+}

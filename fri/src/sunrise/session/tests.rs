@@ -1,0 +1,703 @@
+//! Every transition of the session and what each phase answers, one cell of the table per row. Loss and time with a real
+//! peer: tests/sunrise_behaviour.rs.
+
+use super::*;
+use crate::guard::Breach;
+use crate::sunrise::wire::{
+    ConnectionInfo, IoDirection, IoType, IpoData, MESSAGE_MAX, MonitorData, Name, Placement,
+    Redundancy, RedundancyStrategy,
+};
+
+const MS: Duration = Duration::from_millis(1);
+const IPO: Joints = [0.5; AXES];
+const COMMANDED: Joints = [0.25; AXES];
+const MEASURED: Joints = [0.125; AXES];
+const STATES: [SessionState; 6] = [
+    SessionState::Idle,
+    SessionState::MonitoringWait,
+    SessionState::MonitoringReady,
+    SessionState::CommandingWait,
+    SessionState::CommandingActive,
+    SessionState::Other(9),
+];
+
+/// A message of that state at 1 ms, with distinct measured, commanded and interpolated positions.
+fn message(dialect: Dialect, sequence: u32, state: SessionState, mode: CommandMode) -> Monitoring {
+    let io = |name, kind, direction| IoValue {
+        name: Name::new(name).unwrap(),
+        kind,
+        direction,
+        digital: (kind != IoType::Analog).then_some(3),
+        analog: (kind == IoType::Analog).then_some(0.5),
+    };
+    let mut data = MonitorData {
+        measured: Some(MEASURED),
+        commanded: (dialect == Dialect::V1).then_some(COMMANDED),
+        pose: (dialect != Dialect::V1).then(|| pose(1.0)),
+        ..MonitorData::default()
+    };
+    for (name, kind, direction) in [
+        ("G.in", IoType::Digital, IoDirection::Input),
+        ("G.out", IoType::Boolean, IoDirection::Output),
+        ("G.level", IoType::Analog, IoDirection::Output),
+    ] {
+        data.ios.push(io(name, kind, direction)).unwrap();
+    }
+    let mut message = Monitoring {
+        header: Header {
+            sequence,
+            reflected: 0,
+        },
+        monitor: Some(data),
+        connection: Some(ConnectionInfo {
+            state,
+            quality: Quality::Good,
+            send_period_ms: Some(1),
+            receive_multiplier: Some(1),
+        }),
+        ipo: Some(IpoData {
+            joints: Phase::from(state).is_commanding().then_some(IPO),
+            pose: (dialect != Dialect::V1).then(|| pose(2.0)),
+            command_mode: Some(mode),
+            ..IpoData::default()
+        }),
+        ..Monitoring::default()
+    };
+    let name = Name::new("Frame").unwrap();
+    let requested = Transformation {
+        name,
+        ..Transformation::default()
+    };
+    message.requested.push(requested).unwrap();
+    message
+}
+
+fn pose(x: f64) -> Transformation {
+    Transformation {
+        name: Name::new("tcp").unwrap(),
+        placement: Some(Placement::Quaternion([x, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])),
+        stamp: None,
+    }
+}
+
+fn bytes(dialect: Dialect, message: &Monitoring) -> Vec<u8> {
+    let mut buf = [0; MESSAGE_MAX];
+    let len = dialect.frame(&mut buf, |buf| message.encode(buf)).unwrap();
+    buf[..len].to_vec()
+}
+
+/// A session and what it heard last.
+struct Bench {
+    session: Session,
+    dialect: Dialect,
+    mode: CommandMode,
+    sequence: u32,
+    now: Duration,
+}
+
+impl Bench {
+    fn new(dialect: Dialect, mode: CommandMode) -> Self {
+        Self {
+            session: Session::new(SessionConfig::default()),
+            dialect,
+            mode,
+            sequence: 0,
+            now: Duration::ZERO,
+        }
+    }
+
+    /// In that phase, all answered.
+    fn at(phase: Phase, dialect: Dialect, mode: CommandMode) -> Self {
+        let mut bench = Self::new(dialect, mode);
+        let state = match phase {
+            Phase::Offline => return bench,
+            Phase::Idle => SessionState::Idle,
+            Phase::MonitoringWait => SessionState::MonitoringWait,
+            Phase::MonitoringReady => SessionState::MonitoringReady,
+            Phase::CommandingWait => SessionState::CommandingWait,
+            Phase::CommandingActive => SessionState::CommandingActive,
+        };
+        bench.hear(state);
+        if phase != Phase::Idle {
+            bench.answer(&Demand::Hold);
+        }
+        assert_eq!(bench.session.phase(), phase);
+        bench
+    }
+
+    fn active(mode: CommandMode) -> Self {
+        let mut bench = Self::at(Phase::CommandingActive, Dialect::V2, mode);
+        bench.session.engage().unwrap();
+        bench.hear(SessionState::CommandingActive);
+        bench
+    }
+
+    fn hear(&mut self, state: SessionState) -> Reception {
+        self.sequence += 1;
+        self.now += MS;
+        let message = message(self.dialect, self.sequence, state, self.mode);
+        self.take(&message).unwrap()
+    }
+
+    fn take(&mut self, message: &Monitoring) -> Result<Reception, DecodeError> {
+        self.session
+            .handle_datagram(&bytes(self.dialect, message), self.now)
+    }
+
+    fn answer(&mut self, demand: &Demand) -> (Command, Option<Withheld>) {
+        let mut buf = [0; MESSAGE_MAX];
+        let answer = self.session.answer(demand, &mut buf).unwrap();
+        let (is_framed, message) = unframe(&buf[..answer.len]).unwrap();
+        assert_eq!(is_framed, self.dialect.is_framed());
+        (Command::decode(message).unwrap(), answer.withheld)
+    }
+}
+
+// ------------------------------------------------------------------------------------- phase x state of the next message
+
+#[test]
+fn every_state_leads_from_every_phase_where_the_diagram_says() {
+    use Event::{Closed, CommandEntered, CommandLeft, Online, QualityLost, Ready, Synchronising};
+    let rows = [
+        (
+            Phase::Offline,
+            [
+                None,
+                Some(Online),
+                Some(Online),
+                Some(Synchronising),
+                Some(CommandEntered),
+                Some(Online),
+            ],
+        ),
+        (
+            Phase::Idle,
+            [
+                None,
+                Some(Online),
+                Some(Online),
+                Some(Synchronising),
+                Some(CommandEntered),
+                Some(Online),
+            ],
+        ),
+        (
+            Phase::MonitoringWait,
+            [
+                Some(Closed),
+                None,
+                Some(Ready),
+                Some(Synchronising),
+                Some(CommandEntered),
+                None,
+            ],
+        ),
+        (
+            Phase::MonitoringReady,
+            [
+                Some(Closed),
+                Some(QualityLost),
+                None,
+                Some(Synchronising),
+                Some(CommandEntered),
+                Some(QualityLost),
+            ],
+        ),
+        (
+            Phase::CommandingWait,
+            [
+                Some(Closed),
+                Some(CommandLeft),
+                Some(CommandLeft),
+                None,
+                Some(CommandEntered),
+                Some(CommandLeft),
+            ],
+        ),
+        (
+            Phase::CommandingActive,
+            [
+                Some(Closed),
+                Some(CommandLeft),
+                Some(CommandLeft),
+                Some(CommandLeft),
+                None,
+                Some(CommandLeft),
+            ],
+        ),
+    ];
+    for dialect in [Dialect::V1, Dialect::V2, Dialect::V3] {
+        for (phase, events) in rows {
+            for (state, event) in STATES.into_iter().zip(events) {
+                let mut bench = Bench::at(phase, dialect, CommandMode::Position);
+                let reception = bench.hear(state);
+                assert_eq!(reception.event, event, "{phase:?} {state}");
+                assert_eq!(bench.session.phase(), Phase::from(state));
+                assert_eq!(reception.is_due, state != SessionState::Idle);
+                assert!(!bench.session.is_engaged());
+            }
+        }
+    }
+}
+
+#[test]
+fn silence_leads_from_every_phase_to_offline() {
+    for phase in Phase::ALL {
+        let mut bench = Bench::at(phase, Dialect::V2, CommandMode::Position);
+        let due = bench.session.poll_timeout();
+        assert_eq!(
+            due,
+            (phase != Phase::Offline).then_some(MS * 51),
+            "{phase:?}"
+        );
+        assert!(!bench.session.handle_timeout(MS * 50));
+        assert_eq!(bench.session.handle_timeout(MS * 51), due.is_some());
+        assert_eq!(bench.session.phase(), Phase::Offline);
+        assert_eq!(bench.session.counters().silences, u64::from(due.is_some()));
+    }
+}
+
+#[test]
+fn every_phase_answers_what_the_controller_expects() {
+    // Joint positions answered by 1.x and by 2.x, and whether there is an answer at all.
+    for (state, v1, v2) in [
+        (SessionState::MonitoringWait, Some(COMMANDED), None),
+        (SessionState::MonitoringReady, Some(COMMANDED), None),
+        (SessionState::CommandingWait, Some(IPO), Some(IPO)),
+        (SessionState::CommandingActive, Some(IPO), Some(IPO)),
+        (SessionState::Other(9), Some(COMMANDED), None),
+    ] {
+        for (dialect, joints) in [(Dialect::V1, v1), (Dialect::V2, v2), (Dialect::V3, v2)] {
+            let mut bench = Bench::new(dialect, CommandMode::Position);
+            bench.hear(state);
+            let (command, withheld) = bench.answer(&Demand::Position([9.0; AXES]));
+            assert_eq!(
+                command.data.and_then(|data| data.joints),
+                joints,
+                "{state} {dialect}"
+            );
+            assert_eq!(command.data.is_some(), joints.is_some());
+            let expected = match state {
+                SessionState::CommandingActive => Withheld::NotEngaged,
+                _ => Withheld::NotCommanding {
+                    phase: state.into(),
+                },
+            };
+            assert_eq!(withheld, Some(expected));
+        }
+    }
+    let mut bench = Bench::new(Dialect::V2, CommandMode::Position);
+    bench.hear(SessionState::Idle);
+    let refused = bench.session.answer(&Demand::Hold, &mut [0; MESSAGE_MAX]);
+    assert_eq!(refused, Err(AnswerError::NothingToAnswer));
+}
+
+// ----------------------------------------------------------------------------------------------- rules of command modes
+
+#[test]
+fn synchronising_carries_all_that_the_overlay_wants() {
+    for (mode, joints, wrench, torque, has_pose) in [
+        (CommandMode::Position, Some(IPO), None, None, false),
+        (CommandMode::Wrench, Some(IPO), Some([0.0; 6]), None, false),
+        (
+            CommandMode::Torque,
+            Some(IPO),
+            None,
+            Some([0.0; AXES]),
+            false,
+        ),
+        (CommandMode::CartesianPose, None, None, None, true),
+        (CommandMode::None, Some(IPO), None, None, false),
+        (CommandMode::Other(8), Some(IPO), None, None, false),
+    ] {
+        for state in [SessionState::CommandingWait, SessionState::CommandingActive] {
+            let mut bench = Bench::new(Dialect::V3, mode);
+            bench.hear(state);
+            let data = bench.answer(&Demand::Hold).0.data.unwrap();
+            assert_eq!(
+                (data.joints, data.wrench, data.torque),
+                (joints, wrench, torque)
+            );
+            assert_eq!(data.pose, has_pose.then(|| pose(2.0)));
+        }
+    }
+}
+
+/// A demand of every kind, in the order of [`CommandMode`], near the interpolator.
+fn demands() -> [(CommandMode, Demand); 4] {
+    let joints = Some([0.51; AXES]);
+    [
+        (CommandMode::Position, Demand::Position([0.51; AXES])),
+        (
+            CommandMode::Wrench,
+            Demand::Wrench {
+                wrench: [1.0; 6],
+                joints,
+            },
+        ),
+        (
+            CommandMode::Torque,
+            Demand::Torque {
+                torque: [2.0; AXES],
+                joints,
+            },
+        ),
+        (
+            CommandMode::CartesianPose,
+            Demand::Pose {
+                pose: [5.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0],
+                redundancy: Some(Redundancy {
+                    strategy: RedundancyStrategy::E1,
+                    value: 0.1,
+                }),
+            },
+        ),
+    ]
+}
+
+#[test]
+fn a_demand_goes_out_only_in_its_command_mode() {
+    for (wanted, _) in demands() {
+        for (demanded, demand) in demands() {
+            let mut bench = Bench::active(wanted);
+            let (command, withheld) = bench.answer(&demand);
+            let data = command.data.unwrap();
+            let mismatch = Withheld::Mode { wanted, demanded };
+            assert_eq!(withheld, (wanted != demanded).then_some(mismatch));
+            let moved = withheld.is_none();
+            let joints = if moved { [0.51; AXES] } else { IPO };
+            if wanted == CommandMode::CartesianPose {
+                assert_eq!(data.pose, Some(pose(if moved { 5.0 } else { 2.0 })));
+                assert_eq!(data.redundancy.is_some(), moved);
+            } else {
+                assert_eq!(
+                    data.joints.is_some_and(|it| it == joints),
+                    wanted != CommandMode::Torque || moved
+                );
+            }
+            let wrench = [if moved { 1.0 } else { 0.0 }; 6];
+            assert_eq!(
+                data.wrench,
+                (wanted == CommandMode::Wrench).then_some(wrench)
+            );
+            let torque = [if moved { 2.0 } else { 0.0 }; AXES];
+            assert_eq!(
+                data.torque,
+                (wanted == CommandMode::Torque).then_some(torque)
+            );
+        }
+    }
+}
+
+#[test]
+fn torques_without_positions_follow_the_measured_ones_from_behind() {
+    let mut bench = Bench::active(CommandMode::Torque);
+    let demand = Demand::Torque {
+        torque: [1.0; AXES],
+        joints: None,
+    };
+    let mut distance = IPO[0] - MEASURED[0];
+    for _ in 0..50 {
+        let joints = bench.answer(&demand).0.data.unwrap().joints.unwrap();
+        distance *= 0.9;
+        assert!((joints[3] - MEASURED[3] - distance).abs() < 1e-12);
+        bench.hear(SessionState::CommandingActive);
+    }
+}
+
+#[test]
+fn guards_withhold_and_hold() {
+    let mut bench = Bench::active(CommandMode::Position);
+    bench.session.config.guard.speed_rad_per_s = [1.0; AXES];
+    let mut joints = IPO;
+    joints[1] += 0.002;
+    let (command, withheld) = bench.answer(&Demand::Position(joints));
+    assert_eq!(command.data.unwrap().joints, Some(IPO));
+    assert_eq!(
+        withheld.unwrap().to_string(),
+        "A2 commanded 2.000 rad/s, limit 1.000 rad/s"
+    );
+    // Two messages later the same step is slow enough.
+    bench.hear(SessionState::CommandingActive);
+    bench.hear(SessionState::CommandingActive);
+    let (command, withheld) = bench.answer(&Demand::Position(joints));
+    assert_eq!(
+        (command.data.unwrap().joints, withheld),
+        (Some(joints), None)
+    );
+    assert_eq!(bench.session.counters().withheld, 1);
+    for (mode, demand) in [
+        (CommandMode::Position, Demand::Position([f64::NAN; AXES])),
+        (
+            CommandMode::Torque,
+            Demand::Torque {
+                torque: [f64::NAN; AXES],
+                joints: None,
+            },
+        ),
+        (
+            CommandMode::Wrench,
+            Demand::Wrench {
+                wrench: [f64::NAN; 6],
+                joints: None,
+            },
+        ),
+        (
+            CommandMode::CartesianPose,
+            Demand::Pose {
+                pose: [f64::NAN; 7],
+                redundancy: None,
+            },
+        ),
+    ] {
+        let withheld = Bench::active(mode).answer(&demand).1;
+        assert!(
+            matches!(withheld, Some(Withheld::Guard(it)) if it.breach == Breach::NotFinite),
+            "{mode}"
+        );
+    }
+}
+
+// ------------------------------------------------------------------------------------------------ entering and re-entering
+
+#[test]
+fn nothing_moves_after_a_re_entry_until_the_program_asks_again() {
+    let mut bench = Bench::active(CommandMode::Position);
+    let far = Demand::Position([0.9; AXES]);
+    assert_eq!(bench.answer(&far).0.data.unwrap().joints, Some([0.9; AXES]));
+    bench.hear(SessionState::MonitoringReady);
+    assert_eq!(bench.answer(&far).0.data, None);
+    for _ in 0..3 {
+        bench.hear(SessionState::CommandingActive);
+        let (command, withheld) = bench.answer(&far);
+        assert_eq!(command.data.unwrap().joints, Some(IPO));
+        assert_eq!(withheld, Some(Withheld::NotEngaged));
+    }
+    assert_eq!(bench.session.mirror(), IPO);
+    bench.session.engage().unwrap();
+    bench.hear(SessionState::CommandingActive);
+    assert_eq!(bench.answer(&far).1, None);
+    bench.session.disengage();
+    bench.hear(SessionState::CommandingActive);
+    assert_eq!(bench.answer(&far).0.data.unwrap().joints, Some(IPO));
+}
+
+#[test]
+fn engaging_is_refused_in_every_phase_but_active() {
+    for phase in Phase::ALL {
+        let mut bench = Bench::at(phase, Dialect::V2, CommandMode::Position);
+        let engaged = bench.session.engage();
+        assert_eq!(
+            engaged.is_ok(),
+            phase == Phase::CommandingActive,
+            "{phase:?}"
+        );
+    }
+}
+
+// ------------------------------------------------------------------------------------- counting, multiplier, lost and late
+
+#[test]
+fn every_nth_message_is_answered_and_loss_shifts_nothing() {
+    let mut bench = Bench::new(Dialect::V2, CommandMode::Position);
+    let mut answered = Vec::new();
+    for sequence in [10, 11, 12, 13, 14, 17, 18, 20] {
+        let mut message = message(
+            Dialect::V2,
+            sequence,
+            SessionState::MonitoringReady,
+            bench.mode,
+        );
+        message.connection.as_mut().unwrap().receive_multiplier = Some(3);
+        assert_eq!(
+            bench.take(&message).unwrap().is_due,
+            bench.session.is_pending()
+        );
+        if bench.session.is_pending() {
+            answered.push(bench.answer(&Demand::Hold).0.header);
+        }
+    }
+    let header = |(sequence, reflected)| Header {
+        sequence,
+        reflected,
+    };
+    assert_eq!(answered, [(0, 10), (1, 13), (2, 17), (3, 20)].map(header));
+    assert_eq!(bench.session.counters().lost, 3);
+}
+
+#[test]
+fn the_newest_message_is_answered_and_late_hosts_show() {
+    let mut bench = Bench::new(Dialect::V1, CommandMode::Position);
+    for _ in 0..3 {
+        bench.hear(SessionState::MonitoringReady);
+    }
+    assert_eq!(bench.answer(&Demand::Hold).0.header.reflected, 3);
+    assert_eq!(bench.session.counters().skipped, 2);
+    let again = bench.session.answer(&Demand::Hold, &mut [0; MESSAGE_MAX]);
+    assert_eq!(again, Err(AnswerError::NothingToAnswer));
+}
+
+#[test]
+fn copies_and_old_messages_change_nothing() {
+    let mut bench = Bench::active(CommandMode::Position);
+    let before = bench.sequence;
+    for sequence in [before, before - 1] {
+        let old = message(
+            Dialect::V2,
+            sequence,
+            SessionState::MonitoringWait,
+            bench.mode,
+        );
+        let reception = bench.take(&old).unwrap();
+        assert!(!reception.order.is_new() && !reception.is_due);
+        assert_eq!(
+            (reception.event, bench.session.phase()),
+            (None, Phase::CommandingActive)
+        );
+    }
+    assert_eq!(bench.session.counters().old, 2);
+    assert!(bench.session.is_engaged());
+}
+
+#[test]
+fn a_controller_that_starts_again_may_speak_another_dialect() {
+    let mut bench = Bench::at(Phase::MonitoringReady, Dialect::V1, CommandMode::Position);
+    assert_eq!(bench.session.dialect(), Some(Dialect::V1));
+    bench.dialect = Dialect::V3;
+    bench.sequence = 1_000_000;
+    assert_eq!(
+        bench.hear(SessionState::MonitoringWait).order,
+        Order::Restart
+    );
+    assert_eq!(bench.session.dialect(), Some(Dialect::V3));
+    bench.answer(&Demand::Hold);
+    assert_eq!(bench.session.counters().restarts, 1);
+}
+
+// ------------------------------------------------------------------------------------------------------- what else may come
+
+#[test]
+fn foreign_datagrams_and_dialects_are_named() {
+    let mut bench = Bench::new(Dialect::V2, CommandMode::Position);
+    let mut take = |datagram: &[u8]| {
+        let refused = bench.session.handle_datagram(datagram, MS);
+        refused.unwrap_err().to_string()
+    };
+    let mut msr = [0; 916];
+    msr[4..8].copy_from_slice(&[0x94, 0x03, 0x06, 0x20]);
+    assert_eq!(
+        take(&msr),
+        "a measurement of FRI 1.0 (LWR), expected a monitoring message of Sunrise FRI 1.x or 2.0 to 2.5: the other \
+         generation of robot talks to this port: check device kind and the controller's target port"
+    );
+    let mut buf = [0; 64];
+    let len = Command::default().encode(&mut buf).unwrap();
+    assert_eq!(
+        take(&buf[..len]),
+        "a command message of Sunrise FRI 1.x or 2.0 to 2.5, expected a monitoring message of Sunrise FRI 1.x or 2.0 to \
+         2.5: a client talks to this port, not a controller: look for a second client and for equal addresses"
+    );
+    assert_eq!(
+        take(b"hello"),
+        "datagram of 5 bytes is no message of Sunrise FRI, bare or framed"
+    );
+    assert_eq!(bench.session.counters().malformed, 3);
+    let expected = SessionConfig {
+        dialect: Some(Dialect::V1),
+        ..SessionConfig::default()
+    };
+    let mut bench = Bench {
+        session: Session::new(expected),
+        ..Bench::new(Dialect::V3, CommandMode::Position)
+    };
+    let message = message(
+        Dialect::V3,
+        1,
+        SessionState::MonitoringWait,
+        CommandMode::None,
+    );
+    assert_eq!(
+        bench.take(&message).unwrap_err().to_string(),
+        "the controller speaks FRI 2.7 (3.0), this session was told to speak FRI 1.x: correct the setting or leave it to \
+         detection"
+    );
+}
+
+#[test]
+fn outputs_are_written_as_long_as_they_are_listed() {
+    let mut bench = Bench::at(Phase::MonitoringReady, Dialect::V2, CommandMode::Position);
+    let session = &mut bench.session;
+    assert_eq!(session.read("G.in"), Some(IoLevel::Digital(3)));
+    assert_eq!(session.read("G.level"), Some(IoLevel::Analog(0.5)));
+    assert_eq!(session.read("G.none"), None);
+    let on = IoLevel::Boolean(true);
+    assert_eq!(session.write("G.none", on), Err(IoError::NotListed));
+    assert_eq!(
+        session.write("G.in", IoLevel::Digital(1)),
+        Err(IoError::Input)
+    );
+    let wrong = session.write("G.level", on).unwrap_err();
+    assert_eq!(wrong.to_string(), "of type analog, not bool");
+    session.write("G.out", IoLevel::Boolean(false)).unwrap();
+    session.write("G.out", on).unwrap();
+    session.write("G.level", IoLevel::Analog(1.5)).unwrap();
+    bench.hear(SessionState::MonitoringReady);
+    let data = bench.answer(&Demand::Hold).0.data.unwrap();
+    let sent: Vec<_> = data
+        .ios
+        .iter()
+        .map(|io| (io.name.to_string(), IoLevel::of(io)))
+        .collect();
+    let level = |name: &str, level| (name.to_owned(), Some(level));
+    assert_eq!(
+        sent,
+        [level("G.out", on), level("G.level", IoLevel::Analog(1.5))]
+    );
+    bench.sequence += 1;
+    let mut without = message(
+        Dialect::V2,
+        bench.sequence,
+        SessionState::MonitoringReady,
+        bench.mode,
+    );
+    without.monitor.as_mut().unwrap().ios.clear();
+    bench.take(&without).unwrap();
+    assert_eq!(bench.answer(&Demand::Hold).0.data, None);
+}
+
+#[test]
+fn requested_frames_are_sent_in_the_form_of_the_dialect() {
+    for (dialect, right, wrong, text) in [
+        (
+            Dialect::V1,
+            Placement::Matrix([0.5; 12]),
+            Placement::Quaternion([0.5; 7]),
+            "FRI 1.x wants frames as matrix",
+        ),
+        (
+            Dialect::V2,
+            Placement::Quaternion([0.5; 7]),
+            Placement::Matrix([0.5; 12]),
+            "FRI 2.0 to 2.5 wants frames as quaternion",
+        ),
+    ] {
+        let mut bench = Bench::at(Phase::MonitoringReady, dialect, CommandMode::Position);
+        assert_eq!(
+            bench.session.place("Other", right, None),
+            Err(PlaceError::NotRequested)
+        );
+        assert_eq!(
+            bench
+                .session
+                .place("Frame", wrong, None)
+                .unwrap_err()
+                .to_string(),
+            text
+        );
+        bench.session.place("Frame", right, None).unwrap();
+        bench.hear(SessionState::MonitoringReady);
+        let data = bench.answer(&Demand::Hold).0.data.unwrap();
+        assert_eq!(data.transformations[0].placement, Some(right));
+        assert!(data.transformations[0].name.is("Frame"));
+    }
+}

@@ -1,0 +1,117 @@
+//! The three forms that FRI of Sunrise has on the wire, and the frame around messages of the third. It keeps no history:
+//! [`crate::sunrise::Session`] remembers what a controller speaks.
+
+use super::Monitoring;
+use crate::error::{DecodeError, EncodeError};
+use std::fmt;
+
+/// Bytes before the message in a framed datagram: its length, u32 little endian.
+const HEAD: usize = 4;
+/// Bytes behind the message: CRC-32 (IEEE 802.3) of the message alone, u32 little endian.
+const TAIL: usize = 4;
+
+/// What a controller speaks, by the version of its FRI option.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Dialect {
+    /// FRI 1.7 to 1.17: the datagram is the message; measurements carry commandedJointPosition, commands in monitor mode
+    /// mirror it.
+    V1,
+    /// FRI 2.0 to 2.5: the datagram is the message; poses, no commandedJointPosition, commands in monitor mode are empty.
+    V2,
+    /// FRI 2.7, sold as 3.0: as 2.x, in a frame of length and checksum.
+    V3,
+}
+
+/// Takes the message out of a datagram and tells whether it was framed, as 2.7 does:
+///
+/// | offset | type | field |
+/// |--:|---|---|
+/// | 0 | u32 | length n of the message |
+/// | 4 | n bytes | message |
+/// | 4 + n | u32 | CRC-32 of the message |
+///
+/// A bare message begins with the key of its header, 0x0a, and never with its own length.
+pub fn unframe(datagram: &[u8]) -> Result<(bool, &[u8]), DecodeError> {
+    let Some(message) = framed(datagram) else {
+        return bare(datagram);
+    };
+    let tail = datagram.last_chunk::<TAIL>().copied();
+    let stated = u32::from_le_bytes(tail.unwrap_or_default());
+    let computed = crc32fast::hash(message);
+    if stated != computed {
+        return Err(DecodeError::Checksum { stated, computed });
+    }
+    Ok((true, message))
+}
+
+/// The message in a frame whose length agrees with the datagram's.
+fn framed(datagram: &[u8]) -> Option<&[u8]> {
+    let (head, rest) = datagram.split_first_chunk::<HEAD>()?;
+    let (message, _) = rest.split_last_chunk::<TAIL>()?;
+    let stated = usize::try_from(u32::from_le_bytes(*head)).ok()?;
+    (stated == message.len()).then_some(message)
+}
+
+fn bare(datagram: &[u8]) -> Result<(bool, &[u8]), DecodeError> {
+    match datagram {
+        [0x0a, ..] => Ok((false, datagram)),
+        _ => Err(DecodeError::NoMessage {
+            actual: datagram.len(),
+        }),
+    }
+}
+
+impl Dialect {
+    /// What the sender of a monitoring message speaks; `None` if this message fits more than one.
+    #[must_use]
+    pub fn of(is_framed: bool, message: &Monitoring) -> Option<Self> {
+        if is_framed {
+            return Some(Self::V3);
+        }
+        let data = message.monitor.as_ref()?;
+        if data.commanded.is_some() {
+            return Some(Self::V1);
+        }
+        (data.measured.is_some() || data.pose.is_some()).then_some(Self::V2)
+    }
+
+    /// Whether datagrams have a frame.
+    #[must_use]
+    pub fn is_framed(self) -> bool {
+        self == Self::V3
+    }
+
+    /// Writes a datagram: the message that `encode` puts at the front of its buffer, with a frame if there is one. Returns
+    /// the datagram's length.
+    pub fn frame(
+        self,
+        buf: &mut [u8],
+        encode: impl FnOnce(&mut [u8]) -> Result<usize, EncodeError>,
+    ) -> Result<usize, EncodeError> {
+        if !self.is_framed() {
+            return encode(buf);
+        }
+        let actual = buf.len();
+        let needed = HEAD + TAIL;
+        let room = actual.saturating_sub(TAIL);
+        let inner = buf.get_mut(HEAD..room.max(HEAD));
+        let len = encode(inner.ok_or(EncodeError::Buffer { needed, actual })?)?;
+        let needed = HEAD + len + TAIL;
+        let full = EncodeError::Buffer { needed, actual };
+        let (head, rest) = buf.split_first_chunk_mut::<HEAD>().ok_or(full)?;
+        let (message, tail) = rest.split_at_mut_checked(len).ok_or(full)?;
+        *head = u32::try_from(len).map_err(|_| full)?.to_le_bytes();
+        *tail.first_chunk_mut().ok_or(full)? = crc32fast::hash(message).to_le_bytes();
+        Ok(needed)
+    }
+}
+
+impl fmt::Display for Dialect {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::V1 => "FRI 1.x",
+            Self::V2 => "FRI 2.0 to 2.5",
+            Self::V3 => "FRI 2.7 (3.0)",
+        })
+    }
+}

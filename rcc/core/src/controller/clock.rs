@@ -1,0 +1,151 @@
+//! The device's clock that net threads keep phase with. Its driver measures it and the threads follow
+//! it; here the way between the two is kept while drivers come and go.
+
+use std::time::Duration;
+
+use takt_rt::cycle::Follow;
+use takt_rt::latest::{LatestReader, LatestWriter, latest};
+use takt_rt::servo::{Estimate, State};
+
+use crate::cell::{CellConfig, THREADS_MAX};
+
+/// How the clock that a net thread follows is known.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ClockInfo {
+    /// The device whose clock it is.
+    pub device: String,
+    /// How well its driver knows it.
+    pub state: State,
+    /// How much faster than this host's it runs, ppb; `None` while it is not known.
+    pub ppb: Option<f64>,
+    /// How long after the instants of the device the cycles of the thread begin.
+    pub phase: Duration,
+}
+
+/// The clock that the net threads of a cell follow.
+#[derive(Debug)]
+pub(super) struct FollowedClock {
+    device: String,
+    /// Phases of the threads, the first one first.
+    phases: Vec<Duration>,
+    /// While no driver has it.
+    writer: Option<LatestWriter<Estimate>>,
+    reader: LatestReader<Estimate>,
+}
+
+impl FollowedClock {
+    /// What the cell says; `None` if its threads follow the host's clock.
+    pub(super) fn of(cell: &CellConfig) -> Option<Self> {
+        let (writer, reader) = latest(THREADS_MAX + 1, Estimate::default);
+        Some(Self {
+            device: cell.controller.follow.clone()?,
+            phases: cell.phases().collect(),
+            writer: Some(writer),
+            reader,
+        })
+    }
+
+    /// What a thread needs to follow it.
+    pub(super) fn follow(&self, thread: usize) -> Option<Follow> {
+        let phase = self.phases.get(thread)?;
+        Some(Follow::new(self.reader.another()?, (*phase).into()))
+    }
+
+    /// Where the driver of a device is to tell its clock: to the threads, or to nobody.
+    pub(super) fn writer_for(followed: &mut Option<Self>, device: &str) -> LatestWriter<Estimate> {
+        let followed = followed.as_mut().filter(|clock| clock.device == device);
+        let writer = followed.and_then(|clock| clock.writer.take());
+        writer.unwrap_or_else(|| latest(1, Estimate::default).0)
+    }
+
+    /// Takes back what a driver of a device that is gone had; the next one gets it.
+    pub(super) fn give_back(
+        followed: &mut Option<Self>,
+        device: &str,
+        writer: LatestWriter<Estimate>,
+    ) {
+        if let Some(clock) = followed.as_mut().filter(|clock| clock.device == device) {
+            clock.writer = Some(writer);
+        }
+    }
+
+    /// How it is known at present, to a thread.
+    pub(super) fn info(&mut self, thread: usize) -> Option<ClockInfo> {
+        let now = self.reader.read();
+        let is_known = now.is_valid_at(takt_rt::monotonic());
+        let state = if now.state.is_followed() && !is_known {
+            State::Unlocked
+        } else {
+            now.state
+        };
+        Some(ClockInfo {
+            device: self.device.clone(),
+            state,
+            ppb: is_known.then_some(now.frequency_ppb),
+            phase: *self.phases.get(thread)?,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use takt_rt::Nanos;
+
+    fn cell(follow: Option<&str>) -> CellConfig {
+        let mut cell = CellConfig::default();
+        cell.controller.follow = follow.map(str::to_owned);
+        cell.controller.phase = Some(Duration::from_micros(300));
+        cell
+    }
+
+    fn locked() -> Estimate {
+        Estimate {
+            state: State::Locked,
+            frequency_ppb: 20.0,
+            expires: Nanos::MAX,
+            ..Estimate::default()
+        }
+    }
+
+    #[test]
+    fn only_the_driver_of_the_followed_device_is_heard() {
+        assert!(FollowedClock::of(&cell(None)).is_none());
+        let mut clock = FollowedClock::of(&cell(Some("left")));
+        let mut stranger = FollowedClock::writer_for(&mut clock, "right");
+        stranger.write(locked());
+        let state = |clock: &mut Option<FollowedClock>| clock.as_mut()?.info(0).map(|c| c.state);
+        assert_eq!(state(&mut clock), Some(State::Unlocked));
+        let mut driver = FollowedClock::writer_for(&mut clock, "left");
+        driver.write(locked());
+        let info = clock.as_mut().unwrap().info(0).unwrap();
+        let phase = Duration::from_micros(300);
+        assert_eq!((info.ppb, info.phase), (Some(20.0), phase));
+        assert_eq!(info.state, State::Locked);
+    }
+
+    #[test]
+    fn a_driver_that_comes_anew_is_heard_again() {
+        let mut clock = FollowedClock::of(&cell(Some("left")));
+        let driver = FollowedClock::writer_for(&mut clock, "left");
+        FollowedClock::give_back(&mut clock, "right", latest(1, Estimate::default).0);
+        FollowedClock::give_back(&mut clock, "left", driver);
+        let mut next = FollowedClock::writer_for(&mut clock, "left");
+        next.write(locked());
+        let info = clock.unwrap().info(0).unwrap();
+        assert_eq!(info.state, State::Locked);
+    }
+
+    #[test]
+    fn a_clock_of_which_nothing_is_heard_is_not_known() {
+        let mut clock = FollowedClock::of(&cell(Some("left")));
+        let mut driver = FollowedClock::writer_for(&mut clock, "left");
+        let expired = Estimate {
+            expires: Nanos::ZERO,
+            ..locked()
+        };
+        driver.write(expired);
+        let info = clock.unwrap().info(0).unwrap();
+        assert_eq!((info.state, info.ppb), (State::Unlocked, None));
+    }
+}

@@ -1,0 +1,126 @@
+//! What net threads tell, put down at the desk in the order of each thread.
+
+use crate::controller::desk::{Desk, Net};
+use crate::controller::threads::busy;
+use crate::device::DeviceStatus;
+use crate::error::Error;
+use crate::executor::figures::RUNAWAY_AFTER;
+use crate::executor::thread::{Command, Event};
+use crate::executor::{End, Refusal, Running};
+use crate::ids::{NetId, NetState};
+
+impl Desk {
+    /// Takes what the net threads have to tell; returns whether they had anything.
+    pub(super) fn take_events(&mut self) -> bool {
+        let mut any = false;
+        for thread in 0..self.threads.len() {
+            while let Some(event) = self.threads[thread].events.pop() {
+                any = true;
+                self.handle(event);
+            }
+        }
+        any
+    }
+
+    fn handle(&mut self, event: Event) {
+        match event {
+            Event::Started(id) => self.with(id, Net::started),
+            Event::Cancelling(id) => self.with(id, |net| {
+                if net.state() == NetState::Running {
+                    net.enter(NetState::Cancelling);
+                }
+            }),
+            Event::Refused(running, refusal) => self.refused(running, refusal),
+            Event::DeviceRemoved(end) => drop(end),
+            Event::RuleAdded(id) => self.rule_added(id),
+            Event::RuleRefused(rule, why) => self.rule_refused(&rule, why),
+            Event::RuleDone(rule) => self.rule_done(&rule),
+            Event::Unscheduled(running) => self.unscheduled(running),
+            Event::Ended(running, end) => self.ended(&running, end),
+        }
+    }
+
+    fn with(&mut self, id: u32, change: impl FnOnce(&mut Net)) {
+        if let Some(net) = self.nets.get_mut(&NetId(id)) {
+            change(net);
+        }
+    }
+
+    fn ended(&mut self, running: &Running, end: End) {
+        let why = self.end_text(running, end);
+        if let (Some(why), End::DeviceFault(_) | End::Runaway) = (&why, end) {
+            tracing::warn!(net = %NetId(running.id), why, "net ended");
+        }
+        self.with(running.id, |net| net.ended(why));
+    }
+
+    /// A net is back from the rules. If a start by hand crossed its way, it is sent off again.
+    fn unscheduled(&mut self, running: Box<Running>) {
+        let id = running.id;
+        let Some(net) = self.nets.get_mut(&NetId(id)) else {
+            return;
+        };
+        if !net.is_to_start() {
+            net.take_back(running, None);
+            return;
+        }
+        net.leave_rules();
+        let thread = net.thread;
+        if let Err(Command::Start(running)) = self.send(thread, Command::Start(running)) {
+            self.with(id, |net| net.take_back(running, Some(busy())));
+        }
+    }
+
+    fn refused(&mut self, running: Box<Running>, refusal: Refusal) {
+        let net = NetId(running.id);
+        let error = match refusal {
+            Refusal::TooMany => Error::TooMany {
+                what: "running nets",
+                bound: crate::executor::RUNNING_MAX,
+            },
+            Refusal::ResourceKept(number) => Error::ResourceKept {
+                net,
+                resource: self.resource_name(number),
+            },
+            Refusal::ResourceInUse(number) => Error::ResourceInUse {
+                net,
+                resource: self.resource_name(number),
+            },
+            Refusal::DeviceNotReady(number) => {
+                let arm = self.devices.get(number);
+                Error::DeviceNotReady {
+                    net,
+                    device: arm.map_or_else(|| format!("device {number}"), |a| a.name.clone()),
+                    status: arm
+                        .map_or(DeviceStatus::Offline, |a| a.status())
+                        .to_string(),
+                }
+            }
+        };
+        self.with(running.id, |net| net.take_back(running, Some(error)));
+    }
+
+    /// Why a net ended, unless it did so by itself.
+    fn end_text(&self, net: &Running, end: End) -> Option<String> {
+        match end {
+            End::Terminated => None,
+            End::Aborted => Some("aborted".to_owned()),
+            End::Stopped => Some("stopped by a rule".to_owned()),
+            End::Runaway => {
+                let (period, longest) = (net.plan.period(), net.counters().read().max);
+                Some(format!(
+                    "took longer than its period of {period:?} in {RUNAWAY_AFTER} cycles one after \
+                     the other, up to {longest:?}; give it a longer period or make it smaller"
+                ))
+            }
+            End::DeviceFault(number) => {
+                let arm = self.devices.get(number);
+                let name = arm.map_or("?", |a| a.name.as_str());
+                let status = arm.map_or(DeviceStatus::Offline, |a| a.status());
+                Some(format!(
+                    "device {name} ceased to follow commands and is {status}"
+                ))
+            }
+        }
+    }
+}

@@ -1,0 +1,304 @@
+//! Links between nets, and looks at their debug taps: made when a net is loaded or somebody looks, and
+//! told here what they bring. No net is evaluated here.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use takt_net::device::{ArmBinding, Devices, Interfaces};
+use takt_net::fault::{Fault, FaultKind};
+use takt_net::netcomm::{Inter, NetBoxes};
+use takt_net::taps::{Tap, record_time};
+use takt_net::{Nanos, Plan, Rejection};
+use takt_rt::latest::LatestReader;
+
+use crate::controller::desk::Desk;
+use crate::controller::{Controller, Inner};
+use crate::device::DeviceTable;
+use crate::error::Error;
+use crate::executor::links::{
+    Links, LinksEnd, OUT_READERS, TapReader, WIRES_MAX, Wire, links, taps,
+};
+use crate::ids::NetId;
+
+/// For how long a net's taps are recorded after somebody looked.
+pub const LOOK_LASTS: Duration = Duration::from_secs(10);
+/// Nets whose taps are recorded at once.
+pub const LOOKS_MAX: usize = 16;
+/// Records that wait for the supervisor, which comes every few milliseconds.
+const WAITING: usize = 512;
+/// Bytes of the records that wait.
+const WAITING_BYTES: usize = 4 << 20;
+/// Bytes of the records of one net that are remembered; the oldest make room.
+const REMEMBERED_BYTES: usize = 64 << 20;
+
+/// What one cycle of a net recorded.
+#[derive(Clone, Debug)]
+pub struct TapRecord {
+    /// Its number, from 0 when somebody first looked; where one is missing, it was lost.
+    pub number: u64,
+    words: Arc<[u64]>,
+}
+
+impl TapRecord {
+    /// The logical time of the cycle.
+    #[must_use]
+    pub fn time(&self) -> Nanos {
+        record_time(&self.words)
+    }
+
+    /// The text of a port's value; `None` if it was null.
+    #[must_use]
+    pub fn text(&self, tap: &Tap) -> Option<String> {
+        tap.text(&self.words)
+    }
+}
+
+/// The debug taps of a net and what they recorded since somebody looked.
+#[derive(Clone, Debug)]
+pub struct Taps {
+    /// The tapped ports.
+    pub taps: Arc<[Tap]>,
+    /// What was recorded, oldest first.
+    pub records: Vec<TapRecord>,
+}
+
+/// A look at the taps of one net.
+#[derive(Debug)]
+pub(super) struct Look {
+    reader: TapReader,
+    until: Instant,
+    /// For how long the longest tap remembers.
+    span: Duration,
+    records_max: usize,
+    next: u64,
+    records: VecDeque<TapRecord>,
+}
+
+impl Look {
+    /// Takes what was recorded; returns whether somebody still looks.
+    pub(super) fn drain(&mut self, now: Instant) {
+        let Self {
+            reader,
+            next,
+            records,
+            ..
+        } = self;
+        reader.set_on(now < self.until);
+        reader.drain(|words| {
+            let (number, words) = (*next, words.into());
+            *next += 1;
+            records.push_back(TapRecord { number, words });
+        });
+        let newest = records.back().map_or(Nanos(0), TapRecord::time);
+        let span = i64::try_from(self.span.as_nanos()).unwrap_or(i64::MAX);
+        let old = |record: &TapRecord| newest.0 - record.time().0 > span;
+        while records.len() > self.records_max || records.front().is_some_and(old) {
+            records.pop_front();
+        }
+    }
+
+    fn is_on(&self) -> bool {
+        Instant::now() < self.until
+    }
+}
+
+/// What the controller keeps of a net's links.
+#[derive(Debug)]
+pub(super) struct NetLinks {
+    pub(super) end: LinksEnd,
+    taps: Arc<[Tap]>,
+    record_words: usize,
+    pub(super) look: Option<Look>,
+}
+
+/// Devices and nets, as a net that is loaded may refer to them.
+pub(super) struct Surroundings<'a> {
+    pub(super) devices: &'a DeviceTable,
+    pub(super) inner: &'a Inner,
+}
+
+impl Devices for Surroundings<'_> {
+    fn arm(&self, name: &str) -> Option<ArmBinding> {
+        self.devices.arm(name)
+    }
+
+    fn interfaces(&self, name: &str) -> Option<Interfaces> {
+        self.devices.interfaces(name)
+    }
+
+    fn names(&self) -> Vec<String> {
+        self.devices.names()
+    }
+
+    fn net(&self, name: &str) -> Option<NetBoxes> {
+        let id: NetId = name.parse().ok()?;
+        self.inner.lock().nets.get(&id)?.boxes()
+    }
+}
+
+/// What a net that others read or write gives out and takes in.
+type Grouped = BTreeMap<String, Vec<Inter>>;
+
+fn grouped(values: &[Inter]) -> Grouped {
+    let mut groups = Grouped::new();
+    for inter in values {
+        let group = groups.entry(inter.net.clone()).or_default();
+        group.push(inter.clone());
+    }
+    groups
+}
+
+fn rejected(kind: FaultKind) -> Rejection {
+    let faults = vec![Fault::new(kind, 0..0)];
+    Rejection { faults }
+}
+
+fn gone(net: &str) -> Rejection {
+    let why = format!("net `{net}` was unloaded meanwhile");
+    let parameter = "RemoteNet".to_owned();
+    rejected(FaultKind::Parameter { parameter, why })
+}
+
+fn too_many(what: &'static str, bound: usize) -> Rejection {
+    let found = bound + 1;
+    rejected(FaultKind::Bound { what, found, bound })
+}
+
+impl Desk {
+    /// Links a net that was loaded to those that it reads and writes.
+    pub(super) fn link(
+        &mut self,
+        plan: &Plan,
+        out: &LatestReader<Box<[u64]>>,
+    ) -> Result<(Links, NetLinks), Rejection> {
+        let (mut links, end) = links(plan);
+        let (asked, written) = (grouped(plan.inter_ins()), grouped(plan.inter_outs()));
+        if asked.len() > WIRES_MAX {
+            return Err(too_many("other nets that a net reads", WIRES_MAX));
+        }
+        for (name, values) in asked {
+            let (given, alive) = self.giver(&name)?;
+            let given = given.ok_or_else(|| too_many("nets that read one net", OUT_READERS - 1))?;
+            links.ask(Wire::asked(given, alive, values));
+        }
+        for (name, values) in written {
+            let given = out.another();
+            let given =
+                given.ok_or_else(|| too_many("other nets that a net writes", OUT_READERS - 1))?;
+            let wire = Wire::written(given, Arc::clone(end.alive()), values);
+            let taker = self.linked(&name)?;
+            let connected = taker.end.connect(wire);
+            connected.map_err(|_| too_many("nets that write to one net", WIRES_MAX))?;
+        }
+        let links_end = NetLinks {
+            end,
+            taps: Arc::clone(plan.taps()),
+            record_words: plan.record_words(),
+            look: None,
+        };
+        Ok((links, links_end))
+    }
+
+    fn linked(&mut self, name: &str) -> Result<&mut NetLinks, Rejection> {
+        let id: Option<NetId> = name.parse().ok();
+        let net = id.and_then(|id| self.nets.get_mut(&id));
+        net.and_then(|net| net.links_mut())
+            .ok_or_else(|| gone(name))
+    }
+
+    #[expect(clippy::type_complexity, reason = "both go straight into a wire")]
+    fn giver(
+        &mut self,
+        name: &str,
+    ) -> Result<
+        (
+            Option<LatestReader<Box<[u64]>>>,
+            Arc<std::sync::atomic::AtomicBool>,
+        ),
+        Rejection,
+    > {
+        let alive = Arc::clone(self.linked(name)?.end.alive());
+        let id: Option<NetId> = name.parse().ok();
+        let net = id.and_then(|id| self.nets.get(&id));
+        let given = net.ok_or_else(|| gone(name))?.another_out_reader();
+        Ok((given, alive))
+    }
+
+    /// Gives a net that is evaluated once what other nets gave out last.
+    pub(super) fn give_inter(&mut self, plan: &Plan) {
+        for inter in plan.inter_ins() {
+            let id: Option<NetId> = inter.net.parse().ok();
+            let net = id.and_then(|id| self.nets.get_mut(&id));
+            if let Some(net) = net {
+                net.with_out_words(|words| plan.import_inter(inter, Some(words)));
+            }
+        }
+    }
+
+    /// Takes what the nets recorded that somebody looks at.
+    pub(super) fn drain_taps(&mut self) {
+        if self.looks == 0 {
+            return;
+        }
+        let now = Instant::now();
+        let looks = self.nets.values_mut().filter_map(|net| net.look_mut());
+        self.looks = looks.map(|look| look.drain(now)).count();
+    }
+}
+
+impl Controller {
+    /// The debug taps of a net with what they recorded from number `from` on, which is recorded from the
+    /// first look until [`LOOK_LASTS`] after the last. `None` if there is no such net or it is not ready.
+    ///
+    /// # Errors
+    /// If the taps of [`LOOKS_MAX`] other nets are recorded already.
+    pub fn taps(&self, id: NetId, from: u64) -> Result<Option<Taps>, Error> {
+        let mut desk = self.inner.lock();
+        let looks = desk.nets.values_mut().filter_map(|net| net.look_mut());
+        let looks = looks.filter(|look| look.is_on()).count();
+        let Some(links) = desk.nets.get_mut(&id).and_then(|net| net.links_mut()) else {
+            return Ok(None);
+        };
+        let taps = Arc::clone(&links.taps);
+        if taps.is_empty() {
+            let records = Vec::new();
+            return Ok(Some(Taps { taps, records }));
+        }
+        if looks >= LOOKS_MAX && !links.look.as_ref().is_some_and(Look::is_on) {
+            let (what, bound) = ("nets whose debug taps are recorded", LOOKS_MAX);
+            return Err(Error::TooMany { what, bound });
+        }
+        let now = Instant::now();
+        let look = links.begin_look(now);
+        look.until = now + LOOK_LASTS;
+        look.drain(now);
+        let seen = look.records.iter().filter(|record| record.number >= from);
+        let records = seen.cloned().collect();
+        desk.looks = looks + 1;
+        Ok(Some(Taps { taps, records }))
+    }
+}
+
+impl NetLinks {
+    /// The look at the net's taps, a new one if there is none.
+    fn begin_look(&mut self, now: Instant) -> &mut Look {
+        let (end, words) = (&mut self.end, self.record_words.max(1));
+        let seconds = self.taps.iter().map(|tap| tap.seconds);
+        self.look.get_or_insert_with(|| {
+            let waiting = WAITING
+                .min(WAITING_BYTES / (words * size_of::<u64>()))
+                .max(8);
+            let (writer, reader) = taps(waiting, words);
+            end.look(writer);
+            Look {
+                reader,
+                until: now,
+                span: Duration::from_secs_f64(seconds.fold(0.0, f64::max)),
+                records_max: REMEMBERED_BYTES / (words * size_of::<u64>()),
+                next: 0,
+                records: VecDeque::new(),
+            }
+        })
+    }
+}

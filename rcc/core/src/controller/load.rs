@@ -1,0 +1,167 @@
+//! Loading: a net's text becomes a plan in the caller's thread, while all others go on. Nothing is
+//! started here.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use takt_net::{Limits, LoadContext, Plan, Rejection, load};
+use takt_rt::latest::latest;
+
+use crate::controller::desk::{Net, Prepared};
+use crate::controller::inter::Surroundings;
+use crate::controller::threads::Place;
+use crate::controller::{Controller, NETS_MAX, limits_for};
+use crate::device::DeviceTable;
+use crate::error::Error;
+use crate::executor::links::OUT_READERS;
+use crate::executor::{ResourceSet, Running};
+use crate::ids::{NetId, SessionId};
+
+/// A net to be loaded.
+#[derive(Clone, Debug)]
+pub struct LoadRequest {
+    /// The net.
+    pub text: String,
+    /// Session it belongs to; `SessionId(0)` for none.
+    pub session: SessionId,
+    /// What it is, for people.
+    pub description: String,
+    /// Time from one of its cycles to the next, a whole multiple of a net thread's; `None` for that
+    /// of the thread which serves the devices it commands, or of the first.
+    pub period: Option<Duration>,
+}
+
+impl Controller {
+    /// Loads a net. A net that is rejected gets an identifier too; its state tells. If there are
+    /// as many nets as there may be, the oldest that is over is unloaded.
+    ///
+    /// # Errors
+    /// If there are too many nets, or no such session.
+    pub fn load(&self, request: LoadRequest) -> Result<NetId, Error> {
+        let LoadRequest {
+            text,
+            session,
+            description,
+            period,
+        } = request;
+        let text: Arc<str> = text.into();
+        let id = {
+            let mut desk = self.inner.lock();
+            if session != SessionId::NONE && !desk.sessions.contains_key(&session) {
+                return Err(Error::NoSuchSession(session.to_string()));
+            }
+            if desk.nets.len() >= NETS_MAX && !desk.forget_oldest() {
+                return Err(Error::TooMany {
+                    what: "loaded nets",
+                    bound: NETS_MAX,
+                });
+            }
+            let id = desk.next_net();
+            let net = Net::new(session, description, Arc::clone(&text));
+            desk.nets.insert(id, net);
+            self.inner.announce(&desk);
+            id
+        };
+        let prepared = self.prepare(id, &text, period);
+        let mut desk = self.inner.lock();
+        if let Some(net) = desk.nets.get_mut(&id) {
+            match prepared {
+                Ok(prepared) => net.make_ready(prepared),
+                Err(rejection) => net.reject(rejection),
+            }
+        }
+        self.inner.announce(&desk);
+        Ok(id)
+    }
+
+    /// Checks a net and makes it ready, without the desk but for a copy of the devices.
+    fn prepare(
+        &self,
+        id: NetId,
+        text: &Arc<str>,
+        period: Option<Duration>,
+    ) -> Result<Prepared, Rejection> {
+        let devices = self.inner.lock().devices.clone();
+        let (plan, place) = self.plan(text, period, &devices)?;
+        let mut desk = self.inner.lock();
+        let mut resources = ResourceSet::default();
+        for name in plan.resources() {
+            resources.insert(desk.resource(name)?);
+        }
+        // Only the first thread is recorded.
+        if let (Some(recorder), 0) = (&desk.recorder, place.thread) {
+            recorder.net(id.0, place.every, place.period, text);
+        }
+        drop(desk);
+        let numbers = plan
+            .devices()
+            .iter()
+            .filter_map(|name| devices.number(name));
+        let numbers: Vec<_> = numbers.map(|number| (number, 0)).collect();
+        let (out_directory, in_directory) = (Arc::clone(plan.outbox()), Arc::clone(plan.inbox()));
+        let in_words: Box<[u64]> = plan.inbox_words().collect();
+        let (out, out_reader) = latest(OUT_READERS, || {
+            vec![0; out_directory.words()].into_boxed_slice()
+        });
+        let (links, links_end) = self.inner.lock().link(&plan, &out_reader)?;
+        let (in_writer, inbox) = latest(1, || in_words.clone());
+        let mut running = Box::new(Running::new(id.0, plan, out, inbox));
+        running.resources = resources;
+        running.devices = numbers;
+        running.every = place.every;
+        running.links = links;
+        Ok(Prepared {
+            thread: place.thread,
+            running,
+            links: links_end,
+            out_directory,
+            out_reader,
+            in_directory,
+            in_writer,
+            in_words,
+        })
+    }
+
+    /// Makes the plan and finds its thread. Which devices a net commands is known only when it is
+    /// loaded, and with it the period of one that asks for none.
+    fn plan(
+        &self,
+        text: &str,
+        period: Option<Duration>,
+        devices: &DeviceTable,
+    ) -> Result<(Plan, Place), Rejection> {
+        let place = |devices: &[String]| self.inner.lock().place(period, devices);
+        let before = place(&[])?;
+        let limits = limits_for(before.period);
+        // The budget of a period that is not known yet is no reason to refuse.
+        let cost = limits.cost.filter(|_| period.is_some());
+        let plan = self.load_for(text, before.period, Limits { cost, ..limits }, devices)?;
+        let after = place(plan.devices())?;
+        let fits = limits.cost.is_none_or(|cost| plan.cost().total <= cost);
+        if after.period == before.period && fits {
+            return Ok((plan, after));
+        }
+        let limits = limits_for(after.period);
+        let plan = self.load_for(text, after.period, limits, devices)?;
+        Ok((plan, after))
+    }
+
+    fn load_for(
+        &self,
+        text: &str,
+        period: Duration,
+        limits: Limits,
+        devices: &DeviceTable,
+    ) -> Result<Plan, Rejection> {
+        let context = LoadContext {
+            registry: &self.inner.registry,
+            devices: &Surroundings {
+                devices,
+                inner: &self.inner,
+            },
+            period,
+            limits,
+        };
+        load(text, &context)
+    }
+}

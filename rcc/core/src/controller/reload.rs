@@ -1,0 +1,100 @@
+//! Devices of the cell that come and go while the controller runs, as its file is read anew. Which
+//! those are is decided by whoever reads the file; nets are never touched.
+
+use crate::cell::DeviceConfig;
+use crate::controller::clock::FollowedClock;
+use crate::controller::desk::Desk;
+use crate::controller::{Controller, NetState};
+use crate::device::DeviceState;
+use crate::error::Error;
+use crate::executor::thread::Command;
+
+/// Below this a joint counts as resting, rad/s.
+const REST_VELOCITY: f64 = 1e-3;
+
+impl Controller {
+    /// Starts the driver of another device of the cell.
+    ///
+    /// # Errors
+    /// If its name is taken, there is no room for it, or it cannot be opened.
+    pub fn add_cell_device(&self, device: &DeviceConfig) -> Result<(), Error> {
+        let mut desk = self.inner.lock();
+        let DeviceConfig::Lwr(config) = device;
+        let is_new = desk.devices.find(&config.name).is_none();
+        let added = desk.add_lwr(config);
+        if added.is_err() && is_new {
+            // It was described before its driver could not be started.
+            desk.devices.remove(&config.name);
+        }
+        self.inner.announce(&desk);
+        added
+    }
+
+    /// Ends the driver of a device of the cell.
+    ///
+    /// # Errors
+    /// If there is no such device in the cell, a loaded net uses it, or it still moves.
+    pub fn remove_cell_device(&self, name: &str) -> Result<(), Error> {
+        let mut desk = self.inner.lock();
+        let of_cell = desk.arms.iter().position(|arm| arm.name() == name);
+        let at = of_cell.ok_or_else(|| Error::NoSuchDevice(name.to_owned()))?;
+        desk.refuse_if_used(name)?;
+        if desk
+            .devices
+            .find(name)
+            .is_some_and(|arm| !arm.state().is_at_rest())
+        {
+            return Err(Error::DeviceParameter {
+                name: name.to_owned(),
+                what: "it still moves; wait until it is at rest".to_owned(),
+            });
+        }
+        if let Some(number) = desk.devices.remove(name) {
+            desk.command(Command::RemoveDevice(number))?;
+        }
+        let driver = desk.arms.remove(at);
+        self.inner.announce(&desk);
+        drop(desk);
+        // Its thread takes a moment to end; nobody else need wait for that.
+        if let Some(clock) = driver.stop() {
+            FollowedClock::give_back(&mut self.inner.lock().clock, name, clock);
+        }
+        Ok(())
+    }
+
+    /// Whether every arm that is commanded stands still.
+    #[must_use]
+    pub fn is_at_rest(&self) -> bool {
+        let desk = self.inner.lock();
+        desk.devices.arms().all(|(_, arm)| arm.state().is_at_rest())
+    }
+}
+
+impl DeviceState {
+    /// Whether no joint is commanded to move; of measured velocities the noise would never rest.
+    #[must_use]
+    pub fn is_at_rest(&self) -> bool {
+        let velocities = self
+            .joints
+            .iter()
+            .filter_map(|joint| joint.commanded_velocity);
+        velocities
+            .into_iter()
+            .all(|velocity| velocity.abs() < REST_VELOCITY)
+    }
+}
+
+impl Desk {
+    /// An error if a net that is not over reads or commands the device.
+    pub(super) fn refuse_if_used(&self, name: &str) -> Result<(), Error> {
+        let over = |state| matches!(state, NetState::Terminated | NetState::Rejected);
+        let mut nets = self.nets.iter();
+        match nets.find(|(_, net)| !over(net.state()) && net.uses(name)) {
+            None => Ok(()),
+            Some((net, _)) => Err(Error::DeviceInUse {
+                name: name.to_owned(),
+                net: *net,
+            }),
+        }
+    }
+}

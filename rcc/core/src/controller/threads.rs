@@ -1,0 +1,236 @@
+//! The net threads of a controller: they are made at the start, a net is given to one of them when it
+//! is loaded, and each command goes to the thread whose business it is. What a thread does with it is
+//! the executor's.
+
+use std::time::Duration;
+
+use takt_net::Rejection;
+use takt_net::fault::{Fault, FaultKind};
+use takt_rt::thread::ThreadConfig;
+
+use crate::cell::{CellConfig, THREADS_MAX, listed};
+use crate::controller::clock::FollowedClock;
+use crate::controller::desk::Desk;
+use crate::error::Error;
+use crate::executor::serve::{DeviceEnd, Driver};
+use crate::executor::thread::{COMMANDS, Command, NetThread, NetThreadConfig};
+use crate::ids::NetId;
+use crate::record::Tap;
+
+/// Where and when a net is evaluated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Place {
+    /// Number of its thread.
+    pub(super) thread: usize,
+    /// Time from one of its cycles to the next.
+    pub(super) period: Duration,
+    /// How many cycles of the thread that is.
+    pub(super) every: u64,
+}
+
+/// Starts all net threads of a cell on one time base; the first one is recorded.
+pub(super) fn start(
+    cell: &CellConfig,
+    clock: Option<&FollowedClock>,
+    tap: Option<Tap>,
+) -> Result<Vec<NetThread>, Error> {
+    let controller = &cell.controller;
+    let first = ThreadConfig {
+        priority: controller.priority,
+        cpus: controller.cpus.clone(),
+        ..ThreadConfig::new("takt-nets")
+    };
+    let others = controller.threads.iter().map(|thread| ThreadConfig {
+        priority: thread.priority,
+        cpus: thread.cpus.clone(),
+        ..ThreadConfig::new(format!("takt-nets-{:?}", thread.period).replace('µ', "u"))
+    });
+    let base = takt_rt::monotonic();
+    let mut tap = tap;
+    let mut threads = Vec::new();
+    for (thread, period) in [first].into_iter().chain(others).zip(cell.periods()) {
+        let config = NetThreadConfig {
+            period,
+            base,
+            follow: clock.and_then(|clock| clock.follow(threads.len())),
+            thread,
+        };
+        threads.push(NetThread::start(config, tap.take())?);
+    }
+    Ok(threads)
+}
+
+impl Desk {
+    /// The thread of that period, the first if none is asked for.
+    pub(super) fn thread_of_period(&self, period: Option<Duration>) -> Result<usize, String> {
+        let Some(period) = period else {
+            return Ok(0);
+        };
+        let mut threads = self.threads.iter();
+        threads.position(|t| t.period == period).ok_or_else(|| {
+            let periods = listed(&self.periods());
+            format!("there is no net thread of {period:?}; the net threads are those of {periods}")
+        })
+    }
+
+    /// Says which thread a device is served by; the first one, if nothing is said.
+    pub(super) fn serve_in(&mut self, device: &str, thread: usize) {
+        self.serving.insert(device.to_owned(), thread);
+    }
+
+    /// The thread that serves a device.
+    pub(super) fn serving_thread(&self, device: &str) -> usize {
+        self.serving.get(device).copied().unwrap_or(0)
+    }
+
+    fn periods(&self) -> Vec<Duration> {
+        self.threads.iter().map(|thread| thread.period).collect()
+    }
+
+    /// Where a net runs that commands these devices: in the thread that serves them, or, without any,
+    /// in the one of its period or the slowest of which its period is a multiple.
+    pub(super) fn place(
+        &self,
+        period: Option<Duration>,
+        devices: &[String],
+    ) -> Result<Place, Rejection> {
+        let periods = self.periods();
+        let given = |thread: usize| periods.get(thread).copied().unwrap_or_default();
+        let Some(device) = devices.first() else {
+            let period = period.unwrap_or_else(|| given(0));
+            let fitting = periods.iter().enumerate();
+            let fitting = fitting.filter_map(|(i, p)| Some((*p, i, multiple(period, *p)?)));
+            let slowest = fitting.max_by_key(|(period, ..)| *period);
+            let (_, thread, every) = slowest.ok_or_else(|| {
+                let threads = listed(&periods);
+                refused(
+                    "cycle",
+                    format!("{period:?} is no whole multiple of the controller's {threads}"),
+                )
+            })?;
+            return Ok(Place {
+                thread,
+                period,
+                every,
+            });
+        };
+        let thread = self.serving_thread(device);
+        let stranger = devices.iter().find(|d| self.serving_thread(d) != thread);
+        if let Some(stranger) = stranger {
+            let (one, other) = (given(thread), given(self.serving_thread(stranger)));
+            let why = format!(
+                "a net commands devices of one net thread, but `{device}` is served by that of \
+                 {one:?} and `{stranger}` by that of {other:?}; give both the same `thread` in the \
+                 cell's configuration, or command them by two nets"
+            );
+            return Err(refused("Robot", why));
+        }
+        let period = period.unwrap_or_else(|| given(thread));
+        let every = multiple(period, given(thread)).ok_or_else(|| {
+            let thread = given(thread);
+            let why = format!(
+                "{period:?} is no whole multiple of the {thread:?} of the net thread that serves \
+                 `{device}`"
+            );
+            refused("cycle", why)
+        })?;
+        Ok(Place {
+            thread,
+            period,
+            every,
+        })
+    }
+
+    /// Gives a command to a thread; it comes back if there is no room for it.
+    pub(super) fn send(&mut self, thread: usize, command: Command) -> Result<(), Command> {
+        match self.threads.get_mut(thread) {
+            Some(thread) => thread.commands.push(command),
+            None => Err(command),
+        }
+    }
+
+    /// Whether each thread has room for so many commands. It stays true while the desk is locked,
+    /// until they are given.
+    pub(super) fn has_room(&mut self, commands: usize) -> Result<(), Error> {
+        let rooms = self.threads.iter_mut().map(|t| t.commands.room());
+        match rooms.min() {
+            Some(room) if room >= commands => Ok(()),
+            _ => Err(busy()),
+        }
+    }
+
+    /// Gives a command to the thread whose business it is: that of the net, or those of the device.
+    pub(super) fn command(&mut self, command: Command) -> Result<(), Error> {
+        let thread = match &command {
+            Command::Start(net) | Command::Schedule(net) => self.thread_of(net.id),
+            Command::Cancel(id)
+            | Command::Abort(id)
+            | Command::StartScheduled(id)
+            | Command::Forget(id)
+            | Command::Unschedule { net: id, .. } => self.thread_of(*id),
+            Command::AddRule(_) => 0,
+            Command::AddDevice(end) => return self.add_to_threads(end.number(), command),
+            Command::RemoveDevice(number) => return self.remove_from_threads(*number),
+        };
+        self.send(thread, command).map_err(|_| busy())
+    }
+
+    /// Gives a device to the thread that serves it, and shows it to all others.
+    fn add_to_threads(&mut self, number: usize, command: Command) -> Result<(), Error> {
+        self.has_room(1)?;
+        let Some(device) = self.devices.get(number).cloned() else {
+            return Ok(());
+        };
+        let serving = self.serving_thread(&device.name);
+        for thread in (0..self.threads.len()).filter(|thread| *thread != serving) {
+            let state = device.reader().ok_or(Error::TooMany {
+                what: "threads that see a device",
+                bound: THREADS_MAX,
+            })?;
+            let end = DeviceEnd::new(number, device.place.clone(), Driver::Seen { state });
+            let seen = self.send(thread, Command::AddDevice(Box::new(end)));
+            seen.map_err(|_| busy())?;
+        }
+        self.send(serving, command).map_err(|_| busy())
+    }
+
+    fn remove_from_threads(&mut self, number: usize) -> Result<(), Error> {
+        self.has_room(1)?;
+        for thread in 0..self.threads.len() {
+            let removed = self.send(thread, Command::RemoveDevice(number));
+            removed.map_err(|_| busy())?;
+        }
+        Ok(())
+    }
+
+    /// The thread of a net.
+    pub(super) fn thread_of(&self, net: u32) -> usize {
+        self.nets.get(&NetId(net)).map_or(0, |net| net.thread)
+    }
+}
+
+/// The refusal of a thread that has no room for a command.
+pub(super) const fn busy() -> Error {
+    Error::TooMany {
+        what: "requests to the net thread",
+        bound: COMMANDS,
+    }
+}
+
+/// How many cycles of the thread one cycle of a net takes, if it is a whole number.
+fn multiple(period: Duration, thread_period: Duration) -> Option<u64> {
+    let (wanted, given) = (period.as_nanos(), thread_period.as_nanos().max(1));
+    let whole = wanted > 0 && wanted.is_multiple_of(given);
+    whole.then(|| u64::try_from(wanted / given).unwrap_or(u64::MAX))
+}
+
+fn refused(parameter: &str, why: String) -> Rejection {
+    let parameter = parameter.to_owned();
+    let kind = FaultKind::Parameter { parameter, why };
+    Rejection {
+        faults: vec![Fault::new(kind, 0..0)],
+    }
+}
+
+#[cfg(test)]
+mod tests;

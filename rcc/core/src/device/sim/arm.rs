@@ -1,0 +1,413 @@
+//! Simulated arms: they are where their set-points say, within their limits, and give way at their
+//! joints under a load from outside when told to be compliant. There is no gravity, no mass and no
+//! friction; in Cartesian impedance they take the parameters, but hold their joints stiff.
+//!
+//! Parameters: `min_joint`, `max_joint` (rad), `max_vel` (rad/s), `max_acc` (rad/s²), and if wanted
+//! `home_joint` (rad), lists with a number for each joint. The load from outside: `external_torque`
+//! (Nm), a list by joint, and `external_wrench`, [Fx, Fy, Fz, Tx, Ty, Tz] (N, Nm) at the flange
+//! along the axes of the arm's base.
+
+use std::sync::Arc;
+
+use takt_net::device::{Answer, Interfaces, Kinematics, Layout, Order, Tool};
+use takt_net::value::{Vector, Wrench};
+use takt_net::{JointLimits, JointState};
+use takt_rt::Nanos;
+
+use super::compliance::Compliance;
+use super::{Made, Parameters, Simulated, seconds};
+use crate::device::setpoint::Joint;
+use crate::device::{
+    ARM_JOINTS_MAX, ArmDescription, DeviceCommand, DeviceState, DeviceStatus, JointSetPoints, Part,
+    parts,
+};
+use crate::error::Error;
+
+/// Farther from where it is commanded, a joint is not taken over by the position control, rad.
+const SWITCH_DISTANCE: f64 = 0.01;
+/// Faster than this a joint does not rest, rad/s.
+const RESTING: f64 = 1e-3;
+/// By how much joints are moved to see what a wrench does to them, rad.
+const PROBE: f64 = 1e-6;
+/// Flags of a drive: the motor rests, its position is controlled, it is initialized.
+const DRIVE_FLAGS: [i32; 3] = [1 << 4, 1 << 10, 1 << 15];
+
+/// Values of the answers' error.
+mod error {
+    /// There is no such strategy, or no such tool.
+    pub(super) const RANGE: i32 = 1;
+    /// A joint moves, or is not where it is commanded.
+    pub(super) const MOVES: i32 = 3;
+}
+
+/// What is special about a type of arm.
+struct Model {
+    joints: usize,
+    kinematics: &'static str,
+    parts: &'static [Part],
+    strategies: Strategies,
+}
+
+/// Numbers of control strategies.
+#[derive(Clone, Copy, Debug)]
+struct Strategies {
+    position: i32,
+    joint_impedance: i32,
+    cartesian_impedance: Option<i32>,
+}
+
+const LIGHTWEIGHT: &[Part] = &[
+    Part::Tool,
+    Part::Strategy,
+    Part::JointImpedance,
+    Part::CartesianImpedance,
+    Part::Torques,
+    Part::Wrench,
+];
+const LIGHTWEIGHT_STRATEGIES: Strategies = Strategies {
+    position: 1,
+    joint_impedance: 3,
+    cartesian_impedance: Some(2),
+};
+
+pub(super) fn lwr(parameters: &Parameters<'_>, kind: &'static str) -> Result<Made, Error> {
+    let model = Model {
+        joints: 7,
+        kinematics: "kuka_lwr4",
+        parts: LIGHTWEIGHT,
+        strategies: LIGHTWEIGHT_STRATEGIES,
+    };
+    make(parameters, kind, &model)
+}
+
+pub(super) fn iiwa(parameters: &Parameters<'_>, kind: &'static str) -> Result<Made, Error> {
+    let model = Model {
+        joints: 7,
+        kinematics: "kuka_iiwa7",
+        parts: LIGHTWEIGHT,
+        strategies: LIGHTWEIGHT_STRATEGIES,
+    };
+    make(parameters, kind, &model)
+}
+
+pub(super) fn youbot(parameters: &Parameters<'_>, kind: &'static str) -> Result<Made, Error> {
+    const PARTS: &[Part] = &[
+        Part::Strategy,
+        Part::JointImpedance,
+        Part::Torques,
+        Part::Drives { count: 5 },
+    ];
+    let model = Model {
+        joints: 5,
+        kinematics: "kuka_youbot",
+        parts: PARTS,
+        strategies: Strategies {
+            position: 0,
+            joint_impedance: 1,
+            cartesian_impedance: None,
+        },
+    };
+    make(parameters, kind, &model)
+}
+
+fn make(parameters: &Parameters<'_>, kind: &'static str, model: &Model) -> Result<Made, Error> {
+    let limits = limits(parameters, model.joints)?;
+    let home = parameters.list("home_joint", model.joints)?;
+    let home = home.unwrap_or_else(|| vec![0.0; model.joints]);
+    let torque = parameters.list("external_torque", model.joints)?;
+    let wrench = parameters.list("external_wrench", 6)?;
+    let description = ArmDescription {
+        name: parameters.name.to_owned(),
+        kind,
+        limits,
+        model: model.kinematics.into(),
+    }
+    .with(model.parts);
+    let mut layout = Layout::default();
+    let interfaces = parts::lay(model.parts, model.joints, &mut layout);
+    let mut state = DeviceState::new(layout.signals);
+    state.status = DeviceStatus::Operational;
+    let joint = |(limits, home): (&JointLimits, &f64)| {
+        let mut joint = Joint::new(*limits);
+        joint.rest_at(*home, &JointSetPoints::default());
+        joint
+    };
+    let joints = description.limits.iter().zip(&home).map(joint).collect();
+    let mut arm = SimulatedArm {
+        joints,
+        limits: description.limits.clone(),
+        measured: home.iter().map(|home| Motion::at(*home)).collect(),
+        compliance: vec![Compliance::default(); model.joints],
+        strategies: model.strategies,
+        strategy: model.strategies.position,
+        answers: Answers::default(),
+        load: Load {
+            torque: torque.unwrap_or_else(|| vec![0.0; model.joints]),
+            wrench: wrench.map(|w| Wrench {
+                force: Vector::new(w[0], w[1], w[2]),
+                torque: Vector::new(w[3], w[4], w[5]),
+            }),
+        },
+        kinematics: takt_motion::kinematics::limited(model.kinematics, &description.limits),
+        interfaces,
+        state,
+    };
+    arm.tell([0.0; ARM_JOINTS_MAX]);
+    Ok((description, Box::new(arm)))
+}
+
+fn limits(parameters: &Parameters<'_>, joints: usize) -> Result<Vec<JointLimits>, Error> {
+    let needed = |key| parameters.needed(key, joints);
+    let (min, max) = (needed("min_joint")?, needed("max_joint")?);
+    let (velocity, acceleration) = (needed("max_vel")?, needed("max_acc")?);
+    let mut limits = Vec::with_capacity(joints);
+    for i in 0..joints {
+        let positive = velocity[i] > 0.0 && acceleration[i] > 0.0;
+        if min[i] > max[i] || !positive {
+            let what = format!("the limits of joint {i} leave it no motion");
+            return Err(parameters.wrong(what));
+        }
+        limits.push(JointLimits {
+            position_min: min[i],
+            position_max: max[i],
+            velocity_max: velocity[i],
+            acceleration_max: acceleration[i],
+        });
+    }
+    Ok(limits)
+}
+
+/// Where a joint is and how it moves: rad, rad/s, rad/s².
+#[derive(Clone, Copy, Debug)]
+struct Motion {
+    position: f64,
+    velocity: f64,
+    acceleration: f64,
+}
+
+impl Motion {
+    const fn at(position: f64) -> Self {
+        Self {
+            position,
+            velocity: 0.0,
+            acceleration: 0.0,
+        }
+    }
+
+    fn move_to(&mut self, position: f64, dt_s: f64) {
+        let velocity = (position - self.position) / dt_s;
+        self.acceleration = (velocity - self.velocity) / dt_s;
+        (self.position, self.velocity) = (position, velocity);
+    }
+}
+
+/// What acts on the arm from outside.
+#[derive(Debug)]
+struct Load {
+    /// By joint, Nm.
+    torque: Vec<f64>,
+    /// At the flange.
+    wrench: Option<Wrench>,
+}
+
+/// What became of the last orders.
+#[derive(Debug, Default)]
+struct Answers {
+    tool: Option<Answer>,
+    strategy: Option<Answer>,
+    cartesian_impedance: Option<Answer>,
+}
+
+#[derive(Debug)]
+struct SimulatedArm {
+    joints: Vec<Joint>,
+    limits: Vec<JointLimits>,
+    measured: Vec<Motion>,
+    compliance: Vec<Compliance>,
+    strategies: Strategies,
+    /// The one in force.
+    strategy: i32,
+    answers: Answers,
+    load: Load,
+    kinematics: Option<Arc<dyn Kinematics>>,
+    interfaces: Interfaces,
+    state: DeviceState,
+}
+
+impl Simulated for SimulatedArm {
+    fn step(&mut self, command: &DeviceCommand, dt: Nanos) {
+        self.state.stamp = command.time;
+        let dt_s = seconds(dt);
+        if dt_s <= 0.0 {
+            return;
+        }
+        self.obey(command);
+        let torques = self.load_torques();
+        let compliant = self.strategy == self.strategies.joint_impedance;
+        for (i, joint) in self.joints.iter_mut().enumerate() {
+            let set_points = &command.joints[i];
+            // Between two set-points of a slower net it is on the line between them.
+            let behind = (set_points.period - dt).max(Nanos::ZERO);
+            let position = joint.sample(set_points, true, command.time - behind, dt_s);
+            let compliance = &mut self.compliance[i];
+            if compliant {
+                compliance.yield_to(torques[i], dt_s);
+                let limits = &self.limits[i];
+                let (min, max) = (limits.position_min, limits.position_max);
+                compliance.keep_within(min - position, max - position);
+            } else {
+                compliance.hold();
+            }
+            self.measured[i].move_to(position + compliance.deflection(), dt_s);
+        }
+        self.tell(torques);
+    }
+
+    fn state(&self) -> &DeviceState {
+        &self.state
+    }
+}
+
+impl SimulatedArm {
+    /// Takes what nets order.
+    fn obey(&mut self, command: &DeviceCommand) {
+        let words = &command.words;
+        let rests = self.rests();
+        let Answers {
+            tool,
+            strategy,
+            cartesian_impedance,
+        } = &mut self.answers;
+        if let Some(order) = &self.interfaces.strategy {
+            answer(order, words, strategy, |wanted| {
+                let known = [
+                    Some(self.strategies.position),
+                    Some(self.strategies.joint_impedance),
+                    self.strategies.cartesian_impedance,
+                ];
+                if !known.contains(&Some(wanted)) {
+                    error::RANGE
+                } else if wanted != self.strategy && !rests {
+                    error::MOVES
+                } else {
+                    self.strategy = wanted;
+                    0
+                }
+            });
+        }
+        if let Some(order) = &self.interfaces.tool {
+            answer(order, words, tool, |wanted| check_tool(&wanted));
+        }
+        if let Some(order) = &self.interfaces.cartesian_impedance {
+            // Its parameters are checked where they are given.
+            answer(order, words, cartesian_impedance, |_| 0);
+        }
+        let signals = &mut self.state.signals;
+        let orders = self.interfaces.joint_impedance.iter();
+        let orders = orders.flat_map(|orders| orders.iter());
+        for (order, compliance) in orders.zip(&mut self.compliance) {
+            compliance.obey(order, words, command.cycle, signals);
+        }
+    }
+
+    /// Whether all joints rest where they are commanded.
+    fn rests(&self) -> bool {
+        let joints = self.joints.iter().zip(&self.measured);
+        joints.into_iter().all(|(joint, measured)| {
+            let away = (measured.position - joint.motion().0).abs();
+            measured.velocity.abs() < RESTING && away < SWITCH_DISTANCE
+        })
+    }
+
+    /// What the load does to the joints, Nm.
+    fn load_torques(&self) -> [f64; ARM_JOINTS_MAX] {
+        let mut torques = [0.0; ARM_JOINTS_MAX];
+        for (torque, load) in torques.iter_mut().zip(&self.load.torque) {
+            *torque = *load;
+        }
+        if let (Some(wrench), Some(kinematics)) = (&self.load.wrench, &self.kinematics) {
+            let mut angles = [0.0; ARM_JOINTS_MAX];
+            for (angle, motion) in angles.iter_mut().zip(&self.measured) {
+                *angle = motion.position;
+            }
+            let count = self.joints.len();
+            let flange = kinematics.forward(&angles[..count]);
+            for i in 0..count {
+                // Virtual work: the torque is what the wrench does per angle of the joint.
+                let angle = angles[i];
+                angles[i] = angle + PROBE;
+                let moved = kinematics.forward(&angles[..count]);
+                angles[i] = angle;
+                let path = moved.translation.vector - flange.translation.vector;
+                let turn = (moved.rotation * flange.rotation.inverse()).scaled_axis();
+                torques[i] += (wrench.force.dot(&path) + wrench.torque.dot(&turn)) / PROBE;
+            }
+        }
+        torques
+    }
+
+    fn tell(&mut self, torques: [f64; ARM_JOINTS_MAX]) {
+        let joints = self.joints.iter().zip(&self.measured);
+        for (told, (joint, measured)) in self.state.joints.iter_mut().zip(joints) {
+            let (position, velocity, acceleration) = joint.motion();
+            *told = JointState {
+                commanded_position: Some(position),
+                commanded_velocity: Some(velocity),
+                commanded_acceleration: Some(acceleration),
+                measured_position: Some(measured.position),
+                measured_velocity: Some(measured.velocity),
+                measured_acceleration: Some(measured.acceleration),
+                error: joint.error() as i32,
+            };
+        }
+        let has = &self.interfaces;
+        let signals = &mut self.state.signals;
+        if let Some(order) = &has.strategy {
+            order.answer.tell(signals, self.answers.strategy);
+        }
+        if let Some(order) = &has.tool {
+            order.answer.tell(signals, self.answers.tool);
+        }
+        if let Some(order) = &has.cartesian_impedance {
+            order.answer.tell(signals, self.answers.cartesian_impedance);
+        }
+        // Without mass a joint's sensor measures what acts from outside.
+        for (place, torque) in has.torques.iter().flat_map(|t| t.iter()).zip(torques) {
+            place.estimated.tell(signals, Some(torque));
+            place.measured.tell(signals, Some(torque));
+        }
+        if let Some(place) = &has.wrench {
+            place.tell(signals, Some(self.load.wrench.unwrap_or_default()));
+        }
+        let [halted, position_mode, initialized] = DRIVE_FLAGS;
+        let drives = has.drives.iter().flat_map(|drives| drives.iter());
+        for (place, motion) in drives.zip(&self.measured) {
+            let rests = motion.velocity.abs() < RESTING;
+            let halted = if rests { halted } else { 0 };
+            place.tell(signals, Some(halted | position_mode | initialized));
+        }
+    }
+}
+
+/// Answers an order once; `decide` carries it out and gives the error.
+fn answer<T: takt_net::device::Words>(
+    order: &Order<T>,
+    words: &[u64],
+    last: &mut Option<Answer>,
+    decide: impl FnOnce(T) -> i32,
+) {
+    if let Some(given) = order.command.read(words)
+        && last.is_none_or(|last| last.order != given.cycle)
+    {
+        *last = Some(Answer {
+            order: given.cycle,
+            error: decide(given.value),
+        });
+    }
+}
+
+fn check_tool(tool: &Tool) -> i32 {
+    let parts = [tool.mass, tool.moi.x, tool.moi.y, tool.moi.z];
+    let possible = parts.iter().all(|v| v.is_finite() && *v >= 0.0);
+    if possible { 0 } else { error::RANGE }
+}

@@ -1,0 +1,72 @@
+//! Simulated inputs and outputs: each input has the value that the output of its number had in the
+//! cycle before. Nothing else moves them.
+//!
+//! Parameters: `bools` and `reals`, how many of each (8 and 2).
+
+use takt_net::device::{Interfaces, Layout, Output, Signal, Words};
+use takt_rt::Nanos;
+
+use super::{Made, Parameters, Simulated};
+use crate::device::{DeviceCommand, DeviceDescription, DeviceState, DeviceStatus, Part, parts};
+use crate::error::Error;
+
+const MOST: usize = 64;
+
+pub(super) fn looped(parameters: &Parameters<'_>, kind: &'static str) -> Result<Made, Error> {
+    let bools = parameters.count("bools", 8, 0..=MOST)?;
+    let reals = parameters.count("reals", 2, 0..=MOST)?;
+    let part = Part::Io {
+        bool_in: bools,
+        bool_out: bools,
+        real_in: reals,
+        real_out: reals,
+    };
+    let description = DeviceDescription {
+        name: parameters.name.to_owned(),
+        kind,
+        limits: Vec::new(),
+        model: "".into(),
+        parts: vec![part],
+    };
+    let mut layout = Layout::default();
+    let interfaces = parts::lay(&description.parts, 0, &mut layout);
+    let mut state = DeviceState::new(layout.signals);
+    state.status = DeviceStatus::Operational;
+    let mut looped = Looped { interfaces, state };
+    looped.step(&DeviceCommand::new(layout.commands), Nanos::ZERO);
+    Ok((description, Box::new(looped)))
+}
+
+#[derive(Debug)]
+struct Looped {
+    interfaces: Interfaces,
+    state: DeviceState,
+}
+
+impl Simulated for Looped {
+    fn step(&mut self, command: &DeviceCommand, _dt: Nanos) {
+        self.state.stamp = command.time;
+        if let Some(io) = &self.interfaces.io {
+            connect(&io.bool_in, &io.bool_out, command, &mut self.state);
+            connect(&io.real_in, &io.real_out, command, &mut self.state);
+        }
+    }
+
+    fn state(&self) -> &DeviceState {
+        &self.state
+    }
+}
+
+fn connect<T: Words + Default>(
+    inputs: &[Signal<T>],
+    outputs: &[Output<T>],
+    command: &DeviceCommand,
+    state: &mut DeviceState,
+) {
+    for (input, output) in inputs.iter().zip(outputs) {
+        let value = output.command.read(&command.words);
+        let value = value.map_or_else(T::default, |given| given.value);
+        output.state.tell(&mut state.signals, Some(value));
+        input.tell(&mut state.signals, Some(value));
+    }
+}

@@ -1,0 +1,73 @@
+//! Parameters of a device as programs give them: texts by name. What they mean is said where they
+//! are read.
+
+use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
+
+use takt_net::value::text::parse_array;
+
+use crate::error::Error;
+
+/// The parameters of one device.
+pub(super) struct Parameters<'a> {
+    pub(super) name: &'a str,
+    pub(super) texts: &'a BTreeMap<String, String>,
+}
+
+impl Parameters<'_> {
+    pub(super) fn wrong(&self, what: String) -> Error {
+        Error::DeviceParameter {
+            name: self.name.to_owned(),
+            what,
+        }
+    }
+
+    /// A list of so many finite numbers, if it is given.
+    pub(super) fn list(&self, key: &str, len: usize) -> Result<Option<Vec<f64>>, Error> {
+        let Some(text) = self.texts.get(key) else {
+            return Ok(None);
+        };
+        let values =
+            parse_array::<f64>(text, len).map_err(|e| self.wrong(format!("{key}: {}", e.what)))?;
+        if values.len() != len || values.iter().any(|v| !v.is_finite()) {
+            return Err(self.wrong(format!("{key}: {len} numbers are wanted")));
+        }
+        Ok(Some(values))
+    }
+
+    /// A list that must be given.
+    pub(super) fn needed(&self, key: &str, len: usize) -> Result<Vec<f64>, Error> {
+        self.list(key, len)?
+            .ok_or_else(|| self.wrong(format!("{key} is missing")))
+    }
+
+    /// A finite number above zero.
+    pub(super) fn positive(&self, key: &str, default: f64) -> Result<f64, Error> {
+        let Some(text) = self.texts.get(key) else {
+            return Ok(default);
+        };
+        let value = text.trim().parse().ok();
+        value
+            .filter(|v: &f64| v.is_finite() && *v > 0.0)
+            .ok_or_else(|| self.wrong(format!("{key}: `{text}` is no number above zero")))
+    }
+
+    /// A whole number in a range.
+    pub(super) fn count(
+        &self,
+        key: &str,
+        default: usize,
+        range: RangeInclusive<usize>,
+    ) -> Result<usize, Error> {
+        let Some(text) = self.texts.get(key) else {
+            return Ok(default);
+        };
+        let value = text.trim().parse().ok().filter(|n| range.contains(n));
+        value.ok_or_else(|| {
+            let (from, to) = (range.start(), range.end());
+            self.wrong(format!(
+                "{key}: `{text}` is no whole number from {from} to {to}"
+            ))
+        })
+    }
+}

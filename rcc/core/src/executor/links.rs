@@ -1,0 +1,312 @@
+//! What a running net exchanges beside its boxes for programs: values with other nets, and records of its
+//! debug taps. Both ends meet in cells and rings, so nets of different threads exchange values like those
+//! of one; nothing is taken or freed by the thread that evaluates. Which links are made is for the
+//! controller to say.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use takt_net::netcomm::Inter;
+use takt_net::{Nanos, Plan};
+use takt_rt::latest::LatestReader;
+use takt_rt::ring::{Consumer, Producer, ring};
+
+/// Other nets that one net may exchange values with, and that may write to it.
+pub const WIRES_MAX: usize = 16;
+
+/// Readers of what one net gives out: the controller, and other nets.
+pub const OUT_READERS: usize = 8;
+
+/// A way from the out-box of one net to the in-box of another.
+#[derive(Debug)]
+pub struct Wire {
+    given: LatestReader<Box<[u64]>>,
+    /// Whether the net that gives is still loaded.
+    alive: Arc<AtomicBool>,
+    values: Box<[Passing]>,
+    /// What was taken over last; `None` for nothing yet.
+    version: Option<u64>,
+    /// Whether it is the taking net that asked for the values, which are then its own.
+    asked: bool,
+}
+
+/// A value on its way.
+#[derive(Debug)]
+struct Passing {
+    inter: Inter,
+    seen: Option<u64>,
+}
+
+impl Wire {
+    /// Values that the taking net asked for: null once the giving one is gone.
+    #[must_use]
+    pub fn asked(given: LatestReader<Box<[u64]>>, alive: Arc<AtomicBool>, of: Vec<Inter>) -> Self {
+        Self::new(given, alive, of, true)
+    }
+
+    /// Values that the giving net writes into the other one.
+    #[must_use]
+    pub fn written(
+        given: LatestReader<Box<[u64]>>,
+        alive: Arc<AtomicBool>,
+        of: Vec<Inter>,
+    ) -> Self {
+        Self::new(given, alive, of, false)
+    }
+
+    fn new(
+        given: LatestReader<Box<[u64]>>,
+        alive: Arc<AtomicBool>,
+        of: Vec<Inter>,
+        asked: bool,
+    ) -> Self {
+        let values = of.into_iter().map(|inter| Passing { inter, seen: None });
+        Self {
+            given,
+            alive,
+            values: values.collect(),
+            version: None,
+            asked,
+        }
+    }
+
+    fn is_over(&self) -> bool {
+        !self.alive.load(Ordering::Acquire)
+    }
+
+    /// Takes over what changed; returns whether anything did.
+    fn pass(&mut self, plan: &Plan) -> bool {
+        let (asked, mut changed) = (self.asked, false);
+        if self.is_over() {
+            for value in self.values.iter().filter(|_| asked) {
+                changed |= plan.import_inter(&value.inter, None);
+            }
+            return changed;
+        }
+        let version = self.given.version();
+        if self.version.replace(version) == Some(version) {
+            return false;
+        }
+        let values = &mut self.values;
+        self.given.read_with(|words| {
+            for Passing { inter, seen } in values {
+                changed |= if asked {
+                    plan.import_inter(inter, Some(words))
+                } else {
+                    plan.import_given(inter, words, seen)
+                };
+            }
+        });
+        changed
+    }
+}
+
+/// Where records of taps go.
+#[derive(Debug)]
+pub struct TapWriter {
+    /// Whether somebody looks.
+    on: Arc<AtomicBool>,
+    free: Consumer<Box<[u64]>>,
+    full: Producer<Box<[u64]>>,
+    /// Records for which there was no place.
+    lost: u64,
+}
+
+/// Where records of taps arrive.
+#[derive(Debug)]
+pub struct TapReader {
+    on: Arc<AtomicBool>,
+    free: Producer<Box<[u64]>>,
+    full: Consumer<Box<[u64]>>,
+}
+
+/// Makes both ends of a way for `records` records of so many words.
+#[must_use]
+pub fn taps(records: usize, words: usize) -> (TapWriter, TapReader) {
+    let (mut free_in, free_out) = ring(records);
+    let (full_in, full_out) = ring(records);
+    for _ in 0..records {
+        // There is room for as many as are made.
+        let _ = free_in.push(vec![0; words].into_boxed_slice());
+    }
+    let on = Arc::new(AtomicBool::new(true));
+    let writer = TapWriter {
+        on: Arc::clone(&on),
+        free: free_out,
+        full: full_in,
+        lost: 0,
+    };
+    let reader = TapReader {
+        on,
+        free: free_in,
+        full: full_out,
+    };
+    (writer, reader)
+}
+
+impl TapWriter {
+    fn record(&mut self, plan: &Plan, time: Nanos) {
+        if !self.on.load(Ordering::Relaxed) {
+            return;
+        }
+        let Some(mut record) = self.free.pop() else {
+            self.lost += 1;
+            return;
+        };
+        plan.record(time, &mut record);
+        // As many places as records: there is one.
+        let _ = self.full.push(record);
+    }
+}
+
+impl TapReader {
+    /// Says whether somebody looks.
+    pub fn set_on(&self, on: bool) {
+        self.on.store(on, Ordering::Relaxed);
+    }
+
+    /// Calls `take` with each record that has arrived, oldest first.
+    pub fn drain(&mut self, mut take: impl FnMut(&[u64])) {
+        while let Some(record) = self.full.pop() {
+            take(&record);
+            let _ = self.free.push(record);
+        }
+    }
+}
+
+/// A running net's side of its links.
+#[expect(
+    clippy::vec_box,
+    reason = "wires come and go as boxes; a cycle neither makes nor frees any"
+)]
+#[derive(Debug)]
+pub struct Links {
+    wires: Vec<Box<Wire>>,
+    incoming: Consumer<Box<Wire>>,
+    over: Producer<Box<Wire>>,
+    taps_incoming: Option<Consumer<Box<TapWriter>>>,
+    taps: Option<Box<TapWriter>>,
+    /// A program's box as it was last taken over.
+    seen: Box<[u64]>,
+}
+
+/// The controller's side of a net's links. The net counts as loaded until it is dropped.
+#[derive(Debug)]
+pub struct LinksEnd {
+    wires: Producer<Box<Wire>>,
+    over: Consumer<Box<Wire>>,
+    /// Wires of other nets that were handed over and did not come back.
+    given: usize,
+    taps: Option<Producer<Box<TapWriter>>>,
+    alive: Arc<AtomicBool>,
+}
+
+impl Drop for LinksEnd {
+    fn drop(&mut self) {
+        self.alive.store(false, Ordering::Release);
+    }
+}
+
+impl LinksEnd {
+    /// Says whether the net is still loaded.
+    #[must_use]
+    pub const fn alive(&self) -> &Arc<AtomicBool> {
+        &self.alive
+    }
+
+    /// Hands over a wire by which another net writes to this one.
+    ///
+    /// # Errors
+    /// If [`WIRES_MAX`] other nets do so already.
+    pub fn connect(&mut self, wire: Wire) -> Result<(), Wire> {
+        while self.over.pop().is_some() {
+            self.given = self.given.saturating_sub(1);
+        }
+        if self.given >= WIRES_MAX {
+            return Err(wire);
+        }
+        self.given += 1;
+        self.wires.push(Box::new(wire)).map_err(|wire| *wire)
+    }
+
+    /// Hands over where records of taps go; only once, and only if the net has taps.
+    pub fn look(&mut self, writer: TapWriter) {
+        if let Some(taps) = &mut self.taps {
+            // There is one place, and it is used once.
+            let _ = taps.push(Box::new(writer));
+        }
+        self.taps = None;
+    }
+}
+
+/// Makes both ends of a net's links.
+#[must_use]
+pub fn links(plan: &Plan) -> (Links, LinksEnd) {
+    let (wires, incoming) = ring(WIRES_MAX);
+    let (over_in, over) = ring(WIRES_MAX);
+    let (taps, taps_incoming) = (plan.record_words() > 0).then(|| ring(1)).unzip();
+    let links = Links {
+        wires: Vec::with_capacity(2 * WIRES_MAX),
+        incoming,
+        over: over_in,
+        taps_incoming,
+        taps: None,
+        seen: plan.inbox_words().collect(),
+    };
+    let end = LinksEnd {
+        wires,
+        over,
+        given: 0,
+        taps,
+        alive: Arc::new(AtomicBool::new(true)),
+    };
+    (links, end)
+}
+
+impl Links {
+    /// Adds a wire of values that the net asked for; at most [`WIRES_MAX`] before it runs.
+    pub fn ask(&mut self, wire: Wire) {
+        self.wires.push(Box::new(wire));
+    }
+
+    /// Takes over what other nets gave since the last cycle; returns whether there was anything.
+    pub(super) fn receive(&mut self, plan: &Plan) -> bool {
+        while self.wires.len() < self.wires.capacity() {
+            let Some(wire) = self.incoming.pop() else {
+                break;
+            };
+            self.wires.push(wire);
+        }
+        let (mut changed, mut next) = (false, 0);
+        while let Some(wire) = self.wires.get_mut(next) {
+            changed |= wire.pass(plan);
+            if !wire.asked && wire.is_over() {
+                let wire = self.wires.swap_remove(next);
+                // As many places as wires that other nets may have: there is one.
+                let _ = self.over.push(wire);
+            } else {
+                next += 1;
+            }
+        }
+        changed
+    }
+
+    /// Takes over what programs wrote.
+    pub(super) fn import(&mut self, plan: &Plan, words: &[u64]) {
+        plan.import_changes(words, &mut self.seen);
+    }
+
+    /// Records the taps of the cycle that was evaluated last.
+    #[inline]
+    pub(super) fn record(&mut self, plan: &Plan, time: Nanos) {
+        let Some(incoming) = &mut self.taps_incoming else {
+            return;
+        };
+        if self.taps.is_none() {
+            self.taps = incoming.pop();
+        }
+        if let Some(taps) = &mut self.taps {
+            taps.record(plan, time);
+        }
+    }
+}

@@ -1,0 +1,284 @@
+//! Rules over two executors, cycle by cycle and without threads: what is decided where, when it takes
+//! effect, and that it takes effect everywhere or nowhere.
+
+use std::sync::Arc;
+
+use takt_net::Moment;
+
+use super::*;
+use crate::executor::rules::{Question, Rule, RuleRefusal, RuleState, Step};
+use crate::executor::tests::net;
+use crate::executor::{Effect, End, Executor, Running};
+
+/// Never ends by itself.
+const ENDLESS: &str = "{never=Core::BooleanValue(),outTerminate=never.outValue}";
+/// Ends in its first cycle.
+const BRIEF: &str = "{yes=Core::BooleanValue(Value='true'),outTerminate=yes.outValue}";
+
+/// One executor with what its thread does around it.
+#[derive(Default)]
+struct Thread {
+    executor: Executor,
+    cycle: u64,
+}
+
+impl Thread {
+    fn start(&mut self, net: Box<Running>) {
+        self.executor.start(net).unwrap();
+    }
+
+    /// Runs a cycle; returns what happened to nets and rules in it, and which nets run after it.
+    fn run(&mut self) -> (Vec<String>, Vec<u32>) {
+        self.cycle += 1;
+        let mut told = Vec::new();
+        let mut effects = |executor: &mut Executor| {
+            executor.effects(|id, effect| {
+                if effect != Effect::Stopped {
+                    told.push(format!("{id} {effect:?}"));
+                }
+            });
+        };
+        if self.executor.fire_decided() {
+            effects(&mut self.executor);
+        }
+        let moment = Moment {
+            cycle: self.cycle,
+            ..Moment::default()
+        };
+        self.executor.cycle(moment);
+        self.executor.fire_rules();
+        effects(&mut self.executor);
+        while self.executor.take_ended(|net, end| {
+            told.push(format!("{} {end:?}", net.id));
+            Ok(())
+        }) {}
+        while self.executor.take_rule(|rule| {
+            told.push(format!("rule {:?}", rule.state));
+            Ok(())
+        }) {}
+        let running = self.executor.running().iter().map(|net| net.id);
+        (told, running.collect())
+    }
+}
+
+fn terminated(net: u32) -> Literal {
+    Literal {
+        net,
+        question: Question::Terminated,
+        value: None,
+        last: false,
+    }
+}
+
+/// The parts of a rule: when net 0 of the first thread and, if `both`, net 10 of the second have ended,
+/// net 11 of the second is stopped, and nets 1 and 12 start, one in each thread.
+fn parts(both: bool) -> [Box<Rule>; 2] {
+    let mut owned = vec![(terminated(0), Some(0))];
+    let mut steps = vec![Step::Literal(0)];
+    if both {
+        owned.push((terminated(10), Some(1)));
+        steps.extend([Step::Literal(1), Step::And]);
+    }
+    let shared = Arc::new(Shared::new(&owned, 2, 0, true));
+    let literals: Vec<_> = owned.iter().map(|(literal, _)| *literal).collect();
+    [0, 1].map(|number| {
+        let mut rule = Rule::new(5, literals.clone(), steps.clone());
+        rule.part = Some(Part::new(Arc::clone(&shared), number));
+        match number {
+            0 => rule.start = vec![1],
+            _ => (rule.stop, rule.start) = (vec![11], vec![12]),
+        }
+        Box::new(rule)
+    })
+}
+
+/// Both threads with the nets of [`parts`], of which none runs but 11.
+fn threads() -> [Thread; 2] {
+    let mut threads = [Thread::default(), Thread::default()];
+    threads[0].executor.schedule(net(1, ENDLESS)).unwrap();
+    threads[1].executor.schedule(net(12, ENDLESS)).unwrap();
+    threads[1].start(net(11, ENDLESS));
+    threads
+}
+
+fn add(threads: &mut [Thread; 2], both: bool) {
+    for (thread, part) in threads.iter_mut().zip(parts(both)) {
+        thread.executor.add_rule(part).unwrap();
+    }
+}
+
+fn texts(texts: &[&str]) -> Vec<String> {
+    texts.iter().map(|text| (*text).to_owned()).collect()
+}
+
+#[test]
+fn it_fires_in_each_thread_at_the_next_boundary_of_its_cycles() {
+    let mut threads = threads();
+    add(&mut threads, false);
+    let [first, second] = &mut threads;
+    assert_eq!(second.run(), (vec![], vec![11]));
+    first.start(net(0, BRIEF));
+    // Within the thread that decides, the successor follows without a gap.
+    let fired = texts(&["1 Started", "0 Terminated", "rule Fired"]);
+    assert_eq!(first.run(), (fired, vec![1]));
+    // The other does it before its next cycle, in which the successor is evaluated already.
+    let follower = Arc::clone(second.executor.rules.scheduled[0].counters());
+    let fired = texts(&["12 Started", "11 Stopped", "rule Fired"]);
+    assert_eq!(second.run(), (fired, vec![12]));
+    assert_eq!(follower.read().cycles, 1);
+}
+
+#[test]
+fn literals_of_all_threads_count() {
+    let mut threads = threads();
+    threads[1].start(net(10, ENDLESS));
+    add(&mut threads, true);
+    let [first, second] = &mut threads;
+    first.start(net(0, BRIEF));
+    assert_eq!(first.run().0, ["0 Terminated"]);
+    second.run();
+    assert_eq!(first.run().0, Vec::<String>::new());
+    second.executor.end(10, End::Terminated);
+    assert_eq!(second.run().0, ["10 Terminated"], "it does not decide");
+    assert_eq!(first.run().0, ["1 Started", "rule Fired"]);
+    assert_eq!(second.run().0, ["12 Started", "11 Stopped", "rule Fired"]);
+}
+
+#[test]
+fn nothing_is_decided_before_all_threads_have_it() {
+    let mut threads = threads();
+    let [mine, other] = parts(false);
+    let [first, second] = &mut threads;
+    first.executor.add_rule(mine).unwrap();
+    first.start(net(0, BRIEF));
+    assert_eq!(first.run().0, ["0 Terminated"]);
+    assert_eq!(first.run(), (vec![], vec![]));
+    second.executor.add_rule(other).unwrap();
+    assert_eq!(second.run().0, Vec::<String>::new());
+    assert_eq!(first.run(), (texts(&["1 Started", "rule Fired"]), vec![1]));
+}
+
+#[test]
+fn what_one_thread_cannot_start_is_started_in_none() {
+    let mut threads = threads();
+    // A device that is not ready.
+    threads[1].executor.rules.scheduled[0].devices.push((0, 0));
+    add(&mut threads, false);
+    let [first, second] = &mut threads;
+    second.run();
+    first.start(net(0, BRIEF));
+    let failed = texts(&["0 Terminated", "rule FireFailed"]);
+    assert_eq!(first.run(), (failed, vec![]));
+    assert_eq!(second.run(), (texts(&["rule FireFailed"]), vec![11]));
+}
+
+#[test]
+fn a_condition_that_can_never_hold_ends_it_everywhere() {
+    let mut threads = threads();
+    add(&mut threads, false);
+    let [first, second] = &mut threads;
+    second.run();
+    first.start(net(0, ENDLESS));
+    first.executor.abort(0);
+    assert_eq!(first.run().0, ["0 Aborted", "rule Inactive"]);
+    assert_eq!(second.run(), (texts(&["rule Inactive"]), vec![11]));
+}
+
+#[test]
+fn a_net_taken_away_in_one_thread_ends_it_everywhere() {
+    let mut threads = threads();
+    add(&mut threads, false);
+    let [first, second] = &mut threads;
+    second.run();
+    assert!(second.executor.take_unscheduled(12, true).is_some());
+    first.start(net(0, BRIEF));
+    assert_eq!(
+        first.run(),
+        (texts(&["0 Terminated", "rule Inactive"]), vec![])
+    );
+    assert_eq!(second.run(), (texts(&["rule Inactive"]), vec![11]));
+}
+
+#[test]
+fn a_part_that_is_refused_ends_the_others() {
+    let mut threads = threads();
+    let [mine, other] = parts(false);
+    let [first, second] = &mut threads;
+    first.executor.add_rule(mine).unwrap();
+    // Net 13, of which the rule knows nothing, holds what net 12 needs.
+    let mut holder = net(13, ENDLESS);
+    holder.resources.insert(3);
+    second.start(holder);
+    second.executor.rules.scheduled[0].resources.insert(3);
+    let (_, refusal) = second.executor.add_rule(other).unwrap_err();
+    assert_eq!(refusal, RuleRefusal::ResourceInUse(3));
+    assert_eq!(first.run().0, ["rule Inactive"]);
+}
+
+#[test]
+fn the_predecessor_learns_of_a_successor_in_another_thread() {
+    let mut threads = threads();
+    let [mut mine, other] = parts(false);
+    let [first, second] = &mut threads;
+    mine.start.clear();
+    first.start(net(0, ENDLESS));
+    first.executor.add_rule(mine).unwrap();
+    second.executor.add_rule(other).unwrap();
+    let mut told = Vec::new();
+    first
+        .executor
+        .announce_takeovers(|id, waits| told.push((id, waits)));
+    second
+        .executor
+        .announce_takeovers(|id, waits| told.push((id, waits)));
+    assert_eq!(told, [(0, true), (11, true)]);
+}
+
+#[test]
+fn literals_of_two_cycles_are_never_mixed() {
+    let owned = [(terminated(0), Some(1)), (terminated(1), Some(1))];
+    let shared = Arc::new(Shared::new(&owned, 2, 0, false));
+    let [decider, other] = [0, 1].map(|number| Part::new(Arc::clone(&shared), number));
+    let stop = Arc::new(std::sync::atomic::AtomicBool::new(false));
+    let stopping = Arc::clone(&stop);
+    // Says both true, both false, and so on.
+    let writer = std::thread::spawn(move || {
+        let mut literals = owned.map(|(literal, _)| literal);
+        while !stopping.load(Ordering::Relaxed) {
+            for literal in &mut literals {
+                literal.value = Some(literal.value != Some(true));
+            }
+            other.exchange(&mut literals, true);
+        }
+    });
+    let mut literals = owned.map(|(literal, _)| literal);
+    let mut changes = 0;
+    for _ in 0..2_000_000 {
+        let before = literals[0].value;
+        decider.exchange(&mut literals, true);
+        assert_eq!(literals[0].value, literals[1].value);
+        changes += u32::from(literals[0].value != before);
+        if changes > 1000 {
+            break;
+        }
+    }
+    stop.store(true, Ordering::Relaxed);
+    writer.join().unwrap();
+    assert!(changes > 0, "nothing was heard");
+}
+
+#[test]
+fn the_first_decision_stands() {
+    let shared = Shared::new(&[], 2, 0, false);
+    assert_eq!(shared.decision(), Decision::Open);
+    assert_eq!(shared.decide(Decision::Fire), Decision::Fire);
+    assert_eq!(shared.decide(Decision::Never), Decision::Fire);
+    let rule = |part: usize| {
+        let mut rule = Rule::new(0, vec![], vec![]);
+        rule.part = Some(Part::new(Arc::new(Shared::new(&[], 2, 0, false)), part));
+        rule
+    };
+    let mut rule = rule(1);
+    rule.give_up();
+    assert_eq!(rule.state, RuleState::Inactive);
+}

@@ -1,0 +1,186 @@
+//! The devices that one net thread serves: what drivers told goes into the image before a cycle,
+//! what nets commanded goes to drivers after it. It starts no driver and decides nothing.
+
+use takt_net::Moment;
+use takt_rt::Nanos;
+use takt_rt::latest::{LatestReader, LatestWriter};
+use takt_rt::stats::Recorder;
+
+use crate::device::sim::Simulated;
+use crate::device::{DeviceCommand, DeviceState, Place, SetPoint};
+use crate::executor::{DEVICES_MAX, DeviceView, Executor};
+
+/// A device as a net thread serves it.
+#[derive(Debug)]
+pub struct DeviceEnd {
+    number: usize,
+    place: Place,
+    driver: Driver,
+    /// What nets command to it.
+    command: DeviceCommand,
+}
+
+impl DeviceEnd {
+    /// The end of the device of that number.
+    #[must_use]
+    pub fn new(number: usize, place: Place, driver: Driver) -> Self {
+        let command = DeviceCommand::new(place.commands.len());
+        Self {
+            number,
+            place,
+            driver,
+            command,
+        }
+    }
+
+    /// Its device number.
+    #[must_use]
+    pub const fn number(&self) -> usize {
+        self.number
+    }
+}
+
+/// What moves a device.
+#[derive(Debug)]
+pub enum Driver {
+    /// A driver in a thread of its own.
+    Cells {
+        /// What it tells.
+        state: LatestReader<DeviceState>,
+        /// What it is told.
+        command: LatestWriter<DeviceCommand>,
+    },
+    /// This thread itself: the device is simulated.
+    Simulated {
+        /// The simulation.
+        device: Box<dyn Simulated>,
+        /// What it tells programs and other net threads.
+        told: LatestWriter<DeviceState>,
+    },
+    /// Another net thread commands it; nets of this one see it.
+    Seen {
+        /// What it tells.
+        state: LatestReader<DeviceState>,
+    },
+}
+
+/// The devices of one net thread.
+#[derive(Debug)]
+pub struct Served {
+    /// By device number.
+    ends: Vec<Option<Box<DeviceEnd>>>,
+    /// Time from one cycle of the thread to the next.
+    period: Nanos,
+    /// Time between handing over commands to the first and to the last device in one cycle.
+    hand_over: Recorder,
+}
+
+impl Served {
+    /// None yet, for a thread of that period.
+    #[must_use]
+    pub fn new(period: Nanos, hand_over: Recorder) -> Self {
+        Self {
+            ends: (0..DEVICES_MAX).map(|_| None).collect(),
+            period,
+            hand_over,
+        }
+    }
+
+    /// Serves a device from now on.
+    pub fn add(&mut self, end: Box<DeviceEnd>, executor: &mut Executor) {
+        if let Some(slot) = self.ends.get_mut(end.number) {
+            executor.use_place(&end.place);
+            *slot = Some(end);
+            // A net may start in this very cycle.
+            self.read(executor);
+        }
+    }
+
+    /// Serves a device no longer and gives its end back.
+    pub fn remove(&mut self, number: usize, executor: &mut Executor) -> Option<Box<DeviceEnd>> {
+        let end = self.ends.get_mut(number).and_then(Option::take)?;
+        executor.set_device(number, DeviceView::default());
+        Some(end)
+    }
+
+    /// Puts what drivers told last into the image.
+    pub fn read(&mut self, executor: &mut Executor) {
+        for end in self.ends.iter_mut().flatten() {
+            let (number, place) = (end.number, &end.place);
+            let mut take = |state: &DeviceState| show(state, number, place, executor);
+            match &mut end.driver {
+                Driver::Cells { state, .. } | Driver::Seen { state } => state.read_with(take),
+                Driver::Simulated { device, .. } => take(device.state()),
+            }
+        }
+    }
+
+    /// Hands commands to all drivers, one right after the other. The cycle began at `begin` on this
+    /// host's clock.
+    pub fn write(&mut self, executor: &mut Executor, moment: Moment, begin: Nanos) {
+        let at = (moment.cycle, begin);
+        let (mut first, mut last) = (None, Nanos::ZERO);
+        for end in self.ends.iter_mut().flatten() {
+            if matches!(end.driver, Driver::Seen { .. }) {
+                continue;
+            }
+            let commanded = collect(&mut end.command, &end.place, executor, at, self.period);
+            let given = &end.command;
+            match &mut end.driver {
+                Driver::Cells { command, .. } => command.write_with(|slot| slot.copy_from(given)),
+                Driver::Simulated { device, told } => {
+                    device.step(given, self.period);
+                    told.write_with(|slot| slot.copy_from(device.state()));
+                }
+                Driver::Seen { .. } => {}
+            }
+            if commanded {
+                last = takt_rt::monotonic();
+                first.get_or_insert(last);
+            }
+        }
+        if let Some(first) = first {
+            self.hand_over.record(last - first);
+        }
+    }
+}
+
+/// Puts a device's state into the image.
+fn show(state: &DeviceState, number: usize, place: &Place, executor: &mut Executor) {
+    let view = DeviceView {
+        status: state.status,
+        faults: state.faults,
+    };
+    executor.set_device(number, view);
+    state.show(place, &executor.image);
+}
+
+/// Takes what nets command to a device out of the image; returns whether they did in this cycle.
+fn collect(
+    command: &mut DeviceCommand,
+    place: &Place,
+    executor: &Executor,
+    (cycle, time): (u64, Nanos),
+    period: Nanos,
+) -> bool {
+    (command.time, command.cycle) = (time, cycle);
+    let mut commanded = false;
+    let joints = &executor.image.joints[place.first_joint..][..place.joints];
+    for (joint, set_points) in joints.iter().zip(&mut command.joints) {
+        let wanted = joint.command.get();
+        let given = wanted.cycle == cycle;
+        commanded |= given;
+        // A set-point of a slower net stands until that net gives the next.
+        if given || cycle - wanted.cycle >= wanted.every {
+            let position = wanted.position;
+            set_points.advance(given.then_some(SetPoint { time, position }));
+            set_points.period = Nanos(period.0 * wanted.every.max(1).cast_signed());
+        }
+    }
+    let cells = &executor.image.commands[place.commands.clone()];
+    for (word, cell) in command.words.iter_mut().zip(cells) {
+        commanded |= *word != cell.get();
+        *word = cell.get();
+    }
+    commanded
+}

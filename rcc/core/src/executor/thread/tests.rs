@@ -1,0 +1,331 @@
+//! A net thread's cycle without its thread and clock: what is told in which order, what is counted, and
+//! what is recorded of that.
+
+use std::cell::Cell;
+use std::time::Duration;
+
+use takt_rt::cycle::Grid;
+use takt_rt::latest::LatestReader;
+use takt_rt::ring::ring;
+use takt_rt::servo::{Servo, ServoConfig, State};
+
+use super::*;
+use crate::device::{DeviceCommand, DeviceTable, lwr};
+use crate::executor::figures::RUNAWAY_AFTER;
+use crate::executor::rules::{Literal, Question, Step};
+use crate::executor::serve::Driver;
+use crate::executor::tests::net;
+use crate::record::replay;
+
+const PERIOD: takt_rt::Nanos = takt_rt::Nanos::from_millis(1);
+
+/// Never ends by itself.
+const ENDLESS: &str = "{never=Core::BooleanValue(),outTerminate=never.outValue}";
+/// Ends in its first cycle.
+const BRIEF: &str = "{yes=Core::BooleanValue(Value='true'),outTerminate=yes.outValue}";
+
+thread_local! {
+    /// The clock of a test, ns.
+    static NOW: Cell<i64> = const { Cell::new(0) };
+    /// By how much it goes on whenever it is read.
+    static STEP: Cell<i64> = const { Cell::new(0) };
+}
+
+fn clock() -> takt_rt::Nanos {
+    NOW.set(NOW.get() + STEP.get());
+    takt_rt::Nanos(NOW.get())
+}
+
+struct Bench {
+    cycle: Cycle,
+    commands: Producer<Command>,
+    events: Consumer<Event>,
+    number: u64,
+}
+
+impl Bench {
+    /// A thread whose clock goes on by so much at each reading.
+    fn new(step: Duration, tap: Option<Tap>) -> Self {
+        STEP.set(takt_rt::Nanos::from(step).0);
+        let (commands, command_end) = ring(COMMANDS);
+        let (event_end, events) = ring(EVENTS);
+        let cycle = Cycle {
+            executor: Executor::default(),
+            served: Served::new(PERIOD, Recorder::new()),
+            commands: command_end,
+            events: event_end,
+            tap,
+            clock,
+        };
+        Self {
+            cycle,
+            commands,
+            events,
+            number: 0,
+        }
+    }
+
+    fn command(&mut self, command: Command) {
+        self.commands.push(command).unwrap();
+    }
+
+    /// Starts `next` when net `after` ends by itself.
+    fn follow(&mut self, after: u32, next: Box<Running>) {
+        let literal = Literal {
+            net: after,
+            question: Question::Terminated,
+            value: None,
+            last: false,
+        };
+        let mut rule = Box::new(Rule::new(7, vec![literal], vec![Step::Literal(0)]));
+        rule.start = vec![next.id];
+        self.command(Command::Schedule(next));
+        self.command(Command::AddRule(rule));
+    }
+
+    /// Runs a cycle that begins on time; returns what it told.
+    fn run(&mut self) -> Vec<String> {
+        self.number += 1;
+        let time = takt_rt::Nanos(PERIOD.0 * self.number.cast_signed());
+        NOW.set(time.0);
+        self.run_slot(&Slot::of(
+            &Tick {
+                index: self.number,
+                missed: 0,
+                time,
+                scheduled: time,
+                woken: time,
+            },
+            PERIOD,
+        ))
+    }
+
+    /// Runs a cycle; returns what it told.
+    fn run_slot(&mut self, slot: &Slot) -> Vec<String> {
+        self.cycle.run(slot);
+        let told = std::iter::from_fn(|| self.events.pop());
+        told.map(|event| match event {
+            Event::Started(id) => format!("started {id}"),
+            Event::Ended(net, end) => format!("ended {} {end:?}", net.id),
+            Event::RuleAdded(id) => format!("rule {id} added"),
+            Event::RuleDone(rule) => format!("rule {} {:?}", rule.id, rule.state),
+            Event::Cancelling(id) => format!("cancelling {id}"),
+            Event::Refused(net, why) => format!("refused {} {why:?}", net.id),
+            Event::RuleRefused(rule, why) => format!("rule {} {why:?}", rule.id),
+            Event::Unscheduled(net) => format!("unscheduled {}", net.id),
+            Event::DeviceRemoved(_) => "device removed".to_owned(),
+        })
+        .collect()
+    }
+}
+
+// The order of what is told.
+
+#[test]
+fn a_successor_is_told_to_run_only_when_its_predecessor_has_ended() {
+    let mut bench = Bench::new(Duration::ZERO, None);
+    bench.follow(0, net(1, ENDLESS));
+    bench.command(Command::Start(net(0, BRIEF)));
+    assert_eq!(
+        bench.run(),
+        [
+            "rule 7 added",
+            "started 0",
+            "ended 0 Terminated",
+            "started 1",
+            "rule 7 Fired"
+        ]
+    );
+}
+
+#[test]
+fn a_successor_that_ends_at_once_is_told_to_have_run() {
+    let mut bench = Bench::new(Duration::ZERO, None);
+    bench.follow(0, net(1, BRIEF));
+    bench.command(Command::Start(net(0, BRIEF)));
+    bench.run();
+    assert_eq!(bench.run(), ["ended 1 Terminated"]);
+}
+
+// Figures.
+
+#[test]
+fn evaluations_are_measured_and_counted() {
+    let mut bench = Bench::new(Duration::from_micros(300), None);
+    let net = net(0, ENDLESS);
+    let counters = Arc::clone(net.counters());
+    assert_eq!(
+        counters.read(),
+        crate::executor::figures::NetCounts::default()
+    );
+    bench.command(Command::Start(net));
+    for _ in 0..4 {
+        bench.run();
+    }
+    STEP.set(850_000);
+    bench.run();
+    let counts = counters.read();
+    assert_eq!((counts.cycles, counts.over_budget), (5, 1));
+    assert_eq!(counts.min, Duration::from_micros(300));
+    assert_eq!(counts.max, Duration::from_micros(850));
+    assert_eq!(counts.mean, Duration::from_micros((4 * 300 + 850) / 5));
+    // Three readings of 850 us take longer than the cycle had; those of 300 us do not.
+    assert_eq!(counts.overruns, 1);
+}
+
+#[test]
+fn an_overrun_is_counted_with_the_nets_that_ran_and_no_other() {
+    let mut bench = Bench::new(Duration::from_micros(600), None);
+    let (fast, mut slow) = (net(0, ENDLESS), net(1, ENDLESS));
+    slow.every = 4;
+    let counters = [&fast, &slow].map(|net| Arc::clone(net.counters()));
+    bench.command(Command::Start(fast));
+    bench.command(Command::Start(slow));
+    for _ in 0..8 {
+        bench.run();
+    }
+    assert_eq!(counters.map(|counters| counters.read().overruns), [8, 2]);
+}
+
+// Runaway.
+
+/// The cycles until a net ends whose evaluation takes so long, at most 50.
+fn ends_after(took: Duration) -> (u32, Vec<String>) {
+    let mut bench = Bench::new(took, None);
+    bench.command(Command::Start(net(0, ENDLESS)));
+    for cycle in 1..=50 {
+        let mut told = bench.run();
+        told.retain(|event| !event.starts_with("started"));
+        if !told.is_empty() {
+            return (cycle, told);
+        }
+    }
+    (50, Vec::new())
+}
+
+#[test]
+fn a_net_that_takes_longer_than_its_period_again_and_again_is_ended() {
+    let (cycle, told) = ends_after(Duration::from_nanos(1_000_001));
+    assert_eq!(
+        (cycle, told),
+        (RUNAWAY_AFTER, vec!["ended 0 Runaway".to_owned()])
+    );
+    assert_eq!(ends_after(Duration::from_millis(1)), (50, vec![]));
+}
+
+#[test]
+fn a_net_that_takes_too_long_now_and_then_is_not_ended() {
+    let mut bench = Bench::new(Duration::ZERO, None);
+    let net = net(0, ENDLESS);
+    let counters = Arc::clone(net.counters());
+    bench.command(Command::Start(net));
+    for cycle in 1..=10 * RUNAWAY_AFTER {
+        STEP.set(if cycle % RUNAWAY_AFTER == 0 {
+            0
+        } else {
+            5_000_000
+        });
+        assert!(bench.run().iter().all(|event| event == "started 0"));
+    }
+    assert_eq!(counters.read().over_budget, u64::from(9 * RUNAWAY_AFTER));
+}
+
+#[test]
+fn a_runaway_replays_the_same_without_its_clock() {
+    let path = std::env::temp_dir().join(format!("takt-runaway-{}.mcap", std::process::id()));
+    let (recorder, tap) = crate::record::Recorder::start(&path).unwrap();
+    let mut bench = Bench::new(Duration::from_millis(3), Some(tap));
+    for (id, text) in [(0, ENDLESS), (1, BRIEF)] {
+        recorder.net(id, 1, Duration::from_millis(1), &text.into());
+    }
+    bench.command(Command::Start(net(0, ENDLESS)));
+    let mut told = Vec::new();
+    for cycle in 0..2 * RUNAWAY_AFTER {
+        if cycle == RUNAWAY_AFTER - 1 {
+            bench.follow(0, net(1, BRIEF));
+        }
+        told.extend(bench.run());
+    }
+    assert!(told.contains(&"ended 0 Runaway".to_owned()), "{told:?}");
+    assert!(told.contains(&"rule 7 Inactive".to_owned()), "{told:?}");
+    assert_eq!(recorder.finish().unwrap(), u64::from(2 * RUNAWAY_AFTER));
+    let outcome = replay(&path).unwrap();
+    std::fs::remove_file(&path).unwrap();
+    assert_eq!(
+        (outcome.cycles, outcome.differs),
+        (u64::from(2 * RUNAWAY_AFTER), None)
+    );
+}
+
+// A device's clock.
+
+/// How long after the robot's instants cycles are to begin.
+const PHASE: takt_rt::Nanos = takt_rt::Nanos::from_micros(300);
+/// By how much the robot's clock is fast, ppb.
+const FAST_PPB: i64 = 80_000;
+
+impl Bench {
+    /// Serves an arm; returns where its driver takes commands.
+    fn arm(&mut self) -> LatestReader<DeviceCommand> {
+        let mut devices = DeviceTable::default();
+        let (number, ports) = devices.add_arm(lwr::describe("left")).unwrap();
+        let place = devices.get(number).unwrap().place.clone();
+        let driver = Driver::Cells {
+            state: ports.state,
+            command: ports.command,
+        };
+        let end = Box::new(DeviceEnd::new(number, place, driver));
+        self.command(Command::AddDevice(end));
+        ports.driver_command
+    }
+}
+
+/// The instant of the n-th measurement on this host's clock.
+fn instant(n: i64) -> takt_rt::Nanos {
+    takt_rt::Nanos(123_456 + n * PERIOD.0 - n * PERIOD.0 / 1_000 * FAST_PPB / 1_000_000)
+}
+
+#[test]
+fn cycles_keep_phase_with_a_robot_whose_clock_drifts() {
+    let mut bench = Bench::new(Duration::ZERO, None);
+    let mut commands = bench.arm();
+    let mut servo = Servo::new(&ServoConfig::new(PERIOD.try_into().unwrap()));
+    let mut grid = Grid::new(takt_rt::Nanos::ZERO, PERIOD.try_into().unwrap());
+    let (mut measured, mut locked) = (0, 0);
+    for n in 0..20_000_i64 {
+        let slot = Slot::of(&grid.next(grid.deadline()), PERIOD);
+        while instant(measured) < slot.begin {
+            // Datagrams come up to 60 us late.
+            let late = takt_rt::Nanos(measured * 7_919 % 60_000);
+            servo.handle_sample(
+                instant(measured) + late,
+                takt_rt::Nanos(measured * PERIOD.0),
+            );
+            measured += 1;
+        }
+        bench.run_slot(&slot);
+        // To nets it is as late as ever, to the driver as late as it is on this host.
+        assert_eq!(slot.moment.time, Nanos(n * PERIOD.0));
+        assert_eq!(commands.read_with(|command| command.time), slot.begin);
+        assert_eq!(slot.end - slot.begin, PERIOD);
+        let clock = servo.estimate();
+        if clock.state.is_followed() {
+            grid.steer(&clock, PHASE);
+        }
+        if clock.state == State::Stable {
+            locked += 1;
+            let error = slot.begin - instant(measured - 1) - PHASE;
+            // Half of the delay cannot be told from phase.
+            assert!(
+                (error - takt_rt::Nanos(30_000)).abs() < takt_rt::Nanos(20_000),
+                "{n}: {error}"
+            );
+        }
+    }
+    assert!(locked > 10_000, "{locked}");
+    let gained = grid.deadline().0 - 20_000 * PERIOD.0;
+    assert!(
+        gained < -1_000_000,
+        "the host's clock was followed: {gained}"
+    );
+}

@@ -1,0 +1,195 @@
+//! Frames that an arm of five joints can reach: its first joint turns about the vertical through the
+//! origin, the next three bend in one vertical plane, the last turns about the flange's z axis.
+//! Whether they are near enough is not looked at.
+
+use takt_net::{Frame, Rotation, Vector};
+
+/// Shorter than this a direction in the plane has no heading.
+const VERTICAL: f64 = 1e-3;
+/// Farther from the arm's plane than this (m) the flange must be turned.
+const IN_PLANE: f64 = 1e-9;
+/// How far beyond a right angle rounding may lead, as a sine.
+const ROUNDING: f64 = 1e-9;
+
+/// The flange for a motion centre whose z axis is made vertical.
+pub(super) fn palletize(flange: &Frame, motion_center: &Frame) -> Option<Frame> {
+    let center = flange * motion_center;
+    let z = center.rotation * Vector::z();
+    let up = Vector::z() * 1.0_f64.copysign(z.z);
+    let x = center.rotation * Vector::x();
+    let mut ahead = flat(x);
+    if ahead.norm() < VERTICAL {
+        // The x axis itself is vertical; what is across y comes nearest to it.
+        ahead = flat((center.rotation * Vector::y()).cross(&up));
+    }
+    let rotation = Rotation::face_towards(&up, &up.cross(&ahead));
+    let turned = Frame::from_parts(center.translation, rotation);
+    finite(turned * motion_center.inverse())
+}
+
+/// The flange for a motion centre that is turned about the vertical through itself until the
+/// flange's z axis lies in the vertical plane of the origin and the flange.
+pub(super) fn keep_position(flange: &Frame, motion_center: &Frame) -> Option<Frame> {
+    let center = (flange * motion_center).translation.vector;
+    let position = flange.translation.vector;
+    let ahead = flat(flange.rotation * Vector::z());
+    if ahead.norm() < VERTICAL || cross(position, ahead).abs() < IN_PLANE * ahead.norm() {
+        return finite(*flange);
+    }
+    let radius = flat(center).norm();
+    // Turned by an angle a, the plane holds the flange's z axis if the sine of a and the angle
+    // between centre and z axis is this: cross(centre + turned(flange - centre), turned(ahead)) = 0.
+    let sine = -cross(position - center, ahead) / (radius * ahead.norm());
+    if sine.is_nan() || sine.abs() > 1.0 + ROUNDING {
+        return None;
+    }
+    let between = ahead.y.atan2(ahead.x) - center.y.atan2(center.x);
+    let angle = sine.clamp(-1.0, 1.0).asin();
+    let [one, other] =
+        [angle, std::f64::consts::PI - angle].map(|angle| nearest_turn(angle - between));
+    let turn = if one.abs() <= other.abs() { one } else { other };
+    let rotation = Rotation::from_axis_angle(&Vector::z_axis(), turn);
+    let position = center + rotation * (position - center);
+    finite(Frame::from_parts(
+        position.into(),
+        rotation * flange.rotation,
+    ))
+}
+
+fn flat(v: Vector) -> Vector {
+    Vector::new(v.x, v.y, 0.0)
+}
+
+/// The part about the vertical of a cross product.
+fn cross(a: Vector, b: Vector) -> f64 {
+    a.x * b.y - a.y * b.x
+}
+
+fn nearest_turn(angle: f64) -> f64 {
+    angle - std::f64::consts::TAU * (angle / std::f64::consts::TAU).round()
+}
+
+fn finite(frame: Frame) -> Option<Frame> {
+    let mut parts = frame
+        .translation
+        .vector
+        .iter()
+        .chain(frame.rotation.coords.iter());
+    parts.all(|v| v.is_finite()).then_some(frame)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn frame(x: f64, y: f64, z: f64, roll: f64, pitch: f64, yaw: f64) -> Frame {
+        Frame::from_parts(
+            [x, y, z].into(),
+            Rotation::from_euler_angles(roll, pitch, yaw),
+        )
+    }
+
+    /// Many frames all around.
+    fn frames() -> impl Iterator<Item = (Frame, Frame)> {
+        (0..2000).map(|i| {
+            let at = |k: f64| (f64::from(i) * k).sin();
+            let flange = frame(
+                at(0.37),
+                at(0.73),
+                at(1.1),
+                3.0 * at(0.91),
+                3.0 * at(1.7),
+                3.0 * at(2.3),
+            );
+            let center = frame(
+                0.1 * at(3.1),
+                0.1 * at(3.7),
+                0.1 * at(4.3),
+                at(0.2),
+                at(0.3),
+                at(0.4),
+            );
+            (flange, center)
+        })
+    }
+
+    fn distance(a: &Frame, b: &Frame) -> f64 {
+        (a.translation.vector - b.translation.vector).norm()
+    }
+
+    #[test]
+    fn palletizing_makes_z_vertical_and_keeps_the_place_of_the_centre() {
+        for (flange, center) in frames() {
+            let projected = palletize(&flange, &center).unwrap() * center;
+            let before = flange * center;
+            let z = projected.rotation * Vector::z();
+            assert!((z.z.abs() - 1.0).abs() < 1e-9, "{z}");
+            assert!(z.z * (before.rotation * Vector::z()).z >= 0.0);
+            assert!(distance(&projected, &before) < 1e-9);
+            let (x, was) = (
+                projected.rotation * Vector::x(),
+                before.rotation * Vector::x(),
+            );
+            assert!(cross(x, was).abs() < 1e-9 && x.dot(&was) > 0.0, "{x} {was}");
+            // What is projected stays.
+            let again = palletize(&palletize(&flange, &center).unwrap(), &center).unwrap() * center;
+            assert!(again.rotation.angle_to(&projected.rotation) < 1e-6);
+        }
+    }
+
+    #[test]
+    fn keeping_the_position_brings_z_into_the_plane_of_the_arm_by_the_smallest_turn() {
+        let mut turned = 0;
+        for (flange, center) in frames() {
+            let before = flange * center;
+            let Some(projected) = keep_position(&flange, &center) else {
+                continue;
+            };
+            turned += 1;
+            let after = projected * center;
+            assert!(distance(&after, &before) < 1e-9);
+            let (at, z) = (
+                projected.translation.vector,
+                projected.rotation * Vector::z(),
+            );
+            if flat(z).norm() > VERTICAL {
+                assert!(cross(at, z).abs() < 1e-6, "{at} {z}");
+            }
+            let turn = projected.rotation * flange.rotation.inverse();
+            // Only about the vertical.
+            assert!((turn * Vector::z() - Vector::z()).norm() < 1e-6);
+            // No smaller turn does it: the flange stays on one side of the plane until then.
+            let side = |angle: f64| {
+                let turn = Rotation::from_axis_angle(&Vector::z_axis(), angle);
+                let center = before.translation.vector;
+                let position = center + turn * (flange.translation.vector - center);
+                cross(position, flat(turn * (flange.rotation * Vector::z())))
+            };
+            let least = turn.angle() - 1e-3;
+            for part in (1..50).map(|i| least * f64::from(i) / 50.0) {
+                assert!(least <= 0.0 || side(part) * side(0.0) >= 0.0);
+                assert!(least <= 0.0 || side(-part) * side(0.0) >= 0.0);
+            }
+        }
+        assert!(turned > 1500, "{turned}");
+    }
+
+    #[test]
+    fn with_the_centre_in_the_flange_z_turns_towards_the_arm_or_away_from_it() {
+        let flange = frame(0.4, 0.0, 0.2, 0.0, std::f64::consts::FRAC_PI_2, 0.5);
+        let projected = keep_position(&flange, &Frame::identity()).unwrap();
+        let z = projected.rotation * Vector::z();
+        assert!((z - Vector::x()).norm() < 1e-9, "{z}");
+    }
+
+    #[test]
+    fn what_is_no_number_gives_none() {
+        let nan = frame(f64::NAN, 0.0, 0.0, 0.0, 1.0, 0.0);
+        assert_eq!(palletize(&nan, &Frame::identity()), None);
+        assert_eq!(keep_position(&nan, &Frame::identity()), None);
+        // The centre lies on the vertical, the flange beside it points across.
+        let flange = frame(0.2, 0.0, 0.2, 0.0, 1.0, 1.0);
+        let center = flange.inverse() * Frame::translation(0.0, 0.0, 0.2);
+        assert_eq!(keep_position(&flange, &center), None);
+    }
+}

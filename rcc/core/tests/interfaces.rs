@@ -1,0 +1,1004 @@
+//! The primitives of devices in nets, on simulated devices and on one whose driver the test is, in
+//! virtual time: what they command and report, null, ranges, concurrent access and failures.
+
+mod stand;
+
+use stand::{Driven, Stand, arm_parameters, endless, parameters, watch};
+use takt_core::device::{
+    ArmDescription, DeviceDescription, DeviceState, DeviceStatus, Part, parts,
+};
+use takt_core::executor::{End, Refusal};
+use takt_net::device::{Answer, Interfaces, Layout};
+use takt_net::{JointLimits, Vector};
+
+/// A device with these parts and so many joints, and what its driver needs to tell.
+fn driven(stand: &mut Stand, joints: usize, of: &[Part]) -> (Driven, Interfaces, DeviceState) {
+    let limits = JointLimits {
+        position_min: -1.0,
+        position_max: 1.0,
+        velocity_max: 1.0,
+        acceleration_max: 1.0,
+    };
+    let device = ArmDescription {
+        name: "dev".to_owned(),
+        kind: "test",
+        limits: vec![limits; joints],
+        model: "".into(),
+    };
+    let driven = stand.add_driven(device.with(of));
+    let mut layout = Layout::default();
+    let interfaces = parts::lay(of, joints, &mut layout);
+    let mut state = DeviceState::new(layout.signals);
+    state.status = DeviceStatus::Operational;
+    (driven, interfaces, state)
+}
+
+fn tell(driven: &mut Driven, state: &DeviceState) {
+    driven.state.write_with(|slot| slot.copy_from(state));
+}
+
+const BASE: Part = Part::Base {
+    wheels: 4,
+    velocity_max: 1.0,
+    rotation_max: 1.0,
+};
+
+/// Children that command the velocity written to them, null while `n` is true.
+fn base_velocity(robot: &str, velocity: &str) -> String {
+    format!(
+        "v=World::TwistValue(Value='{velocity}'),
+        move=RobotBase::BaseVelocity(inVel=v.outValue,Robot='{robot}'),{},{},{},{}",
+        watch("Core::Int", "error", "move.outError"),
+        watch(
+            "Core::Boolean",
+            "concurrent",
+            "move.outErrorConcurrentAccess"
+        ),
+        watch("Core::Boolean", "failed", "move.outErrorBaseFailed"),
+        watch("Core::Boolean", "illegal", "move.outErrorIllegalVelocity"),
+    )
+}
+
+fn base_monitor(robot: &str) -> String {
+    format!(
+        "base=RobotBase::BaseMonitor(Robot='{robot}'),
+        xyz=World::FrameToXYZ(inValue=base.outPos),vel=World::TwistToXYZ(inValue=base.outVel),
+        {},{},{},{}",
+        watch("Core::Double", "x", "xyz.outX"),
+        watch("Core::Double", "y", "xyz.outY"),
+        watch("Core::Double", "vx", "vel.outX"),
+        watch("Core::Int", "base", "base.outError"),
+    )
+}
+
+// ---------------------------------------------------------------------------------- RobotBase
+
+#[test]
+fn a_base_moves_as_commanded_and_brakes_when_commands_stop() {
+    let mut stand = Stand::default();
+    stand.add(
+        "base",
+        "kuka_youbot_base_sim",
+        &parameters(&[("max_acc", "2")]),
+    );
+    stand.start(1, &base_monitor("base"));
+    stand.start(2, &base_velocity("base", "{vel:{x:0.4}}"));
+    stand.steps(201);
+    assert!((stand.number(1, "vx") - 0.4).abs() < 1e-12);
+    assert_eq!(stand.out(2, "error"), "0");
+    // Half of it while it accelerated for 0.2 s.
+    let x = stand.number(1, "x");
+    assert!((x - 0.04).abs() < 0.001, "{x}");
+    stand.steps(1000);
+    assert!((stand.number(1, "x") - x - 0.4).abs() < 1e-9);
+    stand.end(2);
+    stand.steps(100);
+    let vx = stand.number(1, "vx");
+    assert!((vx - 0.2).abs() < 0.01, "it brakes at its limit: {vx}");
+    stand.steps(110);
+    assert_eq!(stand.out(1, "vx"), "0");
+    let rested = stand.out(1, "x");
+    stand.steps(100);
+    assert_eq!(stand.out(1, "x"), rested);
+}
+
+#[test]
+fn a_velocity_of_a_slower_net_stands_until_its_next() {
+    let mut stand = Stand::default();
+    stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
+    stand.start(1, &base_monitor("base"));
+    let text = endless(&base_velocity("base", "{vel:{x:0.1}}"));
+    stand.try_start(2, &text, 4).unwrap();
+    stand.steps(300);
+    for _ in 0..20 {
+        stand.step();
+        assert!((stand.number(1, "vx") - 0.1).abs() < 1e-12);
+    }
+}
+
+#[test]
+fn velocities_out_of_range_or_no_numbers_command_nothing() {
+    for (velocity, error, illegal) in [
+        ("{vel:{x:0.9}}", "1", "true"),
+        ("{vel:{x:0.7,y:0.7}}", "1", "true"),
+        ("{rot:{z:-1.1}}", "1", "true"),
+        ("{vel:{x:nan}}", "2", "true"),
+        // Directions in which a base cannot move do not matter.
+        ("{vel:{z:9}}", "0", "false"),
+    ] {
+        let mut stand = Stand::default();
+        stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
+        stand.start(1, &base_monitor("base"));
+        stand.start(2, &base_velocity("base", velocity));
+        stand.steps(50);
+        assert_eq!(stand.out(2, "error"), error, "{velocity}");
+        assert_eq!(stand.out(2, "illegal"), illegal, "{velocity}");
+        assert_eq!(stand.out(1, "vx"), "0", "{velocity}");
+    }
+}
+
+#[test]
+fn a_null_velocity_commands_nothing_and_is_no_error() {
+    let mut stand = Stand::default();
+    stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
+    stand.start(1, &base_monitor("base"));
+    let children = base_velocity("base", "{vel:{x:0.4}}").replace(
+        "inVel=v.outValue",
+        "inVel=World::TwistSetNull(inValue=v.outValue,
+            inNull=Core::BooleanValue(Value='true').outValue).outValue",
+    );
+    stand.start(2, &children);
+    stand.steps(20);
+    assert_eq!(
+        (stand.out(2, "error"), stand.out(1, "vx")),
+        ("0".to_owned(), "0".to_owned())
+    );
+}
+
+#[test]
+fn of_two_primitives_of_a_net_the_second_is_told_and_commands_nothing() {
+    let mut stand = Stand::default();
+    stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
+    stand.start(1, &base_monitor("base"));
+    // The second depends on the first, so that their order is known.
+    let both = format!(
+        "{},no=Core::BooleanNot(inValue=move.outErrorIllegalVelocity),
+        w2=World::TwistValue(Value='{{vel:{{x:-0.2}}}}'),
+        late=World::TwistConditional(inCondition=no.outValue,inTrue=w2.outValue,inFalse=w2.outValue),
+        again=RobotBase::BaseVelocity(inVel=late.outValue,Robot='base'),{},{}",
+        base_velocity("base", "{vel:{x:0.2}}"),
+        watch("Core::Int", "error2", "again.outError"),
+        watch("Core::Boolean", "concurrent2", "again.outErrorConcurrentAccess"),
+    );
+    stand.start(2, &both);
+    stand.steps(300);
+    assert_eq!(stand.out(2, "error"), "0");
+    assert_eq!(stand.out(2, "error2"), "-1");
+    assert_eq!(stand.out(2, "concurrent2"), "true");
+    assert!((stand.number(1, "vx") - 0.2).abs() < 1e-12);
+}
+
+#[test]
+fn two_nets_cannot_command_one_base() {
+    let mut stand = Stand::default();
+    stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
+    stand.start(1, &base_velocity("base", "{}"));
+    let second = endless(&base_velocity("base", "{}"));
+    let refused = stand.try_start(2, &second, 1);
+    assert!(
+        matches!(refused, Err(Refusal::ResourceInUse(_))),
+        "{refused:?}"
+    );
+    let pose = endless(
+        "p=World::FrameValue(),to=CartesianPosition::CartesianPosition(inPosition=p.outValue,Robot='base')",
+    );
+    let refused = stand.try_start(3, &pose, 1);
+    assert!(
+        matches!(refused, Err(Refusal::ResourceInUse(_))),
+        "{refused:?}"
+    );
+}
+
+#[test]
+fn a_base_that_fails_ends_the_net_that_commands_it_and_tells_those_that_see_it() {
+    let mut stand = Stand::default();
+    let (mut dev, has, mut state) = driven(&mut stand, 0, &[BASE]);
+    let base = has.base.unwrap();
+    base.error.tell(&mut state.signals, Some(0));
+    tell(&mut dev, &state);
+    stand.step();
+    stand.start(1, &base_monitor("dev"));
+    stand.start(2, &base_velocity("dev", "{vel:{x:0.4}}"));
+    stand.steps(5);
+    let given = dev
+        .command
+        .read_with(|c| base.command.read(&c.words))
+        .unwrap();
+    assert_eq!(given.value.vel, Vector::new(0.4, 0.0, 0.0));
+    assert!(given.stands(stand.cycle));
+    assert_eq!(
+        (stand.out(1, "base"), stand.out(1, "x")),
+        ("0".into(), "null".into())
+    );
+    // Its driver says that it does not follow, without leaving operation.
+    base.error.tell(&mut state.signals, Some(2));
+    tell(&mut dev, &state);
+    stand.steps(2);
+    assert_eq!(
+        (stand.out(2, "error"), stand.out(2, "failed")),
+        ("2".into(), "true".into())
+    );
+    let given = dev
+        .command
+        .read_with(|c| base.command.read(&c.words))
+        .unwrap();
+    assert!(!given.stands(stand.cycle), "nothing is commanded any more");
+    (state.status, state.faults) = (DeviceStatus::SafeOperational, 1);
+    tell(&mut dev, &state);
+    stand.step();
+    assert_eq!(stand.ended.get(&2), Some(&End::DeviceFault(0)));
+    assert!(!stand.ended.contains_key(&1));
+    let again = stand.try_start(3, &endless(&base_velocity("dev", "{}")), 1);
+    assert_eq!(again, Err(Refusal::DeviceNotReady(0)));
+}
+
+#[test]
+fn the_controller_brings_a_base_to_a_pose_and_says_so() {
+    let mut stand = Stand::default();
+    stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
+    stand.start(
+        1,
+        &format!(
+            "{},to=World::FrameValue(Value='{{pos:{{x:0.5,y:-0.25}},rot:{{a:1.2}}}}'),
+            go=RobotBase::OmnidirectionalBaseController(inDest=to.outValue,inPos=base.outPos,
+                inVel=base.outVel),
+            move=RobotBase::BaseVelocity(inVel=go.outVel,Robot='base'),{},{}",
+            base_monitor("base"),
+            watch("Core::Int", "error", "move.outError"),
+            watch("Core::Boolean", "done", "go.outCompleted"),
+        ),
+    );
+    let mut sideways: f64 = 0.0;
+    stand.step();
+    while stand.out(1, "done") != "true" {
+        assert!(stand.cycle < 10_000, "it does not arrive");
+        stand.step();
+        assert_eq!(stand.out(1, "error"), "0");
+        if stand.cycle > 2 {
+            sideways = sideways.max((stand.number(1, "y") + stand.number(1, "x") / 2.0).abs());
+        }
+    }
+    assert!((stand.number(1, "x") - 0.5).abs() < 0.011);
+    assert!((stand.number(1, "y") + 0.25).abs() < 0.011);
+    assert!(sideways < 0.02, "the path is straight: {sideways}");
+    // 0.5 m at 0.25 m/s, and the end of an exponential.
+    assert!((2_000..5_000).contains(&stand.cycle), "{}", stand.cycle);
+}
+
+#[test]
+fn the_controller_gives_null_for_a_null_pose_and_refuses_gains_that_are_none() {
+    let mut stand = Stand::default();
+    let text = format!(
+        "to=World::FrameValue(),go=RobotBase::OmnidirectionalBaseController(inDest=to.outValue),{}",
+        watch("Core::Boolean", "done", "go.outCompleted")
+    );
+    stand.start(1, &text);
+    stand.steps(3);
+    assert_eq!(stand.out(1, "done"), "null");
+    let fault = stand.fault(&endless(&text.replace("(inDest", "(pX='0',inDest")));
+    assert!(fault.contains("`pX`: 0 is not above zero"), "{fault}");
+}
+
+#[test]
+fn wheels_turn_as_the_kinematics_says() {
+    // By the sense of their motors: 0.2 m/s forward, 0.2 m/s to the left, 0.5 rad/s.
+    let rates = |v: f64, signs: [f64; 4]| signs.map(|s| s * v / 0.0475);
+    for (velocity, wheels) in [
+        ("{vel:{x:0.2}}", rates(0.2, [-1.0, 1.0, -1.0, 1.0])),
+        ("{vel:{y:0.2}}", rates(0.2, [1.0, 1.0, -1.0, -1.0])),
+        ("{rot:{z:0.5}}", rates(0.5 * 0.385, [1.0; 4])),
+    ] {
+        let mut stand = Stand::default();
+        stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
+        stand.start(1, &base_velocity("base", velocity));
+        let monitors: Vec<_> = (0..4)
+            .map(|i| {
+                let key = format!("w{i}");
+                format!(
+                    "m{i}=RobotBase::WheelMonitor(Robot='base',Wheel='{i}'),{}",
+                    watch("Core::Double", &key, &format!("m{i}.outVel"))
+                )
+            })
+            .collect();
+        stand.start(2, &monitors.join(","));
+        stand.steps(1000);
+        for (i, wheel) in wheels.into_iter().enumerate() {
+            let rate = stand.number(2, &format!("w{i}"));
+            assert!((rate - wheel).abs() < 1e-9, "{velocity}, wheel {i}: {rate}");
+        }
+    }
+}
+
+#[test]
+fn what_a_device_lacks_is_told_with_those_that_have_it() {
+    let mut stand = Stand::default();
+    stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
+    stand.add("arm", "kuka_lwr_sim", &arm_parameters(7, &[]));
+    stand.add("io", "io_sim", &parameters(&[]));
+    let fault = stand.fault(&endless("b=RobotBase::BaseMonitor(Robot='arm')"));
+    let wanted = "there is no robot base `arm`; of that kind there are `base`";
+    assert!(fault.contains(wanted), "{fault}");
+    let fault = stand.fault(&endless("j=RobotArm::JointMonitor(Robot='base')"));
+    assert!(
+        fault.contains("no robot arm `base`; of that kind there are `arm`"),
+        "{fault}"
+    );
+    let fault = stand.fault(&endless("g=KUKA::youBot::GripperMonitor(Robot='io')"));
+    assert!(
+        fault.contains("no gripper `io`; of that kind there are none"),
+        "{fault}"
+    );
+    let fault = stand.fault(&endless(
+        "w=RobotBase::WheelMonitor(Robot='base',Wheel='4')",
+    ));
+    assert!(fault.contains("4 is not between 0 and 3"), "{fault}");
+    let fault = stand.fault(&endless("i=IO::InBool(DeviceID='io',Port='-1')"));
+    assert!(fault.contains("-1 is not between 0 and 7"), "{fault}");
+    let fault = stand.fault(&endless(
+        "v=World::TwistValue(),m=RobotBase::BaseVelocity(Robot='base')",
+    ));
+    assert!(
+        fault.contains("`inVel`") && fault.contains("must be connected"),
+        "{fault}"
+    );
+}
+
+// -------------------------------------------------------------------------- CartesianPosition
+
+/// A pose that moves on at a speed in x, and where the device is.
+fn follow(robot: &str, start: f64, speed: f64) -> String {
+    format!(
+        "clock=Core::Clock(Increment='{speed}'),
+        x=Core::DoubleAdd(inFirst=clock.outValue,Second='{start}'),
+        r=World::RotationValue(),p=World::FrameFromXYZ(inX=x.outValue,inRot=r.outValue),
+        to=CartesianPosition::CartesianPosition(inPosition=p.outValue,Robot='{robot}'),
+        at=CartesianPosition::CartesianMonitor(Robot='{robot}'),
+        xyz=World::FrameToXYZ(inValue=at.outMeasuredPosition),
+        vel=World::TwistToXYZ(inValue=at.outCommandedVelocity),{},{},{},{},{}",
+        watch("Core::Double", "x", "xyz.outX"),
+        watch("Core::Double", "vx", "vel.outX"),
+        watch("Core::Int", "error", "to.outError"),
+        watch("Core::Int", "device", "at.outError"),
+        watch("Core::Boolean", "illegal", "to.outErrorIllegalPosition"),
+    )
+}
+
+#[test]
+fn a_base_follows_poses_exactly_and_brakes_when_they_end() {
+    let mut stand = Stand::default();
+    stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
+    stand.start(1, &follow("base", 0.0, 0.3));
+    stand.steps(1001);
+    // The state seen in a cycle is that after the set-point of the one before.
+    assert!(
+        (stand.number(1, "x") - 0.3).abs() < 1e-9,
+        "{}",
+        stand.out(1, "x")
+    );
+    assert_eq!(stand.out(1, "error"), "0");
+    stand.start(2, &base_monitor("base"));
+    stand.end(1);
+    stand.steps(2);
+    let vx = stand.number(2, "vx");
+    assert!((0.29..0.3).contains(&vx), "it brakes, not jumps: {vx}");
+    stand.steps(400);
+    assert_eq!(stand.out(2, "vx"), "0");
+}
+
+#[test]
+fn a_pose_that_is_too_far_away_is_refused_until_poses_end() {
+    let mut stand = Stand::default();
+    stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
+    stand.start(1, &follow("base", 0.5, 0.0));
+    stand.steps(20);
+    assert_eq!(
+        (stand.out(1, "error"), stand.out(1, "device")),
+        ("3".into(), "3".into())
+    );
+    assert_eq!(stand.out(1, "x"), "0");
+    stand.end(1);
+    stand.steps(2);
+    stand.start(2, &follow("base", 0.0, 0.1));
+    stand.steps(20);
+    assert_eq!(stand.out(2, "error"), "0");
+}
+
+#[test]
+fn a_slower_net_leads_a_base_as_far_along_a_line() {
+    let mut stand = Stand::default();
+    stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
+    stand.start(1, &base_monitor("base"));
+    let text = endless(&follow("base", 0.0, 0.075));
+    stand.try_start(2, &text, 4).unwrap();
+    // Its clock counts its own cycles, of which this stand says that they last 1 ms each.
+    stand.steps(400);
+    for _ in 0..8 {
+        stand.step();
+        let vx = stand.number(1, "vx");
+        assert!(
+            (vx - 0.075 / 4.0).abs() < 1e-6,
+            "the speed does not pulse: {vx}"
+        );
+    }
+}
+
+#[test]
+fn a_pose_that_is_no_number_is_told() {
+    let mut stand = Stand::default();
+    stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
+    stand.start(1, &follow("base", f64::NAN, 0.0).replace("NaN", "nan"));
+    stand.steps(3);
+    assert_eq!(
+        (stand.out(1, "error"), stand.out(1, "illegal")),
+        ("2".into(), "true".into())
+    );
+}
+
+// ----------------------------------------------------------------------------------------- IO
+
+fn io_net(device: &str) -> String {
+    format!(
+        "b=Core::BooleanNetcommIn(Key='b',Value='true'),r=Core::DoubleValue(Value='2.5'),
+        ob=IO::OutBool(inIO=b.outValue,DeviceID='{device}',Port='1'),
+        oc=IO::OutBool(DeviceID='{device}',Port='2',IO='true'),
+        or=IO::OutReal(inIO=r.outValue,DeviceID='{device}',Port='1'),
+        ib=IO::InBool(DeviceID='{device}',Port='1'),ic=IO::InBool(DeviceID='{device}',Port='2'),
+        i0=IO::InBool(DeviceID='{device}'),ir=IO::InReal(DeviceID='{device}',Port='1'),
+        sb=IO::OutBoolSensor(DeviceID='{device}',Port='1'),
+        sr=IO::OutRealSensor(DeviceID='{device}',Port='1'),{},{},{},{},{},{}",
+        watch("Core::Boolean", "in1", "ib.outIO"),
+        watch("Core::Boolean", "in2", "ic.outIO"),
+        watch("Core::Boolean", "in0", "i0.outIO"),
+        watch("Core::Double", "real", "ir.outIO"),
+        watch("Core::Boolean", "sensor", "sb.outIO"),
+        watch("Core::Double", "sensor_real", "sr.outIO"),
+    )
+}
+
+#[test]
+fn outputs_are_set_seen_and_stay_when_their_net_ends() {
+    let mut stand = Stand::default();
+    stand.add(
+        "io",
+        "io_sim",
+        &parameters(&[("bools", "3"), ("reals", "2")]),
+    );
+    stand.start(1, &io_net("io"));
+    stand.steps(2);
+    for (key, value) in [
+        ("in1", "true"),
+        ("in2", "true"),
+        ("in0", "false"),
+        ("real", "2.5"),
+        ("sensor", "true"),
+        ("sensor_real", "2.5"),
+    ] {
+        assert_eq!(stand.out(1, key), value, "{key}");
+    }
+    let second = stand.try_start(2, &endless("o=IO::OutBool(DeviceID='io',Port='1')"), 1);
+    assert!(
+        matches!(second, Err(Refusal::ResourceInUse(_))),
+        "{second:?}"
+    );
+    stand.end(1);
+    let text = format!(
+        "i=IO::InBool(DeviceID='io',Port='1'),{}",
+        watch("Core::Boolean", "in1", "i.outIO")
+    );
+    stand.start(3, &text);
+    stand.steps(10);
+    assert_eq!(stand.out(3, "in1"), "true");
+}
+
+#[test]
+fn a_null_leaves_an_output_and_an_unknown_input_is_null() {
+    let mut stand = Stand::default();
+    let part = Part::Io {
+        bool_in: 1,
+        bool_out: 1,
+        real_in: 1,
+        real_out: 0,
+    };
+    let (mut dev, has, state) = driven(&mut stand, 0, &[part]);
+    let io = has.io.unwrap();
+    tell(&mut dev, &state);
+    stand.step();
+    let text = format!(
+        "n=Core::BooleanValue(Value='true'),v=Core::BooleanSetNull(inValue=n.outValue,inNull=n.outValue),
+        o=IO::OutBool(inIO=v.outValue,DeviceID='dev',IO='true'),i=IO::InReal(DeviceID='dev'),{}",
+        watch("Core::Double", "real", "i.outIO")
+    );
+    stand.start(1, &text);
+    stand.steps(5);
+    assert_eq!(stand.out(1, "real"), "null");
+    let given = dev
+        .command
+        .read_with(|c| io.bool_out[0].command.read(&c.words));
+    assert_eq!(given, None);
+}
+
+// ----------------------------------------------------------------- RobotArm, KUKA::LWR, youBot
+
+fn strategy(robot: &str, number: i32) -> String {
+    format!(
+        "s=Core::IntValue(Value='{number}'),
+        c=KUKA::LWR::ControlStrategy(inStrategy=s.outValue,Robot='{robot}'),{},{}",
+        watch("Core::Boolean", "done", "c.outCompleted"),
+        watch("Core::Int", "error", "c.outError"),
+    )
+}
+
+fn joint_monitor(robot: &str) -> String {
+    format!(
+        "m=RobotArm::JointMonitor(Robot='{robot}',Axis='1'),{},{}",
+        watch("Core::Double", "commanded", "m.outCommandedPosition"),
+        watch("Core::Double", "measured", "m.outMeasuredPosition"),
+    )
+}
+
+/// Switches the strategy of an arm and ends the net that does.
+fn switch(stand: &mut Stand, robot: &str, number: i32) {
+    stand.start(90, &strategy(robot, number));
+    stand.until(90, "done", "true");
+    assert_eq!(stand.out(90, "error"), "0");
+    stand.end(90);
+}
+
+const LOAD: (&str, &str) = ("external_torque", "[0,20,0,0,0,0,0]");
+
+#[test]
+fn a_compliant_joint_gives_way_to_a_load_and_a_stiff_one_does_not() {
+    let mut stand = Stand::default();
+    stand.add("arm", "kuka_lwr_sim", &arm_parameters(7, &[LOAD]));
+    stand.start(1, &joint_monitor("arm"));
+    stand.steps(100);
+    assert_eq!(stand.out(1, "measured"), "0");
+    switch(&mut stand, "arm", 3);
+    stand.steps(2000);
+    // 20 Nm at the 1000 Nm/rad it has at first.
+    assert!((stand.number(1, "measured") - 0.02).abs() < 1e-9);
+    assert_eq!(stand.out(1, "commanded"), "0");
+    let impedance = "k=Core::DoubleValue(Value='200'),d=Core::DoubleValue(Value='0.5'),
+        i=KUKA::LWR::JointImpParameters(inStiffness=k.outValue,inDamping=d.outValue,Robot='arm',Axis='1')";
+    stand.start(2, impedance);
+    stand.step();
+    stand.steps(3000);
+    assert!((stand.number(1, "measured") - 0.1).abs() < 1e-6);
+    // The stiffness stays when the net that set it has ended.
+    stand.end(2);
+    stand.steps(100);
+    assert!((stand.number(1, "measured") - 0.1).abs() < 1e-6);
+}
+
+#[test]
+fn a_torque_that_a_net_adds_ends_with_the_net() {
+    let mut stand = Stand::default();
+    stand.add("arm", "kuka_iiwa_sim", &arm_parameters(7, &[]));
+    stand.start(1, &joint_monitor("arm"));
+    switch(&mut stand, "arm", 3);
+    stand.start(
+        2,
+        "t=Core::DoubleValue(Value='10'),
+        i=KUKA::LWR::JointImpParameters(inAddTorque=t.outValue,Robot='arm',Axis='1')",
+    );
+    stand.steps(2000);
+    assert!((stand.number(1, "measured") - 0.01).abs() < 1e-9);
+    stand.end(2);
+    stand.steps(2000);
+    assert!(stand.number(1, "measured").abs() < 1e-9);
+}
+
+#[test]
+fn a_strategy_is_refused_if_there_is_none_or_the_arm_does_not_rest() {
+    let mut stand = Stand::default();
+    stand.add("arm", "kuka_lwr_sim", &arm_parameters(7, &[LOAD]));
+    stand.start(1, &strategy("arm", 7));
+    stand.until(1, "error", "1");
+    assert_eq!(stand.out(1, "done"), "false");
+    stand.end(1);
+    switch(&mut stand, "arm", 3);
+    stand.steps(2000);
+    // 0.02 rad from where it is commanded.
+    stand.start(1, &strategy("arm", 1));
+    stand.until(1, "error", "3");
+    assert_eq!(stand.out(1, "done"), "false");
+    stand.end(1);
+    // An answer to an earlier order is none to a new one.
+    stand.start(1, &strategy("arm", 3));
+    stand.step();
+    assert_eq!(
+        (stand.out(1, "error"), stand.out(1, "done")),
+        ("0".into(), "false".into())
+    );
+    stand.until(1, "done", "true");
+}
+
+#[test]
+fn a_null_strategy_changes_nothing() {
+    let mut stand = Stand::default();
+    stand.add("arm", "kuka_lwr_sim", &arm_parameters(7, &[]));
+    stand.start(1, &strategy("arm", 3).replace("inStrategy=s.outValue,", ""));
+    stand.steps(5);
+    assert_eq!(
+        (stand.out(1, "error"), stand.out(1, "done")),
+        ("null".into(), "null".into())
+    );
+}
+
+#[test]
+fn of_two_orders_in_a_net_the_second_is_told_in_every_cycle() {
+    let mut stand = Stand::default();
+    stand.add("arm", "kuka_lwr_sim", &arm_parameters(7, &[]));
+    let both = format!(
+        "{},late=Core::IntConditional(inCondition=c.outCompleted,True='1',False='1'),
+        again=KUKA::LWR::ControlStrategy(inStrategy=late.outValue,Robot='arm'),{}",
+        strategy("arm", 3),
+        watch("Core::Int", "error2", "again.outError"),
+    );
+    stand.start(1, &both);
+    for _ in 0..20 {
+        stand.step();
+        assert_eq!(stand.out(1, "error2"), "-1");
+    }
+    assert_eq!(
+        (stand.out(1, "error"), stand.out(1, "done")),
+        ("0".into(), "true".into())
+    );
+}
+
+#[test]
+fn the_force_at_the_tool_acts_on_the_joints_and_is_told() {
+    let mut stand = Stand::default();
+    // Stretched upwards: a force along x at 1.178 m above the base bends the second joint.
+    let wrench = ("external_wrench", "[10,0,0,0,0,0]");
+    stand.add("arm", "kuka_lwr_sim", &arm_parameters(7, &[wrench]));
+    let text = format!(
+        "f=KUKA::LWR::FMonitor(Robot='arm'),t=KUKA::LWR::TMonitor(Robot='arm',Axis='1'),
+        all=KUKA::LWR::FTMonitor(Robot='arm'),z=RobotArm::JointMonitor(Robot='arm',Axis='1'),
+        j0=Core::DoubleArray(Size='7'),kin=ArmKinematics::Kin(inJoints=j0.outArray,Robot='arm'),
+        at=World::FrameToXYZ(inValue=kin.outFrame),{},{},{},{},{},{}",
+        watch("Core::Double", "fx", "f.outTcpFx"),
+        watch("Core::Double", "est", "t.outEst"),
+        watch("Core::Double", "est2", "all.outEstJ2"),
+        watch("Core::Double", "msr2", "all.outMsrJ2"),
+        watch("Core::Double", "all_fx", "all.outTcpFx"),
+        watch("Core::Double", "height", "at.outZ"),
+    );
+    stand.start(1, &text);
+    stand.steps(5);
+    assert_eq!(
+        (stand.out(1, "fx"), stand.out(1, "all_fx")),
+        ("10".into(), "10".into())
+    );
+    let lever = stand.number(1, "height") - 0.3105;
+    let torque = stand.number(1, "est");
+    assert!(
+        (torque.abs() - 10.0 * lever).abs() < 1e-3,
+        "{torque} Nm at {lever} m"
+    );
+    assert_eq!(stand.out(1, "est"), stand.out(1, "est2"));
+    assert_eq!(stand.out(1, "est"), stand.out(1, "msr2"));
+}
+
+#[test]
+fn forces_that_a_driver_does_not_know_are_null() {
+    let mut stand = Stand::default();
+    let (mut dev, has, mut state) = driven(&mut stand, 7, &[Part::Torques, Part::Wrench]);
+    has.torques.unwrap()[6]
+        .measured
+        .tell(&mut state.signals, Some(1.5));
+    tell(&mut dev, &state);
+    stand.step();
+    let text = format!(
+        "all=KUKA::LWR::FTMonitor(Robot='dev'),{},{},{}",
+        watch("Core::Double", "msr7", "all.outMsrJ7"),
+        watch("Core::Double", "est7", "all.outEstJ7"),
+        watch("Core::Double", "fx", "all.outTcpFx"),
+    );
+    stand.start(1, &text);
+    stand.step();
+    assert_eq!(
+        [
+            stand.out(1, "msr7"),
+            stand.out(1, "est7"),
+            stand.out(1, "fx")
+        ],
+        ["1.5", "null", "null"]
+    );
+}
+
+/// A tool of this mass, told in either way.
+fn tools(mass: &str) -> [String; 2] {
+    let done = [
+        watch("Core::Boolean", "done", "t.outCompleted"),
+        watch("Core::Int", "error", "t.outError"),
+    ]
+    .join(",");
+    [
+        format!("t=RobotArm::ToolParameters(Robot='dev',Axis='6',Mass='{mass}'),{done}"),
+        format!(
+            "m=Core::DoubleValue(Value='{mass}'),f=World::FrameValue(Value='{{pos:{{z:0.1}}}}'),
+            i=World::VectorValue(Value='{{x:1,y:1,z:1}}'),
+            t=KUKA:LWR::ToolParameters(inMass=m.outValue,inCOM=f.outValue,inMOI=i.outValue,
+                inTCP=f.outValue,robot='dev'),{done}"
+        ),
+    ]
+}
+
+#[test]
+fn a_tool_is_told_once_and_the_answer_is_waited_for() {
+    for (number, text) in tools("1.5").into_iter().enumerate() {
+        let mut stand = Stand::default();
+        let (mut dev, has, mut state) = driven(&mut stand, 7, &[Part::Tool]);
+        let tool = has.tool.unwrap();
+        tell(&mut dev, &state);
+        stand.step();
+        stand.start(1, &text);
+        stand.steps(10);
+        let given = dev
+            .command
+            .read_with(|c| tool.command.read(&c.words))
+            .unwrap();
+        assert_eq!((given.cycle, given.value.mass), (2, 1.5));
+        let height = given.value.tcp.translation.vector.z;
+        assert_eq!(height > 0.0, number == 1, "{height}");
+        assert_eq!(
+            (stand.out(1, "done"), stand.out(1, "error")),
+            ("false".into(), "0".into())
+        );
+        for (error, done) in [(5, "false"), (0, "true")] {
+            let order = given.cycle;
+            tool.answer
+                .tell(&mut state.signals, Some(Answer { order, error }));
+            tell(&mut dev, &state);
+            stand.step();
+            assert_eq!(stand.out(1, "done"), done);
+            assert_eq!(stand.out(1, "error"), error.to_string());
+        }
+    }
+}
+
+#[test]
+fn tools_that_are_none_are_not_told() {
+    for (mass, error) in [("-1", "1"), ("nan", "2")] {
+        for text in tools(mass) {
+            let mut stand = Stand::default();
+            let (mut dev, has, state) = driven(&mut stand, 7, &[Part::Tool]);
+            tell(&mut dev, &state);
+            stand.step();
+            stand.start(1, &text);
+            stand.steps(3);
+            assert_eq!(stand.out(1, "error"), error);
+            let tool = has.tool.unwrap();
+            assert_eq!(dev.command.read_with(|c| tool.command.read(&c.words)), None);
+        }
+    }
+    let mut stand = Stand::default();
+    driven(&mut stand, 7, &[Part::Tool]);
+    let fault = stand.fault(&endless("t=RobotArm::ToolParameters(Robot='dev',Axis='2')"));
+    assert!(fault.contains("tools are told for axis 6"), "{fault}");
+}
+
+#[test]
+fn a_tool_cannot_be_told_while_a_net_moves_the_joint_that_carries_it() {
+    let mut stand = Stand::default();
+    stand.add("dev", "kuka_lwr_sim", &arm_parameters(7, &[]));
+    stand.start(
+        1,
+        "p=Core::DoubleValue(),j=RobotArm::JointPosition(inPosition=p.outValue,Robot='dev',Axis='6')",
+    );
+    for text in tools("1") {
+        let refused = stand.try_start(2, &endless(&text), 1);
+        assert!(
+            matches!(refused, Err(Refusal::ResourceInUse(_))),
+            "{refused:?}"
+        );
+    }
+}
+
+#[test]
+fn cartesian_impedance_reaches_the_driver_with_what_is_null_left_out() {
+    let mut stand = Stand::default();
+    let (mut dev, has, state) = driven(&mut stand, 7, &[Part::CartesianImpedance]);
+    tell(&mut dev, &state);
+    stand.step();
+    stand.start(
+        1,
+        "k=World::WrenchValue(Value='{force:{x:500},torque:{z:30}}'),
+        c=KUKA::LWR::CartImpParameters(inStiffness=k.outValue,Robot='dev')",
+    );
+    stand.steps(3);
+    let order = has.cartesian_impedance.unwrap();
+    let given = dev
+        .command
+        .read_with(|c| order.command.read(&c.words))
+        .unwrap();
+    assert_eq!(
+        given.value.stiffness.unwrap().force,
+        Vector::new(500.0, 0.0, 0.0)
+    );
+    assert_eq!((given.value.damping, given.value.wrench), (None, None));
+    assert!(given.stands(stand.cycle));
+}
+
+#[test]
+fn a_youbot_arm_switches_its_controller_and_gives_way() {
+    let mut stand = Stand::default();
+    let load = ("external_torque", "[0,2,0,0,0]");
+    stand.add("arm", "kuka_youbot_arm_sim", &arm_parameters(5, &[load]));
+    stand.start(1, &joint_monitor("arm"));
+    let text = format!(
+        "c=KUKA::youBot::ArmControlStrategy(Robot='arm',Controller='1'),
+        i=KUKA::youBot::JointImpParameters(Robot='arm',JointIndex='1',Stiffness='20',Damping='0.7'),
+        bad=KUKA::youBot::JointImpParameters(Robot='arm',JointIndex='2',Damping='7'),
+        e=KUKA::youBot::SlaveError(Robot='arm',Port='1'),{},{},{},{},{}",
+        watch("Core::Boolean", "switched", "c.outSuccess"),
+        watch("Core::Boolean", "set", "i.outSuccess"),
+        watch("Core::Boolean", "bad", "bad.outSuccess"),
+        watch("Core::Boolean", "position_mode", "e.bit10"),
+        watch("Core::Boolean", "overcurrent", "e.bit0"),
+    );
+    stand.start(2, &text);
+    stand.steps(5000);
+    for (key, value) in [
+        ("switched", "true"),
+        ("set", "true"),
+        ("bad", "false"),
+        ("position_mode", "true"),
+        ("overcurrent", "false"),
+    ] {
+        assert_eq!(stand.out(2, key), value, "{key}");
+    }
+    let measured = stand.number(1, "measured");
+    assert!((measured - 0.1).abs() < 1e-6, "{measured}");
+}
+
+#[test]
+fn a_largest_torque_lets_the_joint_slip() {
+    let mut stand = Stand::default();
+    let load = ("external_torque", "[0,2,0,0,0]");
+    stand.add("arm", "kuka_youbot_arm_sim", &arm_parameters(5, &[load]));
+    stand.start(1, &joint_monitor("arm"));
+    stand.start(
+        2,
+        "c=KUKA::youBot::ArmControlStrategy(Robot='arm',Controller='1'),
+        i=KUKA::youBot::JointImpParameters(Robot='arm',JointIndex='1',Stiffness='20',
+            Damping='0.7',MaxTorque='1')",
+    );
+    stand.steps(20_000);
+    // Up to its stop.
+    assert!(
+        (stand.number(1, "measured") - 2.0).abs() < 1e-9,
+        "{}",
+        stand.out(1, "measured")
+    );
+}
+
+#[test]
+fn a_gripper_opens_at_its_speed_and_tells_when_it_is_open() {
+    let mut stand = Stand::default();
+    stand.add(
+        "hand",
+        "kuka_youbot_gripper_sim",
+        &parameters(&[("max_vel", "0.02")]),
+    );
+    let text = format!(
+        "g=KUKA::youBot::Gripper(Robot='hand',Distance='0.02'),
+        m=KUKA::youBot::GripperMonitor(Robot='hand'),{},{}",
+        watch("Core::Boolean", "done", "g.outCompleted"),
+        watch("Core::Double", "at", "m.outDistance"),
+    );
+    stand.start(1, &text);
+    stand.steps(501);
+    assert!((stand.number(1, "at") - 0.01).abs() < 1e-9);
+    assert_eq!(stand.out(1, "done"), "false");
+    stand.until(1, "done", "true");
+    assert_eq!(stand.out(1, "at"), "0.02");
+    assert!((1000..1005).contains(&stand.cycle), "{}", stand.cycle);
+    let second = stand.try_start(2, &endless("g=KUKA::youBot::Gripper(Robot='hand')"), 1);
+    assert!(
+        matches!(second, Err(Refusal::ResourceInUse(_))),
+        "{second:?}"
+    );
+    let wide = endless("g=KUKA::youBot::Gripper(Robot='hand',Distance='0.03')");
+    assert!(
+        stand
+            .fault(&wide)
+            .contains("0.03 m is not between 0 and 0.023 m")
+    );
+}
+
+// ------------------------------------------------------------------------------ more than one
+
+#[test]
+fn what_an_earlier_device_was_told_is_not_told_to_a_later_one() {
+    let mut stand = Stand::default();
+    let (mut dev, has, mut state) = driven(&mut stand, 0, &[BASE]);
+    let base = has.base.unwrap();
+    base.error.tell(&mut state.signals, Some(0));
+    tell(&mut dev, &state);
+    stand.step();
+    stand.start(1, &base_velocity("dev", "{vel:{x:0.4}}"));
+    stand.steps(3);
+    stand.end(1);
+    let number = stand.table.remove("dev").unwrap();
+    assert!(stand.served.remove(number, &mut stand.executor).is_some());
+    let (mut dev, ..) = driven(&mut stand, 0, &[BASE]);
+    stand.steps(2);
+    assert_eq!(dev.command.read_with(|c| base.command.read(&c.words)), None);
+}
+
+#[test]
+fn a_device_is_seen_by_a_second_thread() {
+    use takt_core::executor::serve::{DeviceEnd, Driver};
+    let (mut one, mut other) = (Stand::default(), Stand::default());
+    one.add("base", "kuka_youbot_base_sim", &parameters(&[]));
+    let device = one.table.find("base").unwrap();
+    let driver = Driver::Seen {
+        state: device.reader().unwrap(),
+    };
+    let end = DeviceEnd::new(0, device.place.clone(), driver);
+    other.table = one.table.clone();
+    other.served.add(Box::new(end), &mut other.executor);
+    one.start(1, &base_velocity("base", "{vel:{x:0.1}}"));
+    other.start(1, &base_monitor("base"));
+    one.steps(1000);
+    other.step();
+    assert!((other.number(1, "vx") - 0.1).abs() < 1e-12);
+}
+
+#[test]
+fn an_arm_moves_on_a_base_that_moves() {
+    let mut stand = Stand::default();
+    stand.add("base", "kuka_youbot_base_sim", &parameters(&[]));
+    stand.add("arm", "kuka_youbot_arm_sim", &arm_parameters(5, &[]));
+    let text = format!(
+        "{},{},clock=Core::Clock(),part=Core::Interval(inValue=clock.outValue,Max='1'),
+        smooth=Core::DoubleBezier(inValue=part.outValue,To='0.5'),
+        joint=RobotArm::JointPosition(inPosition=smooth.outValue,Robot='arm',Axis='1'),{}",
+        base_velocity("base", "{vel:{y:0.2}}"),
+        base_monitor("base"),
+        watch("Core::Int", "joint", "joint.outError"),
+    );
+    stand.start(1, &text);
+    stand.start(2, &joint_monitor("arm"));
+    stand.steps(1100);
+    assert_eq!(
+        (stand.out(1, "error"), stand.out(1, "joint")),
+        ("0".into(), "0".into())
+    );
+    assert!((stand.number(2, "measured") - 0.5).abs() < 1e-9);
+    assert!(
+        (stand.number(1, "y") - 0.2).abs() < 0.03,
+        "{}",
+        stand.out(1, "y")
+    );
+}
+
+#[test]
+fn wrong_parameters_of_devices_are_told() {
+    let made = |kind: &str, pair: (&str, &str)| {
+        let parameters = arm_parameters(7, &[pair]);
+        match takt_core::device::sim::make("dev", kind, &parameters) {
+            Ok((DeviceDescription { kind, .. }, _)) => kind.to_owned(),
+            Err(error) => error.to_string(),
+        }
+    };
+    let base = "kuka_youbot_base_sim";
+    assert!(made(base, ("max_vel", "0")).contains("max_vel: `0` is no number above zero"));
+    assert!(
+        made("io_sim", ("bools", "65")).contains("bools: `65` is no whole number from 0 to 64")
+    );
+    assert!(made("kuka_lwr_sim", ("external_wrench", "[1]")).contains("6 numbers are wanted"));
+    assert_eq!(made("io_sim", ("anything", "else")), "io_sim");
+}

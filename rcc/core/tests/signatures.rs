@@ -1,0 +1,28 @@
+//! A controller has all primitives that existing clients know, with the same ports, parameters and
+//! defaults, but those of devices that Takt does not have.
+
+#[path = "../../net/tests/common/signatures.rs"]
+mod signatures;
+
+/// Families of devices and networks that Takt does not have.
+const MISSING: &[&str] = &["EStop", "schunkwsg::"];
+
+/// Families of primitives of Takt alone.
+const OWN: &[&str] = &["Motion::", "Takeover"];
+
+/// Out ports that Takt adds to primitives that clients know.
+const ADDED: &[(&str, &str)] = &[
+    ("ArmKinematics::InvKin", "outError:int"),
+    ("KUKA::LWR::InvKin", "outError:int"),
+];
+
+#[test]
+fn every_primitive_has_its_known_signature() {
+    let is_missing = |name: &str| MISSING.iter().any(|prefix| name.starts_with(prefix));
+    signatures::are_known(&takt_core::registry(), is_missing, OWN, ADDED);
+}
+
+#[test]
+fn everything_is_explained() {
+    signatures::are_explained(&takt_core::registry());
+}

@@ -1,0 +1,290 @@
+//! Places in the image where drivers report values and nets leave commands, typed, and how both lie
+//! in words. Which device has which of them is told in [`super::interface`], not here.
+
+use std::fmt;
+use std::marker::PhantomData;
+
+use crate::device::Image;
+use crate::plan::Cycle;
+use crate::value::Value;
+
+/// Most words of what drivers report, beside joints.
+pub const SIGNAL_WORDS_MAX: usize = 4096;
+/// Most words of what nets command, beside joints.
+pub const COMMAND_WORDS_MAX: usize = 4096;
+
+/// What can lie in the image: a port's value, or a record of them.
+pub trait Words: Copy + fmt::Debug {
+    /// How many words one takes.
+    const LEN: usize;
+
+    /// Writes it as [`Self::LEN`] words.
+    fn put_words(self, word: impl FnMut(usize, u64));
+
+    /// Reads it back from its words.
+    fn take_words(word: impl Fn(usize) -> u64) -> Self;
+}
+
+impl<T: Value> Words for T {
+    const LEN: usize = T::WORDS;
+
+    fn put_words(self, word: impl FnMut(usize, u64)) {
+        self.put(word);
+    }
+
+    fn take_words(word: impl Fn(usize) -> u64) -> Self {
+        Self::take(word)
+    }
+}
+
+impl Words for u64 {
+    const LEN: usize = 1;
+
+    fn put_words(self, mut word: impl FnMut(usize, u64)) {
+        word(0, self);
+    }
+
+    fn take_words(word: impl Fn(usize) -> u64) -> Self {
+        word(0)
+    }
+}
+
+impl<T: Words> Words for Option<T> {
+    const LEN: usize = 1 + T::LEN;
+
+    fn put_words(self, mut word: impl FnMut(usize, u64)) {
+        word(0, u64::from(self.is_some()));
+        match self {
+            Some(value) => value.put_words(|i, w| word(1 + i, w)),
+            // Equal states are equal words.
+            None => (1..Self::LEN).for_each(|i| word(i, 0)),
+        }
+    }
+
+    fn take_words(word: impl Fn(usize) -> u64) -> Self {
+        (word(0) != 0).then(|| T::take_words(|i| word(1 + i)))
+    }
+}
+
+/// A struct whose fields lie in the image one after the other.
+macro_rules! record {
+    ($(#[$meta:meta])* $name:ident { $($(#[$of_field:meta])* $field:ident: $type:ty,)+ }) => {
+        $(#[$meta])*
+        #[derive(Clone, Copy, Debug, Default, PartialEq)]
+        pub struct $name {
+            $($(#[$of_field])* pub $field: $type,)+
+        }
+
+        impl $crate::device::Words for $name {
+            const LEN: usize = 0 $(+ <$type as $crate::device::Words>::LEN)+;
+
+            fn put_words(self, mut word: impl FnMut(usize, u64)) {
+                let mut at = 0;
+                $(
+                    $crate::device::Words::put_words(self.$field, |i, w| word(at + i, w));
+                    at += <$type as $crate::device::Words>::LEN;
+                )+
+                debug_assert_eq!(at, <Self as $crate::device::Words>::LEN);
+            }
+
+            fn take_words(word: impl Fn(usize) -> u64) -> Self {
+                let mut at = 0;
+                $(
+                    let $field =
+                        <$type as $crate::device::Words>::take_words(|i| word(at + i));
+                    at += <$type as $crate::device::Words>::LEN;
+                )+
+                debug_assert_eq!(at, <Self as $crate::device::Words>::LEN);
+                Self { $($field),+ }
+            }
+        }
+    };
+}
+pub(super) use record;
+
+/// Where a driver reports a value; null while it does not know it.
+#[derive(Clone, Copy, Debug)]
+pub struct Signal<T>(usize, PhantomData<fn() -> T>);
+
+impl<T: Words> Signal<T> {
+    /// The value as nets see it in this cycle.
+    #[must_use]
+    pub fn get(self, image: &Image) -> Option<T> {
+        Option::take_words(|i| image.signals[self.0 + i].get())
+    }
+
+    /// The value among words laid out by the same steps.
+    #[must_use]
+    pub fn read(self, words: &[u64]) -> Option<T> {
+        Option::take_words(|i| words.get(self.0 + i).copied().unwrap_or(0))
+    }
+
+    /// Reports a value among words laid out by the same steps.
+    pub fn tell(self, words: &mut [u64], value: Option<T>) {
+        value.put_words(|i, word| {
+            if let Some(place) = words.get_mut(self.0 + i) {
+                *place = word;
+            }
+        });
+    }
+}
+
+/// Where nets leave a command. It stays there when its net has ended; its stamp tells.
+#[derive(Clone, Copy, Debug)]
+pub struct Command<T>(usize, PhantomData<fn() -> T>);
+
+/// Words before the value of a command: the cycle in which a primitive last held it, that in which
+/// it was given, and in how many cycles the next comes.
+const STAMP: usize = 3;
+
+/// A command as its driver sees it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Given<T> {
+    /// The cycle it was given in, as in `Moment::cycle`; from 1.
+    pub cycle: u64,
+    /// In how many cycles of the thread its net gives the next.
+    pub every: u64,
+    /// What is wanted.
+    pub value: T,
+}
+
+impl<T> Given<T> {
+    /// Whether its net still commands in this cycle: for commands that end with their net.
+    #[must_use]
+    pub const fn stands(&self, cycle: u64) -> bool {
+        let every = if self.every == 0 { 1 } else { self.every };
+        cycle.saturating_sub(self.cycle) < every
+    }
+}
+
+impl<T: Words> Command<T> {
+    /// Whether another primitive gives or holds it in this cycle.
+    #[must_use]
+    pub fn is_taken(self, cycle: &Cycle<'_>) -> bool {
+        cycle.image.commands[self.0].get() == cycle.moment.cycle
+    }
+
+    /// Keeps other primitives from giving it in this cycle; what was given stays.
+    pub fn hold(self, cycle: &Cycle<'_>) {
+        cycle.image.commands[self.0].set(cycle.moment.cycle);
+    }
+
+    /// Gives it.
+    pub fn give(self, cycle: &Cycle<'_>, value: T) {
+        self.hold(cycle);
+        let cells = &cycle.image.commands;
+        cells[self.0 + 1].set(cycle.moment.cycle);
+        cells[self.0 + 2].set(cycle.moment.every.max(1));
+        value.put_words(|i, word| cells[self.0 + STAMP + i].set(word));
+    }
+
+    /// The command among words laid out by the same steps; `None` if it was never given.
+    #[must_use]
+    pub fn read(self, words: &[u64]) -> Option<Given<T>> {
+        let word = |i: usize| words.get(self.0 + i).copied().unwrap_or(0);
+        (word(1) != 0).then(|| Given {
+            cycle: word(1),
+            every: word(2),
+            value: T::take_words(|i| word(STAMP + i)),
+        })
+    }
+}
+
+/// Hands out places in the image, one after the other. Nets have it begin where the device's words
+/// do, drivers at 0: the same steps then give the same places in either.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Layout {
+    /// The next free word of what drivers report.
+    pub signals: usize,
+    /// The next free word of what nets command.
+    pub commands: usize,
+}
+
+impl Layout {
+    /// A place where a driver reports.
+    pub fn signal<T: Words>(&mut self) -> Signal<T> {
+        let at = self.signals;
+        self.signals += <Option<T> as Words>::LEN;
+        Signal(at, PhantomData)
+    }
+
+    /// A place where nets command.
+    pub fn command<T: Words>(&mut self) -> Command<T> {
+        let at = self.commands;
+        self.commands += STAMP + T::LEN;
+        Command(at, PhantomData)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::device::{Answer, JointImpedance, Tool};
+    use crate::value::{Frame, Twist, Vector};
+
+    #[test]
+    fn values_lie_side_by_side_and_come_back() {
+        let mut layout = Layout::default();
+        let (a, b) = (layout.signal::<Twist>(), layout.signal::<Answer>());
+        let mut words = vec![0; layout.signals];
+        assert_eq!((a.read(&words), b.read(&words)), (None, None));
+        let twist = Twist {
+            vel: Vector::new(1.0, 2.0, 3.0),
+            rot: Vector::new(4.0, 5.0, f64::MIN_POSITIVE),
+        };
+        let answer = Answer {
+            order: u64::MAX,
+            error: -1,
+        };
+        a.tell(&mut words, Some(twist));
+        b.tell(&mut words, Some(answer));
+        assert_eq!(
+            (a.read(&words), b.read(&words)),
+            (Some(twist), Some(answer))
+        );
+        a.tell(&mut words, None);
+        assert_eq!((a.read(&words), b.read(&words)), (None, Some(answer)));
+        assert!(words[..7].iter().all(|w| *w == 0), "{words:?}");
+    }
+
+    #[test]
+    fn records_hold_their_fields_apart() {
+        let tool = Tool {
+            mass: 1.5,
+            com: Frame::translation(0.1, 0.2, 0.3),
+            moi: Vector::new(4.0, 5.0, 6.0),
+            tcp: Frame::translation(0.7, 0.8, 0.9),
+        };
+        let mut words = [0; Tool::LEN];
+        tool.put_words(|i, w| words[i] = w);
+        assert_eq!(Tool::take_words(|i| words[i]), tool);
+        let partly = JointImpedance {
+            damping: Some(0.7),
+            ..JointImpedance::default()
+        };
+        let mut words = [0; JointImpedance::LEN];
+        partly.put_words(|i, w| words[i] = w);
+        assert_eq!(JointImpedance::take_words(|i| words[i]), partly);
+    }
+
+    #[test]
+    fn a_command_stands_until_its_net_would_give_the_next() {
+        let given = |every| Given {
+            cycle: 8,
+            every,
+            value: 0,
+        };
+        assert!(given(1).stands(8) && !given(1).stands(9));
+        assert!(given(4).stands(11) && !given(4).stands(12));
+        assert!(given(0).stands(8) && !given(0).stands(9));
+    }
+
+    #[test]
+    fn words_that_are_missing_are_null() {
+        let mut layout = Layout::default();
+        let (signal, command) = (layout.signal::<f64>(), layout.command::<f64>());
+        signal.tell(&mut [], Some(1.0));
+        assert_eq!(signal.read(&[]), None);
+        assert_eq!(command.read(&[]), None);
+    }
+}

@@ -1,0 +1,117 @@
+//! Values that pass from one net to another of the same controller, as copies between their boxes: a
+//! net that reads another has a hidden in value, one that writes another a hidden out value. Which nets
+//! there are, and how words cross threads, is the executor's business.
+
+use std::sync::Arc;
+
+use super::{Directory, Entry, HEAD, Mailbox, OutStatus};
+use crate::plan::Plan;
+
+/// What another net takes in and gives out, as it is found while loading.
+#[derive(Clone, Debug, Default)]
+pub struct NetBoxes {
+    /// Values that can be written to it.
+    pub inbox: Arc<Directory>,
+    /// Values that it gives out.
+    pub outbox: Arc<Directory>,
+}
+
+/// One value that passes from one net to another.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Inter {
+    /// The other net.
+    pub net: String,
+    /// Where the value lies in the out-box of the net that gives it.
+    pub from: Entry,
+    /// Where it goes in the in-box of the net that takes it.
+    pub to: Entry,
+}
+
+/// Words of a hidden in value before the value itself: whether it is non-null. The time of its last
+/// change stands in the second word of its head.
+pub(crate) const STATUS: usize = 1;
+
+impl Mailbox {
+    /// Copies what another net gave out last; `None` if that net is gone. Returns whether anything
+    /// changed.
+    fn copy_inter(&self, inter: &Inter, given: Option<&[u64]>) -> bool {
+        let to = inter.to.at;
+        let Some(given) = given else {
+            return self.replace(to + HEAD, 0);
+        };
+        let current = inter.from.status(given) == OutStatus::Current;
+        let mut changed = self.replace(to + HEAD, current.into());
+        let time = given.get(inter.from.at + 1).copied().unwrap_or(0);
+        changed |= self.replace(to + 1, time);
+        for (i, word) in inter.from.value(given).iter().enumerate() {
+            changed |= self.replace(to + HEAD + STATUS + i, *word);
+        }
+        changed
+    }
+
+    /// Takes over a value that another net gives, as one more write, if it is non-null and changed
+    /// since `seen`. Returns whether it was.
+    fn copy_given(&self, inter: &Inter, given: &[u64], seen: &mut Option<u64>) -> bool {
+        let time = given.get(inter.from.at + 1).copied();
+        let current = inter.from.status(given) == OutStatus::Current;
+        if !current || *seen == time {
+            return false;
+        }
+        *seen = time;
+        let to = inter.to.at;
+        for (i, word) in inter.from.value(given).iter().enumerate() {
+            self.words[to + HEAD + i].set(*word);
+        }
+        self.words[to].set(self.words[to].get().wrapping_add(1));
+        true
+    }
+
+    /// Takes over the values of a program's box that were written since `seen`, a box of the same
+    /// kind; other nets may have written the rest meanwhile.
+    fn import_changes(&self, words: &[u64], seen: &mut [u64]) {
+        for entry in self.directory.entries() {
+            let at = entry.at;
+            let (Some(writes), Some(seen)) = (words.get(at), seen.get_mut(at)) else {
+                continue;
+            };
+            if std::mem::replace(seen, *writes) == *writes {
+                continue;
+            }
+            for (i, word) in entry.value(words).iter().enumerate() {
+                self.words[at + HEAD + i].set(*word);
+            }
+            self.words[at].set(self.words[at].get().wrapping_add(1));
+        }
+    }
+}
+
+impl Plan {
+    /// Values that the net reads from other nets.
+    #[must_use]
+    pub fn inter_ins(&self) -> &[Inter] {
+        &self.inter_ins
+    }
+
+    /// Values that the net writes to other nets.
+    #[must_use]
+    pub fn inter_outs(&self) -> &[Inter] {
+        &self.inter_outs
+    }
+
+    /// Takes over one of [`Self::inter_ins`] from the out-box of the other net; `None` if that net is
+    /// gone, which makes the value null. Returns whether anything changed.
+    pub fn import_inter(&self, inter: &Inter, given: Option<&[u64]>) -> bool {
+        self.inbox.copy_inter(inter, given)
+    }
+
+    /// Takes over what another net, of whose [`Self::inter_outs`] this is one, gives to this net by its
+    /// out-box; `seen` remembers what was taken. Returns whether anything changed.
+    pub fn import_given(&self, inter: &Inter, given: &[u64], seen: &mut Option<u64>) -> bool {
+        self.inbox.copy_given(inter, given, seen)
+    }
+
+    /// Takes over those values of an in-box that a program wrote since `seen`, the in-box before it.
+    pub fn import_changes(&self, words: &[u64], seen: &mut [u64]) {
+        self.inbox.import_changes(words, seen);
+    }
+}

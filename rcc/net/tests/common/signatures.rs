@@ -1,0 +1,175 @@
+//! What existing clients know of primitives, compared with what a registry has: ports, parameters and
+//! defaults. What the primitives do is tested elsewhere.
+
+#![allow(
+    dead_code,
+    unreachable_pub,
+    clippy::expect_used,
+    reason = "shared by test files of more than one crate"
+)]
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use takt_net::definition::ParameterType;
+use takt_net::{Definition, Registry};
+
+const SIGNATURES: &str = include_str!("../signatures.txt");
+
+/// Prefix of a generic family's names, and the type's name in the list.
+const TYPES: &[(&str, &str)] = &[
+    ("Core::Boolean", "bool"),
+    ("Core::Int", "int"),
+    ("Core::Double", "double"),
+    ("World::Vector", "Vector"),
+    ("World::Rotation", "Rotation"),
+    ("World::Frame", "Frame"),
+    ("World::Twist", "Twist"),
+    ("World::Wrench", "Wrench"),
+];
+
+/// What is compared: names with types, and defaults where there are any.
+#[derive(Debug, PartialEq, Eq)]
+struct Signature {
+    inputs: BTreeSet<String>,
+    outputs: BTreeSet<String>,
+    parameters: BTreeSet<String>,
+}
+
+fn ports(list: &str) -> BTreeSet<String> {
+    let typed = |port: &str| match port.split_once(':') {
+        Some((name, ty)) => format!("{name}:{ty}"),
+        None => format!("{port}:double"),
+    };
+    list.split(", ")
+        .filter(|p| !p.is_empty())
+        .map(typed)
+        .collect()
+}
+
+fn parameters(list: &str) -> BTreeSet<String> {
+    let one = |parameter: &str| {
+        let (name, default) = parameter.split_once('=').expect("a default");
+        let typed = ports(name).into_iter().next().expect("a name");
+        format!("{typed}={}", default.trim_matches('\''))
+    };
+    list.split(", ")
+        .filter(|p| !p.is_empty())
+        .map(one)
+        .collect()
+}
+
+/// Reads `name(inputs) -> outputs [parameters]`.
+fn read(line: &str) -> (String, Signature) {
+    let (name, rest) = line.split_once('(').expect("`(`");
+    let (inputs, rest) = rest.split_once(')').expect("`)`");
+    // The brackets of an array type are not preceded by a blank.
+    let (outputs, list) = rest.split_once(" [").unwrap_or((rest, ""));
+    let outputs = outputs.trim_start_matches(" -> ");
+    let signature = Signature {
+        inputs: ports(inputs),
+        outputs: ports(outputs),
+        parameters: parameters(list.strip_suffix(']').unwrap_or(list)),
+    };
+    (name.to_owned(), signature)
+}
+
+fn expected() -> BTreeMap<String, Signature> {
+    let mut expected = BTreeMap::new();
+    for line in SIGNATURES.lines().filter(|l| !l.starts_with('#')) {
+        if !line.contains("<T>") {
+            expected.extend([read(line)]);
+            continue;
+        }
+        for (prefix, ty) in TYPES {
+            let zero = match *ty {
+                "bool" => "=false",
+                "int" | "double" => "=0",
+                _ => "={}",
+            };
+            let line = line
+                .replace(":T", &format!(":{ty}"))
+                .replace("<T>", prefix)
+                .replace("=zero", zero);
+            expected.extend([read(&line)]);
+        }
+    }
+    expected
+}
+
+fn short(ty: &str) -> &str {
+    ty.trim_start_matches("Core::")
+        .trim_start_matches("World::")
+}
+
+/// The signature of a definition, without the out ports that Takt added.
+fn actual(definition: &Definition, added: &[(&str, &str)]) -> Signature {
+    let parameter = |p: &takt_net::definition::Parameter| {
+        let ty = match p.ty {
+            ParameterType::Text => "string".to_owned(),
+            ParameterType::Value(ty) => short(&ty.to_string()).to_owned(),
+        };
+        format!("{}:{ty}={}", p.name, p.default)
+    };
+    let port = |name: &str, ty: takt_net::Type| format!("{name}:{}", short(&ty.to_string()));
+    let is_added = |port: &String| added.contains(&(definition.name.as_str(), port));
+    Signature {
+        inputs: definition
+            .inputs
+            .iter()
+            .map(|p| port(p.name, p.ty))
+            .collect(),
+        outputs: definition
+            .outputs
+            .iter()
+            .map(|p| port(p.name, p.ty))
+            .filter(|port| !is_added(port))
+            .collect(),
+        parameters: definition.parameters.iter().map(parameter).collect(),
+    }
+}
+
+/// Checks all of a registry: known primitives but those of `elsewhere` are there as they are known,
+/// and no others but those of `own`. Out ports of `added` are Takt's.
+pub fn are_known(
+    registry: &Registry,
+    elsewhere: impl Fn(&str) -> bool,
+    own: &[&str],
+    added: &[(&str, &str)],
+) {
+    let expected = expected();
+    assert_eq!(expected.len(), 303, "the list is complete");
+    let mut wrong = Vec::new();
+    for (name, signature) in &expected {
+        match registry.find(name) {
+            None if elsewhere(name) => {}
+            None => wrong.push(format!("{name} is missing")),
+            Some(definition) => {
+                let actual = actual(definition, added);
+                if actual != *signature {
+                    wrong.push(format!("{name}: {signature:?}\n    is {actual:?}"));
+                }
+            }
+        }
+    }
+    let is_own = |name: &str| own.iter().any(|prefix| name.starts_with(prefix));
+    for definition in registry.definitions() {
+        let name = definition.name.as_str();
+        if !expected.contains_key(name) && !is_own(name) {
+            wrong.push(format!("{name} is not in the list"));
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// Checks that every primitive, port and parameter has a doc.
+pub fn are_explained(registry: &Registry) {
+    for definition in registry.definitions() {
+        let name = &definition.name;
+        assert!(definition.doc.ends_with('.'), "{name}: {}", definition.doc);
+        let ports = definition.inputs.iter().map(|p| p.doc);
+        let ports = ports.chain(definition.outputs.iter().map(|p| p.doc));
+        for doc in ports.chain(definition.parameters.iter().map(|p| p.doc)) {
+            assert!(doc.len() > 3, "{name}: a port or parameter without doc");
+        }
+    }
+}

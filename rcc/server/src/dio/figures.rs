@@ -1,0 +1,29 @@
+//! Figures of nets as values: what their evaluation costs by declaration and by the clock. Times are in
+//! ms, which has room for each nanosecond in the six decimals of a float.
+
+use std::time::Duration;
+
+use takt_core::controller::NetFigures;
+
+use crate::wire::Value;
+
+pub(super) fn value(figures: &NetFigures) -> Value {
+    let counts = &figures.counts;
+    let time = |time: Duration| Value::Float(time.as_secs_f64() * 1e3);
+    // An integer of the protocol ends at 31 bits, which is 25 days at 1 kHz.
+    #[expect(clippy::cast_precision_loss, reason = "exact below 2^53")]
+    let number = |n: u64| Value::Float(n as f64);
+    Value::map_of([
+        ("period", time(figures.period)),
+        ("thread", time(figures.thread_period)),
+        ("primitives", number(figures.primitives as u64)),
+        ("cost", time(figures.cost)),
+        ("budget", time(figures.budget)),
+        ("cycles", number(counts.cycles)),
+        ("overruns", number(counts.overruns)),
+        ("overbudget", number(counts.over_budget)),
+        ("min", time(counts.min)),
+        ("mean", time(counts.mean)),
+        ("max", time(counts.max)),
+    ])
+}

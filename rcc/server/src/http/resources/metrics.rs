@@ -1,0 +1,331 @@
+//! `/metrics`: what monitoring systems collect, in the text format 0.0.4 of Prometheus. How many lines
+//! there are is bounded by threads and devices; single nets, which come and go, have none.
+
+use std::collections::BTreeMap;
+use std::fmt::{self, Write as _};
+use std::time::Duration;
+
+use takt_core::controller::{ClockInfo, NetState, RuleState};
+use takt_core::{Controller, Snapshot, Summary};
+
+use super::super::Response;
+use super::Ask;
+use super::status::{BOUNDS_NS, cumulative};
+use crate::dio::all_devices;
+use crate::site::Counters;
+
+/// Words for the states of devices.
+const DEVICE_STATES: [&str; 3] = ["op", "safeop", "off"];
+
+/// States of the clock that net threads follow.
+const CLOCK_STATES: [&str; 5] = ["unlocked", "jump", "locked", "stable", "holdover"];
+
+/// A net thread with its name.
+pub(super) struct Thread {
+    pub(super) name: String,
+    pub(super) period: Duration,
+    pub(super) stats: Snapshot,
+    /// `None` if it runs by this host's clock.
+    pub(super) clock: Option<ClockInfo>,
+}
+
+/// The net threads.
+pub(super) fn threads(controller: &Controller) -> Vec<Thread> {
+    let threads = controller.threads().into_iter().enumerate();
+    let name = |number, period| match number {
+        0 => "nets".to_owned(),
+        _ => format!("nets-{period:?}"),
+    };
+    threads
+        .map(|(number, t)| Thread {
+            name: name(number, t.period),
+            period: t.period,
+            stats: t.stats,
+            clock: t.clock,
+        })
+        .collect()
+}
+
+/// A text of samples, family by family.
+#[derive(Default)]
+struct Exposition(String);
+
+impl Exposition {
+    /// Begins a family of samples.
+    fn family(&mut self, name: &str, kind: &str, help: &str) {
+        self.line(format_args!("# HELP {name} {help}"));
+        self.line(format_args!("# TYPE {name} {kind}"));
+    }
+
+    fn sample(&mut self, name: &str, labels: &[(&str, &str)], value: impl fmt::Display) {
+        let mut text = String::new();
+        for (label, value) in labels {
+            let separator = if text.is_empty() { "{" } else { "," };
+            let value = escaped(value);
+            // Writing to a String cannot fail.
+            let _ = write!(text, "{separator}{label}=\"{value}\"");
+        }
+        if !text.is_empty() {
+            text.push('}');
+        }
+        self.line(format_args!("{name}{text} {value}"));
+    }
+
+    /// A family of one sample.
+    fn single(&mut self, name: &str, kind: &str, help: &str, value: impl fmt::Display) {
+        self.family(name, kind, help);
+        self.sample(name, &[], value);
+    }
+
+    fn histogram(
+        &mut self,
+        name: &str,
+        thread: &str,
+        summary: &Summary,
+        buckets: impl Iterator<Item = (i64, u64)>,
+    ) {
+        let bucket = format!("{name}_bucket");
+        let counts = cumulative(buckets);
+        for (bound, count) in BOUNDS_NS.iter().zip(counts) {
+            let le = seconds(u128::from(*bound));
+            // A reading while a cycle is recorded may have it in one figure and not yet in another.
+            let count = count.min(summary.count);
+            self.sample(&bucket, &[("thread", thread), ("le", &le)], count);
+        }
+        self.sample(
+            &bucket,
+            &[("thread", thread), ("le", "+Inf")],
+            summary.count,
+        );
+        let mean = u128::try_from(summary.mean.0).unwrap_or(0);
+        let sum = seconds(mean * u128::from(summary.count));
+        self.sample(&format!("{name}_sum"), &[("thread", thread)], sum);
+        self.sample(
+            &format!("{name}_count"),
+            &[("thread", thread)],
+            summary.count,
+        );
+    }
+
+    fn line(&mut self, line: fmt::Arguments<'_>) {
+        let _ = writeln!(self.0, "{line}");
+    }
+}
+
+/// A label's value as it stands between quotation marks.
+fn escaped(value: &str) -> String {
+    let escaped = value.replace('\\', "\\\\").replace('"', "\\\"");
+    escaped.replace('\n', "\\n")
+}
+
+/// Nanoseconds as seconds, exactly and without trailing zeros.
+fn seconds(ns: u128) -> String {
+    let text = format!("{}.{:09}", ns / 1_000_000_000, ns % 1_000_000_000);
+    text.trim_end_matches('0').trim_end_matches('.').to_owned()
+}
+
+impl Ask<'_> {
+    pub(super) fn metrics(&self) -> Response {
+        let mut out = Exposition::default();
+        let version = [("version", env!("CARGO_PKG_VERSION"))];
+        out.family("takt_info", "gauge", "Version of the controller.");
+        out.sample("takt_info", &version, 1);
+        self.of_threads(&mut out);
+        self.of_nets(&mut out);
+        self.of_rules(&mut out);
+        self.of_devices(&mut out);
+        self.of_server(&mut out);
+        Response::of_kind("text/plain; version=0.0.4; charset=utf-8", out.0)
+    }
+
+    fn of_threads(&self, out: &mut Exposition) {
+        let threads = threads(self.controller);
+        let mut counter = |name: &str, help: &str, of: fn(&Snapshot) -> u64| {
+            out.family(name, "counter", help);
+            for thread in &threads {
+                out.sample(name, &[("thread", &thread.name)], of(&thread.stats));
+            }
+        };
+        counter("takt_cycles_total", "Cycles that a net thread ran.", |s| {
+            s.cycles
+        });
+        counter(
+            "takt_cycles_missed_total",
+            "Cycles that a net thread skipped because it came too late.",
+            |s| s.overruns,
+        );
+        let name = "takt_cycle_period_seconds";
+        out.family(
+            name,
+            "gauge",
+            "Time from one cycle of a net thread to the next.",
+        );
+        for thread in &threads {
+            let labels = [("thread", thread.name.as_str())];
+            out.sample(name, &labels, seconds(thread.period.as_nanos()));
+        }
+        let name = "takt_cycle_latency_seconds";
+        let help = "From when a cycle was due to when its thread came to it.";
+        out.family(name, "histogram", help);
+        for Thread {
+            name: thread,
+            stats,
+            ..
+        } in &threads
+        {
+            let buckets = stats.latency_buckets().map(|(bound, n)| (bound.0, n));
+            out.histogram(name, thread, &stats.latency, buckets);
+        }
+        let name = "takt_cycle_duration_seconds";
+        out.family(
+            name,
+            "histogram",
+            "From the begin of a cycle's work to its end.",
+        );
+        for Thread {
+            name: thread,
+            stats,
+            ..
+        } in &threads
+        {
+            let buckets = stats.execution_buckets().map(|(bound, n)| (bound.0, n));
+            out.histogram(name, thread, &stats.execution, buckets);
+        }
+        Self::of_clocks(&threads, out);
+        out.single(
+            "takt_real_time_allocations_total",
+            "counter",
+            "Allocations made by real-time threads; anything but 0 is a fault.",
+            self.controller.real_time_allocations(),
+        );
+    }
+
+    /// What only threads have that keep phase with a device's clock; nothing if there are none.
+    fn of_clocks(threads: &[Thread], out: &mut Exposition) {
+        let followers = threads.iter().filter_map(|t| Some((t, t.clock.as_ref()?)));
+        let followers: Vec<_> = followers.collect();
+        if followers.is_empty() {
+            return;
+        }
+        let name = "takt_cycle_phase_error_seconds";
+        let help = "How far a net thread came to a cycle from its place on the followed clock.";
+        out.family(name, "histogram", help);
+        for (thread, _) in &followers {
+            let stats = &thread.stats;
+            let buckets = stats.phase_error_buckets().map(|(bound, n)| (bound.0, n));
+            out.histogram(name, &thread.name, &stats.phase_error, buckets);
+        }
+        let name = "takt_clock_state";
+        let help = "1 for how the clock that a net thread follows is known; in locked, stable and \
+                    holdover it is followed.";
+        out.family(name, "gauge", help);
+        for (thread, clock) in &followers {
+            for state in CLOCK_STATES {
+                let labels = [
+                    ("thread", thread.name.as_str()),
+                    ("device", &clock.device),
+                    ("state", state),
+                ];
+                out.sample(name, &labels, u8::from(clock.state.as_str() == state));
+            }
+        }
+    }
+
+    fn of_nets(&self, out: &mut Exposition) {
+        use NetState::{
+            Cancelling, Loading, Ready, Rejected, Running, Scheduled, Terminated, Unloaded,
+        };
+        let states = [
+            Loading, Rejected, Ready, Scheduled, Running, Cancelling, Terminated, Unloaded,
+        ];
+        let nets = self.controller.nets().into_iter();
+        let present: Vec<_> = nets
+            .filter_map(|net| Some(self.controller.net(net)?.state()))
+            .collect();
+        let name = "takt_nets";
+        out.family(name, "gauge", "Nets that are loaded, by state.");
+        for state in states {
+            let count = present.iter().filter(|s| **s == state).count();
+            let word = state.to_string().to_ascii_lowercase();
+            out.sample(name, &[("state", &word)], count);
+        }
+        let sessions = self.controller.sessions().len();
+        out.single(
+            "takt_sessions",
+            "gauge",
+            "Sessions that are open.",
+            sessions,
+        );
+    }
+
+    fn of_rules(&self, out: &mut Exposition) {
+        let nets = self.controller.nets().into_iter();
+        let rules = nets.flat_map(|net| self.controller.rules_of(net));
+        let rules: BTreeMap<_, _> = rules.map(|rule| (rule.id, rule.state)).collect();
+        let name = "takt_rules";
+        let help = "Synchronization rules of the nets that are loaded, by state.";
+        out.family(name, "gauge", help);
+        for state in [
+            RuleState::Active,
+            RuleState::Fired,
+            RuleState::FireFailed,
+            RuleState::Inactive,
+        ] {
+            let count = rules.values().filter(|s| **s == state).count();
+            let word = state.word().to_ascii_lowercase();
+            out.sample(name, &[("state", &word)], count);
+        }
+    }
+
+    fn of_devices(&self, out: &mut Exposition) {
+        let name = "takt_device_state";
+        let help =
+            "1 for the state a device is in: op, safeop (in contact, follows no commands) or off.";
+        out.family(name, "gauge", help);
+        for device in all_devices(self.controller) {
+            for state in DEVICE_STATES {
+                let labels = [
+                    ("device", device.name.as_str()),
+                    ("type", device.kind.as_str()),
+                    ("state", state),
+                ];
+                let is = u8::from(device.status.word() == state);
+                out.sample(name, &labels, is);
+            }
+        }
+    }
+
+    fn of_server(&self, out: &mut Exposition) {
+        let counters = &self.site.counters;
+        let clients = Counters::read(&counters.clients);
+        out.single("takt_clients", "gauge", "Connections there are.", clients);
+        let mut counter = |name: &str, help: &str, value: u64| {
+            out.single(name, "counter", help, value);
+        };
+        let read = Counters::read;
+        counter(
+            "takt_connections_total",
+            "Connections that were taken.",
+            read(&counters.connections),
+        );
+        counter(
+            "takt_connections_refused_total",
+            "Connections for which there was no room.",
+            read(&counters.refused),
+        );
+        counter(
+            "takt_tokens_denied_total",
+            "Tokens that were wrong or came too often.",
+            read(&counters.denied),
+        );
+        counter(
+            "takt_http_requests_total",
+            "Requests for resources.",
+            read(&counters.requests),
+        );
+        let name = "takt_messages_total";
+        out.family(name, "counter", "DirectIO messages, by direction.");
+        out.sample(name, &[("direction", "received")], read(&counters.received));
+        out.sample(name, &[("direction", "sent")], read(&counters.sent));
+    }
+}

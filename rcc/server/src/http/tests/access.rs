@@ -1,0 +1,98 @@
+//! Requests at a server that asks for a token.
+
+use super::super::*;
+use super::{KNOWN_CLIENT, is_upgrade};
+
+const TOKEN: &str = "0123456789abcdef";
+
+/// The response of a server with that token; the empty text for being let in.
+fn response(request: &str) -> String {
+    let admit = |given: Option<&str>| match given {
+        None => Admission::Missing,
+        Some(TOKEN) => Admission::Admitted,
+        Some("often") => Admission::TooMany,
+        Some(_) => Admission::Wrong,
+    };
+    match answer(request.as_bytes(), false, &admit) {
+        Some((_, Answer::Refuse(response))) => response.to_string(),
+        Some((_, Answer::Serve(_) | Answer::Upgrade(_))) => String::new(),
+        other => panic!("{other:?}"),
+    }
+}
+
+fn get(target: &str, header: &str) -> String {
+    response(&format!("GET {target} HTTP/1.1\r\n{header}\r\n"))
+}
+
+#[test]
+fn a_token_is_taken_from_header_query_and_cookie() {
+    assert_eq!(
+        get("/nets/", &format!("Authorization: Bearer {TOKEN}\r\n")),
+        ""
+    );
+    assert_eq!(
+        get("/nets/", &format!("authorization: bearer {TOKEN}\r\n")),
+        ""
+    );
+    assert_eq!(get(&format!("/nets/?format=json&token={TOKEN}"), ""), "");
+    let cookie = format!("Cookie: a=b; takt_token={TOKEN}\r\n");
+    assert_eq!(get("/nets/", &cookie), "");
+    let websocket = KNOWN_CLIENT.replace("/DirectIO/", &format!("/DirectIO/?token={TOKEN}"));
+    assert_eq!(response(&format!("{websocket}\r\n")), "");
+    assert_eq!(response(&format!("{KNOWN_CLIENT}{cookie}\r\n")), "");
+}
+
+#[test]
+fn without_the_token_nothing_is_told() {
+    let denied = [
+        get("/nets/", ""),
+        get("/nowhere/", ""),
+        get("/?token=wrong", ""),
+        get("/nets/", "Authorization: Basic abc\r\n"),
+        get("/nets/", "Authorization: Bearer \r\n"),
+        get("/nets/", "Cookie: takt_tokens=0123456789abcdef\r\n"),
+        response(&format!("{KNOWN_CLIENT}\r\n")),
+        response("PUT /nets/ HTTP/1.1\r\n\r\n"),
+    ];
+    for response in denied {
+        assert!(
+            response.starts_with("HTTP/1.1 401 Unauthorized\r\n"),
+            "{response}"
+        );
+        assert!(response.contains("WWW-Authenticate: Bearer"), "{response}");
+    }
+    let often = get("/nets/", "Authorization: Bearer often\r\n");
+    assert!(often.starts_with("HTTP/1.1 429 "), "{often}");
+    assert!(often.contains("at most 5 within 60 s"), "{often}");
+}
+
+#[test]
+fn a_browser_gets_the_token_as_a_cookie_and_the_address_is_rid_of_it() {
+    let answer = get(&format!("/?token={TOKEN}"), "");
+    assert!(answer.starts_with("HTTP/1.1 303 "), "{answer}");
+    assert!(answer.contains("Location: /\r\n"), "{answer}");
+    let cookie = format!("Set-Cookie: takt_token={TOKEN}; Path=/; HttpOnly; SameSite=Strict\r\n");
+    assert!(answer.contains(&cookie), "{answer}");
+}
+
+#[test]
+fn pages_of_this_server_are_let_in_by_its_name_if_they_have_the_token() {
+    let page = |origin: &str| {
+        let headers =
+            format!("Host: robot:8080\r\nOrigin: {origin}\r\nAuthorization: Bearer {TOKEN}\r\n");
+        get("/nets/", &headers)
+    };
+    assert_eq!(page("http://robot:8080"), "");
+    assert!(page("http://elsewhere:8080").starts_with("HTTP/1.1 403 "));
+    // Without tokens, a name could be anybody's who made it lead here.
+    let open = "GET /nets/ HTTP/1.1\r\nHost: robot:8080\r\nOrigin: http://robot:8080\r\n\r\n";
+    assert!(!is_upgrade(open));
+    let (_, answer) = super::answer(open.as_bytes(), false).unwrap();
+    assert!(matches!(answer, Answer::Refuse(_)), "{answer:?}");
+}
+
+#[test]
+fn long_bodies_are_not_waited_for_without_a_token() {
+    let head = "POST /nets/ HTTP/1.1\r\nContent-Length: 8000000\r\n\r\n";
+    assert!(response(head).starts_with("HTTP/1.1 401 "));
+}

@@ -1,0 +1,97 @@
+//! The last lines of the log, for those who ask over HTTP. It makes no lines and filters none when
+//! they come; whoever sets up logging feeds it.
+
+use std::collections::VecDeque;
+use std::io;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Lines that are kept; the oldest make room.
+pub const LOG_LINES_MAX: usize = 4096;
+
+/// Most bytes of one line; the rest of a longer one is cut off.
+pub const LOG_LINE_BYTES_MAX: usize = 1024;
+
+/// The last lines of the log. Clones are the same log. As an [`io::Write`] it takes whole lines, as
+/// loggers write them.
+#[derive(Clone, Debug, Default)]
+pub struct LogBook(Arc<Mutex<Lines>>);
+
+#[derive(Debug, Default)]
+struct Lines {
+    /// Number of the first line that is kept.
+    first: u64,
+    lines: VecDeque<String>,
+}
+
+impl LogBook {
+    /// Adds a line.
+    pub fn push(&self, line: &str) {
+        let mut end = line.len().min(LOG_LINE_BYTES_MAX);
+        while !line.is_char_boundary(end) {
+            end -= 1;
+        }
+        let line = line.get(..end).unwrap_or_default().to_owned();
+        let mut log = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if log.lines.len() == LOG_LINES_MAX {
+            log.lines.pop_front();
+            log.first += 1;
+        }
+        log.lines.push_back(line);
+    }
+
+    /// The lines from number `start` on that contain `filter`, with their numbers, and the number that
+    /// the next line will get.
+    #[must_use]
+    pub fn lines(&self, start: u64, filter: &str) -> (Vec<(u64, String)>, u64) {
+        let log = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let numbered = (log.first..).zip(&log.lines);
+        let wanted = numbered.filter(|(n, line)| *n >= start && line.contains(filter));
+        let lines = wanted.map(|(n, line)| (n, line.clone())).collect();
+        let next = log.first + u64::try_from(log.lines.len()).unwrap_or(u64::MAX);
+        (lines, next)
+    }
+}
+
+impl io::Write for LogBook {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let text = String::from_utf8_lossy(bytes);
+        for line in text.lines().filter(|line| !line.is_empty()) {
+            self.push(line);
+        }
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Write as _;
+
+    #[test]
+    fn lines_keep_their_numbers_while_old_ones_go() {
+        let log = LogBook::default();
+        for number in 0..LOG_LINES_MAX + 10 {
+            log.push(&format!("line {number}"));
+        }
+        let (lines, next) = log.lines(0, "");
+        assert_eq!((lines.len(), next), (LOG_LINES_MAX, 4106));
+        assert_eq!(lines[0], (10, "line 10".to_owned()));
+        assert_eq!(log.lines(4105, "").0, [(4105, "line 4105".to_owned())]);
+        assert_eq!(log.lines(4106, "").0, []);
+        assert_eq!(log.lines(0, "line 4000").0.len(), 1);
+    }
+
+    #[test]
+    fn long_lines_are_cut_between_characters() {
+        let mut log = LogBook::default();
+        writeln!(log, "{}", "ä".repeat(LOG_LINE_BYTES_MAX)).unwrap();
+        let (lines, _) = log.lines(0, "");
+        assert_eq!(lines[0].1.len(), LOG_LINE_BYTES_MAX);
+        log.push(&format!("a{}", "ä".repeat(LOG_LINE_BYTES_MAX)));
+        assert_eq!(log.lines(1, "").0[0].1.len(), LOG_LINE_BYTES_MAX - 1);
+    }
+}

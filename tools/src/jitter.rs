@@ -1,0 +1,203 @@
+//! `takt jitter`: how late cycles begin on this host, measured with the very thread, sleep and statistics
+//! that the controller runs on; compared with cyclictest if asked; judged by a stated budget.
+//!
+//! It tunes nothing but what the controller also asks for, and finds no causes: `takt doctor` looks at
+//! the host's settings.
+
+mod cyclictest;
+mod histogram;
+mod host;
+mod load;
+mod measure;
+mod report;
+mod session;
+mod svg;
+mod text;
+mod trace;
+mod view;
+mod warning;
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use anyhow::Context as _;
+use clap::{Args, ValueEnum};
+
+use crate::Verdict;
+use crate::output::{say, span};
+use measure::Plan;
+use report::{Judgement, Report};
+
+/// Measure how late cycles begin on this host.
+///
+/// Exit status: 0 within the budget, or none was stated; 1 later than the budget, or broken off by
+/// --break; 2 wrong usage or environment. Ctrl-C ends a run early and keeps what was measured.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  takt jitter --cpu all --load 4 --duration 1h --budget 100us --svg jitter.svg
+  takt jitter --cpu 1 --break 200us            with a trace running: stop and mark it
+  takt jitter --cpu 1 --compare cyclictest --slices 30 --duration 30s
+  takt jitter --from jitter.json --svg jitter.svg")]
+pub(crate) struct Jitter {
+    /// From one cycle to the next.
+    #[arg(long, value_name = "TIME", default_value = "1ms", value_parser = span)]
+    period: Duration,
+    /// SCHED_FIFO priority, 1 to 98; 0 for an ordinary thread.
+    #[arg(long, value_name = "N", default_value_t = 80, value_parser = clap::value_parser!(u8).range(..=98))]
+    priority: u8,
+    /// Processors, one thread each: 1, 0-3, 0,2 or all. By default one thread on any.
+    #[arg(long, value_name = "LIST", value_parser = cpu_choice)]
+    cpu: Option<CpuChoice>,
+    /// How long to measure; when comparing, with each tool.
+    #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span)]
+    duration: Duration,
+    /// Processes that keep processors, memory, files and pipes busy meanwhile.
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(..=256))]
+    load: u32,
+    /// The longest latency allowed; without it there is no verdict.
+    #[arg(long, value_name = "TIME", value_parser = span)]
+    budget: Option<Duration>,
+    /// End at a latency above this, mark and stop the kernel's trace, print the last cycles.
+    #[arg(long = "break", value_name = "TIME", value_parser = span, conflicts_with = "compare")]
+    break_at: Option<Duration>,
+    /// Write the histogram as a picture.
+    #[arg(long, value_name = "FILE.svg")]
+    svg: Option<PathBuf>,
+    /// Print one JSON object instead of the report.
+    #[arg(long)]
+    json: bool,
+    /// Print the verdict only.
+    #[arg(long, conflicts_with = "json")]
+    quiet: bool,
+    /// Measure nothing, read a report of --json, or what cyclictest wrote with --json or -h.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["compare", "break_at", "load", "cpu"])]
+    from: Option<PathBuf>,
+    /// Alternate with this tool, and give the ratios of the latencies.
+    #[arg(long, value_name = "TOOL")]
+    compare: Option<Tool>,
+    /// Slices of each tool.
+    #[arg(long, value_name = "N", default_value_t = 10, requires = "compare", value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    slices: u32,
+    /// Be one process of the load.
+    #[arg(long, hide = true)]
+    load_worker: bool,
+}
+
+/// What to compare with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Tool {
+    /// cyclictest of rt-tests.
+    Cyclictest,
+}
+
+/// Which processors.
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum CpuChoice {
+    All,
+    List(Vec<usize>),
+}
+
+fn cpu_choice(text: &str) -> Result<CpuChoice, String> {
+    if text == "all" {
+        return Ok(CpuChoice::All);
+    }
+    host::cpu_list(text).map(CpuChoice::List)
+}
+
+impl Jitter {
+    pub(crate) fn run(self) -> anyhow::Result<Verdict> {
+        if self.load_worker {
+            load::work()?;
+            return Ok(Verdict::Good);
+        }
+        let mut report = match &self.from {
+            Some(path) => read(path)?,
+            None => session::measure(&self)?,
+        };
+        anyhow::ensure!(
+            report.cycles() > 0,
+            "not one cycle ran; give it a longer --duration"
+        );
+        let stored = report.budget_ns.map(Duration::from_nanos);
+        report.judge(self.budget.or(stored));
+        if let Some(path) = &self.svg {
+            std::fs::write(path, svg::picture(&report))
+                .with_context(|| format!("cannot write {}", path.display()))?;
+        }
+        self.tell(&report)?;
+        Ok(match report.verdict {
+            Judgement::Fail => Verdict::Failed,
+            Judgement::Pass | Judgement::None => Verdict::Good,
+        })
+    }
+
+    fn tell(&self, report: &Report) -> anyhow::Result<()> {
+        if self.json {
+            return say(&serde_json::to_string(report)?);
+        }
+        if !self.quiet {
+            say(text::report(report).trim_end())?;
+            if let Some(path) = &self.svg {
+                say(&format!("plot       {}", path.display()))?;
+            }
+        }
+        say(&report.verdict_line())
+    }
+
+    /// What to measure, if that is possible here.
+    fn plan(&self) -> anyhow::Result<Plan> {
+        const SHORTEST: Duration = Duration::from_micros(20);
+        anyhow::ensure!(
+            self.period >= SHORTEST,
+            "a period below {SHORTEST:?} leaves no time to sleep: --period 1ms"
+        );
+        anyhow::ensure!(
+            self.duration >= self.period,
+            "the duration is shorter than one period: --duration 10s"
+        );
+        Ok(Plan {
+            period: self.period,
+            priority: (self.priority > 0).then_some(self.priority),
+            cpus: self.cpus()?,
+            duration: self.duration,
+            break_at: self.break_at,
+            tracer: None,
+        })
+    }
+
+    fn cpus(&self) -> anyhow::Result<Vec<Option<usize>>> {
+        let usable = host::usable_cpus();
+        let chosen = match &self.cpu {
+            Some(CpuChoice::All) => usable,
+            Some(CpuChoice::List(list)) => {
+                let wrong = list.iter().find(|cpu| !usable.contains(cpu));
+                if let Some(cpu) = wrong {
+                    anyhow::bail!("CPU {cpu} cannot be used here; those that can: {usable:?}");
+                }
+                list.clone()
+            }
+            // cyclictest keeps its thread on one processor, asked or not; so both are told which.
+            None if self.compare.is_some() => usable.into_iter().take(1).collect(),
+            None => return Ok(vec![None]),
+        };
+        anyhow::ensure!(
+            !chosen.is_empty(),
+            "cannot tell which CPUs can be used here"
+        );
+        Ok(chosen.into_iter().map(Some).collect())
+    }
+}
+
+/// Reads a report back, ours or cyclictest's.
+fn read(path: &Path) -> anyhow::Result<Report> {
+    let name = path.display();
+    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {name}"))?;
+    let report = if cyclictest::is_output(&text) {
+        cyclictest::import(&text)
+    } else {
+        Report::from_json(text.trim()).context(
+            "no report of `takt jitter --json`, and no output of cyclictest with --json or -h",
+        )
+    };
+    report.with_context(|| name.to_string())
+}

@@ -1,0 +1,429 @@
+//! A measurement from preparing the host to the finished report: who runs when, who watches, and what ends
+//! it early.
+//!
+//! It takes no figure itself: the cycle threads and cyclictest do.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use anyhow::Context as _;
+use takt_rt::host::{Host as Prepared, HostConfig, KERNEL, prepare};
+use takt_rt::{Grant, alloc};
+use tokio::signal::unix::{Signal, SignalKind, signal};
+
+use super::Jitter;
+use super::cyclictest::{self, Slice};
+use super::host::{self, CpuTime, Host};
+use super::load::Load;
+use super::measure::{Hit, Measured, Plan};
+use super::report::{Broke, Compare, Ratio, Report, SlicePair, ThreadReport, add_slice, pooled};
+use super::trace::Tracer;
+use super::view::{Scene, View};
+use super::warning::{Told, Warning};
+
+/// How often the view is drawn, and it is looked whether a latency has ended the run.
+const LOOK_EVERY: Duration = Duration::from_millis(250);
+/// Looked for a little after the time, the end has come.
+const AFTER_END: Duration = Duration::from_millis(2);
+/// What the load gets to reach its pace.
+const LOAD_SETTLES: Duration = Duration::from_millis(300);
+
+/// Measures as told, and reports.
+pub(super) fn measure(arguments: &Jitter) -> anyhow::Result<Report> {
+    let mut plan = arguments.plan()?;
+    let prepared = prepare(&HostConfig::default());
+    let trace = plan.break_at.map(|_| Tracer::open());
+    if let Some(Ok(_)) = &trace {
+        plan.tracer = trace.and_then(Result::ok).map(Arc::new);
+        return measure_with(arguments, &plan, &prepared, "");
+    }
+    let why = trace.and_then(Result::err).unwrap_or_default();
+    measure_with(arguments, &plan, &prepared, &why)
+}
+
+fn measure_with(
+    arguments: &Jitter,
+    plan: &Plan,
+    prepared: &Prepared,
+    no_trace: &str,
+) -> anyhow::Result<Report> {
+    let mut report = Report {
+        period_ns: Some(whole_ns(plan.period)),
+        priority: plan.priority,
+        load_workers: Some(arguments.load),
+        duration_ns: whole_ns(plan.duration),
+        host: Host::read(prepared.is_preempt_rt()),
+        ..Report::new(format!("takt {}", env!("CARGO_PKG_VERSION")))
+    };
+    let mut session = Session {
+        interrupt: Interrupt::new()?,
+        interrupted: false,
+        view: View::open(arguments.quiet, arguments.json),
+        title: super::text::headline(&report),
+        whole: plan.duration,
+        done: Duration::ZERO,
+    };
+    let mut load = Load::start(arguments.load)?;
+    if arguments.load > 0 {
+        session.interrupted = session.interrupt.wait(LOAD_SETTLES);
+    }
+    let before = Counters::read(plan);
+    let refused = if arguments.compare.is_some() {
+        session.compare(plan, arguments.slices, &mut report)?
+    } else {
+        session.alone(plan, no_trace, &mut report)?
+    };
+    before.difference(plan, &mut report);
+    let is_load_whole = load.is_whole() || session.interrupted;
+    drop(load);
+    report.interrupted = session.interrupted;
+    report.warnings = warnings(&mut report, prepared, refused, is_load_whole);
+    Ok(report)
+}
+
+fn whole_ns(span: Duration) -> u64 {
+    u64::try_from(span.as_nanos()).unwrap_or(u64::MAX)
+}
+
+/// Who measures in turn, and who looks on.
+struct Session {
+    interrupt: Interrupt,
+    /// Whether the run was ended before its time.
+    interrupted: bool,
+    view: View,
+    title: String,
+    /// How long the run takes, both tools together.
+    whole: Duration,
+    /// How much of it is over.
+    done: Duration,
+}
+
+/// A slice of the other tool: its name and its threads.
+type OtherSlice = (String, Vec<ThreadReport>);
+
+/// What the slices before have measured, for the view.
+#[derive(Clone, Copy, Default)]
+struct SoFar<'a> {
+    ours: &'a [ThreadReport],
+    other: &'a [ThreadReport],
+}
+
+/// What one slice measures.
+fn slice_of(plan: &Plan, slices: u32) -> anyhow::Result<Plan> {
+    let slice = Plan {
+        duration: plan.duration / slices,
+        ..plan.clone()
+    };
+    anyhow::ensure!(
+        slice.duration >= slice.period * 100,
+        "slices of fewer than 100 cycles compare nothing: fewer --slices or a longer --duration"
+    );
+    anyhow::ensure!(
+        slice.period.subsec_nanos().is_multiple_of(1000),
+        "cyclictest takes whole microseconds: --period 1ms"
+    );
+    Ok(slice)
+}
+
+impl Session {
+    /// Ours alone. Returns what the threads were refused.
+    fn alone(
+        &mut self,
+        plan: &Plan,
+        no_trace: &str,
+        report: &mut Report,
+    ) -> anyhow::Result<Vec<Grant>> {
+        let measured = self.takt(plan, "", SoFar::default())?;
+        report.threads = measured.iter().map(ThreadReport::from).collect();
+        report.duration_ns = whole_ns(self.done);
+        let first = |m: &&Measured| m.hit.map(|hit| hit.cycle);
+        let hits = measured.iter().filter(|m| m.hit.is_some());
+        report.broke = hits.min_by_key(first).and_then(|m| broke(m, no_trace));
+        if let Some(broke) = &report.broke {
+            // Not when it was noticed here.
+            let cycles = u32::try_from(broke.cycle + 1).unwrap_or(u32::MAX);
+            report.duration_ns = whole_ns(plan.period.saturating_mul(cycles));
+        }
+        Ok(measured.into_iter().flat_map(|m| m.refused).collect())
+    }
+
+    /// Ours and cyclictest in turns. Returns what our threads were refused.
+    fn compare(
+        &mut self,
+        plan: &Plan,
+        slices: u32,
+        report: &mut Report,
+    ) -> anyhow::Result<Vec<Grant>> {
+        let slice = slice_of(plan, slices)?;
+        self.whole = plan.duration * 2;
+        let mut refused = Vec::new();
+        let mut other = Compare {
+            tool: String::new(),
+            command: cyclictest::command_line(&slice),
+            threads: Vec::new(),
+            slices: Vec::new(),
+        };
+        for number in 0..slices {
+            let so_far = SoFar {
+                ours: &report.threads,
+                other: &other.threads,
+            };
+            let turn = format!("slice {} of {slices}", number + 1);
+            let is_ours_first = number % 2 == 0;
+            let (measured, theirs) = self.pair(&slice, is_ours_first, &turn, so_far)?;
+            let ours: Vec<_> = measured.iter().map(ThreadReport::from).collect();
+            // An incomplete pair would compare a quiet moment with nothing, unless there is no other.
+            let Some((tool, theirs)) = theirs else {
+                if report.threads.is_empty() {
+                    report.threads = ours;
+                }
+                break;
+            };
+            refused = measured.into_iter().flat_map(|m| m.refused).collect();
+            other.tool = tool;
+            other.slices.push(SlicePair {
+                takt_ns: pooled(&ours).quantiles(),
+                other_ns: pooled(&theirs).quantiles(),
+            });
+            add_slice(&mut report.threads, &ours);
+            add_slice(&mut other.threads, &theirs);
+        }
+        report.duration_ns = whole_ns(self.done) / 2;
+        if !other.slices.is_empty() {
+            let theirs = pooled(&other.threads).quantiles();
+            report.ratio = Some(Ratio::of(&report.pooled().quantiles(), &theirs));
+            report.compare = Some(other);
+        }
+        Ok(refused)
+    }
+
+    /// A slice of each, ours first in every other pair, so that neither has the quieter times. No slice of
+    /// cyclictest if the run was interrupted, and then perhaps none of ours.
+    fn pair(
+        &mut self,
+        slice: &Plan,
+        is_ours_first: bool,
+        turn: &str,
+        so_far: SoFar<'_>,
+    ) -> anyhow::Result<(Vec<Measured>, Option<OtherSlice>)> {
+        let (takt, other) = (format!("{turn}, takt"), format!("{turn}, cyclictest"));
+        if is_ours_first {
+            let measured = self.takt(slice, &takt, so_far)?;
+            if self.interrupted {
+                return Ok((measured, None));
+            }
+            return Ok((measured, self.cyclictest(slice, &other, so_far)?));
+        }
+        let theirs = self.cyclictest(slice, &other, so_far)?;
+        if theirs.is_none() {
+            return Ok((Vec::new(), None));
+        }
+        let measured = self.takt(slice, &takt, so_far)?;
+        Ok((measured, theirs.filter(|_| !self.interrupted)))
+    }
+
+    /// Waits until it is time to look again; whether a signal came. Whoever looks wakes a processor, and
+    /// every wake-up disturbs the measurement: so not without need.
+    fn wait(&mut self, plan: &Plan, elapsed: Duration) -> bool {
+        let left = plan.duration.saturating_sub(elapsed) + AFTER_END;
+        let looks = self.view.is_open() || plan.break_at.is_some();
+        self.interrupt
+            .wait(if looks { left.min(LOOK_EVERY) } else { left })
+    }
+
+    /// A slice of ours, to its end or to the interruption.
+    fn takt(
+        &mut self,
+        plan: &Plan,
+        stage: &str,
+        so_far: SoFar<'_>,
+    ) -> anyhow::Result<Vec<Measured>> {
+        let running = plan.start()?;
+        while !running.is_finished() {
+            let mut is_end = self.interrupted || self.wait(plan, running.elapsed());
+            if self.view.is_open() {
+                let mut threads = so_far.ours.to_vec();
+                add_slice(&mut threads, &running.so_far());
+                is_end |= self.view.show(&Scene {
+                    title: &self.title,
+                    stage: stage.to_owned(),
+                    elapsed: self.done + running.elapsed(),
+                    whole: self.whole,
+                    threads,
+                    other: so_far.other,
+                })?;
+            }
+            if is_end {
+                self.interrupted = true;
+                // The threads end with their cycle; to wait here would be to wait for the whole time.
+                running.stop();
+                break;
+            }
+        }
+        self.done += running.elapsed().min(plan.duration);
+        running.join()
+    }
+
+    /// A slice of cyclictest; none if it was interrupted.
+    fn cyclictest(
+        &mut self,
+        plan: &Plan,
+        stage: &str,
+        so_far: SoFar<'_>,
+    ) -> anyhow::Result<Option<OtherSlice>> {
+        let mut slice = Slice::start(plan)?;
+        let started = Instant::now();
+        while !slice.is_finished()? {
+            let mut is_end = self.wait(plan, started.elapsed());
+            if self.view.is_open() {
+                is_end |= self.view.show(&Scene {
+                    title: &self.title,
+                    stage: stage.to_owned(),
+                    elapsed: self.done + started.elapsed().min(plan.duration),
+                    whole: self.whole,
+                    threads: so_far.ours.to_vec(),
+                    other: so_far.other,
+                })?;
+            }
+            if is_end {
+                self.interrupted = true;
+                return Ok(None);
+            }
+        }
+        self.done += plan.duration;
+        slice.finish().map(Some)
+    }
+}
+
+/// The end of a run by a latency, told.
+fn broke(measured: &Measured, no_trace: &str) -> Option<Broke> {
+    let Hit {
+        cycle,
+        latency,
+        is_marked,
+    } = measured.hit?;
+    let trace = match (is_marked, no_trace) {
+        (true, _) => "marked, and tracing stopped; echo 1 to tracing_on goes on".to_owned(),
+        (false, "") => "the kernel refused the mark".to_owned(),
+        (false, why) => format!("not marked ({why})"),
+    };
+    Some(Broke {
+        cpu: measured.cpu,
+        cycle,
+        latency_ns: latency.0.max(0).unsigned_abs(),
+        trace,
+        flight: measured.flight.clone(),
+    })
+}
+
+/// What the host counts, before a run.
+struct Counters {
+    time: Option<CpuTime>,
+    smi: Result<u32, String>,
+    allocations: u64,
+}
+
+impl Counters {
+    fn read(plan: &Plan) -> Self {
+        Self {
+            time: CpuTime::read(),
+            smi: host::smi_count(plan.cpus.first().copied().flatten().unwrap_or(0)),
+            allocations: alloc::real_time_allocations(),
+        }
+    }
+
+    /// Puts the difference to now into the report.
+    fn difference(self, plan: &Plan, report: &mut Report) {
+        let now = Self::read(plan);
+        report.rt_allocations = Some(now.allocations.saturating_sub(self.allocations));
+        let spent = now.time.zip(self.time);
+        let spent = spent.and_then(|(now, before)| now.busy_and_steal(before));
+        (report.busy_percent, report.steal_percent) = spent.unzip();
+        match (now.smi, self.smi) {
+            (Ok(now), Ok(before)) => report.smi_count = Some(now.wrapping_sub(before)),
+            (Err(why), _) | (_, Err(why)) => report.smi_unknown = Some(why),
+        }
+    }
+}
+
+/// What makes the report worth less. A priority that was refused is also taken out of it.
+fn warnings(
+    report: &mut Report,
+    prepared: &Prepared,
+    refused: Vec<Grant>,
+    is_load_whole: bool,
+) -> Vec<Told> {
+    let mut warnings = Vec::new();
+    let mut fifo = None;
+    for grant in refused {
+        if grant.what.starts_with("SCHED_FIFO") {
+            report.priority = None;
+            fifo = Some(grant.to_string());
+        } else {
+            let grant = grant.to_string();
+            warnings.push(Warning::Refused { grant });
+        }
+    }
+    if report.priority.is_none() {
+        warnings.push(Warning::NoFifo { refusal: fifo });
+    }
+    for grant in prepared.grants().iter().filter(|grant| grant.is_refused()) {
+        warnings.push(if grant.what == KERNEL {
+            Warning::NoRealTimeKernel
+        } else {
+            let grant = grant.to_string();
+            Warning::Refused { grant }
+        });
+    }
+    let name = report.host.virtual_machine.clone();
+    warnings.extend(name.map(|name| Warning::VirtualMachine { name }));
+    if is_load_whole {
+        warnings.extend(report.busy_percent.and_then(Warning::of_load));
+    } else {
+        warnings.push(Warning::LoadEnded);
+    }
+    // Who asked for the first long latency has it.
+    if report.broke.is_none() {
+        warnings.extend(Warning::of_duration(report.duration_ns));
+    }
+    warnings.iter().map(Warning::told).collect()
+}
+
+/// Ctrl-C and SIGTERM, waited for with a timeout.
+struct Interrupt {
+    runtime: tokio::runtime::Runtime,
+    interrupt: Signal,
+    terminate: Signal,
+}
+
+impl Interrupt {
+    fn new() -> anyhow::Result<Self> {
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build()
+            .context("cannot wait for signals")?;
+        let guard = runtime.enter();
+        let listen = |kind| signal(kind).context("cannot listen for signals");
+        let (interrupt, terminate) = (
+            listen(SignalKind::interrupt())?,
+            listen(SignalKind::terminate())?,
+        );
+        drop(guard);
+        Ok(Self {
+            runtime,
+            interrupt,
+            terminate,
+        })
+    }
+
+    /// Waits so long, or until a signal comes; whether one came.
+    fn wait(&mut self, span: Duration) -> bool {
+        self.runtime.block_on(async {
+            tokio::select! {
+                _ = self.interrupt.recv() => true,
+                _ = self.terminate.recv() => true,
+                () = tokio::time::sleep(span) => false,
+            }
+        })
+    }
+}

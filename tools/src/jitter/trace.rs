@@ -1,0 +1,114 @@
+//! A mark in the kernel's trace where a latency was too long, and an end to tracing right after it, so
+//! that the trace holds what led there.
+//!
+//! It starts no tracer: which events to trace is for the engineer to choose.
+
+use std::fs::{self, File, OpenOptions};
+use std::io::Write as _;
+use std::path::Path;
+
+use takt_rt::Nanos;
+
+/// Where tracefs is mounted, the present place before the old one.
+const PLACES: [&str; 2] = ["/sys/kernel/tracing", "/sys/kernel/debug/tracing"];
+
+/// The kernel's trace, open for a mark.
+#[derive(Debug)]
+pub(crate) struct Tracer {
+    marker: File,
+    switch: File,
+}
+
+impl Tracer {
+    /// Opens it where it is usually found.
+    ///
+    /// # Errors
+    /// Why no mark can be made, and what to do about it.
+    pub(crate) fn open() -> Result<Self, String> {
+        let mounted = PLACES
+            .iter()
+            .map(Path::new)
+            .find(|place| place.join("trace_marker").exists());
+        match mounted {
+            Some(place) => Self::open_at(place),
+            None => Err(format!(
+                "no trace_marker in {}: mount -t tracefs nodev {}",
+                PLACES[0], PLACES[0]
+            )),
+        }
+    }
+
+    fn open_at(place: &Path) -> Result<Self, String> {
+        let open = |name: &str| {
+            let path = place.join(name);
+            let file = OpenOptions::new().write(true).open(&path);
+            file.map_err(|e| format!("{}: {e}; run as root", path.display()))
+        };
+        let switch = place.join("tracing_on");
+        if fs::read_to_string(&switch).is_ok_and(|on| on.trim() == "0") {
+            let how = "choose events there, then echo 1 to it";
+            return Err(format!("nobody traces: {} is 0; {how}", switch.display()));
+        }
+        Ok(Self {
+            marker: open("trace_marker")?,
+            switch: open("tracing_on")?,
+        })
+    }
+
+    /// Makes the mark and ends tracing; whether both went well. Allocates nothing: the cycle thread
+    /// calls it.
+    pub(crate) fn mark(&self, cycle: u64, latency: Nanos) -> bool {
+        let mut line = [0_u8; 96];
+        let mut rest = &mut line[..];
+        let us = latency.0 / 1000;
+        // Cannot fail: the longest line is shorter.
+        let _ = writeln!(rest, "takt jitter: cycle {cycle} woke {us} us late");
+        let left = rest.len();
+        let (text, _) = line.split_at(line.len() - left);
+        let marked = (&self.marker).write_all(text).is_ok();
+        (&self.switch).write_all(b"0").is_ok() && marked
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A folder that looks like tracefs.
+    fn tracefs(on: &str) -> std::path::PathBuf {
+        let name = format!("takt-trace-{}-{}", std::process::id(), on.trim());
+        let place = std::env::temp_dir().join(name);
+        fs::create_dir_all(&place).unwrap();
+        fs::write(place.join("trace_marker"), "").unwrap();
+        fs::write(place.join("tracing_on"), on).unwrap();
+        place
+    }
+
+    #[test]
+    fn the_mark_is_made_and_tracing_ends() {
+        let place = tracefs("1\n");
+        let tracer = Tracer::open_at(&place).unwrap();
+        assert!(tracer.mark(u64::MAX, Nanos::MAX));
+        let mark = fs::read_to_string(place.join("trace_marker")).unwrap();
+        assert_eq!(
+            mark,
+            "takt jitter: cycle 18446744073709551615 woke 9223372036854775 us late\n"
+        );
+        let switch = fs::read_to_string(place.join("tracing_on")).unwrap();
+        assert!(switch.starts_with('0'));
+        fs::remove_dir_all(place).unwrap();
+    }
+
+    #[test]
+    fn a_trace_that_nobody_takes_is_said() {
+        let place = tracefs("0\n");
+        let why = Tracer::open_at(&place).unwrap_err();
+        assert!(why.contains("nobody traces"), "{why}");
+        fs::remove_dir_all(&place).unwrap();
+        let why = Tracer::open_at(&place).unwrap_err();
+        assert!(
+            why.contains("trace_marker") && why.contains("root"),
+            "{why}"
+        );
+    }
+}

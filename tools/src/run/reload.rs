@@ -1,0 +1,280 @@
+//! What a changed `cell.toml` means for a controller that runs: what is applied at once, and what
+//! waits for a restart. A running net is never touched: a device it uses stays as it is.
+
+use takt_core::cell::{ControllerConfig, DeviceConfig};
+use takt_core::{CellConfig, Controller};
+
+/// The difference of two cells.
+#[derive(Debug, Default, PartialEq, Eq)]
+struct Changes {
+    /// Names of devices that go, or change: those come anew.
+    gone: Vec<String>,
+    /// Devices that come.
+    new: Vec<DeviceConfig>,
+    /// Whether what is logged changes.
+    log: bool,
+    /// Settings that only a restart changes.
+    restart: Vec<&'static str>,
+}
+
+impl Changes {
+    fn between(old: &CellConfig, new: &CellConfig) -> Self {
+        let missing = |from: &CellConfig, device: &&DeviceConfig| !from.devices.contains(device);
+        let gone = old.devices.iter().filter(|device| missing(new, device));
+        let added = new.devices.iter().filter(|device| missing(old, device));
+        Self {
+            gone: gone.map(|device| name(device).to_owned()).collect(),
+            new: added.cloned().collect(),
+            log: old.controller.log != new.controller.log,
+            restart: for_restart(&old.controller, &new.controller),
+        }
+    }
+}
+
+fn name(device: &DeviceConfig) -> &str {
+    let DeviceConfig::Lwr(lwr) = device;
+    &lwr.name
+}
+
+/// Settings of the controller that differ and cannot change while it runs.
+fn for_restart(old: &ControllerConfig, new: &ControllerConfig) -> Vec<&'static str> {
+    let mut names = Vec::new();
+    let mut same = |name, same: bool| {
+        if !same {
+            names.push(name);
+        }
+    };
+    same("period", old.period == new.period);
+    same("priority", old.priority == new.priority);
+    same("cpus", old.cpus == new.cpus);
+    same("websocket", old.websocket == new.websocket);
+    same("tcp", old.tcp == new.tcp);
+    // Whatever else there is or comes to be.
+    let rest = ControllerConfig {
+        log: old.log.clone(),
+        ..new.clone()
+    };
+    if names.is_empty() && rest != *old {
+        names.push("[controller]");
+    }
+    names
+}
+
+/// What became of a reload.
+#[derive(Debug, Default)]
+pub(super) struct Reloaded {
+    /// What was done, one line each.
+    pub(super) applied: Vec<String>,
+    /// What was not, and why.
+    pub(super) refused: Vec<String>,
+}
+
+impl Reloaded {
+    /// For the service manager.
+    pub(super) fn status(&self) -> String {
+        let refused = self.refused.join("; ");
+        match (self.applied.len(), self.refused.len()) {
+            (0, 0) => "reloaded: nothing changed".to_owned(),
+            (applied, 0) => format!("reloaded: {applied} changes applied"),
+            (applied, _) => format!("reloaded: {applied} changes applied; not applied: {refused}"),
+        }
+    }
+}
+
+/// Applies what can be applied. `running` becomes what the controller is made of from then on, so
+/// that the next reload tries again what was refused now.
+pub(super) fn apply(
+    running: &mut CellConfig,
+    new: &CellConfig,
+    controller: &Controller,
+    change_log: impl FnOnce(Option<&str>) -> anyhow::Result<()>,
+) -> Reloaded {
+    let changes = Changes::between(running, new);
+    let mut reloaded = Reloaded::default();
+    for gone in &changes.gone {
+        match controller.remove_cell_device(gone) {
+            Ok(()) => {
+                running.devices.retain(|device| name(device) != gone);
+                reloaded.applied.push(format!("device {gone} is gone"));
+            }
+            Err(error) => reloaded
+                .refused
+                .push(format!("device {gone} stays: {error}")),
+        }
+    }
+    for device in changes.new {
+        let name = name(&device).to_owned();
+        if running
+            .devices
+            .iter()
+            .any(|other| self::name(other) == name)
+        {
+            continue; // It was to change, and could not go: that is told already.
+        }
+        match controller.add_cell_device(&device) {
+            Ok(()) => {
+                running.devices.push(device);
+                reloaded.applied.push(format!("device {name} is new"));
+            }
+            Err(error) => reloaded
+                .refused
+                .push(format!("device {name} is not added: {error}")),
+        }
+    }
+    if changes.log {
+        let log = new.controller.log.as_deref();
+        match change_log(log) {
+            Ok(()) => {
+                running.controller.log = new.controller.log.clone();
+                reloaded
+                    .applied
+                    .push(format!("log is {}", log.unwrap_or("as by default")));
+            }
+            Err(error) => reloaded.refused.push(format!("{error:#}")),
+        }
+    }
+    let restart = changes.restart.iter();
+    reloaded
+        .refused
+        .extend(restart.map(|name| format!("{name} needs a restart")));
+    reloaded
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::net::SocketAddr;
+    use std::time::Duration;
+    use takt_core::cell::LwrConfig;
+
+    fn arm(name: &str, port: u16) -> DeviceConfig {
+        DeviceConfig::Lwr(LwrConfig::new(
+            name,
+            SocketAddr::from(([127, 0, 0, 1], port)),
+        ))
+    }
+
+    fn cell(devices: &[DeviceConfig]) -> CellConfig {
+        CellConfig {
+            devices: devices.to_vec(),
+            ..CellConfig::default()
+        }
+    }
+
+    #[test]
+    fn same_cell_changes_nothing() {
+        let cell = cell(&[arm("left", 1)]);
+        assert_eq!(Changes::between(&cell, &cell), Changes::default());
+        assert_eq!(Reloaded::default().status(), "reloaded: nothing changed");
+    }
+
+    #[test]
+    fn devices_come_go_and_change() {
+        let old = cell(&[arm("left", 1), arm("middle", 2), arm("right", 3)]);
+        let new = cell(&[arm("right", 3), arm("left", 9), arm("top", 4)]);
+        let changes = Changes::between(&old, &new);
+        assert_eq!(changes.gone, ["left", "middle"]);
+        assert_eq!(changes.new, [arm("left", 9), arm("top", 4)]);
+    }
+
+    #[test]
+    fn what_needs_a_restart_is_named() {
+        let old = CellConfig::default();
+        let mut new = old.clone();
+        new.controller.period = Duration::from_millis(2);
+        new.controller.tcp = None;
+        new.controller.log = Some("debug".to_owned());
+        let changes = Changes::between(&old, &new);
+        assert_eq!(changes.restart, ["period", "tcp"]);
+        assert!(changes.log);
+    }
+
+    #[test]
+    fn setting_without_a_name_of_its_own_needs_a_restart_too() {
+        let old = CellConfig::default();
+        let mut new = old.clone();
+        new.controller.costs = Some("costs.toml".into());
+        assert_eq!(Changes::between(&old, &new).restart, ["[controller]"]);
+    }
+
+    /// A cell of ordinary threads that listens nowhere.
+    fn quiet() -> CellConfig {
+        let mut cell = CellConfig::default();
+        cell.controller.priority = None;
+        cell
+    }
+
+    fn quiet_arm(name: &str) -> DeviceConfig {
+        DeviceConfig::Lwr(LwrConfig {
+            priority: None,
+            ..LwrConfig::new(name, SocketAddr::from(([127, 0, 0, 1], 0)))
+        })
+    }
+
+    #[test]
+    fn reload_brings_devices_and_takes_them_away() {
+        let mut running = quiet();
+        let controller = Controller::start(&running).unwrap();
+        let names = || -> Vec<String> {
+            controller
+                .devices()
+                .into_iter()
+                .map(|device| device.name)
+                .collect()
+        };
+        let mut new = running.clone();
+        new.devices = vec![quiet_arm("left"), quiet_arm("right")];
+        let reloaded = apply(&mut running, &new, &controller, |_| Ok(()));
+        assert!(reloaded.refused.is_empty(), "{reloaded:?}");
+        assert_eq!(
+            (names(), &running),
+            (vec!["left".into(), "right".into()], &new)
+        );
+
+        new.devices.remove(0);
+        let reloaded = apply(&mut running, &new, &controller, |_| Ok(()));
+        assert_eq!(reloaded.applied, ["device left is gone"]);
+        assert_eq!(names(), ["right"]);
+    }
+
+    #[test]
+    fn device_of_a_loaded_net_stays_and_is_tried_again() {
+        let mut running = quiet();
+        running.devices = vec![quiet_arm("left")];
+        let controller = Controller::start(&running).unwrap();
+        let net = controller.load(takt_core::controller::LoadRequest {
+            text: "{m=RobotArm::JointMonitor(Robot='left', Axis='0'), c=Cancel(), \
+                   v=Core::DoubleNetcommOut(inValue=m.outMeasuredPosition, Key='v'), \
+                   outTerminate=c.outCancel}"
+                .to_owned(),
+            session: takt_core::controller::SessionId(0),
+            description: String::new(),
+            period: None,
+        });
+        let net = net.unwrap();
+        let empty = quiet();
+        let reloaded = apply(&mut running, &empty, &controller, |_| Ok(()));
+        assert!(reloaded.refused[0].contains("left"), "{reloaded:?}");
+        assert_eq!((controller.devices().len(), running.devices.len()), (1, 1));
+        controller.unload(net).unwrap();
+        let reloaded = apply(&mut running, &empty, &controller, |_| Ok(()));
+        assert_eq!(reloaded.applied, ["device left is gone"]);
+        assert!(controller.devices().is_empty());
+    }
+
+    #[test]
+    fn device_that_cannot_be_opened_leaves_no_trace() {
+        let taken = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
+        let mut running = quiet();
+        let controller = Controller::start(&running).unwrap();
+        let mut new = quiet();
+        let address = taken.local_addr().unwrap();
+        new.devices = vec![DeviceConfig::Lwr(LwrConfig::new("left", address))];
+        let reloaded = apply(&mut running, &new, &controller, |_| Ok(()));
+        assert!(reloaded.refused[0].contains("left"), "{reloaded:?}");
+        assert!(controller.devices().is_empty() && running.devices.is_empty());
+        drop(taken);
+        let reloaded = apply(&mut running, &new, &controller, |_| Ok(()));
+        assert_eq!(reloaded.applied, ["device left is new"]);
+    }
+}
