@@ -17,6 +17,20 @@ pub enum FrameError {
         /// As given.
         id: u32,
     },
+    /// Only eight bytes can be told by another length code, and only by 9 to 15.
+    #[error("length code {raw} for {len} bytes; only 9 to 15, and only for 8 bytes, are possible")]
+    RawDlc {
+        /// As given.
+        raw: u8,
+        /// Bytes of the frame.
+        len: u8,
+    },
+    /// A CAN FD frame carries certain lengths only.
+    #[error("{len} bytes; a CAN FD frame carries 0 to 8, 12, 16, 20, 24, 32, 48 or 64")]
+    FdLength {
+        /// As given.
+        len: usize,
+    },
     /// A classic frame carries eight bytes at most.
     #[error("{len} bytes, a classic frame carries 8 at most")]
     TooLong {
@@ -47,6 +61,12 @@ pub enum LogError {
     /// A kind of frame that is no classic data or remote frame.
     #[error("{what} is not read here")]
     Unsupported {
+        /// Its name.
+        what: &'static str,
+    },
+    /// Something that should hold a frame and does not.
+    #[error("{what} that cannot be understood")]
+    Event {
         /// Its name.
         what: &'static str,
     },

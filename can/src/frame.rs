@@ -6,7 +6,7 @@ use std::fmt;
 use crate::FrameError;
 
 /// An identifier, with the knowledge of its length: 123h in 11 bits is another one than in 29.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Id {
     raw: u32,
     extended: bool,
@@ -66,6 +66,8 @@ pub struct Frame {
     id: Id,
     remote: bool,
     dlc: u8,
+    /// 9 to 15 if the length code on the wire was that, which also means 8 bytes; else 0.
+    raw_dlc: u8,
     /// Zero from `dlc` on, and in a remote frame throughout.
     data: [u8; 8],
 }
@@ -91,6 +93,7 @@ impl Frame {
             id,
             remote: false,
             dlc: 8,
+            raw_dlc: 0,
             data,
         }
     }
@@ -102,6 +105,7 @@ impl Frame {
             id,
             remote: false,
             dlc: 0,
+            raw_dlc: 0,
             data: [0; 8],
         }
     }
@@ -113,6 +117,7 @@ impl Frame {
                 id,
                 remote: true,
                 dlc,
+                raw_dlc: 0,
                 data: [0; 8],
             }),
             _ => Err(FrameError::TooLong { len }),
@@ -137,6 +142,25 @@ impl Frame {
         self.dlc
     }
 
+    /// The same frame with a length code of 9 to 15 on the wire (ISO 11898-1, clause 8.4.2.4: it means
+    /// eight bytes, and some devices use the difference). For frames of eight bytes only.
+    pub const fn with_raw_dlc(mut self, raw: u8) -> Result<Self, FrameError> {
+        if self.dlc != 8 || raw < 9 || raw > 15 {
+            return Err(FrameError::RawDlc { raw, len: self.dlc });
+        }
+        self.raw_dlc = raw;
+        Ok(self)
+    }
+
+    /// The length code on the wire if it is above 8.
+    #[must_use]
+    pub const fn raw_dlc(&self) -> Option<u8> {
+        match self.raw_dlc {
+            0 => None,
+            raw => Some(raw),
+        }
+    }
+
     /// The bytes carried; none in a remote frame.
     #[must_use]
     pub fn data(&self) -> &[u8] {
@@ -150,17 +174,18 @@ impl Frame {
 }
 
 impl fmt::Display for Frame {
-    /// `123#DEADBEEF`, or `123#R4` for a remote frame.
+    /// `123#DEADBEEF`, or `123#R4` for a remote frame; `_E` behind it for a length code above 8.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}#", self.id)?;
         match (self.remote, self.dlc) {
-            (true, 0) => f.write_str("R"),
-            (true, dlc) => write!(f, "R{dlc}"),
+            (true, 0) => f.write_str("R")?,
+            (true, dlc) => write!(f, "R{dlc}")?,
             (false, _) => self
                 .data()
                 .iter()
-                .try_for_each(|byte| write!(f, "{byte:02X}")),
+                .try_for_each(|byte| write!(f, "{byte:02X}"))?,
         }
+        self.raw_dlc().map_or(Ok(()), |raw| write!(f, "_{raw:X}"))
     }
 }
 
@@ -191,6 +216,21 @@ mod tests {
             );
             assert_eq!(Frame::remote(id, len), Err(FrameError::TooLong { len }));
         }
+    }
+
+    #[test]
+    fn only_eight_bytes_have_a_raw_length_code() {
+        let id = Id::standard(1).unwrap();
+        let eight = Frame::new(id, &[0; 8]).unwrap();
+        for raw in 0..=u8::MAX {
+            let built = eight.with_raw_dlc(raw);
+            assert_eq!(built.is_ok(), (9..=15).contains(&raw), "{raw}");
+            assert!(Frame::empty(id).with_raw_dlc(raw).is_err());
+        }
+        let built = eight.with_raw_dlc(14).unwrap();
+        assert_eq!((built.raw_dlc(), built.dlc()), (Some(14), 8));
+        assert_eq!(built.to_string(), "001#0000000000000000_E");
+        assert_eq!(eight.raw_dlc(), None);
     }
 
     #[test]

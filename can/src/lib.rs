@@ -1,12 +1,23 @@
 #![doc = include_str!("../README.md")]
-#![forbid(unsafe_code)]
+#![deny(unsafe_code)]
 
-mod candump;
+mod any;
+pub mod bits;
+pub mod bus;
 pub mod canopen;
 mod error;
+pub mod fault;
+mod fd;
 mod frame;
+pub mod link;
+pub mod linux;
+pub mod log;
 pub mod rmp;
+pub mod stat;
 
-pub use candump::{Direction, LogLine};
+pub use any::AnyFrame;
 pub use error::{FrameError, LogError};
+pub use fault::{BusState, ErrorFrame};
+pub use fd::FdFrame;
 pub use frame::{Frame, Id};
+pub use log::{Direction, LogLine};

@@ -16,6 +16,7 @@ mod tests;
 
 use std::fmt;
 use std::marker::PhantomData;
+use std::ops::RangeInclusive;
 
 pub use abort::AbortCode;
 pub use address::Address;
@@ -24,7 +25,7 @@ pub use mapping::{MAPPED_MAX, Mapped, Mapping};
 pub use object::{Access, Entry, Object, ObjectCode, PdoUse};
 
 /// Most bytes of one value: a string or a domain; numbers have at most 8.
-pub const VALUE_MAX: usize = 1 << 16;
+pub const VALUE_MAX: usize = 1 << 20;
 
 /// Why objects make no dictionary.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -269,8 +270,20 @@ impl Dictionary {
 
     /// Sets all values to their defaults, as a reset of the application does.
     pub fn restore_defaults(&mut self) {
-        let entries = self.objects.iter().flat_map(|object| &object.entries);
-        for ((_, entry), place) in entries.zip(&mut self.places) {
+        self.restore_defaults_of(0..=u16::MAX);
+    }
+
+    /// Sets the values of the objects of these indices to their defaults: a reset of communication
+    /// does so for 1000h to 1FFFh.
+    pub fn restore_defaults_of(&mut self, indices: RangeInclusive<u16>) {
+        let entries = self.objects.iter().flat_map(|object| {
+            let within = indices.contains(&object.index);
+            object.entries.iter().map(move |(_, entry)| (within, entry))
+        });
+        for ((within, entry), place) in entries.zip(&mut self.places) {
+            if !within {
+                continue;
+            }
             place.len = entry.default.len();
             let room = &mut self.values[place.offset..place.offset + place.len];
             room.copy_from_slice(&entry.default);

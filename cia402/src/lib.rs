@@ -6,6 +6,7 @@ pub mod dictionary;
 pub mod emulator;
 mod error;
 mod goal;
+mod homing;
 mod master;
 mod state;
 mod transition;
@@ -13,6 +14,7 @@ mod words;
 
 pub use error::DecodeError;
 pub use goal::{Goal, next_control_word};
+pub use homing::{HOMING_MODE, HOMING_START, Homing, HomingError, HomingStatus};
 pub use master::{Feedback, Master, Obstacle, Orders, Patience};
 pub use state::State;
 pub use transition::{Command, TRANSITIONS, Transition, Trigger, transition};

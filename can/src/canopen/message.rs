@@ -18,6 +18,9 @@ pub struct NodeId(u8);
 pub struct NodeIdError(pub u8);
 
 impl NodeId {
+    /// The last one there can be.
+    pub const LAST: Self = Self(127);
+
     /// The node of that number.
     ///
     /// # Errors
@@ -273,7 +276,7 @@ pub enum Message {
     Unknown,
 }
 
-fn frame(id: Id, data: &[u8]) -> Frame {
+pub(super) fn frame(id: Id, data: &[u8]) -> Frame {
     // At most eight bytes everywhere in this crate; an empty remote frame cannot be built wrongly.
     Frame::new(id, data).unwrap_or_else(|_| Frame::empty(id))
 }

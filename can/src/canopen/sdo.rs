@@ -348,6 +348,23 @@ impl Request {
 }
 
 impl Response {
+    /// Which object it is about; segments and acknowledgements do not say.
+    #[must_use]
+    pub const fn address(&self) -> Option<Address> {
+        match self {
+            Self::Download { address }
+            | Self::Upload { address, .. }
+            | Self::BlockDownload { address, .. }
+            | Self::BlockUpload { address, .. }
+            | Self::Abort { address, .. } => Some(*address),
+            Self::DownloadSegment { .. }
+            | Self::UploadSegment { .. }
+            | Self::BlockDownloadAck { .. }
+            | Self::BlockDownloadEnd
+            | Self::BlockUploadEnd { .. } => None,
+        }
+    }
+
     /// The response in a message; `None` for a command that there is not.
     #[must_use]
     pub fn decode(m: &Message) -> Option<Self> {

@@ -31,6 +31,8 @@ pub struct Base {
     odometer: Odometer,
     counters: [Counter; 3],
     last: Option<Measurement>,
+    /// Ways of the left and the right wheel, m.
+    rolled: [f64; 2],
     motion: Motion,
 }
 
@@ -71,6 +73,7 @@ impl Base {
             odometer: Odometer::default(),
             counters: [Counter::default(); 3],
             last: None,
+            rolled: [0.0; 2],
             motion: Motion::default(),
         }
     }
@@ -90,6 +93,17 @@ impl Base {
     #[must_use]
     pub const fn motion(&self) -> &Motion {
         &self.motion
+    }
+
+    /// Angles of the left and the right wheel since the start, rad, and their rates, rad/s; what stands
+    /// for the other two of a platform is zero.
+    #[must_use]
+    pub fn wheels(&self) -> ([f64; 4], [f64; 4]) {
+        let radius = self.config.model.wheel_radius();
+        let [left, right] = self.rolled.map(|way| way / radius);
+        let speed = self.last.map(|last| last.speed).unwrap_or_default();
+        let [left_rate, right_rate] = speed.map(|speed| speed / radius);
+        ([left, right, 0.0, 0.0], [left_rate, right_rate, 0.0, 0.0])
     }
 
     /// Steps of displacements that were not believed: integrators that were reset, or a power base that
@@ -121,7 +135,11 @@ impl Base {
             counter.advance(value, expected, tolerance) / scales.displacement
         };
         let [at_left, at_right] = measured.displacement;
-        let ahead = (wheel(l, at_left, left) + wheel(r, at_right, right)) / 2.0;
+        let ways = [wheel(l, at_left, left), wheel(r, at_right, right)];
+        for (rolled, way) in self.rolled.iter_mut().zip(ways) {
+            *rolled += way;
+        }
+        let ahead = f64::midpoint(ways[0], ways[1]);
         let turns = -measured.yaw_rate * dt_s / std::f64::consts::TAU;
         let tolerance = (JUMP_TURNS + 2.0 * turns.abs()) * scales.yaw;
         let turned = yaw.advance(measured.travel[1], turns * scales.yaw, tolerance);

@@ -67,6 +67,15 @@ impl Model {
         }
     }
 
+    /// Radius of its stock wheels, m.
+    #[must_use]
+    pub const fn wheel_radius(self) -> f64 {
+        match self {
+            Self::Rmp50 | Self::Rmp100 => 0.0965,
+            Self::Rmp200 | Self::Rmp400 => 0.24,
+        }
+    }
+
     /// Its name, such as `rmp200`.
     #[must_use]
     pub const fn name(self) -> &'static str {

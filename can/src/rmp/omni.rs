@@ -162,6 +162,12 @@ impl Omni {
         &self.told
     }
 
+    /// Rates of the wheels, rad/s.
+    #[must_use]
+    pub const fn rates(&self) -> &Wheels {
+        &self.rates
+    }
+
     /// How far the wheels' rates are from a motion without slip, rad/s.
     #[must_use]
     pub fn slip(&self) -> f64 {

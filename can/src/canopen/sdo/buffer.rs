@@ -9,21 +9,27 @@ use super::{BlockSegment, Bytes, TRANSFER_MAX, crc};
 pub(super) struct Buffer {
     bytes: Vec<u8>,
     len: usize,
+    /// Checksum of the first so many bytes: it grows with the segments, because that of a long
+    /// value at once would hold up a cycle.
+    checked: (usize, u16),
 }
 
 /// The last segment of a block is taken whole before it is known how much of it counts.
 const SLACK: usize = 6;
+/// Bytes of a segment.
+const SEGMENT: usize = 7;
 
 impl Buffer {
     pub(super) fn new(max: usize) -> Self {
         Self {
             bytes: vec![0; max.min(TRANSFER_MAX) + SLACK],
             len: 0,
+            checked: (0, 0),
         }
     }
 
     pub(super) const fn clear(&mut self) {
-        self.len = 0;
+        (self.len, self.checked) = (0, (0, 0));
     }
 
     pub(super) const fn len(&self) -> usize {
@@ -46,8 +52,10 @@ impl Buffer {
     }
 
     /// The segment of a block that begins at a byte.
-    pub(super) fn block_segment(&self, start: usize, sequence: u8) -> BlockSegment {
-        let (data, last) = self.segment(start + 7 * usize::from(sequence - 1));
+    pub(super) fn block_segment(&mut self, start: usize, sequence: u8) -> BlockSegment {
+        let at = start + 7 * usize::from(sequence - 1);
+        self.check_to(at);
+        let (data, last) = self.segment(at);
         BlockSegment {
             last,
             sequence,
@@ -74,7 +82,19 @@ impl Buffer {
         let room = self.bytes.get_mut(self.len..end);
         room.ok_or(AbortCode::OutOfMemory)?.copy_from_slice(data);
         self.len = end;
+        // Of the last segment it is not known yet how much counts.
+        if data.len() <= SEGMENT {
+            self.check_to(end.saturating_sub(SEGMENT));
+        }
         Ok(())
+    }
+
+    fn check_to(&mut self, end: usize) {
+        let (from, crc_so_far) = self.checked;
+        let end = end.min(self.len);
+        if let Some(bytes) = self.bytes.get(from..end) {
+            self.checked = (end, crc(crc_so_far, bytes));
+        }
     }
 
     /// Takes back what did not count of the last segment.
@@ -87,8 +107,9 @@ impl Buffer {
         u8::try_from(end.saturating_sub(self.len)).unwrap_or(0)
     }
 
-    pub(super) fn crc(&self) -> u16 {
-        crc(0, self.as_slice())
+    pub(super) fn crc(&mut self) -> u16 {
+        self.check_to(self.len);
+        self.checked.1
     }
 
     /// Whether a value of that length could be taken.

@@ -220,6 +220,14 @@ impl Client {
             return self.block_segment(message);
         }
         match Response::decode(message) {
+            // The answer to a question that was given up: this one is still to come.
+            Some(response)
+                if response
+                    .address()
+                    .is_some_and(|about| about != self.address) =>
+            {
+                Progress::default()
+            }
             Some(Response::Abort { code, .. }) => {
                 self.state = State::Idle;
                 Progress::over(Outcome::Refused(code))

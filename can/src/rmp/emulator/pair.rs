@@ -26,11 +26,11 @@ impl Pair {
     /// A platform whose power bases tell half a cycle apart.
     #[must_use]
     pub fn new(config: OmniConfig) -> Self {
-        let part = |phase_ms| {
+        let part = |start_ms| {
             Powerbase::new(PowerbaseConfig {
                 model: Model::Rmp50,
                 turn_gain: Some(config.turn_gain),
-                phase: Duration::from_millis(phase_ms),
+                start: Duration::from_millis(start_ms),
                 ..PowerbaseConfig::default()
             })
         };

@@ -33,8 +33,8 @@ pub struct PowerbaseConfig {
     /// Displacement counts per second of a wheel by a count of turn; by default what 7.8 counts per degree
     /// per second and the track make of it.
     pub turn_gain: Option<f64>,
-    /// When its cycles begin, within the first 10 ms.
-    pub phase: Duration,
+    /// When it begins, and with it its first cycle, on the owner's clock.
+    pub start: Duration,
     /// Whether both channels speak; else only A does.
     pub both_channels: bool,
 }
@@ -45,7 +45,7 @@ impl Default for PowerbaseConfig {
             model: Model::default(),
             track: 0.54,
             turn_gain: None,
-            phase: Duration::ZERO,
+            start: Duration::ZERO,
             both_channels: false,
         }
     }
@@ -126,8 +126,8 @@ impl Powerbase {
             turned: [0.0; 2],
             offsets: [0.0; 4],
             odometer: Odometer::default(),
-            now: Duration::ZERO,
-            burst: config.phase,
+            now: config.start,
+            burst: config.start,
             pending: 0,
             frames: 0,
             counter: 0,

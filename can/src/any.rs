@@ -1,0 +1,77 @@
+//! Whatever a CAN interface can give: classic frame, CAN FD frame, or a report of an error. CAN XL is
+//! not among them; no kernel that Takt supports gives it.
+
+use std::fmt;
+
+use crate::{ErrorFrame, FdFrame, Frame, Id};
+
+/// Any kind of frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum AnyFrame {
+    /// A data or remote frame of up to eight bytes.
+    Classic(Frame),
+    /// A CAN FD frame.
+    Fd(FdFrame),
+    /// A report of the interface's controller.
+    Error(ErrorFrame),
+}
+
+impl AnyFrame {
+    /// The identifier; error frames have none.
+    #[must_use]
+    pub const fn id(&self) -> Option<Id> {
+        match self {
+            Self::Classic(frame) => Some(frame.id()),
+            Self::Fd(frame) => Some(frame.id()),
+            Self::Error(_) => None,
+        }
+    }
+
+    /// The bytes carried; of an error frame its details.
+    #[must_use]
+    pub fn data(&self) -> &[u8] {
+        match self {
+            Self::Classic(frame) => frame.data(),
+            Self::Fd(frame) => frame.data(),
+            Self::Error(frame) => &frame.data,
+        }
+    }
+
+    /// The classic frame, if it is one.
+    #[must_use]
+    pub const fn classic(&self) -> Option<&Frame> {
+        match self {
+            Self::Classic(frame) => Some(frame),
+            Self::Fd(_) | Self::Error(_) => None,
+        }
+    }
+}
+
+impl From<Frame> for AnyFrame {
+    fn from(frame: Frame) -> Self {
+        Self::Classic(frame)
+    }
+}
+
+impl From<FdFrame> for AnyFrame {
+    fn from(frame: FdFrame) -> Self {
+        Self::Fd(frame)
+    }
+}
+
+impl From<ErrorFrame> for AnyFrame {
+    fn from(frame: ErrorFrame) -> Self {
+        Self::Error(frame)
+    }
+}
+
+impl fmt::Display for AnyFrame {
+    /// As candump logs it.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Classic(frame) => frame.fmt(f),
+            Self::Fd(frame) => frame.fmt(f),
+            Self::Error(frame) => frame.fmt(f),
+        }
+    }
+}

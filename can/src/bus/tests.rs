@@ -1,0 +1,331 @@
+//! Load and order as on a real bus, and every way in which a frame does not arrive.
+
+use super::*;
+use crate::link::{Link as _, Origin};
+use crate::{FdFrame, Frame};
+
+const MS: Duration = Duration::from_millis(1);
+
+fn data(id: u16, data: &[u8]) -> AnyFrame {
+    Frame::new(Id::standard(id).unwrap(), data).unwrap().into()
+}
+
+fn bus(ports: usize) -> (Bus, Vec<PortId>) {
+    let mut bus = Bus::new(Config::default());
+    let ports = (0..ports).map(|_| bus.attach()).collect();
+    (bus, ports)
+}
+
+fn received(bus: &mut Bus, port: PortId) -> Vec<Received> {
+    std::iter::from_fn(|| bus.receive(port)).collect()
+}
+
+fn frames(bus: &mut Bus, port: PortId) -> Vec<AnyFrame> {
+    let received = received(bus, port).into_iter().map(|r| r.frame);
+    received
+        .filter(|frame| !matches!(frame, AnyFrame::Error(_)))
+        .collect()
+}
+
+fn reports(bus: &mut Bus, port: PortId) -> Vec<ErrorFrame> {
+    let received = received(bus, port).into_iter();
+    received
+        .filter_map(|r| match r.frame {
+            AnyFrame::Error(report) => Some(report),
+            AnyFrame::Classic(_) | AnyFrame::Fd(_) => None,
+        })
+        .collect()
+}
+
+#[test]
+fn lowest_identifier_goes_first_and_each_takes_its_bits() {
+    let (mut bus, ports) = bus(4);
+    let (high, low) = (data(0x701, &[5]), data(0x181, &[1; 8]));
+    let extended = Frame::empty(Id::extended(0x181 << 18).unwrap()).into();
+    let remote = Frame::remote(Id::standard(0x181).unwrap(), 0)
+        .unwrap()
+        .into();
+    let order = [low, remote, extended, high];
+    for (port, frame) in ports.iter().zip([high, extended, remote, low]) {
+        bus.send(*port, &frame, Duration::ZERO).unwrap();
+    }
+    let listener = bus.attach();
+    bus.advance(MS);
+    let heard = received(&mut bus, listener);
+    let mut ends = Duration::ZERO;
+    for (frame, received) in order.iter().zip(&heard) {
+        ends += Bits::of(frame).time(Rates::classic(1_000_000));
+        assert_eq!((received.frame, received.at), (*frame, ends));
+        assert_eq!(received.origin, Origin::Bus);
+    }
+    assert_eq!(heard.len(), 4);
+    assert_eq!((bus.traffic().frames, bus.traffic().busy), (4, ends));
+    assert_eq!(bus.now(), MS);
+}
+
+#[test]
+fn a_frame_is_not_interrupted() {
+    let (mut bus, ports) = bus(3);
+    bus.send(ports[0], &data(0x700, &[0; 8]), Duration::ZERO)
+        .unwrap();
+    bus.send(ports[1], &data(0x001, &[]), Duration::from_micros(1))
+        .unwrap();
+    bus.advance(MS);
+    let order = frames(&mut bus, ports[2]);
+    assert_eq!(order, [data(0x700, &[0; 8]), data(0x001, &[])]);
+}
+
+#[test]
+fn full_load_is_that_of_a_real_bus() {
+    let (mut bus, ports) = bus(2);
+    let second = Duration::from_secs(1);
+    let mut count = 0;
+    while bus.now() < second {
+        let at = bus.now();
+        while bus.send(ports[0], &data(0x181, &[0xA5; 8]), at).is_ok() {}
+        bus.advance(at + MS / 10);
+        count += frames(&mut bus, ports[1]).len();
+    }
+    assert!((7_400..=9_009).contains(&count), "{count} frames/s");
+    assert!(bus.traffic().busy > Duration::from_millis(999));
+}
+
+#[test]
+fn queues_are_bounded() {
+    let mut bus = Bus::new(Config {
+        receive_queue: 3,
+        ..Config::default()
+    });
+    let (from, to) = (bus.attach(), bus.attach());
+    let frame = data(0x181, &[]);
+    for _ in 0..10 {
+        bus.send(from, &frame, Duration::ZERO).unwrap();
+    }
+    assert_eq!(
+        bus.send(from, &frame, Duration::ZERO),
+        Err(LinkError::QueueFull)
+    );
+    assert_eq!(bus.waiting(from), 10);
+    bus.advance(MS);
+    let heard = received(&mut bus, to);
+    assert_eq!((heard.len(), heard[2].dropped), (3, 0));
+    bus.send(from, &frame, MS).unwrap();
+    bus.advance(2 * MS);
+    assert_eq!(
+        received(&mut bus, to)[0].dropped,
+        7,
+        "told by the next that is received"
+    );
+    let report = ErrorFrame::new(0, [0; 8]).into();
+    assert_eq!(bus.send(from, &report, 2 * MS), Err(LinkError::Kind));
+    assert_eq!(
+        Bus::new(Config::default()).send(to, &frame, MS),
+        Err(LinkError::Gone)
+    );
+}
+
+#[test]
+fn own_frames_come_back_when_asked_for() {
+    let (mut bus, ports) = bus(2);
+    bus.set_echo(ports[0], true);
+    bus.send(ports[0], &data(1, &[]), Duration::ZERO).unwrap();
+    bus.advance(MS);
+    let own = received(&mut bus, ports[0]);
+    let other = received(&mut bus, ports[1]);
+    assert_eq!((own[0].origin, own[0].at), (Origin::Own, other[0].at));
+}
+
+#[test]
+fn a_destroyed_frame_is_sent_again() {
+    let (mut bus, ports) = bus(3);
+    let id = Id::standard(0x181).unwrap();
+    bus.inject(Fault {
+        from: Some(ports[0]),
+        id: Some(id),
+        frames: 2,
+    });
+    bus.send(ports[1], &data(0x182, &[]), Duration::ZERO)
+        .unwrap();
+    bus.send(ports[0], &data(0x181, &[]), Duration::ZERO)
+        .unwrap();
+    bus.advance(MS);
+    assert_eq!(bus.traffic().destroyed, 2);
+    assert_eq!(
+        frames(&mut bus, ports[2]),
+        [data(0x181, &[]), data(0x182, &[])]
+    );
+    assert_eq!(
+        bus.counters(ports[0]),
+        Counters {
+            transmit: 15,
+            receive: 1 - 1
+        }
+    );
+    assert_eq!(
+        bus.counters(ports[2]),
+        Counters {
+            transmit: 0,
+            receive: 0
+        }
+    );
+    let told = reports(&mut bus, ports[0]);
+    assert_eq!(told.len(), 2);
+    assert_eq!(told[1].counters(), Some((16, 0)));
+}
+
+#[test]
+fn too_many_errors_lead_off_the_bus_and_back() {
+    let restart = Some(100 * MS);
+    let mut bus = Bus::new(Config {
+        restart,
+        ..Config::default()
+    });
+    let (sender, listener) = (bus.attach(), bus.attach());
+    bus.inject(Fault {
+        from: Some(sender),
+        id: None,
+        frames: 32,
+    });
+    bus.send(sender, &data(1, &[]), Duration::ZERO).unwrap();
+    bus.advance(50 * MS);
+    assert_eq!(bus.state(sender), BusState::BusOff);
+    let states: Vec<_> = reports(&mut bus, sender)
+        .iter()
+        .filter_map(ErrorFrame::state)
+        .collect();
+    let expected = [
+        BusState::ErrorWarning,
+        BusState::ErrorPassive,
+        BusState::BusOff,
+    ];
+    assert_eq!(states, expected);
+    assert_eq!(frames(&mut bus, listener), []);
+    bus.advance(200 * MS);
+    let states: Vec<_> = reports(&mut bus, sender)
+        .iter()
+        .filter_map(ErrorFrame::state)
+        .collect();
+    assert_eq!(states, [BusState::ErrorActive]);
+    assert_eq!(
+        frames(&mut bus, listener),
+        [data(1, &[])],
+        "it was only delayed"
+    );
+}
+
+#[test]
+fn off_the_bus_means_deaf_until_restarted() {
+    let (mut bus, ports) = bus(3);
+    bus.set_counters(
+        ports[0],
+        Counters {
+            transmit: 256,
+            receive: 0,
+        },
+    );
+    bus.send(ports[1], &data(1, &[]), Duration::ZERO).unwrap();
+    bus.send(ports[0], &data(2, &[]), Duration::ZERO).unwrap();
+    bus.advance(MS);
+    assert_eq!(frames(&mut bus, ports[0]), []);
+    assert_eq!(frames(&mut bus, ports[2]), [data(1, &[])]);
+    bus.restart(ports[0]);
+    bus.advance(2 * MS);
+    assert_eq!(frames(&mut bus, ports[2]), [data(2, &[])]);
+}
+
+#[test]
+fn a_lone_port_becomes_passive_and_its_queue_fills() {
+    let (mut bus, ports) = bus(1);
+    bus.send(ports[0], &data(1, &[]), Duration::ZERO).unwrap();
+    bus.advance(100 * MS);
+    assert_eq!(bus.state(ports[0]), BusState::ErrorPassive);
+    assert_eq!(
+        bus.counters(ports[0]).transmit,
+        128,
+        "it never goes off the bus"
+    );
+    assert_eq!(bus.waiting(ports[0]), 1);
+    assert!(
+        reports(&mut bus, ports[0])
+            .iter()
+            .any(ErrorFrame::is_unacknowledged)
+    );
+    let listener = bus.attach();
+    bus.set_listen_only(listener, true);
+    bus.advance(101 * MS);
+    assert_eq!(
+        frames(&mut bus, listener),
+        [],
+        "a listener does not acknowledge"
+    );
+    bus.set_listen_only(listener, false);
+    bus.advance(102 * MS);
+    assert_eq!(frames(&mut bus, listener), [data(1, &[])]);
+}
+
+#[test]
+fn another_bit_rate_destroys_until_it_is_passive() {
+    let (mut bus, ports) = bus(3);
+    bus.set_rates(ports[2], Rates::classic(500_000));
+    for _ in 0..10 {
+        bus.send(ports[0], &data(1, &[]), bus.now()).unwrap();
+    }
+    bus.advance(100 * MS);
+    assert_eq!(frames(&mut bus, ports[2]), []);
+    // The sender counts eight for each, the wrong one counts one: the sender goes off first.
+    assert_eq!(bus.state(ports[0]), BusState::BusOff);
+}
+
+#[test]
+fn two_senders_of_one_identifier_throw_each_other_off_the_bus() {
+    let (mut bus, ports) = bus(3);
+    bus.send(ports[0], &data(0x185, &[1]), Duration::ZERO)
+        .unwrap();
+    bus.send(ports[1], &data(0x185, &[2]), Duration::ZERO)
+        .unwrap();
+    bus.advance(100 * MS);
+    assert_eq!(bus.state(ports[0]), BusState::BusOff);
+    assert_eq!(bus.state(ports[1]), BusState::BusOff);
+    assert_eq!(frames(&mut bus, ports[2]), []);
+}
+
+#[test]
+fn ports_are_links_in_the_time_of_the_bus() {
+    let shared = Shared::new(Bus::new(Config::default()));
+    let (mut a, mut b) = (shared.attach(), shared.attach());
+    let frame = data(0x181, &[1, 2]);
+    a.send(&frame).unwrap();
+    assert_eq!(
+        b.receive(Duration::ZERO),
+        Ok(None),
+        "it is still on the wire"
+    );
+    let received = b.receive(MS).unwrap().unwrap();
+    assert_eq!(received.frame, frame);
+    assert_eq!(shared.lock().now(), received.at, "no longer than needed");
+    assert_eq!(b.receive(MS), Ok(None));
+    assert_eq!(shared.lock().now(), received.at + MS);
+    assert_ne!(a.id(), b.id());
+}
+
+#[test]
+fn fd_frames_go_at_both_bit_rates() {
+    let rates = Rates {
+        nominal: 500_000,
+        data: 2_000_000,
+    };
+    let mut bus = Bus::new(Config {
+        rates,
+        ..Config::default()
+    });
+    let (from, to) = (bus.attach(), bus.attach());
+    let frame: AnyFrame = FdFrame::new(Id::standard(1).unwrap(), &[7; 64])
+        .unwrap()
+        .with_flags(1)
+        .into();
+    bus.send(from, &frame, Duration::ZERO).unwrap();
+    bus.advance(MS);
+    let heard = received(&mut bus, to);
+    assert_eq!(heard[0].at, Bits::of(&frame).time(rates));
+    assert!(heard[0].at < MS / 2);
+}

@@ -1,0 +1,246 @@
+//! Emergencies (CiA 301, clause 7.2.7): what is wrong with a device, told once each, no faster than
+//! the inhibit time. What a device does about an error is not decided here.
+
+use std::time::Duration;
+
+use super::Emergency;
+
+/// Most errors that are present at a time; a further one takes the place of the oldest.
+pub const ERRORS_MAX: usize = 8;
+/// Most emergencies that wait for the inhibit time; further ones are counted and dropped.
+pub const QUEUE_MAX: usize = 8;
+
+/// Communication errors of CiA 301 that a node finds by itself.
+pub mod code {
+    /// A heartbeat or the life guarding was lost.
+    pub const HEARTBEAT: u16 = 0x8130;
+    /// A PDO was shorter than its mapping and was not taken.
+    pub const PDO_SHORT: u16 = 0x8210;
+    /// A PDO was longer than its mapping; the rest was dropped.
+    pub const PDO_LONG: u16 = 0x8220;
+    /// A SYNC had an unexpected length.
+    pub const SYNC_LENGTH: u16 = 0x8240;
+    /// An RPDO did not come in its time.
+    pub const RPDO_TIMEOUT: u16 = 0x8250;
+}
+
+/// Bits of the error register 1001h.
+pub mod register {
+    /// Some error.
+    pub const GENERIC: u8 = 0x01;
+    /// Communication.
+    pub const COMMUNICATION: u8 = 0x10;
+}
+
+/// Who found an error; two may find the same one, and it is gone when both say so.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Source {
+    /// The CANopen node: heartbeats, PDOs, SYNC.
+    Communication,
+    /// The device behind it, by number: an axis of a drive.
+    Device(u8),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Present {
+    source: Source,
+    code: u16,
+    register: u8,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Queued {
+    emergency: Emergency,
+    logged: bool,
+}
+
+/// The emergency producer of a device.
+///
+/// ```text
+/// error free --- raise: EMCY code ---> error <--+ raise, clear with others left: EMCY
+///     ^                                  |  ----+
+///     +---- clear of the last: EMCY 0 ---+
+/// ```
+#[derive(Clone, Debug, Default)]
+pub struct Producer {
+    errors: [Option<Present>; ERRORS_MAX],
+    queue: [Option<Queued>; QUEUE_MAX],
+    inhibit: Duration,
+    sent: Option<Duration>,
+    dropped: u32,
+}
+
+impl Producer {
+    /// Sets the inhibit time, 1015h.
+    pub const fn set_inhibit(&mut self, inhibit: Duration) {
+        self.inhibit = inhibit;
+    }
+
+    /// The error register 1001h.
+    #[must_use]
+    pub fn register(&self) -> u8 {
+        self.errors.iter().flatten().fold(0, |register, error| {
+            register | error.register | register::GENERIC
+        })
+    }
+
+    /// Emergencies that found no place in the queue.
+    #[must_use]
+    pub const fn dropped(&self) -> u32 {
+        self.dropped
+    }
+
+    /// An error is there. It is told unless it was there already.
+    pub fn raise(&mut self, source: Source, code: u16, register: u8, data: [u8; 5]) {
+        let known = self.errors.iter().flatten().any(|error| error.code == code);
+        let error = Present {
+            source,
+            code,
+            register,
+        };
+        if self.errors.contains(&Some(error)) {
+            return;
+        }
+        if self.errors.iter().all(Option::is_some) {
+            self.errors.rotate_left(1);
+            self.errors[ERRORS_MAX - 1] = None;
+        }
+        if let Some(place) = self.errors.iter_mut().find(|place| place.is_none()) {
+            *place = Some(error);
+        }
+        if !known {
+            self.tell(code, data);
+        }
+    }
+
+    /// An error is gone. "No error" is told, with the register of what is left.
+    pub fn clear(&mut self, source: Source, code: u16) {
+        let mut found = false;
+        for place in &mut self.errors {
+            if place.is_some_and(|error| (error.source, error.code) == (source, code)) {
+                (*place, found) = (None, true);
+            }
+        }
+        let left = self.errors.iter().flatten().any(|error| error.code == code);
+        if found && !left {
+            self.tell(0, [0; 5]);
+        }
+    }
+
+    /// All errors of a source are gone.
+    pub fn clear_all(&mut self, source: Source) {
+        for at in 0..ERRORS_MAX {
+            if let Some(error) = self.errors[at].filter(|error| error.source == source) {
+                self.clear(source, error.code);
+            }
+        }
+    }
+
+    /// Forgets everything without a word, as a reset does.
+    pub fn reset(&mut self) {
+        *self = Self {
+            inhibit: self.inhibit,
+            ..Self::default()
+        };
+    }
+
+    fn tell(&mut self, code: u16, data: [u8; 5]) {
+        let emergency = Emergency {
+            code,
+            register: self.register(),
+            data,
+        };
+        match self.queue.iter_mut().find(|place| place.is_none()) {
+            Some(place) => {
+                *place = Some(Queued {
+                    emergency,
+                    logged: false,
+                });
+            }
+            None => self.dropped = self.dropped.saturating_add(1),
+        }
+    }
+
+    /// The next code that belongs into the history 1003h and is not there yet.
+    pub fn poll_log(&mut self) -> Option<Emergency> {
+        let new = |queued: &&mut Queued| !queued.logged && queued.emergency.code != 0;
+        let queued = self.queue.iter_mut().flatten().find(new)?;
+        queued.logged = true;
+        Some(queued.emergency)
+    }
+
+    /// The next emergency to send.
+    pub fn poll(&mut self, now: Duration) -> Option<Emergency> {
+        if self.poll_timeout()? > now {
+            return None;
+        }
+        let first = self.queue[0].take()?;
+        self.queue.rotate_left(1);
+        self.sent = Some(now);
+        Some(first.emergency)
+    }
+
+    /// When an emergency is due.
+    #[must_use]
+    pub fn poll_timeout(&self) -> Option<Duration> {
+        self.queue[0]?;
+        Some(self.sent.map_or(Duration::ZERO, |sent| sent + self.inhibit))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: Duration = Duration::from_millis(1);
+    const COMMUNICATION: Source = Source::Communication;
+    const AXIS: Source = Source::Device(0);
+
+    fn codes(producer: &mut Producer, now: Duration) -> Vec<(u16, u8)> {
+        std::iter::from_fn(|| producer.poll(now))
+            .map(|emergency| (emergency.code, emergency.register))
+            .collect()
+    }
+
+    #[test]
+    fn each_error_is_told_once_and_its_end_too() {
+        let mut producer = Producer::default();
+        producer.raise(AXIS, 0x8611, 0x21, [0; 5]);
+        producer.raise(AXIS, 0x8611, 0x21, [0; 5]);
+        producer.raise(COMMUNICATION, 0x8130, 0x11, [0; 5]);
+        assert_eq!(codes(&mut producer, MS), [(0x8611, 0x21), (0x8130, 0x31)]);
+        producer.clear(AXIS, 0x8611);
+        producer.clear(AXIS, 0x8611);
+        producer.clear(COMMUNICATION, 0x8130);
+        assert_eq!(codes(&mut producer, MS), [(0, 0x11), (0, 0)]);
+        assert_eq!(producer.register(), 0);
+    }
+
+    #[test]
+    fn an_error_found_twice_is_gone_when_both_say_so() {
+        let mut producer = Producer::default();
+        producer.raise(COMMUNICATION, 0x8130, 0x11, [0; 5]);
+        producer.raise(AXIS, 0x8130, 0x11, [0; 5]);
+        producer.clear(COMMUNICATION, 0x8130);
+        assert_eq!(codes(&mut producer, MS), [(0x8130, 0x11)]);
+        producer.clear_all(AXIS);
+        assert_eq!(codes(&mut producer, MS), [(0, 0)]);
+    }
+
+    #[test]
+    fn inhibit_time_holds_them_apart_and_the_queue_is_bounded() {
+        let mut producer = Producer::default();
+        producer.set_inhibit(10 * MS);
+        for code in 1..=20 {
+            producer.raise(AXIS, code, 1, [0; 5]);
+        }
+        assert_eq!(producer.dropped(), 12);
+        assert_eq!(codes(&mut producer, MS), [(1, 1)]);
+        assert_eq!(producer.poll_timeout(), Some(11 * MS));
+        assert_eq!(codes(&mut producer, 10 * MS), []);
+        assert_eq!(codes(&mut producer, 11 * MS), [(2, 1)]);
+        let logged = std::iter::from_fn(|| producer.poll_log()).count();
+        assert_eq!(logged, 6, "those that wait");
+        assert_eq!(producer.poll_log(), None);
+    }
+}

@@ -1,0 +1,315 @@
+//! The other side of the wire: a CANopen drive with up to eight axes, each with its motor, after
+//! CiA 402. It moves with the time it is told; what goes wrong in it is put in from outside.
+//!
+//! A step of the motor is 1 ms, and what is left of one when SYNC comes: received set-points count
+//! from that SYNC on, and what is transmitted with it was measured then.
+
+use std::time::Duration;
+
+use takt_cia402::dictionary::{
+    AbortCode, Access, Address, Dictionary, DictionaryError, Entry, Mapped, Object,
+};
+use takt_cia402::emulator::{Drive, DriveConfig, FaultCode, Step};
+
+use super::eds::Eds;
+use super::emcy::Source;
+use super::lss::Identity;
+use super::nmt::{Reset, State};
+use super::node::{Application, Communication, Context, Event, Node, NodeConfig, NodeError};
+use super::pdo::{Parameters, PdoCob, Transmission};
+use super::{NodeId, RPDO1, TPDO1};
+
+#[cfg(test)]
+mod tests;
+
+/// Most axes of a drive (CiA 402-2).
+pub const AXES_MAX: usize = 8;
+/// PDOs that each axis has room for (CiA 402-3).
+const AXIS_PDOS: u16 = 64;
+const STEP: Duration = Duration::from_millis(1);
+/// Longest time that is made up for at once.
+const BEHIND_MAX: Duration = Duration::from_millis(100);
+
+/// What an emulated drive is like.
+#[derive(Clone, Debug)]
+pub struct DriveNodeConfig {
+    /// Its number; without one it waits for LSS.
+    pub id: Option<NodeId>,
+    /// Its address for LSS, object 1018h.
+    pub identity: Identity,
+    /// Its axes, at most [`AXES_MAX`].
+    pub axes: Vec<DriveConfig>,
+    /// 1017h after a reset, ms; 0 is off.
+    pub heartbeat_ms: u16,
+    /// Bytes of the domain 2000h, a firmware or a recording to be transferred; 0 leaves it out.
+    pub domain_len: usize,
+}
+
+impl DriveNodeConfig {
+    /// A drive of one plain axis.
+    #[must_use]
+    pub fn new(id: NodeId) -> Self {
+        Self {
+            id: Some(id),
+            identity: Identity {
+                vendor: 0,
+                product: 0x402,
+                revision: 1,
+                serial: id.raw().into(),
+            },
+            axes: vec![DriveConfig::default()],
+            heartbeat_ms: 0,
+            domain_len: 0,
+        }
+    }
+
+    /// The communication objects: four PDOs each way per axis, mapped as CiA 402-3 has it; of the
+    /// first axis the first of them is on.
+    #[must_use]
+    pub fn communication(&self) -> Communication {
+        let count = self.axes.len().clamp(1, AXES_MAX);
+        let axes = (0..8_u8).take(count);
+        let several = count > 1;
+        let pdos = |first, both: [u16; 4]| {
+            axes.clone()
+                .flat_map(|axis| default_pdos(axis, first, both))
+                .collect()
+        };
+        Communication {
+            device_type: if several { 0xFFFF_0192 } else { 0x0002_0192 },
+            name: "Takt emulated drive".into(),
+            identity: self.identity,
+            heartbeat_ms: self.heartbeat_ms,
+            rpdos: pdos(RPDO1, [0x6040, 0x6060, 0x607A, 0x60FF]),
+            tpdos: pdos(TPDO1, [0x6041, 0x6061, 0x6064, 0x606C]),
+            ..Communication::default()
+        }
+    }
+
+    /// Its data sheet.
+    #[must_use]
+    pub fn eds(&self) -> Eds {
+        let relative = self.communication().relative();
+        Eds::of_device(self.objects(), relative, "takt-drive.eds")
+    }
+
+    /// All its objects.
+    #[must_use]
+    pub fn objects(&self) -> Vec<Object> {
+        let mut objects = self.communication().objects();
+        if self.domain_len > 0 {
+            let domain = vec![0; self.domain_len];
+            let domain = Entry::of(
+                "domain",
+                takt_cia402::dictionary::DataType::Domain,
+                Access::ReadWrite,
+                domain,
+            );
+            objects.push(Object::var(0x2000, domain));
+        }
+        for (axis, config) in (0_u8..).zip(self.axes.iter().take(AXES_MAX)) {
+            objects.extend(config.objects(axis));
+            let index = 0x67FF + Address::AXIS * u16::from(axis);
+            let kind = Entry::number("single device type", Access::Const, 0x0002_0192_u32);
+            objects.push(Object::var(index, kind));
+        }
+        objects
+    }
+}
+
+/// The PDOs of an axis: the word alone; with the mode; with a position; with a velocity.
+fn default_pdos(axis: u8, first: u16, [word, others @ ..]: [u16; 4]) -> Vec<(u16, Parameters)> {
+    let mapped = |index: u16, bits| Mapped {
+        address: Address::new(index + Address::AXIS * u16::from(axis), 0),
+        bits,
+    };
+    let with = |other: Option<u16>| {
+        let bits = if other.is_some_and(|o| o & 0xFFFE == 0x6060) {
+            8
+        } else {
+            32
+        };
+        let other = other.map(|other| mapped(other, bits));
+        std::iter::once(mapped(word, 16)).chain(other).collect()
+    };
+    let [mode, position, velocity] = others;
+    (0..)
+        .zip([None, Some(mode), Some(position), Some(velocity)])
+        .map(|(number, other)| {
+            let id = if axis == 0 { first + 0x100 * number } else { 0 };
+            let on = axis == 0 && number == 0;
+            let id = u32::from(id) | 1 << 30;
+            let cob = PdoCob::from_raw(id);
+            let cob = if on { cob } else { cob.off() };
+            let mut pdo = Parameters::new(cob, Transmission::EventProfile, with(other));
+            if first == TPDO1 {
+                pdo.inhibit = 10;
+            }
+            (AXIS_PDOS * u16::from(axis) + number, pdo)
+        })
+        .collect()
+}
+
+/// A CANopen node whose device is an emulated drive.
+pub type DriveNode = Node<Drives>;
+
+impl DriveNode {
+    /// A drive whose power comes on now.
+    ///
+    /// # Errors
+    /// If its objects make no node.
+    pub fn power_on(config: DriveNodeConfig, now: Duration) -> Result<Self, NodeError> {
+        let communication = config.communication();
+        let dictionary = Dictionary::new(config.objects())?;
+        let node = NodeConfig {
+            id: config.id,
+            relative: communication.relative(),
+            sdo_len_max: config.domain_len.max(256),
+            sdo_timeout: Duration::from_secs(1),
+            dictionary,
+        };
+        let drives = Drives::new(config.axes, &node.dictionary, now)?;
+        Self::new(node, drives, now)
+    }
+}
+
+/// The axes of an emulated drive.
+#[derive(Debug)]
+pub struct Drives {
+    configs: Vec<DriveConfig>,
+    axes: Vec<Drive>,
+    /// Up to when the motors have moved.
+    at: Duration,
+    set_point: bool,
+    operational: bool,
+    /// Why the master is taken for lost.
+    heartbeat_lost: bool,
+    left_operational: bool,
+    pdo_late: bool,
+}
+
+impl Drives {
+    fn new(
+        configs: Vec<DriveConfig>,
+        dictionary: &Dictionary,
+        now: Duration,
+    ) -> Result<Self, DictionaryError> {
+        let axes = (0_u8..)
+            .zip(configs.iter().take(AXES_MAX))
+            .map(|(axis, config)| Drive::new(config.clone(), axis, dictionary))
+            .collect::<Result<_, _>>()?;
+        Ok(Self {
+            configs,
+            axes,
+            at: now,
+            set_point: false,
+            operational: false,
+            heartbeat_lost: false,
+            left_operational: false,
+            pdo_late: false,
+        })
+    }
+
+    /// The axis of that number, from 0.
+    #[must_use]
+    pub fn axis(&self, axis: usize) -> Option<&Drive> {
+        self.axes.get(axis)
+    }
+
+    /// The axis of that number, to push it around and to put faults in.
+    pub fn axis_mut(&mut self, axis: usize) -> Option<&mut Drive> {
+        self.axes.get_mut(axis)
+    }
+
+    fn step(&mut self, dt: Duration, context: &mut Context<'_>) {
+        let step = Step {
+            dt,
+            set_point: std::mem::take(&mut self.set_point),
+            link_lost: self.heartbeat_lost || self.left_operational || self.pdo_late,
+        };
+        self.at += dt;
+        for (axis, drive) in (0_u8..).zip(&mut self.axes) {
+            let from = Source::Device(axis);
+            match drive.step(context.dictionary, &step).emergency {
+                None => {}
+                Some(FaultCode::NONE) => context.errors.clear_all(from),
+                Some(code) => {
+                    let bits = code.register();
+                    context.errors.raise(from, code.0, bits, [axis, 0, 0, 0, 0]);
+                }
+            }
+        }
+    }
+
+    /// All electronics begin anew; the motors stay where they are.
+    fn reset(&mut self, context: &Context<'_>) {
+        for (axis, (drive, config)) in (0_u8..).zip(self.axes.iter_mut().zip(&self.configs)) {
+            let mut config = config.clone();
+            config.position = drive.motor().position;
+            if let Ok(new) = Drive::new(config, axis, context.dictionary) {
+                *drive = new;
+            }
+        }
+    }
+
+    const fn entered(&mut self, state: State) {
+        let operational = matches!(state, State::Operational);
+        self.left_operational = !operational && (self.operational || self.left_operational);
+        self.operational = operational;
+    }
+}
+
+impl Application for Drives {
+    fn check_download(
+        &mut self,
+        dictionary: &Dictionary,
+        address: Address,
+        data: &[u8],
+    ) -> Result<(), AbortCode> {
+        self.axes
+            .iter()
+            .try_for_each(|drive| drive.check_download(dictionary, address, data))
+    }
+
+    fn handle(&mut self, event: Event, context: &mut Context<'_>) {
+        match event {
+            Event::Sync => {
+                let rest = context.now.saturating_sub(self.at);
+                if !rest.is_zero() {
+                    self.step(rest, context);
+                }
+                self.set_point = true;
+            }
+            Event::Received(_) => self.set_point = true,
+            Event::Late(_) => self.pdo_late = true,
+            Event::InTime(_) => self.pdo_late = false,
+            Event::Lost => self.heartbeat_lost = true,
+            Event::Back => self.heartbeat_lost = false,
+            Event::State(state) => self.entered(state),
+            Event::Reset(Reset::Node) => {
+                self.reset(context);
+                (self.operational, self.left_operational) = (false, false);
+                (self.heartbeat_lost, self.pdo_late) = (false, false);
+            }
+            Event::Reset(Reset::Communication) => {
+                self.entered(State::Initialising);
+                (self.heartbeat_lost, self.pdo_late) = (false, false);
+            }
+            Event::Time(_) | Event::Lss(_) => {}
+        }
+    }
+
+    fn poll(&mut self, context: &mut Context<'_>) {
+        let behind = context.now.saturating_sub(self.at);
+        if behind > BEHIND_MAX {
+            self.at = context.now - BEHIND_MAX;
+        }
+        while context.now.saturating_sub(self.at) >= STEP {
+            self.step(STEP, context);
+        }
+    }
+
+    fn poll_timeout(&self) -> Option<Duration> {
+        Some(self.at + STEP)
+    }
+}

@@ -1,0 +1,213 @@
+//! The emulated drive as its master sees it: frames alone, in virtual time.
+
+use super::*;
+use crate::canopen::pdo::{Direction, Rpdo};
+use crate::{Frame, LogLine};
+
+const MS: Duration = Duration::from_millis(1);
+
+struct Rig {
+    drive: DriveNode,
+    now: Duration,
+    heard: Vec<String>,
+}
+
+impl Rig {
+    fn new(change: impl FnOnce(&mut DriveNodeConfig)) -> Self {
+        let mut config = DriveNodeConfig::new(NodeId::new(5).unwrap());
+        change(&mut config);
+        let now = Duration::ZERO;
+        let drive = DriveNode::power_on(config, now).unwrap();
+        let heard = vec![];
+        let mut rig = Self { drive, now, heard };
+        assert_eq!(rig.run(1)[0], "705#00");
+        rig
+    }
+
+    fn send(&mut self, frame: &str) -> Vec<String> {
+        let frame: Frame = LogLine::parse(&format!("(1.000000) can0 {frame}"))
+            .unwrap()
+            .frame;
+        self.drive.handle_frame(&frame, self.now);
+        self.poll()
+    }
+
+    fn poll(&mut self) -> Vec<String> {
+        let polled = std::iter::from_fn(|| self.drive.poll_transmit(self.now));
+        let polled: Vec<_> = polled.map(|frame| frame.to_string()).collect();
+        self.heard.extend(polled.iter().cloned());
+        polled
+    }
+
+    fn run(&mut self, ms: u32) -> Vec<String> {
+        let mut heard = vec![];
+        for _ in 0..ms {
+            self.now += MS;
+            heard.extend(self.poll());
+        }
+        heard
+    }
+
+    /// The drive in Operation enabled, led by words in RPDO 1.
+    fn enabled(change: impl FnOnce(&mut DriveNodeConfig)) -> Self {
+        let mut rig = Self::new(change);
+        rig.send("000#0105");
+        for word in ["0600", "0700", "0F00"] {
+            rig.send(&format!("205#{word}"));
+            rig.run(300);
+        }
+        assert_eq!(rig.heard.last().unwrap(), "185#3702", "{:?}", rig.heard);
+        rig
+    }
+}
+
+#[test]
+fn words_by_pdo_bring_it_up_and_each_state_is_told() {
+    let rig = Rig::enabled(|config| config.heartbeat_ms = 0);
+    let words = ["705#00", "185#5002", "185#3102", "185#3302", "185#3702"];
+    let seen: Vec<_> = words
+        .iter()
+        .map(|word| rig.heard.iter().position(|h| h == word))
+        .collect();
+    assert!(
+        seen.is_sorted() && seen.iter().all(Option::is_some),
+        "{:?}",
+        rig.heard
+    );
+}
+
+#[test]
+fn a_fault_is_told_before_the_statusword_shows_it() {
+    let mut rig = Rig::enabled(|_| ());
+    rig.heard.clear();
+    rig.drive
+        .application_mut()
+        .axis_mut(0)
+        .unwrap()
+        .fault(FaultCode::SHORT_CIRCUIT);
+    rig.run(200);
+    assert_eq!(rig.heard[0], "085#2023030000000000");
+    assert!(
+        rig.heard.iter().any(|h| h.starts_with("185#1F")),
+        "fault reaction active: {:?}",
+        rig.heard
+    );
+    assert_eq!(rig.heard.last().unwrap(), "185#1802", "fault");
+    rig.drive.application_mut().axis_mut(0).unwrap().mend();
+    rig.send("205#0000");
+    rig.run(5);
+    rig.heard.clear();
+    rig.send("205#8000");
+    rig.run(5);
+    assert_eq!(rig.heard, ["085#0000000000000000", "185#5002"]);
+}
+
+/// What 6007h says, by each way in which the master can be lost.
+#[test]
+fn a_lost_master_is_answered_by_6007h() {
+    for (cause, emergency) in [("heartbeat", "085#3081"), ("nmt", ""), ("pdo", "085#5082")] {
+        let mut rig = Rig::enabled(|_| ());
+        rig.send("605#2B07600003000000"); // 6007h = 3: quick stop
+        rig.send("605#2F29100101000000"); // stay in Operational
+        rig.heard.clear();
+        match cause {
+            "heartbeat" => {
+                rig.send("605#2316100114000100");
+                rig.send("701#05");
+            }
+            "nmt" => drop(rig.send("000#8005")),
+            _ => {
+                rig.send("605#2B00140514000000"); // RPDO 1: 20 ms
+                rig.send("205#0F00");
+            }
+        }
+        rig.run(500);
+        let state = rig.drive.application().axis(0).unwrap().state();
+        assert_eq!(state, takt_cia402::State::SwitchOnDisabled, "{cause}");
+        let told = emergency.is_empty() || rig.heard.iter().any(|h| h.starts_with(emergency));
+        assert!(told, "{cause}: {:?}", rig.heard);
+    }
+}
+
+#[test]
+fn sync_moves_it_cyclically() {
+    let mut rig = Rig::enabled(|_| ());
+    for frame in [
+        "000#8005",
+        "605#2F60600008000000", // CSP
+        "605#2302140105040080",
+        "605#2F02140201000000",
+        "605#2302140105040000", // RPDO 3 with every SYNC
+        "605#2302180185030080",
+        "605#2F02180201000000",
+        "605#2302180185030000", // TPDO 3 with every SYNC
+        "000#0105",
+    ] {
+        rig.send(frame);
+    }
+    // Leaving Operational was answered by 6007h: a fault. Reset, and up again.
+    for word in ["0000", "8000", "0600", "0700", "0F00"] {
+        rig.send(&format!("205#{word}"));
+        rig.run(300);
+    }
+    let mut position = 0;
+    for n in 0..500_i32 {
+        let target = (20 * n).to_le_bytes().map(|b| format!("{b:02X}")).concat();
+        rig.now += 2 * MS;
+        let sent = rig.send("080#");
+        let told = sent
+            .iter()
+            .find(|h| h.starts_with("385#"))
+            .expect("TPDO 3 with each SYNC");
+        let bytes = u32::from_str_radix(&told[8..16], 16).unwrap().swap_bytes();
+        position = bytes.cast_signed();
+        rig.send(&format!("405#0F00{target}"));
+    }
+    assert!((position - 9940).abs() < 200, "it is at {position}");
+}
+
+#[test]
+fn axes_have_their_own_pdos_and_faults() {
+    let mut rig = Rig::new(|config| config.axes = vec![DriveConfig::default(); 2]);
+    assert_eq!(rig.send("605#4000100000000000"), ["585#430010009201FFFF"]);
+    assert_eq!(rig.send("605#40FF6F0000000000"), ["585#43FF6F0092010200"]);
+    for index in [0x1440, 0x1640, 0x1840, 0x1A40] {
+        assert!(
+            rig.drive.dictionary().object(index).is_some(),
+            "{index:04X}h"
+        );
+    }
+    assert!(Rpdo::new(rig.drive.dictionary(), 64).unwrap().is_some());
+    let pdo = Parameters::read(rig.drive.dictionary(), Direction::Transmit, 64).unwrap();
+    assert_eq!(pdo.mapping[0].address, Address::new(0x6841, 0));
+    rig.drive
+        .application_mut()
+        .axis_mut(1)
+        .unwrap()
+        .fault(FaultCode::ENCODER);
+    rig.run(100);
+    let state = |axis| rig.drive.application().axis(axis).unwrap().state();
+    assert_eq!(state(0), takt_cia402::State::SwitchOnDisabled);
+    assert_eq!(state(1), takt_cia402::State::Fault);
+    assert!(
+        rig.heard.contains(&"085#0573010100000000".into()),
+        "{:?}",
+        rig.heard
+    );
+}
+
+#[test]
+fn modes_and_methods_it_has_not_are_refused() {
+    let mut rig = Rig::new(|_| ());
+    assert_eq!(rig.send("605#2F60600002000000"), ["585#8060600030000906"]);
+    assert_eq!(rig.send("605#2F98600010000000"), ["585#8098600030000906"]);
+    assert_eq!(rig.send("605#2F60600008000000"), ["585#6060600000000000"]);
+}
+
+#[test]
+fn a_reset_leaves_the_motor_where_it_is() {
+    let mut rig = Rig::new(|config| config.axes[0].position = 7.5);
+    assert_eq!(rig.send("000#8105"), ["705#00"]);
+    let motor = rig.drive.application().axis(0).unwrap().motor();
+    assert!((motor.position - 7.5).abs() < 1e-6);
+}

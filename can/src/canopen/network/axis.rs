@@ -1,0 +1,368 @@
+//! One axis of a CiA 402 drive as the master leads it in every cycle: what it is told, what it
+//! says, and when it may follow. Which PDOs carry that is not known here.
+
+use std::time::Duration;
+
+use takt_cia402::dictionary::{Address, Dictionary, Key, Number};
+use takt_cia402::{
+    ControlWord, Feedback, Goal, HOMING_MODE, HOMING_START, Homing, Master, Orders, State,
+    StatusWord,
+};
+
+use super::AxisTrouble;
+use super::plan::AxisPlan;
+
+/// What an axis is told in every cycle. Targets count only while it follows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct AxisCommand {
+    /// 607Ah, user units.
+    pub position: i32,
+    /// 60FFh, user units/s.
+    pub velocity: i32,
+    /// 6071h, per mille of the rated torque.
+    pub torque: i16,
+    /// 60B0h, user units; added to the position.
+    pub position_offset: i32,
+    /// 60B1h, user units/s; added to the velocity.
+    pub velocity_offset: i32,
+    /// 60B2h, per mille of the rated torque.
+    pub torque_offset: i16,
+    /// Bits 4 to 6, 8 (halt) and 9 of the controlword, as the mode of operation needs them.
+    pub mode_bits: u16,
+}
+
+/// What an axis said last.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct AxisState {
+    /// 6041h.
+    pub status: StatusWord,
+    /// 6061h; `None` if it is not mapped.
+    pub mode: Option<i8>,
+    /// 6064h, user units.
+    pub position: i32,
+    /// 606Ch, user units/s.
+    pub velocity: i32,
+    /// 6077h, per mille of the rated torque.
+    pub torque: i16,
+    /// 60FDh.
+    pub inputs: u32,
+    /// Its targets count: what is commanded now is where it goes.
+    pub follows: bool,
+    /// SYNCs since its last TPDO.
+    pub missing: u32,
+    /// Homing runs that came to a good end.
+    pub homed: u32,
+}
+
+/// Objects of an axis in the process image; those that are not mapped are not there.
+#[derive(Clone, Copy, Debug)]
+struct Keys {
+    control: Option<Key<u16>>,
+    mode: Option<Key<i8>>,
+    position: Option<Key<i32>>,
+    velocity: Option<Key<i32>>,
+    torque: Option<Key<i16>>,
+    position_offset: Option<Key<i32>>,
+    velocity_offset: Option<Key<i32>>,
+    torque_offset: Option<Key<i16>>,
+    status: Option<Key<u16>>,
+    shown: Option<Key<i8>>,
+    position_actual: Option<Key<i32>>,
+    velocity_actual: Option<Key<i32>>,
+    torque_actual: Option<Key<i16>>,
+    inputs: Option<Key<u32>>,
+}
+
+impl Keys {
+    fn new(image: &Dictionary, axis: u8) -> Self {
+        fn key<T: Number>(image: &Dictionary, axis: u8, index: u16) -> Option<Key<T>> {
+            let address = Address::new(index, 0).on_axis(axis)?;
+            image.key(address).ok()
+        }
+        Self {
+            control: key(image, axis, 0x6040),
+            mode: key(image, axis, 0x6060),
+            position: key(image, axis, 0x607A),
+            velocity: key(image, axis, 0x60FF),
+            torque: key(image, axis, 0x6071),
+            position_offset: key(image, axis, 0x60B0),
+            velocity_offset: key(image, axis, 0x60B1),
+            torque_offset: key(image, axis, 0x60B2),
+            status: key(image, axis, 0x6041),
+            shown: key(image, axis, 0x6061),
+            position_actual: key(image, axis, 0x6064),
+            velocity_actual: key(image, axis, 0x606C),
+            torque_actual: key(image, axis, 0x6077),
+            inputs: key(image, axis, 0x60FD),
+        }
+    }
+}
+
+fn set<T: Number>(image: &mut Dictionary, key: Option<Key<T>>, value: T) {
+    if let Some(key) = key {
+        image.set(key, value);
+    }
+}
+
+/// The master's side of one axis.
+#[derive(Clone, Debug)]
+pub struct Axis {
+    plan: AxisPlan,
+    keys: Keys,
+    master: Master,
+    command: AxisCommand,
+    state: AxisState,
+    goal: Goal,
+    mode: i8,
+    homing: Option<Homing>,
+    homing_failed: Option<takt_cia402::HomingError>,
+    /// Its TPDO came since the last cycle.
+    fresh: bool,
+    /// It was heard since its node runs.
+    heard: bool,
+    /// It was lost while enabled.
+    held_back: bool,
+    aligned: bool,
+    /// Where it is held while it is enabled and does not follow. The actual position of every cycle
+    /// would give way to any load.
+    hold: Option<i32>,
+    trouble: Option<AxisTrouble>,
+}
+
+impl Axis {
+    pub(super) fn new(plan: AxisPlan, image: &Dictionary) -> Self {
+        Self {
+            plan,
+            keys: Keys::new(image, plan.axis),
+            master: Master::new(plan.patience),
+            command: AxisCommand::default(),
+            state: AxisState::default(),
+            goal: Goal::SwitchOnDisabled,
+            mode: 0,
+            homing: None,
+            homing_failed: None,
+            fresh: false,
+            heard: false,
+            held_back: false,
+            aligned: false,
+            hold: None,
+            trouble: Some(AxisTrouble::NodeDown),
+        }
+    }
+
+    /// Says where the axis is wanted, and in which mode of operation (6060h). An axis that was held
+    /// back is free again.
+    pub fn set_goal(&mut self, goal: Goal, mode: i8) {
+        self.held_back = false;
+        (self.goal, self.mode) = (goal, mode);
+        if self.homing.is_none() || goal != Goal::OperationEnabled {
+            self.homing = None;
+            self.master.set_mode(mode);
+        }
+        self.master.set_goal(goal);
+    }
+
+    /// Where it is wanted.
+    #[must_use]
+    pub const fn goal(&self) -> Goal {
+        self.goal
+    }
+
+    /// What it is told from the next cycle on.
+    pub const fn command(&mut self, command: AxisCommand) {
+        self.command = command;
+    }
+
+    /// What it said last.
+    #[must_use]
+    pub const fn state(&self) -> &AxisState {
+        &self.state
+    }
+
+    /// Enables it in homing mode and lets it home by the method in 6098h; then the mode of
+    /// operation is as before, and it holds its new position until its target is there.
+    pub fn home(&mut self) {
+        self.held_back = false;
+        self.homing_failed = None;
+        self.homing = Some(Homing::new(self.plan.homing));
+        self.goal = Goal::OperationEnabled;
+        self.master.set_mode(HOMING_MODE);
+        self.master.set_goal(Goal::OperationEnabled);
+    }
+
+    /// Whether a homing run is under way.
+    #[must_use]
+    pub const fn is_homing(&self) -> bool {
+        self.homing.is_some()
+    }
+
+    /// Resets a fault, by an edge of bit 7.
+    pub const fn reset_fault(&mut self) {
+        self.master.reset_fault();
+    }
+
+    /// Why it does not do what it is told.
+    #[must_use]
+    pub const fn trouble(&self) -> Option<AxisTrouble> {
+        self.trouble
+    }
+
+    /// The TPDO with its statusword came.
+    pub(super) const fn received(&mut self) {
+        (self.fresh, self.heard) = (true, true);
+    }
+
+    fn read(&mut self, image: &Dictionary) {
+        fn get<T: Number>(image: &Dictionary, key: Option<Key<T>>) -> Option<T> {
+            key.map(|key| image.get(key))
+        }
+        let (k, state) = (&self.keys, &mut self.state);
+        state.status = StatusWord::new(get(image, k.status).unwrap_or(0));
+        state.mode = get(image, k.shown);
+        state.position = get(image, k.position_actual).unwrap_or(0);
+        state.velocity = get(image, k.velocity_actual).unwrap_or(0);
+        state.torque = get(image, k.torque_actual).unwrap_or(0);
+        state.inputs = get(image, k.inputs).unwrap_or(0);
+    }
+
+    /// Its node stopped running.
+    pub(super) fn lost(&mut self) {
+        let wanted = self.goal == Goal::OperationEnabled;
+        self.held_back |= wanted;
+        self.heard = false;
+        self.homing = None;
+        self.goal = Goal::SwitchOnDisabled;
+        self.master = Master::new(self.plan.patience);
+        self.master.set_mode(self.mode);
+        self.aligned = false;
+        self.state.follows = false;
+        self.trouble = Some(AxisTrouble::NodeDown);
+    }
+
+    /// One cycle: what the drive is told goes into the image. Returns whether its TPDOs have just
+    /// been missing for too long.
+    pub(super) fn cycle(&mut self, image: &mut Dictionary, now: Duration) -> bool {
+        if !self.heard {
+            self.write(image, ControlWord::DISABLE_VOLTAGE, false);
+            return false;
+        }
+        self.read(image);
+        let fresh = std::mem::take(&mut self.fresh);
+        self.state.missing = if fresh {
+            0
+        } else {
+            self.state.missing.saturating_add(1)
+        };
+        let missing = self.state.missing > self.plan.missing_max;
+        let newly = missing && !self.held_back && self.goal == Goal::OperationEnabled;
+        if newly {
+            (self.held_back, self.goal) = (true, Goal::QuickStop);
+            self.homing = None;
+            self.master.set_goal(Goal::QuickStop);
+        }
+        let orders = self.orders(now);
+        self.latch(orders.follows);
+        self.write(image, orders.control, orders.follows);
+        newly
+    }
+
+    fn orders(&mut self, now: Duration) -> Orders {
+        let feedback = Feedback {
+            status: self.state.status,
+            mode: self.state.mode,
+            position: self.state.position,
+        };
+        let mut orders = self.master.step(&feedback, now);
+        self.trouble = self.master.obstacle().map(AxisTrouble::Drive);
+        // In the cycle in which a run ends the targets still are of before it.
+        let homing = self.homing.is_some();
+        let start = self.run_homing(&orders, now);
+        let bits = if start { HOMING_START } else { 0 };
+        orders.follows &= !homing;
+        self.align(&mut orders);
+        let bits = if orders.follows {
+            self.command.mode_bits & 0x0370
+        } else {
+            bits
+        };
+        orders.control = ControlWord::new(orders.control.raw() | bits);
+        self.state.follows = orders.follows;
+        if self.held_back {
+            self.trouble = Some(AxisTrouble::HeldBack);
+        } else if let Some(error) = self.homing_failed {
+            self.trouble = self.trouble.or(Some(AxisTrouble::Homing(error)));
+        }
+        orders
+    }
+
+    /// Bit 4, while the drive homes; ends the run.
+    fn run_homing(&mut self, orders: &Orders, now: Duration) -> bool {
+        let Some(homing) = &mut self.homing else {
+            return false;
+        };
+        let shown = self.state.mode.is_none_or(|mode| mode == HOMING_MODE);
+        let (start, outcome) = homing.step(self.state.status, orders.follows && shown, now);
+        if let Some(outcome) = outcome {
+            self.homing = None;
+            self.homing_failed = outcome.err();
+            if outcome.is_ok() {
+                self.state.homed = self.state.homed.wrapping_add(1);
+            }
+            self.master.set_mode(self.mode);
+            self.aligned = false;
+        }
+        start
+    }
+
+    /// In position modes it follows only once its target has been near its position.
+    fn align(&mut self, orders: &mut Orders) {
+        if !orders.follows {
+            self.aligned = false;
+            return;
+        }
+        let (target, actual) = (self.command.position, self.state.position);
+        let positions = matches!(orders.mode, 1 | 7 | 8);
+        let far = target.wrapping_sub(actual).unsigned_abs() > self.plan.jump_max;
+        // A profile position is far away by intent; its hand-shake is the start.
+        if positions && orders.mode != 1 && far && !self.aligned {
+            orders.follows = false;
+            self.trouble = Some(AxisTrouble::NotAligned { target, actual });
+            return;
+        }
+        self.aligned = true;
+    }
+
+    fn latch(&mut self, follows: bool) {
+        let enabled = self.state.status.state() == Ok(State::OperationEnabled);
+        let homing = self.state.mode == Some(HOMING_MODE);
+        self.hold = if enabled && !follows && !homing {
+            self.hold.or(Some(self.state.position))
+        } else {
+            None
+        };
+    }
+
+    fn write(&self, image: &mut Dictionary, control: ControlWord, follows: bool) {
+        let (k, c) = (&self.keys, &self.command);
+        let mode = if self.homing.is_some() {
+            HOMING_MODE
+        } else {
+            self.mode
+        };
+        let zero_or = |value| if follows { value } else { 0 };
+        let hold = self.hold.unwrap_or(self.state.position);
+        let position = if follows { c.position } else { hold };
+        set(image, k.control, control.raw());
+        set(image, k.mode, mode);
+        set(image, k.position, position);
+        set(image, k.velocity, zero_or(c.velocity));
+        set(image, k.torque, if follows { c.torque } else { 0 });
+        set(image, k.position_offset, zero_or(c.position_offset));
+        set(image, k.velocity_offset, zero_or(c.velocity_offset));
+        set(
+            image,
+            k.torque_offset,
+            if follows { c.torque_offset } else { 0 },
+        );
+    }
+}

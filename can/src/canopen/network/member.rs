@@ -1,0 +1,507 @@
+//! One node of a network as its master has it: its start, its watch, its process image, its SDO
+//! client. It shares nothing with the others, so that what goes wrong here stays here.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use takt_cia402::dictionary::{
+    AbortCode, Access, Address, DataType, Dictionary, Entry, Mapped, Mapping, Object, PdoUse,
+};
+
+use super::plan::{NodePlan, Supervision};
+use super::startup::{Action, Answer, Phase, Startup};
+use super::{Axis, NetworkConfig, NetworkError, Outcome, TRANSFERS_MAX, Transfer, Trouble};
+use crate::canopen::nmt::{Consumer, Guarded, Guarding};
+use crate::canopen::pdo::Parameters;
+use crate::canopen::{Emergency, NmtCommand, NmtState, sdo};
+use crate::{Frame, Id};
+
+/// What there is to tell of a node.
+#[derive(Clone, Copy, Debug, Default)]
+#[expect(clippy::struct_excessive_bools, reason = "each is a flag of its own")]
+pub(super) struct News {
+    pub(super) phase: bool,
+    pub(super) trouble: bool,
+    pub(super) emergencies: u32,
+    pub(super) homed: bool,
+    pub(super) axis: bool,
+}
+
+/// A TPDO as the master takes it.
+#[derive(Debug)]
+struct Received {
+    number: u16,
+    mapping: Mapping,
+    /// Bit n: it carries the statusword of axis n of the plan.
+    axes: u8,
+}
+
+/// Whose SDO is under way.
+#[derive(Debug)]
+enum Owner {
+    Nobody,
+    Startup,
+    User(Transfer),
+}
+
+#[derive(Debug)]
+pub(super) struct Member {
+    pub(super) plan: NodePlan,
+    pub(super) startup: Startup,
+    pub(super) image: Dictionary,
+    sent: Vec<(Id, Mapping)>,
+    received: Vec<Received>,
+    pub(super) axes: Vec<Axis>,
+    client: sdo::Client,
+    owner: Owner,
+    /// The next message of the SDO under way.
+    message: Option<sdo::Message>,
+    /// What the start wants next by SDO.
+    wanted: Action,
+    waiting: VecDeque<Transfer>,
+    finished: VecDeque<(Transfer, Outcome)>,
+    consumer: Consumer,
+    guarding: Option<Guarding>,
+    pub(super) command: Option<NmtCommand>,
+    pub(super) question: Option<Frame>,
+    pub(super) emergency: Option<Emergency>,
+    pub(super) trouble: Option<Trouble>,
+    pub(super) news: News,
+    seen: Phase,
+}
+
+impl Member {
+    pub(super) fn new(plan: NodePlan, config: &NetworkConfig) -> Result<Self, NetworkError> {
+        let image = image(&plan)?;
+        let node = plan.id;
+        let mapping = |entries: &[Mapped], received| {
+            let mapped = Mapping::new(&image, entries, received, 64);
+            mapped.map_err(|why| NetworkError::Mapping { node, why })
+        };
+        let mut sent = Vec::new();
+        for (_, pdo) in &plan.rpdos {
+            let id = pdo
+                .cob
+                .id()
+                .ok_or(NetworkError::Identifier(node, pdo.cob))?;
+            sent.push((id, mapping(&pdo.mapping, true)?));
+        }
+        let mut received = Vec::new();
+        for (number, pdo) in &plan.tpdos {
+            received.push(Received {
+                number: *number,
+                mapping: mapping(&pdo.mapping, false)?,
+                axes: axes_of(&plan, &pdo.mapping),
+            });
+        }
+        let axes = plan
+            .axes
+            .iter()
+            .map(|axis| Axis::new(*axis, &image))
+            .collect();
+        let downloads = plan.all_downloads(config.heartbeat);
+        let timing = (config.boot_up_max, config.retry);
+        Ok(Self {
+            startup: Startup::new(&plan, downloads, timing),
+            image,
+            sent,
+            received,
+            axes,
+            client: sdo::Client::new(plan.sdo_len_max, config.sdo_timeout),
+            owner: Owner::Nobody,
+            message: None,
+            wanted: Action::None,
+            waiting: VecDeque::with_capacity(TRANSFERS_MAX),
+            finished: VecDeque::with_capacity(TRANSFERS_MAX),
+            consumer: Consumer::new(Duration::ZERO),
+            guarding: None,
+            command: None,
+            question: None,
+            emergency: None,
+            trouble: None,
+            news: News::default(),
+            seen: Phase::Off,
+            plan,
+        })
+    }
+
+    pub(super) fn is_running(&self) -> bool {
+        self.startup.phase() == Phase::Running
+    }
+
+    /// What the start wants; and what its new phase means for the rest.
+    pub(super) fn act(&mut self, action: Action, now: Duration) {
+        match action {
+            Action::None => {}
+            Action::Command(command) => self.command = Some(command),
+            Action::Read(_) | Action::Write(_) => self.wanted = action,
+        }
+        let phase = self.startup.phase();
+        if phase == self.seen {
+            return;
+        }
+        let before = std::mem::replace(&mut self.seen, phase);
+        self.news.phase = true;
+        if self
+            .startup
+            .trouble()
+            .is_some_and(|t| self.trouble != Some(t))
+        {
+            self.trouble = self.startup.trouble();
+            self.news.trouble = true;
+        }
+        if before == Phase::Running {
+            self.axes.iter_mut().for_each(Axis::lost);
+        }
+        match phase {
+            Phase::Starting => self.watch(now),
+            Phase::Running => self.trouble = None,
+            Phase::Resetting | Phase::Failed | Phase::Off => {
+                (self.guarding, self.wanted) = (None, Action::None);
+                if matches!(self.owner, Owner::Startup) {
+                    self.drop_transfer(AbortCode::General);
+                }
+            }
+            Phase::Checking(_) | Phase::Configuring { .. } => {}
+        }
+    }
+
+    fn watch(&mut self, now: Duration) {
+        self.consumer = Consumer::new(Duration::ZERO);
+        match self.plan.supervision {
+            Supervision::Heartbeat(period) => self.consumer = Consumer::new(period * 5 / 2),
+            Supervision::Guarding(period, factor) => {
+                self.guarding = Some(Guarding::new(self.plan.id, period, factor, now));
+            }
+            Supervision::None => {}
+        }
+    }
+
+    pub(super) fn note(&mut self, trouble: Trouble) {
+        self.news.trouble |= self.trouble != Some(trouble);
+        self.trouble = Some(trouble);
+    }
+
+    pub(super) fn begin(&mut self, now: Duration) {
+        let action = self.startup.begin(now);
+        self.act(action, now);
+    }
+
+    pub(super) fn end(&mut self, now: Duration) {
+        let action = self.startup.end();
+        self.act(action, now);
+    }
+
+    fn fail(&mut self, trouble: Trouble, now: Duration) {
+        let action = self.startup.fail(trouble, now);
+        self.act(action, now);
+    }
+
+    pub(super) fn handle_heartbeat(&mut self, state: NmtState, toggle: bool, now: Duration) {
+        match &mut self.guarding {
+            Some(guarding) => {
+                if let Guarded::Toggle(_) = guarding.handle(state, toggle) {
+                    // A repeated answer proves nothing; silence will tell.
+                    return;
+                }
+            }
+            None => drop(self.consumer.handle(state, now)),
+        }
+        if state == NmtState::BootUp && self.startup.phase() != Phase::Off {
+            self.drop_transfer(AbortCode::General);
+        }
+        let action = self.startup.said(state, now);
+        self.act(action, now);
+    }
+
+    pub(super) fn handle_tpdo(&mut self, at: usize, data: &[u8]) {
+        let Some(tpdo) = self.received.get(at) else {
+            return;
+        };
+        if data.len() < tpdo.mapping.len() {
+            let (number, len) = (tpdo.number, u8::try_from(data.len()).unwrap_or(0));
+            self.note(Trouble::PdoShort { number, len });
+            return;
+        }
+        tpdo.mapping.unpack(&mut self.image, data);
+        let axes = tpdo.axes;
+        for (n, axis) in self.axes.iter_mut().enumerate() {
+            if axes >> n & 1 == 1 {
+                axis.received();
+            }
+        }
+    }
+
+    /// One cycle: its axes, then its RPDOs.
+    pub(super) fn cycle(&mut self, now: Duration, mut send: impl FnMut(Frame)) {
+        if !self.is_running() {
+            return;
+        }
+        for at in 0..self.axes.len() {
+            let axis = &mut self.axes[at];
+            let homed = axis.is_homing();
+            let trouble = axis.trouble();
+            let missing = axis.cycle(&mut self.image, now);
+            self.news.homed |= homed && !axis.is_homing();
+            self.news.axis |= axis.trouble() != trouble;
+            if missing {
+                let cycles = axis.state().missing;
+                let carries = |tpdo: &&Received| tpdo.axes >> at & 1 == 1;
+                let number = self.received.iter().find(carries).map_or(0, |t| t.number);
+                self.note(Trouble::PdoMissing { number, cycles });
+            }
+        }
+        for (id, mapping) in &self.sent {
+            let mut data = [0; 8];
+            mapping.pack(&self.image, &mut data);
+            let data = data.get(..mapping.len()).unwrap_or_default();
+            send(crate::canopen::message::frame(*id, data));
+        }
+    }
+
+    /// Heartbeat, guarding and start: what time brings.
+    pub(super) fn run_timers(&mut self, now: Duration) {
+        let action = self.startup.poll(now);
+        self.act(action, now);
+        if self.is_running() && self.consumer.poll(now) {
+            let Supervision::Heartbeat(period) = self.plan.supervision else {
+                return;
+            };
+            self.fail(Trouble::HeartbeatLost(period * 5 / 2), now);
+        }
+        if let Some((question, lost)) = self.guarding.as_mut().and_then(|g| g.poll(now)) {
+            self.question = Some(question);
+            if lost && self.is_running() {
+                self.fail(Trouble::GuardingLost, now);
+            }
+        }
+    }
+
+    pub(super) fn poll_timeout(&self) -> Option<Duration> {
+        if self.command.is_some() || self.question.is_some() || self.has_sdo() {
+            return Some(Duration::ZERO);
+        }
+        let heartbeat = self.consumer.poll_timeout().filter(|_| self.is_running());
+        let guarding = self.guarding.as_ref().map(Guarding::poll_timeout);
+        let client = self.client.poll_timeout();
+        [self.startup.poll_timeout(), heartbeat, guarding, client]
+            .into_iter()
+            .flatten()
+            .min()
+    }
+}
+
+/// SDO.
+impl Member {
+    pub(super) fn enqueue(&mut self, transfer: Transfer) -> Result<(), Transfer> {
+        if self.waiting.len() + self.finished.len() >= TRANSFERS_MAX {
+            return Err(transfer);
+        }
+        self.waiting.push_back(transfer);
+        Ok(())
+    }
+
+    pub(super) fn take_finished(&mut self) -> Option<(Transfer, Outcome)> {
+        self.finished.pop_front()
+    }
+
+    fn has_sdo(&self) -> bool {
+        let ready = self.may_transfer() && !self.waiting.is_empty();
+        let next = self.client.is_idle() && (ready || self.wanted != Action::None);
+        self.message.is_some() || next
+    }
+
+    fn may_transfer(&self) -> bool {
+        match self.startup.phase() {
+            Phase::Off | Phase::Running | Phase::Failed => true,
+            Phase::Resetting | Phase::Checking(_) | Phase::Configuring { .. } | Phase::Starting => {
+                false
+            }
+        }
+    }
+
+    /// The next SDO message to its server.
+    pub(super) fn poll_sdo(&mut self, now: Duration) -> Option<sdo::Message> {
+        if let Some(message) = self.message.take() {
+            return Some(message);
+        }
+        if self.client.is_idle() {
+            self.next_transfer(now);
+            return self.message.take();
+        }
+        let progress = self.client.poll(now);
+        self.progress(progress, now);
+        self.message.take()
+    }
+
+    fn next_transfer(&mut self, now: Duration) {
+        match std::mem::replace(&mut self.wanted, Action::None) {
+            Action::Read(address) => {
+                self.owner = Owner::Startup;
+                self.message = Some(self.client.read(address, false, now));
+            }
+            Action::Write(at) => {
+                let Some(download) = self.startup.download(at) else {
+                    return;
+                };
+                self.owner = Owner::Startup;
+                let written = self
+                    .client
+                    .write(download.address, &download.data, false, now);
+                match written {
+                    Ok(message) => self.message = Some(message),
+                    Err(code) => self.finish(Outcome::GaveUp(code), now),
+                }
+            }
+            Action::None | Action::Command(_) => self.next_of_user(now),
+        }
+    }
+
+    fn next_of_user(&mut self, now: Duration) {
+        if !self.may_transfer() {
+            return;
+        }
+        let Some(transfer) = self.waiting.pop_front() else {
+            return;
+        };
+        let (address, blocks) = (transfer.address, transfer.in_blocks);
+        if transfer.write {
+            let written = self.client.write(address, &transfer.data, blocks, now);
+            self.owner = Owner::User(transfer);
+            match written {
+                Ok(message) => self.message = Some(message),
+                Err(code) => self.finish(Outcome::GaveUp(code), now),
+            }
+        } else {
+            self.owner = Owner::User(transfer);
+            self.message = Some(self.client.read(address, blocks, now));
+        }
+    }
+
+    pub(super) fn handle_sdo(&mut self, message: &sdo::Message, now: Duration) {
+        if !self.client.is_idle() {
+            let progress = self.client.handle(message, now);
+            self.progress(progress, now);
+        }
+    }
+
+    fn progress(&mut self, progress: sdo::Progress, now: Duration) {
+        if progress.send.is_some() {
+            self.message = progress.send;
+        }
+        if let Some(outcome) = progress.outcome {
+            self.finish(outcome, now);
+        }
+    }
+
+    fn finish(&mut self, outcome: Outcome, now: Duration) {
+        match std::mem::replace(&mut self.owner, Owner::Nobody) {
+            Owner::Nobody => {}
+            Owner::Startup => {
+                let answer = match outcome {
+                    Outcome::Read => Answer::Value(self.client.value()),
+                    Outcome::Written => Answer::Written,
+                    Outcome::Refused(code) => Answer::Refused(code),
+                    Outcome::GaveUp(AbortCode::TimedOut) => Answer::Silent,
+                    Outcome::GaveUp(code) => Answer::Refused(code),
+                };
+                let action = self.startup.answered(answer, now);
+                self.act(action, now);
+            }
+            Owner::User(mut transfer) => {
+                if outcome == Outcome::Read {
+                    transfer.data.clear();
+                    transfer.data.extend_from_slice(self.client.value());
+                }
+                self.finished.push_back((transfer, outcome));
+            }
+        }
+    }
+
+    /// Ends what is under way without an answer to the start.
+    fn drop_transfer(&mut self, code: AbortCode) {
+        let owner = std::mem::replace(&mut self.owner, Owner::Nobody);
+        if !self.client.is_idle() {
+            // The server began anew or is gone: nobody is told.
+            let _ = self.client.give_up(code);
+            self.message = None;
+        }
+        if let Owner::User(transfer) = owner {
+            self.finished.push_back((transfer, Outcome::GaveUp(code)));
+        }
+    }
+}
+
+/// Which axes of a plan have their statusword in a PDO.
+fn axes_of(plan: &NodePlan, mapping: &[Mapped]) -> u8 {
+    let status = |axis: u8| Address::new(0x6041, 0).on_axis(axis);
+    (0_u8..8)
+        .zip(&plan.axes)
+        .filter(|(_, axis)| mapping.iter().any(|m| Some(m.address) == status(axis.axis)))
+        .fold(0, |bits, (n, _)| bits | 1 << n)
+}
+
+/// The master's copy of all objects in PDOs of a node.
+fn image(plan: &NodePlan) -> Result<Dictionary, NetworkError> {
+    let node = plan.id;
+    let mut objects: Vec<Object> = Vec::new();
+    let pdos = plan
+        .rpdos
+        .iter()
+        .chain(&plan.tpdos)
+        .map(|(_, pdo): &(u16, Parameters)| pdo);
+    for mapped in pdos.flat_map(|pdo| &pdo.mapping).filter(|m| !m.is_gap()) {
+        let kind = data_type(mapped).ok_or(NetworkError::Type(node, mapped.address))?;
+        let value = vec![0; kind.size().unwrap_or(0)];
+        let entry = Entry::of("process data", kind, Access::ReadWrite, value);
+        let entry = (mapped.address.sub, entry.mappable(PdoUse::Both));
+        let known = objects.iter_mut().find(|o| o.index == mapped.address.index);
+        match known {
+            Some(object) if object.entries.iter().any(|(sub, _)| *sub == entry.0) => {}
+            Some(object) => object.entries.push(entry),
+            None => {
+                let mut object = Object::var(mapped.address.index, entry.1.clone());
+                object.entries = vec![entry];
+                objects.push(object);
+            }
+        }
+    }
+    Dictionary::new(objects).map_err(NetworkError::Image)
+}
+
+/// The type of an entry of the profile; of others an unsigned one of that length.
+fn data_type(mapped: &Mapped) -> Option<DataType> {
+    let index = mapped.address.index;
+    let of_axis = if index >= 0x6000 {
+        0x6000 + (index - 0x6000) % Address::AXIS
+    } else {
+        index
+    };
+    Some(match (of_axis, mapped.bits) {
+        (0x6060 | 0x6061, 8) => DataType::Integer8,
+        (0x6071 | 0x6074 | 0x6077 | 0x6078 | 0x60B2, 16) => DataType::Integer16,
+        (
+            0x6062..=0x6064
+            | 0x606B
+            | 0x606C
+            | 0x607A
+            | 0x60B0
+            | 0x60B1
+            | 0x60BA..=0x60BD
+            | 0x60F4
+            | 0x60FC
+            | 0x60FF,
+            32,
+        ) => DataType::Integer32,
+        (_, 1) => DataType::Boolean,
+        (_, 8) => DataType::Unsigned8,
+        (_, 16) => DataType::Unsigned16,
+        (_, 24) => DataType::Unsigned24,
+        (_, 32) => DataType::Unsigned32,
+        (_, 40) => DataType::Unsigned40,
+        (_, 48) => DataType::Unsigned48,
+        (_, 56) => DataType::Unsigned56,
+        (_, 64) => DataType::Unsigned64,
+        _ => return None,
+    })
+}

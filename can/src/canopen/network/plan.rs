@@ -1,0 +1,217 @@
+//! What a network is to be: its nodes, what each is told before it runs, and which of its objects
+//! go in PDOs. It is made before anything runs, by hand or from a DCF.
+
+use std::time::Duration;
+
+use takt_cia402::Patience;
+use takt_cia402::dictionary::{Address, Mapped};
+
+use crate::canopen::NodeId;
+use crate::canopen::pdo::{Direction, Parameters, PdoCob, Transmission};
+
+/// A value to be written before a node runs.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Download {
+    /// Where.
+    pub address: Address,
+    /// What, little-endian.
+    pub data: Vec<u8>,
+    /// Whether it is read back and compared.
+    pub verify: bool,
+}
+
+impl Download {
+    /// A value that is read back.
+    #[must_use]
+    pub fn new(index: u16, sub: u8, data: &[u8]) -> Self {
+        Self {
+            address: Address::new(index, sub),
+            data: data.to_vec(),
+            verify: true,
+        }
+    }
+
+    fn unverified(self) -> Self {
+        Self {
+            verify: false,
+            ..self
+        }
+    }
+}
+
+/// How the master notices that a node is gone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Supervision {
+    /// The node sends a heartbeat (1017h), at most 65 s apart; it is lost after 2.5 times that.
+    Heartbeat(Duration),
+    /// The master asks: every so often (100Ch), and so many questions may stay open (100Dh).
+    Guarding(Duration, u8),
+    /// It does not.
+    None,
+}
+
+/// An axis of a node: which logical device of a multi-axis drive it is, and how it is led.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct AxisPlan {
+    /// 0 to 7.
+    pub axis: u8,
+    /// How the drive departs from the profile.
+    pub patience: Patience,
+    /// Farthest that 607Ah may be from 6064h when the drive begins to follow, user units.
+    pub jump_max: u32,
+    /// SYNCs that its TPDOs may be missing before it is stopped.
+    pub missing_max: u32,
+    /// Longest time for a homing run.
+    pub homing: Duration,
+}
+
+impl Default for AxisPlan {
+    fn default() -> Self {
+        Self {
+            axis: 0,
+            patience: Patience::default(),
+            jump_max: 1000,
+            missing_max: 3,
+            homing: Duration::from_secs(60),
+        }
+    }
+}
+
+/// What one node is to be.
+#[derive(Clone, Debug)]
+pub struct NodePlan {
+    /// Its number.
+    pub id: NodeId,
+    /// 1000h; `None`: any.
+    pub device_type: Option<u32>,
+    /// 1018h:01 to 04; `None`: any.
+    pub identity: [Option<u32>; 4],
+    /// How it is watched.
+    pub supervision: Supervision,
+    /// What it is told, after its PDOs.
+    pub downloads: Vec<Download>,
+    /// The PDOs it receives, by number from 0.
+    pub rpdos: Vec<(u16, Parameters)>,
+    /// The PDOs it transmits, by number from 0.
+    pub tpdos: Vec<(u16, Parameters)>,
+    /// Its axes.
+    pub axes: Vec<AxisPlan>,
+    /// Longest value read from or written to it, bytes.
+    pub sdo_len_max: usize,
+}
+
+impl NodePlan {
+    /// A node without PDOs that sends a heartbeat every 100 ms.
+    #[must_use]
+    pub const fn new(id: NodeId) -> Self {
+        Self {
+            id,
+            device_type: None,
+            identity: [None; 4],
+            supervision: Supervision::Heartbeat(Duration::from_millis(100)),
+            downloads: Vec::new(),
+            rpdos: Vec::new(),
+            tpdos: Vec::new(),
+            axes: Vec::new(),
+            sdo_len_max: 4096,
+        }
+    }
+
+    /// A drive with one axis whose position, or velocity and torque too, go with every SYNC.
+    ///
+    /// | PDO | objects |
+    /// |---|---|
+    /// | RPDO 1 | 6040h, 6060h, 607Ah |
+    /// | RPDO 2 | 60FFh, 6071h |
+    /// | TPDO 1 | 6041h, 6061h, 6064h |
+    /// | TPDO 2 | 606Ch, 6077h |
+    #[must_use]
+    pub fn drive(id: NodeId, axis: AxisPlan) -> Self {
+        let entry = |(index, bits): &(u16, u8)| Mapped {
+            address: Address::new(index + Address::AXIS * u16::from(axis.axis), 0),
+            bits: *bits,
+        };
+        let pdo = |function: u16, entries: &[(u16, u8)]| {
+            let mapping = entries.iter().map(entry).collect();
+            Parameters::new(
+                PdoCob::new(id.cob(function)),
+                Transmission::Sync(1),
+                mapping,
+            )
+        };
+        Self {
+            rpdos: vec![
+                (0, pdo(0x200, &[(0x6040, 16), (0x6060, 8), (0x607A, 32)])),
+                (1, pdo(0x300, &[(0x60FF, 32), (0x6071, 16)])),
+            ],
+            tpdos: vec![
+                (0, pdo(0x180, &[(0x6041, 16), (0x6061, 8), (0x6064, 32)])),
+                (1, pdo(0x280, &[(0x606C, 32), (0x6077, 16)])),
+            ],
+            axes: vec![axis],
+            ..Self::new(id)
+        }
+    }
+
+    /// All that is written before it runs: supervision, PDOs by the procedure, its own values.
+    #[must_use]
+    pub fn all_downloads(&self, master: Option<(NodeId, Duration)>) -> Vec<Download> {
+        let mut all = Vec::new();
+        match self.supervision {
+            Supervision::Heartbeat(period) => {
+                all.push(Download::new(0x1017, 0, &ms16(period).to_le_bytes()));
+            }
+            Supervision::Guarding(period, factor) => {
+                all.push(Download::new(0x1017, 0, &[0, 0]));
+                all.push(Download::new(0x100C, 0, &ms16(period).to_le_bytes()));
+                all.push(Download::new(0x100D, 0, &[factor]));
+            }
+            Supervision::None => {}
+        }
+        if let Some((master, period)) = master {
+            let time = u32::from(ms16(period * 5 / 2)) | u32::from(master.raw()) << 16;
+            all.push(Download::new(0x1016, 1, &time.to_le_bytes()));
+        }
+        let receive = self.rpdos.iter().map(|pdo| (Direction::Receive, pdo));
+        let transmit = self.tpdos.iter().map(|pdo| (Direction::Transmit, pdo));
+        for (direction, (number, parameters)) in receive.chain(transmit) {
+            all.extend(pdo_downloads(direction, *number, parameters));
+        }
+        all.extend(self.downloads.iter().cloned());
+        all
+    }
+}
+
+fn ms16(time: Duration) -> u16 {
+    u16::try_from(time.as_millis()).unwrap_or(u16::MAX)
+}
+
+/// The procedure of CiA 301 (clause 7.5.2.36): off, times, count 0, entries, count, on.
+fn pdo_downloads(direction: Direction, number: u16, pdo: &Parameters) -> Vec<Download> {
+    let (index, mapping) = (
+        direction.communication() + number,
+        direction.mapping() + number,
+    );
+    let cob = |cob: PdoCob| Download::new(index, 1, &cob.raw().to_le_bytes());
+    let mut all = vec![
+        cob(pdo.cob.off()).unverified(),
+        Download::new(index, 2, &[pdo.transmission.raw()]),
+    ];
+    if pdo.inhibit > 0 {
+        all.push(Download::new(index, 3, &pdo.inhibit.to_le_bytes()));
+    }
+    if pdo.event > 0 {
+        all.push(Download::new(index, 5, &pdo.event.to_le_bytes()));
+    }
+    if pdo.sync_start > 0 {
+        all.push(Download::new(index, 6, &[pdo.sync_start]));
+    }
+    all.push(Download::new(mapping, 0, &[0]).unverified());
+    for (sub, entry) in (1_u8..).zip(&pdo.mapping) {
+        all.push(Download::new(mapping, sub, &entry.raw().to_le_bytes()));
+    }
+    let count = u8::try_from(pdo.mapping.len()).unwrap_or(u8::MAX);
+    all.push(Download::new(mapping, 0, &[count]));
+    all.push(cob(pdo.cob));
+    all
+}

@@ -1,0 +1,177 @@
+//! Why a node or an axis is not where it is wanted, in words that say what to do.
+
+use std::fmt;
+use std::time::Duration;
+
+use takt_cia402::dictionary::{AbortCode, Address};
+use takt_cia402::{HomingError, Obstacle};
+
+use crate::canopen::{Emergency, NmtState};
+
+/// Why a node does not run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Trouble {
+    /// After a reset its boot-up message did not come.
+    NoBootUp(Duration),
+    /// It is another device than was planned.
+    WrongDevice {
+        /// 1000h or an entry of 1018h.
+        address: Address,
+        /// As planned.
+        expected: u32,
+        /// As read.
+        found: u32,
+    },
+    /// It refused a read or a write of its configuration.
+    Refused {
+        /// Of what.
+        address: Address,
+        /// Why.
+        code: AbortCode,
+    },
+    /// It did not answer a read or a write of its configuration.
+    Silent(Address),
+    /// It took a value and shows another.
+    NotTaken(Address),
+    /// It was started and says another state.
+    NotStarted(NmtState),
+    /// It was started and says nothing.
+    NoHeartbeat(Duration),
+    /// Its heartbeats stopped.
+    HeartbeatLost(Duration),
+    /// It does not answer node guarding.
+    GuardingLost,
+    /// It booted up while it ran: it has lost its configuration.
+    Restarted,
+    /// It left Operational without being told.
+    LeftOperational(NmtState),
+    /// A TPDO that comes with SYNC was missing for so many cycles.
+    PdoMissing {
+        /// Number of the TPDO, from 0.
+        number: u16,
+        /// SYNCs without it.
+        cycles: u32,
+    },
+    /// A TPDO was shorter than what was mapped.
+    PdoShort {
+        /// Number of the TPDO, from 0.
+        number: u16,
+        /// Bytes that came.
+        len: u8,
+    },
+    /// It told an error by EMCY.
+    Emergency(Emergency),
+}
+
+impl fmt::Display for Trouble {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NoBootUp(after) => write!(
+                f,
+                "no boot-up message {after:?} after reset communication: is it powered and wired, \
+                 its bit rate and node number right, the bus terminated?"
+            ),
+            Self::WrongDevice {
+                address,
+                expected,
+                found,
+            } => write!(
+                f,
+                "{address} is {found:08X}h, {expected:08X}h was planned: another device or \
+                 firmware has this node number; correct the plan or the wiring"
+            ),
+            Self::Refused { address, code } => write!(f, "{address}: {code}"),
+            Self::Silent(address) => write!(
+                f,
+                "no SDO answer about {address}: is the node stopped, or its SDO server busy with \
+                 another master?"
+            ),
+            Self::NotTaken(address) => write!(
+                f,
+                "{address} was written and reads another value: the device limits it, or needs \
+                 it stored (1010h) and a reset"
+            ),
+            Self::NotStarted(state) => write!(
+                f,
+                "told to start, it says {state}: does its 1F80h or a local control forbid it?"
+            ),
+            Self::NoHeartbeat(after) => write!(
+                f,
+                "no heartbeat {after:?} after start: does it support 1017h? Else plan node \
+                 guarding"
+            ),
+            Self::HeartbeatLost(after) => write!(
+                f,
+                "no heartbeat for {after:?}: power, wiring, bus-off, or a firmware that hangs"
+            ),
+            Self::GuardingLost => f.write_str(
+                "no answer to node guarding: power, wiring, bus-off, or 100Ch and 100Dh",
+            ),
+            Self::Restarted => f.write_str(
+                "it booted up while it ran and lost its configuration: check its supply; it is \
+                 configured anew and waits for its goal",
+            ),
+            Self::LeftOperational(state) => write!(
+                f,
+                "it went to {state} without being told: 1029h after an error, or another master"
+            ),
+            Self::PdoMissing { number, cycles } => write!(
+                f,
+                "TPDO {} did not come for {cycles} SYNCs: bus load too high, SYNC not received \
+                 (1005h), or its type (180{number:X}h:02) changed",
+                number + 1
+            ),
+            Self::PdoShort { number, len } => write!(
+                f,
+                "TPDO {} came with {len} bytes, more are mapped: its mapping 1A0{number:X}h was \
+                 changed, or another node has the same identifier",
+                number + 1
+            ),
+            Self::Emergency(emergency) => write!(
+                f,
+                "EMCY {:04X}h, error register {:02X}h",
+                emergency.code, emergency.register
+            ),
+        }
+    }
+}
+
+/// Why an axis does not do what it is told.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum AxisTrouble {
+    /// Its node does not run.
+    NodeDown,
+    /// What the drive profile knows.
+    Drive(Obstacle),
+    /// The drive would follow, but its target is too far from where it is: it would jump.
+    NotAligned {
+        /// 607Ah, user units.
+        target: i32,
+        /// 6064h, user units.
+        actual: i32,
+    },
+    /// The last homing run failed.
+    Homing(HomingError),
+    /// It was lost while enabled; it is held back until its goal is set anew.
+    HeldBack,
+}
+
+impl fmt::Display for AxisTrouble {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NodeDown => f.write_str("its node does not run; see the node's trouble"),
+            Self::Drive(obstacle) => obstacle.fmt(f),
+            Self::NotAligned { target, actual } => write!(
+                f,
+                "its target {target} is too far from its position {actual}: begin from 6064h, or \
+                 it would jump"
+            ),
+            Self::Homing(error) => error.fmt(f),
+            Self::HeldBack => f.write_str(
+                "its node was lost while it was enabled: find out why, then set its goal",
+            ),
+        }
+    }
+}

@@ -1,0 +1,197 @@
+//! A PDO that a device transmits: with which SYNC, on which event, how often at most and at least.
+//! What is an event of the profile is not known here: a change of what it carries is one.
+
+use std::time::Duration;
+
+use takt_cia402::dictionary::{AbortCode, Dictionary, Mapping};
+
+use super::parameters::mapping;
+use super::{Direction, Parameters, Transmission};
+use crate::canopen::message::frame;
+use crate::{Frame, Id};
+
+/// A PDO to transmit.
+///
+/// | type | sampled | sent |
+/// |---|---|---|
+/// | 0 | with SYNC | with the SYNC after a change or [`Tpdo::trigger`] |
+/// | 1 to 240 | with SYNC | with every n-th, from the SYNC start value on |
+/// | 252 | with SYNC | when a remote frame asks |
+/// | 253 | when asked | when a remote frame asks |
+/// | 254, 255 | when sent | on a change, [`Tpdo::trigger`] or the event timer, after the inhibit time |
+#[derive(Clone, Debug)]
+pub struct Tpdo {
+    id: Option<Id>,
+    remote: bool,
+    transmission: Transmission,
+    mapping: Mapping,
+    inhibit: Duration,
+    /// Zero is none.
+    event: Duration,
+    sync_start: u8,
+    /// SYNCs since the last one it was sent with.
+    syncs: u8,
+    /// The SYNC start value was seen, or is not asked for.
+    begun: bool,
+    triggered: bool,
+    sent: Option<Duration>,
+    last: Option<[u8; 8]>,
+}
+
+impl Tpdo {
+    /// The PDO of that number (from 0) in a dictionary; `None` if there is none.
+    ///
+    /// # Errors
+    /// If its mapping is none.
+    pub fn new(dictionary: &Dictionary, number: u16) -> Result<Option<Self>, AbortCode> {
+        let direction = Direction::Transmit;
+        let Some(parameters) = Parameters::communication(dictionary, direction, number) else {
+            return Ok(None);
+        };
+        let mapping = mapping(dictionary, direction, number)?;
+        let mut tpdo = Self {
+            id: parameters.cob.id(),
+            remote: parameters.cob.allows_remote(),
+            transmission: parameters.transmission,
+            mapping,
+            inhibit: Duration::from_micros(100) * parameters.inhibit.into(),
+            event: Duration::from_millis(parameters.event.into()),
+            sync_start: parameters.sync_start,
+            syncs: 0,
+            begun: false,
+            triggered: false,
+            sent: None,
+            last: None,
+        };
+        tpdo.start();
+        Ok(Some(tpdo))
+    }
+
+    /// Its identifier, if it exists.
+    #[must_use]
+    pub const fn id(&self) -> Option<Id> {
+        self.id
+    }
+
+    /// What it carries.
+    #[must_use]
+    pub const fn mapping(&self) -> &Mapping {
+        &self.mapping
+    }
+
+    /// Begins anew, as entering Operational does: event-driven ones are due at once.
+    pub const fn start(&mut self) {
+        self.syncs = 0;
+        self.begun = self.sync_start == 0;
+        self.triggered = true;
+        (self.sent, self.last) = (None, None);
+    }
+
+    /// Asks for it, whatever it carries.
+    pub const fn trigger(&mut self) {
+        self.triggered = true;
+    }
+
+    /// SYNC, with its counter: the frame to send, if any.
+    pub fn handle_sync(
+        &mut self,
+        counter: Option<u8>,
+        dictionary: &Dictionary,
+        now: Duration,
+    ) -> Option<Frame> {
+        match self.transmission {
+            Transmission::SyncAcyclic => {
+                let due = self.triggered || self.is_changed(dictionary);
+                due.then(|| self.send(dictionary, now))?
+            }
+            Transmission::Sync(every) => {
+                if !self.begun {
+                    // Without a counter the start value means nothing.
+                    self.begun = counter.is_none_or(|counter| counter == self.sync_start);
+                    self.syncs = every - 1;
+                }
+                if !self.begun {
+                    return None;
+                }
+                self.syncs += 1;
+                if self.syncs < every {
+                    return None;
+                }
+                self.syncs = 0;
+                self.send(dictionary, now)
+            }
+            Transmission::RemoteSync => {
+                self.last = Some(self.pack(dictionary));
+                None
+            }
+            Transmission::Remote
+            | Transmission::EventManufacturer
+            | Transmission::EventProfile
+            | Transmission::Reserved(_) => None,
+        }
+    }
+
+    /// A remote frame asks for it.
+    pub fn handle_remote(&mut self, dictionary: &Dictionary, now: Duration) -> Option<Frame> {
+        if !self.remote {
+            return None;
+        }
+        match (self.transmission, self.last) {
+            (Transmission::RemoteSync, Some(data)) => self.frame(&data),
+            _ => self.send(dictionary, now),
+        }
+    }
+
+    /// The frame to send now without a SYNC, if any.
+    pub fn poll(&mut self, dictionary: &Dictionary, now: Duration) -> Option<Frame> {
+        if self.id.is_none() || !self.transmission.is_event_driven() {
+            return None;
+        }
+        let inhibited = self.sent.is_some_and(|sent| now < sent + self.inhibit);
+        let timer = self.timer().is_some_and(|due| now >= due);
+        let due = timer || self.triggered || self.is_changed(dictionary);
+        (due && !inhibited).then(|| self.send(dictionary, now))?
+    }
+
+    fn timer(&self) -> Option<Duration> {
+        let sent = self.sent.filter(|_| !self.event.is_zero())?;
+        Some(sent + self.event)
+    }
+
+    /// When it is to be polled again. What changes in the dictionary meanwhile its owner knows.
+    #[must_use]
+    pub fn poll_timeout(&self, dictionary: &Dictionary) -> Option<Duration> {
+        if self.id.is_none() || !self.transmission.is_event_driven() {
+            return None;
+        }
+        if self.triggered || self.is_changed(dictionary) {
+            return Some(self.sent.map_or(Duration::ZERO, |sent| sent + self.inhibit));
+        }
+        self.timer()
+    }
+
+    fn is_changed(&self, dictionary: &Dictionary) -> bool {
+        self.last != Some(self.pack(dictionary))
+    }
+
+    fn pack(&self, dictionary: &Dictionary) -> [u8; 8] {
+        let mut data = [0; 8];
+        self.mapping.pack(dictionary, &mut data);
+        data
+    }
+
+    fn send(&mut self, dictionary: &Dictionary, now: Duration) -> Option<Frame> {
+        let data = self.pack(dictionary);
+        self.triggered = false;
+        (self.sent, self.last) = (Some(now), Some(data));
+        self.frame(&data)
+    }
+
+    /// Nothing is sent of a PDO that carries nothing.
+    fn frame(&self, data: &[u8; 8]) -> Option<Frame> {
+        let data = data
+            .get(..self.mapping.len())
+            .filter(|data| !data.is_empty())?;
+        self.id.map(|id| frame(id, data))
+    }
+}

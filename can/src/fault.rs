@@ -1,0 +1,294 @@
+//! Error frames: what the controller of an interface tells about its bus in the form that the kernel
+//! gives it (`linux/can/error.h`), and the state of the bus that follows from it. They never were on
+//! the wire. What to do about them is judged in `stat`.
+
+use std::fmt;
+
+use socketcan::CanErrorFrame;
+use socketcan::errors::{CanError, ErrorCause};
+
+/// Classes of causes, the bits of [`ErrorFrame::class`].
+pub mod class {
+    /// The driver gave a frame up.
+    pub const TX_TIMEOUT: u32 = 0x001;
+    /// Another frame won the bus.
+    pub const LOST_ARBITRATION: u32 = 0x002;
+    /// State of the controller; data byte 1.
+    pub const CONTROLLER: u32 = 0x004;
+    /// A violation of the protocol; data bytes 2 and 3.
+    pub const PROTOCOL: u32 = 0x008;
+    /// State of the transceiver; data byte 4.
+    pub const TRANSCEIVER: u32 = 0x010;
+    /// Nobody acknowledged.
+    pub const NO_ACK: u32 = 0x020;
+    /// The controller is off the bus.
+    pub const BUS_OFF: u32 = 0x040;
+    /// An error on the bus.
+    pub const BUS_ERROR: u32 = 0x080;
+    /// The controller was restarted after it was off the bus.
+    pub const RESTARTED: u32 = 0x100;
+    /// Data bytes 6 and 7 are the error counters.
+    pub const COUNTERS: u32 = 0x200;
+}
+
+/// Bits of data byte 1 with class [`class::CONTROLLER`].
+pub mod controller {
+    /// The controller lost received frames.
+    pub const RX_OVERFLOW: u8 = 0x01;
+    /// The controller lost frames to send.
+    pub const TX_OVERFLOW: u8 = 0x02;
+    /// The counter of receive errors is above 95.
+    pub const RX_WARNING: u8 = 0x04;
+    /// The counter of transmit errors is above 95.
+    pub const TX_WARNING: u8 = 0x08;
+    /// The counter of receive errors is above 127.
+    pub const RX_PASSIVE: u8 = 0x10;
+    /// The counter of transmit errors is above 127.
+    pub const TX_PASSIVE: u8 = 0x20;
+    /// Back in error-active.
+    pub const ACTIVE: u8 = 0x40;
+}
+
+/// Bits of data byte 2 with class [`class::PROTOCOL`].
+pub mod violation {
+    /// A single bit was not what was sent.
+    pub const BIT: u8 = 0x01;
+    /// A field of fixed form was not of it.
+    pub const FORM: u8 = 0x02;
+    /// Six equal bits in a row.
+    pub const STUFF: u8 = 0x04;
+    /// A dominant bit could not be sent.
+    pub const BIT0: u8 = 0x08;
+    /// A recessive bit could not be sent.
+    pub const BIT1: u8 = 0x10;
+    /// Too many frames at once.
+    pub const OVERLOAD: u8 = 0x20;
+    /// An active error was announced.
+    pub const ACTIVE: u8 = 0x40;
+    /// It happened while sending.
+    pub const TRANSMITTING: u8 = 0x80;
+}
+
+/// Place of an error in the frame: data byte 3 with class [`class::PROTOCOL`].
+pub mod location {
+    /// The checksum.
+    pub const CRC_SEQUENCE: u8 = 0x08;
+    /// The slot in which others acknowledge.
+    pub const ACK_SLOT: u8 = 0x19;
+}
+
+/// How a controller takes part in its bus (ISO 11898-1, clause 12.1).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum BusState {
+    /// Both error counters are below 96.
+    #[default]
+    ErrorActive,
+    /// One of them is 96 or more.
+    ErrorWarning,
+    /// One of them is 128 or more: the controller may not destroy frames any more.
+    ErrorPassive,
+    /// That of transmit errors reached 256: the controller neither sends nor receives.
+    BusOff,
+    /// Not started, or asleep.
+    Stopped,
+}
+
+impl BusState {
+    /// The state that goes with these error counters.
+    #[must_use]
+    pub const fn of_counters(transmit: u16, receive: u16) -> Self {
+        let worst = if transmit > receive {
+            transmit
+        } else {
+            receive
+        };
+        match worst {
+            _ if transmit > 255 => Self::BusOff,
+            0..96 => Self::ErrorActive,
+            96..128 => Self::ErrorWarning,
+            _ => Self::ErrorPassive,
+        }
+    }
+
+    /// As `ip link` and `takt doctor` write it.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::ErrorActive => "error-active",
+            Self::ErrorWarning => "error-warning",
+            Self::ErrorPassive => "error-passive",
+            Self::BusOff => "bus-off",
+            Self::Stopped => "stopped",
+        }
+    }
+}
+
+impl fmt::Display for BusState {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// One report of a controller.
+///
+/// | data byte | what |
+/// |---|---|
+/// | 0 | bit in which arbitration was lost |
+/// | 1 | state of the controller, bits of [`controller`] |
+/// | 2 | violations of the protocol, bits of [`violation`] |
+/// | 3 | their place in the frame |
+/// | 4 | state of the transceiver |
+/// | 5 | of the driver |
+/// | 6, 7 | counters of transmit and receive errors |
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct ErrorFrame {
+    class: u32,
+    /// Details, by class.
+    pub data: [u8; 8],
+}
+
+/// Bit 29 of a kernel's or log's identifier: it is an error frame.
+pub(crate) const ERROR_FLAG: u32 = 0x2000_0000;
+
+impl ErrorFrame {
+    /// Bits of [`class`] that fit: 29.
+    const CLASS_MASK: u32 = 0x1FFF_FFFF;
+
+    /// A report of these classes; higher bits than 28 are ignored, as they are flags of other kinds.
+    #[must_use]
+    pub const fn new(class: u32, data: [u8; 8]) -> Self {
+        Self {
+            class: class & Self::CLASS_MASK,
+            data,
+        }
+    }
+
+    /// Which causes are told, bits of [`class`](self::class).
+    #[must_use]
+    pub const fn class(&self) -> u32 {
+        self.class
+    }
+
+    /// All that is told, each as a named cause; there is always one.
+    #[must_use]
+    pub fn causes(&self) -> CanError {
+        // Refused are only more than 29 bits and more than 8 bytes.
+        CanErrorFrame::new_error(self.class, &self.data)
+            .map_or_else(|_| ErrorCause::Unknown(self.class).into(), CanError::from)
+    }
+
+    /// Counters of transmit and receive errors, if they are told.
+    #[must_use]
+    pub const fn counters(&self) -> Option<(u8, u8)> {
+        let [.., transmit, receive] = self.data;
+        if self.class & class::COUNTERS != 0 {
+            Some((transmit, receive))
+        } else {
+            None
+        }
+    }
+
+    /// The state the controller is in from now on, if this report tells.
+    #[must_use]
+    pub const fn state(&self) -> Option<BusState> {
+        use controller::{ACTIVE, RX_PASSIVE, RX_WARNING, TX_PASSIVE, TX_WARNING};
+        if self.class & class::BUS_OFF != 0 {
+            return Some(BusState::BusOff);
+        }
+        let flags = if self.class & class::CONTROLLER != 0 {
+            self.data[1]
+        } else {
+            0
+        };
+        if flags & (RX_PASSIVE | TX_PASSIVE) != 0 {
+            Some(BusState::ErrorPassive)
+        } else if flags & (RX_WARNING | TX_WARNING) != 0 {
+            Some(BusState::ErrorWarning)
+        } else if flags & ACTIVE != 0 || self.class & class::RESTARTED != 0 {
+            Some(BusState::ErrorActive)
+        } else {
+            None
+        }
+    }
+
+    /// Whether nobody acknowledged a frame that was sent: told by its class, or by the place of a
+    /// violation.
+    #[must_use]
+    pub const fn is_unacknowledged(&self) -> bool {
+        self.class & class::NO_ACK != 0
+            || self.class & class::PROTOCOL != 0 && self.data[3] == location::ACK_SLOT
+    }
+}
+
+impl fmt::Display for ErrorFrame {
+    /// `20000044#0030000000008205`, as candump logs it.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:08X}#", self.class | ERROR_FLAG)?;
+        self.data
+            .iter()
+            .try_for_each(|byte| write!(f, "{byte:02X}"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn causes_have_names() {
+        let off = ErrorFrame::new(0x044, [0, 0x30, 0, 0, 0, 0, 0x82, 0x05]);
+        assert_eq!(off.to_string(), "20000044#0030000000008205");
+        assert_eq!(
+            off.causes().to_string(),
+            "controller problem: rx passive, tx passive; bus off"
+        );
+        assert_eq!(off.state(), Some(BusState::BusOff));
+        assert_eq!(off.counters(), None, "not told by its class");
+        let noisy = ErrorFrame::new(0x288, [0, 0, 0x84, 0x08, 0, 0, 16, 3]);
+        assert!(noisy.causes().to_string().contains("bus error"));
+        assert_eq!(noisy.counters(), Some((16, 3)));
+        assert_eq!(noisy.state(), None);
+    }
+
+    #[test]
+    fn state_follows_from_each_flag() {
+        let state = |class, flags| ErrorFrame::new(class, [0, flags, 0, 0, 0, 0, 0, 0]).state();
+        let told = class::CONTROLLER;
+        assert_eq!(state(told, 0x04), Some(BusState::ErrorWarning));
+        assert_eq!(state(told, 0x08), Some(BusState::ErrorWarning));
+        assert_eq!(state(told, 0x1C), Some(BusState::ErrorPassive));
+        assert_eq!(state(told, 0x20), Some(BusState::ErrorPassive));
+        assert_eq!(state(told, 0x40), Some(BusState::ErrorActive));
+        assert_eq!(state(told, 0x03), None);
+        assert_eq!(state(class::BUS_ERROR, 0x20), None, "flags not told");
+        assert_eq!(state(class::RESTARTED, 0), Some(BusState::ErrorActive));
+        assert_eq!(state(class::BUS_OFF, 0), Some(BusState::BusOff));
+    }
+
+    #[test]
+    fn counters_make_the_state() {
+        for (transmit, receive, state) in [
+            (0, 0, BusState::ErrorActive),
+            (95, 95, BusState::ErrorActive),
+            (96, 0, BusState::ErrorWarning),
+            (0, 127, BusState::ErrorWarning),
+            (0, 128, BusState::ErrorPassive),
+            (255, 0, BusState::ErrorPassive),
+            (0, 300, BusState::ErrorPassive),
+            (256, 0, BusState::BusOff),
+        ] {
+            assert_eq!(BusState::of_counters(transmit, receive), state);
+        }
+    }
+
+    #[test]
+    fn every_report_is_answered() {
+        for bit in 0..32 {
+            for byte in 0..=u8::MAX {
+                let frame = ErrorFrame::new(1 << bit, [byte; 8]);
+                assert!(!frame.causes().to_string().is_empty());
+                let _ = (frame.state(), frame.is_unacknowledged());
+            }
+        }
+    }
+}

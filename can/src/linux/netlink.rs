@@ -1,0 +1,292 @@
+//! Changes of a network interface by rtnetlink, with what the kernel says when it refuses: the error number
+//! and, in its own words, why. The library that asks for the state of interfaces loses both when it sets
+//! something. It knows nothing about CAN but the numbers of its attributes.
+//!
+//! | bytes of a request | what |
+//! |---|---|
+//! | 0 to 3 | length of all |
+//! | 4, 5 | 16: set up a link |
+//! | 6, 7 | 5: request with acknowledgement |
+//! | 20 to 23 | number of the interface |
+//! | 24 to 27, 28 to 31 | flags, and which of them to change |
+//! | 32 ... | attributes: length (2 bytes), kind (2 bytes), content, each at a multiple of four |
+
+#![allow(
+    unsafe_code,
+    reason = "two options of a netlink socket are in no library that is used here"
+)]
+
+use std::io;
+use std::os::fd::{AsRawFd as _, OwnedFd};
+
+use nix::sys::socket::{
+    AddressFamily, MsgFlags, NetlinkAddr, SockFlag, SockProtocol, SockType, recv, sendto, socket,
+};
+
+const RTM_NEWLINK: u16 = 16;
+const REQUEST_AND_ACK: u16 = 1 | 4;
+const NLMSG_ERROR: u16 = 2;
+/// Flag of an answer: attributes are behind the request.
+const ACK_TLVS: u16 = 0x200;
+/// Flag of an answer: only the head of the request is in it.
+const CAPPED: u16 = 0x100;
+const ERROR_TEXT: u16 = 1;
+const IFF_UP: u32 = 1;
+
+const IFLA_TXQLEN: u16 = 13;
+const IFLA_LINKINFO: u16 = 18;
+const IFLA_INFO_KIND: u16 = 1;
+const IFLA_INFO_DATA: u16 = 2;
+
+/// Attributes of a CAN controller (`linux/can/netlink.h`).
+pub(super) mod can {
+    pub(in crate::linux) const BIT_TIMING: u16 = 1;
+    pub(in crate::linux) const MODES: u16 = 5;
+    pub(in crate::linux) const RESTART_MS: u16 = 6;
+    pub(in crate::linux) const RESTART: u16 = 7;
+    pub(in crate::linux) const DATA_BIT_TIMING: u16 = 9;
+}
+
+/// What the kernel says against a change.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Refusal {
+    pub(super) errno: i32,
+    /// In its own words; older kernels have none.
+    pub(super) text: Option<String>,
+}
+
+impl From<io::Error> for Refusal {
+    fn from(error: io::Error) -> Self {
+        Self {
+            errno: error.raw_os_error().unwrap_or(libc::EIO),
+            text: None,
+        }
+    }
+}
+
+impl From<nix::errno::Errno> for Refusal {
+    fn from(errno: nix::errno::Errno) -> Self {
+        Self {
+            errno: errno as i32,
+            text: None,
+        }
+    }
+}
+
+/// A change of one interface.
+#[derive(Clone, Debug)]
+pub(super) struct Change {
+    bytes: Vec<u8>,
+}
+
+const HEAD: usize = 32;
+
+impl Change {
+    fn new(index: u32, flags: u32, mask: u32) -> Self {
+        let mut bytes = vec![0; 4];
+        bytes.extend(RTM_NEWLINK.to_ne_bytes());
+        bytes.extend(REQUEST_AND_ACK.to_ne_bytes());
+        // Number of the request, number of the sender, family and kind: none.
+        bytes.extend([0; 12]);
+        for number in [index, flags, mask] {
+            bytes.extend(number.to_ne_bytes());
+        }
+        debug_assert_eq!(bytes.len(), HEAD);
+        Self { bytes }
+    }
+
+    /// Up or down.
+    pub(super) fn up(index: u32, up: bool) -> Self {
+        Self::new(index, if up { IFF_UP } else { 0 }, IFF_UP)
+    }
+
+    /// Frames that may wait for being sent.
+    pub(super) fn queue(index: u32, frames: u32) -> Self {
+        let mut change = Self::new(index, 0, 0);
+        attribute(&mut change.bytes, IFLA_TXQLEN, &frames.to_ne_bytes());
+        change
+    }
+
+    /// An attribute of a CAN controller, of numbers of 32 bits.
+    pub(super) fn can(index: u32, kind: u16, numbers: &[u32]) -> Self {
+        let content: Vec<u8> = numbers
+            .iter()
+            .flat_map(|number| number.to_ne_bytes())
+            .collect();
+        let mut data = Vec::new();
+        attribute(&mut data, kind, &content);
+        let mut info = Vec::new();
+        attribute(&mut info, IFLA_INFO_KIND, b"can");
+        attribute(&mut info, IFLA_INFO_DATA, &data);
+        let mut change = Self::new(index, 0, 0);
+        attribute(&mut change.bytes, IFLA_LINKINFO, &info);
+        change
+    }
+
+    /// Asks the kernel for it.
+    pub(super) fn request(mut self) -> Result<(), Refusal> {
+        let len = u32::try_from(self.bytes.len()).unwrap_or(0).to_ne_bytes();
+        self.bytes
+            .iter_mut()
+            .zip(len)
+            .for_each(|(to, from)| *to = from);
+        let kind = (SockType::Raw, SockFlag::SOCK_CLOEXEC);
+        let protocol = SockProtocol::NetlinkRoute;
+        let socket = socket(AddressFamily::Netlink, kind.0, kind.1, protocol)?;
+        ask_for_text(&socket);
+        let kernel = NetlinkAddr::new(0, 0);
+        sendto(socket.as_raw_fd(), &self.bytes, &kernel, MsgFlags::empty())?;
+        let mut answer = [0; 4096];
+        let len = recv(socket.as_raw_fd(), &mut answer, MsgFlags::empty())?;
+        read_answer(answer.get(..len).unwrap_or_default())
+    }
+}
+
+/// Adds an attribute, padded to a multiple of four.
+fn attribute(bytes: &mut Vec<u8>, kind: u16, content: &[u8]) {
+    let len = u16::try_from(4 + content.len()).unwrap_or(u16::MAX);
+    bytes.extend(len.to_ne_bytes());
+    bytes.extend(kind.to_ne_bytes());
+    bytes.extend(content);
+    bytes.resize(bytes.len().next_multiple_of(4), 0);
+}
+
+/// Older kernels know neither option; then there is no text.
+fn ask_for_text(socket: &OwnedFd) {
+    let on: libc::c_int = 1;
+    let len = libc::socklen_t::try_from(size_of_val(&on)).unwrap_or(0);
+    for option in [libc::NETLINK_EXT_ACK, libc::NETLINK_CAP_ACK] {
+        // SAFETY: the option's value lives until the call is over and has the length that is told.
+        let _ = unsafe {
+            libc::setsockopt(
+                socket.as_raw_fd(),
+                libc::SOL_NETLINK,
+                option,
+                (&raw const on).cast(),
+                len,
+            )
+        };
+    }
+}
+
+/// | bytes of an answer | what |
+/// |---|---|
+/// | 0 to 3 | length of all |
+/// | 4, 5 | 2: acknowledgement or refusal |
+/// | 6, 7 | flags |
+/// | 16 to 19 | the error number, negative; 0 if all is well |
+/// | 20 ... | the request, or its head of 16 bytes; then attributes |
+fn read_answer(bytes: &[u8]) -> Result<(), Refusal> {
+    let u16_at = |at: usize| Some(u16::from_ne_bytes(*bytes.get(at..)?.first_chunk()?));
+    let u32_at = |at: usize| Some(u32::from_ne_bytes(*bytes.get(at..)?.first_chunk()?));
+    let foreign = || Refusal {
+        errno: libc::EBADMSG,
+        text: None,
+    };
+    let kind = u16_at(4).filter(|kind| *kind == NLMSG_ERROR);
+    let (_, flags, error) = match (kind, u16_at(6), u32_at(16)) {
+        (Some(kind), Some(flags), Some(error)) => (kind, flags, error.cast_signed()),
+        _ => return Err(foreign()),
+    };
+    if error == 0 {
+        return Ok(());
+    }
+    let echoed = if flags & CAPPED != 0 {
+        Some(16)
+    } else {
+        u32_at(20).and_then(|len| usize::try_from(len).ok())
+    };
+    let tail = echoed.and_then(|len| bytes.get(20_usize.checked_add(len.next_multiple_of(4))?..));
+    Err(Refusal {
+        errno: error.saturating_neg(),
+        text: tail.filter(|_| flags & ACK_TLVS != 0).and_then(text),
+    })
+}
+
+/// The attribute that is text for readers.
+fn text(mut rest: &[u8]) -> Option<String> {
+    while let Some((head, _)) = rest.split_first_chunk::<4>() {
+        let [a, b, c, d] = *head;
+        let len = usize::from(u16::from_ne_bytes([a, b]));
+        let content = rest.get(4..len)?;
+        if u16::from_ne_bytes([c, d]) == ERROR_TEXT {
+            let end = content.split(|byte| *byte == 0).next()?;
+            return Some(String::from_utf8_lossy(end).into_owned());
+        }
+        rest = rest.get(len.next_multiple_of(4)..)?;
+    }
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[test]
+    fn attributes_are_nested_and_padded() {
+        let change = Change::can(7, can::RESTART_MS, &[100]);
+        let rest = &change.bytes[HEAD..];
+        let expected: Vec<u8> = [
+            [24_u16.to_ne_bytes(), IFLA_LINKINFO.to_ne_bytes()].concat(),
+            [7_u16.to_ne_bytes(), IFLA_INFO_KIND.to_ne_bytes()].concat(),
+            b"can\0".to_vec(),
+            [12_u16.to_ne_bytes(), IFLA_INFO_DATA.to_ne_bytes()].concat(),
+            [8_u16.to_ne_bytes(), can::RESTART_MS.to_ne_bytes()].concat(),
+            100_u32.to_ne_bytes().to_vec(),
+        ]
+        .concat();
+        assert_eq!(rest, expected);
+        assert_eq!(change.bytes[20..24], 7_u32.to_ne_bytes());
+        assert_eq!(RTM_NEWLINK, libc::RTM_NEWLINK);
+        assert_eq!(IFLA_TXQLEN, libc::IFLA_TXQLEN);
+        assert_eq!(IFLA_LINKINFO, libc::IFLA_LINKINFO);
+    }
+
+    fn answer(flags: u16, error: i32, tail: &[u8]) -> Vec<u8> {
+        let mut bytes = vec![0; 4];
+        bytes.extend(NLMSG_ERROR.to_ne_bytes());
+        bytes.extend(flags.to_ne_bytes());
+        bytes.extend([0; 8]);
+        bytes.extend(error.to_ne_bytes());
+        bytes.extend(16_u32.to_ne_bytes());
+        bytes.extend([0; 12]);
+        bytes.extend(tail);
+        bytes
+    }
+
+    #[test]
+    fn answers_are_read() {
+        assert_eq!(read_answer(&answer(CAPPED, 0, &[])), Ok(()));
+        let mut tail = Vec::new();
+        attribute(&mut tail, 2, &[0; 4]);
+        attribute(&mut tail, ERROR_TEXT, b"bitrate error too high\0");
+        for flags in [CAPPED | ACK_TLVS, ACK_TLVS] {
+            let refusal = read_answer(&answer(flags, -libc::EINVAL, &tail)).unwrap_err();
+            assert_eq!(refusal.errno, libc::EINVAL);
+            assert_eq!(refusal.text.as_deref(), Some("bitrate error too high"));
+        }
+        let refusal = read_answer(&answer(CAPPED, -libc::EPERM, &[])).unwrap_err();
+        assert_eq!((refusal.errno, refusal.text), (libc::EPERM, None));
+        assert_eq!(read_answer(&[]).unwrap_err().errno, libc::EBADMSG);
+    }
+
+    /// Whoever the test runs as: an interface of this number does not exist, and not all may ask.
+    #[test]
+    fn kernel_refuses_an_interface_that_is_not_there() {
+        let refusal = Change::up(0x7FFF_FFF0, true).request().unwrap_err();
+        assert!(
+            matches!(refusal.errno, libc::ENODEV | libc::EPERM),
+            "{refusal:?}"
+        );
+    }
+
+    proptest! {
+        #[test]
+        fn any_answer_is_read(bytes in prop::collection::vec(any::<u8>(), 0..100), flags in any::<u16>()) {
+            let _ = read_answer(&bytes);
+            let _ = read_answer(&answer(flags, -1, &bytes));
+        }
+    }
+}

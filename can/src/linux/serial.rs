@@ -1,0 +1,147 @@
+//! The USB port of a Segway power base as the kernel's `ftdi_sio` shows it: a serial port that carries
+//! packets. It neither finds the port nor sets the chip's latency timer (udev does that).
+
+use std::fs::{File, OpenOptions};
+use std::io::{self, Read, Write};
+use std::os::fd::AsFd;
+use std::os::unix::fs::OpenOptionsExt;
+use std::time::Duration;
+
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use nix::sys::termios::{BaudRate, SetArg, cfmakeraw, cfsetspeed, tcgetattr, tcsetattr};
+
+use super::monotonic;
+use crate::Frame;
+use crate::rmp::{Channel, Packet, PacketReader};
+
+/// Bytes taken by one system call.
+const CHUNK: usize = 256;
+
+/// A serial port to a power base.
+#[derive(Debug)]
+pub struct Serial {
+    port: File,
+    reader: PacketReader,
+    bytes: [u8; CHUNK],
+    next: usize,
+    filled: usize,
+}
+
+impl Serial {
+    /// Opens a port, such as `/dev/ttyUSB0`, with 460,800 Bd, 8N1 and nothing interpreted.
+    ///
+    /// # Errors
+    /// If it cannot be opened or is no terminal.
+    pub fn open(path: &str) -> io::Result<Self> {
+        let port = OpenOptions::new()
+            .read(true)
+            .write(true)
+            .custom_flags(libc::O_NOCTTY | libc::O_NONBLOCK)
+            .open(path)?;
+        let mut settings = tcgetattr(&port)?;
+        cfmakeraw(&mut settings);
+        cfsetspeed(&mut settings, BaudRate::B460800)?;
+        tcsetattr(&port, SetArg::TCSANOW, &settings)?;
+        Ok(Self {
+            port,
+            reader: PacketReader::default(),
+            bytes: [0; CHUNK],
+            next: 0,
+            filled: 0,
+        })
+    }
+
+    /// Sends a frame; never waits.
+    ///
+    /// # Errors
+    /// If the port does not take the whole packet.
+    pub fn send(&mut self, frame: &Frame) -> io::Result<()> {
+        let Packet(bytes) = Packet::to_powerbase(frame);
+        match self.port.write(&bytes)? {
+            Packet::LEN => Ok(()),
+            _ => Err(io::ErrorKind::WriteZero.into()),
+        }
+    }
+
+    /// Waits at most so long for a frame: the board that sent it, the frame, and when it was read.
+    ///
+    /// # Errors
+    /// If the port is gone.
+    pub fn receive(&mut self, timeout: Duration) -> io::Result<Option<(Channel, Frame, Duration)>> {
+        let until = monotonic() + timeout;
+        loop {
+            if let Some((channel, frame)) = self.from_buffer() {
+                return Ok(Some((channel, frame, monotonic())));
+            }
+            let left = until.saturating_sub(monotonic());
+            if !self.fill(left)? && left.is_zero() {
+                return Ok(None);
+            }
+        }
+    }
+
+    fn from_buffer(&mut self) -> Option<(Channel, Frame)> {
+        while let Some(byte) = self
+            .bytes
+            .get(self.next)
+            .filter(|_| self.next < self.filled)
+        {
+            self.next += 1;
+            if let Some(received) = self.reader.push(*byte).and_then(|packet| packet.decode()) {
+                return Some(received);
+            }
+        }
+        None
+    }
+
+    /// Reads what is there, waiting for it at most so long; whether something was.
+    fn fill(&mut self, timeout: Duration) -> io::Result<bool> {
+        let wait = PollTimeout::try_from(timeout).unwrap_or(PollTimeout::MAX);
+        let mut polled = [PollFd::new(self.port.as_fd(), PollFlags::POLLIN)];
+        if poll(&mut polled, wait)? == 0 {
+            return Ok(false);
+        }
+        match self.port.read(&mut self.bytes) {
+            Ok(0) => Err(io::ErrorKind::UnexpectedEof.into()),
+            Ok(len) => {
+                (self.next, self.filled) = (0, len);
+                Ok(true)
+            }
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => Ok(false),
+            Err(error) => Err(error),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nix::pty::openpty;
+
+    use super::*;
+    use crate::rmp::{Command, Message};
+
+    #[test]
+    fn packets_go_both_ways_over_a_terminal() {
+        let pty = openpty(None, None).unwrap();
+        let name = nix::unistd::ttyname(&pty.slave).unwrap();
+        let mut serial = Serial::open(name.to_str().unwrap()).unwrap();
+        let mut other = File::from(pty.master);
+        let command = Command {
+            velocity: 100,
+            turn: -7,
+            ..Command::default()
+        }
+        .frame();
+        serial.send(&command).unwrap();
+        let mut bytes = [0; Packet::LEN];
+        other.read_exact(&mut bytes).unwrap();
+        assert_eq!(Packet(bytes).decode_host(), Some(command));
+        let told = Message::Wheels { left: 5, right: -5 }.frame();
+        let packet = Packet::from_powerbase(Channel::B, &told).0;
+        other.write_all(&packet[3..]).unwrap();
+        other.write_all(&packet).unwrap();
+        let (channel, frame, _) = serial.receive(Duration::from_secs(5)).unwrap().unwrap();
+        assert_eq!((channel, frame), (Channel::B, told));
+        assert_eq!(serial.receive(Duration::ZERO).unwrap(), None);
+    }
+}

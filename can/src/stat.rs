@@ -1,0 +1,359 @@
+//! What a bus is like, from the frames that were seen: load, rate and jitter of each identifier, errors,
+//! heartbeats, losses; and from that, what is wrong and what to do ([`Report::findings`]). It listens only,
+//! live or to a recording, and reads no clock. Memory is bounded; it allocates, so it is not for cycles.
+
+mod finding;
+mod interval;
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+pub use finding::{Finding, Limits, Severity};
+pub use interval::Intervals;
+
+use crate::bits::{Bits, Rates, bounds};
+use crate::canopen::{Message, NmtState, NodeId, SYNC};
+use crate::fault::{class, controller};
+use crate::link::{Origin, Received};
+use crate::{AnyFrame, BusState, ErrorFrame, Id};
+
+/// Identifiers that are kept apart, at most; frames of further ones are counted together.
+pub const IDS_MAX: usize = 4096;
+
+/// Length of the windows in which the highest load is looked for.
+const WINDOW: Duration = Duration::from_millis(100);
+
+/// What is known of one identifier.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct IdStat {
+    /// Frames.
+    pub frames: u64,
+    /// Bytes of data.
+    pub bytes: u64,
+    /// Time on the wire.
+    pub busy: Duration,
+    /// Times from one frame to the next.
+    pub intervals: Intervals,
+}
+
+/// What is known of one node's heartbeat.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Heartbeat {
+    /// As it told last.
+    pub state: NmtState,
+    /// Times from one to the next; those in which some were missing are not among them.
+    pub intervals: Intervals,
+    /// How often it came too late.
+    pub gaps: u32,
+    /// How often the node started.
+    pub boots: u32,
+    /// How often it started while it had been at work.
+    pub reboots: u32,
+}
+
+impl Heartbeat {
+    const fn new() -> Self {
+        Self {
+            state: NmtState::BootUp,
+            intervals: Intervals::new(),
+            gaps: 0,
+            boots: 0,
+            reboots: 0,
+        }
+    }
+
+    /// Longest silence that is not one: twice the usual time, as soon as two intervals were seen.
+    #[must_use]
+    pub fn patience(&self) -> Option<Duration> {
+        (self.intervals.count() >= 2).then(|| self.intervals.mean() * 2)
+    }
+}
+
+/// What was told by error frames.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Errors {
+    /// Error frames in all.
+    pub frames: u64,
+    /// Violations of the protocol on the wire.
+    pub protocol: u64,
+    /// Frames of this host that nobody acknowledged.
+    pub unacknowledged: u64,
+    /// How often arbitration was lost; that is no fault.
+    pub lost_arbitration: u64,
+    /// How often the controller lost received frames.
+    pub controller_overflows: u64,
+    /// How often it went off the bus.
+    pub bus_off: u64,
+    /// How often it was restarted.
+    pub restarts: u64,
+    /// How often its driver gave a frame up.
+    pub timeouts: u64,
+    /// Of the transceiver: wires cut or shorted.
+    pub transceiver: u64,
+}
+
+/// All that was found out.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Report {
+    /// Bit rates that the load is computed with.
+    pub rates: Option<Rates>,
+    /// How long was listened.
+    pub span: Duration,
+    /// Frames, without error frames.
+    pub frames: u64,
+    /// Frames that this host sent.
+    pub sent: u64,
+    /// Each identifier.
+    pub ids: BTreeMap<Id, IdStat>,
+    /// Frames of identifiers beyond [`IDS_MAX`].
+    pub other_ids: u64,
+    /// Time on the wire, with the stuff bits that the frames had.
+    pub busy: Duration,
+    /// The same if they had no stuff bit, and as many as possible.
+    pub busy_bounds: (Duration, Duration),
+    /// Highest share of a tenth of a second, 0 to 1.
+    pub peak_load: f64,
+    /// What was told of errors.
+    pub errors: Errors,
+    /// State of this host's controller, if it was told.
+    pub state: Option<BusState>,
+    /// Counters of transmit and receive errors, if they were told.
+    pub counters: Option<(u16, u16)>,
+    /// Each node that sends heartbeats.
+    pub heartbeats: BTreeMap<NodeId, Heartbeat>,
+    /// Nodes whose heartbeat is missing at the end, and for how long.
+    pub silent: Vec<(NodeId, Duration)>,
+    /// Emergencies that are not withdrawn: code and node.
+    pub emergencies: BTreeMap<NodeId, u16>,
+    /// Frames that this host's sockets lost.
+    pub dropped: u64,
+    /// Frames that this host could not send.
+    pub refused: u64,
+}
+
+impl Report {
+    /// Mean share of time in which the bus was busy, 0 to 1; `None` without bit rate or time.
+    #[must_use]
+    pub fn load(&self) -> Option<f64> {
+        self.rates?;
+        share(self.busy, self.span)
+    }
+
+    /// What is wrong, the gravest first.
+    #[must_use]
+    pub fn findings(&self, limits: &Limits) -> Vec<Finding> {
+        finding::judge(self, limits)
+    }
+
+    /// Jitter of SYNC: from the shortest to the longest interval, as share of the mean one.
+    #[must_use]
+    pub fn sync_jitter(&self) -> Option<f64> {
+        let intervals = self.ids.get(&SYNC)?.intervals;
+        let width = intervals.longest().saturating_sub(intervals.shortest());
+        (intervals.count() >= 10).then(|| share(width, intervals.mean()))?
+    }
+}
+
+/// `None` for a whole of nothing.
+fn share(part: Duration, whole: Duration) -> Option<f64> {
+    (!whole.is_zero()).then(|| part.as_secs_f64() / whole.as_secs_f64())
+}
+
+/// Listens.
+#[derive(Clone, Debug)]
+pub struct Meter {
+    report: Report,
+    start: Option<Duration>,
+    now: Duration,
+    window: (Duration, Duration),
+}
+
+impl Meter {
+    /// One that computes load with these bit rates; without them it tells none.
+    #[must_use]
+    pub fn new(rates: Option<Rates>) -> Self {
+        Self {
+            report: Report {
+                rates,
+                ..Report::default()
+            },
+            start: None,
+            now: Duration::ZERO,
+            window: (Duration::ZERO, Duration::ZERO),
+        }
+    }
+
+    /// A frame came in.
+    pub fn handle_frame(&mut self, received: &Received) {
+        self.handle_time(received.at);
+        self.report.dropped = self.report.dropped.max(received.dropped.into());
+        match &received.frame {
+            AnyFrame::Error(frame) => self.error(frame),
+            AnyFrame::Classic(_) | AnyFrame::Fd(_) => self.frame(received),
+        }
+    }
+
+    /// Time goes on; what does not come is missing only then. Times that go back are ignored.
+    pub fn handle_time(&mut self, now: Duration) {
+        let start = *self.start.get_or_insert(now);
+        self.now = self.now.max(now);
+        self.report.span = self.now.saturating_sub(start);
+    }
+
+    /// Frames that could not be sent, all so far.
+    pub const fn handle_refused(&mut self, frames: u64) {
+        self.report.refused = frames;
+    }
+
+    /// What the interface itself tells: state, error counters.
+    pub const fn handle_state(&mut self, state: Option<BusState>, counters: Option<(u16, u16)>) {
+        if state.is_some() {
+            self.report.state = state;
+        }
+        if counters.is_some() {
+            self.report.counters = counters;
+        }
+    }
+
+    /// What is known by now.
+    #[must_use]
+    pub fn report(&self) -> Report {
+        let mut report = self.report.clone();
+        report.silent = self.silent();
+        report.peak_load = self.peak(self.window.1);
+        report
+    }
+
+    fn silent(&self) -> Vec<(NodeId, Duration)> {
+        let nodes = self.report.heartbeats.iter();
+        nodes
+            .filter_map(|(node, beat)| {
+                let silence = self.now.saturating_sub(beat.intervals.last()?);
+                (silence > beat.patience()?).then_some((*node, silence))
+            })
+            .collect()
+    }
+
+    fn peak(&self, window: Duration) -> f64 {
+        let load = share(window, WINDOW).unwrap_or(0.0);
+        // A frame counts where it ends, so a window can hold a little more than its length.
+        self.report.peak_load.max(load.min(1.0))
+    }
+
+    fn frame(&mut self, received: &Received) {
+        let (frame, at) = (&received.frame, received.at);
+        let busy = self.wire_time(frame);
+        self.report.frames += 1;
+        self.report.sent += u64::from(received.origin != Origin::Bus);
+        if at >= self.window.0 + WINDOW {
+            self.report.peak_load = self.peak(self.window.1);
+            self.window = (at, Duration::ZERO);
+        }
+        self.window.1 += busy;
+        self.identifier(frame, busy, at);
+        if let AnyFrame::Classic(frame) = frame {
+            self.message(&Message::decode(frame), at);
+        }
+    }
+
+    fn wire_time(&mut self, frame: &AnyFrame) -> Duration {
+        let Some(rates) = self.report.rates else {
+            return Duration::ZERO;
+        };
+        let bits = Bits::of(frame);
+        let busy = bits.time(rates);
+        let (least, most) = match frame {
+            AnyFrame::Classic(frame) => {
+                let (least, most) = bounds(frame);
+                let time = |nominal| Bits { nominal, data: 0 }.time(rates);
+                (time(least), time(most))
+            }
+            AnyFrame::Fd(_) | AnyFrame::Error(_) => (busy, busy),
+        };
+        self.report.busy += busy;
+        self.report.busy_bounds.0 += least;
+        self.report.busy_bounds.1 += most;
+        busy
+    }
+
+    fn identifier(&mut self, frame: &AnyFrame, busy: Duration, at: Duration) {
+        let Some(id) = frame.id() else { return };
+        let room = self.report.ids.len() < IDS_MAX;
+        let stat = match self.report.ids.get_mut(&id) {
+            Some(stat) => stat,
+            None if room => self.report.ids.entry(id).or_default(),
+            None => {
+                self.report.other_ids += 1;
+                return;
+            }
+        };
+        stat.frames += 1;
+        stat.bytes += frame.data().len() as u64;
+        stat.busy += busy;
+        stat.intervals.record(at);
+    }
+
+    fn message(&mut self, message: &Message, at: Duration) {
+        match message {
+            Message::Heartbeat(node, state, _) => self.heartbeat(*node, *state, at),
+            Message::Emergency(node, emergency) => match emergency.code {
+                0 => drop(self.report.emergencies.remove(node)),
+                code => drop(self.report.emergencies.insert(*node, code)),
+            },
+            Message::Nmt(..)
+            | Message::Sync(_)
+            | Message::Time(..)
+            | Message::Tpdo(..)
+            | Message::Rpdo(..)
+            | Message::SdoResponse(..)
+            | Message::SdoRequest(..)
+            | Message::Guard(_)
+            | Message::Lss(..)
+            | Message::Unknown => {}
+        }
+    }
+
+    fn heartbeat(&mut self, node: NodeId, state: NmtState, at: Duration) {
+        let beat = self
+            .report
+            .heartbeats
+            .entry(node)
+            .or_insert(Heartbeat::new());
+        if state == NmtState::BootUp {
+            let was_at_work = beat.intervals.last().is_some() && beat.state != NmtState::BootUp;
+            beat.reboots += u32::from(was_at_work);
+            beat.boots += 1;
+            beat.intervals.restart(at);
+        } else {
+            let silence = beat.intervals.last().map(|last| at.saturating_sub(last));
+            if silence.is_some_and(|silence| beat.patience().is_some_and(|p| silence > p)) {
+                beat.gaps += 1;
+                beat.intervals.restart(at);
+            } else {
+                beat.intervals.record(at);
+            }
+        }
+        beat.state = state;
+    }
+
+    fn error(&mut self, frame: &ErrorFrame) {
+        let errors = &mut self.report.errors;
+        let has = |class| u64::from(frame.class() & class != 0);
+        errors.frames += 1;
+        errors.unacknowledged += u64::from(frame.is_unacknowledged());
+        let on_the_wire = frame.class() & (class::PROTOCOL | class::BUS_ERROR) != 0;
+        errors.protocol += u64::from(on_the_wire && !frame.is_unacknowledged());
+        errors.lost_arbitration += has(class::LOST_ARBITRATION);
+        errors.bus_off += has(class::BUS_OFF);
+        errors.restarts += has(class::RESTARTED);
+        errors.timeouts += has(class::TX_TIMEOUT);
+        errors.transceiver += has(class::TRANSCEIVER);
+        let overflow = frame.data[1] & controller::RX_OVERFLOW != 0;
+        errors.controller_overflows += u64::from(overflow) & has(class::CONTROLLER);
+        let counters = frame.counters().map(|(t, r)| (t.into(), r.into()));
+        self.handle_state(frame.state(), counters);
+    }
+}
+
+#[cfg(test)]
+mod tests;

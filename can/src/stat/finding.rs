@@ -1,0 +1,461 @@
+//! From figures to what is wrong and what to do about it: pure functions, so that each can be tested by its
+//! cause. Nothing is measured here.
+
+use std::fmt;
+use std::time::Duration;
+
+use super::Report;
+use crate::canopen::NodeId;
+use crate::{BusState, Id};
+
+/// From when on a figure is wrong.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Limits {
+    /// Mean load that leaves too little room for bursts, 0 to 1.
+    pub load_warning: f64,
+    /// Mean load at which low priorities starve, 0 to 1.
+    pub load_failure: f64,
+    /// Errors on the wire per thousand frames.
+    pub errors_per_thousand: f64,
+    /// Jitter of SYNC as share of its period.
+    pub sync_jitter: f64,
+    /// Time without any frame that is not yet told.
+    pub silence: Duration,
+}
+
+impl Default for Limits {
+    /// Load of 60 % and 90 %, one error per thousand frames, SYNC within 10 %, one second of silence.
+    fn default() -> Self {
+        Self {
+            load_warning: 0.6,
+            load_failure: 0.9,
+            errors_per_thousand: 1.0,
+            sync_jitter: 0.1,
+            silence: Duration::from_secs(1),
+        }
+    }
+}
+
+/// How grave something is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Severity {
+    /// It does not work.
+    Failure,
+    /// It works, and will not always.
+    Warning,
+}
+
+/// Something that is wrong.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum Finding {
+    /// The controller is off the bus, or was.
+    BusOff {
+        /// How often.
+        times: u64,
+        /// Whether it is still.
+        still: bool,
+    },
+    /// Nobody acknowledges what this host sends.
+    Alone {
+        /// Frames that were not acknowledged.
+        frames: u64,
+    },
+    /// Errors and not one good frame.
+    NothingButErrors {
+        /// How many.
+        errors: u64,
+    },
+    /// Not one frame.
+    Nothing {
+        /// For how long was listened.
+        span: Duration,
+    },
+    /// Errors between good frames.
+    Disturbed {
+        /// Errors on the wire.
+        errors: u64,
+        /// Good frames.
+        frames: u64,
+    },
+    /// The transceiver told of wires cut or shorted.
+    Wires {
+        /// How often.
+        times: u64,
+    },
+    /// The controller is error-passive or near it.
+    Weak {
+        /// Its state.
+        state: BusState,
+        /// Counters of transmit and receive errors.
+        counters: Option<(u16, u16)>,
+    },
+    /// Too much on the bus.
+    Load {
+        /// Mean share of time, 0 to 1.
+        load: f64,
+        /// From this limit on.
+        limit: f64,
+        /// How grave that is.
+        severity: Severity,
+        /// Which identifier takes most, and what share of the load.
+        most: Option<(Id, f64)>,
+    },
+    /// A node's heartbeat stopped.
+    HeartbeatMissing {
+        /// The node.
+        node: NodeId,
+        /// For how long.
+        silence: Duration,
+        /// How often it came before.
+        period: Duration,
+    },
+    /// A node's heartbeat was late and came again.
+    HeartbeatLate {
+        /// The node.
+        node: NodeId,
+        /// How often.
+        times: u32,
+    },
+    /// A node started anew while it was at work.
+    Rebooted {
+        /// The node.
+        node: NodeId,
+        /// How often.
+        times: u32,
+    },
+    /// A node's emergency that it has not withdrawn.
+    Emergency {
+        /// The node.
+        node: NodeId,
+        /// Its code.
+        code: u16,
+    },
+    /// SYNC does not come regularly.
+    SyncJitter {
+        /// From the shortest to the longest interval, as share of the mean one.
+        jitter: f64,
+        /// The mean one.
+        period: Duration,
+    },
+    /// This host's sockets lost frames.
+    Dropped {
+        /// How many.
+        frames: u64,
+    },
+    /// This host's controller lost frames.
+    ControllerOverflow {
+        /// How often.
+        times: u64,
+    },
+    /// This host could not send frames, as the queue was full.
+    Refused {
+        /// How many.
+        frames: u64,
+    },
+}
+
+impl Finding {
+    /// How grave it is.
+    #[must_use]
+    pub const fn severity(&self) -> Severity {
+        match self {
+            Self::BusOff { still: true, .. }
+            | Self::Alone { .. }
+            | Self::NothingButErrors { .. }
+            | Self::Nothing { .. }
+            | Self::Wires { .. }
+            | Self::HeartbeatMissing { .. }
+            | Self::Dropped { .. }
+            | Self::ControllerOverflow { .. }
+            | Self::Refused { .. } => Severity::Failure,
+            Self::Load { severity, .. } => *severity,
+            Self::BusOff { still: false, .. }
+            | Self::Disturbed { .. }
+            | Self::Weak { .. }
+            | Self::HeartbeatLate { .. }
+            | Self::Rebooted { .. }
+            | Self::Emergency { .. }
+            | Self::SyncJitter { .. } => Severity::Warning,
+        }
+    }
+
+    /// A name without blanks that does not change, for programs.
+    #[must_use]
+    pub const fn name(&self) -> &'static str {
+        match self {
+            Self::BusOff { .. } => "bus-off",
+            Self::Alone { .. } => "alone",
+            Self::NothingButErrors { .. } => "nothing-but-errors",
+            Self::Nothing { .. } => "nothing",
+            Self::Disturbed { .. } => "disturbed",
+            Self::Wires { .. } => "wires",
+            Self::Weak { .. } => "weak",
+            Self::Load { .. } => "load",
+            Self::HeartbeatMissing { .. } => "heartbeat-missing",
+            Self::HeartbeatLate { .. } => "heartbeat-late",
+            Self::Rebooted { .. } => "rebooted",
+            Self::Emergency { .. } => "emergency",
+            Self::SyncJitter { .. } => "sync-jitter",
+            Self::Dropped { .. } => "dropped",
+            Self::ControllerOverflow { .. } => "controller-overflow",
+            Self::Refused { .. } => "refused",
+        }
+    }
+
+    /// What to do.
+    #[must_use]
+    pub const fn remedy(&self) -> &'static str {
+        match self {
+            Self::BusOff { still: true, .. } => {
+                "find the cause (bit rates, wires, two nodes of one number), then ip link set IFACE type can \
+                 restart; with restart-ms 100 it comes back by itself"
+            }
+            Self::BusOff { still: false, .. } => {
+                "it came back; compare bit rates and sample points of all nodes, and look for two nodes of one \
+                 number"
+            }
+            Self::Alone { .. } => {
+                "no other node is on the wire or none has this bit rate: look at power, plug, bit rate, and \
+                 whether the others only listen"
+            }
+            Self::NothingButErrors { .. } => {
+                "the bit rates differ: set this interface to that of the nodes (takt can up IFACE --bitrate \
+                 RATE); if they agree, CAN_H and CAN_L are swapped or a terminating resistor is missing"
+            }
+            Self::Nothing { .. } => {
+                "are the nodes powered, and is this the right interface? Nodes that are set up for it tell \
+                 themselves by a boot-up message when switched on"
+            }
+            Self::Disturbed { .. } => {
+                "measure 60 ohms between CAN_H and CAN_L with all switched off (two resistors of 120), then \
+                 look at stubs, shield and sample points"
+            }
+            Self::Wires { .. } => "look for a cut or short of CAN_H and CAN_L at this host's plug",
+            Self::Weak { .. } => {
+                "many frames were destroyed: see the errors in takt can dump; a controller that stays passive is \
+                 the next to go off the bus"
+            }
+            Self::Load { .. } => {
+                "send less often what takes most (longer SYNC period, inhibit times, event-driven PDOs), or \
+                 raise the bit rate"
+            }
+            Self::HeartbeatMissing { .. } => {
+                "the node is off, reset, or unplugged; if others are silent from the same moment on, look at \
+                 the wire between them"
+            }
+            Self::HeartbeatLate { .. } => {
+                "the bus was blocked by lower identifiers, or the node is overloaded: compare with the load"
+            }
+            Self::Rebooted { .. } => {
+                "look at the node's supply and watchdog, and for somebody who sends NMT reset (takt can dump \
+                 --filter 000)"
+            }
+            Self::Emergency { .. } => "read the node's error history, object 1003h, and its manual",
+            Self::SyncJitter { .. } => {
+                "drives that interpolate need SYNC within a few percent: send it from a real-time thread, not \
+                 by the kernel's broadcast manager; see takt jitter"
+            }
+            Self::Dropped { .. } => {
+                "what reads the socket is too slow: give it a larger buffer (sysctl net.core.rmem_max), \
+                 filters, or a higher priority"
+            }
+            Self::ControllerOverflow { .. } => {
+                "the interrupt comes too late: raise the priority of the adapter's interrupt thread; see takt \
+                 doctor"
+            }
+            Self::Refused { .. } => {
+                "make the queue longer if bursts are longer than it (ip link set IFACE txqueuelen 1000); a \
+                 queue that never empties means that the bus is overloaded or nobody acknowledges"
+            }
+        }
+    }
+}
+
+impl fmt::Display for Finding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let ms = |span: &Duration| span.as_secs_f64() * 1e3;
+        match self {
+            Self::BusOff { times, still: true } => {
+                write!(f, "the controller is off the bus (went off {times} times)")
+            }
+            Self::BusOff { times, .. } => write!(f, "the controller was off the bus {times} times"),
+            Self::Alone { frames } => {
+                write!(f, "nobody acknowledges: {frames} attempts to send failed")
+            }
+            Self::NothingButErrors { errors } => write!(f, "{errors} errors and not one frame"),
+            Self::Nothing { span } => write!(f, "not one frame in {:.1} s", span.as_secs_f64()),
+            Self::Disturbed { errors, frames } => {
+                write!(f, "{errors} errors on the wire, {frames} good frames")
+            }
+            Self::Wires { times } => write!(f, "the transceiver complained {times} times"),
+            Self::Weak { state, counters } => {
+                write!(f, "the controller is {state}")?;
+                match counters {
+                    Some((t, r)) => write!(f, " (errors: {t} sending, {r} receiving)"),
+                    None => Ok(()),
+                }
+            }
+            Self::Load {
+                load, limit, most, ..
+            } => {
+                let (load, limit) = (load * 1e2, limit * 1e2);
+                write!(f, "load {load:.1} %, limit {limit:.0} %")?;
+                match most {
+                    Some((id, part)) => write!(f, "; {id} is {:.0} % of it", part * 1e2),
+                    None => Ok(()),
+                }
+            }
+            Self::HeartbeatMissing {
+                node,
+                silence,
+                period,
+            } => {
+                let (silence, period) = (ms(silence), ms(period));
+                write!(
+                    f,
+                    "node {node}: no heartbeat for {silence:.0} ms, was every {period:.0} ms"
+                )
+            }
+            Self::HeartbeatLate { node, times } => {
+                write!(f, "node {node}: heartbeat late {times} times")
+            }
+            Self::Rebooted { node, times } => write!(f, "node {node}: started anew {times} times"),
+            Self::Emergency { node, code } => write!(f, "node {node}: emergency {code:04X}h"),
+            Self::SyncJitter { jitter, period } => {
+                let (jitter, period) = (jitter * 1e2, ms(period));
+                write!(f, "SYNC jitters by {jitter:.1} % of its {period:.3} ms")
+            }
+            Self::Dropped { frames } => write!(f, "{frames} frames lost before they were read"),
+            Self::ControllerOverflow { times } => {
+                write!(f, "the controller lost received frames {times} times")
+            }
+            Self::Refused { frames } => write!(f, "{frames} frames not sent: queue full"),
+        }
+    }
+}
+
+/// The gravest first.
+pub(super) fn judge(report: &Report, limits: &Limits) -> Vec<Finding> {
+    let mut found = Vec::new();
+    controller(report, &mut found);
+    wire(report, limits, &mut found);
+    load(report, limits, &mut found);
+    nodes(report, limits, &mut found);
+    host(report, &mut found);
+    found.sort_by_key(Finding::severity);
+    found
+}
+
+fn controller(report: &Report, found: &mut Vec<Finding>) {
+    let errors = &report.errors;
+    let still = report.state == Some(BusState::BusOff);
+    if still || errors.bus_off > 0 {
+        found.push(Finding::BusOff {
+            times: errors.bus_off.max(1),
+            still,
+        });
+    }
+    if errors.unacknowledged > 0 {
+        found.push(Finding::Alone {
+            frames: errors.unacknowledged,
+        });
+    }
+    if let Some(state @ (BusState::ErrorWarning | BusState::ErrorPassive)) = report.state {
+        found.push(Finding::Weak {
+            state,
+            counters: report.counters,
+        });
+    }
+}
+
+fn wire(report: &Report, limits: &Limits, found: &mut Vec<Finding>) {
+    let errors = &report.errors;
+    let heard = report.frames - report.sent.min(report.frames);
+    if errors.transceiver > 0 {
+        found.push(Finding::Wires {
+            times: errors.transceiver,
+        });
+    }
+    if errors.protocol > 0 && heard == 0 {
+        found.push(Finding::NothingButErrors {
+            errors: errors.protocol,
+        });
+    } else if report.frames == 0 && errors.frames == 0 && report.span >= limits.silence {
+        found.push(Finding::Nothing { span: report.span });
+    }
+    #[expect(clippy::cast_precision_loss, reason = "a ratio")]
+    let per_thousand = errors.protocol as f64 * 1e3 / report.frames.max(1) as f64;
+    if heard > 0 && per_thousand >= limits.errors_per_thousand {
+        found.push(Finding::Disturbed {
+            errors: errors.protocol,
+            frames: report.frames,
+        });
+    }
+}
+
+fn load(report: &Report, limits: &Limits, found: &mut Vec<Finding>) {
+    let Some(load) = report.load() else { return };
+    let (limit, severity) = match load {
+        _ if load >= limits.load_failure => (limits.load_failure, Severity::Failure),
+        _ if load >= limits.load_warning => (limits.load_warning, Severity::Warning),
+        _ => return,
+    };
+    let most = report.ids.iter().max_by_key(|(_, stat)| stat.busy);
+    let most = most.and_then(|(id, stat)| Some((*id, super::share(stat.busy, report.busy)?)));
+    found.push(Finding::Load {
+        load,
+        limit,
+        severity,
+        most,
+    });
+}
+
+fn nodes(report: &Report, limits: &Limits, found: &mut Vec<Finding>) {
+    for (node, silence) in &report.silent {
+        let beat = report.heartbeats.get(node);
+        found.push(Finding::HeartbeatMissing {
+            node: *node,
+            silence: *silence,
+            period: beat.map(|beat| beat.intervals.mean()).unwrap_or_default(),
+        });
+    }
+    for (node, beat) in &report.heartbeats {
+        let node = *node;
+        if beat.gaps > 0 {
+            let times = beat.gaps;
+            found.push(Finding::HeartbeatLate { node, times });
+        }
+        if beat.reboots > 0 {
+            let times = beat.reboots;
+            found.push(Finding::Rebooted { node, times });
+        }
+    }
+    for (node, code) in &report.emergencies {
+        let (node, code) = (*node, *code);
+        found.push(Finding::Emergency { node, code });
+    }
+    if let Some(jitter) = report.sync_jitter().filter(|j| *j > limits.sync_jitter) {
+        let sync = report.ids.get(&crate::canopen::SYNC);
+        let period = sync.map(|stat| stat.intervals.mean()).unwrap_or_default();
+        found.push(Finding::SyncJitter { jitter, period });
+    }
+}
+
+fn host(report: &Report, found: &mut Vec<Finding>) {
+    if report.dropped > 0 {
+        found.push(Finding::Dropped {
+            frames: report.dropped,
+        });
+    }
+    if report.errors.controller_overflows > 0 {
+        found.push(Finding::ControllerOverflow {
+            times: report.errors.controller_overflows,
+        });
+    }
+    if report.refused > 0 {
+        found.push(Finding::Refused {
+            frames: report.refused,
+        });
+    }
+}

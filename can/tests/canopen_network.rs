@@ -1,0 +1,465 @@
+//! A master and emulated drives on one bus in virtual time: bring-up, motion, homing, and every
+//! fault of a node, which must stay its own.
+
+#![expect(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    clippy::cast_possible_truncation,
+    reason = "a test that cannot go on ends, and says where everything was"
+)]
+
+#[path = "canopen/bus.rs"]
+mod bus;
+
+use std::time::Duration;
+
+use bus::{Bus, MS, node, plan};
+use takt_can::canopen::emulator::DriveNodeConfig;
+use takt_can::canopen::network::{
+    AxisCommand, AxisTrouble, Download, Event, NetworkConfig, Phase, Supervision, Transfer, Trouble,
+};
+use takt_can::canopen::sdo::Outcome;
+use takt_can::canopen::{Emergency, emergency};
+use takt_cia402::dictionary::Address;
+use takt_cia402::emulator::FaultCode;
+use takt_cia402::{Goal, HomingError, Obstacle};
+
+const CSP: i8 = 8;
+const SECOND: Duration = Duration::from_secs(1);
+
+/// Lets an axis hold where it is, and enables it.
+fn enable(bus: &mut Bus, raw: u8) {
+    let axis = bus.master.axis_mut(node(raw), 0).unwrap();
+    let position = axis.state().position;
+    axis.command(AxisCommand {
+        position,
+        ..AxisCommand::default()
+    });
+    axis.set_goal(Goal::OperationEnabled, CSP);
+}
+
+fn all_follow(bus: &mut Bus) -> Option<()> {
+    let mut nodes = bus.master.nodes();
+    let follow = nodes.all(|n| bus.master.axis(n, 0).is_some_and(|a| a.state().follows));
+    follow.then_some(())
+}
+
+fn six_following() -> Bus {
+    let mut bus = Bus::running(6, |_| ());
+    (1..=6).for_each(|raw| enable(&mut bus, raw));
+    bus.until(5 * SECOND, all_follow);
+    bus
+}
+
+/// Moves axes along ramps of so many units per period; each begins where it is.
+fn ramp(bus: &mut Bus, axes: &[u8], time: Duration, step: i32) {
+    ramp_and(bus, axes, time, step, |_| ());
+}
+
+/// The same, with something else done in each period.
+fn ramp_and(
+    bus: &mut Bus,
+    axes: &[u8],
+    time: Duration,
+    step: i32,
+    mut other: impl FnMut(&mut Bus),
+) {
+    let mut targets: Vec<_> = axes
+        .iter()
+        .map(|raw| bus.master.axis(node(*raw), 0).unwrap().state().position)
+        .collect();
+    let end = bus.now + time;
+    while bus.now < end {
+        for (raw, target) in axes.iter().zip(&mut targets) {
+            *target += step;
+            let axis = bus.master.axis_mut(node(*raw), 0).unwrap();
+            axis.command(AxisCommand {
+                position: *target,
+                ..AxisCommand::default()
+            });
+        }
+        other(bus);
+        bus.run(bus.period);
+    }
+}
+
+fn position(bus: &Bus, raw: u8) -> i32 {
+    bus.master.axis(node(raw), 0).unwrap().state().position
+}
+
+#[test]
+fn six_axes_follow_with_every_sync_of_2_ms() {
+    let mut bus = six_following();
+    bus.frames = 0;
+    ramp(&mut bus, &[1, 2, 3, 4, 5, 6], SECOND, 20);
+    for raw in 1..=6 {
+        let at = position(&bus, raw);
+        assert!((9_500..=10_100).contains(&at), "axis {raw} is at {at}");
+        assert_eq!(bus.master.trouble(node(raw)), None);
+        assert_eq!(bus.master.axis(node(raw), 0).unwrap().state().missing, 0);
+    }
+    assert_eq!(bus.rpdos_late, 0);
+    assert!(bus.rpdo_latest < bus.period, "{:?}", bus.rpdo_latest);
+    // SYNC, six RPDOs and six TPDOs in each of 500 periods, and heartbeats.
+    assert!(bus.frames >= 500 * 13, "{}", bus.frames);
+}
+
+#[test]
+fn a_node_that_dies_stops_alone_and_comes_back_without_moving() {
+    let mut bus = six_following();
+    bus.drives[2] = None;
+    ramp(&mut bus, &[1, 2, 4, 5, 6], SECOND / 2, 20);
+    for raw in [1, 2, 4, 5, 6] {
+        assert!(position(&bus, raw) > 4_500, "axis {raw} goes on");
+        assert_eq!(bus.master.trouble(node(raw)), None);
+    }
+    let lost = Trouble::HeartbeatLost(250 * MS);
+    assert_eq!(bus.master.trouble(node(3)), Some(lost));
+    assert!(bus.events.contains(&Event::Trouble(node(3), lost)));
+    assert_eq!(
+        bus.master.axis(node(3), 0).unwrap().trouble(),
+        Some(AxisTrouble::NodeDown)
+    );
+    // Power again: configured anew at once, but not enabled.
+    let config = DriveNodeConfig::new(node(3));
+    let powered = takt_can::canopen::emulator::DriveNode::power_on(config, bus.now).unwrap();
+    bus.drives[2] = Some(powered);
+    bus.until(5 * SECOND, |bus| {
+        (bus.master.phase(node(3)) == Some(Phase::Running)).then_some(())
+    });
+    bus.run(SECOND / 2);
+    let axis = bus.master.axis(node(3), 0).unwrap();
+    assert!(!axis.state().follows);
+    assert_eq!(axis.goal(), Goal::SwitchOnDisabled);
+    enable(&mut bus, 3);
+    bus.until(5 * SECOND, all_follow);
+}
+
+#[test]
+fn a_fault_of_a_drive_stays_its_own_and_is_reset_by_an_edge() {
+    let mut bus = six_following();
+    let drive = bus.drive(4).application_mut().axis_mut(0).unwrap();
+    drive.fault(FaultCode::SHORT_CIRCUIT);
+    ramp(&mut bus, &[1, 2, 3, 5, 6], SECOND / 4, 20);
+    assert!(
+        [1, 2, 3, 5, 6]
+            .iter()
+            .all(|raw| position(&bus, *raw) > 2_000)
+    );
+    let axis = bus.master.axis(node(4), 0).unwrap();
+    assert_eq!(axis.trouble(), Some(AxisTrouble::Drive(Obstacle::Fault)));
+    let told = |event: &Event| matches!(event, Event::Emergency(n, e, 1) if *n == node(4) && e.code == 0x2320);
+    assert!(bus.events.iter().any(told), "{:?}", bus.events);
+    bus.drive(4).application_mut().axis_mut(0).unwrap().mend();
+    bus.master.axis_mut(node(4), 0).unwrap().reset_fault();
+    bus.until(5 * SECOND, all_follow);
+}
+
+#[test]
+fn a_storm_of_emergencies_disturbs_nobody() {
+    let mut bus = six_following();
+    let storm = Emergency {
+        code: 0xFF00,
+        register: 0x81,
+        data: [0; 5],
+    };
+    let before = bus.frames;
+    bus.rpdos_late = 0;
+    let mut sent = 0;
+    // Three in each period: what a bus of 1 Mbit/s has left.
+    ramp_and(&mut bus, &[1, 2, 3, 4, 5, 6], SECOND, 20, |bus| {
+        bus.stranger.extend([emergency(node(3), &storm); 3]);
+        sent += 3;
+    });
+    assert!(bus.frames - before > sent);
+    assert_eq!(bus.rpdos_late, 0);
+    let counted = |event: &Event| match event {
+        Event::Emergency(_, _, count) => u64::from(*count),
+        _ => 0,
+    };
+    assert!(bus.events.iter().map(counted).sum::<u64>() + 10 > sent);
+    (1..=6).for_each(|raw| assert!(position(&bus, raw) > 9_000, "axis {raw}"));
+}
+
+#[test]
+fn drives_stop_by_themselves_when_their_master_dies() {
+    let mut bus = Bus::new(
+        NetworkConfig {
+            heartbeat: Some((node(127), 20 * MS)),
+            ..NetworkConfig::default()
+        },
+        vec![plan(1), plan(2)],
+        vec![DriveNodeConfig::new(node(1)), DriveNodeConfig::new(node(2))],
+    );
+    bus.master.start(bus.now);
+    bus.run(SECOND);
+    [1, 2].into_iter().for_each(|raw| enable(&mut bus, raw));
+    bus.until(5 * SECOND, all_follow);
+    ramp(&mut bus, &[1, 2], SECOND / 4, 20);
+    bus.master_dead = true;
+    bus.run(SECOND);
+    for raw in [1, 2] {
+        let drive = bus.drive(raw).application().axis(0).unwrap();
+        assert_ne!(drive.state(), takt_cia402::State::OperationEnabled);
+        assert!(drive.motor().velocity.abs() < 0.1, "it stands");
+    }
+}
+
+#[test]
+fn a_megabyte_goes_in_blocks_beside_the_motion() {
+    const LEN: usize = 1 << 20;
+    let plans = [1, 2].map(|raw| {
+        let mut plan = plan(raw);
+        plan.sdo_len_max = LEN;
+        plan
+    });
+    let mut drives = [1, 2].map(|raw| DriveNodeConfig::new(node(raw)));
+    drives[1].domain_len = LEN;
+    let config = NetworkConfig {
+        sdo_per_cycle: 24,
+        sdo_timeout: SECOND,
+        ..NetworkConfig::default()
+    };
+    let mut bus = Bus::new(config, plans.to_vec(), drives.to_vec());
+    bus.period = 4 * MS;
+    bus.master.start(bus.now);
+    bus.run(SECOND);
+    [1, 2].into_iter().for_each(|raw| enable(&mut bus, raw));
+    bus.until(5 * SECOND, all_follow);
+    let value: Vec<u8> = (0..LEN).map(|n| (n * 7 % 251) as u8).collect();
+    let write = Transfer {
+        address: Address::new(0x2000, 0),
+        write: true,
+        in_blocks: true,
+        data: value.clone(),
+        tag: 1,
+    };
+    bus.events.clear();
+    bus.master.transfer(node(2), write).unwrap();
+    bus.rpdos_late = 0;
+    let begun = bus.now;
+    while !bus
+        .events
+        .iter()
+        .any(|e| matches!(e, Event::Transferred(..)))
+    {
+        ramp(&mut bus, &[1, 2], SECOND / 10, 1);
+        assert!(bus.now - begun < 60 * SECOND, "{:?}", bus.events);
+    }
+    let Some(Event::Transferred(n, done, outcome)) = bus.events.pop() else {
+        panic!("{:?}", bus.events);
+    };
+    assert_eq!((n, done.tag, outcome), (node(2), 1, Outcome::Written));
+    let there = bus
+        .drive(2)
+        .dictionary()
+        .bytes(Address::new(0x2000, 0))
+        .unwrap();
+    assert_eq!(there, value);
+    assert_eq!((bus.rpdos_late, bus.master.trouble(node(2))), (0, None));
+    assert!(all_follow(&mut bus).is_some());
+}
+
+#[test]
+fn one_frame_in_a_hundred_may_be_lost() {
+    for seed in 1..=3 {
+        let config = NetworkConfig {
+            retry: SECOND / 5,
+            sdo_timeout: SECOND / 20,
+            ..NetworkConfig::default()
+        };
+        let plans = [1, 2].map(|raw| {
+            let mut plan = plan(raw);
+            plan.axes[0].missing_max = 10;
+            plan
+        });
+        let drives = [1, 2].map(|raw| {
+            let mut config = DriveNodeConfig::new(node(raw));
+            config.axes[0].quirks.missing_set_points = Some(10);
+            config
+        });
+        let mut bus = Bus::new(config, plans.to_vec(), drives.to_vec());
+        (bus.loss, bus.dice) = (10, bus::Dice::new(seed));
+        bus.master.start(bus.now);
+        let running = |bus: &mut Bus| {
+            let mut nodes = bus.master.nodes();
+            nodes
+                .all(|n| bus.master.phase(n) == Some(Phase::Running))
+                .then_some(())
+        };
+        bus.until(60 * SECOND, running);
+        [1, 2].into_iter().for_each(|raw| enable(&mut bus, raw));
+        bus.until(10 * SECOND, all_follow);
+        ramp(&mut bus, &[1, 2], SECOND, 20);
+        for raw in [1, 2] {
+            assert!(
+                (9_000..=10_100).contains(&position(&bus, raw)),
+                "seed {seed}"
+            );
+        }
+    }
+}
+
+#[test]
+fn an_axis_homes_and_then_waits_for_its_target() {
+    let mut bus = Bus::new(
+        NetworkConfig::default(),
+        vec![{
+            let mut plan = plan(1);
+            // Method 35 is where it stands; 607Ch moves the zero far away.
+            plan.downloads = vec![
+                Download::new(0x6098, 0, &[35]),
+                Download::new(0x607C, 0, &50_000_i32.to_le_bytes()),
+            ];
+            plan
+        }],
+        vec![DriveNodeConfig::new(node(1))],
+    );
+    bus.master.start(bus.now);
+    bus.run(SECOND);
+    enable(&mut bus, 1);
+    bus.until(5 * SECOND, all_follow);
+    let before = bus.drive(1).application().axis(0).unwrap().motor().position;
+    bus.master.axis_mut(node(1), 0).unwrap().home();
+    bus.until(5 * SECOND, |bus| {
+        bus.events.contains(&Event::Homed(node(1))).then_some(())
+    });
+    bus.run(SECOND / 2);
+    let axis = bus.master.axis(node(1), 0).unwrap();
+    assert_eq!(axis.state().homed, 1);
+    assert!(
+        (axis.state().position + 50_000).abs() < 10,
+        "{:?}",
+        axis.state()
+    );
+    let Some(AxisTrouble::NotAligned { target, actual }) = axis.trouble() else {
+        panic!("the old target is far away: {:?}", axis.trouble());
+    };
+    assert!((target - actual).abs() > 49_000);
+    let motor = bus.drive(1).application().axis(0).unwrap().motor();
+    assert!((motor.position - before).abs() < 0.01, "it did not move");
+    enable(&mut bus, 1);
+    bus.until(SECOND, all_follow);
+}
+
+#[test]
+fn a_homing_run_to_a_switch_that_is_not_there_is_told() {
+    let mut bus = Bus::running(1, |plan| {
+        plan.axes[0].homing = SECOND;
+        plan.downloads = vec![
+            Download::new(0x6098, 0, &[1]),
+            Download::new(0x6099, 1, &10_u32.to_le_bytes()),
+        ];
+    });
+    bus.master.axis_mut(node(1), 0).unwrap().home();
+    bus.until(5 * SECOND, |bus| {
+        bus.events.contains(&Event::Homed(node(1))).then_some(())
+    });
+    bus.run(SECOND / 10);
+    let trouble = bus.master.axis(node(1), 0).unwrap().trouble();
+    let timed_out = AxisTrouble::Homing(HomingError::TimedOut(SECOND));
+    let not_aligned = matches!(trouble, Some(AxisTrouble::NotAligned { .. }));
+    assert!(trouble == Some(timed_out) || not_aligned, "{trouble:?}");
+}
+
+/// Each reason for which a node does not come up, produced by its cause.
+#[test]
+fn what_keeps_a_node_down_is_named() {
+    let expect = |plan, drive: Option<DriveNodeConfig>, expected: &str| {
+        let config = NetworkConfig {
+            boot_up_max: SECOND / 10,
+            sdo_timeout: SECOND / 20,
+            ..NetworkConfig::default()
+        };
+        let mut bus = Bus::new(config, vec![plan], drive.into_iter().collect());
+        bus.master.start(bus.now);
+        bus.run(SECOND);
+        let trouble = bus.master.trouble(node(1)).expect(expected).to_string();
+        assert!(trouble.starts_with(expected), "{trouble}");
+        assert_eq!(bus.master.phase(node(1)), Some(Phase::Failed), "{trouble}");
+    };
+    let drive = || Some(DriveNodeConfig::new(node(1)));
+    expect(plan(1), None, "no boot-up message 100");
+    let mut other = plan(1);
+    other.identity = [None, Some(0x403), None, None];
+    expect(
+        other,
+        drive(),
+        "1018h:02 is 00000402h, 00000403h was planned",
+    );
+    let mut mode = plan(1);
+    mode.downloads = vec![Download::new(0x6060, 0, &[2])];
+    expect(
+        mode,
+        drive(),
+        "6060h:00: the value is not allowed (0609 0030h)",
+    );
+    let mut absent = plan(1);
+    absent.rpdos[0].0 = 5;
+    expect(absent, drive(), "1405h:01: there is no such object");
+    let mut mapped = plan(1);
+    mapped.rpdos[0].1.mapping[0].bits = 8;
+    expect(mapped, drive(), "1600h:01: the object cannot be mapped");
+    let mut limited = plan(1);
+    // 6041h can be mapped but is the drive's own; 1003h:00 keeps nothing but 0.
+    limited.downloads = vec![Download::new(0x1012, 0, &0x8000_0100_u32.to_le_bytes())];
+    limited.supervision = Supervision::Heartbeat(Duration::ZERO);
+    expect(limited, drive(), "no heartbeat 200");
+}
+
+#[test]
+fn what_goes_wrong_while_it_runs_is_named() {
+    // A restart: the boot-up message comes while it runs.
+    let mut bus = Bus::running(2, |_| ());
+    bus.stranger
+        .push_back(takt_can::canopen::NmtCommand::ResetNode.frame(Some(node(1))));
+    bus.run(SECOND / 100);
+    let restarted = Event::Trouble(node(1), Trouble::Restarted);
+    assert!(bus.events.contains(&restarted), "{:?}", bus.events);
+    bus.run(SECOND);
+    assert_eq!(
+        bus.master.phase(node(1)),
+        Some(Phase::Running),
+        "configured anew"
+    );
+    // Another master sends it to Pre-operational.
+    let pre = takt_can::canopen::NmtCommand::EnterPreOperational.frame(Some(node(2)));
+    bus.stranger.push_back(pre);
+    bus.run(SECOND / 5);
+    let text = bus.master.trouble(node(2)).unwrap().to_string();
+    assert!(
+        text.starts_with("it went to pre-operational without being told"),
+        "{text}"
+    );
+    // Its TPDO is switched off behind the master's back.
+    let mut bus = six_following();
+    let off = 0xC000_0185_u32.to_le_bytes();
+    let write = Transfer {
+        address: Address::new(0x1800, 1),
+        write: true,
+        data: off.to_vec(),
+        ..Transfer::default()
+    };
+    bus.master.transfer(node(5), write).unwrap();
+    bus.run(SECOND / 10);
+    let text = bus.master.trouble(node(5)).unwrap().to_string();
+    assert!(
+        text.starts_with("TPDO 1 did not come for 4 SYNCs"),
+        "{text}"
+    );
+    let axis = bus.master.axis(node(5), 0).unwrap();
+    assert_eq!(axis.trouble(), Some(AxisTrouble::HeldBack));
+}
+
+#[test]
+fn guarding_watches_a_node_without_heartbeat() {
+    let mut bus = Bus::running(1, |plan| {
+        plan.supervision = Supervision::Guarding(20 * MS, 3);
+    });
+    bus.run(SECOND);
+    assert_eq!(bus.master.trouble(node(1)), None);
+    bus.drives[0] = None;
+    bus.run(SECOND / 5);
+    assert_eq!(bus.master.trouble(node(1)), Some(Trouble::GuardingLost));
+}

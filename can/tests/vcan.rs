@@ -1,0 +1,576 @@
+//! SocketCAN against the kernel itself and against the programs that everybody uses with it. Runs on the virtual
+//! interface that `TAKT_VCAN` names, or `vcan0` if there is one; else each test notes that it was skipped.
+//! What needs a controller runs on two that are wired together and named by `TAKT_CAN_PAIR` (`can0,can1`).
+//! Nothing here judges how fast a host is.
+#![expect(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stderr,
+    clippy::disallowed_methods,
+    reason = "a test that cannot go on ends"
+)]
+
+use std::io::{BufRead as _, BufReader, Read as _, Write as _};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+use takt_can::link::{Link as _, LinkError, Origin, Received};
+use takt_can::linux::{
+    Clock, Cyclic, Filter, Interface, Options, QueuePolicy, Setup, SocketCan, Step, Watch, Watched,
+    monotonic, wall,
+};
+use takt_can::log::{LogLine, parse_frame};
+use takt_can::{AnyFrame, BusState, ErrorFrame, FdFrame, Frame, Id};
+
+const PATIENCE: Duration = Duration::from_secs(20);
+
+/// Notes for the runner that a test cannot run here.
+fn skip(test: &str, why: &str) {
+    eprintln!("skipped: {why}");
+    if let Some(path) = std::env::var_os("TAKT_SKIPS") {
+        let mut file = std::fs::OpenOptions::new().append(true).open(path).unwrap();
+        writeln!(file, "{test}: {why}").unwrap();
+    }
+}
+
+fn exists(interface: &str) -> bool {
+    Path::new("/sys/class/net").join(interface).exists()
+}
+
+fn vcan(test: &str) -> Option<String> {
+    let name = std::env::var("TAKT_VCAN").unwrap_or_else(|_| "vcan0".to_owned());
+    if exists(&name) {
+        return Some(name);
+    }
+    skip(test, "needs vcan");
+    None
+}
+
+fn has(program: &str) -> bool {
+    let paths = std::env::var_os("PATH").unwrap_or_default();
+    std::env::split_paths(&paths).any(|path| path.join(program).is_file())
+}
+
+fn id(raw: u16) -> Id {
+    Id::standard(raw).unwrap()
+}
+
+fn data(raw: u16, data: &[u8]) -> AnyFrame {
+    Frame::new(id(raw), data).unwrap().into()
+}
+
+/// Hears only this identifier, so that tests that run at the same time do not disturb each other.
+fn open(interface: &str, raw: u16) -> SocketCan {
+    let filters = [Filter::exactly(id(raw))];
+    let options = Options {
+        errors: false,
+        filters: &filters,
+        ..Options::default()
+    };
+    SocketCan::open(interface, &options).unwrap()
+}
+
+#[track_caller]
+fn receive(link: &mut SocketCan) -> Received {
+    let until = monotonic() + PATIENCE;
+    while monotonic() < until {
+        if let Some(received) = link.receive(Duration::from_millis(100)).unwrap() {
+            return received;
+        }
+    }
+    panic!("nothing came within {PATIENCE:?}");
+}
+
+#[test]
+fn own_frames_and_those_of_this_host_are_told_apart() {
+    let Some(vcan) = vcan("own_frames_and_those_of_this_host_are_told_apart") else {
+        return;
+    };
+    let filters = [Filter::exactly(id(0x101))];
+    let options = Options {
+        own: true,
+        filters: &filters,
+        ..Options::default()
+    };
+    let mut sender = SocketCan::open(&vcan, &options).unwrap();
+    let mut other = open(&vcan, 0x101);
+    let before = monotonic();
+    sender.send(&data(0x101, &[1, 2, 3])).unwrap();
+    let (own, heard) = (receive(&mut sender), receive(&mut other));
+    assert_eq!((own.origin, heard.origin), (Origin::Own, Origin::Host));
+    assert_eq!(
+        (own.frame, heard.frame),
+        (data(0x101, &[1, 2, 3]), data(0x101, &[1, 2, 3]))
+    );
+    // The two clocks are read one after the other, so allow for some slack.
+    let slack = Duration::from_millis(100);
+    assert!(heard.at + slack >= before && heard.at <= monotonic() + slack);
+    assert_eq!(heard.hardware, None);
+    assert!(!other.has_hardware_stamps());
+    assert_eq!(other.receive(Duration::ZERO), Ok(None));
+}
+
+#[test]
+fn stamps_are_of_the_clock_that_was_asked_for() {
+    let Some(vcan) = vcan("stamps_are_of_the_clock_that_was_asked_for") else {
+        return;
+    };
+    let options = Options {
+        clock: Clock::Wall,
+        ..Options::default()
+    };
+    let mut link = SocketCan::open(&vcan, &options).unwrap();
+    open(&vcan, 0x102).send(&data(0x102, &[])).unwrap();
+    let heard = loop {
+        let received = receive(&mut link);
+        if received.frame == data(0x102, &[]) {
+            break received;
+        }
+    };
+    assert!(wall().abs_diff(heard.at) < Duration::from_secs(60));
+}
+
+#[test]
+fn filters_let_through_what_they_should() {
+    let Some(vcan) = vcan("filters_let_through_what_they_should") else {
+        return;
+    };
+    let long = Id::extended(0x103).unwrap();
+    let filters = [Filter::masked(id(0x110), 0x7FE), Filter::exactly(long)];
+    let options = Options {
+        errors: false,
+        filters: &filters,
+        ..Options::default()
+    };
+    let mut link = SocketCan::open(&vcan, &options).unwrap();
+    let mut sender = open(&vcan, 0x7FF);
+    let extended: AnyFrame = Frame::empty(long).into();
+    for frame in [
+        data(0x103, &[]),
+        data(0x112, &[]),
+        data(0x111, &[]),
+        extended,
+    ] {
+        sender.send(&frame).unwrap();
+    }
+    assert_eq!(receive(&mut link).frame, data(0x111, &[]));
+    assert_eq!(receive(&mut link).frame, extended);
+}
+
+#[test]
+fn every_kind_of_frame_arrives_as_it_was_sent() {
+    let Some(vcan) = vcan("every_kind_of_frame_arrives_as_it_was_sent") else {
+        return;
+    };
+    let (mut sender, mut link) = (open(&vcan, 0x104), open(&vcan, 0x104));
+    let fd: AnyFrame = FdFrame::new(id(0x104), &[0xA5; 64])
+        .unwrap()
+        .with_flags(1)
+        .into();
+    let remote: AnyFrame = Frame::remote(id(0x104), 4).unwrap().into();
+    for frame in [data(0x104, &[0; 8]), remote, fd, data(0x104, &[])] {
+        sender.send(&frame).unwrap();
+        assert_eq!(receive(&mut link).frame, frame);
+    }
+}
+
+#[test]
+fn reports_of_errors_arrive_with_class_and_data() {
+    let Some(vcan) = vcan("reports_of_errors_arrive_with_class_and_data") else {
+        return;
+    };
+    let mut link = SocketCan::open(&vcan, &Options::default()).unwrap();
+    let report = ErrorFrame::new(0x044, [0, 0x30, 0, 0, 0, 0, 0x82, 0x05]);
+    open(&vcan, 0x7FE).send(&report.into()).unwrap();
+    let heard = loop {
+        if let AnyFrame::Error(heard) = receive(&mut link).frame {
+            break heard;
+        }
+    };
+    assert_eq!((heard, heard.state()), (report, Some(BusState::BusOff)));
+}
+
+/// What does not fit the socket's memory is lost, and the count of it comes with the next frame that fits.
+#[test]
+fn lost_frames_are_counted() {
+    let Some(vcan) = vcan("lost_frames_are_counted") else {
+        return;
+    };
+    let filters = [Filter::exactly(id(0x105))];
+    let options = Options {
+        filters: &filters,
+        receive_buffer: 65_536,
+        ..Options::default()
+    };
+    let mut link = SocketCan::open(&vcan, &options).unwrap();
+    let mut sender = open(&vcan, 0x7FD);
+    let sent = 2_000;
+    for _ in 0..sent {
+        sender.send(&data(0x105, &[7; 8])).unwrap();
+    }
+    let mut kept = 0;
+    while let Some(received) = link.receive(Duration::ZERO).unwrap() {
+        assert_eq!(received.dropped, 0);
+        kept += 1;
+    }
+    assert!(kept > 10 && kept < sent, "{kept}");
+    sender.send(&data(0x105, &[8; 8])).unwrap();
+    assert_eq!(receive(&mut link).dropped, sent - kept);
+    assert_eq!(link.dropped(), sent - kept);
+}
+
+#[test]
+fn default_memory_holds_a_quarter_second_of_a_full_bus() {
+    let Some(vcan) = vcan("default_memory_holds_a_quarter_second_of_a_full_bus") else {
+        return;
+    };
+    let mut link = open(&vcan, 0x106);
+    let mut sender = open(&vcan, 0x7FC);
+    for number in 0..2_000_u32 {
+        sender.send(&data(0x106, &number.to_le_bytes())).unwrap();
+    }
+    for number in 0..2_000_u32 {
+        assert_eq!(receive(&mut link).frame, data(0x106, &number.to_le_bytes()));
+    }
+    assert_eq!(link.dropped(), 0);
+}
+
+/// Ends its program when a test ends.
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[test]
+fn candump_hears_what_we_send() {
+    let test = "candump_hears_what_we_send";
+    let Some(vcan) = vcan(test) else { return };
+    if !has("candump") {
+        return skip(test, "needs candump of can-utils");
+    }
+    let filter = format!("{vcan},107:7FF");
+    let mut child = Command::new("candump");
+    let child = child.args(["-L", "-x", &filter]).stdout(Stdio::piped());
+    let mut dump = Running(child.spawn().unwrap());
+    let (texts, receiver) = std::sync::mpsc::channel();
+    let out = BufReader::new(dump.0.stdout.take().unwrap());
+    std::thread::spawn(move || {
+        out.lines()
+            .map_while(Result::ok)
+            .for_each(|l| drop(texts.send(l)));
+    });
+    let mut sender = open(&vcan, 0x7FB);
+    let frame = data(0x107, &[0xDE, 0xAD]);
+    // It takes a while until it listens.
+    let line = (0..200).find_map(|_| {
+        sender.send(&frame).unwrap();
+        receiver.recv_timeout(Duration::from_millis(100)).ok()
+    });
+    let line = line.unwrap();
+    // Older versions do not know the direction in logs.
+    let line = LogLine::parse(&line).unwrap();
+    assert_eq!(
+        (AnyFrame::from(line.frame), line.interface),
+        (frame, vcan.as_str())
+    );
+}
+
+#[test]
+fn we_hear_what_cansend_sends() {
+    let test = "we_hear_what_cansend_sends";
+    let Some(vcan) = vcan(test) else { return };
+    if !has("cansend") {
+        return skip(test, "needs cansend of can-utils");
+    }
+    let mut link = open(&vcan, 0x108);
+    for text in ["108#DEADBEEF", "108#R", "108##1112233", "108#"] {
+        let status = Command::new("cansend")
+            .args([&vcan, text])
+            .status()
+            .unwrap();
+        assert!(status.success());
+        let received = receive(&mut link);
+        assert_eq!(received.frame, parse_frame(text).unwrap(), "{text}");
+        assert_eq!(received.origin, Origin::Host);
+    }
+}
+
+const ECHO: &str = "
+import can, sys
+bus = can.Bus(interface='socketcan', channel=sys.argv[1], fd=True,
+              can_filters=[{'can_id': 0x109, 'can_mask': 0x7ff, 'extended': False}])
+print('ready', flush=True)
+for _ in range(2):
+    m = bus.recv(20)
+    m.arbitration_id = 0x10A
+    bus.send(m)
+";
+
+#[test]
+fn python_can_answers_in_kind() {
+    let test = "python_can_answers_in_kind";
+    let Some(vcan) = vcan(test) else { return };
+    let python = std::env::var("TAKT_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    // Not in this folder, which Python would take for the module.
+    let run = |arguments: &[&str]| {
+        let mut command = Command::new(&python);
+        command
+            .args(arguments)
+            .current_dir("/")
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null());
+        command
+    };
+    if !run(&["-c", "import can; can.Bus"])
+        .status()
+        .is_ok_and(|s| s.success())
+    {
+        return skip(test, "needs python-can");
+    }
+    let mut peer = Running(run(&["-c", ECHO, &vcan]).spawn().unwrap());
+    let mut ready = [0; 5];
+    peer.0
+        .stdout
+        .take()
+        .unwrap()
+        .read_exact(&mut ready)
+        .unwrap();
+    let mut link = open(&vcan, 0x10A);
+    let fd = |raw| AnyFrame::from(FdFrame::new(id(raw), &[3; 12]).unwrap().with_flags(1));
+    link.send(&data(0x109, &[1, 2])).unwrap();
+    assert_eq!(receive(&mut link).frame, data(0x10A, &[1, 2]));
+    link.send(&fd(0x109)).unwrap();
+    assert_eq!(receive(&mut link).frame, fd(0x10A));
+}
+
+#[test]
+fn kernel_sends_cyclically_until_told_to_end() {
+    let Some(vcan) = vcan("kernel_sends_cyclically_until_told_to_end") else {
+        return;
+    };
+    let mut link = open(&vcan, 0x10B);
+    let frame = |byte| Frame::new(id(0x10B), &[byte]).unwrap();
+    let Ok(cyclic) = Cyclic::start(&vcan, &frame(1), Duration::from_millis(10)) else {
+        return skip(
+            "kernel_sends_cyclically_until_told_to_end",
+            "needs the module can-bcm",
+        );
+    };
+    for _ in 0..3 {
+        assert_eq!(receive(&mut link).frame, frame(1).into());
+    }
+    cyclic.update(&frame(2)).unwrap();
+    while receive(&mut link).frame != frame(2).into() {}
+    drop(cyclic);
+    while link.receive(Duration::ZERO).unwrap().is_some() {}
+    assert_eq!(link.receive(Duration::from_millis(200)), Ok(None));
+}
+
+#[test]
+fn kernel_tells_silence() {
+    let Some(vcan) = vcan("kernel_tells_silence") else {
+        return;
+    };
+    let Ok(watch) = Watch::start(&vcan, id(0x70C), Duration::from_millis(100)) else {
+        return skip("kernel_tells_silence", "needs the module can-bcm");
+    };
+    let beat = Frame::new(id(0x70C), &[5]).unwrap();
+    let mut sender = open(&vcan, 0x7FA);
+    sender.send(&beat.into()).unwrap();
+    assert_eq!(watch.wait(PATIENCE).unwrap(), Some(Watched::Changed(beat)));
+    assert_eq!(
+        watch.wait(PATIENCE).unwrap(),
+        Some(Watched::Silent(id(0x70C)))
+    );
+    sender.send(&beat.into()).unwrap();
+    assert_eq!(
+        watch.wait(PATIENCE).unwrap(),
+        Some(Watched::Changed(beat)),
+        "it is back"
+    );
+}
+
+#[test]
+fn virtual_interface_tells_what_it_is_and_what_it_cannot() {
+    let test = "virtual_interface_tells_what_it_is_and_what_it_cannot";
+    let Some(vcan) = vcan(test) else { return };
+    let interface = Interface::open(&vcan).unwrap();
+    let details = interface.details().unwrap();
+    assert!(details.up && details.is_virtual() && details.rates().is_none());
+    let Some(own) = Own::create(test, "taktvcan0") else {
+        return;
+    };
+    let interface = Interface::open(own.0).unwrap();
+    assert!(!interface.details().unwrap().up);
+    let mut link = SocketCan::open(own.0, &Options::default()).unwrap();
+    assert_eq!(link.send(&data(1, &[])), Err(LinkError::Down));
+    let bitrate = Setup {
+        bitrate: Some(500_000),
+        ..Setup::default()
+    };
+    let refusal = interface.set_up(&bitrate).unwrap_err().to_string();
+    assert!(
+        refusal.contains("cannot set the bit rate: it is virtual"),
+        "{refusal}"
+    );
+    let queue = Setup {
+        queue: Some(77),
+        ..Setup::default()
+    };
+    assert_eq!(interface.set_up(&queue).unwrap(), [Step::Queue, Step::Up]);
+    let details = interface.details().unwrap();
+    assert_eq!((details.up, details.queue), (true, Some(77)));
+    drop(own);
+    assert!(matches!(link.send(&data(1, &[])), Err(LinkError::Gone)));
+}
+
+/// A virtual interface of a test's own, which it may disturb.
+struct Own(&'static str);
+
+impl Own {
+    fn create(test: &str, name: &'static str) -> Option<Self> {
+        match socketcan::CanInterface::create_vcan(name, None) {
+            Ok(_) => Some(Self(name)),
+            Err(error) => {
+                skip(
+                    test,
+                    &format!("needs to create a virtual interface: {error}"),
+                );
+                None
+            }
+        }
+    }
+}
+
+impl Drop for Own {
+    fn drop(&mut self) {
+        if let Ok(interface) = socketcan::CanInterface::open(self.0) {
+            let _ = interface.delete();
+        }
+    }
+}
+
+/// A shaper stands in for a slow bus.
+#[test]
+fn full_queue_is_refused_or_waited_for() {
+    let test = "full_queue_is_refused_or_waited_for";
+    if vcan(test).is_none() {
+        return;
+    }
+    if !has("tc") {
+        return skip(test, "needs tc of iproute2");
+    }
+    let Some(own) = Own::create(test, "taktvcan1") else {
+        return;
+    };
+    Interface::open(own.0)
+        .unwrap()
+        .set_up(&Setup::default())
+        .unwrap();
+    let shaper = [
+        "qdisc", "replace", "dev", own.0, "root", "tbf", "rate", "100kbit", "burst", "1600",
+        "limit", "1600",
+    ];
+    if !Command::new("tc").args(shaper).status().unwrap().success() {
+        return skip(test, "needs the module sch_tbf");
+    }
+    let mut hasty = SocketCan::open(own.0, &Options::default()).unwrap();
+    let sent = (0..2_000)
+        .take_while(|_| hasty.send(&data(1, &[0; 8])).is_ok())
+        .count();
+    assert!(sent < 2_000);
+    assert_eq!(
+        (hasty.send(&data(1, &[0; 8])), hasty.refused() > 0),
+        (Err(LinkError::QueueFull), true)
+    );
+    let options = Options {
+        queue: QueuePolicy::Wait(PATIENCE),
+        ..Options::default()
+    };
+    let mut patient = SocketCan::open(own.0, &options).unwrap();
+    for number in 0..300_u32 {
+        assert_eq!(
+            patient.send(&data(2, &number.to_le_bytes())),
+            Ok(()),
+            "{number}"
+        );
+    }
+    assert_eq!(patient.refused(), 0);
+}
+
+/// Two controllers on one wire, as QEMU has them: set up, exchange, a queue that fills, statistics.
+#[test]
+fn controllers_are_set_up_and_exchange() {
+    let test = "controllers_are_set_up_and_exchange";
+    let Some(pair) = std::env::var("TAKT_CAN_PAIR").ok() else {
+        return skip(
+            test,
+            "needs two CAN controllers on one wire (TAKT_CAN_PAIR=can0,can1)",
+        );
+    };
+    let (first, second) = pair.split_once(',').unwrap();
+    let impossible = Setup {
+        bitrate: Some(7_777_777),
+        ..Setup::default()
+    };
+    let refusal = Interface::open(first).unwrap().set_up(&impossible);
+    let refusal = refusal.unwrap_err().to_string();
+    assert!(
+        refusal.contains("cannot set the bit rate: the controller's clock of 8 MHz"),
+        "{refusal}"
+    );
+    eprintln!("{refusal}");
+    let setup = Setup {
+        bitrate: Some(1_000_000),
+        restart: Some(Duration::from_millis(100)),
+        report_errors: Some(true),
+        queue: Some(10),
+        ..Setup::default()
+    };
+    for name in [first, second] {
+        let interface = Interface::open(name).unwrap();
+        interface.set_up(&setup).unwrap();
+        let details = interface.details().unwrap();
+        assert!(details.up && !details.is_virtual());
+        assert_eq!(details.bitrate, Some(1_000_000));
+        assert_eq!(details.state, Some(BusState::ErrorActive));
+        assert_eq!(
+            (details.restart, details.report_errors),
+            (Some(Duration::from_millis(100)), true)
+        );
+        assert_eq!(details.queue, Some(10));
+    }
+    let options = Options {
+        own: true,
+        ..Options::default()
+    };
+    let mut a = SocketCan::open(first, &options).unwrap();
+    let mut b = SocketCan::open(second, &options).unwrap();
+    a.send(&data(0x181, &[1, 2, 3])).unwrap();
+    let (heard, own) = (receive(&mut b), receive(&mut a));
+    assert_eq!((heard.origin, own.origin), (Origin::Bus, Origin::Own));
+    assert_eq!(heard.frame, own.frame);
+    let burst = (0..5_000)
+        .take_while(|_| a.send(&data(1, &[0; 8])).is_ok())
+        .count();
+    eprintln!("{burst} frames until the queue was full");
+    let options = Options {
+        queue: QueuePolicy::Wait(PATIENCE),
+        ..Options::default()
+    };
+    let mut patient = SocketCan::open(first, &options).unwrap();
+    for number in 0..500_u32 {
+        assert_eq!(
+            patient.send(&data(2, &number.to_le_bytes())),
+            Ok(()),
+            "{number}"
+        );
+    }
+    let last = data(2, &499_u32.to_le_bytes());
+    while receive(&mut b).frame != last {}
+}
