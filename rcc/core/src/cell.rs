@@ -10,6 +10,7 @@
 //! token_file = "/etc/takt/token" # clients must give what is in it; needed beyond loopback
 //! follow = "left"          # net threads keep phase with this device's clock; leave out for the host's
 //! phase = "300us"          # cycles begin so long after the device's own; leave out for at once
+//! need_estop = false       # true: devices stop unless a net with an EStop primitive runs
 //! on_loss = "keep"         # nets of a lost client run on; "end": they are cancelled, then aborted
 //! log = "info"             # or debug, warn, error; also by part: "warn,takt_core=debug"
 //! costs = "costs.toml"     # what primitives cost here, by `takt net calibrate`; beside this file
@@ -28,14 +29,18 @@
 //! thread = "4ms"           # the net thread that commands it; leave out for the first
 //! ```
 
+mod device;
+
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use serde::Deserialize;
 
+use crate::device::rmp;
 use crate::error::Error;
 use crate::span;
+pub use device::{DeviceConfig, LwrConfig, RmpConfig};
 
 /// Net threads that a controller may have.
 pub const THREADS_MAX: usize = 8;
@@ -79,6 +84,8 @@ pub struct ControllerConfig {
     /// For an LWR these instants are those of its measurements.
     #[serde(deserialize_with = "span::text::deserialize_some")]
     pub phase: Option<Duration>,
+    /// Whether all devices stop while no `EStop` primitive was evaluated for 20 ms.
+    pub need_estop: bool,
     /// What becomes of the nets of a session whose client is lost, unless the session says otherwise.
     pub on_loss: OnLoss,
     /// Net threads beside the first, each with a period of its own.
@@ -133,6 +140,7 @@ impl Default for ControllerConfig {
             token_file: None,
             follow: None,
             phase: None,
+            need_estop: false,
             on_loss: OnLoss::Keep,
             threads: Vec::new(),
             log: None,
@@ -177,65 +185,6 @@ impl NetThreadSettings {
     )]
     const fn default_priority() -> Option<u8> {
         Some(79)
-    }
-}
-
-/// A device.
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
-#[serde(tag = "type", deny_unknown_fields)]
-pub enum DeviceConfig {
-    /// A KUKA LWR on a KRC2lr, over FRI 1.0.
-    #[serde(rename = "kuka_lwr_fri")]
-    Lwr(LwrConfig),
-}
-
-/// A KUKA LWR.
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct LwrConfig {
-    /// Name by which nets find it.
-    pub name: String,
-    /// Address and port at which the KRC's datagrams arrive.
-    #[serde(default = "LwrConfig::default_listen")]
-    pub listen: SocketAddr,
-    /// `SCHED_FIFO` priority of its driver thread, 1 to 98; `None` for an ordinary thread.
-    #[serde(default = "LwrConfig::default_priority")]
-    pub priority: Option<u8>,
-    /// Processors of its driver thread; empty for any.
-    #[serde(default)]
-    pub cpus: Vec<usize>,
-    /// Period of the net thread that commands it; `None` for the first.
-    #[serde(default, deserialize_with = "span::text::deserialize_some")]
-    pub thread: Option<Duration>,
-}
-
-impl LwrConfig {
-    /// An arm with default settings.
-    #[must_use]
-    pub fn new(name: impl Into<String>, listen: SocketAddr) -> Self {
-        let (name, priority) = (name.into(), Self::default_priority());
-        Self {
-            name,
-            listen,
-            priority,
-            cpus: Vec::new(),
-            thread: None,
-        }
-    }
-
-    const fn default_listen() -> SocketAddr {
-        SocketAddr::new(
-            std::net::IpAddr::V4(std::net::Ipv4Addr::UNSPECIFIED),
-            takt_fri::lwr::DEFAULT_PORT,
-        )
-    }
-
-    #[expect(
-        clippy::unnecessary_wraps,
-        reason = "the type of the field it is the default of"
-    )]
-    const fn default_priority() -> Option<u8> {
-        Some(85)
     }
 }
 
@@ -292,8 +241,7 @@ impl CellConfig {
                 None => Ok(()),
             };
         };
-        let mut names = self.devices.iter().map(|DeviceConfig::Lwr(d)| &d.name);
-        if !names.any(|name| name == device) {
+        if !self.devices.iter().any(|of_cell| of_cell.name() == device) {
             return Err(format!(
                 "controller.follow is `{device}`, but the cell has no device of that name"
             ));
@@ -305,6 +253,13 @@ impl CellConfig {
             )),
             None => Ok(()),
         }
+    }
+
+    fn check_devices(&self) -> Result<(), String> {
+        self.devices.iter().try_for_each(|device| match device {
+            DeviceConfig::Lwr(_) => Ok(()),
+            DeviceConfig::Rmp(config) => rmp::check(config),
+        })
     }
 
     fn check_threads(&self) -> Result<(), String> {
@@ -328,9 +283,9 @@ impl CellConfig {
                 ));
             }
         }
-        for DeviceConfig::Lwr(device) in &self.devices {
-            if let Some(thread) = device.thread.filter(|thread| !periods.contains(thread)) {
-                let (name, periods) = (&device.name, listed(&periods));
+        for device in &self.devices {
+            if let Some(thread) = device.thread().filter(|thread| !periods.contains(thread)) {
+                let (name, periods) = (device.name(), listed(&periods));
                 return Err(format!(
                     "{name}: thread = {thread:?}, but the net threads are those of {periods}"
                 ));
@@ -343,8 +298,9 @@ impl CellConfig {
     pub(crate) fn check(&self) -> Result<(), String> {
         self.check_threads()?;
         self.check_clock()?;
+        self.check_devices()?;
         let devices = self.devices.iter();
-        let devices = devices.map(|DeviceConfig::Lwr(d)| (&*d.name, d.priority));
+        let devices = devices.map(|device| (device.name(), device.priority()));
         let threads = self.controller.threads.iter();
         let threads = threads.map(|thread| ("controller.thread", thread.priority));
         let first = ("controller", self.controller.priority);
@@ -353,12 +309,8 @@ impl CellConfig {
                 return Err(format!("{name}: priority must be 1 to 98, or be left out"));
             }
         }
-        let mut names: Vec<_> = self
-            .devices
-            .iter()
-            .map(|DeviceConfig::Lwr(d)| &d.name)
-            .collect();
-        names.sort();
+        let mut names: Vec<_> = self.devices.iter().map(DeviceConfig::name).collect();
+        names.sort_unstable();
         match names.windows(2).find(|w| w[0] == w[1]) {
             Some(twice) => Err(format!("device name `{}` is given twice", twice[0])),
             None => Ok(()),
@@ -407,7 +359,9 @@ mod tests {
         let phases: Vec<_> = config.phases().collect();
         assert_eq!(phases, [300, 2000, 300].map(Duration::from_micros));
         assert_eq!(config.controller.threads[0].priority, Some(79));
-        let DeviceConfig::Lwr(lwr) = &config.devices[0];
+        let DeviceConfig::Lwr(lwr) = &config.devices[0] else {
+            panic!("{:?}", config.devices);
+        };
         assert_eq!(lwr.thread, Some(Duration::from_millis(4)));
         assert_eq!((lwr.name.as_str(), lwr.priority), ("left", Some(85)));
     }

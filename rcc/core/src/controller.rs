@@ -22,9 +22,10 @@ use std::time::Duration;
 
 use takt_net::{Limits, Registry, Rejection};
 
-use crate::cell::{CellConfig, DeviceConfig, OnLoss};
+use crate::cell::{CellConfig, OnLoss};
 use crate::device::DeviceStatus;
 use crate::error::Error;
+use crate::executor::stop::EmergencyStop;
 use crate::executor::thread::Command;
 use crate::record::{Recorder, Tap};
 use clock::FollowedClock;
@@ -198,10 +199,11 @@ impl Controller {
         cell.check().map_err(Error::Cell)?;
         let (recorder, tap) = recording.unzip();
         let clock = FollowedClock::of(cell);
-        let threads = threads::start(cell, clock.as_ref(), tap)?;
-        let mut desk = Desk::new(threads, clock, recorder);
-        for DeviceConfig::Lwr(config) in &cell.devices {
-            desk.add_lwr(config)?;
+        let stop = Arc::new(EmergencyStop::new(cell.controller.need_estop));
+        let threads = threads::start(cell, clock.as_ref(), &stop, tap)?;
+        let mut desk = Desk::new(threads, clock, stop, recorder);
+        for device in &cell.devices {
+            desk.add_of_cell(device)?;
         }
         let inner = Arc::new(Inner {
             desk: Mutex::new(desk),

@@ -1,8 +1,10 @@
 //! Devices: the data that nets and drivers exchange, and which devices a controller has. Drivers
 //! are in the modules below; what nets see of a device is in `takt_net::device`.
 
+pub mod driver;
 pub mod lwr;
 pub mod parts;
+pub mod rmp;
 pub mod setpoint;
 pub mod sim;
 mod table;
@@ -40,6 +42,17 @@ impl DeviceStatus {
             Self::Offline => "off",
             Self::SafeOperational => "safeop",
             Self::Operational => "op",
+        }
+    }
+
+    /// The same, or what becomes of it while an emergency stop is on.
+    #[must_use]
+    pub const fn under(self, is_stopped: bool) -> Self {
+        match self {
+            Self::Operational if is_stopped => Self::SafeOperational,
+            Self::Operational => Self::Operational,
+            Self::SafeOperational => Self::SafeOperational,
+            Self::Offline => Self::Offline,
         }
     }
 }

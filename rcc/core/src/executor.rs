@@ -6,6 +6,7 @@ pub mod figures;
 pub mod links;
 pub mod rules;
 pub mod serve;
+pub mod stop;
 pub mod thread;
 
 use std::sync::Arc;

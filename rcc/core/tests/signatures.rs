@@ -4,8 +4,8 @@
 #[path = "../../net/tests/common/signatures.rs"]
 mod signatures;
 
-/// Families of devices and networks that Takt does not have.
-const MISSING: &[&str] = &["EStop", "schunkwsg::"];
+/// Families of devices that Takt does not have.
+const MISSING: &[&str] = &["schunkwsg::"];
 
 /// Families of primitives of Takt alone.
 const OWN: &[&str] = &["Motion::", "Takeover"];

@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 
 use takt_core::cell::NetThreadSettings;
 use takt_core::controller::{LoadRequest, NetInfo, NetState, RuleId, RuleRequest, RuleState};
+use takt_core::device::DeviceStatus;
 use takt_core::{CellConfig, Controller, NetId, SessionId};
 
 const FAST: Duration = Duration::from_millis(1);
@@ -342,6 +343,70 @@ fn a_chain_of_nets_goes_to_and_fro_between_threads() {
 }
 
 // Figures.
+
+/// Says `stop` to the emergency stop until cancelled; programs can change it.
+fn says(stop: bool) -> String {
+    format!(
+        "{{stop=Core::BooleanNetcommIn(Key='stop',Value='{stop}'),say=EStop(inEStop=stop.outValue),
+        cancel=Cancel(),outTerminate=cancel.outCancel}}"
+    )
+}
+
+#[test]
+fn an_emergency_stop_ends_the_nets_that_command_devices_in_all_threads_and_no_other() {
+    let bench = Bench::new();
+    bench.arm("fast", "1ms");
+    bench.arm("slow", "4ms");
+    let guard = bench.load(&says(false), None);
+    let moving = [swing(&["fast"]), swing(&["slow"])].map(|text| bench.load(&text, None));
+    for net in [guard].iter().chain(&moving) {
+        bench.0.start_net(*net).unwrap();
+    }
+    assert!(!bench.0.is_stopped());
+    assert!(bench.0.write_in(guard, "instop", "true").unwrap());
+    for (net, name) in moving.iter().zip(["fast", "slow"]) {
+        bench.wait_state(*net, NetState::Terminated);
+        let end = bench.0.net(*net).unwrap().end.unwrap();
+        let told = format!(
+            "device {name} ceased to follow commands and is safe-operational: the emergency stop is on"
+        );
+        assert_eq!(end, told);
+    }
+    assert!(bench.0.is_stopped());
+    assert_eq!(bench.0.net(guard).unwrap().state(), NetState::Running);
+    let safe = |status: DeviceStatus| status == DeviceStatus::SafeOperational;
+    assert!(bench.0.devices().iter().all(|device| safe(device.status)));
+    let again = bench.load(&swing(&["slow"]), None);
+    let error = bench.0.start_net(again).unwrap_err().to_string();
+    assert!(
+        error.contains("safe-operational: the emergency stop is on"),
+        "{error}"
+    );
+    // Whoever demanded it can go; it stands until somebody says otherwise.
+    bench.0.abort(guard).unwrap();
+    assert!(bench.0.is_stopped());
+    let relief = bench.load(&says(false), Some(SLOW));
+    bench.0.start_net(relief).unwrap();
+    bench.wait("the end of the stop", || !bench.0.is_stopped());
+    let next = bench.load(&swing(&["slow"]), None);
+    bench.wait("an arm that follows", || bench.0.start_net(next).is_ok());
+}
+
+#[test]
+fn a_controller_that_needs_an_estop_stops_without_one() {
+    let mut cell = CellConfig::default();
+    cell.controller.need_estop = true;
+    let bench = Bench(Controller::start(&cell).unwrap());
+    bench.arm("arm", "1ms");
+    let net = bench.load(&swing(&["arm"]), None);
+    assert!(bench.0.is_stopped());
+    bench.0.start_net(net).unwrap_err();
+    let guard = bench.load(&says(false), None);
+    bench.0.start_net(guard).unwrap();
+    bench.wait("the end of the stop", || !bench.0.is_stopped());
+    bench.0.abort(guard).unwrap();
+    bench.wait("a stop for want of words", || bench.0.is_stopped());
+}
 
 #[test]
 fn the_figures_of_a_net_stay_when_it_has_ended() {

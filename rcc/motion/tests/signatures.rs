@@ -10,7 +10,6 @@ use takt_net::Registry;
 const ELSEWHERE: &[&str] = &[
     "ArmKinematics::",
     "CartesianPosition::",
-    "EStop",
     "IO::",
     "KUKA::",
     "KUKA:LWR::",

@@ -88,6 +88,18 @@ pub enum NullRule {
     Own(&'static str),
 }
 
+impl NullRule {
+    /// The rule in words.
+    #[must_use]
+    pub const fn text(self) -> &'static str {
+        match self {
+            Self::Propagates => "any input null makes all outputs null",
+            Self::Kleene => "null is unknown, as in three-valued logic",
+            Self::Own(sentence) => sentence,
+        }
+    }
+}
+
 type BuildFn = dyn Fn(&mut Build<'_, '_>) -> Result<Box<dyn Primitive>, Fault> + Send + Sync;
 
 /// The definition of a primitive type.
@@ -107,6 +119,8 @@ pub struct Definition {
     /// What one cycle of it costs at most: an estimate for a host of the present day, until
     /// [`Registry::set_costs`](crate::Registry::set_costs) puts what was measured in its place.
     pub cost: Cost,
+    /// The source file that it is written in, from the root of its workspace.
+    pub source: &'static str,
     /// Whether `inActive` switches it off; the plan then skips it and its outputs are null.
     pub(crate) gated: bool,
     pub(crate) build: Box<BuildFn>,
@@ -124,7 +138,8 @@ impl std::fmt::Debug for Definition {
 }
 
 impl Definition {
-    /// A primitive without ports; the methods below add what it has.
+    /// A primitive without ports; the methods below add what it has. Its source is the file that calls.
+    #[track_caller]
     pub fn new<P: Primitive + 'static>(
         name: impl Into<String>,
         doc: &'static str,
@@ -138,6 +153,7 @@ impl Definition {
             parameters: Vec::new(),
             null: NullRule::Propagates,
             cost: COST,
+            source: std::panic::Location::caller().file(),
             gated: false,
             build: Box::new(move |b| Ok(Box::new(build(b)?))),
             early: None,
@@ -441,6 +457,7 @@ impl<I: Inputs, O: Outputs, F: Fn(I) -> Option<O> + Send> Primitive for Function
 ///
 /// # Panics
 /// If there are not as many ports as values: the table row is wrong.
+#[track_caller]
 pub fn function<I, O, F>(
     name: impl Into<String>,
     doc: &'static str,

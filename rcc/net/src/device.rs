@@ -73,6 +73,41 @@ pub struct Joint {
     pub command: Cell<JointCommand>,
 }
 
+/// What nets say of the emergency stop, by their `EStop` primitives.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct StopVote {
+    /// The first cycle of the thread for which nothing was said.
+    pub said_until: u64,
+    /// The first cycle of the thread for which no stop was demanded.
+    pub stop_until: u64,
+}
+
+impl StopVote {
+    /// Says for the cycles from `cycle` to `until` whether all is to stop. Of several who say something
+    /// of one cycle, those who demand a stop count.
+    #[must_use]
+    pub fn with(self, until: u64, stop: bool) -> Self {
+        Self {
+            said_until: self.said_until.max(until),
+            stop_until: if stop {
+                self.stop_until.max(until)
+            } else {
+                self.stop_until
+            },
+        }
+    }
+
+    /// What is said for `cycle`: whether to stop; `None` for nothing.
+    #[must_use]
+    pub const fn at(self, cycle: u64) -> Option<bool> {
+        if self.said_until > cycle {
+            Some(self.stop_until > cycle)
+        } else {
+            None
+        }
+    }
+}
+
 /// All device interfaces as the nets of one thread see them during one cycle.
 #[derive(Debug)]
 pub struct Image {
@@ -82,6 +117,8 @@ pub struct Image {
     pub signals: Box<[Cell<u64>]>,
     /// What else nets command, in the places of [`Command`]s.
     pub commands: Box<[Cell<u64>]>,
+    /// What nets say of the emergency stop.
+    pub stop: Cell<StopVote>,
 }
 
 impl Default for Image {
@@ -90,6 +127,7 @@ impl Default for Image {
             joints: (0..JOINTS_MAX).map(|_| Joint::default()).collect(),
             signals: (0..SIGNAL_WORDS_MAX).map(|_| Cell::new(0)).collect(),
             commands: (0..COMMAND_WORDS_MAX).map(|_| Cell::new(0)).collect(),
+            stop: Cell::default(),
         }
     }
 }

@@ -176,3 +176,47 @@ fn a_value_written_by_a_program_arrives_with_its_time() {
     net.cycle();
     assert_eq!(net.out("echo"), "0.1");
 }
+
+#[test]
+fn an_estop_says_in_each_cycle_of_its_net_whether_to_stop() {
+    let net = |source: &str, every: u64| {
+        let mut net = Bench::new(&format!(
+            "{{in=Core::BooleanNetcommIn(Key='stop'),off=Core::BooleanSetNull(inValue=in.outValue,\
+             inNull=in.outValue),say=EStop(inEStop={source}.outValue),no=Core::BooleanValue(),\
+             outTerminate=no.outValue}}"
+        ));
+        net.moment.every = every;
+        net
+    };
+    let said = |net: &Bench, cycle: u64| net.image.stop.get().at(cycle);
+    let mut direct = net("in", 4);
+    assert_eq!(said(&direct, 1), None);
+    direct.cycle();
+    assert_eq!(
+        [1, 4, 5].map(|c| said(&direct, c)),
+        [Some(false), Some(false), None]
+    );
+    direct.write("stop", "true");
+    direct.moment.cycle = 4;
+    direct.cycle();
+    assert_eq!(
+        [5, 8, 9].map(|c| said(&direct, c)),
+        [Some(true), Some(true), None]
+    );
+    // Null is no leave to move.
+    let mut lost = net("off", 1);
+    lost.write("stop", "true");
+    lost.cycle();
+    assert_eq!(said(&lost, 1), Some(true));
+}
+
+#[test]
+fn of_several_estops_one_that_stops_is_enough() {
+    let mut net = Bench::new(
+        "{yes=Core::BooleanValue(Value='true'),no=Core::BooleanValue(),\
+         a=EStop(inEStop=no.outValue),b=EStop(inEStop=yes.outValue),c=EStop(inEStop=no.outValue),\
+         outTerminate=no.outValue}",
+    );
+    net.cycle();
+    assert_eq!(net.image.stop.get().at(1), Some(true));
+}

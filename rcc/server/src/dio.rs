@@ -262,7 +262,7 @@ pub(crate) fn all_devices(controller: &Controller) -> Vec<DeviceInfo> {
             name: CONTROLLER.to_owned(),
             kind: CONTROLLER.to_owned(),
             interfaces: BTreeMap::new(),
-            status: DeviceStatus::Operational,
+            status: DeviceStatus::Operational.under(controller.is_stopped()),
         });
     }
     devices

@@ -18,10 +18,11 @@ use crate::controller::inter::{Look, NetLinks};
 use crate::controller::rules::{RuleEntry, RuleId};
 use crate::controller::threads::busy;
 use crate::controller::{DeviceInfo, NetId, NetInfo, NetState, SessionId};
-use crate::device::lwr::Lwr;
+use crate::device::driver::DeviceDriver;
 use crate::device::{DeviceStatus, DeviceTable};
 use crate::error::Error;
 use crate::executor::figures::NetCounters;
+use crate::executor::stop::EmergencyStop;
 use crate::executor::thread::{Command, NetThread};
 use crate::executor::{ResourceSet, Running};
 use crate::record::Recorder;
@@ -360,13 +361,16 @@ type Wake = Box<dyn Fn() + Send + Sync>;
 pub(super) struct Desk {
     /// The device's clock that net threads follow.
     pub(super) clock: Option<FollowedClock>,
+    pub(super) stop: Arc<EmergencyStop>,
+    /// Whether that was on when devices were last looked at.
+    is_stopped: bool,
     pub(super) nets: BTreeMap<NetId, Net>,
     pub(super) departed: BTreeMap<NetId, Departed>,
     pub(super) sessions: BTreeMap<SessionId, Session>,
     pub(super) rules: BTreeMap<RuleId, RuleEntry>,
     last_rule: Option<u32>,
     pub(super) devices: DeviceTable,
-    pub(super) arms: Vec<Lwr>,
+    pub(super) drivers: Vec<Box<dyn DeviceDriver>>,
     pub(super) recorder: Option<Recorder>,
     pub(super) watches: BTreeMap<u64, Wake>,
     pub(super) last_watch: u64,
@@ -395,17 +399,20 @@ impl Desk {
     pub(super) fn new(
         threads: Vec<NetThread>,
         clock: Option<FollowedClock>,
+        stop: Arc<EmergencyStop>,
         recorder: Option<Recorder>,
     ) -> Self {
         Self {
             clock,
+            stop,
+            is_stopped: false,
             nets: BTreeMap::new(),
             departed: BTreeMap::new(),
             sessions: BTreeMap::new(),
             rules: BTreeMap::new(),
             last_rule: None,
             devices: DeviceTable::default(),
-            arms: Vec::new(),
+            drivers: Vec::new(),
             recorder,
             watches: BTreeMap::new(),
             last_watch: 0,
@@ -506,20 +513,30 @@ impl Desk {
 
     /// Notes changes of devices; returns whether there were any.
     pub(super) fn look_at_devices(&mut self) -> bool {
+        let is_stopped = self.stop.is_on(takt_rt::monotonic());
         let statuses: BTreeMap<String, DeviceStatus> = self
             .devices
             .all()
-            .map(|(_, device)| (device.name.clone(), device.status()))
+            .map(|(_, device)| (device.name.clone(), device.status().under(is_stopped)))
             .collect();
-        if statuses == self.statuses {
+        if is_stopped != self.is_stopped {
+            self.is_stopped = is_stopped;
+            if is_stopped {
+                tracing::warn!(
+                    "emergency stop: all devices stop, and the nets that command them end"
+                );
+            } else {
+                tracing::info!("the emergency stop is over");
+            }
+        } else if statuses == self.statuses {
             return false;
         }
         for (name, status) in &statuses {
             let before = self.statuses.get(name).copied().unwrap_or_default();
             if before != *status {
-                let driver = self.arms.iter().find(|arm| arm.name() == name);
-                let quality = driver.map(|arm| format!("{:?}", arm.figures().quality));
-                tracing::info!(device = name, %before, now = %status, quality, "device");
+                let driver = self.drivers.iter().find(|driver| driver.drives(name));
+                let figures = driver.map(|driver| listed(&driver.figures()));
+                tracing::info!(device = name, %before, now = %status, figures, "device");
             }
         }
         self.statuses = statuses;
@@ -527,11 +544,12 @@ impl Desk {
     }
 
     pub(super) fn device_infos(&self) -> Vec<DeviceInfo> {
+        let is_stopped = self.stop.is_on(takt_rt::monotonic());
         let info = |device: &crate::device::Device| DeviceInfo {
             name: device.name.clone(),
             kind: device.kind.to_owned(),
             interfaces: device.told(),
-            status: device.status(),
+            status: device.status().under(is_stopped),
         };
         self.devices.all().map(|(_, device)| info(device)).collect()
     }
@@ -542,8 +560,16 @@ impl Desk {
         for thread in self.threads.drain(..) {
             thread.stop();
         }
-        for arm in self.arms.drain(..) {
-            drop(arm.stop());
+        for driver in self.drivers.drain(..) {
+            drop(driver.stop());
         }
     }
+}
+
+/// Figures in one line.
+fn listed(figures: &[(&'static str, String)]) -> String {
+    let pairs = figures
+        .iter()
+        .map(|(name, value)| format!("{name} {value}"));
+    pairs.collect::<Vec<_>>().join(", ")
 }

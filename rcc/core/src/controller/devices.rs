@@ -2,12 +2,15 @@
 //! remove.
 
 use std::collections::BTreeMap;
+use std::time::Duration;
 
-use crate::cell::LwrConfig;
+use crate::cell::DeviceConfig;
 use crate::controller::Controller;
 use crate::controller::clock::FollowedClock;
 use crate::controller::desk::Desk;
+use crate::device::driver::{self, DeviceDriver, DriverEnds};
 use crate::device::lwr::{self, Lwr};
+use crate::device::rmp::{self, Rmp};
 use crate::device::sim::{self, Simulated};
 use crate::device::{DeviceDescription, DevicePorts};
 use crate::error::Error;
@@ -42,6 +45,25 @@ impl Controller {
         Ok(())
     }
 
+    /// Adds devices whose driver the caller starts, for example one of his own, or one over a link inside
+    /// of this process. `name` is the driver's; `thread` is the period of the net thread that commands the
+    /// devices, `None` the first one's.
+    ///
+    /// # Errors
+    /// If a name is taken, there is no room or no such thread, or what `start` gives.
+    pub fn add_driver(
+        &self,
+        name: &str,
+        devices: Vec<DeviceDescription>,
+        thread: Option<Duration>,
+        start: impl FnOnce(DriverEnds) -> Result<Box<dyn DeviceDriver>, Error>,
+    ) -> Result<(), Error> {
+        let mut desk = self.inner.lock();
+        let added = desk.add_driver(name, devices, thread, start);
+        self.inner.announce(&desk);
+        added
+    }
+
     /// Removes a device that [`Self::add_device`] made.
     ///
     /// # Errors
@@ -55,22 +77,68 @@ impl Controller {
 }
 
 impl Desk {
-    /// Starts the driver of an LWR.
-    pub(super) fn add_lwr(&mut self, config: &LwrConfig) -> Result<(), Error> {
-        let thread = self.thread_of_period(config.thread).map_err(Error::Cell)?;
-        let period = self.threads[thread].period;
-        let (number, ports) = self.add_description(lwr::describe(&config.name).with(lwr::PARTS))?;
-        let DevicePorts {
-            state,
-            command,
-            driver_state,
-            driver_command,
-        } = ports;
-        let link = lwr::listen(config)?;
-        let clock = FollowedClock::writer_for(&mut self.clock, &config.name);
-        let arm = Lwr::start(config, link, period, driver_state, driver_command, clock)?;
-        self.arms.push(arm);
-        self.serve(number, Driver::Cells { state, command }, thread)
+    /// Starts the driver of a device of the cell.
+    pub(super) fn add_of_cell(&mut self, device: &DeviceConfig) -> Result<(), Error> {
+        let descriptions = vec![device.describe()];
+        self.add_driver(device.name(), descriptions, device.thread(), |ends| {
+            Ok(match device {
+                DeviceConfig::Lwr(config) => {
+                    Box::new(Lwr::start(config, lwr::listen(config)?, ends)?)
+                }
+                DeviceConfig::Rmp(config) => {
+                    Box::new(Rmp::start(config, rmp::open(config)?, ends)?)
+                }
+            })
+        })
+    }
+
+    /// Adds devices, starts the driver of all of them, and serves them in a net thread.
+    fn add_driver(
+        &mut self,
+        name: &str,
+        descriptions: Vec<DeviceDescription>,
+        thread: Option<Duration>,
+        start: impl FnOnce(DriverEnds) -> Result<Box<dyn DeviceDriver>, Error>,
+    ) -> Result<(), Error> {
+        let thread = self.thread_of_period(thread).map_err(Error::Cell)?;
+        let net_period = self.threads[thread].period;
+        let names: Vec<_> = descriptions.iter().map(|d| d.name.clone()).collect();
+        let mut added = Vec::new();
+        let mut devices = Vec::new();
+        let mut result = Ok(());
+        for description in descriptions {
+            match self.add_description(description) {
+                Ok((number, ports)) => {
+                    let (state, command) = (ports.driver_state, ports.driver_command);
+                    devices.push(driver::DeviceEnd {
+                        state,
+                        command,
+                        net_period,
+                    });
+                    let (state, command) = (ports.state, ports.command);
+                    added.push((number, Driver::Cells { state, command }));
+                }
+                Err(error) => {
+                    result = Err(error);
+                    break;
+                }
+            }
+        }
+        let clock = FollowedClock::writer_for(&mut self.clock, name);
+        let started = result.and_then(|()| start(DriverEnds { devices, clock }));
+        match started {
+            Ok(driver) => self.drivers.push(driver),
+            Err(error) => {
+                // They were described before the driver could not be started.
+                for name in names.iter().take(added.len()) {
+                    self.devices.remove(name);
+                }
+                return Err(error);
+            }
+        }
+        added
+            .into_iter()
+            .try_for_each(|(number, driver)| self.serve(number, driver, thread))
     }
 
     fn add_simulated(
@@ -109,7 +177,7 @@ impl Desk {
         if self.devices.find(name).is_none() {
             return Err(Error::NoSuchDevice(name.to_owned()));
         }
-        if self.arms.iter().any(|arm| arm.name() == name) {
+        if self.drivers.iter().any(|driver| driver.drives(name)) {
             let what = "it belongs to the cell; take it out of its configuration".to_owned();
             return Err(Error::DeviceParameter {
                 name: name.to_owned(),

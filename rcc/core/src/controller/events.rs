@@ -2,7 +2,7 @@
 
 use crate::controller::desk::{Desk, Net};
 use crate::controller::threads::busy;
-use crate::device::DeviceStatus;
+use crate::device::{Device, DeviceStatus};
 use crate::error::Error;
 use crate::executor::figures::RUNAWAY_AFTER;
 use crate::executor::thread::{Command, Event};
@@ -91,9 +91,7 @@ impl Desk {
                 Error::DeviceNotReady {
                     net,
                     device: arm.map_or_else(|| format!("device {number}"), |a| a.name.clone()),
-                    status: arm
-                        .map_or(DeviceStatus::Offline, |a| a.status())
-                        .to_string(),
+                    status: self.status_text(arm.map(|arm| &**arm)),
                 }
             }
         };
@@ -116,11 +114,21 @@ impl Desk {
             End::DeviceFault(number) => {
                 let arm = self.devices.get(number);
                 let name = arm.map_or("?", |a| a.name.as_str());
-                let status = arm.map_or(DeviceStatus::Offline, |a| a.status());
+                let status = self.status_text(arm.map(|arm| &**arm));
                 Some(format!(
                     "device {name} ceased to follow commands and is {status}"
                 ))
             }
+        }
+    }
+
+    fn status_text(&self, device: Option<&Device>) -> String {
+        let status = device.map_or(DeviceStatus::Offline, Device::status);
+        if self.stop.is_on(takt_rt::monotonic()) {
+            let status = status.under(true);
+            format!("{status}: the emergency stop is on")
+        } else {
+            status.to_string()
         }
     }
 }

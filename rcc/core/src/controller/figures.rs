@@ -1,11 +1,13 @@
 //! Figures of a running controller: how its threads keep their time and what its drivers count.
 //! They judge nothing.
 
+use std::any::Any;
 use std::time::Duration;
 
 use crate::controller::Controller;
 use crate::controller::clock::ClockInfo;
 use crate::controller::desk::Desk;
+use crate::device::driver::DeviceDriver;
 use crate::device::lwr::Lwr;
 use crate::executor::figures::{NetCounts, budget};
 use crate::executor::thread::NetThread;
@@ -55,6 +57,12 @@ impl Controller {
         self.inner.lock().thread_infos()
     }
 
+    /// Whether the emergency stop is on: no device follows commands.
+    #[must_use]
+    pub fn is_stopped(&self) -> bool {
+        self.inner.lock().stop.is_on(takt_rt::monotonic())
+    }
+
     /// How well the first net thread keeps its time.
     #[must_use]
     pub fn stats(&self) -> takt_rt::stats::Snapshot {
@@ -80,9 +88,22 @@ impl Controller {
         self.inner.lock().grants()
     }
 
-    /// Reads something of the driver of every arm.
+    /// Reads something of every driver of one kind.
+    pub fn with_drivers<D: DeviceDriver, T>(&self, read: impl Fn(&D) -> T) -> Vec<T> {
+        let desk = self.inner.lock();
+        let drivers = desk
+            .drivers
+            .iter()
+            .map(|driver| driver.as_ref() as &dyn Any);
+        drivers
+            .filter_map(|driver| driver.downcast_ref())
+            .map(read)
+            .collect()
+    }
+
+    /// Reads something of the driver of every LWR.
     pub fn with_arms<T>(&self, read: impl Fn(&Lwr) -> T) -> Vec<T> {
-        self.inner.lock().arms.iter().map(read).collect()
+        self.with_drivers(read)
     }
 
     /// The state a device's driver last told.
@@ -136,8 +157,13 @@ impl Desk {
     fn grants(&self) -> Vec<(String, takt_rt::Grant)> {
         let nets = self.threads.iter().flat_map(|t| t.grants().iter());
         let nets = nets.map(|grant| ("net thread".to_owned(), grant.clone()));
-        let arms = self.arms.iter();
-        let arms = arms.flat_map(|a| a.grants().iter().map(|g| (a.name().to_owned(), g.clone())));
-        nets.chain(arms).collect()
+        let drivers = self.drivers.iter().flat_map(|driver| {
+            let name = driver.name().to_owned();
+            driver
+                .grants()
+                .iter()
+                .map(move |grant| (name.clone(), grant.clone()))
+        });
+        nets.chain(drivers).collect()
     }
 }

@@ -19,13 +19,7 @@ impl Controller {
     /// If its name is taken, there is no room for it, or it cannot be opened.
     pub fn add_cell_device(&self, device: &DeviceConfig) -> Result<(), Error> {
         let mut desk = self.inner.lock();
-        let DeviceConfig::Lwr(config) = device;
-        let is_new = desk.devices.find(&config.name).is_none();
-        let added = desk.add_lwr(config);
-        if added.is_err() && is_new {
-            // It was described before its driver could not be started.
-            desk.devices.remove(&config.name);
-        }
+        let added = desk.add_of_cell(device);
         self.inner.announce(&desk);
         added
     }
@@ -36,7 +30,7 @@ impl Controller {
     /// If there is no such device in the cell, a loaded net uses it, or it still moves.
     pub fn remove_cell_device(&self, name: &str) -> Result<(), Error> {
         let mut desk = self.inner.lock();
-        let of_cell = desk.arms.iter().position(|arm| arm.name() == name);
+        let of_cell = desk.drivers.iter().position(|driver| driver.name() == name);
         let at = of_cell.ok_or_else(|| Error::NoSuchDevice(name.to_owned()))?;
         desk.refuse_if_used(name)?;
         if desk
@@ -52,7 +46,7 @@ impl Controller {
         if let Some(number) = desk.devices.remove(name) {
             desk.command(Command::RemoveDevice(number))?;
         }
-        let driver = desk.arms.remove(at);
+        let driver = desk.drivers.remove(at);
         self.inner.announce(&desk);
         drop(desk);
         // Its thread takes a moment to end; nobody else need wait for that.

@@ -2,6 +2,7 @@
 //! is loaded, and each command goes to the thread whose business it is. What a thread does with it is
 //! the executor's.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use takt_net::Rejection;
@@ -13,6 +14,7 @@ use crate::controller::clock::FollowedClock;
 use crate::controller::desk::Desk;
 use crate::error::Error;
 use crate::executor::serve::{DeviceEnd, Driver};
+use crate::executor::stop::{EmergencyStop, StopPart};
 use crate::executor::thread::{COMMANDS, Command, NetThread, NetThreadConfig};
 use crate::ids::NetId;
 use crate::record::Tap;
@@ -32,6 +34,7 @@ pub(super) struct Place {
 pub(super) fn start(
     cell: &CellConfig,
     clock: Option<&FollowedClock>,
+    stop: &Arc<EmergencyStop>,
     tap: Option<Tap>,
 ) -> Result<Vec<NetThread>, Error> {
     let controller = &cell.controller;
@@ -53,6 +56,7 @@ pub(super) fn start(
             period,
             base,
             follow: clock.and_then(|clock| clock.follow(threads.len())),
+            stop: StopPart::new(Arc::clone(stop), threads.len()),
             thread,
         };
         threads.push(NetThread::start(config, tap.take())?);

@@ -23,6 +23,7 @@ use takt_rt::stats::{Recorder, RecorderReader};
 use takt_rt::thread::{Thread, ThreadConfig};
 
 use crate::cell::LwrConfig;
+use crate::device::driver::{DeviceDriver, DeviceEnd, DriverEnds};
 use crate::device::setpoint::Joint;
 use crate::device::{
     ArmDescription, DeviceCommand, DeviceState, DeviceStatus, JointSetPoints, Part, parts,
@@ -124,19 +125,18 @@ fn refused(config: &LwrConfig, source: std::io::Error) -> Error {
 }
 
 impl Lwr {
-    /// Starts the driver thread. `net_period` is the time between set-points. The
-    /// robot's clock goes to `clock`: there, zero and every whole period is the instant of a measurement.
+    /// Starts the driver thread. On the clock that it tells, zero and every whole period is the instant of
+    /// a measurement.
     ///
     /// # Errors
     /// If the socket has no address or the system has no thread to give.
-    pub fn start(
-        config: &LwrConfig,
-        link: UdpLink,
-        net_period: Duration,
-        state: LatestWriter<DeviceState>,
-        command: LatestReader<DeviceCommand>,
-        clock: LatestWriter<Estimate>,
-    ) -> Result<Self, Error> {
+    pub fn start(config: &LwrConfig, link: UdpLink, ends: DriverEnds) -> Result<Self, Error> {
+        let (end, clock) = ends.only(&config.name)?;
+        let DeviceEnd {
+            state,
+            command,
+            net_period,
+        } = end;
         let address = link
             .local_addr()
             .map_err(|source| refused(config, source))?;
@@ -206,22 +206,10 @@ impl Lwr {
         })
     }
 
-    /// Name of the arm.
-    #[must_use]
-    pub fn name(&self) -> &str {
-        &self.name
-    }
-
     /// Where it listens.
     #[must_use]
     pub const fn address(&self) -> SocketAddr {
         self.address
-    }
-
-    /// How the host granted what the thread asked for.
-    #[must_use]
-    pub fn grants(&self) -> &[takt_rt::Grant] {
-        self.thread.grants()
     }
 
     /// Its figures so far.
@@ -248,9 +236,26 @@ impl Lwr {
             clock_ppb: (period_ns > 0 && !clock_ppb.is_nan()).then_some(clock_ppb),
         }
     }
+}
 
-    /// Ends the thread, waits for that, and gives back where it told the robot's clock.
-    pub fn stop(self) -> Option<LatestWriter<Estimate>> {
+impl DeviceDriver for Lwr {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn grants(&self) -> &[takt_rt::Grant] {
+        self.thread.grants()
+    }
+
+    fn figures(&self) -> Vec<(&'static str, String)> {
+        let figures = self.figures();
+        vec![
+            ("quality", format!("{:?}", figures.quality)),
+            ("lost", figures.lost.to_string()),
+        ]
+    }
+
+    fn stop(self: Box<Self>) -> Option<LatestWriter<Estimate>> {
         self.stop.store(true, Ordering::Relaxed);
         let clock = self.thread.join().ok();
         if clock.is_none() {

@@ -2,12 +2,14 @@
 //! what nets commanded goes to drivers after it. It starts no driver and decides nothing.
 
 use takt_net::Moment;
+use takt_net::device::JointError;
 use takt_rt::Nanos;
 use takt_rt::latest::{LatestReader, LatestWriter};
 use takt_rt::stats::Recorder;
 
 use crate::device::sim::Simulated;
 use crate::device::{DeviceCommand, DeviceState, Place, SetPoint};
+use crate::executor::stop::StopPart;
 use crate::executor::{DEVICES_MAX, DeviceView, Executor};
 
 /// A device as a net thread serves it.
@@ -73,6 +75,7 @@ pub struct Served {
     period: Nanos,
     /// Time between handing over commands to the first and to the last device in one cycle.
     hand_over: Recorder,
+    stop: StopPart,
 }
 
 impl Served {
@@ -83,7 +86,20 @@ impl Served {
             ends: (0..DEVICES_MAX).map(|_| None).collect(),
             period,
             hand_over,
+            stop: StopPart::default(),
         }
+    }
+
+    /// The same with the thread's part of the controller's emergency stop.
+    #[must_use]
+    pub fn under(mut self, stop: StopPart) -> Self {
+        self.stop = stop;
+        self
+    }
+
+    /// Before a cycle that begins at `now`: whether devices are to be stopped. Told by [`Self::read`].
+    pub fn look(&mut self, now: Nanos) {
+        self.stop.look(now);
     }
 
     /// Serves a device from now on.
@@ -103,11 +119,13 @@ impl Served {
         Some(end)
     }
 
-    /// Puts what drivers told last into the image.
+    /// Puts what drivers told last into the image. While all is to stop, devices that would follow
+    /// commands are shown as if their drives were not enabled.
     pub fn read(&mut self, executor: &mut Executor) {
+        let stop = &self.stop;
         for end in self.ends.iter_mut().flatten() {
             let (number, place) = (end.number, &end.place);
-            let mut take = |state: &DeviceState| show(state, number, place, executor);
+            let mut take = |state: &DeviceState| show(state, number, place, stop, executor);
             match &mut end.driver {
                 Driver::Cells { state, .. } | Driver::Seen { state } => state.read_with(take),
                 Driver::Simulated { device, .. } => take(device.state()),
@@ -118,6 +136,8 @@ impl Served {
     /// Hands commands to all drivers, one right after the other. The cycle began at `begin` on this
     /// host's clock.
     pub fn write(&mut self, executor: &mut Executor, moment: Moment, begin: Nanos) {
+        let vote = executor.image.stop.get().at(moment.cycle);
+        self.stop.say(vote, begin);
         let at = (moment.cycle, begin);
         let (mut first, mut last) = (None, Nanos::ZERO);
         for end in self.ends.iter_mut().flatten() {
@@ -146,13 +166,30 @@ impl Served {
 }
 
 /// Puts a device's state into the image.
-fn show(state: &DeviceState, number: usize, place: &Place, executor: &mut Executor) {
+fn show(
+    state: &DeviceState,
+    number: usize,
+    place: &Place,
+    stop: &StopPart,
+    executor: &mut Executor,
+) {
     let view = DeviceView {
-        status: state.status,
-        faults: state.faults,
+        status: state.status.under(stop.is_on()),
+        // Those that begin with a stop are counted like any other.
+        faults: state.faults + stop.count(),
     };
     executor.set_device(number, view);
     state.show(place, &executor.image);
+    if stop.is_on() {
+        let joints = executor.image.joints.iter().skip(place.first_joint);
+        for joint in joints.take(place.joints) {
+            let mut shown = joint.state.get();
+            if shown.error == JointError::None as i32 {
+                shown.error = JointError::NotEnabled as i32;
+                joint.state.set(shown);
+            }
+        }
+    }
 }
 
 /// Takes what nets command to a device out of the image; returns whether they did in this cycle.

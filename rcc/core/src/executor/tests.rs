@@ -256,7 +256,7 @@ fn values_are_handed_over_only_when_they_change() {
     assert_eq!(bench.evaluate(), [0], "the first value is a change");
     let version = out.version();
     for _ in 0..5 {
-        assert_eq!(bench.evaluate(), []);
+        assert_eq!(bench.evaluate(), [0_u32; 0]);
     }
     assert_eq!(out.version(), version);
     let mut write = |text| {
@@ -274,7 +274,7 @@ fn values_are_handed_over_only_when_they_change() {
     out.read_with(|words| value.format(words, &mut text));
     assert_eq!(text, "42");
     write("42");
-    assert_eq!(bench.evaluate(), [], "written again, but the same");
+    assert_eq!(bench.evaluate(), [0_u32; 0], "written again, but the same");
 }
 
 // End.
@@ -377,7 +377,7 @@ fn an_ended_net_that_nobody_takes_is_kept_but_not_evaluated() {
             bench.start(holding(1, BRIEF, &[1])),
             Err(Refusal::ResourceInUse(1))
         );
-        assert_eq!(bench.evaluate(), []);
+        assert_eq!(bench.evaluate(), [0_u32; 0]);
         assert_eq!(evaluations(&mut out), last);
     }
     assert_eq!(bench.run(), [(0, End::Terminated)]);

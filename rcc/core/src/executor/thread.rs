@@ -15,6 +15,7 @@ use takt_rt::thread::{Thread, ThreadConfig};
 use crate::error::Error;
 use crate::executor::rules::{Rule, RuleRefusal};
 use crate::executor::serve::{DeviceEnd, Served};
+use crate::executor::stop::StopPart;
 use crate::executor::{Effect, End, Executor, Refusal, Running};
 use crate::record::Tap;
 
@@ -82,6 +83,8 @@ pub struct NetThreadConfig {
     /// The device's clock that its cycles keep phase with; `None` for the host's. Logical time is
     /// `base` plus n periods either way.
     pub follow: Option<Follow>,
+    /// Its part of the controller's emergency stop.
+    pub stop: StopPart,
     /// Name, priority and processors.
     pub thread: ThreadConfig,
 }
@@ -123,7 +126,7 @@ impl NetThread {
         let stop = Arc::new(AtomicBool::new(false));
         let mut cycle = Box::new(Cycle {
             executor: Executor::default(),
-            served: Served::new(config.period.into(), hand_over),
+            served: Served::new(config.period.into(), hand_over).under(config.stop),
             commands: command_end,
             events: event_end,
             tap,
@@ -236,6 +239,7 @@ struct Cycle {
 impl Cycle {
     fn run(&mut self, slot: &Slot) {
         let moment = slot.moment;
+        self.served.look(slot.begin);
         self.served.read(&mut self.executor);
         for _ in 0..COMMANDS_A_CYCLE {
             let Some(command) = self.commands.pop() else {

@@ -161,11 +161,16 @@ pub fn are_known(
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
-/// Checks that every primitive, port and parameter has a doc.
+/// Checks that every primitive, port and parameter has a doc, and every primitive a cost and a source.
 pub fn are_explained(registry: &Registry) {
     for definition in registry.definitions() {
         let name = &definition.name;
         assert!(definition.doc.ends_with('.'), "{name}: {}", definition.doc);
+        assert!(!definition.null.text().is_empty(), "{name}");
+        assert!(definition.cost.ns > 0.0, "{name}: it costs nothing");
+        let is_of_a_crate = definition.source.contains("src/");
+        let is_helper = definition.source.ends_with("definition.rs");
+        assert!(is_of_a_crate && !is_helper, "{name}: {}", definition.source);
         let ports = definition.inputs.iter().map(|p| p.doc);
         let ports = ports.chain(definition.outputs.iter().map(|p| p.doc));
         for doc in ports.chain(definition.parameters.iter().map(|p| p.doc)) {

@@ -6,6 +6,9 @@
 //! `home_joint` (rad), lists with a number for each joint. The load from outside: `external_torque`
 //! (Nm), a list by joint, and `external_wrench`, [Fx, Fy, Fz, Tx, Ty, Tz] (N, Nm) at the flange
 //! along the axes of the arm's base.
+//!
+//! An LWR has 8 digital inputs, 8 digital and 8 analogue outputs beside; each input has the value of the
+//! output of its number.
 
 use std::sync::Arc;
 
@@ -15,6 +18,7 @@ use takt_net::{JointLimits, JointState};
 use takt_rt::Nanos;
 
 use super::compliance::Compliance;
+use super::io::loop_back;
 use super::{Made, Parameters, Simulated, seconds};
 use crate::device::setpoint::Joint;
 use crate::device::{
@@ -56,7 +60,7 @@ struct Strategies {
     cartesian_impedance: Option<i32>,
 }
 
-const LIGHTWEIGHT: &[Part] = &[
+const LIGHTWEIGHT: [Part; 6] = [
     Part::Tool,
     Part::Strategy,
     Part::JointImpedance,
@@ -64,6 +68,13 @@ const LIGHTWEIGHT: &[Part] = &[
     Part::Torques,
     Part::Wrench,
 ];
+/// Those of the controller of an LWR.
+const LWR_IO: Part = Part::Io {
+    bool_in: 8,
+    bool_out: 8,
+    real_in: 0,
+    real_out: 8,
+};
 const LIGHTWEIGHT_STRATEGIES: Strategies = Strategies {
     position: 1,
     joint_impedance: 3,
@@ -71,10 +82,14 @@ const LIGHTWEIGHT_STRATEGIES: Strategies = Strategies {
 };
 
 pub(super) fn lwr(parameters: &Parameters<'_>, kind: &'static str) -> Result<Made, Error> {
+    const PARTS: &[Part] = {
+        let [tool, strategy, joints, cartesian, torques, wrench] = LIGHTWEIGHT;
+        &[tool, strategy, joints, cartesian, torques, wrench, LWR_IO]
+    };
     let model = Model {
         joints: 7,
         kinematics: "kuka_lwr4",
-        parts: LIGHTWEIGHT,
+        parts: PARTS,
         strategies: LIGHTWEIGHT_STRATEGIES,
     };
     make(parameters, kind, &model)
@@ -84,7 +99,7 @@ pub(super) fn iiwa(parameters: &Parameters<'_>, kind: &'static str) -> Result<Ma
     let model = Model {
         joints: 7,
         kinematics: "kuka_iiwa7",
-        parts: LIGHTWEIGHT,
+        parts: &LIGHTWEIGHT,
         strategies: LIGHTWEIGHT_STRATEGIES,
     };
     make(parameters, kind, &model)
@@ -242,6 +257,9 @@ impl Simulated for SimulatedArm {
             return;
         }
         self.obey(command);
+        if let Some(io) = &self.interfaces.io {
+            loop_back(io, command, &mut self.state);
+        }
         let torques = self.load_torques();
         let compliant = self.strategy == self.strategies.joint_impedance;
         for (i, joint) in self.joints.iter_mut().enumerate() {

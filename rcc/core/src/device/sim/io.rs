@@ -3,7 +3,7 @@
 //!
 //! Parameters: `bools` and `reals`, how many of each (8 and 2).
 
-use takt_net::device::{Interfaces, Layout, Output, Signal, Words};
+use takt_net::device::{Interfaces, Io, Layout, Output, Signal, Words};
 use takt_rt::Nanos;
 
 use super::{Made, Parameters, Simulated};
@@ -47,8 +47,7 @@ impl Simulated for Looped {
     fn step(&mut self, command: &DeviceCommand, _dt: Nanos) {
         self.state.stamp = command.time;
         if let Some(io) = &self.interfaces.io {
-            connect(&io.bool_in, &io.bool_out, command, &mut self.state);
-            connect(&io.real_in, &io.real_out, command, &mut self.state);
+            loop_back(io, command, &mut self.state);
         }
     }
 
@@ -57,16 +56,24 @@ impl Simulated for Looped {
     }
 }
 
+/// Sets outputs as commanded and each input like the output of its number, if there is one.
+pub(super) fn loop_back(io: &Io, command: &DeviceCommand, state: &mut DeviceState) {
+    connect(&io.bool_in, &io.bool_out, command, state);
+    connect(&io.real_in, &io.real_out, command, state);
+}
+
 fn connect<T: Words + Default>(
     inputs: &[Signal<T>],
     outputs: &[Output<T>],
     command: &DeviceCommand,
     state: &mut DeviceState,
 ) {
-    for (input, output) in inputs.iter().zip(outputs) {
+    for (number, output) in outputs.iter().enumerate() {
         let value = output.command.read(&command.words);
         let value = value.map_or_else(T::default, |given| given.value);
         output.state.tell(&mut state.signals, Some(value));
-        input.tell(&mut state.signals, Some(value));
+        if let Some(input) = inputs.get(number) {
+            input.tell(&mut state.signals, Some(value));
+        }
     }
 }

@@ -133,6 +133,12 @@ impl Ask<'_> {
         self.of_threads(&mut out);
         self.of_nets(&mut out);
         self.of_rules(&mut out);
+        out.single(
+            "takt_emergency_stop",
+            "gauge",
+            "1 while the emergency stop is on and no device follows commands.",
+            u8::from(self.controller.is_stopped()),
+        );
         self.of_devices(&mut out);
         self.of_server(&mut out);
         Response::of_kind("text/plain; version=0.0.4; charset=utf-8", out.0)

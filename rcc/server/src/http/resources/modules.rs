@@ -1,7 +1,7 @@
 //! `/types/`, `/modules/` and `/modulesdetails/`: the primitives described, from the same tables
 //! that nets are loaded with.
 
-use takt_core::net::definition::{Definition, NullRule, ParameterType};
+use takt_core::net::definition::{Definition, ParameterType};
 use takt_core::net::{Element as ValueElement, Type};
 
 use super::super::Response;
@@ -60,11 +60,6 @@ fn named(element: &'static str, place: &str, name: &str) -> Element {
 }
 
 fn describe(definition: &Definition) -> Element {
-    let null = match definition.null {
-        NullRule::Propagates => "any input null makes all outputs null",
-        NullRule::Kleene => "null is unknown, as in three-valued logic",
-        NullRule::Own(text) => text,
-    };
     let ins = definition.inputs.iter().map(|port| {
         let element = Element::new("inport")
             .with("name", port.name)
@@ -94,7 +89,11 @@ fn describe(definition: &Definition) -> Element {
     });
     named("module", "modules", &definition.name)
         .with("doc", definition.doc)
-        .with("null", null)
+        .with("null", definition.null.text())
+        .with("source", definition.source)
+        .with("firstns", definition.cost.first_ns)
+        .with("ns", definition.cost.ns)
+        .with("elementns", definition.cost.element_ns)
         .containing(ins)
         .containing(outs)
         .containing(parameters)

@@ -1,0 +1,163 @@
+//! The devices of a cell as its file tells them, one type for each kind of driver. What a device is and how
+//! it is driven is in its module of `device`.
+
+use std::net::SocketAddr;
+use std::time::Duration;
+
+use serde::Deserialize;
+
+use crate::device::{DeviceDescription, lwr, rmp};
+use crate::span;
+
+/// A device.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(tag = "type", deny_unknown_fields)]
+pub enum DeviceConfig {
+    /// A KUKA LWR on a KRC2lr, over FRI 1.0.
+    #[serde(rename = "kuka_lwr_fri")]
+    Lwr(LwrConfig),
+    /// A mobile base of one Segway RMP, or of two RMP50 on mecanum wheels, over CAN or USB.
+    #[serde(rename = "segway_rmp")]
+    Rmp(RmpConfig),
+}
+
+impl DeviceConfig {
+    /// Name by which nets find it.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        match self {
+            Self::Lwr(config) => &config.name,
+            Self::Rmp(config) => &config.name,
+        }
+    }
+
+    /// `SCHED_FIFO` priority of its driver thread; `None` for an ordinary thread.
+    #[must_use]
+    pub const fn priority(&self) -> Option<u8> {
+        match self {
+            Self::Lwr(config) => config.priority,
+            Self::Rmp(config) => config.priority,
+        }
+    }
+
+    /// What is known of it before it is in contact.
+    #[must_use]
+    pub fn describe(&self) -> DeviceDescription {
+        match self {
+            Self::Lwr(config) => lwr::describe(&config.name).with(lwr::PARTS),
+            Self::Rmp(config) => rmp::describe(config),
+        }
+    }
+
+    /// Period of the net thread that commands it; `None` for the first.
+    #[must_use]
+    pub const fn thread(&self) -> Option<Duration> {
+        match self {
+            Self::Lwr(config) => config.thread,
+            Self::Rmp(config) => config.thread,
+        }
+    }
+}
+
+/// A KUKA LWR.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LwrConfig {
+    /// Name by which nets find it.
+    pub name: String,
+    /// Address and port at which the KRC's datagrams arrive.
+    #[serde(default = "LwrConfig::default_listen")]
+    pub listen: SocketAddr,
+    /// `SCHED_FIFO` priority of its driver thread, 1 to 98; `None` for an ordinary thread.
+    #[serde(default = "LwrConfig::default_priority")]
+    pub priority: Option<u8>,
+    /// Processors of its driver thread; empty for any.
+    #[serde(default)]
+    pub cpus: Vec<usize>,
+    /// Period of the net thread that commands it; `None` for the first.
+    #[serde(default, deserialize_with = "span::text::deserialize_some")]
+    pub thread: Option<Duration>,
+}
+
+impl LwrConfig {
+    /// An arm with default settings.
+    #[must_use]
+    pub fn new(name: impl Into<String>, listen: SocketAddr) -> Self {
+        let (name, priority) = (name.into(), Self::default_priority());
+        Self {
+            name,
+            listen,
+            priority,
+            cpus: Vec::new(),
+            thread: None,
+        }
+    }
+
+    const fn default_listen() -> SocketAddr {
+        SocketAddr::new(
+            std::net::IpAddr::V4(std::net::Ipv4Addr::UNSPECIFIED),
+            takt_fri::lwr::DEFAULT_PORT,
+        )
+    }
+
+    #[expect(
+        clippy::unnecessary_wraps,
+        reason = "the type of the field it is the default of"
+    )]
+    const fn default_priority() -> Option<u8> {
+        Some(85)
+    }
+}
+
+/// A Segway RMP, or two of them under one platform.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RmpConfig {
+    /// Name by which nets find it.
+    pub name: String,
+    /// Where its power bases are: `can0`, or `/dev/ttyUSB0` for the USB port. One for a base of two wheels;
+    /// the one in front and the one at the back for a platform of two RMP50.
+    pub links: Vec<String>,
+    /// `rmp50`, `rmp100`, `rmp200` or `rmp400`; a platform of two is of RMP50.
+    #[serde(default = "RmpConfig::default_model")]
+    pub model: String,
+    /// Time between commands, 10 ms to 300 ms.
+    #[serde(
+        default = "RmpConfig::default_period",
+        deserialize_with = "span::text::deserialize"
+    )]
+    pub period: Duration,
+    /// `SCHED_FIFO` priority of its driver thread, 1 to 98; `None` for an ordinary thread.
+    #[serde(default)]
+    pub priority: Option<u8>,
+    /// Processors of its driver thread; empty for any.
+    #[serde(default)]
+    pub cpus: Vec<usize>,
+    /// Period of the net thread that commands it; `None` for the first.
+    #[serde(default, deserialize_with = "span::text::deserialize_some")]
+    pub thread: Option<Duration>,
+}
+
+impl RmpConfig {
+    /// A base on these links with default settings.
+    #[must_use]
+    pub fn new(name: impl Into<String>, links: &[&str]) -> Self {
+        Self {
+            name: name.into(),
+            links: links.iter().map(|link| (*link).to_owned()).collect(),
+            model: Self::default_model(),
+            period: Self::default_period(),
+            priority: None,
+            cpus: Vec::new(),
+            thread: None,
+        }
+    }
+
+    fn default_model() -> String {
+        "rmp50".to_owned()
+    }
+
+    const fn default_period() -> Duration {
+        Duration::from_millis(50)
+    }
+}

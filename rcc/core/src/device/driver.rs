@@ -1,0 +1,71 @@
+//! What a controller needs of a driver that runs, whatever it drives. How drivers exchange values with
+//! nets is in `DeviceState` and `DeviceCommand`; starting one is the matter of its module.
+
+use std::any::Any;
+use std::fmt;
+
+use std::time::Duration;
+
+use takt_rt::Grant;
+use takt_rt::latest::{LatestReader, LatestWriter};
+use takt_rt::servo::Estimate;
+
+use crate::device::{DeviceCommand, DeviceState};
+use crate::error::Error;
+
+/// What a driver gets for each of its devices.
+#[derive(Debug)]
+pub struct DeviceEnd {
+    /// Where it tells of the device.
+    pub state: LatestWriter<DeviceState>,
+    /// Where it is told what the device is to do.
+    pub command: LatestReader<DeviceCommand>,
+    /// Time between two commands.
+    pub net_period: Duration,
+}
+
+/// What a driver gets when it is started.
+#[derive(Debug)]
+pub struct DriverEnds {
+    /// One for each of its devices, in their order.
+    pub devices: Vec<DeviceEnd>,
+    /// Where it tells the clock of its device or bus, which net threads may follow.
+    pub clock: LatestWriter<Estimate>,
+}
+
+impl DriverEnds {
+    /// The end of the only device, and where the driver tells its clock.
+    ///
+    /// # Errors
+    /// If there is not one device.
+    pub fn only(self, name: &str) -> Result<(DeviceEnd, LatestWriter<Estimate>), Error> {
+        let Ok([end]) = <[DeviceEnd; 1]>::try_from(self.devices) else {
+            return Err(Error::DeviceParameter {
+                name: name.to_owned(),
+                what: "its driver drives one device".to_owned(),
+            });
+        };
+        Ok((end, self.clock))
+    }
+}
+
+/// A driver with a thread of its own, for one device or for all devices of a bus.
+pub trait DeviceDriver: Any + fmt::Debug + Send {
+    /// Name of its device, or of its bus.
+    fn name(&self) -> &str;
+
+    /// Whether it drives the device of that name.
+    fn drives(&self, device: &str) -> bool {
+        self.name() == device
+    }
+
+    /// How the host granted what its thread asked for.
+    fn grants(&self) -> &[Grant];
+
+    /// What people want to know of it when one of its devices changes its status: name and value.
+    fn figures(&self) -> Vec<(&'static str, String)>;
+
+    /// Ends its thread, waits for that, and gives back where it told the clock of its device; nothing
+    /// if the thread had ended by itself.
+    fn stop(self: Box<Self>) -> Option<LatestWriter<Estimate>>;
+}

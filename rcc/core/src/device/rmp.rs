@@ -1,0 +1,460 @@
+//! The driver of a mobile base on Segway RMP power bases: a thread that hears what they tell and sends
+//! what nets want, every period. The protocol, the ramps and the odometry are in `takt_can::rmp`.
+
+mod wire;
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::Duration;
+
+use takt_can::rmp::{self, Channel, DriverConfig, Model, Motion, Omni, OmniConfig, State};
+use takt_net::device::{Base, Interfaces, Layout};
+use takt_net::value::{Frame, Rotation, Twist, Vector};
+use takt_rt::latest::{LatestReader, LatestWriter};
+use takt_rt::servo::Estimate;
+use takt_rt::thread::{Thread, ThreadConfig};
+
+use crate::cell::RmpConfig;
+use crate::device::driver::{DeviceDriver, DriverEnds};
+use crate::device::{DeviceCommand, DeviceDescription, DeviceState, DeviceStatus, Part, parts};
+use crate::error::Error;
+pub use wire::Wire;
+
+/// Largest speed that nets may command, m/s.
+const VELOCITY_MAX: f64 = 1.8;
+/// Largest rotation that nets may command, rad/s.
+const ROTATION_MAX: f64 = 2.0;
+/// Change of velocity, m/s² and rad/s².
+const ACCELERATION: [f64; 2] = [1.0, 1.5];
+/// Longest sleep of the thread: a tenth of the power bases' cycle would be a waste, a whole one late.
+const WAIT: Duration = Duration::from_millis(2);
+/// Commands of nets older than this are none.
+const STALE: Duration = Duration::from_millis(200);
+/// Frames taken from a link at once.
+const BACKLOG: usize = 64;
+
+/// The base as it is before it is in contact.
+#[must_use]
+pub fn describe(config: &RmpConfig) -> DeviceDescription {
+    let (kind, wheels) = match config.links.len() {
+        2 => ("segway_rmp_omni", 4),
+        _ => ("segway_rmp", 2),
+    };
+    DeviceDescription {
+        name: config.name.clone(),
+        kind,
+        limits: Vec::new(),
+        model: "".into(),
+        parts: vec![Part::Base {
+            wheels,
+            velocity_max: VELOCITY_MAX,
+            rotation_max: ROTATION_MAX,
+        }],
+    }
+}
+
+/// What is wrong with a configuration.
+///
+/// # Errors
+/// A text that names it.
+pub fn check(config: &RmpConfig) -> Result<(), String> {
+    let name = &config.name;
+    let Some(model) = Model::named(&config.model) else {
+        let known = Model::ALL.map(Model::name).join(", ");
+        return Err(format!(
+            "{name}: there is no model `{}`; there are {known}",
+            config.model
+        ));
+    };
+    match (config.links.len(), model) {
+        (1, _) | (2, Model::Rmp50) => {}
+        (2, _) => return Err(format!("{name}: a platform of two power bases is of rmp50")),
+        (n, _) => {
+            return Err(format!(
+                "{name}: {n} links; one for a base of two wheels, two (front, back) for a platform"
+            ));
+        }
+    }
+    let range = Duration::from_millis(10)..=Duration::from_millis(300);
+    if range.contains(&config.period) {
+        Ok(())
+    } else {
+        Err(format!(
+            "{name}: period is {:?}; power bases take commands every 10ms to 300ms",
+            config.period
+        ))
+    }
+}
+
+/// Opens the links of a base.
+///
+/// # Errors
+/// If one cannot be opened.
+pub fn open(config: &RmpConfig) -> Result<Vec<Wire>, Error> {
+    let open = |link: &String| {
+        Wire::open(link).map_err(|source| Error::Device {
+            name: config.name.clone(),
+            what: format!("open {link}"),
+            source,
+        })
+    };
+    config.links.iter().map(open).collect()
+}
+
+/// Figures of a driver that others read while it runs.
+#[derive(Debug, Default)]
+struct Shared {
+    frames: AtomicU64,
+    failed: AtomicU64,
+    jumps: AtomicU64,
+    states: [AtomicU64; 2],
+}
+
+/// A running driver.
+#[derive(Debug)]
+pub struct Rmp {
+    name: String,
+    shared: Arc<Shared>,
+    thread: Thread<LatestWriter<Estimate>>,
+    stop: Arc<AtomicBool>,
+}
+
+impl Rmp {
+    /// Starts the driver thread on open links, as many as the configuration names.
+    ///
+    /// # Errors
+    /// If the configuration makes no sense or the system has no thread to give.
+    pub fn start(config: &RmpConfig, wires: Vec<Wire>, ends: DriverEnds) -> Result<Self, Error> {
+        check(config).map_err(Error::Cell)?;
+        let (end, clock) = ends.only(&config.name)?;
+        let description = describe(config);
+        let mut layout = Layout::default();
+        let interfaces = parts::lay(&description.parts, 0, &mut layout);
+        let shared = Arc::new(Shared::default());
+        let stop = Arc::new(AtomicBool::new(false));
+        let mut driver = Box::new(Driver {
+            wires,
+            platform: Platform::of(config),
+            interfaces,
+            told: DeviceState::new(layout.signals),
+            taken: DeviceCommand::new(layout.commands),
+            taken_at: Duration::ZERO,
+            followed: false,
+            state: end.state,
+            command: end.command,
+            shared: Arc::clone(&shared),
+        });
+        let thread = ThreadConfig {
+            priority: config.priority,
+            cpus: config.cpus.clone(),
+            ..ThreadConfig::new(format!("takt-{}", config.name))
+        };
+        let stopping = Arc::clone(&stop);
+        let thread = takt_rt::thread::spawn(thread, move || {
+            let scope = takt_rt::alloc::enter_real_time();
+            while !stopping.load(Ordering::Relaxed) {
+                driver.serve();
+            }
+            driver.rest();
+            drop(scope);
+            clock
+        })
+        .map_err(|source| Error::Thread {
+            name: config.name.clone(),
+            source,
+        })?;
+        Ok(Self {
+            name: config.name.clone(),
+            shared,
+            thread,
+            stop,
+        })
+    }
+
+    /// Steps of wheels that odometry did not believe: integrators that were reset behind its back.
+    #[must_use]
+    pub fn jumps(&self) -> u64 {
+        self.shared.jumps.load(Ordering::Relaxed)
+    }
+}
+
+impl DeviceDriver for Rmp {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn grants(&self) -> &[takt_rt::Grant] {
+        self.thread.grants()
+    }
+
+    fn figures(&self) -> Vec<(&'static str, String)> {
+        let number = |figure: &AtomicU64| figure.load(Ordering::Relaxed).to_string();
+        let [first, second] = &self.shared.states;
+        vec![
+            ("frames", number(&self.shared.frames)),
+            ("failed", number(&self.shared.failed)),
+            ("first", word(first).to_owned()),
+            ("second", word(second).to_owned()),
+        ]
+    }
+
+    fn stop(self: Box<Self>) -> Option<LatestWriter<Estimate>> {
+        self.stop.store(true, Ordering::Relaxed);
+        let clock = self.thread.join().ok();
+        if clock.is_none() {
+            tracing::error!(base = self.name, "the driver thread had ended by a panic");
+        }
+        clock
+    }
+}
+
+/// States as a number that fits an atomic, and back as a word.
+const fn code(state: State) -> u64 {
+    match state {
+        State::Silent => 1,
+        State::PoweredOff => 2,
+        State::Configuring => 3,
+        State::Ready => 4,
+        State::Blocked(rmp::Hindrance::EmergencyStop) => 5,
+        State::Blocked(rmp::Hindrance::Fault(_)) => 6,
+        State::Blocked(rmp::Hindrance::MotorsDisabled) => 7,
+        State::Blocked(rmp::Hindrance::ModeRefused(_)) => 8,
+    }
+}
+
+fn word(state: &AtomicU64) -> &'static str {
+    const WORDS: [&str; 9] = [
+        "none",
+        "silent",
+        "powered off",
+        "configuring",
+        "ready",
+        "emergency stop",
+        "fault",
+        "motors disabled",
+        "mode refused",
+    ];
+    let code = state.load(Ordering::Relaxed);
+    let index = usize::try_from(code).unwrap_or_default();
+    WORDS.get(index).copied().unwrap_or_default()
+}
+
+/// One power base or two.
+#[derive(Debug)]
+enum Platform {
+    One(Box<rmp::Base>),
+    Two(Box<Omni>),
+}
+
+impl Platform {
+    fn of(config: &RmpConfig) -> Self {
+        let [linear, angular] = ACCELERATION;
+        let driver = DriverConfig {
+            model: Model::named(&config.model).unwrap_or_default(),
+            period: config.period,
+            ..DriverConfig::default()
+        };
+        if config.links.len() == 2 {
+            Self::Two(Box::new(Omni::new(OmniConfig {
+                driver,
+                acceleration: linear,
+                angular_acceleration: angular,
+                ..OmniConfig::default()
+            })))
+        } else {
+            Self::One(Box::new(rmp::Base::new(driver, linear, angular)))
+        }
+    }
+
+    fn handle(&mut self, part: usize, channel: Channel, frame: &takt_can::Frame, now: Duration) {
+        match self {
+            Self::One(base) => base.handle_frame(channel, frame, now),
+            Self::Two(omni) => omni.handle_frame(part, channel, frame, now),
+        };
+    }
+
+    fn transmit(
+        &mut self,
+        wanted: Option<[f64; 3]>,
+        now: Duration,
+    ) -> [Option<takt_can::Frame>; 2] {
+        match self {
+            Self::One(base) => {
+                let wanted = wanted.map(|[ahead, _, turn]| [ahead, turn]);
+                [base.poll_transmit(wanted, now), None]
+            }
+            Self::Two(omni) => omni.poll_transmit(wanted, now),
+        }
+    }
+
+    fn motion(&self) -> &Motion {
+        match self {
+            Self::One(base) => base.motion(),
+            Self::Two(omni) => omni.motion(),
+        }
+    }
+
+    fn follows(&self) -> bool {
+        match self {
+            Self::One(base) => base.driver().follows(),
+            Self::Two(omni) => omni.follows(),
+        }
+    }
+
+    fn states(&self) -> [Option<State>; 2] {
+        match self {
+            Self::One(base) => [Some(base.driver().state()), None],
+            Self::Two(omni) => omni.drivers().each_ref().map(|driver| Some(driver.state())),
+        }
+    }
+
+    fn status(&self) -> DeviceStatus {
+        if self
+            .states()
+            .into_iter()
+            .flatten()
+            .all(|state| state == State::Ready)
+        {
+            return DeviceStatus::Operational;
+        }
+        let absent = |state| matches!(state, State::Silent | State::PoweredOff);
+        if self.states().into_iter().flatten().any(absent) {
+            DeviceStatus::Offline
+        } else {
+            DeviceStatus::SafeOperational
+        }
+    }
+
+    fn jumps(&self) -> u64 {
+        match self {
+            Self::One(base) => base.jumps(),
+            Self::Two(omni) => omni.jumps(),
+        }
+    }
+
+    /// Angle and rate of each wheel, rad and rad/s.
+    fn wheels(&self) -> ([f64; 4], [f64; 4]) {
+        match self {
+            Self::One(base) => base.wheels(),
+            Self::Two(omni) => (*omni.wheels(), *omni.rates()),
+        }
+    }
+}
+
+struct Driver {
+    wires: Vec<Wire>,
+    platform: Platform,
+    interfaces: Interfaces,
+    told: DeviceState,
+    taken: DeviceCommand,
+    taken_at: Duration,
+    /// Whether it followed commands when it last told.
+    followed: bool,
+    state: LatestWriter<DeviceState>,
+    command: LatestReader<DeviceCommand>,
+    shared: Arc<Shared>,
+}
+
+impl Driver {
+    /// Hears for a moment, then sends what is due and tells what is known.
+    fn serve(&mut self) {
+        let mut wait = WAIT;
+        for part in 0..self.wires.len() {
+            for _ in 0..BACKLOG {
+                let received = self.wires[part].receive(wait);
+                wait = Duration::ZERO;
+                let Some((channel, frame, at)) = received else {
+                    break;
+                };
+                self.shared.frames.fetch_add(1, Ordering::Relaxed);
+                self.platform.handle(part, channel, &frame, at);
+            }
+        }
+        let now = takt_can::linux::monotonic();
+        let wanted = self.wanted(now);
+        let frames = self.platform.transmit(wanted, now);
+        for (frame, wire) in frames.iter().zip(&mut self.wires) {
+            if let Some(frame) = frame
+                && !wire.send(frame)
+            {
+                self.shared.failed.fetch_add(1, Ordering::Relaxed);
+            }
+        }
+        self.tell(wanted);
+    }
+
+    /// The velocity that nets want, if they still do.
+    fn wanted(&mut self, now: Duration) -> Option<[f64; 3]> {
+        let (before, taken) = (self.taken.cycle, &mut self.taken);
+        self.command.read_with(|command| taken.copy_from(command));
+        if self.taken.cycle != before {
+            self.taken_at = now;
+        }
+        let base = self.interfaces.base.as_ref()?;
+        let given = base.command.read(&self.taken.words)?;
+        let fresh = now.saturating_sub(self.taken_at) <= STALE;
+        let Twist { vel, rot } = given.value;
+        (fresh && given.stands(self.taken.cycle)).then_some([vel.x, vel.y, rot.z])
+    }
+
+    fn tell(&mut self, wanted: Option<[f64; 3]>) {
+        let status = self.platform.status();
+        if self.followed && status != DeviceStatus::Operational {
+            self.told.faults += 1;
+        }
+        self.followed = status == DeviceStatus::Operational;
+        self.told.status = status;
+        let motion = *self.platform.motion();
+        self.told.stamp = takt_rt::Nanos::from(motion.stamp);
+        if let Some(base) = &self.interfaces.base {
+            let follows = self.platform.follows() || wanted.is_none();
+            tell_base(base, &mut self.told.signals, &motion, wanted, follows);
+            let (angles, rates) = self.platform.wheels();
+            for ((wheel, angle), rate) in base.wheels.iter().zip(angles).zip(rates) {
+                wheel.position.tell(&mut self.told.signals, Some(angle));
+                wheel.velocity.tell(&mut self.told.signals, Some(rate));
+            }
+        }
+        let told = &self.told;
+        self.state.write_with(|state| state.copy_from(told));
+        self.shared
+            .jumps
+            .store(self.platform.jumps(), Ordering::Relaxed);
+        for (state, to) in self.platform.states().into_iter().zip(&self.shared.states) {
+            to.store(state.map_or(0, code), Ordering::Relaxed);
+        }
+    }
+
+    /// Has the base rest before the thread ends; the power bases would stop by themselves only later.
+    fn rest(&mut self) {
+        let frame = rmp::Command::default().frame();
+        for wire in &mut self.wires {
+            wire.send(&frame);
+        }
+    }
+}
+
+fn tell_base(
+    base: &Base,
+    signals: &mut [u64],
+    motion: &Motion,
+    wanted: Option<[f64; 3]>,
+    follows: bool,
+) {
+    let twist = |[x, y, turn]: [f64; 3]| Twist {
+        vel: Vector::new(x, y, 0.0),
+        rot: Vector::new(0.0, 0.0, turn),
+    };
+    let pose = motion.pose;
+    let rotation = Rotation::from_axis_angle(&Vector::z_axis(), pose.heading);
+    let place = Frame::from_parts([pose.x, pose.y, 0.0].into(), rotation);
+    let error = if follows {
+        takt_net::device::JointError::None
+    } else {
+        takt_net::device::JointError::NotEnabled
+    };
+    base.error.tell(signals, Some(error as i32));
+    base.commanded.tell(signals, wanted.map(twist));
+    base.velocity.tell(signals, Some(twist(motion.velocity)));
+    base.pose.tell(signals, Some(place));
+}

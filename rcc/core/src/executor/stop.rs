@@ -1,0 +1,198 @@
+//! The emergency stop of a controller: what its net threads tell each other of it, in atomic words and
+//! without waiting. It brakes nothing itself: while it is on, devices are shown to nets as not enabled, so
+//! that the nets that command them end and drivers see their set-points end. It is no safety function.
+//!
+//! The last word of an `EStop` primitive stands until another one, of any thread, says otherwise.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, AtomicU8, Ordering};
+
+use takt_rt::Nanos;
+
+use crate::cell::THREADS_MAX;
+
+/// A controller that needs to hear of the emergency stop is stopped when it has not for so long.
+pub const SILENCE_MAX: Nanos = Nanos::from_millis(20);
+
+/// Bit of a thread in whose present cycle something is said.
+const SAID: u8 = 1;
+/// Bit of a thread that demands a stop, or did when something was last said there.
+const STOP: u8 = 2;
+
+/// What one thread says.
+#[derive(Debug)]
+struct Word {
+    bits: AtomicU8,
+    /// When something was last said, ns.
+    at: AtomicI64,
+}
+
+/// What all net threads of a controller say.
+#[derive(Debug)]
+pub struct EmergencyStop {
+    is_needed: bool,
+    words: [Word; THREADS_MAX],
+}
+
+impl EmergencyStop {
+    /// Nothing was said yet. `is_needed` is whether silence stops.
+    #[must_use]
+    pub fn new(is_needed: bool) -> Self {
+        let word = || Word {
+            bits: AtomicU8::new(0),
+            at: AtomicI64::new(i64::MIN),
+        };
+        Self {
+            is_needed,
+            words: std::array::from_fn(|_| word()),
+        }
+    }
+
+    /// Whether all devices are to stop at `now`.
+    #[must_use]
+    pub fn is_on(&self, now: Nanos) -> bool {
+        let bits = self.words.iter().fold([0; 4], |mut counts, word| {
+            counts[usize::from(word.bits.load(Ordering::Acquire) & (SAID | STOP))] += 1;
+            counts
+        });
+        let [_, go, left, stop] = bits;
+        let is_silent = || {
+            let spoken = self.words.iter().map(|w| w.at.load(Ordering::Relaxed));
+            let last = Nanos(spoken.max().unwrap_or(i64::MIN));
+            now.0.saturating_sub(last.0) > SILENCE_MAX.0
+        };
+        stop > 0 || (left > 0 && go == 0) || (self.is_needed && is_silent())
+    }
+}
+
+/// The part of one net thread.
+#[derive(Debug)]
+pub struct StopPart {
+    shared: Arc<EmergencyStop>,
+    thread: usize,
+    is_on: bool,
+    count: u64,
+}
+
+impl Default for StopPart {
+    /// That of a thread without others.
+    fn default() -> Self {
+        Self::new(Arc::new(EmergencyStop::new(false)), 0)
+    }
+}
+
+impl StopPart {
+    /// The part of the thread of that number, below [`THREADS_MAX`].
+    #[must_use]
+    pub const fn new(shared: Arc<EmergencyStop>, thread: usize) -> Self {
+        Self {
+            shared,
+            thread,
+            is_on: false,
+            count: 0,
+        }
+    }
+
+    /// Before a cycle that begins at `now`: learns what others say.
+    pub fn look(&mut self, now: Nanos) {
+        let words = &self.shared.words;
+        if let Some(own) = words.get(self.thread) {
+            let says = |word: &Word| word.bits.load(Ordering::Acquire) & SAID != 0;
+            // What was last said here is out of date once something is said elsewhere.
+            if !says(own) && words.iter().any(says) {
+                own.bits.store(0, Ordering::Release);
+            }
+        }
+        let is_on = self.shared.is_on(now);
+        self.count += u64::from(is_on && !self.is_on);
+        self.is_on = is_on;
+    }
+
+    /// Whether all devices are to stop in this cycle.
+    #[must_use]
+    pub const fn is_on(&self) -> bool {
+        self.is_on
+    }
+
+    /// How often that began.
+    #[must_use]
+    pub const fn count(&self) -> u64 {
+        self.count
+    }
+
+    /// After a cycle that began at `now`: tells what its nets say of the stop, if anything.
+    pub fn say(&self, vote: Option<bool>, now: Nanos) {
+        let Some(own) = self.shared.words.get(self.thread) else {
+            return;
+        };
+        let bits = match vote {
+            Some(true) => SAID | STOP,
+            Some(false) => SAID,
+            None => own.bits.load(Ordering::Relaxed) & STOP,
+        };
+        own.bits.store(bits, Ordering::Release);
+        if vote.is_some() {
+            own.at.store(now.0, Ordering::Relaxed);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const fn ms(ms: i64) -> Nanos {
+        Nanos::from_millis(ms)
+    }
+
+    fn parts(is_needed: bool) -> [StopPart; 2] {
+        let shared = Arc::new(EmergencyStop::new(is_needed));
+        [0, 1].map(|thread| StopPart::new(Arc::clone(&shared), thread))
+    }
+
+    /// One cycle of both threads; returns whether each sees a stop.
+    fn cycle(parts: &mut [StopPart; 2], votes: [Option<bool>; 2], now: Nanos) -> [bool; 2] {
+        for (part, vote) in parts.iter_mut().zip(votes) {
+            part.look(now);
+            part.say(vote, now);
+        }
+        parts.each_ref().map(|part| part.shared.is_on(now))
+    }
+
+    #[test]
+    fn one_demand_of_several_stops_all() {
+        let mut parts = parts(false);
+        assert_eq!(cycle(&mut parts, [None, None], ms(0)), [false; 2]);
+        assert_eq!(
+            cycle(&mut parts, [Some(false), Some(true)], ms(1)),
+            [true; 2]
+        );
+        assert_eq!(
+            cycle(&mut parts, [Some(false), Some(false)], ms(2)),
+            [false; 2]
+        );
+        parts[0].look(ms(3));
+        assert_eq!((parts[0].is_on(), parts[0].count()), (false, 1));
+    }
+
+    #[test]
+    fn a_demand_stands_until_somebody_says_otherwise() {
+        let mut parts = parts(false);
+        cycle(&mut parts, [Some(true), None], ms(0));
+        assert_eq!(cycle(&mut parts, [None, None], ms(1)), [true; 2]);
+        assert_eq!(cycle(&mut parts, [None, None], ms(1000)), [true; 2]);
+        assert_eq!(cycle(&mut parts, [None, Some(false)], ms(1001)), [false; 2]);
+        // It is over, not only outvoted.
+        cycle(&mut parts, [None, Some(false)], ms(1002));
+        assert_eq!(cycle(&mut parts, [None, None], ms(1003)), [false; 2]);
+    }
+
+    #[test]
+    fn silence_stops_if_the_controller_needs_to_hear() {
+        let mut parts = parts(true);
+        assert_eq!(cycle(&mut parts, [None, None], ms(0)), [true; 2]);
+        assert_eq!(cycle(&mut parts, [None, Some(false)], ms(1)), [false; 2]);
+        assert_eq!(cycle(&mut parts, [None, None], ms(21)), [false; 2]);
+        assert_eq!(cycle(&mut parts, [None, None], ms(22)), [true; 2]);
+    }
+}
