@@ -1,7 +1,10 @@
 #![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
+#[cfg(feature = "pcap")]
+pub mod capture;
 mod codes;
+pub mod diagnosis;
 #[cfg(feature = "emulator")]
 mod emulator;
 pub mod error;

@@ -68,7 +68,7 @@ fn a_session_reaches_command_mode_over_udp_and_the_knobs_work() {
     let (status, stop) = (Arc::new(KrcStatus::new()), AtomicBool::new(false));
     let mut session = Session::new(SessionConfig {
         offline_after: 1_000,
-        first_sequence: 1,
+        ..SessionConfig::default()
     });
     assert_eq!(status.state(), State::Off);
     thread::scope(|scope| {

@@ -155,6 +155,9 @@ mod tests {
             last = target;
         }
         arm.go_on(&[1.0; AXES]);
-        assert!((arm.set_point[0] - 0.10).abs() < 1e-12, "a missing one is extrapolated");
+        assert!(
+            (arm.set_point[0] - 0.10).abs() < 1e-12,
+            "a missing one is extrapolated"
+        );
     }
 }

@@ -18,7 +18,7 @@ const FRICTION: f64 = 1.0;
 /// Stiffness that keeps the elbow where it is in Cartesian impedance control, Nm/rad: *assumption*.
 const NULL_SPACE: f64 = 20.0;
 
-type Joints = SVector<f64, AXES>;
+type Joints = [f64; AXES];
 
 /// The control strategy in force and its parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -53,54 +53,79 @@ pub(crate) struct Body {
     lag_s: f64,
     joints: Joints,
     speed: Joints,
+    /// Of `joints`.
+    place: Place,
+    jacobian: Jacobian,
     /// What the flange touches.
     pub(crate) contact: Option<Contact>,
     /// External force on the flange, N, in the base frame.
-    force: Vector3<f64>,
+    force: [f64; 3],
     external: Joints,
     torque: Joints,
 }
 
 impl Body {
-    pub(crate) fn new(chain: Chain, joints: [f64; AXES], lag: Duration) -> Self {
+    pub(crate) fn new(chain: Chain, joints: Joints, lag: Duration) -> Self {
+        let (place, jacobian) = chain.jacobian(&joints);
         Self {
             chain,
             lag_s: lag.as_secs_f64(),
-            joints: joints.into(),
-            speed: Joints::zeros(),
+            joints,
+            speed: [0.0; AXES],
+            place,
+            jacobian,
             contact: None,
-            force: Vector3::zeros(),
-            external: Joints::zeros(),
-            torque: Joints::zeros(),
+            force: [0.0; 3],
+            external: [0.0; AXES],
+            torque: [0.0; AXES],
         }
     }
 
     /// Moves on for `span_s` seconds towards `set_point`.
-    pub(crate) fn advance(&mut self, set_point: &[f64; AXES], law: &Law, span_s: f64) {
-        let set_point = Joints::from(*set_point);
-        if *law == Law::Position {
-            self.follow(&set_point, span_s);
-            self.touch();
-            self.torque = -self.external;
-            return;
+    pub(crate) fn advance(&mut self, set_point: &Joints, law: &Law, span_s: f64) {
+        match law {
+            Law::Position => {
+                self.follow(set_point, span_s);
+                self.touch();
+                self.torque = self.external.map(|torque| -torque);
+            }
+            Law::Joint { .. } => self.integrate(span_s, |body| body.joint(set_point, law)),
+            Law::Cartesian { .. } => {
+                // The goal and the null space do not change noticeably within one cycle.
+                let goal = self.chain.forward(set_point);
+                let elbow = self.null_space(set_point);
+                self.integrate(span_s, |body| {
+                    let mut torque = body.cartesian(&goal, law);
+                    for (torque, elbow) in torque.iter_mut().zip(elbow) {
+                        *torque += elbow;
+                    }
+                    torque
+                });
+            }
         }
+    }
+
+    fn integrate(&mut self, span_s: f64, law: impl Fn(&Self) -> Joints) {
         let mut left = span_s;
-        while left > 0.0 {
+        while left > 1e-9 {
             let step = left.min(STEP_S);
-            let jacobian = self.touch();
-            self.torque = self.law(&set_point, law, &jacobian);
-            let total = self.torque + self.external - self.speed * FRICTION;
-            self.speed += total.component_div(&Joints::from(INERTIA)) * step;
-            self.joints += self.speed * step;
+            self.torque = law(self);
+            for (joint, inertia) in INERTIA.into_iter().enumerate() {
+                let total =
+                    self.torque[joint] + self.external[joint] - self.speed[joint] * FRICTION;
+                self.speed[joint] += total / inertia * step;
+                self.joints[joint] += self.speed[joint] * step;
+            }
+            self.touch();
             left -= step;
         }
     }
 
     /// Stands still: brakes closed.
     pub(crate) fn freeze(&mut self) {
-        self.speed = Joints::zeros();
+        self.speed = [0.0; AXES];
         self.touch();
-        self.torque = Joints::zeros();
+        self.torque = [0.0; AXES];
     }
 
     fn follow(&mut self, set_point: &Joints, span_s: f64) {
@@ -109,128 +134,149 @@ impl Body {
         } else {
             1.0
         };
-        let step = (set_point - self.joints) * share;
-        self.speed = step / span_s;
-        self.joints += step;
-    }
-
-    /// Feels the contact; the Jacobian is needed again.
-    fn touch(&mut self) -> Jacobian {
-        let (place, jacobian) = self.chain.jacobian(&self.joints.into());
-        let linear = jacobian.fixed_view::<3, AXES>(0, 0);
-        let velocity = linear * self.speed;
-        self.force = self
-            .contact
-            .map_or_else(Vector3::zeros, |it| it.force(&place.position, &velocity));
-        self.external = linear.tr_mul(&self.force);
-        jacobian
-    }
-
-    fn law(&self, set_point: &Joints, law: &Law, jacobian: &Jacobian) -> Joints {
-        match law {
-            Law::Position => Joints::zeros(),
-            Law::Joint {
-                stiffness,
-                damping,
-                overlay,
-            } => Joints::from_fn(|i, _| {
-                let k = stiffness[i].max(0.0);
-                let d = 2.0 * damping[i].clamp(0.0, 1.0) * (k * INERTIA[i]).sqrt();
-                k * (set_point[i] - self.joints[i]) - d * self.speed[i] + overlay[i]
-            }),
-            Law::Cartesian {
-                stiffness,
-                damping,
-                overlay,
-            } => {
-                let away = self.away(set_point);
-                let velocity = jacobian * self.speed;
-                let force = SVector::<f64, 6>::from_fn(|i, _| {
-                    let k = stiffness[i].max(0.0);
-                    let d = 2.0 * damping[i].clamp(0.0, 1.0) * (k * FLANGE[i]).sqrt();
-                    k * away[i] - d * velocity[i] + overlay[i]
-                });
-                jacobian.tr_mul(&force) + self.null_space(set_point, jacobian)
-            }
+        for (joint, set_point) in set_point.iter().enumerate() {
+            let step = (set_point - self.joints[joint]) * share;
+            self.speed[joint] = step / span_s;
+            self.joints[joint] += step;
         }
     }
 
-    /// From here to where the set-point wants the flange.
-    fn away(&self, set_point: &Joints) -> SVector<f64, 6> {
-        let here = self.chain.forward(&self.joints.into());
-        let there = self.chain.forward(&(*set_point).into());
-        let turn = turn(&here.rotation, &there.rotation);
-        let linear = there.position - here.position;
-        SVector::from_fn(|i, _| if i < 3 { linear[i] } else { turn[i - 3] })
+    /// Where the arm is now, and what it feels there.
+    fn touch(&mut self) {
+        (self.place, self.jacobian) = self.chain.jacobian(&self.joints);
+        let Some(contact) = self.contact else {
+            (self.force, self.external) = ([0.0; 3], [0.0; AXES]);
+            return;
+        };
+        let [x, y, z, ..] = self.jacobian.times(&self.speed);
+        let velocity = Vector3::new(x, y, z);
+        self.force = contact.force(&self.place.position, &velocity).into();
+        let [x, y, z] = self.force;
+        self.external = self.jacobian.torques(&[x, y, z, 0.0, 0.0, 0.0]);
     }
 
-    fn null_space(&self, set_point: &Joints, jacobian: &Jacobian) -> Joints {
-        let wanted = (set_point - self.joints) * NULL_SPACE - self.speed * (NULL_SPACE / 5.0);
-        let square = jacobian * jacobian.transpose() + SMatrix::<f64, 6, 6>::identity() * 1e-6;
-        let through = square
-            .try_inverse()
-            .map_or_else(SVector::zeros, |inverse| inverse * (jacobian * wanted));
-        wanted - jacobian.tr_mul(&through)
+    fn joint(&self, set_point: &Joints, law: &Law) -> Joints {
+        let Law::Joint {
+            stiffness,
+            damping,
+            overlay,
+        } = law
+        else {
+            return [0.0; AXES];
+        };
+        std::array::from_fn(|i| {
+            let k = stiffness[i].max(0.0);
+            let d = 2.0 * damping[i].clamp(0.0, 1.0) * (k * INERTIA[i]).sqrt();
+            k * (set_point[i] - self.joints[i]) - d * self.speed[i] + overlay[i]
+        })
+    }
+
+    fn cartesian(&self, goal: &Place, law: &Law) -> Joints {
+        let Law::Cartesian {
+            stiffness,
+            damping,
+            overlay,
+        } = law
+        else {
+            return [0.0; AXES];
+        };
+        let away = away(&self.place, goal);
+        let velocity = self.jacobian.times(&self.speed);
+        let wrench = std::array::from_fn(|i| {
+            let k = stiffness[i].max(0.0);
+            let d = 2.0 * damping[i].clamp(0.0, 1.0) * (k * FLANGE[i]).sqrt();
+            k * away[i] - d * velocity[i] + overlay[i]
+        });
+        self.jacobian.torques(&wrench)
+    }
+
+    /// Torques that hold the elbow without moving the flange.
+    fn null_space(&self, set_point: &Joints) -> Joints {
+        let wanted: Joints = std::array::from_fn(|i| {
+            (set_point[i] - self.joints[i]) * NULL_SPACE - self.speed[i] * (NULL_SPACE / 5.0)
+        });
+        let Some(inverse) = inverse(&self.jacobian) else {
+            return [0.0; AXES];
+        };
+        let through = inverse * SVector::from(self.jacobian.times(&wanted));
+        let moving = self.jacobian.torques(&through.into());
+        std::array::from_fn(|i| wanted[i] - moving[i])
     }
 
     /// Measured joint positions, rad.
-    pub(crate) fn joints(&self) -> [f64; AXES] {
-        self.joints.into()
+    pub(crate) fn joints(&self) -> Joints {
+        self.joints
     }
 
     /// Measured joint torques, Nm, without gravity.
-    pub(crate) fn torque(&self) -> [f64; AXES] {
-        self.torque.into()
+    pub(crate) fn torque(&self) -> Joints {
+        self.torque
     }
 
     /// External joint torques, Nm.
-    pub(crate) fn external(&self) -> [f64; AXES] {
-        self.external.into()
+    pub(crate) fn external(&self) -> Joints {
+        self.external
     }
 
     /// External force on the flange, N, in the base frame.
     pub(crate) fn force(&self) -> [f64; 3] {
-        self.force.into()
+        self.force
     }
 
     /// Where the flange is.
     pub(crate) fn place(&self) -> Place {
-        self.chain.forward(&self.joints.into())
+        self.place
     }
 
     /// Where the flange would be.
-    pub(crate) fn place_of(&self, joints: &[f64; AXES]) -> Place {
+    pub(crate) fn place_of(&self, joints: &Joints) -> Place {
         self.chain.forward(joints)
     }
 
     /// Speed of the flange, m/s.
     pub(crate) fn flange_speed(&self) -> f64 {
-        let (_, jacobian) = self.chain.jacobian(&self.joints.into());
-        (jacobian.fixed_view::<3, AXES>(0, 0) * self.speed).norm()
+        let [x, y, z, ..] = self.jacobian.times(&self.speed);
+        Vector3::new(x, y, z).norm()
     }
 
-    pub(crate) fn jacobian(&self) -> Jacobian {
-        self.chain.jacobian(&self.joints.into()).1
+    pub(crate) fn jacobian(&self) -> &Jacobian {
+        &self.jacobian
     }
 
     /// Joint positions near `from` that put the flange at `goal`; `None` if a few damped Newton steps do not lead there.
-    pub(crate) fn reach(&self, from: &[f64; AXES], goal: &Place) -> Option<[f64; AXES]> {
+    pub(crate) fn reach(&self, from: &Joints, goal: &Place) -> Option<Joints> {
         const STEPS: usize = 20;
-        let mut joints = Joints::from(*from);
+        let mut joints = *from;
         for _ in 0..STEPS {
-            let (place, jacobian) = self.chain.jacobian(&joints.into());
-            let turn = turn(&place.rotation, &goal.rotation);
-            let linear = goal.position - place.position;
-            let away =
-                SVector::<f64, 6>::from_fn(|i, _| if i < 3 { linear[i] } else { turn[i - 3] });
+            let (place, jacobian) = self.chain.jacobian(&joints);
+            let away = SVector::from(away(&place, goal));
             if away.norm() < 1e-7 {
-                return Some(joints.into());
+                return Some(joints);
             }
-            let square = jacobian * jacobian.transpose() + SMatrix::<f64, 6, 6>::identity() * 1e-6;
-            joints += jacobian.tr_mul(&(square.try_inverse()? * away));
+            let step = jacobian.torques(&(inverse(&jacobian)? * away).into());
+            for (joint, step) in joints.iter_mut().zip(step) {
+                *joint += step;
+            }
         }
         None
     }
+}
+
+/// From one place to another: m, then rad about x, y, z.
+fn away(here: &Place, there: &Place) -> [f64; 6] {
+    let linear = there.position - here.position;
+    let turn = turn(&here.rotation, &there.rotation);
+    [linear.x, linear.y, linear.z, turn.x, turn.y, turn.z]
+}
+
+/// Of the Jacobian times its transpose, damped so that it exists in singularities too.
+fn inverse(jacobian: &Jacobian) -> Option<SMatrix<f64, 6, 6>> {
+    const DAMPING: f64 = 1e-6;
+    let square = SMatrix::<f64, 6, 6>::from_fn(|row, column| {
+        let products = jacobian.0.iter().map(|axis| axis[row] * axis[column]);
+        products.sum::<f64>() + if row == column { DAMPING } else { 0.0 }
+    });
+    square.try_inverse()
 }
 
 #[cfg(test)]
@@ -295,9 +341,8 @@ mod tests {
         assert!((force[2] - 20.0).abs() < 0.05, "{force:?}");
         let external = body
             .jacobian()
-            .fixed_view::<3, AXES>(0, 0)
-            .tr_mul(&Vector3::from(force));
-        assert!((external - Joints::from(body.external())).norm() < 1e-9);
+            .torques(&[force[0], force[1], force[2], 0.0, 0.0, 0.0]);
+        assert!((external[1] - body.external()[1]).abs() < 1e-9 && external[1].abs() > 5.0);
         body.contact = None;
         body.advance(&Q, &cartesian(-22.0), 0.001);
         assert!(body.force()[2].abs() < 1e-12, "the table is gone");

@@ -1,10 +1,31 @@
 //! Where the flange of an LBR arm is and how it moves with the joints. No limits, no inverse.
 
 use super::AXES;
-use nalgebra::{Matrix3, SMatrix, Vector3};
+use nalgebra::{Matrix3, Vector3};
 
-/// Rows X, Y, Z (m/rad), then rotations about x, y, z (rad/rad), in the base frame.
-pub(crate) type Jacobian = SMatrix<f64, 6, 7>;
+/// How the flange moves with the joints, by columns: X, Y, Z (m/rad), then rotations about x, y, z (rad/rad), in the base
+/// frame. Plain arrays: the emulators evaluate it thousands of times a second, in debug builds too.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Jacobian(pub(crate) [[f64; 6]; AXES]);
+
+impl Jacobian {
+    /// Velocity of the flange at these joint speeds.
+    pub(crate) fn times(&self, speeds: &[f64; AXES]) -> [f64; 6] {
+        let mut sum = [0.0; 6];
+        for (column, speed) in self.0.iter().zip(speeds) {
+            for (sum, part) in sum.iter_mut().zip(column) {
+                *sum += part * speed;
+            }
+        }
+        sum
+    }
+
+    /// Joint torques of a force and torque on the flange.
+    pub(crate) fn torques(&self, wrench: &[f64; 6]) -> [f64; AXES] {
+        self.0
+            .map(|column| column.iter().zip(wrench).map(|(a, b)| a * b).sum())
+    }
+}
 
 /// A place and an orientation.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -12,6 +33,24 @@ pub(crate) struct Place {
     pub(crate) rotation: Matrix3<f64>,
     /// m
     pub(crate) position: Vector3<f64>,
+}
+
+impl Place {
+    fn new(columns: &[Triple; 3], position: Triple) -> Self {
+        Self {
+            rotation: Matrix3::from_columns(&columns.map(Vector3::from)),
+            position: position.into(),
+        }
+    }
+
+    /// Where `other` is as seen from here.
+    pub(crate) fn to(self, other: &Self) -> Self {
+        let back = self.rotation.transpose();
+        Self {
+            rotation: back * other.rotation,
+            position: back * (other.position - self.position),
+        }
+    }
 }
 
 /// Seven axes, pivots and hinges by turns; all of them intersect in shoulder, elbow and wrist.
@@ -42,45 +81,55 @@ impl Chain {
     }
 
     /// The flange, and origin and direction of every axis.
-    fn axes(&self, joints: &[f64; AXES]) -> (Place, [(Vector3<f64>, Vector3<f64>); AXES]) {
-        let mut rotation = Matrix3::identity();
-        let mut position = Vector3::zeros();
-        let mut axes = [(Vector3::zeros(), Vector3::zeros()); AXES];
+    fn axes(&self, joints: &[f64; AXES]) -> ([Triple; 3], Triple, [(Triple, Triple); AXES]) {
+        let [mut x, mut y, mut z] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        let mut position = [0.0; 3];
+        let mut axes = [([0.0; 3], [0.0; 3]); AXES];
         for (joint, axis) in axes.iter_mut().enumerate() {
             let is_hinge = joint % 2 == 1;
             if is_hinge {
-                position += rotation.column(2) * self.links[joint / 2];
+                position = sum(&position, 1.0, &z, self.links[joint / 2]);
             }
-            let (sin, cos) = (self.signs[joint] * joints[joint]).sin_cos();
-            let turn = if is_hinge {
-                Matrix3::new(cos, 0.0, sin, 0.0, 1.0, 0.0, -sin, 0.0, cos)
+            let sign = self.signs[joint];
+            *axis = (
+                position,
+                (if is_hinge { y } else { z }).map(|part| sign * part),
+            );
+            let (sin, cos) = (sign * joints[joint]).sin_cos();
+            if is_hinge {
+                (x, z) = (sum(&x, cos, &z, -sin), sum(&x, sin, &z, cos));
             } else {
-                Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0)
-            };
-            let direction = rotation.column(if is_hinge { 1 } else { 2 });
-            *axis = (position, direction * self.signs[joint]);
-            rotation *= turn;
+                (x, y) = (sum(&x, cos, &y, sin), sum(&x, -sin, &y, cos));
+            }
         }
-        position += rotation.column(2) * self.links[3];
-        (Place { rotation, position }, axes)
+        position = sum(&position, 1.0, &z, self.links[3]);
+        ([x, y, z], position, axes)
     }
 
     pub(crate) fn forward(&self, joints: &[f64; AXES]) -> Place {
-        self.axes(joints).0
+        let (columns, position, _) = self.axes(joints);
+        Place::new(&columns, position)
     }
 
     pub(crate) fn jacobian(&self, joints: &[f64; AXES]) -> (Place, Jacobian) {
-        let (place, axes) = self.axes(joints);
-        let mut jacobian = Jacobian::zeros();
-        for (joint, (origin, direction)) in axes.iter().enumerate() {
-            let linear = direction.cross(&(place.position - origin));
-            jacobian.fixed_view_mut::<3, 1>(0, joint).copy_from(&linear);
-            jacobian
-                .fixed_view_mut::<3, 1>(3, joint)
-                .copy_from(direction);
-        }
-        (place, jacobian)
+        let (columns, position, axes) = self.axes(joints);
+        let jacobian = axes.map(|(origin, [a, b, c])| {
+            let [x, y, z] = sum(&position, 1.0, &origin, -1.0);
+            [b * z - c * y, c * x - a * z, a * y - b * x, a, b, c]
+        });
+        (Place::new(&columns, position), Jacobian(jacobian))
     }
+}
+
+type Triple = [f64; 3];
+
+/// `a * p + b * q`.
+fn sum(a: &Triple, p: f64, b: &Triple, q: f64) -> Triple {
+    [
+        a[0] * p + b[0] * q,
+        a[1] * p + b[1] * q,
+        a[2] * p + b[2] * q,
+    ]
 }
 
 /// The rotation that leads from `from` to `to`, as a vector along its axis, rad.
@@ -130,9 +179,9 @@ mod tests {
                 let there = chain.forward(&moved);
                 let linear = (there.position - place.position) / STEP;
                 let angular = turn(&place.rotation, &there.rotation) / STEP;
-                let column = jacobian.column(joint);
-                assert!((linear - column.fixed_rows::<3>(0)).norm() < 1e-5);
-                assert!((angular - column.fixed_rows::<3>(3)).norm() < 1e-5);
+                let [x, y, z, a, b, c] = jacobian.0[joint];
+                assert!((linear - Vector3::new(x, y, z)).norm() < 1e-5);
+                assert!((angular - Vector3::new(a, b, c)).norm() < 1e-5);
             }
         }
     }

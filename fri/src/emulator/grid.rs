@@ -15,25 +15,33 @@ pub(crate) struct Grid {
     index: u64,
     is_late: bool,
     stalls: u64,
+    /// Nominal time of the cycle begun last.
+    time: Duration,
+    slower: f64,
 }
 
 impl Grid {
     /// The first cycle is due at `start`; the controller's clock runs slow by `drift_ppm` (at most 100,000 either way).
     pub(crate) fn new(start: Duration, period: Duration, drift_ppm: f64) -> Self {
-        let period = period.clamp(*PERIODS.start(), *PERIODS.end());
-        let slower = 1.0 + drift_ppm.clamp(-1e5, 1e5) / 1e6;
-        Self {
+        let drift_ppm = if drift_ppm.is_nan() { 0.0 } else { drift_ppm };
+        let mut grid = Self {
             period,
-            span: if drift_ppm.is_nan() {
-                period
-            } else {
-                period.mul_f64(slower)
-            },
+            span: period,
             next: start,
             index: 0,
             is_late: false,
             stalls: 0,
-        }
+            time: Duration::ZERO,
+            slower: 1.0 + drift_ppm.clamp(-1e5, 1e5) / 1e6,
+        };
+        grid.set_period(period);
+        grid
+    }
+
+    /// Takes another period from the next cycle on, 1 ms to 100 ms.
+    pub(crate) fn set_period(&mut self, period: Duration) {
+        self.period = period.clamp(*PERIODS.start(), *PERIODS.end());
+        self.span = self.period.mul_f64(self.slower);
     }
 
     /// Begins the cycle that `now` lies in, skipping those missed, and returns its number, from 1.
@@ -43,6 +51,8 @@ impl Grid {
         let missed = u32::try_from(missed).unwrap_or(u32::MAX - 1);
         self.is_late = behind > self.period / 4;
         self.next += self.span * (missed + 1);
+        let is_first = self.index == 0;
+        self.time += self.period * (missed + u32::from(!is_first));
         self.index += u64::from(missed) + 1;
         self.stalls += u64::from(missed);
         self.index
@@ -55,9 +65,7 @@ impl Grid {
 
     /// Nominal time of the cycle begun last, since the start, on the controller's clock.
     pub(crate) fn time(&self) -> Duration {
-        let cycles = self.index.saturating_sub(1);
-        let nanos = self.period.as_nanos() * u128::from(cycles);
-        Duration::from_nanos(u64::try_from(nanos).unwrap_or(u64::MAX))
+        self.time
     }
 
     /// When the next cycle is due.

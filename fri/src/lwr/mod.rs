@@ -1,14 +1,18 @@
-//! FRI 1.0, the generation of the LWR 4 and 4+ (KRC2 lr). It commands joint positions only: impedance and Cartesian
-//! fields exist in the [`wire`] format, no machine here uses them.
+//! FRI 1.0, the generation of the LWR 4 and 4+ (KRC2 lr). [`Session`] answers measurements, [`Dialog`] talks to the KRL
+//! program.
 
+mod dialog;
 #[cfg(feature = "emulator")]
 pub mod emulator;
+mod protocol;
 mod session;
 pub mod wire;
 
 pub use crate::error::AnswerError;
 pub use crate::sequence::Order;
-pub use session::{Counters, Event, Phase, Reception, Session, SessionConfig};
+pub use dialog::{Dialog, DialogError, Progress, Request, Settings};
+pub use protocol::{Load, Protocol};
+pub use session::{ChooseError, Counters, Event, Fields, Phase, Reception, Session, SessionConfig};
 
 /// Number of axes.
 pub const AXES: usize = 7;

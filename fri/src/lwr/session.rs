@@ -2,26 +2,33 @@
 //! how the commanded values change from cycle to cycle is its owner's duty.
 
 use super::wire::{Cmd, CmdFlags, Header, Krl, Msr, Quality, State};
-use super::{AXES, AnswerError};
+use super::{AXES, AnswerError, JOINT_NAMES};
 use crate::error::DecodeError;
+use crate::generation::Kind;
+use crate::guard::{Guard, Violation};
 use crate::sequence::{Order, Tracker};
 use std::fmt;
 use std::time::Duration;
 
+mod fields;
 #[cfg(test)]
 mod tests;
+
+pub use fields::{ChooseError, Fields};
 
 /// What friOpen accepts, seconds; a wilder period on the wire must not make the silence timer absurd.
 const PERIOD_RANGE_S: std::ops::RangeInclusive<f32> = 0.001..=0.1;
 
 /// Settings of a [`Session`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SessionConfig {
     /// Number of periods without a datagram after which the controller counts as gone, from 1. Counter jumps up to this
     /// width are loss or reordering, wider ones a restart of the controller.
     pub offline_after: u16,
     /// Counter of the first answer.
     pub first_sequence: u16,
+    /// Limits of what is sent in command mode.
+    pub guard: Guard,
 }
 
 impl Default for SessionConfig {
@@ -29,6 +36,7 @@ impl Default for SessionConfig {
         Self {
             offline_after: 50,
             first_sequence: 1,
+            guard: Guard::open(JOINT_NAMES),
         }
     }
 }
@@ -99,6 +107,8 @@ pub struct Counters {
     pub restarts: u64,
     /// Times the controller fell silent.
     pub silences: u64,
+    /// Answers that held the robot, or added nothing, because a guard refused what was asked for.
+    pub withheld: u64,
 }
 
 /// One FRI connection, client side.
@@ -120,6 +130,11 @@ pub struct Session {
     pending: bool,
     next_sequence: u16,
     held: [f64; AXES],
+    /// Number of the measurement answered last in this phase.
+    answered: Option<u16>,
+    chosen: CmdFlags,
+    fields: Fields,
+    violation: Option<Violation>,
     krl: Krl,
     counters: Counters,
 }
@@ -136,6 +151,10 @@ impl Session {
             pending: false,
             next_sequence: config.first_sequence,
             held: [0.0; AXES],
+            answered: None,
+            chosen: CmdFlags::JNTPOS,
+            fields: Fields::default(),
+            violation: None,
             krl: Krl::default(),
             counters: Counters::default(),
             config,
@@ -148,7 +167,9 @@ impl Session {
         bytes: &[u8],
         now: Duration,
     ) -> Result<Reception, DecodeError> {
-        let msr = Msr::decode(bytes).inspect_err(|_| self.counters.malformed += 1)?;
+        let msr = Msr::decode(bytes)
+            .map_err(|error| Kind::explain(Kind::LwrMeasurement, bytes, error))
+            .inspect_err(|_| self.counters.malformed += 1)?;
         self.handle_timeout(now);
         let order = self.tracker.accept(msr.header.sequence);
         let lost = self.count(order);
@@ -205,6 +226,7 @@ impl Session {
         };
         if self.phase != Phase::Command || event.is_some() {
             self.held = msr.set_point();
+            self.answered = None;
         }
         event
     }
@@ -214,6 +236,7 @@ impl Session {
     /// `joints` in rad are used in [`Phase::Command`] only; `None` repeats the last commanded value there, which stops a
     /// moving robot at once, so brake first. Every measurement gets one answer: a second call before the next measurement
     /// is [`AnswerError::NothingToAnswer`].
+    /// What a guard refuses is not sent: the answer holds, and [`violation`](Self::violation) says why.
     pub fn answer(
         &mut self,
         joints: Option<&[f64; AXES]>,
@@ -230,22 +253,49 @@ impl Session {
         if let Some(joint) = wanted.iter().position(|value| !value.is_finite()) {
             return Err(AnswerError::NotFinite { joint });
         }
-        let cmd = Cmd {
+        let mut violation = self.check(wanted, msr).err();
+        let sent = if violation.is_some() {
+            self.held
+        } else {
+            *wanted
+        };
+        let mut cmd = Cmd {
             header: Header {
                 sequence: self.next_sequence,
                 reflected: msr.header.sequence,
             },
             krl: self.krl,
-            flags: CmdFlags::JNTPOS,
-            joints: wanted.map(to_f32),
+            joints: sent.map(to_f32),
             ..Cmd::default()
         };
+        violation = violation.or(self.fill(&mut cmd, msr));
         let len = cmd.encode(buf)?;
-        self.held = *wanted;
+        self.answered = Some(msr.header.sequence);
+        self.held = sent;
         self.pending = false;
         self.next_sequence = self.next_sequence.wrapping_add(1);
         self.counters.answered += 1;
+        self.counters.withheld += u64::from(violation.is_some());
+        self.violation = violation;
         Ok(len)
+    }
+
+    /// Compares with what was commanded last. The controller counts its own cycles, so the time between is theirs.
+    fn check(&self, wanted: &[f64; AXES], msr: &Msr) -> Result<(), Violation> {
+        if self.phase != Phase::Command {
+            return Ok(());
+        }
+        let last = self.answered.unwrap_or(msr.header.sequence.wrapping_sub(1));
+        let cycles = msr.header.sequence.wrapping_sub(last);
+        let cycles = cycles.clamp(1, self.config.offline_after.max(1));
+        let span = self.period().unwrap_or_default() * u32::from(cycles);
+        self.config.guard.check_joints(&self.held, wanted, span)
+    }
+
+    /// Why the last answer held the robot or added nothing; `None` if it said what was asked for.
+    #[must_use]
+    pub fn violation(&self) -> Option<Violation> {
+        self.violation
     }
 
     /// When the controller counts as gone if nothing comes; `None` while it does already.

@@ -1,5 +1,7 @@
 //! FRI of Sunrise, the generation of the LBR iiwa and LBR Med: protobuf messages in UDP, in three dialects.
 
+#[cfg(feature = "emulator")]
+pub mod emulator;
 mod session;
 pub mod wire;
 

@@ -2,7 +2,8 @@
 
 use crate::emulator::{Contact, LineFaults, PowerOff, Timing};
 use crate::lwr::AXES;
-use crate::lwr::wire::Quality;
+use crate::lwr::Protocol;
+use crate::lwr::wire::{Control, Quality};
 use std::time::Duration;
 
 /// Settings of an emulated controller.
@@ -20,6 +21,10 @@ pub struct KrcConfig {
     pub timing: Timing,
     /// How far a mirrored position may lie from the set-point, rad; *assumption*: 0.01.
     pub mirror_tolerance_rad: f64,
+    /// Control strategy at the start.
+    pub control: Control,
+    /// `$STIFFNESS`: what the impedance modes use unless the client commands something else.
+    pub stiffness: Stiffness,
     /// What the flange touches.
     pub contact: Option<Contact>,
     /// What the KRL program does.
@@ -39,6 +44,8 @@ impl Default for KrcConfig {
             lag: Duration::from_millis(10),
             timing: Timing::default(),
             mirror_tolerance_rad: 0.01,
+            control: Control::Position,
+            stiffness: Stiffness::default(),
             contact: None,
             script: Script::default(),
             faults: Faults::default(),
@@ -70,6 +77,30 @@ impl Default for Limits {
     }
 }
 
+/// Parameters of the impedance modes; the defaults are *assumptions*.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Stiffness {
+    /// Nm/rad, from 0: 1000.
+    pub joint_stiffness: [f64; AXES],
+    /// 0..=1: 0.7.
+    pub joint_damping: [f64; AXES],
+    /// X, Y, Z in N/m: 2000, then about Z, Y, X in Nm/rad: 200.
+    pub cartesian_stiffness: [f64; 6],
+    /// In the same order, 0..=1: 0.7.
+    pub cartesian_damping: [f64; 6],
+}
+
+impl Default for Stiffness {
+    fn default() -> Self {
+        Self {
+            joint_stiffness: [1000.0; AXES],
+            joint_damping: [0.7; AXES],
+            cartesian_stiffness: [2000.0, 2000.0, 2000.0, 200.0, 200.0, 200.0],
+            cartesian_damping: [0.7; 6],
+        }
+    }
+}
+
 /// What the KRL program does after friOpen.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Script {
@@ -84,6 +115,8 @@ pub enum Script {
         /// Pause before the next friStart after command mode was lost; `None` stays in monitor mode.
         restart: Option<Duration>,
     },
+    /// Does what the client asks for in user data.
+    Handshake(Protocol),
 }
 
 impl Default for Script {

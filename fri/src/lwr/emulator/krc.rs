@@ -1,20 +1,22 @@
-//! The emulated controller as a machine without I/O: sends a measurement per period, judges the answers. It has no
-//! Cartesian or impedance modes; commands of those fields are ignored.
+//! The emulated controller as a machine without I/O: sends a measurement per period, judges the answers, runs a KRL program.
 
-use super::config::{Faults, KrcConfig, Script};
+use super::config::{Faults, KrcConfig, Script, Stiffness};
+use super::krl::{Call, Program};
 use super::leave::Leave;
-use crate::emulator::{Arm, Body, Chain, Grid, History, INERTIA, Law, Line, Rng, Sent, Window};
+use crate::emulator::{Arm, Body, Chain, Contact, Grid, History, Line, Rng, Sent, Window};
 use crate::error::DecodeError;
+use crate::generation::Kind;
 use crate::lwr::AXES;
-use crate::lwr::wire::{
-    Cmd, CmdFlags, Control, Header, Interface, Krl, Msr, Quality, Robot, State, Statistics,
-};
+use crate::lwr::Load;
+use crate::lwr::wire::{Cmd, CmdFlags, Control, Krl, Msr, Quality, State};
 use crate::sequence::{Order, Tracker};
 use std::collections::VecDeque;
 use std::fmt;
 use std::time::Duration;
 
 mod judge;
+mod message;
+mod motion;
 #[cfg(test)]
 mod tests;
 
@@ -135,6 +137,14 @@ pub struct Krc {
     rng: Rng,
     krl_out: Krl,
     krl_in: Krl,
+    program: Option<Program>,
+    control: Control,
+    /// In force: `$STIFFNESS`, or what the client commands.
+    stiffness: Stiffness,
+    added_torque: [f64; AXES],
+    added_wrench: [f64; 6],
+    tool: [f32; 6],
+    load: Load,
     counters: KrcCounters,
     log: VecDeque<Left>,
     falls: u64,
@@ -176,6 +186,16 @@ impl Krc {
             rng: Rng::new(config.seed),
             krl_out: Krl::default(),
             krl_in: Krl::default(),
+            program: match config.script {
+                Script::Handshake(protocol) => Some(Program::new(protocol)),
+                Script::Manual | Script::Auto { .. } => None,
+            },
+            control: config.control,
+            stiffness: config.stiffness,
+            added_torque: [0.0; AXES],
+            added_wrench: [0.0; 6],
+            tool: [0.0; 6],
+            load: Load::default(),
             counters: KrcCounters::default(),
             log: VecDeque::with_capacity(LOG_LEN),
             falls: 0,
@@ -196,7 +216,9 @@ impl Krc {
 
     /// Takes an answer that left the client's side of the wire at `now`; the line's faults come on top.
     pub fn handle_datagram(&mut self, bytes: &[u8], now: Duration) -> Result<(), DecodeError> {
-        Cmd::decode(bytes).inspect_err(|_| self.counters.malformed += 1)?;
+        Cmd::decode(bytes)
+            .map_err(|error| Kind::explain(Kind::LwrCommand, bytes, error))
+            .inspect_err(|_| self.counters.malformed += 1)?;
         let (behind, faults) = (self.behind(), &mut self.config.faults.to_krc);
         self.to_krc.push(bytes, now, behind, faults, &mut self.rng);
         self.deliver(now);
@@ -241,6 +263,56 @@ impl Krc {
     pub fn fri_stop(&mut self) {
         self.leave(Leave::FriStop);
         self.may_start_at = None;
+    }
+
+    /// Sets the control strategy, as `$STIFFNESS.STRATEGY` with `$STIFFNESS.COMMIT` does.
+    pub fn set_strategy(&mut self, control: Control) -> Result<(), StartRefused> {
+        if self.state == State::Cmd {
+            return Err(StartRefused::Commanding);
+        }
+        if !self.arm.is_at_rest() {
+            return Err(StartRefused::Moving);
+        }
+        self.control = control;
+        self.stiffness = self.config.stiffness;
+        self.arm.take_up();
+        Ok(())
+    }
+
+    /// Control strategy in force.
+    #[must_use]
+    pub fn control(&self) -> Control {
+        self.control
+    }
+
+    /// `$TOOL` as set by the KRL program: X, Y, Z in mm, A, B, C in degrees. The emulated arm ends at its flange all the
+    /// same.
+    #[must_use]
+    pub fn tool(&self) -> [f32; 6] {
+        self.tool
+    }
+
+    /// `$LOAD` as set by the KRL program. The emulated arm carries nothing all the same.
+    #[must_use]
+    pub fn load(&self) -> Load {
+        self.load
+    }
+
+    /// What the flange touches; to be changed at any time.
+    pub fn contact_mut(&mut self) -> &mut Option<Contact> {
+        &mut self.arm.body.contact
+    }
+
+    /// Place of the flange in the base frame, m.
+    #[must_use]
+    pub fn flange(&self) -> [f64; 3] {
+        self.arm.body.place().position.into()
+    }
+
+    /// Force of the contact on the flange in the base frame, N.
+    #[must_use]
+    pub fn force(&self) -> [f64; 3] {
+        self.arm.body.force()
     }
 
     /// Switches the drives' power.
@@ -360,6 +432,7 @@ impl Krc {
         }
         self.judge_timing();
         self.run_script();
+        self.run_program();
         self.move_joints();
         self.measure(now);
     }
@@ -395,6 +468,41 @@ impl Krc {
         }
     }
 
+    fn run_program(&mut self) {
+        let (time, state) = (self.grid.time(), self.state);
+        let Some(program) = &mut self.program else {
+            return;
+        };
+        let calls = program.step(&self.krl_in, &mut self.krl_out, state, time);
+        for call in calls.into_iter().flatten() {
+            match call {
+                // Refused while the robot brakes, without quality or power: the program tries again in the next cycle.
+                Call::Start if self.has_power() => {
+                    let _refused = self.fri_start(1.0);
+                }
+                Call::Start => {}
+                Call::Stop => self.leave(Leave::FriStop),
+                Call::Strategy(control) => {
+                    let _refused = self.set_strategy(control);
+                }
+                Call::Tool(tool) => self.tool = tool,
+                Call::Load(load) => self.load = load,
+                Call::Reopen(period) => self.reopen(period),
+            }
+        }
+    }
+
+    /// friClose and friOpen with another period: quality must be earned anew.
+    fn reopen(&mut self, period: Duration) {
+        self.grid.set_period(period);
+        let period_s = self.grid.period().as_secs_f64();
+        let deceleration = self.config.limits.acceleration_rad_per_s2;
+        self.brake_step = deceleration.map(|a| a * period_s * period_s);
+        self.arm.hold();
+        self.window = Window::new();
+        self.misses = 0;
+    }
+
     fn run_script(&mut self) {
         let Script::Auto { quality, scale, .. } = self.config.script else {
             return;
@@ -414,7 +522,7 @@ impl Krc {
         let at = self.grid.time();
         self.state = State::Mon;
         self.may_start_at = match self.config.script {
-            Script::Manual => None,
+            Script::Manual | Script::Handshake(_) => None,
             Script::Auto { restart, .. } => restart.map(|pause| at + pause),
         };
         if self.log.len() == LOG_LEN {
@@ -427,145 +535,6 @@ impl Krc {
     fn follows(&self) -> bool {
         self.state == State::Cmd && self.has_power()
     }
-
-    fn move_joints(&mut self) {
-        let received = self.inbox.take();
-        if self.follows() && !self.following {
-            self.last = (self.grid.index().saturating_sub(1), self.arm.set_point);
-        }
-        if let Some(reason) = received
-            .as_ref()
-            .and_then(|received| self.judge(received).err())
-        {
-            self.leave(reason);
-        }
-        let in_command = received
-            .as_ref()
-            .filter(|it| it.sent.is_some_and(|sent| sent.in_command));
-        self.flags = self
-            .flags
-            .or_else(|| in_command.map(|received| received.cmd.flags));
-        self.following = self.follows();
-        match received {
-            _ if !self.following => self.arm.brake(&self.brake_step),
-            Some(received) => self.follow(&received),
-            None => self.arm.go_on(&self.config.limits.position_rad),
-        }
-        self.arm
-            .settle(&Law::Position, self.grid.period().as_secs_f64());
-    }
-
-    fn follow(&mut self, received: &Received) {
-        let is_motion = received.sent.is_none_or(|sent| sent.following);
-        if !is_motion || !received.cmd.flags.contains(CmdFlags::JNTPOS) {
-            self.arm.hold();
-            return;
-        }
-        let target = received.cmd.joints.map(f64::from);
-        self.arm
-            .follow(&target, &self.last.1, self.cycles_since_last(received), 1);
-        self.last = (self.cycle_of(received), target);
-    }
-
-    /// The cycle whose measurement a command reflects; if unknown, the one after the last command.
-    fn cycle_of(&self, received: &Received) -> u64 {
-        let unknown = self.last.0 + 1;
-        received
-            .sent
-            .map_or(unknown, |sent| sent.index)
-            .max(self.last.0)
-    }
-
-    fn cycles_since_last(&self, received: &Received) -> f64 {
-        let cycles = self.cycle_of(received) - self.last.0;
-        f64::from(u32::try_from(cycles).unwrap_or(u32::MAX)).max(1.0)
-    }
-
-    fn measure(&mut self, now: Duration) {
-        if self.state != State::Cmd {
-            self.base = self.arm.set_point;
-        }
-        self.sequence = self.sequence.wrapping_add(1);
-        self.counters.sent += 1;
-        self.history.push(Sent {
-            sequence: self.sequence.into(),
-            index: self.grid.index(),
-            at: now,
-            set_point: self.arm.set_point,
-            in_command: self.state == State::Cmd,
-            following: self.following,
-        });
-        let mut bytes = [0; Msr::LEN];
-        if self.measurement().encode(&mut bytes).is_ok() {
-            let (behind, faults) = (self.behind(), &mut self.config.faults.to_client);
-            self.to_client
-                .push(&bytes, now, behind, faults, &mut self.rng);
-        }
-    }
-
-    fn measurement(&self) -> Msr {
-        let mut offset = self.arm.set_point;
-        for (offset, base) in offset.iter_mut().zip(self.base) {
-            *offset -= base;
-        }
-        let period_s = self.grid.period().as_secs_f32();
-        Msr {
-            header: Header {
-                sequence: self.sequence,
-                reflected: u16::try_from(self.tracker.newest()).unwrap_or(0),
-            },
-            krl: self.krl_out,
-            interface: Interface {
-                timestamp_s: self.grid.time().as_secs_f32(),
-                state: self.state,
-                quality: self.quality,
-                msr_period_s: period_s,
-                cmd_period_s: period_s,
-                safety_scale: to_f32(self.scale),
-            },
-            statistics: statistics(&self.window),
-            robot: Robot {
-                power: if self.has_power() { ALL_DRIVES } else { 0 },
-                control: Control::Position,
-                error: 0,
-                warning: 0,
-                temperature: [25.0; AXES],
-            },
-            measured_joints: self.arm.body.joints().map(to_f32),
-            measured_frame: IDENTITY,
-            commanded_joints: self.base.map(to_f32),
-            joint_offset: offset.map(to_f32),
-            commanded_frame: IDENTITY,
-            frame_offset: IDENTITY,
-            measured_torque: [0.0; AXES],
-            external_torque: [0.0; AXES],
-            external_wrench: [0.0; 6],
-            jacobian: [0.0; 42],
-            mass_matrix: [0.0; 49],
-            gravity: [0.0; AXES],
-        }
-    }
-}
-
-const IDENTITY: [f32; 12] = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
-
-fn statistics(window: &Window) -> Statistics {
-    let (latency_s, jitter_s) = window.latency_and_jitter();
-    Statistics {
-        answer_rate: to_f32(window.answer_rate()),
-        latency_s: to_f32(latency_s),
-        jitter_s: to_f32(jitter_s),
-        miss_rate: to_f32(window.miss_rate()),
-        miss_counter: window.missed(),
-    }
-}
-
-#[expect(
-    clippy::cast_possible_truncation,
-    reason = "the wire has single precision"
-)]
-fn to_f32(value: f64) -> f32 {
-    value as f32
 }
 
 impl fmt::Debug for Krc {

@@ -60,6 +60,8 @@ pub enum Leave {
         /// Flags of this command.
         to: CmdFlags,
     },
+    /// A commanded frame is out of reach.
+    OutOfReach,
 }
 
 impl Leave {
@@ -90,6 +92,7 @@ impl Leave {
             } => words(6, joint, commanded, expected),
             Self::NotFinite { joint } => words(7, joint, 0.0, 0.0),
             Self::FlagsChanged { from, to } => [8, from.bits().into(), to.bits().into()],
+            Self::OutOfReach => words(9, 0, 0.0, 0.0),
         }
     }
 
@@ -132,6 +135,7 @@ impl Leave {
                     to: flags(b),
                 }
             }
+            9 => Self::OutOfReach,
             _ => return None,
         })
     }
@@ -201,6 +205,7 @@ impl fmt::Display for Leave {
                     "command flags changed from {from} to {to} in command mode"
                 )
             }
+            Self::OutOfReach => write!(f, "the commanded frame is out of reach"),
         }
     }
 }
@@ -253,6 +258,7 @@ mod tests {
                 Leave::NotFinite { joint: 6 },
                 "A6 commanded a position that is not a number",
             ),
+            (Leave::OutOfReach, "the commanded frame is out of reach"),
             (
                 Leave::FlagsChanged {
                     from: flags,

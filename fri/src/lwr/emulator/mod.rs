@@ -1,19 +1,20 @@
 //! The other end of the wire: an emulated KRC2 lr for tests, examples and demonstrations.
 //!
 //! It speaks the real datagrams and judges a client as the real controller is known to, with knobs for what goes wrong on
-//! wires and in cabinets. It is no model of the arm: joints follow their set-point with a first-order lag, torques,
-//! Jacobian and mass matrix are zero. Numbers that KUKA does not publish (thresholds of quality, tolerated misses,
+//! wires and in cabinets. In position control joints follow their set-point with a first-order lag; in impedance
+//! control the arm gives way, with a constant inertia per joint, and feels a [`Contact`]: no model of the real dynamics. Numbers that KUKA does not publish (thresholds of quality, tolerated misses,
 //! tolerance of the mirror) are marked *assumption* in [`KrcConfig`] and can be set.
 
 mod config;
 mod krc;
+mod krl;
 mod leave;
 #[cfg(target_os = "linux")]
 mod serve;
 mod status;
 
 pub use crate::emulator::{Contact, LineFaults, PowerOff, Shape, Timing};
-pub use config::{Faults, KrcConfig, Limits, Script};
+pub use config::{Faults, KrcConfig, Limits, Script, Stiffness};
 pub use krc::{Krc, KrcCounters, Left, StartRefused};
 pub use leave::Leave;
 #[cfg(target_os = "linux")]

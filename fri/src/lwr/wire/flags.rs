@@ -1,5 +1,6 @@
 //! Which fields of a command datagram are valid. It does not know which of them a control strategy accepts.
 
+use super::Control;
 use std::fmt;
 use std::ops::BitOr;
 
@@ -55,6 +56,24 @@ impl CmdFlags {
     #[must_use]
     pub const fn bits(self) -> u32 {
         self.0
+    }
+
+    /// The fields that a controller accepts under a control strategy; under an unknown one joint positions only.
+    #[must_use]
+    pub fn allowed(control: Control) -> Self {
+        match control {
+            Control::JointImpedance => Self::JNTPOS | Self::JNTSTIFF | Self::JNTDAMP | Self::JNTTRQ,
+            Control::CartesianImpedance => {
+                Self::JNTPOS | Self::CARTPOS | Self::CARTSTIFF | Self::CARTDAMP | Self::TCPFT
+            }
+            Control::Position | Control::Unspecified | Control::Other(_) => Self::JNTPOS,
+        }
+    }
+
+    /// The bits that both have.
+    #[must_use]
+    pub const fn intersection(self, other: Self) -> Self {
+        Self(self.0 & other.0)
     }
 
     /// Whether every bit of `other` is set.

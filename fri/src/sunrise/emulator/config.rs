@@ -2,10 +2,10 @@
 
 use crate::emulator::{Chain, Contact, LineFaults, PowerOff, Timing};
 use crate::sunrise::AXES;
+use crate::sunrise::IoLevel;
 use crate::sunrise::wire::{
     CommandMode, ControlMode, Dialect, IoDirection, OperationMode, Quality,
 };
-use crate::sunrise::IoLevel;
 use std::time::Duration;
 
 /// Which arm hangs at the cabinet.

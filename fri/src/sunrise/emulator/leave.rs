@@ -161,7 +161,10 @@ impl Leave {
     }
 
     /// The reason that [`Leave::to_words`] wrote; `None` for anything else.
-    #[expect(clippy::cast_possible_truncation, reason = "the numbers came from these types")]
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "the numbers came from these types"
+    )]
     #[expect(clippy::cast_sign_loss, reason = "the number was unsigned")]
     pub(super) fn from_words([head, a, b]: [u64; 3]) -> Option<Self> {
         let joint = (head >> 8) as usize;
@@ -236,8 +239,15 @@ impl fmt::Display for Leave {
                 commanded,
                 expected,
             } => {
-                write!(f, "commands do not agree with the interpolator: {} ", name(joint))?;
-                write!(f, "commanded {commanded:.4} rad, interpolator {expected:.4} rad")
+                write!(
+                    f,
+                    "commands do not agree with the interpolator: {} ",
+                    name(joint)
+                )?;
+                write!(
+                    f,
+                    "commanded {commanded:.4} rad, interpolator {expected:.4} rad"
+                )
             }
             Self::Missing { what } => write!(f, "a command lacks {what}, which the overlay wants"),
             Self::Speed {
@@ -246,7 +256,10 @@ impl fmt::Display for Leave {
                 limit,
             } => {
                 let name = name(joint);
-                write!(f, "{name} commanded {speed:.2} rad/s, limit {limit:.2} rad/s")
+                write!(
+                    f,
+                    "{name} commanded {speed:.2} rad/s, limit {limit:.2} rad/s"
+                )
             }
             Self::Position {
                 joint,
@@ -254,14 +267,21 @@ impl fmt::Display for Leave {
                 limit,
             } => {
                 let name = name(joint);
-                write!(f, "{name} commanded {position:.3} rad, limit {limit:.3} rad")
+                write!(
+                    f,
+                    "{name} commanded {position:.3} rad, limit {limit:.3} rad"
+                )
             }
             Self::AxisDelta {
                 joint,
                 delta,
                 limit,
             } => {
-                write!(f, "Illegal axis delta: {} commanded {delta:.3} rad ", name(joint))?;
+                write!(
+                    f,
+                    "Illegal axis delta: {} commanded {delta:.3} rad ",
+                    name(joint)
+                )?;
                 write!(f, "from the measured position, limit {limit:.3} rad")
             }
             Self::NotFinite { joint } => {

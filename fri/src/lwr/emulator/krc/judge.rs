@@ -17,10 +17,9 @@ impl Krc {
         if received.sent.is_some_and(|sent| sent.in_command) {
             judge_flags(self.flags, cmd.flags)?;
         }
-        if !cmd.flags.contains(CmdFlags::JNTPOS) {
+        let Some(joints) = self.target(cmd)? else {
             return Ok(());
-        }
-        let joints = cmd.joints.map(f64::from);
+        };
         judge_finite(&joints)?;
         match received.sent.filter(|sent| !sent.following) {
             Some(sent) => judge_mirror(&joints, &sent.set_point, self.config.mirror_tolerance_rad),

@@ -2,7 +2,9 @@
 //! crate: tests/lwr_behaviour.rs.
 
 use super::super::{LineFaults, PowerOff};
+use super::message::to_f32;
 use super::*;
+use crate::lwr::wire::Header;
 
 const PERIOD: Duration = Duration::from_millis(2);
 const START: Duration = Duration::from_secs(5);

@@ -1,0 +1,219 @@
+//! Each verdict from figures, and each from datagrams that go wrong in one way.
+
+use super::*;
+
+const PERIOD: Duration = Duration::from_millis(2);
+const US: Duration = Duration::from_micros(1);
+
+fn good() -> Observed {
+    Observed {
+        period: PERIOD,
+        measurements: 1_000,
+        answers: 1_000,
+        answer_time_max: US * 40,
+        arrival_jitter: US * 20,
+        stamp_jitter: Some(US),
+        answer_rate: Some(1.0),
+        is_good: true,
+        ..Observed::default()
+    }
+}
+
+#[test]
+fn every_verdict_has_its_figures_and_a_remedy() {
+    let cases: [(Observed, Verdict, &str); 12] = [
+        (good(), Verdict::Good, "good"),
+        (
+            Observed {
+                measurements: 0,
+                ..good()
+            },
+            Verdict::Silent,
+            "no measurement came",
+        ),
+        (
+            Observed {
+                measurements: 99,
+                ..good()
+            },
+            Verdict::TooFew { measurements: 99 },
+            "only 99 measurements came",
+        ),
+        (
+            Observed {
+                answers: 0,
+                late: 1_000,
+                ..good()
+            },
+            Verdict::Unanswered,
+            "nobody answers the controller",
+        ),
+        (
+            Observed {
+                late: 6,
+                answer_time_max: US * 1_900,
+                ..good()
+            },
+            Verdict::Host {
+                late: 0.006,
+                worst: US * 1_900,
+            },
+            "this host is late: 0.6 % of answers, the worst after 1.9ms",
+        ),
+        (Observed { late: 5, ..good() }, Verdict::Good, "good"),
+        (
+            Observed {
+                stamp_jitter: Some(US * 500),
+                arrival_jitter: US * 500,
+                ..good()
+            },
+            Verdict::Controller { jitter: US * 500 },
+            "the controller is irregular: 500.0µs by its own stamps",
+        ),
+        (
+            Observed {
+                lost: 10,
+                measurements: 990,
+                ..good()
+            },
+            Verdict::NetworkHither {
+                lost: 0.01,
+                disordered: 0,
+            },
+            "the network loses measurements: 1.0 %, 0 out of order",
+        ),
+        (
+            Observed {
+                disordered: 6,
+                ..good()
+            },
+            Verdict::NetworkHither {
+                lost: 0.0,
+                disordered: 6,
+            },
+            "the network loses measurements: 0.0 %, 6 out of order",
+        ),
+        (
+            Observed {
+                arrival_jitter: US * 500,
+                ..good()
+            },
+            Verdict::NetworkJitter { jitter: US * 500 },
+            "the network is irregular: 500.0µs on arrival",
+        ),
+        (
+            Observed {
+                answer_rate: Some(0.75),
+                ..good()
+            },
+            Verdict::NetworkThither { missing: 0.25 },
+            "the network loses answers: 25.0 %",
+        ),
+        (
+            Observed {
+                is_good: false,
+                answer_rate: None,
+                ..good()
+            },
+            Verdict::Unexplained,
+            "all in time here, but quality does not suffice",
+        ),
+    ];
+    for (observed, verdict, text) in cases {
+        assert_eq!(judge(&observed), verdict);
+        assert_eq!(
+            (verdict.to_string().as_str(), verdict.is_good()),
+            (text, text == "good")
+        );
+        assert!(!verdict.remedy().is_empty());
+    }
+}
+
+/// 1000 measurements and their answers after 50 us; `change` spoils number `i` and may drop it or its answer.
+fn run(change: impl Fn(u32, &mut Measurement) -> (bool, Option<Duration>)) -> Verdict {
+    let mut observer = Observer::sunrise();
+    for i in 0..1_000 {
+        let at = PERIOD * i;
+        let mut measurement = Measurement {
+            at,
+            sequence: i,
+            stamp: Some(at),
+            period: PERIOD,
+            is_due: true,
+            answer_rate: None,
+            is_good: true,
+        };
+        let (comes, answered_after) = change(i, &mut measurement);
+        if comes {
+            observer.handle_measurement(measurement);
+        }
+        if let Some(after) = answered_after {
+            observer.handle_answer(measurement.at + after);
+        }
+    }
+    observer.verdict()
+}
+
+#[test]
+fn each_thing_that_goes_wrong_is_found() {
+    let soon = Some(US * 50);
+    assert_eq!(run(|_, _| (true, soon)), Verdict::Good);
+    assert_eq!(run(|_, _| (true, None)), Verdict::Unanswered);
+    assert_eq!(run(|_, _| (false, None)), Verdict::Silent);
+    let late = run(|i, _| (true, if i % 10 == 0 { Some(US * 1_100) } else { soon }));
+    assert_eq!(
+        late,
+        Verdict::Host {
+            late: 0.1,
+            worst: US * 1_100
+        }
+    );
+    let missing = run(|i, _| (true, soon.filter(|_| i % 10 != 5)));
+    assert_eq!(
+        missing,
+        Verdict::Host {
+            late: 0.1,
+            worst: US * 50
+        }
+    );
+    let lost = run(|i, _| (i % 20 != 7, soon.filter(|_| i % 20 != 7)));
+    assert!(
+        matches!(lost, Verdict::NetworkHither { lost, disordered: 0 } if (lost - 0.05).abs() < 1e-9),
+        "{lost}"
+    );
+    let jitter = run(|i, measurement| {
+        measurement.at += US * 900 * (i % 2);
+        (true, soon)
+    });
+    assert!(
+        matches!(jitter, Verdict::NetworkJitter { jitter } if jitter.abs_diff(US * 900) < US),
+        "{jitter}"
+    );
+    let stamps = run(|i, measurement| {
+        measurement.at += US * 900 * (i % 2);
+        measurement.stamp = Some(measurement.at);
+        (true, soon)
+    });
+    assert!(matches!(stamps, Verdict::Controller { .. }), "{stamps}");
+    let thither = run(|_, measurement| {
+        measurement.answer_rate = Some(0.9);
+        (true, soon)
+    });
+    assert!(
+        matches!(thither, Verdict::NetworkThither { missing } if (missing - 0.1).abs() < 1e-9),
+        "{thither}"
+    );
+}
+
+#[test]
+fn a_restart_is_neither_loss_nor_jitter() {
+    let verdict = run(|i, measurement| {
+        if i >= 500 {
+            measurement.sequence += 1_000_000;
+            measurement.at += Duration::from_secs(20);
+            measurement.stamp = Some(Duration::ZERO + PERIOD * i);
+        }
+        (true, Some(US * 50))
+    });
+    assert_eq!(verdict, Verdict::Good);
+}

@@ -1,0 +1,665 @@
+//! The emulated cabinet as a machine without I/O: sends a monitoring message per period, judges the answers, moves the arm.
+
+use super::config::{CabinetConfig, Control, Faults, Overlay, Program};
+use super::leave::Leave;
+use crate::emulator::{Arm, Body, Contact, Grid, History, Law, Line, Rng, Sent, Window};
+use crate::error::DecodeError;
+use crate::generation::Kind;
+use crate::sequence::{Order, Tracker};
+use crate::sunrise::wire::{
+    Command, CommandMode, Dialect, IOS_MAX, IoDirection, IoValue, List, MESSAGE_MAX, Placement,
+    Quality, Safety, SessionState, TRANSFORMATIONS_MAX, Transformation, unframe,
+};
+use crate::sunrise::{AXES, IoLevel};
+use std::collections::VecDeque;
+use std::fmt;
+use std::time::Duration;
+
+mod judge;
+mod message;
+#[cfg(test)]
+mod tests;
+
+/// Entries kept in the log of reasons.
+const LOG_LEN: usize = 16;
+/// Jumps of a client's counter up to this width are loss or reordering, wider ones a new client.
+const COUNTER_WINDOW: u16 = 50;
+/// How long `session.await` waits for quality.
+const AWAIT: Duration = Duration::from_secs(10);
+/// How long a controller needs after a closed session before the next one works; reported by users.
+const REOPEN: Duration = Duration::from_secs(5);
+
+/// One end of an overlay, or of waiting for one.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Left {
+    /// When, since the cabinet's start.
+    pub at: Duration,
+    /// Why.
+    pub reason: Leave,
+}
+
+/// Why a motion or a session was refused; the state stays as it was.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum StartRefused {
+    /// The session is in another state than MONITORING_READY.
+    #[error("session is {state}, not MONITORING_READY")]
+    NotReady {
+        /// State of the session.
+        state: SessionState,
+    },
+    /// A drive has no power, or the safety controller asks for a stop.
+    #[error("drives are off, or the safety controller asks for a stop")]
+    Drives,
+    /// The robot is still braking.
+    #[error("the robot still brakes")]
+    Moving,
+    /// The command mode does not fit control mode or dialect.
+    #[error(
+        "command mode {command} does not fit the control mode of the motion, or this version of FRI"
+    )]
+    Mismatch {
+        /// What the client was to command.
+        command: CommandMode,
+    },
+    /// There is a session, or the last one was closed too short ago.
+    #[error("the last session was closed less than 5 s ago, or is still open")]
+    NotClosed,
+}
+
+/// Totals since the cabinet's start.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct CabinetCounters {
+    /// Messages sent, whatever the line's faults did to them then.
+    pub sent: u64,
+    /// New answers received.
+    pub answers: u64,
+    /// Command periods without an answer in time.
+    pub missed: u32,
+    /// Answers ignored as copies or as older than the newest.
+    pub old: u64,
+    /// Datagrams refused by the decoder, or in another framing.
+    pub malformed: u64,
+    /// Datagrams lost by the fault knobs, both ways.
+    pub dropped: u64,
+    /// Messages not sent because the emulator's own host was late; not the client's fault.
+    pub stalls: u64,
+    /// Outputs written by the client that are none.
+    pub refused_ios: u64,
+}
+
+struct Received {
+    command: Command,
+    /// The message it reflects, if that is not too old.
+    sent: Option<Sent>,
+}
+
+/// What the client adds to the control law.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+struct Added {
+    torque: [f64; AXES],
+    wrench: [f64; 6],
+}
+
+/// An emulated Sunrise cabinet with a session that a robot program opened.
+///
+/// ```text
+///  MONITORING_WAIT ⇄(1) MONITORING_READY ──(2)──▶ COMMANDING_WAIT ──(3)──▶ COMMANDING_ACTIVE
+///        ▲                      ▲                        │                        │
+///        └──────────────────────┴────────(4)─────────────┴────────────────────────┘
+///  any ──(5)──▶ IDLE ──(6)──▶ MONITORING_WAIT
+/// ```
+/// 1 is judged once per period; 2 is [`Cabinet::start_overlay`], called by the program or the owner; 3 is the first answer that
+/// agrees with the interpolator; 4 is [`Cabinet::cancel`] or any other [`Leave`]; 5 and 6 are [`Cabinet::close_session`] and
+/// [`Cabinet::open_session`].
+///
+/// The owner calls [`poll_transmit`](Self::poll_transmit) at [`poll_timeout`](Self::poll_timeout) until it returns `None`,
+/// and [`handle_datagram`](Self::handle_datagram) when something comes. Time and commands are treated as in the emulated
+/// KRC, see [`crate::lwr::emulator::Krc`].
+pub struct Cabinet {
+    config: CabinetConfig,
+    grid: Grid,
+    state: SessionState,
+    overlay: Overlay,
+    is_switched_on: bool,
+    safety: Safety,
+    arm: Arm,
+    brake_step: [f64; AXES],
+    /// Where the interpolator holds the arm while there is an overlay.
+    ipo: [f64; AXES],
+    added: Added,
+    window: Window,
+    quality: Quality,
+    misses: u32,
+    /// Messages since the last command period ended.
+    in_period: u32,
+    tracker: Tracker,
+    sequence: u32,
+    history: History,
+    inbox: Option<Received>,
+    latency: Option<Duration>,
+    /// Cycle and position of the last command followed.
+    last: (u64, [f64; AXES]),
+    /// When COMMANDING_WAIT began, and why it still waits.
+    waiting: (Duration, Leave),
+    /// When the program goes on; `None` when it has ended.
+    program_at: Option<Duration>,
+    closed_at: Option<Duration>,
+    says_farewell: bool,
+    to_client: Line<MESSAGE_MAX>,
+    to_cabinet: Line<MESSAGE_MAX>,
+    rng: Rng,
+    ios: List<IoValue, IOS_MAX>,
+    frames: List<Transformation, TRANSFORMATIONS_MAX>,
+    counters: CabinetCounters,
+    log: VecDeque<Left>,
+    falls: u64,
+}
+
+impl Cabinet {
+    /// A cabinet in MONITORING_WAIT that sends its first message at `start`. All memory is taken here.
+    #[must_use]
+    pub fn new(config: CabinetConfig, start: Duration) -> Self {
+        let grid = Grid::new(start, config.send_period, config.faults.drift_ppm);
+        let period_s = grid.period().as_secs_f64();
+        let mut body = Body::new(config.robot.chain(), config.joints, config.lag);
+        body.contact = config.contact;
+        let deceleration = config.limits.acceleration_rad_per_s2;
+        Self {
+            grid,
+            state: SessionState::MonitoringWait,
+            overlay: Overlay::default(),
+            is_switched_on: true,
+            safety: Safety::Normal,
+            arm: Arm::new(body),
+            brake_step: deceleration.map(|a| a * period_s * period_s),
+            ipo: config.joints,
+            added: Added::default(),
+            window: Window::new(),
+            quality: Quality::Poor,
+            misses: 0,
+            in_period: 0,
+            tracker: Tracker::wide(COUNTER_WINDOW),
+            sequence: 0,
+            history: History::new(),
+            inbox: None,
+            latency: None,
+            last: (0, config.joints),
+            waiting: (Duration::ZERO, Leave::Cancelled),
+            program_at: Some(Duration::ZERO),
+            closed_at: None,
+            says_farewell: false,
+            to_client: Line::new(),
+            to_cabinet: Line::new(),
+            rng: Rng::new(config.seed),
+            ios: message::ios(&config.ios),
+            frames: message::frames(&config.requested_frames),
+            counters: CabinetCounters::default(),
+            log: VecDeque::with_capacity(LOG_LEN),
+            falls: 0,
+            config,
+        }
+    }
+
+    /// Writes the next datagram due by `now` to `buf` (at least [`MESSAGE_MAX`] bytes, else it may be lost).
+    pub fn poll_transmit(&mut self, now: Duration, buf: &mut [u8]) -> Option<usize> {
+        self.deliver(now);
+        if now >= self.grid.next() {
+            self.cycle(now);
+        }
+        let (_, bytes) = self.to_client.pop(now)?;
+        buf.get_mut(..bytes.len())?.copy_from_slice(bytes);
+        Some(bytes.len())
+    }
+
+    /// Takes an answer that left the client's side of the wire at `now`; the line's faults come on top.
+    pub fn handle_datagram(&mut self, bytes: &[u8], now: Duration) -> Result<(), DecodeError> {
+        decode(self.config.dialect, bytes).inspect_err(|_| self.counters.malformed += 1)?;
+        let (behind, faults) = (self.behind(), &mut self.config.faults.to_cabinet);
+        self.to_cabinet
+            .push(bytes, now, behind, faults, &mut self.rng);
+        self.deliver(now);
+        Ok(())
+    }
+
+    /// When the cabinet next has something to do.
+    #[must_use]
+    pub fn poll_timeout(&self) -> Duration {
+        [self.to_client.next_due(), self.to_cabinet.next_due()]
+            .into_iter()
+            .flatten()
+            .fold(self.grid.next(), Duration::min)
+    }
+
+    /// Begins a motion with an overlay; the next message says COMMANDING_WAIT.
+    pub fn start_overlay(&mut self, overlay: Overlay) -> Result<(), StartRefused> {
+        let state = self.state;
+        if state != SessionState::MonitoringReady {
+            return Err(StartRefused::NotReady { state });
+        }
+        if !self.can_move() {
+            return Err(StartRefused::Drives);
+        }
+        if !self.arm.is_at_rest() {
+            return Err(StartRefused::Moving);
+        }
+        if !self.fits(&overlay) {
+            let command = overlay.command;
+            return Err(StartRefused::Mismatch { command });
+        }
+        self.state = SessionState::CommandingWait;
+        self.overlay = overlay;
+        self.ipo = self.arm.set_point;
+        let nothing = Leave::NotSynchronised {
+            joint: 0,
+            commanded: f64::NAN,
+            expected: self.ipo[0],
+        };
+        self.waiting = (self.grid.time(), nothing);
+        Ok(())
+    }
+
+    fn fits(&self, overlay: &Overlay) -> bool {
+        match (overlay.command, overlay.control) {
+            (CommandMode::Position, _)
+            | (CommandMode::Wrench, Control::CartesianImpedance { .. })
+            | (CommandMode::Torque, Control::JointImpedance { .. }) => true,
+            (CommandMode::CartesianPose, _) => self.config.dialect != Dialect::V1,
+            (CommandMode::Wrench, Control::Position | Control::JointImpedance { .. })
+            | (CommandMode::Torque, Control::Position | Control::CartesianImpedance { .. })
+            | (CommandMode::None | CommandMode::Other(_), _) => false,
+        }
+    }
+
+    /// Cancels the motion; an automatic program ends with it.
+    pub fn cancel(&mut self) {
+        self.leave(Leave::Cancelled);
+        self.program_at = None;
+    }
+
+    /// Closes the session; one more message says so, then nothing is sent.
+    pub fn close_session(&mut self) {
+        if self.state == SessionState::Idle {
+            return;
+        }
+        self.leave(Leave::Closed);
+        self.state = SessionState::Idle;
+        self.says_farewell = true;
+        self.closed_at = Some(self.grid.time());
+        self.program_at = None;
+    }
+
+    /// Opens a session again, with counters from 0, as a robot program does that is started anew.
+    pub fn open_session(&mut self) -> Result<(), StartRefused> {
+        let waited = self
+            .closed_at
+            .is_some_and(|at| self.grid.time() >= at + REOPEN);
+        if !waited || self.state != SessionState::Idle {
+            return Err(StartRefused::NotClosed);
+        }
+        self.state = SessionState::MonitoringWait;
+        self.closed_at = None;
+        self.sequence = 0;
+        self.window = Window::new();
+        self.misses = 0;
+        self.history = History::new();
+        self.tracker.forget();
+        self.program_at = Some(self.grid.time());
+        Ok(())
+    }
+
+    /// Switches the drives' power.
+    pub fn set_power(&mut self, is_on: bool) {
+        self.is_switched_on = is_on;
+    }
+
+    /// Sets what the safety controller asks for.
+    pub fn set_safety(&mut self, safety: Safety) {
+        self.safety = safety;
+    }
+
+    /// Whether the drives have power: switched on, and no fault takes it away now.
+    #[must_use]
+    pub fn has_power(&self) -> bool {
+        let off = self.config.faults.power_off;
+        self.is_switched_on && !off.is_some_and(|off| off.covers(self.grid.time()))
+    }
+
+    fn can_move(&self) -> bool {
+        self.has_power() && self.safety == Safety::Normal
+    }
+
+    /// The fault knobs.
+    pub fn faults_mut(&mut self) -> &mut Faults {
+        &mut self.config.faults
+    }
+
+    /// What the flange touches; to be changed at any time.
+    pub fn contact_mut(&mut self) -> &mut Option<Contact> {
+        &mut self.arm.body.contact
+    }
+
+    /// State of the session.
+    #[must_use]
+    pub fn state(&self) -> SessionState {
+        self.state
+    }
+
+    /// Quality as reported.
+    #[must_use]
+    pub fn quality(&self) -> Quality {
+        self.quality
+    }
+
+    /// Measured joint positions, rad.
+    #[must_use]
+    pub fn joints(&self) -> [f64; AXES] {
+        self.arm.body.joints()
+    }
+
+    /// Joint set-point, rad.
+    #[must_use]
+    pub fn set_point(&self) -> [f64; AXES] {
+        self.arm.set_point
+    }
+
+    /// Place of the flange in the base frame, m.
+    #[must_use]
+    pub fn flange(&self) -> [f64; 3] {
+        self.arm.body.place().position.into()
+    }
+
+    /// Force of the contact on the flange in the base frame, N.
+    #[must_use]
+    pub fn force(&self) -> [f64; 3] {
+        self.arm.body.force()
+    }
+
+    /// Value of an input or output.
+    #[must_use]
+    pub fn io(&self, name: &str) -> Option<IoLevel> {
+        let io = self.ios.iter().find(|io| io.name.is(name))?;
+        IoLevel::of(io)
+    }
+
+    /// What the client sent for a frame that the program asks for.
+    #[must_use]
+    pub fn frame(&self, name: &str) -> Option<Placement> {
+        let frame = self.frames.iter().find(|frame| frame.name.is(name))?;
+        frame.placement
+    }
+
+    /// Totals since the start.
+    #[must_use]
+    pub fn counters(&self) -> CabinetCounters {
+        CabinetCounters {
+            missed: self.window.missed(),
+            stalls: self.grid.stalls(),
+            dropped: self.to_client.lost() + self.to_cabinet.lost(),
+            ..self.counters
+        }
+    }
+
+    /// The last ends of overlays, at most 16, oldest first.
+    pub fn log(&self) -> impl DoubleEndedIterator<Item = &Left> {
+        self.log.iter()
+    }
+
+    /// Entries ever made in the log.
+    #[must_use]
+    pub fn falls(&self) -> u64 {
+        self.falls
+    }
+
+    fn multiplier(&self) -> u32 {
+        self.config.receive_multiplier.max(1)
+    }
+
+    fn misses_max(&self) -> u32 {
+        self.config.timing.misses_max.max(1)
+    }
+
+    /// How long a reordered datagram is held back.
+    fn behind(&self) -> Duration {
+        self.grid.period() * 3 / 2
+    }
+
+    fn is_commanding(&self) -> bool {
+        matches!(
+            self.state,
+            SessionState::CommandingWait | SessionState::CommandingActive
+        )
+    }
+
+    fn deliver(&mut self, now: Duration) {
+        while let Some((due, bytes)) = self.to_cabinet.pop(now) {
+            if let Ok(command) = decode(self.config.dialect, bytes) {
+                self.accept(command, due);
+            }
+        }
+    }
+
+    fn accept(&mut self, command: Command, arrival: Duration) {
+        match self.tracker.accept(command.header.sequence) {
+            Order::Duplicate | Order::Old => {
+                self.counters.old += 1;
+                return;
+            }
+            Order::First | Order::Next { .. } | Order::Restart => self.counters.answers += 1,
+        }
+        let reflected = command.header.reflected;
+        let sent = self.history.find(reflected).copied();
+        let age = self.sequence.wrapping_sub(reflected);
+        let age_max = u32::from(self.config.timing.reflected_age_max) + self.multiplier() - 1;
+        if let Some(sent) = sent.filter(|_| age <= age_max) {
+            self.latency
+                .get_or_insert_with(|| arrival.saturating_sub(sent.at));
+        }
+        self.exchange(&command);
+        self.inbox = Some(Received { command, sent });
+    }
+
+    /// Takes outputs and frames; they need no command mode.
+    fn exchange(&mut self, command: &Command) {
+        let Some(data) = &command.data else { return };
+        for written in data.ios.iter() {
+            let known = self.ios.iter_mut().find(|io| {
+                io.name == written.name
+                    && io.kind == written.kind
+                    && io.direction == IoDirection::Output
+            });
+            match known {
+                Some(io) => (io.digital, io.analog) = (written.digital, written.analog),
+                None => self.counters.refused_ios += 1,
+            }
+        }
+        for sent in data.transformations.iter() {
+            let mut known = self.frames.iter_mut();
+            if let Some(frame) = known.find(|frame| frame.name == sent.name) {
+                *frame = *sent;
+            }
+        }
+    }
+
+    fn cycle(&mut self, now: Duration) {
+        let began_late = self.grid.is_late();
+        self.grid.advance(now);
+        if self.state == SessionState::Idle {
+            self.inbox = None;
+            self.stand();
+            if std::mem::take(&mut self.says_farewell) {
+                self.send(now);
+            }
+            return;
+        }
+        if self.in_period >= self.multiplier() {
+            self.close_period(began_late || self.grid.is_late());
+            self.in_period = 0;
+        }
+        self.in_period += 1;
+        // First the program: it acts upon what the last message said.
+        self.run_program();
+        self.judge_timing();
+        self.judge_drives();
+        self.move_joints();
+        self.send(now);
+    }
+
+    fn close_period(&mut self, is_void: bool) {
+        let latency = self.latency.take();
+        match latency {
+            Some(_) => self.misses = 0,
+            None if is_void => return,
+            None => self.misses = self.misses.saturating_add(1),
+        }
+        self.window.record(latency);
+        if self.misses >= self.misses_max() {
+            // Who answers after such a silence may be somebody else, with another counter.
+            self.tracker.forget();
+        }
+    }
+
+    fn judge_timing(&mut self) {
+        let forced = self.config.faults.quality;
+        let rank = i32::from(self.window.rank(&self.config.timing));
+        self.quality = forced.unwrap_or_else(|| rank.into());
+        let answer_rate = self.window.answer_rate();
+        if self.misses >= self.misses_max() {
+            let cycles = self.misses;
+            let period = self.grid.period() * self.multiplier();
+            let span_ms = period.as_secs_f64() * 1e3 * f64::from(cycles);
+            self.leave(Leave::Misses { cycles, span_ms });
+        } else if !self.is_good() {
+            self.leave(Leave::Quality { answer_rate });
+        }
+        if !self.is_commanding() {
+            self.state = self.monitoring();
+        }
+    }
+
+    fn is_good(&self) -> bool {
+        self.quality.code() >= Quality::Good.code()
+    }
+
+    fn monitoring(&self) -> SessionState {
+        if self.is_good() && self.misses < self.misses_max() {
+            SessionState::MonitoringReady
+        } else {
+            SessionState::MonitoringWait
+        }
+    }
+
+    fn judge_drives(&mut self) {
+        if !self.has_power() {
+            self.leave(Leave::Power);
+        } else if self.safety != Safety::Normal {
+            self.leave(Leave::Safety(self.safety));
+        }
+    }
+
+    fn run_program(&mut self) {
+        let Program::Auto { overlay, .. } = self.config.program else {
+            return;
+        };
+        let (now, Some(at)) = (self.grid.time(), self.program_at) else {
+            return;
+        };
+        if self.is_commanding() || now < at {
+            return;
+        }
+        if self.state == SessionState::MonitoringReady {
+            // Refused while the robot brakes or has no power: the program tries again in the next period.
+            let _refused = self.start_overlay(overlay);
+        } else if now >= at + AWAIT {
+            let answer_rate = self.window.answer_rate();
+            self.note(Leave::Await { answer_rate });
+        }
+    }
+
+    fn leave(&mut self, reason: Leave) {
+        if !self.is_commanding() {
+            return;
+        }
+        if self.overlay.control != Control::Position {
+            self.arm.take_up();
+        }
+        self.added = Added::default();
+        self.state = self.monitoring();
+        self.note(reason);
+    }
+
+    fn note(&mut self, reason: Leave) {
+        let at = self.grid.time();
+        self.program_at = match self.config.program {
+            Program::Manual => None,
+            Program::Auto { restart, .. } => restart.map(|pause| at + pause),
+        };
+        if self.log.len() == LOG_LEN {
+            self.log.pop_front();
+        }
+        self.log.push_back(Left { at, reason });
+        self.falls += 1;
+    }
+
+    /// Brakes, and stands with closed brakes when the drives have no power.
+    fn stand(&mut self) {
+        self.arm.brake(&self.brake_step);
+        if self.has_power() || !self.arm.is_at_rest() {
+            self.arm
+                .settle(&Law::Position, self.grid.period().as_secs_f64());
+        } else {
+            self.arm.body.freeze();
+            self.arm.take_up();
+        }
+    }
+
+    fn law(&self) -> Law {
+        match self.overlay.control {
+            _ if !self.is_commanding() => Law::Position,
+            Control::Position => Law::Position,
+            Control::JointImpedance { stiffness, damping } => Law::Joint {
+                stiffness,
+                damping,
+                overlay: self.added.torque,
+            },
+            Control::CartesianImpedance { stiffness, damping } => Law::Cartesian {
+                stiffness: about_xyz(&stiffness),
+                damping: about_xyz(&damping),
+                overlay: about_xyz(&self.added.wrench),
+            },
+        }
+    }
+}
+
+/// From the order X, Y, Z, A, B, C, where A turns about z and C about x, to x, y, z and about x, y, z.
+fn about_xyz(abc: &[f64; 6]) -> [f64; 6] {
+    let [x, y, z, a, b, c] = *abc;
+    [x, y, z, c, b, a]
+}
+
+fn decode(dialect: Dialect, datagram: &[u8]) -> Result<Command, DecodeError> {
+    let is_framed = dialect.is_framed();
+    let expected = Kind::SunriseCommand { is_framed };
+    let decoded = unframe(datagram).and_then(|(is_framed, message)| {
+        let command = Command::decode(message)?;
+        Ok((is_framed, command))
+    });
+    match decoded {
+        Ok((framed, command)) if framed == is_framed => Ok(command),
+        Ok((is_framed, _)) => Err(DecodeError::Foreign {
+            expected,
+            found: Kind::SunriseCommand { is_framed },
+        }),
+        Err(error) => Err(Kind::explain(expected, datagram, error)),
+    }
+}
+
+impl fmt::Debug for Cabinet {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Cabinet")
+            .field("state", &self.state)
+            .field("quality", &self.quality)
+            .field("counters", &self.counters())
+            .finish_non_exhaustive()
+    }
+}
