@@ -6,6 +6,7 @@
     clippy::panic,
     clippy::print_stdout,
     clippy::cast_possible_truncation,
+    clippy::wildcard_enum_match_arm,
     reason = "a test that cannot go on ends, and says where everything was"
 )]
 

@@ -1,7 +1,17 @@
 #![doc = include_str!("../README.md")]
-#![forbid(unsafe_code)]
+#![deny(unsafe_code)]
 
+pub mod axis;
+pub mod config;
+pub mod dc;
+#[cfg(feature = "emulator")]
+pub mod emulator;
 mod error;
+pub mod link;
+#[cfg(target_os = "linux")]
+pub mod linux;
+pub mod master;
+pub mod topology;
 mod wire;
 
 pub use error::{DecodeError, EncodeError};

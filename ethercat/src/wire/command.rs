@@ -60,6 +60,15 @@ const KNOWN: [(Command, &str); 15] = [
 ];
 
 impl Command {
+    /// True if each slave adds one to the position in the address.
+    #[must_use]
+    pub const fn is_positional(self) -> bool {
+        matches!(
+            self,
+            Self::Aprd | Self::Apwr | Self::Aprw | Self::Brd | Self::Bwr | Self::Brw | Self::Armw
+        )
+    }
+
     /// True if the address is one logical number.
     #[must_use]
     pub const fn is_logical(self) -> bool {

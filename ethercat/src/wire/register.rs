@@ -13,6 +13,8 @@ pub const STATION_ADDRESS: Register = 0x0010;
 pub const STATION_ALIAS: Register = 0x0012;
 /// DL control, 4 bytes.
 pub const DL_CONTROL: Register = 0x0100;
+/// Loop control alone, 1 byte: two bits a port, 0 automatic, 1 automatic close, 2 open, 3 closed.
+pub const LOOP_CONTROL: Register = 0x0101;
 /// DL status, 2 bytes.
 pub const DL_STATUS: Register = 0x0110;
 /// AL control, 2 bytes.

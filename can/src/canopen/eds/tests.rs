@@ -116,7 +116,7 @@ fn files_as_they_are_in_the_field() {
         (Access::ReadWrite, PdoUse::Receive)
     );
     assert_eq!(d.bytes(at(0x2003, 0)).unwrap(), 1.5_f32.to_le_bytes());
-    assert_eq!(d.bytes(at(0x2002, 0)).unwrap(), b"a; b"[..1].as_ref());
+    assert_eq!(d.bytes(at(0x2002, 0)).unwrap(), b"a; b");
     assert_eq!(d.object(0x2001).unwrap().code, ObjectCode::Array);
     let remarks: Vec<_> = eds.remarks.iter().map(ToString::to_string).collect();
     assert_eq!(

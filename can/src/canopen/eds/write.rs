@@ -17,9 +17,10 @@ impl Eds {
         let number = |sub: u8| {
             let identity = objects.iter().find(|object| object.index == 0x1018);
             let entry = identity.and_then(|o| o.entries.iter().find(|(s, _)| *s == sub));
-            entry.map_or("0x0".into(), |(_, e)| {
-                value::print(e.data_type, &e.default, false)
-            })
+            entry.map_or_else(
+                || "0x0".into(),
+                |(_, e)| value::print(e.data_type, &e.default, false),
+            )
         };
         let name = objects.iter().find(|object| object.index == 0x1008);
         let name = name

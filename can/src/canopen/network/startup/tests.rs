@@ -1,5 +1,10 @@
 //! Every phase of a start with every input.
 
+#![expect(
+    clippy::wildcard_enum_match_arm,
+    reason = "tables of what differs from the rest"
+)]
+
 use super::*;
 use crate::canopen::NodeId;
 use crate::canopen::network::Supervision;

@@ -1,0 +1,256 @@
+//! Our drive and our master against python-canopen, over the virtual interface that `TAKT_VCAN` names or
+//! `vcan0`. Needs a Python (`TAKT_PYTHON`, else `python3`) that has `canopen`; else it notes that it was
+//! skipped. Nothing here judges how fast a host is.
+#![expect(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stderr,
+    clippy::disallowed_methods,
+    reason = "a test that cannot go on ends"
+)]
+
+use std::io::{BufRead as _, BufReader, Write as _};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::Mutex;
+use std::time::Duration;
+
+use takt_can::AnyFrame;
+use takt_can::canopen::NodeId;
+use takt_can::canopen::emulator::{DriveNode, DriveNodeConfig};
+use takt_can::canopen::network::{
+    AxisCommand, AxisPlan, Event, Network, NetworkConfig, NodePlan, Phase, Transfer,
+};
+use takt_can::canopen::sdo::Outcome;
+use takt_can::link::Link as _;
+use takt_can::linux::{Options, SocketCan, monotonic};
+use takt_cia402::Goal;
+use takt_cia402::dictionary::Address;
+
+const MS: Duration = Duration::from_millis(1);
+const PATIENCE: Duration = Duration::from_secs(240);
+
+/// Both tests send SYNC or hear it: one after the other.
+static BUS: Mutex<()> = Mutex::new(());
+
+/// Notes for the runner that a test cannot run here.
+fn skip(test: &str, why: &str) {
+    eprintln!("skipped: {why}");
+    if let Some(path) = std::env::var_os("TAKT_SKIPS") {
+        let mut file = std::fs::OpenOptions::new().append(true).open(path).unwrap();
+        writeln!(file, "{test}: {why}").unwrap();
+    }
+}
+
+fn python() -> String {
+    std::env::var("TAKT_PYTHON").unwrap_or_else(|_| "python3".to_owned())
+}
+
+fn vcan(test: &str) -> Option<String> {
+    let name = std::env::var("TAKT_VCAN").unwrap_or_else(|_| "vcan0".to_owned());
+    if !Path::new("/sys/class/net").join(&name).exists() {
+        skip(test, "needs vcan");
+        return None;
+    }
+    let probe = Command::new(python())
+        .args(["-c", "import canopen, can"])
+        .stderr(Stdio::null())
+        .status();
+    if !probe.is_ok_and(|status| status.success()) {
+        skip(test, "needs python3 with canopen (pip install canopen)");
+        return None;
+    }
+    Some(name)
+}
+
+fn config(raw: u8) -> DriveNodeConfig {
+    let mut config = DriveNodeConfig::new(NodeId::new(raw).unwrap());
+    config.domain_len = 3000;
+    config
+}
+
+/// The peer's process; its data sheet is a file of its own.
+fn peer(role: &str, interface: &str, raw: u8) -> (Child, PathBuf) {
+    let sheet = std::env::temp_dir().join(format!("takt-{role}-{}.eds", std::process::id()));
+    std::fs::write(&sheet, config(raw).eds().print()).unwrap();
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/canopen/peer.py");
+    let child = Command::new(python())
+        .arg(script)
+        .args([role, interface, &raw.to_string()])
+        .arg(&sheet)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    (child, sheet)
+}
+
+#[test]
+fn python_canopen_brings_our_drive_up_homes_and_moves_it() {
+    let Some(interface) = vcan("python_canopen_brings_our_drive_up_homes_and_moves_it") else {
+        return;
+    };
+    let _turn = BUS.lock().unwrap();
+    let mut link = SocketCan::open(&interface, &Options::default()).unwrap();
+    let mut drive = DriveNode::power_on(config(41), monotonic()).unwrap();
+    let (mut child, sheet) = peer("lead", &interface, 41);
+    let end = monotonic() + PATIENCE;
+    let status = loop {
+        if let Some(received) = link.receive(MS).unwrap()
+            && let AnyFrame::Classic(frame) = received.frame
+        {
+            drive.handle_frame(&frame, monotonic());
+        }
+        while let Some(frame) = drive.poll_transmit(monotonic()) {
+            link.send(&frame.into()).unwrap();
+        }
+        if let Some(status) = child.try_wait().unwrap() {
+            break status;
+        }
+        assert!(monotonic() < end, "python-canopen did not end");
+    };
+    let lines = BufReader::new(child.stdout.take().unwrap()).lines();
+    let told: Vec<_> = lines.map(Result::unwrap).collect();
+    std::fs::remove_file(sheet).unwrap();
+    assert!(status.success(), "{told:?}");
+    let expected = [
+        "ok boot-up",
+        "ok segmented and block transfers",
+        "ok a TPDO",
+        "ok homing",
+        "ok motion",
+        "ok down",
+    ];
+    assert_eq!(told, expected);
+    let axis = drive.application().axis(0).unwrap();
+    assert_eq!(axis.state(), takt_cia402::State::SwitchOnDisabled);
+    // 12,000 increments of 4096 a turn.
+    let turns = axis.motor().position / std::f64::consts::TAU;
+    assert!((turns - 12_000.0 / 4096.0).abs() < 0.02, "{turns} turns");
+}
+
+struct Lead {
+    link: SocketCan,
+    network: Network,
+    period: Duration,
+    next: Duration,
+    events: Vec<Event>,
+}
+
+impl Lead {
+    fn step(&mut self) {
+        let now = monotonic();
+        if now >= self.next {
+            self.network.cycle(now);
+            self.next = now + self.period;
+        }
+        while let Some(frame) = self.network.poll_transmit(now) {
+            self.link.send(&frame.into()).unwrap();
+        }
+        if let Some(received) = self.link.receive(MS).unwrap()
+            && let AnyFrame::Classic(frame) = received.frame
+        {
+            self.network.handle_frame(&frame, monotonic());
+        }
+        let network = &mut self.network;
+        self.events
+            .extend(std::iter::from_fn(|| network.poll_event()));
+    }
+
+    fn until<T>(&mut self, what: &str, mut holds: impl FnMut(&mut Self) -> Option<T>) -> T {
+        let end = monotonic() + PATIENCE;
+        while monotonic() < end {
+            self.step();
+            if let Some(value) = holds(self) {
+                return value;
+            }
+        }
+        panic!("{what} did not come: {:?}", self.events);
+    }
+}
+
+#[test]
+fn our_master_leads_a_drive_made_of_python_canopen() {
+    let Some(interface) = vcan("our_master_leads_a_drive_made_of_python_canopen") else {
+        return;
+    };
+    let _turn = BUS.lock().unwrap();
+    let node = NodeId::new(42).unwrap();
+    let link = SocketCan::open(&interface, &Options::default()).unwrap();
+    let (mut child, sheet) = peer("follow", &interface, 42);
+    let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+    assert_eq!(lines.next().unwrap().unwrap(), "ok follows");
+    // A Python process needs more patience than a drive.
+    let axis = AxisPlan {
+        missing_max: 1000,
+        ..AxisPlan::default()
+    };
+    let mut plan = NodePlan::drive(node, axis);
+    plan.supervision = takt_can::canopen::network::Supervision::Heartbeat(500 * MS);
+    plan.rpdos.truncate(1);
+    plan.tpdos.truncate(1);
+    plan.device_type = Some(0x0002_0192);
+    let config = NetworkConfig {
+        boot_up_max: Duration::from_secs(30),
+        sdo_timeout: Duration::from_secs(20),
+        ..NetworkConfig::default()
+    };
+    let mut lead = Lead {
+        link,
+        network: Network::new(config, vec![plan]).unwrap(),
+        period: 50 * MS,
+        next: monotonic(),
+        events: vec![],
+    };
+    lead.network.start(monotonic());
+    let running = |l: &mut Lead| (l.network.phase(node) == Some(Phase::Running)).then_some(());
+    lead.until("running", running);
+    let begun = lead.until("its position", |l| {
+        let at = l.network.axis(node, 0).unwrap().state().position;
+        (at != 0).then_some(at)
+    });
+    assert_eq!(begun, 1000);
+    let command = |position| AxisCommand {
+        position,
+        ..AxisCommand::default()
+    };
+    let axis = lead.network.axis_mut(node, 0).unwrap();
+    axis.command(command(begun));
+    axis.set_goal(Goal::OperationEnabled, 8);
+    lead.until("following", |l| {
+        l.network
+            .axis(node, 0)
+            .unwrap()
+            .state()
+            .follows
+            .then_some(())
+    });
+    lead.network
+        .axis_mut(node, 0)
+        .unwrap()
+        .command(command(1234));
+    lead.until("the move", |l| {
+        (l.network.axis(node, 0).unwrap().state().position == 1234).then_some(())
+    });
+    let read = Transfer {
+        address: Address::new(0x1008, 0),
+        ..Transfer::default()
+    };
+    lead.network.transfer(node, read).unwrap();
+    let name = lead.until("its name", |l| {
+        l.events.iter().find_map(|event| match event {
+            Event::Transferred(_, transfer, Outcome::Read) => Some(transfer.data.clone()),
+            Event::Transferred(..)
+            | Event::Phase(..)
+            | Event::Trouble(..)
+            | Event::Emergency(..)
+            | Event::Homed(_)
+            | Event::Axis(_) => None,
+        })
+    });
+    assert_eq!(name, b"Takt emulated drive");
+    drop(child.stdin.take());
+    assert_eq!(lines.next().unwrap().unwrap(), "position 1234");
+    assert!(child.wait().unwrap().success());
+    std::fs::remove_file(sheet).unwrap();
+}

@@ -1,0 +1,253 @@
+//! Arithmetic of distributed clocks (ETG.1000.4, clause 9.1.3): propagation delays from receive times, start times of
+//! SYNC0, and figures of the phase between a master's frames and SYNC0. It disciplines nothing: who owns the cycle
+//! gets [`Sample`]s.
+
+use std::time::Duration;
+
+use crate::topology::Topology;
+
+/// The reference clock as a frame passed it, for a servo that disciplines the cycle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Sample {
+    /// When the frame was sent, on the master's clock.
+    pub sent: Duration,
+    /// When its answer came, on the master's clock.
+    pub received: Duration,
+    /// System time as it passed the reference clock, ns since 2000-01-01.
+    pub system_ns: u64,
+}
+
+/// Where in a period a system time is, ns from 0 to the period; the period begins at multiples of itself and `shift`
+/// behind.
+#[must_use]
+pub fn phase_ns(system_ns: u64, period: Duration, shift_ns: i32) -> u64 {
+    let period = u64::try_from(period.as_nanos()).unwrap_or(u64::MAX).max(1);
+    let shift = i64::from(shift_ns)
+        .rem_euclid(i64::try_from(period).unwrap_or(i64::MAX))
+        .unsigned_abs();
+    (system_ns % period + period - shift) % period
+}
+
+/// The first beginning of a period that is at least `lead` after a system time, shifted, ns. All slaves that are
+/// started with the same period and shift thus pulse together, whenever they are started.
+#[must_use]
+pub fn start_time(system_ns: u64, lead: Duration, period: Duration, shift_ns: i32) -> u64 {
+    let ns = |time: Duration| u64::try_from(time.as_nanos()).unwrap_or(u64::MAX);
+    let earliest = system_ns.saturating_add(ns(lead));
+    let left = ns(period).saturating_sub(phase_ns(earliest, period, shift_ns));
+    earliest.saturating_add(left)
+}
+
+/// The order in which frames leave by the ports of a slave, after having come in by port 0.
+pub(crate) const ORDER: [usize; 3] = [3, 1, 2];
+
+/// Delay of each slave from the first one in the ring, ns, from the receive times of its ports.
+///
+/// A frame that leaves by a port and comes back to the next has passed the cable twice and all that is behind it; what
+/// it needed there the slave behind knows. Half of the rest is one way. Times wrap at 32 bits. A slave without clock
+/// passes the delay on unchanged: `times` is `None`.
+#[must_use]
+pub fn delays(topology: &Topology, times: &[Option<[u32; 4]>]) -> Vec<u32> {
+    let mut delays = vec![0_u32; times.len()];
+    for number in 0..times.len() {
+        let Some((parent, port)) = topology.parent(number) else {
+            continue;
+        };
+        let before = delays.get(parent).copied().unwrap_or(0);
+        let times = |number: usize| times.get(number).copied().flatten();
+        let hop = times(parent).zip(times(number)).map_or(0, |(above, here)| {
+            hop(topology, (parent, port, &above), (number, &here))
+        });
+        if let Some(delay) = delays.get_mut(number) {
+            *delay = before.wrapping_add(hop);
+        }
+    }
+    delays
+}
+
+/// From a slave to one behind one of its ports.
+fn hop(topology: &Topology, above: (usize, usize, &[u32; 4]), here: (usize, &[u32; 4])) -> u32 {
+    let (parent, port, times) = above;
+    let used = |p: &usize| topology.has_child(parent, *p);
+    // The port by which the frame came back before it left by this one.
+    let earlier = ORDER
+        .iter()
+        .copied()
+        .take_while(|p| *p != port)
+        .filter(used)
+        .last()
+        .unwrap_or(0);
+    let out = times[port].wrapping_sub(times[earlier]);
+    let (number, below) = here;
+    let open = topology.ports(number);
+    let end = ORDER
+        .iter()
+        .copied()
+        .rfind(|p| open.get(*p).copied().unwrap_or(false));
+    let inside = end.map_or(0, |end| below[end].wrapping_sub(below[0]));
+    let way = out.wrapping_sub(inside) / 2;
+    // What passed behind earlier ports lies before.
+    way.wrapping_add(times[earlier].wrapping_sub(times[0]))
+}
+
+/// Figures of a phase over time: how far from where it is wanted, ns.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PhaseFigures {
+    count: u64,
+    sum: f64,
+    squares: f64,
+    least: i64,
+    most: i64,
+    /// Counts by distance: below -50 us, 20 bins of 5 us, above 50 us.
+    bins: [u64; 22],
+}
+
+impl Default for PhaseFigures {
+    fn default() -> Self {
+        Self {
+            count: 0,
+            sum: 0.0,
+            squares: 0.0,
+            least: i64::MAX,
+            most: i64::MIN,
+            bins: [0; 22],
+        }
+    }
+}
+
+/// Width of a bin of [`PhaseFigures::bins`], ns.
+pub const BIN_NS: i64 = 5_000;
+
+impl PhaseFigures {
+    /// Takes a distance, ns; positive is late.
+    pub fn add(&mut self, distance_ns: i64) {
+        #[expect(
+            clippy::cast_precision_loss,
+            reason = "distances are far below 2^52 ns"
+        )]
+        let exact = distance_ns as f64;
+        self.count += 1;
+        self.sum += exact;
+        self.squares += exact * exact;
+        self.least = self.least.min(distance_ns);
+        self.most = self.most.max(distance_ns);
+        let bin = usize::try_from((distance_ns.div_euclid(BIN_NS) + 11).clamp(0, 21)).unwrap_or(0);
+        if let Some(count) = self.bins.get_mut(bin) {
+            *count += 1;
+        }
+    }
+
+    /// How many were taken.
+    #[must_use]
+    pub const fn count(&self) -> u64 {
+        self.count
+    }
+
+    /// Their mean, ns; zero of none.
+    #[must_use]
+    pub fn mean_ns(&self) -> f64 {
+        self.per(self.sum)
+    }
+
+    /// Their root mean square, ns; zero of none.
+    #[must_use]
+    pub fn rms_ns(&self) -> f64 {
+        self.per(self.squares).sqrt()
+    }
+
+    fn per(&self, sum: f64) -> f64 {
+        #[expect(clippy::cast_precision_loss, reason = "counts are far below 2^52")]
+        let count = self.count.max(1) as f64;
+        sum / count
+    }
+
+    /// Least and most, ns; `None` of none.
+    #[must_use]
+    pub const fn range_ns(&self) -> Option<(i64, i64)> {
+        if self.count == 0 {
+            None
+        } else {
+            Some((self.least, self.most))
+        }
+    }
+
+    /// Counts by distance: below -50 us, then 20 bins of [`BIN_NS`], then above 50 us.
+    #[must_use]
+    pub const fn bins(&self) -> &[u64; 22] {
+        &self.bins
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: Duration = Duration::from_millis(1);
+
+    #[test]
+    fn sync0_begins_on_a_common_grid_in_the_future() {
+        let lead = Duration::from_millis(100);
+        for (now, shift, start) in [
+            (0, 0, 101_000_000),
+            (999_999, 0, 101_000_000),
+            (1_000_000, 0, 102_000_000),
+            (0, 250_000, 100_250_000),
+            (250_000, 250_000, 101_250_000),
+            (0, -1, 100_999_999),
+        ] {
+            assert_eq!(start_time(now, lead, MS, shift), start, "{now} {shift}");
+            assert_eq!(phase_ns(start, MS, shift), 0);
+        }
+        assert_eq!(phase_ns(5_000_300, MS, 500), 999_800);
+        assert_eq!(phase_ns(7, Duration::ZERO, -3), 0);
+    }
+
+    /// Receive times of a line in which each slave needs 300 ns and each cable 100 ns, as from local clocks that have
+    /// nothing to do with each other.
+    #[test]
+    fn delays_in_a_line() {
+        let line = Topology::line(3);
+        let times = [
+            Some([u32::MAX - 100, 1500_u32.wrapping_sub(100), 0, 0]),
+            Some([5000, 5800, 9, 9]),
+            Some([77, 9, 9, 9]),
+        ];
+        // Seen by the first: 1501 - 1 ns there and back; by the second 800.
+        let found = delays(&line, &times);
+        assert_eq!(found, [0, (1501 - 800) / 2, (1501 - 800) / 2 + 400]);
+        let times = [Some([0, 1600, 0, 0]), None, Some([77, 9, 9, 9])];
+        assert_eq!(delays(&line, &times), [0, 0, 0]);
+    }
+
+    #[test]
+    fn delays_in_a_tree_count_the_branches_before() {
+        // Slave 0 with 1 at port 3, 2 at port 1 and 3 at port 2; each way 400 ns.
+        let tree = Topology::new(&[
+            [true, true, true, true],
+            [true, false, false, false],
+            [true, false, false, false],
+            [true, false, false, false],
+        ]);
+        let times = [
+            Some([0, 1600, 2400, 800]),
+            Some([5, 0, 0, 0]),
+            Some([6, 0, 0, 0]),
+            Some([7, 0, 0, 0]),
+        ];
+        assert_eq!(delays(&tree, &times), [0, 400, 1200, 2000]);
+    }
+
+    #[test]
+    fn figures_of_a_phase() {
+        let mut figures = PhaseFigures::default();
+        assert_eq!((figures.range_ns(), figures.count()), (None, 0));
+        for distance in [-4000, 4000, 60_000, -60_000] {
+            figures.add(distance);
+        }
+        assert_eq!(figures.range_ns(), Some((-60_000, 60_000)));
+        assert!(figures.mean_ns().abs() < 1e-9);
+        assert!((figures.rms_ns() - 42_520.58).abs() < 0.1);
+        let bins = figures.bins();
+        assert_eq!((bins[0], bins[10], bins[11], bins[21]), (1, 1, 1, 1));
+    }
+}

@@ -1,0 +1,370 @@
+//! A CiA 402 drive over CoE with one to eight axes: the profile's emulated drive behind an object
+//! dictionary, with PDOs that can be assigned and mapped anew, and cycles by SYNC0 or by outputs
+//! (ETG.6010). What an axis does is `takt_cia402`'s.
+
+mod objects;
+mod pdo;
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use takt_cia402::State;
+use takt_cia402::dictionary::{AbortCode, Address, Dictionary, DictionaryError, Hooks, Key};
+use takt_cia402::emulator::{Drive, DriveConfig, FaultCode, MotorConfig, Step};
+
+use crate::sii::Identity;
+use crate::{AlState, AlStatusCode, Emergency};
+
+use super::application::{Application, Cycle, Setup};
+use super::coe::CoeServer;
+use super::image::SiiImage;
+use super::slave::{Slave, SlaveConfig};
+use super::terminal::VENDOR;
+
+use pdo::Pdos;
+
+/// Length of each mailbox, bytes.
+const MAILBOX: u16 = 128;
+/// CoE details: SDO, information, PDO assignment and configuration, complete access.
+const COE: u8 = 0x2F;
+/// Cycle times are whole multiples of this, ns.
+const CYCLE_STEP: u32 = 125_000;
+/// Bytes that a mapping may have beyond the default one, for each axis.
+const SPARE: u16 = 32;
+
+/// What a drive is like.
+#[derive(Clone, Debug)]
+pub struct ServoConfig {
+    /// Order code and name.
+    pub name: String,
+    /// Product code.
+    pub product: u32,
+    /// Its axes, one to eight.
+    pub axes: Vec<DriveConfig>,
+    /// Whether it runs in OP with SYNC0 only.
+    pub needs_sync0: bool,
+    /// Its clock: what it shows at power-on, ns, and its drift, ppb.
+    pub clock: (u64, i64),
+}
+
+impl Default for ServoConfig {
+    /// One axis.
+    fn default() -> Self {
+        Self {
+            name: "TK4021 servo".to_owned(),
+            product: 0x4021,
+            axes: vec![DriveConfig::default()],
+            needs_sync0: false,
+            clock: (0, 0),
+        }
+    }
+}
+
+/// Where the numbers of the sync objects lie.
+#[derive(Clone, Copy, Debug)]
+struct Keys {
+    error_register: Key<u8>,
+    sync_type: [Key<u16>; 2],
+    cycle_time: [Key<u32>; 2],
+    missed: Key<u16>,
+    sync_error: Key<bool>,
+    sync_error_limit: Key<u16>,
+}
+
+impl Keys {
+    fn new(d: &Dictionary) -> Result<Self, DictionaryError> {
+        let at = |index, sub| Address::new(index, sub);
+        Ok(Self {
+            error_register: d.key(at(0x1001, 0))?,
+            sync_type: [d.key(at(0x1C32, 1))?, d.key(at(0x1C33, 1))?],
+            cycle_time: [d.key(at(0x1C32, 2))?, d.key(at(0x1C33, 2))?],
+            missed: d.key(at(0x1C32, 0x0B))?,
+            sync_error: d.key(at(0x1C32, 0x20))?,
+            sync_error_limit: d.key(at(0x10F1, 2))?,
+        })
+    }
+}
+
+/// The firmware of a drive.
+#[derive(Debug)]
+struct Firmware {
+    config: ServoConfig,
+    dictionary: Dictionary,
+    axes: Vec<Drive>,
+    keys: Keys,
+    coe: CoeServer,
+    pdos: Pdos,
+    state: AlState,
+    /// OP was left while an axis had power.
+    link_lost: bool,
+}
+
+/// What the dictionary asks before a write from the bus.
+struct Rules<'a> {
+    axes: &'a [Drive],
+    state: AlState,
+}
+
+impl Hooks for Rules<'_> {
+    fn before_download(
+        &mut self,
+        d: &Dictionary,
+        at: Address,
+        data: &[u8],
+    ) -> Result<(), AbortCode> {
+        pdo::check_download(d, at, data, self.state)?;
+        for axis in self.axes {
+            axis.check_download(d, at, data)?;
+        }
+        Ok(())
+    }
+}
+
+impl Firmware {
+    fn new(config: ServoConfig) -> Result<Self, DictionaryError> {
+        let dictionary = Dictionary::new(objects::objects(&config))?;
+        let axes = (0..).zip(&config.axes);
+        let axes = axes.map(|(n, axis)| Drive::new(axis.clone(), n, &dictionary));
+        let axes = axes.collect::<Result<_, _>>()?;
+        Ok(Self {
+            axes,
+            keys: Keys::new(&dictionary)?,
+            dictionary,
+            config,
+            coe: CoeServer::new(MAILBOX, true),
+            pdos: Pdos::default(),
+            state: AlState::Init,
+            link_lost: false,
+        })
+    }
+
+    /// What the master has set up for the way to SAFE-OP.
+    fn check(&mut self, setup: &Setup) -> Result<(), AlStatusCode> {
+        self.pdos = Pdos::new(&self.dictionary)?;
+        if self.pdos.outputs() != usize::from(setup.outputs) {
+            return Err(AlStatusCode(0x001D));
+        }
+        if self.pdos.inputs() != usize::from(setup.inputs) {
+            return Err(AlStatusCode(0x001E));
+        }
+        let k = self.keys;
+        for (sync_type, cycle_time) in k.sync_type.into_iter().zip(k.cycle_time) {
+            match (setup.sync0, self.dictionary.get(sync_type)) {
+                (None, 2 | 3) => return Err(AlStatusCode(0x0030)),
+                (None, _) => {}
+                (Some(cycle), _) if !cycle.is_multiple_of(CYCLE_STEP) => {
+                    return Err(AlStatusCode(0x0035));
+                }
+                (Some(cycle), _) => {
+                    self.dictionary.set(sync_type, 2);
+                    self.dictionary.set(cycle_time, cycle);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn step(&mut self, cycle: &Cycle<'_>, inputs: &mut [u8]) {
+        if let Some(outputs) = cycle.outputs {
+            self.pdos.unpack(&mut self.dictionary, outputs);
+        }
+        let k = self.keys;
+        if cycle.synchronous && cycle.state == AlState::Op {
+            let missed = self.dictionary.get(k.missed);
+            let missed = missed.saturating_add(u16::from(!cycle.fresh));
+            self.dictionary.set(k.missed, missed);
+            self.dictionary.set(k.sync_error, !cycle.fresh);
+        }
+        let step = Step {
+            dt: Duration::from_nanos(cycle.dt),
+            set_point: cycle.fresh && cycle.outputs.is_some(),
+            link_lost: self.link_lost,
+        };
+        for number in 0..self.axes.len() {
+            let stepped = self.axes[number].step(&mut self.dictionary, &step);
+            if let Some(code) = stepped.emergency {
+                self.tell(number, code);
+            }
+        }
+        self.pdos.pack(&self.dictionary, inputs);
+    }
+
+    /// Sends an emergency of an axis; its number is in the first byte of the manufacturer.
+    fn tell(&mut self, axis: usize, code: FaultCode) {
+        self.dictionary
+            .set(self.keys.error_register, code.register());
+        let mut data = [0; 5];
+        data[0] = u8::try_from(axis).unwrap_or(0);
+        self.coe.emergency(&Emergency {
+            code: code.0,
+            register: code.register(),
+            data,
+        });
+    }
+
+    fn is_powered(&self) -> bool {
+        self.axes.iter().any(|axis| match axis.state() {
+            State::SwitchedOn
+            | State::OperationEnabled
+            | State::QuickStopActive
+            | State::FaultReactionActive => true,
+            State::NotReadyToSwitchOn
+            | State::SwitchOnDisabled
+            | State::ReadyToSwitchOn
+            | State::Fault => false,
+        })
+    }
+}
+
+/// A handle to an emulated drive, which its slave shares.
+#[derive(Clone, Debug)]
+pub struct ServoDrive(Arc<Mutex<Firmware>>);
+
+impl ServoDrive {
+    /// A slave that is such a drive, and a handle to it.
+    ///
+    /// # Errors
+    /// If the axes' objects make no dictionary: there are more than eight.
+    pub fn slave(config: ServoConfig) -> Result<(Slave, Self), DictionaryError> {
+        let mut slave = SlaveConfig::new(sii(&config));
+        slave.clock = Some(super::Clock::new(config.clock.0, config.clock.1));
+        slave.needs_sync0 = config.needs_sync0;
+        let handle = Self(Arc::new(Mutex::new(Firmware::new(config)?)));
+        Ok((Slave::new(slave, Box::new(handle.clone())), handle))
+    }
+
+    /// A Stäubli TX90 with the drives of its uniVAL controller as one slave of six axes. The
+    /// ranges are those of the arm; gears are taken as 50 to 1, and one turn of a motor has
+    /// 4096 increments.
+    ///
+    /// # Errors
+    /// Never, as it has six axes.
+    pub fn tx90() -> Result<(Slave, Self), DictionaryError> {
+        // Degrees of each joint.
+        let ranges: [(f64, f64); 6] = [
+            (-180.0, 180.0),
+            (-130.0, 147.5),
+            (-145.0, 145.0),
+            (-270.0, 270.0),
+            (-115.0, 140.0),
+            (-270.0, 270.0),
+        ];
+        let axes = ranges.map(|(low, high)| {
+            let (low, high) = (low.to_radians() * 50.0, high.to_radians() * 50.0);
+            let mut axis = DriveConfig {
+                motor: MotorConfig {
+                    negative_limit: low,
+                    positive_limit: high,
+                    stops: (low - 10.0, high + 10.0),
+                    rated_torque: 3.0,
+                    inertia: 5e-4,
+                    ..MotorConfig::default()
+                },
+                ..DriveConfig::default()
+            };
+            axis.quirks.supported_modes = 0x380;
+            axis
+        });
+        Self::slave(ServoConfig {
+            name: "TKTX90 uniVAL drive".to_owned(),
+            product: 0x5458,
+            axes: axes.to_vec(),
+            needs_sync0: true,
+            clock: (0, 0),
+        })
+    }
+
+    fn firmware(&self) -> MutexGuard<'_, Firmware> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Looks at an axis, pushes its motor, puts faults in; `None` if there is no such axis.
+    pub fn axis<R>(&self, number: usize, what: impl FnOnce(&mut Drive) -> R) -> Option<R> {
+        self.firmware().axes.get_mut(number).map(what)
+    }
+
+    /// Looks at its objects, or changes them as their owner.
+    pub fn dictionary<R>(&self, what: impl FnOnce(&mut Dictionary) -> R) -> R {
+        what(&mut self.firmware().dictionary)
+    }
+
+    /// Sends an emergency that stands for nothing.
+    pub fn emergency(&self, emergency: &Emergency) {
+        self.firmware().coe.emergency(emergency);
+    }
+}
+
+impl Application for ServoDrive {
+    fn enter(&mut self, state: AlState, setup: &Setup) -> Result<(), AlStatusCode> {
+        if state == AlState::SafeOp {
+            self.firmware().check(setup)?;
+        }
+        Ok(())
+    }
+
+    fn leave(&mut self, from: AlState, to: AlState) {
+        let mut firmware = self.firmware();
+        firmware.state = to;
+        firmware.link_lost = match (from, to) {
+            (_, AlState::Op) => false,
+            (AlState::Op, _) => firmware.is_powered(),
+            _ => firmware.link_lost,
+        };
+        if to == AlState::Init {
+            firmware.coe.reset();
+        }
+    }
+
+    fn sync_errors(&self) -> Option<u32> {
+        let firmware = self.firmware();
+        let limit = firmware.dictionary.get(firmware.keys.sync_error_limit);
+        Some(limit.into())
+    }
+
+    fn mailbox(&mut self, request: &[u8], reply: &mut Vec<u8>) -> bool {
+        let firmware = &mut *self.firmware();
+        let mut rules = Rules {
+            axes: &firmware.axes,
+            state: firmware.state,
+        };
+        let dictionary = &mut firmware.dictionary;
+        firmware.coe.answer(request, reply, dictionary, &mut rules)
+    }
+
+    fn unasked(&mut self, message: &mut Vec<u8>) -> bool {
+        self.firmware().coe.unasked(message)
+    }
+
+    fn cycle(&mut self, cycle: &Cycle<'_>, inputs: &mut [u8]) {
+        self.firmware().step(cycle, inputs);
+    }
+
+    fn reset(&mut self) {
+        let mut firmware = self.firmware();
+        // It could be made before, so it can be made again.
+        if let Ok(fresh) = Firmware::new(firmware.config.clone()) {
+            *firmware = fresh;
+        }
+    }
+}
+
+fn sii(config: &ServoConfig) -> SiiImage {
+    let axes = config.axes.len();
+    SiiImage {
+        identity: Identity {
+            vendor: VENDOR,
+            product: config.product,
+            revision: 0x0001_0000,
+            serial: 1,
+        },
+        order: config.name.split(' ').next().unwrap_or_default().to_owned(),
+        name: config.name.clone(),
+        mailbox_len: MAILBOX,
+        coe: COE,
+        clock: true,
+        rx_pdos: (0..axes).map(|axis| pdo::image(axis, true)).collect(),
+        tx_pdos: (0..axes).map(|axis| pdo::image(axis, false)).collect(),
+        spare: SPARE * u16::try_from(axes).unwrap_or(8),
+        ..SiiImage::default()
+    }
+}

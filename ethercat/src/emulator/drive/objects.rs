@@ -1,0 +1,149 @@
+//! The objects of a drive beside those of its axes: identity, PDOs, SyncManagers, synchronisation
+//! (ETG.1000.6, ETG.1020). What is done with them is elsewhere.
+
+use takt_cia402::dictionary::{
+    Access, Address, DataType, Entry, Mapped, Number, Object, ObjectCode,
+};
+
+use super::ServoConfig;
+use super::pdo::{self, ASSIGNED, ENTRIES};
+use crate::emulator::terminal::VENDOR;
+
+/// All objects.
+pub(super) fn objects(config: &ServoConfig) -> Vec<Object> {
+    let axes = config.axes.len();
+    let mut all = identity(config);
+    for axis in 0..axes {
+        all.extend([mapping(axis, true), mapping(axis, false)]);
+    }
+    all.extend([
+        assignment(axes, true),
+        assignment(axes, false),
+        synchronisation(0x1C32, "output sync manager parameter"),
+        synchronisation(0x1C33, "input sync manager parameter"),
+    ]);
+    let axes = (0..).zip(&config.axes);
+    all.extend(axes.flat_map(|(number, axis)| axis.objects(number)));
+    all
+}
+
+fn identity(config: &ServoConfig) -> Vec<Object> {
+    let number = |name, value: u32| Entry::number(name, Access::Const, value);
+    let channel = |name, value: u8| Entry::number(name, Access::ReadOnly, value);
+    vec![
+        Object::var(0x1000, number("device type", 0x0002_0192)),
+        Object::var(
+            0x1001,
+            Entry::number("error register", Access::ReadOnly, 0_u8),
+        ),
+        Object::var(0x1008, Entry::text("device name", &config.name)),
+        Object::var(0x1009, Entry::text("hardware version", "emulated")),
+        Object::var(
+            0x100A,
+            Entry::text("software version", env!("CARGO_PKG_VERSION")),
+        ),
+        Object::record(
+            0x1018,
+            "identity",
+            vec![
+                number("vendor", VENDOR),
+                number("product code", config.product),
+                number("revision", 0x0001_0000),
+                number("serial number", 1),
+            ],
+        ),
+        Object::record(
+            0x10F1,
+            "error settings",
+            vec![
+                Entry::number("local error reaction", Access::ReadWrite, 0_u32),
+                Entry::number("sync error counter limit", Access::ReadWrite, 4_u16),
+            ],
+        ),
+        Object::array(
+            0x1C00,
+            "sync manager type",
+            vec![
+                channel("SM0", 1),
+                channel("SM1", 2),
+                channel("SM2", 3),
+                channel("SM3", 4),
+            ],
+        ),
+    ]
+}
+
+/// An object whose sub-index 0 says how many of the entries behind it count.
+fn counted<T: Number>(index: u16, name: &str, values: &[T], room: u8, zero: T) -> Object {
+    let count = u8::try_from(values.len()).unwrap_or(u8::MAX);
+    let count = Entry::number("number of entries", Access::ReadWrite, count).within(0, room);
+    let entries = (1..=room).map(|sub| {
+        let value = values.get(usize::from(sub) - 1).copied().unwrap_or(zero);
+        (sub, Entry::number("entry", Access::ReadWrite, value))
+    });
+    Object {
+        index,
+        name: name.to_owned().into(),
+        code: ObjectCode::Record,
+        entries: std::iter::once((0, count)).chain(entries).collect(),
+    }
+}
+
+fn mapping(axis: usize, received: bool) -> Object {
+    let image = pdo::image(axis, received);
+    let raw = |(index, sub, bits, _): &(u16, u8, u8, u8)| {
+        let address = Address::new(*index, *sub);
+        Mapped {
+            address,
+            bits: *bits,
+        }
+        .raw()
+    };
+    let values: Vec<u32> = image.entries.iter().map(raw).collect();
+    counted(image.index, &image.name, &values, ENTRIES, 0)
+}
+
+fn assignment(axes: usize, received: bool) -> Object {
+    let (index, name) = if received {
+        (0x1C12, "RxPDO assign")
+    } else {
+        (0x1C13, "TxPDO assign")
+    };
+    let pdos: Vec<u16> = (0..axes)
+        .map(|axis| pdo::image(axis, received).index)
+        .collect();
+    counted(index, name, &pdos, ASSIGNED, 0)
+}
+
+/// 1C32h and 1C33h: their sub-indices have gaps.
+fn synchronisation(index: u16, name: &'static str) -> Object {
+    let ns = |name, access, value: u32| Entry::number(name, access, value);
+    let count = |name| Entry::number(name, Access::ReadOnly, 0_u16);
+    let flag = Entry::of("sync error", DataType::Boolean, Access::ReadOnly, vec![0]);
+    let highest = Entry::number("highest sub-index", Access::Const, 0x20_u8);
+    let sync_type = Entry::number("sync type", Access::ReadWrite, 1_u16).within(0, 2);
+    // Free run, SM event, SYNC0.
+    let supported = Entry::number("supported sync types", Access::ReadOnly, 0x0007_u16);
+    let entries = vec![
+        (0, highest),
+        (1, sync_type),
+        (2, ns("cycle time", Access::ReadWrite, 1_000_000)),
+        (4, supported),
+        (
+            5,
+            ns("minimum cycle time", Access::ReadOnly, super::CYCLE_STEP),
+        ),
+        (6, ns("calc and copy time", Access::ReadOnly, 20_000)),
+        (9, ns("delay time", Access::ReadOnly, 0)),
+        (0x0A, ns("SYNC0 cycle time", Access::ReadWrite, 0)),
+        (0x0B, count("SM event missed counter")),
+        (0x0C, count("cycle exceeded counter")),
+        (0x20, flag),
+    ];
+    Object {
+        index,
+        name: name.into(),
+        code: ObjectCode::Record,
+        entries,
+    }
+}

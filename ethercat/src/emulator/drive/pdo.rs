@@ -1,0 +1,185 @@
+//! Which PDOs a drive has, how they are assigned to SyncManagers (1C12h, 1C13h) and what they map.
+//! The rules for changing them are those of the standard: in PRE-OP, and with their count at zero.
+
+use takt_cia402::dictionary::{AbortCode, Address, Dictionary, Mapped, Mapping};
+
+use crate::emulator::image::PdoImage;
+use crate::{AlState, AlStatusCode};
+
+/// Entries of one PDO at most.
+pub(super) const ENTRIES: u8 = 16;
+/// PDOs of one SyncManager at most.
+pub(super) const ASSIGNED: u8 = 8;
+/// Longest process data each way, bits.
+const BITS_MAX: usize = 8 * 512;
+/// From the PDOs of an axis to those of the next (ETG.6010).
+pub(super) const PDO_STEP: u16 = 0x10;
+
+/// What an axis receives by default: index, bits, CoE data type.
+const RECEIVED: [(u16, u8, u8); 6] = [
+    (0x6040, 16, 6),
+    (0x6060, 8, 2),
+    (0, 8, 0),
+    (0x607A, 32, 4),
+    (0x60FF, 32, 4),
+    (0x6071, 16, 3),
+];
+/// What an axis transmits by default.
+const TRANSMITTED: [(u16, u8, u8); 7] = [
+    (0x6041, 16, 6),
+    (0x6061, 8, 2),
+    (0, 8, 0),
+    (0x6064, 32, 4),
+    (0x606C, 32, 4),
+    (0x6077, 16, 3),
+    (0x603F, 16, 6),
+];
+
+/// The PDO of an axis by default, as the SII lists it.
+pub(super) fn image(axis: usize, received: bool) -> PdoImage {
+    let axis = u16::try_from(axis).unwrap_or(0);
+    let entry = |(index, bits, data_type): &(u16, u8, u8)| {
+        let index = match index {
+            0 => 0,
+            index => index + Address::AXIS * axis,
+        };
+        (index, 0, *bits, *data_type)
+    };
+    let (first, name, rows): (u16, _, &[_]) = if received {
+        (0x1600, "outputs", &RECEIVED)
+    } else {
+        (0x1A00, "inputs", &TRANSMITTED)
+    };
+    PdoImage {
+        index: first + PDO_STEP * axis,
+        sync_manager: if received { 2 } else { 3 },
+        name: format!("axis {} {name}", axis + 1),
+        entries: rows.iter().map(entry).collect(),
+    }
+}
+
+/// The numbers in an object of which sub-index 0 says how many there are.
+fn list<const N: usize>(d: &Dictionary, index: u16) -> Option<Vec<[u8; N]>> {
+    let count = *d.bytes(Address::new(index, 0))?.first()?;
+    (1..=count)
+        .map(|sub| d.bytes(Address::new(index, sub))?.first_chunk().copied())
+        .collect()
+}
+
+/// The mapped entries of a PDO.
+fn mapped(d: &Dictionary, pdo: u16) -> Option<Vec<Mapped>> {
+    let raw = list(d, pdo)?.into_iter().map(u32::from_le_bytes);
+    Some(raw.map(Mapped::from_raw).collect())
+}
+
+/// A PDO of whole bytes.
+fn mapping(d: &Dictionary, pdo: u16, received: bool) -> Result<Mapping, AbortCode> {
+    let entries = mapped(d, pdo).ok_or(AbortCode::NoObject)?;
+    let mapping = Mapping::new(d, &entries, received, BITS_MAX)?;
+    if mapping.bits().is_multiple_of(8) {
+        Ok(mapping)
+    } else {
+        Err(AbortCode::NotMappable)
+    }
+}
+
+/// Whether a write from the bus may change what PDOs are.
+pub(super) fn check_download(
+    d: &Dictionary,
+    at: Address,
+    data: &[u8],
+    state: AlState,
+) -> Result<(), AbortCode> {
+    let assigns = matches!(at.index, 0x1C12 | 0x1C13);
+    let maps = matches!(at.index, 0x1600..=0x17FF | 0x1A00..=0x1BFF);
+    let sync = matches!(at.index, 0x1C32 | 0x1C33) && at.sub <= 2;
+    if (assigns || maps || sync) && state != AlState::PreOp {
+        return Err(AbortCode::DeviceState);
+    }
+    if sync || !(assigns || maps) {
+        return Ok(());
+    }
+    let count = d.bytes(Address::new(at.index, 0)).unwrap_or_default();
+    if at.sub > 0 {
+        return if count == [0] {
+            Ok(())
+        } else {
+            Err(AbortCode::UnsupportedAccess)
+        };
+    }
+    check_count(d, at.index, data.first().copied().unwrap_or(0))
+}
+
+/// Whether so many of the entries that were written make sense.
+fn check_count(d: &Dictionary, index: u16, count: u8) -> Result<(), AbortCode> {
+    let received = index < 0x1A00 || index == 0x1C12;
+    let first = if received { 0x1600 } else { 0x1A00 };
+    let mut entries = Vec::new();
+    for sub in 1..=count {
+        let bytes = d
+            .bytes(Address::new(index, sub))
+            .ok_or(AbortCode::TooHigh)?;
+        if let [a, b] = *bytes {
+            let pdo = u16::from_le_bytes([a, b]);
+            if !(first..first + 0x200).contains(&pdo) || d.object(pdo).is_none() {
+                return Err(AbortCode::ParameterIncompatible);
+            }
+        } else if let Some(raw) = bytes.first_chunk() {
+            entries.push(Mapped::from_raw(u32::from_le_bytes(*raw)));
+        }
+    }
+    Mapping::new(d, &entries, received, BITS_MAX).map(|_| ())
+}
+
+/// The process data of a drive as assigned and mapped.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Pdos {
+    received: Vec<Mapping>,
+    transmitted: Vec<Mapping>,
+}
+
+impl Pdos {
+    pub(super) fn new(d: &Dictionary) -> Result<Self, AlStatusCode> {
+        let all = |assignment, received, code| {
+            let pdos = list(d, assignment).unwrap_or_default();
+            pdos.into_iter()
+                .map(|pdo| mapping(d, u16::from_le_bytes(pdo), received))
+                .collect::<Result<Vec<_>, _>>()
+                .map_err(|_| AlStatusCode(code))
+        };
+        Ok(Self {
+            received: all(0x1C12, true, 0x0025)?,
+            transmitted: all(0x1C13, false, 0x0024)?,
+        })
+    }
+
+    /// Length of the outputs, bytes.
+    pub(super) fn outputs(&self) -> usize {
+        self.received.iter().map(Mapping::len).sum()
+    }
+
+    /// Length of the inputs, bytes.
+    pub(super) fn inputs(&self) -> usize {
+        self.transmitted.iter().map(Mapping::len).sum()
+    }
+
+    pub(super) fn unpack(&self, d: &mut Dictionary, mut outputs: &[u8]) {
+        for mapping in &self.received {
+            let Some((pdo, rest)) = outputs.split_at_checked(mapping.len()) else {
+                return;
+            };
+            mapping.unpack(d, pdo);
+            outputs = rest;
+        }
+    }
+
+    pub(super) fn pack(&self, d: &Dictionary, mut inputs: &mut [u8]) {
+        for mapping in &self.transmitted {
+            let Some((pdo, rest)) = inputs.split_at_mut_checked(mapping.len()) else {
+                return;
+            };
+            mapping.pack(d, pdo);
+            inputs = rest;
+        }
+    }
+}

@@ -1,0 +1,259 @@
+//! Builds SII images (ETG.2010) for emulated slaves. Reading one is in [`crate::sii`].
+
+use crate::register::SyncManager;
+use crate::sii::{self, Category, General, Identity, SiiSyncManager};
+
+/// A PDO as the SII lists it: index, name, entries of index, sub-index, bits and data type.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct PdoImage {
+    /// 1600h or 1A00h and following.
+    pub index: u16,
+    /// SyncManager; FFh for none.
+    pub sync_manager: u8,
+    /// What it is called.
+    pub name: String,
+    /// Index, sub-index, bits and data type (as CiA 301 numbers them) of each entry.
+    pub entries: Vec<(u16, u8, u8, u8)>,
+}
+
+impl PdoImage {
+    /// How many bits it has.
+    #[must_use]
+    pub fn bits(&self) -> usize {
+        self.entries
+            .iter()
+            .map(|(_, _, bits, _)| usize::from(*bits))
+            .sum()
+    }
+}
+
+/// What an SII is to say.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct SiiImage {
+    /// Who made it and what it is.
+    pub identity: Identity,
+    /// Station alias.
+    pub alias: u16,
+    /// Order code; also the first string, which some masters take for the name.
+    pub order: String,
+    /// Name.
+    pub name: String,
+    /// Length of each mailbox; 0 for no mailbox.
+    pub mailbox_len: u16,
+    /// CoE details; 0 for no CoE.
+    pub coe: u8,
+    /// Flags of General: bit 1 is "no LRW".
+    pub flags: u8,
+    /// Its outputs do not trigger the watchdog of the controller.
+    pub unwatched: bool,
+    /// Whether it has a distributed clock with SYNC outputs; their pulses are 1 µs long.
+    pub clock: bool,
+    /// Current taken from the E-bus; negative is given, mA.
+    pub ebus_ma: i16,
+    /// PDOs that it receives.
+    pub rx_pdos: Vec<PdoImage>,
+    /// PDOs that it sends.
+    pub tx_pdos: Vec<PdoImage>,
+    /// Bytes to leave for outputs and inputs beyond those of the PDOs above.
+    pub spare: u16,
+}
+
+/// Where mailboxes and process data begin.
+const MAILBOX: u16 = 0x1000;
+
+impl SiiImage {
+    /// The SyncManagers: mailboxes if there are, outputs and inputs.
+    #[must_use]
+    pub fn sync_managers(&self) -> Vec<SiiSyncManager> {
+        let mut all = Vec::new();
+        let mut at = MAILBOX;
+        let mut add = |len: u16, room: u16, control, enable, kind| {
+            all.push(SiiSyncManager {
+                start: at,
+                len,
+                control,
+                enable,
+                kind,
+            });
+            at += room;
+        };
+        let mailbox = self.mailbox_len;
+        if mailbox > 0 {
+            add(mailbox, mailbox, SyncManager::MAILBOX_OUT, 1, 1);
+            add(mailbox, mailbox, SyncManager::MAILBOX_IN, 1, 2);
+        }
+        // Three buffers behind each; rounded so that addresses look as masters expect them.
+        let room = |len: u16| (3 * (len + self.spare)).next_multiple_of(0x80).max(0x80);
+        let (outputs, inputs) = (Self::bytes(&self.rx_pdos), Self::bytes(&self.tx_pdos));
+        add(
+            outputs,
+            room(outputs),
+            if self.unwatched {
+                SyncManager::OUTPUTS & !0x40
+            } else {
+                SyncManager::OUTPUTS
+            },
+            u8::from(outputs > 0),
+            3,
+        );
+        add(
+            inputs,
+            room(inputs),
+            SyncManager::INPUTS,
+            u8::from(inputs > 0),
+            4,
+        );
+        all
+    }
+
+    fn bytes(pdos: &[PdoImage]) -> u16 {
+        let assigned = pdos.iter().filter(|pdo| pdo.sync_manager != 0xFF);
+        let bits: usize = assigned.map(PdoImage::bits).sum();
+        u16::try_from(bits.div_ceil(8)).unwrap_or(u16::MAX)
+    }
+
+    /// The bytes of the EEPROM, 2 KiB or more.
+    #[must_use]
+    pub fn encode(&self) -> Vec<u8> {
+        let mut image = vec![0_u8; 2 * usize::from(sii::word::CATEGORIES)];
+        let mut put = |at: u16, value: u16| {
+            let at = 2 * usize::from(at);
+            image[at..at + 2].copy_from_slice(&value.to_le_bytes());
+        };
+        // A microcontroller behind the mailbox, digital I/O without.
+        let (pdi, clock) = if self.mailbox_len > 0 {
+            (0x0008, 0x0C00)
+        } else {
+            (0x0004, 0)
+        };
+        put(0, pdi | if self.clock { clock } else { 0 });
+        put(2, if self.clock { 100 } else { 0 });
+        put(sii::word::ALIAS, self.alias);
+        let Identity {
+            vendor,
+            product,
+            revision,
+            serial,
+        } = self.identity;
+        for (i, value) in (0..).zip([vendor, product, revision, serial]) {
+            let [a, b, c, d] = value.to_le_bytes();
+            put(sii::word::IDENTITY + 2 * i, u16::from_le_bytes([a, b]));
+            put(sii::word::IDENTITY + 2 * i + 1, u16::from_le_bytes([c, d]));
+        }
+        if self.mailbox_len > 0 {
+            let areas = [
+                MAILBOX,
+                self.mailbox_len,
+                MAILBOX + self.mailbox_len,
+                self.mailbox_len,
+            ];
+            for (i, value) in (0..).zip(areas) {
+                put(sii::word::MAILBOX + i, value);
+                put(sii::word::BOOT_MAILBOX + i, value);
+            }
+            put(
+                sii::word::MAILBOX + 4,
+                if self.coe > 0 { 0x0004 } else { 0 },
+            );
+        }
+        put(sii::word::SIZE, 15);
+        put(sii::word::SIZE + 1, 1);
+        image[14] = sii::checksum(&image[..14]);
+        let mut strings = Strings::default();
+        let general = self.general(&mut strings);
+        let pdos = |pdos: &[PdoImage], strings: &mut Strings| -> Vec<u8> {
+            pdos.iter()
+                .flat_map(|pdo| encode_pdo(pdo, strings))
+                .collect()
+        };
+        let (tx, rx) = (
+            pdos(&self.tx_pdos, &mut strings),
+            pdos(&self.rx_pdos, &mut strings),
+        );
+        category(&mut image, Category::Strings, &strings.encode());
+        category(&mut image, Category::General, &general);
+        category(&mut image, Category::Fmmu, &[1, 2, 3, 0]);
+        let sms: Vec<u8> = self.sync_managers().iter().flat_map(encode_sm).collect();
+        category(&mut image, Category::SyncManager, &sms);
+        category(&mut image, Category::TxPdo, &tx);
+        category(&mut image, Category::RxPdo, &rx);
+        image.resize(image.len().max(2048), 0xFF);
+        image
+    }
+
+    fn general(&self, strings: &mut Strings) -> [u8; 32] {
+        let general = General {
+            group: 0,
+            order: strings.add(&self.order),
+            name: strings.add(&self.name),
+            coe: self.coe,
+            flags: self.flags,
+            ebus_ma: self.ebus_ma,
+        };
+        let mut bytes = [0; 32];
+        (bytes[0], bytes[2], bytes[3]) = (general.group, general.order, general.name);
+        (bytes[5], bytes[11]) = (general.coe, general.flags);
+        bytes[12..14].copy_from_slice(&general.ebus_ma.to_le_bytes());
+        // Two MII ports.
+        bytes[16] = 0x11;
+        bytes
+    }
+}
+
+#[derive(Debug, Default)]
+struct Strings(Vec<String>);
+
+impl Strings {
+    /// The number of a string, from 1; the same string has one number.
+    fn add(&mut self, text: &str) -> u8 {
+        if text.is_empty() {
+            return 0;
+        }
+        let at = self.0.iter().position(|known| known == text);
+        let at = at.unwrap_or_else(|| {
+            self.0.push(text.to_owned());
+            self.0.len() - 1
+        });
+        u8::try_from(at + 1).unwrap_or(0)
+    }
+
+    fn encode(&self) -> Vec<u8> {
+        let mut bytes = vec![u8::try_from(self.0.len()).unwrap_or(u8::MAX)];
+        for text in &self.0 {
+            let text = &text.as_bytes()[..text.len().min(255)];
+            bytes.push(u8::try_from(text.len()).unwrap_or(u8::MAX));
+            bytes.extend_from_slice(text);
+        }
+        bytes
+    }
+}
+
+fn category(image: &mut Vec<u8>, kind: Category, data: &[u8]) {
+    if data.is_empty() {
+        return;
+    }
+    let words = u16::try_from(data.len().div_ceil(2)).unwrap_or(u16::MAX);
+    image.extend(kind.raw().to_le_bytes());
+    image.extend(words.to_le_bytes());
+    image.extend_from_slice(data);
+    if !data.len().is_multiple_of(2) {
+        image.push(0);
+    }
+}
+
+fn encode_sm(sm: &SiiSyncManager) -> [u8; 8] {
+    let ([a, b], [c, d]) = (sm.start.to_le_bytes(), sm.len.to_le_bytes());
+    [a, b, c, d, sm.control, 0, sm.enable, sm.kind]
+}
+
+fn encode_pdo(pdo: &PdoImage, strings: &mut Strings) -> Vec<u8> {
+    let [low, high] = pdo.index.to_le_bytes();
+    let count = u8::try_from(pdo.entries.len()).unwrap_or(u8::MAX);
+    let name = strings.add(&pdo.name);
+    let mut bytes = vec![low, high, count, pdo.sync_manager, 0, name, 0, 0];
+    for (index, sub, bits, data_type) in &pdo.entries {
+        let [low, high] = index.to_le_bytes();
+        bytes.extend([low, high, *sub, 0, *data_type, *bits, 0, 0]);
+    }
+    bytes
+}

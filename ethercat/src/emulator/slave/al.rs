@@ -1,0 +1,213 @@
+//! The state machine of a slave (ETG.1000.6, clause 6.4.1): what it checks on the way up, and with
+//! which code it refuses.
+//!
+//! ```text
+//!          1 IP         2 PS             3 SO
+//! INIT <---------> PRE-OP <---> SAFE-OP <-----> OP        down from any to any
+//!   ^ 4 IB
+//!   v
+//! BOOT (refused: 0013h)
+//! ```
+
+use crate::register;
+use crate::{AlState, AlStatus, AlStatusCode};
+
+use super::super::application::Setup;
+use super::super::memory::{al_event, ecat_event};
+use super::{Request, Slave};
+
+impl Slave {
+    pub(super) fn tell_state(&mut self, code: AlStatusCode, error: bool) {
+        let state = self.state;
+        self.memory
+            .set(register::AL_STATUS_CODE, &code.0.to_le_bytes());
+        let status = AlStatus { state, error }.raw();
+        let event = ecat_event::AL_STATUS;
+        self.memory.set_told(register::AL_STATUS, status, event);
+    }
+
+    /// A request in AL control is due.
+    pub(super) fn poll_state(&mut self, request: &Request, now: u64) {
+        if self.faults.hung {
+            return;
+        }
+        let control = self.memory.word(register::AL_CONTROL);
+        let wanted = AlStatus::from_raw(control).state;
+        let to_op = wanted == AlState::Op && self.state == AlState::SafeOp;
+        if to_op && self.lacks_outputs() && now < request.expires {
+            return;
+        }
+        self.request = None;
+        self.memory.acknowledge(al_event::AL_CONTROL);
+        self.change_state(control);
+    }
+
+    /// Answers a request in AL control.
+    fn change_state(&mut self, control: u16) {
+        let wanted = AlStatus::from_raw(control);
+        let now = AlStatus::from_raw(self.memory.word(register::AL_STATUS));
+        if now.error && !wanted.error && wanted.state != AlState::Init {
+            return;
+        }
+        match self.check(wanted.state) {
+            Ok(()) => {
+                self.leave(wanted.state);
+                self.state = wanted.state;
+                if matches!(self.state, AlState::SafeOp | AlState::Op) {
+                    let channel = self.output_channel();
+                    self.open(channel);
+                    self.open(channel + 1);
+                }
+                self.tell_state(AlStatusCode(0), false);
+            }
+            Err(code) => self.tell_state(code, true),
+        }
+    }
+
+    /// Switches a SyncManager on from the slave's side, if it is off.
+    fn open(&mut self, channel: usize) {
+        if self.memory.sync_manager(channel).pdi & 1 != 0 {
+            self.memory.disable(channel, false);
+        }
+    }
+
+    /// Whether a state can be entered from the present one.
+    fn check(&mut self, wanted: AlState) -> Result<(), AlStatusCode> {
+        let level = |state: AlState| match state {
+            AlState::Init => Some(0),
+            AlState::PreOp => Some(1),
+            AlState::SafeOp => Some(2),
+            AlState::Op => Some(3),
+            AlState::Boot | AlState::Other(_) => None,
+        };
+        if wanted == AlState::Boot {
+            return Err(AlStatusCode(0x0013));
+        }
+        let (Some(to), Some(from)) = (level(wanted), level(self.state)) else {
+            return Err(AlStatusCode(0x0012));
+        };
+        let refused = self.faults.refused;
+        if let Some((_, code)) = refused.filter(|(state, _)| *state == wanted) {
+            return Err(code);
+        }
+        if to <= from {
+            return Ok(());
+        }
+        if to > from + 1 {
+            return Err(AlStatusCode(0x0011));
+        }
+        match wanted {
+            AlState::PreOp => self.check_mailboxes(),
+            AlState::SafeOp => self.check_process_data(),
+            AlState::Op => self.check_running(),
+            AlState::Init | AlState::Boot | AlState::Other(_) => Ok(()),
+        }?;
+        self.application.enter(wanted, &self.setup())
+    }
+
+    /// What the master has set up.
+    fn setup(&self) -> Setup {
+        let channel = self.output_channel();
+        let len = |number: usize| {
+            let sm = self.memory.sync_manager(number);
+            if sm.activate & 1 == 1 { sm.len } else { 0 }
+        };
+        let cycle = u32::from_le_bytes(self.memory.get(register::DC_SYNC0_CYCLE));
+        let active = |bits: u8| self.clock.is_some() && self.activation & bits == bits;
+        Setup {
+            outputs: len(channel),
+            inputs: len(channel + 1),
+            sync0: active(0x03).then_some(cycle),
+            sync1: active(0x05),
+        }
+    }
+
+    /// SyncManagers 0 and 1 must be as the SII says.
+    fn check_mailboxes(&self) -> Result<(), AlStatusCode> {
+        if self.config.sii.mailbox_len == 0 {
+            return Ok(());
+        }
+        let own = self.config.sii.sync_managers();
+        for (number, own) in own.iter().take(2).enumerate() {
+            let set = self.memory.sync_manager(number);
+            // Direction and mode count; which events are raised is the master's choice.
+            let same = set.start == own.start
+                && set.len == own.len
+                && set.control & 0x0F == own.control & 0x0F
+                && set.activate & 0x01 == 1;
+            if !same {
+                return Err(AlStatusCode(0x0016));
+            }
+        }
+        Ok(())
+    }
+
+    fn check_process_data(&self) -> Result<(), AlStatusCode> {
+        let channel = self.output_channel();
+        let own = self.config.sii.sync_managers();
+        for (number, code) in [(channel, 0x001D), (channel + 1, 0x001E)] {
+            let set = self.memory.sync_manager(number);
+            let Some(own) = own.get(number) else {
+                continue;
+            };
+            let enabled = set.activate & 0x01 == 1;
+            let used = enabled && set.len > 0;
+            // Without a mailbox nothing can be mapped anew.
+            let len = if used { set.len } else { 0 };
+            let fixed = self.config.sii.mailbox_len == 0 && len != own.len;
+            let wrong = set.start != own.start || set.control & 0x0F != own.control & 0x0F;
+            if (used && wrong) || fixed {
+                return Err(AlStatusCode(code));
+            }
+        }
+        self.check_sync()
+    }
+
+    fn check_sync(&self) -> Result<(), AlStatusCode> {
+        let setup = self.setup();
+        match setup.sync0 {
+            None if self.config.needs_sync0 || self.activation & 0x06 != 0 => {
+                Err(AlStatusCode(0x0030))
+            }
+            Some(cycle) if cycle < self.config.sync0_min => Err(AlStatusCode(0x0036)),
+            _ => Ok(()),
+        }
+    }
+
+    fn lacks_outputs(&self) -> bool {
+        let channel = self.output_channel();
+        let outputs = self.memory.sync_manager(channel);
+        outputs.is_enabled() && self.memory.outputs(channel).is_none()
+    }
+
+    /// Outputs must have come, and SYNC0 must be on its way.
+    fn check_running(&self) -> Result<(), AlStatusCode> {
+        if self.lacks_outputs() {
+            return Err(AlStatusCode(0x0019));
+        }
+        let pending = self.clock.as_ref().and_then(super::Clock::next_sync0);
+        if self.activation & 0x03 == 0x03 && pending.is_none() {
+            return Err(AlStatusCode(0x002D));
+        }
+        Ok(())
+    }
+
+    /// What ends with the present state.
+    pub(super) fn leave(&mut self, to: AlState) {
+        if matches!(to, AlState::Init | AlState::PreOp) {
+            let channel = self.output_channel();
+            self.memory.disable(channel, true);
+            self.memory.disable(channel + 1, true);
+            self.heard = None;
+        }
+        if to == AlState::Init {
+            self.post.reset();
+        }
+        if to != AlState::Op {
+            self.missed = 0;
+        }
+        if self.state != to {
+            self.application.leave(self.state, to);
+        }
+    }
+}

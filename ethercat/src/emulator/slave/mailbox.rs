@@ -1,0 +1,115 @@
+//! Mailboxes of a slave: headers, counters, repeats, errors. What is inside a CoE mailbox is the
+//! application's.
+
+use std::collections::VecDeque;
+
+use crate::{MailboxError, MailboxHeader, MailboxKind};
+
+use super::Slave;
+use super::faults::happens;
+
+/// Messages that wait for the master to fetch them; the oldest go when there are more.
+const REPLIES_MAX: usize = 16;
+
+/// What a slave received and what it has to send.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Post {
+    replies: VecDeque<Vec<u8>>,
+    /// The request that is being worked on, and when it is done, ns.
+    request: Vec<u8>,
+    due: Option<u64>,
+    /// Counter of the last mailbox received, and of the last sent.
+    counters: (u8, u8),
+}
+
+impl Post {
+    pub(super) fn reset(&mut self) {
+        self.replies.clear();
+        self.due = None;
+        self.counters = (0, 0);
+    }
+}
+
+impl Slave {
+    pub(super) fn poll_mailbox(&mut self, now: u64) {
+        if self.faults.hung {
+            return;
+        }
+        let post = &mut self.post;
+        if post.due.is_none() && self.memory.take_mailbox(0, &mut post.request) {
+            post.due = Some(now + self.config.mailbox_delay);
+        }
+        if post.due.is_some_and(|due| now >= due) {
+            post.due = None;
+            let request = std::mem::take(&mut post.request);
+            self.answer(&request);
+            self.post.request = request;
+        }
+        let mut unasked = Vec::new();
+        while self.post.replies.len() < REPLIES_MAX && self.application.unasked(&mut unasked) {
+            self.queue(MailboxKind::Coe, &unasked);
+        }
+        if let Some(reply) = self.post.replies.front()
+            && self.memory.put_mailbox(1, reply)
+        {
+            self.post.replies.pop_front();
+        }
+    }
+
+    fn answer(&mut self, mailbox: &[u8]) {
+        let mut reply = Vec::new();
+        if self.application.has_raw_mailbox() {
+            if self.application.mailbox(mailbox, &mut reply) {
+                self.send(reply);
+            }
+            return;
+        }
+        let Some((header, inside)) = MailboxHeader::decode(mailbox) else {
+            self.queue(MailboxKind::Error, &MailboxError(0x0006).encode());
+            return;
+        };
+        if header.counter != 0 && header.counter == self.post.counters.0 {
+            // The master sent it once more; it was done.
+            return;
+        }
+        self.post.counters.0 = header.counter;
+        if let Some((left, code)) = &mut self.faults.mailbox_errors
+            && happens(left)
+        {
+            let error = MailboxError(*code).encode();
+            self.queue(MailboxKind::Error, &error);
+            return;
+        }
+        if header.kind != MailboxKind::Coe || self.config.sii.coe == 0 {
+            self.queue(MailboxKind::Error, &MailboxError(0x0002).encode());
+            return;
+        }
+        if self.application.mailbox(inside, &mut reply) && !happens(&mut self.faults.lose_answers) {
+            self.queue(MailboxKind::Coe, &reply);
+        }
+    }
+
+    fn queue(&mut self, kind: MailboxKind, inside: &[u8]) {
+        self.post.counters.1 = MailboxHeader::next_counter(self.post.counters.1);
+        let header = MailboxHeader {
+            len: u16::try_from(inside.len()).unwrap_or(u16::MAX),
+            address: 0,
+            kind,
+            counter: self.post.counters.1,
+        };
+        let mut message = header.encode().to_vec();
+        message.extend_from_slice(inside);
+        if happens(&mut self.faults.repeat_answers) {
+            self.send(message.clone());
+        }
+        self.send(message);
+    }
+
+    fn send(&mut self, message: Vec<u8>) {
+        let replies = &mut self.post.replies;
+        if replies.len() == REPLIES_MAX {
+            replies.pop_front();
+        }
+        replies.push_back(message);
+    }
+}

@@ -1,0 +1,605 @@
+//! One drive of a youBot with its motor: modes, commutation, the EtherCAT timeout, I2t, and what
+//! TMCL asks of it. The frames around it are elsewhere.
+
+use std::f64::consts::TAU;
+
+use takt_cia402::emulator::{Motor, MotorConfig};
+
+use super::Firmware;
+use super::parameters::Parameters;
+use super::tmcl::{Refusal, Request, command, reply};
+
+/// The loops run this often, s.
+const TICK: f64 = 250e-6;
+/// Longest time made up for, s.
+const STEP_MAX: f64 = 0.1;
+/// Encoder ticks in a revolution of the motor.
+const TICKS: f64 = 4000.0;
+/// How long turning or mode 7 takes to find the commutation, s.
+const COMMUTATION: f64 = 0.4;
+/// A duty of this many steps is all of the supply: the real number is not published.
+const PWM_FULL: f64 = 3599.0;
+/// V.
+const SUPPLY: f64 = 24.0;
+/// Of a winding, ohm.
+const RESISTANCE: f64 = 1.0;
+/// No more than this flows, A.
+const CURRENT_MAX: f64 = 10.0;
+
+/// Modes of the process data.
+mod mode {
+    pub(super) const STOP: u8 = 0;
+    pub(super) const POSITION: u8 = 1;
+    pub(super) const VELOCITY: u8 = 2;
+    pub(super) const NO_ACTION: u8 = 3;
+    pub(super) const SET_POSITION: u8 = 4;
+    pub(super) const PWM: u8 = 5;
+    pub(super) const CURRENT: u8 = 6;
+    pub(super) const INITIALIZE: u8 = 7;
+}
+
+/// Bits of the flags.
+mod flag {
+    pub(super) const OVER_CURRENT: u32 = 1 << 0;
+    pub(super) const HALTED: u32 = 1 << 4;
+    pub(super) const PWM: u32 = 1 << 8;
+    pub(super) const VELOCITY: u32 = 1 << 9;
+    pub(super) const POSITION: u32 = 1 << 10;
+    pub(super) const TORQUE: u32 = 1 << 11;
+    pub(super) const EMERGENCY_STOP: u32 = 1 << 12;
+    pub(super) const REACHED: u32 = 1 << 14;
+    pub(super) const INITIALIZED: u32 = 1 << 15;
+    pub(super) const TIMEOUT: u32 = 1 << 16;
+    pub(super) const I2T: u32 = 1 << 17;
+}
+
+/// What a drive moves.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Axis {
+    motor: MotorConfig,
+    /// Where the motor is at power-on, rad.
+    position: f64,
+    /// Torque constant, N m/A.
+    torque_constant: f64,
+    /// Torque of gravity at the motor when the link lies flat, N m, and the motor's position when
+    /// it stands upright, rad.
+    gravity: (f64, f64),
+    gear: f64,
+    has_gripper: bool,
+}
+
+/// Gear, torque constant, range in degrees, home to upright in rad, torque of the flat link in N m.
+const JOINTS: [(f64, f64, f64, f64, f64); 5] = [
+    (156.0, 0.0335, 338.0, 2.9496, 0.0),
+    (156.0, 0.0335, 155.0, 1.1345, 6.0),
+    (100.0, 0.0335, 297.0, 2.5482, 2.5),
+    (71.0, 0.051, 205.0, 1.7890, 0.6),
+    (71.0, 0.049, 335.0, 2.9147, 0.0),
+];
+
+impl Axis {
+    /// A wheel with its quarter of the base.
+    #[must_use]
+    pub fn wheel() -> Self {
+        Self {
+            motor: MotorConfig {
+                inertia: 3e-5,
+                viscous: 1e-5,
+                coulomb: 0.01,
+                stops: (-1e12, 1e12),
+                ..MotorConfig::default()
+            },
+            position: 0.0,
+            torque_constant: 0.0335,
+            gravity: (0.0, 0.0),
+            gear: 9405.0 / 364.0,
+            has_gripper: false,
+        }
+    }
+
+    /// A joint of the arm (0 to 4), so far from its home stop at power-on (rad of the joint). The
+    /// home stop is at the positive end of the motor.
+    #[must_use]
+    pub fn joint(number: usize, folded: f64) -> Self {
+        let number = number.min(4);
+        let (gear, torque_constant, range, upright, flat) = JOINTS[number];
+        Self {
+            motor: MotorConfig {
+                inertia: 3e-5,
+                viscous: 1e-5,
+                coulomb: 0.01,
+                stops: (-range.to_radians() * gear, 0.0),
+                ..MotorConfig::default()
+            },
+            position: -folded * gear,
+            torque_constant,
+            gravity: (flat / gear, -upright * gear),
+            gear,
+            has_gripper: number == 4,
+        }
+    }
+}
+
+/// A bar of the gripper: a stepper motor that does not see where it is.
+#[derive(Clone, Debug)]
+pub struct Bar {
+    /// What it has counted, steps.
+    count: f64,
+    target: f64,
+    /// Where it is: 0 closed, -67000 open, steps.
+    place: f64,
+    parameters: Parameters,
+}
+
+/// Where a bar stops when it opens, steps: 11.5 mm.
+const OPEN: f64 = -67_000.0;
+/// Steps a second for each unit of parameter 4.
+const BAR_SPEED: f64 = 25.0;
+
+impl Bar {
+    fn new(place: f64) -> Self {
+        Self {
+            count: 0.0,
+            target: 0.0,
+            place,
+            parameters: Parameters::bar(),
+        }
+    }
+
+    /// How far it is open, m.
+    #[must_use]
+    pub fn opening(&self) -> f64 {
+        self.place / OPEN * 0.0115
+    }
+
+    fn step(&mut self, dt: f64) {
+        let most = f64::from(self.parameters.value(4)) * BAR_SPEED * dt;
+        let by = (self.target - self.count).clamp(-most, most);
+        self.count += by;
+        // At its stop it loses steps.
+        self.place = (self.place + by).clamp(OPEN, 0.0);
+        let reached = (self.target - self.count).abs() < 0.5;
+        self.parameters.set(8, i32::from(reached));
+        self.parameters.set(1, whole(self.count));
+        self.parameters.set(0, whole(self.target));
+    }
+
+    fn tmcl(&mut self, request: &Request) -> Result<i32, Refusal> {
+        let value = f64::from(request.value);
+        match (request.command, request.kind) {
+            (command::MVP, 0) => self.target = value,
+            (command::MVP, 1) => self.target = self.count + value,
+            (command::MST, _) => self.target = self.count,
+            (command::GAP, number) => return self.parameters.get(number),
+            (command::SAP, number) => {
+                self.parameters.write(number, request.value, true)?;
+                match number {
+                    0 => self.target = value,
+                    1 => (self.count, self.target) = (value, value),
+                    _ => {}
+                }
+            }
+            (command::STAP | command::RSAP, number) => {
+                let restore = request.command == command::RSAP;
+                return self.parameters.store(number, restore);
+            }
+            _ => return Err(Refusal::InvalidCommand),
+        }
+        Ok(request.value)
+    }
+}
+
+/// A drive with its motor.
+#[derive(Clone, Debug)]
+pub struct Joint {
+    axis: Axis,
+    firmware: Firmware,
+    version: String,
+    motor: Motor,
+    /// Encoder position is that of the motor plus this, ticks.
+    origin: f64,
+    parameters: Parameters,
+    banks: [Parameters; 2],
+    bars: Option<[Bar; 2]>,
+    mode: u8,
+    value: i32,
+    /// Velocity that the ramp has reached, rad/s.
+    ramp: f64,
+    integral: f64,
+    /// A, of the motor.
+    current: f64,
+    commuting: f64,
+    initialized: bool,
+    /// Since outputs last came, s.
+    silent: f64,
+    timeout: bool,
+    i2t: bool,
+    unlocked: bool,
+    /// I2t sum in (10 mA)².
+    heat: f64,
+    /// The emergency stop is pressed: the motor gets no current.
+    pub emergency_stop: bool,
+    /// Flags that are shown on top of those the drive finds itself.
+    pub extra_flags: u32,
+    /// Torque from outside at the joint, N m.
+    pub pushed: f64,
+}
+
+impl Joint {
+    pub(super) fn new(axis: Axis, firmware: Firmware, version: String) -> Self {
+        let mut motor = Motor::new(axis.motor.clone(), axis.position);
+        motor.braked = false;
+        let bars = axis
+            .has_gripper
+            .then(|| [Bar::new(-20_000.0), Bar::new(-20_000.0)]);
+        Self {
+            origin: -axis.position / TAU * TICKS,
+            motor,
+            axis,
+            firmware,
+            version,
+            parameters: Parameters::drive(),
+            banks: [Parameters::bank(0), Parameters::bank(2)],
+            bars,
+            mode: mode::STOP,
+            value: 0,
+            ramp: 0.0,
+            integral: 0.0,
+            current: 0.0,
+            commuting: 0.0,
+            initialized: false,
+            silent: 0.0,
+            timeout: false,
+            i2t: false,
+            unlocked: false,
+            heat: 0.0,
+            emergency_stop: false,
+            extra_flags: 0,
+            pushed: 0.0,
+        }
+    }
+
+    /// Power comes on: the arm stays where it is, the drive forgets where that is.
+    pub(super) fn reset(&mut self) {
+        let mut axis = self.axis.clone();
+        axis.position = self.motor.position;
+        let mut parameters = self.parameters.clone();
+        let mut banks = self.banks.clone();
+        parameters.reset();
+        banks.iter_mut().for_each(Parameters::reset);
+        let bars = self.bars.take();
+        *self = Self::new(axis, self.firmware, std::mem::take(&mut self.version));
+        (self.parameters, self.banks) = (parameters, banks);
+        if let Some(bars) = bars {
+            self.bars = Some(bars.map(|bar| Bar::new(bar.place)));
+        }
+    }
+
+    pub(super) const fn firmware(&self) -> Firmware {
+        self.firmware
+    }
+
+    /// How far the joint is from its home stop, or the wheel from where it was, rad; positive
+    /// away from the stop.
+    #[must_use]
+    pub fn angle(&self) -> f64 {
+        -self.motor.position / self.axis.gear
+    }
+
+    /// The bars of the gripper, at the last joint.
+    #[must_use]
+    pub const fn bars(&self) -> Option<&[Bar; 2]> {
+        self.bars.as_ref()
+    }
+
+    /// Encoder position, ticks.
+    fn ticks(&self) -> f64 {
+        self.motor.position / TAU * TICKS + self.origin
+    }
+
+    fn rpm(&self) -> f64 {
+        self.motor.velocity * 60.0 / TAU
+    }
+
+    /// Takes outputs: a value and a mode.
+    pub(super) fn command(&mut self, outputs: &[u8]) {
+        let Some([a, b, c, d, mode]) = outputs.first_chunk().copied() else {
+            return;
+        };
+        let value = i32::from_le_bytes([a, b, c, d]);
+        match mode {
+            mode::NO_ACTION => {}
+            mode::SET_POSITION => self.set_ticks(value),
+            mode::PWM | mode::INITIALIZE if self.firmware == Firmware::V200 => {}
+            mode::STOP..=mode::INITIALIZE => self.order(mode, value),
+            _ => {}
+        }
+    }
+
+    fn order(&mut self, mode: u8, value: i32) {
+        if mode != self.mode {
+            (self.ramp, self.integral) = (self.motor.velocity, 0.0);
+        }
+        (self.mode, self.value) = (mode, value);
+    }
+
+    fn set_ticks(&mut self, value: i32) {
+        self.origin += f64::from(value) - self.ticks();
+    }
+
+    /// Lets so many ns pass; `live` while EtherCAT is in OP, `fresh` if outputs came.
+    pub(super) fn step(&mut self, dt: u64, live: bool, fresh: bool) {
+        #[expect(clippy::cast_precision_loss, reason = "below a second or cut")]
+        let mut left = (dt as f64 * 1e-9).min(STEP_MAX);
+        self.silent = if fresh || !live {
+            0.0
+        } else {
+            self.silent + left
+        };
+        let limit = f64::from(self.banks[0].value(90)) * 1e-3;
+        self.timeout |= limit > 0.0 && self.silent > limit;
+        while left > 0.0 {
+            let tick = left.min(TICK);
+            self.tick(tick, live);
+            left -= TICK;
+        }
+        self.show();
+    }
+
+    fn tick(&mut self, dt: f64, live: bool) {
+        self.commute(dt);
+        let wanted = self.wanted_current(dt, live);
+        self.current = wanted.clamp(-CURRENT_MAX, CURRENT_MAX);
+        self.warm(dt);
+        let (flat, upright) = self.axis.gravity;
+        let lean = (self.motor.position - upright) / self.axis.gear;
+        self.motor.external = flat * lean.sin() + self.pushed / self.axis.gear;
+        self.motor
+            .step(self.current * self.axis.torque_constant, dt);
+        for bar in self.bars.iter_mut().flatten() {
+            bar.step(dt);
+        }
+    }
+
+    /// Commutation is found by turning (2.00) or by mode 7 (1.48).
+    fn commute(&mut self, dt: f64) {
+        let turns = match self.firmware {
+            Firmware::V148 => self.mode == mode::INITIALIZE,
+            Firmware::V200 => self.mode == mode::VELOCITY && self.value != 0,
+        };
+        if self.initialized || !turns || self.timeout || self.emergency_stop {
+            return;
+        }
+        self.commuting += dt;
+        self.initialized = self.commuting >= COMMUTATION;
+    }
+
+    /// The current that the mode asks for, A.
+    fn wanted_current(&mut self, dt: f64, live: bool) -> f64 {
+        let finding = self.commuting > 0.0 || self.initialized;
+        if self.emergency_stop || self.i2t || !finding {
+            (self.ramp, self.integral) = (self.motor.velocity, 0.0);
+            return 0.0;
+        }
+        let mode = if self.timeout || !live {
+            mode::STOP
+        } else {
+            self.mode
+        };
+        let value = f64::from(self.value);
+        match mode {
+            mode::POSITION if self.initialized => self.to_position(value, dt),
+            mode::VELOCITY => self.to_velocity(value * TAU / 60.0, dt),
+            mode::PWM if self.initialized => {
+                let volts = (value / PWM_FULL).clamp(-1.0, 1.0) * SUPPLY;
+                (volts - self.axis.torque_constant * self.motor.velocity) / RESISTANCE
+            }
+            // The drive itself does not clamp it to parameter 6.
+            mode::CURRENT if self.initialized => value / 1000.0,
+            mode::INITIALIZE if !self.initialized => {
+                // It pulls the rotor to and fro.
+                0.5 * (self.commuting / COMMUTATION * TAU).sin()
+            }
+            _ => self.to_velocity(0.0, dt),
+        }
+    }
+
+    fn to_position(&mut self, target: f64, dt: f64) -> f64 {
+        let way = (target - self.ticks()) / TICKS * TAU;
+        let rad = |rpm: i32| f64::from(rpm) * TAU / 60.0;
+        let most = rad(self.parameters.value(4));
+        let braking = (2.0 * rad(self.parameters.value(11)) * way.abs()).sqrt();
+        let speed = most.min(braking).min(way.abs() * 30.0);
+        self.to_velocity(speed.copysign(way), dt)
+    }
+
+    /// A PI loop behind a ramp (parameters 146 and 11), limited by parameter 6.
+    fn to_velocity(&mut self, target: f64, dt: f64) -> f64 {
+        let step = f64::from(self.parameters.value(11)) * TAU / 60.0 * dt;
+        self.ramp = if self.parameters.value(146) == 0 {
+            target
+        } else {
+            self.ramp + (target - self.ramp).clamp(-step, step)
+        };
+        let error = self.ramp - self.motor.velocity;
+        let stiffness = self.axis.motor.inertia / self.axis.torque_constant;
+        let most = (f64::from(self.parameters.value(6)) / 1000.0).min(CURRENT_MAX);
+        let gain = 200.0 * stiffness;
+        let integral = self.integral + 40.0 * gain * error * dt;
+        self.integral = integral.clamp(-most, most);
+        (gain * error + self.integral).clamp(-most, most)
+    }
+
+    /// I2t: a low-pass of the squared current over parameter 25 (ms), compared with parameter 26.
+    /// The unit of the real one is not published; here it is (10 mA)².
+    fn warm(&mut self, dt: f64) {
+        let time = f64::from(self.parameters.value(25).max(1)) * 1e-3;
+        let squared = (self.current * 100.0).powi(2);
+        self.heat += (squared - self.heat) * (dt / time).min(1.0);
+        if self.heat > f64::from(self.parameters.value(26)) && !self.i2t {
+            self.i2t = true;
+            let times = self.parameters.value(28);
+            self.parameters.set(28, times.saturating_add(1));
+        }
+    }
+
+    /// The flags, as process data and parameter 156 show them.
+    #[must_use]
+    pub fn flags(&self) -> u32 {
+        let limit = f64::from(self.parameters.value(6)) / 1000.0;
+        let halted = f64::from(self.parameters.value(9));
+        let window = f64::from(self.parameters.value(10));
+        let reached = (f64::from(self.value) - self.ticks()).abs() <= window;
+        let shown = match self.mode {
+            mode::POSITION => flag::POSITION,
+            mode::VELOCITY | mode::STOP => flag::VELOCITY,
+            mode::PWM => flag::PWM,
+            mode::CURRENT => flag::TORQUE,
+            _ => 0,
+        };
+        let set = [
+            (flag::OVER_CURRENT, self.current.abs() > limit),
+            (flag::HALTED, self.rpm().abs() <= halted),
+            (flag::EMERGENCY_STOP, self.emergency_stop),
+            (flag::REACHED, self.mode == mode::POSITION && reached),
+            (flag::INITIALIZED, self.initialized),
+            (flag::TIMEOUT, self.timeout),
+            (flag::I2T, self.i2t),
+        ];
+        let found = set.iter().filter(|(_, so)| *so).map(|(bit, _)| bit);
+        found.fold(shown | self.extra_flags, |all, bit| all | bit)
+    }
+
+    /// Brings parameters that show measurements up to date.
+    fn show(&mut self) {
+        let values = [
+            (1, whole(self.ticks())),
+            (3, whole(self.rpm())),
+            (13, whole(self.ramp * 60.0 / TAU)),
+            (15, i32::from(self.initialized)),
+            (27, whole(self.heat)),
+            (150, whole(self.current * 1000.0)),
+            (156, self.flags().cast_signed()),
+        ];
+        for (number, value) in values {
+            self.parameters.set(number, value);
+        }
+    }
+
+    /// Writes the inputs of the firmware.
+    pub(super) fn feedback(&self, inputs: &mut [u8]) {
+        let target = |of: u8| if self.mode == of { self.value } else { 0 };
+        let common = [
+            whole(self.ticks()),
+            whole(self.current * 1000.0),
+            whole(self.rpm()),
+            self.flags().cast_signed(),
+        ];
+        let more = match self.firmware {
+            Firmware::V148 => {
+                let volts =
+                    self.current * RESISTANCE + self.axis.torque_constant * self.motor.velocity;
+                [whole(volts / SUPPLY * PWM_FULL), 0, 0, 0]
+            }
+            Firmware::V200 => [
+                target(mode::POSITION),
+                target(mode::CURRENT),
+                target(mode::VELOCITY),
+                whole(self.ramp * 60.0 / TAU),
+            ],
+        };
+        let values = common.into_iter().chain(more);
+        for (to, value) in inputs.chunks_exact_mut(4).zip(values) {
+            to.copy_from_slice(&value.to_le_bytes());
+        }
+    }
+
+    /// Answers a TMCL request; returns whether there is an answer.
+    pub(super) fn tmcl(&mut self, request: &[u8], answer: &mut Vec<u8>) -> bool {
+        let Some(request) = Request::decode(request) else {
+            return false;
+        };
+        answer.clear();
+        if request.command == command::FIRMWARE {
+            answer.extend(self.version.as_bytes().iter().take(8));
+            return true;
+        }
+        let done = match (request.module, &mut self.bars) {
+            (0, _) => self.tmcl_drive(&request),
+            (1, Some([first, second])) => match (request.command, request.motor) {
+                (command::SGP | command::GGP | command::STGP | command::RSGP, _) => {
+                    self.tmcl_drive(&request)
+                }
+                (_, 0) => first.tmcl(&request),
+                (_, 1) => second.tmcl(&request),
+                _ => Err(Refusal::WrongType),
+            },
+            _ => Err(Refusal::InvalidCommand),
+        };
+        answer.extend(reply(&request, done));
+        true
+    }
+
+    fn tmcl_drive(&mut self, request: &Request) -> Result<i32, Refusal> {
+        let value = request.value;
+        let bank = match request.motor {
+            0 => Some(0),
+            2 => Some(1),
+            _ => None,
+        };
+        match request.command {
+            command::ROR => self.order(mode::VELOCITY, value),
+            command::ROL => self.order(mode::VELOCITY, value.saturating_neg()),
+            command::MST => self.order(mode::STOP, 0),
+            command::MVP if request.kind == 0 => self.order(mode::POSITION, value),
+            command::MVP if request.kind == 1 => {
+                let target = whole(self.ticks()).saturating_add(value);
+                self.order(mode::POSITION, target);
+            }
+            command::MVP => return Err(Refusal::WrongType),
+            command::GAP => return self.parameters.get(request.kind),
+            command::SAP => self.set_parameter(request.kind, value)?,
+            command::STAP => return self.parameters.store(request.kind, false),
+            command::RSAP => return self.parameters.store(request.kind, true),
+            command::SGP | command::GGP | command::STGP | command::RSGP => {
+                let bank = bank.and_then(|n: usize| self.banks.get_mut(n));
+                let bank = bank.ok_or(Refusal::WrongType)?;
+                match request.command {
+                    command::SGP => bank.write(request.kind, value, self.unlocked)?,
+                    command::GGP => return bank.get(request.kind),
+                    // What is volatile stays so.
+                    other if request.kind == 16 => {
+                        let _ = other;
+                        return Err(Refusal::InvalidValue);
+                    }
+                    other => return bank.store(request.kind, other == command::RSGP),
+                }
+            }
+            _ => return Err(Refusal::InvalidCommand),
+        }
+        Ok(value)
+    }
+
+    fn set_parameter(&mut self, number: u8, value: i32) -> Result<(), Refusal> {
+        self.parameters.write(number, value, self.unlocked)?;
+        match number {
+            0 => self.order(mode::POSITION, value),
+            1 => self.set_ticks(value),
+            2 => self.order(mode::VELOCITY, value),
+            15 if value == 0 => (self.initialized, self.commuting) = (false, 0.0),
+            29 => (self.i2t, self.heat) = (false, 0.0),
+            31 if value == 1 => (self.initialized, self.commuting) = (false, 0.0),
+            158 if value == 1 => (self.timeout, self.silent) = (false, 0.0),
+            248 => self.unlocked = value != 0,
+            _ => {}
+        }
+        Ok(())
+    }
+}
+
+/// The nearest whole number that fits.
+fn whole(value: f64) -> i32 {
+    #[expect(clippy::cast_possible_truncation, reason = "it saturates")]
+    let whole = value.round() as i32;
+    whole
+}

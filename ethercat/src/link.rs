@@ -1,0 +1,37 @@
+//! The smallest thing a master or a segment needs: move one Ethernet frame, with its time of arrival. It never
+//! retries, and it does not know what an answer is.
+
+use std::io;
+use std::time::Duration;
+
+mod pair;
+mod pcap;
+mod port;
+
+pub use pair::{Memory, pair};
+pub use pcap::{PcapError, PcapReader, PcapRecord, PcapWriter, Replay};
+pub use port::Port;
+
+/// Ethernet type of EtherCAT.
+pub const ETHER_TYPE: u16 = 0x88A4;
+/// Destination, source, type: bytes before an EtherCAT frame.
+pub const HEADER_LEN: usize = 14;
+/// Shortest Ethernet frame without its check sequence; shorter ones are padded with zeros.
+pub const FRAME_MIN: usize = 60;
+/// Longest Ethernet frame without its check sequence.
+pub const FRAME_MAX: usize = HEADER_LEN + 1500;
+
+/// One end of a cable. Frames are whole Ethernet frames without check sequence.
+pub trait Link {
+    /// Sends one frame.
+    fn send(&mut self, frame: &[u8]) -> io::Result<()>;
+
+    /// Waits at most `timeout` for one frame; `None` when none came. Zero asks without waiting.
+    ///
+    /// On success the length and the time of arrival on the link's clock. A frame longer than `buf` is cut.
+    fn receive(
+        &mut self,
+        buf: &mut [u8],
+        timeout: Duration,
+    ) -> io::Result<Option<(usize, Duration)>>;
+}

@@ -1,0 +1,355 @@
+//! The process image: outputs and inputs of all slaves, where each lies, and the datagrams that carry them. Outputs
+//! and inputs of a group lie side by side in logical memory, never over each other, so that the halves of a cut ring
+//! can be put together again. Who is there is not known here.
+
+use std::ops::Range;
+
+use super::exchange::{Batch, Owner};
+use super::process::ProcessData;
+use crate::config::IMAGE_MAX;
+use crate::{Address, Command};
+
+/// Groups of slaves, each with a working counter of its own.
+pub(super) const GROUPS: usize = 8;
+
+/// What a slave needs in the image.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Need {
+    pub(super) group: u8,
+    pub(super) outputs: usize,
+    pub(super) inputs: usize,
+    pub(super) lrw: bool,
+}
+
+impl Need {
+    pub(super) fn new(group: u8, process: &ProcessData, lrw: bool) -> Self {
+        let (outputs, inputs) = (process.outputs_len(), process.inputs_len());
+        Self {
+            group,
+            outputs,
+            inputs,
+            lrw,
+        }
+    }
+}
+
+#[derive(Clone, Debug, Default)]
+struct Place {
+    outputs: Range<usize>,
+    inputs: Range<usize>,
+    group: usize,
+    /// Cycles since its inputs were last read.
+    age: u32,
+}
+
+/// A group's part of the image, and how its datagrams fare.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Group {
+    outputs: Range<usize>,
+    inputs: Range<usize>,
+    /// One datagram for both directions.
+    lrw: bool,
+    /// Working counter of the last cycle, summed over its datagrams.
+    pub counter: u16,
+    /// Least and most that it should be, by the states of its slaves.
+    pub expected: (u16, u16),
+    /// Cycles with another working counter than expected.
+    pub misses: u64,
+    /// Datagrams of the cycle that came back so far.
+    parts: u8,
+}
+
+/// The image does not fit a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct TooLarge {
+    pub(super) bytes: usize,
+}
+
+/// The process image.
+#[derive(Debug, Default)]
+pub(super) struct Image {
+    outputs: Vec<u8>,
+    inputs: Vec<u8>,
+    /// Inputs of the cycle under way, until its working counter is known.
+    incoming: Vec<u8>,
+    places: Vec<Place>,
+    groups: [Group; GROUPS],
+    /// Data of a datagram.
+    data: Vec<u8>,
+}
+
+impl Image {
+    /// Lays out the image: group by group, in each the slaves in their order.
+    pub(super) fn new(needs: &[Option<Need>]) -> Result<Self, TooLarge> {
+        let mut image = Self {
+            places: vec![
+                Place {
+                    age: u32::MAX,
+                    ..Place::default()
+                };
+                needs.len()
+            ],
+            ..Self::default()
+        };
+        let (mut outputs, mut inputs) = (0, 0);
+        for (number, group) in image.groups.iter_mut().enumerate() {
+            let begin = (outputs, inputs);
+            group.lrw = true;
+            for (place, need) in image.places.iter_mut().zip(needs) {
+                let Some(need) = need.filter(|need| usize::from(need.group) == number) else {
+                    continue;
+                };
+                place.group = number;
+                place.outputs = outputs..outputs + need.outputs;
+                place.inputs = inputs..inputs + need.inputs;
+                (outputs, inputs) = (outputs + need.outputs, inputs + need.inputs);
+                group.lrw &= need.lrw;
+            }
+            group.outputs = begin.0..outputs;
+            group.inputs = begin.1..inputs;
+        }
+        let bytes = outputs + inputs;
+        if bytes > IMAGE_MAX {
+            return Err(TooLarge { bytes });
+        }
+        image.outputs = vec![0; outputs];
+        image.inputs = vec![0; inputs];
+        image.incoming = vec![0; inputs];
+        image.data = vec![0; bytes];
+        Ok(image)
+    }
+
+    /// Logical address of a slave's outputs or inputs; `None` if it has no place.
+    pub(super) fn logical(&self, slave: usize, outputs: bool) -> Option<u32> {
+        let place = self.places.get(slave)?;
+        let group = self.groups.get(place.group)?;
+        let (range, base, before) = if outputs {
+            (&place.outputs, &group.outputs, 0)
+        } else {
+            (&place.inputs, &group.inputs, group.outputs.len())
+        };
+        if range.is_empty() {
+            return None;
+        }
+        let at = u32::try_from(range.start - base.start + before).ok()?;
+        Some(Self::base(place.group) + at)
+    }
+
+    /// Whether a slave's place is as large as it needs.
+    pub(super) fn has_room(&self, slave: usize, (outputs, inputs): (usize, usize)) -> bool {
+        let place = self.places.get(slave);
+        place.is_some_and(|place| place.outputs.len() == outputs && place.inputs.len() == inputs)
+    }
+
+    const fn base(group: usize) -> u32 {
+        #[expect(clippy::cast_possible_truncation, reason = "one of eight")]
+        let group = group as u32;
+        (group + 1) << 16
+    }
+
+    pub(super) fn groups(&self) -> &[Group; GROUPS] {
+        &self.groups
+    }
+
+    pub(super) fn outputs_mut(&mut self, slave: usize) -> &mut [u8] {
+        let range = self
+            .places
+            .get(slave)
+            .map(|place| place.outputs.clone())
+            .unwrap_or_default();
+        self.outputs.get_mut(range).unwrap_or_default()
+    }
+
+    /// Inputs of a slave as last read, and how many cycles ago that was.
+    pub(super) fn inputs(&self, slave: usize) -> (&[u8], u32) {
+        let Some(place) = self.places.get(slave) else {
+            return (&[], u32::MAX);
+        };
+        (
+            self.inputs.get(place.inputs.clone()).unwrap_or_default(),
+            place.age,
+        )
+    }
+
+    /// Puts the datagrams of all groups into a frame.
+    pub(super) fn send(&mut self, batch: &mut Batch<'_>) {
+        for place in &mut self.places {
+            place.age = place.age.saturating_add(1);
+        }
+        for (number, group) in self.groups.iter_mut().enumerate() {
+            group.parts = 0;
+            group.counter = 0;
+            let owner = Owner::Process(u8::try_from(number).unwrap_or(0));
+            let base = Self::base(number);
+            let (out, back) = (group.outputs.len(), group.inputs.len());
+            let Some(outputs) = self.outputs.get(group.outputs.clone()) else {
+                continue;
+            };
+            let zeros = Address::Logical(base + u32::try_from(out).unwrap_or(0));
+            if group.lrw && out > 0 && back > 0 {
+                let Some(data) = self.data.get_mut(..out + back) else {
+                    continue;
+                };
+                let (to, rest) = data.split_at_mut(out);
+                to.copy_from_slice(outputs);
+                rest.fill(0);
+                batch.push(owner, Command::Lrw, Address::Logical(base), data);
+                continue;
+            }
+            if out > 0 {
+                batch.push(owner, Command::Lwr, Address::Logical(base), outputs);
+            }
+            if back > 0 {
+                self.data.fill(0);
+                batch.push(
+                    owner,
+                    Command::Lrd,
+                    zeros,
+                    self.data.get(..back).unwrap_or_default(),
+                );
+            }
+        }
+    }
+
+    /// Takes the answer to a datagram of a group; returns whether it was the last of this cycle.
+    pub(super) fn receive(
+        &mut self,
+        group: u8,
+        command: Command,
+        data: &[u8],
+        counter: u16,
+    ) -> bool {
+        let Some(group) = self.groups.get_mut(usize::from(group)) else {
+            return false;
+        };
+        group.counter = group.counter.wrapping_add(counter);
+        group.parts += 1;
+        let inputs = match command {
+            Command::Lrw => data.get(group.outputs.len()..),
+            Command::Lrd => Some(data),
+            _ => None,
+        };
+        if let (Some(inputs), Some(to)) = (inputs, self.incoming.get_mut(group.inputs.clone()))
+            && inputs.len() == to.len()
+        {
+            to.copy_from_slice(inputs);
+        }
+        let lrw = group.lrw && !group.outputs.is_empty() && !group.inputs.is_empty();
+        let parts = u8::from(!group.outputs.is_empty()) + u8::from(!group.inputs.is_empty());
+        group.parts == if lrw { 1 } else { parts }
+    }
+
+    /// All of a group is there: with the working counter that its slaves should give (least and most, slave by
+    /// slave), their inputs are taken; else those before are kept. Returns whether it was as expected.
+    pub(super) fn settle(
+        &mut self,
+        number: u8,
+        contributions: impl Fn(usize, bool) -> (u16, u16),
+    ) -> bool {
+        let number = usize::from(number);
+        let Some(group) = self.groups.get_mut(number) else {
+            return false;
+        };
+        let lrw = group.lrw && !group.outputs.is_empty() && !group.inputs.is_empty();
+        let mut expected = (0, 0);
+        for (slave, place) in self.places.iter().enumerate() {
+            if place.group == number {
+                let (least, most) = contributions(slave, lrw);
+                expected = (expected.0 + least, expected.1 + most);
+            }
+        }
+        group.expected = expected;
+        let good = (expected.0..=expected.1).contains(&group.counter);
+        if !good {
+            group.misses += 1;
+            return false;
+        }
+        let all = group.counter == expected.1;
+        for (slave, place) in self.places.iter_mut().enumerate() {
+            let (least, most) = contributions(slave, lrw);
+            // Of one that may or may not have answered, inputs are taken only if all did.
+            if place.group != number || most == 0 || !(least == most || all) {
+                continue;
+            }
+            let range = place.inputs.clone();
+            if let (Some(to), Some(from)) =
+                (self.inputs.get_mut(range.clone()), self.incoming.get(range))
+            {
+                to.copy_from_slice(from);
+                place.age = 0;
+            }
+        }
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn need(group: u8, outputs: usize, inputs: usize, lrw: bool) -> Option<Need> {
+        Some(Need {
+            group,
+            outputs,
+            inputs,
+            lrw,
+        })
+    }
+
+    #[test]
+    fn groups_lie_apart_and_outputs_before_inputs() {
+        let needs = [
+            need(1, 2, 3, true),
+            need(0, 4, 1, true),
+            None,
+            need(1, 1, 1, true),
+        ];
+        let image = Image::new(&needs).unwrap();
+        assert_eq!(image.logical(0, true), Some(0x2_0000));
+        assert_eq!(image.logical(0, false), Some(0x2_0003));
+        assert_eq!(image.logical(3, true), Some(0x2_0002));
+        assert_eq!(image.logical(3, false), Some(0x2_0006));
+        assert_eq!(image.logical(1, false), Some(0x1_0004));
+        assert_eq!(
+            (image.logical(2, true), image.logical(9, true)),
+            (None, None)
+        );
+        let large = [need(0, 1300, 1, true)];
+        assert_eq!(Image::new(&large).unwrap_err(), TooLarge { bytes: 1301 });
+    }
+
+    #[test]
+    fn inputs_are_taken_with_the_right_working_counter_only() {
+        let mut image = Image::new(&[need(0, 1, 1, true), need(0, 1, 1, true)]).unwrap();
+        let receive = |image: &mut Image, counter| {
+            image.groups[0].counter = 0;
+            image.groups[0].parts = 0;
+            assert!(image.receive(0, Command::Lrw, &[0, 0, 7, 8], counter));
+        };
+        receive(&mut image, 3);
+        assert!(!image.settle(0, |_, _| (3, 3)), "one of two is missing");
+        assert_eq!(
+            (image.inputs(0), image.groups[0].misses),
+            ((&[0][..], u32::MAX), 1)
+        );
+        // It is known to be gone: the other one goes on.
+        assert!(image.settle(0, |slave, _| if slave == 0 { (3, 3) } else { (0, 0) }));
+        assert_eq!(
+            (image.inputs(0), image.inputs(1).0),
+            ((&[7][..], 0), &[0][..])
+        );
+        // It is coming back, and may answer or not.
+        receive(&mut image, 6);
+        assert!(image.settle(0, |slave, _| if slave == 0 { (3, 3) } else { (0, 3) }));
+        assert_eq!(image.inputs(1).0, [8]);
+    }
+
+    #[test]
+    fn without_lrw_a_group_has_two_datagrams() {
+        let mut image = Image::new(&[need(0, 1, 1, false)]).unwrap();
+        assert!(!image.receive(0, Command::Lwr, &[0], 1));
+        assert!(image.receive(0, Command::Lrd, &[9], 1));
+        assert!(image.settle(0, |_, _| (2, 2)));
+        assert_eq!(image.inputs(0).0, [9]);
+    }
+}

@@ -1,0 +1,193 @@
+//! What can be asked of a slave beside its process data, at any time: objects, registers, SII words, raw mailboxes.
+//! A job brings the memory for its answer with it, so that nothing is allocated where it is done.
+
+use takt_cia402::dictionary::Address;
+
+use super::event::JobError;
+use crate::coe::Whole;
+
+/// What is asked of a slave.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum JobKind {
+    /// Read an object into `data`, as far as its capacity goes.
+    Upload {
+        /// Which.
+        address: Address,
+        /// One entry, or all from the sub-index on.
+        whole: Whole,
+    },
+    /// Write an object from `data`.
+    Download {
+        /// Which.
+        address: Address,
+        /// One entry, or all from the sub-index on.
+        whole: Whole,
+    },
+    /// List the indices of objects (SDO information): 1 all, 2 for RxPDOs, 3 for TxPDOs, 4 stored, 5 settings; 0 how
+    /// many of each. `data` becomes words, little-endian.
+    List(u16),
+    /// Describe an object: data type, highest sub-index, object code, name; see [`ObjectDescription`].
+    DescribeObject(u16),
+    /// Describe an entry: data type, bits, access, name; see [`EntryDescription`].
+    DescribeEntry(Address),
+    /// Put `data` into the mailbox as it is and take whatever comes, without any header.
+    RawMailbox,
+    /// Read a register of the slave controller.
+    ReadRegister {
+        /// Where.
+        at: u16,
+        /// Bytes, up to 128.
+        len: u16,
+    },
+    /// Write `data` (up to 128 bytes) to a register of the slave controller.
+    WriteRegister {
+        /// Where.
+        at: u16,
+    },
+    /// Read words of the SII.
+    ReadSii {
+        /// First word.
+        word: u16,
+        /// How many.
+        words: u16,
+    },
+    /// Write one word of the SII, the first two bytes of `data`.
+    WriteSii {
+        /// Which.
+        word: u16,
+    },
+}
+
+impl JobKind {
+    /// Whether it goes through the mailbox.
+    pub(super) const fn is_mailbox(self) -> bool {
+        match self {
+            Self::Upload { .. }
+            | Self::Download { .. }
+            | Self::List(_)
+            | Self::DescribeObject(_)
+            | Self::DescribeEntry(_)
+            | Self::RawMailbox => true,
+            Self::ReadRegister { .. }
+            | Self::WriteRegister { .. }
+            | Self::ReadSii { .. }
+            | Self::WriteSii { .. } => false,
+        }
+    }
+}
+
+/// Something asked of a slave.
+#[derive(Debug, PartialEq, Eq)]
+pub struct Job {
+    /// Number of the slave.
+    pub slave: usize,
+    /// What is asked.
+    pub kind: JobKind,
+    /// What is written; or room for what is read, as much as its capacity.
+    pub data: Vec<u8>,
+    /// The asker's own mark, given back with the reply.
+    pub token: u64,
+}
+
+/// What became of a job.
+#[derive(Debug, PartialEq, Eq)]
+pub struct Reply {
+    /// The job with its data.
+    pub job: Job,
+    /// Whether it was done.
+    pub result: Result<(), JobError>,
+}
+
+/// What an object is, from the answer to [`JobKind::DescribeObject`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ObjectDescription<'a> {
+    /// Its index.
+    pub index: u16,
+    /// Data type as CiA 301 numbers them.
+    pub data_type: u16,
+    /// Highest sub-index.
+    pub highest: u8,
+    /// Object code: 7 variable, 8 array, 9 record.
+    pub code: u8,
+    /// Its name; bytes that are no text are left out.
+    pub name: &'a str,
+}
+
+impl<'a> ObjectDescription<'a> {
+    /// From the bytes; `None` if they are too few.
+    #[must_use]
+    pub fn decode(bytes: &'a [u8]) -> Option<Self> {
+        let ([a, b, c, d, highest, code], name) = bytes.split_first_chunk()?;
+        Some(Self {
+            index: u16::from_le_bytes([*a, *b]),
+            data_type: u16::from_le_bytes([*c, *d]),
+            highest: *highest,
+            code: *code,
+            name: text(name),
+        })
+    }
+}
+
+/// What an entry is, from the answer to [`JobKind::DescribeEntry`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct EntryDescription<'a> {
+    /// Its address.
+    pub address: Address,
+    /// Data type as CiA 301 numbers them.
+    pub data_type: u16,
+    /// Its length, bits.
+    pub bits: u16,
+    /// Bits 0 to 2 readable, 3 to 5 writable in PRE-OP, SAFE-OP, OP; 6 RxPDO, 7 TxPDO.
+    pub access: u16,
+    /// Its name; bytes that are no text are left out.
+    pub name: &'a str,
+}
+
+impl<'a> EntryDescription<'a> {
+    /// From the bytes; `None` if they are too few.
+    #[must_use]
+    pub fn decode(bytes: &'a [u8]) -> Option<Self> {
+        let ([a, b, sub, _, c, d, e, f, g, h], name) = bytes.split_first_chunk()?;
+        Some(Self {
+            address: Address::new(u16::from_le_bytes([*a, *b]), *sub),
+            data_type: u16::from_le_bytes([*c, *d]),
+            bits: u16::from_le_bytes([*e, *f]),
+            access: u16::from_le_bytes([*g, *h]),
+            name: text(name),
+        })
+    }
+}
+
+/// As much of it as is text, without the zeros that some slaves put behind.
+fn text(bytes: &[u8]) -> &str {
+    let good = match std::str::from_utf8(bytes) {
+        Ok(text) => text,
+        Err(error) => {
+            let valid = bytes.get(..error.valid_up_to()).unwrap_or_default();
+            std::str::from_utf8(valid).unwrap_or_default()
+        }
+    };
+    good.trim_end_matches('\0')
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn descriptions_are_read_as_far_as_they_are_text() {
+        let bytes = [0x41, 0x60, 6, 0, 0, 7, b'S', b't', 0, 0];
+        let object = ObjectDescription::decode(&bytes).unwrap();
+        assert_eq!(
+            (object.index, object.data_type, object.code),
+            (0x6041, 6, 7)
+        );
+        assert_eq!(object.name, "St");
+        let bytes = [0x41, 0x60, 2, 0, 6, 0, 16, 0, 0x87, 0, b'a', 0xFF, b'b'];
+        let entry = EntryDescription::decode(&bytes).unwrap();
+        assert_eq!((entry.address, entry.bits), (Address::new(0x6041, 2), 16));
+        assert_eq!((entry.access, entry.name), (0x87, "a"));
+        assert_eq!(ObjectDescription::decode(&bytes[..5]), None);
+        assert_eq!(EntryDescription::decode(&bytes[..9]), None);
+    }
+}

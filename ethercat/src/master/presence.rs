@@ -1,0 +1,453 @@
+//! Who is there. Each cycle's census (how many answered, and the OR of their states) is compared with what is known;
+//! if they differ, all are asked one by one, who is gone is told with the cable before it, and who is there and has no
+//! address is given one. Bringing back whoever came is its own machine's.
+//!
+//! ```text
+//!        1 census differs            2 all asked, more are there than answered
+//! Calm -------------------> Inspect --------------------------> Survey --> 3 Adopt: gets its address back
+//!   ^ 4 as known, or pause     |                                   |
+//!   +--------------------------+-----------------------------------+
+//! ```
+
+use std::time::Duration;
+
+use super::Master;
+use super::event::{Cable, Event};
+use super::exchange::{Batch, Owner, Sent};
+use super::scan::{Phase, Scan};
+use super::transmit::context;
+use super::unit::Unit;
+use crate::config::Place;
+use crate::register;
+use crate::{Address, AlStatus, AlStatusCode, Command};
+
+/// Slaves that are asked in one frame.
+const ASKED: usize = 16;
+/// Frames lost in a row after which nothing is there any more.
+const FRAMES_LOST: u8 = 3;
+/// Cycles between rounds of questions that change nothing.
+const PAUSE: u8 = 16;
+/// Questions in a row that a slave may leave unanswered while the census is complete.
+const SILENT: u8 = 3;
+
+/// What is going on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum State {
+    #[default]
+    Calm,
+    /// All slaves are asked, this one next.
+    Inspect(usize),
+    /// All positions are asked, this one next.
+    Survey(u16),
+    /// The slave at this position is to get the address of this one.
+    Adopt(u16, usize),
+}
+
+/// What is known of who is there.
+#[derive(Debug, Default)]
+pub(super) struct Presence {
+    state: State,
+    /// How many there are that are not expected.
+    strangers: u16,
+    /// Of the survey under way.
+    strange: u16,
+    /// The slave that was last met in the survey.
+    met: Option<usize>,
+    /// The next to be adopted.
+    found: Option<(u16, usize)>,
+    /// Position of each slave at start.
+    homes: Vec<Option<u16>>,
+    /// Questions that each left unanswered, in a row.
+    silent: Vec<u8>,
+    /// The count of the last census, and of the one before it.
+    counted: u16,
+    pause: u8,
+    /// Slaves whose cable was told, until they are there again.
+    told: Vec<bool>,
+    /// Something was lost in this frame.
+    newly_lost: bool,
+    frames_lost: u8,
+    /// The ring is open before this position.
+    open: Option<u16>,
+}
+
+impl Presence {
+    pub(super) fn set_homes(&mut self, ring: &[usize], slaves: usize) {
+        self.homes = vec![None; slaves];
+        self.silent = vec![0; slaves];
+        self.told = vec![false; slaves];
+        for (position, number) in (0..).zip(ring) {
+            if let Some(home) = self.homes.get_mut(*number) {
+                *home = Some(position);
+            }
+        }
+    }
+
+    fn is_back(&mut self, slave: usize) {
+        if let Some(told) = self.told.get_mut(slave) {
+            *told = false;
+        }
+    }
+
+    /// Puts what is to be asked into the frame.
+    pub(super) fn send(&mut self, units: &[Unit], batch: &mut Batch<'_>) {
+        match self.state {
+            State::Calm => {}
+            State::Inspect(from) => {
+                let mut at = from;
+                let mut asked = 0;
+                while let Some(unit) = units.get(at).filter(|_| asked < ASKED && batch.room() >= 6)
+                {
+                    let owner = Owner::Inspection(u16::try_from(at).unwrap_or(u16::MAX));
+                    let address = Address::Device {
+                        adp: unit.station,
+                        ado: register::AL_STATUS,
+                    };
+                    batch.push(owner, Command::Fprd, address, &[0; 6]);
+                    at += 1;
+                    asked += 1;
+                }
+                self.state = State::Inspect(at);
+            }
+            State::Survey(from) => {
+                let end = self.counted.min(from.saturating_add(16));
+                let mut at = from;
+                while at < end && batch.room() >= 4 {
+                    let address = Scan::position(at, register::STATION_ADDRESS);
+                    batch.push(Owner::Survey(at), Command::Aprd, address, &[0; 4]);
+                    at += 1;
+                }
+                self.state = State::Survey(at);
+            }
+            State::Adopt(position, slave) => {
+                let Some(unit) = units.get(slave) else {
+                    return;
+                };
+                let address = Scan::position(position, register::STATION_ADDRESS);
+                let owner = Owner::Adoption(u16::try_from(slave).unwrap_or(u16::MAX));
+                batch.push(owner, Command::Apwr, address, &unit.station.to_le_bytes());
+            }
+        }
+    }
+}
+
+impl Master {
+    /// How many answered, and the OR of their states.
+    pub(super) fn handle_census(&mut self, count: u16, states: u8) {
+        self.presence.frames_lost = 0;
+        self.presence.counted = count;
+        if self.presence.state != State::Calm {
+            return;
+        }
+        let present = || self.units.iter().filter(|unit| unit.is_present());
+        let strangers = self.presence.strangers;
+        let known = present().count() + usize::from(strangers);
+        let state = |unit: &Unit| u8::try_from(unit.al.raw() & 0x1F).unwrap_or(0);
+        let expected = present()
+            .map(state)
+            .fold(u8::from(strangers > 0), |or, state| or | state);
+        if usize::from(count) == known && states & 0x1F == expected {
+            self.presence.pause = 0;
+            return;
+        }
+        // Fewer than known is urgent; of what stays as it is one look a while is enough.
+        let fewer = usize::from(count) < known;
+        if self.presence.pause > 0 && !fewer {
+            self.presence.pause -= 1;
+            return;
+        }
+        self.presence.state = State::Inspect(0);
+    }
+
+    /// The answer to a question of [`Presence::send`].
+    pub(super) fn take_presence(
+        &mut self,
+        sent: &Sent,
+        census: Option<(u16, u8)>,
+        reference: Option<u64>,
+        now: Duration,
+    ) {
+        let (data, counter) = self.exchange.answer(sent);
+        let mut four = [0; 6];
+        for (to, from) in four.iter_mut().zip(data) {
+            *to = *from;
+        }
+        match sent.owner {
+            Owner::Inspection(slave) => {
+                self.inspected(slave.into(), counter, four, census, reference, now)
+            }
+            Owner::Survey(position) if counter > 0 => self.surveyed(position, four),
+            Owner::Adoption(slave) => self.adopted(slave.into(), counter, reference, now),
+            Owner::Survey(_)
+            | Owner::Clock
+            | Owner::Process(_)
+            | Owner::Census
+            | Owner::Scan
+            | Owner::Unit(_) => {}
+        }
+    }
+
+    fn inspected(
+        &mut self,
+        slave: usize,
+        counter: u16,
+        bytes: [u8; 6],
+        census: Option<(u16, u8)>,
+        reference: Option<u64>,
+        now: Duration,
+    ) {
+        let Self {
+            exchange,
+            units,
+            config,
+            image,
+            out,
+            clock,
+            presence,
+            ..
+        } = self;
+        let cx = context(exchange, now, reference, clock.slave, config, image);
+        let present = units.iter().filter(|unit| unit.is_present()).count();
+        let (Some(unit), Some(silent)) = (units.get_mut(slave), presence.silent.get_mut(slave))
+        else {
+            return;
+        };
+        if counter > 0 {
+            *silent = 0;
+            let [a, b, _, _, c, d] = bytes;
+            let al = AlStatus::from_raw(u16::from_le_bytes([a, b]));
+            let code = AlStatusCode(u16::from_le_bytes([c, d]));
+            if unit.is_present() {
+                unit.seen(al, code, &cx, out);
+            } else if let Some(home) = presence.homes.get(slave).copied().flatten() {
+                presence.is_back(slave);
+                unit.returned(home, &cx, out);
+            }
+            return;
+        }
+        if !unit.is_present() {
+            return;
+        }
+        *silent += 1;
+        // With a census that says so once is enough; else it may just have lost its address.
+        let fewer = census.is_some_and(|(count, _)| {
+            usize::from(count) < present + usize::from(presence.strangers)
+        });
+        if fewer || *silent >= SILENT {
+            *silent = 0;
+            unit.lose(out);
+            // One that only lost its address had no power for a moment; its cables are good.
+            presence.newly_lost |= fewer;
+        }
+    }
+
+    /// Who is at a position.
+    fn surveyed(&mut self, position: u16, bytes: [u8; 6]) {
+        let [a, b, c, d, _, _] = bytes;
+        let (station, alias) = (u16::from_le_bytes([a, b]), u16::from_le_bytes([c, d]));
+        let known = self.units.iter_mut().find(|unit| unit.station == station);
+        if let Some(unit) = known {
+            self.presence.met = Some(unit.number);
+            if unit.is_present() {
+                unit.position = Some(position);
+            }
+            return;
+        }
+        match self.missing_at(alias) {
+            Some(slave) if self.presence.found.is_none() => {
+                self.presence.found = Some((position, slave))
+            }
+            // The next survey finds it a place.
+            Some(_) => {}
+            None => {
+                self.presence.strange += 1;
+                if self.presence.strange > self.presence.strangers {
+                    self.out.event(Event::Stranger { position });
+                }
+            }
+        }
+    }
+
+    /// The missing slave that one without address most probably is: by alias, or the next in the order of the ring.
+    fn missing_at(&self, alias: u16) -> Option<usize> {
+        let missing = || self.units.iter().filter(|unit| !unit.is_present());
+        let aliased = |unit: &&Unit| {
+            alias != 0 && (unit.spec.place == Place::Alias(alias) || unit.info.alias == alias)
+        };
+        let after = self
+            .presence
+            .met
+            .and_then(|met| self.presence.homes.get(met).copied().flatten());
+        let home = |unit: &Unit| self.presence.homes.get(unit.number).copied().flatten();
+        let plain = |unit: &&Unit| !matches!(unit.spec.place, Place::Alias(_));
+        let next = || {
+            missing()
+                .filter(plain)
+                .filter(|unit| home(unit) > after)
+                .min_by_key(|unit| home(unit))
+        };
+        let any = || missing().find(plain);
+        missing()
+            .find(aliased)
+            .or_else(next)
+            .or_else(any)
+            .map(|unit| unit.number)
+    }
+
+    /// A slave has got its address back.
+    fn adopted(&mut self, slave: usize, counter: u16, reference: Option<u64>, now: Duration) {
+        let State::Adopt(position, _) = self.presence.state else {
+            return;
+        };
+        self.presence.state = State::Calm;
+        if counter == 0 {
+            return;
+        }
+        let Self {
+            exchange,
+            units,
+            config,
+            image,
+            out,
+            clock,
+            presence,
+            ..
+        } = self;
+        let cx = context(exchange, now, reference, clock.slave, config, image);
+        if let Some(unit) = units.get_mut(slave) {
+            presence.is_back(slave);
+            unit.returned(position, &cx, out);
+        }
+    }
+
+    /// All answers of a frame are in.
+    pub(super) fn after_frame(&mut self) {
+        if self.scan.phase != Phase::Running {
+            return;
+        }
+        self.go_on();
+        if std::mem::take(&mut self.presence.newly_lost) {
+            self.tell_cables();
+        }
+        self.watch_ring();
+    }
+
+    fn go_on(&mut self) {
+        let present = self.units.iter().filter(|unit| unit.is_present()).count();
+        let count = self.presence.counted;
+        match self.presence.state {
+            State::Inspect(at) if at >= self.units.len() => {
+                let unclear = self.presence.silent.iter().any(|silent| *silent > 0);
+                self.presence.pause = if unclear { 0 } else { PAUSE };
+                let more = usize::from(count) > present + usize::from(self.presence.strangers);
+                if more {
+                    (self.presence.state, self.presence.strange) = (State::Survey(0), 0);
+                    (self.presence.met, self.presence.found) = (None, None);
+                } else {
+                    self.presence.state = State::Calm;
+                    let left = usize::from(count).saturating_sub(present);
+                    self.presence.strangers = self
+                        .presence
+                        .strangers
+                        .min(u16::try_from(left).unwrap_or(0));
+                }
+            }
+            State::Survey(at) if at >= count => {
+                self.presence.strangers = self.presence.strange;
+                let found = self.presence.found.take();
+                self.presence.state = found.map_or(State::Calm, |(position, slave)| {
+                    State::Adopt(position, slave)
+                });
+            }
+            State::Calm | State::Inspect(_) | State::Survey(_) | State::Adopt(..) => {}
+        }
+    }
+
+    /// Those that are lost although what they hang on is there: the cables before them.
+    fn tell_cables(&mut self) {
+        for (position, number) in self.ring.iter().enumerate() {
+            let gone = |number: usize| {
+                self.units
+                    .get(number)
+                    .is_some_and(|unit| !unit.is_present())
+            };
+            let from = self.topology.parent(position);
+            let above = from.and_then(|(parent, port)| Some((*self.ring.get(parent)?, port)));
+            if !gone(*number) || above.is_some_and(|(parent, _)| gone(parent)) {
+                continue;
+            }
+            let port = |port: usize| u8::try_from(port).unwrap_or(0);
+            let cable = Cable {
+                from: above.map(|(parent, at)| (parent, port(at))),
+                to: Some(*number),
+            };
+            if let Some(told @ false) = self.presence.told.get_mut(*number) {
+                *told = true;
+                self.out.event(Event::CableCut { cable });
+            }
+        }
+    }
+
+    /// A frame did not come back at all.
+    pub(super) fn frame_lost(&mut self) {
+        self.presence.frames_lost = self.presence.frames_lost.saturating_add(1);
+        // What was asked in it is asked again.
+        if self.scan.phase == Phase::Running {
+            self.presence.state = State::Calm;
+        }
+        if self.presence.frames_lost != FRAMES_LOST || self.scan.phase != Phase::Running {
+            return;
+        }
+        for unit in self.units.iter_mut().filter(|unit| unit.is_present()) {
+            unit.lose(&mut self.out);
+        }
+        self.tell_cables();
+    }
+
+    /// Where a ring of two ports is open.
+    fn watch_ring(&mut self) {
+        if !self.config.redundant {
+            return;
+        }
+        let (halves, [first, last]) = self.exchange.halves();
+        let all = u16::try_from(self.ring.len()).unwrap_or(u16::MAX);
+        let open = match (first, last) {
+            (true, true) if self.exchange.is_complete() => (halves[0] > 0).then_some(halves[0]),
+            (true, false) => Some(all),
+            (false, true) => Some(0),
+            (true, true) | (false, false) => return,
+        };
+        if open == self.presence.open {
+            return;
+        }
+        self.presence.open = open;
+        self.out.event(match open {
+            None => Event::RingClosed,
+            Some(position) => {
+                let at = |position: u16| self.ring.get(usize::from(position)).copied();
+                let from = position
+                    .checked_sub(1)
+                    .and_then(at)
+                    .map(|number| (number, 1));
+                Event::RingOpen {
+                    cable: Cable {
+                        from,
+                        to: at(position),
+                    },
+                }
+            }
+        });
+    }
+
+    /// The position before which a ring of two ports is open; `None` while it is whole.
+    #[must_use]
+    pub const fn ring_open(&self) -> Option<u16> {
+        self.presence.open
+    }
+
+    /// Slaves that are there and not expected.
+    #[must_use]
+    pub const fn strangers(&self) -> u16 {
+        self.presence.strangers
+    }
+}

@@ -1,0 +1,100 @@
+//! The master against the emulated segment, in virtual time: one main job after the other, then what goes wrong.
+
+use super::*;
+use crate::emulator::{Coupler, Entry, Io, Segment};
+
+mod clocks;
+mod fuzz;
+mod mailbox;
+mod recovery;
+mod start;
+
+/// A master, a segment, and the time that both live in.
+pub(crate) struct Rig {
+    pub(crate) master: Master,
+    pub(crate) segment: Segment,
+    pub(crate) now: Duration,
+    /// Events, as they are told.
+    pub(crate) events: Vec<Event>,
+    redundant: bool,
+}
+
+impl Rig {
+    pub(crate) fn new(config: MasterConfig, segment: Segment) -> Self {
+        Self {
+            redundant: config.redundant,
+            master: Master::new(config).unwrap(),
+            segment,
+            now: Duration::from_secs(1),
+            events: Vec::new(),
+        }
+    }
+
+    /// One frame there and back, then the rest of the cycle.
+    pub(crate) fn cycle(&mut self) {
+        let begin = self.now;
+        let mut frame = [0; 1500];
+        if let Some(len) = self.master.poll_transmit(begin, &mut frame) {
+            self.exchange(&frame[..len]);
+        }
+        while let Some(event) = self.master.poll_event() {
+            self.events.push(event);
+        }
+        self.now = begin + self.master.config().cycle;
+    }
+
+    pub(crate) fn exchange(&mut self, frame: &[u8]) {
+        let ns = u64::try_from(self.now.as_nanos()).unwrap();
+        let ends = if self.redundant {
+            vec![Entry::First, Entry::Last]
+        } else {
+            vec![Entry::First]
+        };
+        for end in ends {
+            let mut bytes = frame.to_vec();
+            let Some(returned) = self.segment.process(&mut bytes, end, ns) else {
+                continue;
+            };
+            let port = usize::from(returned.by == Entry::Last);
+            let at = self.now + Duration::from_nanos(returned.after);
+            self.master.handle_frame(port, &bytes, at);
+        }
+    }
+
+    pub(crate) fn cycles(&mut self, count: usize) {
+        for _ in 0..count {
+            self.cycle();
+        }
+    }
+
+    /// Runs until something holds, at most so many cycles; returns how many it took.
+    #[track_caller]
+    pub(crate) fn until(&mut self, most: usize, holds: impl Fn(&Master) -> bool) -> usize {
+        for count in 0..most {
+            if holds(&self.master) {
+                return count;
+            }
+            self.cycle();
+        }
+        let told: Vec<_> = self
+            .master
+            .units
+            .iter()
+            .map(|unit| {
+                format!(
+                    "{:?} {} {:?} at {:?}",
+                    unit.step(),
+                    unit.al,
+                    unit.fault,
+                    unit.position
+                )
+            })
+            .collect();
+        let (phase, groups) = (self.master.phase(), &self.master.groups()[0]);
+        let events: Vec<_> = self.events.iter().rev().take(12).collect();
+        panic!(
+            "not within {most} cycles: {phase:?}, {told:#?}, {groups:?}, {:?}, {events:?}",
+            self.master.presence
+        );
+    }
+}

@@ -1,0 +1,334 @@
+//! Slaves that go and come back, cables that are cut, rings of two ports.
+
+use super::*;
+use crate::config::SyncSpec;
+use crate::emulator::{Corrupt, ServoConfig, ServoDrive};
+use crate::{AlState, AlStatusCode};
+
+/// A line of a coupler and so many terminals with outputs and inputs, in OP.
+fn line(count: usize, config: MasterConfig) -> (Rig, Vec<Io>) {
+    let (slaves, ios): (Vec<_>, Vec<_>) = (0..count).map(|_| Io::digital(8, 8)).unzip();
+    let mut all = vec![Coupler::slave()];
+    all.extend(slaves);
+    let mut segment = Segment::line(all);
+    segment.set_redundant(config.redundant);
+    let mut rig = Rig::new(config, segment);
+    rig.until(5000, Master::is_operational);
+    rig.events.clear();
+    for (number, io) in ios.iter().enumerate() {
+        io.set_inputs(&[u8::try_from(number).unwrap() + 1]);
+    }
+    rig.cycles(5);
+    (rig, ios)
+}
+
+impl Rig {
+    fn told(&self) -> Vec<String> {
+        self.events.iter().map(ToString::to_string).collect()
+    }
+
+    fn age(&self, slave: usize) -> u32 {
+        self.master.inputs(slave).1
+    }
+}
+
+#[test]
+fn a_cut_cable_is_named_within_three_cycles_and_a_mended_one_brings_all_back() {
+    let (mut rig, ios) = line(6, MasterConfig::default());
+    rig.segment.set_link(5, false);
+    rig.cycles(3);
+    let told = rig.told();
+    let text = "the cable from slave 4 port 1 to slave 5 port 0: nothing comes through; see plugs, cable and supply there";
+    assert!(told.contains(&text.to_owned()), "{told:?}");
+    let cuts = rig
+        .events
+        .iter()
+        .filter(|event| matches!(event, Event::CableCut { .. }))
+        .count();
+    assert_eq!(cuts, 1, "{told:?}");
+    // The others go on; of those behind the cut the last values stay, and their age tells.
+    ios[0].set_inputs(&[77]);
+    rig.cycles(10);
+    assert_eq!((rig.master.inputs(1), rig.age(4)), ((&[77][..], 0), 0));
+    assert_eq!(rig.master.inputs(5).0, [5]);
+    assert!(rig.age(5) >= 10);
+    // Beyond the watchdog, so that they fell to SAFE-OP meanwhile.
+    rig.cycles(300);
+    rig.segment.set_link(5, true);
+    rig.until(2000, Master::is_operational);
+    rig.cycles(3);
+    assert_eq!(
+        (rig.age(5), rig.age(6), rig.master.groups()[0].counter),
+        (0, 0, 18)
+    );
+    assert!(rig.told().iter().any(|text| text == "slave 6: there again"));
+}
+
+#[test]
+fn one_that_lost_its_power_is_set_up_anew_without_disturbing_the_rest() {
+    let (mut rig, ios) = line(4, MasterConfig::default());
+    // The last one, so that nothing hangs behind it.
+    rig.segment.set_power(4, false);
+    rig.cycles(200);
+    let before = rig.master.groups()[0].misses;
+    rig.segment.set_power(4, true);
+    let mut oldest = 0;
+    for _ in 0..2000 {
+        rig.cycle();
+        oldest = (1..4)
+            .map(|slave| rig.age(slave))
+            .max()
+            .unwrap()
+            .max(oldest);
+        if rig.master.is_operational() {
+            break;
+        }
+    }
+    assert!(rig.master.is_operational(), "{:?}", rig.told());
+    rig.master.outputs_mut(4).copy_from_slice(&[0x5A]);
+    rig.cycles(3);
+    assert_eq!(
+        (ios[3].outputs(), rig.master.inputs(4)),
+        (vec![0x5A], (&[4][..], 0))
+    );
+    assert_eq!((oldest, rig.master.groups()[0].misses - before), (0, 0));
+}
+
+#[test]
+fn a_power_cycle_too_short_to_be_missed_is_found_all_the_same() {
+    let (mut rig, _) = line(3, MasterConfig::default());
+    rig.segment.set_power(2, false);
+    rig.segment.set_power(2, true);
+    rig.cycles(10);
+    assert!(!rig.master.is_operational());
+    rig.until(2000, Master::is_operational);
+    rig.cycles(3);
+    assert_eq!((rig.age(2), rig.master.groups()[0].counter), (0, 9));
+}
+
+#[test]
+fn one_that_fell_is_told_with_its_code_and_brought_back() {
+    let (mut rig, _) = line(3, MasterConfig::default());
+    rig.segment
+        .slave(2)
+        .unwrap()
+        .fall(AlState::SafeOp, AlStatusCode(0x001A));
+    rig.cycles(4);
+    let told = rig.told();
+    assert!(
+        told[0].starts_with(
+            "slave 2: OP wanted, SAFE-OP + error shown: synchronisation error (001Ah)"
+        ),
+        "{told:?}"
+    );
+    rig.until(2000, Master::is_operational);
+}
+
+#[test]
+fn the_whole_segment_gone_and_back() {
+    let (mut rig, _) = line(3, MasterConfig::default());
+    rig.segment.set_link(0, false);
+    rig.cycles(6);
+    let told = rig.told();
+    assert!(
+        told.iter()
+            .any(|text| text.starts_with("the cable from the master to slave 0 port 0")),
+        "{told:?}"
+    );
+    rig.cycles(500);
+    rig.segment.set_link(0, true);
+    rig.until(3000, Master::is_operational);
+    rig.cycles(3);
+    assert_eq!(rig.age(3), 0);
+}
+
+#[test]
+fn single_lost_frames_disturb_nothing_but_their_cycle() {
+    let (mut rig, _) = line(3, MasterConfig::default());
+    for _ in 0..20 {
+        rig.segment.faults.lose = 1;
+        rig.cycles(7);
+        assert_eq!(rig.age(3), 0);
+    }
+    assert!(rig.events.is_empty(), "{:?}", rig.told());
+    let frames = rig.master.frames();
+    assert_eq!((frames.lost, frames.stale), (20, 0));
+}
+
+#[test]
+fn an_optional_slave_comes_and_goes() {
+    let (tool, io) = ServoDrive::slave(ServoConfig::default()).unwrap();
+    let _ = io;
+    let (gate, _) = Io::digital(8, 8);
+    let mapped = |index, bits| takt_cia402::dictionary::Mapped {
+        address: takt_cia402::dictionary::Address::new(index, 0),
+        bits,
+    };
+    let pdo = |index, entries| Some(vec![crate::config::PdoSpec { index, entries }]);
+    let slaves = vec![
+        SlaveSpec::new("gate", Place::Position(0)),
+        SlaveSpec {
+            optional: true,
+            outputs: pdo(0x1600, vec![mapped(0x6040, 16)]),
+            inputs: pdo(0x1A00, vec![mapped(0x6041, 16)]),
+            ..SlaveSpec::new("tool", Place::Name("TK4021 servo".to_owned()))
+        },
+    ];
+    let mut rig = Rig::new(
+        MasterConfig {
+            slaves,
+            ..MasterConfig::default()
+        },
+        Segment::line([gate, tool]),
+    );
+    rig.segment.set_link(1, false);
+    rig.until(3000, Master::is_operational);
+    assert!(!rig.master.slave(1).unwrap().is_running());
+    rig.segment.set_link(1, true);
+    rig.until(3000, |master| master.slave(1).unwrap().is_running());
+    rig.cycles(3);
+    assert_eq!(
+        (rig.age(0), rig.age(1), rig.master.groups()[0].counter),
+        (0, 0, 6)
+    );
+    rig.segment.set_power(1, false);
+    rig.cycles(100);
+    assert!(rig.master.is_operational() && rig.age(0) == 0 && rig.age(1) > 90);
+    rig.segment.set_power(1, true);
+    rig.until(3000, |master| master.slave(1).unwrap().is_running());
+}
+
+#[test]
+fn a_stranger_is_told_and_left_alone() {
+    let (gate, _) = Io::digital(8, 8);
+    let (other, _) = Io::digital(4, 4);
+    let slaves = vec![SlaveSpec::new("gate", Place::Position(0))];
+    let mut rig = Rig::new(
+        MasterConfig {
+            slaves,
+            ..MasterConfig::default()
+        },
+        Segment::line([gate, other]),
+    );
+    rig.segment.set_link(1, false);
+    rig.until(3000, Master::is_operational);
+    rig.events.clear();
+    rig.segment.set_link(1, true);
+    rig.cycles(200);
+    assert_eq!(rig.events, [Event::Stranger { position: 1 }]);
+    assert_eq!(
+        (rig.segment.slave(1).unwrap().state(), rig.age(0)),
+        (AlState::Init, 0)
+    );
+    assert_eq!(rig.master.strangers(), 1);
+}
+
+#[test]
+fn a_drive_with_sync0_comes_back_in_step() {
+    let (a, _) = ServoDrive::slave(ServoConfig {
+        needs_sync0: true,
+        ..ServoConfig::default()
+    })
+    .unwrap();
+    let (b, _) = ServoDrive::slave(ServoConfig {
+        needs_sync0: true,
+        clock: (5, 40_000),
+        ..ServoConfig::default()
+    })
+    .unwrap();
+    let sync = |position| SlaveSpec {
+        sync: Some(SyncSpec::sync0(Duration::from_millis(1))),
+        ..SlaveSpec::new(format!("axis {position}"), Place::Position(position))
+    };
+    let config = MasterConfig {
+        slaves: vec![sync(0), sync(1)],
+        ..MasterConfig::default()
+    };
+    let mut rig = Rig::new(config, Segment::line([a, b]));
+    rig.until(8000, Master::is_operational);
+    for power in [false, true] {
+        if power {
+            rig.segment.set_power(1, false);
+        } else {
+            rig.segment.set_link(1, false);
+        }
+        rig.cycles(300);
+        assert!(
+            rig.master.slave(0).unwrap().is_running(),
+            "power {power}: {:?}",
+            rig.told()
+        );
+        rig.segment.set_power(1, true);
+        rig.segment.set_link(1, true);
+        rig.until(9000, Master::is_operational);
+    }
+}
+
+#[test]
+fn a_ring_that_is_cut_goes_on_from_both_ends() {
+    let config = MasterConfig {
+        redundant: true,
+        ..MasterConfig::default()
+    };
+    let (mut rig, ios) = line(5, config);
+    assert_eq!(rig.master.ring_open(), None);
+    let misses = rig.master.groups()[0].misses;
+    rig.segment.set_link(3, false);
+    rig.cycles(3);
+    assert_eq!(rig.master.ring_open(), Some(3), "{:?}", rig.told());
+    let text = "the cable from slave 2 port 1 to slave 3 port 0: the ring is open there; all slaves are reached still";
+    assert_eq!(rig.told(), [text]);
+    ios[4].set_inputs(&[99]);
+    rig.master.outputs_mut(5).copy_from_slice(&[0x77]);
+    rig.cycles(2);
+    assert_eq!(
+        (rig.master.inputs(5), ios[4].outputs()),
+        ((&[99][..], 0), vec![0x77])
+    );
+    assert!(rig.master.is_operational() && rig.master.groups()[0].misses - misses <= 1);
+    rig.segment.set_link(3, true);
+    rig.cycles(3);
+    assert_eq!(rig.events.last(), Some(&Event::RingClosed));
+}
+
+#[test]
+fn a_ring_whose_first_cable_is_cut_goes_on_from_the_other_end() {
+    let config = MasterConfig {
+        redundant: true,
+        ..MasterConfig::default()
+    };
+    let (mut rig, _) = line(3, config);
+    rig.segment.set_link(0, false);
+    rig.cycles(10);
+    assert_eq!(rig.master.ring_open(), Some(0), "{:?}", rig.told());
+    assert!(
+        rig.master.is_operational() && rig.age(3) <= 1,
+        "{:?}",
+        rig.told()
+    );
+}
+
+#[test]
+fn broken_frames_point_to_the_cable() {
+    let (mut rig, _) = line(4, MasterConfig::default());
+    rig.cycles(40);
+    for _ in 0..5 {
+        rig.segment.faults.corrupt = Some(Corrupt {
+            slave: 3,
+            port: 0,
+            frames: 2,
+        });
+        rig.cycles(60);
+    }
+    let suspects = rig.master.suspects();
+    assert_eq!(
+        (suspects.len(), suspects[0].cable.to),
+        (1, Some(3)),
+        "{suspects:?}"
+    );
+    let text = suspects[0].to_string();
+    assert!(
+        text.starts_with("the cable from slave 2 port 1 to slave 3 port 0: 10 broken frames"),
+        "{text}"
+    );
+}

@@ -1,0 +1,346 @@
+//! The frame of a cycle: what is in it, and who gets its answers.
+
+use std::time::Duration;
+
+use super::exchange::{Heard, Owner, Sent};
+use super::scan::{Phase, Scanned};
+use super::unit::{Answer, Context, Request};
+use super::{Exchange, Master, REFERENCE_SILENT, Sample, Unit};
+use crate::register;
+use crate::{Address, Command};
+
+/// Bytes that a slave's machine reads at most at once: a whole mailbox.
+static ZEROS: [u8; 1486] = [0; 1486];
+/// Acyclic datagrams of a frame while the segment starts.
+const STARTING: usize = 32;
+/// Each so many cycles the watch goes before mailboxes.
+const WATCH_EACH: u64 = 8;
+
+impl Master {
+    /// The frame to send now, behind its Ethernet header, into `to` (1,500 bytes); `None` if nothing is to be sent.
+    ///
+    /// Once [`Self::is_cyclic`] it is to be called once each cycle. What has not come back by then is lost. Before, it
+    /// may be called at any time; a frame that is under way is waited for.
+    pub fn poll_transmit(&mut self, now: Duration, to: &mut [u8]) -> Option<usize> {
+        if self.exchange.is_open() {
+            let due = self.exchange.sent_at() + self.config.frame_timeout;
+            if !self.is_exchanging() && now < due {
+                return None;
+            }
+        }
+        self.handle_timeout(now);
+        self.advance(now);
+        let len = self.fill(now);
+        self.exchange.finish(len, to)
+    }
+
+    /// The wait for what is under way is over.
+    pub fn handle_timeout(&mut self, now: Duration) {
+        let was_open = self.exchange.is_open();
+        match self.exchange.close() {
+            Heard::Whole => self.dispatch(now),
+            Heard::Nothing | Heard::Half if was_open => self.lost(now),
+            Heard::Nothing | Heard::Half => {}
+        }
+    }
+
+    /// Takes a frame, behind its Ethernet header, that came in by a port (0, or 1 with redundancy) at `now`. Returns
+    /// whether the answer of the cycle is complete.
+    pub fn handle_frame(&mut self, port: usize, bytes: &[u8], now: Duration) -> bool {
+        let whole = self.exchange.handle(port, bytes) == Heard::Whole;
+        if whole {
+            self.dispatch(now);
+        }
+        whole
+    }
+
+    /// When to call [`Self::poll_transmit`] next.
+    #[must_use]
+    pub fn poll_timeout(&self) -> Duration {
+        let sent = self.exchange.sent_at();
+        if self.is_exchanging() {
+            sent + self.config.cycle
+        } else if self.exchange.is_open() {
+            sent + self.config.frame_timeout
+        } else if self.scan.phase == Phase::Running {
+            self.next_census
+        } else {
+            sent
+        }
+    }
+
+    /// Process data is exchanged: one frame each cycle.
+    #[must_use]
+    pub fn is_exchanging(&self) -> bool {
+        self.is_cyclic()
+    }
+
+    fn fill(&mut self, now: Duration) -> usize {
+        let cyclic = self.is_cyclic();
+        let running = self.scan.phase == Phase::Running;
+        let census = running && (cyclic || now >= self.next_census);
+        if census {
+            self.next_census = now + self.config.cycle;
+            self.cycles += 1;
+        }
+        self.check_reference();
+        let Self {
+            exchange,
+            image,
+            units,
+            clock,
+            scan,
+            presence,
+            config,
+            started,
+            turn,
+            cycles,
+            ..
+        } = self;
+        let mut batch = exchange.begin(now);
+        if let Some(unit) = clock
+            .slave
+            .and_then(|slave| units.get(slave))
+            .filter(|u| u.clock.locked)
+        {
+            // Slaves that are cut off from the reference, as those behind the other end of an open ring, get the time
+            // that it will show; the reference itself puts its own there.
+            let predicted = clock.predict(now).unwrap_or(0).to_le_bytes();
+            let address = Address::Device {
+                adp: unit.station,
+                ado: register::DC_SYSTEM_TIME,
+            };
+            batch.push(Owner::Clock, Command::Frmw, address, &predicted);
+        }
+        if cyclic {
+            image.send(&mut batch);
+        }
+        if census {
+            let address = Address::Device {
+                adp: 0,
+                ado: register::AL_STATUS,
+            };
+            batch.push(Owner::Census, Command::Brd, address, &[0; 2]);
+        }
+        scan.send(&mut batch);
+        if census {
+            presence.send(units, &mut batch);
+        }
+        let most = if *started && cyclic {
+            usize::from(config.acyclic.max(1))
+        } else {
+            STARTING
+        };
+        let watch_first = cycles.is_multiple_of(WATCH_EACH);
+        let mut left = most;
+        if census && watch_first {
+            left -= usize::from(one(units, turn, &mut batch, true));
+        }
+        for _ in 0..units.len() {
+            if left == 0 {
+                break;
+            }
+            left -= usize::from(one(units, turn, &mut batch, false));
+        }
+        if census && left > 0 && !watch_first {
+            one(units, turn, &mut batch, true);
+        }
+        batch.finish()
+    }
+
+    /// The frame is gone, and with it the answers to all that was in it.
+    fn lost(&mut self, now: Duration) {
+        let Self {
+            exchange,
+            units,
+            config,
+            image,
+            out,
+            clock,
+            ..
+        } = self;
+        let cx = context(exchange, now, None, clock.slave, config, image);
+        for number in 0..exchange.len() {
+            let Some(Owner::Unit(unit)) = exchange.sent(number).map(|sent| sent.owner) else {
+                continue;
+            };
+            if let Some(unit) = units.get_mut(usize::from(unit)) {
+                unit.handle(Answer::Lost, &cx, out);
+            }
+        }
+        self.frame_lost();
+    }
+
+    /// Gives each its answer.
+    fn dispatch(&mut self, now: Duration) {
+        let reference = self.take_time(now);
+        let mut census = None;
+        for number in 0..self.exchange.len() {
+            let Some(sent) = self.exchange.sent(number) else {
+                continue;
+            };
+            match sent.owner {
+                Owner::Clock => {}
+                Owner::Process(group) => self.take_process(group, &sent),
+                Owner::Census => {
+                    let (data, counter) = self.exchange.answer(&sent);
+                    let states = data.first().copied().unwrap_or(0);
+                    census = Some((counter, states));
+                    self.handle_census(counter, states);
+                }
+                Owner::Inspection(_) | Owner::Survey(_) | Owner::Adoption(_) => {
+                    self.take_presence(&sent, census, reference, now);
+                }
+                Owner::Scan => {
+                    let (_, counter) = self.exchange.answer(&sent);
+                    match self.scan.handle(counter) {
+                        Scanned::On => {}
+                        Scanned::Addressed => self.addressed(now),
+                        Scanned::Latched => self.latched(now),
+                    }
+                }
+                Owner::Unit(unit) => self.take_unit(unit, &sent, reference, now),
+            }
+        }
+        self.after_frame();
+    }
+
+    /// The reference clock, if this frame passed it.
+    fn take_time(&mut self, now: Duration) -> Option<u64> {
+        let sent = self
+            .exchange
+            .sent(0)
+            .filter(|sent| sent.owner == Owner::Clock)?;
+        let (data, counter) = self.exchange.answer(&sent);
+        let reference = self.clock.slave.and_then(|slave| self.units.get(slave));
+        if counter == 0 || !reference.is_some_and(Unit::is_present) {
+            return None;
+        }
+        self.clock.silent = 0;
+        let system_ns = u64::from_le_bytes(*data.first_chunk()?);
+        self.clock.last = Some(Sample {
+            sent: self.exchange.sent_at(),
+            received: now,
+            system_ns,
+        });
+        self.clock.fresh = true;
+        Some(system_ns)
+    }
+
+    /// A reference that was there and has not answered for a while is given up.
+    fn check_reference(&mut self) {
+        if self.clock.last.is_none() {
+            return;
+        }
+        self.clock.silent = self.clock.silent.saturating_add(1);
+        if self.clock.silent >= REFERENCE_SILENT {
+            self.change_reference();
+        }
+    }
+
+    /// The reference is gone: the next clock in the ring that follows it still is the reference from now on. What lies
+    /// between the two, some microseconds, its followers are off from then on.
+    fn change_reference(&mut self) {
+        let candidate = |number: &&usize| {
+            let unit = self.units.get(**number);
+            unit.is_some_and(|unit| unit.is_running() && unit.clock.locked)
+        };
+        let Some(next) = self.ring.iter().find(candidate).copied() else {
+            return;
+        };
+        self.clock.slave = Some(next);
+        self.clock.silent = 0;
+        self.out.event(super::Event::Reference { slave: next });
+    }
+
+    fn take_process(&mut self, group: u8, sent: &Sent) {
+        let Self {
+            exchange,
+            image,
+            units,
+            ..
+        } = self;
+        let (data, counter) = exchange.answer(sent);
+        if image.receive(group, sent.command, data, counter) {
+            image.settle(group, |slave, lrw| {
+                units
+                    .get(slave)
+                    .map_or((0, 0), |unit| unit.contribution(lrw))
+            });
+        }
+    }
+
+    fn take_unit(&mut self, number: u16, sent: &Sent, reference: Option<u64>, now: Duration) {
+        let Self {
+            exchange,
+            units,
+            config,
+            image,
+            out,
+            clock,
+            ..
+        } = self;
+        let cx = context(exchange, now, reference, clock.slave, config, image);
+        let (data, counter) = exchange.answer(sent);
+        if let Some(unit) = units.get_mut(usize::from(number)) {
+            unit.handle(Answer::Data { counter, data }, &cx, out);
+        }
+    }
+}
+
+pub(super) const fn context<'a>(
+    exchange: &Exchange,
+    now: Duration,
+    reference_ns: Option<u64>,
+    reference: Option<usize>,
+    config: &'a super::MasterConfig,
+    image: &'a super::Image,
+) -> Context<'a> {
+    Context {
+        now,
+        sent_at: exchange.sent_at(),
+        reference_ns,
+        reference,
+        config,
+        image,
+    }
+}
+
+/// Puts the datagram of the next slave that has one into the frame; returns whether there was one.
+fn one(
+    units: &mut [Unit],
+    turn: &mut usize,
+    batch: &mut super::exchange::Batch<'_>,
+    watch: bool,
+) -> bool {
+    for _ in 0..units.len() {
+        *turn = (*turn + 1) % units.len().max(1);
+        let Some(unit) = units.get_mut(*turn).filter(|unit| watch || unit.is_busy()) else {
+            continue;
+        };
+        let (number, station, room) = (unit.number, unit.station, batch.room());
+        let owner = Owner::Unit(u16::try_from(number).unwrap_or(u16::MAX));
+        let (command, at, data) = match unit.request(watch) {
+            Some(Request::Read { at, len }) => (
+                Command::Fprd,
+                at,
+                ZEROS.get(..len.into()).unwrap_or_default(),
+            ),
+            Some(Request::Write { at, data }) => (Command::Fpwr, at, data),
+            None => continue,
+        };
+        if data.len() > room {
+            // Its turn comes in the next frame.
+            continue;
+        }
+        let address = Address::Device {
+            adp: station,
+            ado: at,
+        };
+        if batch.push(owner, command, address, data) {
+            unit.sent();
+            return true;
+        }
+    }
+    false
+}

@@ -1,0 +1,151 @@
+//! What a slave says of itself: information registers, links, SII. Nothing is asked for here.
+
+use crate::sii::{Identity, MailboxAreas, Sii, word};
+
+/// What is known of a slave.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct SlaveInfo {
+    /// Vendor, product, revision, serial number.
+    pub identity: Identity,
+    /// Station alias.
+    pub alias: u16,
+    /// Name, as its SII has it.
+    pub name: String,
+    /// Order code, as its SII has it.
+    pub order: String,
+    /// Type of the slave controller, register 0000h.
+    pub controller: u8,
+    /// FMMUs.
+    pub fmmus: u8,
+    /// SyncManagers.
+    pub sync_managers: u8,
+    /// Features, register 0008h.
+    pub features: u16,
+    /// DL status, register 0110h.
+    pub dl_status: u16,
+    /// Mailboxes; lengths of zero if it has none.
+    pub mailbox: MailboxAreas,
+    /// Protocols of the mailbox: bit 0 AoE, 1 EoE, 2 CoE, 3 FoE, 4 SoE, 5 VoE.
+    pub protocols: u16,
+    /// CoE details: bit 0 SDO, 1 information, 2 PDO assignment, 3 PDO configuration, 5 complete access.
+    pub coe: u8,
+    /// Flags of General in the SII.
+    pub flags: u8,
+    /// Current taken from the E-bus; negative is given, mA.
+    pub ebus_ma: i16,
+    /// Whether the checksum of the SII is right.
+    pub sii_checked: bool,
+}
+
+/// One port of a slave.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Port {
+    /// There is a signal.
+    pub link: bool,
+    /// Frames go out there and come back.
+    pub open: bool,
+}
+
+impl SlaveInfo {
+    /// Its ports 0 to 3.
+    #[must_use]
+    pub fn ports(&self) -> [Port; 4] {
+        std::array::from_fn(|port| Port {
+            link: self.dl_status >> (4 + port) & 1 != 0,
+            // Loop not closed, and communication: the link bit alone says too little.
+            open: self.dl_status >> (8 + 2 * port) & 3 == 2,
+        })
+    }
+
+    /// Whether it has a distributed clock.
+    #[must_use]
+    pub const fn has_clock(&self) -> bool {
+        self.features & 0x0004 != 0
+    }
+
+    /// Whether it can give SYNC signals: a clock of 64 bits.
+    #[must_use]
+    pub const fn has_sync(&self) -> bool {
+        self.has_clock() && self.features & 0x0008 != 0
+    }
+
+    /// Whether LRW is to be avoided with it.
+    #[must_use]
+    pub const fn no_lrw(&self) -> bool {
+        self.features & 0x0200 != 0 || self.flags & 0x02 != 0
+    }
+
+    pub(super) fn take_registers(&mut self, bytes: &[u8]) {
+        let Some([controller, _, _, _, fmmus, sync_managers, _, _, low, high]) =
+            bytes.first_chunk()
+        else {
+            return;
+        };
+        (self.controller, self.fmmus, self.sync_managers) = (*controller, *fmmus, *sync_managers);
+        self.features = u16::from_le_bytes([*low, *high]);
+    }
+
+    pub(super) fn take_sii(&mut self, sii: &Sii<'_>) {
+        self.identity = sii.identity().unwrap_or_default();
+        self.alias = sii.word(word::ALIAS).unwrap_or(0);
+        self.mailbox = sii.mailbox(word::MAILBOX).unwrap_or_default();
+        self.protocols = sii.protocols().unwrap_or(0);
+        self.sii_checked = sii.is_checked();
+        let general = sii.general().unwrap_or_default();
+        let text = |number| sii.string(number).unwrap_or_default().to_owned();
+        (self.name, self.order) = (text(general.name), text(general.order));
+        (self.coe, self.flags, self.ebus_ma) = (general.coe, general.flags, general.ebus_ma);
+    }
+}
+
+/// How many words of an SII are needed, judged by those that are there: up to the end of its categories.
+pub(super) fn words_needed(bytes: &[u8]) -> u16 {
+    let mut at = 2 * usize::from(word::CATEGORIES);
+    loop {
+        let Some([a, b, c, d]) = bytes.get(at..).and_then(|rest| rest.first_chunk()) else {
+            break;
+        };
+        if u16::from_le_bytes([*a, *b]) == 0xFFFF {
+            break;
+        }
+        at += 4 + 2 * usize::from(u16::from_le_bytes([*c, *d]));
+    }
+    u16::try_from(at / 2 + 2).unwrap_or(u16::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ports_are_open_with_communication_only() {
+        let info = SlaveInfo {
+            dl_status: 0x5A31,
+            ..SlaveInfo::default()
+        };
+        let ports = info.ports().map(|port| (port.link, port.open));
+        assert_eq!(
+            ports,
+            [(true, true), (true, true), (false, false), (false, false)]
+        );
+        let info = SlaveInfo {
+            dl_status: 0x5611,
+            ..SlaveInfo::default()
+        };
+        assert_eq!(
+            info.ports().map(|port| port.open),
+            [true, false, false, false]
+        );
+    }
+
+    #[test]
+    fn categories_are_followed_to_their_end() {
+        let mut bytes = vec![0; 0x80];
+        assert_eq!(words_needed(&bytes), 0x42);
+        bytes.extend([10, 0, 3, 0]);
+        assert_eq!(words_needed(&bytes), 0x47);
+        bytes.extend([0; 6]);
+        bytes.extend([0xFF; 4]);
+        assert_eq!(words_needed(&bytes), 0x47);
+    }
+}

@@ -1,0 +1,374 @@
+//! The mailbox of a slave, from the master's side (ETG.1000.4, clause 8; ETG.1000.6, clause 5.1): sends a message,
+//! waits until one is there, fetches it, asks for it again if it was lost on the way, and sorts what comes.
+//!
+//! ```text
+//!            1 begin           2 taken            3 full             4 read
+//! Idle ------------> Send ----------> Poll <-------------> Fetch ----------> Idle, Send or Poll
+//!   ^                                  ^ 7 there again       | 5 lost
+//!   | 8 time-out, from any             |                     v         6 read already
+//!                              RepeatWait <---- RepeatAsk <---- RepeatCheck --(still full)--> Fetch
+//! ```
+
+use std::time::Duration;
+
+use super::super::event::JobError;
+use super::transfer::{Progress, Transfer, protocol};
+use super::{Answer, Request};
+use crate::register;
+use crate::sii::MailboxAreas;
+use crate::{CoeService, Emergency, MailboxError, MailboxHeader, MailboxKind, SyncManager};
+
+/// Longest mailbox that is used, bytes: what one datagram holds.
+const LEN_MAX: usize = 1486;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Phase {
+    Idle,
+    Send,
+    Poll,
+    Fetch,
+    RepeatCheck,
+    RepeatAsk,
+    RepeatWait,
+}
+
+/// What a mailbox has for its slave.
+#[derive(Debug)]
+pub(super) enum Output {
+    /// An emergency.
+    Emergency(Emergency),
+    /// The transfer is over.
+    Done(Transfer, Result<(), JobError>),
+}
+
+/// The mailbox of a slave.
+#[derive(Debug)]
+pub(super) struct Mailbox {
+    areas: MailboxAreas,
+    /// Protocols, as SII word 1Ch has them.
+    protocols: u16,
+    phase: Phase,
+    message: Box<[u8; LEN_MAX]>,
+    /// Counter of what was last sent, and of what was last received.
+    counters: (u8, u8),
+    /// The repeat bit as it is to be.
+    repeat: bool,
+    transfer: Option<Transfer>,
+    since: Duration,
+    patience: Duration,
+    /// Messages that belonged to nothing.
+    pub(super) ignored: u32,
+    /// Messages that were asked for again.
+    pub(super) repeated: u32,
+}
+
+impl Mailbox {
+    pub(super) fn new(patience: Duration) -> Self {
+        Self {
+            areas: MailboxAreas::default(),
+            protocols: 0,
+            phase: Phase::Idle,
+            message: Box::new([0; LEN_MAX]),
+            counters: (0, 0),
+            repeat: false,
+            transfer: None,
+            since: Duration::ZERO,
+            patience,
+            ignored: 0,
+            repeated: 0,
+        }
+    }
+
+    /// Where it is, and what it speaks.
+    pub(super) const fn place(&mut self, areas: MailboxAreas, protocols: u16) {
+        (self.areas, self.protocols) = (areas, protocols);
+    }
+
+    pub(super) fn exists(&self) -> bool {
+        let fits = |len: u16| usize::from(len) > MailboxHeader::LEN && usize::from(len) <= LEN_MAX;
+        fits(self.areas.receive_len) && fits(self.areas.send_len)
+    }
+
+    pub(super) fn speaks_coe(&self) -> bool {
+        self.exists() && self.protocols & 0x04 != 0
+    }
+
+    /// Whether a transfer can begin.
+    pub(super) const fn is_free(&self) -> bool {
+        self.transfer.is_none()
+    }
+
+    /// Whether nothing at all is going on.
+    pub(super) const fn is_idle(&self) -> bool {
+        matches!(self.phase, Phase::Idle) && self.transfer.is_none()
+    }
+
+    /// Both SyncManagers as they are set up in INIT.
+    pub(super) fn sync_managers(&self) -> [u8; 16] {
+        let sm = |start, len, control| {
+            let sm = SyncManager {
+                start,
+                len,
+                control,
+                activate: 1,
+                ..SyncManager::default()
+            };
+            sm.encode()
+        };
+        let MailboxAreas {
+            receive,
+            receive_len,
+            send,
+            send_len,
+        } = self.areas;
+        let mut bytes = [0; 16];
+        let (out, back) = bytes.split_at_mut(8);
+        out.copy_from_slice(&sm(receive, receive_len, SyncManager::MAILBOX_OUT));
+        back.copy_from_slice(&sm(send, send_len, SyncManager::MAILBOX_IN));
+        bytes
+    }
+
+    /// Forgets all, as the slave does in INIT; gives back the transfer that was under way.
+    pub(super) fn reset(&mut self) -> Option<Transfer> {
+        self.phase = Phase::Idle;
+        self.counters = (0, 0);
+        self.repeat = false;
+        self.transfer.take()
+    }
+
+    /// Begins a transfer. To be called only if it is free.
+    pub(super) fn begin(
+        &mut self,
+        transfer: Transfer,
+        kind: super::JobKind,
+        now: Duration,
+    ) -> Option<Output> {
+        let missing = match protocol(kind) {
+            Some(_) if !self.speaks_coe() => Some("CoE"),
+            None if !self.exists() => Some("mailbox"),
+            Some(_) | None => None,
+        };
+        if let Some(missing) = missing {
+            return Some(Output::Done(transfer, Err(JobError::Unsupported(missing))));
+        }
+        self.transfer = Some(transfer);
+        self.send(now)
+    }
+
+    /// Looks into the mailbox without having asked for anything.
+    pub(super) const fn look(&mut self, full: bool, now: Duration) {
+        if full && matches!(self.phase, Phase::Idle) {
+            (self.phase, self.since) = (Phase::Fetch, now);
+        }
+    }
+
+    fn send(&mut self, now: Duration) -> Option<Output> {
+        self.since = now;
+        self.phase = Phase::Send;
+        let len = usize::from(self.areas.receive_len);
+        let transfer = self.transfer.as_mut()?;
+        let written = self.message.get_mut(..len).and_then(|message| {
+            message.fill(0);
+            if transfer.is_raw() {
+                return transfer.copy_raw(message);
+            }
+            let (header, inside) = message.split_first_chunk_mut::<{ MailboxHeader::LEN }>()?;
+            let len = u16::try_from(transfer.write(inside)?).ok()?;
+            self.counters.0 = MailboxHeader::next_counter(self.counters.0);
+            let (kind, counter) = (MailboxKind::Coe, self.counters.0);
+            *header = MailboxHeader {
+                len,
+                address: 0,
+                kind,
+                counter,
+            }
+            .encode();
+            Some(())
+        });
+        if written.is_none() {
+            return self.end(Err(JobError::TooLong { size: 0, room: len }));
+        }
+        None
+    }
+
+    fn end(&mut self, result: Result<(), JobError>) -> Option<Output> {
+        self.phase = Phase::Idle;
+        self.transfer
+            .take()
+            .map(|transfer| Output::Done(transfer, result))
+    }
+
+    /// Ends what takes too long.
+    pub(super) fn check(&mut self, now: Duration) -> Option<Output> {
+        if self.phase == Phase::Idle || now.saturating_sub(self.since) <= self.patience {
+            return None;
+        }
+        if self.transfer.is_none() {
+            self.phase = Phase::Idle;
+            return None;
+        }
+        self.end(Err(JobError::Timeout(self.patience)))
+    }
+
+    /// The datagram that is due.
+    pub(super) fn request(&self) -> Option<Request<'_>> {
+        let sm1 = register::SYNC_MANAGER + 8;
+        Some(match self.phase {
+            Phase::Idle => return None,
+            Phase::Send => {
+                let data = self.message.get(..self.areas.receive_len.into())?;
+                Request::write(self.areas.receive, data)
+            }
+            Phase::Poll | Phase::RepeatCheck | Phase::RepeatWait => Request::read(sm1, 8),
+            Phase::Fetch => Request::read(self.areas.send, self.areas.send_len),
+            Phase::RepeatAsk => {
+                Request::write(sm1 + 6, if self.repeat { &[0x03] } else { &[0x01] })
+            }
+        })
+    }
+
+    /// What came of it.
+    pub(super) fn answer(&mut self, answer: Answer<'_>, now: Duration) -> Option<Output> {
+        let Answer::Data { counter, data } = answer else {
+            // Whether the slave took it is not known: a message is sent again under the same counter, one that was
+            // being fetched is asked for again.
+            if self.phase == Phase::Fetch {
+                self.phase = Phase::RepeatCheck;
+            }
+            return None;
+        };
+        let done = counter > 0;
+        let sm = data
+            .first_chunk()
+            .map(SyncManager::decode)
+            .unwrap_or_default();
+        match self.phase {
+            Phase::Idle => None,
+            Phase::Send => self.sent(done),
+            Phase::Poll => {
+                if done && sm.is_full() {
+                    self.phase = Phase::Fetch;
+                }
+                None
+            }
+            Phase::Fetch if done => self.received(data, now),
+            Phase::Fetch => {
+                self.phase = if self.transfer.is_some() {
+                    Phase::Poll
+                } else {
+                    Phase::Idle
+                };
+                None
+            }
+            Phase::RepeatCheck => {
+                if done {
+                    self.repeat = sm.activate & 0x02 == 0;
+                    self.phase = if sm.is_full() {
+                        Phase::Fetch
+                    } else {
+                        Phase::RepeatAsk
+                    };
+                }
+                None
+            }
+            Phase::RepeatAsk => {
+                if done {
+                    self.repeated += 1;
+                    self.phase = Phase::RepeatWait;
+                }
+                None
+            }
+            Phase::RepeatWait => {
+                if done && (sm.pdi & 0x02 != 0) == self.repeat {
+                    self.phase = if sm.is_full() {
+                        Phase::Fetch
+                    } else {
+                        Phase::Poll
+                    };
+                }
+                None
+            }
+        }
+    }
+
+    /// The slave took the message, or its mailbox is full still.
+    fn sent(&mut self, taken: bool) -> Option<Output> {
+        if !taken {
+            return None;
+        }
+        self.phase = Phase::Poll;
+        let ends = self.transfer.as_ref().and_then(Transfer::ends)?;
+        self.end(Err(ends))
+    }
+
+    fn received(&mut self, mailbox: &[u8], now: Duration) -> Option<Output> {
+        let waiting = if self.transfer.is_some() {
+            Phase::Poll
+        } else {
+            Phase::Idle
+        };
+        self.phase = waiting;
+        if let Some(transfer) = self.transfer.as_mut().filter(|transfer| transfer.is_raw()) {
+            let progress = transfer.handle_raw(mailbox);
+            return self.proceed(progress, now);
+        }
+        let Some((header, inside)) = MailboxHeader::decode(mailbox) else {
+            self.ignored += 1;
+            return None;
+        };
+        if header.counter != 0 && header.counter == self.counters.1 {
+            // Fetched twice: it was there again after all.
+            return None;
+        }
+        self.counters.1 = header.counter;
+        match header.kind {
+            MailboxKind::Coe => self.received_coe(inside, now),
+            MailboxKind::Error => match MailboxError::decode(inside) {
+                Some(error) if self.transfer.is_some() => {
+                    self.proceed(Transfer::handle_error(error), now)
+                }
+                Some(_) | None => {
+                    self.ignored += 1;
+                    None
+                }
+            },
+            MailboxKind::Aoe
+            | MailboxKind::Eoe
+            | MailboxKind::Foe
+            | MailboxKind::Soe
+            | MailboxKind::Voe
+            | MailboxKind::Other(_) => {
+                self.ignored += 1;
+                None
+            }
+        }
+    }
+
+    fn received_coe(&mut self, inside: &[u8], now: Duration) -> Option<Output> {
+        let (service, bytes) = CoeService::decode(inside)?;
+        if service == CoeService::Emergency {
+            // Out of turn; whatever is under way goes on waiting.
+            return Emergency::decode(bytes).map(Output::Emergency);
+        }
+        let progress = match &mut self.transfer {
+            Some(transfer) => transfer.handle(service, bytes),
+            None => Progress::Ignored,
+        };
+        self.proceed(progress, now)
+    }
+
+    fn proceed(&mut self, progress: Progress, now: Duration) -> Option<Output> {
+        match progress {
+            Progress::Ignored => {
+                self.ignored += 1;
+                None
+            }
+            Progress::Next => self.send(now),
+            Progress::More => {
+                self.since = now;
+                None
+            }
+            Progress::Done(result) => self.end(result),
+        }
+    }
+}

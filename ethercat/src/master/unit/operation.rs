@@ -1,0 +1,407 @@
+//! The small operations that steps and jobs are made of, each tried again until it is done or time is up: read or
+//! write a register, come to a state, read or write the SII. What an operation is for is not known here.
+
+use std::time::Duration;
+
+use super::super::event::{Fault, JobError, Outbox};
+use super::super::job::{Job, JobKind};
+use super::{Answer, Context, Request, Unit, WRITE_MAX};
+use crate::register;
+use crate::{AlState, AlStatus, AlStatusCode};
+
+/// An operation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Op {
+    /// None.
+    Rest,
+    /// Read registers.
+    Read { at: u16, len: u16 },
+    /// Write what is in the write buffer to registers.
+    Write { at: u16 },
+    /// Come to a state.
+    State { wanted: AlState, phase: StatePhase },
+    /// Read words of the SII up to one, or write one.
+    Sii {
+        word: u16,
+        end: u16,
+        polls: bool,
+        writes: bool,
+    },
+    /// Wait for the transfer that was given to the mailbox.
+    Mailbox,
+}
+
+/// Where a change of state is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum StatePhase {
+    /// An error is acknowledged.
+    Acknowledge,
+    /// Wait until it is gone.
+    Acknowledged,
+    /// The state is asked for.
+    Ask,
+    /// Wait until it is there.
+    Wait,
+}
+
+/// Working counters of zero in a row before a register counts as silent.
+const MISSES: u8 = 10;
+/// Bits of the SII status that say that a command failed: checksum, not loaded, no acknowledge, not enabled.
+const SII_FAILED: u16 = 0x6000;
+const SII_BUSY: u16 = 0x8000;
+/// How long a slave has to take an error acknowledgement.
+const ACKNOWLEDGE: Duration = Duration::from_secs(1);
+
+impl Unit {
+    /// Makes a write of these bytes the operation; more than the buffer holds are cut, and none is longer.
+    pub(super) fn write(&mut self, at: u16, bytes: &[u8]) -> Op {
+        self.write_len = bytes.len().min(WRITE_MAX);
+        for (to, from) in self.write.iter_mut().zip(bytes) {
+            *to = *from;
+        }
+        Op::Write { at }
+    }
+
+    /// Makes a change of state the operation.
+    pub(super) const fn change_state(&self, wanted: AlState) -> Op {
+        // INIT is asked for with acknowledgement at once: from there nothing needs to be known.
+        let acknowledge = self.al.error && !matches!(wanted, AlState::Init);
+        let phase = if acknowledge {
+            StatePhase::Acknowledge
+        } else {
+            StatePhase::Ask
+        };
+        Op::State { wanted, phase }
+    }
+
+    pub(super) fn operation_request(&mut self) -> Option<Request<'_>> {
+        Some(match self.op {
+            Op::Rest | Op::Mailbox => return None,
+            Op::Read { at, len } => Request::read(at, len),
+            Op::Write { at } => Request::write(at, self.write.get(..self.write_len)?),
+            Op::State { wanted, phase } => self.state_request(wanted, phase),
+            Op::Sii { polls: true, .. } => Request::read(register::SII_CONTROL, 14),
+            Op::Sii {
+                word,
+                polls: false,
+                writes,
+                ..
+            } => self.sii_request(word, writes),
+        })
+    }
+
+    fn state_request(&mut self, wanted: AlState, phase: StatePhase) -> Request<'_> {
+        let control = match phase {
+            StatePhase::Acknowledged | StatePhase::Wait => {
+                return Request::read(register::AL_STATUS, 6);
+            }
+            StatePhase::Acknowledge => AlStatus {
+                state: self.al.state,
+                error: true,
+            },
+            StatePhase::Ask => AlStatus {
+                state: wanted,
+                error: wanted == AlState::Init,
+            },
+        };
+        let [low, high] = control.raw().to_le_bytes();
+        self.write[..2].copy_from_slice(&[low, high]);
+        Request::write(register::AL_CONTROL, &self.write[..2])
+    }
+
+    fn sii_request(&mut self, word: u16, writes: bool) -> Request<'_> {
+        let [low, high] = word.to_le_bytes();
+        let command = if writes { [0x01, 0x02] } else { [0x00, 0x01] };
+        let head = [command[0], command[1], low, high, 0, 0];
+        // A word that is written stands behind the address, where its job put it.
+        self.write[..6].copy_from_slice(&head);
+        Request::write(
+            register::SII_CONTROL,
+            &self.write[..if writes { 8 } else { 6 }],
+        )
+    }
+
+    pub(super) fn operation_answer(
+        &mut self,
+        answer: Answer<'_>,
+        cx: &Context<'_>,
+        out: &mut Outbox,
+    ) {
+        // A lost frame says nothing of the slave: the same once more.
+        let Answer::Data { counter, data } = answer else {
+            return;
+        };
+        if counter == 0 {
+            self.missed(cx, out);
+            return;
+        }
+        self.misses = 0;
+        match self.op {
+            Op::Rest | Op::Mailbox => {}
+            Op::Read { .. } | Op::Write { .. } => self.done(data, cx, out),
+            Op::State { wanted, phase } => self.state_answer(wanted, phase, data, cx, out),
+            Op::Sii {
+                polls: false,
+                word,
+                end,
+                writes,
+            } => {
+                self.op = Op::Sii {
+                    polls: true,
+                    word,
+                    end,
+                    writes,
+                };
+            }
+            Op::Sii {
+                polls: true,
+                word,
+                end,
+                writes,
+            } => self.sii_answer(word, end, writes, data, cx, out),
+        }
+    }
+
+    fn missed(&mut self, cx: &Context<'_>, out: &mut Outbox) {
+        self.misses += 1;
+        if self.misses < MISSES {
+            return;
+        }
+        self.misses = 0;
+        let register = match self.op {
+            Op::Read { at, .. } | Op::Write { at } => at,
+            Op::State { .. } => register::AL_STATUS,
+            Op::Sii { .. } => register::SII_CONTROL,
+            Op::Rest | Op::Mailbox => 0,
+        };
+        self.failed(Fault::Silent { register }, JobError::NoAnswer, cx, out);
+    }
+
+    /// The operation failed: of a job, or of a step.
+    fn failed(&mut self, fault: Fault, error: JobError, cx: &Context<'_>, out: &mut Outbox) {
+        match self.job.take() {
+            Some(job) => {
+                self.op = Op::Rest;
+                self.give_back(job, Err(error), out);
+            }
+            None => self.fail(fault, cx, out),
+        }
+    }
+
+    fn state_answer(
+        &mut self,
+        wanted: AlState,
+        phase: StatePhase,
+        data: &[u8],
+        cx: &Context<'_>,
+        out: &mut Outbox,
+    ) {
+        let next = match phase {
+            StatePhase::Acknowledge => StatePhase::Acknowledged,
+            StatePhase::Ask => StatePhase::Wait,
+            StatePhase::Acknowledged | StatePhase::Wait => {
+                self.take_status(data);
+                let reached = self.al.state == wanted && !self.al.error;
+                match phase {
+                    StatePhase::Acknowledged if !self.al.error => StatePhase::Ask,
+                    StatePhase::Wait if reached => return self.done(&[], cx, out),
+                    // In INIT an error that is on its way out may show for a moment.
+                    StatePhase::Wait if self.al.error && wanted != AlState::Init => {
+                        let fault = Fault::State {
+                            wanted,
+                            status: self.al,
+                            code: self.code,
+                        };
+                        return self.fail(fault, cx, out);
+                    }
+                    _ => phase,
+                }
+            }
+        };
+        self.op = Op::State {
+            wanted,
+            phase: next,
+        };
+    }
+
+    pub(super) fn take_status(&mut self, data: &[u8]) {
+        if let Some([a, b, _, _, c, d]) = data.first_chunk() {
+            self.al = AlStatus::from_raw(u16::from_le_bytes([*a, *b]));
+            self.code = AlStatusCode(u16::from_le_bytes([*c, *d]));
+        }
+    }
+
+    fn sii_answer(
+        &mut self,
+        word: u16,
+        end: u16,
+        writes: bool,
+        data: &[u8],
+        cx: &Context<'_>,
+        out: &mut Outbox,
+    ) {
+        let Some(([low, high, _, _, _, _], found)) = data.split_first_chunk() else {
+            return;
+        };
+        let status = u16::from_le_bytes([*low, *high]);
+        if status & SII_BUSY != 0 {
+            return;
+        }
+        if status & SII_FAILED != 0 {
+            return self.failed(
+                Fault::Sii { word, status },
+                JobError::Protocol("SII access (0502h)"),
+                cx,
+                out,
+            );
+        }
+        if writes {
+            return self.done(&[], cx, out);
+        }
+        // Bit 6: eight bytes at once, or else four.
+        let len = if status & 0x0040 == 0 { 4 } else { 8 };
+        let left = 2 * usize::from(end.saturating_sub(word));
+        let bytes = found.get(..len.min(left)).unwrap_or_default();
+        if !self.take_words(bytes) {
+            let room = self.job.as_ref().map_or(0, |job| job.data.capacity());
+            let error = JobError::TooLong {
+                size: room + bytes.len(),
+                room,
+            };
+            return self.failed(Fault::Sii { word, status }, error, cx, out);
+        }
+        self.since = cx.now;
+        let word = word.saturating_add(if len == 4 { 2 } else { 4 });
+        if word < end {
+            self.op = Op::Sii {
+                word,
+                end,
+                polls: false,
+                writes,
+            };
+        } else {
+            self.done(&[], cx, out);
+        }
+    }
+
+    /// Words of the SII go to the job, without growing what it brought, or to the step.
+    fn take_words(&mut self, bytes: &[u8]) -> bool {
+        match &mut self.job {
+            Some(job) if job.data.len() + bytes.len() > job.data.capacity() => return false,
+            Some(job) => job.data.extend_from_slice(bytes),
+            None => self.sii.extend_from_slice(bytes),
+        }
+        true
+    }
+
+    /// The operation is done.
+    fn done(&mut self, data: &[u8], cx: &Context<'_>, out: &mut Outbox) {
+        let Some(mut job) = self.job.take() else {
+            return self.advance(data, cx, out);
+        };
+        self.op = Op::Rest;
+        let mut result = Ok(());
+        if matches!(job.kind, JobKind::ReadRegister { .. }) {
+            let (size, room) = (data.len(), job.data.capacity());
+            if size > room {
+                result = Err(JobError::TooLong { size, room });
+            } else {
+                job.data.extend_from_slice(data);
+            }
+        }
+        self.give_back(job, result, out);
+    }
+
+    /// Ends an operation that takes too long; each has its own patience.
+    pub(super) fn check_deadline(&mut self, cx: &Context<'_>, out: &mut Outbox) {
+        let patience = cx.config.patience;
+        let waited = cx.now.saturating_sub(self.since);
+        match self.op {
+            Op::State { wanted, phase } => {
+                let limit = match (phase, wanted) {
+                    (StatePhase::Acknowledge | StatePhase::Acknowledged, _) => ACKNOWLEDGE,
+                    (_, AlState::SafeOp | AlState::Op) => patience.op,
+                    (_, AlState::Init | AlState::PreOp | AlState::Boot | AlState::Other(_)) => {
+                        patience.pre_op
+                    }
+                };
+                if waited <= limit {
+                    return;
+                }
+                let (status, code) = (self.al, self.code);
+                let fault = if status.error {
+                    Fault::State {
+                        wanted,
+                        status,
+                        code,
+                    }
+                } else {
+                    Fault::Slow {
+                        wanted,
+                        status,
+                        waited: limit,
+                    }
+                };
+                self.fail(fault, cx, out);
+            }
+            Op::Sii { word, .. } if waited > patience.sii => {
+                let fault = Fault::Sii {
+                    word,
+                    status: SII_BUSY,
+                };
+                self.failed(fault, JobError::Timeout(patience.sii), cx, out);
+            }
+            Op::Rest | Op::Read { .. } | Op::Write { .. } | Op::Mailbox | Op::Sii { .. } => {}
+        }
+    }
+
+    /// Begins a job that is about registers or the SII.
+    pub(super) fn begin_register_job(&mut self, mut job: Job, cx: &Context<'_>, out: &mut Outbox) {
+        let op = match job.kind {
+            JobKind::ReadRegister { at, len } => {
+                job.data.clear();
+                Op::Read {
+                    at,
+                    len: len.min(128),
+                }
+            }
+            JobKind::WriteRegister { at } if (1..=128).contains(&job.data.len()) => {
+                let data = std::mem::take(&mut job.data);
+                let op = self.write(at, &data);
+                job.data = data;
+                op
+            }
+            JobKind::ReadSii { word, words } => {
+                job.data.clear();
+                Op::Sii {
+                    word,
+                    end: word.saturating_add(words),
+                    polls: false,
+                    writes: false,
+                }
+            }
+            JobKind::WriteSii { word } if job.data.len() == 2 => {
+                self.write[6..8].copy_from_slice(&job.data);
+                Op::Sii {
+                    word,
+                    end: word,
+                    polls: false,
+                    writes: true,
+                }
+            }
+            JobKind::WriteRegister { .. }
+            | JobKind::WriteSii { .. }
+            | JobKind::Upload { .. }
+            | JobKind::Download { .. }
+            | JobKind::List(_)
+            | JobKind::DescribeObject(_)
+            | JobKind::DescribeEntry(_)
+            | JobKind::RawMailbox => {
+                let (size, room) = (job.data.len(), 128);
+                return self.give_back(job, Err(JobError::TooLong { size, room }), out);
+            }
+        };
+        (self.op, self.job, self.misses) = (op, Some(job), 0);
+        self.since = cx.now;
+    }
+}

@@ -1,0 +1,386 @@
+//! One job that goes through a mailbox, message by message: SDO expedited, normal and in segments, complete access,
+//! SDO information with its fragments (ETG.1000.6, clause 5.6). How a message reaches the slave is the mailbox's.
+
+use takt_cia402::dictionary::{AbortCode, Address};
+
+use super::super::event::JobError;
+use super::super::job::{Job, JobKind};
+use crate::coe::{Information, SDO_LEN, Sdo};
+use crate::{CoeService, MailboxKind};
+
+/// What follows from a message of the slave.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Progress {
+    /// It belongs to something else.
+    Ignored,
+    /// Send the next message.
+    Next,
+    /// More comes by itself.
+    More,
+    /// That was it.
+    Done(Result<(), JobError>),
+}
+
+/// Where a transfer is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Phase {
+    /// The first message.
+    Begin,
+    /// Segments follow.
+    Segments { toggle: bool },
+    /// Tell the slave that nothing more comes, then end with this.
+    Abort(AbortCode, JobError),
+}
+
+/// A job on its way.
+#[derive(Debug)]
+pub(in crate::master) struct Transfer {
+    job: Job,
+    phase: Phase,
+    /// Bytes written so far, or in all to read.
+    count: usize,
+    /// Bytes of the segment that was last written.
+    part: usize,
+}
+
+impl Transfer {
+    pub(in crate::master) fn new(mut job: Job) -> Self {
+        if !matches!(job.kind, JobKind::Download { .. } | JobKind::RawMailbox) {
+            job.data.clear();
+        }
+        Self {
+            job,
+            phase: Phase::Begin,
+            count: 0,
+            part: 0,
+        }
+    }
+
+    pub(in crate::master) fn into_job(self) -> Job {
+        self.job
+    }
+
+    pub(super) const fn is_raw(&self) -> bool {
+        matches!(self.job.kind, JobKind::RawMailbox)
+    }
+
+    /// The object that it is about.
+    pub(in crate::master) const fn address(&self) -> Address {
+        match self.job.kind {
+            JobKind::Upload { address, .. }
+            | JobKind::Download { address, .. }
+            | JobKind::DescribeEntry(address) => address,
+            JobKind::DescribeObject(index) => Address::new(index, 0),
+            JobKind::List(_)
+            | JobKind::RawMailbox
+            | JobKind::ReadRegister { .. }
+            | JobKind::WriteRegister { .. }
+            | JobKind::ReadSii { .. }
+            | JobKind::WriteSii { .. } => Address::new(0, 0),
+        }
+    }
+
+    /// Writes the next message behind the mailbox header into `to`, which is as long as the mailbox allows; gives its
+    /// length.
+    pub(super) fn write(&mut self, to: &mut [u8]) -> Option<usize> {
+        let (service, inside) = to.split_first_chunk_mut::<{ CoeService::LEN }>()?;
+        *service = match self.job.kind {
+            JobKind::List(_) | JobKind::DescribeObject(_) | JobKind::DescribeEntry(_) => {
+                CoeService::SdoInformation
+            }
+            _ => CoeService::SdoRequest,
+        }
+        .encode();
+        let len = match self.phase {
+            Phase::Abort(code, _) => Sdo::Abort {
+                address: self.address(),
+                code,
+            }
+            .encode(inside)?,
+            Phase::Begin => self.begin(inside)?,
+            Phase::Segments { toggle } => self.segment(toggle, inside)?,
+        };
+        Some(CoeService::LEN + len)
+    }
+
+    fn begin(&mut self, to: &mut [u8]) -> Option<usize> {
+        match self.job.kind {
+            JobKind::Upload { address, whole } => Sdo::Upload { address, whole }.encode(to),
+            JobKind::Download { address, whole } => {
+                let room = to.len().checked_sub(SDO_LEN)?;
+                let size = u32::try_from(self.job.data.len()).ok()?;
+                self.count = self.job.data.len().min(room);
+                if size <= 4 {
+                    self.count = self.job.data.len();
+                }
+                let data = self.job.data.get(..self.count)?;
+                Sdo::Download {
+                    address,
+                    whole,
+                    size,
+                    data,
+                }
+                .encode(to)
+            }
+            JobKind::List(kind) => inform(Information::LIST, &kind.to_le_bytes(), to),
+            JobKind::DescribeObject(index) => inform(Information::OBJECT, &index.to_le_bytes(), to),
+            JobKind::DescribeEntry(address) => {
+                let [low, high] = address.index.to_le_bytes();
+                // Value info 0: no units, defaults or limits; not every slave has them.
+                inform(Information::ENTRY, &[low, high, address.sub, 0], to)
+            }
+            JobKind::RawMailbox
+            | JobKind::ReadRegister { .. }
+            | JobKind::WriteRegister { .. }
+            | JobKind::ReadSii { .. }
+            | JobKind::WriteSii { .. } => None,
+        }
+    }
+
+    fn segment(&mut self, toggle: bool, to: &mut [u8]) -> Option<usize> {
+        if !matches!(self.job.kind, JobKind::Download { .. }) {
+            return Sdo::UploadSegment { toggle }.encode(to);
+        }
+        let rest = self.job.data.get(self.count..)?;
+        self.part = rest.len().min(to.len().checked_sub(1)?);
+        let last = self.part == rest.len();
+        let data = rest.get(..self.part)?;
+        Sdo::DownloadSegment { toggle, last, data }.encode(to)
+    }
+
+    /// Copies a raw message; `None` if it is longer than the mailbox.
+    pub(super) fn copy_raw(&self, to: &mut [u8]) -> Option<()> {
+        to.get_mut(..self.job.data.len())?
+            .copy_from_slice(&self.job.data);
+        Some(())
+    }
+
+    /// A raw mailbox came.
+    pub(super) fn handle_raw(&mut self, mailbox: &[u8]) -> Progress {
+        self.job.data.clear();
+        Progress::Done(self.append(mailbox))
+    }
+
+    /// The slave could not take the message.
+    pub(super) const fn handle_error(error: crate::MailboxError) -> Progress {
+        Progress::Done(Err(JobError::Mailbox(error)))
+    }
+
+    /// A CoE message came that is no emergency.
+    pub(super) fn handle(&mut self, service: CoeService, bytes: &[u8]) -> Progress {
+        let informs = matches!(
+            self.job.kind,
+            JobKind::List(_) | JobKind::DescribeObject(_) | JobKind::DescribeEntry(_)
+        );
+        match service {
+            CoeService::SdoInformation if informs => self.handle_information(bytes),
+            // An abort has the service of a request.
+            CoeService::SdoRequest | CoeService::SdoResponse if !informs => {
+                match Sdo::decode_response(bytes) {
+                    Some(sdo) => self.handle_sdo(&sdo),
+                    None => Progress::Done(Err(JobError::Protocol("SDO"))),
+                }
+            }
+            CoeService::SdoInformation
+            | CoeService::SdoRequest
+            | CoeService::SdoResponse
+            | CoeService::Emergency
+            | CoeService::Pdo(_)
+            | CoeService::Other(_) => Progress::Ignored,
+        }
+    }
+
+    fn handle_sdo(&mut self, sdo: &Sdo<'_>) -> Progress {
+        let uploads = matches!(self.job.kind, JobKind::Upload { .. });
+        match (*sdo, self.phase) {
+            (Sdo::Abort { address, code }, _)
+                if address == self.address() || address == Address::default() =>
+            {
+                Progress::Done(Err(JobError::Abort(code)))
+            }
+            (
+                Sdo::Uploaded {
+                    address,
+                    size,
+                    data,
+                    ..
+                },
+                Phase::Begin,
+            ) if uploads && address == self.address() => self.uploaded(size, data),
+            (Sdo::UploadedSegment { toggle, last, data }, Phase::Segments { toggle: expected })
+                if uploads =>
+            {
+                self.uploaded_segment(toggle == expected, last, data)
+            }
+            (Sdo::Downloaded { address, .. }, Phase::Begin)
+                if !uploads && address == self.address() =>
+            {
+                self.written(false)
+            }
+            (Sdo::DownloadedSegment { toggle }, Phase::Segments { toggle: expected })
+                if !uploads =>
+            {
+                if toggle != expected {
+                    return self.give_up(
+                        AbortCode::Toggle,
+                        JobError::Protocol("SDO segment (toggle bit)"),
+                    );
+                }
+                self.count += std::mem::take(&mut self.part);
+                self.written(!expected)
+            }
+            // Late answers of a transfer that was given up.
+            _ => Progress::Ignored,
+        }
+    }
+
+    fn uploaded(&mut self, size: u32, data: &[u8]) -> Progress {
+        let size = usize::try_from(size).unwrap_or(usize::MAX);
+        self.job.data.clear();
+        let room = self.job.data.capacity();
+        if size > room {
+            return self.give_up(AbortCode::OutOfMemory, JobError::TooLong { size, room });
+        }
+        self.count = size;
+        if data.len() >= size {
+            // A full mailbox may follow the data proper.
+            return Progress::Done(self.append(data.get(..size).unwrap_or_default()));
+        }
+        if let Err(error) = self.append(data) {
+            return Progress::Done(Err(error));
+        }
+        self.phase = Phase::Segments { toggle: false };
+        Progress::Next
+    }
+
+    fn uploaded_segment(&mut self, in_turn: bool, last: bool, data: &[u8]) -> Progress {
+        if !in_turn {
+            return self.give_up(
+                AbortCode::Toggle,
+                JobError::Protocol("SDO segment (toggle bit)"),
+            );
+        }
+        let left = self.count.saturating_sub(self.job.data.len());
+        if let Err(error) = self.append(data.get(..data.len().min(left)).unwrap_or_default()) {
+            return Progress::Done(Err(error));
+        }
+        if last {
+            let whole = self.job.data.len() == self.count;
+            return Progress::Done(if whole {
+                Ok(())
+            } else {
+                Err(JobError::Protocol("SDO transfer (too short)"))
+            });
+        }
+        if data.is_empty() || self.job.data.len() == self.count {
+            return self.give_up(
+                AbortCode::TooLong,
+                JobError::Protocol("SDO transfer (too long)"),
+            );
+        }
+        self.flip();
+        Progress::Next
+    }
+
+    fn flip(&mut self) {
+        if let Phase::Segments { toggle } = self.phase {
+            self.phase = Phase::Segments { toggle: !toggle };
+        }
+    }
+
+    /// So much was taken; what is left goes in segments.
+    fn written(&mut self, toggle: bool) -> Progress {
+        if self.count == self.job.data.len() {
+            return Progress::Done(Ok(()));
+        }
+        self.phase = Phase::Segments { toggle };
+        Progress::Next
+    }
+
+    fn give_up(&mut self, code: AbortCode, error: JobError) -> Progress {
+        self.phase = Phase::Abort(code, error);
+        Progress::Next
+    }
+
+    /// With what it ends once the message under way is sent; `None` while it goes on.
+    pub(super) const fn ends(&self) -> Option<JobError> {
+        match self.phase {
+            Phase::Abort(_, error) => Some(error),
+            Phase::Begin | Phase::Segments { .. } => None,
+        }
+    }
+
+    fn handle_information(&mut self, bytes: &[u8]) -> Progress {
+        let Some((header, data)) = Information::decode(bytes) else {
+            return Progress::Done(Err(JobError::Protocol("SDO information")));
+        };
+        let asked = match self.job.kind {
+            JobKind::List(_) => Information::LIST,
+            JobKind::DescribeObject(_) => Information::OBJECT,
+            _ => Information::ENTRY,
+        };
+        if header.operation == Information::ERROR {
+            let code = data
+                .first_chunk()
+                .map_or(0, |four| u32::from_le_bytes(*four));
+            return Progress::Done(Err(JobError::Abort(AbortCode::from_raw(code))));
+        }
+        if header.operation != asked + 1 {
+            return Progress::Ignored;
+        }
+        // The first fragment of a list repeats its kind.
+        let skip = if asked == Information::LIST && self.count == 0 {
+            2
+        } else {
+            0
+        };
+        self.count += 1;
+        if let Err(error) = self.append(data.get(skip..).unwrap_or_default()) {
+            return Progress::Done(Err(error));
+        }
+        if header.incomplete || header.left > 0 {
+            return Progress::More;
+        }
+        Progress::Done(Ok(()))
+    }
+
+    /// Takes bytes without growing.
+    fn append(&mut self, bytes: &[u8]) -> Result<(), JobError> {
+        let room = self.job.data.capacity();
+        let size = self.job.data.len() + bytes.len();
+        if size > room {
+            return Err(JobError::TooLong { size, room });
+        }
+        self.job.data.extend_from_slice(bytes);
+        Ok(())
+    }
+}
+
+fn inform(operation: u8, data: &[u8], to: &mut [u8]) -> Option<usize> {
+    let header = Information {
+        operation,
+        incomplete: false,
+        left: 0,
+    };
+    to.get_mut(..Information::LEN)?
+        .copy_from_slice(&header.encode());
+    let end = Information::LEN + data.len();
+    to.get_mut(Information::LEN..end)?.copy_from_slice(data);
+    Some(end)
+}
+
+/// What a mailbox must speak for a job.
+pub(super) const fn protocol(kind: JobKind) -> Option<MailboxKind> {
+    match kind {
+        JobKind::Upload { .. }
+        | JobKind::Download { .. }
+        | JobKind::List(_)
+        | JobKind::DescribeObject(_)
+        | JobKind::DescribeEntry(_) => Some(MailboxKind::Coe),
+        JobKind::RawMailbox
+        | JobKind::ReadRegister { .. }
+        | JobKind::WriteRegister { .. }
+        | JobKind::ReadSii { .. }
+        | JobKind::WriteSii { .. } => None,
+    }
+}

@@ -1,0 +1,209 @@
+//! What can be seen of a master and its slaves from outside. Nothing is changed here.
+
+use super::unit::Unit;
+use super::{
+    Difference, FrameCounters, Group, Master, Phase, PortCounters, ProcessData, SlaveInfo,
+};
+use crate::config::{MasterConfig, SlaveSpec};
+use crate::topology::Topology;
+use crate::{AlStatus, AlStatusCode};
+
+use super::event::Fault;
+
+/// A slave as its master sees it.
+#[derive(Clone, Copy, Debug)]
+pub struct SlaveView<'a> {
+    unit: &'a Unit,
+}
+
+impl<'a> SlaveView<'a> {
+    /// Its number: in the configuration, or without one in the ring.
+    #[must_use]
+    pub const fn number(&self) -> usize {
+        self.unit.number
+    }
+
+    /// What it is expected to be.
+    #[must_use]
+    pub const fn spec(&self) -> &'a SlaveSpec {
+        &self.unit.spec
+    }
+
+    /// What it says of itself.
+    #[must_use]
+    pub const fn info(&self) -> &'a SlaveInfo {
+        &self.unit.info
+    }
+
+    /// What it exchanges.
+    #[must_use]
+    pub const fn process(&self) -> &'a ProcessData {
+        &self.unit.process
+    }
+
+    /// Its position in the ring, from 0; `None` while it is not there.
+    #[must_use]
+    pub const fn position(&self) -> Option<u16> {
+        self.unit.position
+    }
+
+    /// Its station address.
+    #[must_use]
+    pub const fn station(&self) -> u16 {
+        self.unit.station
+    }
+
+    /// Its state as last seen, and the code of an error.
+    #[must_use]
+    pub const fn al(&self) -> (AlStatus, AlStatusCode) {
+        (self.unit.al, self.unit.code)
+    }
+
+    /// It is where it is wanted.
+    #[must_use]
+    pub const fn is_running(&self) -> bool {
+        self.unit.is_running()
+    }
+
+    /// Why it is not where it is wanted.
+    #[must_use]
+    pub const fn fault(&self) -> Option<Fault> {
+        self.unit.fault
+    }
+
+    /// Errors of its ports since the start.
+    #[must_use]
+    pub const fn counters(&self) -> &'a PortCounters {
+        self.unit.counters()
+    }
+
+    /// Difference of its clock to the reference as last read (092Ch), ns; positive is ahead. `None` if never read.
+    #[must_use]
+    pub const fn clock_difference_ns(&self) -> Option<i32> {
+        self.unit.clock.difference_ns
+    }
+
+    /// Propagation delay from the reference clock, ns.
+    #[must_use]
+    pub const fn delay_ns(&self) -> u32 {
+        self.unit.clock.delay_ns
+    }
+
+    /// How often its clock was seen outside of the window since it was locked.
+    #[must_use]
+    pub const fn clock_violations(&self) -> u64 {
+        self.unit.clock.violations
+    }
+
+    /// First SYNC0, system time, ns; `None` without.
+    #[must_use]
+    pub const fn sync_start_ns(&self) -> Option<u64> {
+        self.unit.clock.start_ns
+    }
+
+    /// Messages of its mailbox that belonged to nothing, and messages that were asked for again.
+    #[must_use]
+    pub const fn mailbox_counters(&self) -> (u32, u32) {
+        self.unit.mailbox_counters()
+    }
+}
+
+impl Master {
+    /// Where the start is.
+    #[must_use]
+    pub const fn phase(&self) -> Phase {
+        self.scan.phase
+    }
+
+    /// All slaves are where they are wanted; optional ones may be missing.
+    #[must_use]
+    pub fn is_operational(&self) -> bool {
+        let good = |unit: &Unit| unit.is_running() || (unit.spec.optional && !unit.is_present());
+        self.scan.phase == Phase::Running && self.units.iter().all(good)
+    }
+
+    /// The configuration.
+    #[must_use]
+    pub const fn config(&self) -> &MasterConfig {
+        &self.config
+    }
+
+    /// What differs between configuration and segment, slave by slave.
+    #[must_use]
+    pub fn differences(&self) -> &[Difference] {
+        &self.differences
+    }
+
+    /// Bytes of a process image that does not fit one frame; `None` if it fits. Fewer PDOs, or more than one segment,
+    /// help.
+    #[must_use]
+    pub const fn image_too_large(&self) -> Option<usize> {
+        self.too_large
+    }
+
+    /// How many slaves are known, there or not.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.units.len()
+    }
+
+    /// Whether none is known.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.units.is_empty()
+    }
+
+    /// A slave.
+    #[must_use]
+    pub fn slave(&self, number: usize) -> Option<SlaveView<'_>> {
+        self.units.get(number).map(|unit| SlaveView { unit })
+    }
+
+    /// The number of the slave of that name.
+    #[must_use]
+    pub fn find(&self, name: &str) -> Option<usize> {
+        self.units.iter().position(|unit| unit.spec.name == name)
+    }
+
+    /// The tree, by positions in the ring.
+    #[must_use]
+    pub const fn topology(&self) -> &Topology {
+        &self.topology
+    }
+
+    /// The slave at each position of the ring, as it was at start.
+    #[must_use]
+    pub fn ring(&self) -> &[usize] {
+        &self.ring
+    }
+
+    /// The slave whose clock is the reference.
+    #[must_use]
+    pub const fn reference(&self) -> Option<usize> {
+        self.clock.slave
+    }
+
+    /// What became of the frames.
+    #[must_use]
+    pub const fn frames(&self) -> FrameCounters {
+        self.exchange.counters()
+    }
+
+    /// The groups and their working counters.
+    #[must_use]
+    pub fn groups(&self) -> &[Group] {
+        self.image.groups()
+    }
+
+    /// Frames of the running segment.
+    #[must_use]
+    pub const fn cycles(&self) -> u64 {
+        self.cycles
+    }
+
+    /// Events and emergencies that nobody fetched in time.
+    #[must_use]
+    pub const fn dropped(&self) -> u64 {
+        self.out.dropped
+    }
+}

@@ -1,0 +1,124 @@
+//! Proof that the master of a running segment does not allocate: cycles with objects, emergencies, lost frames, a cut
+//! cable and a slave that comes back, under a counting allocator.
+#![expect(unsafe_code, reason = "a global allocator is an unsafe trait")]
+#![expect(
+    clippy::unwrap_used,
+    reason = "a test may fail anywhere, its helpers too"
+)]
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::time::Duration;
+
+use takt_cia402::dictionary::Address;
+use takt_ethercat::Emergency;
+use takt_ethercat::coe::Whole;
+use takt_ethercat::config::MasterConfig;
+use takt_ethercat::emulator::{Coupler, Entry, Io, Segment, ServoConfig, ServoDrive};
+use takt_ethercat::master::{Job, JobKind, Master};
+
+thread_local! {
+    static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
+}
+
+struct Counting;
+
+// SAFETY: every request is handed to the system allocator unchanged; the counter is a plain thread-local without a
+// destructor and allocates nothing.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        let _gone = ALLOCATIONS.try_with(|count| count.set(count.get() + 1));
+        // SAFETY: the caller keeps the contract of `alloc`, which is the same here.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        let _gone = ALLOCATIONS.try_with(|count| count.set(count.get() + 1));
+        // SAFETY: `pointer` came from `System.alloc` above with this layout.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// What `what` allocates and frees.
+fn counted<R>(total: &mut u64, what: impl FnOnce() -> R) -> R {
+    let before = ALLOCATIONS.get();
+    let result = what();
+    *total += ALLOCATIONS.get() - before;
+    result
+}
+
+/// One frame there and back; what the master allocates is added to `total`.
+fn cycle(master: &mut Master, segment: &mut Segment, now: &mut Duration, total: &mut u64) {
+    let mut frame = [0; 1500];
+    let len = counted(total, || master.poll_transmit(*now, &mut frame));
+    if let Some(len) = len {
+        let ns = u64::try_from(now.as_nanos()).unwrap();
+        if let Some(returned) = segment.process(&mut frame[..len], Entry::First, ns) {
+            let at = *now + Duration::from_nanos(returned.after);
+            counted(total, || master.handle_frame(0, &frame[..len], at));
+        }
+    }
+    *now += Duration::from_millis(1);
+}
+
+#[test]
+fn ten_thousand_cycles_with_faults_allocate_nothing() {
+    let (terminal, _) = Io::digital(8, 8);
+    let (slave, drive) = ServoDrive::slave(ServoConfig::default()).unwrap();
+    let mut segment = Segment::line([Coupler::slave(), terminal, slave]);
+    let mut master = Master::new(MasterConfig::default()).unwrap();
+    let (mut now, mut start) = (Duration::from_secs(1), 0);
+    while !master.is_operational() {
+        cycle(&mut master, &mut segment, &mut now, &mut start);
+        assert!(now < Duration::from_secs(20));
+    }
+    assert!(start > 0, "the counter counts");
+    let (mut total, mut replies, mut emergencies) = (0, 0, 0);
+    let mut job = Some(Job {
+        slave: 2,
+        kind: JobKind::Upload {
+            address: Address::new(0x1008, 0),
+            whole: Whole::Entry,
+        },
+        data: Vec::with_capacity(64),
+        token: 0,
+    });
+    for n in 0..10_000_u32 {
+        match n % 2500 {
+            100 => segment.set_link(2, false),
+            600 => segment.set_link(2, true),
+            1500 => segment.set_power(2, false),
+            1600 => segment.set_power(2, true),
+            1200 => drive.emergency(&Emergency {
+                code: 0x7320,
+                register: 0x20,
+                data: [0; 5],
+            }),
+            at if at % 97 == 0 => segment.faults.lose = 1,
+            _ => {}
+        }
+        if let Some(submitted) = job.take() {
+            job = counted(&mut total, || master.submit(submitted))
+                .err()
+                .map(|reply| reply.job);
+        }
+        counted(&mut total, || {
+            master.outputs_mut(1).fill(n.to_le_bytes()[0])
+        });
+        cycle(&mut master, &mut segment, &mut now, &mut total);
+        if let Some(reply) = counted(&mut total, || master.poll_reply()) {
+            replies += u32::from(reply.result.is_ok());
+            job = Some(reply.job);
+        }
+        emergencies += u32::from(counted(&mut total, || master.poll_emergency()).is_some());
+        while counted(&mut total, || master.poll_event()).is_some() {}
+    }
+    assert!(
+        master.is_operational() && replies > 100 && emergencies >= 4,
+        "{replies} {emergencies}"
+    );
+    assert_eq!(total, 0);
+}
