@@ -10,6 +10,11 @@ use std::time::Duration;
 use takt_fri::lwr::emulator::{Faults, Krc, KrcConfig, KrcCounters, LineFaults};
 use takt_fri::lwr::wire::{Cmd, Msr};
 use takt_fri::lwr::{Session, SessionConfig};
+use takt_fri::sunrise;
+use takt_fri::sunrise::emulator::{
+    Cabinet, CabinetConfig, Contact, Control, Overlay, Program, Shape,
+};
+use takt_fri::sunrise::wire::{CommandMode, Dialect, MESSAGE_MAX};
 
 thread_local! {
     static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
@@ -84,6 +89,69 @@ fn ten_thousand_cycles_with_faults_allocate_nothing() {
     assert_ne!(krc.counters(), KrcCounters::default());
     assert!(krc.falls() > 0, "{krc:?}");
     assert!(session.counters().answered > 2_000, "{session:?}");
+}
+
+fn sunrise_cycle(cabinet: &mut Cabinet, session: &mut sunrise::Session) {
+    let now = cabinet.poll_timeout();
+    let mut buf = [0; MESSAGE_MAX];
+    while let Some(len) = cabinet.poll_transmit(now, &mut buf) {
+        session.handle_timeout(now);
+        session.handle_datagram(&buf[..len], now).unwrap();
+        let _refused = session.engage();
+        let demand = sunrise::Demand::Wrench {
+            wrench: [0.0, 0.0, -10.0, 0.0, 0.0, 0.0],
+            joints: None,
+        };
+        if let Ok(answer) = session.answer(&demand, &mut buf) {
+            cabinet.handle_datagram(&buf[..answer.len], now).unwrap();
+        }
+    }
+    let _refused = cabinet.handle_datagram(&buf[..17], now);
+}
+
+#[test]
+fn ten_thousand_cycles_of_sunrise_in_contact_with_faults_allocate_nothing() {
+    let control = Control::CartesianImpedance {
+        stiffness: [1000.0, 1000.0, 1000.0, 100.0, 100.0, 100.0],
+        damping: [0.7; 6],
+    };
+    let command = CommandMode::Wrench;
+    let contact = Contact {
+        shape: Shape::Spring,
+        place: [0.5, 0.0, 0.5],
+        normal: [0.0, 0.0, 1.0],
+        stiffness: 500.0,
+        damping: 5.0,
+    };
+    let line = LineFaults {
+        drop: 0.02,
+        duplicate: 0.02,
+        reorder: 0.02,
+        jitter: Duration::from_micros(300),
+        ..LineFaults::default()
+    };
+    let mut config = CabinetConfig {
+        dialect: Dialect::V3,
+        contact: Some(contact),
+        program: Program::Auto {
+            overlay: Overlay { control, command },
+            restart: Some(Duration::from_millis(100)),
+        },
+        ..CabinetConfig::default()
+    };
+    (config.faults.to_client, config.faults.to_cabinet) = (line, line);
+    let mut cabinet = Cabinet::new(config, Duration::ZERO);
+    let mut session = sunrise::Session::new(sunrise::SessionConfig::default());
+    let before = ALLOCATIONS.get();
+    for index in 0..10_000 {
+        if index % 1_000 == 999 {
+            cabinet.faults_mut().to_cabinet.drop_next = 15;
+        }
+        sunrise_cycle(&mut cabinet, &mut session);
+    }
+    assert_eq!(ALLOCATIONS.get() - before, 0);
+    assert!(cabinet.falls() > 0 && session.is_engaged(), "{cabinet:?}");
+    assert!(session.counters().answered > 8_000);
 }
 
 #[test]

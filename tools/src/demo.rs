@@ -14,6 +14,7 @@ use anyhow::Context as _;
 use clap::Args;
 use takt_core::cell::{ControllerConfig, DeviceConfig, LwrConfig};
 use takt_core::device::DeviceStatus;
+use takt_core::device::driver::DeviceDriver as _;
 use takt_core::record::Recorder;
 use takt_core::{CellConfig, Controller};
 use takt_rt::host::{HostConfig, prepare};

@@ -36,7 +36,7 @@ use report::{Judgement, Report};
 #[command(after_help = "Examples:
   takt jitter --cpu all --load 4 --duration 1h --budget 100us --svg jitter.svg
   takt jitter --cpu 1 --break 200us            with a trace running: stop and mark it
-  takt jitter --cpu 1 --compare cyclictest --slices 30 --duration 30s
+  takt jitter --cpu 1 --compare cyclictest --duration 30s
   takt jitter --from jitter.json --svg jitter.svg")]
 pub(crate) struct Jitter {
     /// From one cycle to the next.
@@ -75,9 +75,9 @@ pub(crate) struct Jitter {
     /// Alternate with this tool, and give the ratios of the latencies.
     #[arg(long, value_name = "TOOL")]
     compare: Option<Tool>,
-    /// Slices of each tool.
-    #[arg(long, value_name = "N", default_value_t = 10, requires = "compare", value_parser = clap::value_parser!(u32).range(1..=10_000))]
-    slices: u32,
+    /// Slices of each tool. By default each lasts 250 ms, or 100 cycles if that is longer.
+    #[arg(long, value_name = "N", requires = "compare", value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    slices: Option<u32>,
     /// Be one process of the load.
     #[arg(long, hide = true)]
     load_worker: bool,

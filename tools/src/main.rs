@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
+mod can;
 mod client;
 mod demo;
 mod doctor;
@@ -38,6 +39,9 @@ enum Command {
     /// Move two emulated robots with a net and report; needs no hardware and no root.
     Demo(demo::Demo),
     Doctor(doctor::Doctor),
+    /// Look at CAN buses, send to them, set interfaces up.
+    #[command(subcommand)]
+    Can(can::Can),
     /// Be the other end of a wire: an emulated robot controller.
     #[command(subcommand)]
     Emulate(emulate::Emulate),
@@ -65,6 +69,7 @@ fn main() -> ExitCode {
         Command::Run(run) => run.run(),
         Command::Demo(demo) => demo.run(),
         Command::Doctor(doctor) => doctor.run(),
+        Command::Can(can) => can.run(),
         Command::Emulate(emulate) => emulate.run(),
         Command::Jitter(jitter) => jitter.run(),
         Command::Net(net) => net.run(),

@@ -14,6 +14,7 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use clap::Args;
+use takt_core::device::driver::DeviceDriver as _;
 use takt_core::record::Recorder;
 use takt_core::{CellConfig, Controller};
 use takt_rt::host::{HostConfig, prepare};

@@ -25,6 +25,8 @@ use super::warning::{Told, Warning};
 const LOOK_EVERY: Duration = Duration::from_millis(250);
 /// Looked for a little after the time, the end has come.
 const AFTER_END: Duration = Duration::from_millis(2);
+/// Slices of fewer cycles compare nothing.
+const SLICE_CYCLES: u32 = 100;
 /// What the load gets to reach its pace.
 const LOAD_SETTLES: Duration = Duration::from_millis(300);
 
@@ -108,6 +110,15 @@ struct SoFar<'a> {
     other: &'a [ThreadReport],
 }
 
+/// As many as fit, at least one. Short ones, since what else a host does changes from second to second, and has to
+/// meet both tools; not shorter, since each begins with cold caches.
+fn usual_slices(plan: &Plan) -> u32 {
+    const SLICE: Duration = Duration::from_millis(250);
+    let slice = SLICE.max(plan.period * SLICE_CYCLES);
+    let slices = plan.duration.as_nanos() / slice.as_nanos();
+    u32::try_from(slices).unwrap_or(u32::MAX).max(1)
+}
+
 /// What one slice measures.
 fn slice_of(plan: &Plan, slices: u32) -> anyhow::Result<Plan> {
     let slice = Plan {
@@ -115,7 +126,7 @@ fn slice_of(plan: &Plan, slices: u32) -> anyhow::Result<Plan> {
         ..plan.clone()
     };
     anyhow::ensure!(
-        slice.duration >= slice.period * 100,
+        slice.duration >= slice.period * SLICE_CYCLES,
         "slices of fewer than 100 cycles compare nothing: fewer --slices or a longer --duration"
     );
     anyhow::ensure!(
@@ -151,9 +162,10 @@ impl Session {
     fn compare(
         &mut self,
         plan: &Plan,
-        slices: u32,
+        slices: Option<u32>,
         report: &mut Report,
     ) -> anyhow::Result<Vec<Grant>> {
+        let slices = slices.unwrap_or_else(|| usual_slices(plan));
         let slice = slice_of(plan, slices)?;
         self.whole = plan.duration * 2;
         let mut refused = Vec::new();
@@ -425,5 +437,47 @@ impl Interrupt {
                 () = tokio::time::sleep(span) => false,
             }
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn plan(period: Duration, duration: Duration) -> Plan {
+        Plan {
+            period,
+            priority: None,
+            cpus: vec![Some(0)],
+            duration,
+            break_at: None,
+            tracer: None,
+        }
+    }
+
+    #[test]
+    fn slices_are_short_but_of_enough_cycles() {
+        let slices = |period_us, duration_ms| {
+            usual_slices(&plan(
+                Duration::from_micros(period_us),
+                Duration::from_millis(duration_ms),
+            ))
+        };
+        assert_eq!(slices(1_000, 10_000), 40);
+        assert_eq!(slices(10_000, 10_000), 10, "100 cycles of 10 ms");
+        assert_eq!(slices(1_000, 120), 1);
+    }
+
+    #[test]
+    fn slices_that_compare_nothing_are_refused() {
+        let refused = |plan: &Plan, slices| slice_of(plan, slices).unwrap_err().to_string();
+        let second = plan(Duration::from_millis(1), Duration::from_secs(1));
+        assert_eq!(
+            slice_of(&second, 10).unwrap().duration,
+            Duration::from_millis(100)
+        );
+        assert!(refused(&second, 11).contains("fewer --slices"));
+        let odd = plan(Duration::from_nanos(1_000_500), Duration::from_secs(1));
+        assert!(refused(&odd, 1).contains("whole microseconds"));
     }
 }

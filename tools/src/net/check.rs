@@ -7,9 +7,8 @@ use std::time::Duration;
 
 use clap::Args;
 use takt_core::CellConfig;
-use takt_core::cell::DeviceConfig;
 use takt_core::costs::CostTable;
-use takt_core::device::{ARM_JOINTS_MAX, DeviceTable, lwr, parts};
+use takt_core::device::{ARM_JOINTS_MAX, DeviceTable, parts};
 use takt_net::device::Interfaces;
 use takt_net::{ArmBinding, CostShare, Devices, JointLimits, LoadContext, NetCost, Registry, load};
 
@@ -79,8 +78,8 @@ impl Check {
             return Ok(Box::new(AnyArm));
         };
         let mut table = DeviceTable::default();
-        for DeviceConfig::Lwr(device) in CellConfig::read(config)?.devices {
-            table.add(lwr::describe(&device.name).with(lwr::PARTS))?;
+        for device in CellConfig::read(config)?.devices {
+            table.add(device.describe())?;
         }
         Ok(Box::new(table))
     }

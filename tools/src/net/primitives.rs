@@ -3,7 +3,7 @@
 
 use clap::Args;
 use serde_json::json;
-use takt_net::definition::{InPort, NullRule, Parameter, ParameterType};
+use takt_net::definition::{InPort, Parameter, ParameterType};
 use takt_net::{Definition, Registry};
 
 use crate::Verdict;
@@ -65,14 +65,6 @@ fn type_name(ty: ParameterType) -> String {
     }
 }
 
-const fn null_rule(rule: NullRule) -> &'static str {
-    match rule {
-        NullRule::Propagates => "any input null makes all outputs null",
-        NullRule::Kleene => "null is \"unknown\" of three-valued logic",
-        NullRule::Own(sentence) => sentence,
-    }
-}
-
 fn as_json(definition: &Definition) -> serde_json::Value {
     let inputs = definition.inputs.iter().map(|port| {
         json!({
@@ -91,7 +83,12 @@ fn as_json(definition: &Definition) -> serde_json::Value {
         })
     });
     json!({
-        "name": definition.name, "doc": definition.doc, "null": null_rule(definition.null),
+        "name": definition.name, "doc": definition.doc, "null": definition.null.text(),
+        "source": definition.source,
+        "cost": {
+            "first_ns": definition.cost.first_ns, "ns": definition.cost.ns,
+            "element_ns": definition.cost.element_ns,
+        },
         "inputs": inputs.collect::<Vec<_>>(),
         "outputs": outputs.collect::<Vec<_>>(),
         "parameters": parameters.collect::<Vec<_>>(),
@@ -107,10 +104,21 @@ fn line(definition: &Definition) -> String {
 
 /// All that is known of a primitive, for people.
 fn text(definition: &Definition) -> String {
-    let null = null_rule(definition.null);
+    let Definition {
+        name,
+        doc,
+        null,
+        cost,
+        source,
+        ..
+    } = definition;
     let mut text = format!(
-        "{}\n  {}\n  null: {null}\n",
-        definition.name, definition.doc
+        "{name}\n  {doc}\n  null: {}\n  cost: at most {} ns, the first of a net {} ns more, each array \
+         element {} ns; as declared\n  source: {source}\n",
+        null.text(),
+        cost.ns,
+        cost.first_ns,
+        cost.element_ns
     );
     let mut section = |title: &str, rows: Vec<String>| {
         if !rows.is_empty() {

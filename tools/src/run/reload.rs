@@ -23,17 +23,12 @@ impl Changes {
         let gone = old.devices.iter().filter(|device| missing(new, device));
         let added = new.devices.iter().filter(|device| missing(old, device));
         Self {
-            gone: gone.map(|device| name(device).to_owned()).collect(),
+            gone: gone.map(|device| device.name().to_owned()).collect(),
             new: added.cloned().collect(),
             log: old.controller.log != new.controller.log,
             restart: for_restart(&old.controller, &new.controller),
         }
     }
-}
-
-fn name(device: &DeviceConfig) -> &str {
-    let DeviceConfig::Lwr(lwr) = device;
-    &lwr.name
 }
 
 /// Settings of the controller that differ and cannot change while it runs.
@@ -94,7 +89,7 @@ pub(super) fn apply(
     for gone in &changes.gone {
         match controller.remove_cell_device(gone) {
             Ok(()) => {
-                running.devices.retain(|device| name(device) != gone);
+                running.devices.retain(|device| device.name() != gone);
                 reloaded.applied.push(format!("device {gone} is gone"));
             }
             Err(error) => reloaded
@@ -103,12 +98,8 @@ pub(super) fn apply(
         }
     }
     for device in changes.new {
-        let name = name(&device).to_owned();
-        if running
-            .devices
-            .iter()
-            .any(|other| self::name(other) == name)
-        {
+        let name = device.name().to_owned();
+        if running.devices.iter().any(|other| other.name() == name) {
             continue; // It was to change, and could not go: that is told already.
         }
         match controller.add_cell_device(&device) {

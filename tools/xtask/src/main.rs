@@ -2,9 +2,11 @@
 #![forbid(unsafe_code)]
 
 mod bench;
+mod binaries;
 mod cargo;
 mod ci;
 mod deb;
+mod elsewhere;
 mod metadata;
 mod parts;
 mod shell;

@@ -11,11 +11,14 @@ use anyhow::Context;
 
 use crate::cargo::note;
 
+/// Exit status of a line whose time was up, see [`Line::limited`].
+pub(crate) const TIME_IS_UP: u8 = 124;
+
 /// A program with its arguments.
 #[derive(Clone, Debug)]
 pub(crate) struct Line {
     words: Vec<OsString>,
-    env: Vec<(&'static str, &'static str)>,
+    env: Vec<(&'static str, String)>,
     folder: Option<PathBuf>,
     quiet: bool,
 }
@@ -39,8 +42,8 @@ impl Line {
         words.into_iter().fold(self, Self::arg)
     }
 
-    pub(crate) fn env(mut self, name: &'static str, value: &'static str) -> Self {
-        self.env.push((name, value));
+    pub(crate) fn env(mut self, name: &'static str, value: &str) -> Self {
+        self.env.push((name, value.to_owned()));
         self
     }
 
@@ -56,7 +59,7 @@ impl Line {
         self
     }
 
-    /// The same under a time limit; its exit status is 124 when the time is up.
+    /// The same under a time limit; its exit status is [`TIME_IS_UP`] then.
     pub(crate) fn limited(self, seconds: u64) -> Self {
         let mut words = vec!["timeout".into(), "--kill-after=10".into()];
         words.push(seconds.to_string().into());
@@ -74,6 +77,13 @@ impl Line {
     /// Runs to the end; true if it was content.
     pub(crate) fn succeeds(&self) -> anyhow::Result<bool> {
         Ok(self.status()? == 0)
+    }
+
+    /// As [`Line::succeeds`], and nobody sees that it ran: for asking what there is.
+    pub(crate) fn answers(self) -> bool {
+        let mut command = self.quiet().command();
+        let status = command.stderr(Stdio::null()).status();
+        status.is_ok_and(|status| status.success())
     }
 
     /// As [`Line::status`], giving each line of its standard output to `take` as it comes.
@@ -96,7 +106,7 @@ impl Line {
     fn command(&self) -> Command {
         let mut command = Command::new(&self.words[0]);
         command.args(&self.words[1..]).stdin(Stdio::null());
-        command.envs(self.env.iter().copied());
+        command.envs(self.env.iter().map(|(name, value)| (name, value)));
         if self.quiet {
             command.stdout(Stdio::null());
         }

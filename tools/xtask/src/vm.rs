@@ -10,12 +10,11 @@ mod system;
 
 use std::path::Path;
 
-use crate::cargo::{Cargo, note, say};
-use crate::metadata::Workspace;
+use crate::cargo::{Cargo, say};
 use crate::parts::Part;
 use crate::test::tally::Tally;
-use guest::Guest;
-
+pub(crate) use guest::Guest;
+pub(crate) use needs::is_root;
 
 /// A machine cannot be had here, and why. Not a fault of what was to run in it.
 #[derive(Debug)]
@@ -35,99 +34,36 @@ pub(crate) fn run(root: &Path, command: &[String], seconds: u64) -> anyhow::Resu
     }
 }
 
-/// How long all test binaries may take together within the machine, s.
-const TESTS_WITHIN: u64 = 600;
-
-/// The packages whose tests are run on the real-time kernel too.
-const ON_THE_KERNEL: &[&str] = &["takt-rt"];
-
-/// What of a part is tested in machines.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Wanted {
-    /// The real-time crate, on a real-time kernel.
-    kernel: bool,
-    /// Test binaries that need a virtual CAN interface.
-    vcan: bool,
-    /// The package, in a Debian of its own.
-    service: bool,
+/// Whether the parts (none: all) are to be tested on a real-time kernel.
+pub(crate) fn wants_kernel(parts: &[&Part]) -> bool {
+    wants(parts, &["all", "host"])
 }
 
-impl Wanted {
-    /// What the parts (none: all) want.
-    pub(crate) fn by(parts: &[&Part]) -> Self {
-        let any = |names: &[&str]| {
-            parts.is_empty()
-                || parts
-                    .iter()
-                    .any(|p| p.name == "all" || names.contains(&p.name))
-        };
-        Self {
-            kernel: any(&["host"]),
-            vcan: any(&["can"]),
-            service: any(&["host", "deploy"]),
-        }
-    }
-
-    fn nothing(self) -> bool {
-        self == Self::default()
-    }
+/// Whether the package is to be tested, in a Debian of its own.
+pub(crate) fn wants_service(parts: &[&Part]) -> bool {
+    wants(parts, &["all", "host", "deploy"])
 }
 
-/// Runs what the parts want in machines. `lines` are the cargo lines that built the tests; `skips` is the
-/// file of skips, in which a test notes why it did not run.
-pub(crate) fn test(
-    root: &Path,
-    wanted: Wanted,
-    lines: &[Cargo],
-    skips: &Path,
-) -> anyhow::Result<Tally> {
-    let mut tally = Tally::default();
-    if wanted.nothing() {
-        return Ok(tally);
-    }
-    if std::env::var_os("TAKT_VM").is_some_and(|value| value == "off") {
-        tally.skips.push("virtual machine: TAKT_VM=off".to_owned());
-        return Ok(tally);
-    }
-    let packages = Workspace::load(root)?.packages;
-    let mut binaries = Vec::new();
-    for line in lines {
-        binaries.extend(guest::binaries(root, line)?);
-    }
-    binaries.retain(|binary| {
-        let of_kernel = packages.iter().any(|package| {
-            ON_THE_KERNEL.contains(&package.name.as_str())
-                && binary.folder == root.join(&package.dir)
-        });
-        (wanted.kernel && of_kernel) || (wanted.vcan && binary.needs_vcan() && !guest::has_vcan())
-    });
-    if !binaries.is_empty() {
-        tally.add(in_guest(root, &binaries, skips)?);
-    }
-    if wanted.service {
-        tally.add(match service::test(root)? {
-            Ok(tally) => tally,
-            Err(Obstacle(why)) => skipped(&format!("service in a virtual machine: {why}")),
-        });
-    }
-    Ok(tally)
+fn wants(parts: &[&Part], names: &[&str]) -> bool {
+    parts.is_empty() || parts.iter().any(|part| names.contains(&part.name))
 }
 
-fn in_guest(root: &Path, binaries: &[guest::Binary], skips: &Path) -> anyhow::Result<Tally> {
-    note(&format!(
-        "{} test binaries go into a virtual machine",
-        binaries.len()
-    ));
-    Ok(match Guest::prepare(root)? {
-        Ok(guest) => guest.test(binaries, skips, TESTS_WITHIN)?,
-        Err(Obstacle(why)) => skipped(&format!("tests in a virtual machine: {why}")),
+/// Tests the package in a machine. `lines` may have built the program already.
+pub(crate) fn service(root: &Path, lines: &[Cargo]) -> anyhow::Result<Tally> {
+    Ok(match service::test(root, lines)? {
+        Ok(tally) => tally,
+        Err(Obstacle(why)) => Tally::skipped(&format!("service in a virtual machine: {why}")),
     })
 }
 
-fn skipped(why: &str) -> Tally {
-    Tally {
-        skips: vec![why.to_owned()],
-        ..Tally::default()
+/// Where a machine is not to be: a person says so, or this is one.
+fn refused() -> Result<(), Obstacle> {
+    match std::env::var("TAKT_VM").as_deref() {
+        Ok("off") => Err(Obstacle("needs TAKT_VM unset; it is off".to_owned())),
+        Ok("inside") => Err(Obstacle(
+            "needs a host; this is a virtual machine".to_owned(),
+        )),
+        Ok(_) | Err(_) => Ok(()),
     }
 }
 
@@ -140,19 +76,12 @@ mod tests {
     fn parts_want_what_belongs_to_them() {
         let by = |names: &[&str]| {
             let parts: Vec<&Part> = names.iter().filter_map(|name| find(name)).collect();
-            Wanted::by(&parts)
+            (wants_kernel(&parts), wants_service(&parts))
         };
-        let all = Wanted {
-            kernel: true,
-            vcan: true,
-            service: true,
-        };
-        assert_eq!(
-            (by(&[]), by(&["all"]), by(&["host", "can"])),
-            (all, all, all)
-        );
-        assert!(by(&["can"]).vcan && !by(&["can"]).service);
-        assert!(by(&["host"]).service && !by(&["host"]).vcan);
-        assert!(by(&["net", "fri"]).nothing());
+        for all in [&[][..], &["all"], &["can", "host"]] {
+            assert_eq!(by(all), (true, true), "{all:?}");
+        }
+        assert_eq!(by(&["deploy"]), (false, true));
+        assert_eq!(by(&["net", "can"]), (false, false));
     }
 }

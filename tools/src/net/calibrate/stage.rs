@@ -139,6 +139,8 @@ fn parameters(definition: &Definition, instance: usize, size: usize) -> Vec<Stri
     let own = |parameter: &Parameter| {
         let value = match (parameter.name, parameter.ty) {
             ("Size", _) => size.to_string(),
+            // Tools are told for the last axis.
+            ("Axis", _) if definition.name == "RobotArm::ToolParameters" => "6".to_owned(),
             ("Axis", _) => (instance % 7).to_string(),
             ("Key", _) => format!("k{instance}"),
             (_, ParameterType::Text) => DEVICE.to_owned(),

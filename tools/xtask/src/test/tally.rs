@@ -20,28 +20,33 @@ impl Tally {
         self.names.extend(other.names);
     }
 
+    /// What could not be had at all, and why.
+    pub(crate) fn skipped(why: &str) -> Self {
+        Self {
+            skips: vec![why.to_owned()],
+            ..Self::default()
+        }
+    }
+
     /// Takes the lines of the skip file. libtest counted each such test as passed, as it has no
     /// way for a running test to say otherwise.
     pub(crate) fn skip_passed(&mut self, lines: &str) {
         for line in lines.lines().filter(|line| !line.trim().is_empty()) {
             self.passed = self.passed.saturating_sub(1);
-            self.skips
-                .push(line.trim_start_matches("skipped:").trim().to_owned());
+            let line = line.trim_start_matches("skipped:").trim();
+            self.names.retain(|name| name != test_name(line));
+            self.skips.push(line.to_owned());
         }
     }
 
-    /// The lines of the skip file without tests that are among these: they were skipped on the host and
-    /// ran elsewhere.
-    pub(crate) fn without_passed(&self, lines: &str) -> String {
-        let ran = |line: &&str| {
-            let name = line.split(':').next().unwrap_or_default();
-            self.names.iter().any(|passed| passed == name)
-        };
-        lines
-            .lines()
-            .filter(|line| !ran(line))
-            .collect::<Vec<_>>()
-            .join("\n")
+    /// Adds what came of tests in another place: a test that was skipped here and ran there is skipped no
+    /// more, and one that was skipped in both is told once.
+    pub(crate) fn add_elsewhere(&mut self, mut other: Self) {
+        let ran = |skip: &String| other.names.iter().any(|name| name == test_name(skip));
+        self.skips.retain(|skip| !ran(skip));
+        let told = |skip: &String| self.skips.iter().any(|s| test_name(s) == test_name(skip));
+        other.skips.retain(|skip| !told(skip));
+        self.add(other);
     }
 
     /// Each skip with its reason, then the count.
@@ -57,6 +62,12 @@ impl Tally {
         ));
         lines
     }
+}
+
+/// The name of the test that a line `modules::name: reason` is about, without its modules.
+pub(crate) fn test_name(line: &str) -> &str {
+    let name = line.split(": ").next().unwrap_or(line);
+    name.rsplit("::").next().unwrap_or(name)
 }
 
 /// Where the reader is in the text of one test binary.
@@ -118,8 +129,7 @@ impl Reader {
             self.tally.skips.push(format!("{name}: {reason}"));
         }
         if verdict == "ok" {
-            let name = name.rsplit("::").next().unwrap_or(name);
-            self.tally.names.push(name.to_owned());
+            self.tally.names.push(test_name(name).to_owned());
         }
         verdict != "ok" && !verdict.starts_with("ignored")
     }
@@ -238,6 +248,40 @@ test result: FAILED. 1 passed; 1 failed; 0 ignored; 0 measured; 0 filtered out; 
                 "skipped: three: needs CAP_NET_RAW",
                 "2 passed, 0 failed, 2 skipped"
             ]
+        );
+    }
+
+    #[test]
+    fn test_that_ran_elsewhere_is_skipped_no_more() {
+        let (mut here, _) = read(TWO_BINARIES, true);
+        here.skip_passed("three: needs vcan\n");
+        let there = "running 2 tests\ntest b::three ... ok\ntest b::four ... ok\n\
+                     test result: ok. 2 passed; 0 failed; 0 ignored;";
+        let (mut there, _) = read(there, true);
+        there.skip_passed("four: needs a peer");
+        here.add_elsewhere(there);
+        assert_eq!(
+            here.closing(),
+            [
+                "skipped: a::two: needs a bus",
+                "skipped: four: needs a peer",
+                "3 passed, 0 failed, 2 skipped"
+            ]
+        );
+    }
+
+    #[test]
+    fn test_skipped_in_both_places_is_told_once() {
+        let (mut here, _) = read(TWO_BINARIES, true);
+        let mut there = Tally::default();
+        for tally in [&mut here, &mut there] {
+            tally.passed = 1;
+            tally.skip_passed("three: needs vcan");
+        }
+        here.add_elsewhere(there);
+        assert_eq!(
+            here.closing().last().unwrap(),
+            "0 passed, 0 failed, 2 skipped"
         );
     }
 

@@ -4,28 +4,23 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use serde_json::Value;
 
-use super::needs;
 use super::system::Processors;
-use super::Had;
-use crate::cargo::{self, Cargo, note};
-use crate::shell::{Line, quoted};
-use crate::test::tally::{Reader, Tally};
+use super::{Had, needs};
+use crate::cargo::{self, note};
+use crate::elsewhere::NETWORKS;
+use crate::shell::{Line, TIME_IS_UP, quoted};
 
-/// Networks of a machine before anything else runs: CAN interfaces that need no hardware. A host whose
-/// kernel has none is not an error here; tests say what they miss.
-const NETWORKS: &str = "\
-ip link set lo up
-modprobe -a can-raw can-bcm vcan 2>/dev/null
-for name in vcan0 vcan1; do
-    ip link add $name type vcan 2>/dev/null && ip link set $name up
-done
-";
+/// How long tests may take together, s.
+const TESTS_WITHIN: u64 = 600;
+
+/// Two CAN controllers on a bus of their own.
+const CONTROLLERS: &str = "--qemu-opts=-object can-bus,id=takt \
+    -device kvaser_pci,canbus=takt -device kvaser_pci,canbus=takt";
 
 /// How to boot a machine.
 #[derive(Debug)]
-pub(super) struct Guest {
+pub(crate) struct Guest {
     root: PathBuf,
     target: PathBuf,
     vng: PathBuf,
@@ -35,7 +30,10 @@ pub(super) struct Guest {
 
 impl Guest {
     /// Fetches what is missing.
-    pub(super) fn prepare(root: &Path) -> Had<Self> {
+    pub(crate) fn prepare(root: &Path) -> Had<Self> {
+        if let Err(obstacle) = super::refused() {
+            return Ok(Err(obstacle));
+        }
         for packages in [needs::MACHINE, needs::GUEST] {
             if let Err(obstacle) = needs::packages(packages)? {
                 return Ok(Err(obstacle));
@@ -68,31 +66,29 @@ impl Guest {
         let script = self.script(&format!("exec {}\n", words.join(" ")))?;
         let status = self.boot(&script).limited(seconds).status();
         std::fs::remove_file(script)?;
+        self.tell_if_late(*status.as_ref().unwrap_or(&0), seconds);
         status
     }
 
-    /// Runs test binaries one after the other, and counts.
-    pub(super) fn test(
-        &self,
-        binaries: &[Binary],
-        skips: &Path,
-        seconds: u64,
-    ) -> anyhow::Result<Tally> {
-        let script = self.script(&tests(binaries, skips))?;
-        let mut reader = Reader::default();
-        let show = |text: &str| {
-            if reader.line(text) {
-                cargo::say(text);
-            }
-        };
-        let status = self.boot(&script).limited(seconds).lines(show)?;
+    /// Runs a script in the checkout; returns its exit status.
+    pub(crate) fn test(&self, script: &str, show: impl FnMut(&str)) -> anyhow::Result<u8> {
+        let script = self.script(script)?;
+        let status = self.boot(&script).limited(TESTS_WITHIN).lines(show);
         std::fs::remove_file(script)?;
-        if status == 124 {
+        self.tell_if_late(*status.as_ref().unwrap_or(&0), TESTS_WITHIN);
+        status
+    }
+
+    fn tell_if_late(&self, status: u8, seconds: u64) {
+        if status == TIME_IS_UP {
+            let processors = match self.processors {
+                Processors::Emulated => " on emulated processors",
+                Processors::Kvm => "",
+            };
             note(&format!(
-                "the virtual machine did not end within {seconds} s"
+                "the virtual machine was switched off: it had not ended within {seconds} s{processors}"
             ));
         }
-        Ok(reader.finish(status == 0))
     }
 
     fn boot(&self, script: &Path) -> Line {
@@ -116,7 +112,7 @@ impl Guest {
             .arg(&self.target);
         line.arg("-r")
             .arg(&self.kernel)
-            .args(["--", command])
+            .args([CONTROLLERS, "--", command])
             .within(&self.root)
     }
 
@@ -125,7 +121,7 @@ impl Guest {
         let path = self
             .target
             .join(format!("vm/guest-{}.sh", std::process::id()));
-        let text = format!("{}{NETWORKS}{body}", self.environment());
+        let text = format!("{}{NETWORKS}\n{body}", self.environment());
         std::fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))?;
         Ok(path)
     }
@@ -146,74 +142,6 @@ impl Guest {
         }
         text + "export TAKT_VM=inside\n"
     }
-}
-
-/// The script that runs test binaries, each in its package's folder as cargo does.
-fn tests(binaries: &[Binary], skips: &Path) -> String {
-    let mut text = format!(
-        "export TAKT_SKIPS={}\nbad=0\n",
-        quoted(&skips.to_string_lossy())
-    );
-    for Binary {
-        program, folder, ..
-    } in binaries
-    {
-        let (program, folder) = (program.to_string_lossy(), folder.to_string_lossy());
-        let folder = quoted(&folder);
-        text.push_str(&format!(
-            "cd {folder} && CARGO_MANIFEST_DIR={folder} {} || bad=1\n",
-            quoted(&program)
-        ));
-    }
-    text + "exit $bad\n"
-}
-
-/// A test binary that cargo built.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Binary {
-    name: String,
-    program: PathBuf,
-    /// Of its package.
-    pub(super) folder: PathBuf,
-}
-
-impl Binary {
-    /// Tests that send on a CAN bus are in a file whose name ends in `vcan`.
-    pub(super) fn needs_vcan(&self) -> bool {
-        self.name.ends_with("vcan")
-    }
-}
-
-/// The test binaries of a cargo line, which are built already.
-pub(super) fn binaries(root: &Path, line: &Cargo) -> anyhow::Result<Vec<Binary>> {
-    let line = line.clone().arg("--no-run").arg("--message-format=json");
-    let mut found = Vec::new();
-    let good = line.lines(root, |text| found.extend(binary(text)))?;
-    // What does not build was told when it was to be run.
-    Ok(if good { found } else { Vec::new() })
-}
-
-fn binary(message: &str) -> Option<Binary> {
-    let message: Value = serde_json::from_str(message).ok()?;
-    let is_test = message["profile"]["test"] == true;
-    let program = message["executable"].as_str().filter(|_| is_test)?;
-    let manifest = Path::new(message["manifest_path"].as_str()?);
-    Some(Binary {
-        name: message["target"]["name"].as_str()?.to_owned(),
-        program: program.into(),
-        folder: manifest.parent()?.to_owned(),
-    })
-}
-
-/// Whether the host itself has virtual CAN interfaces, so that no machine is needed for them.
-pub(super) fn has_vcan() -> bool {
-    let class = Path::new("/sys/class/net");
-    // 280 is the hardware type of CAN.
-    let is_can = |name: &str| {
-        let kind = std::fs::read_to_string(class.join(name).join("type"));
-        kind.is_ok_and(|kind| kind.trim() == "280")
-    };
-    ["vcan0", "vcan1"].into_iter().all(is_can)
 }
 
 #[cfg(test)]
@@ -248,32 +176,5 @@ mod tests {
                 .to_string()
                 .contains("kvm")
         );
-    }
-
-    #[test]
-    fn message_of_cargo_names_a_binary_and_its_folder() {
-        let message = r#"{"reason":"compiler-artifact","manifest_path":"/c/can/Cargo.toml",
-            "target":{"name":"frames_vcan"},"profile":{"test":true},"executable":"/t/frames-1"}"#;
-        let found = binary(message).unwrap();
-        assert_eq!(
-            (found.program.as_path(), found.folder.as_path()),
-            (Path::new("/t/frames-1"), Path::new("/c/can"))
-        );
-        assert!(found.needs_vcan());
-        assert_eq!(binary(&message.replace("true", "false")), None);
-        assert_eq!(binary(&message.replace("\"/t/frames-1\"", "null")), None);
-        assert_eq!(binary("running 2 tests"), None);
-    }
-
-    #[test]
-    fn one_bad_binary_makes_the_whole_bad_and_hides_no_other() {
-        let binary = |name: &str| Binary {
-            name: name.to_owned(),
-            program: PathBuf::from(format!("/t/{name}")),
-            folder: "/c".into(),
-        };
-        let text = tests(&[binary("a"), binary("b")], Path::new("/t/skips"));
-        let bad = text.matches("|| bad=1").count();
-        assert!(bad == 2 && text.ends_with("exit $bad\n"), "{text}");
     }
 }

@@ -67,7 +67,7 @@ fn is_debian(os_release: &str) -> bool {
 }
 
 /// Whether this process may do what only root may.
-pub(super) fn is_root() -> bool {
+pub(crate) fn is_root() -> bool {
     std::fs::metadata("/proc/self").is_ok_and(|process| process.uid() == 0)
 }
 

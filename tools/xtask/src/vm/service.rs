@@ -7,11 +7,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 
-use super::needs;
 use super::system::Processors;
-use super::{Had, Obstacle};
-use crate::cargo::{self, note, say};
-use crate::deb;
+use super::{Had, Obstacle, needs};
+use crate::binaries;
+use crate::cargo::{self, Cargo, note, say};
+use crate::deb::Package;
 use crate::shell::Line;
 use crate::test::tally::{Reader, Tally};
 
@@ -55,7 +55,10 @@ const MASKED: [&str; 7] = [
 ];
 
 /// Builds the package, boots the machine and counts what its script prints.
-pub(super) fn test(root: &Path) -> Had<Tally> {
+pub(super) fn test(root: &Path, lines: &[Cargo]) -> Had<Tally> {
+    if let Err(obstacle) = super::refused() {
+        return Ok(Err(obstacle));
+    }
     for packages in [needs::MACHINE, needs::SERVICE] {
         if let Err(obstacle) = needs::packages(packages)? {
             return Ok(Err(obstacle));
@@ -65,19 +68,15 @@ pub(super) fn test(root: &Path) -> Had<Tally> {
         Ok(kernel) => kernel,
         Err(obstacle) => return Ok(Err(obstacle)),
     };
-    if let Some(why) = deb::obstacle() {
-        return Ok(Err(Obstacle(why)));
-    }
     let image = match image(root)? {
         Ok(image) => image,
         Err(obstacle) => return Ok(Err(obstacle)),
     };
-    let package = deb::build(root)?;
     let folder = cargo::target_dir(root).join("vm");
     let machine = Machine {
         kernel,
         image,
-        disk: disk(root, &folder, &package)?,
+        disk: disk(root, &folder, &packages(root, &folder, lines)?)?,
         console: folder.join("console.log"),
     };
     let quick = Machine {
@@ -105,17 +104,42 @@ pub(super) fn test(root: &Path) -> Had<Tally> {
     Ok(Ok(reader.finish(ended)))
 }
 
+/// The package of this checkout, and the same as a later version. The program is the one that the tests
+/// were built with.
+fn packages(root: &Path, folder: &Path, lines: &[Cargo]) -> anyhow::Result<[PathBuf; 2]> {
+    let built = binaries::program(root, lines, "takt")?;
+    let program = match built {
+        Some(program) => program,
+        None => {
+            let build = Cargo::new("build -p takt-tools --all-features");
+            anyhow::ensure!(build.succeeds(root)?, "takt does not build");
+            cargo::target_dir(root).join("debug/takt")
+        }
+    };
+    let folder = folder.join("package");
+    let package = |version| Package {
+        program: &program,
+        folder: &folder,
+        version,
+        release: false,
+    };
+    let next = concat!(env!("CARGO_PKG_VERSION"), "-2");
+    Ok([package(None).make(root)?, package(Some(next)).make(root)?])
+}
+
 /// The second disk: what goes into the machine, as an archive. There is nothing to mount.
-fn disk(root: &Path, folder: &Path, package: &Path) -> anyhow::Result<PathBuf> {
+fn disk(root: &Path, folder: &Path, packages: &[PathBuf; 2]) -> anyhow::Result<PathBuf> {
     let content = folder.join("content");
     let _ = fs::remove_dir_all(&content);
     fs::create_dir_all(&content)?;
     let swing = root.join("tests/nets/swing/swing.net");
     let script = root.join("tests/vm/service.sh");
+    let [package, next] = packages;
     for (from, name) in [
         (package, "takt.deb"),
-        (swing.as_path(), "swing.net"),
-        (script.as_path(), "service.sh"),
+        (next, "takt-next.deb"),
+        (&swing, "swing.net"),
+        (&script, "service.sh"),
     ] {
         fs::copy(from, content.join(name)).with_context(|| format!("no {}", from.display()))?;
     }

@@ -1,0 +1,177 @@
+//! What ethercrab does to the segment: scan, SDOs, clocks, OP, two drives that follow positions.
+
+use std::future::Future;
+use std::pin::pin;
+use std::sync::Arc;
+use std::task::{Context, Poll, Wake, Waker};
+use std::thread::Thread;
+use std::time::Duration;
+
+use ethercrab::error::Error;
+use ethercrab::std::{ethercat_now, tx_rx_task};
+use ethercrab::subdevice_group::DcConfiguration;
+use ethercrab::{DcSync, MainDevice, MainDeviceConfig, PduStorage, Timeouts};
+
+const SLAVES: usize = 8;
+const IMAGE: usize = 128;
+const CYCLE: Duration = Duration::from_millis(4);
+static STORAGE: PduStorage<16, { PduStorage::element_size(1100) }> = PduStorage::new();
+
+/// Wakes a thread.
+struct Unpark(Thread);
+
+impl Wake for Unpark {
+    fn wake(self: Arc<Self>) {
+        self.0.unpark();
+    }
+}
+
+/// Runs a future to its end on this thread.
+fn block_on<F: Future>(future: F) -> F::Output {
+    let mut future = pin!(future);
+    let waker = Waker::from(Arc::new(Unpark(std::thread::current())));
+    let mut context = Context::from_waker(&waker);
+    loop {
+        match future.as_mut().poll(&mut context) {
+            Poll::Ready(value) => return value,
+            Poll::Pending => std::thread::park(),
+        }
+    }
+}
+
+/// One drive's process data.
+fn command(outputs: &mut [u8], word: u16, target: i32) {
+    outputs.fill(0);
+    outputs[..2].copy_from_slice(&word.to_le_bytes());
+    outputs[2] = 8;
+    outputs[4..8].copy_from_slice(&target.to_le_bytes());
+}
+
+fn feedback(inputs: &[u8]) -> (u16, i32) {
+    let word = u16::from_le_bytes([inputs[0], inputs[1]]);
+    (word, i32::from_le_bytes(inputs[4..8].try_into().unwrap()))
+}
+
+const fn follow(word: u16) -> u16 {
+    match word & 0x6F {
+        0x21 => 0x07,
+        0x23 | 0x27 => 0x0F,
+        state if state & 0x4F == 0x08 => 0x80,
+        _ => 0x06,
+    }
+}
+
+/// What one drive is told in a cycle, from what it says.
+#[derive(Clone, Copy)]
+struct Axis {
+    start: i32,
+    word: u16,
+    position: i32,
+}
+
+impl Axis {
+    /// Follows the statusword; `steps` is how far it is to be from where it started.
+    fn cycle(&mut self, inputs: &[u8], outputs: &mut [u8], steps: Option<i32>) {
+        (self.word, self.position) = feedback(inputs);
+        match steps {
+            None => {
+                self.start = self.position;
+                command(outputs, follow(self.word), self.position);
+            }
+            Some(steps) => command(outputs, 0x0F, self.start + steps),
+        }
+    }
+}
+
+pub(crate) fn drive(interface: &str) {
+    let (tx, rx, pdus) = STORAGE.try_split().unwrap();
+    let main = MainDevice::new(
+        pdus,
+        Timeouts {
+            pdu: Duration::from_millis(500),
+            state_transition: Duration::from_secs(10),
+            ..Timeouts::default()
+        },
+        MainDeviceConfig {
+            dc_static_sync_iterations: 500,
+            ..MainDeviceConfig::default()
+        },
+    );
+    let task = tx_rx_task(interface, tx, rx).unwrap();
+    // It ends with the test.
+    std::thread::spawn(move || block_on(task).map(|_| ()));
+    block_on(run(&main)).unwrap();
+}
+
+async fn run(main: &MainDevice<'_>) -> Result<(), Error> {
+    let mut group = main.init_single_group::<SLAVES, IMAGE>(ethercat_now).await?;
+    let names: Vec<_> = group.iter(main).map(|s| s.name().to_owned()).collect();
+    assert_eq!(names, ["TK1100", "TK0808", "TK0101", "TK4021", "TK4021"]);
+    for mut slave in group.iter_mut(main) {
+        if slave.name() != "TK4021" {
+            continue;
+        }
+        assert_eq!(slave.sdo_read::<u32>(0x1000, 0).await?, 0x0002_0192);
+        slave.sdo_write(0x6083, 0, 54_321_u32).await?;
+        assert_eq!(slave.sdo_read::<u32>(0x6083, 0).await?, 54_321);
+        let refused = slave.sdo_read::<u32>(0x3000, 0).await;
+        assert!(matches!(refused, Err(Error::Mailbox(_))), "{refused:?}");
+        slave.sdo_write(0x10F1, 2, 1000_u16).await?;
+        slave.sdo_write_array(0x1C12, &[0x1600_u16]).await?;
+        slave.sdo_write_array(0x1C13, &[0x1A00_u16]).await?;
+        slave.set_dc_sync(DcSync::Sync0);
+    }
+    let group = group.into_pre_op_pdi(main).await?;
+    for _ in 0..300 {
+        group.tx_rx_sync_system_time(main).await?;
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    let configuration = DcConfiguration {
+        start_delay: Duration::from_millis(100),
+        sync0_period: CYCLE,
+        sync0_shift: CYCLE / 2,
+    };
+    let group = group.configure_dc_sync(main, configuration).await?;
+    let group = group.into_safe_op(main).await?;
+    let group = group.request_into_op(main).await?;
+    loop {
+        let response = group.tx_rx_dc(main).await?;
+        if response.all_op() {
+            break;
+        }
+        std::thread::sleep(response.extra.next_cycle_wait);
+    }
+    let mut axes = [Axis {
+        start: 0,
+        word: 0,
+        position: 0,
+    }; 2];
+    let (mut step, mut missed) = (0, 0);
+    for _ in 0..1000 {
+        let response = group.tx_rx_dc(main).await?;
+        let enabled = axes.iter().all(|axis| axis.word & 0x6F == 0x27);
+        if enabled || step > 0 {
+            step += 1;
+            missed += u32::from(response.working_counter != 12);
+        }
+        let far = (step > 0).then_some(20 * step.min(250));
+        for (slave, axis) in group.iter(main).skip(3).zip(&mut axes) {
+            let (inputs, mut outputs) = (slave.inputs_raw(), slave.outputs_raw_mut());
+            axis.cycle(&inputs, &mut outputs, far);
+        }
+        let digital = group.subdevice(main, 1)?;
+        digital.outputs_raw_mut()[0] = 0xA5;
+        if step == 270 {
+            break;
+        }
+        std::thread::sleep(response.extra.next_cycle_wait);
+    }
+    assert_eq!((step, missed), (270, 0));
+    for axis in axes {
+        let way = axis.position - axis.start;
+        assert!((4900..=5010).contains(&way), "{way} increments");
+    }
+    let digital = group.subdevice(main, 1)?;
+    assert_eq!(digital.inputs_raw()[0], 0xA5);
+    Ok(())
+}

@@ -1,0 +1,168 @@
+//! A virtual cable in a network namespace of the calling thread, the segment that is served at one
+//! end of it, and what went over it. The masters are elsewhere.
+
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use nix::sched::{CloneFlags, unshare};
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use takt_ethercat::emulator::{
+    Coupler, Io, Segment, Server, ServoConfig, ServoDrive, SharedSegment,
+};
+use takt_ethercat::linux::{PacketLink, monotonic};
+use takt_tests::skip;
+
+/// The end of the segment.
+const NEAR: &str = "ecat-seg";
+/// The end of the master.
+const FAR: &str = "ecat-master";
+
+/// The cable; it is gone with the thread that laid it and all that it started.
+pub(crate) struct Cable;
+
+impl Cable {
+    /// Lays it in a namespace of this thread's own, or notes why that cannot be.
+    pub(crate) fn lay(test: &str) -> Option<Self> {
+        if let Err(error) = unshare(CloneFlags::CLONE_NEWNET) {
+            let why = format!("needs root, or CAP_SYS_ADMIN and CAP_NET_ADMIN: {error}");
+            skip(test, &why).unwrap();
+            return None;
+        }
+        let done = ip(&["link", "add", NEAR, "type", "veth", "peer", "name", FAR])
+            && ip(&["link", "set", NEAR, "up"])
+            && ip(&["link", "set", FAR, "up"]);
+        if !done {
+            skip(test, "needs `ip` and virtual Ethernet (CONFIG_VETH)").unwrap();
+            return None;
+        }
+        Some(Self)
+    }
+
+    pub(crate) const fn master(&self) -> &'static str {
+        FAR
+    }
+}
+
+fn ip(arguments: &[&str]) -> bool {
+    let status = Command::new("ip").args(arguments).status();
+    status.is_ok_and(|status| status.success())
+}
+
+/// What is served.
+pub(crate) struct Served {
+    stop: Arc<AtomicBool>,
+    thread: JoinHandle<()>,
+}
+
+impl Served {
+    pub(crate) fn end(self) {
+        self.stop.store(true, Ordering::Relaxed);
+        self.thread.join().unwrap();
+    }
+}
+
+/// A segment, and the terminals whose outputs come back as inputs.
+pub(crate) struct Bench {
+    segment: Segment,
+    loops: Vec<Io>,
+}
+
+/// A coupler, 8+8 digital and 1+1 analogue channels, two drives with clocks of their own.
+pub(crate) fn segment() -> Bench {
+    let (digital, first) = Io::digital(8, 8);
+    let (analogue, second) = Io::analogue(1, 1);
+    let drive = |drift_ppb| {
+        let mut config = ServoConfig {
+            clock: (0, drift_ppb),
+            ..ServoConfig::default()
+        };
+        // These masters are not real-time here: they miss SYNC0 now and then.
+        config.axes[0].quirks.missing_set_points = None;
+        let (slave, _) = ServoDrive::slave(config).unwrap();
+        slave
+    };
+    let slaves = [Coupler::slave(), digital, analogue, drive(20_000), drive(-30_000)];
+    Bench {
+        segment: Segment::line(slaves),
+        loops: vec![first, second],
+    }
+}
+
+/// Serves it in a thread of its own; that thread is in the namespace of the one that calls.
+pub(crate) fn serve(bench: Bench) -> Served {
+    let stop = Arc::new(AtomicBool::new(false));
+    let stopped = stop.clone();
+    let link = PacketLink::open(NEAR).unwrap();
+    let mut server = Server::new(SharedSegment::new(bench.segment), link);
+    let thread = std::thread::spawn(move || {
+        while !stopped.load(Ordering::Relaxed) {
+            server.turn(Duration::from_millis(10), &mut monotonic).unwrap();
+            for io in &bench.loops {
+                io.set_inputs(&io.outputs());
+            }
+        }
+    });
+    Served { stop, thread }
+}
+
+/// A capture that goes on.
+pub(crate) struct Capture {
+    dumpcap: Child,
+    path: PathBuf,
+}
+
+impl Capture {
+    /// Begins to write down what goes over the cable; `None` without the tool for it.
+    pub(crate) fn begin() -> Option<Self> {
+        let name = format!("takt-peers-{}.pcapng", std::process::id());
+        let path = std::env::temp_dir().join(name);
+        let version = Command::new("tshark").arg("--version").output();
+        version.ok().filter(|output| output.status.success())?;
+        let mut dumpcap = Command::new("dumpcap")
+            .args(["-q", "-i", NEAR, "-f", "ether proto 0x88a4", "-w"])
+            .arg(&path)
+            .stderr(Stdio::piped())
+            .spawn()
+            .ok()?;
+        // It says so when it has begun.
+        let stderr = dumpcap.stderr.take()?;
+        let begun = std::io::BufRead::lines(std::io::BufReader::new(stderr))
+            .map_while(Result::ok)
+            .any(|line| line.starts_with("File:"));
+        begun.then_some(Self { dumpcap, path })
+    }
+
+    /// Ends it: there must be frames, and none that the dissector finds fault with.
+    pub(crate) fn check(mut self) {
+        let pid = i32::try_from(self.dumpcap.id()).unwrap();
+        kill(Pid::from_raw(pid), Signal::SIGINT).unwrap();
+        self.dumpcap.wait().unwrap();
+        let frames = self.matching("ecat");
+        assert!(frames.len() > 500, "{} frames", frames.len());
+        // Other complaints there are: the address that SOEM sends from is none of a station.
+        let mut found = self.matching("_ws.malformed || _ws.short || _ws.unreassembled");
+        found.truncate(5);
+        assert_eq!(found, Vec::<String>::new());
+        std::fs::remove_file(&self.path).unwrap();
+    }
+
+    fn matching(&self, filter: &str) -> Vec<String> {
+        let output = Command::new("tshark")
+            .arg("-r")
+            .arg(&self.path)
+            .args(["-Y", filter])
+            .output()
+            .unwrap();
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{errors}");
+        String::from_utf8_lossy(&output.stdout)
+            .lines()
+            .map(str::to_owned)
+            .collect()
+    }
+}

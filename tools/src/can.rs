@@ -1,0 +1,69 @@
+//! `takt can`: look at a CAN bus, live or from a recording, send to it, and set interfaces up. Protocols
+//! are decoded in `takt-can`; whether the host is fit is asked by `takt doctor`.
+
+mod confirm;
+mod dump;
+mod feed;
+mod filter;
+mod replay;
+mod send;
+mod stat;
+mod up;
+
+use clap::Subcommand;
+
+use crate::Verdict;
+
+/// Look at CAN buses, send to them, set interfaces up.
+#[derive(Debug, Subcommand)]
+pub(crate) enum Can {
+    Dump(dump::Dump),
+    Stat(stat::Stat),
+    Send(send::Send),
+    Replay(replay::Replay),
+    Up(up::Up),
+}
+
+impl Can {
+    pub(crate) fn run(self) -> anyhow::Result<Verdict> {
+        match self {
+            Self::Dump(dump) => dump.run(),
+            Self::Stat(stat) => stat.run(),
+            Self::Send(send) => send.run(),
+            Self::Replay(replay) => replay.run(),
+            Self::Up(up) => up.run(),
+        }
+    }
+}
+
+/// Reads a bit rate of the command line: `500k`, `1M`, or bit/s.
+fn bitrate(text: &str) -> Result<u32, String> {
+    let (digits, unit) = match text.strip_suffix(['k', 'K']) {
+        Some(digits) => (digits, 1_000),
+        None => match text.strip_suffix('M') {
+            Some(digits) => (digits, 1_000_000),
+            None => (text, 1),
+        },
+    };
+    let rate = digits
+        .parse::<u32>()
+        .ok()
+        .and_then(|rate| rate.checked_mul(unit));
+    rate.filter(|rate| (1_000..=20_000_000).contains(rate))
+        .ok_or_else(|| format!("`{text}` is no bit rate: write 500k, 1M, or bit/s"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::bitrate;
+
+    #[test]
+    fn bit_rates_have_units() {
+        assert_eq!(bitrate("500k"), Ok(500_000));
+        assert_eq!(bitrate("1M"), Ok(1_000_000));
+        assert_eq!(bitrate("125000"), Ok(125_000));
+        for wrong in ["", "k", "125", "1G", "-5k", "99M", "5000000k"] {
+            assert!(bitrate(wrong).is_err(), "{wrong}");
+        }
+    }
+}

@@ -1,0 +1,250 @@
+//! Where frames come from: interfaces or a recording, so that every command can look at both. It selects and
+//! shows nothing.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use anyhow::Context as _;
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use takt_can::Direction;
+use takt_can::link::{Link as _, Origin, Received};
+use takt_can::linux::{Clock, Options, SocketCan, interfaces};
+use takt_can::log::{Format, Log, Record};
+use tokio::signal::unix::{SignalKind, signal};
+
+use crate::output::complain;
+
+/// Where a frame was seen.
+#[derive(Clone, Debug)]
+pub(super) struct Seen {
+    pub(super) interface: Arc<str>,
+    pub(super) received: Received,
+    /// Not every recording tells.
+    pub(super) direction: Option<Direction>,
+}
+
+impl Seen {
+    /// As it is written into a log.
+    pub(super) fn record(&self) -> Record {
+        Record {
+            at: self.received.at,
+            interface: self.interface.to_string(),
+            frame: self.received.frame,
+            direction: self.direction,
+        }
+    }
+}
+
+/// A socket and the name of its interface.
+#[derive(Debug)]
+struct Source {
+    interface: Arc<str>,
+    link: SocketCan,
+}
+
+/// Frames one after the other.
+#[derive(Debug)]
+pub(super) enum Feed {
+    Live(Live),
+    File(std::vec::IntoIter<Record>),
+}
+
+/// Frames of interfaces as they come.
+#[derive(Debug)]
+pub(super) struct Live {
+    sources: Vec<Source>,
+    /// Whose turn it is.
+    turn: usize,
+}
+
+impl Feed {
+    /// From a recording, or from interfaces if there is none.
+    pub(super) fn open(interfaces: &[String], file: Option<&Path>) -> anyhow::Result<Self> {
+        match file {
+            Some(file) => Self::file(file),
+            None => Self::live(interfaces),
+        }
+    }
+
+    fn file(path: &Path) -> anyhow::Result<Self> {
+        let log = read_log(path)?;
+        Ok(Self::File(log.records.into_iter()))
+    }
+
+    fn live(names: &[String]) -> anyhow::Result<Self> {
+        let all = names.iter().any(|name| name == "any");
+        let names = if all { interfaces() } else { names.to_vec() };
+        anyhow::ensure!(!names.is_empty(), "this host has no CAN interface");
+        let open = |name: String| {
+            let options = Options {
+                clock: Clock::Wall,
+                ..Options::default()
+            };
+            let link = SocketCan::open(&name, &options);
+            let link = link.with_context(|| cannot_open(&name))?;
+            anyhow::Ok(Source {
+                interface: name.into(),
+                link,
+            })
+        };
+        let sources: Vec<Source> = names.into_iter().map(open).collect::<Result<_, _>>()?;
+        Ok(Self::Live(Live { sources, turn: 0 }))
+    }
+
+    pub(super) const fn is_live(&self) -> bool {
+        matches!(self, Self::Live(_))
+    }
+
+    /// Waits at most so long; a recording does not wait, and `None` is its end.
+    pub(super) fn next(&mut self, timeout: Duration) -> anyhow::Result<Option<Seen>> {
+        match self {
+            Self::Live(live) => live.next(timeout),
+            Self::File(records) => Ok(records.next().map(seen)),
+        }
+    }
+
+    /// Frames that were lost because they were not read in time.
+    pub(super) fn dropped(&self) -> u64 {
+        match self {
+            Self::Live(live) => {
+                let dropped = live.sources.iter().map(|source| source.link.dropped());
+                dropped.map(u64::from).sum()
+            }
+            Self::File(_) => 0,
+        }
+    }
+}
+
+/// A socket that cannot be opened: with the interfaces that there are.
+pub(super) fn cannot_open(name: &str) -> String {
+    let others = interfaces().join(", ");
+    let others = if others.is_empty() {
+        "none".to_owned()
+    } else {
+        others
+    };
+    format!("cannot open CAN interface {name}; those of this host: {others}")
+}
+
+/// Reads a recording; what is not understood is told.
+pub(super) fn read_log(path: &Path) -> anyhow::Result<Log> {
+    let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let (log, format) = (Log::read(&bytes), Format::of(&bytes));
+    let place = if format == Format::Blf {
+        "byte"
+    } else {
+        "line"
+    };
+    for left_out in &log.left_out {
+        let (path, at) = (path.display(), left_out.place);
+        complain(&format!("{path}: {place} {at}: {}", left_out.why));
+    }
+    let more = log.left_out_count - log.left_out.len();
+    if more > 0 {
+        complain(&format!("{}: {more} more are left out", path.display()));
+    }
+    anyhow::ensure!(
+        !log.records.is_empty(),
+        "{}: no frame in it; it was read as {format}",
+        path.display()
+    );
+    Ok(log)
+}
+
+fn seen(record: Record) -> Seen {
+    let origin = match record.direction {
+        Some(Direction::Transmitted) => Origin::Host,
+        Some(Direction::Received) | None => Origin::Bus,
+    };
+    Seen {
+        interface: record.interface.into(),
+        received: Received {
+            frame: record.frame,
+            at: record.at,
+            hardware: None,
+            origin,
+            dropped: 0,
+        },
+        direction: record.direction,
+    }
+}
+
+impl Live {
+    fn next(&mut self, timeout: Duration) -> anyhow::Result<Option<Seen>> {
+        if let Some(seen) = self.take()? {
+            return Ok(Some(seen));
+        }
+        let fds = self.sources.iter();
+        let mut fds: Vec<PollFd<'_>> = fds
+            .map(|source| PollFd::new(source.link.fd(), PollFlags::POLLIN))
+            .collect();
+        let timeout = PollTimeout::try_from(timeout).unwrap_or(PollTimeout::MAX);
+        match poll(&mut fds, timeout) {
+            Ok(_) | Err(nix::errno::Errno::EINTR) => {}
+            Err(error) => return Err(error.into()),
+        }
+        self.take()
+    }
+
+    /// From each in turn, so that a busy one does not hide the others.
+    fn take(&mut self) -> anyhow::Result<Option<Seen>> {
+        for _ in 0..self.sources.len() {
+            self.turn = (self.turn + 1) % self.sources.len();
+            let Some(source) = self.sources.get_mut(self.turn) else {
+                return Ok(None);
+            };
+            let received = source.link.receive(Duration::ZERO);
+            if let Some(received) = received.with_context(|| source.interface.to_string())? {
+                let direction = match received.origin {
+                    Origin::Bus => Direction::Received,
+                    Origin::Host | Origin::Own => Direction::Transmitted,
+                };
+                return Ok(Some(Seen {
+                    interface: Arc::clone(&source.interface),
+                    received,
+                    direction: Some(direction),
+                }));
+            }
+        }
+        Ok(None)
+    }
+}
+
+/// Whether somebody asked to end: Ctrl-C or a request to terminate.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Stop(Arc<AtomicBool>);
+
+impl Stop {
+    /// Listens from now on.
+    pub(super) fn listen() -> anyhow::Result<Self> {
+        let stop = Self::default();
+        let flag = stop.clone();
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build()?;
+        let mut terminate = {
+            let _inside = runtime.enter();
+            signal(SignalKind::terminate()).context("cannot listen for signals")?
+        };
+        let mut interrupt = {
+            let _inside = runtime.enter();
+            signal(SignalKind::interrupt()).context("cannot listen for signals")?
+        };
+        std::thread::spawn(move || {
+            runtime.block_on(async {
+                tokio::select! {
+                    _ = interrupt.recv() => {}
+                    _ = terminate.recv() => {}
+                }
+            });
+            flag.0.store(true, Ordering::Relaxed);
+        });
+        Ok(stop)
+    }
+
+    pub(super) fn is_asked(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+}

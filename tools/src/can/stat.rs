@@ -1,0 +1,132 @@
+//! `takt can stat`: what a bus is like, what is wrong with it and what to do, live or from a recording. The
+//! figures and the judgement are those of `takt_can::stat`.
+
+mod text;
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use clap::Args;
+use takt_can::bits::Rates;
+use takt_can::linux::{Interface, wall};
+use takt_can::stat::{Finding, Limits, Meter, Report, Severity};
+
+use super::bitrate;
+use super::feed::{Feed, Stop};
+use crate::Verdict;
+use crate::output::{say, share, span};
+
+/// Measure a bus: load, rates and jitter, errors, heartbeats, losses; and say what is wrong.
+///
+/// Exit status: 0 nothing fails; 1 something does; 2 it could not be tried. It only listens. Ctrl-C ends it
+/// early and keeps what was measured.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  takt can stat can0
+  takt can stat can0 --duration 1min --json
+  takt can stat --from fault.log --bitrate 1M")]
+pub(crate) struct Stat {
+    /// The CAN interface.
+    #[arg(required_unless_present = "from", conflicts_with = "from")]
+    interface: Option<String>,
+    /// Read a recording instead: candump log, ASC or BLF.
+    #[arg(long, value_name = "FILE")]
+    from: Option<PathBuf>,
+    /// Only this interface or channel of the recording; without it the first frame's.
+    #[arg(long, value_name = "NAME", requires = "from")]
+    channel: Option<String>,
+    /// How long to listen.
+    #[arg(long, value_name = "TIME", default_value = "5s", value_parser = span, conflicts_with = "from")]
+    duration: Duration,
+    /// Bit rate for the load, where the interface does not tell: 500k, 1M, or bit/s.
+    #[arg(long, value_name = "RATE", value_parser = bitrate)]
+    bitrate: Option<u32>,
+    /// Mean load that is a warning, 0 to 1.
+    #[arg(long, value_name = "SHARE", default_value_t = 0.6, value_parser = share)]
+    load_warning: f64,
+    /// Mean load that is a failure, 0 to 1.
+    #[arg(long, value_name = "SHARE", default_value_t = 0.9, value_parser = share)]
+    load_failure: f64,
+    /// Print one JSON object instead of the report.
+    #[arg(long)]
+    json: bool,
+    /// Print the verdict only.
+    #[arg(long, conflicts_with = "json")]
+    quiet: bool,
+}
+
+/// How long to wait before looking whether to end.
+const TURN: Duration = Duration::from_millis(100);
+
+impl Stat {
+    pub(super) fn run(self) -> anyhow::Result<Verdict> {
+        let (name, report) = match (&self.from, &self.interface) {
+            (Some(file), _) => self.of_file(file)?,
+            (None, Some(interface)) => (interface.clone(), self.of_interface(interface)?),
+            (None, None) => anyhow::bail!("name an interface, or a recording by --from"),
+        };
+        let limits = Limits {
+            load_warning: self.load_warning,
+            load_failure: self.load_failure,
+            ..Limits::default()
+        };
+        let findings = report.findings(&limits);
+        if self.json {
+            say(&text::json(&name, &report, &findings).to_string())?;
+        } else {
+            if !self.quiet {
+                say(&text::table(&name, &report))?;
+            }
+            for line in text::verdict(&name, &findings) {
+                say(&line)?;
+            }
+        }
+        let fails = |finding: &Finding| finding.severity() == Severity::Failure;
+        Ok(if findings.iter().any(fails) {
+            Verdict::Failed
+        } else {
+            Verdict::Good
+        })
+    }
+
+    /// Only one channel: load and heartbeats of two buses must not be mixed.
+    fn of_file(&self, file: &Path) -> anyhow::Result<(String, Report)> {
+        let mut feed = Feed::open(&[], Some(file))?;
+        let mut meter = Meter::new(self.bitrate.map(Rates::classic));
+        let mut channel = self.channel.clone();
+        while let Some(seen) = feed.next(TURN)? {
+            let channel = channel.get_or_insert_with(|| seen.interface.to_string());
+            if **channel == *seen.interface {
+                meter.handle_frame(&seen.received);
+            }
+        }
+        let report = meter.report();
+        let channel = channel.unwrap_or_default();
+        anyhow::ensure!(
+            report.frames + report.errors.frames > 0,
+            "{}: no frame of {channel}",
+            file.display()
+        );
+        Ok((channel, report))
+    }
+
+    fn of_interface(&self, name: &str) -> anyhow::Result<Report> {
+        let interface = Interface::open(name)?;
+        let rates = interface.details()?.rates();
+        let rates = self.bitrate.map(Rates::classic).or(rates);
+        let mut feed = Feed::open(&[name.to_owned()], None)?;
+        let stop = Stop::listen()?;
+        let mut meter = Meter::new(rates);
+        let until = Instant::now() + self.duration;
+        meter.handle_time(wall());
+        while Instant::now() < until && !stop.is_asked() {
+            if let Some(seen) = feed.next(TURN)? {
+                meter.handle_frame(&seen.received);
+            }
+        }
+        let details = interface.details()?;
+        meter.handle_time(wall());
+        meter.handle_state(details.state, details.counters);
+        Ok(meter.report())
+    }
+}

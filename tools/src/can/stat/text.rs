@@ -1,0 +1,221 @@
+//! The report of `takt can stat` as text and as JSON. It computes nothing.
+
+use std::fmt::Write as _;
+use std::time::Duration;
+
+use serde_json::{Value, json};
+use takt_can::canopen::Message;
+use takt_can::stat::{Finding, IdStat, Report, Severity};
+use takt_can::{Frame, Id};
+
+/// Identifiers that are listed, those with the most time on the wire first.
+const LISTED: usize = 40;
+
+fn ms(span: Duration) -> f64 {
+    span.as_secs_f64() * 1e3
+}
+
+#[expect(clippy::cast_precision_loss, reason = "shown with few digits")]
+fn per_second(count: u64, span: Duration) -> f64 {
+    match span.is_zero() {
+        true => 0.0,
+        false => count as f64 / span.as_secs_f64(),
+    }
+}
+
+/// Everything but the verdict.
+pub(super) fn table(name: &str, report: &Report) -> String {
+    let mut text = head(name, report);
+    ids(&mut text, report);
+    nodes(&mut text, report);
+    text.trim_end().to_owned()
+}
+
+fn head(name: &str, report: &Report) -> String {
+    let rate = per_second(report.frames, report.span);
+    let mut text = format!(
+        "{name}: {} frames in {:.3} s, {rate:.1} frames/s, {} identifiers\n",
+        report.frames,
+        report.span.as_secs_f64(),
+        report.ids.len(),
+    );
+    match (report.load(), report.rates) {
+        (Some(load), Some(rates)) => {
+            let share = |busy: Duration| busy.as_secs_f64() / report.span.as_secs_f64() * 1e2;
+            let (least, most) = report.busy_bounds;
+            let _ = writeln!(
+                text,
+                "load  {:.1} % of {} kbit/s, peak {:.1} % (without stuff bits {:.1} %, at most {:.1} %)",
+                load * 1e2,
+                rates.nominal / 1000,
+                report.peak_load * 1e2,
+                share(least),
+                share(most),
+            );
+        }
+        _ => text.push_str("load  unknown without a bit rate (--bitrate)\n"),
+    }
+    let state = report.state.map_or("unknown", |state| state.name());
+    let _ = write!(text, "state {state}");
+    if let Some((transmit, receive)) = report.counters {
+        let _ = write!(
+            text,
+            ", error counters {transmit} sending, {receive} receiving"
+        );
+    }
+    let errors = &report.errors;
+    let _ = writeln!(
+        text,
+        "; {} error frames, {} frames lost here, {} refused",
+        errors.frames, report.dropped, report.refused
+    );
+    text
+}
+
+fn ids(text: &mut String, report: &Report) {
+    if report.ids.is_empty() {
+        return;
+    }
+    let mut ids: Vec<(&Id, &IdStat)> = report.ids.iter().collect();
+    ids.sort_by_key(|(id, stat)| (std::cmp::Reverse((stat.busy, stat.frames)), **id));
+    let _ = writeln!(
+        text,
+        "\n      id   frames  mean ms   min ms   max ms   dev ms  load %  meaning"
+    );
+    for (id, stat) in ids.iter().take(LISTED) {
+        let intervals = &stat.intervals;
+        let load = match report.rates {
+            Some(_) => per_second(1, report.span) * stat.busy.as_secs_f64() * 1e2,
+            None => f64::NAN,
+        };
+        let load = if load.is_nan() {
+            "-".to_owned()
+        } else {
+            format!("{load:.2}")
+        };
+        let _ = writeln!(
+            text,
+            "{id:>8} {:>8} {:>8.3} {:>8.3} {:>8.3} {:>8.3} {load:>7}  {}",
+            stat.frames,
+            ms(intervals.mean()),
+            ms(intervals.shortest()),
+            ms(intervals.longest()),
+            ms(intervals.deviation()),
+            kind(**id),
+        );
+    }
+    let more = ids.len().saturating_sub(LISTED);
+    if more > 0 || report.other_ids > 0 {
+        let _ = writeln!(
+            text,
+            "... and {more} more, {} frames of others",
+            report.other_ids
+        );
+    }
+}
+
+/// What an identifier is used for in CANopen, found by an example of it.
+fn kind(id: Id) -> String {
+    let examples: [&[u8]; 4] = [&[], &[0], &[0; 2], &[0; 8]];
+    for data in examples {
+        let Ok(frame) = Frame::new(id, data) else {
+            continue;
+        };
+        let node = id.raw() & 0x7F;
+        return match Message::decode(&frame) {
+            Message::Nmt(..) => "NMT".to_owned(),
+            Message::Sync(_) => "SYNC".to_owned(),
+            Message::Tpdo(_, number) => format!("node {node} TPDO{number}"),
+            Message::Rpdo(_, number) => format!("node {node} RPDO{number}"),
+            Message::SdoResponse(..) => format!("node {node} SDO answers"),
+            Message::SdoRequest(..) => format!("node {node} SDO requests"),
+            Message::Heartbeat(..) => format!("node {node} heartbeat"),
+            Message::Emergency(..) => format!("node {node} EMCY"),
+            Message::Lss(..) => "LSS".to_owned(),
+            Message::Time(..) => "TIME".to_owned(),
+            Message::Guard(_) | Message::Unknown => continue,
+        };
+    }
+    String::new()
+}
+
+fn nodes(text: &mut String, report: &Report) {
+    if report.heartbeats.is_empty() {
+        return;
+    }
+    text.push_str("\n    node  state            heartbeat ms  late  started\n");
+    for (node, beat) in &report.heartbeats {
+        let silent = report.silent.iter().any(|(silent, _)| silent == node);
+        let note = if silent { "  SILENT" } else { "" };
+        let _ = writeln!(
+            text,
+            "{:>8}  {:<16} {:>12.0} {:>5} {:>8}{note}",
+            node.raw(),
+            beat.state.to_string(),
+            ms(beat.intervals.mean()),
+            beat.gaps,
+            beat.boots,
+        );
+    }
+}
+
+/// One line for each finding and one for what to do; if there is none, one that says so.
+pub(super) fn verdict(name: &str, findings: &[Finding]) -> Vec<String> {
+    if findings.is_empty() {
+        return vec![format!("{name}: ok")];
+    }
+    let mut lines = Vec::new();
+    for finding in findings {
+        let word = match finding.severity() {
+            Severity::Failure => "FAIL",
+            Severity::Warning => "WARN",
+        };
+        lines.push(format!("{name}: {word}  {finding}"));
+        lines.push(format!("        > {}", finding.remedy()));
+    }
+    lines
+}
+
+pub(super) fn json(name: &str, report: &Report, findings: &[Finding]) -> Value {
+    let us = |span: Duration| span.as_secs_f64() * 1e6;
+    let ids = report.ids.iter().map(|(id, stat)| {
+        json!({
+            "id": id.raw(), "extended": id.is_extended(), "frames": stat.frames, "bytes": stat.bytes,
+            "busy_us": us(stat.busy), "mean_us": us(stat.intervals.mean()),
+            "min_us": us(stat.intervals.shortest()), "max_us": us(stat.intervals.longest()),
+            "deviation_us": us(stat.intervals.deviation()),
+        })
+    });
+    let nodes = report.heartbeats.iter().map(|(node, beat)| {
+        let silence = report.silent.iter().find(|(silent, _)| silent == node);
+        json!({
+            "node": node.raw(), "state": beat.state.to_string(), "boots": beat.boots,
+            "reboots": beat.reboots, "late": beat.gaps, "mean_us": us(beat.intervals.mean()),
+            "silent_us": silence.map(|(_, silence)| us(*silence)),
+        })
+    });
+    let found = findings.iter().map(|finding| {
+        let fails = finding.severity() == Severity::Failure;
+        json!({
+            "name": finding.name(), "severity": if fails { "FAIL" } else { "WARN" },
+            "cause": finding.to_string(), "remedy": finding.remedy(),
+        })
+    });
+    let errors = &report.errors;
+    json!({
+        "version": 1, "interface": name, "span_us": us(report.span), "frames": report.frames,
+        "sent": report.sent, "bitrate": report.rates.map(|rates| rates.nominal),
+        "load": report.load(), "peak_load": report.rates.map(|_| report.peak_load),
+        "state": report.state.map(|state| state.name()),
+        "counters": report.counters.map(|(transmit, receive)| json!({"transmit": transmit, "receive": receive})),
+        "errors": {
+            "frames": errors.frames, "protocol": errors.protocol, "unacknowledged": errors.unacknowledged,
+            "lost_arbitration": errors.lost_arbitration, "bus_off": errors.bus_off,
+            "controller_overflows": errors.controller_overflows, "restarts": errors.restarts,
+        },
+        "dropped": report.dropped, "refused": report.refused,
+        "sync_jitter": report.sync_jitter(),
+        "ids": ids.collect::<Vec<_>>(), "nodes": nodes.collect::<Vec<_>>(),
+        "findings": found.collect::<Vec<_>>(),
+    })
+}

@@ -1,0 +1,173 @@
+//! Test binaries as cargo built them, and the tests that are in them. Runs none: that is done by a
+//! script, so that it can be done in another place than here.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use serde_json::Value;
+
+use crate::cargo::Cargo;
+use crate::shell::quoted;
+
+/// A test binary that cargo built.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Binary {
+    pub(crate) program: PathBuf,
+    /// Of its package, where cargo runs it.
+    pub(crate) folder: PathBuf,
+}
+
+/// The test binaries of these cargo lines, which have been built by them.
+pub(crate) fn of(root: &Path, lines: &[Cargo]) -> anyhow::Result<Vec<Binary>> {
+    let mut all = Vec::new();
+    for line in lines {
+        let line = line.clone().arg("--no-run").arg("--message-format=json");
+        let mut found = Vec::new();
+        // What does not build was told when it was to be run.
+        if line.lines(root, |text| found.extend(binary(text)))? {
+            all.extend(found);
+        }
+    }
+    Ok(all)
+}
+
+/// The program of that name that these cargo lines built, for the tests of its package.
+pub(crate) fn program(root: &Path, lines: &[Cargo], name: &str) -> anyhow::Result<Option<PathBuf>> {
+    let mut found = None;
+    for line in lines {
+        let line = line.clone().arg("--no-run").arg("--message-format=json");
+        line.lines(root, |text| found = program_of(text, name).or_else(|| found.take()))?;
+    }
+    Ok(found)
+}
+
+fn program_of(message: &str, name: &str) -> Option<PathBuf> {
+    let message: Value = serde_json::from_str(message).ok()?;
+    let is_it = message["target"]["name"] == name
+        && message["target"]["kind"][0] == "bin"
+        && message["profile"]["test"] == false;
+    message["executable"]
+        .as_str()
+        .filter(|_| is_it)
+        .map(PathBuf::from)
+}
+
+fn binary(message: &str) -> Option<Binary> {
+    let message: Value = serde_json::from_str(message).ok()?;
+    let is_test = message["profile"]["test"] == true;
+    let program = message["executable"].as_str().filter(|_| is_test)?;
+    let manifest = Path::new(message["manifest_path"].as_str()?);
+    Some(Binary {
+        program: program.into(),
+        folder: manifest.parent()?.to_owned(),
+    })
+}
+
+impl Binary {
+    /// Full names of its tests; none if it does not tell them as libtest does.
+    pub(crate) fn tests(&self) -> Vec<String> {
+        let mut list = Command::new(&self.program);
+        list.args(["--list", "--format=terse"])
+            .current_dir(&self.folder)
+            .stdin(Stdio::null());
+        let text = list.output().map(|output| output.stdout);
+        let text = text.unwrap_or_default();
+        let names = String::from_utf8_lossy(&text);
+        let names = names.lines().filter_map(|line| line.strip_suffix(": test"));
+        names.map(str::to_owned).collect()
+    }
+}
+
+/// Tests of a binary that are to run.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Errand {
+    pub(crate) binary: Binary,
+    /// Full names; all of the binary if there are none.
+    pub(crate) tests: Vec<String>,
+}
+
+impl Errand {
+    /// As a line of a script that notes a failure in its variable `bad`. Single tests are run one at a
+    /// time, as they share what they were chosen for.
+    fn line(&self) -> String {
+        let folder = quoted(&self.binary.folder.to_string_lossy());
+        let program = quoted(&self.binary.program.to_string_lossy());
+        let mut line = format!("cd {folder} && CARGO_MANIFEST_DIR={folder} {program}");
+        if !self.tests.is_empty() {
+            line.push_str(" --test-threads=1 --exact");
+        }
+        for test in &self.tests {
+            line.push(' ');
+            line.push_str(&quoted(test));
+        }
+        line + " || bad=1\n"
+    }
+}
+
+/// The script that runs them one after the other; its exit status is 1 if one failed.
+pub(crate) fn script(errands: &[Errand], skips: &Path) -> String {
+    let skips = quoted(&skips.to_string_lossy());
+    let lines: String = errands.iter().map(Errand::line).collect();
+    format!("export TAKT_SKIPS={skips}\nbad=0\n{lines}exit $bad\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn message_of_cargo_names_a_binary_and_its_folder() {
+        let message = r#"{"reason":"compiler-artifact","manifest_path":"/c/can/Cargo.toml",
+            "target":{"name":"vcan"},"profile":{"test":true},"executable":"/t/vcan-1"}"#;
+        let found = binary(message).unwrap();
+        assert_eq!(
+            (found.program.as_path(), found.folder.as_path()),
+            (Path::new("/t/vcan-1"), Path::new("/c/can"))
+        );
+        assert_eq!(binary(&message.replace("true", "false")), None);
+        assert_eq!(binary(&message.replace("\"/t/vcan-1\"", "null")), None);
+        assert_eq!(binary("running 2 tests"), None);
+    }
+
+    #[test]
+    fn message_of_cargo_names_a_program() {
+        let message = r#"{"reason":"compiler-artifact","manifest_path":"/c/tools/Cargo.toml",
+            "target":{"name":"takt","kind":["bin"]},"profile":{"test":false},"executable":"/t/takt"}"#;
+        assert_eq!(program_of(message, "takt"), Some("/t/takt".into()));
+        assert_eq!(program_of(message, "other"), None);
+        // The program's own tests are a binary of the same name.
+        assert_eq!(program_of(&message.replace("false", "true"), "takt"), None);
+    }
+
+    #[test]
+    fn binary_tells_its_tests() {
+        let this = Binary {
+            program: std::env::current_exe().unwrap(),
+            folder: env!("CARGO_MANIFEST_DIR").into(),
+        };
+        let name = "binaries::tests::binary_tells_its_tests";
+        assert!(this.tests().iter().any(|test| test == name));
+    }
+
+    #[test]
+    fn one_bad_binary_makes_the_whole_bad_and_hides_no_other() {
+        let errand = |name: &str, tests: &[&str]| Errand {
+            binary: Binary {
+                program: PathBuf::from(format!("/t/{name}")),
+                folder: "/c".into(),
+            },
+            tests: tests.iter().map(ToString::to_string).collect(),
+        };
+        let text = script(
+            &[errand("a", &[]), errand("b", &["x::y", "z"])],
+            Path::new("/t/s"),
+        );
+        assert_eq!(text.matches("|| bad=1").count(), 2);
+        assert!(text.ends_with("exit $bad\n"), "{text}");
+        assert!(
+            text.contains("/t/b --test-threads=1 --exact x::y z ||"),
+            "{text}"
+        );
+        assert!(text.contains("/t/a ||"), "{text}");
+    }
+}

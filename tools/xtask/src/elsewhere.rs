@@ -1,0 +1,193 @@
+//! Tests that this host cannot run as it is: those that skipped themselves for want of a bus run once more
+//! where there is one, and those of real time on a real-time kernel. A network namespace of our own is
+//! preferred to a virtual machine, as it costs nothing. Tests that lack anything else stay skipped.
+
+mod namespace;
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::Path;
+
+use anyhow::Context;
+
+use crate::binaries::{self, Binary, Errand};
+use crate::cargo::{self, Cargo, note};
+use crate::metadata::Workspace;
+use crate::parts::Part;
+use crate::test::tally::{Reader, Tally, test_name};
+use crate::vm::{self, Guest, Obstacle};
+
+/// How buses come to a shell that runs as root in a place of its own.
+pub(crate) const NETWORKS: &str = include_str!("networks.sh");
+
+/// The packages whose tests are run on the real-time kernel too.
+const ON_THE_KERNEL: &[&str] = &["takt-rt"];
+
+/// A bus that tests ask for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Bus {
+    /// A virtual CAN interface.
+    Vcan,
+    /// A CAN controller with errors and a bit rate.
+    Can,
+    /// An Ethernet cable.
+    Veth,
+}
+
+impl Bus {
+    /// What a reason for a skip asks for.
+    fn wanted_by(reason: &str) -> BTreeSet<Self> {
+        let reason = reason.to_lowercase();
+        let words = [
+            ("vcan", Self::Vcan),
+            ("takt_can", Self::Can),
+            ("kvaser", Self::Can),
+            ("veth", Self::Veth),
+        ];
+        let found = words.iter().filter(|(word, _)| reason.contains(word));
+        found.map(|(_, bus)| *bus).collect()
+    }
+}
+
+/// Where tests run that cannot run on the host.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Place {
+    Namespace,
+    Machine,
+}
+
+/// Runs what the parts (none: all) want elsewhere. `lines` are the cargo lines that built the tests,
+/// `skipped` is what their tests wrote into the file of skips.
+pub(crate) fn test(
+    root: &Path,
+    parts: &[&Part],
+    lines: &[Cargo],
+    skipped: &str,
+) -> anyhow::Result<Tally> {
+    let mut tally = Tally::default();
+    let asked: Vec<(&str, BTreeSet<Bus>)> = skipped
+        .lines()
+        .map(|line| (test_name(line), Bus::wanted_by(line)))
+        .filter(|(_, buses)| !buses.is_empty())
+        .collect();
+    let kernel = vm::wants_kernel(parts);
+    if !asked.is_empty() || kernel {
+        let binaries = binaries::of(root, lines)?;
+        let has = |bus| namespace::has(bus);
+        let (here, mut there) = errands(&binaries, &asked, has);
+        if kernel {
+            there.extend(of_kernel(root, binaries)?);
+        }
+        tally.add(run(root, Place::Namespace, &here)?);
+        tally.add(run(root, Place::Machine, &there)?);
+    }
+    if vm::wants_service(parts) {
+        tally.add(vm::service(root, lines)?);
+    }
+    Ok(tally)
+}
+
+/// Which tests run in a namespace, and which in a machine.
+fn errands(
+    binaries: &[Binary],
+    asked: &[(&str, BTreeSet<Bus>)],
+    namespace_has: impl Fn(Bus) -> bool,
+) -> (Vec<Errand>, Vec<Errand>) {
+    if asked.is_empty() {
+        return (Vec::new(), Vec::new());
+    }
+    let wanted: BTreeSet<Bus> = asked.iter().flat_map(|(_, buses)| buses).copied().collect();
+    let had: BTreeSet<Bus> = wanted
+        .into_iter()
+        .filter(|bus| namespace_has(*bus))
+        .collect();
+    let (near, far): (Vec<_>, Vec<_>) = asked.iter().partition(|(_, buses)| buses.is_subset(&had));
+    let (mut here, mut there) = (Vec::new(), Vec::new());
+    for binary in binaries {
+        let tests = binary.tests();
+        for (asked, errands) in [(&near, &mut here), (&far, &mut there)] {
+            let asked = |test: &&String| asked.iter().any(|(name, _)| *name == last(test));
+            let tests: Vec<String> = tests.iter().filter(asked).cloned().collect();
+            if !tests.is_empty() {
+                let binary = binary.clone();
+                errands.push(Errand { binary, tests });
+            }
+        }
+    }
+    (here, there)
+}
+
+/// A test's name without its modules.
+fn last(test: &str) -> &str {
+    test.rsplit("::").next().unwrap_or(test)
+}
+
+/// All tests of the crates of real time.
+fn of_kernel(root: &Path, binaries: Vec<Binary>) -> anyhow::Result<Vec<Errand>> {
+    let packages = Workspace::load(root)?.packages;
+    let mut folders = packages.iter().filter_map(|package| {
+        let is_of_kernel = ON_THE_KERNEL.contains(&package.name.as_str());
+        is_of_kernel.then(|| root.join(&package.dir))
+    });
+    let folders: Vec<_> = folders.by_ref().collect();
+    // Models of what threads may do are the same on any kernel, and take long.
+    let is_model = |binary: &Binary| {
+        binary
+            .program
+            .components()
+            .any(|part| part.as_os_str() == "loom")
+    };
+    let binaries = binaries
+        .into_iter()
+        .filter(|binary| folders.contains(&binary.folder));
+    let binaries = binaries.filter(|binary| !is_model(binary));
+    let tests = Vec::new;
+    Ok(binaries
+        .map(|binary| Errand {
+            binary,
+            tests: tests(),
+        })
+        .collect())
+}
+
+/// Runs them in that place and counts. A test that skips itself there too has not passed.
+fn run(root: &Path, place: Place, errands: &[Errand]) -> anyhow::Result<Tally> {
+    if errands.is_empty() {
+        return Ok(Tally::default());
+    }
+    let skips = cargo::target_dir(root).join(format!("xtask-skips-there-{}", std::process::id()));
+    fs::write(&skips, "").with_context(|| format!("cannot write {}", skips.display()))?;
+    let script = binaries::script(errands, &skips);
+    let count = errands.len();
+    let mut reader = Reader::default();
+    let show = |text: &str| {
+        if reader.line(text) {
+            cargo::say(text);
+        }
+    };
+    let status = match place {
+        Place::Namespace => {
+            note(&format!(
+                "{count} test binaries go into a network namespace"
+            ));
+            namespace::run(root, &script, show)?
+        }
+        Place::Machine => match Guest::prepare(root)? {
+            Ok(guest) => {
+                note(&format!("{count} test binaries go into a virtual machine"));
+                guest.test(&script, show)?
+            }
+            Err(Obstacle(why)) => {
+                fs::remove_file(&skips)?;
+                return Ok(Tally::skipped(&format!(
+                    "tests in a virtual machine: {why}"
+                )));
+            }
+        },
+    };
+    let skipped = fs::read_to_string(&skips).unwrap_or_default();
+    fs::remove_file(&skips)?;
+    let mut tally = reader.finish(status == 0);
+    tally.skip_passed(&skipped);
+    Ok(tally)
+}
