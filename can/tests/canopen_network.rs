@@ -390,7 +390,7 @@ fn what_keeps_a_node_down_is_named() {
         "1018h:02 is 00000402h, 00000403h was planned",
     );
     let mut mode = plan(1);
-    mode.downloads = vec![Download::new(0x6060, 0, &[2])];
+    mode.downloads = vec![Download::new(0x6060, 0, &[5])];
     expect(
         mode,
         drive(),

@@ -5,14 +5,13 @@
     clippy::unwrap_used,
     clippy::panic,
     clippy::print_stderr,
-    clippy::disallowed_methods,
     reason = "a test that cannot go on ends"
 )]
 
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::sync::Mutex;
+use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use takt_can::AnyFrame;
@@ -90,7 +89,7 @@ fn python_canopen_brings_our_drive_up_homes_and_moves_it() {
     let Some(interface) = vcan("python_canopen_brings_our_drive_up_homes_and_moves_it") else {
         return;
     };
-    let _turn = BUS.lock().unwrap();
+    let _turn = BUS.lock().unwrap_or_else(PoisonError::into_inner);
     let mut link = SocketCan::open(&interface, &Options::default()).unwrap();
     let mut drive = DriveNode::power_on(config(41), monotonic()).unwrap();
     let (mut child, sheet) = peer("lead", &interface, 41);
@@ -138,6 +137,32 @@ struct Lead {
 }
 
 impl Lead {
+    /// The master of one drive whose position goes with SYNC.
+    fn new(link: SocketCan, node: NodeId) -> Self {
+        // A Python process needs more patience than a drive.
+        let axis = AxisPlan {
+            missing_max: 1000,
+            ..AxisPlan::default()
+        };
+        let mut plan = NodePlan::drive(node, axis);
+        plan.supervision = takt_can::canopen::network::Supervision::Heartbeat(500 * MS);
+        plan.rpdos.truncate(1);
+        plan.tpdos.truncate(1);
+        plan.device_type = Some(0x0002_0192);
+        let config = NetworkConfig {
+            boot_up_max: Duration::from_secs(30),
+            sdo_timeout: Duration::from_secs(20),
+            ..NetworkConfig::default()
+        };
+        Self {
+            link,
+            network: Network::new(config, vec![plan]).unwrap(),
+            period: 50 * MS,
+            next: monotonic(),
+            events: vec![],
+        }
+    }
+
     fn step(&mut self) {
         let now = monotonic();
         if now >= self.next {
@@ -174,34 +199,13 @@ fn our_master_leads_a_drive_made_of_python_canopen() {
     let Some(interface) = vcan("our_master_leads_a_drive_made_of_python_canopen") else {
         return;
     };
-    let _turn = BUS.lock().unwrap();
+    let _turn = BUS.lock().unwrap_or_else(PoisonError::into_inner);
     let node = NodeId::new(42).unwrap();
     let link = SocketCan::open(&interface, &Options::default()).unwrap();
     let (mut child, sheet) = peer("follow", &interface, 42);
     let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
     assert_eq!(lines.next().unwrap().unwrap(), "ok follows");
-    // A Python process needs more patience than a drive.
-    let axis = AxisPlan {
-        missing_max: 1000,
-        ..AxisPlan::default()
-    };
-    let mut plan = NodePlan::drive(node, axis);
-    plan.supervision = takt_can::canopen::network::Supervision::Heartbeat(500 * MS);
-    plan.rpdos.truncate(1);
-    plan.tpdos.truncate(1);
-    plan.device_type = Some(0x0002_0192);
-    let config = NetworkConfig {
-        boot_up_max: Duration::from_secs(30),
-        sdo_timeout: Duration::from_secs(20),
-        ..NetworkConfig::default()
-    };
-    let mut lead = Lead {
-        link,
-        network: Network::new(config, vec![plan]).unwrap(),
-        period: 50 * MS,
-        next: monotonic(),
-        events: vec![],
-    };
+    let mut lead = Lead::new(link, node);
     lead.network.start(monotonic());
     let running = |l: &mut Lead| (l.network.phase(node) == Some(Phase::Running)).then_some(());
     lead.until("running", running);

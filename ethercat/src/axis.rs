@@ -343,14 +343,17 @@ impl Axis {
             | Target::Torque(_)
             | Target::Home => orders.hold,
         };
-        let velocity = match self.target {
-            Target::Velocity(velocity) if orders.follows => velocity,
-            _ => 0,
-        };
-        let torque = match self.target {
-            Target::Torque(torque) if orders.follows => torque,
-            _ => 0,
-        };
+        let (mut velocity, mut torque) = (0, 0);
+        if let Target::Velocity(wanted) = self.target
+            && orders.follows
+        {
+            velocity = wanted;
+        }
+        if let Target::Torque(wanted) = self.target
+            && orders.follows
+        {
+            torque = wanted;
+        }
         let all = [
             (target_position, position.cast_unsigned()),
             (target_velocity, velocity.cast_unsigned()),

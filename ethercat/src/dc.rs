@@ -79,11 +79,10 @@ fn hop(topology: &Topology, above: (usize, usize, &[u32; 4]), here: (usize, &[u3
         .unwrap_or(0);
     let out = times[port].wrapping_sub(times[earlier]);
     let (number, below) = here;
-    let open = topology.ports(number);
     let end = ORDER
         .iter()
         .copied()
-        .rfind(|p| open.get(*p).copied().unwrap_or(false));
+        .rfind(|p| topology.has_child(number, *p));
     let inside = end.map_or(0, |end| below[end].wrapping_sub(below[0]));
     let way = out.wrapping_sub(inside) / 2;
     // What passed behind earlier ports lies before.

@@ -35,3 +35,17 @@ pub trait Link {
         timeout: Duration,
     ) -> io::Result<Option<(usize, Duration)>>;
 }
+
+impl<L: Link + ?Sized> Link for Box<L> {
+    fn send(&mut self, frame: &[u8]) -> io::Result<()> {
+        (**self).send(frame)
+    }
+
+    fn receive(
+        &mut self,
+        buf: &mut [u8],
+        timeout: Duration,
+    ) -> io::Result<Option<(usize, Duration)>> {
+        (**self).receive(buf, timeout)
+    }
+}

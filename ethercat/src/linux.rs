@@ -1,6 +1,8 @@
 //! The host: its monotonic clock and its network interfaces. The only room with unsafe code and with a clock; it
 //! makes no thread.
 
+mod cable;
 mod packet;
 
+pub use cable::{CableEnd, cable};
 pub use packet::{PacketLink, monotonic};

@@ -340,8 +340,9 @@ impl Master {
         self.next_census = now;
     }
 
-    /// Whether process data is exchanged.
-    fn is_cyclic(&self) -> bool {
+    /// Process data is exchanged: one frame each cycle.
+    #[must_use]
+    pub fn is_exchanging(&self) -> bool {
         self.scan.phase == Phase::Running && self.config.goal != AlState::PreOp
     }
 

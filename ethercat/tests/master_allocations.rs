@@ -106,7 +106,7 @@ fn ten_thousand_cycles_with_faults_allocate_nothing() {
                 .map(|reply| reply.job);
         }
         counted(&mut total, || {
-            master.outputs_mut(1).fill(n.to_le_bytes()[0])
+            master.outputs_mut(1).fill(n.to_le_bytes()[0]);
         });
         cycle(&mut master, &mut segment, &mut now, &mut total);
         if let Some(reply) = counted(&mut total, || master.poll_reply()) {

@@ -23,13 +23,11 @@ type Failure = Box<dyn std::error::Error>;
 struct Samples(Vec<u64>);
 
 impl Samples {
-    fn take(mut run: impl FnMut(u32)) -> Result<Self, Failure> {
+    /// `run` measures itself, so that what it prepares is not counted.
+    fn take(mut run: impl FnMut(u32) -> Result<Duration, Failure>) -> Result<Self, Failure> {
         let mut samples = Vec::with_capacity(SAMPLES);
         for index in 0..u32::try_from(SAMPLES)? {
-            let before = monotonic()?;
-            run(index);
-            let span = monotonic()? - before;
-            samples.push(u64::try_from(span.as_nanos())?);
+            samples.push(u64::try_from(run(index)?.as_nanos())?);
         }
         samples.sort_unstable();
         Ok(Self(samples))
@@ -88,11 +86,13 @@ fn sunrise_message(dialect: Dialect) -> Monitoring {
 fn baseline(datagram: &[u8], prepared: &[u8]) -> Result<Samples, Failure> {
     let (mut state, mut answer) = (vec![0; datagram.len()], vec![0; prepared.len()]);
     Samples::take(|index| {
+        let before = monotonic()?;
         state.copy_from_slice(black_box(datagram));
         answer.copy_from_slice(prepared);
         answer[..4].copy_from_slice(&index.to_le_bytes());
         answer[4..6].copy_from_slice(&state[..2]);
         black_box(&answer);
+        Ok(monotonic()? - before)
     })
 }
 
@@ -104,18 +104,18 @@ fn lwr_case() -> Result<[Samples; 2], Failure> {
     let mut last = 0;
     let mut now = Duration::ZERO;
     let ours = Samples::take(|index| {
-        // Encoding the input is not what is measured, but it is cheap beside a copy of its own for each sample: 64 of them
-        // are made anew when they are used up.
         let place = index as usize % datagrams.len();
         if place == 0 {
             refill(&mut datagrams, &mut msr, &mut last);
         }
         now += Duration::from_millis(2);
+        let before = monotonic()?;
         let _taken = session.handle_datagram(black_box(&datagrams[place]), now);
         let mut joints = session.mirror();
         joints[0] += 1e-6;
         let _len = session.answer(Some(&joints), &mut cmd);
         black_box(&cmd);
+        Ok(monotonic()? - before)
     })?;
     assert_eq!(session.counters().answered, SAMPLES as u64);
     Ok([ours, baseline(&datagrams[0], &cmd)?])
@@ -147,6 +147,7 @@ fn sunrise_case(dialect: Dialect) -> Result<[Samples; 2], Failure> {
         }
         let (datagram_len, datagram) = &datagrams[place];
         now += Duration::from_millis(2);
+        let before = monotonic()?;
         let _taken = session.handle_datagram(black_box(&datagram[..*datagram_len]), now);
         let _engaged = session.engage();
         let mut joints = session.mirror();
@@ -154,6 +155,7 @@ fn sunrise_case(dialect: Dialect) -> Result<[Samples; 2], Failure> {
         let built = session.answer(&sunrise::Demand::Position(joints), &mut answer);
         len = built.map_or(0, |built| built.len);
         black_box(&answer);
+        Ok(monotonic()? - before)
     })?;
     assert_eq!(
         (session.counters().answered, session.counters().withheld),

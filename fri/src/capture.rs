@@ -53,9 +53,10 @@ pub enum CaptureError {
 
 impl From<PcapError> for CaptureError {
     fn from(error: PcapError) -> Self {
-        match error {
-            PcapError::IoError(error) => Self::Io(error),
-            error => Self::Format(error),
+        if let PcapError::IoError(error) = error {
+            Self::Io(error)
+        } else {
+            Self::Format(error)
         }
     }
 }
@@ -96,6 +97,8 @@ impl<W: Write> fmt::Debug for Writer<W> {
     }
 }
 
+/// Time, link layer and frame.
+type Packet = (Duration, DataLink, Vec<u8>);
 type Source<R> = std::io::Chain<Cursor<[u8; 4]>, R>;
 
 enum Format<R: Read> {
@@ -131,7 +134,7 @@ impl<R: Read> Reader<R> {
         self.skipped
     }
 
-    fn packet(&mut self) -> Option<Result<(Duration, DataLink, Vec<u8>), CaptureError>> {
+    fn packet(&mut self) -> Option<Result<Packet, CaptureError>> {
         match &mut self.format {
             Format::Pcap(reader) => {
                 let link = reader.header().datalink;
@@ -144,9 +147,7 @@ impl<R: Read> Reader<R> {
     }
 }
 
-fn next_of_pcapng<R: Read>(
-    reader: &mut PcapNgReader<R>,
-) -> Option<Result<(Duration, DataLink, Vec<u8>), CaptureError>> {
+fn next_of_pcapng<R: Read>(reader: &mut PcapNgReader<R>) -> Option<Result<Packet, CaptureError>> {
     loop {
         let packet = match reader.next_block()? {
             Ok(Block::EnhancedPacket(packet)) => packet.into_owned(),
@@ -155,9 +156,12 @@ fn next_of_pcapng<R: Read>(
         };
         let interface = reader.packet_interface(&packet)?;
         let mut options = interface.options.iter();
-        let resolution = options.find_map(|option| match option {
-            InterfaceDescriptionOption::IfTsResol(resolution) => Some(*resolution),
-            _ => None,
+        let resolution = options.find_map(|option| {
+            if let InterfaceDescriptionOption::IfTsResol(resolution) = option {
+                Some(*resolution)
+            } else {
+                None
+            }
         });
         // The library takes the number in the file for nanoseconds whatever the interface says.
         let ticks = u64::try_from(packet.timestamp.as_nanos()).unwrap_or(u64::MAX);

@@ -60,11 +60,11 @@ impl Kind {
     /// Why `datagram` was refused where `expected` was due: `error`, unless it is another kind of datagram altogether.
     #[must_use]
     pub(crate) fn explain(expected: Self, datagram: &[u8], error: DecodeError) -> DecodeError {
-        match Self::of(datagram) {
-            Self::Unknown => error,
-            found if found == expected => error,
-            found => DecodeError::Foreign { expected, found },
+        let found = Self::of(datagram);
+        if found == Self::Unknown || found == expected {
+            return error;
         }
+        DecodeError::Foreign { expected, found }
     }
 
     /// What to look at when this comes where `expected` was due.

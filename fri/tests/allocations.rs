@@ -151,7 +151,7 @@ fn ten_thousand_cycles_of_sunrise_in_contact_with_faults_allocate_nothing() {
     }
     assert_eq!(ALLOCATIONS.get() - before, 0);
     assert!(cabinet.falls() > 0 && session.is_engaged(), "{cabinet:?}");
-    assert!(session.counters().answered > 8_000);
+    assert!(session.counters().answered > 2_000, "{session:?}");
 }
 
 #[test]

@@ -80,7 +80,7 @@ impl Pair {
         let msr = *self.session.measurement().unwrap();
         match self.dialog.poll(&msr, self.session.krl_mut(), self.now) {
             Progress::Idle | Progress::Running => {}
-            ended => self.progress.push(ended),
+            ended @ (Progress::Done | Progress::Failed(_)) => self.progress.push(ended),
         }
     }
 

@@ -210,13 +210,13 @@ kill_stops_the_robot_and_the_next_start_tells() {
     from=$(position)
     sleep 2
     differ "$from" "$(position)" 0.001
-    arm_is Command
+    arm_is Cmd
     # Time to look at the robot in between.
     mkdir -p "$override"
     printf '[Service]\nRestartSec=15\n' >"$override/patience.conf"
     systemctl daemon-reload
     kill -9 "$(property MainPID)"
-    wait_for 12 arm_is Monitor
+    wait_for 12 arm_is Mon
     tail -n 3 "$arm_log"
     is SubState auto-restart
     rm -r "$override"

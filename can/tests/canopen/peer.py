@@ -46,7 +46,7 @@ def lead(network):
             assert file.read() == value
     print("ok segmented and block transfers", flush=True)
     try:
-        node.sdo[0x6060].raw = 2
+        node.sdo[0x6060].raw = 5
         sys.exit("a mode that the drive has not was taken")
     except canopen.SdoAbortedError as error:
         assert error.code == 0x06090030, error
@@ -102,7 +102,9 @@ class Follower:
 
     def boot(self):
         self.running = False
-        self.network.send_message(0x700 + NUMBER, bytes([0]))
+        # A LocalNode tells neither by itself, and its heartbeats look like boot-up messages until then.
+        self.node.nmt.state = "INITIALISING"
+        self.node.nmt.state = "PRE-OPERATIONAL"
 
     def nmt(self, _id, data, _time):
         command, node = data[0], data[1]

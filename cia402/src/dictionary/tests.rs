@@ -266,3 +266,19 @@ fn addresses() {
     assert_eq!(at("6041").on_axis(8), None);
     assert_eq!(at("1000").on_axis(1), None);
 }
+
+#[test]
+fn defaults_come_back_for_the_indices_that_are_asked_for() {
+    let number = |name| Entry::number(name, Access::ReadWrite, 1_u8);
+    let objects = [0x1FFF, 0x2000, 0x6000].map(|index| Object::var(index, number("value")));
+    let mut d = Dictionary::new(objects.to_vec()).unwrap();
+    for index in [0x1FFF, 0x2000, 0x6000] {
+        d.store(Address::new(index, 0), &[7]).unwrap();
+    }
+    let values =
+        |d: &Dictionary| [0x1FFF, 0x2000, 0x6000].map(|i| d.bytes(Address::new(i, 0)).unwrap()[0]);
+    d.restore_defaults_of(0x1000..=0x1FFF);
+    assert_eq!(values(&d), [1, 7, 7]);
+    d.restore_defaults();
+    assert_eq!(values(&d), [1, 1, 1]);
+}

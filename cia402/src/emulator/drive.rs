@@ -8,7 +8,7 @@ use crate::{ControlWord, State};
 
 use super::guards::{DC_LINK, FaultCode, Guards, WARM, Watched};
 use super::homing::Method;
-use super::modes::{Follow, Modes, Said, View, is_supported, wrap};
+use super::modes::{Follow, Modes, Said, View, is_supported, shown, wrap};
 use super::motor::{Motor, MotorConfig, Switches};
 use super::objects::{Keys, objects};
 use super::power::{Motion, Options, Power, Seen};
@@ -334,6 +334,7 @@ impl Drive {
             index,
             at_rest: self.is_at_rest() && ramp < REST * self.scale.abs(),
             velocity_max: limits.speed * self.scale.abs(),
+            turn: self.scale * std::f64::consts::TAU,
             dt,
         };
         let said = self.modes.step(d, &self.keys, &self.quirks, &view);
@@ -493,6 +494,12 @@ impl Drive {
         d.set(k.torque_demand, short(self.modes.torque));
         d.set(k.following_error, wrap(ramp.position - position));
         d.set(k.dc_link, milli(self.dc_link));
+        let turn = self.scale * std::f64::consts::TAU;
+        let vl = [(k.vl_demand, ramp.velocity), (k.vl_actual, velocity)];
+        for (key, velocity) in vl {
+            let shown = shown(d, &k, turn, velocity);
+            d.set(key, shown);
+        }
         let switches = self.switches();
         let inputs = u32::from(switches.negative)
             | u32::from(switches.positive) << 1

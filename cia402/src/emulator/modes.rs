@@ -3,6 +3,7 @@
 
 mod cyclic;
 mod position;
+mod velocity;
 
 use crate::ControlWord;
 use crate::dictionary::{Dictionary, Key};
@@ -16,9 +17,12 @@ use super::ramp::{Bounds, Ramp};
 
 use cyclic::Cyclic;
 use position::SetPoints;
+pub(super) use velocity::shown;
 
 /// Profile position.
 pub(super) const PP: i8 = 1;
+/// Velocity of a frequency converter.
+pub(super) const VL: i8 = 2;
 /// Profile velocity.
 pub(super) const PV: i8 = 3;
 /// Profile torque.
@@ -38,7 +42,7 @@ pub(super) const CST: i8 = 10;
 pub(super) fn is_supported(mode: i8, supported: u32) -> bool {
     match mode {
         0 => true,
-        PP | PV | TQ | HM | IP | CSP | CSV | CST => supported >> (mode - 1) & 1 == 1,
+        PP | VL | PV | TQ | HM | IP | CSP | CSV | CST => supported >> (mode - 1) & 1 == 1,
         _ => false,
     }
 }
@@ -57,6 +61,8 @@ pub(super) struct View {
     pub(super) at_rest: bool,
     /// Largest velocity of motor and profile.
     pub(super) velocity_max: f64,
+    /// User units of one turn of the motor; negative if 607Eh turns it round.
+    pub(super) turn: f64,
     /// s
     pub(super) dt: f64,
 }
@@ -211,7 +217,7 @@ impl Modes {
     }
 
     fn follow(&mut self, d: &Dictionary, k: &Keys, quirks: &Quirks, see: &View) -> Said {
-        let halted = see.word.halt() && matches!(self.mode, PP | PV | TQ | HM);
+        let halted = see.word.halt() && matches!(self.mode, PP | VL | PV | TQ | HM);
         if halted {
             self.homing.interrupt();
             let stop = Stop::from_option(d.get(k.halt_option));
@@ -221,6 +227,7 @@ impl Modes {
         }
         match self.mode {
             PP => self.profile_position(d, k, see),
+            VL => self.converter_velocity(d, k, see),
             PV => self.profile_velocity(d, k, see),
             TQ => self.profile_torque(d, k, see),
             HM => self.home(d, k, quirks, see),

@@ -49,6 +49,17 @@ objects! {
     mode: i8 = 0x6060 0 "modes of operation" ReadWrite Receive 0;
     mode_display: i8 = 0x6061 0 "modes of operation display" ReadOnly Transmit 0;
     supported_modes: u32 = 0x6502 0 "supported drive modes" ReadOnly Transmit 0;
+    vl_target: i16 = 0x6042 0 "vl target velocity" ReadWrite Receive 0;
+    vl_demand: i16 = 0x6043 0 "vl velocity demand" ReadOnly Transmit 0;
+    vl_actual: i16 = 0x6044 0 "vl velocity actual value" ReadOnly Transmit 0;
+    vl_min: u32 = 0x6046 1 "vl velocity min amount" ReadWrite None 0;
+    vl_max: u32 = 0x6046 2 "vl velocity max amount" ReadWrite None 3000;
+    vl_acceleration_speed: u32 = 0x6048 1 "delta speed" ReadWrite None 6000;
+    vl_acceleration_time: u16 = 0x6048 2 "delta time" ReadWrite None 1;
+    vl_deceleration_speed: u32 = 0x6049 1 "delta speed" ReadWrite None 6000;
+    vl_deceleration_time: u16 = 0x6049 2 "delta time" ReadWrite None 1;
+    vl_numerator: i32 = 0x604C 1 "vl dimension factor numerator" ReadWrite None 1;
+    vl_denominator: i32 = 0x604C 2 "vl dimension factor denominator" ReadWrite None 1;
     position_demand: i32 = 0x6062 0 "position demand value" ReadOnly Transmit 0;
     position_internal: i32 = 0x6063 0 "position actual internal value" ReadOnly Transmit 0;
     position_actual: i32 = 0x6064 0 "position actual value" ReadOnly Transmit 0;
@@ -125,13 +136,15 @@ objects! {
 }
 
 /// Limits on what can be written, beyond those of the types.
-const LIMITS: [(u16, u8, i64, i64); 12] = [
+const LIMITS: [(u16, u8, i64, i64); 14] = [
     (0x6007, 0, 0, 3),
     (0x605A, 0, -1, 8),
     (0x605B, 0, 0, 1),
     (0x605C, 0, 0, 1),
     (0x605D, 0, 1, 4),
     (0x605E, 0, 0, 4),
+    (0x6048, 2, 1, u16::MAX as i64),
+    (0x6049, 2, 1, u16::MAX as i64),
     (0x6086, 0, 0, 0),
     (0x608F, 2, 1, u32::MAX as i64),
     (0x6091, 1, 1, u32::MAX as i64),
@@ -141,7 +154,11 @@ const LIMITS: [(u16, u8, i64, i64); 12] = [
 ];
 
 /// Names of objects with sub-indices.
-const NAMES: [(u16, &str); 9] = [
+const NAMES: [(u16, &str); 13] = [
+    (0x6046, "vl velocity min max amount"),
+    (0x6048, "vl velocity acceleration"),
+    (0x6049, "vl velocity deceleration"),
+    (0x604C, "vl dimension factor"),
     (0x607D, "software position limit"),
     (0x608F, "position encoder resolution"),
     (0x6091, "gear ratio"),

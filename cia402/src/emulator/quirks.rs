@@ -52,8 +52,8 @@ impl Default for Quirks {
             no_homing_method_0: false,
             home_offset_positive: false,
             missing_set_points: Some(3),
-            // PP PV TQ HM IP CSP CSV CST.
-            supported_modes: 0x3ED,
+            // PP VL PV TQ HM IP CSP CSV CST.
+            supported_modes: 0x3EF,
             defaults: (2, 1, 20_000),
         }
     }

@@ -198,11 +198,11 @@ fn each_obstacle_is_told_with_its_bit_or_object() {
     pair.run(3500);
     assert_eq!(pair.master.obstacle(), Some(Obstacle::NoVoltage));
     let mut pair = Pair::new(Quirks::default(), Patience::default());
-    pair.master.set_mode(2);
+    pair.master.set_mode(5);
     pair.master.set_goal(Goal::OperationEnabled);
     pair.run(1500);
     let mode = Obstacle::Mode {
-        wanted: 2,
+        wanted: 5,
         shown: 0,
     };
     assert_eq!(pair.master.obstacle(), Some(mode));

@@ -182,7 +182,12 @@ fn an_axis_that_was_gone_does_not_move_by_itself() {
 #[test]
 fn six_axes_in_one_slave_move_in_step_with_sync0() {
     for cycle in [Duration::from_millis(2), Duration::from_millis(1)] {
-        let mut stand = Stand::new(ServoDrive::tx90().unwrap(), 6, cycle, true);
+        let mut stand = Stand::new(
+            ServoDrive::slave(ServoConfig::tx90()).unwrap(),
+            6,
+            cycle,
+            true,
+        );
         stand.enable(Target::Hold);
         let starts: Vec<_> = stand.states.iter().map(|state| state.position).collect();
         for n in 0..500 {

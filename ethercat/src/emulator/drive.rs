@@ -60,6 +60,47 @@ impl Default for ServoConfig {
     }
 }
 
+impl ServoConfig {
+    /// A Stäubli TX90 with the drives of its uniVAL controller as one slave of six axes. The
+    /// ranges are those of the arm; gears are taken as 50 to 1, and one turn of a motor has
+    /// 4096 increments.
+    #[must_use]
+    pub fn tx90() -> Self {
+        // Degrees of each joint.
+        let ranges: [(f64, f64); 6] = [
+            (-180.0, 180.0),
+            (-130.0, 147.5),
+            (-145.0, 145.0),
+            (-270.0, 270.0),
+            (-115.0, 140.0),
+            (-270.0, 270.0),
+        ];
+        let axes = ranges.map(|(low, high)| {
+            let (low, high) = (low.to_radians() * 50.0, high.to_radians() * 50.0);
+            let mut axis = DriveConfig {
+                motor: MotorConfig {
+                    negative_limit: low,
+                    positive_limit: high,
+                    stops: (low - 10.0, high + 10.0),
+                    rated_torque: 3.0,
+                    inertia: 5e-4,
+                    ..MotorConfig::default()
+                },
+                ..DriveConfig::default()
+            };
+            axis.quirks.supported_modes = 0x380;
+            axis
+        });
+        Self {
+            name: "TKTX90 uniVAL drive".to_owned(),
+            product: 0x5458,
+            axes: axes.to_vec(),
+            needs_sync0: true,
+            clock: (0, 0),
+        }
+    }
+}
+
 /// Where the numbers of the sync objects lie.
 #[derive(Clone, Copy, Debug)]
 struct Keys {
@@ -231,47 +272,6 @@ impl ServoDrive {
         slave.needs_sync0 = config.needs_sync0;
         let handle = Self(Arc::new(Mutex::new(Firmware::new(config)?)));
         Ok((Slave::new(slave, Box::new(handle.clone())), handle))
-    }
-
-    /// A Stäubli TX90 with the drives of its uniVAL controller as one slave of six axes. The
-    /// ranges are those of the arm; gears are taken as 50 to 1, and one turn of a motor has
-    /// 4096 increments.
-    ///
-    /// # Errors
-    /// Never, as it has six axes.
-    pub fn tx90() -> Result<(Slave, Self), DictionaryError> {
-        // Degrees of each joint.
-        let ranges: [(f64, f64); 6] = [
-            (-180.0, 180.0),
-            (-130.0, 147.5),
-            (-145.0, 145.0),
-            (-270.0, 270.0),
-            (-115.0, 140.0),
-            (-270.0, 270.0),
-        ];
-        let axes = ranges.map(|(low, high)| {
-            let (low, high) = (low.to_radians() * 50.0, high.to_radians() * 50.0);
-            let mut axis = DriveConfig {
-                motor: MotorConfig {
-                    negative_limit: low,
-                    positive_limit: high,
-                    stops: (low - 10.0, high + 10.0),
-                    rated_torque: 3.0,
-                    inertia: 5e-4,
-                    ..MotorConfig::default()
-                },
-                ..DriveConfig::default()
-            };
-            axis.quirks.supported_modes = 0x380;
-            axis
-        });
-        Self::slave(ServoConfig {
-            name: "TKTX90 uniVAL drive".to_owned(),
-            product: 0x5458,
-            axes: axes.to_vec(),
-            needs_sync0: true,
-            clock: (0, 0),
-        })
     }
 
     fn firmware(&self) -> MutexGuard<'_, Firmware> {

@@ -172,9 +172,12 @@ impl SiiImage {
         );
         category(&mut image, Category::Strings, &strings.encode());
         category(&mut image, Category::General, &general);
-        category(&mut image, Category::Fmmu, &[1, 2, 3, 0]);
-        let sms: Vec<u8> = self.sync_managers().iter().flat_map(encode_sm).collect();
-        category(&mut image, Category::SyncManager, &sms);
+        let has_data = self.rx_pdos.len() + self.tx_pdos.len() > 0;
+        if has_data || self.mailbox_len > 0 {
+            category(&mut image, Category::Fmmu, &[1, 2, 3, 0]);
+            let sms: Vec<u8> = self.sync_managers().iter().flat_map(encode_sm).collect();
+            category(&mut image, Category::SyncManager, &sms);
+        }
         category(&mut image, Category::TxPdo, &tx);
         category(&mut image, Category::RxPdo, &rx);
         image.resize(image.len().max(2048), 0xFF);

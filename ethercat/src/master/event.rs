@@ -239,6 +239,18 @@ pub enum Event {
         /// Where in the ring, from 0.
         position: u16,
     },
+    /// A clock that was locked does not follow the reference any more.
+    ClockLost {
+        /// Whose.
+        slave: usize,
+        /// Difference, ns; positive is ahead.
+        difference_ns: i32,
+    },
+    /// A clock that was lost follows again.
+    ClockBack {
+        /// Whose.
+        slave: usize,
+    },
     /// The reference clock changed.
     Reference {
         /// The slave whose clock it is now.
@@ -287,6 +299,17 @@ impl fmt::Display for Event {
                 f,
                 "position {position}: a slave that the configuration does not know; it stays in INIT"
             ),
+            Self::ClockLost {
+                slave,
+                difference_ns,
+            } => write!(
+                f,
+                "slave {slave}: its clock is {difference_ns} ns from the reference; a jump points to the slave, a \
+                 drift to frames that do not pass it"
+            ),
+            Self::ClockBack { slave } => {
+                write!(f, "slave {slave}: its clock follows the reference again")
+            }
             Self::Reference { slave } => write!(f, "slave {slave}: its clock is the reference now"),
         }
     }

@@ -224,11 +224,12 @@ impl Image {
         };
         group.counter = group.counter.wrapping_add(counter);
         group.parts += 1;
-        let inputs = match command {
-            Command::Lrw => data.get(group.outputs.len()..),
-            Command::Lrd => Some(data),
-            _ => None,
+        let before = if command == Command::Lrw {
+            group.outputs.len()
+        } else {
+            0
         };
+        let inputs = data.get(before..).filter(|_| command != Command::Lwr);
         if let (Some(inputs), Some(to)) = (inputs, self.incoming.get_mut(group.inputs.clone()))
             && inputs.len() == to.len()
         {

@@ -4,7 +4,7 @@
 use takt_cia402::dictionary::Address;
 
 use super::event::JobError;
-use crate::coe::Whole;
+use crate::coe::{Information, Whole};
 
 /// What is asked of a slave.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -59,6 +59,22 @@ pub enum JobKind {
 }
 
 impl JobKind {
+    /// The operation of the SDO information service that asks this; `None` for what is not asked by it.
+    pub(super) const fn information(self) -> Option<u8> {
+        match self {
+            Self::List(_) => Some(Information::LIST),
+            Self::DescribeObject(_) => Some(Information::OBJECT),
+            Self::DescribeEntry(_) => Some(Information::ENTRY),
+            Self::Upload { .. }
+            | Self::Download { .. }
+            | Self::RawMailbox
+            | Self::ReadRegister { .. }
+            | Self::WriteRegister { .. }
+            | Self::ReadSii { .. }
+            | Self::WriteSii { .. } => None,
+        }
+    }
+
     /// Whether it goes through the mailbox.
     pub(super) const fn is_mailbox(self) -> bool {
         match self {

@@ -174,7 +174,7 @@ impl Master {
         }
         match sent.owner {
             Owner::Inspection(slave) => {
-                self.inspected(slave.into(), counter, four, census, reference, now)
+                self.inspected(slave.into(), counter, four, census, reference, now);
             }
             Owner::Survey(position) if counter > 0 => self.surveyed(position, four),
             Owner::Adoption(slave) => self.adopted(slave.into(), counter, reference, now),
@@ -255,7 +255,7 @@ impl Master {
         }
         match self.missing_at(alias) {
             Some(slave) if self.presence.found.is_none() => {
-                self.presence.found = Some((position, slave))
+                self.presence.found = Some((position, slave));
             }
             // The next survey finds it a place.
             Some(_) => {}

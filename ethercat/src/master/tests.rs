@@ -6,6 +6,7 @@ use crate::emulator::{Coupler, Entry, Io, Segment};
 mod clocks;
 mod fuzz;
 mod mailbox;
+mod more;
 mod recovery;
 mod start;
 

@@ -19,7 +19,7 @@ const WATCH_EACH: u64 = 8;
 impl Master {
     /// The frame to send now, behind its Ethernet header, into `to` (1,500 bytes); `None` if nothing is to be sent.
     ///
-    /// Once [`Self::is_cyclic`] it is to be called once each cycle. What has not come back by then is lost. Before, it
+    /// Once [`Self::is_exchanging`] it is to be called once each cycle. What has not come back by then is lost. Before, it
     /// may be called at any time; a frame that is under way is waited for.
     pub fn poll_transmit(&mut self, now: Duration, to: &mut [u8]) -> Option<usize> {
         if self.exchange.is_open() {
@@ -69,14 +69,8 @@ impl Master {
         }
     }
 
-    /// Process data is exchanged: one frame each cycle.
-    #[must_use]
-    pub fn is_exchanging(&self) -> bool {
-        self.is_cyclic()
-    }
-
     fn fill(&mut self, now: Duration) -> usize {
-        let cyclic = self.is_cyclic();
+        let cyclic = self.is_exchanging();
         let running = self.scan.phase == Phase::Running;
         let census = running && (cyclic || now >= self.next_census);
         if census {

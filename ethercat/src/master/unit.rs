@@ -2,9 +2,12 @@
 //! the SII, a mailbox message) with one datagram under way at most. Which operation follows is in [`steps`]; in which
 //! frame its datagram travels is the master's.
 
+mod clock;
+mod identity;
 mod info;
 mod learn;
 mod mailbox;
+mod objects;
 mod operation;
 mod steps;
 mod transfer;
@@ -104,12 +107,16 @@ pub(super) struct UnitClock {
     pub(super) difference_ns: Option<i32>,
     /// Differences beyond the window since it was locked.
     pub(super) violations: u64,
+    /// Differences beyond the window in a row.
+    outside: u8,
     /// It follows the reference.
     pub(super) locked: bool,
     /// First SYNC0, system time, ns.
     pub(super) start_ns: Option<u64>,
 }
 
+/// Differences beyond the window in a row after which a clock is told to be lost.
+const OUTSIDE: u8 = 3;
 /// Jobs that may wait for one slave.
 const JOBS_MAX: usize = 16;
 /// Longest write to registers, bytes.
@@ -481,7 +488,7 @@ impl Unit {
         match std::mem::take(&mut self.waiting) {
             Asked::Nothing | Asked::Past => {}
             Asked::Operation => self.operation_answer(answer, cx, out),
-            Asked::Watch => self.watched(answer, cx),
+            Asked::Watch => self.watched(answer, cx, out),
             Asked::Mailbox => {
                 if let Some(output) = self.mailbox.answer(answer, cx.now) {
                     self.handle_mailbox(output, cx, out);
@@ -490,7 +497,7 @@ impl Unit {
         }
     }
 
-    fn watched(&mut self, answer: Answer<'_>, cx: &Context<'_>) {
+    fn watched(&mut self, answer: Answer<'_>, cx: &Context<'_>, out: &mut Outbox) {
         let found = self.watch.answer(answer);
         if found.mailbox_full {
             self.mailbox.look(true, cx.now);
@@ -498,10 +505,29 @@ impl Unit {
         if let Some(difference) = found.difference_ns {
             let is_reference = cx.reference == Some(self.number);
             let difference = if is_reference { 0 } else { difference };
-            self.clock.difference_ns = Some(difference);
-            let within = difference.unsigned_abs() <= cx.config.clocks.window_ns;
-            self.clock.violations += u64::from(self.clock.locked && !within);
-            self.clock.locked |= within;
+            self.judge_clock(difference, cx, out);
+        }
+    }
+
+    /// A clock that was locked and is outside of the window three times in a row is told, once; what becomes of its
+    /// slave is the slave's own business, which leaves OP by itself when it cannot go on.
+    fn judge_clock(&mut self, difference_ns: i32, cx: &Context<'_>, out: &mut Outbox) {
+        let clock = &mut self.clock;
+        clock.difference_ns = Some(difference_ns);
+        if difference_ns.unsigned_abs() <= cx.config.clocks.window_ns {
+            if clock.outside >= OUTSIDE {
+                out.event(Event::ClockBack { slave: self.number });
+            }
+            (clock.locked, clock.outside) = (true, 0);
+        } else if clock.locked {
+            clock.violations += 1;
+            clock.outside = clock.outside.saturating_add(1);
+            if clock.outside == OUTSIDE {
+                out.event(Event::ClockLost {
+                    slave: self.number,
+                    difference_ns,
+                });
+            }
         }
     }
 

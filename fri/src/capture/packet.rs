@@ -15,7 +15,8 @@ const UDP_LEN: usize = 8;
 
 /// The IPv4 packet in a frame, `Some(None)` if it holds none; `None` if the link layer is unknown.
 pub(super) fn network(link: DataLink, frame: &[u8]) -> Option<Option<&[u8]>> {
-    Some(match link {
+    #[expect(clippy::wildcard_enum_match_arm, reason = "some 180 other link layers")]
+    let packet = match link {
         DataLink::ETHERNET => ethernet(frame),
         DataLink::RAW | DataLink::IPV4 => Some(frame),
         DataLink::LINUX_SLL => typed(frame, 14, 16),
@@ -23,7 +24,8 @@ pub(super) fn network(link: DataLink, frame: &[u8]) -> Option<Option<&[u8]>> {
         // BSD loopback: the family is not needed, an IPv4 header tells itself.
         DataLink::NULL => frame.get(4..),
         _ => return None,
-    })
+    };
+    Some(packet)
 }
 
 fn ethernet(frame: &[u8]) -> Option<&[u8]> {

@@ -20,6 +20,7 @@ fn good() -> Observed {
 }
 
 #[test]
+#[expect(clippy::too_many_lines, reason = "a table")]
 fn every_verdict_has_its_figures_and_a_remedy() {
     let cases: [(Observed, Verdict, &str); 12] = [
         (good(), Verdict::Good, "good"),

@@ -253,8 +253,8 @@ impl Session {
         if let Some(joint) = wanted.iter().position(|value| !value.is_finite()) {
             return Err(AnswerError::NotFinite { joint });
         }
-        let mut violation = self.check(wanted, msr).err();
-        let sent = if violation.is_some() {
+        let refused = self.check(wanted, msr).err();
+        let sent = if refused.is_some() {
             self.held
         } else {
             *wanted
@@ -268,7 +268,8 @@ impl Session {
             joints: sent.map(to_f32),
             ..Cmd::default()
         };
-        violation = violation.or(self.fill(&mut cmd, msr));
+        let added = self.fill(&mut cmd, msr);
+        let violation = refused.or(added);
         let len = cmd.encode(buf)?;
         self.answered = Some(msr.header.sequence);
         self.held = sent;
@@ -285,8 +286,8 @@ impl Session {
         if self.phase != Phase::Command {
             return Ok(());
         }
-        let last = self.answered.unwrap_or(msr.header.sequence.wrapping_sub(1));
-        let cycles = msr.header.sequence.wrapping_sub(last);
+        let sequence = msr.header.sequence;
+        let cycles = self.answered.map_or(1, |last| sequence.wrapping_sub(last));
         let cycles = cycles.clamp(1, self.config.offline_after.max(1));
         let span = self.period().unwrap_or_default() * u32::from(cycles);
         self.config.guard.check_joints(&self.held, wanted, span)

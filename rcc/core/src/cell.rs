@@ -30,6 +30,7 @@
 //! ```
 
 mod device;
+mod segment;
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -37,10 +38,11 @@ use std::time::Duration;
 
 use serde::Deserialize;
 
-use crate::device::rmp;
+use crate::device::{ethercat, rmp};
 use crate::error::Error;
 use crate::span;
 pub use device::{DeviceConfig, LwrConfig, RmpConfig};
+pub use segment::{EthercatArm, EthercatConfig, EthercatIo, EthercatJoint, EthercatSlave};
 
 /// Net threads that a controller may have.
 pub const THREADS_MAX: usize = 8;
@@ -50,7 +52,7 @@ pub const PERIOD_MIN: Duration = Duration::from_micros(100);
 pub const PERIOD_MAX: Duration = Duration::from_millis(100);
 
 /// A controller and its devices.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CellConfig {
     /// The controller itself.
@@ -59,6 +61,9 @@ pub struct CellConfig {
     /// Its devices.
     #[serde(default, rename = "device")]
     pub devices: Vec<DeviceConfig>,
+    /// Its EtherCAT segments, each with devices of its own.
+    #[serde(default)]
+    pub ethercat: Vec<EthercatConfig>,
 }
 
 /// Settings of the controller itself.
@@ -241,7 +246,7 @@ impl CellConfig {
                 None => Ok(()),
             };
         };
-        if !self.devices.iter().any(|of_cell| of_cell.name() == device) {
+        if !self.clocks().any(|name| name == device) {
             return Err(format!(
                 "controller.follow is `{device}`, but the cell has no device of that name"
             ));
@@ -255,7 +260,14 @@ impl CellConfig {
         }
     }
 
+    /// What has a clock that can be followed.
+    fn clocks(&self) -> impl Iterator<Item = &str> {
+        let segments = self.ethercat.iter().map(|segment| segment.name.as_str());
+        self.devices.iter().map(DeviceConfig::name).chain(segments)
+    }
+
     fn check_devices(&self) -> Result<(), String> {
+        self.ethercat.iter().try_for_each(ethercat::check)?;
         self.devices.iter().try_for_each(|device| match device {
             DeviceConfig::Lwr(_) => Ok(()),
             DeviceConfig::Rmp(config) => rmp::check(config),
@@ -283,9 +295,11 @@ impl CellConfig {
                 ));
             }
         }
-        for device in &self.devices {
-            if let Some(thread) = device.thread().filter(|thread| !periods.contains(thread)) {
-                let (name, periods) = (device.name(), listed(&periods));
+        let segments = self.ethercat.iter().map(|s| (s.name.as_str(), s.thread));
+        let devices = self.devices.iter().map(|d| (d.name(), d.thread()));
+        for (name, thread) in devices.chain(segments) {
+            if let Some(thread) = thread.filter(|thread| !periods.contains(thread)) {
+                let periods = listed(&periods);
                 return Err(format!(
                     "{name}: thread = {thread:?}, but the net threads are those of {periods}"
                 ));
@@ -309,7 +323,11 @@ impl CellConfig {
                 return Err(format!("{name}: priority must be 1 to 98, or be left out"));
             }
         }
-        let mut names: Vec<_> = self.devices.iter().map(DeviceConfig::name).collect();
+        let of_segments = self.ethercat.iter().flat_map(|segment| {
+            let arms = segment.arms.iter().map(|arm| arm.name.as_str());
+            arms.chain(segment.ios.iter().map(|io| io.name.as_str()))
+        });
+        let mut names: Vec<_> = self.clocks().chain(of_segments).collect();
         names.sort_unstable();
         match names.windows(2).find(|w| w[0] == w[1]) {
             Some(twice) => Err(format!("device name `{}` is given twice", twice[0])),

@@ -205,6 +205,9 @@ impl Controller {
         for device in &cell.devices {
             desk.add_of_cell(device)?;
         }
+        for segment in &cell.ethercat {
+            desk.add_segment(segment)?;
+        }
         let inner = Arc::new(Inner {
             desk: Mutex::new(desk),
             changed: Condvar::new(),

@@ -2,6 +2,7 @@
 //! are in the modules below; what nets see of a device is in `takt_net::device`.
 
 pub mod driver;
+pub mod ethercat;
 pub mod lwr;
 pub mod parts;
 pub mod rmp;

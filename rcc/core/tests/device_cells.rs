@@ -93,12 +93,9 @@ fn run(controller: &Controller) {
     controller.unload(id).unwrap();
 }
 
-#[test]
-fn a_cell_of_all_devices_runs_allocates_nothing_and_replays_the_same() {
-    let _alone = COUNTER.lock().unwrap_or_else(PoisonError::into_inner);
-    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("devices.mcap");
-    let before = real_time_allocations();
-    let recording = Some(Recorder::start(&path).unwrap());
+/// Records a cell of all devices; returns how many cycles, or that the host was too slow for that.
+fn record(path: &Path) -> Result<u64, takt_core::Error> {
+    let recording = Some(Recorder::start(path).unwrap());
     let controller = Controller::start_recording(&CellConfig::default(), recording).unwrap();
     // The second time the devices get other names' places.
     for round in 0..2 {
@@ -114,7 +111,16 @@ fn a_cell_of_all_devices_runs_allocates_nothing_and_replays_the_same() {
             controller.remove_device(name).unwrap();
         }
     }
-    let cycles = controller.finish_recording().unwrap().unwrap();
+    controller.finish_recording().map(Option::unwrap)
+}
+
+#[test]
+fn a_cell_of_all_devices_runs_allocates_nothing_and_replays_the_same() {
+    let _alone = COUNTER.lock().unwrap_or_else(PoisonError::into_inner);
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("devices.mcap");
+    let before = real_time_allocations();
+    let mut attempts = (0..3).map(|_| record(&path));
+    let cycles = attempts.find_map(Result::ok).unwrap();
     assert_eq!(real_time_allocations() - before, 0);
     let first = replay(&path).unwrap();
     assert_eq!((first.differs, first.cycles), (None, cycles));
@@ -138,7 +144,11 @@ fn devices_tell_programs_the_interfaces_that_clients_know() {
     assert_eq!(interfaces("base"), ["cartesianposition{}", "robotbase{}"]);
     assert_eq!(
         interfaces("lwr"),
-        ["armkinematics{}", "robotarm{\"jointcount\": \"7\"}"]
+        [
+            "armkinematics{}",
+            "io{\"anin\": \"0\", \"anout\": \"8\", \"digin\": \"8\", \"digout\": \"8\"}",
+            "robotarm{\"jointcount\": \"7\"}"
+        ]
     );
     assert_eq!(
         interfaces("io"),

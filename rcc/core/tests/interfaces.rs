@@ -501,6 +501,23 @@ fn outputs_are_set_seen_and_stay_when_their_net_ends() {
 }
 
 #[test]
+fn a_simulated_lwr_has_outputs_beside_its_joints() {
+    let mut stand = Stand::default();
+    stand.add("lwr", "kuka_lwr_sim", &arm_parameters(7, &[]));
+    let text = format!(
+        "on=IO::OutBool(DeviceID='lwr',Port='7',IO='true'),in=IO::InBool(DeviceID='lwr',Port='7'),
+        set=IO::OutReal(DeviceID='lwr',Port='7',IO='2.5'),
+        told=IO::OutRealSensor(DeviceID='lwr',Port='7'),{},{}",
+        watch("Core::Boolean", "in", "in.outIO"),
+        watch("Core::Double", "told", "told.outIO"),
+    );
+    stand.start(1, &text);
+    stand.steps(2);
+    let told = ["in", "told"].map(|key| stand.out(1, key));
+    assert_eq!(told, ["true", "2.5"]);
+}
+
+#[test]
 fn a_null_leaves_an_output_and_an_unknown_input_is_null() {
     let mut stand = Stand::default();
     let part = Part::Io {

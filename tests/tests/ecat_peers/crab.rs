@@ -134,11 +134,12 @@ async fn run(main: &MainDevice<'_>) -> Result<(), Error> {
     let group = group.configure_dc_sync(main, configuration).await?;
     let group = group.into_safe_op(main).await?;
     let group = group.request_into_op(main).await?;
-    loop {
+    for n in 0.. {
         let response = group.tx_rx_dc(main).await?;
         if response.all_op() {
             break;
         }
+        assert!(n < 1000, "{:?}", response.group_state());
         std::thread::sleep(response.extra.next_cycle_wait);
     }
     let mut axes = [Axis {
@@ -156,8 +157,9 @@ async fn run(main: &MainDevice<'_>) -> Result<(), Error> {
         }
         let far = (step > 0).then_some(20 * step.min(250));
         for (slave, axis) in group.iter(main).skip(3).zip(&mut axes) {
-            let (inputs, mut outputs) = (slave.inputs_raw(), slave.outputs_raw_mut());
-            axis.cycle(&inputs, &mut outputs, far);
+            // Both sides are behind one lock.
+            let inputs = slave.inputs_raw().to_vec();
+            axis.cycle(&inputs, &mut slave.outputs_raw_mut(), far);
         }
         let digital = group.subdevice(main, 1)?;
         digital.outputs_raw_mut()[0] = 0xA5;

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
 use takt_rt::host::{Host as Prepared, HostConfig, KERNEL, prepare};
-use takt_rt::{Grant, alloc};
+use takt_rt::{Grant, Nanos, alloc, monotonic, sleep_until};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 
 use super::Jitter;
@@ -119,6 +119,19 @@ fn usual_slices(plan: &Plan) -> u32 {
     u32::try_from(slices).unwrap_or(u32::MAX).max(1)
 }
 
+/// When to start both slices of that pair: the next instant with that pair's phase to the kernel's tick.
+///
+/// All cycles of a slice have one phase to the tick, and those that come right behind it are twice as late as others.
+/// Timers that start slices in whole milliseconds would give each tool the same phase all along, a
+/// better or a worse one. So the pairs go through the phases in steps of the golden section, which cover them
+/// evenly however many there are; 10 ms hold whole ticks of every usual rate.
+fn start_of_slice(now: Nanos, number: u32) -> Nanos {
+    const SPAN: i64 = 10_000_000;
+    const STEP: i64 = 6_180_340;
+    let phase = i64::from(number) * STEP % SPAN;
+    now + Nanos((phase - now.0).rem_euclid(SPAN))
+}
+
 /// What one slice measures.
 fn slice_of(plan: &Plan, slices: u32) -> anyhow::Result<Plan> {
     let slice = Plan {
@@ -181,8 +194,7 @@ impl Session {
                 other: &other.threads,
             };
             let turn = format!("slice {} of {slices}", number + 1);
-            let is_ours_first = number % 2 == 0;
-            let (measured, theirs) = self.pair(&slice, is_ours_first, &turn, so_far)?;
+            let (measured, theirs) = self.pair(&slice, number, &turn, so_far)?;
             let ours: Vec<_> = measured.iter().map(ThreadReport::from).collect();
             // An incomplete pair would compare a quiet moment with nothing, unless there is no other.
             let Some((tool, theirs)) = theirs else {
@@ -214,22 +226,26 @@ impl Session {
     fn pair(
         &mut self,
         slice: &Plan,
-        is_ours_first: bool,
+        number: u32,
         turn: &str,
         so_far: SoFar<'_>,
     ) -> anyhow::Result<(Vec<Measured>, Option<OtherSlice>)> {
         let (takt, other) = (format!("{turn}, takt"), format!("{turn}, cyclictest"));
-        if is_ours_first {
+        if number.is_multiple_of(2) {
+            sleep_until(start_of_slice(monotonic(), number))?;
             let measured = self.takt(slice, &takt, so_far)?;
             if self.interrupted {
                 return Ok((measured, None));
             }
+            sleep_until(start_of_slice(monotonic(), number))?;
             return Ok((measured, self.cyclictest(slice, &other, so_far)?));
         }
+        sleep_until(start_of_slice(monotonic(), number))?;
         let theirs = self.cyclictest(slice, &other, so_far)?;
         if theirs.is_none() {
             return Ok((Vec::new(), None));
         }
+        sleep_until(start_of_slice(monotonic(), number))?;
         let measured = self.takt(slice, &takt, so_far)?;
         Ok((measured, theirs.filter(|_| !self.interrupted)))
     }
@@ -466,6 +482,21 @@ mod tests {
         assert_eq!(slices(1_000, 10_000), 40);
         assert_eq!(slices(10_000, 10_000), 10, "100 cycles of 10 ms");
         assert_eq!(slices(1_000, 120), 1);
+    }
+
+    #[test]
+    fn slices_go_evenly_through_the_phases_of_the_tick() {
+        let mut per_tenth = [0; 10];
+        for number in 0..200 {
+            let now = Nanos(i64::from(number) * 517_111_113);
+            let start = start_of_slice(now, number);
+            assert!((Nanos::ZERO..Nanos(10_000_000)).contains(&(start - now)));
+            // Also within one cycle of 1 ms.
+            let tenth = usize::try_from(start.0 % 1_000_000 / 100_000).unwrap();
+            per_tenth[tenth] += 1;
+        }
+        let even = 15..=25;
+        assert!(per_tenth.iter().all(|n| even.contains(n)), "{per_tenth:?}");
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! What a changed `cell.toml` means for a controller that runs: what is applied at once, and what
 //! waits for a restart. A running net is never touched: a device it uses stays as it is.
 
-use takt_core::cell::{ControllerConfig, DeviceConfig};
+use takt_core::cell::DeviceConfig;
 use takt_core::{CellConfig, Controller};
 
 /// The difference of two cells.
@@ -26,19 +26,21 @@ impl Changes {
             gone: gone.map(|device| device.name().to_owned()).collect(),
             new: added.cloned().collect(),
             log: old.controller.log != new.controller.log,
-            restart: for_restart(&old.controller, &new.controller),
+            restart: for_restart(old, new),
         }
     }
 }
 
 /// Settings of the controller that differ and cannot change while it runs.
-fn for_restart(old: &ControllerConfig, new: &ControllerConfig) -> Vec<&'static str> {
+fn for_restart(old: &CellConfig, new: &CellConfig) -> Vec<&'static str> {
     let mut names = Vec::new();
     let mut same = |name, same: bool| {
         if !same {
             names.push(name);
         }
     };
+    same("ethercat", old.ethercat == new.ethercat);
+    let (old, new) = (&old.controller, &new.controller);
     same("period", old.period == new.period);
     same("priority", old.priority == new.priority);
     same("cpus", old.cpus == new.cpus);
@@ -136,7 +138,7 @@ mod tests {
     use super::*;
     use std::net::SocketAddr;
     use std::time::Duration;
-    use takt_core::cell::LwrConfig;
+    use takt_core::cell::{ControllerConfig, LwrConfig};
 
     fn arm(name: &str, port: u16) -> DeviceConfig {
         DeviceConfig::Lwr(LwrConfig::new(

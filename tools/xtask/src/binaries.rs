@@ -36,7 +36,9 @@ pub(crate) fn program(root: &Path, lines: &[Cargo], name: &str) -> anyhow::Resul
     let mut found = None;
     for line in lines {
         let line = line.clone().arg("--no-run").arg("--message-format=json");
-        line.lines(root, |text| found = program_of(text, name).or_else(|| found.take()))?;
+        line.lines(root, |text| {
+            found = program_of(text, name).or_else(|| found.take());
+        })?;
     }
     Ok(found)
 }

@@ -40,8 +40,7 @@ impl Bus {
         let reason = reason.to_lowercase();
         let words = [
             ("vcan", Self::Vcan),
-            ("takt_can", Self::Can),
-            ("kvaser", Self::Can),
+            ("takt_can_pair", Self::Can),
             ("veth", Self::Veth),
         ];
         let found = words.iter().filter(|(word, _)| reason.contains(word));
@@ -190,4 +189,48 @@ fn run(root: &Path, place: Place, errands: &[Errand]) -> anyhow::Result<Tally> {
     let mut tally = reader.finish(status == 0);
     tally.skip_passed(&skipped);
     Ok(tally)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn reason_of_a_skip_names_the_bus() {
+        let wanted = |reason| Vec::from_iter(Bus::wanted_by(reason));
+        assert_eq!(wanted("a: needs vcan"), [Bus::Vcan]);
+        assert_eq!(wanted("a: needs TAKT_VCAN=vcan0"), [Bus::Vcan]);
+        let pair = "a: needs two CAN controllers on one wire (TAKT_CAN_PAIR=can0,can1)";
+        assert_eq!(wanted(pair), [Bus::Can]);
+        assert_eq!(
+            wanted("a: needs a veth pair and vcan"),
+            [Bus::Vcan, Bus::Veth]
+        );
+        assert_eq!(wanted("a: needs systemd-analyze"), []);
+    }
+
+    #[test]
+    fn skipped_test_goes_to_the_nearest_place_that_has_its_bus() {
+        // This very binary is the one that is asked for its tests.
+        let binary = Binary {
+            program: std::env::current_exe().unwrap(),
+            folder: env!("CARGO_MANIFEST_DIR").into(),
+        };
+        let near = "reason_of_a_skip_names_the_bus";
+        let far = "skipped_test_goes_to_the_nearest_place_that_has_its_bus";
+        let asked = [
+            (near, BTreeSet::from([Bus::Veth])),
+            (far, BTreeSet::from([Bus::Veth, Bus::Vcan])),
+            ("elsewhere_there_is_none", BTreeSet::from([Bus::Vcan])),
+        ];
+        let (here, there) = errands(&[binary], &asked, |bus| bus == Bus::Veth);
+        let tests = |errands: &[Errand]| -> Vec<String> {
+            errands
+                .iter()
+                .flat_map(|errand| errand.tests.clone())
+                .collect()
+        };
+        assert_eq!(tests(&here), [format!("elsewhere::tests::{near}")]);
+        assert_eq!(tests(&there), [format!("elsewhere::tests::{far}")]);
+    }
 }

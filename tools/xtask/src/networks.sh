@@ -2,7 +2,7 @@
 # Tests are told by variables, and skip themselves without. Nothing is made on a host.
 #
 #   TAKT_VCAN, TAKT_VCAN_SECOND   two virtual CAN interfaces, of one bus each
-#   TAKT_CAN, TAKT_CAN_SECOND     two CAN controllers on one bus, 500 kbit/s (virtual machine only)
+#   TAKT_CAN_PAIR=can0,can1       two CAN controllers on one bus, 500 kbit/s (virtual machine only)
 #   TAKT_VETH, TAKT_VETH_SECOND   the two ends of an Ethernet cable without IP
 
 exists() { ip link show "$1" >/dev/null 2>&1; }
@@ -21,7 +21,7 @@ for name in can0 can1; do
     exists "$name" && ip link set "$name" up type can bitrate 500000
 done
 if exists can0 && exists can1; then
-    export TAKT_CAN=can0 TAKT_CAN_SECOND=can1
+    export TAKT_CAN_PAIR=can0,can1
 fi
 
 if ip link add takt0 type veth peer name takt1 2>/dev/null; then

@@ -199,7 +199,7 @@ fn axes_have_their_own_pdos_and_faults() {
 #[test]
 fn modes_and_methods_it_has_not_are_refused() {
     let mut rig = Rig::new(|_| ());
-    assert_eq!(rig.send("605#2F60600002000000"), ["585#8060600030000906"]);
+    assert_eq!(rig.send("605#2F60600005000000"), ["585#8060600030000906"]);
     assert_eq!(rig.send("605#2F98600010000000"), ["585#8098600030000906"]);
     assert_eq!(rig.send("605#2F60600008000000"), ["585#6060600000000000"]);
 }

@@ -116,6 +116,47 @@ fn profile_velocity_ramps_and_says_when_it_stands() {
     assert_eq!(rig.status().raw() & 0x1400, 0x0400, "target reached");
 }
 
+/// VL: revolutions per minute, its ramps, its limits and its three bits.
+#[test]
+fn velocity_mode_of_converters() {
+    let mut rig = Rig::enabled(DriveConfig::default(), 2);
+    rig.set(0x6042, 600_i16);
+    rig.word(0x003F);
+    rig.run(50);
+    assert_eq!(rig.get::<i16>(0x6043), 0, "bit 6 is low: towards zero");
+    rig.word(0x007F);
+    rig.run(50);
+    // 6000 rpm in 1 s: 300 rpm after 50 ms.
+    let demand: i16 = rig.get(0x6043);
+    assert!((demand - 300).abs() < 20, "{demand}");
+    rig.word(0x005F);
+    rig.run(50);
+    assert_eq!(
+        rig.get::<i16>(0x6043),
+        demand,
+        "bit 5 is low: the ramp stands"
+    );
+    rig.word(0x007F);
+    rig.until(0x0400, 0x0400, 200);
+    rig.run(100);
+    let actual: i16 = rig.get(0x6044);
+    assert!((actual - 600).abs() < 20, "{actual}");
+    rig.set_sub(0x6046, 2, 200_u32);
+    rig.run(200);
+    assert_eq!(rig.get::<i16>(0x6043), 200, "the most amount");
+    assert!(rig.status().internal_limit());
+    rig.set_sub(0x604C, 1, 2_i32);
+    rig.set(0x6042, -50_i16);
+    rig.run(200);
+    // In units of 2 rpm.
+    assert_eq!(rig.get::<i16>(0x6043), -50);
+    let turns = f64::from(rig.velocity()) / 4096.0 * 60.0;
+    assert!((turns + 100.0).abs() < 10.0, "{turns} rpm");
+    rig.word(0x006F);
+    rig.run(100);
+    assert_eq!(rig.get::<i16>(0x6043), 0, "bit 4 is low: to rest");
+}
+
 #[test]
 fn profile_torque_follows_its_slope() {
     let mut rig = Rig::enabled(DriveConfig::default(), 4);

@@ -494,7 +494,7 @@ fn an_axis_under_power_stops_when_op_is_left() {
 
 #[test]
 fn a_tx90_has_six_axes_in_one_slave() {
-    let (slave, drive) = ServoDrive::tx90().unwrap();
+    let (slave, drive) = ServoDrive::slave(ServoConfig::tx90()).unwrap();
     let mut rig = Rig::of(slave, drive);
     for axis in 0..6_u16 {
         assert_eq!(rig.upload(0x6502 + 0x800 * axis, 0), 0x380);

@@ -408,7 +408,7 @@ fn too_much_current_for_too_long_is_i2t() {
 fn the_gripper_opens_and_closes_behind_the_last_joint() {
     let mut rig = Rig::new(Firmware::V200);
     let value = |n: i32| n.to_be_bytes();
-    let mut go = |rig: &mut Rig, kind: u8, steps: i32| {
+    let go = |rig: &mut Rig, kind: u8, steps: i32| {
         for bar in 0..2 {
             let [a, b, c, d] = value(steps);
             assert_eq!(rig.tmcl(8, [1, 4, kind, bar, a, b, c, d])[2], 100);

@@ -71,7 +71,7 @@ pub struct Axis {
 /// Gear, torque constant, range in degrees, home to upright in rad, torque of the flat link in N m.
 const JOINTS: [(f64, f64, f64, f64, f64); 5] = [
     (156.0, 0.0335, 338.0, 2.9496, 0.0),
-    (156.0, 0.0335, 155.0, 1.1345, 6.0),
+    (156.0, 0.0335, 155.0, 1.1345, 3.0),
     (100.0, 0.0335, 297.0, 2.5482, 2.5),
     (71.0, 0.051, 205.0, 1.7890, 0.6),
     (71.0, 0.049, 335.0, 2.9147, 0.0),
@@ -105,9 +105,9 @@ impl Axis {
         let (gear, torque_constant, range, upright, flat) = JOINTS[number];
         Self {
             motor: MotorConfig {
-                inertia: 3e-5,
+                inertia: 1e-5,
                 viscous: 1e-5,
-                coulomb: 0.01,
+                coulomb: 0.006,
                 stops: (-range.to_radians() * gear, 0.0),
                 ..MotorConfig::default()
             },
@@ -515,7 +515,7 @@ impl Joint {
     }
 
     /// Answers a TMCL request; returns whether there is an answer.
-    pub(super) fn tmcl(&mut self, request: &[u8], answer: &mut Vec<u8>) -> bool {
+    pub(in crate::emulator) fn tmcl(&mut self, request: &[u8], answer: &mut Vec<u8>) -> bool {
         let Some(request) = Request::decode(request) else {
             return false;
         };

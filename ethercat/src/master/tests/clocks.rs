@@ -230,3 +230,29 @@ fn another_clock_takes_over_when_the_reference_is_gone() {
     rig.until(9000, Master::is_operational);
     assert_eq!(rig.master.reference(), Some(1));
 }
+
+#[test]
+fn a_clock_that_jumps_is_told_and_comes_back() {
+    let mut rig = Rig::new(config(2), drives(&[0, 10_000]));
+    rig.until(9000, Master::is_operational);
+    rig.cycles(200);
+    rig.events.clear();
+    let now = u64::try_from(rig.now.as_nanos()).unwrap();
+    rig.segment
+        .slave(1)
+        .unwrap()
+        .clock()
+        .unwrap()
+        .jump(100_000, now);
+    rig.cycles(3000);
+    let told: Vec<_> = rig.events.iter().map(ToString::to_string).collect();
+    assert!(
+        told[0].starts_with("slave 1: its clock is ") && told[0].contains(" ns from the reference"),
+        "{told:?}"
+    );
+    assert!(
+        told.contains(&"slave 1: its clock follows the reference again".to_owned()),
+        "{told:?}"
+    );
+    assert!(rig.master.slave(1).unwrap().clock_violations() >= 3);
+}

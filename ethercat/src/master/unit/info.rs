@@ -75,14 +75,21 @@ impl SlaveInfo {
         self.features & 0x0200 != 0 || self.flags & 0x02 != 0
     }
 
-    pub(super) fn take_registers(&mut self, bytes: &[u8]) {
+    pub(super) fn take_links(&mut self, bytes: &[u8]) -> bool {
+        let status = bytes.first_chunk().map(|two| u16::from_le_bytes(*two));
+        self.dl_status = status.unwrap_or(self.dl_status);
+        status.is_some()
+    }
+
+    pub(super) fn take_registers(&mut self, bytes: &[u8]) -> bool {
         let Some([controller, _, _, _, fmmus, sync_managers, _, _, low, high]) =
             bytes.first_chunk()
         else {
-            return;
+            return false;
         };
         (self.controller, self.fmmus, self.sync_managers) = (*controller, *fmmus, *sync_managers);
         self.features = u16::from_le_bytes([*low, *high]);
+        true
     }
 
     pub(super) fn take_sii(&mut self, sii: &Sii<'_>) {
@@ -101,10 +108,7 @@ impl SlaveInfo {
 /// How many words of an SII are needed, judged by those that are there: up to the end of its categories.
 pub(super) fn words_needed(bytes: &[u8]) -> u16 {
     let mut at = 2 * usize::from(word::CATEGORIES);
-    loop {
-        let Some([a, b, c, d]) = bytes.get(at..).and_then(|rest| rest.first_chunk()) else {
-            break;
-        };
+    while let Some([a, b, c, d]) = bytes.get(at..).and_then(|rest| rest.first_chunk()) {
         if u16::from_le_bytes([*a, *b]) == 0xFFFF {
             break;
         }

@@ -202,19 +202,27 @@ impl Unit {
             StatePhase::Acknowledged | StatePhase::Wait => {
                 self.take_status(data);
                 let reached = self.al.state == wanted && !self.al.error;
-                match phase {
-                    StatePhase::Acknowledged if !self.al.error => StatePhase::Ask,
-                    StatePhase::Wait if reached => return self.done(&[], cx, out),
-                    // In INIT an error that is on its way out may show for a moment.
-                    StatePhase::Wait if self.al.error && wanted != AlState::Init => {
-                        let fault = Fault::State {
+                let (waits, error) = (phase == StatePhase::Wait, self.al.error);
+                if waits && reached {
+                    return self.done(&[], cx, out);
+                }
+                // In INIT an error that is on its way out may show for a moment.
+                if waits && error && wanted != AlState::Init {
+                    let (status, code) = (self.al, self.code);
+                    return self.fail(
+                        Fault::State {
                             wanted,
-                            status: self.al,
-                            code: self.code,
-                        };
-                        return self.fail(fault, cx, out);
-                    }
-                    _ => phase,
+                            status,
+                            code,
+                        },
+                        cx,
+                        out,
+                    );
+                }
+                if waits || error {
+                    phase
+                } else {
+                    StatePhase::Ask
                 }
             }
         };

@@ -84,13 +84,12 @@ impl Transfer {
     /// length.
     pub(super) fn write(&mut self, to: &mut [u8]) -> Option<usize> {
         let (service, inside) = to.split_first_chunk_mut::<{ CoeService::LEN }>()?;
-        *service = match self.job.kind {
-            JobKind::List(_) | JobKind::DescribeObject(_) | JobKind::DescribeEntry(_) => {
-                CoeService::SdoInformation
-            }
-            _ => CoeService::SdoRequest,
-        }
-        .encode();
+        let service_of = self
+            .job
+            .kind
+            .information()
+            .map_or(CoeService::SdoRequest, |_| CoeService::SdoInformation);
+        *service = service_of.encode();
         let len = match self.phase {
             Phase::Abort(code, _) => Sdo::Abort {
                 address: self.address(),
@@ -168,10 +167,7 @@ impl Transfer {
 
     /// A CoE message came that is no emergency.
     pub(super) fn handle(&mut self, service: CoeService, bytes: &[u8]) -> Progress {
-        let informs = matches!(
-            self.job.kind,
-            JobKind::List(_) | JobKind::DescribeObject(_) | JobKind::DescribeEntry(_)
-        );
+        let informs = self.job.kind.information().is_some();
         match service {
             CoeService::SdoInformation if informs => self.handle_information(bytes),
             // An abort has the service of a request.
@@ -314,10 +310,8 @@ impl Transfer {
         let Some((header, data)) = Information::decode(bytes) else {
             return Progress::Done(Err(JobError::Protocol("SDO information")));
         };
-        let asked = match self.job.kind {
-            JobKind::List(_) => Information::LIST,
-            JobKind::DescribeObject(_) => Information::OBJECT,
-            _ => Information::ENTRY,
+        let Some(asked) = self.job.kind.information() else {
+            return Progress::Ignored;
         };
         if header.operation == Information::ERROR {
             let code = data

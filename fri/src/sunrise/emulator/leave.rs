@@ -216,6 +216,7 @@ fn name(joint: usize) -> &'static str {
 }
 
 impl fmt::Display for Leave {
+    #[expect(clippy::too_many_lines, reason = "one arm per reason")]
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
             Self::Cancelled => write!(f, "motion cancelled"),

@@ -324,6 +324,7 @@ impl<'a> Writer<'a> {
 }
 
 #[cfg(test)]
+#[expect(clippy::indexing_slicing, reason = "a test may fail anywhere")]
 mod tests {
     use super::*;
 

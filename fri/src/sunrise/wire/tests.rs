@@ -1,4 +1,5 @@
 //! Messages against golden bytes, foreign encodings of the same schema, and the property that nothing is lost.
+#![expect(clippy::indexing_slicing, reason = "a test may fail anywhere")]
 
 use super::*;
 use crate::error::{DecodeError, EncodeError};
@@ -98,6 +99,7 @@ fn typical(is_commanding: bool) -> Monitoring {
 // ---------------------------------------------------------------------------------------------------- golden bytes
 
 #[test]
+#[expect(clippy::too_many_lines, reason = "a table")]
 fn a_monitoring_message_byte_for_byte() {
     let golden = [
         &MONITORING_HEADER[..],

@@ -4,11 +4,12 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use crate::cell::DeviceConfig;
+use crate::cell::{DeviceConfig, EthercatConfig};
 use crate::controller::Controller;
 use crate::controller::clock::FollowedClock;
 use crate::controller::desk::Desk;
 use crate::device::driver::{self, DeviceDriver, DriverEnds};
+use crate::device::ethercat::{self, Ethercat};
 use crate::device::lwr::{self, Lwr};
 use crate::device::rmp::{self, Rmp};
 use crate::device::sim::{self, Simulated};
@@ -89,6 +90,15 @@ impl Desk {
                     Box::new(Rmp::start(config, rmp::open(config)?, ends)?)
                 }
             })
+        })
+    }
+
+    /// Starts the driver of an EtherCAT segment of the cell.
+    pub(super) fn add_segment(&mut self, segment: &EthercatConfig) -> Result<(), Error> {
+        let devices = ethercat::describe(segment);
+        self.add_driver(&segment.name, devices, segment.thread, |ends| {
+            let wire = ethercat::open(segment)?;
+            Ok(Box::new(Ethercat::start(segment, wire, ends)?))
         })
     }
 

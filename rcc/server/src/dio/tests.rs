@@ -253,7 +253,7 @@ fn device_that_is_added_later_is_told() {
     let added = controller.add_device("lwr1", "kuka_lwr_sim", &parameters);
     added.unwrap();
     let told = client.pushes_until(r#"c3=ds({lwr1:"op"})"#);
-    let interfaces = r#"c3=da({lwr1:{interfaces:{armkinematics:{},robotarm:{jointcount:"7"}},type:"kuka_lwr_sim"}})"#;
+    let interfaces = r#"c3=da({lwr1:{interfaces:{armkinematics:{},io:{anin:"0",anout:"8",digin:"8",digout:"8"},robotarm:{jointcount:"7"}},type:"kuka_lwr_sim"}})"#;
     assert_eq!(told[0], interfaces);
     controller.remove_device("lwr1").unwrap();
     client.pushes_until(r#"c3=dr(["lwr1"])"#);

@@ -95,7 +95,8 @@ fn ids(text: &mut String, report: &Report) {
         };
         let _ = writeln!(
             text,
-            "{id:>8} {:>8} {:>8.3} {:>8.3} {:>8.3} {:>8.3} {load:>7}  {}",
+            "{:>8} {:>8} {:>8.3} {:>8.3} {:>8.3} {:>8.3} {load:>7}  {}",
+            id.to_string(),
             stat.frames,
             ms(intervals.mean()),
             ms(intervals.shortest()),
@@ -116,7 +117,7 @@ fn ids(text: &mut String, report: &Report) {
 
 /// What an identifier is used for in CANopen, found by an example of it.
 fn kind(id: Id) -> String {
-    let examples: [&[u8]; 4] = [&[], &[0], &[0; 2], &[0; 8]];
+    let examples: [&[u8]; 5] = [&[], &[0], &[0; 2], &[0; 6], &[0; 8]];
     for data in examples {
         let Ok(frame) = Frame::new(id, data) else {
             continue;
@@ -171,9 +172,29 @@ pub(super) fn verdict(name: &str, findings: &[Finding]) -> Vec<String> {
             Severity::Warning => "WARN",
         };
         lines.push(format!("{name}: {word}  {finding}"));
-        lines.push(format!("        > {}", finding.remedy()));
+        lines.extend(wrapped(finding.remedy()));
     }
     lines
+}
+
+/// Lines of at most 80 columns, the first of them marked.
+fn wrapped(text: &str) -> Vec<String> {
+    const WIDTH: usize = 70;
+    let mut lines = vec![String::new()];
+    for word in text.split_ascii_whitespace() {
+        let last = lines
+            .last_mut()
+            .filter(|l| l.is_empty() || l.len() + word.len() < WIDTH);
+        match last {
+            Some(line) if line.is_empty() => line.push_str(word),
+            Some(line) => line.extend([" ", word]),
+            None => lines.push(word.to_owned()),
+        }
+    }
+    let mark = |(place, line): (usize, String)| {
+        format!("        {} {line}", if place == 0 { '>' } else { ' ' })
+    };
+    lines.into_iter().enumerate().map(mark).collect()
 }
 
 pub(super) fn json(name: &str, report: &Report, findings: &[Finding]) -> Value {
@@ -218,4 +239,38 @@ pub(super) fn json(name: &str, report: &Report, findings: &[Finding]) -> Value {
         "ids": ids.collect::<Vec<_>>(), "nodes": nodes.collect::<Vec<_>>(),
         "findings": found.collect::<Vec<_>>(),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn remedies_fit_a_terminal() {
+        let lines = wrapped(
+            "are the nodes powered, and is this the right interface? Nodes that are set up tell themselves",
+        );
+        assert_eq!(lines.len(), 2);
+        assert!(lines.iter().all(|line| line.len() <= 80));
+        assert!(lines[0].starts_with("        > are the") && lines[1].starts_with("          "));
+    }
+
+    #[test]
+    fn identifiers_are_named_by_their_use() {
+        for (raw, name) in [
+            (0x000, "NMT"),
+            (0x080, "SYNC"),
+            (0x085, "node 5 EMCY"),
+            (0x100, "TIME"),
+            (0x185, "node 5 TPDO1"),
+            (0x505, "node 5 RPDO4"),
+            (0x585, "node 5 SDO answers"),
+            (0x605, "node 5 SDO requests"),
+            (0x705, "node 5 heartbeat"),
+            (0x7E5, "LSS"),
+            (0x701 + 0x7F, ""),
+        ] {
+            assert_eq!(kind(Id::standard(raw).unwrap()), name, "{raw:X}");
+        }
+    }
 }

@@ -156,15 +156,15 @@ impl Cabinet {
         let data = data.copied().unwrap_or_default();
         let lacks = |what| Leave::Missing { what };
         match self.overlay.command {
-            CommandMode::Wrench => finite(&data.wrench.ok_or(lacks(Lacking::Wrench))?)?,
-            CommandMode::Torque => finite(&data.torque.ok_or(lacks(Lacking::Torque))?)?,
+            CommandMode::Wrench => finite(&data.wrench.ok_or_else(|| lacks(Lacking::Wrench))?)?,
+            CommandMode::Torque => finite(&data.torque.ok_or_else(|| lacks(Lacking::Torque))?)?,
             CommandMode::CartesianPose => {
                 let placement = data.pose.and_then(|pose| pose.placement);
-                return self.reach(placement.ok_or(lacks(Lacking::Pose))?, near);
+                return self.reach(placement.ok_or_else(|| lacks(Lacking::Pose))?, near);
             }
             CommandMode::Position | CommandMode::None | CommandMode::Other(_) => {}
         }
-        let joints = data.joints.ok_or(lacks(Lacking::Joints))?;
+        let joints = data.joints.ok_or_else(|| lacks(Lacking::Joints))?;
         finite(&joints)?;
         Ok(joints)
     }

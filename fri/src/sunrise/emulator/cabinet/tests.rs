@@ -1,7 +1,7 @@
 //! Every transition and rule of the emulated cabinet against a hand-made client. Behaviour with the session of this crate:
 //! tests/sunrise_behaviour.rs.
 
-use super::super::{Io, Lacking, PowerOff};
+use super::super::{Io, Lacking, PowerOff, Program};
 use super::*;
 use crate::sunrise::wire::{CommandData, Header, Monitoring, Name, OperationMode};
 
@@ -52,7 +52,7 @@ impl Bench {
     /// What the SDK's default client answers, with zeros where the overlay wants more.
     fn mirrored(&self) -> CommandData {
         let ipo = self.message.ipo.unwrap_or_default();
-        let joints = ipo.joints.or(self.message.measured());
+        let joints = ipo.joints.or_else(|| self.message.measured());
         let mode = self.message.command_mode();
         CommandData {
             joints,
@@ -374,7 +374,7 @@ fn positions_are_followed_within_limits_only() {
     );
     for value in [f64::NAN, f64::INFINITY] {
         let reason = verdict(&mut active_position(), |data| {
-            data.joints = Some([value; AXES])
+            data.joints = Some([value; AXES]);
         });
         assert_eq!(reason, Some(Leave::NotFinite { joint: 0 }));
     }

@@ -1,0 +1,235 @@
+//! What a frame costs from the socket to its meaning: received one by one or 32 by one system call, decoded
+//! as CANopen and counted, against a loop that only receives. On `TAKT_VCAN` or `vcan0` if there is one;
+//! without, the sockets are replaced by the in-process bus, and the loop that only receives by taking frames
+//! out of it. `cargo bench -p takt-can`.
+//!
+//! Ratios count; the absolute figures are those of one machine at one moment. Rounds alternate and medians
+//! are compared. One second of a fully loaded bus of 1 Mbit/s is about 8,000 frames.
+#![expect(clippy::print_stdout, reason = "a benchmark prints its result")]
+
+use std::hint::black_box;
+use std::path::Path;
+use std::time::Duration;
+
+use takt_can::bits::Rates;
+use takt_can::bus::{Bus, Config, PortId};
+use takt_can::canopen::Message;
+use takt_can::link::{Link as _, Received};
+use takt_can::linux::{Options, SocketCan, monotonic};
+use takt_can::stat::Meter;
+use takt_can::{AnyFrame, Frame, Id};
+
+const FRAMES: usize = 2_000;
+const ROUNDS: usize = 21;
+
+/// The traffic of a cell: SYNC, PDOs of six drives, now and then a heartbeat.
+fn traffic() -> Vec<AnyFrame> {
+    let frame = |id: u16, data: &[u8]| -> AnyFrame {
+        let id = Id::standard(id).expect("11 bits");
+        Frame::new(id, data).expect("up to eight bytes").into()
+    };
+    let mut frames = Vec::new();
+    for turn in 0_u16.. {
+        frames.push(frame(0x080, &[]));
+        for node in 1..=6 {
+            let [low, _] = turn.to_le_bytes();
+            frames.push(frame(0x200 + node, &[0x0F, 0, low, 1, 2, 3]));
+            frames.push(frame(0x180 + node, &[0x37, 0x06, low, 1, 2, 3]));
+        }
+        if turn % 50 == 0 {
+            frames.push(frame(0x701 + turn / 50 % 6, &[5]));
+        }
+        if frames.len() >= FRAMES {
+            break;
+        }
+    }
+    frames.truncate(FRAMES);
+    frames
+}
+
+/// What is done with a frame.
+#[derive(Clone, Copy, PartialEq)]
+enum Work {
+    Receive,
+    Dispatch,
+    Measure,
+}
+
+struct Worker {
+    work: Work,
+    messages: u64,
+    meter: Meter,
+}
+
+impl Worker {
+    fn new(work: Work) -> Self {
+        Self {
+            work,
+            messages: 0,
+            meter: Meter::new(Some(Rates::classic(1_000_000))),
+        }
+    }
+
+    fn handle(&mut self, received: &Received) {
+        if self.work != Work::Receive
+            && let Some(frame) = received.frame.classic()
+        {
+            let message = black_box(Message::decode(frame));
+            self.messages += u64::from(!matches!(message, Message::Unknown));
+        }
+        if self.work == Work::Measure {
+            self.meter.handle_frame(received);
+        }
+        black_box(received);
+    }
+}
+
+/// A loop around one `recv` per frame with nothing behind it.
+fn bare(fd: std::os::fd::RawFd) -> usize {
+    let mut bytes = [0_u8; 72];
+    let mut count = 0;
+    while count < FRAMES
+        && nix::sys::socket::recv(fd, &mut bytes, nix::sys::socket::MsgFlags::MSG_DONTWAIT).is_ok()
+    {
+        black_box(&bytes);
+        count += 1;
+    }
+    count
+}
+
+fn ns_per_frame(work: impl FnOnce() -> usize) -> f64 {
+    let start = monotonic();
+    let count = work();
+    let span = monotonic().saturating_sub(start);
+    assert_eq!(count, FRAMES, "frames were lost");
+    span.as_secs_f64() * 1e9 / FRAMES as f64
+}
+
+fn drain(link: &mut SocketCan, worker: &mut Worker) -> usize {
+    let mut count = 0;
+    while let Ok(Some(received)) = link.receive(Duration::ZERO) {
+        worker.handle(&received);
+        count += 1;
+        if count == FRAMES {
+            break;
+        }
+    }
+    count
+}
+
+fn sockets(interface: &str) -> [f64; 5] {
+    use std::os::fd::AsRawFd as _;
+    let options = Options {
+        receive_buffer: 8 << 20,
+        ..Options::default()
+    };
+    let open = || SocketCan::open(interface, &options).expect("the interface is there");
+    let (frames, mut sender) = (traffic(), open());
+    let mut rounds = [const { Vec::new() }; 5];
+    let cases = [
+        None,
+        Some((1, Work::Dispatch)),
+        Some((32, Work::Receive)),
+        Some((32, Work::Dispatch)),
+        Some((32, Work::Measure)),
+    ];
+    for _ in 0..ROUNDS {
+        for (case, times) in cases.iter().zip(&mut rounds) {
+            let mut link = open();
+            frames
+                .iter()
+                .for_each(|frame| sender.send(frame).expect("a virtual bus is never full"));
+            times.push(match case {
+                None => ns_per_frame(|| bare(link.fd().as_raw_fd())),
+                Some((batch, work)) => {
+                    link.set_batch(*batch);
+                    let mut worker = Worker::new(*work);
+                    ns_per_frame(|| drain(&mut link, &mut worker))
+                }
+            });
+        }
+    }
+    rounds.map(median)
+}
+
+/// A bus with all frames arrived at the second port.
+fn loaded(frames: &[AnyFrame]) -> (Bus, PortId) {
+    let mut bus = Bus::new(Config {
+        send_queue: FRAMES,
+        receive_queue: FRAMES,
+        ..Config::default()
+    });
+    let (from, to) = (bus.attach(), bus.attach());
+    for frame in frames {
+        bus.send(from, frame, Duration::ZERO)
+            .expect("there is room");
+    }
+    bus.advance(Duration::from_secs(1));
+    (bus, to)
+}
+
+fn in_process() -> [f64; 3] {
+    let frames = traffic();
+    let mut rounds = [const { Vec::new() }; 3];
+    for _ in 0..ROUNDS {
+        for (work, times) in [Work::Receive, Work::Dispatch, Work::Measure]
+            .iter()
+            .zip(&mut rounds)
+        {
+            let (mut bus, port) = loaded(&frames);
+            let mut worker = Worker::new(*work);
+            times.push(ns_per_frame(|| {
+                let mut count = 0;
+                while let Some(received) = bus.receive(port) {
+                    worker.handle(&received);
+                    count += 1;
+                }
+                count
+            }));
+        }
+    }
+    rounds.map(median)
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
+/// Share of a processor that a full bus of 1 Mbit/s takes, %.
+fn full_load(ns: f64) -> f64 {
+    ns * 8_000.0 / 1e7
+}
+
+fn main() {
+    let vcan = std::env::var("TAKT_VCAN").unwrap_or_else(|_| "vcan0".to_owned());
+    let [receive, dispatch, measure] = in_process();
+    println!(
+        "in-process bus, ns per frame: taken out {receive:.0}, decoded {dispatch:.0}, measured {measure:.0}"
+    );
+    let mut figures = format!(
+        "\"in_process_receive_ns\":{receive:.1},\"in_process_dispatch_ns\":{dispatch:.1},\"in_process_measure_ns\":{measure:.1}"
+    );
+    if Path::new("/sys/class/net").join(&vcan).exists() {
+        let [bare, single, batch, dispatch, measure] = sockets(&vcan);
+        for (name, ns) in [
+            ("bare recv loop", bare),
+            ("one recvmmsg per frame, decoded", single),
+            ("recvmmsg of 32, received", batch),
+            ("recvmmsg of 32, decoded", dispatch),
+            ("recvmmsg of 32, measured", measure),
+        ] {
+            let (ratio, load) = (ns / bare, full_load(ns));
+            println!(
+                "{vcan}: {name:32} {ns:8.0} ns, ratio {ratio:.2}, {load:.2} % at 8,000 frames/s"
+            );
+        }
+        figures += &format!(
+            ",\"bare_ns\":{bare:.1},\"single_ratio\":{:.3},\"batch_ratio\":{:.3},\"measure_ratio\":{:.3}",
+            single / bare,
+            dispatch / bare,
+            measure / bare
+        );
+    }
+    println!("{{\"bench\":\"can_dispatch\",{figures}}}");
+}

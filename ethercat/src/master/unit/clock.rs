@@ -1,0 +1,152 @@
+//! The steps that bring a slave's clock to the reference and start its SYNC signals. The arithmetic is in [`crate::dc`].
+
+use super::super::event::{Fault, Outbox};
+use super::steps::{Prepared, Step};
+use super::watch::difference;
+use super::{Context, Op, Unit};
+use crate::config::Unlocked;
+use crate::{dc, register};
+
+/// Differences within the window in a row before a clock counts as locked.
+const LOCKED: u8 = 16;
+
+impl Unit {
+    /// Whether its clock is part of the segment's.
+    pub(super) fn follows(&self, cx: &Context<'_>) -> bool {
+        self.info.has_clock() && cx.reference.is_some()
+    }
+
+    /// All but the reference wait for the reference.
+    pub(super) fn clock_wait(&self, cx: &Context<'_>) -> Prepared {
+        if self.spec.sync.is_some() && !self.info.has_sync() {
+            return Prepared::Fail(Fault::NoClock);
+        }
+        let first = cx.reference == Some(self.number) || cx.reference_ns.is_some();
+        if first || !self.follows(cx) {
+            Prepared::Skip
+        } else {
+            Prepared::Wait
+        }
+    }
+
+    pub(super) fn write_clock(&mut self) -> Op {
+        let mut bytes = [0; 12];
+        let (offset, delay) = bytes.split_at_mut(8);
+        offset.copy_from_slice(&self.clock.offset.to_le_bytes());
+        delay.copy_from_slice(&self.clock.delay_ns.to_le_bytes());
+        self.write(register::DC_OFFSET, &bytes)
+    }
+
+    pub(super) fn lock(&mut self, cx: &Context<'_>) -> Prepared {
+        if cx.reference == Some(self.number) && self.follows(cx) {
+            self.clock.locked = true;
+            return Prepared::Skip;
+        }
+        if self.spec.sync.is_none() || !self.follows(cx) {
+            return Prepared::Skip;
+        }
+        Prepared::Do(Op::Read {
+            at: register::DC_DIFFERENCE,
+            len: 4,
+        })
+    }
+
+    pub(super) fn sync_start(&mut self, cx: &Context<'_>) -> Prepared {
+        let Some(sync) = self.spec.sync.filter(|_| self.follows(cx)) else {
+            return Prepared::Skip;
+        };
+        let Some(now) = cx.reference_ns else {
+            return Prepared::Wait;
+        };
+        let start = dc::start_time(now, cx.config.clocks.lead, sync.sync0, sync.shift_ns);
+        self.clock.start_ns = Some(start);
+        Prepared::Do(self.write(register::DC_START_TIME, &start.to_le_bytes()))
+    }
+
+    pub(super) fn sync(&mut self, step: Step) -> Prepared {
+        let Some(sync) = self.spec.sync.filter(|_| self.clock.start_ns.is_some()) else {
+            return Prepared::Skip;
+        };
+        if step == Step::SyncOn {
+            return Prepared::Do(
+                self.write(register::DC_CONTROL, &sync.assign_activate.to_le_bytes()),
+            );
+        }
+        let ns = |time: std::time::Duration| {
+            u32::try_from(time.as_nanos())
+                .unwrap_or(u32::MAX)
+                .to_le_bytes()
+        };
+        let mut bytes = [0; 8];
+        let (sync0, sync1) = bytes.split_at_mut(4);
+        sync0.copy_from_slice(&ns(sync.sync0));
+        sync1.copy_from_slice(&ns(sync.sync1));
+        Prepared::Do(self.write(register::DC_SYNC0_CYCLE, &bytes))
+    }
+
+    pub(super) fn take_times(&mut self, data: &[u8]) -> bool {
+        for (time, four) in self.clock.times.iter_mut().zip(data.chunks_exact(4)) {
+            *time = four
+                .first_chunk()
+                .map_or(0, |four| u32::from_le_bytes(*four));
+        }
+        true
+    }
+
+    /// What must be added to its time so that it shows the reference's; `false` if that is not known from this frame.
+    pub(super) fn take_offset(&mut self, data: &[u8], cx: &Context<'_>) -> bool {
+        let local = data
+            .first_chunk()
+            .map_or(0, |eight| u64::from_le_bytes(*eight));
+        let wanted = if cx.reference == Some(self.number) {
+            let sent = u64::try_from(cx.sent_at.as_nanos()).unwrap_or(u64::MAX);
+            cx.config.clocks.epoch_ns.wrapping_add(sent)
+        } else if let Some(reference) = cx.reference_ns {
+            reference.wrapping_add(self.clock.delay_ns.into())
+        } else {
+            return false;
+        };
+        self.clock.offset = wanted.wrapping_sub(local);
+        true
+    }
+
+    /// Whether the clock is locked, or is not waited for any longer.
+    pub(super) fn take_difference(
+        &mut self,
+        data: &[u8],
+        cx: &Context<'_>,
+        out: &mut Outbox,
+    ) -> bool {
+        let found = data
+            .first_chunk()
+            .map_or(i32::MAX, |four| difference(*four));
+        let window_ns = cx.config.clocks.window_ns;
+        self.clock.difference_ns = Some(found);
+        self.streak = if found.unsigned_abs() <= window_ns {
+            self.streak + 1
+        } else {
+            0
+        };
+        if self.streak >= LOCKED {
+            self.clock.locked = true;
+            return true;
+        }
+        if cx.now.saturating_sub(self.since) <= cx.config.clocks.lock {
+            return false;
+        }
+        match cx.config.clocks.unlocked {
+            Unlocked::Start => true,
+            Unlocked::Refuse => {
+                self.fail(
+                    Fault::Clock {
+                        difference_ns: found,
+                        window_ns,
+                    },
+                    cx,
+                    out,
+                );
+                false
+            }
+        }
+    }
+}

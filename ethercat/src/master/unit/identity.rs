@@ -1,0 +1,105 @@
+//! The steps that find out who a slave is, the first time and when it comes back.
+
+use super::super::compare;
+use super::super::event::{Fault, Outbox};
+use super::steps::Step;
+use super::{Context, Gate, Op, ProcessData, Unit, info};
+use crate::sii::{self, Sii};
+
+/// Words of an SII that are read at most: 4 KiB.
+const SII_WORDS_MAX: u16 = 2048;
+
+impl Unit {
+    /// The whole SII the first time, and who it is whenever it comes back.
+    pub(super) fn read_sii(&mut self) -> Op {
+        self.sii.clear();
+        let (word, end) = if self.known {
+            (sii::word::IDENTITY, sii::word::IDENTITY + 8)
+        } else {
+            (0, 0x42)
+        };
+        Op::Sii {
+            word,
+            end,
+            polls: false,
+            writes: false,
+        }
+    }
+
+    pub(super) fn sii_read(&mut self, cx: &Context<'_>, out: &mut Outbox) {
+        if self.known {
+            return self.recognise(cx, out);
+        }
+        let have = u16::try_from(self.sii.len() / 2).unwrap_or(u16::MAX);
+        let need = info::words_needed(&self.sii).min(SII_WORDS_MAX);
+        if have < need {
+            self.op = Op::Sii {
+                word: have,
+                end: need,
+                polls: false,
+                writes: false,
+            };
+            return;
+        }
+        let bytes = std::mem::take(&mut self.sii);
+        let sii = Sii::new(&bytes);
+        self.info.take_sii(&sii);
+        self.process = ProcessData::from_sii(&sii);
+        self.mailbox.place(self.info.mailbox, self.info.protocols);
+        self.sii = bytes;
+        self.known = true;
+        if self.gate == Gate::Identity {
+            return self.enter(Step::Identified, cx, out);
+        }
+        self.came_later(cx, out);
+    }
+
+    /// An optional slave is there for the first time, and the segment runs.
+    pub(super) fn came_later(&mut self, cx: &Context<'_>, out: &mut Outbox) {
+        let expected = (
+            self.spec.vendor.unwrap_or(0),
+            self.spec.product.unwrap_or(0),
+        );
+        let found = (self.info.identity.vendor, self.info.identity.product);
+        if !compare::is_expected(&self.spec, &self.info) {
+            self.known = false;
+            return self.fail(Fault::Identity { expected, found }, cx, out);
+        }
+        self.plan(cx, out);
+        self.gate = Gate::Goal;
+        if self.step != Step::Failed {
+            self.enter(Step::Identified, cx, out);
+        }
+    }
+
+    /// It must be the one that it was.
+    pub(super) fn recognise(&mut self, cx: &Context<'_>, out: &mut Outbox) {
+        let number = |at: usize| {
+            let four = self.sii.get(at..).and_then(|rest| rest.first_chunk());
+            four.map_or(0, |four| u32::from_le_bytes(*four))
+        };
+        let found = (number(0), number(4));
+        let expected = (self.info.identity.vendor, self.info.identity.product);
+        if found == expected {
+            self.enter(Step::Identified, cx, out);
+        } else {
+            self.fail(Fault::Identity { expected, found }, cx, out);
+        }
+    }
+
+    /// Its place in the configuration is known: what it is to exchange.
+    pub(in crate::master) fn plan(&mut self, cx: &Context<'_>, out: &mut Outbox) {
+        let bytes = std::mem::take(&mut self.sii);
+        let planned = self.process.want(&self.spec, &Sii::new(&bytes));
+        self.sii = bytes;
+        self.assignments = if self.mailbox.speaks_coe() {
+            self.process.assignments(&self.spec)
+        } else {
+            Vec::new()
+        };
+        self.gate = Gate::Process;
+        if let Err(fault) = planned {
+            self.fail(fault, cx, out);
+        }
+    }
+}

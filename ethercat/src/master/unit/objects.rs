@@ -1,0 +1,175 @@
+//! The steps that go through the mailbox: start-up objects, PDO assignment, and reading back what the slave made of it.
+
+use takt_cia402::dictionary::Address;
+
+use super::super::event::{Fault, JobError, Outbox};
+use super::super::job::{Job, JobKind};
+use super::steps::{Prepared, Step};
+use super::transfer::Transfer;
+use super::{Context, OWN, Unit, learn};
+use crate::coe::Whole;
+
+impl Unit {
+    /// A transfer of this step, in the memory that is kept for them.
+    pub(super) fn own(&mut self, kind: JobKind) -> Prepared {
+        let data = std::mem::take(&mut self.scratch);
+        let job = Job {
+            slave: OWN,
+            kind,
+            data,
+            token: 0,
+        };
+        Prepared::Transfer(Transfer::new(job))
+    }
+
+    pub(super) fn startup(&mut self, at: usize) -> Prepared {
+        let Some(sdo) = self.spec.startup.get(at) else {
+            return Prepared::Skip;
+        };
+        let (address, whole) = (sdo.address, sdo.whole);
+        self.scratch.clear();
+        self.scratch.extend_from_slice(&sdo.data);
+        self.own(JobKind::Download { address, whole })
+    }
+
+    pub(super) fn assignment(&mut self, at: usize) -> Prepared {
+        let Some(assignment) = self.assignments.get(at).filter(|_| self.refused.is_none()) else {
+            return Prepared::Skip;
+        };
+        let address = assignment.address;
+        self.scratch.clear();
+        assignment.bytes(&mut self.scratch);
+        self.own(JobKind::Download {
+            address,
+            whole: Whole::Entry,
+        })
+    }
+
+    /// Asks which PDOs a SyncManager has; a slave without CoE has those of its SII, and one that comes back those
+    /// that it had.
+    pub(super) fn ask(&mut self, at: usize) -> Prepared {
+        let Some(channel) = self.process.channels.get(at) else {
+            return Prepared::Skip;
+        };
+        if self.mapped || !self.mailbox.speaks_coe() {
+            return Prepared::Skip;
+        }
+        self.learn = learn::Learn::new(channel.assignment());
+        self.next_question().unwrap_or(Prepared::Skip)
+    }
+
+    pub(super) fn next_question(&mut self) -> Option<Prepared> {
+        let address = self.learn.question()?;
+        self.scratch.clear();
+        Some(self.own(JobKind::Upload {
+            address,
+            whole: Whole::Entry,
+        }))
+    }
+
+    /// A transfer of this step is over.
+    pub(super) fn transfer_done(
+        &mut self,
+        address: Address,
+        result: Result<(), JobError>,
+        cx: &Context<'_>,
+        out: &mut Outbox,
+    ) {
+        let fault = result.err().map(|error| {
+            if let JobError::Abort(code) = error {
+                Fault::Abort { address, code }
+            } else {
+                Fault::Mailbox { address, error }
+            }
+        });
+        match (self.step, fault) {
+            (Step::Learn(at), None) => self.learnt(at.into(), cx, out),
+            // No such list: the slave has what its SII says.
+            (Step::Learn(at), Some(Fault::Abort { .. })) if self.learn.is_at_list() => {
+                self.verify(at.into(), cx, out);
+            }
+            (Step::Startup(at), Some(_)) if self.may_fail(at.into()) => {
+                self.enter(self.following(self.step), cx, out);
+            }
+            // It may have what is wanted all the same; that is seen when it is read back.
+            (Step::Assign(_), Some(fault @ Fault::Abort { .. })) if self.accepts_refusal() => {
+                self.refused = Some(fault);
+                self.enter(Step::Learn(0), cx, out);
+            }
+            (_, Some(fault)) => self.fail(fault, cx, out),
+            (_, None) => self.enter(self.following(self.step), cx, out),
+        }
+    }
+
+    pub(super) fn may_fail(&self, at: usize) -> bool {
+        self.spec.startup.get(at).is_some_and(|sdo| sdo.may_fail)
+    }
+
+    pub(super) const fn accepts_refusal(&self) -> bool {
+        !self.mapped || self.refused.is_some()
+    }
+
+    pub(super) fn learnt(&mut self, at: usize, cx: &Context<'_>, out: &mut Outbox) {
+        let scratch = std::mem::take(&mut self.scratch);
+        self.learn.answer(&scratch);
+        self.scratch = scratch;
+        if let Some(Prepared::Transfer(transfer)) = self.next_question() {
+            let kind = JobKind::Upload {
+                address: Address::default(),
+                whole: Whole::Entry,
+            };
+            if let Some(output) = self.mailbox.begin(transfer, kind, cx.now) {
+                self.handle_mailbox(output, cx, out);
+            }
+            return;
+        }
+        let pdos = std::mem::take(&mut self.learn).into_pdos();
+        let Some(channel) = self.process.channels.get_mut(at) else {
+            return;
+        };
+        let wanted = if channel.outputs {
+            &self.spec.outputs
+        } else {
+            &self.spec.inputs
+        };
+        let (number, before) = (channel.number, channel.bits());
+        let same = channel
+            .pdos
+            .iter()
+            .map(|pdo| pdo.index)
+            .eq(pdos.iter().map(|pdo| pdo.index));
+        let known = channel.pdos.iter().all(|pdo| !pdo.entries.is_empty());
+        channel.set_pdos(pdos);
+        let found = channel.bits();
+        if wanted.is_some() && (!same || (known && before != found)) {
+            let differs = Fault::Assignment {
+                sync_manager: number,
+                wanted: before,
+                found,
+            };
+            return self.fail(self.refused.unwrap_or(differs), cx, out);
+        }
+        self.enter(self.following(self.step), cx, out);
+    }
+
+    /// The list of a SyncManager cannot be read: nobody can have wanted to change it.
+    pub(super) fn verify(&mut self, at: usize, cx: &Context<'_>, out: &mut Outbox) {
+        let outputs = self
+            .process
+            .channels
+            .get(at)
+            .is_some_and(|channel| channel.outputs);
+        let wanted = if outputs {
+            &self.spec.outputs
+        } else {
+            &self.spec.inputs
+        };
+        let changes = wanted
+            .as_ref()
+            .is_some_and(|pdos| pdos.iter().any(|pdo| !pdo.entries.is_empty()));
+        match self.refused.filter(|_| changes) {
+            Some(fault) => self.fail(fault, cx, out),
+            None => self.enter(self.following(self.step), cx, out),
+        }
+    }
+}

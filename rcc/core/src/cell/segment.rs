@@ -1,0 +1,138 @@
+//! EtherCAT segments of a cell and the devices on them, as its file tells them. How they are led is in
+//! `device::ethercat`.
+
+use std::time::Duration;
+
+use serde::Deserialize;
+
+use crate::span;
+
+/// A segment.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EthercatConfig {
+    /// Its name.
+    pub name: String,
+    /// Network interface at its beginning.
+    pub interface: String,
+    /// Time from one frame to the next, 100 us to 100 ms.
+    #[serde(
+        default = "EthercatConfig::default_cycle",
+        deserialize_with = "span::text::deserialize"
+    )]
+    pub cycle: Duration,
+    /// How long after SYNC0 frames are sent; `None` for half a cycle.
+    #[serde(default, deserialize_with = "span::text::deserialize_some")]
+    pub phase: Option<Duration>,
+    /// `SCHED_FIFO` priority of its driver thread, 1 to 98; `None` for an ordinary thread.
+    #[serde(default = "EthercatConfig::default_priority")]
+    pub priority: Option<u8>,
+    /// Processors of its driver thread; empty for any.
+    #[serde(default)]
+    pub cpus: Vec<usize>,
+    /// Period of the net thread that commands its devices; `None` for the first.
+    #[serde(default, deserialize_with = "span::text::deserialize_some")]
+    pub thread: Option<Duration>,
+    /// The slaves that are expected.
+    #[serde(default, rename = "slave")]
+    pub slaves: Vec<EthercatSlave>,
+    /// Robot arms made of drives.
+    #[serde(default, rename = "arm")]
+    pub arms: Vec<EthercatArm>,
+    /// Inputs and outputs.
+    #[serde(default, rename = "io")]
+    pub ios: Vec<EthercatIo>,
+}
+
+impl EthercatConfig {
+    const fn default_cycle() -> Duration {
+        Duration::from_millis(1)
+    }
+
+    #[expect(
+        clippy::unnecessary_wraps,
+        reason = "the type of the field it is the default of"
+    )]
+    const fn default_priority() -> Option<u8> {
+        Some(85)
+    }
+}
+
+/// A slave that is expected.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EthercatSlave {
+    /// Its name.
+    pub name: String,
+    /// Where it is in the ring, from 0.
+    #[serde(default)]
+    pub position: Option<u16>,
+    /// Its station alias, instead of a position.
+    #[serde(default)]
+    pub alias: Option<u16>,
+    /// Vendor (1018h:01); `None` for any.
+    #[serde(default)]
+    pub vendor: Option<u32>,
+    /// Product code (1018h:02); `None` for any.
+    #[serde(default)]
+    pub product: Option<u32>,
+    /// CiA 402 axes in it, 0 to 8; with any, process data are set up for them.
+    #[serde(default)]
+    pub axes: u8,
+    /// Whether it is run by SYNC0 each cycle.
+    #[serde(default)]
+    pub sync0: bool,
+    /// Process data watchdog; `None` leaves what the slave has.
+    #[serde(default, deserialize_with = "span::text::deserialize_some")]
+    pub watchdog: Option<Duration>,
+}
+
+/// A robot arm made of drives.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EthercatArm {
+    /// Name by which nets find it.
+    pub name: String,
+    /// Its kinematics, such as `staubli_tx90`; empty for none.
+    #[serde(default)]
+    pub model: String,
+    /// Its joints, from the base.
+    #[serde(rename = "joint")]
+    pub joints: Vec<EthercatJoint>,
+}
+
+/// A joint moved by an axis of a drive.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EthercatJoint {
+    /// Name of the slave.
+    pub slave: String,
+    /// Which of its axes, from 0.
+    #[serde(default)]
+    pub axis: u8,
+    /// Increments of the drive for a turn of the joint, gear included; negative if they count the other way.
+    pub increments_per_turn: f64,
+    /// Increments at which the joint is at zero.
+    #[serde(default)]
+    pub zero: f64,
+    /// Range of the joint, degrees.
+    pub range: [f64; 2],
+    /// Largest speed, degrees per second.
+    pub velocity_max: f64,
+    /// Largest acceleration, degrees per second squared.
+    pub acceleration_max: f64,
+}
+
+/// Inputs and outputs: all bits of the process data of these slaves, in their order.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EthercatIo {
+    /// Name by which nets find it.
+    pub name: String,
+    /// Slave and number of bits that are digital inputs.
+    #[serde(default)]
+    pub digital_in: Vec<(String, usize)>,
+    /// Slave and number of bits that are digital outputs.
+    #[serde(default)]
+    pub digital_out: Vec<(String, usize)>,
+}

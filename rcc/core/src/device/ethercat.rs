@@ -1,0 +1,334 @@
+//! The driver of an EtherCAT segment: one thread that sends a frame each cycle, in phase with SYNC0, and
+//! between two of them leads the arms and the inputs and outputs on it. The protocol, the profile and the
+//! state of every slave are in `takt_ethercat` and `takt_cia402`.
+//!
+//! In a cycle the frame goes out first, with what the cycle before computed, so that its instant does not
+//! depend on any computation. Its answer is waited for, for half a cycle at most; then drives are led on and
+//! nets are told.
+
+mod arm;
+mod describe;
+mod io;
+
+use std::ops::ControlFlow;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::Duration;
+
+use takt_ethercat::link::{Link, Port};
+use takt_ethercat::linux::PacketLink;
+use takt_ethercat::master::Master;
+use takt_rt::alloc::enter_real_time;
+use takt_rt::cycle::{Cycles, Follow, Tick};
+use takt_rt::latest::{LatestWriter, latest};
+use takt_rt::servo::{Estimate, Servo, ServoConfig};
+use takt_rt::stats::{self, StatsReader};
+use takt_rt::thread::{Thread, ThreadConfig};
+use takt_rt::{Nanos, monotonic};
+
+use crate::cell::EthercatConfig;
+use crate::device::driver::{DeviceDriver, DriverEnds};
+use crate::error::Error;
+use arm::Arm;
+pub use describe::{check, describe};
+use io::InOut;
+
+/// Longest Ethernet payload.
+const FRAME: usize = 1500;
+/// Cycles in which drives may brake and be switched off before the thread ends.
+const FAREWELL: u32 = 1000;
+/// Events looked at in one cycle.
+const EVENTS: usize = 32;
+
+/// A link that a driver thread can own.
+pub trait EthernetLink: Link + Send + std::fmt::Debug {}
+
+impl<T: Link + Send + std::fmt::Debug> EthernetLink for T {}
+
+/// A link at the end of which frames go out with this address as their source.
+#[derive(Debug)]
+pub struct Wire {
+    /// The link.
+    pub link: Box<dyn EthernetLink>,
+    /// Its MAC address.
+    pub source: [u8; 6],
+}
+
+/// Opens the network interface of a segment.
+///
+/// # Errors
+/// If there is no such interface or no right to open it.
+pub fn open(config: &EthercatConfig) -> Result<Wire, Error> {
+    let link = PacketLink::open(&config.interface).map_err(|source| Error::Device {
+        name: config.name.clone(),
+        what: format!("open {}", config.interface),
+        source,
+    })?;
+    let source = link.mac();
+    Ok(Wire {
+        link: Box::new(link),
+        source,
+    })
+}
+
+/// Figures of a segment that others read while it runs.
+#[derive(Debug, Default)]
+struct Shared {
+    cycles: AtomicU64,
+    lost: AtomicU64,
+    events: AtomicU64,
+    operational: AtomicBool,
+}
+
+/// Figures of a segment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct EthercatFigures {
+    /// Frames with process data.
+    pub cycles: u64,
+    /// Frames whose answer did not come in its cycle.
+    pub lost: u64,
+    /// What happened on the segment: slaves reached, lost, returned, cables.
+    pub events: u64,
+    /// Whether all slaves are where they are wanted.
+    pub operational: bool,
+}
+
+/// A running driver.
+#[derive(Debug)]
+pub struct Ethercat {
+    name: String,
+    devices: Vec<String>,
+    shared: Arc<Shared>,
+    /// How the cycle keeps its time; its phase error is that to SYNC0.
+    pub stats: StatsReader,
+    thread: Thread<LatestWriter<Estimate>>,
+    stop: Arc<AtomicBool>,
+}
+
+impl Ethercat {
+    /// Starts the driver thread. The ends are those of the devices of [`describe`], in that order.
+    ///
+    /// # Errors
+    /// If the configuration makes no sense or the system has no thread to give.
+    pub fn start(config: &EthercatConfig, wire: Wire, ends: DriverEnds) -> Result<Self, Error> {
+        check(config).map_err(Error::Cell)?;
+        let master = describe::master(config).map_err(|e| Error::Cell(e.to_string()))?;
+        let descriptions = describe(config);
+        let devices = descriptions.iter().map(|d| d.name.clone()).collect();
+        let mut given = ends.devices.into_iter();
+        let arms = config.arms.iter().zip(&mut given);
+        let arms = arms.map(|(arm, end)| Arm::new(config, arm, end)).collect();
+        let ios = config.ios.iter().zip(given);
+        let ios = ios.map(|(io, end)| InOut::new(config, io, end)).collect();
+        let shared = Arc::new(Shared::default());
+        let stop = Arc::new(AtomicBool::new(false));
+        let (own_clock, followed) = latest(1, Estimate::default);
+        let (mut recorded, stats) = stats::pair();
+        let phase = config.phase.unwrap_or(config.cycle / 2);
+        let mut driver = Box::new(Driver {
+            master,
+            port: Port::new(wire.link, wire.source),
+            servo: Servo::new(&ServoConfig::new(config.cycle)),
+            cycle: config.cycle,
+            arms,
+            ios,
+            buffer: [0; FRAME],
+            clocks: [own_clock, ends.clock],
+            shared: Arc::clone(&shared),
+            stop: Arc::clone(&stop),
+            farewell: FAREWELL,
+        });
+        let thread = ThreadConfig {
+            priority: config.priority,
+            cpus: config.cpus.clone(),
+            ..ThreadConfig::new(format!("takt-{}", config.name))
+        };
+        let period = config.cycle;
+        let thread = takt_rt::thread::spawn(thread, move || {
+            let cycles = Cycles {
+                follow: Some(Follow::new(followed, phase.into())),
+                ..Cycles::every(period)
+            };
+            cycles.run(&mut recorded, |tick| driver.cycle(tick));
+            let [_, mut clock] = driver.clocks;
+            // Nobody measures it any more.
+            clock.write(Estimate::default());
+            clock
+        })
+        .map_err(|source| Error::Thread {
+            name: config.name.clone(),
+            source,
+        })?;
+        Ok(Self {
+            name: config.name.clone(),
+            devices,
+            shared,
+            stats,
+            thread,
+            stop,
+        })
+    }
+
+    /// Its figures so far.
+    #[must_use]
+    pub fn figures(&self) -> EthercatFigures {
+        let Shared {
+            cycles,
+            lost,
+            events,
+            operational,
+        } = &*self.shared;
+        EthercatFigures {
+            cycles: cycles.load(Ordering::Relaxed),
+            lost: lost.load(Ordering::Relaxed),
+            events: events.load(Ordering::Relaxed),
+            operational: operational.load(Ordering::Relaxed),
+        }
+    }
+}
+
+impl DeviceDriver for Ethercat {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn drives(&self, device: &str) -> bool {
+        self.devices.iter().any(|name| name == device)
+    }
+
+    fn grants(&self) -> &[takt_rt::Grant] {
+        self.thread.grants()
+    }
+
+    fn figures(&self) -> Vec<(&'static str, String)> {
+        let figures = self.figures();
+        vec![
+            ("cycles", figures.cycles.to_string()),
+            ("lost", figures.lost.to_string()),
+            ("events", figures.events.to_string()),
+        ]
+    }
+
+    fn stop(self: Box<Self>) -> Option<LatestWriter<Estimate>> {
+        self.stop.store(true, Ordering::Relaxed);
+        let clock = self.thread.join().ok();
+        if clock.is_none() {
+            tracing::error!(
+                segment = self.name,
+                "the driver thread had ended by a panic"
+            );
+        }
+        clock
+    }
+}
+
+struct Driver {
+    master: Master,
+    port: Port<Box<dyn EthernetLink>>,
+    servo: Servo,
+    cycle: Duration,
+    arms: Vec<Arm>,
+    ios: Vec<InOut>,
+    buffer: [u8; FRAME],
+    /// Where the segment's clock is told: to this thread, and to the controller.
+    clocks: [LatestWriter<Estimate>; 2],
+    shared: Arc<Shared>,
+    stop: Arc<AtomicBool>,
+    /// Cycles left once it is to stop.
+    farewell: u32,
+}
+
+impl Driver {
+    /// One cycle. Only while the segment runs is it free of allocation: what a scan finds must lie somewhere.
+    fn cycle(&mut self, tick: &Tick) -> ControlFlow<()> {
+        let until = tick.scheduled + Nanos::from(self.cycle / 2);
+        if self.master.is_exchanging() {
+            let scope = enter_real_time();
+            self.exchange(until);
+            self.lead(tick);
+            drop(scope);
+        } else {
+            while self.exchange(until) && !self.master.is_exchanging() {}
+            self.lead(tick);
+        }
+        self.end()
+    }
+
+    /// Sends a frame and waits for its answer; false if there was none to send or no time for more.
+    fn exchange(&mut self, until: Nanos) -> bool {
+        let now = since_start(monotonic());
+        let Some(len) = self.master.poll_transmit(now, &mut self.buffer) else {
+            return false;
+        };
+        if self.port.send(&self.buffer[..len]).is_err() {
+            return false;
+        }
+        loop {
+            let left = since_start(until - monotonic());
+            match self.port.receive(left) {
+                Ok(Some((frame, at))) => {
+                    if self.master.handle_frame(0, frame, at) {
+                        return !left.is_zero();
+                    }
+                }
+                Ok(None) | Err(_) => return false,
+            }
+        }
+    }
+
+    fn lead(&mut self, tick: &Tick) {
+        self.take_samples();
+        let mut happened = 0;
+        while happened < EVENTS && self.master.poll_event().is_some() {
+            happened += 1;
+        }
+        while self.master.poll_emergency().is_some() {}
+        let stopping = self.stop.load(Ordering::Relaxed);
+        for arm in &mut self.arms {
+            arm.cycle(&mut self.master, tick, stopping);
+        }
+        for io in &mut self.ios {
+            io.cycle(&mut self.master, tick);
+        }
+        let frames = self.master.frames();
+        let shared = &self.shared;
+        shared.cycles.store(self.master.cycles(), Ordering::Relaxed);
+        shared.lost.store(frames.lost, Ordering::Relaxed);
+        shared.events.fetch_add(happened as u64, Ordering::Relaxed);
+        let operational = self.master.is_operational();
+        shared.operational.store(operational, Ordering::Relaxed);
+    }
+
+    /// Tells the servo how the reference clock stood in the middle of the frame's way.
+    fn take_samples(&mut self) {
+        while let Some(sample) = self.master.poll_sample() {
+            let way = sample.received.saturating_sub(sample.sent);
+            let local = Nanos::from(sample.sent + way / 2);
+            let remote = i64::try_from(sample.system_ns).unwrap_or(i64::MAX);
+            self.servo.handle_sample(local, Nanos(remote));
+        }
+        self.servo.handle_time(monotonic());
+        let estimate = self.servo.estimate();
+        for clock in &mut self.clocks {
+            clock.write(estimate);
+        }
+    }
+
+    fn end(&mut self) -> ControlFlow<()> {
+        if !self.stop.load(Ordering::Relaxed) {
+            return ControlFlow::Continue(());
+        }
+        let off = self.arms.iter().all(Arm::is_off);
+        self.farewell = self.farewell.saturating_sub(1);
+        if off || self.farewell == 0 || !self.master.is_exchanging() {
+            ControlFlow::Break(())
+        } else {
+            ControlFlow::Continue(())
+        }
+    }
+}
+
+/// Time on the monotonic clock as the protocol counts it; zero before its start.
+fn since_start(time: Nanos) -> Duration {
+    Duration::from_nanos(u64::try_from(time.0).unwrap_or_default())
+}

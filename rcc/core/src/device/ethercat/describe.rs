@@ -1,0 +1,159 @@
+//! From the cell's words to a master's configuration and to devices. It opens nothing.
+
+use takt_ethercat::axis;
+use takt_ethercat::config::{ConfigError, MasterConfig, Place, SlaveSpec, SyncSpec};
+use takt_ethercat::master::Master;
+use takt_net::JointLimits;
+
+use crate::cell::{EthercatArm, EthercatConfig, EthercatJoint, EthercatSlave};
+use crate::device::{ARM_JOINTS_MAX, DeviceDescription, Part};
+
+/// The devices of a segment: first its arms, then its inputs and outputs.
+#[must_use]
+pub fn describe(config: &EthercatConfig) -> Vec<DeviceDescription> {
+    let arms = config.arms.iter().map(|arm| DeviceDescription {
+        name: arm.name.clone(),
+        kind: "ethercat_arm",
+        limits: limits(arm),
+        model: arm.model.clone().into(),
+        parts: Vec::new(),
+    });
+    let bits = |slaves: &[(String, usize)]| slaves.iter().map(|(_, bits)| bits).sum();
+    let ios = config.ios.iter().map(|io| DeviceDescription {
+        name: io.name.clone(),
+        kind: "ethercat_io",
+        limits: Vec::new(),
+        model: "".into(),
+        parts: vec![Part::Io {
+            bool_in: bits(&io.digital_in),
+            bool_out: bits(&io.digital_out),
+            real_in: 0,
+            real_out: 0,
+        }],
+    });
+    arms.chain(ios).collect()
+}
+
+pub(super) fn limits(arm: &EthercatArm) -> Vec<JointLimits> {
+    let of = |joint: &EthercatJoint| JointLimits {
+        position_min: joint.range[0].to_radians(),
+        position_max: joint.range[1].to_radians(),
+        velocity_max: joint.velocity_max.to_radians(),
+        acceleration_max: joint.acceleration_max.to_radians(),
+    };
+    arm.joints.iter().map(of).collect()
+}
+
+/// The slave of that name.
+pub(super) fn slave(config: &EthercatConfig, name: &str) -> Option<usize> {
+    config.slaves.iter().position(|slave| slave.name == name)
+}
+
+/// A master for a segment.
+pub(super) fn master(config: &EthercatConfig) -> Result<Master, ConfigError> {
+    Master::new(MasterConfig {
+        cycle: config.cycle,
+        slaves: config
+            .slaves
+            .iter()
+            .map(|slave| spec(slave, config))
+            .collect(),
+        ..MasterConfig::default()
+    })
+}
+
+fn spec(slave: &EthercatSlave, config: &EthercatConfig) -> SlaveSpec {
+    let place = slave.alias.map_or_else(
+        || Place::Position(slave.position.unwrap_or_default()),
+        Place::Alias,
+    );
+    let mut spec = SlaveSpec {
+        vendor: slave.vendor,
+        product: slave.product,
+        watchdog: slave.watchdog,
+        ..SlaveSpec::new(slave.name.clone(), place)
+    };
+    if slave.axes > 0 {
+        let (outputs, inputs) = axis::pdos(slave.axes);
+        (spec.outputs, spec.inputs) = (Some(outputs), Some(inputs));
+        let interpolation = (0..slave.axes).flat_map(|a| axis::interpolation(a, config.cycle));
+        spec.startup = interpolation.collect();
+    }
+    if slave.sync0 {
+        spec.sync = Some(SyncSpec::sync0(config.cycle));
+    }
+    spec
+}
+
+/// What is wrong with a configuration.
+///
+/// # Errors
+/// A text that names it.
+pub fn check(config: &EthercatConfig) -> Result<(), String> {
+    let name = &config.name;
+    master(config).map_err(|error| format!("{name}: {error}"))?;
+    for slave in &config.slaves {
+        if slave.position.is_some() == slave.alias.is_some() {
+            let slave = &slave.name;
+            return Err(format!(
+                "{name}: slave {slave} needs a position or an alias"
+            ));
+        }
+        if slave.axes > 8 {
+            return Err(format!("{name}: slave {} has at most 8 axes", slave.name));
+        }
+    }
+    for arm in &config.arms {
+        check_arm(config, arm).map_err(|what| format!("{name}: arm {}: {what}", arm.name))?;
+    }
+    let bits = config
+        .ios
+        .iter()
+        .flat_map(|io| io.digital_in.iter().chain(&io.digital_out));
+    for (of, _) in bits {
+        if slave(config, of).is_none() {
+            return Err(format!("{name}: there is no slave `{of}`"));
+        }
+    }
+    Ok(())
+}
+
+fn check_arm(config: &EthercatConfig, arm: &EthercatArm) -> Result<(), String> {
+    let joints = arm.joints.len();
+    if !(1..=ARM_JOINTS_MAX).contains(&joints) {
+        return Err(format!("{joints} joints; an arm has 1 to {ARM_JOINTS_MAX}"));
+    }
+    if !arm.model.is_empty() && takt_motion::kinematics::limited(&arm.model, &limits(arm)).is_none()
+    {
+        return Err(format!(
+            "there is no model `{}` of {joints} joints",
+            arm.model
+        ));
+    }
+    for (number, joint) in arm.joints.iter().enumerate() {
+        let Some(slave) = slave(config, &joint.slave).and_then(|at| config.slaves.get(at)) else {
+            return Err(format!(
+                "joint {number}: there is no slave `{}`",
+                joint.slave
+            ));
+        };
+        if joint.axis >= slave.axes {
+            return Err(format!(
+                "joint {number}: slave {} has {} axes, counted from 0; give it `axes`",
+                slave.name, slave.axes
+            ));
+        }
+        let sound = joint.increments_per_turn.is_normal()
+            && joint.zero.is_finite()
+            && joint.range[0] < joint.range[1]
+            && joint.velocity_max > 0.0
+            && joint.acceleration_max > 0.0;
+        if !sound {
+            return Err(format!(
+                "joint {number}: increments_per_turn must not be 0, range must go up, and velocity_max and \
+                 acceleration_max must be above 0"
+            ));
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,276 @@
+//! Devices on an EtherCAT segment, moved by nets: an emulated Stäubli TX90 and terminals at the end of a cable
+//! inside of this process.
+
+#![expect(
+    clippy::unwrap_used,
+    reason = "a test may fail anywhere, its helpers too"
+)]
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use takt_core::cell::{EthercatArm, EthercatConfig, EthercatIo, EthercatJoint, EthercatSlave};
+use takt_core::controller::{LoadRequest, NetState};
+use takt_core::device::DeviceStatus;
+use takt_core::device::ethercat::{Ethercat, Wire, describe};
+use takt_core::{CellConfig, Controller, NetId, SessionId};
+use takt_ethercat::emulator::{
+    Coupler, Io, Segment, Server, ServoConfig, ServoDrive, SharedSegment,
+};
+use takt_ethercat::linux::{cable, monotonic};
+use takt_rt::thread::{Thread, ThreadConfig, spawn};
+
+/// One turn of a joint, increments.
+const TURN: f64 = 4096.0 * 50.0;
+
+fn config() -> EthercatConfig {
+    let slave = |name: &str, position, axes| EthercatSlave {
+        name: name.to_owned(),
+        position: Some(position),
+        alias: None,
+        vendor: None,
+        product: None,
+        axes,
+        sync0: axes > 0,
+        watchdog: None,
+    };
+    let ranges = [
+        [-180.0, 180.0],
+        [-130.0, 147.5],
+        [-145.0, 145.0],
+        [-270.0, 270.0],
+    ];
+    let ranges = ranges.into_iter().chain([[-115.0, 140.0], [-270.0, 270.0]]);
+    let joint = |(axis, range)| EthercatJoint {
+        slave: "drives".to_owned(),
+        axis,
+        increments_per_turn: TURN,
+        zero: 0.0,
+        range,
+        velocity_max: 300.0,
+        acceleration_max: 1000.0,
+    };
+    EthercatConfig {
+        name: "segment".to_owned(),
+        interface: "none".to_owned(),
+        cycle: Duration::from_millis(2),
+        phase: None,
+        priority: Some(85),
+        cpus: Vec::new(),
+        thread: None,
+        slaves: vec![
+            slave("coupler", 0, 0),
+            slave("terminal", 1, 0),
+            slave("drives", 2, 6),
+        ],
+        arms: vec![EthercatArm {
+            name: "tx90".to_owned(),
+            model: "staubli_tx90".to_owned(),
+            joints: (0..).zip(ranges).map(joint).collect(),
+        }],
+        ios: vec![EthercatIo {
+            name: "io".to_owned(),
+            digital_in: vec![("terminal".to_owned(), 8)],
+            digital_out: vec![("terminal".to_owned(), 8)],
+        }],
+    }
+}
+
+/// A segment in a thread of its own, and a controller that leads it.
+struct Hall {
+    controller: Option<Controller>,
+    segment: SharedSegment,
+    drives: ServoDrive,
+    io: Io,
+    stop: Arc<AtomicBool>,
+    thread: Option<Thread<()>>,
+}
+
+impl Hall {
+    fn new() -> Self {
+        let config = config();
+        let (terminal, io) = Io::digital(8, 8);
+        let mut tx90 = ServoConfig::tx90();
+        // A host without PREEMPT_RT misses SYNC0 now and then.
+        for axis in &mut tx90.axes {
+            axis.quirks.missing_set_points = None;
+        }
+        let (drives, servo) = ServoDrive::slave(tx90).unwrap();
+        let segment = SharedSegment::new(Segment::line([Coupler::slave(), terminal, drives]));
+        let (near, far) = cable();
+        let stop = Arc::new(AtomicBool::new(false));
+        let (stopping, served) = (Arc::clone(&stop), segment.clone());
+        let config_of_thread = ThreadConfig {
+            priority: Some(88),
+            ..ThreadConfig::new("segment")
+        };
+        let thread = spawn(config_of_thread, move || {
+            let mut server = Server::new(served, far);
+            while !stopping.load(Ordering::Relaxed) {
+                server
+                    .turn(Duration::from_millis(5), &mut monotonic)
+                    .unwrap();
+            }
+        });
+        let thread = thread.unwrap();
+        let controller = Controller::start(&CellConfig::default()).unwrap();
+        let wire = Wire {
+            link: Box::new(near),
+            source: [2, 0, 0, 0, 0, 1],
+        };
+        let added = controller.add_driver("segment", describe(&config), None, |ends| {
+            Ok(Box::new(Ethercat::start(&config, wire, ends)?))
+        });
+        added.unwrap();
+        let hall = Self {
+            controller: Some(controller),
+            segment,
+            drives: servo,
+            io,
+            stop,
+            thread: Some(thread),
+        };
+        hall.wait("the arm operational", |hall| {
+            hall.status("tx90") == DeviceStatus::Operational
+        });
+        hall
+    }
+
+    fn controller(&self) -> &Controller {
+        self.controller.as_ref().unwrap()
+    }
+
+    fn status(&self, name: &str) -> DeviceStatus {
+        self.controller().arm_state(name).unwrap().status
+    }
+
+    fn position(&self, joint: usize) -> f64 {
+        let state = self.controller().arm_state("tx90").unwrap();
+        state.joints[joint].measured_position.unwrap_or(f64::NAN)
+    }
+
+    fn wait(&self, what: &str, done: impl Fn(&Self) -> bool) {
+        let until = Instant::now() + Duration::from_secs(60);
+        while !done(self) {
+            assert!(Instant::now() < until, "waited in vain for: {what}");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    fn start(&self, text: String) -> NetId {
+        let request = LoadRequest {
+            text: text.clone(),
+            session: SessionId::NONE,
+            description: String::new(),
+            period: None,
+        };
+        let id = self.controller().load(request).unwrap();
+        let rejected = self.controller().net(id).unwrap().rejection;
+        let faults = rejected.map(|why| why.render("net", &text));
+        assert_eq!(faults, None);
+        self.controller().start_net(id).unwrap();
+        id
+    }
+
+    fn is_over(&self, id: NetId) -> bool {
+        self.controller().net(id).unwrap().state() == NetState::Terminated
+    }
+}
+
+impl Drop for Hall {
+    fn drop(&mut self) {
+        self.controller = None;
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            thread.join().unwrap();
+        }
+    }
+}
+
+/// Moves joint 3 by half a radian within `seconds`.
+fn swing(seconds: f64) -> String {
+    format!(
+        "{{true=Core::BooleanValue(Value='true'),past=Core::BooleanPre(inValue=true.outValue),
+        first=Core::BooleanIsNull(inValue=past.outValue),
+        monitor=RobotArm::JointMonitor(Robot='tx90',Axis='3'),
+        start=Core::DoubleSnapshot(inSnapshot=first.outValue,inValue=monitor.outCommandedPosition),
+        clock=Core::Clock(),part=Core::Interval(inValue=clock.outValue,Max='{seconds}'),
+        smooth=Core::DoubleBezier(inValue=part.outValue,To='0.5'),
+        target=Core::DoubleAdd(inFirst=start.outValue,inSecond=smooth.outValue),
+        joint=RobotArm::JointPosition(inPosition=target.outValue,Robot='tx90',Axis='3'),
+        end=Core::DoubleGreater(inFirst=clock.outValue,Second='{}'),outTerminate=end.outValue}}",
+        seconds + 1.0
+    )
+}
+
+#[test]
+fn a_net_moves_a_tx90_over_ethercat() {
+    let hall = Hall::new();
+    let before = hall.position(3);
+    let net = hall.start(swing(1.0));
+    hall.wait("the net over", |hall| hall.is_over(net));
+    let moved = hall.position(3) - before;
+    assert!((moved - 0.5).abs() < 0.01, "moved {moved} rad");
+    let figures = hall.controller().with_drivers(Ethercat::figures);
+    assert!(
+        figures[0].operational && figures[0].cycles > 100,
+        "{figures:?}"
+    );
+}
+
+#[test]
+fn a_net_reads_inputs_and_sets_outputs() {
+    let hall = Hall::new();
+    hall.wait("the terminal there", |hall| {
+        hall.status("io") == DeviceStatus::Operational
+    });
+    hall.start(
+        "{ in=IO::InBool(DeviceID='io',Port='2'),
+           out=IO::OutBool(inIO=in.outIO,DeviceID='io',Port='5'),
+           cancel=Cancel(),outTerminate=cancel.outCancel }"
+            .to_owned(),
+    );
+    for value in [true, false, true] {
+        hall.io.set_inputs(&[if value { 0b100 } else { 0 }]);
+        hall.wait("the output as the input", |hall| {
+            hall.io
+                .outputs()
+                .first()
+                .is_some_and(|byte| byte >> 5 & 1 == u8::from(value))
+        });
+    }
+}
+
+#[test]
+fn a_drive_that_faults_ends_the_net_and_the_arm_comes_back_at_rest() {
+    let hall = Hall::new();
+    let net = hall.start(swing(20.0));
+    std::thread::sleep(Duration::from_millis(500));
+    assert!(!hall.is_over(net));
+    hall.drives.axis(1, |drive| {
+        drive.fault(takt_cia402::emulator::FaultCode::TEMPERATURE)
+    });
+    hall.wait("the net over", |hall| hall.is_over(net));
+    assert_ne!(hall.status("tx90"), DeviceStatus::Operational);
+    hall.drives.axis(1, takt_cia402::emulator::Drive::mend);
+    hall.wait("the arm back", |hall| {
+        hall.status("tx90") == DeviceStatus::Operational
+    });
+    let rest = hall.position(3);
+    std::thread::sleep(Duration::from_millis(300));
+    assert!((hall.position(3) - rest).abs() < 1e-3);
+}
+
+#[test]
+fn a_cut_cable_takes_the_arm_offline_and_a_mended_one_brings_it_back() {
+    let hall = Hall::new();
+    hall.segment.lock().set_link(2, false);
+    hall.wait("the arm offline", |hall| {
+        hall.status("tx90") == DeviceStatus::Offline
+    });
+    hall.segment.lock().set_link(2, true);
+    hall.wait("the arm back", |hall| {
+        hall.status("tx90") == DeviceStatus::Operational
+    });
+}

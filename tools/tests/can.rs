@@ -1,0 +1,177 @@
+//! `takt can` with recordings, and its refusals. What needs an interface is in `can_vcan.rs`.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+
+mod common;
+
+use common::{complaint, expect_status, run};
+use serde_json::Value;
+
+/// A recording beside this test.
+fn kept(name: &str) -> String {
+    format!("{}/tests/can/{name}", env!("CARGO_MANIFEST_DIR"))
+}
+
+fn lines(arguments: &[&str]) -> Vec<String> {
+    let text = expect_status(&run(arguments), 0);
+    text.lines().map(str::to_owned).collect()
+}
+
+#[test]
+fn dump_decodes_canopen_and_errors() {
+    let shown = lines(&["can", "dump", "--from", &kept("fault.log")]);
+    assert_eq!(shown.len(), 18, "a head and 17 frames");
+    for (line, words) in [
+        (1, "705  [ 1]  00                       node 5 boot-up"),
+        (3, "4B 41 60 00 50 02 00 00  node 5 SDO < 6041h:00 = 50 02"),
+        (
+            4,
+            "T      000  [ 2]  01 05                    NMT start, node 5",
+        ),
+        (
+            11,
+            "ERROR  [ 8]  00 00 04 19 00 00 00 00  protocol violation at ACK slot",
+        ),
+        (13, "CAN FD BRS"),
+        (16, "remote                   node 5 guard"),
+    ] {
+        assert!(shown[line].contains(words), "{line}: {}", shown[line]);
+    }
+}
+
+#[test]
+fn dump_shows_what_the_filters_let_through() {
+    let log = kept("fault.log");
+    let shown = lines(&[
+        "can", "dump", "--from", &log, "--filter", "sync", "--time", "delta",
+    ]);
+    let times: Vec<&str> = shown[1..].iter().map(|line| line[..11].trim()).collect();
+    assert_eq!(times, ["0.000000", "0.010000", "0.010000", "0.869500"]);
+    let shown = lines(&[
+        "can", "dump", "--from", &log, "--filter", "error", "--count", "5",
+    ]);
+    assert_eq!(shown.len(), 2);
+    let refused = run(&["can", "dump", "--from", &log, "--filter", "nodes=5"]);
+    expect_status(&refused, 2);
+    assert!(complaint(&refused).contains("is no filter: write an identifier"));
+}
+
+/// What goes in as a candump log comes out of it, byte for byte; BLF keeps class and direction too.
+#[test]
+fn dump_writes_logs_without_loss() {
+    let log = kept("fault.log");
+    let written = expect_status(&run(&["can", "dump", "--from", &log, "--log"]), 0);
+    assert_eq!(written, std::fs::read_to_string(&log).unwrap());
+    let of_blf = lines(&["can", "dump", "--from", &kept("python_can.blf"), "--log"]);
+    assert_eq!(of_blf[5], "(1700000000.005000) 1 20000044#0030000000008205");
+    assert!(of_blf[6].ends_with(" T"));
+    let of_asc = lines(&["can", "dump", "--from", &kept("python_can.asc"), "--log"]);
+    assert_eq!(of_asc.len(), 7);
+}
+
+#[test]
+fn dump_gives_objects() {
+    let shown = lines(&["can", "dump", "--from", &kept("fault.log"), "--json"]);
+    let objects: Vec<Value> = shown
+        .iter()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect();
+    assert_eq!(objects[0]["at_us"], 1_700_000_000_000_000_u64);
+    assert_eq!(
+        (&objects[0]["id"], &objects[0]["kind"]),
+        (&0x705.into(), &"data".into())
+    );
+    assert_eq!(objects[10]["kind"], "error");
+    assert_eq!(
+        (&objects[10]["id"], &objects[10]["direction"]),
+        (&Value::Null, &"R".into())
+    );
+    assert_eq!(objects[11]["interface"], "can1");
+}
+
+#[test]
+fn what_a_recording_does_not_hold_is_told() {
+    let file = std::env::temp_dir().join(format!("takt-can-{}.log", std::process::id()));
+    std::fs::write(
+        &file,
+        "(1.000000) can0 123#11\nrubbish\n(1.000000) can0 123#45:67:89ABCDEF#11\n",
+    )
+    .unwrap();
+    let output = run(&["can", "dump", "--from", file.to_str().unwrap()]);
+    std::fs::write(&file, "rubbish\n").unwrap();
+    let empty = run(&["can", "stat", "--from", file.to_str().unwrap()]);
+    std::fs::remove_file(&file).unwrap();
+    assert_eq!(expect_status(&output, 0).lines().count(), 2);
+    let told = complaint(&output);
+    assert!(
+        told.contains("line 2: no time stamp") && told.contains("line 3: a CAN XL frame"),
+        "{told}"
+    );
+    expect_status(&empty, 2);
+    assert!(complaint(&empty).contains("no frame in it; it was read as candump log"));
+}
+
+#[test]
+fn stat_of_a_recording_judges() {
+    let arguments = [
+        "can",
+        "stat",
+        "--from",
+        &kept("fault.log"),
+        "--bitrate",
+        "1M",
+        "--json",
+    ];
+    let report: Value = serde_json::from_str(&expect_status(&run(&arguments), 1)).unwrap();
+    assert_eq!(
+        (&report["interface"], &report["frames"]),
+        (&"can0".into(), &15.into())
+    );
+    let found = report["findings"].as_array().unwrap().iter();
+    let names: Vec<_> = found
+        .map(|finding| finding["name"].as_str().unwrap())
+        .collect();
+    assert_eq!(names, ["alone", "heartbeat-missing", "emergency"]);
+    let load = report["load"].as_f64().unwrap();
+    assert!(load > 0.0 && load < 0.01, "{load}");
+
+    let other = run(&[
+        "can",
+        "stat",
+        "--from",
+        &kept("fault.log"),
+        "--channel",
+        "can1",
+        "--quiet",
+    ]);
+    assert_eq!(expect_status(&other, 0), "can1: ok\n");
+    let nobody = run(&[
+        "can",
+        "stat",
+        "--from",
+        &kept("fault.log"),
+        "--channel",
+        "can7",
+    ]);
+    expect_status(&nobody, 2);
+    assert!(complaint(&nobody).contains("no frame of can7"));
+}
+
+#[test]
+fn an_interface_that_is_not_there_is_named_by_every_command() {
+    let log = kept("fault.log");
+    for arguments in [
+        &["can", "dump", "nosuch0"][..],
+        &["can", "stat", "nosuch0"],
+        &["can", "send", "nosuch0", "705#R"],
+        &["can", "replay", &log, "nosuch0"],
+        &["can", "up", "nosuch0", "--show"],
+    ] {
+        let output = run(arguments);
+        expect_status(&output, 2);
+        let told = complaint(&output);
+        assert!(
+            told.contains("nosuch0") && !told.contains("panicked"),
+            "{told}"
+        );
+    }
+}
