@@ -65,6 +65,7 @@ fn vcan(test: &str) -> Option<String> {
 fn config(raw: u8) -> DriveNodeConfig {
     let mut config = DriveNodeConfig::new(NodeId::new(raw).unwrap());
     config.domain_len = 3000;
+    config.sdo_timeout = Duration::from_secs(60);
     config
 }
 

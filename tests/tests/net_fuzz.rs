@@ -88,7 +88,9 @@ fn net_xml_stands_random_input() {
 
 #[test]
 fn http_requests_stand_random_input() {
-    let mut words = split("GET POST PUT /nets/ //eval// /DirectIO/ /?token= %41 %ff ?format=json & = { } [ ] ' < >");
+    let mut words = split(
+        "GET POST PUT /nets/ //eval// /DirectIO/ /?token= %41 %ff ?format=json & = { } [ ] ' < >",
+    );
     let lines: [&[u8]; 14] = [
         b" HTTP/1.1\r\n",
         b"\r\n",

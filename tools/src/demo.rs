@@ -229,6 +229,7 @@ fn cell() -> CellConfig {
     CellConfig {
         controller,
         devices: devices.into(),
+        ..CellConfig::default()
     }
 }
 

@@ -1,6 +1,11 @@
 //! `takt emulate`: the other end of a wire, for labs and tests. The protocols and robots are in
 //! the protocol crates.
 
+mod drive;
+mod rmp;
+mod segment;
+mod service;
+
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -24,12 +29,21 @@ pub(crate) enum Emulate {
     /// It bridges up to 100 missing answers and no quality ends its command mode: more patience than a
     /// real KRC has, for hosts that stall.
     Lwr(Lwr),
+    /// A Segway power base on CAN or on its USB port.
+    Rmp(rmp::Rmp),
+    /// A CiA 402 drive as a CANopen node.
+    Drive(drive::DriveArgs),
+    /// A Stäubli TX90 of six CiA 402 axes on an EtherCAT segment.
+    Tx90(segment::Tx90),
 }
 
 impl Emulate {
     pub(crate) fn run(self) -> anyhow::Result<Verdict> {
         match self {
             Self::Lwr(lwr) => lwr.run(),
+            Self::Rmp(rmp) => rmp.run(),
+            Self::Drive(drive) => drive.run(),
+            Self::Tx90(tx90) => tx90.run(),
         }
     }
 }

@@ -43,6 +43,9 @@ pub struct DriveNodeConfig {
     pub heartbeat_ms: u16,
     /// Bytes of the domain 2000h, a firmware or a recording to be transferred; 0 leaves it out.
     pub domain_len: usize,
+    /// How long its SDO server waits for a client. In a block upload that is the time in which the
+    /// client takes 127 segments.
+    pub sdo_timeout: Duration,
 }
 
 impl DriveNodeConfig {
@@ -60,6 +63,7 @@ impl DriveNodeConfig {
             axes: vec![DriveConfig::default()],
             heartbeat_ms: 0,
             domain_len: 0,
+            sdo_timeout: Duration::from_secs(2),
         }
     }
 
@@ -165,7 +169,7 @@ impl DriveNode {
             id: config.id,
             relative: communication.relative(),
             sdo_len_max: config.domain_len.max(256),
-            sdo_timeout: Duration::from_secs(1),
+            sdo_timeout: config.sdo_timeout,
             dictionary,
         };
         let drives = Drives::new(config.axes, &node.dictionary, now)?;

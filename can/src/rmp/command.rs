@@ -16,13 +16,13 @@ use super::status::{slots, standard};
 use crate::{Frame, Id};
 
 /// Largest velocity, counts.
-pub const VELOCITY_MAX: i16 = 1176;
+pub(super) const VELOCITY_MAX: i16 = 1176;
 /// Largest turn, counts.
-pub const TURN_MAX: i16 = 1024;
+pub(super) const TURN_MAX: i16 = 1024;
 /// A whole scale; a value of 8 halves what a count means.
-pub const SCALE_MAX: u8 = 16;
+pub(super) const SCALE_MAX: u8 = 16;
 /// A whole current limit.
-pub const CURRENT_MAX: u16 = 256;
+pub(super) const CURRENT_MAX: u16 = 256;
 
 const COMMAND_ID: Id = standard(0x413);
 const SHUTDOWN_ID: Id = standard(0x412);

@@ -438,8 +438,8 @@ fn describe_object(object: &Object) -> Vec<u8> {
 fn describe_entry(index: u16, sub: u8, entry: &Entry) -> Vec<u8> {
     let mut data = index.to_le_bytes().to_vec();
     let bits = entry.data_type.bits().unwrap_or(8 * entry.max_len);
-    let access = u16::from(entry.access.is_readable()) * 0x07
-        | u16::from(entry.access.is_writable()) * 0x38
+    let access = (u16::from(entry.access.is_readable()) * 0x07)
+        | (u16::from(entry.access.is_writable()) * 0x38)
         | u16::from(matches!(entry.pdo, PdoUse::Receive | PdoUse::Both)) << 6
         | u16::from(matches!(entry.pdo, PdoUse::Transmit | PdoUse::Both)) << 7;
     data.extend([sub, 0]);
@@ -482,7 +482,13 @@ fn write_sdo(reply: &mut Vec<u8>, service: CoeService, sdo: &Sdo<'_>) {
     let start = reply.len();
     let len = match sdo {
         Sdo::Uploaded { data, .. } | Sdo::UploadedSegment { data, .. } => data.len(),
-        _ => 0,
+        Sdo::Download { .. }
+        | Sdo::DownloadSegment { .. }
+        | Sdo::Upload { .. }
+        | Sdo::UploadSegment { .. }
+        | Sdo::Downloaded { .. }
+        | Sdo::DownloadedSegment { .. }
+        | Sdo::Abort { .. } => 0,
     };
     reply.resize(start + SDO_LEN + len, 0);
     let written = reply.get_mut(start..).and_then(|to| sdo.encode(to));

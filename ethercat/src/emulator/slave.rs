@@ -304,7 +304,20 @@ impl Slave {
                 Command::Lrd => self.logical(*logical, data, true, false),
                 Command::Lwr => self.logical(*logical, data, false, true),
                 Command::Lrw if !self.has_no_lrw() => self.logical(*logical, data, true, true),
-                _ => 0,
+                Command::Lrw
+                | Command::Nop
+                | Command::Aprd
+                | Command::Apwr
+                | Command::Aprw
+                | Command::Fprd
+                | Command::Fpwr
+                | Command::Fprw
+                | Command::Brd
+                | Command::Bwr
+                | Command::Brw
+                | Command::Armw
+                | Command::Frmw
+                | Command::Other(_) => 0,
             },
             Address::Device { adp, ado } => {
                 let here = *adp == 0;
@@ -321,7 +334,11 @@ impl Slave {
                     Command::Brw => (true, true),
                     Command::Armw => (here, !here),
                     Command::Frmw => (known, !known),
-                    _ => (false, false),
+                    Command::Nop
+                    | Command::Lrd
+                    | Command::Lwr
+                    | Command::Lrw
+                    | Command::Other(_) => (false, false),
                 };
                 let broad = matches!(command, Command::Brd | Command::Brw);
                 let gained = self.physical(*ado, data, reads, writes, broad, arrival);

@@ -2,6 +2,7 @@
 //! behind the last, with the process data of both firmwares and the raw TMCL mailbox. Masses and
 //! friction are plausible rather than measured; joints do not feel each other.
 
+mod gripper;
 mod joint;
 mod parameters;
 mod tmcl;
@@ -16,7 +17,8 @@ use super::image::{PdoImage, SiiImage};
 use super::segment::Segment;
 use super::slave::{Slave, SlaveConfig};
 
-pub use joint::{Axis, Bar, Joint};
+pub use gripper::Bar;
+pub use joint::{Axis, Joint};
 
 /// Vendor number of Trinamic.
 const TRINAMIC: u32 = 0x0000_0286;

@@ -26,6 +26,8 @@ pub(super) enum Owner {
     Survey(u16),
     /// A slave is to get its address back.
     Adoption(u16),
+    /// A slave is to lose an address that is another's.
+    Release(u16),
     /// Whatever a slave's own machine does.
     Unit(u16),
 }

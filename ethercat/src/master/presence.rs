@@ -12,11 +12,11 @@
 use std::time::Duration;
 
 use super::Master;
-use super::event::{Cable, Event};
+use super::event::{Cable, Event, Fault};
 use super::exchange::{Batch, Owner, Sent};
 use super::scan::{Phase, Scan};
 use super::transmit::context;
-use super::unit::Unit;
+use super::unit::{Step, Unit};
 use crate::config::Place;
 use crate::register;
 use crate::{Address, AlStatus, AlStatusCode, Command};
@@ -41,6 +41,8 @@ enum State {
     Survey(u16),
     /// The slave at this position is to get the address of this one.
     Adopt(u16, usize),
+    /// The slave at this position is not this one after all, and is to lose its address.
+    Release(u16, usize),
 }
 
 /// What is known of who is there.
@@ -62,6 +64,8 @@ pub(super) struct Presence {
     /// The count of the last census, and of the one before it.
     counted: u16,
     pause: u8,
+    /// Slaves that turned out not to be what came; nobody is taken for them until somebody has gone.
+    rejected: Vec<bool>,
     /// Slaves whose cable was told, until they are there again.
     told: Vec<bool>,
     /// Something was lost in this frame.
@@ -76,6 +80,7 @@ impl Presence {
         self.homes = vec![None; slaves];
         self.silent = vec![0; slaves];
         self.told = vec![false; slaves];
+        self.rejected = vec![false; slaves];
         for (position, number) in (0..).zip(ring) {
             if let Some(home) = self.homes.get_mut(*number) {
                 *home = Some(position);
@@ -119,6 +124,11 @@ impl Presence {
                 }
                 self.state = State::Survey(at);
             }
+            State::Release(position, slave) => {
+                let address = Scan::position(position, register::STATION_ADDRESS);
+                let owner = Owner::Release(u16::try_from(slave).unwrap_or(u16::MAX));
+                batch.push(owner, Command::Apwr, address, &[0; 2]);
+            }
             State::Adopt(position, slave) => {
                 let Some(unit) = units.get(slave) else {
                     return;
@@ -132,6 +142,33 @@ impl Presence {
 }
 
 impl Master {
+    /// One that came is not what it was taken for.
+    fn reject(&mut self) {
+        let wrong = |unit: &&Unit| {
+            let told = matches!(unit.fault, Some(Fault::Identity { .. }));
+            told && unit.step() == Step::Failed
+        };
+        let found = self
+            .units
+            .iter()
+            .find(wrong)
+            .and_then(|unit| Some((unit.position?, unit.number)));
+        if let Some((position, slave)) = found {
+            self.presence.state = State::Release(position, slave);
+        }
+    }
+
+    fn released(&mut self, slave: usize) {
+        self.presence.state = State::Calm;
+        if let (Some(unit), Some(rejected)) = (
+            self.units.get_mut(slave),
+            self.presence.rejected.get_mut(slave),
+        ) {
+            unit.release();
+            *rejected = true;
+        }
+    }
+
     /// How many answered, and the OR of their states.
     pub(super) fn handle_census(&mut self, count: u16, states: u8) {
         self.presence.frames_lost = 0;
@@ -152,6 +189,9 @@ impl Master {
         }
         // Fewer than known is urgent; of what stays as it is one look a while is enough.
         let fewer = usize::from(count) < known;
+        if fewer {
+            self.presence.rejected.fill(false);
+        }
         if self.presence.pause > 0 && !fewer {
             self.presence.pause -= 1;
             return;
@@ -178,6 +218,7 @@ impl Master {
             }
             Owner::Survey(position) if counter > 0 => self.surveyed(position, four),
             Owner::Adoption(slave) => self.adopted(slave.into(), counter, reference, now),
+            Owner::Release(slave) => self.released(slave.into()),
             Owner::Survey(_)
             | Owner::Clock
             | Owner::Process(_)
@@ -270,7 +311,12 @@ impl Master {
 
     /// The missing slave that one without address most probably is: by alias, or the next in the order of the ring.
     fn missing_at(&self, alias: u16) -> Option<usize> {
-        let missing = || self.units.iter().filter(|unit| !unit.is_present());
+        let rejected = |unit: &Unit| self.presence.rejected.get(unit.number) == Some(&true);
+        let missing = || {
+            self.units
+                .iter()
+                .filter(|unit| !unit.is_present() && !rejected(unit))
+        };
         let aliased = |unit: &&Unit| {
             alias != 0 && (unit.spec.place == Place::Alias(alias) || unit.info.alias == alias)
         };
@@ -359,7 +405,8 @@ impl Master {
                     State::Adopt(position, slave)
                 });
             }
-            State::Calm | State::Inspect(_) | State::Survey(_) | State::Adopt(..) => {}
+            State::Calm => self.reject(),
+            State::Inspect(_) | State::Survey(_) | State::Adopt(..) | State::Release(..) => {}
         }
     }
 

@@ -182,7 +182,10 @@ impl Master {
                     census = Some((counter, states));
                     self.handle_census(counter, states);
                 }
-                Owner::Inspection(_) | Owner::Survey(_) | Owner::Adoption(_) => {
+                Owner::Inspection(_)
+                | Owner::Survey(_)
+                | Owner::Adoption(_)
+                | Owner::Release(_) => {
                     self.take_presence(&sent, census, reference, now);
                 }
                 Owner::Scan => {

@@ -335,6 +335,16 @@ impl Unit {
         self.abandon(out);
     }
 
+    /// What came is another one.
+    pub(super) fn release(&mut self) {
+        self.position = None;
+        self.al = AlStatus {
+            state: AlState::Other(0),
+            error: false,
+        };
+        (self.step, self.op, self.waiting) = (Step::Absent, Op::Rest, Asked::Nothing);
+    }
+
     /// All jobs end.
     fn abandon(&mut self, out: &mut Outbox) {
         if let Some(transfer) = self.mailbox.reset() {

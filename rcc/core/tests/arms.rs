@@ -108,6 +108,7 @@ fn an_arm_that_is_not_ready_cannot_be_commanded() {
     let config = CellConfig {
         controller: ControllerConfig::default(),
         devices: vec![DeviceConfig::Lwr(LwrConfig::new("left", anywhere))],
+        ..CellConfig::default()
     };
     let cell = Cell {
         controller: Controller::start(&config).unwrap(),

@@ -104,7 +104,9 @@ pub(crate) fn drive(interface: &str) {
 }
 
 async fn run(main: &MainDevice<'_>) -> Result<(), Error> {
-    let mut group = main.init_single_group::<SLAVES, IMAGE>(ethercat_now).await?;
+    let mut group = main
+        .init_single_group::<SLAVES, IMAGE>(ethercat_now)
+        .await?;
     let names: Vec<_> = group.iter(main).map(|s| s.name().to_owned()).collect();
     assert_eq!(names, ["TK1100", "TK0808", "TK0101", "TK4021", "TK4021"]);
     for mut slave in group.iter_mut(main) {

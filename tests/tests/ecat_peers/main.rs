@@ -25,7 +25,11 @@ fn python() -> Option<PathBuf> {
 /// Runs a peer of `ethercat/tests/peers` to its end.
 fn run(test: &str, script: &str) {
     let Some(python) = python() else {
-        skip(test, "needs pysoem and kickcat: run ethercat/tests/peers/install.sh").unwrap();
+        skip(
+            test,
+            "needs pysoem and kickcat: run ethercat/tests/peers/install.sh",
+        )
+        .unwrap();
         return;
     };
     let Some(cable) = Cable::lay(test) else {
@@ -36,7 +40,10 @@ fn run(test: &str, script: &str) {
     let script = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
         .join("../ethercat/tests/peers")
         .join(script);
-    let output = Command::new(python).arg(script).arg(cable.master()).output();
+    let output = Command::new(python)
+        .arg(script)
+        .arg(cable.master())
+        .output();
     let output = output.unwrap();
     let told = String::from_utf8_lossy(&output.stdout);
     let errors = String::from_utf8_lossy(&output.stderr);

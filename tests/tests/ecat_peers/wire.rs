@@ -86,7 +86,13 @@ pub(crate) fn segment() -> Bench {
         let (slave, _) = ServoDrive::slave(config).unwrap();
         slave
     };
-    let slaves = [Coupler::slave(), digital, analogue, drive(20_000), drive(-30_000)];
+    let slaves = [
+        Coupler::slave(),
+        digital,
+        analogue,
+        drive(20_000),
+        drive(-30_000),
+    ];
     Bench {
         segment: Segment::line(slaves),
         loops: vec![first, second],
@@ -101,7 +107,9 @@ pub(crate) fn serve(bench: Bench) -> Served {
     let mut server = Server::new(SharedSegment::new(bench.segment), link);
     let thread = std::thread::spawn(move || {
         while !stopped.load(Ordering::Relaxed) {
-            server.turn(Duration::from_millis(10), &mut monotonic).unwrap();
+            server
+                .turn(Duration::from_millis(10), &mut monotonic)
+                .unwrap();
             for io in &bench.loops {
                 io.set_inputs(&io.outputs());
             }

@@ -1,7 +1,7 @@
 //! What a changed `cell.toml` means for a controller that runs: what is applied at once, and what
 //! waits for a restart. A running net is never touched: a device it uses stays as it is.
 
-use takt_core::cell::DeviceConfig;
+use takt_core::cell::{ControllerConfig, DeviceConfig};
 use takt_core::{CellConfig, Controller};
 
 /// The difference of two cells.
@@ -138,7 +138,7 @@ mod tests {
     use super::*;
     use std::net::SocketAddr;
     use std::time::Duration;
-    use takt_core::cell::{ControllerConfig, LwrConfig};
+    use takt_core::cell::LwrConfig;
 
     fn arm(name: &str, port: u16) -> DeviceConfig {
         DeviceConfig::Lwr(LwrConfig::new(

@@ -167,7 +167,10 @@ async fn wake(
 impl Teller {
     /// Feeds the watchdog if cycles ran, and tells what has changed. `doing` is said first.
     fn look(&mut self, controller: &Controller, doing: Option<&str>) {
-        let cycles = || vec![controller.stats().cycles];
+        let cycles = || {
+            let threads = controller.threads().into_iter();
+            threads.map(|thread| thread.stats.cycles).collect()
+        };
         let now = self.began.elapsed();
         if self
             .watchdog

@@ -124,11 +124,8 @@ impl Slave {
         if !self.watch(now) {
             return;
         }
-        if !self
-            .clock
-            .as_ref()
-            .is_some_and(|c| c.next_sync0().is_some())
-        {
+        let clock = self.clock.as_ref();
+        if clock.is_none_or(|clock| clock.next_sync0().is_none()) {
             let lost = self.config.needs_sync0 && self.state == AlState::Op;
             if lost {
                 self.fall(AlState::SafeOp, AlStatusCode(0x002C));

@@ -87,7 +87,7 @@ fn bits_go_where_the_fmmu_says() {
         bench.fmmu(0x1000, 0, &fmmu);
         assert_eq!(bench.logical(Command::Lwr, 0x100, &[0; 4]).counter, 1);
         let ones = u32::from_le_bytes(bench.read(0x1000, 0x1F00));
-        let mask = ((1_u64 << fmmu.bits()) - 1) as u32;
+        let mask = (1_u32 << fmmu.bits()) - 1;
         assert_eq!(ones, !(mask << physical_bit), "{fmmu:?}");
         // And back: zeros of the memory into ones of the frame.
         (fmmu.writes, fmmu.reads) = (false, true);

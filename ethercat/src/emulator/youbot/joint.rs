@@ -6,7 +6,8 @@ use std::f64::consts::TAU;
 use takt_cia402::emulator::{Motor, MotorConfig};
 
 use super::Firmware;
-use super::parameters::Parameters;
+use super::gripper::Bar;
+use super::parameters::{Parameters, whole};
 use super::tmcl::{Refusal, Request, command, reply};
 
 /// The loops run this often, s.
@@ -117,75 +118,6 @@ impl Axis {
             gear,
             has_gripper: number == 4,
         }
-    }
-}
-
-/// A bar of the gripper: a stepper motor that does not see where it is.
-#[derive(Clone, Debug)]
-pub struct Bar {
-    /// What it has counted, steps.
-    count: f64,
-    target: f64,
-    /// Where it is: 0 closed, -67000 open, steps.
-    place: f64,
-    parameters: Parameters,
-}
-
-/// Where a bar stops when it opens, steps: 11.5 mm.
-const OPEN: f64 = -67_000.0;
-/// Steps a second for each unit of parameter 4.
-const BAR_SPEED: f64 = 25.0;
-
-impl Bar {
-    fn new(place: f64) -> Self {
-        Self {
-            count: 0.0,
-            target: 0.0,
-            place,
-            parameters: Parameters::bar(),
-        }
-    }
-
-    /// How far it is open, m.
-    #[must_use]
-    pub fn opening(&self) -> f64 {
-        self.place / OPEN * 0.0115
-    }
-
-    fn step(&mut self, dt: f64) {
-        let most = f64::from(self.parameters.value(4)) * BAR_SPEED * dt;
-        let by = (self.target - self.count).clamp(-most, most);
-        self.count += by;
-        // At its stop it loses steps.
-        self.place = (self.place + by).clamp(OPEN, 0.0);
-        let reached = (self.target - self.count).abs() < 0.5;
-        self.parameters.set(8, i32::from(reached));
-        self.parameters.set(1, whole(self.count));
-        self.parameters.set(0, whole(self.target));
-    }
-
-    fn tmcl(&mut self, request: &Request) -> Result<i32, Refusal> {
-        let value = f64::from(request.value);
-        match (request.command, request.kind) {
-            (command::MVP, 0) => self.target = value,
-            (command::MVP, 1) => self.target = self.count + value,
-            (command::MST, _) => self.target = self.count,
-            (command::GAP, number) => return self.parameters.get(number),
-            (command::SAP, number) => {
-                self.parameters.write(number, request.value, true)?;
-                match number {
-                    0 => self.target = value,
-                    1 => (self.count, self.target) = (value, value),
-                    _ => {}
-                }
-            }
-            (command::STAP | command::RSAP, number) => {
-                let restore = request.command == command::RSAP;
-                return self.parameters.store(number, restore);
-            }
-            _ => return Err(Refusal::InvalidCommand),
-        }
-        Ok(request.value)
     }
 }
 
@@ -388,8 +320,8 @@ impl Joint {
         };
         let value = f64::from(self.value);
         match mode {
-            mode::POSITION if self.initialized => self.to_position(value, dt),
-            mode::VELOCITY => self.to_velocity(value * TAU / 60.0, dt),
+            mode::POSITION if self.initialized => self.current_to(value, dt),
+            mode::VELOCITY => self.current_at(value * TAU / 60.0, dt),
             mode::PWM if self.initialized => {
                 let volts = (value / PWM_FULL).clamp(-1.0, 1.0) * SUPPLY;
                 (volts - self.axis.torque_constant * self.motor.velocity) / RESISTANCE
@@ -400,21 +332,21 @@ impl Joint {
                 // It pulls the rotor to and fro.
                 0.5 * (self.commuting / COMMUTATION * TAU).sin()
             }
-            _ => self.to_velocity(0.0, dt),
+            _ => self.current_at(0.0, dt),
         }
     }
 
-    fn to_position(&mut self, target: f64, dt: f64) -> f64 {
+    fn current_to(&mut self, target: f64, dt: f64) -> f64 {
         let way = (target - self.ticks()) / TICKS * TAU;
         let rad = |rpm: i32| f64::from(rpm) * TAU / 60.0;
         let most = rad(self.parameters.value(4));
         let braking = (2.0 * rad(self.parameters.value(11)) * way.abs()).sqrt();
         let speed = most.min(braking).min(way.abs() * 30.0);
-        self.to_velocity(speed.copysign(way), dt)
+        self.current_at(speed.copysign(way), dt)
     }
 
     /// A PI loop behind a ramp (parameters 146 and 11), limited by parameter 6.
-    fn to_velocity(&mut self, target: f64, dt: f64) -> f64 {
+    fn current_at(&mut self, target: f64, dt: f64) -> f64 {
         let step = f64::from(self.parameters.value(11)) * TAU / 60.0 * dt;
         self.ramp = if self.parameters.value(146) == 0 {
             target
@@ -595,11 +527,4 @@ impl Joint {
         }
         Ok(())
     }
-}
-
-/// The nearest whole number that fits.
-fn whole(value: f64) -> i32 {
-    #[expect(clippy::cast_possible_truncation, reason = "it saturates")]
-    let whole = value.round() as i32;
-    whole
 }

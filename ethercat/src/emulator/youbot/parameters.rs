@@ -190,3 +190,10 @@ impl Parameters {
         self.rows.clone_from(&self.stored);
     }
 }
+
+/// The nearest whole number that fits.
+pub(super) fn whole(value: f64) -> i32 {
+    #[expect(clippy::cast_possible_truncation, reason = "it saturates")]
+    let whole = value.round() as i32;
+    whole
+}

@@ -332,3 +332,72 @@ fn broken_frames_point_to_the_cable() {
         "{text}"
     );
 }
+
+#[test]
+fn what_comes_is_tried_for_each_that_is_missing() {
+    let (gate, _) = Io::digital(8, 8);
+    let (tool, _) = ServoDrive::slave(ServoConfig::default()).unwrap();
+    let named = |name: &str, order: &str| SlaveSpec {
+        optional: true,
+        outputs: Some(vec![]),
+        inputs: Some(vec![]),
+        ..SlaveSpec::new(name, Place::Name(order.to_owned()))
+    };
+    let slaves = vec![
+        SlaveSpec::new("gate", Place::Position(0)),
+        named("tool a", "TK1"),
+        named("tool b", "TK4021 servo"),
+    ];
+    let mut rig = Rig::new(
+        MasterConfig {
+            slaves,
+            ..MasterConfig::default()
+        },
+        Segment::line([gate, tool]),
+    );
+    rig.segment.set_link(1, false);
+    rig.until(3000, Master::is_operational);
+    rig.segment.set_link(1, true);
+    rig.until(3000, |master| master.slave(2).unwrap().position().is_some());
+    rig.cycles(300);
+    assert_eq!(rig.master.slave(1).unwrap().position(), None);
+    let told = rig.told();
+    assert!(
+        told.iter()
+            .any(|text| text.starts_with("slave 1: vendor 00007A87h product 00004021h found")),
+        "{told:?}"
+    );
+    assert_eq!((rig.age(0), rig.master.strangers()), (0, 0));
+}
+
+#[test]
+fn another_slave_in_the_place_of_one_is_not_taken_for_it() {
+    let spec = |position| SlaveSpec::new(format!("io {position}"), Place::Position(position));
+    let config = MasterConfig {
+        slaves: vec![spec(0), spec(1)],
+        ..MasterConfig::default()
+    };
+    let segment = Segment::line([Io::digital(8, 8).0, Io::digital(8, 8).0]);
+    let mut rig = Rig::new(config, segment);
+    rig.until(3000, Master::is_operational);
+    rig.segment.set_power(1, false);
+    rig.cycles(20);
+    // Product code in its SII: words 0Ah and 0Bh.
+    rig.segment.slave(1).unwrap().eeprom_mut()[20] ^= 0xFF;
+    rig.segment.set_power(1, true);
+    rig.cycles(300);
+    assert!(
+        matches!(
+            rig.master.slave(1).unwrap().fault(),
+            Some(Fault::Identity { .. })
+        ),
+        "{:?}",
+        rig.told()
+    );
+    assert_eq!((rig.master.strangers(), rig.age(0)), (1, 0));
+    rig.segment.set_power(1, false);
+    rig.cycles(20);
+    rig.segment.slave(1).unwrap().eeprom_mut()[20] ^= 0xFF;
+    rig.segment.set_power(1, true);
+    rig.until(3000, Master::is_operational);
+}

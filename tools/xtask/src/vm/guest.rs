@@ -99,7 +99,13 @@ impl Guest {
     }
 
     fn line(&self, processors: Processors, command: &str) -> Line {
-        let line = Line::new(&self.vng).args(["--user", "root", "--cpus", "2", "--memory", "1G"]);
+        let line = Line::new(&self.vng);
+        // It finds the rest of itself in the search path.
+        let line = match self.vng.parent().filter(|folder| folder.is_absolute()) {
+            Some(folder) => line.env("PATH", &format!("{}:{}", folder.display(), path())),
+            None => line,
+        };
+        let line = line.args(["--user", "root", "--cpus", "2", "--memory", "1G"]);
         let line = match processors {
             Processors::Emulated => line.arg("--disable-kvm"),
             Processors::Kvm => line,
@@ -144,6 +150,10 @@ impl Guest {
     }
 }
 
+fn path() -> String {
+    std::env::var("PATH").unwrap_or_default()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -170,11 +180,22 @@ mod tests {
             line.ends_with(r"-- 'sh '\''/cache/vm/a b.sh'\'''"),
             "{line}"
         );
+        assert!(line.starts_with("vng --user root "), "{line}");
         assert!(
             !guest()
                 .line(Processors::Kvm, "true")
                 .to_string()
                 .contains("kvm")
         );
+    }
+
+    #[test]
+    fn machine_of_our_own_finds_the_rest_of_itself() {
+        let guest = Guest {
+            vng: "/cache/vm/python/bin/vng".into(),
+            ..guest()
+        };
+        let line = guest.line(Processors::Kvm, "true").to_string();
+        assert!(line.starts_with("PATH=/cache/vm/python/bin:"), "{line}");
     }
 }

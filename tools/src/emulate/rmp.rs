@@ -1,0 +1,118 @@
+//! `takt emulate rmp`: a Segway power base on a CAN interface, or at the end of a pseudo-terminal that stands for
+//! its USB port. Where it drives to is told when it ends.
+
+use std::fs::File;
+use std::io::{Read as _, Write as _};
+use std::os::fd::AsFd as _;
+use std::time::Duration;
+
+use anyhow::Context as _;
+use clap::Args;
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use takt_can::linux::{Options, SocketCan, monotonic};
+use takt_can::rmp::emulator::{Powerbase, PowerbaseConfig, serve};
+use takt_can::rmp::{Channel, Model, Packet, PacketReader};
+
+use super::service::Service;
+use crate::Verdict;
+use crate::output::{say, span};
+use crate::run::until_stopped;
+
+/// A Segway power base.
+#[derive(Debug, Args)]
+pub(crate) struct Rmp {
+    /// CAN interface; without it, a pseudo-terminal whose name is told stands for the USB port.
+    #[arg(long, value_name = "IFACE")]
+    interface: Option<String>,
+    /// `rmp50`, `rmp100`, `rmp200` or `rmp400`.
+    #[arg(long, default_value = "rmp200", value_parser = model)]
+    model: Model,
+    /// The velocity scale that it has stored, 0 to 16.
+    #[arg(long, value_name = "SIXTEENTHS", default_value_t = 12)]
+    stored_scale: u8,
+    /// Its emergency stop is open.
+    #[arg(long)]
+    emergency_stop: bool,
+    /// End after this time; without it, at Ctrl-C.
+    #[arg(long, value_name = "TIME", value_parser = span)]
+    duration: Option<Duration>,
+}
+
+fn model(text: &str) -> Result<Model, String> {
+    Model::named(text).ok_or_else(|| {
+        let known = Model::ALL.map(Model::name).join(", ");
+        format!("there is no such model; there are {known}")
+    })
+}
+
+impl Rmp {
+    pub(super) fn run(self) -> anyhow::Result<Verdict> {
+        let mut powerbase = Powerbase::new(PowerbaseConfig {
+            model: self.model,
+            start: monotonic(),
+            ..PowerbaseConfig::default()
+        });
+        powerbase.store_scale(self.stored_scale);
+        powerbase.faults.emergency_stop = self.emergency_stop;
+        let service = match &self.interface {
+            Some(name) => on_can(name, powerbase)?,
+            None => on_terminal(powerbase)?,
+        };
+        until_stopped(self.duration, || service.check())?;
+        let powerbase = service.stop()?;
+        let pose = powerbase.truth();
+        say(&format!(
+            "stands at {:.3} m, {:.3} m, turned by {:.3} rad",
+            pose.x, pose.y, pose.heading
+        ))?;
+        Ok(Verdict::Good)
+    }
+}
+
+fn on_can(name: &str, powerbase: Powerbase) -> anyhow::Result<Service<Powerbase>> {
+    let mut socket = SocketCan::open(name, &Options::default()).with_context(|| {
+        format!("cannot open {name}; is it a CAN interface? `ip link add {name} type vcan` makes one for a lab")
+    })?;
+    say(&format!("power base on {name}"))?;
+    Service::start("rmp", powerbase, move |powerbase| {
+        serve(powerbase, &mut socket, monotonic).context("the interface failed")
+    })
+}
+
+fn on_terminal(powerbase: Powerbase) -> anyhow::Result<Service<Powerbase>> {
+    let pty = nix::pty::openpty(None, None).context("cannot make a pseudo-terminal")?;
+    let name = nix::unistd::ttyname(&pty.slave).context("the pseudo-terminal has no name")?;
+    say(&format!("power base at {}", name.display()))?;
+    let mut port = File::from(pty.master);
+    // Held open, or the terminal is gone whenever nobody else has it open.
+    let other_end = pty.slave;
+    let mut reader = PacketReader::default();
+    Service::start("rmp", powerbase, move |powerbase| {
+        let _ = &other_end;
+        hear(&mut port, &mut reader, powerbase)?;
+        while let Some((channel, frame)) = powerbase.poll_transmit(monotonic()) {
+            let Packet(bytes) = Packet::from_powerbase(channel, &frame);
+            if channel == Channel::A {
+                port.write_all(&bytes).context("the terminal failed")?;
+            }
+        }
+        Ok(())
+    })
+}
+
+fn hear(port: &mut File, reader: &mut PacketReader, powerbase: &mut Powerbase) -> anyhow::Result<()> {
+    let mut polled = [PollFd::new(port.as_fd(), PollFlags::POLLIN)];
+    let ready = poll(&mut polled, PollTimeout::from(1_u8)).context("cannot wait")?;
+    if ready == 0 {
+        return Ok(());
+    }
+    let mut bytes = [0; 256];
+    let len = port.read(&mut bytes).context("the terminal failed")?;
+    for byte in &bytes[..len] {
+        let packet = reader.push(*byte);
+        if let Some(frame) = packet.and_then(|packet| packet.decode_host()) {
+            powerbase.handle_frame(&frame, monotonic());
+        }
+    }
+    Ok(())
+}
