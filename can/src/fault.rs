@@ -163,7 +163,7 @@ impl ErrorFrame {
         }
     }
 
-    /// Which causes are told, bits of [`class`](self::class).
+    /// Which causes are told, bits of [`mod@class`].
     #[must_use]
     pub const fn class(&self) -> u32 {
         self.class

@@ -15,6 +15,8 @@ pub mod log;
 pub mod rmp;
 pub mod stat;
 
+pub use takt_cia402 as cia402;
+
 pub use any::AnyFrame;
 pub use error::{FrameError, LogError};
 pub use fault::{BusState, ErrorFrame};

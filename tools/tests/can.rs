@@ -1,5 +1,4 @@
 //! `takt can` with recordings, and its refusals. What needs an interface is in `can_vcan.rs`.
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
 mod common;
 

@@ -38,11 +38,11 @@ use std::time::Duration;
 
 use serde::Deserialize;
 
-use crate::device::{ethercat, rmp};
+use crate::device::{canopen, ethercat, rmp};
 use crate::error::Error;
 use crate::span;
 pub use device::{DeviceConfig, LwrConfig, RmpConfig};
-pub use segment::{EthercatArm, EthercatConfig, EthercatIo, EthercatJoint, EthercatSlave};
+pub use segment::{CanopenConfig, DriveArm, DriveJoint, EthercatConfig, EthercatIo, EthercatSlave};
 
 /// Net threads that a controller may have.
 pub const THREADS_MAX: usize = 8;
@@ -64,6 +64,9 @@ pub struct CellConfig {
     /// Its EtherCAT segments, each with devices of its own.
     #[serde(default)]
     pub ethercat: Vec<EthercatConfig>,
+    /// Its CANopen networks, each with devices of its own.
+    #[serde(default)]
+    pub canopen: Vec<CanopenConfig>,
 }
 
 /// Settings of the controller itself.
@@ -263,11 +266,14 @@ impl CellConfig {
     /// What has a clock that can be followed.
     fn clocks(&self) -> impl Iterator<Item = &str> {
         let segments = self.ethercat.iter().map(|segment| segment.name.as_str());
-        self.devices.iter().map(DeviceConfig::name).chain(segments)
+        let networks = self.canopen.iter().map(|network| network.name.as_str());
+        let devices = self.devices.iter().map(DeviceConfig::name);
+        devices.chain(segments).chain(networks)
     }
 
     fn check_devices(&self) -> Result<(), String> {
         self.ethercat.iter().try_for_each(ethercat::check)?;
+        self.canopen.iter().try_for_each(canopen::check)?;
         self.devices.iter().try_for_each(|device| match device {
             DeviceConfig::Lwr(_) => Ok(()),
             DeviceConfig::Rmp(config) => rmp::check(config),
@@ -297,7 +303,8 @@ impl CellConfig {
         }
         let segments = self.ethercat.iter().map(|s| (s.name.as_str(), s.thread));
         let devices = self.devices.iter().map(|d| (d.name(), d.thread()));
-        for (name, thread) in devices.chain(segments) {
+        let networks = self.canopen.iter().map(|n| (n.name.as_str(), n.thread));
+        for (name, thread) in devices.chain(segments).chain(networks) {
             if let Some(thread) = thread.filter(|thread| !periods.contains(thread)) {
                 let periods = listed(&periods);
                 return Err(format!(
@@ -327,7 +334,15 @@ impl CellConfig {
             let arms = segment.arms.iter().map(|arm| arm.name.as_str());
             arms.chain(segment.ios.iter().map(|io| io.name.as_str()))
         });
-        let mut names: Vec<_> = self.clocks().chain(of_segments).collect();
+        let of_networks = self
+            .canopen
+            .iter()
+            .flat_map(|network| network.arms.iter().map(|arm| arm.name.as_str()));
+        let mut names: Vec<_> = self
+            .clocks()
+            .chain(of_segments)
+            .chain(of_networks)
+            .collect();
         names.sort_unstable();
         match names.windows(2).find(|w| w[0] == w[1]) {
             Some(twice) => Err(format!("device name `{}` is given twice", twice[0])),

@@ -208,6 +208,9 @@ impl Controller {
         for segment in &cell.ethercat {
             desk.add_segment(segment)?;
         }
+        for network in &cell.canopen {
+            desk.add_network(network)?;
+        }
         let inner = Arc::new(Inner {
             desk: Mutex::new(desk),
             changed: Condvar::new(),

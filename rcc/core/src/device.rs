@@ -1,7 +1,9 @@
 //! Devices: the data that nets and drivers exchange, and which devices a controller has. Drivers
 //! are in the modules below; what nets see of a device is in `takt_net::device`.
 
+pub mod canopen;
 pub mod driver;
+mod drives;
 pub mod ethercat;
 pub mod lwr;
 pub mod parts;

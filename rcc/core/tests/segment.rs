@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use takt_core::cell::{EthercatArm, EthercatConfig, EthercatIo, EthercatJoint, EthercatSlave};
+use takt_core::cell::{DriveArm, DriveJoint, EthercatConfig, EthercatIo, EthercatSlave};
 use takt_core::controller::{LoadRequest, NetState};
 use takt_core::device::DeviceStatus;
 use takt_core::device::ethercat::{Ethercat, Wire, describe};
@@ -42,8 +42,8 @@ fn config() -> EthercatConfig {
         [-270.0, 270.0],
     ];
     let ranges = ranges.into_iter().chain([[-115.0, 140.0], [-270.0, 270.0]]);
-    let joint = |(axis, range)| EthercatJoint {
-        slave: "drives".to_owned(),
+    let joint = |(axis, range)| DriveJoint {
+        drive: "drives".to_owned(),
         axis,
         increments_per_turn: TURN,
         zero: 0.0,
@@ -64,7 +64,7 @@ fn config() -> EthercatConfig {
             slave("terminal", 1, 0),
             slave("drives", 2, 6),
         ],
-        arms: vec![EthercatArm {
+        arms: vec![DriveArm {
             name: "tx90".to_owned(),
             model: "staubli_tx90".to_owned(),
             joints: (0..).zip(ranges).map(joint).collect(),
@@ -249,11 +249,11 @@ fn a_drive_that_faults_ends_the_net_and_the_arm_comes_back_at_rest() {
     std::thread::sleep(Duration::from_millis(500));
     assert!(!hall.is_over(net));
     hall.drives.axis(1, |drive| {
-        drive.fault(takt_cia402::emulator::FaultCode::TEMPERATURE)
+        drive.fault(takt_can::cia402::emulator::FaultCode::TEMPERATURE)
     });
     hall.wait("the net over", |hall| hall.is_over(net));
     assert_ne!(hall.status("tx90"), DeviceStatus::Operational);
-    hall.drives.axis(1, takt_cia402::emulator::Drive::mend);
+    hall.drives.axis(1, takt_can::cia402::emulator::Drive::mend);
     hall.wait("the arm back", |hall| {
         hall.status("tx90") == DeviceStatus::Operational
     });

@@ -60,7 +60,7 @@ fn can_move(frame: &AnyFrame) -> bool {
     match Message::decode(classic) {
         Message::Nmt(command, _) => command == NmtCommand::Start,
         // An upload asks only. Client commands are told by the three highest bits.
-        Message::SdoRequest(_, [command, ..]) => !matches!(command >> 5, 2 | 3 | 4 | 5),
+        Message::SdoRequest(_, [command, ..]) => !matches!(command >> 5, 2..=5),
         Message::Time(..)
         | Message::Emergency(..)
         | Message::SdoResponse(..)

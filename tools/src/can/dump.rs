@@ -179,10 +179,10 @@ fn content(frame: &AnyFrame) -> String {
 
 fn meaning(frame: &AnyFrame) -> Option<String> {
     match frame {
-        AnyFrame::Classic(frame) => match Message::decode(frame) {
-            Message::Unknown => None,
-            known => Some(known.to_string()),
-        },
+        AnyFrame::Classic(frame) => {
+            let message = Message::decode(frame);
+            (message != Message::Unknown).then(|| message.to_string())
+        }
         AnyFrame::Fd(_) => None,
         AnyFrame::Error(frame) => {
             let state = frame.state().map(|state| format!(" -> {state}"));

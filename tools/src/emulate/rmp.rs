@@ -100,7 +100,11 @@ fn on_terminal(powerbase: Powerbase) -> anyhow::Result<Service<Powerbase>> {
     })
 }
 
-fn hear(port: &mut File, reader: &mut PacketReader, powerbase: &mut Powerbase) -> anyhow::Result<()> {
+fn hear(
+    port: &mut File,
+    reader: &mut PacketReader,
+    powerbase: &mut Powerbase,
+) -> anyhow::Result<()> {
     let mut polled = [PollFd::new(port.as_fd(), PollFlags::POLLIN)];
     let ready = poll(&mut polled, PollTimeout::from(1_u8)).context("cannot wait")?;
     if ready == 0 {

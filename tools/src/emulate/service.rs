@@ -38,7 +38,10 @@ impl<T: Send + 'static> Service<T> {
 
     /// An error if it ended by itself.
     pub(super) fn check(&self) -> anyhow::Result<()> {
-        anyhow::ensure!(!self.thread.is_finished(), "what was emulated ended by itself");
+        anyhow::ensure!(
+            !self.thread.is_finished(),
+            "what was emulated ended by itself"
+        );
         Ok(())
     }
 

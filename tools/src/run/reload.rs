@@ -40,6 +40,7 @@ fn for_restart(old: &CellConfig, new: &CellConfig) -> Vec<&'static str> {
         }
     };
     same("ethercat", old.ethercat == new.ethercat);
+    same("canopen", old.canopen == new.canopen);
     let (old, new) = (&old.controller, &new.controller);
     same("period", old.period == new.period);
     same("priority", old.priority == new.priority);

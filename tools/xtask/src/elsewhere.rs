@@ -14,6 +14,7 @@ use crate::binaries::{self, Binary, Errand};
 use crate::cargo::{self, Cargo, note};
 use crate::metadata::Workspace;
 use crate::parts::Part;
+use crate::shell::quoted;
 use crate::test::tally::{Reader, Tally, test_name};
 use crate::vm::{self, Guest, Obstacle};
 
@@ -22,6 +23,9 @@ pub(crate) const NETWORKS: &str = include_str!("networks.sh");
 
 /// The packages whose tests are run on the real-time kernel too.
 const ON_THE_KERNEL: &[&str] = &["takt-rt"];
+
+/// Tells tests which Python has the modules they speak to.
+const PYTHON: &str = "TAKT_PYTHON";
 
 /// A bus that tests ask for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -77,8 +81,13 @@ pub(crate) fn test(
         if kernel {
             there.extend(of_kernel(root, binaries)?);
         }
-        tally.add(run(root, Place::Namespace, &here)?);
-        tally.add(run(root, Place::Machine, &there)?);
+        let python = match asked[..] {
+            [] => None,
+            _ => vm::peers(root)?,
+        };
+        let python = python.as_deref();
+        tally.add(run(root, Place::Namespace, &here, python)?);
+        tally.add(run(root, Place::Machine, &there, python)?);
     }
     if vm::wants_service(parts) {
         tally.add(vm::service(root, lines)?);
@@ -149,14 +158,26 @@ fn of_kernel(root: &Path, binaries: Vec<Binary>) -> anyhow::Result<Vec<Errand>> 
         .collect())
 }
 
-/// Runs them in that place and counts. A test that skips itself there too has not passed.
-fn run(root: &Path, place: Place, errands: &[Errand]) -> anyhow::Result<Tally> {
+/// Runs them in that place and counts. A test that skips itself there too has not passed. Tests that speak
+/// to a peer in Python are told which, unless a person has.
+fn run(
+    root: &Path,
+    place: Place,
+    errands: &[Errand],
+    python: Option<&Path>,
+) -> anyhow::Result<Tally> {
     if errands.is_empty() {
         return Ok(Tally::default());
     }
     let skips = cargo::target_dir(root).join(format!("xtask-skips-there-{}", std::process::id()));
     fs::write(&skips, "").with_context(|| format!("cannot write {}", skips.display()))?;
+    let given = std::env::var(PYTHON).ok();
+    let python = given.or_else(|| Some(python?.to_string_lossy().into_owned()));
     let script = binaries::script(errands, &skips);
+    let script = match python {
+        Some(python) => format!("export {PYTHON}={}\n{script}", quoted(&python)),
+        None => script,
+    };
     let count = errands.len();
     let mut reader = Reader::default();
     let show = |text: &str| {

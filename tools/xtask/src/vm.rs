@@ -14,7 +14,7 @@ use crate::cargo::{Cargo, say};
 use crate::parts::Part;
 use crate::test::tally::Tally;
 pub(crate) use guest::Guest;
-pub(crate) use needs::is_root;
+pub(crate) use needs::{is_root, peers};
 
 /// A machine cannot be had here, and why. Not a fault of what was to run in it.
 #[derive(Debug)]

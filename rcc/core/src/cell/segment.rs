@@ -1,5 +1,5 @@
-//! EtherCAT segments of a cell and the devices on them, as its file tells them. How they are led is in
-//! `device::ethercat`.
+//! EtherCAT segments and CANopen networks of a cell and the devices on them, as its file tells them. How they are
+//! led is in `device::ethercat` and `device::canopen`.
 
 use std::time::Duration;
 
@@ -38,7 +38,7 @@ pub struct EthercatConfig {
     pub slaves: Vec<EthercatSlave>,
     /// Robot arms made of drives.
     #[serde(default, rename = "arm")]
-    pub arms: Vec<EthercatArm>,
+    pub arms: Vec<DriveArm<String>>,
     /// Inputs and outputs.
     #[serde(default, rename = "io")]
     pub ios: Vec<EthercatIo>,
@@ -87,10 +87,58 @@ pub struct EthercatSlave {
     pub watchdog: Option<Duration>,
 }
 
-/// A robot arm made of drives.
+/// Inputs and outputs: all bits of the process data of these slaves, in their order.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EthercatIo {
+    /// Name by which nets find it.
+    pub name: String,
+    /// Slave and number of bits that are digital inputs.
+    #[serde(default)]
+    pub digital_in: Vec<(String, usize)>,
+    /// Slave and number of bits that are digital outputs.
+    #[serde(default)]
+    pub digital_out: Vec<(String, usize)>,
+}
+
+/// A CANopen network.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct EthercatArm {
+pub struct CanopenConfig {
+    /// Its name.
+    pub name: String,
+    /// CAN interface.
+    pub interface: String,
+    /// Time from one SYNC to the next, 1 ms to 100 ms.
+    #[serde(
+        default = "CanopenConfig::default_cycle",
+        deserialize_with = "span::text::deserialize"
+    )]
+    pub cycle: Duration,
+    /// `SCHED_FIFO` priority of its driver thread, 1 to 98; `None` for an ordinary thread.
+    #[serde(default = "EthercatConfig::default_priority")]
+    pub priority: Option<u8>,
+    /// Processors of its driver thread; empty for any.
+    #[serde(default)]
+    pub cpus: Vec<usize>,
+    /// Period of the net thread that commands its devices; `None` for the first.
+    #[serde(default, deserialize_with = "span::text::deserialize_some")]
+    pub thread: Option<Duration>,
+    /// Robot arms made of drives.
+    #[serde(default, rename = "arm")]
+    pub arms: Vec<DriveArm<u8>>,
+}
+
+impl CanopenConfig {
+    const fn default_cycle() -> Duration {
+        Duration::from_millis(2)
+    }
+}
+
+/// A robot arm made of drives, which are named as their bus names them.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DriveArm<D> {
     /// Name by which nets find it.
     pub name: String,
     /// Its kinematics, such as `staubli_tx90`; empty for none.
@@ -98,15 +146,16 @@ pub struct EthercatArm {
     pub model: String,
     /// Its joints, from the base.
     #[serde(rename = "joint")]
-    pub joints: Vec<EthercatJoint>,
+    pub joints: Vec<DriveJoint<D>>,
 }
 
 /// A joint moved by an axis of a drive.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct EthercatJoint {
-    /// Name of the slave.
-    pub slave: String,
+pub struct DriveJoint<D> {
+    /// The drive: the name of the EtherCAT slave, or the number of the CANopen node.
+    #[serde(alias = "slave", alias = "node")]
+    pub drive: D,
     /// Which of its axes, from 0.
     #[serde(default)]
     pub axis: u8,
@@ -121,18 +170,4 @@ pub struct EthercatJoint {
     pub velocity_max: f64,
     /// Largest acceleration, degrees per second squared.
     pub acceleration_max: f64,
-}
-
-/// Inputs and outputs: all bits of the process data of these slaves, in their order.
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct EthercatIo {
-    /// Name by which nets find it.
-    pub name: String,
-    /// Slave and number of bits that are digital inputs.
-    #[serde(default)]
-    pub digital_in: Vec<(String, usize)>,
-    /// Slave and number of bits that are digital outputs.
-    #[serde(default)]
-    pub digital_out: Vec<(String, usize)>,
 }

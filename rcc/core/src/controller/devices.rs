@@ -4,10 +4,11 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use crate::cell::{DeviceConfig, EthercatConfig};
+use crate::cell::{CanopenConfig, DeviceConfig, EthercatConfig};
 use crate::controller::Controller;
 use crate::controller::clock::FollowedClock;
 use crate::controller::desk::Desk;
+use crate::device::canopen::{self, Canopen};
 use crate::device::driver::{self, DeviceDriver, DriverEnds};
 use crate::device::ethercat::{self, Ethercat};
 use crate::device::lwr::{self, Lwr};
@@ -99,6 +100,15 @@ impl Desk {
         self.add_driver(&segment.name, devices, segment.thread, |ends| {
             let wire = ethercat::open(segment)?;
             Ok(Box::new(Ethercat::start(segment, wire, ends)?))
+        })
+    }
+
+    /// Starts the driver of a CANopen network of the cell.
+    pub(super) fn add_network(&mut self, network: &CanopenConfig) -> Result<(), Error> {
+        let devices = canopen::describe(network);
+        self.add_driver(&network.name, devices, network.thread, |ends| {
+            let link = canopen::open(network)?;
+            Ok(Box::new(Canopen::start(network, link, ends)?))
         })
     }
 

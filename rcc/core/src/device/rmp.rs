@@ -18,7 +18,7 @@ use crate::cell::RmpConfig;
 use crate::device::driver::{DeviceDriver, DriverEnds};
 use crate::device::{DeviceCommand, DeviceDescription, DeviceState, DeviceStatus, Part, parts};
 use crate::error::Error;
-pub use wire::Wire;
+pub use wire::{CanLink, Wire};
 
 /// Largest speed that nets may command, m/s.
 const VELOCITY_MAX: f64 = 1.8;

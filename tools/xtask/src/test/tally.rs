@@ -8,7 +8,7 @@ pub(crate) struct Tally {
     pub(crate) failed: usize,
     /// Name and reason of each skipped test.
     pub(crate) skips: Vec<String>,
-    /// Names of the tests that passed, without their modules.
+    /// Names of the tests that ran, without their modules.
     pub(crate) names: Vec<String>,
 }
 
@@ -40,12 +40,14 @@ impl Tally {
     }
 
     /// Adds what came of tests in another place: a test that was skipped here and ran there is skipped no
-    /// more, and one that was skipped in both is told once.
-    pub(crate) fn add_elsewhere(&mut self, mut other: Self) {
-        let ran = |skip: &String| other.names.iter().any(|name| name == test_name(skip));
-        self.skips.retain(|skip| !ran(skip));
-        let told = |skip: &String| self.skips.iter().any(|s| test_name(s) == test_name(skip));
-        other.skips.retain(|skip| !told(skip));
+    /// more, and of one that was skipped in both the reason of that place counts.
+    pub(crate) fn add_elsewhere(&mut self, other: Self) {
+        let told = |name: &str| other.skips.iter().any(|skip| test_name(skip) == name);
+        let ran = |name: &str| other.names.iter().any(|other| other == name);
+        self.skips.retain(|skip| {
+            let name = test_name(skip);
+            !ran(name) && !told(name)
+        });
         self.add(other);
     }
 
@@ -128,7 +130,7 @@ impl Reader {
             };
             self.tally.skips.push(format!("{name}: {reason}"));
         }
-        if verdict == "ok" {
+        if matches!(verdict, "ok" | "FAILED") {
             self.tally.names.push(test_name(name).to_owned());
         }
         verdict != "ok" && !verdict.starts_with("ignored")
@@ -271,18 +273,32 @@ test result: FAILED. 1 passed; 1 failed; 0 ignored; 0 measured; 0 filtered out; 
     }
 
     #[test]
-    fn test_skipped_in_both_places_is_told_once() {
-        let (mut here, _) = read(TWO_BINARIES, true);
+    fn test_skipped_in_both_places_is_told_once_with_the_last_reason() {
+        let mut here = Tally::default();
         let mut there = Tally::default();
-        for tally in [&mut here, &mut there] {
+        for (tally, why) in [(&mut here, "vcan"), (&mut there, "python-can")] {
             tally.passed = 1;
-            tally.skip_passed("three: needs vcan");
+            tally.skip_passed(&format!("three: needs {why}"));
         }
         here.add_elsewhere(there);
         assert_eq!(
-            here.closing().last().unwrap(),
-            "0 passed, 0 failed, 2 skipped"
+            here.closing(),
+            [
+                "skipped: three: needs python-can",
+                "0 passed, 0 failed, 1 skipped"
+            ]
         );
+    }
+
+    #[test]
+    fn test_that_failed_elsewhere_is_not_skipped() {
+        let mut here = Tally {
+            passed: 1,
+            ..Tally::default()
+        };
+        here.skip_passed("bad: needs vcan");
+        here.add_elsewhere(read(FAILURE, false).0);
+        assert_eq!(here.closing(), ["1 passed, 1 failed, 0 skipped"]);
     }
 
     #[test]

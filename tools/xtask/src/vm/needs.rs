@@ -71,31 +71,48 @@ pub(crate) fn is_root() -> bool {
     std::fs::metadata("/proc/self").is_ok_and(|process| process.uid() == 0)
 }
 
-/// virtme-ng: one that is installed, or one in a virtual environment of our own, as Debian's Python
-/// refuses to be added to.
+/// virtme-ng: one that is installed, or one of our own.
 pub(super) fn vng(root: &Path) -> Had<PathBuf> {
     if shell::exists("vng") {
         return Ok(Ok(PathBuf::from("vng")));
     }
+    Ok(python(root)?.map(|python| python.with_file_name("vng")))
+}
+
+/// Debian packages that tests on a bus talk to.
+const PEERS: &[&str] = &["can-utils", "iproute2"];
+/// What our own Python has beside itself: virtme-ng, and what tests on a bus talk to.
+const MODULES: [&str; 3] = ["virtme-ng~=1.42", "python-can~=4.0", "canopen~=2.0"];
+
+/// Fetches what tests on a bus talk to; returns the Python that has such modules. Of what cannot be
+/// had the tests say so themselves.
+pub(crate) fn peers(root: &Path) -> anyhow::Result<Option<PathBuf>> {
+    let told = |Obstacle(why)| cargo::note(&format!("tests on a bus miss peers: {why}"));
+    packages(PEERS)?.unwrap_or_else(told);
+    Ok(python(root)?.map_err(told).ok())
+}
+
+/// A Python in a virtual environment of our own, as Debian's refuses to be added to.
+fn python(root: &Path) -> Had<PathBuf> {
     let folder = cargo::target_dir(root).join("vm/python");
-    let program = folder.join("bin/vng");
-    if program.is_file() {
-        return Ok(Ok(program));
+    let python = folder.join("bin/python3");
+    let complete = folder.join("complete");
+    if complete.is_file() {
+        return Ok(Ok(python));
     }
     if let Err(obstacle) = packages(&["python3-venv"])? {
         return Ok(Err(obstacle));
     }
-    let make = Line::new("/usr/bin/python3")
-        .args(["-m", "venv"])
-        .arg(&folder);
-    let fetch = Line::new(folder.join("bin/pip")).args(["install", "--quiet", "virtme-ng"]);
-    if make.succeeds()? && fetch.succeeds()? {
-        Ok(Ok(program))
-    } else {
-        Ok(Err(Obstacle(
-            "needs virtme-ng, and pip cannot install it".to_owned(),
-        )))
+    let make = Line::new("/usr/bin/python3").args(["-m", "venv"]);
+    let fetch = Line::new(folder.join("bin/pip")).args(["install", "--quiet"]);
+    if make.arg(&folder).succeeds()? && fetch.args(MODULES).succeeds()? {
+        std::fs::write(complete, "")?;
+        return Ok(Ok(python));
     }
+    let modules = MODULES.join(" ");
+    Ok(Err(Obstacle(format!(
+        "needs {modules}, and pip cannot install it"
+    ))))
 }
 
 /// The newest real-time kernel of the host.

@@ -3,21 +3,17 @@
 use takt_ethercat::axis;
 use takt_ethercat::config::{ConfigError, MasterConfig, Place, SlaveSpec, SyncSpec};
 use takt_ethercat::master::Master;
-use takt_net::JointLimits;
 
-use crate::cell::{EthercatArm, EthercatConfig, EthercatJoint, EthercatSlave};
-use crate::device::{ARM_JOINTS_MAX, DeviceDescription, Part};
+use crate::cell::{DriveJoint, EthercatConfig, EthercatSlave};
+use crate::device::{DeviceDescription, Part, drives};
 
 /// The devices of a segment: first its arms, then its inputs and outputs.
 #[must_use]
 pub fn describe(config: &EthercatConfig) -> Vec<DeviceDescription> {
-    let arms = config.arms.iter().map(|arm| DeviceDescription {
-        name: arm.name.clone(),
-        kind: "ethercat_arm",
-        limits: limits(arm),
-        model: arm.model.clone().into(),
-        parts: Vec::new(),
-    });
+    let arms = config
+        .arms
+        .iter()
+        .map(|arm| drives::describe(arm, "ethercat_arm"));
     let bits = |slaves: &[(String, usize)]| slaves.iter().map(|(_, bits)| bits).sum();
     let ios = config.ios.iter().map(|io| DeviceDescription {
         name: io.name.clone(),
@@ -32,16 +28,6 @@ pub fn describe(config: &EthercatConfig) -> Vec<DeviceDescription> {
         }],
     });
     arms.chain(ios).collect()
-}
-
-pub(super) fn limits(arm: &EthercatArm) -> Vec<JointLimits> {
-    let of = |joint: &EthercatJoint| JointLimits {
-        position_min: joint.range[0].to_radians(),
-        position_max: joint.range[1].to_radians(),
-        velocity_max: joint.velocity_max.to_radians(),
-        acceleration_max: joint.acceleration_max.to_radians(),
-    };
-    arm.joints.iter().map(of).collect()
 }
 
 /// The slave of that name.
@@ -104,7 +90,8 @@ pub fn check(config: &EthercatConfig) -> Result<(), String> {
         }
     }
     for arm in &config.arms {
-        check_arm(config, arm).map_err(|what| format!("{name}: arm {}: {what}", arm.name))?;
+        let checked = drives::check(arm, |joint| check_drive(config, joint));
+        checked.map_err(|what| format!("{name}: {what}"))?;
     }
     let bits = config
         .ios
@@ -118,42 +105,15 @@ pub fn check(config: &EthercatConfig) -> Result<(), String> {
     Ok(())
 }
 
-fn check_arm(config: &EthercatConfig, arm: &EthercatArm) -> Result<(), String> {
-    let joints = arm.joints.len();
-    if !(1..=ARM_JOINTS_MAX).contains(&joints) {
-        return Err(format!("{joints} joints; an arm has 1 to {ARM_JOINTS_MAX}"));
+fn check_drive(config: &EthercatConfig, joint: &DriveJoint<String>) -> Result<(), String> {
+    let Some(slave) = slave(config, &joint.drive).and_then(|at| config.slaves.get(at)) else {
+        return Err(format!("there is no slave `{}`", joint.drive));
+    };
+    if joint.axis < slave.axes {
+        return Ok(());
     }
-    if !arm.model.is_empty() && takt_motion::kinematics::limited(&arm.model, &limits(arm)).is_none()
-    {
-        return Err(format!(
-            "there is no model `{}` of {joints} joints",
-            arm.model
-        ));
-    }
-    for (number, joint) in arm.joints.iter().enumerate() {
-        let Some(slave) = slave(config, &joint.slave).and_then(|at| config.slaves.get(at)) else {
-            return Err(format!(
-                "joint {number}: there is no slave `{}`",
-                joint.slave
-            ));
-        };
-        if joint.axis >= slave.axes {
-            return Err(format!(
-                "joint {number}: slave {} has {} axes, counted from 0; give it `axes`",
-                slave.name, slave.axes
-            ));
-        }
-        let sound = joint.increments_per_turn.is_normal()
-            && joint.zero.is_finite()
-            && joint.range[0] < joint.range[1]
-            && joint.velocity_max > 0.0
-            && joint.acceleration_max > 0.0;
-        if !sound {
-            return Err(format!(
-                "joint {number}: increments_per_turn must not be 0, range must go up, and velocity_max and \
-                 acceleration_max must be above 0"
-            ));
-        }
-    }
-    Ok(())
+    Err(format!(
+        "slave {} has {} axes, counted from 0; give it `axes`",
+        slave.name, slave.axes
+    ))
 }

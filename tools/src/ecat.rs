@@ -1,0 +1,76 @@
+//! `takt ecat`: look at an EtherCAT segment by a master of its own, and at recordings of one. The protocol is that of
+//! `takt-ethercat`; whether the host is fit for it is asked by `takt doctor`.
+
+mod dump;
+mod scan;
+mod sdo;
+mod session;
+mod stat;
+#[cfg(test)]
+mod tests;
+mod value;
+
+use std::time::Duration;
+
+use clap::{Args, Subcommand};
+use takt_ethercat::AlState;
+use takt_ethercat::config::MasterConfig;
+use takt_ethercat::linux::PacketLink;
+
+use crate::Verdict;
+use crate::output::span;
+use session::Session;
+
+/// Look at an EtherCAT segment, ask its slaves for objects, decode recordings.
+///
+/// Commands that send are masters: the controller that owns the segment has to be stopped before
+/// (`systemctl stop takt`); where frames of another master are heard, nothing is sent.
+#[derive(Debug, Subcommand)]
+pub(crate) enum Ecat {
+    Scan(scan::Scan),
+    Sdo(sdo::Sdo),
+    Stat(stat::Stat),
+    Dump(dump::Dump),
+}
+
+impl Ecat {
+    pub(crate) fn run(self) -> anyhow::Result<Verdict> {
+        match self {
+            Self::Scan(scan) => scan.run(),
+            Self::Sdo(sdo) => sdo.run(),
+            Self::Stat(stat) => stat.run(),
+            Self::Dump(dump) => dump.run(),
+        }
+    }
+}
+
+/// The segment that is asked, and how patiently.
+#[derive(Clone, Debug, Args)]
+struct Target {
+    /// The network interface, as `ip link` names it.
+    #[arg(value_name = "IFACE")]
+    interface: String,
+    /// How long slaves may take to their state.
+    #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span)]
+    patience: Duration,
+}
+
+impl Target {
+    /// Takes the segment and brings it to a state.
+    fn bring_up(&self, goal: AlState, cycle: Duration) -> anyhow::Result<Session<PacketLink>> {
+        let link = PacketLink::open(&self.interface)?;
+        let mac = link.mac();
+        let config = MasterConfig {
+            goal,
+            cycle,
+            ..MasterConfig::default()
+        };
+        let mut session = Session::new(&self.interface, link, mac, config)?;
+        session.listen()?;
+        session.bring_up(self.patience)?;
+        Ok(session)
+    }
+}
+
+/// Cycle of commands that only ask.
+const ASKING: Duration = Duration::from_millis(1);

@@ -1,0 +1,208 @@
+//! `takt ecat scan`: who is on a segment, how they hang on each other, and in which state they are. Nothing is
+//! exchanged and nothing moves; what they exchange is not shown.
+
+use std::fmt::Write as _;
+
+use clap::Args;
+use serde_json::{Value, json};
+use takt_ethercat::AlState;
+use takt_ethercat::master::{Master, SlaveView};
+use takt_ethercat::topology::Topology;
+
+use super::session::{Session, Wire};
+use super::{ASKING, Target};
+use crate::Verdict;
+use crate::output::say;
+
+/// Find the slaves of a segment: tree, names, identities, states, ports.
+///
+/// Brings all slaves to PRE-OP, where no outputs are taken. Exit status: 0 all are there; 1 one does not get
+/// there, or none answers; 2 it could not be tried.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  takt ecat scan enp2s0
+  takt ecat scan enp2s0 --json
+
+Ports: its number where a port is in use, - without a link, ! where there is a signal and the port stays closed.")]
+pub(crate) struct Scan {
+    #[command(flatten)]
+    target: Target,
+    /// Print one JSON object instead of the tree.
+    #[arg(long)]
+    json: bool,
+}
+
+impl Scan {
+    pub(super) fn run(self) -> anyhow::Result<Verdict> {
+        let session = self.target.bring_up(AlState::PreOp, ASKING)?;
+        if self.json {
+            say(&object(&session).to_string())?;
+        } else {
+            say(text(&session).trim_end())?;
+        }
+        Ok(verdict(session.master()))
+    }
+}
+
+/// Whether all slaves are where they are wanted.
+pub(super) fn verdict(master: &Master) -> Verdict {
+    if master.is_operational() && master.differences().is_empty() {
+        Verdict::Good
+    } else {
+        Verdict::Failed
+    }
+}
+
+const HEADER: &str = " pos  slave                           at   state     ports  vendor    product   revision";
+
+/// The tree, one line for each slave, and under it what is wrong with it.
+pub(super) fn text<W: Wire>(session: &Session<W>) -> String {
+    let master = session.master();
+    let mut text = format!("{}: {} slaves\n{HEADER}\n", session.interface(), master.len());
+    let depths = depths(master.topology());
+    for (position, slave) in ring(master) {
+        let depth = depths.get(position).copied().unwrap_or(0);
+        let _ = writeln!(text, "{}", line(master, position, depth, slave).trim_end());
+        for note in notes(slave) {
+            let _ = writeln!(text, "        ! {note}");
+        }
+    }
+    for difference in master.differences() {
+        let _ = writeln!(text, "! {difference}");
+    }
+    text
+}
+
+/// Slaves in the order of the ring.
+fn ring(master: &Master) -> impl Iterator<Item = (usize, SlaveView<'_>)> {
+    let mut all: Vec<_> = (0..master.len())
+        .filter_map(|number| master.slave(number))
+        .map(|slave| (slave.position().map_or(usize::MAX, usize::from), slave))
+        .collect();
+    all.sort_by_key(|(position, _)| *position);
+    all.into_iter()
+}
+
+/// How many branches each slave is away from the line that begins at the master. The last cable of a slave goes on in
+/// its own line, so that a long line is not indented.
+fn depths(topology: &Topology) -> Vec<usize> {
+    let last = |number: usize| {
+        let behind = number + 1..topology.len();
+        let parent = topology.parent(number).map(|(parent, _)| parent);
+        let is_child = |other: usize| topology.parent(other).map(|(parent, _)| parent) == parent;
+        !behind.into_iter().any(is_child)
+    };
+    let mut depths: Vec<usize> = Vec::new();
+    for number in 0..topology.len() {
+        let above = topology
+            .parent(number)
+            .and_then(|(parent, _)| depths.get(parent).copied());
+        depths.push(above.map_or(0, |depth| depth + usize::from(!last(number))));
+    }
+    depths
+}
+
+fn line(master: &Master, position: usize, depth: usize, slave: SlaveView<'_>) -> String {
+    let info = slave.info();
+    let name = format!("{}o {}", "| ".repeat(depth), title(slave));
+    let at = master.topology().parent(position);
+    let at = at.map_or_else(|| "-".to_owned(), |(parent, port)| format!("{parent}:{port}"));
+    let id = info.identity;
+    let (al, _) = slave.al();
+    format!(
+        "{position:>4}  {:<30}  {at:<5}{:<10}{}   {:08X}  {:08X}  {:08X}",
+        cut(&name, 30),
+        al.to_string(),
+        ports(slave),
+        id.vendor,
+        id.product,
+        id.revision
+    )
+}
+
+/// What to call a slave: its name, or else its order code.
+pub(super) fn title(slave: SlaveView<'_>) -> &str {
+    let info = slave.info();
+    match (info.name.as_str(), info.order.as_str()) {
+        ("", "") => "(no name)",
+        ("", order) => order,
+        (name, _) => name,
+    }
+}
+
+/// At most so many characters.
+fn cut(text: &str, most: usize) -> String {
+    if text.chars().count() <= most {
+        return text.to_owned();
+    }
+    let begin: String = text.chars().take(most - 2).collect();
+    format!("{begin}..")
+}
+
+fn ports(slave: SlaveView<'_>) -> String {
+    let ports = slave.info().ports();
+    ('0'..)
+        .zip(ports)
+        .map(|(number, port)| match (port.link, port.open) {
+            (_, true) => number,
+            (true, false) => '!',
+            (false, false) => '-',
+        })
+        .collect()
+}
+
+/// What is remarkable about a slave.
+fn notes(slave: SlaveView<'_>) -> Vec<String> {
+    let (al, code) = slave.al();
+    let mut notes = Vec::new();
+    if let Some(fault) = slave.fault() {
+        notes.push(fault.to_string());
+    } else if al.error {
+        notes.push(format!("{al}: {code}"));
+    }
+    if slave.position().is_some() && !slave.info().sii_checked {
+        notes.push("the checksum of its SII is wrong; its EEPROM may be half written".to_owned());
+    }
+    notes
+}
+
+/// What a program reads.
+pub(super) fn object<W: Wire>(session: &Session<W>) -> Value {
+    let master = session.master();
+    let slaves: Vec<Value> = ring(master)
+        .map(|(position, slave)| slave_object(master, position, slave))
+        .collect();
+    let differences: Vec<String> = master.differences().iter().map(ToString::to_string).collect();
+    json!({
+        "version": 1,
+        "interface": session.interface(),
+        "good": verdict(master) == Verdict::Good,
+        "slaves": slaves,
+        "differences": differences,
+    })
+}
+
+fn slave_object(master: &Master, position: usize, slave: SlaveView<'_>) -> Value {
+    let info = slave.info();
+    let parent = master.topology().parent(position);
+    let ports = info
+        .ports()
+        .map(|port| json!({ "link": port.link, "open": port.open }));
+    json!({
+        "position": slave.position(),
+        "station": slave.station(),
+        "alias": info.alias,
+        "name": info.name,
+        "order": info.order,
+        "vendor": info.identity.vendor,
+        "product": info.identity.product,
+        "revision": info.identity.revision,
+        "serial": info.identity.serial,
+        "state": slave.al().0.to_string(),
+        "al_code": slave.al().1.0,
+        "parent": parent.map(|(parent, port)| json!({ "position": parent, "port": port })),
+        "ports": ports,
+        "clock": info.has_clock(),
+        "notes": notes(slave),
+    })
+}

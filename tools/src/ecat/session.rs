@@ -1,0 +1,291 @@
+//! A segment in the hands of a tool: sends what the master wants sent, hears what comes back, once a cycle, until
+//! something is reached. It keeps to no deadline: for real time there is the controller.
+
+use std::io;
+use std::time::Duration;
+
+use anyhow::{Context as _, bail, ensure};
+use takt_ethercat::config::MasterConfig;
+use takt_ethercat::link::{Link, Port};
+use takt_ethercat::linux::{PacketLink, monotonic};
+use takt_ethercat::master::{Event, Job, JobError, JobKind, Master, Phase};
+use takt_ethercat::{Address, AlState, AlStatus, Command, FrameWriter, register};
+
+/// A wire and the clock by which it stamps what it receives.
+pub(super) trait Wire: Link {
+    /// The time now.
+    fn now(&mut self) -> io::Result<Duration>;
+
+    /// Comes back at a time; at once if that is past.
+    fn wait_until(&mut self, at: Duration) -> io::Result<()>;
+}
+
+impl Wire for PacketLink {
+    fn now(&mut self) -> io::Result<Duration> {
+        monotonic()
+    }
+
+    fn wait_until(&mut self, at: Duration) -> io::Result<()> {
+        std::thread::sleep(at.saturating_sub(monotonic()?));
+        Ok(())
+    }
+}
+
+/// Listened for another master before the first frame: longer than any usual cycle.
+const LISTEN: Duration = Duration::from_millis(60);
+/// After this long without any answer nobody is there.
+const NOBODY: Duration = Duration::from_secs(1);
+/// So long after the others are there, those with a fault are no longer waited for: the master has tried them again.
+const TRIED: Duration = Duration::from_secs(3);
+/// Events that are kept; a segment that has more to tell repeats itself.
+const EVENTS_MAX: usize = 1000;
+/// Longest wait for the answer to a job, in addition to the master's own time-outs.
+const JOB: Duration = Duration::from_secs(60);
+
+/// A segment that a tool is master of.
+#[derive(Debug)]
+pub(super) struct Session<W> {
+    interface: String,
+    port: Port<W>,
+    master: Master,
+    frame: Box<[u8; FrameWriter::LEN_MAX]>,
+    /// When the next cycle begins.
+    next: Duration,
+    events: Vec<(Duration, Event)>,
+    round_trips: Vec<Duration>,
+}
+
+impl<W: Wire> Session<W> {
+    /// A session that has not sent anything yet.
+    pub(super) fn new(
+        interface: &str,
+        wire: W,
+        mac: [u8; 6],
+        config: MasterConfig,
+    ) -> anyhow::Result<Self> {
+        let mut port = Port::new(wire, mac);
+        let next = port.link().now()?;
+        Ok(Self {
+            interface: interface.to_owned(),
+            port,
+            master: Master::new(config)?,
+            frame: Box::new([0; FrameWriter::LEN_MAX]),
+            next,
+            events: Vec::new(),
+            round_trips: Vec::new(),
+        })
+    }
+
+    /// The name of the interface.
+    pub(super) fn interface(&self) -> &str {
+        &self.interface
+    }
+
+    /// The master.
+    pub(super) const fn master(&self) -> &Master {
+        &self.master
+    }
+
+    /// The wire.
+    #[cfg(test)]
+    pub(super) const fn wire(&mut self) -> &mut W {
+        self.port.link()
+    }
+
+    /// What happened so far, and when.
+    pub(super) fn events(&self) -> &[(Duration, Event)] {
+        &self.events
+    }
+
+    /// From sending to receiving, frame by frame since [`Self::forget`].
+    pub(super) fn round_trips(&self) -> &[Duration] {
+        &self.round_trips
+    }
+
+    /// Forgets events and round trips: what is measured begins here.
+    pub(super) fn forget(&mut self) {
+        self.events.clear();
+        self.round_trips.clear();
+    }
+
+    /// Listens whether there is a master already. Two on one segment answer each other's frames; outputs of the
+    /// other one would be overwritten.
+    pub(super) fn listen(&mut self) -> anyhow::Result<()> {
+        let heard = self.port.receive(LISTEN).context("the interface failed")?;
+        ensure!(
+            heard.is_none(),
+            "{}: frames of another master are heard; stop it first (`systemctl stop takt`, or what sends there), \
+             nothing was sent",
+            self.interface
+        );
+        Ok(())
+    }
+
+    /// One frame out and back, then the end of the cycle. At start there is no cycle: the next frame goes at once.
+    pub(super) fn cycle(&mut self) -> anyhow::Result<()> {
+        self.exchange()
+            .with_context(|| format!("{}: the interface failed", self.interface))?;
+        while let Some(event) = self.master.poll_event() {
+            if self.events.len() < EVENTS_MAX {
+                self.events.push((self.next, event));
+            }
+        }
+        Ok(())
+    }
+
+    fn exchange(&mut self) -> io::Result<()> {
+        let paced = self.master.phase() == Phase::Running;
+        let now = self.port.link().now()?;
+        // Cycles that were missed are left out, never sent in a burst.
+        self.next = (self.next + self.master.config().cycle).max(now);
+        let sent = self.master.poll_transmit(now, &mut self.frame[..]);
+        if let Some(len) = sent {
+            self.port.send(self.frame.get(..len).unwrap_or_default())?;
+        }
+        loop {
+            let now = self.port.link().now()?;
+            let wait = self.next.saturating_sub(now);
+            let Some((bytes, at)) = self.port.receive(wait)? else {
+                break;
+            };
+            if self.master.handle_frame(0, bytes, at) {
+                self.round_trips.push(at.saturating_sub(now));
+                break;
+            }
+        }
+        if paced || sent.is_none() {
+            self.port.link().wait_until(self.next)?;
+        }
+        Ok(())
+    }
+
+    /// Brings the segment to where the configuration wants it. Comes back too when some slaves do not get there, with
+    /// their faults in the master.
+    pub(super) fn bring_up(&mut self, patience: Duration) -> anyhow::Result<()> {
+        let begin = self.port.link().now()?;
+        loop {
+            self.cycle()?;
+            let passed = self.port.link().now()?.saturating_sub(begin);
+            if self.master.is_empty() {
+                if passed >= NOBODY {
+                    self.nobody()?;
+                }
+                continue;
+            }
+            if self.master.is_operational() || self.master.phase() == Phase::Refused {
+                return Ok(());
+            }
+            if passed >= patience || (passed >= TRIED && self.all_settled()) {
+                return Ok(());
+            }
+        }
+    }
+
+    /// Each slave is where it is wanted or has a reason not to be.
+    fn all_settled(&self) -> bool {
+        let mut slaves = (0..self.master.len()).filter_map(|number| self.master.slave(number));
+        self.master.phase() == Phase::Running
+            && slaves.all(|slave| slave.is_running() || slave.fault().is_some())
+    }
+
+    fn nobody(&self) -> anyhow::Result<()> {
+        let interface = &self.interface;
+        let frames = self.master.frames();
+        if frames.answered > 0 {
+            bail!(
+                "{interface}: frames come back and no slave has touched them; the cable leads to a loop or a switch, \
+                 not to the IN port of the first slave"
+            );
+        }
+        bail!(
+            "{interface}: {} frames sent, none came back; see the link (`ip link show {interface}`), the supply of \
+             the first slave and that the cable is in its IN port",
+            frames.sent
+        );
+    }
+
+    /// Goes on for a time.
+    pub(super) fn run_for(&mut self, duration: Duration) -> anyhow::Result<()> {
+        let end = self.port.link().now()? + duration;
+        while self.port.link().now()? < end {
+            self.cycle()?;
+        }
+        Ok(())
+    }
+
+    /// Asks a slave for something and goes on until it has answered.
+    pub(super) fn ask(
+        &mut self,
+        slave: usize,
+        kind: JobKind,
+        data: Vec<u8>,
+    ) -> anyhow::Result<Result<Vec<u8>, JobError>> {
+        let job = Job {
+            slave,
+            kind,
+            data,
+            token: 0,
+        };
+        if let Err(refused) = self.master.submit(job) {
+            return Ok(refused.result.map(|()| refused.job.data));
+        }
+        let begin = self.port.link().now()?;
+        loop {
+            self.cycle()?;
+            if let Some(reply) = self.master.poll_reply() {
+                return Ok(reply.result.map(|()| reply.job.data));
+            }
+            let passed = self.port.link().now()?.saturating_sub(begin);
+            if passed >= JOB {
+                return Ok(Err(JobError::Timeout(passed)));
+            }
+        }
+    }
+
+    /// Leaves all slaves in INIT, so that no watchdog of theirs has to notice that this master is gone.
+    pub(super) fn leave(&mut self) -> anyhow::Result<()> {
+        let init = AlStatus {
+            state: AlState::Init,
+            error: true,
+        };
+        let address = Address::Device {
+            adp: 0,
+            ado: register::AL_CONTROL,
+        };
+        let mut writer = FrameWriter::new(&mut self.frame[..])?;
+        writer.push(Command::Bwr, 0, address, &init.raw().to_le_bytes())?;
+        let len = writer.finish();
+        self.port.send(self.frame.get(..len).unwrap_or_default())?;
+        Ok(())
+    }
+
+    /// The number of the slave that is meant by a number, or by a name or order code that only one has.
+    pub(super) fn find(&self, text: &str) -> anyhow::Result<usize> {
+        let master = &self.master;
+        if let Ok(number) = text.parse::<usize>() {
+            let count = master.len();
+            ensure!(
+                number < count,
+                "there is no slave {number}: {} has {count}, counted from 0",
+                self.interface
+            );
+            return Ok(number);
+        }
+        let is_meant = |number: &usize| {
+            let info = master.slave(*number).map(|slave| slave.info());
+            info.is_some_and(|info| info.name == text || info.order == text)
+        };
+        let found: Vec<usize> = (0..master.len()).filter(is_meant).collect();
+        match found[..] {
+            [number] => Ok(number),
+            [] => bail!(
+                "no slave is called `{text}`; `takt ecat scan {}` lists them",
+                self.interface
+            ),
+            [first, ..] => bail!(
+                "{} slaves are called `{text}`, the first at {first}; take the number",
+                found.len()
+            ),
+        }
+    }
+}
