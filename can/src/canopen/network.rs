@@ -15,8 +15,6 @@ mod axis;
 mod member;
 mod plan;
 mod startup;
-#[cfg(all(test, feature = "emulator"))]
-mod tests;
 mod trouble;
 
 pub use axis::{Axis, AxisCommand, AxisState};

@@ -70,7 +70,7 @@ impl Serial {
     pub fn receive(&mut self, timeout: Duration) -> io::Result<Option<(Channel, Frame, Duration)>> {
         let until = monotonic() + timeout;
         loop {
-            if let Some((channel, frame)) = self.from_buffer() {
+            if let Some((channel, frame)) = self.take_buffered() {
                 return Ok(Some((channel, frame, monotonic())));
             }
             let left = until.saturating_sub(monotonic());
@@ -80,7 +80,7 @@ impl Serial {
         }
     }
 
-    fn from_buffer(&mut self) -> Option<(Channel, Frame)> {
+    fn take_buffered(&mut self) -> Option<(Channel, Frame)> {
         while let Some(byte) = self
             .bytes
             .get(self.next)

@@ -269,10 +269,10 @@ impl Command {
 impl fmt::Display for Command {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "command velocity {} turn {}", self.velocity, self.turn)?;
-        match self.config {
-            Config::None => Ok(()),
-            config => write!(f, ", {config}"),
+        if self.config == Config::None {
+            return Ok(());
         }
+        write!(f, ", {}", self.config)
     }
 }
 

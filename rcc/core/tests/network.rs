@@ -90,8 +90,8 @@ impl Hall {
                     let mut drives = served.lock().unwrap();
                     while let Some(frame) = drives[at].poll_transmit(monotonic()) {
                         match port.send(&frame.into()) {
-                            Ok(()) | Err(LinkError::QueueFull) => {}
-                            Err(error) => panic!("{error}"),
+                            Err(LinkError::QueueFull) => {}
+                            sent => sent.unwrap(),
                         }
                     }
                 }

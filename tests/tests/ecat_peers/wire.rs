@@ -1,6 +1,7 @@
 //! A virtual cable in a network namespace of the calling thread, the segment that is served at one
 //! end of it, and what went over it. The masters are elsewhere.
 
+use std::fs::File;
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
@@ -23,7 +24,10 @@ const NEAR: &str = "ecat-seg";
 const FAR: &str = "ecat-master";
 
 /// The cable; it is gone with the thread that laid it and all that it started.
-pub(crate) struct Cable;
+pub(crate) struct Cable {
+    /// Held so that these tests run one after the other: each is in real time and needs the host.
+    _turn: File,
+}
 
 impl Cable {
     /// Lays it in a namespace of this thread's own, or notes why that cannot be.
@@ -40,7 +44,9 @@ impl Cable {
             skip(test, "needs `ip` and virtual Ethernet (CONFIG_VETH)").unwrap();
             return None;
         }
-        Some(Self)
+        let turn = File::create(std::env::temp_dir().join("takt-ecat-peers.lock")).unwrap();
+        turn.lock().unwrap();
+        Some(Self { _turn: turn })
     }
 
     pub(crate) const fn master(&self) -> &'static str {
@@ -156,7 +162,6 @@ impl Capture {
         let mut found = self.matching("_ws.malformed || _ws.short || _ws.unreassembled");
         found.truncate(5);
         assert_eq!(found, Vec::<String>::new());
-        std::fs::remove_file(&self.path).unwrap();
     }
 
     fn matching(&self, filter: &str) -> Vec<String> {
@@ -172,5 +177,14 @@ impl Capture {
             .lines()
             .map(str::to_owned)
             .collect()
+    }
+}
+
+impl Drop for Capture {
+    /// A test that failed leaves neither the tool nor its file behind.
+    fn drop(&mut self) {
+        let _ = self.dumpcap.kill();
+        let _ = self.dumpcap.wait();
+        let _ = std::fs::remove_file(&self.path);
     }
 }

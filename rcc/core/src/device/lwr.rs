@@ -1,42 +1,24 @@
-//! The driver of a KUKA LWR: a thread that waits for the KRC's datagram and answers it at once
-//! with what the nets want at that instant of the robot's own clock. The protocol itself is in
-//! `takt_fri`.
+//! A KUKA LWR on a KRC2 lr: what it is like, and its end of the connection as the driver of FRI arms
+//! sees it. The driver is in `fri`, the protocol in `takt_fri::lwr`.
 
-mod clock;
-
-use std::net::SocketAddr;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU16, AtomicU64, Ordering};
 use std::time::Duration;
 
-use takt_fri::link::Link;
 use takt_fri::linux::UdpLink;
-use takt_fri::lwr::wire::{Cmd, Msr, Quality};
-use takt_fri::lwr::{AXES, Phase, Session, SessionConfig};
-use takt_net::device::{Interfaces, JointError, Layout};
+use takt_fri::lwr::wire::{Msr, Quality};
+use takt_fri::lwr::{Phase, Session, SessionConfig};
+use takt_net::JointLimits;
 use takt_net::value::{Vector, Wrench};
-use takt_net::{JointLimits, JointState};
-use takt_rt::Nanos;
-use takt_rt::latest::{LatestReader, LatestWriter};
-use takt_rt::servo::Estimate;
-use takt_rt::stats::{Recorder, RecorderReader};
-use takt_rt::thread::{Thread, ThreadConfig};
 
 use crate::cell::LwrConfig;
-use crate::device::driver::{DeviceDriver, DeviceEnd, DriverEnds};
-use crate::device::setpoint::Joint;
-use crate::device::{
-    ArmDescription, DeviceCommand, DeviceState, DeviceStatus, JointSetPoints, Part, parts,
-};
+use crate::device::driver::DriverEnds;
+use crate::device::fri::{self, FriArm, FriFigures, Heard, Joints, Protocol, Settings, Totals};
+use crate::device::{ArmDescription, DeviceStatus, Part};
 use crate::error::Error;
-use clock::DatagramClock;
 
-/// Set-points older than this many cycles of the driver are no longer followed.
-const STALE_AFTER: i64 = 10;
-/// Longest wait for a datagram, so that a stop is seen soon.
-const WAIT: Duration = Duration::from_millis(20);
-/// Waiting datagrams taken at most before one of them is answered.
-const BACKLOG: usize = 64;
+/// A running driver of an LWR.
+pub type Lwr = FriArm<Session>;
+/// Figures of a driver of an LWR.
+pub type LwrFigures = FriFigures<Quality>;
 
 /// An LWR as its controller describes it: ranges of the axes, and the speed and acceleration that
 /// existing drivers use for all of them.
@@ -60,68 +42,12 @@ pub fn describe(name: &str) -> ArmDescription {
 /// What an LWR tells beside its joints.
 pub const PARTS: &[Part] = &[Part::Torques, Part::Wrench];
 
-/// Figures of a driver that others read while it runs.
-#[derive(Debug, Default)]
-struct Shared {
-    received: AtomicU64,
-    lost: AtomicU64,
-    malformed: AtomicU64,
-    quality: AtomicU16,
-    period_ns: AtomicU64,
-    tracking_error_bits: AtomicU64,
-    /// No number while the clock is not known.
-    clock_ppb_bits: AtomicU64,
-}
-
-/// Figures of a driver.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LwrFigures {
-    /// Measurements received.
-    pub datagrams: u64,
-    /// Measurements that never came.
-    pub lost: u64,
-    /// Datagrams that were none.
-    pub malformed: u64,
-    /// Quality of the connection as the controller judges it.
-    pub quality: Quality,
-    /// Time from one measurement to the next; `None` before the first.
-    pub period: Option<Duration>,
-    /// Largest distance of a joint from its set-point while commanding, rad.
-    pub tracking_error_rad_max: f64,
-    /// How much faster than this host's the robot's clock runs, ppb; `None` while that is not known.
-    pub clock_ppb: Option<f64>,
-}
-
-/// A running driver.
-#[derive(Debug)]
-pub struct Lwr {
-    name: String,
-    address: SocketAddr,
-    shared: Arc<Shared>,
-    /// Time from the arrival of a measurement to the sending of its answer.
-    pub answer_time: RecorderReader,
-    /// Time from the instant for which a position was meant to its sending.
-    pub set_point_age: RecorderReader,
-    /// Time between the arrival of a measurement, early or late, and its instant on the robot's clock.
-    pub phase_error: RecorderReader,
-    thread: Thread<LatestWriter<Estimate>>,
-    stop: Arc<AtomicBool>,
-}
-
 /// Opens the socket at which the KRC's datagrams arrive.
 ///
 /// # Errors
 /// If the address cannot be listened at.
 pub fn listen(config: &LwrConfig) -> Result<UdpLink, Error> {
-    UdpLink::bind(config.listen).map_err(|source| refused(config, source))
-}
-
-fn refused(config: &LwrConfig, source: std::io::Error) -> Error {
-    Error::Device {
-        name: config.name.clone(),
-        what: format!("listen at {}", config.listen),
-        source,
-    }
+    fri::listen(&config.name, config.listen)
 }
 
 impl Lwr {
@@ -131,391 +57,96 @@ impl Lwr {
     /// # Errors
     /// If the socket has no address or the system has no thread to give.
     pub fn start(config: &LwrConfig, link: UdpLink, ends: DriverEnds) -> Result<Self, Error> {
-        let (end, clock) = ends.only(&config.name)?;
-        let DeviceEnd {
-            state,
-            command,
-            net_period,
-        } = end;
-        let address = link
-            .local_addr()
-            .map_err(|source| refused(config, source))?;
-        let shared = Arc::new(Shared::default());
-        let stop = Arc::new(AtomicBool::new(false));
-        let mut layout = Layout::default();
-        let interfaces = parts::lay(PARTS, AXES, &mut layout);
-        // Boxed, so that the thread's small stack does not hold it as it is moved there.
-        let mut driver = Box::new(Driver {
-            link,
-            session: Session::new(SessionConfig::default()),
-            clock: DatagramClock::default(),
-            joints: describe(&config.name)
-                .limits
-                .into_iter()
-                .map(Joint::new)
-                .collect(),
-            last: Published {
-                state: DeviceState::new(layout.signals),
-                ..Published::default()
-            },
-            taken: DeviceCommand::new(layout.commands),
-            interfaces,
-            net_period: net_period.into(),
-            cycles: 0,
-            state,
-            command,
-            shared: Arc::clone(&shared),
-            answer_time: Recorder::new(),
-            set_point_age: Recorder::new(),
-            phase_error: Recorder::new(),
-            clock_out: clock,
-        });
-        let (answer_time, set_point_age) =
-            (driver.answer_time.reader(), driver.set_point_age.reader());
-        let phase_error = driver.phase_error.reader();
-        let thread = ThreadConfig {
+        let session = Session::new(SessionConfig::default());
+        let settings = Settings {
+            listen: config.listen,
             priority: config.priority,
             cpus: config.cpus.clone(),
-            ..ThreadConfig::new(format!("takt-{}", config.name))
         };
-        let stopping = Arc::clone(&stop);
-        let thread = takt_rt::thread::spawn(thread, move || {
-            let scope = takt_rt::alloc::enter_real_time();
-            while !stopping.load(Ordering::Relaxed) {
-                driver.serve();
-            }
-            drop(scope);
-            // Nobody measures it any more.
-            driver.clock_out.write(Estimate::default());
-            driver.clock_out
-        })
-        .map_err(|source| Error::Thread {
-            name: config.name.clone(),
-            source,
-        })?;
-        let name = config.name.clone();
-        Ok(Self {
-            name,
-            address,
-            shared,
-            answer_time,
-            set_point_age,
-            phase_error,
-            thread,
-            stop,
+        let description = describe(&config.name).with(PARTS);
+        Self::launch(session, description, settings, link, ends)
+    }
+}
+
+impl Protocol for Session {
+    type Quality = Quality;
+
+    fn hear(&mut self, datagram: &[u8], at: Duration) -> Option<Heard> {
+        let reception = self.handle_datagram(datagram, at).ok()?;
+        Some(Heard {
+            is_new: reception.order.is_new(),
+            lost: reception.lost,
         })
     }
 
-    /// Where it listens.
-    #[must_use]
-    pub const fn address(&self) -> SocketAddr {
-        self.address
+    fn hear_nothing(&mut self, now: Duration) -> bool {
+        self.handle_timeout(now)
     }
 
-    /// Its figures so far.
-    #[must_use]
-    pub fn figures(&self) -> LwrFigures {
-        let Shared {
-            received,
-            lost,
-            malformed,
-            quality,
-            period_ns,
-            tracking_error_bits,
-            clock_ppb_bits,
-        } = &*self.shared;
-        let clock_ppb = f64::from_bits(clock_ppb_bits.load(Ordering::Relaxed));
-        let period_ns = period_ns.load(Ordering::Relaxed);
-        LwrFigures {
-            datagrams: received.load(Ordering::Relaxed),
-            lost: lost.load(Ordering::Relaxed),
-            malformed: malformed.load(Ordering::Relaxed),
-            quality: Quality::from(quality.load(Ordering::Relaxed)),
-            period: (period_ns > 0).then(|| Duration::from_nanos(period_ns)),
-            tracking_error_rad_max: f64::from_bits(tracking_error_bits.load(Ordering::Relaxed)),
-            clock_ppb: (period_ns > 0 && !clock_ppb.is_nan()).then_some(clock_ppb),
-        }
-    }
-}
-
-impl DeviceDriver for Lwr {
-    fn name(&self) -> &str {
-        &self.name
+    fn is_due(&self) -> bool {
+        self.is_pending()
     }
 
-    fn grants(&self) -> &[takt_rt::Grant] {
-        self.thread.grants()
+    fn reply(&mut self, joints: &Joints, buffer: &mut [u8]) -> Option<usize> {
+        self.answer(Some(joints), buffer).ok()
     }
 
-    fn figures(&self) -> Vec<(&'static str, String)> {
-        let figures = self.figures();
-        vec![
-            ("quality", format!("{:?}", figures.quality)),
-            ("lost", figures.lost.to_string()),
-        ]
-    }
-
-    fn stop(self: Box<Self>) -> Option<LatestWriter<Estimate>> {
-        self.stop.store(true, Ordering::Relaxed);
-        let clock = self.thread.join().ok();
-        if clock.is_none() {
-            tracing::error!(arm = self.name, "the driver thread had ended by a panic");
-        }
-        clock
-    }
-}
-
-/// What was last told to nets, for differences.
-#[derive(Default)]
-struct Published {
-    state: DeviceState,
-    positions: Option<[f64; AXES]>,
-    velocities: Option<[f64; AXES]>,
-}
-
-struct Driver {
-    link: UdpLink,
-    session: Session,
-    clock: DatagramClock,
-    joints: Vec<Joint>,
-    last: Published,
-    /// The newest command.
-    taken: DeviceCommand,
-    interfaces: Interfaces,
-    /// Time from one cycle of the net thread to the next.
-    net_period: Nanos,
-    /// The robot's cycles since the last answer. Its speed check counts in these, so the joints'
-    /// limits do too, whatever its clock does.
-    cycles: i64,
-    state: LatestWriter<DeviceState>,
-    command: LatestReader<DeviceCommand>,
-    shared: Arc<Shared>,
-    answer_time: Recorder,
-    set_point_age: Recorder,
-    phase_error: Recorder,
-    clock_out: LatestWriter<Estimate>,
-}
-
-impl Driver {
-    /// Waits for one datagram and answers it.
-    fn serve(&mut self) {
-        let mut wait = WAIT;
-        let mut newest = None;
-        for _ in 0..BACKLOG {
-            // One byte longer than a measurement, so that a longer datagram shows.
-            let mut buffer = [0; Msr::LEN + 1];
-            let Ok(Some((len, at))) = self.link.receive(&mut buffer, wait) else {
-                break;
-            };
-            if self.accept(&buffer[..len], at) {
-                newest = Some(at);
-            }
-            // After a stall several wait: only the newest deserves an answer.
-            if !self.clock.is_late(nanos(at)) {
-                break;
-            }
-            wait = Duration::ZERO;
-        }
-        match newest {
-            Some(at) => self.answer(nanos(at)),
-            None => {
-                if let Ok(now) = takt_fri::linux::monotonic() {
-                    self.clock.handle_time(nanos(now));
-                    self.publish_clock();
-                    if self.session.handle_timeout(now) {
-                        self.publish(nanos(now));
-                    }
-                }
-            }
-        }
-    }
-
-    fn accept(&mut self, datagram: &[u8], at: Duration) -> bool {
-        let Ok(reception) = self.session.handle_datagram(datagram, at) else {
-            // Counted by the session; a stranger's datagram is no reason to stop.
-            self.count();
-            return false;
-        };
-        if reception.order.is_new() {
-            let period = self.session.period().unwrap_or(Duration::from_millis(1));
-            self.clock
-                .tick(nanos(at), Nanos::from(period), reception.lost);
-            self.publish_clock();
-            self.phase_error
-                .record((nanos(at) - self.clock.now()).abs());
-            self.cycles += 1 + i64::from(reception.lost);
-        }
-        reception.order.is_new()
-    }
-
-    fn answer(&mut self, at: Nanos) {
-        let taken = &mut self.taken;
-        self.command.read_with(|command| taken.copy_from(command));
-        let joints = self.next_positions();
-        let mut buffer = [0; Cmd::LEN];
-        let answer = self.session.answer(Some(&joints), &mut buffer);
-        let sent = answer.is_ok_and(|len| self.link.send(&buffer[..len]).is_ok_and(|n| n > 0));
-        if sent {
-            let now = takt_rt::monotonic();
-            self.answer_time.record(now - at);
-            let moving = self.taken.joints.iter().find(|joint| joint.active);
-            if let Some(set_points) = moving.filter(|_| self.session.is_commanding()) {
-                let played = self.clock.now() - delay(set_points);
-                self.set_point_age.record(now - played);
-            }
-        }
-        self.publish(at);
-        self.count();
-    }
-
-    /// Where the joints are to be now.
-    fn next_positions(&mut self) -> [f64; AXES] {
-        let command = &self.taken;
-        let mut positions = self.session.mirror();
-        if !self.session.is_commanding() {
-            self.cycles = 0;
-            for ((joint, position), set_points) in
-                self.joints.iter_mut().zip(positions).zip(&command.joints)
-            {
-                joint.rest_at(position, set_points);
-            }
-            return positions;
-        }
-        let period = self.clock.period();
-        let stale = Nanos(period.0 * STALE_AFTER) + self.net_period;
-        let fresh = self.clock.now() - command.time <= stale;
-        #[expect(
-            clippy::cast_precision_loss,
-            reason = "spans of milliseconds are exact"
-        )]
-        let dt_s = (std::mem::take(&mut self.cycles) * period.0) as f64 * 1e-9;
-        for ((joint, position), set_points) in self
-            .joints
-            .iter_mut()
-            .zip(&mut positions)
-            .zip(&command.joints)
-        {
-            let play = self.clock.now() - delay(set_points);
-            *position = joint.sample(set_points, fresh, play, dt_s);
-        }
-        positions
-    }
-
-    /// Tells nets how the arm is.
-    fn publish(&mut self, at: Nanos) {
-        let status = match self.session.phase() {
+    fn status(&self) -> DeviceStatus {
+        match self.phase() {
             Phase::Offline => DeviceStatus::Offline,
             Phase::Monitor => DeviceStatus::SafeOperational,
             Phase::Command => DeviceStatus::Operational,
-        };
-        let was = self.last.state.status;
-        let left = was == DeviceStatus::Operational && status != was;
-        let state = &mut self.last.state;
-        state.stamp = at;
-        state.status = status;
-        state.faults += u64::from(left);
-        let measured = self
-            .session
-            .measurement()
-            .map(|msr| msr.measured_joints.map(f64::from));
-        let velocities = rates(measured, self.last.positions, self.clock.elapsed());
-        let accelerations = rates(velocities, self.last.velocities, self.clock.elapsed());
-        (self.last.positions, self.last.velocities) = (measured, velocities);
-        for (i, told) in state.joints.iter_mut().enumerate().take(AXES) {
-            let (position, velocity, acceleration) = self.joints[i].motion();
-            let error = match status {
-                DeviceStatus::Offline => JointError::Offline,
-                DeviceStatus::SafeOperational => JointError::NotEnabled,
-                DeviceStatus::Operational => self.joints[i].error(),
-            };
-            *told = JointState {
-                commanded_position: Some(position),
-                commanded_velocity: Some(velocity),
-                commanded_acceleration: Some(acceleration),
-                measured_position: measured.map(|m| m[i]),
-                measured_velocity: velocities.map(|v| v[i]),
-                measured_acceleration: accelerations.map(|a| a[i]),
-                error: error as i32,
-            };
-        }
-        self.tell_torques();
-        let told = &self.last.state;
-        self.state.write_with(|state| state.copy_from(told));
-    }
-
-    /// Tells what the robot's sensors say of torques and forces; nothing while it is silent.
-    fn tell_torques(&mut self) {
-        let silent = self.last.state.status == DeviceStatus::Offline;
-        let msr = self.session.measurement().filter(|_| !silent);
-        let signals = &mut self.last.state.signals;
-        for (axis, place) in self
-            .interfaces
-            .torques
-            .iter()
-            .flat_map(|t| t.iter())
-            .enumerate()
-        {
-            let of_axis = |values: &[f32; AXES]| values.get(axis).copied().map(f64::from);
-            let estimated = msr.and_then(|msr| of_axis(&msr.external_torque));
-            let measured = msr.and_then(|msr| of_axis(&msr.measured_torque));
-            place.estimated.tell(signals, estimated);
-            place.measured.tell(signals, measured);
-        }
-        if let Some(place) = &self.interfaces.wrench {
-            place.tell(signals, msr.map(|msr| wrench(&msr.external_wrench)));
         }
     }
 
-    fn publish_clock(&mut self) {
-        let clock = self.clock.estimate();
-        self.clock_out.write(clock);
-        let ppb = if clock.state.is_followed() {
-            clock.frequency_ppb
-        } else {
-            f64::NAN
-        };
-        let bits = &self.shared.clock_ppb_bits;
-        bits.store(ppb.to_bits(), Ordering::Relaxed);
+    fn rest(&self) -> Joints {
+        self.mirror()
     }
 
-    fn count(&self) {
-        let counters = self.session.counters();
-        let shared = &self.shared;
-        shared.received.store(counters.received, Ordering::Relaxed);
-        shared.lost.store(counters.lost, Ordering::Relaxed);
-        shared
-            .malformed
-            .store(counters.malformed, Ordering::Relaxed);
-        let Some(msr) = self.session.measurement() else {
-            return;
-        };
-        shared
-            .quality
-            .store(msr.interface.quality.code(), Ordering::Relaxed);
-        shared
-            .period_ns
-            .store(self.clock.period().0.unsigned_abs(), Ordering::Relaxed);
-        if self.session.is_commanding() {
-            let measured = msr.measured_joints.map(f64::from);
-            let distance = |(a, b): (f64, f64)| (a - b).abs();
-            let error = msr
-                .set_point()
-                .into_iter()
-                .zip(measured)
-                .map(distance)
-                .fold(0.0, f64::max);
-            let worst = f64::from_bits(shared.tracking_error_bits.load(Ordering::Relaxed));
-            shared
-                .tracking_error_bits
-                .store(worst.max(error).to_bits(), Ordering::Relaxed);
+    fn set_point(&self) -> Option<Joints> {
+        self.measurement().map(Msr::set_point)
+    }
+
+    fn measured(&self) -> Option<Joints> {
+        self.measurement()
+            .map(|msr| msr.measured_joints.map(f64::from))
+    }
+
+    fn external_torques(&self) -> Option<Joints> {
+        self.measurement()
+            .map(|msr| msr.external_torque.map(f64::from))
+    }
+
+    fn measured_torques(&self) -> Option<Joints> {
+        self.measurement()
+            .map(|msr| msr.measured_torque.map(f64::from))
+    }
+
+    fn wrench(&self) -> Option<Wrench> {
+        self.measurement().map(|msr| wrench(&msr.external_wrench))
+    }
+
+    fn cycle(&self) -> Option<Duration> {
+        self.period()
+    }
+
+    fn quality_code(&self) -> i32 {
+        let quality = self.measurement().map(|msr| msr.interface.quality.code());
+        quality.unwrap_or_default().into()
+    }
+
+    fn quality(code: i32) -> Quality {
+        Quality::from(u16::try_from(code).unwrap_or_default())
+    }
+
+    fn totals(&self) -> Totals {
+        let counters = self.counters();
+        Totals {
+            received: counters.received,
+            lost: counters.lost,
+            malformed: counters.malformed,
         }
     }
-}
-
-/// How far behind the robot's clock set-points are played: one and a half times what lies between
-/// two of them, so that the two around that instant are there even if the net is half of it late.
-const fn delay(set_points: &JointSetPoints) -> Nanos {
-    Nanos(set_points.period.0 * 3 / 2)
 }
 
 /// Force and torque in the wire's order, in which torques are about z, y, x.
@@ -525,25 +156,6 @@ fn wrench(values: &[f32; 6]) -> Wrench {
         force: Vector::new(x, y, z),
         torque: Vector::new(about_x, about_y, about_z),
     }
-}
-
-/// Change of each value per second; `None` while there is no earlier value or no time has passed.
-fn rates(
-    now: Option<[f64; AXES]>,
-    before: Option<[f64; AXES]>,
-    span: Nanos,
-) -> Option<[f64; AXES]> {
-    let (now, before) = now.zip(before).filter(|_| span.0 > 0)?;
-    #[expect(
-        clippy::cast_precision_loss,
-        reason = "spans of milliseconds are exact"
-    )]
-    let span_s = span.0 as f64 * 1e-9;
-    Some(std::array::from_fn(|i| (now[i] - before[i]) / span_s))
-}
-
-fn nanos(time: Duration) -> Nanos {
-    Nanos::from(time)
 }
 
 #[cfg(test)]

@@ -14,7 +14,7 @@ pub enum Wire {
     /// A CAN interface, or a bus inside of this process.
     Can(Box<dyn CanLink>),
     /// A serial port that carries packets.
-    Usb(Serial),
+    Usb(Box<Serial>),
 }
 
 /// A link that a driver thread can own.
@@ -29,7 +29,7 @@ impl Wire {
     /// Of the operating system.
     pub fn open(name: &str) -> io::Result<Self> {
         if name.starts_with('/') {
-            return Ok(Self::Usb(Serial::open(name)?));
+            return Ok(Self::Usb(Box::new(Serial::open(name)?)));
         }
         let options = Options {
             errors: false,
