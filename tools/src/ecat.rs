@@ -1,7 +1,10 @@
 //! `takt ecat`: look at an EtherCAT segment by a master of its own, and at recordings of one. The protocol is that of
 //! `takt-ethercat`; whether the host is fit for it is asked by `takt doctor`.
 
+mod confirm;
+mod dc;
 mod dump;
+mod pdos;
 mod scan;
 mod sdo;
 mod session;
@@ -30,6 +33,8 @@ pub(crate) enum Ecat {
     Scan(scan::Scan),
     Sdo(sdo::Sdo),
     Stat(stat::Stat),
+    Pdos(pdos::Pdos),
+    Dc(dc::Dc),
     Dump(dump::Dump),
 }
 
@@ -39,6 +44,8 @@ impl Ecat {
             Self::Scan(scan) => scan.run(),
             Self::Sdo(sdo) => sdo.run(),
             Self::Stat(stat) => stat.run(),
+            Self::Pdos(pdos) => pdos.run(),
+            Self::Dc(dc) => dc.run(),
             Self::Dump(dump) => dump.run(),
         }
     }

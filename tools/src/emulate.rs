@@ -2,6 +2,7 @@
 //! the protocol crates.
 
 mod drive;
+mod iiwa;
 mod rmp;
 mod segment;
 mod service;
@@ -13,6 +14,7 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use clap::{Args, Subcommand};
+use takt_fri::linux::UdpLink;
 use takt_fri::lwr::emulator::{Krc, KrcConfig, KrcStatus, serve};
 use takt_fri::lwr::{DEFAULT_PORT, emulator};
 use takt_rt::thread::{Thread, ThreadConfig};
@@ -29,6 +31,7 @@ pub(crate) enum Emulate {
     /// It bridges up to 100 missing answers and no quality ends its command mode: more patience than a
     /// real KRC has, for hosts that stall.
     Lwr(Lwr),
+    Iiwa(iiwa::Iiwa),
     /// A Segway power base on CAN or on its USB port.
     Rmp(rmp::Rmp),
     /// A CiA 402 drive as a CANopen node.
@@ -41,6 +44,7 @@ impl Emulate {
     pub(crate) fn run(self) -> anyhow::Result<Verdict> {
         match self {
             Self::Lwr(lwr) => lwr.run(),
+            Self::Iiwa(iiwa) => iiwa.run(),
             Self::Rmp(rmp) => rmp.run(),
             Self::Drive(drive) => drive.run(),
             Self::Tx90(tx90) => tx90.run(),
@@ -57,6 +61,13 @@ pub(crate) struct Lwr {
     /// Time from one measurement to the next, 1ms to 100ms.
     #[arg(long, value_name = "TIME", default_value = "1ms", value_parser = span)]
     period: Duration,
+    #[command(flatten)]
+    knobs: Knobs,
+}
+
+/// What goes wrong on the way and in the robot, and when it ends.
+#[derive(Debug, Args)]
+struct Knobs {
     /// Share of datagrams to lose in each direction, 0 to 1.
     #[arg(long, value_name = "SHARE", default_value_t = 0.0, value_parser = share)]
     drop: f64,
@@ -80,28 +91,38 @@ pub(crate) struct Lwr {
     duration: Option<Duration>,
 }
 
-impl Lwr {
-    fn run(self) -> anyhow::Result<Verdict> {
-        let line = emulator::LineFaults {
+impl Knobs {
+    /// What happens to datagrams, in each direction.
+    fn line(&self) -> emulator::LineFaults {
+        emulator::LineFaults {
             drop: self.drop,
             reorder: self.reorder,
             delay: self.delay,
             jitter: self.jitter,
             ..emulator::LineFaults::default()
-        };
-        let power_off = self.power_off.map(|at| emulator::PowerOff {
+        }
+    }
+
+    fn power_off(&self) -> Option<emulator::PowerOff> {
+        self.power_off.map(|at| emulator::PowerOff {
             at,
             span: Duration::from_secs(2),
-        });
+        })
+    }
+}
+
+impl Lwr {
+    fn run(self) -> anyhow::Result<Verdict> {
+        let line = self.knobs.line();
         let faults = emulator::Faults {
             to_client: line,
             to_krc: line,
-            power_off,
+            power_off: self.knobs.power_off(),
             ..emulator::Faults::default()
         };
         let config = KrcConfig {
             faults,
-            seed: self.seed,
+            seed: self.knobs.seed,
             ..resting(self.period)
         };
         let robot = Robot::start("krc", self.target, config)?;
@@ -110,7 +131,7 @@ impl Lwr {
             self.target, self.period
         ))?;
         let mut told = None;
-        until_stopped(self.duration, || {
+        until_stopped(self.knobs.duration, || {
             let status = &robot.status;
             let now = (
                 status.state(),
@@ -170,24 +191,39 @@ const MISSES_MAX: u32 = 100;
 
 /// An emulated controller in a thread of its own.
 #[derive(Debug)]
-pub(crate) struct Robot {
+pub(crate) struct Robot<S = KrcStatus> {
     /// What it is doing.
-    pub(crate) status: Arc<KrcStatus>,
+    pub(crate) status: Arc<S>,
     thread: Thread<std::io::Result<()>>,
     stop: Arc<AtomicBool>,
 }
 
 impl Robot {
-    /// Starts it; its datagrams go to `target`.
+    /// Starts a KRC; its datagrams go to `target`.
     pub(crate) fn start(name: &str, target: SocketAddr, config: KrcConfig) -> anyhow::Result<Self> {
+        Self::launch(name, target, KrcStatus::new(), move |link, status, stop| {
+            let mut krc = Krc::new(config, takt_fri::linux::monotonic()?);
+            serve(&mut krc, link, status, stop)
+        })
+    }
+}
+
+impl<S: Send + Sync + 'static> Robot<S> {
+    /// Starts what `serve` serves; its datagrams go to `target`.
+    fn launch(
+        name: &str,
+        target: SocketAddr,
+        status: S,
+        serve: impl FnOnce(&mut UdpLink, &S, &AtomicBool) -> std::io::Result<()> + Send + 'static,
+    ) -> anyhow::Result<Self> {
         let local = match target {
             SocketAddr::V4(v4) if v4.ip().is_loopback() => SocketAddr::from(([127, 0, 0, 1], 0)),
             SocketAddr::V4(_) => SocketAddr::from(([0, 0, 0, 0], 0)),
             SocketAddr::V6(_) => SocketAddr::from((std::net::Ipv6Addr::UNSPECIFIED, 0)),
         };
-        let mut link = takt_fri::linux::UdpLink::connect(local, target)
+        let mut link = UdpLink::connect(local, target)
             .with_context(|| format!("cannot open a socket to {target}"))?;
-        let status = Arc::new(KrcStatus::new());
+        let status = Arc::new(status);
         let stop = Arc::new(AtomicBool::new(false));
         let (shared, stopping) = (Arc::clone(&status), Arc::clone(&stop));
         // Above drivers: the real controller has a processor of its own.
@@ -196,8 +232,7 @@ impl Robot {
             ..ThreadConfig::new(name)
         };
         let thread = takt_rt::thread::spawn(config_of_thread, move || {
-            let mut krc = Krc::new(config, takt_fri::linux::monotonic()?);
-            serve(&mut krc, &mut link, &shared, &stopping)
+            serve(&mut link, &shared, &stopping)
         })
         .with_context(|| format!("cannot start thread {name}"))?;
         Ok(Self {
@@ -208,7 +243,7 @@ impl Robot {
     }
 
     /// Ends it.
-    pub(crate) fn stop(self) -> anyhow::Result<Arc<KrcStatus>> {
+    pub(crate) fn stop(self) -> anyhow::Result<Arc<S>> {
         self.stop.store(true, Ordering::Relaxed);
         match self.thread.join() {
             Ok(served) => served.context("the emulated controller failed")?,

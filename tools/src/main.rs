@@ -5,7 +5,9 @@ mod can;
 mod client;
 mod demo;
 mod doctor;
+mod ecat;
 mod emulate;
+mod fri;
 mod jitter;
 mod manual;
 mod net;
@@ -42,9 +44,13 @@ enum Command {
     /// Look at CAN buses, send to them, set interfaces up.
     #[command(subcommand)]
     Can(can::Can),
+    #[command(subcommand)]
+    Ecat(ecat::Ecat),
     /// Be the other end of a wire: an emulated robot controller.
     #[command(subcommand)]
     Emulate(emulate::Emulate),
+    #[command(subcommand)]
+    Fri(fri::Fri),
     /// Measure how late cycles begin on this host.
     Jitter(jitter::Jitter),
     /// Check, load and control primitive nets.
@@ -70,7 +76,9 @@ fn main() -> ExitCode {
         Command::Demo(demo) => demo.run(),
         Command::Doctor(doctor) => doctor.run(),
         Command::Can(can) => can.run(),
+        Command::Ecat(ecat) => ecat.run(),
         Command::Emulate(emulate) => emulate.run(),
+        Command::Fri(fri) => fri.run(),
         Command::Jitter(jitter) => jitter.run(),
         Command::Net(net) => net.run(),
         Command::Manual(manual) => manual.run(),

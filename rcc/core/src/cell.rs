@@ -41,7 +41,7 @@ use serde::Deserialize;
 use crate::device::{canopen, ethercat, rmp};
 use crate::error::Error;
 use crate::span;
-pub use device::{DeviceConfig, LwrConfig, RmpConfig};
+pub use device::{DeviceConfig, IiwaConfig, IiwaModel, LwrConfig, RmpConfig};
 pub use segment::{CanopenConfig, DriveArm, DriveJoint, EthercatConfig, EthercatIo, EthercatSlave};
 
 /// Net threads that a controller may have.
@@ -275,7 +275,7 @@ impl CellConfig {
         self.ethercat.iter().try_for_each(ethercat::check)?;
         self.canopen.iter().try_for_each(canopen::check)?;
         self.devices.iter().try_for_each(|device| match device {
-            DeviceConfig::Lwr(_) => Ok(()),
+            DeviceConfig::Lwr(_) | DeviceConfig::Iiwa(_) => Ok(()),
             DeviceConfig::Rmp(config) => rmp::check(config),
         })
     }

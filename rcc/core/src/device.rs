@@ -5,6 +5,8 @@ pub mod canopen;
 pub mod driver;
 mod drives;
 pub mod ethercat;
+pub mod fri;
+pub mod iiwa;
 pub mod lwr;
 pub mod parts;
 pub mod rmp;

@@ -16,8 +16,8 @@ use crate::output::say;
 
 /// Find the slaves of a segment: tree, names, identities, states, ports.
 ///
-/// Brings all slaves to PRE-OP, where no outputs are taken. Exit status: 0 all are there; 1 one does not get
-/// there, or none answers; 2 it could not be tried.
+/// Brings all slaves to PRE-OP, where no outputs are taken. Exit status: 0 all are there; 1 one does not get there;
+/// 2 nothing answers, or it could not be tried.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   takt ecat scan enp2s0
@@ -53,12 +53,17 @@ pub(super) fn verdict(master: &Master) -> Verdict {
     }
 }
 
-const HEADER: &str = " pos  slave                           at   state     ports  vendor    product   revision";
+const HEADER: &str =
+    " pos  slave                           at   state     ports  vendor    product   revision";
 
 /// The tree, one line for each slave, and under it what is wrong with it.
 pub(super) fn text<W: Wire>(session: &Session<W>) -> String {
     let master = session.master();
-    let mut text = format!("{}: {} slaves\n{HEADER}\n", session.interface(), master.len());
+    let mut text = format!(
+        "{}: {} slaves\n{HEADER}\n",
+        session.interface(),
+        master.len()
+    );
     let depths = depths(master.topology());
     for (position, slave) in ring(master) {
         let depth = depths.get(position).copied().unwrap_or(0);
@@ -106,7 +111,10 @@ fn line(master: &Master, position: usize, depth: usize, slave: SlaveView<'_>) ->
     let info = slave.info();
     let name = format!("{}o {}", "| ".repeat(depth), title(slave));
     let at = master.topology().parent(position);
-    let at = at.map_or_else(|| "-".to_owned(), |(parent, port)| format!("{parent}:{port}"));
+    let at = at.map_or_else(
+        || "-".to_owned(),
+        |(parent, port)| format!("{parent}:{port}"),
+    );
     let id = info.identity;
     let (al, _) = slave.al();
     format!(
@@ -172,7 +180,11 @@ pub(super) fn object<W: Wire>(session: &Session<W>) -> Value {
     let slaves: Vec<Value> = ring(master)
         .map(|(position, slave)| slave_object(master, position, slave))
         .collect();
-    let differences: Vec<String> = master.differences().iter().map(ToString::to_string).collect();
+    let differences: Vec<String> = master
+        .differences()
+        .iter()
+        .map(ToString::to_string)
+        .collect();
     json!({
         "version": 1,
         "interface": session.interface(),

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use anyhow::{Context as _, bail, ensure};
 use takt_ethercat::config::MasterConfig;
+use takt_ethercat::dc::Sample;
 use takt_ethercat::link::{Link, Port};
 use takt_ethercat::linux::{PacketLink, monotonic};
 use takt_ethercat::master::{Event, Job, JobError, JobKind, Master, Phase};
@@ -51,6 +52,8 @@ pub(super) struct Session<W> {
     frame: Box<[u8; FrameWriter::LEN_MAX]>,
     /// When the next cycle begins.
     next: Duration,
+    /// When the newest frame was sent.
+    sent_at: Duration,
     events: Vec<(Duration, Event)>,
     round_trips: Vec<Duration>,
 }
@@ -71,6 +74,7 @@ impl<W: Wire> Session<W> {
             master: Master::new(config)?,
             frame: Box::new([0; FrameWriter::LEN_MAX]),
             next,
+            sent_at: next,
             events: Vec::new(),
             round_trips: Vec::new(),
         })
@@ -84,6 +88,16 @@ impl<W: Wire> Session<W> {
     /// The master.
     pub(super) const fn master(&self) -> &Master {
         &self.master
+    }
+
+    /// The time on the wire's clock.
+    pub(super) fn now(&mut self) -> io::Result<Duration> {
+        self.port.link().now()
+    }
+
+    /// The newest sample of the reference clock, once.
+    pub(super) fn sample(&mut self) -> Option<Sample> {
+        self.master.poll_sample()
     }
 
     /// The wire.
@@ -140,16 +154,16 @@ impl<W: Wire> Session<W> {
         self.next = (self.next + self.master.config().cycle).max(now);
         let sent = self.master.poll_transmit(now, &mut self.frame[..]);
         if let Some(len) = sent {
+            self.sent_at = now;
             self.port.send(self.frame.get(..len).unwrap_or_default())?;
         }
         loop {
-            let now = self.port.link().now()?;
-            let wait = self.next.saturating_sub(now);
+            let wait = self.next.saturating_sub(self.port.link().now()?);
             let Some((bytes, at)) = self.port.receive(wait)? else {
                 break;
             };
             if self.master.handle_frame(0, bytes, at) {
-                self.round_trips.push(at.saturating_sub(now));
+                self.round_trips.push(at.saturating_sub(self.sent_at));
                 break;
             }
         }

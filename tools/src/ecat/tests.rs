@@ -6,10 +6,14 @@ use std::time::Duration;
 
 use takt_ethercat::AlState;
 use takt_ethercat::config::MasterConfig;
-use takt_ethercat::emulator::{Coupler, Entry, Io, Segment, ServoConfig, ServoDrive};
-use takt_ethercat::link::{FRAME_MAX, Link};
+use takt_ethercat::emulator::{
+    Corrupt, Coupler, Entry, Faults, Io, Segment, ServoConfig, ServoDrive,
+};
+use takt_ethercat::link::{FRAME_MAX, Link, PcapReader, PcapWriter};
 
 use super::session::{Session, Wire};
+use super::{dc, dump, pdos, scan, sdo, stat};
+use crate::Verdict;
 
 /// A cable with a segment at its end; time passes when somebody waits.
 #[derive(Debug)]
@@ -17,6 +21,8 @@ pub(super) struct Emulated {
     pub(super) segment: Segment,
     now: Duration,
     returned: VecDeque<(Duration, Vec<u8>)>,
+    /// Faults that are put in at a time.
+    later: Option<(Duration, Faults)>,
     /// All frames, both ways.
     pub(super) seen: Vec<(Duration, Vec<u8>)>,
 }
@@ -27,8 +33,18 @@ impl Emulated {
             segment,
             now: Duration::from_secs(1),
             returned: VecDeque::new(),
+            later: None,
             seen: Vec::new(),
         }
+    }
+
+    /// Puts faults in after a time.
+    fn put_in(&mut self, after: Duration, faults: Faults) {
+        self.later = Some((self.now + after, faults));
+    }
+
+    fn nanos(&self) -> u64 {
+        u64::try_from(self.now.as_nanos()).unwrap()
     }
 }
 
@@ -36,7 +52,10 @@ impl Link for Emulated {
     fn send(&mut self, frame: &[u8]) -> io::Result<()> {
         let mut frame = frame.to_vec();
         self.seen.push((self.now, frame.clone()));
-        let now = self.now.as_nanos() as u64;
+        let now = self.nanos();
+        if let Some((_, faults)) = self.later.take_if(|(at, _)| *at <= self.now) {
+            self.segment.faults = faults;
+        }
         if let Some(back) = self.segment.process_ethernet(&mut frame, Entry::First, now) {
             let due = self.now + Duration::from_nanos(back.after);
             self.seen.push((due, frame.clone()));
@@ -74,7 +93,7 @@ impl Wire for Emulated {
 
     fn wait_until(&mut self, at: Duration) -> io::Result<()> {
         self.now = self.now.max(at);
-        self.segment.poll(self.now.as_nanos() as u64);
+        self.segment.poll(self.nanos());
         Ok(())
     }
 }
@@ -97,7 +116,13 @@ pub(super) fn session(segment: Segment, goal: AlState) -> Session<Emulated> {
         cycle: CYCLE,
         ..MasterConfig::default()
     };
-    Session::new("emulated0", Emulated::new(segment), [2, 0, 0, 0, 0, 1], config).unwrap()
+    Session::new(
+        "emulated0",
+        Emulated::new(segment),
+        [2, 0, 0, 0, 0, 1],
+        config,
+    )
+    .unwrap()
 }
 
 /// Brought up.
@@ -106,4 +131,352 @@ pub(super) fn up(segment: Segment, goal: AlState) -> Session<Emulated> {
     session.listen().unwrap();
     session.bring_up(Duration::from_secs(10)).unwrap();
     session
+}
+
+#[test]
+fn a_tree_is_drawn_with_names_states_and_ports() {
+    let session = up(tree(), AlState::PreOp);
+    let text = scan::text(&session);
+    let lines: Vec<&str> = text.lines().collect();
+    let expected = [
+        "emulated0: 3 slaves",
+        " pos  slave                           at   state     ports  vendor    product   revision",
+        "   0  o TK1100 coupler                -    PRE-OP    01-3   00007A87  00001100  00010000",
+        "   1  | o TK4021 servo                0:3  PRE-OP    0---   00007A87  00004021  00010000",
+        "   2  o TK0808 digital                0:1  PRE-OP    0---   00007A87  00002808  00010000",
+    ];
+    assert_eq!(lines, expected);
+    assert_eq!(scan::verdict(session.master()), Verdict::Good);
+    let object = scan::object(&session);
+    assert_eq!(object["good"], true);
+    assert_eq!(object["slaves"][1]["parent"]["port"], 3);
+    assert_eq!(object["slaves"][2]["name"], "TK0808 digital");
+}
+
+#[test]
+fn a_segment_that_does_not_answer_is_told_with_what_to_look_at() {
+    let mut segment = tree();
+    segment.set_power(0, false);
+    let mut session = session(segment, AlState::PreOp);
+    let told = session.bring_up(Duration::from_secs(10)).unwrap_err();
+    let told = format!("{told:#}");
+    assert!(told.contains("none came back; see the link"), "{told}");
+    assert!(told.contains("IN port"), "{told}");
+}
+
+#[test]
+fn where_another_master_is_heard_nothing_is_sent() {
+    let mut session = session(tree(), AlState::PreOp);
+    let mut frame = vec![0xFF; 60];
+    frame[12..14].copy_from_slice(&[0x88, 0xA4]);
+    session
+        .wire()
+        .returned
+        .push_back((Duration::from_secs(1), frame));
+    let told = session.listen().unwrap_err().to_string();
+    assert!(told.contains("another master"), "{told}");
+    assert!(session.wire().seen.is_empty());
+}
+
+#[test]
+fn slaves_are_found_by_number_and_by_a_name_that_only_one_has() {
+    let (terminals, handles): (Vec<_>, Vec<_>) = (0..2).map(|_| Io::digital(8, 8)).unzip();
+    let mut slaves = vec![Coupler::slave()];
+    slaves.extend(terminals);
+    let session = up(Segment::line(slaves), AlState::PreOp);
+    assert_eq!(handles.len(), 2);
+    assert_eq!(session.find("2").unwrap(), 2);
+    assert_eq!(session.find("TK1100").unwrap(), 0);
+    for (text, why) in [
+        ("3", "there is no slave 3: emulated0 has 3"),
+        ("TK0808", "2 slaves are called"),
+        ("EK1100", "no slave is called"),
+    ] {
+        let told = session.find(text).unwrap_err().to_string();
+        assert!(told.contains(why), "{told}");
+    }
+}
+
+fn asked(session: &mut Session<Emulated>, what: &sdo::What) -> Result<String, String> {
+    let done = sdo::perform(session, 1, what).map_err(|error| format!("{error:#}"))?;
+    done.map_err(|error| error.to_string())
+}
+
+fn upload(address: &str, json: bool) -> sdo::What {
+    sdo::What::Upload {
+        address: address.parse().unwrap(),
+        data_type: None,
+        complete: false,
+        json,
+    }
+}
+
+fn download(address: &str, value: &str) -> sdo::What {
+    sdo::What::Download {
+        address: address.parse().unwrap(),
+        value: value.to_owned(),
+        data_type: None,
+        complete: false,
+        confirm_motion: true,
+    }
+}
+
+#[test]
+fn objects_are_listed_read_and_written() {
+    let mut session = up(tree(), AlState::PreOp);
+    let text = asked(&mut session, &sdo::What::List { entries: true }).unwrap();
+    for line in [
+        "60FFh     VAR    INTEGER32        target velocity",
+        "60FDh:00   32 bit UNSIGNED32       rrr---  -T  digital inputs",
+        "60C2h:01    8 bit UNSIGNED8        rrrwww  --  interpolation time period value",
+    ] {
+        assert!(text.lines().any(|other| other == line), "{line}\n{text}");
+    }
+    let vendor = asked(&mut session, &upload("1018:01", false)).unwrap();
+    assert_eq!(vendor, "31367 (00007A87h)");
+    let written = asked(&mut session, &download("60F2", "0x12")).unwrap();
+    assert_eq!(written, "60F2h:00 <- 18 (0012h)");
+    let object = asked(&mut session, &upload("60F2", true)).unwrap();
+    let object: serde_json::Value = serde_json::from_str(&object).unwrap();
+    assert_eq!(
+        (&object["type"], &object["value"]),
+        (&"UNSIGNED16".into(), &"18 (0012h)".into())
+    );
+}
+
+#[test]
+fn what_a_slave_refuses_is_told_in_its_words() {
+    let mut session = up(tree(), AlState::PreOp);
+    let read_only = asked(&mut session, &download("6502", "1")).unwrap_err();
+    assert!(read_only.contains("the slave refuses"), "{read_only}");
+    let absent = asked(&mut session, &upload("5FFF", false)).unwrap_err();
+    assert!(absent.contains("the slave refuses"), "{absent}");
+    let wide = asked(&mut session, &download("60F2", "65536")).unwrap_err();
+    assert!(wide.contains("does not fit UNSIGNED16"), "{wide}");
+    let no_mailbox = sdo::perform(&mut session, 0, &upload("1018:01", false)).unwrap();
+    let no_mailbox = no_mailbox.unwrap_err().to_string();
+    assert!(no_mailbox.contains("the slave has no"), "{no_mailbox}");
+}
+
+#[test]
+fn a_good_segment_has_nothing_to_be_told() {
+    let mut session = up(tree(), AlState::Op);
+    let measured = stat::Measured::take(&mut session, Duration::from_millis(500)).unwrap();
+    assert_eq!(measured.findings(session.master()), []);
+    assert_eq!(stat::verdict("emulated0", &[]), "emulated0: good\n");
+    let text = stat::table(&session, &measured);
+    for line in [
+        "emulated0: 3 slaves, 500 ms at a cycle of 1.0 ms",
+        "frames      500 sent, 0 lost, 0 late, 0 foreign",
+        "counters    0 cycles other than expected",
+        "   0  TK1100 coupler        OP            0        0        0          0           0",
+    ] {
+        assert!(text.lines().any(|other| other == line), "{line}\n{text}");
+    }
+}
+
+#[test]
+fn errors_at_a_port_point_to_the_cable() {
+    let mut session = up(tree(), AlState::Op);
+    let corrupt = Some(Corrupt {
+        slave: 2,
+        port: 0,
+        frames: 3,
+    });
+    let faults = Faults {
+        corrupt,
+        ..Faults::default()
+    };
+    session.wire().put_in(Duration::from_millis(500), faults);
+    let measured = stat::Measured::take(&mut session, Duration::from_secs(1)).unwrap();
+    let findings = measured.findings(session.master());
+    let text = stat::verdict("emulated0", &findings);
+    let first = text.lines().next().unwrap();
+    assert_eq!(
+        first,
+        "FAIL  the cable from slave 0 port 3 to slave 1 port 0: 3 broken frames (shield, bend, plug, disturbance)"
+    );
+    assert!(
+        text.contains("3 of 1000 frames lost; the cable above"),
+        "{text}"
+    );
+    let object = stat::object(&session, &measured, &findings);
+    assert_eq!(object["frames"]["lost"], 3);
+    assert_eq!(object["slaves"][1]["invalid"][0], 3);
+    assert_eq!(object["findings"][0]["failure"], true);
+}
+
+#[test]
+fn late_frames_are_a_warning_and_a_cut_cable_is_a_failure() {
+    let mut session = up(tree(), AlState::SafeOp);
+    session.run_for(Duration::from_millis(200)).unwrap();
+    let faults = Faults {
+        late: Some((2, 1_500_000)),
+        ..Faults::default()
+    };
+    session.wire().put_in(Duration::from_millis(300), faults);
+    let measured = stat::Measured::take(&mut session, Duration::from_millis(500)).unwrap();
+    let findings = measured.findings(session.master());
+    let text = stat::verdict("emulated0", &findings);
+    assert!(
+        text.starts_with("WARN  2 frames came back after the end"),
+        "{text}"
+    );
+    assert!(text.ends_with("emulated0: good, 1 WARN\n"), "{text}");
+
+    session.wire().segment.set_link(1, false);
+    let measured = stat::Measured::take(&mut session, Duration::from_millis(200)).unwrap();
+    let text = stat::verdict("emulated0", &measured.findings(session.master()));
+    assert!(text.contains("slave 2: gone from the segment"), "{text}");
+    assert!(
+        text.contains("the cable from slave 0 port 1 to slave 2 port 0"),
+        "{text}"
+    );
+}
+
+#[test]
+fn slaves_are_left_in_init() {
+    let mut session = up(tree(), AlState::SafeOp);
+    session.leave().unwrap();
+    session.run_for(Duration::from_millis(20)).unwrap();
+    let fallen = |number| session.master().slave(number).unwrap().al().0.state;
+    assert_eq!((0..3).map(fallen).collect::<Vec<_>>(), [AlState::Init; 3]);
+}
+
+#[test]
+fn what_is_exchanged_is_listed_with_its_place() {
+    let session = up(tree(), AlState::PreOp);
+    let text = pdos::text(&session, Some(1));
+    let begin = [
+        "slave 1 TK4021 servo: 14 bytes out, 16 bytes in",
+        "  SyncManager 2 outputs at 1100h, 14 bytes",
+        "    PDO 1600h, 112 bits",
+        "         0.0  6040h:00   16 bits",
+        "         2.0  6060h:00    8 bits",
+        "         3.0  gap         8 bits",
+        "         4.0  607Ah:00   32 bits",
+    ];
+    assert_eq!(text.lines().take(7).collect::<Vec<_>>(), begin);
+    let text = pdos::text(&session, Some(2));
+    assert!(
+        text.contains("    PDO 1607h, 1 bits\n         0.7  7070h:01    1 bits\n"),
+        "{text}"
+    );
+    let object = pdos::object(&session, None);
+    let pdo = &object["slaves"][2]["channels"][1]["pdos"][3];
+    assert_eq!(
+        (&pdo["index"], &pdo["entries"][0]["bit"]),
+        (&0x1A03.into(), &3.into())
+    );
+}
+
+#[test]
+fn clocks_are_watched() {
+    let mut session = up(tree(), AlState::SafeOp);
+    session.run_for(Duration::from_secs(2)).unwrap();
+    let watched = dc::Watched::take(&mut session, Duration::from_millis(500)).unwrap();
+    let findings = watched.findings(session.master(), Duration::from_micros(1));
+    assert!(findings.is_empty(), "{findings:?}");
+    let text = dc::text(&session, &watched, &findings);
+    for line in [
+        "the reference runs +0.0 ppm against the host's clock",
+        "   0  TK1100 coupler        reference         0                  0        0        0",
+        "   1  TK4021 servo          64 bit          400                  0        0        0",
+        "   2  TK0808 digital        none              0",
+        "emulated0: good",
+    ] {
+        assert!(text.lines().any(|other| other == line), "{line}\n{text}");
+    }
+    let findings = watched_with(1500).findings(session.master(), Duration::from_micros(1));
+    assert!(
+        findings[0].starts_with("slave 1: its clock was up to 1500 ns"),
+        "{findings:?}"
+    );
+}
+
+/// What a clock that was so far off looks like.
+fn watched_with(difference: i32) -> dc::Watched {
+    let range = dc::Range {
+        least: -3,
+        most: difference,
+        last: 0,
+    };
+    dc::Watched {
+        duration: Duration::from_secs(1),
+        ranges: vec![None, Some(range), None],
+        drift_ppm: None,
+    }
+}
+
+/// What was seen on the wire, as a recording.
+fn recording(session: &mut Session<Emulated>) -> Vec<u8> {
+    let mut seen = std::mem::take(&mut session.wire().seen);
+    seen.sort_by_key(|(at, _)| *at);
+    let mut writer = PcapWriter::new(Vec::new()).unwrap();
+    for (at, frame) in seen {
+        writer.write(at, &frame).unwrap();
+    }
+    writer.into_inner()
+}
+
+fn decoded(bytes: &[u8], filter: dump::Filter) -> (Vec<String>, Verdict) {
+    let mut decoder = dump::Decoder::new(bytes).unwrap();
+    let mut lines = Vec::new();
+    for record in PcapReader::new(bytes).unwrap() {
+        lines.extend(decoder.lines(&record.unwrap(), filter));
+    }
+    (lines, decoder.verdict())
+}
+
+#[test]
+fn a_recording_is_told_datagram_by_datagram() {
+    let mut session = up(tree(), AlState::SafeOp);
+    session.wire().seen.clear();
+    asked(&mut session, &upload("1018:01", false)).unwrap();
+    let bytes = recording(&mut session);
+    let (lines, verdict) = decoded(&bytes, dump::Filter::default());
+    assert_eq!(verdict, Verdict::Good);
+    let told = |text: &str| {
+        assert!(
+            lines.iter().any(|line| line.ends_with(text)),
+            "{text}\n{lines:#?}"
+        );
+    };
+    told("0000:0130     2    -  AL status");
+    told("0003:0130     2    3  AL status SAFE-OP (0004h)");
+    told("1002:1000   128    -  CoE #6 SDO read 1018h:01");
+    told("1002:1000   128    1  mailbox");
+    told("1002:1080   128    1  CoE #6 SDO 1018h:01, 4 bytes: 87 7A 00 00");
+    told("1003:0300    20    1  error counters all zero");
+    let filter = dump::Filter {
+        returned: true,
+        station: Some(0x1002),
+    };
+    let (lines, _) = decoded(&bytes, filter);
+    assert!(
+        lines
+            .iter()
+            .all(|line| line.contains(" < ") && line.contains("1002:")),
+        "{lines:#?}"
+    );
+}
+
+#[test]
+fn any_frame_is_told_or_left_out() {
+    let mut session = up(tree(), AlState::PreOp);
+    let bytes = recording(&mut session);
+    let begin: Vec<u8> = bytes.iter().copied().take(2000).collect();
+    let mut broken = 0;
+    for at in (24..begin.len()).step_by(7) {
+        let mut bytes = begin.clone();
+        bytes[at] ^= 0x5A;
+        let Ok(mut decoder) = dump::Decoder::new(&bytes) else {
+            continue;
+        };
+        for record in PcapReader::new(&bytes).unwrap().flatten() {
+            decoder.lines(&record, dump::Filter::default());
+        }
+        broken += u32::from(decoder.verdict() == Verdict::Failed);
+    }
+    assert!(broken > 10, "{broken}");
 }

@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 
 use serde_json::Value;
 
-use crate::cargo::Cargo;
+use crate::cargo::{Cargo, note};
 use crate::shell::quoted;
 
 /// A test binary that cargo built.
@@ -17,30 +17,32 @@ pub(crate) struct Binary {
     pub(crate) folder: PathBuf,
 }
 
-/// The test binaries of these cargo lines, which have been built by them.
-pub(crate) fn of(root: &Path, lines: &[Cargo]) -> anyhow::Result<Vec<Binary>> {
-    let mut all = Vec::new();
-    for line in lines {
-        let line = line.clone().arg("--no-run").arg("--message-format=json");
-        let mut found = Vec::new();
-        // What does not build was told when it was to be run.
-        if line.lines(root, |text| found.extend(binary(text)))? {
-            all.extend(found);
-        }
-    }
-    Ok(all)
+/// What cargo lines built.
+#[derive(Debug, Default)]
+pub(crate) struct Built {
+    pub(crate) tests: Vec<Binary>,
+    /// The program `takt`, for the tests of its package.
+    pub(crate) takt: Option<PathBuf>,
 }
 
-/// The program of that name that these cargo lines built, for the tests of its package.
-pub(crate) fn program(root: &Path, lines: &[Cargo], name: &str) -> anyhow::Result<Option<PathBuf>> {
-    let mut found = None;
-    for line in lines {
-        let line = line.clone().arg("--no-run").arg("--message-format=json");
-        line.lines(root, |text| {
-            found = program_of(text, name).or_else(|| found.take());
-        })?;
+impl Built {
+    /// Asks cargo for what these lines have built.
+    pub(crate) fn by(root: &Path, lines: &[Cargo]) -> anyhow::Result<Self> {
+        let mut built = Self::default();
+        for line in lines {
+            let line = line.clone().arg("--no-run").arg("--message-format=json");
+            let good = line.lines(root, |text| built.take(text))?;
+            if !good {
+                note("not all of it builds: what does not runs nowhere else either");
+            }
+        }
+        Ok(built)
     }
-    Ok(found)
+
+    fn take(&mut self, message: &str) {
+        self.tests.extend(binary(message));
+        self.takt = program_of(message, "takt").or_else(|| self.takt.take());
+    }
 }
 
 fn program_of(message: &str, name: &str) -> Option<PathBuf> {

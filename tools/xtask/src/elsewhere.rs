@@ -10,7 +10,7 @@ use std::path::Path;
 
 use anyhow::Context;
 
-use crate::binaries::{self, Binary, Errand};
+use crate::binaries::{self, Binary, Built, Errand};
 use crate::cargo::{self, Cargo, note};
 use crate::metadata::Workspace;
 use crate::parts::Part;
@@ -74,23 +74,24 @@ pub(crate) fn test(
         .filter(|(_, buses)| !buses.is_empty())
         .collect();
     let kernel = vm::wants_kernel(parts);
-    if !asked.is_empty() || kernel {
-        let binaries = binaries::of(root, lines)?;
-        let has = |bus| namespace::has(bus);
-        let (here, mut there) = errands(&binaries, &asked, has);
-        if kernel {
-            there.extend(of_kernel(root, binaries)?);
-        }
-        let python = match asked[..] {
-            [] => None,
-            _ => vm::peers(root)?,
-        };
-        let python = python.as_deref();
-        tally.add(run(root, Place::Namespace, &here, python)?);
-        tally.add(run(root, Place::Machine, &there, python)?);
+    let service = vm::wants_service(parts);
+    if asked.is_empty() && !kernel && !service {
+        return Ok(tally);
     }
-    if vm::wants_service(parts) {
-        tally.add(vm::service(root, lines)?);
+    let built = Built::by(root, lines)?;
+    let (here, mut there) = errands(&built.tests, &asked, namespace::has);
+    if kernel {
+        there.extend(of_kernel(root, built.tests)?);
+    }
+    let python = match asked[..] {
+        [] => None,
+        _ => vm::peers(root)?,
+    };
+    let python = python.as_deref();
+    tally.add(run(root, Place::Namespace, &here, python)?);
+    tally.add(run(root, Place::Machine, &there, python)?);
+    if service {
+        tally.add(vm::service(root, built.takt.as_deref())?);
     }
     Ok(tally)
 }
@@ -130,32 +131,22 @@ fn last(test: &str) -> &str {
     test.rsplit("::").next().unwrap_or(test)
 }
 
-/// All tests of the crates of real time.
-fn of_kernel(root: &Path, binaries: Vec<Binary>) -> anyhow::Result<Vec<Errand>> {
+/// All tests of the crates of real time, but for models of what threads may do: those are the same on
+/// any kernel, and take long.
+fn of_kernel(root: &Path, mut binaries: Vec<Binary>) -> anyhow::Result<Vec<Errand>> {
     let packages = Workspace::load(root)?.packages;
-    let mut folders = packages.iter().filter_map(|package| {
-        let is_of_kernel = ON_THE_KERNEL.contains(&package.name.as_str());
-        is_of_kernel.then(|| root.join(&package.dir))
-    });
-    let folders: Vec<_> = folders.by_ref().collect();
-    // Models of what threads may do are the same on any kernel, and take long.
-    let is_model = |binary: &Binary| {
-        binary
-            .program
-            .components()
-            .any(|part| part.as_os_str() == "loom")
+    let folders: Vec<_> = packages
+        .iter()
+        .filter(|package| ON_THE_KERNEL.contains(&package.name.as_str()))
+        .map(|package| root.join(&package.dir))
+        .collect();
+    let is_model = |binary: &Binary| binary.program.iter().any(|part| part == "loom");
+    binaries.retain(|binary| folders.contains(&binary.folder) && !is_model(binary));
+    let all = |binary| Errand {
+        binary,
+        tests: Vec::new(),
     };
-    let binaries = binaries
-        .into_iter()
-        .filter(|binary| folders.contains(&binary.folder));
-    let binaries = binaries.filter(|binary| !is_model(binary));
-    let tests = Vec::new;
-    Ok(binaries
-        .map(|binary| Errand {
-            binary,
-            tests: tests(),
-        })
-        .collect())
+    Ok(binaries.into_iter().map(all).collect())
 }
 
 /// Runs them in that place and counts. A test that skips itself there too has not passed. Tests that speak

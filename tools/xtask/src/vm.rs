@@ -10,7 +10,7 @@ mod system;
 
 use std::path::Path;
 
-use crate::cargo::{Cargo, say};
+use crate::cargo::say;
 use crate::parts::Part;
 use crate::test::tally::Tally;
 pub(crate) use guest::Guest;
@@ -48,9 +48,9 @@ fn wants(parts: &[&Part], names: &[&str]) -> bool {
     parts.is_empty() || parts.iter().any(|part| names.contains(&part.name))
 }
 
-/// Tests the package in a machine. `lines` may have built the program already.
-pub(crate) fn service(root: &Path, lines: &[Cargo]) -> anyhow::Result<Tally> {
-    Ok(match service::test(root, lines)? {
+/// Tests the package in a machine. `takt` is the program, if it is built already.
+pub(crate) fn service(root: &Path, takt: Option<&Path>) -> anyhow::Result<Tally> {
+    Ok(match service::test(root, takt)? {
         Ok(tally) => tally,
         Err(Obstacle(why)) => Tally::skipped(&format!("service in a virtual machine: {why}")),
     })

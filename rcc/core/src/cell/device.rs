@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use serde::Deserialize;
 
-use crate::device::{DeviceDescription, lwr, rmp};
+use crate::device::{DeviceDescription, iiwa, lwr, rmp};
 use crate::span;
 
 /// A device.
@@ -16,6 +16,9 @@ pub enum DeviceConfig {
     /// A KUKA LWR on a KRC2lr, over FRI 1.0.
     #[serde(rename = "kuka_lwr_fri")]
     Lwr(LwrConfig),
+    /// A KUKA LBR iiwa on a Sunrise cabinet, over FRI 1.7 to 2.7.
+    #[serde(rename = "kuka_iiwa_fri")]
+    Iiwa(IiwaConfig),
     /// A mobile base of one Segway RMP, or of two RMP50 on mecanum wheels, over CAN or USB.
     #[serde(rename = "segway_rmp")]
     Rmp(RmpConfig),
@@ -27,6 +30,7 @@ impl DeviceConfig {
     pub fn name(&self) -> &str {
         match self {
             Self::Lwr(config) => &config.name,
+            Self::Iiwa(config) => &config.name,
             Self::Rmp(config) => &config.name,
         }
     }
@@ -36,6 +40,7 @@ impl DeviceConfig {
     pub const fn priority(&self) -> Option<u8> {
         match self {
             Self::Lwr(config) => config.priority,
+            Self::Iiwa(config) => config.priority,
             Self::Rmp(config) => config.priority,
         }
     }
@@ -45,6 +50,7 @@ impl DeviceConfig {
     pub fn describe(&self) -> DeviceDescription {
         match self {
             Self::Lwr(config) => lwr::describe(&config.name).with(lwr::PARTS),
+            Self::Iiwa(config) => iiwa::describe(&config.name, config.model).with(iiwa::PARTS),
             Self::Rmp(config) => rmp::describe(config),
         }
     }
@@ -54,6 +60,7 @@ impl DeviceConfig {
     pub const fn thread(&self) -> Option<Duration> {
         match self {
             Self::Lwr(config) => config.thread,
+            Self::Iiwa(config) => config.thread,
             Self::Rmp(config) => config.thread,
         }
     }
@@ -106,6 +113,63 @@ impl LwrConfig {
     )]
     const fn default_priority() -> Option<u8> {
         Some(85)
+    }
+}
+
+/// Which LBR iiwa.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+pub enum IiwaModel {
+    /// LBR iiwa 7 R800.
+    #[serde(rename = "iiwa7")]
+    Iiwa7,
+    /// LBR iiwa 14 R820.
+    #[default]
+    #[serde(rename = "iiwa14")]
+    Iiwa14,
+}
+
+/// A KUKA LBR iiwa.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct IiwaConfig {
+    /// Name by which nets find it.
+    pub name: String,
+    /// `iiwa7` or `iiwa14`.
+    #[serde(default)]
+    pub model: IiwaModel,
+    /// Address and port at which the cabinet's datagrams arrive.
+    #[serde(default = "IiwaConfig::default_listen")]
+    pub listen: SocketAddr,
+    /// `SCHED_FIFO` priority of its driver thread, 1 to 98; `None` for an ordinary thread.
+    #[serde(default = "LwrConfig::default_priority")]
+    pub priority: Option<u8>,
+    /// Processors of its driver thread; empty for any.
+    #[serde(default)]
+    pub cpus: Vec<usize>,
+    /// Period of the net thread that commands it; `None` for the first.
+    #[serde(default, deserialize_with = "span::text::deserialize_some")]
+    pub thread: Option<Duration>,
+}
+
+impl IiwaConfig {
+    /// An iiwa 14 with default settings.
+    #[must_use]
+    pub fn new(name: impl Into<String>, listen: SocketAddr) -> Self {
+        Self {
+            name: name.into(),
+            model: IiwaModel::default(),
+            listen,
+            priority: LwrConfig::default_priority(),
+            cpus: Vec::new(),
+            thread: None,
+        }
+    }
+
+    const fn default_listen() -> SocketAddr {
+        SocketAddr::new(
+            std::net::IpAddr::V4(std::net::Ipv4Addr::UNSPECIFIED),
+            takt_fri::sunrise::DEFAULT_PORT,
+        )
     }
 }
 

@@ -11,6 +11,7 @@ use crate::controller::desk::Desk;
 use crate::device::canopen::{self, Canopen};
 use crate::device::driver::{self, DeviceDriver, DriverEnds};
 use crate::device::ethercat::{self, Ethercat};
+use crate::device::iiwa::{self, Iiwa};
 use crate::device::lwr::{self, Lwr};
 use crate::device::rmp::{self, Rmp};
 use crate::device::sim::{self, Simulated};
@@ -86,6 +87,9 @@ impl Desk {
             Ok(match device {
                 DeviceConfig::Lwr(config) => {
                     Box::new(Lwr::start(config, lwr::listen(config)?, ends)?)
+                }
+                DeviceConfig::Iiwa(config) => {
+                    Box::new(Iiwa::start(config, iiwa::listen(config)?, ends)?)
                 }
                 DeviceConfig::Rmp(config) => {
                     Box::new(Rmp::start(config, rmp::open(config)?, ends)?)

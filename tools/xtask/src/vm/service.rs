@@ -9,7 +9,6 @@ use anyhow::Context;
 
 use super::system::Processors;
 use super::{Had, Obstacle, needs};
-use crate::binaries;
 use crate::cargo::{self, Cargo, note, say};
 use crate::deb::Package;
 use crate::shell::Line;
@@ -55,7 +54,7 @@ const MASKED: [&str; 7] = [
 ];
 
 /// Builds the package, boots the machine and counts what its script prints.
-pub(super) fn test(root: &Path, lines: &[Cargo]) -> Had<Tally> {
+pub(super) fn test(root: &Path, takt: Option<&Path>) -> Had<Tally> {
     if let Err(obstacle) = super::refused() {
         return Ok(Err(obstacle));
     }
@@ -76,7 +75,7 @@ pub(super) fn test(root: &Path, lines: &[Cargo]) -> Had<Tally> {
     let machine = Machine {
         kernel,
         image,
-        disk: disk(root, &folder, &packages(root, &folder, lines)?)?,
+        disk: disk(root, &folder, &packages(root, &folder, takt)?)?,
         console: folder.join("console.log"),
     };
     let quick = Machine {
@@ -106,10 +105,9 @@ pub(super) fn test(root: &Path, lines: &[Cargo]) -> Had<Tally> {
 
 /// The package of this checkout, and the same as a later version. The program is the one that the tests
 /// were built with.
-fn packages(root: &Path, folder: &Path, lines: &[Cargo]) -> anyhow::Result<[PathBuf; 2]> {
-    let built = binaries::program(root, lines, "takt")?;
-    let program = match built {
-        Some(program) => program,
+fn packages(root: &Path, folder: &Path, takt: Option<&Path>) -> anyhow::Result<[PathBuf; 2]> {
+    let program = match takt {
+        Some(program) => program.to_owned(),
         None => {
             let build = Cargo::new("build -p takt-tools --all-features");
             anyhow::ensure!(build.succeeds(root)?, "takt does not build");

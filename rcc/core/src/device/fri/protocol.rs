@@ -1,0 +1,85 @@
+//! What the driver of FRI arms needs of a session, whichever generation it speaks. It moves no bytes.
+
+use std::fmt;
+use std::time::Duration;
+
+use takt_net::value::Wrench;
+
+use crate::device::DeviceStatus;
+
+/// Joints of every arm that speaks FRI.
+pub const AXES: usize = 7;
+
+/// A datagram that was heard.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Heard {
+    /// Whether it is newer than those before it; else it means nothing.
+    pub is_new: bool,
+    /// Measurements lost since the one before.
+    pub lost: u16,
+}
+
+/// Totals of a session.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Totals {
+    /// Measurements received.
+    pub received: u64,
+    /// Measurements that never came.
+    pub lost: u64,
+    /// Datagrams that were none.
+    pub malformed: u64,
+}
+
+/// A value of each joint.
+pub type Joints = [f64; AXES];
+
+/// One end of a connection, as a driver sees it: a session of either generation.
+pub trait Protocol: fmt::Debug + Send + 'static {
+    /// How the controller judges the connection.
+    type Quality: Copy + fmt::Debug + PartialEq;
+
+    /// Takes a datagram that arrived `at`; `None` if it is none of this protocol.
+    fn hear(&mut self, datagram: &[u8], at: Duration) -> Option<Heard>;
+
+    /// It is `now`, and nothing came; whether the controller counts as gone since just now.
+    fn hear_nothing(&mut self, now: Duration) -> bool;
+
+    /// Whether the controller waits for an answer.
+    fn is_due(&self) -> bool;
+
+    /// Writes the answer with these positions, rad, and tells its length; nothing if none is due.
+    fn reply(&mut self, joints: &Joints, buffer: &mut [u8]) -> Option<usize>;
+
+    /// Whether the robot is there and follows.
+    fn status(&self) -> DeviceStatus;
+
+    /// Positions that the next answer may carry without a jump, rad.
+    fn rest(&self) -> Joints;
+
+    /// Where the robot is to be by its own account, rad; `None` before the first measurement.
+    fn set_point(&self) -> Option<Joints>;
+
+    /// Where it is, rad; `None` before the first measurement.
+    fn measured(&self) -> Option<Joints>;
+
+    /// Torques that act on the joints from outside, as the controller estimates them, Nm.
+    fn external_torques(&self) -> Option<Joints>;
+
+    /// Torques measured at the joints, Nm.
+    fn measured_torques(&self) -> Option<Joints>;
+
+    /// Force and torque at the tool, if the controller tells.
+    fn wrench(&self) -> Option<Wrench>;
+
+    /// Time between measurements; `None` before the first.
+    fn cycle(&self) -> Option<Duration>;
+
+    /// The code of the quality last told.
+    fn quality_code(&self) -> i32;
+
+    /// What a code of quality means.
+    fn quality(code: i32) -> Self::Quality;
+
+    /// Totals so far.
+    fn totals(&self) -> Totals;
+}

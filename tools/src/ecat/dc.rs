@@ -1,0 +1,262 @@
+//! `takt ecat dc`: the clocks of a segment: who is the reference, how far the others are from it, how it runs against
+//! the host's clock. SYNC signals are not started; whether a drive likes its SYNC0 is seen with the controller.
+
+use std::fmt::Write as _;
+use std::time::Duration;
+
+use clap::Args;
+use serde_json::{Value, json};
+use takt_ethercat::AlState;
+use takt_ethercat::dc::Sample;
+use takt_ethercat::master::{Master, SlaveView};
+
+use super::session::{Session, Wire};
+use super::{Target, scan};
+use crate::Verdict;
+use crate::output::{say, span, time};
+
+/// Watch the distributed clocks: reference, delays, differences, drift.
+///
+/// All slaves are brought to SAFE-OP, where outputs stay safe, and left in INIT. Exit status: 0 all clocks stay
+/// inside of the window; 1 one does not, or there is none; 2 it could not be tried.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  takt ecat dc enp2s0
+  takt ecat dc enp2s0 --duration 1min --window 200ns --json
+
+Differences are those of register 092Ch, positive where the slave is ahead of the reference.")]
+pub(crate) struct Dc {
+    #[command(flatten)]
+    target: Target,
+    /// How long to watch.
+    #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span)]
+    duration: Duration,
+    /// How long clocks may take to settle before.
+    #[arg(long, value_name = "TIME", default_value = "5s", value_parser = span)]
+    settle: Duration,
+    /// Period of the frames; clocks follow the better the more often the time is told.
+    #[arg(long, value_name = "TIME", default_value = "1ms", value_parser = span)]
+    cycle: Duration,
+    /// Largest difference that is good.
+    #[arg(long, value_name = "TIME", default_value = "1us", value_parser = span)]
+    window: Duration,
+    /// Print one JSON object instead of the report.
+    #[arg(long)]
+    json: bool,
+}
+
+impl Dc {
+    pub(super) fn run(self) -> anyhow::Result<Verdict> {
+        let mut session = self.target.bring_up(AlState::SafeOp, self.cycle)?;
+        session.run_for(self.settle)?;
+        let watched = Watched::take(&mut session, self.duration)?;
+        session.leave()?;
+        let findings = watched.findings(session.master(), self.window);
+        if self.json {
+            say(&object(&session, &watched, &findings).to_string())?;
+        } else {
+            say(text(&session, &watched, &findings).trim_end())?;
+        }
+        Ok(if findings.is_empty() {
+            Verdict::Good
+        } else {
+            Verdict::Failed
+        })
+    }
+}
+
+/// Differences of one clock, ns.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Range {
+    pub(super) least: i32,
+    pub(super) most: i32,
+    pub(super) last: i32,
+}
+
+/// What the clocks did.
+#[derive(Debug)]
+pub(super) struct Watched {
+    pub(super) duration: Duration,
+    /// By slave; `None` where nothing was read.
+    pub(super) ranges: Vec<Option<Range>>,
+    /// How much faster the reference runs than the host, in millionths; `None` without samples enough.
+    pub(super) drift_ppm: Option<f64>,
+}
+
+impl Watched {
+    /// Watches for a time.
+    pub(super) fn take<W: Wire>(
+        session: &mut Session<W>,
+        duration: Duration,
+    ) -> anyhow::Result<Self> {
+        let mut ranges = vec![None; session.master().len()];
+        let (mut first, mut last) = (None, None);
+        let begin = session.now()?;
+        while session.now()?.saturating_sub(begin) < duration {
+            session.cycle()?;
+            if let Some(sample) = session.sample() {
+                first = first.or(Some(sample));
+                last = Some(sample);
+            }
+            for (number, range) in ranges.iter_mut().enumerate() {
+                let slave = session.master().slave(number);
+                if let Some(difference) = slave.and_then(|slave| slave.clock_difference_ns()) {
+                    *range = Some(widened(*range, difference));
+                }
+            }
+        }
+        let drift_ppm = first.zip(last).and_then(|(first, last)| drift(first, last));
+        Ok(Self {
+            duration,
+            ranges,
+            drift_ppm,
+        })
+    }
+
+    /// What is wrong.
+    pub(super) fn findings(&self, master: &Master, window: Duration) -> Vec<String> {
+        let mut findings = Vec::new();
+        if master.reference().is_none() {
+            findings.push(
+                "no slave has a distributed clock; SYNC0 cannot be had on this segment".to_owned(),
+            );
+        }
+        for (number, range) in self.ranges.iter().enumerate() {
+            let Some(slave) = master.slave(number) else {
+                continue;
+            };
+            if let Some(fault) = slave.fault() {
+                findings.push(format!("slave {number}: {fault}"));
+            }
+            let furthest = range.map_or(0, |range| {
+                range.least.unsigned_abs().max(range.most.unsigned_abs())
+            });
+            if u128::from(furthest) > window.as_nanos() {
+                findings.push(format!(
+                    "slave {number}: its clock was up to {furthest} ns from the reference, {} ns are allowed; frames \
+                     that are late or lost (`takt ecat stat`), or a delay that changed with the cabling",
+                    window.as_nanos()
+                ));
+            }
+        }
+        findings
+    }
+}
+
+fn widened(range: Option<Range>, difference: i32) -> Range {
+    let Range { least, most, .. } = range.unwrap_or(Range {
+        least: difference,
+        most: difference,
+        last: difference,
+    });
+    Range {
+        least: least.min(difference),
+        most: most.max(difference),
+        last: difference,
+    }
+}
+
+/// Between two samples, each taken to be halfway between sending and receiving.
+#[expect(
+    clippy::cast_precision_loss,
+    reason = "spans of minutes, shown with one digit"
+)]
+fn drift(first: Sample, last: Sample) -> Option<f64> {
+    let middle = |sample: Sample| (sample.sent + sample.received) / 2;
+    let host = middle(last).checked_sub(middle(first))?.as_nanos() as f64;
+    let reference = last.system_ns.checked_sub(first.system_ns)? as f64;
+    (host > 0.0).then(|| (reference - host) / host * 1e6)
+}
+
+fn slaves(master: &Master) -> impl Iterator<Item = SlaveView<'_>> {
+    (0..master.len()).filter_map(|number| master.slave(number))
+}
+
+fn kind(master: &Master, slave: SlaveView<'_>) -> &'static str {
+    let info = slave.info();
+    if master.reference() == Some(slave.number()) {
+        "reference"
+    } else if info.has_sync() {
+        "64 bit"
+    } else if info.has_clock() {
+        "32 bit"
+    } else {
+        "none"
+    }
+}
+
+/// The report.
+pub(super) fn text<W: Wire>(
+    session: &Session<W>,
+    watched: &Watched,
+    findings: &[String],
+) -> String {
+    let master = session.master();
+    let name = session.interface();
+    let watched_for = i64::try_from(watched.duration.as_nanos()).unwrap_or(i64::MAX);
+    let mut text = format!("{name}: {} slaves, {}\n", master.len(), time(watched_for));
+    if let Some(ppm) = watched.drift_ppm {
+        let _ = writeln!(
+            text,
+            "the reference runs {ppm:+.1} ppm against the host's clock"
+        );
+    }
+    text.push_str(
+        "\n slave                       clock      delay ns  difference ns: min      max     last\n",
+    );
+    for (slave, range) in slaves(master).zip(&watched.ranges) {
+        let title: String = scan::title(slave).chars().take(20).collect();
+        let number = slave.number();
+        let _ = write!(
+            text,
+            "{number:>4}  {title:<20}  {:<9}  {:>8}",
+            kind(master, slave),
+            slave.delay_ns()
+        );
+        if let Some(range) = range {
+            let Range { least, most, last } = range;
+            let _ = write!(text, "  {least:>17} {most:>8} {last:>8}");
+        }
+        text.push('\n');
+    }
+    for finding in findings {
+        let _ = writeln!(text, "FAIL  {finding}");
+    }
+    let _ = match findings.len() {
+        0 => writeln!(text, "{name}: good"),
+        count => writeln!(text, "{name}: {count} FAIL"),
+    };
+    text
+}
+
+/// What a program reads.
+pub(super) fn object<W: Wire>(
+    session: &Session<W>,
+    watched: &Watched,
+    findings: &[String],
+) -> Value {
+    let master = session.master();
+    let slaves: Vec<Value> = slaves(master)
+        .zip(&watched.ranges)
+        .map(|(slave, range)| {
+            json!({
+                "slave": slave.number(),
+                "name": scan::title(slave),
+                "clock": kind(master, slave),
+                "delay_ns": slave.delay_ns(),
+                "min_ns": range.map(|range| range.least),
+                "max_ns": range.map(|range| range.most),
+                "last_ns": range.map(|range| range.last),
+            })
+        })
+        .collect();
+    json!({
+        "version": 1,
+        "interface": session.interface(),
+        "duration_ns": u64::try_from(watched.duration.as_nanos()).unwrap_or(u64::MAX),
+        "reference": master.reference(),
+        "drift_ppm": watched.drift_ppm,
+        "slaves": slaves,
+        "findings": findings,
+    })
+}

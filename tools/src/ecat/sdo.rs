@@ -1,0 +1,296 @@
+//! `takt ecat sdo`: the objects of one slave, by CoE in PRE-OP: listed, read, written. PDOs are shown by `pdos`.
+
+use std::fmt::Write as _;
+
+use anyhow::{Context as _, bail};
+use clap::{Args, Subcommand};
+use serde_json::json;
+use takt_cia402::dictionary::{Address, DataType};
+use takt_ethercat::AlState;
+use takt_ethercat::coe::Whole;
+use takt_ethercat::master::{EntryDescription, JobError, JobKind, ObjectDescription};
+
+use super::session::{Session, Wire};
+use super::{ASKING, Target, confirm, value};
+use crate::Verdict;
+use crate::output::{complain, say};
+
+/// List, read and write objects of a slave (CoE).
+///
+/// The segment is brought to PRE-OP for it. Exit status: 0 done; 1 the slave refuses or does not answer; 2 it
+/// could not be tried.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  takt ecat sdo enp2s0 3 list
+  takt ecat sdo enp2s0 3 upload 1018:01
+  takt ecat sdo enp2s0 EL3104 download 8000:06 true --type bool --confirm-motion")]
+pub(crate) struct Sdo {
+    #[command(flatten)]
+    target: Target,
+    /// The slave: its position from 0, or its name or order code if no other has it.
+    slave: String,
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, Subcommand)]
+pub(super) enum What {
+    /// List all objects with their names (SDO information service).
+    List {
+        /// With each of their entries.
+        #[arg(long)]
+        entries: bool,
+    },
+    /// Read an entry.
+    Upload {
+        /// Index and sub-index, hexadecimal: 6041, 1018:01.
+        address: Address,
+        /// Its data type (u8, i32, f32, string, bytes, ..); without it the slave is asked.
+        #[arg(long = "type", value_name = "TYPE", value_parser = value::data_type)]
+        data_type: Option<DataType>,
+        /// Read the whole object from the sub-index on (complete access).
+        #[arg(long)]
+        complete: bool,
+        /// Print one JSON object.
+        #[arg(long)]
+        json: bool,
+    },
+    /// Write an entry.
+    Download {
+        /// Index and sub-index, hexadecimal: 6041, 1018:01.
+        address: Address,
+        /// The value, as its type is written: 5, -5, 0x1F, 1.5, text, `0A 1B`.
+        #[arg(allow_hyphen_values = true)]
+        value: String,
+        /// Its data type (u8, i32, f32, string, bytes, ..); without it the slave is asked.
+        #[arg(long = "type", value_name = "TYPE", value_parser = value::data_type)]
+        data_type: Option<DataType>,
+        /// Write the whole object from the sub-index on (complete access), as bytes.
+        #[arg(long)]
+        complete: bool,
+        /// Do not ask whether what moves is safe.
+        #[arg(long)]
+        confirm_motion: bool,
+    },
+}
+
+/// Room for an answer: what a domain may have.
+const ROOM: usize = 1 << 20;
+/// Room for a description, whose name is at most a mailbox long.
+const DESCRIPTION: usize = 1500;
+
+impl Sdo {
+    pub(super) fn run(self) -> anyhow::Result<Verdict> {
+        if let What::Download {
+            address,
+            confirm_motion,
+            ..
+        } = &self.what
+            && can_move(*address)
+        {
+            confirm::motion(&format!("writing {address}"), *confirm_motion)?;
+        }
+        let mut session = self.target.bring_up(AlState::PreOp, ASKING)?;
+        let slave = session.find(&self.slave)?;
+        match perform(&mut session, slave, &self.what)? {
+            Ok(text) => {
+                say(text.trim_end())?;
+                Ok(Verdict::Good)
+            }
+            Err(error) => {
+                complain(&format!("takt: slave {slave}: {error}"));
+                Ok(Verdict::Failed)
+            }
+        }
+    }
+}
+
+/// Communication parameters (1000h to 1FFFh) only store something; control words and outputs are beyond.
+const fn can_move(address: Address) -> bool {
+    !matches!(address.index, 0x1000..=0x1FFF)
+}
+
+/// Does it; what the slave refuses is no failure of the asking.
+pub(super) fn perform<W: Wire>(
+    session: &mut Session<W>,
+    slave: usize,
+    what: &What,
+) -> anyhow::Result<Result<String, JobError>> {
+    match what {
+        What::List { entries } => list(session, slave, *entries),
+        What::Upload {
+            address,
+            data_type,
+            complete,
+            json,
+        } => {
+            let kind = JobKind::Upload {
+                address: *address,
+                whole: whole(*complete),
+            };
+            let bytes = match session.ask(slave, kind, Vec::with_capacity(ROOM))? {
+                Ok(bytes) => bytes,
+                Err(error) => return Ok(Err(error)),
+            };
+            let data_type = match (complete, data_type) {
+                (true, _) => None,
+                (false, Some(data_type)) => Some(*data_type),
+                (false, None) => type_of(session, slave, *address)?,
+            };
+            let shown = value::shown(data_type, &bytes);
+            if !json {
+                return Ok(Ok(shown));
+            }
+            let object = json!({
+                "version": 1,
+                "slave": slave,
+                "address": address.to_string(),
+                "type": data_type.map(|kind| kind.to_string()),
+                "bytes": bytes,
+                "value": shown,
+            });
+            Ok(Ok(object.to_string()))
+        }
+        What::Download {
+            address,
+            value,
+            data_type,
+            complete,
+            confirm_motion: _,
+        } => download(session, slave, *address, value, *data_type, *complete),
+    }
+}
+
+const fn whole(complete: bool) -> Whole {
+    if complete {
+        Whole::Object
+    } else {
+        Whole::Entry
+    }
+}
+
+fn download<W: Wire>(
+    session: &mut Session<W>,
+    slave: usize,
+    address: Address,
+    value: &str,
+    data_type: Option<DataType>,
+    complete: bool,
+) -> anyhow::Result<Result<String, JobError>> {
+    let data_type = match (complete, data_type) {
+        (true, _) => DataType::OctetString,
+        (false, Some(data_type)) => data_type,
+        (false, None) => type_of(session, slave, address)?.with_context(|| {
+            format!("slave {slave} does not tell the type of {address}; give it by --type")
+        })?,
+    };
+    let bytes = match value::bytes(data_type, value) {
+        Ok(bytes) => bytes,
+        Err(text) => bail!("{address}: {text}"),
+    };
+    let text = format!("{address} <- {}", value::shown(Some(data_type), &bytes));
+    let kind = JobKind::Download {
+        address,
+        whole: whole(complete),
+    };
+    Ok(session.ask(slave, kind, bytes)?.map(|_| text))
+}
+
+/// The type of an entry, if the slave tells.
+fn type_of<W: Wire>(
+    session: &mut Session<W>,
+    slave: usize,
+    address: Address,
+) -> anyhow::Result<Option<DataType>> {
+    let kind = JobKind::DescribeEntry(address);
+    let answer = session.ask(slave, kind, Vec::with_capacity(DESCRIPTION))?;
+    let Ok(bytes) = answer else {
+        return Ok(None);
+    };
+    let entry = EntryDescription::decode(&bytes);
+    Ok(entry.map(|entry| DataType::from_raw(entry.data_type)))
+}
+
+fn list<W: Wire>(
+    session: &mut Session<W>,
+    slave: usize,
+    entries: bool,
+) -> anyhow::Result<Result<String, JobError>> {
+    let all = session.ask(slave, JobKind::List(1), Vec::with_capacity(ROOM))?;
+    let all = match all {
+        Ok(all) => all,
+        Err(error) => return Ok(Err(error)),
+    };
+    let mut text = String::new();
+    for index in all.chunks_exact(2) {
+        let index = index
+            .first_chunk()
+            .map_or(0, |two| u16::from_le_bytes(*two));
+        let kind = JobKind::DescribeObject(index);
+        let bytes = session.ask(slave, kind, Vec::with_capacity(DESCRIPTION))?;
+        let object = match &bytes {
+            Ok(bytes) => ObjectDescription::decode(bytes),
+            Err(error) => {
+                let _ = writeln!(text, "{index:04X}h     {error}");
+                continue;
+            }
+        };
+        let Some(object) = object else {
+            let _ = writeln!(text, "{index:04X}h     its description is cut off");
+            continue;
+        };
+        let _ = writeln!(text, "{}", object_line(&object));
+        let highest = if entries { Some(object.highest) } else { None };
+        for sub in 0..=highest.unwrap_or(0) {
+            if highest.is_some() {
+                text.push_str(&entry_line(session, slave, Address::new(index, sub))?);
+            }
+        }
+    }
+    Ok(Ok(text))
+}
+
+fn object_line(object: &ObjectDescription<'_>) -> String {
+    let code = match object.code {
+        7 => "VAR",
+        8 => "ARRAY",
+        9 => "RECORD",
+        _ => "?",
+    };
+    let data_type = DataType::from_raw(object.data_type).to_string();
+    format!(
+        "{:04X}h     {code:<6} {data_type:<16} {}",
+        object.index, object.name
+    )
+}
+
+/// One entry; nothing for a gap in the sub-indices.
+fn entry_line<W: Wire>(
+    session: &mut Session<W>,
+    slave: usize,
+    address: Address,
+) -> anyhow::Result<String> {
+    let kind = JobKind::DescribeEntry(address);
+    let Ok(bytes) = session.ask(slave, kind, Vec::with_capacity(DESCRIPTION))? else {
+        return Ok(String::new());
+    };
+    let Some(entry) = EntryDescription::decode(&bytes) else {
+        return Ok(String::new());
+    };
+    let data_type = DataType::from_raw(entry.data_type).to_string();
+    let bits = entry.access;
+    let flag = |bit: u16, text: &'static str| if bits >> bit & 1 == 1 { text } else { "-" };
+    Ok(format!(
+        "{address} {:>4} bit {data_type:<16} {}{}{}{}{}{}  {}{}  {}\n",
+        entry.bits,
+        flag(0, "r"),
+        flag(1, "r"),
+        flag(2, "r"),
+        flag(3, "w"),
+        flag(4, "w"),
+        flag(5, "w"),
+        flag(6, "R"),
+        flag(7, "T"),
+        entry.name
+    ))
+}

@@ -1,0 +1,445 @@
+//! `takt ecat stat`: how well frames go through a segment: what is lost, where it is broken, which cable to look at.
+//! The counters are those of the master and of the slaves' ports; what they mean together is judged here.
+
+use std::fmt::{self, Write as _};
+use std::time::Duration;
+
+use clap::{Args, ValueEnum};
+use serde_json::{Value, json};
+use takt_ethercat::AlState;
+use takt_ethercat::master::{
+    Cable, Event, Fault, FrameCounters, Master, PortCounters, SlaveView, Suspect,
+};
+
+use super::session::{Session, Wire};
+use super::{Target, confirm, scan};
+use crate::Verdict;
+use crate::output::{say, span, time};
+
+/// Measure a segment: lost and late frames, working counters, errors by port; and say what is wrong.
+///
+/// Exit status: 0 nothing fails; 1 something does; 2 it could not be tried. Counters of the slaves' ports are taken
+/// from when this began; afterwards all slaves are left in INIT.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  takt ecat stat enp2s0
+  takt ecat stat enp2s0 --duration 1min --json
+  takt ecat stat enp2s0 --state op --confirm-motion    with working counters; all outputs are zero")]
+pub(crate) struct Stat {
+    #[command(flatten)]
+    target: Target,
+    /// How long to measure.
+    #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span)]
+    duration: Duration,
+    /// Period of the frames.
+    #[arg(long, value_name = "TIME", default_value = "1ms", value_parser = span)]
+    cycle: Duration,
+    /// State to measure in. Working counters of process data are known in OP alone.
+    #[arg(long, value_name = "STATE", default_value = "safe-op")]
+    state: State,
+    /// Do not ask whether OP is safe.
+    #[arg(long)]
+    confirm_motion: bool,
+    /// Print one JSON object instead of the report.
+    #[arg(long)]
+    json: bool,
+    /// Print the verdict only.
+    #[arg(long, conflicts_with = "json")]
+    quiet: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum State {
+    /// Frames without process data.
+    PreOp,
+    /// Inputs are exchanged, slaves keep their outputs safe.
+    SafeOp,
+    /// Outputs are taken by the slaves; they are zero.
+    Op,
+}
+
+impl Stat {
+    pub(super) fn run(self) -> anyhow::Result<Verdict> {
+        let goal = match self.state {
+            State::PreOp => AlState::PreOp,
+            State::SafeOp => AlState::SafeOp,
+            State::Op => {
+                confirm::motion("OP with all outputs zero", self.confirm_motion)?;
+                AlState::Op
+            }
+        };
+        let mut session = self.target.bring_up(goal, self.cycle)?;
+        let measured = Measured::take(&mut session, self.duration)?;
+        session.leave()?;
+        let findings = measured.findings(session.master());
+        if self.json {
+            say(&object(&session, &measured, &findings).to_string())?;
+        } else {
+            if !self.quiet {
+                say(table(&session, &measured).trim_end())?;
+            }
+            say(verdict(session.interface(), &findings).trim_end())?;
+        }
+        Ok(if findings.iter().any(Finding::is_failure) {
+            Verdict::Failed
+        } else {
+            Verdict::Good
+        })
+    }
+}
+
+/// What was measured over a time.
+#[derive(Debug)]
+pub(super) struct Measured {
+    duration: Duration,
+    frames: FrameCounters,
+    /// Cycles in which a group's working counter was another than expected, by group.
+    misses: Vec<u64>,
+    /// Half of the frames were faster, 99 of 100, all; `None` if none came back.
+    round_trip: Option<[Duration; 3]>,
+    cables: Vec<String>,
+}
+
+impl Measured {
+    /// Measures for a time.
+    pub(super) fn take<W: Wire>(
+        session: &mut Session<W>,
+        duration: Duration,
+    ) -> anyhow::Result<Self> {
+        read_counters(session)?;
+        session.forget();
+        let (before, misses) = (session.master().frames(), misses(session.master()));
+        session.run_for(duration)?;
+        let (after, round_trip) = (
+            session.master().frames(),
+            percentiles(session.round_trips()),
+        );
+        let since = |after: u64, before: u64| after.saturating_sub(before);
+        let frames = FrameCounters {
+            sent: since(after.sent, before.sent),
+            answered: since(after.answered, before.answered),
+            lost: since(after.lost, before.lost),
+            stale: since(after.stale, before.stale),
+            foreign: since(after.foreign, before.foreign),
+        };
+        let misses = self::misses(session.master())
+            .into_iter()
+            .zip(misses)
+            .map(|(after, before)| since(after, before))
+            .collect();
+        read_counters(session)?;
+        Ok(Self {
+            duration,
+            frames,
+            misses,
+            round_trip,
+            cables: cuts(session),
+        })
+    }
+
+    /// Frames that never came back.
+    const fn lost(&self) -> u64 {
+        self.frames.lost.saturating_sub(self.frames.stale)
+    }
+
+    /// What is to be said about it, the worst first.
+    pub(super) fn findings(&self, master: &Master) -> Vec<Finding> {
+        let mut all: Vec<Finding> = self.cables.iter().cloned().map(Finding::Cut).collect();
+        all.extend(master.suspects().into_iter().map(Finding::Suspect));
+        for slave in slaves(master) {
+            let number = slave.number();
+            all.extend(slave.fault().map(|fault| Finding::Slave(number, fault)));
+            let errors = slave.counters().controller;
+            if errors > 0 {
+                all.push(Finding::Controller(number, errors));
+            }
+        }
+        let (lost, sent) = (self.lost(), self.frames.sent);
+        let broken = !master.suspects().is_empty() || !self.cables.is_empty();
+        if lost > 0 {
+            all.push(Finding::Lost { lost, sent, broken });
+        }
+        let misses = self.misses.iter().sum();
+        if misses > self.frames.lost {
+            all.push(Finding::Misses(misses));
+        }
+        if self.frames.stale > 0 {
+            all.push(Finding::Late(self.frames.stale));
+        }
+        if self.frames.foreign > 0 {
+            all.push(Finding::Foreign(self.frames.foreign));
+        }
+        all
+    }
+}
+
+/// Goes on until the master has read the counters of each slave: what was counted before it began is none of its
+/// errors, and what happened last is to be seen. It reads those of one slave at least each 16 cycles.
+fn read_counters<W: Wire>(session: &mut Session<W>) -> anyhow::Result<()> {
+    let cycles = 16 * (session.master().len() + 4);
+    for _ in 0..cycles {
+        session.cycle()?;
+    }
+    Ok(())
+}
+
+/// Something that is not as it should be.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Finding {
+    /// A cable was cut meanwhile.
+    Cut(String),
+    /// Errors point to a cable.
+    Suspect(Suspect),
+    /// A slave is not where it is wanted.
+    Slave(usize, Fault),
+    /// The firmware of a slave reaches into its controller wrongly.
+    Controller(usize, u64),
+    /// Frames never came back.
+    Lost {
+        lost: u64,
+        sent: u64,
+        /// There are errors at ports that explain it.
+        broken: bool,
+    },
+    /// Working counters were other than expected though the frames came back.
+    Misses(u64),
+    /// Frames came back behind the end of their cycle.
+    Late(u64),
+    /// Frames that nobody sent here.
+    Foreign(u64),
+}
+
+impl Finding {
+    /// Late frames are the host's, which a tool without real time does not judge.
+    const fn is_failure(&self) -> bool {
+        !matches!(self, Self::Late(_))
+    }
+}
+
+impl fmt::Display for Finding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Cut(text) => f.write_str(text),
+            Self::Suspect(suspect) => suspect.fmt(f),
+            Self::Slave(slave, fault) => write!(f, "slave {slave}: {fault}"),
+            Self::Controller(slave, errors) => write!(
+                f,
+                "slave {slave}: {errors} errors between its firmware and its controller (030Dh); a fault of the device"
+            ),
+            Self::Lost {
+                lost,
+                sent,
+                broken: true,
+            } => write!(
+                f,
+                "{lost} of {sent} frames lost; the cable above is where they go"
+            ),
+            Self::Lost {
+                lost,
+                sent,
+                broken: false,
+            } => write!(
+                f,
+                "{lost} of {sent} frames lost, and no port has counted an error; see the cable from the master to \
+                 slave 0 and what the host drops (`ip -s link`, `takt doctor --interface`)"
+            ),
+            Self::Misses(misses) => write!(
+                f,
+                "{misses} cycles with another working counter than expected; a slave left OP or dropped process \
+                 data: see its watchdog and the states above"
+            ),
+            Self::Late(late) => write!(
+                f,
+                "{late} frames came back after the end of their cycle; the host is late: see `takt jitter`, \
+                 `ethtool -c` (rx-usecs 0), or take a longer --cycle"
+            ),
+            Self::Foreign(foreign) => write!(
+                f,
+                "{foreign} frames that were not sent here; another master on this segment, or a switch in it"
+            ),
+        }
+    }
+}
+
+fn slaves(master: &Master) -> impl Iterator<Item = SlaveView<'_>> {
+    (0..master.len()).filter_map(|number| master.slave(number))
+}
+
+fn misses(master: &Master) -> Vec<u64> {
+    master.groups().iter().map(|group| group.misses).collect()
+}
+
+/// Cables that were cut meanwhile, each once. Where the slave behind is there and no port lost its link, frames were
+/// lost and nothing was cut.
+fn cuts<W: Wire>(session: &Session<W>) -> Vec<String> {
+    let mut cuts = Vec::new();
+    for (_, event) in session.events() {
+        let (Event::CableCut { cable } | Event::RingOpen { cable }) = event else {
+            continue;
+        };
+        let text = event.to_string();
+        if lost_link(session.master(), *cable) && !cuts.contains(&text) {
+            cuts.push(text);
+        }
+    }
+    cuts
+}
+
+/// Whether a port at an end of a cable lost its link, or what is behind is gone.
+fn lost_link(master: &Master, cable: Cable) -> bool {
+    let links = |slave: SlaveView<'_>, port: usize| at_port(slave.counters(), port)[3] > 0;
+    let far = cable.to.and_then(|to| master.slave(to));
+    let near = cable
+        .from
+        .and_then(|(from, port)| Some((master.slave(from)?, port)));
+    far.is_none_or(|slave| slave.position().is_none() || links(slave, 0))
+        || near.is_some_and(|(slave, port)| links(slave, port.into()))
+}
+
+fn percentiles(round_trips: &[Duration]) -> Option<[Duration; 3]> {
+    let mut sorted = round_trips.to_vec();
+    sorted.sort_unstable();
+    let last = sorted.len().checked_sub(1)?;
+    let at = |hundredths: usize| sorted.get(last * hundredths / 100).copied();
+    Some([at(50)?, at(99)?, at(100)?])
+}
+
+fn nanos(duration: Duration) -> i64 {
+    i64::try_from(duration.as_nanos()).unwrap_or(i64::MAX)
+}
+
+/// Everything but the verdict.
+pub(super) fn table<W: Wire>(session: &Session<W>, measured: &Measured) -> String {
+    let master = session.master();
+    let frames = measured.frames;
+    let mut text = format!(
+        "{}: {} slaves, {} at a cycle of {}\nframes      {} sent, {} lost, {} late, {} foreign\n",
+        session.interface(),
+        master.len(),
+        time(nanos(measured.duration)),
+        time(nanos(master.config().cycle)),
+        frames.sent,
+        measured.lost(),
+        frames.stale,
+        frames.foreign,
+    );
+    if let Some([p50, p99, most]) = measured.round_trip {
+        let [p50, p99, most] = [p50, p99, most].map(|trip| time(nanos(trip)));
+        let _ = writeln!(text, "round trip  p50 {p50}, p99 {p99}, max {most}");
+    }
+    if master.config().goal == AlState::Op {
+        let misses: u64 = measured.misses.iter().sum();
+        let _ = writeln!(text, "counters    {misses} cycles other than expected");
+    }
+    text.push_str(
+        "\n slave                       state     port  invalid  receive  forwarded  lost links\n",
+    );
+    for slave in slaves(master) {
+        ports(&mut text, slave);
+    }
+    text
+}
+
+/// One line for each port in use, or with errors.
+fn ports(text: &mut String, slave: SlaveView<'_>) {
+    let counters = slave.counters();
+    let name: String = scan::title(slave).chars().take(20).collect();
+    let state = slave.al().0.to_string();
+    let mut head = format!("{:>4}  {name:<20}  {state:<9}", slave.number());
+    for (port, seen) in slave.info().ports().iter().enumerate() {
+        let [invalid, receive, forwarded, links] = at_port(counters, port);
+        let errors = invalid + receive + forwarded + links;
+        if !seen.open && errors == 0 {
+            continue;
+        }
+        let _ = writeln!(
+            text,
+            "{head:<38} {port:>4} {invalid:>8} {receive:>8} {forwarded:>10} {links:>11}"
+        );
+        head.clear();
+    }
+}
+
+fn at_port(counters: &PortCounters, port: usize) -> [u64; 4] {
+    [
+        counters.invalid,
+        counters.receive,
+        counters.forwarded,
+        counters.lost_links,
+    ]
+    .map(|counts| counts.get(port).copied().unwrap_or(0))
+}
+
+/// What it means and what to do.
+pub(super) fn verdict(name: &str, findings: &[Finding]) -> String {
+    let mut text = String::new();
+    for finding in findings {
+        let grade = if finding.is_failure() { "FAIL" } else { "WARN" };
+        let _ = writeln!(text, "{grade}  {finding}");
+    }
+    let failures = findings
+        .iter()
+        .filter(|finding| finding.is_failure())
+        .count();
+    let _ = match (failures, findings.len()) {
+        (0, 0) => writeln!(text, "{name}: good"),
+        (0, warnings) => writeln!(text, "{name}: good, {warnings} WARN"),
+        (_, all) => writeln!(text, "{name}: {failures} FAIL, {} WARN", all - failures),
+    };
+    text
+}
+
+/// What a program reads.
+pub(super) fn object<W: Wire>(
+    session: &Session<W>,
+    measured: &Measured,
+    findings: &[Finding],
+) -> Value {
+    let master = session.master();
+    let frames = measured.frames;
+    let slaves: Vec<Value> = slaves(master).map(slave_object).collect();
+    let findings: Vec<Value> = findings
+        .iter()
+        .map(|finding| json!({ "failure": finding.is_failure(), "text": finding.to_string() }))
+        .collect();
+    let trip = measured.round_trip.map(|trips| {
+        let [p50, p99, most] = trips.map(nanos);
+        json!({ "p50_ns": p50, "p99_ns": p99, "max_ns": most })
+    });
+    json!({
+        "version": 1,
+        "interface": session.interface(),
+        "duration_ns": nanos(measured.duration),
+        "cycle_ns": nanos(master.config().cycle),
+        "frames": {
+            "sent": frames.sent,
+            "answered": frames.answered,
+            "lost": measured.lost(),
+            "late": frames.stale,
+            "foreign": frames.foreign,
+        },
+        "round_trip": trip,
+        "working_counter_misses": measured.misses.iter().sum::<u64>(),
+        "slaves": slaves,
+        "findings": findings,
+    })
+}
+
+fn slave_object(slave: SlaveView<'_>) -> Value {
+    let counters = slave.counters();
+    let (unexpected, repeated) = slave.mailbox_counters();
+    json!({
+        "slave": slave.number(),
+        "name": scan::title(slave),
+        "state": slave.al().0.to_string(),
+        "fault": slave.fault().map(|fault| fault.to_string()),
+        "invalid": counters.invalid,
+        "receive": counters.receive,
+        "forwarded": counters.forwarded,
+        "lost_links": counters.lost_links,
+        "processing": counters.processing,
+        "controller": counters.controller,
+        "mailbox_unexpected": unexpected,
+        "mailbox_repeated": repeated,
+    })
+}
