@@ -248,9 +248,8 @@ fn a_drive_that_faults_ends_the_net_and_the_arm_comes_back_at_rest() {
     let net = hall.start(swing(20.0));
     std::thread::sleep(Duration::from_millis(500));
     assert!(!hall.is_over(net));
-    hall.drives.axis(1, |drive| {
-        drive.fault(takt_can::cia402::emulator::FaultCode::TEMPERATURE)
-    });
+    let too_hot = takt_can::cia402::emulator::FaultCode::TEMPERATURE;
+    hall.drives.axis(1, |drive| drive.fault(too_hot));
     hall.wait("the net over", |hall| hall.is_over(net));
     assert_ne!(hall.status("tx90"), DeviceStatus::Operational);
     hall.drives.axis(1, takt_can::cia402::emulator::Drive::mend);

@@ -103,6 +103,7 @@ pub(crate) fn drive(interface: &str) {
     block_on(run(&main)).unwrap();
 }
 
+#[expect(clippy::too_many_lines, reason = "one bring-up, step by step")]
 async fn run(main: &MainDevice<'_>) -> Result<(), Error> {
     let mut group = main
         .init_single_group::<SLAVES, IMAGE>(ethercat_now)

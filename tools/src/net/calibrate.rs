@@ -26,7 +26,7 @@ const PRIORITY: u8 = 1;
 ///
 /// Every primitive is evaluated with caches that other programs have used, and with arguments that make
 /// its work long; the figure is what 99 of 100 repetitions keep. Measure on a quiet host, and with the
-/// controller stopped. Name the file as `costs` in the section [controller] of cell.toml.
+/// controller stopped. Name the file as `costs` in the section `[controller]` of cell.toml.
 #[derive(Debug, Args)]
 pub(crate) struct Calibrate {
     /// Write the table into this file instead of standard output.
