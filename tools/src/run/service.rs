@@ -184,11 +184,12 @@ impl Teller {
         }
         let state = LastState::of(controller);
         let status = status(&state, doing, &self.remarks);
+        // First written: what was told must not be lost in a crash.
+        self.file.write(state);
         if status != self.status {
             tell(&[NotifyState::Status(&status)]);
             self.status = status;
         }
-        self.file.write(state);
     }
 }
 

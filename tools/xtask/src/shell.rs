@@ -3,9 +3,10 @@
 
 use std::ffi::{OsStr, OsString};
 use std::fmt;
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, Stdio};
+use std::thread::JoinHandle;
 
 use anyhow::Context;
 
@@ -21,6 +22,7 @@ pub(crate) struct Line {
     env: Vec<(&'static str, String)>,
     folder: Option<PathBuf>,
     quiet: bool,
+    relayed: bool,
 }
 
 impl Line {
@@ -30,6 +32,7 @@ impl Line {
             env: Vec::new(),
             folder: None,
             quiet: false,
+            relayed: false,
         }
     }
 
@@ -53,6 +56,13 @@ impl Line {
         self
     }
 
+    /// Gives it pipes, and passes on what comes out of them: for a program that opens its standard streams by
+    /// name, and so would cut off files that they lead to.
+    pub(crate) fn relayed(mut self) -> Self {
+        self.relayed = true;
+        self
+    }
+
     /// Runs it in that folder.
     pub(crate) fn within(mut self, folder: &Path) -> Self {
         self.folder = Some(folder.to_owned());
@@ -70,8 +80,15 @@ impl Line {
     /// Runs to the end and returns the exit status; 1 if a signal ended it.
     pub(crate) fn status(&self) -> anyhow::Result<u8> {
         note(&format!("+ {self}"));
-        let status = self.command().status().with_context(|| self.trouble())?;
-        Ok(code(status))
+        let mut command = self.command();
+        if self.relayed {
+            command.stdout(Stdio::piped());
+        }
+        let (mut child, errors) = self.spawn(&mut command)?;
+        if let Some(stdout) = child.stdout.take() {
+            relay(stdout, std::io::stdout());
+        }
+        end(child, errors)
     }
 
     /// Runs to the end; true if it was content.
@@ -89,18 +106,26 @@ impl Line {
     /// As [`Line::status`], giving each line of its standard output to `take` as it comes.
     pub(crate) fn lines(&self, mut take: impl FnMut(&str)) -> anyhow::Result<u8> {
         note(&format!("+ {self}"));
-        let mut child = self
-            .command()
-            .stdout(Stdio::piped())
-            .spawn()
-            .with_context(|| self.trouble())?;
+        let mut command = self.command();
+        let (mut child, errors) = self.spawn(command.stdout(Stdio::piped()))?;
         if let Some(stdout) = child.stdout.take() {
             for line in BufReader::new(stdout).split(b'\n') {
                 let line = line.context("cannot read its output")?;
                 take(String::from_utf8_lossy(&line).trim_end_matches('\r'));
             }
         }
-        Ok(code(child.wait().context("cannot wait for it")?))
+        end(child, errors)
+    }
+
+    /// Starts it, with whoever passes its errors on.
+    fn spawn(&self, command: &mut Command) -> anyhow::Result<(Child, Option<JoinHandle<()>>)> {
+        if self.relayed {
+            command.stderr(Stdio::piped());
+        }
+        let mut child = command.spawn().with_context(|| self.trouble())?;
+        let errors = child.stderr.take();
+        let errors = errors.map(|stderr| std::thread::spawn(|| relay(stderr, std::io::stderr())));
+        Ok((child, errors))
     }
 
     fn command(&self) -> Command {
@@ -119,6 +144,24 @@ impl Line {
     fn trouble(&self) -> String {
         format!("cannot start {}", self.words[0].to_string_lossy())
     }
+}
+
+/// Passes on what comes, until nothing comes any more. A reader that went away is no error.
+fn relay(mut from: impl Read, mut to: impl Write) {
+    let mut buffer = [0; 4096];
+    while let Ok(len @ 1..) = from.read(&mut buffer) {
+        let _ = to.write_all(buffer.get(..len).unwrap_or_default());
+        let _ = to.flush();
+    }
+}
+
+fn end(mut child: Child, errors: Option<JoinHandle<()>>) -> anyhow::Result<u8> {
+    let status = child.wait().context("cannot wait for it")?;
+    if let Some(errors) = errors {
+        // A panic while passing on has been told.
+        let _ = errors.join();
+    }
+    Ok(code(status))
 }
 
 fn code(status: std::process::ExitStatus) -> u8 {
@@ -179,6 +222,8 @@ mod tests {
         let mut lines = Vec::new();
         assert_eq!(line.lines(|line| lines.push(line.to_owned())).unwrap(), 7);
         assert_eq!(lines, ["one", "two"]);
+        let relayed = Line::new("sh").args(["-c", "echo one >&2; echo two; exit 3"]);
+        assert_eq!(relayed.relayed().status().unwrap(), 3);
         let endless = Line::new("sleep").arg("60").limited(0);
         assert_eq!(Line::new("true").status().unwrap(), 0);
         assert!(endless.to_string().starts_with("timeout"));

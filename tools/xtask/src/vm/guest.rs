@@ -99,7 +99,7 @@ impl Guest {
     }
 
     fn line(&self, processors: Processors, command: &str) -> Line {
-        let line = Line::new(&self.vng);
+        let line = Line::new(&self.vng).relayed();
         // It finds the rest of itself in the search path.
         let line = match self.vng.parent().filter(|folder| folder.is_absolute()) {
             Some(folder) => line.env("PATH", &format!("{}:{}", folder.display(), path())),
