@@ -56,7 +56,7 @@ mod tests {
     fn fresh_memory_and_a_sleep_are_counted() {
         let before = thread_usage();
         let pages = std::hint::black_box(vec![1_u8; 1 << 20]);
-        let deadline = crate::monotonic() + crate::Nanos::from_micros(100);
+        let deadline = crate::monotonic() + crate::Nanos::from_millis(20);
         crate::sleep_until(deadline).unwrap();
         let spent = thread_usage().since(&before);
         drop(pages);

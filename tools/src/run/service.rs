@@ -184,7 +184,7 @@ impl Teller {
         }
         let state = LastState::of(controller);
         let status = status(&state, doing, &self.remarks);
-        // First written: what was told must not be lost in a crash.
+        // Whoever is told may rely on its being written.
         self.file.write(state);
         if status != self.status {
             tell(&[NotifyState::Status(&status)]);

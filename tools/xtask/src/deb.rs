@@ -91,11 +91,9 @@ impl Package<'_> {
         let manual = files.join("manual");
         let pages = Line::new(&program).arg("manual").arg(&manual);
         anyhow::ensure!(pages.succeeds()?, "takt cannot write its manual");
-        let names = fs::read_dir(&manual).context("no manual")?.flatten();
-        let names = names.map(|file| file.path());
-        let pages = names.filter(|path| path.extension().is_some_and(|kind| kind == "1"));
-        // Debian wants them packed, without the time of day.
-        let packed = Line::new("gzip").args(["-9", "--no-name"]).args(pages);
+        // Debian wants pages packed, without the time of day.
+        let pack = "gzip -9 --no-name ./*.1";
+        let packed = Line::new("sh").args(["-c", pack]).within(&manual);
         anyhow::ensure!(packed.succeeds()?, "gzip failed");
         Ok(())
     }
