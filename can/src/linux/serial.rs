@@ -74,8 +74,12 @@ impl Serial {
                 return Ok(Some((channel, frame, monotonic())));
             }
             let left = until.saturating_sub(monotonic());
-            if !self.fill(left)? && left.is_zero() {
-                return Ok(None);
+            self.fill(left)?;
+            // Also if something came: noise must not keep anybody here.
+            if left.is_zero() {
+                return Ok(self
+                    .take_buffered()
+                    .map(|(channel, frame)| (channel, frame, monotonic())));
             }
         }
     }
@@ -94,20 +98,20 @@ impl Serial {
         None
     }
 
-    /// Reads what is there, waiting for it at most so long; whether something was.
-    fn fill(&mut self, timeout: Duration) -> io::Result<bool> {
+    /// Reads what is there, waiting for it at most so long.
+    fn fill(&mut self, timeout: Duration) -> io::Result<()> {
         let wait = PollTimeout::try_from(timeout).unwrap_or(PollTimeout::MAX);
         let mut polled = [PollFd::new(self.port.as_fd(), PollFlags::POLLIN)];
         if poll(&mut polled, wait)? == 0 {
-            return Ok(false);
+            return Ok(());
         }
         match self.port.read(&mut self.bytes) {
             Ok(0) => Err(io::ErrorKind::UnexpectedEof.into()),
             Ok(len) => {
                 (self.next, self.filled) = (0, len);
-                Ok(true)
+                Ok(())
             }
-            Err(error) if error.kind() == io::ErrorKind::WouldBlock => Ok(false),
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => Ok(()),
             Err(error) => Err(error),
         }
     }

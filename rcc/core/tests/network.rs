@@ -5,9 +5,11 @@
     reason = "a test may fail anywhere, its helpers too"
 )]
 
+mod common;
+
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use takt_can::bus::{Bus, Config};
 use takt_can::canopen::NodeId;
@@ -16,11 +18,12 @@ use takt_can::cia402::emulator::FaultCode;
 use takt_can::link::{Link, LinkError};
 use takt_can::linux::{LivePort, monotonic};
 use takt_core::cell::{CanopenConfig, DriveArm, DriveJoint};
-use takt_core::controller::{LoadRequest, NetState};
 use takt_core::device::DeviceStatus;
 use takt_core::device::canopen::{Canopen, check, describe};
-use takt_core::{CellConfig, Controller, NetId, SessionId};
+use takt_core::{CellConfig, Controller};
 use takt_rt::thread::{Thread, ThreadConfig, spawn};
+
+use common::Cell;
 
 const JOINTS: u8 = 3;
 
@@ -51,7 +54,7 @@ fn config() -> CanopenConfig {
 
 /// Drives in a thread of their own, and a controller that leads them.
 struct Hall {
-    controller: Option<Controller>,
+    cell: Option<Cell>,
     drives: Arc<Mutex<Vec<DriveNode>>>,
     stop: Arc<AtomicBool>,
     thread: Option<Thread<()>>,
@@ -102,72 +105,25 @@ impl Hall {
             Ok(Box::new(Canopen::start(&config, Box::new(ours), ends)?))
         });
         added.unwrap();
-        let hall = Self {
-            controller: Some(controller),
+        let robots = Vec::new();
+        let cell = Cell { controller, robots };
+        cell.wait_for("arm", DeviceStatus::Operational);
+        Self {
+            cell: Some(cell),
             drives,
             stop,
             thread: Some(thread.unwrap()),
-        };
-        hall.wait("the arm operational", |hall| {
-            hall.status() == DeviceStatus::Operational
-        });
-        hall
-    }
-
-    fn controller(&self) -> &Controller {
-        self.controller.as_ref().unwrap()
-    }
-
-    fn status(&self) -> DeviceStatus {
-        self.controller().arm_state("arm").unwrap().status
-    }
-
-    fn position(&self, joint: usize) -> f64 {
-        let state = self.controller().arm_state("arm").unwrap();
-        state.joints[joint].measured_position.unwrap_or(f64::NAN)
-    }
-
-    fn wait(&self, what: &str, done: impl Fn(&Self) -> bool) {
-        let until = Instant::now() + Duration::from_secs(60);
-        while !done(self) {
-            assert!(Instant::now() < until, "waited in vain for: {what}");
-            std::thread::sleep(Duration::from_millis(5));
         }
     }
 
-    /// Moves a joint by half a radian within `seconds`.
-    fn swing(&self, joint: usize, seconds: f64) -> NetId {
-        let text = format!(
-            "{{true=Core::BooleanValue(Value='true'),past=Core::BooleanPre(inValue=true.outValue),
-            first=Core::BooleanIsNull(inValue=past.outValue),
-            monitor=RobotArm::JointMonitor(Robot='arm',Axis='{joint}'),
-            start=Core::DoubleSnapshot(inSnapshot=first.outValue,inValue=monitor.outCommandedPosition),
-            clock=Core::Clock(),part=Core::Interval(inValue=clock.outValue,Max='{seconds}'),
-            smooth=Core::DoubleBezier(inValue=part.outValue,To='0.5'),
-            target=Core::DoubleAdd(inFirst=start.outValue,inSecond=smooth.outValue),
-            joint=RobotArm::JointPosition(inPosition=target.outValue,Robot='arm',Axis='{joint}'),
-            end=Core::DoubleGreater(inFirst=clock.outValue,Second='{}'),outTerminate=end.outValue}}",
-            seconds + 1.0
-        );
-        let request = LoadRequest {
-            text,
-            session: SessionId::NONE,
-            description: String::new(),
-            period: None,
-        };
-        let id = self.controller().load(request).unwrap();
-        self.controller().start_net(id).unwrap();
-        id
-    }
-
-    fn is_over(&self, id: NetId) -> bool {
-        self.controller().net(id).unwrap().state() == NetState::Terminated
+    fn cell(&self) -> &Cell {
+        self.cell.as_ref().unwrap()
     }
 }
 
 impl Drop for Hall {
     fn drop(&mut self) {
-        self.controller = None;
+        self.cell = None;
         self.stop.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
             thread.join().unwrap();
@@ -178,33 +134,29 @@ impl Drop for Hall {
 #[test]
 fn a_net_moves_an_arm_over_canopen() {
     let hall = Hall::new();
-    let before = hall.position(1);
-    let net = hall.swing(1, 1.0);
-    hall.wait("the net over", |hall| hall.is_over(net));
-    let moved = hall.position(1) - before;
+    let moved = hall.cell().swung("arm", 1);
     assert!((moved - 0.5).abs() < 0.01, "moved {moved} rad");
-    assert!(hall.position(0).abs() < 1e-3, "nobody moved it");
+    assert!(
+        hall.cell().position("arm", 0).abs() < 1e-3,
+        "nobody moved it"
+    );
 }
 
 #[test]
 fn a_drive_that_faults_ends_the_net_and_the_arm_comes_back_at_rest() {
     let hall = Hall::new();
-    let net = hall.swing(0, 20.0);
-    std::thread::sleep(Duration::from_millis(500));
-    assert!(!hall.is_over(net));
+    let net = hall.cell().swinging("arm", 0);
     let with = |change: &dyn Fn(&mut takt_can::cia402::emulator::Drive)| {
         let mut drives = hall.drives.lock().unwrap();
         change(drives[2].application_mut().axis_mut(0).unwrap());
     };
     with(&|drive| drive.fault(FaultCode::TEMPERATURE));
-    hall.wait("the net over", |hall| hall.is_over(net));
+    hall.cell().wait_for_end(net);
     with(&|drive| drive.mend());
-    hall.wait("the arm back", |hall| {
-        hall.status() == DeviceStatus::Operational
-    });
-    let rest = hall.position(0);
+    hall.cell().wait_for("arm", DeviceStatus::Operational);
+    let rest = hall.cell().position("arm", 0);
     std::thread::sleep(Duration::from_millis(300));
-    assert!((hall.position(0) - rest).abs() < 1e-3);
+    assert!((hall.cell().position("arm", 0) - rest).abs() < 1e-3);
 }
 
 #[test]

@@ -6,20 +6,23 @@
     reason = "a test may fail anywhere, its helpers too"
 )]
 
+mod common;
+
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use takt_core::cell::{DriveArm, DriveJoint, EthercatConfig, EthercatIo, EthercatSlave};
-use takt_core::controller::{LoadRequest, NetState};
 use takt_core::device::DeviceStatus;
 use takt_core::device::ethercat::{Ethercat, Wire, describe};
-use takt_core::{CellConfig, Controller, NetId, SessionId};
+use takt_core::{CellConfig, Controller};
 use takt_ethercat::emulator::{
     Coupler, Io, Segment, Server, ServoConfig, ServoDrive, SharedSegment,
 };
 use takt_ethercat::linux::{cable, monotonic};
 use takt_rt::thread::{Thread, ThreadConfig, spawn};
+
+use common::Cell;
 
 /// One turn of a joint, increments.
 const TURN: f64 = 4096.0 * 50.0;
@@ -79,7 +82,7 @@ fn config() -> EthercatConfig {
 
 /// A segment in a thread of its own, and a controller that leads it.
 struct Hall {
-    controller: Option<Controller>,
+    cell: Option<Cell>,
     segment: SharedSegment,
     drives: ServoDrive,
     io: Io,
@@ -123,64 +126,27 @@ impl Hall {
             Ok(Box::new(Ethercat::start(&config, wire, ends)?))
         });
         added.unwrap();
-        let hall = Self {
-            controller: Some(controller),
+        let robots = Vec::new();
+        let cell = Cell { controller, robots };
+        cell.wait_for("tx90", DeviceStatus::Operational);
+        Self {
+            cell: Some(cell),
             segment,
             drives: servo,
             io,
             stop,
             thread: Some(thread),
-        };
-        hall.wait("the arm operational", |hall| {
-            hall.status("tx90") == DeviceStatus::Operational
-        });
-        hall
-    }
-
-    fn controller(&self) -> &Controller {
-        self.controller.as_ref().unwrap()
-    }
-
-    fn status(&self, name: &str) -> DeviceStatus {
-        self.controller().arm_state(name).unwrap().status
-    }
-
-    fn position(&self, joint: usize) -> f64 {
-        let state = self.controller().arm_state("tx90").unwrap();
-        state.joints[joint].measured_position.unwrap_or(f64::NAN)
-    }
-
-    fn wait(&self, what: &str, done: impl Fn(&Self) -> bool) {
-        let until = Instant::now() + Duration::from_secs(60);
-        while !done(self) {
-            assert!(Instant::now() < until, "waited in vain for: {what}");
-            std::thread::sleep(Duration::from_millis(5));
         }
     }
 
-    fn start(&self, text: String) -> NetId {
-        let request = LoadRequest {
-            text: text.clone(),
-            session: SessionId::NONE,
-            description: String::new(),
-            period: None,
-        };
-        let id = self.controller().load(request).unwrap();
-        let rejected = self.controller().net(id).unwrap().rejection;
-        let faults = rejected.map(|why| why.render("net", &text));
-        assert_eq!(faults, None);
-        self.controller().start_net(id).unwrap();
-        id
-    }
-
-    fn is_over(&self, id: NetId) -> bool {
-        self.controller().net(id).unwrap().state() == NetState::Terminated
+    fn cell(&self) -> &Cell {
+        self.cell.as_ref().unwrap()
     }
 }
 
 impl Drop for Hall {
     fn drop(&mut self) {
-        self.controller = None;
+        self.cell = None;
         self.stop.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
             thread.join().unwrap();
@@ -188,31 +154,12 @@ impl Drop for Hall {
     }
 }
 
-/// Moves joint 3 by half a radian within `seconds`.
-fn swing(seconds: f64) -> String {
-    format!(
-        "{{true=Core::BooleanValue(Value='true'),past=Core::BooleanPre(inValue=true.outValue),
-        first=Core::BooleanIsNull(inValue=past.outValue),
-        monitor=RobotArm::JointMonitor(Robot='tx90',Axis='3'),
-        start=Core::DoubleSnapshot(inSnapshot=first.outValue,inValue=monitor.outCommandedPosition),
-        clock=Core::Clock(),part=Core::Interval(inValue=clock.outValue,Max='{seconds}'),
-        smooth=Core::DoubleBezier(inValue=part.outValue,To='0.5'),
-        target=Core::DoubleAdd(inFirst=start.outValue,inSecond=smooth.outValue),
-        joint=RobotArm::JointPosition(inPosition=target.outValue,Robot='tx90',Axis='3'),
-        end=Core::DoubleGreater(inFirst=clock.outValue,Second='{}'),outTerminate=end.outValue}}",
-        seconds + 1.0
-    )
-}
-
 #[test]
 fn a_net_moves_a_tx90_over_ethercat() {
     let hall = Hall::new();
-    let before = hall.position(3);
-    let net = hall.start(swing(1.0));
-    hall.wait("the net over", |hall| hall.is_over(net));
-    let moved = hall.position(3) - before;
+    let moved = hall.cell().swung("tx90", 3);
     assert!((moved - 0.5).abs() < 0.01, "moved {moved} rad");
-    let figures = hall.controller().with_drivers(Ethercat::figures);
+    let figures = hall.cell().controller.with_drivers(Ethercat::figures);
     assert!(
         figures[0].operational && figures[0].cycles > 100,
         "{figures:?}"
@@ -222,18 +169,16 @@ fn a_net_moves_a_tx90_over_ethercat() {
 #[test]
 fn a_net_reads_inputs_and_sets_outputs() {
     let hall = Hall::new();
-    hall.wait("the terminal there", |hall| {
-        hall.status("io") == DeviceStatus::Operational
-    });
-    hall.start(
+    hall.cell().wait_for("io", DeviceStatus::Operational);
+    let net = hall.cell().load(
         "{ in=IO::InBool(DeviceID='io',Port='2'),
            out=IO::OutBool(inIO=in.outIO,DeviceID='io',Port='5'),
-           cancel=Cancel(),outTerminate=cancel.outCancel }"
-            .to_owned(),
+           cancel=Cancel(),outTerminate=cancel.outCancel }",
     );
+    hall.cell().controller.start_net(net).unwrap();
     for value in [true, false, true] {
         hall.io.set_inputs(&[if value { 0b100 } else { 0 }]);
-        hall.wait("the output as the input", |hall| {
+        hall.cell().wait("the output as the input", |_| {
             hall.io
                 .outputs()
                 .first()
@@ -245,31 +190,23 @@ fn a_net_reads_inputs_and_sets_outputs() {
 #[test]
 fn a_drive_that_faults_ends_the_net_and_the_arm_comes_back_at_rest() {
     let hall = Hall::new();
-    let net = hall.start(swing(20.0));
-    std::thread::sleep(Duration::from_millis(500));
-    assert!(!hall.is_over(net));
+    let net = hall.cell().swinging("tx90", 3);
     let too_hot = takt_can::cia402::emulator::FaultCode::TEMPERATURE;
     hall.drives.axis(1, |drive| drive.fault(too_hot));
-    hall.wait("the net over", |hall| hall.is_over(net));
-    assert_ne!(hall.status("tx90"), DeviceStatus::Operational);
+    hall.cell().wait_for_end(net);
+    assert_ne!(hall.cell().status("tx90"), DeviceStatus::Operational);
     hall.drives.axis(1, takt_can::cia402::emulator::Drive::mend);
-    hall.wait("the arm back", |hall| {
-        hall.status("tx90") == DeviceStatus::Operational
-    });
-    let rest = hall.position(3);
+    hall.cell().wait_for("tx90", DeviceStatus::Operational);
+    let rest = hall.cell().position("tx90", 3);
     std::thread::sleep(Duration::from_millis(300));
-    assert!((hall.position(3) - rest).abs() < 1e-3);
+    assert!((hall.cell().position("tx90", 3) - rest).abs() < 1e-3);
 }
 
 #[test]
 fn a_cut_cable_takes_the_arm_offline_and_a_mended_one_brings_it_back() {
     let hall = Hall::new();
     hall.segment.lock().set_link(2, false);
-    hall.wait("the arm offline", |hall| {
-        hall.status("tx90") == DeviceStatus::Offline
-    });
+    hall.cell().wait_for("tx90", DeviceStatus::Offline);
     hall.segment.lock().set_link(2, true);
-    hall.wait("the arm back", |hall| {
-        hall.status("tx90") == DeviceStatus::Operational
-    });
+    hall.cell().wait_for("tx90", DeviceStatus::Operational);
 }

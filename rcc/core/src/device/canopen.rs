@@ -4,7 +4,7 @@
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use takt_can::canopen::NodeId;
@@ -12,15 +12,12 @@ use takt_can::canopen::network::{AxisCommand, AxisPlan, Event, Network, NetworkC
 use takt_can::linux::{Options, SocketCan};
 use takt_rt::alloc::enter_real_time;
 use takt_rt::cycle::{Cycles, Tick};
-use takt_rt::latest::LatestWriter;
-use takt_rt::servo::Estimate;
 use takt_rt::stats::{self, StatsReader};
-use takt_rt::thread::{Thread, ThreadConfig};
 use takt_rt::{Nanos, monotonic};
 
 use crate::cell::{CanopenConfig, DriveJoint};
 use crate::device::DeviceDescription;
-use crate::device::driver::{DeviceDriver, DriverEnds};
+use crate::device::driver::{DeviceDriver, DriverEnds, DriverThread};
 use crate::device::drives::{self, Arm, Feedback};
 use crate::device::rmp::CanLink;
 use crate::error::Error;
@@ -117,13 +114,11 @@ struct Shared {
 /// A running driver.
 #[derive(Debug)]
 pub struct Canopen {
-    name: String,
     devices: Vec<String>,
     shared: Arc<Shared>,
     /// How SYNC keeps its time.
     pub stats: StatsReader,
-    thread: Thread<LatestWriter<Estimate>>,
-    stop: Arc<AtomicBool>,
+    thread: DriverThread,
 }
 
 impl Canopen {
@@ -147,7 +142,6 @@ impl Canopen {
             (Arm::new(arm, config.cycle, end), axes)
         });
         let shared = Arc::new(Shared::default());
-        let stop = Arc::new(AtomicBool::new(false));
         let (mut recorded, stats) = stats::pair();
         let mut driver = Box::new(Driver {
             link,
@@ -156,47 +150,43 @@ impl Canopen {
             cycle: config.cycle,
             started: false,
             shared: Arc::clone(&shared),
-            stop: Arc::clone(&stop),
             farewell: FAREWELL,
         });
-        let thread = ThreadConfig {
-            priority: config.priority,
-            cpus: config.cpus.clone(),
-            ..ThreadConfig::new(format!("takt-{}", config.name))
-        };
+        let CanopenConfig {
+            name,
+            priority,
+            cpus,
+            ..
+        } = config;
         let (period, clock) = (config.cycle, ends.clock);
-        let thread = takt_rt::thread::spawn(thread, move || {
+        let thread = DriverThread::start(name, *priority, cpus, move |stopping| {
             let scope = enter_real_time();
-            Cycles::every(period).run(&mut recorded, |tick| driver.cycle(tick));
+            Cycles::every(period).run(&mut recorded, |tick| {
+                driver.cycle(tick, stopping.load(Ordering::Relaxed))
+            });
             drop(scope);
             clock
-        })
-        .map_err(|source| Error::Thread {
-            name: config.name.clone(),
-            source,
         })?;
         Ok(Self {
-            name: config.name.clone(),
             devices,
             shared,
             stats,
             thread,
-            stop,
         })
     }
 }
 
 impl DeviceDriver for Canopen {
-    fn name(&self) -> &str {
-        &self.name
+    fn thread(&self) -> &DriverThread {
+        &self.thread
+    }
+
+    fn into_thread(self: Box<Self>) -> DriverThread {
+        self.thread
     }
 
     fn drives(&self, device: &str) -> bool {
         self.devices.iter().any(|name| name == device)
-    }
-
-    fn grants(&self) -> &[takt_rt::Grant] {
-        self.thread.grants()
     }
 
     fn figures(&self) -> Vec<(&'static str, String)> {
@@ -206,18 +196,6 @@ impl DeviceDriver for Canopen {
             ("refused", number(&self.shared.refused)),
             ("troubles", number(&self.shared.troubles)),
         ]
-    }
-
-    fn stop(self: Box<Self>) -> Option<LatestWriter<Estimate>> {
-        self.stop.store(true, Ordering::Relaxed);
-        let clock = self.thread.join().ok();
-        if clock.is_none() {
-            tracing::error!(
-                network = self.name,
-                "the driver thread had ended by a panic"
-            );
-        }
-        clock
     }
 }
 
@@ -229,7 +207,6 @@ struct Driver {
     cycle: Duration,
     started: bool,
     shared: Arc<Shared>,
-    stop: Arc<AtomicBool>,
     /// Cycles left once it is to stop.
     farewell: u32,
 }
@@ -237,7 +214,7 @@ struct Driver {
 impl Driver {
     /// One cycle: SYNC and set-points at once, then services and whatever comes until three quarters of it are
     /// over, then what the arms are to do in the next.
-    fn cycle(&mut self, tick: &Tick) -> ControlFlow<()> {
+    fn cycle(&mut self, tick: &Tick, stopping: bool) -> ControlFlow<()> {
         let now = since_start(monotonic());
         if !self.started {
             self.started = true;
@@ -253,7 +230,6 @@ impl Driver {
                 self.shared.troubles.fetch_add(1, Ordering::Relaxed);
             }
         }
-        let stopping = self.stop.load(Ordering::Relaxed);
         for (arm, nodes) in &mut self.arms {
             let network = &mut self.network;
             arm.cycle(tick, stopping, |joint, order| {

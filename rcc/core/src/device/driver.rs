@@ -3,12 +3,14 @@
 
 use std::any::Any;
 use std::fmt;
-
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use takt_rt::Grant;
 use takt_rt::latest::{LatestReader, LatestWriter};
 use takt_rt::servo::Estimate;
+use takt_rt::thread::{Thread, ThreadConfig};
 
 use crate::device::{DeviceCommand, DeviceState};
 use crate::error::Error;
@@ -49,10 +51,71 @@ impl DriverEnds {
     }
 }
 
+/// The thread of a driver.
+#[derive(Debug)]
+pub struct DriverThread {
+    name: String,
+    thread: Thread<LatestWriter<Estimate>>,
+    stop: Arc<AtomicBool>,
+}
+
+impl DriverThread {
+    /// Starts it. `body` ends soon after the flag that it is given is set, and then gives back where it told
+    /// the clock of its device. `priority` is that of `SCHED_FIFO`; no `cpus` are any.
+    ///
+    /// # Errors
+    /// If the system has no thread to give.
+    pub fn start(
+        name: &str,
+        priority: Option<u8>,
+        cpus: &[usize],
+        body: impl FnOnce(&AtomicBool) -> LatestWriter<Estimate> + Send + 'static,
+    ) -> Result<Self, Error> {
+        let stop = Arc::new(AtomicBool::new(false));
+        let stopping = Arc::clone(&stop);
+        let config = ThreadConfig {
+            priority,
+            cpus: cpus.to_vec(),
+            ..ThreadConfig::new(format!("takt-{name}"))
+        };
+        let thread = takt_rt::thread::spawn(config, move || {
+            let mut clock = body(&stopping);
+            // Nobody measures it any more.
+            clock.write(Estimate::default());
+            clock
+        });
+        let name = name.to_owned();
+        match thread {
+            Ok(thread) => Ok(Self { name, thread, stop }),
+            Err(source) => Err(Error::Thread { name, source }),
+        }
+    }
+
+    fn stop(self) -> Option<LatestWriter<Estimate>> {
+        self.stop.store(true, Ordering::Relaxed);
+        let clock = self.thread.join().ok();
+        if clock.is_none() {
+            tracing::error!(driver = self.name, "the driver thread had ended by a panic");
+        }
+        clock
+    }
+}
+
 /// A driver with a thread of its own, for one device or for all devices of a bus.
 pub trait DeviceDriver: Any + fmt::Debug + Send {
+    /// Its thread.
+    fn thread(&self) -> &DriverThread;
+
+    /// Its thread, and nothing of it remains.
+    fn into_thread(self: Box<Self>) -> DriverThread;
+
+    /// What people want to know of it when one of its devices changes its status: name and value.
+    fn figures(&self) -> Vec<(&'static str, String)>;
+
     /// Name of its device, or of its bus.
-    fn name(&self) -> &str;
+    fn name(&self) -> &str {
+        &self.thread().name
+    }
 
     /// Whether it drives the device of that name.
     fn drives(&self, device: &str) -> bool {
@@ -60,12 +123,13 @@ pub trait DeviceDriver: Any + fmt::Debug + Send {
     }
 
     /// How the host granted what its thread asked for.
-    fn grants(&self) -> &[Grant];
-
-    /// What people want to know of it when one of its devices changes its status: name and value.
-    fn figures(&self) -> Vec<(&'static str, String)>;
+    fn grants(&self) -> &[Grant] {
+        self.thread().thread.grants()
+    }
 
     /// Ends its thread, waits for that, and gives back where it told the clock of its device; nothing
     /// if the thread had ended by itself.
-    fn stop(self: Box<Self>) -> Option<LatestWriter<Estimate>>;
+    fn stop(self: Box<Self>) -> Option<LatestWriter<Estimate>> {
+        self.into_thread().stop()
+    }
 }

@@ -23,11 +23,10 @@ use takt_rt::cycle::{Cycles, Follow, Tick};
 use takt_rt::latest::{LatestWriter, latest};
 use takt_rt::servo::{Estimate, Servo, ServoConfig};
 use takt_rt::stats::{self, StatsReader};
-use takt_rt::thread::{Thread, ThreadConfig};
 use takt_rt::{Nanos, monotonic};
 
 use crate::cell::EthercatConfig;
-use crate::device::driver::{DeviceDriver, DriverEnds};
+use crate::device::driver::{DeviceDriver, DriverEnds, DriverThread};
 use crate::error::Error;
 use arm::Arm;
 pub use describe::{check, describe};
@@ -37,6 +36,8 @@ use io::InOut;
 const FRAME: usize = 1500;
 /// Cycles in which drives may brake and be switched off before the thread ends.
 const FAREWELL: u32 = 1000;
+/// Frames looked at for the answer of one; more are a flood that somebody else sends.
+const ANSWERS: usize = 64;
 /// Events looked at in one cycle.
 const EVENTS: usize = 32;
 
@@ -96,13 +97,11 @@ pub struct EthercatFigures {
 /// A running driver.
 #[derive(Debug)]
 pub struct Ethercat {
-    name: String,
     devices: Vec<String>,
     shared: Arc<Shared>,
     /// How the cycle keeps its time; its phase error is that to SYNC0.
     pub stats: StatsReader,
-    thread: Thread<LatestWriter<Estimate>>,
-    stop: Arc<AtomicBool>,
+    thread: DriverThread,
 }
 
 impl Ethercat {
@@ -121,7 +120,6 @@ impl Ethercat {
         let ios = config.ios.iter().zip(given);
         let ios = ios.map(|(io, end)| InOut::new(config, io, end)).collect();
         let shared = Arc::new(Shared::default());
-        let stop = Arc::new(AtomicBool::new(false));
         let (own_clock, followed) = latest(1, Estimate::default);
         let (mut recorded, stats) = stats::pair();
         let phase = config.phase.unwrap_or(config.cycle / 2);
@@ -135,37 +133,31 @@ impl Ethercat {
             buffer: [0; FRAME],
             clocks: [own_clock, ends.clock],
             shared: Arc::clone(&shared),
-            stop: Arc::clone(&stop),
             farewell: FAREWELL,
         });
-        let thread = ThreadConfig {
-            priority: config.priority,
-            cpus: config.cpus.clone(),
-            ..ThreadConfig::new(format!("takt-{}", config.name))
-        };
+        let EthercatConfig {
+            name,
+            priority,
+            cpus,
+            ..
+        } = config;
         let period = config.cycle;
-        let thread = takt_rt::thread::spawn(thread, move || {
+        let thread = DriverThread::start(name, *priority, cpus, move |stopping| {
             let cycles = Cycles {
                 follow: Some(Follow::new(followed, phase.into())),
                 ..Cycles::every(period)
             };
-            cycles.run(&mut recorded, |tick| driver.cycle(tick));
-            let [_, mut clock] = driver.clocks;
-            // Nobody measures it any more.
-            clock.write(Estimate::default());
+            cycles.run(&mut recorded, |tick| {
+                driver.cycle(tick, stopping.load(Ordering::Relaxed))
+            });
+            let [_, clock] = driver.clocks;
             clock
-        })
-        .map_err(|source| Error::Thread {
-            name: config.name.clone(),
-            source,
         })?;
         Ok(Self {
-            name: config.name.clone(),
             devices,
             shared,
             stats,
             thread,
-            stop,
         })
     }
 
@@ -188,16 +180,16 @@ impl Ethercat {
 }
 
 impl DeviceDriver for Ethercat {
-    fn name(&self) -> &str {
-        &self.name
+    fn thread(&self) -> &DriverThread {
+        &self.thread
+    }
+
+    fn into_thread(self: Box<Self>) -> DriverThread {
+        self.thread
     }
 
     fn drives(&self, device: &str) -> bool {
         self.devices.iter().any(|name| name == device)
-    }
-
-    fn grants(&self) -> &[takt_rt::Grant] {
-        self.thread.grants()
     }
 
     fn figures(&self) -> Vec<(&'static str, String)> {
@@ -207,18 +199,6 @@ impl DeviceDriver for Ethercat {
             ("lost", figures.lost.to_string()),
             ("events", figures.events.to_string()),
         ]
-    }
-
-    fn stop(self: Box<Self>) -> Option<LatestWriter<Estimate>> {
-        self.stop.store(true, Ordering::Relaxed);
-        let clock = self.thread.join().ok();
-        if clock.is_none() {
-            tracing::error!(
-                segment = self.name,
-                "the driver thread had ended by a panic"
-            );
-        }
-        clock
     }
 }
 
@@ -233,25 +213,24 @@ struct Driver {
     /// Where the segment's clock is told: to this thread, and to the controller.
     clocks: [LatestWriter<Estimate>; 2],
     shared: Arc<Shared>,
-    stop: Arc<AtomicBool>,
     /// Cycles left once it is to stop.
     farewell: u32,
 }
 
 impl Driver {
     /// One cycle. Only while the segment runs is it free of allocation: what a scan finds must lie somewhere.
-    fn cycle(&mut self, tick: &Tick) -> ControlFlow<()> {
+    fn cycle(&mut self, tick: &Tick, stopping: bool) -> ControlFlow<()> {
         let until = tick.scheduled + Nanos::from(self.cycle / 2);
         if self.master.is_exchanging() {
             let scope = enter_real_time();
             self.exchange(until);
-            self.lead(tick);
+            self.lead(tick, stopping);
             drop(scope);
         } else {
             while self.exchange(until) && !self.master.is_exchanging() {}
-            self.lead(tick);
+            self.lead(tick, stopping);
         }
-        self.end()
+        self.end(stopping)
     }
 
     /// Sends a frame and waits for its answer; false if there was none to send or no time for more.
@@ -263,7 +242,7 @@ impl Driver {
         if self.port.send(&self.buffer[..len]).is_err() {
             return false;
         }
-        loop {
+        for _ in 0..ANSWERS {
             let left = since_start(until - monotonic());
             match self.port.receive(left) {
                 Ok(Some((frame, at))) => {
@@ -274,16 +253,16 @@ impl Driver {
                 Ok(None) | Err(_) => return false,
             }
         }
+        false
     }
 
-    fn lead(&mut self, tick: &Tick) {
+    fn lead(&mut self, tick: &Tick, stopping: bool) {
         self.take_samples();
         let mut happened = 0;
         while happened < EVENTS && self.master.poll_event().is_some() {
             happened += 1;
         }
         while self.master.poll_emergency().is_some() {}
-        let stopping = self.stop.load(Ordering::Relaxed);
         for arm in &mut self.arms {
             arm.cycle(&mut self.master, tick, stopping);
         }
@@ -314,8 +293,8 @@ impl Driver {
         }
     }
 
-    fn end(&mut self) -> ControlFlow<()> {
-        if !self.stop.load(Ordering::Relaxed) {
+    fn end(&mut self, stopping: bool) -> ControlFlow<()> {
+        if !stopping {
             return ControlFlow::Continue(());
         }
         let off = self.arms.iter().all(Arm::is_off);

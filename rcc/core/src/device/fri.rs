@@ -8,7 +8,7 @@ mod protocol;
 use std::marker::PhantomData;
 use std::net::SocketAddr;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicI32, AtomicU64, Ordering};
 use std::time::Duration;
 
 use takt_fri::link::Link;
@@ -20,9 +20,8 @@ use takt_rt::Nanos;
 use takt_rt::latest::{LatestReader, LatestWriter};
 use takt_rt::servo::Estimate;
 use takt_rt::stats::{Recorder, RecorderReader};
-use takt_rt::thread::{Thread, ThreadConfig};
 
-use crate::device::driver::{DeviceDriver, DeviceEnd, DriverEnds};
+use crate::device::driver::{DeviceDriver, DeviceEnd, DriverEnds, DriverThread};
 use crate::device::setpoint::Joint;
 use crate::device::{
     DeviceCommand, DeviceDescription, DeviceState, DeviceStatus, JointSetPoints, parts,
@@ -76,7 +75,6 @@ pub struct FriFigures<Q> {
 /// A running driver.
 #[derive(Debug)]
 pub struct FriArm<P> {
-    name: String,
     address: SocketAddr,
     shared: Arc<Shared>,
     /// Time from the arrival of a measurement to the sending of its answer.
@@ -85,8 +83,7 @@ pub struct FriArm<P> {
     pub set_point_age: RecorderReader,
     /// Time between the arrival of a measurement, early or late, and its instant on the robot's clock.
     pub phase_error: RecorderReader,
-    thread: Thread<LatestWriter<Estimate>>,
-    stop: Arc<AtomicBool>,
+    thread: DriverThread,
     protocol: PhantomData<fn() -> P>,
 }
 
@@ -136,42 +133,28 @@ impl<P: Protocol> FriArm<P> {
             .local_addr()
             .map_err(|source| refused(&name, settings.listen, source))?;
         let shared = Arc::new(Shared::default());
-        let stop = Arc::new(AtomicBool::new(false));
         // Boxed, so that the thread's small stack does not hold it as it is moved there.
         let parts = (end, clock, Arc::clone(&shared));
         let mut driver = Box::new(Driver::new(session, &description, link, parts));
         let (answer_time, set_point_age) =
             (driver.answer_time.reader(), driver.set_point_age.reader());
         let phase_error = driver.phase_error.reader();
-        let thread = ThreadConfig {
-            priority: settings.priority,
-            cpus: settings.cpus,
-            ..ThreadConfig::new(format!("takt-{name}"))
-        };
-        let stopping = Arc::clone(&stop);
-        let thread = takt_rt::thread::spawn(thread, move || {
+        let Settings { priority, cpus, .. } = &settings;
+        let thread = DriverThread::start(&name, *priority, cpus, move |stopping| {
             let scope = takt_rt::alloc::enter_real_time();
             while !stopping.load(Ordering::Relaxed) {
                 driver.serve();
             }
             drop(scope);
-            // Nobody measures it any more.
-            driver.clock_out.write(Estimate::default());
             driver.clock_out
-        })
-        .map_err(|source| {
-            let name = name.clone();
-            Error::Thread { name, source }
         })?;
         Ok(Self {
-            name,
             address,
             shared,
             answer_time,
             set_point_age,
             phase_error,
             thread,
-            stop,
             protocol: PhantomData,
         })
     }
@@ -209,12 +192,12 @@ impl<P: Protocol> FriArm<P> {
 }
 
 impl<P: Protocol> DeviceDriver for FriArm<P> {
-    fn name(&self) -> &str {
-        &self.name
+    fn thread(&self) -> &DriverThread {
+        &self.thread
     }
 
-    fn grants(&self) -> &[takt_rt::Grant] {
-        self.thread.grants()
+    fn into_thread(self: Box<Self>) -> DriverThread {
+        self.thread
     }
 
     fn figures(&self) -> Vec<(&'static str, String)> {
@@ -223,15 +206,6 @@ impl<P: Protocol> DeviceDriver for FriArm<P> {
             ("quality", format!("{:?}", figures.quality)),
             ("lost", figures.lost.to_string()),
         ]
-    }
-
-    fn stop(self: Box<Self>) -> Option<LatestWriter<Estimate>> {
-        self.stop.store(true, Ordering::Relaxed);
-        let clock = self.thread.join().ok();
-        if clock.is_none() {
-            tracing::error!(arm = self.name, "the driver thread had ended by a panic");
-        }
-        clock
     }
 }
 

@@ -4,18 +4,16 @@
 mod wire;
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use takt_can::rmp::{self, Channel, DriverConfig, Model, Motion, Omni, OmniConfig, State};
 use takt_net::device::{Base, Interfaces, Layout};
 use takt_net::value::{Frame, Rotation, Twist, Vector};
 use takt_rt::latest::{LatestReader, LatestWriter};
-use takt_rt::servo::Estimate;
-use takt_rt::thread::{Thread, ThreadConfig};
 
 use crate::cell::RmpConfig;
-use crate::device::driver::{DeviceDriver, DriverEnds};
+use crate::device::driver::{DeviceDriver, DriverEnds, DriverThread};
 use crate::device::{DeviceCommand, DeviceDescription, DeviceState, DeviceStatus, Part, parts};
 use crate::error::Error;
 pub use wire::{CanLink, Wire};
@@ -113,10 +111,8 @@ struct Shared {
 /// A running driver.
 #[derive(Debug)]
 pub struct Rmp {
-    name: String,
     shared: Arc<Shared>,
-    thread: Thread<LatestWriter<Estimate>>,
-    stop: Arc<AtomicBool>,
+    thread: DriverThread,
 }
 
 impl Rmp {
@@ -131,7 +127,6 @@ impl Rmp {
         let mut layout = Layout::default();
         let interfaces = parts::lay(&description.parts, 0, &mut layout);
         let shared = Arc::new(Shared::default());
-        let stop = Arc::new(AtomicBool::new(false));
         let mut driver = Box::new(Driver {
             wires,
             platform: Platform::of(config),
@@ -144,13 +139,13 @@ impl Rmp {
             command: end.command,
             shared: Arc::clone(&shared),
         });
-        let thread = ThreadConfig {
-            priority: config.priority,
-            cpus: config.cpus.clone(),
-            ..ThreadConfig::new(format!("takt-{}", config.name))
-        };
-        let stopping = Arc::clone(&stop);
-        let thread = takt_rt::thread::spawn(thread, move || {
+        let RmpConfig {
+            name,
+            priority,
+            cpus,
+            ..
+        } = config;
+        let thread = DriverThread::start(name, *priority, cpus, move |stopping| {
             let scope = takt_rt::alloc::enter_real_time();
             while !stopping.load(Ordering::Relaxed) {
                 driver.serve();
@@ -158,17 +153,8 @@ impl Rmp {
             driver.rest();
             drop(scope);
             clock
-        })
-        .map_err(|source| Error::Thread {
-            name: config.name.clone(),
-            source,
         })?;
-        Ok(Self {
-            name: config.name.clone(),
-            shared,
-            thread,
-            stop,
-        })
+        Ok(Self { shared, thread })
     }
 
     /// Steps of wheels that odometry did not believe: integrators that were reset behind its back.
@@ -179,12 +165,12 @@ impl Rmp {
 }
 
 impl DeviceDriver for Rmp {
-    fn name(&self) -> &str {
-        &self.name
+    fn thread(&self) -> &DriverThread {
+        &self.thread
     }
 
-    fn grants(&self) -> &[takt_rt::Grant] {
-        self.thread.grants()
+    fn into_thread(self: Box<Self>) -> DriverThread {
+        self.thread
     }
 
     fn figures(&self) -> Vec<(&'static str, String)> {
@@ -196,15 +182,6 @@ impl DeviceDriver for Rmp {
             ("first", word(first).to_owned()),
             ("second", word(second).to_owned()),
         ]
-    }
-
-    fn stop(self: Box<Self>) -> Option<LatestWriter<Estimate>> {
-        self.stop.store(true, Ordering::Relaxed);
-        let clock = self.thread.join().ok();
-        if clock.is_none() {
-            tracing::error!(base = self.name, "the driver thread had ended by a panic");
-        }
-        clock
     }
 }
 
@@ -362,10 +339,13 @@ impl Driver {
         for part in 0..self.wires.len() {
             for _ in 0..BACKLOG {
                 let received = self.wires[part].receive(wait);
-                wait = Duration::ZERO;
-                let Some((channel, frame, at)) = received else {
+                let Ok(Some((channel, frame, at))) = received else {
+                    if received.is_err() {
+                        pause(wait);
+                    }
                     break;
                 };
+                wait = Duration::ZERO;
                 self.shared.frames.fetch_add(1, Ordering::Relaxed);
                 self.platform.handle(part, channel, &frame, at);
             }
@@ -432,6 +412,13 @@ impl Driver {
             wire.send(&frame);
         }
     }
+}
+
+/// A link that is gone fails at once: then the wait that it would have been is slept.
+fn pause(wait: Duration) {
+    let until = takt_rt::monotonic() + wait.into();
+    // That fails only for times that are none.
+    takt_rt::sleep_until(until).ok();
 }
 
 fn tell_base(

@@ -9,6 +9,7 @@
 )]
 #![expect(
     clippy::unwrap_used,
+    clippy::panic,
     reason = "a test may fail anywhere, its helpers too"
 )]
 
@@ -80,6 +81,9 @@ impl Drop for Robot {
         self.kill();
     }
 }
+
+/// How often a net is begun again because the host stalled.
+const ATTEMPTS: u32 = 10;
 
 /// A controller with arms of these names and their robots.
 pub struct Cell {
@@ -161,19 +165,82 @@ impl Cell {
         });
         self.controller.net(id).unwrap()
     }
+
+    pub fn is_over(&self, id: NetId) -> bool {
+        self.controller.net(id).unwrap().state() == NetState::Terminated
+    }
+
+    pub fn status(&self, device: &str) -> DeviceStatus {
+        self.controller.arm_state(device).unwrap().status
+    }
+
+    pub fn wait_for(&self, device: &str, status: DeviceStatus) {
+        let what = format!("{device} {status}");
+        self.wait(&what, |_| self.status(device) == status);
+    }
+
+    /// Measured position of a joint, rad.
+    pub fn position(&self, arm: &str, joint: usize) -> f64 {
+        let state = self.controller.arm_state(arm).unwrap();
+        state.joints[joint].measured_position.unwrap_or(f64::NAN)
+    }
+
+    /// Lets a net move a joint by half a radian within a second and says how far it came in the end. That begins
+    /// again if the arm was lost meanwhile: a host without `PREEMPT_RT` stalls for longer than a bus forgives.
+    pub fn swung(&self, arm: &str, joint: usize) -> f64 {
+        let faults = || self.controller.arm_state(arm).unwrap().faults;
+        for _ in 0..ATTEMPTS {
+            let before = (self.position(arm, joint), faults());
+            let net = self.load(&swing_joint(arm, joint, 1.0));
+            // One that cannot start because the arm was lost just now tries again too.
+            if self.controller.start_net(net).is_ok() {
+                self.wait_for_end(net);
+                std::thread::sleep(Duration::from_millis(100));
+                let moved = self.position(arm, joint) - before.0;
+                if faults() == before.1 {
+                    return moved;
+                }
+            }
+            self.wait_for(arm, DeviceStatus::Operational);
+        }
+        panic!("{arm} was lost in each of {ATTEMPTS} attempts");
+    }
+
+    /// A net that has begun to move a joint and goes on for twenty seconds.
+    pub fn swinging(&self, arm: &str, joint: usize) -> NetId {
+        for _ in 0..ATTEMPTS {
+            let before = self.position(arm, joint);
+            let net = self.load(&swing_joint(arm, joint, 20.0));
+            if self.controller.start_net(net).is_ok() {
+                self.wait("the arm moving", |_| {
+                    (self.position(arm, joint) - before).abs() > 0.001 || self.is_over(net)
+                });
+                if !self.is_over(net) {
+                    return net;
+                }
+            }
+            self.wait_for(arm, DeviceStatus::Operational);
+        }
+        panic!("{arm} was lost in each of {ATTEMPTS} attempts");
+    }
 }
 
 /// Moves joint 6 of an arm by half a radian within `seconds`.
 pub fn swing(robot: &str, seconds: f64) -> String {
+    swing_joint(robot, 6, seconds)
+}
+
+/// Moves a joint of an arm by half a radian within `seconds`.
+pub fn swing_joint(robot: &str, joint: usize, seconds: f64) -> String {
     format!(
         "{{true=Core::BooleanValue(Value='true'),past=Core::BooleanPre(inValue=true.outValue),
         first=Core::BooleanIsNull(inValue=past.outValue),
-        monitor=RobotArm::JointMonitor(Robot='{robot}',Axis='6'),
+        monitor=RobotArm::JointMonitor(Robot='{robot}',Axis='{joint}'),
         start=Core::DoubleSnapshot(inSnapshot=first.outValue,inValue=monitor.outCommandedPosition),
         clock=Core::Clock(),part=Core::Interval(inValue=clock.outValue,Max='{seconds}'),
         smooth=Core::DoubleBezier(inValue=part.outValue,To='0.5'),
         target=Core::DoubleAdd(inFirst=start.outValue,inSecond=smooth.outValue),
-        joint=RobotArm::JointPosition(inPosition=target.outValue,Robot='{robot}',Axis='6'),
+        joint=RobotArm::JointPosition(inPosition=target.outValue,Robot='{robot}',Axis='{joint}'),
         error=Core::IntNetcommOut(inValue=joint.outError,Key='error'),
         cancel=Cancel(),done=Core::DoubleGreater(inFirst=clock.outValue,Second='{seconds}'),
         end=Core::BooleanOr(inFirst=cancel.outCancel,inSecond=done.outValue),

@@ -48,17 +48,26 @@ impl Wire {
 
     /// Waits at most so long for a frame that another sent. On CAN both boards of a power base are one: which
     /// of them sent is not told.
-    pub(super) fn receive(&mut self, timeout: Duration) -> Option<(Channel, Frame, Duration)> {
+    pub(super) fn receive(
+        &mut self,
+        timeout: Duration,
+    ) -> Result<Option<(Channel, Frame, Duration)>, Gone> {
         match self {
-            Self::Can(link) => {
-                let received = link.receive(timeout).ok()??;
-                let frame = received
-                    .frame
-                    .classic()
-                    .filter(|_| received.origin != Origin::Own)?;
-                Some((Channel::A, *frame, received.at))
-            }
-            Self::Usb(serial) => serial.receive(timeout).ok()?,
+            Self::Can(link) => Ok(link
+                .receive(timeout)
+                .map_err(|_| Gone)?
+                .and_then(|received| {
+                    let frame = received
+                        .frame
+                        .classic()
+                        .filter(|_| received.origin != Origin::Own)?;
+                    Some((Channel::A, *frame, received.at))
+                })),
+            Self::Usb(serial) => serial.receive(timeout).map_err(|_| Gone),
         }
     }
 }
+
+/// The way is not there: an adapter was unplugged, or an interface is down.
+#[derive(Debug)]
+pub(super) struct Gone;
