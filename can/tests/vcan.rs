@@ -480,14 +480,11 @@ fn full_queue_is_refused_or_waited_for() {
         return skip(test, "needs the module sch_tbf");
     }
     let mut hasty = SocketCan::open(own.0, &Options::default()).unwrap();
-    let sent = (0..2_000)
-        .take_while(|_| hasty.send(&data(1, &[0; 8])).is_ok())
-        .count();
-    assert!(sent < 2_000);
-    assert_eq!(
-        (hasty.send(&data(1, &[0; 8])), hasty.refused() > 0),
-        (Err(LinkError::QueueFull), true)
-    );
+    // The shaper empties its queue meanwhile, as fast as a bus would: only the first refusal is certain to come,
+    // as soon as frames are sent faster than that for once.
+    let refusal = (0..1_000_000).find_map(|_| hasty.send(&data(1, &[0; 8])).err());
+    assert_eq!(refusal, Some(LinkError::QueueFull));
+    assert_eq!(hasty.refused(), 1);
     let options = Options {
         queue: QueuePolicy::Wait(PATIENCE),
         ..Options::default()

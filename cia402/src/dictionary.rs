@@ -13,6 +13,7 @@ mod mapping;
 mod object;
 #[cfg(test)]
 mod tests;
+mod text;
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -23,6 +24,7 @@ pub use address::Address;
 pub use data_type::{DataType, Number};
 pub use mapping::{MAPPED_MAX, Mapped, Mapping};
 pub use object::{Access, Entry, Object, ObjectCode, PdoUse};
+pub use text::TextError;
 
 /// Most bytes of one value: a string or a domain; numbers have at most 8.
 pub const VALUE_MAX: usize = 1 << 20;

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use takt_cia402::dictionary::{Address, Mapped};
 use takt_cia402::{
-    Feedback, Goal, Master as Profile, Obstacle, Orders, Patience, State, StatusWord,
+    ControlWord, Feedback, Goal, Master as Profile, Obstacle, Orders, Patience, State, StatusWord,
 };
 
 use crate::config::{PdoSpec, StartupSdo};
@@ -88,6 +88,8 @@ pub struct AxisState {
     pub state: Option<State>,
     /// 6041h.
     pub status: StatusWord,
+    /// 6040h as it is sent for it, without the bits of the mode.
+    pub control: ControlWord,
     /// Why it is not where it is wanted.
     pub obstacle: Option<Obstacle>,
     /// It follows its target.
@@ -272,6 +274,7 @@ impl Axis {
             online: age <= GONE,
             state: feedback.status.state().ok(),
             status: feedback.status,
+            control: ControlWord::DISABLE_VOLTAGE,
             obstacle: None,
             follows: false,
             position: feedback.position,
@@ -281,7 +284,7 @@ impl Axis {
             homing: Homing::Idle,
         };
         let orders = self.lead(&feedback, target, state.online, now);
-        state.follows = orders.follows;
+        (state.follows, state.control) = (orders.follows, orders.control);
         state.obstacle = self.profile.obstacle().filter(|_| state.online);
         state.homing = self.homing(&feedback, &orders);
         self.write(master.outputs_mut(self.slave), &orders);

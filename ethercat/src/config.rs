@@ -60,6 +60,8 @@ pub struct Patience {
     pub op: Duration,
     /// For an answer in a mailbox.
     pub mailbox: Duration,
+    /// For an answer to [`RawMailbox`](crate::master::JobKind::RawMailbox), whose sender repeats what was lost.
+    pub raw: Duration,
     /// For the SII.
     pub sii: Duration,
     /// Before a failed slave is tried again; doubled each time, up to 32 times as long.
@@ -72,6 +74,7 @@ impl Default for Patience {
             pre_op: Duration::from_secs(3),
             op: Duration::from_secs(10),
             mailbox: Duration::from_secs(4),
+            raw: Duration::from_millis(250),
             sii: Duration::from_millis(500),
             again: Duration::from_millis(200),
         }

@@ -13,6 +13,7 @@ pub mod linux;
 pub mod master;
 pub mod topology;
 mod wire;
+pub mod youbot;
 
 pub use error::{DecodeError, EncodeError};
 pub use wire::{

@@ -34,6 +34,27 @@ pub struct Datagram {
     pub bytes: Vec<u8>,
 }
 
+impl Datagram {
+    /// The UDP datagram in an IPv4 packet; `None` if it holds no whole one.
+    #[must_use]
+    pub fn in_packet(at: Duration, packet: &[u8]) -> Option<Self> {
+        let (from, to, bytes) = packet::parse(packet)?;
+        let bytes = bytes.to_vec();
+        Some(Self {
+            at,
+            from,
+            to,
+            bytes,
+        })
+    }
+
+    /// An IPv4 packet around it. A datagram longer than UDP can carry is cut.
+    #[must_use]
+    pub fn to_packet(&self) -> Vec<u8> {
+        packet::build(self)
+    }
+}
+
 /// Why a recording could not be read or written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -77,7 +98,7 @@ impl<W: Write> Writer<W> {
 
     /// Appends a datagram.
     pub fn write(&mut self, datagram: &Datagram) -> Result<(), CaptureError> {
-        let packet = packet::build(datagram);
+        let packet = datagram.to_packet();
         let len = u32::try_from(packet.len()).unwrap_or(u32::MAX);
         self.0
             .write_packet(&PcapPacket::new(datagram.at, len, &packet))?;
@@ -191,16 +212,8 @@ impl<R: Read> Iterator for Reader<R> {
             let Some(network) = packet::network(link, &data) else {
                 return Some(Err(CaptureError::LinkType(link)));
             };
-            match network.and_then(packet::parse) {
-                Some((from, to, bytes)) => {
-                    let bytes = bytes.to_vec();
-                    return Some(Ok(Datagram {
-                        at,
-                        from,
-                        to,
-                        bytes,
-                    }));
-                }
+            match network.and_then(|packet| Datagram::in_packet(at, packet)) {
+                Some(datagram) => return Some(Ok(datagram)),
                 None => self.skipped += 1,
             }
         }

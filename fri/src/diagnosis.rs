@@ -5,6 +5,7 @@ use crate::sequence::{Order, Tracker};
 use std::fmt;
 use std::time::Duration;
 
+mod measurement;
 #[cfg(feature = "pcap")]
 mod recording;
 #[cfg(test)]
@@ -36,6 +37,10 @@ pub struct Observed {
     pub answers: u64,
     /// Measurements that were answered later than half a period after they came, or not at all although one was due.
     pub late: u64,
+    /// Measurements that reflect an answer of this host: the controller heard it.
+    pub heard: u64,
+    /// Measurements that reflect a new answer which this host did not send.
+    pub strange: u64,
     /// Longest time from a measurement to its answer.
     pub answer_time_max: Duration,
     /// Mean deviation of the time between measurements from the period, each side by its own clock: arrival here.
@@ -60,6 +65,11 @@ pub enum Verdict {
     },
     /// Nobody answers the controller.
     Unanswered,
+    /// Another client answers the controller too.
+    SecondClient {
+        /// Share of measurements that reflect an answer of another client, 0..=1.
+        strange: f64,
+    },
     /// This host answers late.
     Host {
         /// Share of measurements answered late or never, 0..=1.
@@ -67,6 +77,8 @@ pub enum Verdict {
         /// Longest time to an answer.
         worst: Duration,
     },
+    /// The controller heard no answer of this host.
+    Unheard,
     /// The controller sends irregularly.
     Controller {
         /// Mean deviation of its own time stamps from its period.
@@ -117,10 +129,17 @@ pub fn judge(observed: &Observed) -> Verdict {
     if observed.answers == 0 {
         return Verdict::Unanswered;
     }
+    if worse(observed.strange, measurements) {
+        let strange = share(observed.strange, measurements);
+        return Verdict::SecondClient { strange };
+    }
     if worse(observed.late, measurements) {
         let late = share(observed.late, measurements);
         let worst = observed.answer_time_max;
         return Verdict::Host { late, worst };
+    }
+    if observed.heard == 0 && observed.answers >= FEW {
+        return Verdict::Unheard;
     }
     if let Some(jitter) = observed.stamp_jitter.filter(|it| *it > irregular) {
         return Verdict::Controller { jitter };
@@ -167,6 +186,12 @@ impl Verdict {
             }
             Self::TooFew { .. } => "observe for longer",
             Self::Unanswered => "start the driver, or look for another program that took the port",
+            Self::SecondClient { .. } => {
+                "find the other client and stop it: an old driver still running, or a PC with this host's address"
+            }
+            Self::Unheard => {
+                "check this host's route and netmask towards the controller, firewalls on the way, and that the controller is set to this very address"
+            }
             Self::Host { .. } => {
                 "give the driver real-time priority and a processor of its own, see `takt doctor`; lengthen the period if that does not suffice"
             }
@@ -194,6 +219,11 @@ impl fmt::Display for Verdict {
             Self::Silent => write!(f, "no measurement came"),
             Self::TooFew { measurements } => write!(f, "only {measurements} measurements came"),
             Self::Unanswered => write!(f, "nobody answers the controller"),
+            Self::SecondClient { strange } => {
+                write!(f, "another client answers the controller too: ")?;
+                write!(f, "{:.1} % of what it heard", percent(strange))
+            }
+            Self::Unheard => write!(f, "the controller hears no answer of this host"),
             Self::Host { late, worst } => {
                 write!(f, "this host is late: {:.1} % of answers, ", percent(late))?;
                 write!(f, "the worst after {worst:.1?}")
@@ -231,6 +261,8 @@ pub struct Measurement {
     pub at: Duration,
     /// The controller's counter.
     pub sequence: u32,
+    /// Counter of the answer that the controller heard last.
+    pub reflected: u32,
     /// The controller's time stamp, if it is finer than a tenth of the period.
     pub stamp: Option<Duration>,
     /// Period as stated.
@@ -251,6 +283,8 @@ pub struct Observer {
     last: Option<Measurement>,
     /// When the last measurement came that wants an answer and has none.
     waiting: Option<Duration>,
+    /// Counter of the newest answer.
+    sent: Option<u32>,
     arrivals: Deviation,
     stamps: Deviation,
 }
@@ -292,6 +326,7 @@ impl Observer {
             observed: Observed::default(),
             last: None,
             waiting: None,
+            sent: None,
             arrivals: Deviation::default(),
             stamps: Deviation::default(),
         }
@@ -319,6 +354,7 @@ impl Observer {
         observed.period = measurement.period;
         observed.answer_rate = measurement.answer_rate;
         observed.is_good = measurement.is_good;
+        self.handle_reflection(measurement.reflected);
         if let (Some(cycles), Some(last)) = (cycles, self.last) {
             self.compare(&last, &measurement, cycles);
         }
@@ -337,9 +373,27 @@ impl Observer {
         }
     }
 
-    /// Takes an answer that was sent.
-    pub fn handle_answer(&mut self, at: Duration) {
+    /// What the controller heard last is one of our last answers, or the one it heard before, or a stranger's.
+    fn handle_reflection(&mut self, reflected: u32) {
+        let Some(sent) = self.sent else {
+            return;
+        };
+        // Newer than the newest, too: a recording may miss answers.
+        let tracker = &self.tracker;
+        let apart = tracker
+            .distance(reflected, sent)
+            .min(tracker.distance(sent, reflected));
+        if apart <= u32::from(COUNTER_WINDOW) {
+            self.observed.heard += 1;
+        } else if self.last.is_some_and(|last| last.reflected != reflected) {
+            self.observed.strange += 1;
+        }
+    }
+
+    /// Takes an answer that was sent, with its counter.
+    pub fn handle_answer(&mut self, at: Duration, sequence: u32) {
         self.observed.answers += 1;
+        self.sent = Some(sequence);
         let Some(came) = self.waiting.take() else {
             return;
         };

@@ -12,6 +12,7 @@ mod line;
 mod rng;
 #[cfg(target_os = "linux")]
 mod serve;
+mod status;
 mod window;
 
 pub(crate) use arm::Arm;
@@ -25,6 +26,7 @@ pub(crate) use line::Line;
 pub(crate) use rng::Rng;
 #[cfg(target_os = "linux")]
 pub(crate) use serve::{Controller, serve};
+pub use status::{Served, Shown, Status};
 pub use window::Timing;
 pub(crate) use window::Window;
 

@@ -14,5 +14,6 @@ pub mod link;
 #[cfg(target_os = "linux")]
 pub mod linux;
 pub mod lwr;
+pub mod partner;
 mod sequence;
 pub mod sunrise;

@@ -77,12 +77,17 @@ impl Tracker {
         order
     }
 
+    /// How far behind `to` the number `from` is.
+    pub(crate) fn distance(&self, from: u32, to: u32) -> u32 {
+        to.wrapping_sub(from) & self.mask
+    }
+
     fn judge(&self, number: u32) -> Order {
         let Some(newest) = self.newest else {
             return Order::First;
         };
-        let forward = number.wrapping_sub(newest) & self.mask;
-        let backward = newest.wrapping_sub(number) & self.mask;
+        let forward = self.distance(newest, number);
+        let backward = self.distance(number, newest);
         let within = |gap: u32| u16::try_from(gap).ok().filter(|gap| *gap <= self.window);
         match (within(forward), within(backward)) {
             (Some(0), _) => Order::Duplicate,

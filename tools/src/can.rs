@@ -1,16 +1,28 @@
-//! `takt can`: look at a CAN bus, live or from a recording, send to it, and set interfaces up. Protocols
-//! are decoded in `takt-can`; whether the host is fit is asked by `takt doctor`.
+//! `takt can`: look at a CAN bus, live or from a recording, send to it, set interfaces up, and bring nodes up.
+//! Protocols are decoded in `takt-can`; whether the host is fit is asked by `takt doctor`.
 
+mod ask;
 mod confirm;
+mod drive;
 mod dump;
 mod feed;
 mod filter;
+#[cfg(test)]
+mod lab;
+mod nmt;
 mod replay;
+mod rmp;
+mod scan;
+mod sdo;
 mod send;
+mod sheet;
 mod stat;
 mod up;
+mod wire;
 
 use clap::Subcommand;
+
+use takt_can::canopen::NodeId;
 
 use crate::Verdict;
 
@@ -22,6 +34,11 @@ pub(crate) enum Can {
     Send(send::Send),
     Replay(replay::Replay),
     Up(up::Up),
+    Scan(scan::Scan),
+    Nmt(nmt::Nmt),
+    Sdo(sdo::Sdo),
+    Drive(drive::Drive),
+    Rmp(rmp::Rmp),
 }
 
 impl Can {
@@ -32,8 +49,20 @@ impl Can {
             Self::Send(send) => send.run(),
             Self::Replay(replay) => replay.run(),
             Self::Up(up) => up.run(),
+            Self::Scan(scan) => scan.run(),
+            Self::Nmt(nmt) => nmt.run(),
+            Self::Sdo(sdo) => sdo.run(),
+            Self::Drive(drive) => drive.run(),
+            Self::Rmp(rmp) => rmp.run(),
         }
     }
+}
+
+/// Reads a node number of the command line.
+fn node(text: &str) -> Result<NodeId, String> {
+    let raw = text.parse::<u8>().ok();
+    raw.and_then(|raw| NodeId::new(raw).ok())
+        .ok_or_else(|| format!("`{text}` is no node number; they are 1 to 127"))
 }
 
 /// Reads a bit rate of the command line: `500k`, `1M`, or bit/s.

@@ -1,7 +1,8 @@
-//! `takt demo`: a whole cell in one process. Two emulated KRCs speak FRI over UDP on loopback; a
-//! client sends a net as text over TCP; the report says how it went. No part is a toy: each is the
+//! `takt demo`: a whole cell in one process. Emulated robots speak FRI over UDP on loopback and EtherCAT over a
+//! cable in memory; a client sends nets as text over TCP; the report says how it went. No part is a toy: each is the
 //! code that runs against real robots.
 
+mod cell;
 mod motion;
 mod plot;
 mod report;
@@ -12,31 +13,30 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
 use clap::Args;
-use takt_core::cell::{ControllerConfig, DeviceConfig, LwrConfig};
+use takt_core::Controller;
 use takt_core::device::DeviceStatus;
-use takt_core::device::driver::DeviceDriver as _;
 use takt_core::record::Recorder;
-use takt_core::{CellConfig, Controller};
 use takt_rt::host::{HostConfig, prepare};
 use takt_server::LogBook;
 
 use crate::Verdict;
 use crate::client::Client;
-use crate::emulate::{Robot, resting};
 use crate::output::{complain, is_terminal, say, share, span};
 use crate::run::{Server, tell_grants};
+use cell::{Arm, Kind, Machines};
 use report::Report;
 
-/// Names of the robots.
-const ROBOTS: [&str; 2] = ["left", "right"];
 /// How long a robot may take to come into command mode.
 const READY_WITHIN: Duration = Duration::from_secs(20);
 /// How often joints are noted for the plot.
 const SAMPLE_EVERY: Duration = Duration::from_millis(10);
 
-/// Move two emulated robots with a net.
+/// Move emulated robots with nets.
 #[derive(Debug, Args)]
 pub(crate) struct Demo {
+    /// Which robots.
+    #[arg(long, value_enum, default_value_t = Kind::Pair)]
+    cell: Kind,
     /// How long the motion takes.
     #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span)]
     duration: Duration,
@@ -55,7 +55,7 @@ pub(crate) struct Demo {
     /// Replay a recording instead, and compare what comes out byte for byte.
     #[arg(long, value_name = "FILE.mcap")]
     replay: Option<PathBuf>,
-    /// Print the net and end.
+    /// Print the nets and end.
     #[arg(long)]
     print_net: bool,
     /// End the process at the first allocation in a real-time thread.
@@ -64,16 +64,36 @@ pub(crate) struct Demo {
 }
 
 /// Joints over time.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct Samples {
     /// Seconds since the start of the motion.
     time_s: Vec<f64>,
-    /// By robot and joint: measured position, rad.
+    /// By arm and joint: measured position, rad.
     joints: Vec<Vec<Vec<f64>>>,
 }
 
 impl Samples {
-    /// By robot, how far its farthest joint went, rad.
+    fn of(arms: &[Arm]) -> Self {
+        Self {
+            time_s: Vec::new(),
+            joints: arms
+                .iter()
+                .map(|arm| vec![Vec::new(); arm.joints.len()])
+                .collect(),
+        }
+    }
+
+    fn take(&mut self, controller: &Controller, arms: &[Arm], at: Duration) {
+        self.time_s.push(at.as_secs_f64());
+        for (arm, joints) in arms.iter().zip(&mut self.joints) {
+            let state = controller.arm_state(arm.name).unwrap_or_default();
+            for (joint, told) in joints.iter_mut().zip(&state.joints) {
+                joint.push(told.measured_position.unwrap_or(f64::NAN));
+            }
+        }
+    }
+
+    /// By arm, how far its farthest joint went, rad.
     fn moved(&self) -> Vec<f64> {
         let range = |joint: &Vec<f64>| {
             let known = || joint.iter().copied().filter(|p| p.is_finite());
@@ -88,9 +108,12 @@ impl Samples {
 
 impl Demo {
     pub(crate) fn run(self) -> anyhow::Result<Verdict> {
-        let net = motion::net(&ROBOTS, self.duration);
+        let groups = self.cell.groups().iter();
+        let nets: Vec<_> = groups
+            .map(|arms| motion::net(arms, self.duration))
+            .collect();
         if self.print_net {
-            say(net.trim_end())?;
+            nets.iter().try_for_each(|net| say(net.trim_end()))?;
             return Ok(Verdict::Good);
         }
         if let Some(recording) = &self.replay {
@@ -101,87 +124,96 @@ impl Demo {
             takt_rt::alloc::set_guard(takt_rt::alloc::Guard::Abort);
         }
         let recording = self.record.as_deref().map(Recorder::start).transpose()?;
-        let cell = cell();
+        let (cell, segments) = self.cell.config()?;
         let controller = Controller::start_recording(&cell, recording)?;
         if !self.json {
             tell_grants(&host, &controller);
         }
         let server = Server::start(&cell, &controller, None, LogBook::default())?;
-        let robots = self.start_robots(&controller)?;
+        let machines = Machines::start(&controller, &segments, self.drop)?;
         wait_until_ready(&controller)?;
         let address = server.tcp().context("the server does not listen")?;
-        let ended = self.drive(&controller, address, &net);
+        let ended = self.drive(&controller, address, &nets);
         let recorded = controller.finish_recording()?;
-        let (samples, end) = ended?;
-        let report = Report::collect(&controller, &host, &robots, &samples.moved(), end);
-        plot::draw(&self.svg, &ROBOTS, &samples, &controller.stats())
+        let (samples, faults) = ended?;
+        let arms = self.cell.arms();
+        let moved: Vec<_> = arms.iter().copied().zip(samples.moved()).collect();
+        let followed = cell.controller.follow.unwrap_or_default();
+        let krcs = &machines.krcs;
+        let report = Report::collect(&controller, &host, krcs, &moved, &followed, faults);
+        plot::draw(&self.svg, &arms, &samples, &controller.stats())
             .with_context(|| format!("cannot write {}", self.svg.display()))?;
         server.stop();
-        for robot in robots {
-            robot.stop()?;
-        }
+        // Before its robots, so that it is not seen to lose them.
+        drop(controller);
+        machines.stop()?;
         self.tell(&report, recorded)
     }
 
-    fn start_robots(&self, controller: &Controller) -> anyhow::Result<Vec<Robot>> {
-        let addresses = controller.with_arms(|arm| (arm.name().to_owned(), arm.address()));
-        let mut robots = Vec::new();
-        for (seed, (name, address)) in (1..).zip(addresses) {
-            let mut config = resting(Duration::from_millis(1));
-            config.seed = seed;
-            config.faults.to_client.drop = self.drop;
-            config.faults.to_krc.drop = self.drop;
-            robots.push(Robot::start(&format!("krc-{name}"), address, config)?);
-        }
-        Ok(robots)
-    }
-
-    /// Sends the net, starts it, and follows it to its end. Returns why it ended if not by itself.
+    /// Sends the nets, starts them, and follows them to their end. Returns why they ended if not by themselves.
     fn drive(
         &self,
         controller: &Controller,
         address: SocketAddr,
-        net: &str,
-    ) -> anyhow::Result<(Samples, Option<String>)> {
+        nets: &[String],
+    ) -> anyhow::Result<(Samples, Vec<String>)> {
         let mut client = Client::connect(&address.to_string(), None)?;
         client.open_session("takt demo")?;
-        let id = client.load(net, "demo motion")?;
-        let faults = client.faults(&id)?;
-        anyhow::ensure!(
-            faults.is_empty(),
-            "the net is rejected: {}",
-            faults.join("; ")
-        );
-        client.subscribe(&id, Duration::from_millis(100))?;
-        client.command("nest", &id)?;
+        let mut ids = Vec::new();
+        for net in nets {
+            let id = client.load(net, "demo motion")?;
+            let faults = client.faults(&id)?;
+            anyhow::ensure!(
+                faults.is_empty(),
+                "the net is rejected: {}",
+                faults.join("; ")
+            );
+            client.subscribe(&id, Duration::from_millis(100))?;
+            ids.push(id);
+        }
+        for id in &ids {
+            client.command("nest", id)?;
+        }
+        let samples = self.follow(controller, &mut client, ids.len())?;
+        let mut ends = Vec::new();
+        for id in &ids {
+            ends.extend(client.end_of(id)?);
+        }
+        client.end_session()?;
+        Ok((samples, ends))
+    }
+
+    /// Notes how the arms move until that many nets have ended.
+    fn follow(
+        &self,
+        controller: &Controller,
+        client: &mut Client,
+        mut running: usize,
+    ) -> anyhow::Result<Samples> {
         let begin = Instant::now();
         let bar = self.progress();
-        let mut samples = Samples {
-            joints: vec![vec![Vec::new(); takt_fri::lwr::AXES]; ROBOTS.len()],
-            ..Samples::default()
-        };
+        let arms = self.cell.arms();
+        let mut samples = Samples::of(&arms);
         // Braking for want of set-points, or a slow host, may take longer than the motion itself.
         let latest = self.duration * 2 + Duration::from_secs(10);
-        loop {
+        while running > 0 {
             let push = client.next_push(SAMPLE_EVERY)?;
             let ended = |push: &takt_server::Message| {
                 push.command == "ns"
                     && push.args.first().and_then(|v| v.as_str()) == Some("TERMINATED")
             };
             if push.as_ref().is_some_and(ended) {
-                break;
+                running -= 1;
             }
             anyhow::ensure!(
                 begin.elapsed() < latest,
-                "the net did not end within {latest:?}"
+                "{running} nets did not end within {latest:?}"
             );
-            sample(controller, begin.elapsed(), &mut samples);
+            samples.take(controller, &arms, begin.elapsed());
             bar.set_position(u64::try_from(begin.elapsed().as_millis()).unwrap_or(u64::MAX));
         }
         bar.finish_and_clear();
-        let end = client.end_of(&id)?;
-        client.end_session()?;
-        Ok((samples, end))
+        Ok(samples)
     }
 
     fn progress(&self) -> indicatif::ProgressBar {
@@ -214,25 +246,6 @@ impl Demo {
     }
 }
 
-/// Two LWRs, every address chosen by the system.
-fn cell() -> CellConfig {
-    let anywhere = SocketAddr::from(([127, 0, 0, 1], 0));
-    let controller = ControllerConfig {
-        websocket: None,
-        tcp: Some(anywhere),
-        // Between two datagrams, so that neither the arms' drivers nor the robots are in the way.
-        follow: Some(ROBOTS[0].to_owned()),
-        phase: Some(Duration::from_micros(500)),
-        ..Default::default()
-    };
-    let devices = ROBOTS.map(|name| DeviceConfig::Lwr(LwrConfig::new(name, anywhere)));
-    CellConfig {
-        controller,
-        devices: devices.into(),
-        ..CellConfig::default()
-    }
-}
-
 fn wait_until_ready(controller: &Controller) -> anyhow::Result<()> {
     let until = Instant::now() + READY_WITHIN;
     loop {
@@ -250,16 +263,6 @@ fn wait_until_ready(controller: &Controller) -> anyhow::Result<()> {
             );
         }
         std::thread::sleep(Duration::from_millis(20));
-    }
-}
-
-fn sample(controller: &Controller, at: Duration, samples: &mut Samples) {
-    samples.time_s.push(at.as_secs_f64());
-    for (name, joints) in ROBOTS.iter().zip(&mut samples.joints) {
-        let state = controller.arm_state(name).unwrap_or_default();
-        for (joint, told) in joints.iter_mut().zip(&state.joints) {
-            joint.push(told.measured_position.unwrap_or(f64::NAN));
-        }
     }
 }
 

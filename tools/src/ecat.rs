@@ -3,16 +3,22 @@
 
 mod confirm;
 mod dc;
+mod drive;
 mod dump;
 mod pdos;
+mod recording;
 mod scan;
 mod sdo;
 mod session;
+mod sii;
+mod sim;
 mod stat;
 #[cfg(test)]
 mod tests;
 mod value;
+mod ways;
 
+use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, Subcommand};
@@ -32,6 +38,9 @@ use session::Session;
 pub(crate) enum Ecat {
     Scan(scan::Scan),
     Sdo(sdo::Sdo),
+    Sii(sii::Sii),
+    Sim(sim::Sim),
+    Drive(drive::Drive),
     Stat(stat::Stat),
     Pdos(pdos::Pdos),
     Dc(dc::Dc),
@@ -43,6 +52,9 @@ impl Ecat {
         match self {
             Self::Scan(scan) => scan.run(),
             Self::Sdo(sdo) => sdo.run(),
+            Self::Sii(sii) => sii.run(),
+            Self::Sim(sim) => sim.run(),
+            Self::Drive(drive) => drive.run(),
             Self::Stat(stat) => stat.run(),
             Self::Pdos(pdos) => pdos.run(),
             Self::Dc(dc) => dc.run(),
@@ -60,6 +72,31 @@ struct Target {
     /// How long slaves may take to their state.
     #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span)]
     patience: Duration,
+}
+
+/// A segment that is measured, or a recording of one.
+#[derive(Clone, Debug, Args)]
+struct Source {
+    /// The network interface, as `ip link` names it.
+    #[arg(value_name = "IFACE", required_unless_present = "from")]
+    interface: Option<String>,
+    /// Judge this recording (pcap) instead, as far as its master asked.
+    #[arg(long, value_name = "FILE", conflicts_with = "interface")]
+    from: Option<PathBuf>,
+    /// How long slaves may take to their state.
+    #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span)]
+    patience: Duration,
+}
+
+impl Source {
+    /// Takes the segment and brings it to a state.
+    fn bring_up(&self, goal: AlState, cycle: Duration) -> anyhow::Result<Session<PacketLink>> {
+        let target = Target {
+            interface: self.interface.clone().unwrap_or_default(),
+            patience: self.patience,
+        };
+        target.bring_up(goal, cycle)
+    }
 }
 
 impl Target {

@@ -4,8 +4,9 @@
 mod drive;
 mod iiwa;
 mod rmp;
-mod segment;
+pub(crate) mod segment;
 mod service;
+mod youbot;
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -22,6 +23,7 @@ use takt_rt::thread::{Thread, ThreadConfig};
 use crate::Verdict;
 use crate::output::{say, share, span};
 use crate::run::until_stopped;
+pub(crate) use service::Service;
 
 /// Emulated robots.
 #[derive(Debug, Subcommand)]
@@ -38,6 +40,7 @@ pub(crate) enum Emulate {
     Drive(drive::DriveArgs),
     /// A Stäubli TX90 of six CiA 402 axes on an EtherCAT segment.
     Tx90(segment::Tx90),
+    Youbot(youbot::YouBot),
 }
 
 impl Emulate {
@@ -48,6 +51,7 @@ impl Emulate {
             Self::Rmp(rmp) => rmp.run(),
             Self::Drive(drive) => drive.run(),
             Self::Tx90(tx90) => tx90.run(),
+            Self::Youbot(youbot) => youbot.run(),
         }
     }
 }

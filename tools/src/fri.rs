@@ -1,19 +1,29 @@
-//! `takt fri`: look at FRI connections of KUKA arms in recordings. Datagrams are decoded and judged in `takt-fri`;
-//! nothing is captured from a network here.
+//! `takt fri`: FRI connections of KUKA arms, live as the robot's partner, or in recordings. Datagrams are decoded and
+//! judged in `takt-fri`; the drivers of a cell are not here.
 
+mod live;
 mod monitor;
+mod motion;
+mod port;
 mod recording;
+mod report;
+mod shift;
+mod silence;
 mod stat;
+mod view;
+mod watch;
+mod wire;
 
 use clap::Subcommand;
 
 use crate::Verdict;
 
-/// Look at FRI connections of KUKA arms: who is late, what was said.
+/// Look at FRI connections of KUKA arms: who is late, what was said; move one joint a little.
 #[derive(Debug, Subcommand)]
 pub(crate) enum Fri {
     Monitor(monitor::Monitor),
     Stat(stat::Stat),
+    Move(shift::Shift),
 }
 
 impl Fri {
@@ -21,6 +31,7 @@ impl Fri {
         match self {
             Self::Monitor(monitor) => monitor.run(),
             Self::Stat(stat) => stat.run(),
+            Self::Move(shift) => shift.run(),
         }
     }
 }

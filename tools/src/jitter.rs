@@ -28,6 +28,10 @@ use crate::output::{say, span};
 use measure::Plan;
 use report::{Judgement, Report};
 
+pub(crate) use histogram::Histogram;
+pub(crate) use session::Interrupt;
+pub(crate) use view::{bars, is_end_wanted};
+
 /// Measure how late cycles begin on this host.
 ///
 /// Exit status: 0 within the budget, or none was stated; 1 later than the budget, or broken off by

@@ -38,7 +38,7 @@ struct Arguments {
 enum Command {
     /// Run the controller in the foreground.
     Run(run::Run),
-    /// Move two emulated robots with a net and report; needs no hardware and no root.
+    /// Move emulated robots with nets and report; needs no hardware and no root.
     Demo(demo::Demo),
     Doctor(doctor::Doctor),
     /// Look at CAN buses, send to them, set interfaces up.

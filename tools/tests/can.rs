@@ -1,8 +1,9 @@
-//! `takt can` with recordings, and its refusals. What needs an interface is in `can_vcan.rs`.
+//! `takt can` with recordings, its refusals, and a power base at a pseudo-terminal. What needs an interface is in
+//! `can_vcan.rs`.
 
 mod common;
 
-use common::{complaint, expect_status, run};
+use common::{Process, complaint, expect_status, run};
 use serde_json::Value;
 
 /// A recording beside this test.
@@ -164,6 +165,12 @@ fn an_interface_that_is_not_there_is_named_by_every_command() {
         &["can", "send", "nosuch0", "705#R"],
         &["can", "replay", &log, "nosuch0"],
         &["can", "up", "nosuch0", "--show"],
+        &["can", "scan", "nosuch0"],
+        &["can", "nmt", "nosuch0", "5", "stop"],
+        &["can", "sdo", "nosuch0", "5", "upload", "1000"],
+        &["can", "drive", "nosuch0", "5", "--watch"],
+        &["can", "rmp", "nosuch0"],
+        &["can", "rmp", "--serial", "/dev/nosuch0"],
     ] {
         let output = run(arguments);
         expect_status(&output, 2);
@@ -173,4 +180,76 @@ fn an_interface_that_is_not_there_is_named_by_every_command() {
             "{told}"
         );
     }
+}
+
+#[test]
+fn what_the_command_line_says_wrongly_is_told() {
+    for (arguments, words) in [
+        (
+            &["can", "nmt", "can0", "128", "stop"][..],
+            "`128` is no node number; they are 1 to 127, or `all`",
+        ),
+        (
+            &["can", "nmt", "can0", "all", "stop", "--wait", "1s"],
+            "--wait needs one node",
+        ),
+        (
+            &["can", "sdo", "can0", "0", "upload", "1000"],
+            "they are 1 to 127",
+        ),
+        (&["can", "sdo", "can0", "5", "download", "1017"], "required"),
+        (
+            &["can", "drive", "can0", "5", "--mode", "fast"],
+            "`fast` is no mode",
+        ),
+        (
+            &["can", "drive", "can0", "5", "--jog", "5", "--mode", "pp"],
+            "leave --mode away",
+        ),
+        (
+            &["can", "scan", "can0", "--nodes", "1-200"],
+            "no node number",
+        ),
+        (&["can", "rmp", "can0", "--jog", "9,0"], "too fast to jog"),
+        (
+            &["can", "rmp", "can0", "--config", "scale=3"],
+            "is no setting",
+        ),
+    ] {
+        let output = run(arguments);
+        expect_status(&output, 2);
+        let told = complaint(&output);
+        assert!(told.contains(words), "{told}");
+    }
+}
+
+/// The power base at a pseudo-terminal, as at the serial port of its USB chip.
+#[test]
+fn a_power_base_at_a_serial_port_is_seen_and_driven() {
+    let mut powerbase = Process::start(&["emulate", "rmp"]);
+    let line = powerbase.wait_for("power base at ");
+    let port = line.rsplit(' ').next().unwrap();
+    let seen = run(&["can", "rmp", "--serial", port, "--duration", "1s", "--json"]);
+    let seen: Value = serde_json::from_str(&expect_status(&seen, 0)).unwrap();
+    assert_eq!(
+        (&seen["model"], &seen["measured"]["mode"]),
+        (&"rmp200".into(), &"disabled".into())
+    );
+    let refused = run(&["can", "rmp", "--serial", port, "--jog", "0.2"]);
+    expect_status(&refused, 2);
+    assert!(
+        complaint(&refused).contains("--confirm-motion"),
+        "{}",
+        complaint(&refused)
+    );
+    let driven = run(&[
+        "can", "rmp", "--serial", port, "--jog", "0.2", "--for", "1s", "--yes",
+    ]);
+    let told = expect_status(&driven, 0);
+    assert!(told.contains("ok, drove and stands"), "{told}");
+    powerbase.terminate();
+    let (lines, _) = powerbase.end();
+    let last = lines.last().unwrap();
+    let way: f64 = last.split([' ', ',']).nth(2).unwrap().parse().unwrap();
+    assert!(way > 0.05, "{last}");
 }

@@ -81,6 +81,24 @@ fn demo_reports_what_was_promised() {
 }
 
 #[test]
+fn a_factory_moves_two_lwrs_and_a_tx90() {
+    let _alone = alone();
+    let report = good_demo(&["--cell", "factory"]);
+    let robots = report["robots"].as_array().unwrap();
+    let of = |key: &str| -> Vec<_> { robots.iter().map(|robot| robot[key].clone()).collect() };
+    assert_eq!(of("name"), ["left", "right", "tx90"]);
+    assert_eq!(of("protocol"), ["fri1", "fri1", "ethercat"]);
+    assert_eq!(of("period_ns"), [1_000_000, 1_000_000, 2_000_000]);
+    let moved = of("moved_rad_max");
+    assert!(
+        moved.iter().all(|moved| moved.as_f64().unwrap() > 0.05),
+        "{report}"
+    );
+    assert!(robots[2]["frames"].as_u64().unwrap() > 500, "{report}");
+    assert_eq!(report["rt_allocations"], 0);
+}
+
+#[test]
 fn demo_replayed_gives_every_byte_as_recorded() {
     let _alone = alone();
     let folder = Folder::new();

@@ -1,225 +1,252 @@
-//! `takt fri` with recordings, made here in virtual time by emulated controllers, and `takt emulate iiwa` as seen
-//! from the wire.
-
-#![expect(
-    clippy::unwrap_used,
-    reason = "a test may fail anywhere, its helpers too"
-)]
+//! `takt fri` live, against emulated controllers over UDP on the loopback. What is asserted is what is said, never how
+//! fast a host is; networks that are wrong are in `fri_network`.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
 mod common;
 
-use std::fs::File;
-use std::net::{SocketAddrV4, UdpSocket};
-use std::time::Duration;
+use std::net::UdpSocket;
 
-use common::{Folder, complaint, expect_status, run};
+use common::{Process, alone, complaint, expect_status, run};
 use serde_json::Value;
-use takt_fri::capture::{Datagram, Writer};
-use takt_fri::lwr::emulator::{Krc, KrcConfig};
-use takt_fri::lwr::{self, wire::Cmd};
-use takt_fri::sunrise::emulator::{Cabinet, CabinetConfig};
-use takt_fri::sunrise::wire::{Dialect, MESSAGE_MAX, Monitoring, unframe};
-use takt_fri::sunrise::{self, Demand};
 
-/// When the recordings begin, since 1970.
-const EPOCH: Duration = Duration::from_secs(1_700_000_000);
-/// Measurements of each connection.
-const CYCLES: usize = 400;
-
-fn ends() -> [SocketAddrV4; 2] {
-    ["192.168.0.10:30200", "192.168.0.1:30200"].map(|text| text.parse().unwrap())
+/// `takt fri` with these words at a port that the system chooses, and that port's address.
+fn listening(words: &[&str]) -> (Process, String) {
+    let mut process = Process::start(&[&["fri"], words, &["--listen", "127.0.0.1:0"]].concat());
+    let line = process.wait_for("waiting for a controller at");
+    let address = line.rsplit(' ').next().unwrap().to_owned();
+    (process, address)
 }
 
-fn datagram(at: Duration, [from, to]: [SocketAddrV4; 2], bytes: &[u8]) -> Datagram {
-    let at = EPOCH + at;
-    let bytes = bytes.to_vec();
-    Datagram {
-        at,
-        from,
-        to,
-        bytes,
-    }
+fn lwr(target: &str, more: &[&str]) -> Process {
+    Process::start(&[&["emulate", "lwr", "--target", target], more].concat())
 }
 
-/// What an iiwa and a host say to each other whose answers take `answer`.
-fn sunrise(dialect: Dialect, answer: Duration) -> Vec<Datagram> {
-    let config = CabinetConfig {
-        dialect,
-        ..CabinetConfig::default()
-    };
-    let mut cabinet = Cabinet::new(config, Duration::ZERO);
-    let mut session = sunrise::Session::new(sunrise::SessionConfig::default());
-    let [robot, host] = ends();
-    let mut said = Vec::new();
-    for _ in 0..CYCLES {
-        let now = cabinet.poll_timeout();
-        let mut buf = [0; MESSAGE_MAX];
-        while let Some(len) = cabinet.poll_transmit(now, &mut buf) {
-            said.push(datagram(now, [robot, host], &buf[..len]));
-            session.handle_datagram(&buf[..len], now).unwrap();
-            let len = session.answer(&Demand::Hold, &mut buf).unwrap().len;
-            said.push(datagram(now + answer, [host, robot], &buf[..len]));
-            cabinet.handle_datagram(&buf[..len], now + answer).unwrap();
-        }
-    }
-    said
+fn iiwa(target: &str, dialect: &str) -> Process {
+    Process::start(&["emulate", "iiwa", "--target", target, "--dialect", dialect])
 }
 
-/// The same of an LWR at the next address.
-fn lwr(answer: Duration) -> Vec<Datagram> {
-    let mut krc = Krc::new(KrcConfig::default(), Duration::ZERO);
-    let mut session = lwr::Session::new(lwr::SessionConfig::default());
-    let [robot, host] = ["192.168.0.20:49938", "192.168.0.1:49938"].map(|a| a.parse().unwrap());
-    let mut said = Vec::new();
-    for _ in 0..CYCLES {
-        let now = krc.poll_timeout();
-        let mut buf = [0; MESSAGE_MAX];
-        while let Some(len) = krc.poll_transmit(now, &mut buf) {
-            said.push(datagram(now, [robot, host], &buf[..len]));
-            session.handle_datagram(&buf[..len], now).unwrap();
-            let mut cmd = [0; Cmd::LEN];
-            let len = session.answer(None, &mut cmd).unwrap();
-            said.push(datagram(now + answer, [host, robot], &cmd[..len]));
-            krc.handle_datagram(&cmd[..len], now + answer).unwrap();
-        }
-    }
-    said
-}
-
-fn recorded(place: &Folder, mut said: Vec<Datagram>) -> String {
-    said.sort_by_key(|datagram| datagram.at);
-    let path = place.file("arm.pcap");
-    let mut writer = Writer::new(File::create(&path).unwrap()).unwrap();
-    for datagram in said {
-        writer.write(&datagram).unwrap();
-    }
-    path
-}
-
-const PROMPT: Duration = Duration::from_micros(50);
-
-#[test]
-fn stat_is_content_with_prompt_answers_of_every_dialect() {
-    for dialect in [Dialect::V1, Dialect::V2, Dialect::V3] {
-        let place = Folder::new();
-        let file = recorded(&place, sunrise(dialect, PROMPT));
-        let text = expect_status(&run(&["fri", "stat", "--from", &file]), 0);
-        let verdict = "192.168.0.10:30200 > 192.168.0.1:30200: good";
-        assert!(text.lines().any(|line| line == verdict), "{text}");
-        assert!(
-            text.contains("FRI of Sunrise") && text.contains("period 2ms"),
-            "{text}"
-        );
-    }
+/// The JSON report among the lines of a process that has ended.
+fn report(lines: &[String]) -> Value {
+    let json = lines.iter().find(|line| line.starts_with('{'));
+    serde_json::from_str(json.unwrap_or_else(|| panic!("no report among {lines:#?}"))).unwrap()
 }
 
 #[test]
-fn stat_names_a_host_that_answers_late_and_the_remedy() {
-    let place = Folder::new();
-    let file = recorded(&place, sunrise(Dialect::V1, Duration::from_micros(1_600)));
-    let quiet = expect_status(&run(&["fri", "stat", "--from", &file, "--quiet"]), 1);
-    let lines: Vec<&str> = quiet.lines().collect();
-    assert_eq!(lines.len(), 2, "{quiet}");
+fn monitor_is_the_partner_of_whoever_comes() {
+    let _alone = alone();
+    let (mut monitor, address) = listening(&["monitor"]);
+    let mut arm = lwr(&address, &[]);
+    monitor.wait_for("speaks FRI 1.0 (LWR), period 1ms");
+    monitor.wait_for("answered 1.000");
+    // The posture in which the emulated arm rests: nothing was asked of it.
+    monitor.wait_for("joints 0.00 28.65 0.00 -68.75 0.00 45.84 0.00 deg");
+    arm.kill();
+    monitor.wait_for("the controller is silent");
+    let _arm = iiwa(&address, "v3");
+    monitor.wait_for("speaks FRI 2.7 (3.0) of Sunrise, period 2ms");
+    monitor.terminate();
+    assert_eq!(monitor.end().1, Some(0));
+}
+
+#[test]
+fn stat_judges_an_arm_as_its_partner() {
+    let _alone = alone();
+    let (stat, address) = listening(&["stat", "--duration", "2s", "--json"]);
+    let _arm = iiwa(&address, "v2");
+    let (lines, _) = stat.end();
+    let report = report(&lines);
+    let connection = &report["connections"][0];
+    assert_eq!(connection["generation"], "FRI 2.0 to 2.5 of Sunrise");
+    assert_eq!(connection["period_us"], 2000.0);
+    assert_eq!(connection["host"], address.as_str());
+    assert!(connection["answers"].as_u64().unwrap() > 0);
+    assert!(connection["latency_us"]["p50"].as_f64().unwrap() > 0.0);
+    assert_eq!(report["silence"], Value::Null);
+}
+
+#[test]
+fn stat_fails_where_the_network_loses_datagrams() {
+    let _alone = alone();
+    let (stat, address) = listening(&["stat", "--duration", "2s", "--json"]);
+    let _arm = lwr(&address, &["--drop", "0.2"]);
+    let (lines, status) = stat.end();
+    assert_eq!(status, Some(1));
+    let report = report(&lines);
+    assert_eq!(report["good"], false);
     assert!(
-        lines[0].contains("this host is late: 100.0 % of answers"),
-        "{quiet}"
+        report["connections"][0]["lost"].as_u64().unwrap() > 50,
+        "{report}"
     );
-    assert!(lines[1].contains("takt doctor"), "{quiet}");
 }
 
 #[test]
-fn stat_tells_two_robots_of_one_recording_apart() {
-    let place = Folder::new();
-    let mut said = sunrise(Dialect::V2, PROMPT);
-    said.extend(
-        lwr(PROMPT)
-            .into_iter()
-            .filter(|d| d.to.port() == 49938 && d.bytes.len() > 900),
-    );
-    said.push(datagram(PROMPT, ends(), b"not FRI at all"));
-    let file = recorded(&place, said);
-    let text = expect_status(&run(&["fri", "stat", "--from", &file, "--json"]), 1);
-    let told: Value = serde_json::from_str(&text).unwrap();
-    let connections = told["connections"].as_array().unwrap();
-    let [iiwa, lwr] = &connections[..] else {
-        panic!("{text}");
-    };
-    assert_eq!(
-        (&told["good"], &told["foreign"]),
-        (&false.into(), &1.into())
-    );
-    assert_eq!(iiwa["verdict"], "good");
-    assert_eq!(iiwa["measurements"], CYCLES);
-    assert_eq!(lwr["generation"], "FRI 1.0");
-    assert_eq!(lwr["verdict"], "nobody answers the controller");
-}
-
-#[test]
-fn monitor_shows_one_line_per_datagram() {
-    let place = Folder::new();
-    let mut said = lwr(PROMPT);
-    said.push(datagram(Duration::ZERO, ends(), b"not FRI at all"));
-    let count = said.len();
-    let file = recorded(&place, said);
-    let lines = |more: &[&str]| {
-        let arguments = [&["fri", "monitor", "--from", &file], more].concat();
-        expect_status(&run(&arguments), 0).lines().count()
-    };
-    assert_eq!(lines(&[]), count - 1);
-    assert_eq!(lines(&["--all"]), count);
-    assert_eq!(lines(&["--count", "3"]), 3);
-}
-
-#[test]
-fn what_is_no_recording_of_fri_is_refused_with_the_remedy() {
-    let place = Folder::new();
-    let text = place.write(
-        "notes.txt",
-        "no recording at all, but long enough for a header",
-    );
-    let refused = run(&["fri", "stat", "--from", &text]);
-    expect_status(&refused, 2);
+fn move_moves_one_joint_of_either_robot() {
+    let _alone = alone();
+    let words = [
+        "move",
+        "--joint",
+        "4",
+        "--by",
+        "-2deg",
+        "--velocity",
+        "10deg/s",
+        "--yes",
+    ];
+    let (process, address) = listening(&words);
+    let arm = lwr(&address, &[]);
+    let (lines, status) = process.end();
+    assert_eq!(status, Some(0), "{lines:#?}");
+    let says = |text: &str| lines.iter().any(|line| line.contains(text));
     assert!(
-        complaint(&refused).contains("tcpdump"),
-        "{}",
-        complaint(&refused)
+        says("A3 (joint 4) goes from -68.75 deg to -70.75 deg"),
+        "{lines:#?}"
     );
-    let file = recorded(&place, vec![datagram(PROMPT, ends(), b"other")]);
-    let refused = run(&["fri", "stat", "--from", &file]);
-    expect_status(&refused, 2);
-    assert!(complaint(&refused).contains("no FRI datagram among 1 others"));
+    assert!(
+        says("A3 is there: -2.00 deg were asked for, -2.00 deg are measured"),
+        "{lines:#?}"
+    );
+    drop(arm);
+    for dialect in ["v1", "v3"] {
+        let (process, address) = listening(&words);
+        let _arm = iiwa(&address, dialect);
+        let (lines, status) = process.end();
+        assert_eq!(status, Some(0), "{lines:#?}");
+        let says = |text: &str| lines.iter().any(|line| line.contains(text));
+        assert!(says("A4 is there: -2.00 deg were asked for"), "{lines:#?}");
+    }
 }
 
 #[test]
-fn an_emulated_iiwa_speaks_the_dialect_asked_for() {
-    for (word, dialect) in [
-        ("v1", Dialect::V1),
-        ("v2", Dialect::V2),
-        ("v3", Dialect::V3),
-    ] {
-        let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
-        let target = socket.local_addr().unwrap().to_string();
-        let arguments = [
-            "emulate",
-            "iiwa",
-            "--target",
-            &target,
-            "--dialect",
-            word,
-            "--model",
-            "7",
-            "--duration",
-            "100ms",
-        ];
-        let text = expect_status(&run(&arguments), 0);
-        assert!(
-            text.starts_with("iiwa sends messages to 127.0.0.1:"),
-            "{text}"
-        );
-        let mut buf = [0; MESSAGE_MAX];
-        let len = socket.recv(&mut buf).unwrap();
-        let (is_framed, message) = unframe(&buf[..len]).unwrap();
-        let message = Monitoring::decode(message).unwrap();
-        assert_eq!(Dialect::of(is_framed, &message), Some(dialect));
-    }
+fn move_brakes_when_told_to_end() {
+    let _alone = alone();
+    let words = [
+        "move",
+        "--joint",
+        "1",
+        "--by",
+        "15deg",
+        "--velocity",
+        "1deg/s",
+        "--yes",
+    ];
+    let (mut process, address) = listening(&words);
+    let _arm = lwr(&address, &[]);
+    process.wait_for("the robot follows");
+    process.terminate();
+    let (lines, status) = process.end();
+    assert_eq!(status, Some(1), "{lines:#?}");
+    assert!(
+        lines
+            .iter()
+            .any(|line| line == "braked to rest on the way, as asked"),
+        "{lines:#?}"
+    );
+}
+
+#[test]
+fn move_refuses_what_is_not_safe() {
+    let _alone = alone();
+    let (process, address) = listening(&[
+        "move", "--joint", "1", "--by", "5deg", "--yes", "--within", "3s",
+    ]);
+    let arm = lwr(&address, &["--drop", "0.5"]);
+    let (lines, status) = process.end();
+    assert_eq!(status, Some(1), "{lines:#?}");
+    assert!(
+        lines
+            .iter()
+            .any(|line| line.contains("too bad to move anything")),
+        "{lines:#?}"
+    );
+    drop(arm);
+    // Nobody to ask, and not told that it is safe.
+    let (process, address) = listening(&["move", "--joint", "1", "--by", "5deg"]);
+    let arm = lwr(&address, &[]);
+    let (lines, status) = process.end();
+    assert_eq!(status, Some(2), "{lines:#?}");
+    assert!(
+        lines.iter().any(|line| line.contains("say --yes")),
+        "{lines:#?}"
+    );
+}
+
+#[test]
+fn ports_that_cannot_be_had_are_explained() {
+    let (first, address) = listening(&["monitor"]);
+    let second = run(&["fri", "stat", "--listen", &address]);
+    expect_status(&second, 2);
+    let text = complaint(&second);
+    assert!(
+        text.contains("is taken by `takt` (process ")
+            && text.contains("a second client on this host"),
+        "{text}"
+    );
+    drop(first);
+    // An address for documentation (RFC 5737) that no host has.
+    let wrong = run(&["fri", "monitor", "--listen", "203.0.113.77:49938"]);
+    expect_status(&wrong, 2);
+    let text = complaint(&wrong);
+    assert!(
+        text.contains("203.0.113.77 is no address of this host, which has 127.0.0.1/8 on lo"),
+        "{text}"
+    );
+}
+
+#[test]
+fn silence_is_explained() {
+    let silent = run(&["fri", "stat", "--listen", "127.0.0.1:0", "--wait", "1s"]);
+    let text = expect_status(&silent, 1);
+    assert!(text.contains("nothing comes to 127.0.0.1:"), "{text}");
+    assert!(text.contains("has the robot program opened FRI"), "{text}");
+}
+
+#[test]
+fn what_comes_instead_of_measurements_is_named() {
+    let _alone = alone();
+    let (stat, address) = listening(&["stat", "--expect", "v1"]);
+    let arm = iiwa(&address, "v3");
+    let (lines, status) = stat.end();
+    assert_eq!(status, Some(1));
+    let says = |lines: &[String], text: &str| {
+        assert!(lines.iter().any(|line| line.contains(text)), "{lines:#?}");
+    };
+    says(
+        &lines,
+        "the controller speaks FRI 2.7 (3.0), this session was told to speak FRI 1.x",
+    );
+    drop(arm);
+    let (stat, address) = listening(&["stat", "--expect", "v2"]);
+    let arm = lwr(&address, &[]);
+    let (lines, status) = stat.end();
+    assert_eq!(status, Some(1));
+    says(
+        &lines,
+        "the controller speaks FRI 1.0 (LWR), FRI 2.0 to 2.5 of Sunrise was asked for",
+    );
+    drop(arm);
+    let (stat, address) = listening(&["stat"]);
+    let client = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let mut command = [0; takt_fri::lwr::wire::Cmd::LEN];
+    takt_fri::lwr::wire::Cmd::default()
+        .encode(&mut command)
+        .unwrap();
+    client.send_to(&command, &address).unwrap();
+    let (lines, status) = stat.end();
+    assert_eq!(status, Some(1));
+    says(&lines, "a second client takes this host for a controller");
+}
+
+#[test]
+fn two_controllers_with_one_target_are_told_apart() {
+    let _alone = alone();
+    let (stat, address) = listening(&["stat", "--duration", "2s"]);
+    let _arms = [lwr(&address, &[]), lwr(&address, &[])];
+    let (lines, status) = stat.end();
+    assert_eq!(status, Some(1));
+    assert!(
+        lines
+            .iter()
+            .any(|line| line.contains("sends measurements to this port too")),
+        "{lines:#?}"
+    );
 }

@@ -101,6 +101,12 @@ pub struct Drive {
     pub dc_link: f64,
     /// Digital inputs 16 to 31 of 60FDh.
     pub inputs: u16,
+    /// A service tool has it: bit 9 of 6041h is low, and 6040h is not looked at.
+    pub local: bool,
+    /// Its interlock (a guard, safe torque off) keeps power off: bit 3 of 60FDh, no transition 3.
+    pub interlock: bool,
+    /// The controlword that was obeyed last.
+    obeyed: ControlWord,
 }
 
 impl Drive {
@@ -131,6 +137,9 @@ impl Drive {
             probes: 0,
             dc_link: 48.0,
             inputs: 0,
+            local: false,
+            interlock: false,
+            obeyed: ControlWord::DISABLE_VOLTAGE,
         })
     }
 
@@ -257,7 +266,10 @@ impl Drive {
 
     /// The controlword, or what 6007h makes of it while the master is silent.
     fn word(&mut self, d: &Dictionary, link_lost: bool) -> ControlWord {
-        let word = ControlWord::new(d.get(self.keys.control_word));
+        if !self.local {
+            self.obeyed = ControlWord::new(d.get(self.keys.control_word));
+        }
+        let word = self.obeyed;
         let newly = link_lost && !std::mem::replace(&mut self.link_was_lost, link_lost);
         if !link_lost {
             return word;
@@ -292,7 +304,7 @@ impl Drive {
             at_rest: self.is_at_rest(),
             fault: self.new_fault.is_some(),
             cause: self.cause.is_some() || self.dc_link > high || self.motor.heat > 1.0,
-            voltage: (low..=high).contains(&self.dc_link),
+            voltage: (low..=high).contains(&self.dc_link) && !self.interlock,
             dt,
         };
         let before = self.power.state;
@@ -504,6 +516,7 @@ impl Drive {
         let inputs = u32::from(switches.negative)
             | u32::from(switches.positive) << 1
             | u32::from(switches.home) << 2
+            | u32::from(self.interlock) << 3
             | u32::from(self.inputs) << 16;
         d.set(k.digital_inputs, inputs);
         d.set(k.status_word, self.status(said, motion));
@@ -521,7 +534,7 @@ impl Drive {
         for (bit, so) in [
             (4, (low..=high).contains(&self.dc_link)),
             (7, self.motor.heat > WARM),
-            (9, true),
+            (9, !self.local),
             (
                 10,
                 (said.reached && following) || self.stands_after_stop(motion),

@@ -198,6 +198,21 @@ fn each_obstacle_is_told_with_its_bit_or_object() {
     pair.run(3500);
     assert_eq!(pair.master.obstacle(), Some(Obstacle::NoVoltage));
     let mut pair = Pair::new(Quirks::default(), Patience::default());
+    pair.drive.local = true;
+    pair.master.set_goal(Goal::OperationEnabled);
+    pair.run(1500);
+    assert_eq!(pair.master.obstacle(), Some(Obstacle::NotRemote));
+    pair.drive.local = false;
+    pair.drive.interlock = true;
+    pair.run(4500);
+    let stuck = pair.master.obstacle();
+    assert!(
+        matches!(stuck, Some(Obstacle::Stuck { state, .. }) if state == State::SwitchOnDisabled || state == State::ReadyToSwitchOn),
+        "{stuck:?}"
+    );
+    let inputs = pair.d.get(pair.key::<u32>(0x60FD));
+    assert_eq!(inputs & 8, 8);
+    let mut pair = Pair::new(Quirks::default(), Patience::default());
     pair.master.set_mode(5);
     pair.master.set_goal(Goal::OperationEnabled);
     pair.run(1500);

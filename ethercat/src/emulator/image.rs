@@ -1,7 +1,7 @@
 //! Builds SII images (ETG.2010) for emulated slaves. Reading one is in [`crate::sii`].
 
 use crate::register::SyncManager;
-use crate::sii::{self, Category, General, Identity, SiiSyncManager};
+use crate::sii::{self, Category, General, Identity, SiiClock, SiiSyncManager};
 
 /// A PDO as the SII lists it: index, name, entries of index, sub-index, bits and data type.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -170,6 +170,7 @@ impl SiiImage {
             pdos(&self.tx_pdos, &mut strings),
             pdos(&self.rx_pdos, &mut strings),
         );
+        let clocks = self.clocks(&mut strings);
         category(&mut image, Category::Strings, &strings.encode());
         category(&mut image, Category::General, &general);
         let has_data = self.rx_pdos.len() + self.tx_pdos.len() > 0;
@@ -180,25 +181,44 @@ impl SiiImage {
         }
         category(&mut image, Category::TxPdo, &tx);
         category(&mut image, Category::RxPdo, &rx);
+        category(&mut image, Category::Dc, &clocks);
         image.resize(image.len().max(2048), 0xFF);
         image
     }
 
+    /// With a clock it runs by its outputs or by SYNC0.
+    fn clocks(&self, strings: &mut Strings) -> Vec<u8> {
+        if !self.clock || self.mailbox_len == 0 {
+            return Vec::new();
+        }
+        let modes = [("SM-Synchron", 0), ("DC-Synchron", 0x0300)];
+        let encode = |(name, assign_activate): (&str, u16)| {
+            let clock = SiiClock {
+                assign_activate,
+                name: strings.add(name),
+                ..SiiClock::default()
+            };
+            clock.encode()
+        };
+        modes.into_iter().flat_map(encode).collect()
+    }
+
     fn general(&self, strings: &mut Strings) -> [u8; 32] {
         let general = General {
-            group: 0,
             order: strings.add(&self.order),
             name: strings.add(&self.name),
             coe: self.coe,
             flags: self.flags,
             ebus_ma: self.ebus_ma,
+            // Two of MII.
+            ports: 0x0011,
+            ..General::default()
         };
         let mut bytes = [0; 32];
         (bytes[0], bytes[2], bytes[3]) = (general.group, general.order, general.name);
         (bytes[5], bytes[11]) = (general.coe, general.flags);
         bytes[12..14].copy_from_slice(&general.ebus_ma.to_le_bytes());
-        // Two MII ports.
-        bytes[16] = 0x11;
+        bytes[16..18].copy_from_slice(&general.ports.to_le_bytes());
         bytes
     }
 }

@@ -17,6 +17,7 @@ use super::image::{PdoImage, SiiImage};
 use super::segment::Segment;
 use super::slave::{Slave, SlaveConfig};
 
+pub use crate::youbot::Firmware;
 pub use gripper::Bar;
 pub use joint::{Axis, Joint};
 
@@ -25,30 +26,11 @@ const TRINAMIC: u32 = 0x0000_0286;
 /// Length of each mailbox, bytes; TMCL uses eight of it.
 const MAILBOX: u16 = 16;
 
-/// Firmware of the drives: it decides the process data and how commutation is found.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Firmware {
-    /// 1.48: 20 bytes of inputs; mode 7 finds the commutation.
-    V148,
-    /// 2.00: 32 bytes of inputs; turning by mode 2 finds the commutation.
-    #[default]
-    V200,
-}
-
-impl Firmware {
-    /// Length of the inputs, bytes.
-    const fn inputs(self) -> u16 {
-        match self {
-            Self::V148 => 20,
-            Self::V200 => 32,
-        }
-    }
-
-    const fn text(self) -> &'static str {
-        match self {
-            Self::V148 => "V148",
-            Self::V200 => "V200",
-        }
+/// Firmware as the drives tell it.
+const fn text(firmware: Firmware) -> &'static str {
+    match firmware {
+        Firmware::V148 => "V148",
+        Firmware::V200 => "V200",
     }
 }
 
@@ -211,7 +193,7 @@ fn drive(firmware: Firmware, name: &str, product: u32, axis: Axis) -> (Slave, Dr
     };
     // The four digits of the board, as the firmware tells them.
     let digits: String = name.chars().filter(char::is_ascii_digit).collect();
-    let version = format!("{digits:0>4}{}", firmware.text());
+    let version = format!("{digits:0>4}{}", text(firmware));
     let handle = DriveHandle(Arc::new(Mutex::new(Joint::new(axis, firmware, version))));
     let slave = Slave::new(SlaveConfig::new(sii), Box::new(handle.clone()));
     (slave, handle)
@@ -236,7 +218,7 @@ impl Application for DriveHandle {
         if setup.outputs != 5 {
             return Err(AlStatusCode(0x001D));
         }
-        if setup.inputs != self.lock().firmware().inputs() {
+        if setup.inputs != self.lock().firmware().inputs_len() {
             return Err(AlStatusCode(0x001E));
         }
         Ok(())

@@ -203,7 +203,7 @@ impl Unit {
             refused: None,
             learn: learn::Learn::default(),
             scratch: Vec::with_capacity(longest.max(16)),
-            mailbox: Mailbox::new(config.patience.mailbox),
+            mailbox: Mailbox::new(config.patience),
             jobs: VecDeque::with_capacity(JOBS_MAX),
             job: None,
             al: AlStatus::default(),

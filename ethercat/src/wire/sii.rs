@@ -127,21 +127,88 @@ pub struct MailboxAreas {
     pub send_len: u16,
 }
 
-/// What the category General says, as far as a master needs it.
+/// What the category General says (ETG.2010, table 7).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct General {
     /// Number of the string with the group's name; 0 for none.
     pub group: u8,
+    /// Number of the string with the name of its picture; 0 for none.
+    pub image: u8,
     /// Number of the string with the order code; 0 for none.
     pub order: u8,
     /// Number of the string with the name; 0 for none.
     pub name: u8,
     /// CoE: bit 0 SDO, 1 information, 2 PDO assignment, 3 PDO configuration, 5 complete access.
     pub coe: u8,
-    /// Bit 1: it does not do LRW.
+    /// FoE, if not 0.
+    pub foe: u8,
+    /// EoE, if not 0.
+    pub eoe: u8,
+    /// Bit 0: SAFE-OP may be asked for; 1: it does not do LRW; 2: the data link layer repeats mailboxes; 3, 4: how it
+    /// tells its identification.
     pub flags: u8,
     /// Current taken from the E-bus; negative is given, mA.
     pub ebus_ma: i16,
+    /// What its ports 0 to 3 are, four bits each: 0 none, 1 MII, 3 E-bus, 4 fast hot connect.
+    pub ports: u16,
+}
+
+/// How a slave runs by its clock: an operation mode of the category DC (ETG.2010, table 16), 24 bytes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SiiClock {
+    /// Period of SYNC0, ns; 0 for that of the master's cycle.
+    pub cycle_ns: u32,
+    /// SYNC0 behind the beginning of the cycle, ns.
+    pub shift_ns: u32,
+    /// SYNC1 behind SYNC0, ns.
+    pub shift1_ns: u32,
+    /// Period of SYNC1 by that of SYNC0; 0 without.
+    pub sync1_factor: i16,
+    /// AssignActivate: 0300h SYNC0, 0700h SYNC0 and SYNC1, 0 runs without its clock.
+    pub assign_activate: u16,
+    /// Period of SYNC0 by the master's cycle; negative for its inverse.
+    pub sync0_factor: i16,
+    /// Number of the string with its name; 0 for none.
+    pub name: u8,
+    /// Number of the string that describes it; 0 for none.
+    pub description: u8,
+}
+
+impl SiiClock {
+    /// Bytes in the SII.
+    pub const LEN: usize = 24;
+
+    fn decode(bytes: &[u8]) -> Option<Self> {
+        let double = |at: usize| {
+            let four = bytes.get(at..)?.first_chunk()?;
+            Some(u32::from_le_bytes(*four))
+        };
+        Some(Self {
+            cycle_ns: double(0)?,
+            shift_ns: double(4)?,
+            shift1_ns: double(8)?,
+            sync1_factor: u16_at(bytes, 12)?.cast_signed(),
+            assign_activate: u16_at(bytes, 14)?,
+            sync0_factor: u16_at(bytes, 16)?.cast_signed(),
+            name: *bytes.get(18)?,
+            description: *bytes.get(19)?,
+        })
+    }
+
+    /// As in the SII.
+    #[must_use]
+    pub fn encode(&self) -> [u8; Self::LEN] {
+        let mut bytes = [0; Self::LEN];
+        let doubles = [self.cycle_ns, self.shift_ns, self.shift1_ns];
+        for (to, from) in bytes.chunks_exact_mut(4).zip(doubles) {
+            to.copy_from_slice(&from.to_le_bytes());
+        }
+        bytes[12..14].copy_from_slice(&self.sync1_factor.to_le_bytes());
+        bytes[14..16].copy_from_slice(&self.assign_activate.to_le_bytes());
+        bytes[16..18].copy_from_slice(&self.sync0_factor.to_le_bytes());
+        (bytes[18], bytes[19]) = (self.name, self.description);
+        bytes
+    }
 }
 
 /// A SyncManager as its category describes it.
@@ -166,8 +233,12 @@ pub struct SiiPdo<'a> {
     pub index: u16,
     /// SyncManager; FFh for none.
     pub sync_manager: u8,
+    /// SYNC unit that it belongs to.
+    pub sync: u8,
     /// Number of the string with its name; 0 for none.
     pub name: u8,
+    /// Bit 0: it must be assigned; 4: its content is fixed.
+    pub flags: u16,
     entries: &'a [u8],
 }
 
@@ -287,16 +358,43 @@ impl<'a> Sii<'a> {
     #[must_use]
     pub fn general(&self) -> Option<General> {
         let data = self.category(Category::General)?;
-        let [group, _, order, name, _, coe, _, _, _, _, _, flags] = *data.first_chunk()?;
+        let [group, image, order, name, _, coe, foe, eoe, _, _, _, flags] = *data.first_chunk()?;
         let ebus = u16_at(data, 12)?;
         Some(General {
             group,
+            image,
             order,
             name,
             coe,
+            foe,
+            eoe,
             flags,
             ebus_ma: ebus.cast_signed(),
+            // Older images end before them.
+            ports: u16_at(data, 16).unwrap_or(0),
         })
+    }
+
+    /// How the slave runs by its clock, each way.
+    pub fn clocks(&self) -> impl Iterator<Item = SiiClock> + use<'a> {
+        let data = self.category(Category::Dc).unwrap_or_default();
+        data.chunks_exact(SiiClock::LEN)
+            .filter_map(SiiClock::decode)
+    }
+
+    /// Size of the EEPROM, bytes, as word 3Eh tells; `None` if that word was not read or cannot be.
+    #[must_use]
+    pub fn size(&self) -> Option<usize> {
+        let kibit = usize::from(self.word(word::SIZE)?) + 1;
+        (kibit <= 512).then_some(128 * kibit)
+    }
+
+    /// Bytes up to the mark that ends the categories, with it; `None` if there is none.
+    #[must_use]
+    pub fn used(&self) -> Option<usize> {
+        let categories = self.categories().map(|(_, data)| 4 + data.len());
+        let end = 2 * usize::from(word::CATEGORIES) + categories.sum::<usize>();
+        (u16_at(self.bytes, end)? == 0xFFFF).then_some(end + 2)
     }
 
     /// What each FMMU is for: 1 outputs, 2 inputs, 3 state of the mailbox.
@@ -324,14 +422,16 @@ impl<'a> Sii<'a> {
     pub fn pdos(&self, kind: Category) -> impl Iterator<Item = SiiPdo<'a>> + use<'a> {
         let mut data = self.category(kind).unwrap_or_default();
         std::iter::from_fn(move || {
-            let ([low, high, count, sync_manager, _, name, _, _], rest) =
+            let ([low, high, count, sync_manager, sync, name, flags, more], rest) =
                 data.split_first_chunk()?;
             let (entries, rest) = rest.split_at_checked(8 * usize::from(*count))?;
             data = rest;
             Some(SiiPdo {
                 index: u16::from_le_bytes([*low, *high]),
                 sync_manager: *sync_manager,
+                sync: *sync,
                 name: *name,
+                flags: u16::from_le_bytes([*flags, *more]),
                 entries,
             })
         })
@@ -375,6 +475,17 @@ mod tests {
 
     use super::*;
 
+    const CLOCK: SiiClock = SiiClock {
+        cycle_ns: 1_000_000,
+        shift_ns: 7,
+        shift1_ns: 8,
+        sync1_factor: 1,
+        assign_activate: 0x0700,
+        sync0_factor: -2,
+        name: 2,
+        description: 1,
+    };
+
     fn image() -> Vec<u8> {
         let mut image = vec![0_u8; 0x80];
         image[8] = 0x34;
@@ -403,6 +514,7 @@ mod tests {
             0, 0x16, 2, 2, 0, 1, 0, 0, 0x40, 0x60, 0, 0, 6, 16, 0, 0, 0x7A, 0x60, 0, 0, 4, 32, 0, 0,
         ];
         image.extend(category(51, &pdo));
+        image.extend(category(60, &CLOCK.encode()));
         image.extend([0xFF, 0xFF]);
         image
     }
@@ -434,6 +546,9 @@ mod tests {
         let second = pdos[0].entries().nth(1).unwrap();
         assert_eq!((second.index, second.bits), (0x607A, 32));
         assert_eq!(sii.pdos(Category::TxPdo).count(), 0);
+        assert_eq!(sii.clocks().collect::<Vec<_>>(), [CLOCK]);
+        assert_eq!((sii.size(), sii.used()), (Some(128), Some(image.len())));
+        assert_eq!(Sii::new(&image[..image.len() - 2]).used(), None);
     }
 
     #[test]
@@ -448,7 +563,7 @@ mod tests {
                 sii.is_checked(),
             );
             let categories = sii.categories().count();
-            assert!(categories <= 5);
+            assert!(categories <= 6 && sii.used().is_none());
             let _ = sii
                 .pdos(Category::RxPdo)
                 .map(|pdo| pdo.bits())

@@ -10,6 +10,7 @@ fn good() -> Observed {
         period: PERIOD,
         measurements: 1_000,
         answers: 1_000,
+        heard: 999,
         answer_time_max: US * 40,
         arrival_jitter: US * 20,
         stamp_jitter: Some(US),
@@ -22,7 +23,7 @@ fn good() -> Observed {
 #[test]
 #[expect(clippy::too_many_lines, reason = "a table")]
 fn every_verdict_has_its_figures_and_a_remedy() {
-    let cases: [(Observed, Verdict, &str); 12] = [
+    let cases: [(Observed, Verdict, &str); 14] = [
         (good(), Verdict::Good, "good"),
         (
             Observed {
@@ -48,6 +49,25 @@ fn every_verdict_has_its_figures_and_a_remedy() {
             },
             Verdict::Unanswered,
             "nobody answers the controller",
+        ),
+        (
+            Observed {
+                strange: 500,
+                late: 500,
+                ..good()
+            },
+            Verdict::SecondClient { strange: 0.5 },
+            "another client answers the controller too: 50.0 % of what it heard",
+        ),
+        (
+            Observed {
+                heard: 0,
+                answer_rate: Some(0.0),
+                is_good: false,
+                ..good()
+            },
+            Verdict::Unheard,
+            "the controller hears no answer of this host",
         ),
         (
             Observed {
@@ -138,6 +158,7 @@ fn run(change: impl Fn(u32, &mut Measurement) -> (bool, Option<Duration>)) -> Ve
         let mut measurement = Measurement {
             at,
             sequence: i,
+            reflected: i.wrapping_sub(1),
             stamp: Some(at),
             period: PERIOD,
             is_due: true,
@@ -149,7 +170,7 @@ fn run(change: impl Fn(u32, &mut Measurement) -> (bool, Option<Duration>)) -> Ve
             observer.handle_measurement(measurement);
         }
         if let Some(after) = answered_after {
-            observer.handle_answer(measurement.at + after);
+            observer.handle_answer(measurement.at + after, i);
         }
     }
     observer.verdict()
@@ -204,6 +225,33 @@ fn each_thing_that_goes_wrong_is_found() {
         matches!(thither, Verdict::NetworkThither { missing } if (missing - 0.1).abs() < 1e-9),
         "{thither}"
     );
+}
+
+#[test]
+fn who_is_heard_is_found_by_what_the_controller_reflects() {
+    let soon = Some(US * 50);
+    // Half of what the controller hears counts by itself.
+    let second = run(|i, measurement| {
+        if i % 2 == 0 {
+            measurement.reflected = 70_000 + i;
+        }
+        (true, soon)
+    });
+    assert!(matches!(second, Verdict::SecondClient { .. }), "{second}");
+    // It still reflects the last answer of the client before this one.
+    let unheard = run(|_, measurement| {
+        measurement.reflected = 70_000;
+        (true, soon)
+    });
+    assert_eq!(unheard, Verdict::Unheard);
+    // For a moment only.
+    let taken_over = run(|i, measurement| {
+        if i < 3 {
+            measurement.reflected = 70_000;
+        }
+        (true, soon)
+    });
+    assert_eq!(taken_over, Verdict::Good);
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! Runs an emulated controller on a link in real time. It makes no thread and asks for no priority: its caller does.
 
+use super::{Served, Status};
 use crate::link::Link;
 use crate::linux::monotonic;
 use std::io;
@@ -14,16 +15,11 @@ const WAIT_MAX: Duration = Duration::from_millis(50);
 const ROOM: usize = 1501;
 
 /// What is served.
-pub(crate) trait Controller {
-    /// What other threads see of it and want of it.
-    type Status;
-
+pub(crate) trait Controller: Served + Sized {
     fn poll_transmit(&mut self, now: Duration, buf: &mut [u8]) -> Option<usize>;
     /// Takes a datagram; a malformed one is counted by the controller and means nothing else to it.
     fn take(&mut self, bytes: &[u8], now: Duration);
     fn poll_timeout(&self) -> Duration;
-    fn apply(&mut self, status: &Self::Status);
-    fn publish(&self, status: &Self::Status);
 }
 
 /// Serves `controller` on `link` until `stop`; the clock is [`monotonic`], which must also have given its start.
@@ -34,7 +30,7 @@ pub(crate) trait Controller {
 pub(crate) fn serve<C: Controller, L: Link>(
     controller: &mut C,
     link: &mut L,
-    status: &C::Status,
+    status: &Status<C>,
     stop: &AtomicBool,
 ) -> io::Result<()> {
     while !stop.load(Ordering::Relaxed) {
@@ -46,9 +42,9 @@ pub(crate) fn serve<C: Controller, L: Link>(
         }
         let now = monotonic()?;
         if now >= controller.poll_timeout() {
-            controller.apply(status);
+            status.apply(controller);
             transmit(controller, link, now)?;
-            controller.publish(status);
+            status.publish(controller);
         }
         let wait = controller.poll_timeout().saturating_sub(monotonic()?);
         if !wait.is_zero() {

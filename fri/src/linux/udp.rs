@@ -57,6 +57,13 @@ impl UdpLink {
         self.peer
     }
 
+    /// Sends to `peer` from now on, until another sends here: for owners who know strangers when they hear them.
+    pub fn answer_to(&mut self, peer: SocketAddr) {
+        if !self.fixed {
+            self.peer = Some(peer);
+        }
+    }
+
     /// Datagrams ignored because they came from another address than the fixed peer.
     #[must_use]
     pub fn foreign(&self) -> u64 {
@@ -141,6 +148,23 @@ mod tests {
             assert!(krc.receive(&mut buf, PATIENCE).unwrap().is_some());
             assert_eq!(buf[0], byte + 10);
         }
+    }
+
+    #[test]
+    fn who_spoke_last_need_not_be_who_is_answered() {
+        let mut pc = UdpLink::bind(ANY).unwrap();
+        let mut buf = [0; 8];
+        let mut ends = [(); 2].map(|()| UdpLink::connect(ANY, pc.local_addr().unwrap()).unwrap());
+        for end in &mut ends {
+            end.send(&[1]).unwrap();
+            pc.receive(&mut buf, PATIENCE).unwrap().unwrap();
+        }
+        pc.answer_to(ends[0].local_addr().unwrap());
+        pc.send(&[7]).unwrap();
+        assert!(ends[0].receive(&mut buf, PATIENCE).unwrap().is_some());
+        let other = ends[1].local_addr().unwrap();
+        ends[0].answer_to(other);
+        assert_ne!(ends[0].peer(), Some(other));
     }
 
     #[test]

@@ -31,6 +31,7 @@
 
 mod device;
 mod segment;
+mod youbot;
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -38,11 +39,12 @@ use std::time::Duration;
 
 use serde::Deserialize;
 
-use crate::device::{canopen, ethercat, rmp};
+use crate::device::{canopen, ethercat, iiwa, rmp};
 use crate::error::Error;
 use crate::span;
-pub use device::{DeviceConfig, IiwaConfig, IiwaModel, LwrConfig, RmpConfig};
+pub use device::{DeviceConfig, IiwaConfig, IiwaIo, IiwaModel, LwrConfig, RmpConfig};
 pub use segment::{CanopenConfig, DriveArm, DriveJoint, EthercatConfig, EthercatIo, EthercatSlave};
+pub use youbot::{YouBotArm, YouBotBase, YouBotControl};
 
 /// Net threads that a controller may have.
 pub const THREADS_MAX: usize = 8;
@@ -206,7 +208,7 @@ impl CellConfig {
             path: path.to_owned(),
             source,
         })?;
-        let mut cell = Self::parse(&text).map_err(|what| Error::Config {
+        let mut cell = Self::of_text(&text).map_err(|what| Error::Config {
             path: path.to_owned(),
             what,
         })?;
@@ -216,7 +218,15 @@ impl CellConfig {
         Ok(cell)
     }
 
-    fn parse(text: &str) -> Result<Self, String> {
+    /// Reads what such a file holds.
+    ///
+    /// # Errors
+    /// If it is no TOML, names what does not exist, or a value is out of range.
+    pub fn parse(text: &str) -> Result<Self, Error> {
+        Self::of_text(text).map_err(Error::Cell)
+    }
+
+    fn of_text(text: &str) -> Result<Self, String> {
         let config: Self = toml::from_str(text).map_err(|e| e.to_string())?;
         config.check()?;
         Ok(config)
@@ -275,7 +285,8 @@ impl CellConfig {
         self.ethercat.iter().try_for_each(ethercat::check)?;
         self.canopen.iter().try_for_each(canopen::check)?;
         self.devices.iter().try_for_each(|device| match device {
-            DeviceConfig::Lwr(_) | DeviceConfig::Iiwa(_) => Ok(()),
+            DeviceConfig::Lwr(_) => Ok(()),
+            DeviceConfig::Iiwa(config) => iiwa::check(config),
             DeviceConfig::Rmp(config) => rmp::check(config),
         })
     }
@@ -332,7 +343,13 @@ impl CellConfig {
         }
         let of_segments = self.ethercat.iter().flat_map(|segment| {
             let arms = segment.arms.iter().map(|arm| arm.name.as_str());
-            arms.chain(segment.ios.iter().map(|io| io.name.as_str()))
+            let youbots = segment
+                .youbot_arms
+                .iter()
+                .flat_map(|arm| std::iter::once(arm.name.as_str()).chain(arm.gripper.as_deref()));
+            let bases = segment.youbot_bases.iter().map(|base| base.name.as_str());
+            let ios = segment.ios.iter().map(|io| io.name.as_str());
+            arms.chain(ios).chain(youbots).chain(bases)
         });
         let of_networks = self
             .canopen
@@ -384,7 +401,7 @@ mod tests {
             listen = "127.0.0.1:49938"
             thread = "4ms"
         "#;
-        let config = CellConfig::parse(text).unwrap();
+        let config = CellConfig::of_text(text).unwrap();
         assert_eq!(config.controller.period, Duration::from_micros(500));
         let periods: Vec<_> = config.periods().collect();
         assert_eq!(periods, [500, 4000, 8000].map(Duration::from_micros));
@@ -451,17 +468,17 @@ mod tests {
                 "unknown field `port`",
             ),
         ] {
-            let error = CellConfig::parse(text).unwrap_err();
+            let error = CellConfig::of_text(text).unwrap_err();
             assert!(error.contains(said), "{text}: {error}");
         }
         let many: String = (1..=8)
             .map(|n| format!("[[controller.thread]]\nperiod = \"{}ms\"\n", 2 * n))
             .collect();
-        let many = CellConfig::parse(&many).unwrap_err();
+        let many = CellConfig::of_text(&many).unwrap_err();
         assert!(many.contains("9 net threads; at most 8"), "{many}");
         let twice = "[[device]]\nname = \"a\"\ntype = \"kuka_lwr_fri\"\n".repeat(2);
         assert!(
-            CellConfig::parse(&twice)
+            CellConfig::of_text(&twice)
                 .unwrap_err()
                 .contains("given twice")
         );

@@ -77,6 +77,8 @@ fn config() -> EthercatConfig {
             digital_in: vec![("terminal".to_owned(), 8)],
             digital_out: vec![("terminal".to_owned(), 8)],
         }],
+        youbot_bases: Vec::new(),
+        youbot_arms: Vec::new(),
     }
 }
 

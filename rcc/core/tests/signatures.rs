@@ -14,6 +14,10 @@ const OWN: &[&str] = &["Motion::", "Takeover"];
 const ADDED: &[(&str, &str)] = &[
     ("ArmKinematics::InvKin", "outError:int"),
     ("KUKA::LWR::InvKin", "outError:int"),
+    ("KUKA::LWR::JointImpParameters", "outCompleted:bool"),
+    ("KUKA::LWR::JointImpParameters", "outError:int"),
+    ("KUKA::LWR::CartImpParameters", "outCompleted:bool"),
+    ("KUKA::LWR::CartImpParameters", "outError:int"),
 ];
 
 #[test]

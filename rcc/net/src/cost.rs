@@ -1,8 +1,5 @@
-//! What a net costs at most: the sum of what is declared or was measured of its primitives. A bound to
-//! refuse nets by, known before they run; what they really take is for their executor to observe.
-//!
-//! The sum counts everything that can be active at once. Which fragments exclude each other is decided by
-//! values of a running net, so none is taken to: a net that switches between two halves counts both.
+//! What a net costs at most: the sum of what is declared or was measured of its primitives, over its longest
+//! activation. A bound to refuse nets by, known before they run; what they really take is for their executor to observe.
 
 use std::collections::HashMap;
 use std::time::Duration;
@@ -26,14 +23,21 @@ pub struct Cost {
     pub element_ns: f64,
 }
 
+impl Cost {
+    /// What one of them costs beside others of its type, ns.
+    pub(crate) fn of_one(&self, elements: usize) -> f64 {
+        self.ns + self.element_ns * number(elements)
+    }
+}
+
 /// What the primitives of one type make of the cost of a net.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CostShare {
     /// Name of the type.
     pub primitive: String,
-    /// How many there are in the net.
+    /// How many of them count: those of the longest activation.
     pub count: usize,
-    /// Array elements at the in and out ports of all of them.
+    /// Array elements at the in and out ports of those.
     pub elements: usize,
     /// What they cost in one cycle at most.
     pub cost: Duration,
@@ -49,16 +53,17 @@ pub struct NetCost {
 }
 
 impl NetCost {
-    /// Adds up primitives, given with the elements of their arrays, and tests of activation.
+    /// Adds up primitives and tests of activation. Given are the elements of their arrays, or nothing of
+    /// those that are never active together with the rest; their code is brought from memory all the same.
     pub(crate) fn of<'d>(
-        primitives: impl Iterator<Item = (&'d Definition, usize)>,
+        primitives: impl Iterator<Item = (&'d Definition, Option<usize>)>,
         guards: usize,
     ) -> Self {
         let mut sums: HashMap<*const Definition, (&Definition, usize, usize)> = HashMap::new();
         for (definition, elements) in primitives {
             let (_, count, sum) = sums.entry(definition).or_insert((definition, 0, 0));
-            *count += 1;
-            *sum += elements;
+            *count += usize::from(elements.is_some());
+            *sum += elements.unwrap_or(0);
         }
         let share = |(definition, count, elements): (&Definition, usize, usize)| {
             let Cost {

@@ -1,6 +1,7 @@
 //! From net text to plan: read, resolve, sort, build. Runs off the real-time path and reports all
 //! faults at once. What happens to a plan afterwards is its executor's business.
 
+mod activation;
 mod build;
 mod builder;
 mod graph;

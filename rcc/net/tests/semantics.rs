@@ -220,3 +220,43 @@ fn of_several_estops_one_that_stops_is_enough() {
     net.cycle();
     assert_eq!(net.image.stop.get().at(1), Some(true));
 }
+
+/// How many additions count for the cost of a net with these children.
+fn additions_that_count(children: &str) -> usize {
+    let text = format!(
+        "{{x=Core::BooleanValue(Value='true'),y=Core::BooleanNot(inValue=x.outValue),
+        z=Core::BooleanValue(),w=Core::BooleanNot(inValue=z.outValue),
+        {children}never=Core::BooleanValue(),outTerminate=never.outValue}}"
+    );
+    let net = Bench::new(&text);
+    let shares = &net.plan.cost().shares;
+    let additions = shares.iter().find(|s| s.primitive == "Core::DoubleAdd");
+    additions.map_or(0, |share| share.count)
+}
+
+/// A fragment of so many additions and of `inside`, with a comma behind it.
+fn fragment(name: &str, count: usize, inside: &str, args: &str) -> String {
+    let each = |i| format!("a{i}=Core::DoubleAdd(First='1',Second='1'),");
+    let all: String = (0..count).map(each).collect();
+    format!("{name}={{{all}{inside}last=Core::BooleanValue()}}({args}),")
+}
+
+#[test]
+fn what_excludes_each_other_is_counted_once() {
+    let [x, not_x] = ["inActive=x.outValue", "inActive=y.outValue"];
+    let [z, not_z] = ["inActive=z.outValue", "inActive=w.outValue"];
+    let beside = |parts: &[String]| additions_that_count(&parts.concat());
+    let f = |count, active| fragment(&format!("f{count}"), count, "", active);
+    assert_eq!(beside(&[f(3, x), f(5, not_x)]), 5);
+    assert_eq!(beside(&[f(5, x), f(3, not_x), f(4, x)]), 9);
+    // Of different values each counts.
+    assert_eq!(beside(&[f(3, x), f(5, not_z), f(4, z)]), 8);
+    assert_eq!(beside(&[f(2, x), f(7, z)]), 9);
+    // A fragment counts as its own longest activation, not as all that is in it.
+    let halves =
+        fragment("g", 5, "", "inActive=parent.inZ") + &fragment("h", 4, "", "inActive=parent.inW");
+    let whole = format!("{x},inZ=z.outValue,inW=w.outValue");
+    let whole = fragment("f", 0, &halves, &whole);
+    assert_eq!(beside(&[whole.clone(), f(8, not_x)]), 8);
+    assert_eq!(beside(&[whole, f(4, not_x)]), 5);
+}

@@ -20,17 +20,25 @@ pub(super) fn motion<'a>(
     let Some(frame) = frames.into_iter().find(|frame| can_move(frame)) else {
         return Ok(());
     };
+    deed(interface, &frame.to_string(), confirmed)
+}
+
+/// The same for what is done with many frames: `what` can set something in motion.
+///
+/// # Errors
+/// If the answer is no, or nobody can answer.
+pub(super) fn deed(interface: &str, what: &str, confirmed: bool) -> anyhow::Result<()> {
     if confirmed || is_virtual(interface) {
         return Ok(());
     }
     anyhow::ensure!(
         io::stdin().is_terminal(),
-        "{frame} can set a machine on {interface} in motion; if that is safe, say --confirm-motion"
+        "{what} can set a machine on {interface} in motion; if that is safe, say --confirm-motion"
     );
     let mut out = io::stderr().lock();
     write!(
         out,
-        "{frame} can set a machine on {interface} in motion. Is that safe? [y/N] "
+        "{what} can set a machine on {interface} in motion. Is that safe? [y/N] "
     )?;
     out.flush()?;
     let mut answer = String::new();

@@ -1,8 +1,10 @@
-//! The net of the demo: both arms swing all joints about where they stand, in step, and come back.
-//! It is an ordinary net: `takt demo --print-net` shows it, `takt net load` takes it.
+//! The nets of the demo: arms swing all joints about where they stand, in step, and come back.
+//! They are ordinary nets: `takt demo --print-net` shows them, `takt net load` takes them.
 
 use std::f64::consts::TAU;
 use std::time::Duration;
+
+use super::cell::Arm;
 
 /// By joint: how far it swings out, rad, and how often in five seconds.
 const SWINGS: [(f64, f64); 7] = [
@@ -15,19 +17,19 @@ const SWINGS: [(f64, f64); 7] = [
     (0.8, 1.0),
 ];
 
-/// The net for a motion of that length.
-pub(super) fn net(robots: &[&str], duration: Duration) -> String {
+/// The net for a motion of these arms of that length.
+pub(super) fn net(moved: &[Arm], duration: Duration) -> String {
     let seconds = duration.as_secs_f64().max(0.1);
     // As many swings as fit without more speed; where the time is short, smaller ones.
     let repeats = (seconds / 5.0).round().max(1.0);
     let scale = (seconds / (5.0 * repeats)).powi(2).min(1.0);
-    let arms: Vec<String> = robots
+    let arms: Vec<String> = moved
         .iter()
-        .map(|robot| arm(robot, repeats, scale))
+        .map(|moved| arm(*moved, repeats, scale))
         .collect();
-    let good: Vec<String> = robots
+    let good: Vec<String> = moved
         .iter()
-        .map(|robot| format!("{robot}.outGood"))
+        .map(|moved| format!("{}.outGood", moved.name))
         .collect();
     let (all_good, gates) = all_of("good", &good);
     format!(
@@ -71,7 +73,14 @@ pub(super) fn net(robots: &[&str], duration: Duration) -> String {
 }
 
 /// The fragment that moves one arm.
-fn arm(robot: &str, repeats: f64, scale: f64) -> String {
+fn arm(
+    Arm {
+        name: robot,
+        joints,
+    }: Arm,
+    repeats: f64,
+    scale: f64,
+) -> String {
     let joint = |(axis, (swing, often)): (usize, &(f64, f64))| {
         let angle = TAU * often * repeats;
         let half = swing * scale / 2.0;
@@ -91,10 +100,11 @@ fn arm(robot: &str, repeats: f64, scale: f64) -> String {
             -half
         )
     };
-    let joints: String = SWINGS.iter().enumerate().map(joint).collect();
-    let good: Vec<String> = (0..SWINGS.len())
+    let joints = joints.len();
+    let good: Vec<String> = (0..joints)
         .map(|axis| format!("good{axis}.outValue"))
         .collect();
+    let joints: String = SWINGS.iter().take(joints).enumerate().map(joint).collect();
     let (all, gates) = all_of("all", &good);
     format!(
         "  {robot}={{

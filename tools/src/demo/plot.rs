@@ -7,6 +7,7 @@ use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use takt_rt::stats::Snapshot;
 
+use super::cell::Arm;
 use crate::demo::Samples;
 use crate::output::time;
 
@@ -35,17 +36,17 @@ const COLOURS: [RGBColor; takt_fri::lwr::AXES] = [
 /// Draws the picture.
 pub(super) fn draw(
     path: &Path,
-    robots: &[&str],
+    arms: &[Arm],
     samples: &Samples,
     stats: &Snapshot,
 ) -> anyhow::Result<()> {
-    let parts = u32::try_from(robots.len() + 1).unwrap_or(1);
+    let parts = u32::try_from(arms.len() + 1).unwrap_or(1);
     let (width, height) = (SIZE.0, SIZE.1 * parts);
     let (fine_width, fine_height) = (width * SCALE, height * SCALE);
     let mut svg = String::new();
     draw_parts(
         SVGBackend::with_string(&mut svg, (fine_width, fine_height)),
-        robots,
+        arms,
         samples,
         stats,
     )
@@ -55,17 +56,12 @@ pub(super) fn draw(
     Ok(std::fs::write(path, svg.replacen(&fine, &shown, 1))?)
 }
 
-fn draw_parts(
-    backend: SVGBackend<'_>,
-    robots: &[&str],
-    samples: &Samples,
-    stats: &Snapshot,
-) -> Drawn {
+fn draw_parts(backend: SVGBackend<'_>, arms: &[Arm], samples: &Samples, stats: &Snapshot) -> Drawn {
     let root = backend.into_drawing_area();
     root.fill(&WHITE)?;
-    let areas = root.split_evenly((robots.len() + 1, 1));
-    for ((area, robot), joints) in areas.iter().zip(robots).zip(&samples.joints) {
-        curves(area, robot, &samples.time_s, joints)?;
+    let areas = root.split_evenly((arms.len() + 1, 1));
+    for ((area, arm), joints) in areas.iter().zip(arms).zip(&samples.joints) {
+        curves(area, *arm, &samples.time_s, joints)?;
     }
     if let Some(area) = areas.last() {
         latencies(area, stats)?;
@@ -89,11 +85,11 @@ fn chart<'a, 'b>(area: &'a Area<'b>, caption: &str) -> ChartBuilder<'a, 'b, SVGB
     chart
 }
 
-fn curves(area: &Area<'_>, robot: &str, time_s: &[f64], joints: &[Vec<f64>]) -> Drawn {
+fn curves(area: &Area<'_>, arm: Arm, time_s: &[f64], joints: &[Vec<f64>]) -> Drawn {
     let values = || joints.iter().flatten().copied().filter(|v| v.is_finite());
     let (low, high) = (values().fold(0.0, f64::min), values().fold(0.0, f64::max));
     let end = time_s.last().copied().unwrap_or(1.0);
-    let mut chart = chart(area, &format!("{robot}: measured joint positions"))
+    let mut chart = chart(area, &format!("{}: measured joint positions", arm.name))
         .build_cartesian_2d(0.0..end, low - 0.1..high + 0.1)?;
     chart
         .configure_mesh()
@@ -103,7 +99,7 @@ fn curves(area: &Area<'_>, robot: &str, time_s: &[f64], joints: &[Vec<f64>]) -> 
         .label_style(font(11))
         .x_label_formatter(&|s| format!("{s:.1}"))
         // The negative zero of the library's ticks becomes a plain one.
-        .y_label_formatter(&|rad| format!("{:.1}", (rad * 10.0).round() / 10.0 + 0.0))
+        .y_label_formatter(&|rad| format!("{:.2}", (rad * 100.0).round() / 100.0 + 0.0))
         .set_all_tick_mark_size(4 * SCALE)
         .y_labels(7)
         .light_line_style(TRANSPARENT)
@@ -111,8 +107,7 @@ fn curves(area: &Area<'_>, robot: &str, time_s: &[f64], joints: &[Vec<f64>]) -> 
         .axis_style(BLACK.stroke_width(SCALE))
         .draw()?;
     let every = time_s.len().div_ceil(POINTS_MAX).max(1);
-    let names = takt_fri::lwr::JOINT_NAMES;
-    for (number, (positions, name)) in joints.iter().zip(names).enumerate() {
+    for (number, (positions, name)) in joints.iter().zip(arm.joints).enumerate() {
         let line = COLOURS[number % COLOURS.len()].stroke_width(SCALE * 3 / 2);
         let points = time_s.iter().copied().zip(positions.iter().copied());
         let points = points.filter(|(_, p)| p.is_finite()).step_by(every);

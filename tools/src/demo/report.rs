@@ -1,11 +1,17 @@
 //! The report of a demo: the figures of the cycle, of each robot, and the verdict.
 
+use std::fmt;
+use std::time::Duration;
+
 use serde::Serialize;
 use takt_core::Controller;
+use takt_core::device::driver::DeviceDriver as _;
+use takt_core::device::ethercat::Ethercat;
+use takt_core::device::lwr::Lwr;
 use takt_rt::host::Host;
 use takt_rt::stats::Summary;
 
-use crate::demo::ROBOTS;
+use super::cell::Arm;
 use crate::emulate::Robot;
 use crate::output::time;
 
@@ -16,6 +22,13 @@ pub(super) struct Quantiles {
     p99: i64,
     p999: i64,
     max: i64,
+}
+
+impl fmt::Display for Quantiles {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [p50, p99, p999, max] = [self.p50, self.p99, self.p999, self.max].map(time);
+        write!(f, "p50 {p50}  p99 {p99}  p99.9 {p999}  max {max}")
+    }
 }
 
 impl From<Summary> for Quantiles {
@@ -35,18 +48,140 @@ struct RobotReport {
     name: String,
     protocol: &'static str,
     period_ns: u64,
-    /// Measurements received.
-    datagrams: u64,
-    /// Measurements that never came and cycles in which the robot had no answer in time.
-    lost: u64,
-    quality: String,
-    tracking_error_rad_max: f64,
-    /// From the arrival of a measurement to the sending of its answer.
-    answer_ns: Quantiles,
-    /// From the logical time of a set-point to its sending.
-    set_point_age_ns: Quantiles,
     /// How far the farthest joint moved, rad.
     moved_rad_max: f64,
+    #[serde(flatten)]
+    wire: WireReport,
+}
+
+/// What is told of the wire of a robot.
+#[derive(Debug, Serialize)]
+#[serde(untagged)]
+enum WireReport {
+    Fri {
+        /// Measurements received.
+        datagrams: u64,
+        /// Measurements that never came and cycles in which the robot had no answer in time.
+        lost: u64,
+        quality: String,
+        tracking_error_rad_max: f64,
+        /// From the arrival of a measurement to the sending of its answer.
+        answer_ns: Quantiles,
+        /// From the logical time of a set-point to its sending.
+        set_point_age_ns: Quantiles,
+    },
+    Ethercat {
+        /// Frames with process data.
+        frames: u64,
+        /// Those whose answer did not come in their cycle.
+        lost: u64,
+        /// How far cycles began from their place before SYNC0, while it was known.
+        sync0_error_ns: Quantiles,
+    },
+}
+
+impl WireReport {
+    fn of_lwr(arm: &Lwr, missed: u64) -> (u64, Self) {
+        let figures = arm.figures();
+        let wire = Self::Fri {
+            datagrams: figures.datagrams,
+            lost: figures.lost + missed,
+            quality: format!("{:?}", figures.quality).to_uppercase(),
+            tracking_error_rad_max: figures.tracking_error_rad_max,
+            answer_ns: arm.answer_time.read().summary().into(),
+            set_point_age_ns: arm.set_point_age.read().summary().into(),
+        };
+        (nanoseconds(figures.period.unwrap_or_default()), wire)
+    }
+
+    fn of_segment(segment: &Ethercat) -> (u64, Self) {
+        let figures = segment.figures();
+        let wire = Self::Ethercat {
+            frames: figures.cycles,
+            lost: figures.lost,
+            sync0_error_ns: segment.stats.snapshot().phase_error.into(),
+        };
+        (nanoseconds(figures.period), wire)
+    }
+
+    const fn protocol(&self) -> &'static str {
+        match self {
+            Self::Fri { .. } => "fri1",
+            Self::Ethercat { .. } => "ethercat",
+        }
+    }
+
+    /// A line or two for people.
+    fn text(&self) -> (String, String) {
+        match self {
+            Self::Fri {
+                datagrams,
+                lost,
+                quality,
+                tracking_error_rad_max: error,
+                answer_ns,
+                ..
+            } => (
+                format!("{datagrams} datagrams, {lost} lost, quality {quality}"),
+                format!(
+                    ", tracking error at most {error:.4} rad\n           answer     {answer_ns}"
+                ),
+            ),
+            Self::Ethercat {
+                frames,
+                lost,
+                sync0_error_ns,
+            } => (
+                format!("{frames} frames, {lost} lost"),
+                format!("\n           to SYNC0   {sync0_error_ns}"),
+            ),
+        }
+    }
+}
+
+impl RobotReport {
+    /// What the driver of that arm tells; nothing if there is none.
+    fn new(
+        controller: &Controller,
+        krcs: &[(String, Robot)],
+        name: &str,
+        moved: f64,
+    ) -> Option<Self> {
+        let krc = krcs.iter().find(|(of, _)| of == name);
+        let missed = krc.map_or(0, |(_, robot)| u64::from(robot.status.missed()));
+        let of_lwr = |arm: &Lwr| arm.drives(name).then(|| WireReport::of_lwr(arm, missed));
+        let of_segment = |segment: &Ethercat| {
+            segment
+                .drives(name)
+                .then(|| WireReport::of_segment(segment))
+        };
+        let found = controller.with_drivers(of_lwr).into_iter();
+        let found = found
+            .chain(controller.with_drivers(of_segment))
+            .flatten()
+            .next();
+        found.map(|(period_ns, wire)| Self {
+            name: name.to_owned(),
+            protocol: wire.protocol(),
+            period_ns,
+            moved_rad_max: moved,
+            wire,
+        })
+    }
+
+    /// For people.
+    fn text(&self) -> String {
+        let period = time(self.period_ns.cast_signed());
+        let (first, more) = self.wire.text();
+        format!(
+            "{:<10} {} every {period}, {first}\n           moved {:.2} rad{more}\n",
+            self.name, self.protocol, self.moved_rad_max
+        )
+    }
+}
+
+fn nanoseconds(span: Duration) -> u64 {
+    u64::try_from(span.as_nanos()).unwrap_or(u64::MAX)
 }
 
 /// The report.
@@ -59,7 +194,9 @@ pub(super) struct Report {
     overruns: u64,
     latency_ns: Quantiles,
     execution_ns: Quantiles,
-    /// How far cycles of nets began from their places on the first robot's clock, while it was known.
+    /// Device whose clock the cycles of nets follow.
+    followed: String,
+    /// How far they began from their places on that clock, while it was known.
     phase_error_ns: Quantiles,
     /// In how many cycles it was.
     phase_known: u64,
@@ -77,50 +214,26 @@ impl Report {
     pub(super) fn collect(
         controller: &Controller,
         host: &Host,
-        robots: &[Robot],
-        moved: &[f64],
-        end: Option<String>,
+        krcs: &[(String, Robot)],
+        moved: &[(Arm, f64)],
+        followed: &str,
+        mut faults: Vec<String>,
     ) -> Self {
         let stats = controller.stats();
         let rt_allocations = takt_rt::alloc::real_time_allocations();
-        let drivers = controller.with_arms(|arm| {
-            (
-                arm.figures(),
-                arm.answer_time.read().summary(),
-                arm.set_point_age.read().summary(),
-            )
-        });
-        let mut reports = Vec::new();
-        for (i, (figures, answer, age)) in drivers.into_iter().enumerate() {
-            let missed = robots
-                .get(i)
-                .map_or(0, |robot| u64::from(robot.status.missed()));
-            reports.push(RobotReport {
-                name: ROBOTS[i].to_owned(),
-                protocol: "fri1",
-                period_ns: figures
-                    .period
-                    .map_or(0, |p| p.as_nanos().try_into().unwrap_or(0)),
-                datagrams: figures.datagrams,
-                lost: figures.lost + missed,
-                quality: format!("{:?}", figures.quality).to_uppercase(),
-                tracking_error_rad_max: figures.tracking_error_rad_max,
-                answer_ns: answer.into(),
-                set_point_age_ns: age.into(),
-                moved_rad_max: moved.get(i).copied().unwrap_or(0.0),
-            });
-        }
-        let mut faults: Vec<String> = end.into_iter().collect();
+        let report =
+            |(arm, moved): &(Arm, f64)| RobotReport::new(controller, krcs, arm.name, *moved);
+        let robots: Vec<_> = moved.iter().filter_map(report).collect();
         if rt_allocations > 0 {
             faults.push(format!("{rt_allocations} allocations in real-time threads"));
         }
-        for (robot, name) in robots.iter().zip(ROBOTS) {
+        for (name, robot) in krcs {
             if let Some(why) = robot.status.last_fall() {
                 faults.push(format!("{name} left command mode: {why}"));
             }
         }
-        for robot in reports.iter().filter(|r| r.moved_rad_max < 0.01) {
-            faults.push(format!("{} did not move", robot.name));
+        for (arm, _) in moved.iter().filter(|(_, moved)| *moved < 0.01) {
+            faults.push(format!("{} did not move", arm.name));
         }
         Self {
             ok: faults.is_empty(),
@@ -129,22 +242,19 @@ impl Report {
             overruns: stats.overruns,
             latency_ns: stats.latency.into(),
             execution_ns: stats.execution.into(),
+            followed: followed.to_owned(),
             phase_error_ns: stats.phase_error.into(),
             phase_known: stats.phase_error.count,
             rt_allocations,
             realtime: is_real_time(controller, host),
             preempt_rt: host.is_preempt_rt(),
-            robots: reports,
+            robots,
             sync_error_ns_max: controller.hand_over().max.0,
         }
     }
 
     /// The report for people.
     pub(super) fn text(&self) -> String {
-        let q = |q: Quantiles| {
-            let [p50, p99, p999, max] = [q.p50, q.p99, q.p999, q.max].map(time);
-            format!("p50 {p50}  p99 {p99}  p99.9 {p999}  max {max}")
-        };
         let kind = match (self.realtime, self.preempt_rt) {
             (true, true) => "real-time priority on a PREEMPT_RT kernel",
             (true, false) => "real-time priority, but not a PREEMPT_RT kernel",
@@ -157,30 +267,15 @@ impl Report {
              phase      {}; on {}'s clock in {} cycles\n",
             self.cycles,
             self.overruns,
-            q(self.latency_ns),
-            q(self.execution_ns),
-            q(self.phase_error_ns),
-            ROBOTS[0],
+            self.latency_ns,
+            self.execution_ns,
+            self.phase_error_ns,
+            self.followed,
             self.phase_known
         );
-        for robot in &self.robots {
-            text += &format!(
-                "{:<10} {} every {}, {} datagrams, {} lost, quality {}\n           \
-                 moved {:.2} rad, tracking error at most {:.4} rad\n           \
-                 answer     {}\n",
-                robot.name,
-                robot.protocol,
-                time(robot.period_ns.cast_signed()),
-                robot.datagrams,
-                robot.lost,
-                robot.quality,
-                robot.moved_rad_max,
-                robot.tracking_error_rad_max,
-                q(robot.answer_ns),
-            );
-        }
+        text.extend(self.robots.iter().map(RobotReport::text));
         text += &format!(
-            "sync       both arms had each set-point within {}\nallocations in real-time threads: {}\n",
+            "sync       all arms had each set-point within {}\nallocations in real-time threads: {}\n",
             time(self.sync_error_ns_max),
             self.rt_allocations
         );

@@ -11,7 +11,7 @@ use takt_ethercat::dc::Sample;
 use takt_ethercat::master::{Master, SlaveView};
 
 use super::session::{Session, Wire};
-use super::{Target, scan};
+use super::{Source, recording, scan};
 use crate::Verdict;
 use crate::output::{say, span, time};
 
@@ -23,11 +23,12 @@ use crate::output::{say, span, time};
 #[command(after_help = "Examples:
   takt ecat dc enp2s0
   takt ecat dc enp2s0 --duration 1min --window 200ns --json
+  takt ecat dc --from run.pcap
 
 Differences are those of register 092Ch, positive where the slave is ahead of the reference.")]
 pub(crate) struct Dc {
     #[command(flatten)]
-    target: Target,
+    source: Source,
     /// How long to watch.
     #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span)]
     duration: Duration,
@@ -47,7 +48,11 @@ pub(crate) struct Dc {
 
 impl Dc {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
-        let mut session = self.target.bring_up(AlState::SafeOp, self.cycle)?;
+        if let Some(path) = &self.source.from {
+            let read = recording::Recording::read(path)?;
+            return recording::dc(&read, self.window).say(self.json, false);
+        }
+        let mut session = self.source.bring_up(AlState::SafeOp, self.cycle)?;
         session.run_for(self.settle)?;
         let watched = Watched::take(&mut session, self.duration)?;
         session.leave()?;

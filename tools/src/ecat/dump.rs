@@ -3,15 +3,15 @@
 
 mod meaning;
 
-use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::{Context as _, ensure};
 use clap::Args;
-use takt_ethercat::link::{ETHER_TYPE, HEADER_LEN, PcapReader, PcapRecord};
-use takt_ethercat::{Command, Frame};
+use takt_ethercat::Frame;
+use takt_ethercat::link::{PcapReader, PcapRecord};
 
+use super::ways::{Way, Ways, body};
 use crate::Verdict;
 use crate::output::{complain, say};
 use meaning::Meanings;
@@ -89,27 +89,10 @@ pub(super) struct Filter {
     pub(super) station: Option<u16>,
 }
 
-/// Which way a frame goes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Way {
-    Out,
-    Back,
-}
-
-/// A frame on its way, by what slaves do not change.
-type Shape = Vec<(Command, u8, u16)>;
-
-/// A frame that has not come back by then is lost.
-const UNDER_WAY: Duration = Duration::from_millis(100);
-/// Frames under way that are remembered.
-const UNDER_WAY_MAX: usize = 64;
-
 /// Turns records into lines.
 #[derive(Debug)]
 pub(super) struct Decoder {
-    /// The first slave marks the source address of what it passes, and this master's was not marked before.
-    marked: bool,
-    under_way: VecDeque<(Duration, Shape)>,
+    ways: Ways,
     meanings: Meanings,
     /// What time counts from.
     begin: Option<Duration>,
@@ -118,22 +101,11 @@ pub(super) struct Decoder {
     broken: u64,
 }
 
-/// The bit of the source address that the first slave sets (locally administered).
-const PASSED: u8 = 0x02;
-
 impl Decoder {
     /// Looks through a recording for what tells frames out from frames back.
     pub(super) fn new(bytes: &[u8]) -> anyhow::Result<Self> {
-        let is_unmarked = |record: &PcapRecord<'_>| {
-            body(record.frame).is_some()
-                && record.frame.get(6).is_some_and(|byte| byte & PASSED == 0)
-        };
-        let marked = PcapReader::new(bytes)?
-            .flatten()
-            .any(|record| is_unmarked(&record));
         Ok(Self {
-            marked,
-            under_way: VecDeque::new(),
+            ways: Ways::new(bytes)?,
             meanings: Meanings::default(),
             begin: None,
             frames: 0,
@@ -168,7 +140,7 @@ impl Decoder {
                 return vec![format!("{time}  ! {error}")];
             }
         };
-        let way = self.way(record, &frame);
+        let way = self.ways.of(record, &frame);
         let mut lines = Vec::new();
         for datagram in frame.datagrams() {
             match datagram {
@@ -188,35 +160,6 @@ impl Decoder {
         }
         lines
     }
-
-    fn way(&mut self, record: &PcapRecord<'_>, frame: &Frame<'_>) -> Way {
-        if self.marked {
-            let source = record.frame.get(6).copied().unwrap_or(0);
-            return if source & PASSED == 0 {
-                Way::Out
-            } else {
-                Way::Back
-            };
-        }
-        // The master's own address has the bit: what was seen shortly before is back now.
-        let of = |datagram: takt_ethercat::Datagram<'_>| {
-            let header = datagram.header;
-            (header.command, header.index, header.len)
-        };
-        let shape: Shape = frame.datagrams().flatten().map(of).collect();
-        self.under_way
-            .retain(|(at, _)| record.at.saturating_sub(*at) < UNDER_WAY);
-        let seen = self.under_way.iter().position(|(_, other)| *other == shape);
-        if let Some(seen) = seen {
-            self.under_way.remove(seen);
-            return Way::Back;
-        }
-        if self.under_way.len() == UNDER_WAY_MAX {
-            self.under_way.pop_front();
-        }
-        self.under_way.push_back((record.at, shape));
-        Way::Out
-    }
 }
 
 impl Filter {
@@ -224,12 +167,6 @@ impl Filter {
         self.station
             .is_none_or(|station| meaning::station(datagram) == Some(station))
     }
-}
-
-/// What is behind the Ethernet header of an EtherCAT frame.
-fn body(frame: &[u8]) -> Option<&[u8]> {
-    let kind = frame.get(12..HEADER_LEN)?;
-    (kind == ETHER_TYPE.to_be_bytes()).then(|| frame.get(HEADER_LEN..))?
 }
 
 fn line(way: Way, datagram: &takt_ethercat::Datagram<'_>, meaning: &str) -> String {

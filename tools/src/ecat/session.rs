@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use anyhow::{Context as _, bail, ensure};
 use takt_ethercat::config::MasterConfig;
-use takt_ethercat::dc::Sample;
+use takt_ethercat::dc::{self, Sample};
 use takt_ethercat::link::{Link, Port};
 use takt_ethercat::linux::{PacketLink, monotonic};
 use takt_ethercat::master::{Event, Job, JobError, JobKind, Master, Phase};
@@ -43,6 +43,29 @@ const EVENTS_MAX: usize = 1000;
 /// Longest wait for the answer to a job, in addition to the master's own time-outs.
 const JOB: Duration = Duration::from_secs(60);
 
+/// How far behind the middle between two SYNC0 a frame was sent, ns; SYNC0 lies on whole cycles of the system time.
+pub(super) fn phase_error(sample: &Sample, cycle: Duration) -> i64 {
+    let signed = |ns: u64| i64::try_from(ns).unwrap_or(i64::MAX);
+    let half = signed(nanos(cycle) / 2);
+    signed(dc::phase_ns(sample.system_ns, cycle, 0)) - half
+}
+
+fn nanos(time: Duration) -> u64 {
+    u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
+}
+
+/// An eighth of the error, at most a two hundredth of the cycle: faster than any clocks drift apart.
+fn nudged(next: Duration, error_ns: i64, cycle: Duration) -> Duration {
+    let most = i64::try_from(nanos(cycle) / 200).unwrap_or(i64::MAX);
+    let by = (error_ns / 8).clamp(-most, most);
+    let size = Duration::from_nanos(by.unsigned_abs());
+    if by > 0 {
+        next.saturating_sub(size)
+    } else {
+        next + size
+    }
+}
+
 /// A segment that a tool is master of.
 #[derive(Debug)]
 pub(super) struct Session<W> {
@@ -56,6 +79,10 @@ pub(super) struct Session<W> {
     sent_at: Duration,
     events: Vec<(Duration, Event)>,
     round_trips: Vec<Duration>,
+    /// Frames keep a phase to SYNC0.
+    follows: bool,
+    /// The newest sample of the reference clock, if nobody has taken it.
+    clock: Option<Sample>,
 }
 
 impl<W: Wire> Session<W> {
@@ -77,6 +104,8 @@ impl<W: Wire> Session<W> {
             sent_at: next,
             events: Vec::new(),
             round_trips: Vec::new(),
+            follows: false,
+            clock: None,
         })
     }
 
@@ -90,14 +119,31 @@ impl<W: Wire> Session<W> {
         &self.master
     }
 
+    /// The master, to read and write process data between cycles.
+    pub(super) const fn master_mut(&mut self) -> &mut Master {
+        &mut self.master
+    }
+
+    /// Begins anew with another configuration, on the same wire.
+    pub(super) fn restart(&mut self, config: MasterConfig) -> anyhow::Result<()> {
+        self.master = Master::new(config)?;
+        self.forget();
+        Ok(())
+    }
+
+    /// Keeps frames in the middle between two SYNC0 from now on.
+    pub(super) const fn follow_sync0(&mut self) {
+        self.follows = true;
+    }
+
     /// The time on the wire's clock.
     pub(super) fn now(&mut self) -> io::Result<Duration> {
         self.port.link().now()
     }
 
     /// The newest sample of the reference clock, once.
-    pub(super) fn sample(&mut self) -> Option<Sample> {
-        self.master.poll_sample()
+    pub(super) const fn sample(&mut self) -> Option<Sample> {
+        self.clock.take()
     }
 
     /// The wire.
@@ -150,8 +196,9 @@ impl<W: Wire> Session<W> {
     fn exchange(&mut self) -> io::Result<()> {
         let paced = self.master.phase() == Phase::Running;
         let now = self.port.link().now()?;
-        // Cycles that were missed are left out, never sent in a burst.
-        self.next = (self.next + self.master.config().cycle).max(now);
+        // Cycles that were missed are left out, never sent in a burst; frames without a cycle move the grid no farther.
+        let cycle = self.master.config().cycle;
+        self.next = (self.next + cycle).clamp(now, now + cycle);
         let sent = self.master.poll_transmit(now, &mut self.frame[..]);
         if let Some(len) = sent {
             self.sent_at = now;
@@ -167,10 +214,24 @@ impl<W: Wire> Session<W> {
                 break;
             }
         }
+        if paced {
+            self.keep_phase();
+        }
         if paced || sent.is_none() {
             self.port.link().wait_until(self.next)?;
         }
         Ok(())
+    }
+
+    /// Moves the end of the cycle a little towards the middle between two SYNC0.
+    fn keep_phase(&mut self) {
+        if let Some(sample) = self.master.poll_sample() {
+            self.clock = Some(sample);
+            if self.follows {
+                let cycle = self.master.config().cycle;
+                self.next = nudged(self.next, phase_error(&sample, cycle), cycle);
+            }
+        }
     }
 
     /// Brings the segment to where the configuration wants it. Comes back too when some slaves do not get there, with

@@ -12,7 +12,7 @@ use takt_ethercat::master::{
 };
 
 use super::session::{Session, Wire};
-use super::{Target, confirm, scan};
+use super::{Source, confirm, recording, scan};
 use crate::Verdict;
 use crate::output::{say, span, time};
 
@@ -24,10 +24,11 @@ use crate::output::{say, span, time};
 #[command(after_help = "Examples:
   takt ecat stat enp2s0
   takt ecat stat enp2s0 --duration 1min --json
+  takt ecat stat --from fault.pcap
   takt ecat stat enp2s0 --state op --confirm-motion    with working counters; all outputs are zero")]
 pub(crate) struct Stat {
     #[command(flatten)]
-    target: Target,
+    source: Source,
     /// How long to measure.
     #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span)]
     duration: Duration,
@@ -60,6 +61,10 @@ enum State {
 
 impl Stat {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
+        if let Some(path) = &self.source.from {
+            let report = recording::stat(&recording::Recording::read(path)?);
+            return report.say(self.json, self.quiet);
+        }
         let goal = match self.state {
             State::PreOp => AlState::PreOp,
             State::SafeOp => AlState::SafeOp,
@@ -68,7 +73,7 @@ impl Stat {
                 AlState::Op
             }
         };
-        let mut session = self.target.bring_up(goal, self.cycle)?;
+        let mut session = self.source.bring_up(goal, self.cycle)?;
         let measured = Measured::take(&mut session, self.duration)?;
         session.leave()?;
         let findings = measured.findings(session.master());
@@ -80,11 +85,16 @@ impl Stat {
             }
             say(verdict(session.interface(), &findings).trim_end())?;
         }
-        Ok(if findings.iter().any(Finding::is_failure) {
-            Verdict::Failed
-        } else {
-            Verdict::Good
-        })
+        Ok(judged(&findings))
+    }
+}
+
+/// Failures fail.
+pub(super) fn judged(findings: &[Finding]) -> Verdict {
+    if findings.iter().any(Finding::is_failure) {
+        Verdict::Failed
+    } else {
+        Verdict::Good
     }
 }
 
@@ -207,11 +217,13 @@ pub(super) enum Finding {
     Late(u64),
     /// Frames that nobody sent here.
     Foreign(u64),
+    /// What only a recording shows.
+    Seen(String),
 }
 
 impl Finding {
     /// Late frames are the host's, which a tool without real time does not judge.
-    const fn is_failure(&self) -> bool {
+    pub(super) const fn is_failure(&self) -> bool {
         !matches!(self, Self::Late(_))
     }
 }
@@ -253,6 +265,7 @@ impl fmt::Display for Finding {
                 "{late} frames came back after the end of their cycle; the host is late: see `takt jitter`, \
                  `ethtool -c` (rx-usecs 0), or take a longer --cycle"
             ),
+            Self::Seen(text) => f.write_str(text),
             Self::Foreign(foreign) => write!(
                 f,
                 "{foreign} frames that were not sent here; another master on this segment, or a switch in it"
@@ -296,7 +309,7 @@ fn lost_link(master: &Master, cable: Cable) -> bool {
         || near.is_some_and(|(slave, port)| links(slave, port.into()))
 }
 
-fn percentiles(round_trips: &[Duration]) -> Option<[Duration; 3]> {
+pub(super) fn percentiles(round_trips: &[Duration]) -> Option<[Duration; 3]> {
     let mut sorted = round_trips.to_vec();
     sorted.sort_unstable();
     let last = sorted.len().checked_sub(1)?;
@@ -304,7 +317,7 @@ fn percentiles(round_trips: &[Duration]) -> Option<[Duration; 3]> {
     Some([at(50)?, at(99)?, at(100)?])
 }
 
-fn nanos(duration: Duration) -> i64 {
+pub(super) fn nanos(duration: Duration) -> i64 {
     i64::try_from(duration.as_nanos()).unwrap_or(i64::MAX)
 }
 

@@ -39,7 +39,7 @@ impl Emulated {
     }
 
     /// Puts faults in after a time.
-    fn put_in(&mut self, after: Duration, faults: Faults) {
+    pub(super) fn put_in(&mut self, after: Duration, faults: Faults) {
         self.later = Some((self.now + after, faults));
     }
 
@@ -409,7 +409,7 @@ fn watched_with(difference: i32) -> dc::Watched {
 }
 
 /// What was seen on the wire, as a recording.
-fn recording(session: &mut Session<Emulated>) -> Vec<u8> {
+pub(super) fn recording(session: &mut Session<Emulated>) -> Vec<u8> {
     let mut seen = std::mem::take(&mut session.wire().seen);
     seen.sort_by_key(|(at, _)| *at);
     let mut writer = PcapWriter::new(Vec::new()).unwrap();

@@ -34,29 +34,46 @@ pub(crate) struct Tx90 {
 
 impl Tx90 {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
-        let mut tx90 = ServoConfig::tx90();
-        if !self.strict {
-            for axis in &mut tx90.axes {
-                axis.quirks.missing_set_points = None;
-            }
-        }
-        let (terminal, _) = Io::digital(8, 8);
-        let (drives, _) = ServoDrive::slave(tx90).context("the drive makes no sense")?;
-        let segment = Segment::line([Coupler::slave(), terminal, drives]);
-        serve(segment, &self.interface, self.duration)
+        let segment = SharedSegment::new(tx90(self.strict)?);
+        serve(&segment, &self.interface, self.duration, || {}, || Ok(()))
     }
 }
 
-fn serve(segment: Segment, interface: &str, duration: Option<Duration>) -> anyhow::Result<Verdict> {
+/// Its slaves; with `strict` its axes fault after three cycles without a set-point.
+pub(crate) fn tx90(strict: bool) -> anyhow::Result<Segment> {
+    let mut tx90 = ServoConfig::tx90();
+    if !strict {
+        for axis in &mut tx90.axes {
+            axis.quirks.missing_set_points = None;
+        }
+    }
+    let (terminal, _) = Io::digital(8, 8);
+    let (drives, _) = ServoDrive::slave(tx90).context("the drive makes no sense")?;
+    Ok(Segment::line([Coupler::slave(), terminal, drives]))
+}
+
+/// Serves a segment at an interface until it is to end. `between` is called after each frame by the thread that
+/// serves, `look` ten times a second by this one.
+pub(crate) fn serve(
+    segment: &SharedSegment,
+    interface: &str,
+    duration: Option<Duration>,
+    mut between: impl FnMut() + Send + 'static,
+    mut look: impl FnMut() -> anyhow::Result<()>,
+) -> anyhow::Result<Verdict> {
     let link = PacketLink::open(interface)?;
-    let slaves = segment.len();
-    let server = Server::new(SharedSegment::new(segment), link);
+    let slaves = segment.lock().len();
+    let server = Server::new(segment.clone(), link);
     say(&format!("{slaves} slaves at {interface}"))?;
-    let service = Service::start("segment", server, |server| {
+    let service = Service::start("segment", server, move |server| {
         let turn = server.turn(WAIT, &mut monotonic);
+        between();
         turn.map(|_| ()).context("the interface failed")
     })?;
-    until_stopped(duration, || service.check())?;
+    until_stopped(duration, || {
+        service.check()?;
+        look()
+    })?;
     service.stop()?;
     Ok(Verdict::Good)
 }

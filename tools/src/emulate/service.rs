@@ -7,14 +7,14 @@ use anyhow::Context as _;
 use takt_rt::thread::{Thread, ThreadConfig};
 
 /// Something that is served in a thread of its own.
-pub(super) struct Service<T> {
+pub(crate) struct Service<T> {
     thread: Thread<anyhow::Result<T>>,
     stop: Arc<AtomicBool>,
 }
 
 impl<T: Send + 'static> Service<T> {
     /// Serves it turn by turn; a turn waits a moment for something to do.
-    pub(super) fn start(
+    pub(crate) fn start(
         name: &str,
         mut served: T,
         mut turn: impl FnMut(&mut T) -> anyhow::Result<()> + Send + 'static,
@@ -46,7 +46,7 @@ impl<T: Send + 'static> Service<T> {
     }
 
     /// Ends it and gives it back.
-    pub(super) fn stop(self) -> anyhow::Result<T> {
+    pub(crate) fn stop(self) -> anyhow::Result<T> {
         self.stop.store(true, Ordering::Relaxed);
         match self.thread.join() {
             Ok(served) => served,

@@ -1,37 +1,55 @@
-//! `takt fri stat`: who is late on an FRI connection, the network, this host or the controller, and what to do. Figures
-//! and judgement are those of `takt_fri::diagnosis`.
+//! `takt fri stat`: who is late on an FRI connection, the network, this host or the controller, and what to do; as the
+//! robot's partner, or from a recording. Figures and judgement are those of `report`.
 
 use std::collections::BTreeMap;
-use std::net::SocketAddrV4;
-use std::path::PathBuf;
-use std::time::Duration;
+use std::net::{SocketAddr, SocketAddrV4};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
 use clap::Args;
-use serde_json::{Value, json};
+use serde_json::json;
 use takt_fri::capture::{Datagram, Decoded};
 use takt_fri::diagnosis::Observer;
+use takt_fri::partner::{PartnerConfig, Phase};
 
+use super::live::Watch;
 use super::recording::Recording;
+use super::report::Connection;
+use super::watch::{Port, Watched};
 use crate::Verdict;
-use crate::output::say;
+use crate::output::{complain, say, span};
 
 /// Connections that one recording may hold.
 const CONNECTIONS_MAX: usize = 64;
 
-/// Judge the FRI connections of a recording: who is late, and what to do.
+/// Judge FRI connections: who is late, and what to do.
 ///
-/// Record at the host that runs the driver: answers count from when a measurement came there. Exit status: 0 all
-/// connections are good; 1 one is not; 2 it could not be tried.
+/// With --listen it is the robot's partner itself: it answers so that the robot stays where its controller has it, and
+/// never asks for motion. With --from it judges a recording, made at the host that runs the driver. Exit status: 0 all
+/// connections are good; 1 one is not, or no measurement came; 2 it could not be tried.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
+  takt fri stat --listen 0.0.0.0:49938 --duration 1min
   tcpdump -i enp3s0 -w arm.pcap udp port 49938
-  takt fri stat --from arm.pcap
   takt fri stat --from arm.pcap --json")]
 pub(crate) struct Stat {
-    /// The recording: pcap or pcapng.
+    /// Where the controller's datagrams arrive.
+    #[arg(
+        long,
+        value_name = "IP:PORT",
+        required_unless_present = "from",
+        conflicts_with = "from"
+    )]
+    listen: Option<SocketAddr>,
+    /// A recording instead: pcap or pcapng.
     #[arg(long, value_name = "FILE")]
-    from: PathBuf,
+    from: Option<PathBuf>,
+    /// How long to observe, from the first measurement on.
+    #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span, conflicts_with = "from")]
+    duration: Duration,
+    #[command(flatten)]
+    port: Port,
     /// Print one JSON object instead of the report.
     #[arg(long)]
     json: bool,
@@ -40,13 +58,108 @@ pub(crate) struct Stat {
     quiet: bool,
 }
 
-/// What a recording holds.
+/// What is told in the end.
 #[derive(Default)]
-struct Seen {
-    connections: BTreeMap<Ends, Connection>,
+struct Findings {
+    connections: Vec<Connection>,
     /// Datagrams that are not FRI.
     foreign: u64,
     /// FRI datagrams that are damaged.
+    refused: u64,
+    /// Datagrams that no session took.
+    refusal: Option<String>,
+    /// Why no measurement came.
+    silence: Option<String>,
+}
+
+impl Stat {
+    pub(super) fn run(self) -> anyhow::Result<Verdict> {
+        let findings = match (&self.from, self.listen) {
+            (Some(path), _) => recorded(path)?,
+            (None, Some(listen)) => self.observe(listen)?,
+            (None, None) => anyhow::bail!("neither --listen nor --from was given"),
+        };
+        if self.json {
+            say(&findings.json().to_string())?;
+        } else {
+            for line in findings.lines(self.quiet) {
+                say(&line)?;
+            }
+        }
+        Ok(if findings.is_good() {
+            Verdict::Good
+        } else {
+            Verdict::Failed
+        })
+    }
+
+    /// Is the robot's partner for a while; Ctrl-C ends it early and keeps what was seen.
+    fn observe(&self, listen: SocketAddr) -> anyhow::Result<Findings> {
+        let mut watched = Watched::start(&self.port, listen, PartnerConfig::default(), Watch)?;
+        if !self.quiet {
+            complain(&format!(
+                "waiting for a controller at {}",
+                watched.live.local
+            ));
+        }
+        let mut since: Option<Instant> = None;
+        let mut findings = Findings::default();
+        loop {
+            let (seen, news) = watched.look();
+            if seen.status.phase != Phase::Offline {
+                since.get_or_insert_with(Instant::now);
+            } else if since.is_none() && !news.is_empty() {
+                findings.silence = news.into_iter().next();
+                break;
+            }
+            let is_over = since.is_some_and(|since| since.elapsed() >= self.duration);
+            if watched.pause() || is_over {
+                break;
+            }
+        }
+        let seen = watched.live.seen();
+        let refused = seen.status.counters.refused;
+        if let Some(why) = seen.status.refusal.filter(|_| since.is_some()) {
+            findings.refusal = Some(format!("{refused} datagrams were refused, the last: {why}"));
+        }
+        if since.is_some() {
+            let connection = Connection::of_live(&seen, &watched.live);
+            findings.connections.push(connection);
+        } else if findings.silence.is_none() {
+            findings.silence = Some("no measurement came before the end".to_owned());
+        }
+        watched.live.stop()?;
+        Ok(findings)
+    }
+}
+
+/// Judges a recording.
+fn recorded(path: &Path) -> anyhow::Result<Findings> {
+    let mut recording = Recording::open(path)?;
+    let mut seen = Recorded::default();
+    while let Some(datagram) = recording.next()? {
+        seen.handle_datagram(&datagram)?;
+    }
+    anyhow::ensure!(
+        !seen.observers.is_empty(),
+        "{}: no FRI datagram among {} others and {} damaged ones; record on the interface that the robot is on",
+        path.display(),
+        seen.foreign,
+        seen.refused
+    );
+    Ok(Findings {
+        foreign: seen.foreign,
+        refused: seen.refused,
+        connections: seen.connections(),
+        ..Findings::default()
+    })
+}
+
+/// What a recording holds.
+#[derive(Default)]
+struct Recorded {
+    observers: BTreeMap<Ends, (&'static str, Observer)>,
+    foreign: u64,
     refused: u64,
 }
 
@@ -55,40 +168,6 @@ struct Seen {
 struct Ends {
     controller: SocketAddrV4,
     host: SocketAddrV4,
-}
-
-struct Connection {
-    generation: &'static str,
-    observer: Observer,
-}
-
-impl Stat {
-    pub(super) fn run(self) -> anyhow::Result<Verdict> {
-        let mut recording = Recording::open(&self.from)?;
-        let mut seen = Seen::default();
-        while let Some(datagram) = recording.next()? {
-            seen.handle_datagram(&datagram)?;
-        }
-        anyhow::ensure!(
-            !seen.connections.is_empty(),
-            "{}: no FRI datagram among {} others and {} damaged ones; record on the interface that the robot is on",
-            self.from.display(),
-            seen.foreign,
-            seen.refused
-        );
-        if self.json {
-            say(&seen.json().to_string())?;
-        } else {
-            for line in seen.lines(self.quiet) {
-                say(&line)?;
-            }
-        }
-        Ok(if seen.is_good() {
-            Verdict::Good
-        } else {
-            Verdict::Failed
-        })
-    }
 }
 
 /// The ends of the connection that a datagram belongs to, and its generation.
@@ -112,7 +191,7 @@ fn place(datagram: &Datagram, decoded: &Decoded) -> Option<(Ends, &'static str)>
     }
 }
 
-impl Seen {
+impl Recorded {
     fn handle_datagram(&mut self, datagram: &Datagram) -> anyhow::Result<()> {
         let decoded = Decoded::of(&datagram.bytes);
         let Some((ends, generation)) = place(datagram, &decoded) else {
@@ -121,43 +200,44 @@ impl Seen {
             self.foreign += u64::from(!is_damaged);
             return Ok(());
         };
-        if !self.connections.contains_key(&ends) {
+        if !self.observers.contains_key(&ends) {
             anyhow::ensure!(
-                self.connections.len() < CONNECTIONS_MAX,
+                self.observers.len() < CONNECTIONS_MAX,
                 "the recording holds more than {CONNECTIONS_MAX} connections; keep one robot's with `tcpdump -r FILE -w ONE udp port PORT`"
             );
             let observer =
                 Observer::of(&decoded).context("an FRI datagram without a generation")?;
-            let connection = Connection {
-                generation,
-                observer,
-            };
-            self.connections.insert(ends, connection);
+            self.observers.insert(ends, (generation, observer));
         }
-        if let Some(connection) = self.connections.get_mut(&ends) {
-            connection.observer.handle_datagram(datagram);
+        if let Some((_, observer)) = self.observers.get_mut(&ends) {
+            observer.handle_datagram(datagram);
         }
         Ok(())
     }
 
+    fn connections(&self) -> Vec<Connection> {
+        let all = self.observers.iter();
+        let connection = |(ends, (generation, observer)): (&Ends, &(&str, Observer))| Connection {
+            controller: ends.controller.to_string(),
+            host: ends.host.to_string(),
+            generation: (*generation).to_owned(),
+            observed: observer.observed(),
+            live: None,
+        };
+        all.map(connection).collect()
+    }
+}
+
+impl Findings {
     fn is_good(&self) -> bool {
-        let mut all = self.connections.values();
-        all.all(|connection| connection.observer.verdict().is_good())
+        self.silence.is_none() && self.connections.iter().all(Connection::is_good)
     }
 
     fn lines(&self, is_quiet: bool) -> Vec<String> {
-        let mut lines = Vec::new();
-        for (ends, connection) in &self.connections {
-            if !is_quiet {
-                lines.extend(connection.figures(ends));
-            }
-            let verdict = connection.observer.verdict();
-            let Ends { controller, host } = ends;
-            lines.push(format!("{controller} > {host}: {verdict}"));
-            if !verdict.is_good() {
-                lines.push(format!("  {}", verdict.remedy()));
-            }
-        }
+        let connections = self.connections.iter();
+        let mut lines: Vec<_> = connections.flat_map(|it| it.lines(is_quiet)).collect();
+        lines.extend(self.silence.clone());
+        lines.extend(self.refusal.clone().filter(|_| !is_quiet));
         if !is_quiet && self.foreign + self.refused > 0 {
             let (foreign, refused) = (self.foreign, self.refused);
             lines.push(format!(
@@ -167,71 +247,16 @@ impl Seen {
         lines
     }
 
-    fn json(&self) -> Value {
-        let connections = self.connections.iter();
-        let connections = connections.map(|(ends, connection)| connection.json(ends));
+    fn json(&self) -> serde_json::Value {
+        let connections = self.connections.iter().map(Connection::json);
         json!({
             "version": 1,
             "good": self.is_good(),
             "connections": connections.collect::<Vec<_>>(),
+            "silence": self.silence,
+            "refused": self.refusal,
             "foreign": self.foreign,
             "damaged": self.refused,
-        })
-    }
-}
-
-fn us(span: Duration) -> f64 {
-    span.as_secs_f64() * 1e6
-}
-
-impl Connection {
-    fn figures(&self, ends: &Ends) -> Vec<String> {
-        let seen = self.observer.observed();
-        let stamps = seen.stamp_jitter;
-        let stamps = stamps.map_or_else(|| "unknown".to_owned(), |it| format!("{it:.1?}"));
-        let rate = seen.answer_rate;
-        let rate = rate.map_or_else(|| "not told".to_owned(), |it| format!("{it:.3}"));
-        vec![
-            format!(
-                "{} from {} to {}, period {:?}",
-                self.generation, ends.controller, ends.host, seen.period
-            ),
-            format!(
-                "  measurements  {}, lost {}, out of order {}, restarts {}",
-                seen.measurements, seen.lost, seen.disordered, seen.restarts
-            ),
-            format!(
-                "  answers       {}, late {}, the worst after {:.1?}; in time as the controller counts: {rate}",
-                seen.answers, seen.late, seen.answer_time_max
-            ),
-            format!(
-                "  jitter        {:.1?} on arrival, {stamps} by the controller's stamps",
-                seen.arrival_jitter
-            ),
-        ]
-    }
-
-    fn json(&self, ends: &Ends) -> Value {
-        let seen = self.observer.observed();
-        let verdict = self.observer.verdict();
-        json!({
-            "controller": ends.controller.to_string(),
-            "host": ends.host.to_string(),
-            "generation": self.generation,
-            "period_us": us(seen.period),
-            "measurements": seen.measurements,
-            "lost": seen.lost,
-            "disordered": seen.disordered,
-            "restarts": seen.restarts,
-            "answers": seen.answers,
-            "late": seen.late,
-            "answer_time_max_us": us(seen.answer_time_max),
-            "arrival_jitter_us": us(seen.arrival_jitter),
-            "stamp_jitter_us": seen.stamp_jitter.map(us),
-            "answer_rate": seen.answer_rate,
-            "good": verdict.is_good(),
-            "verdict": verdict.to_string(),
-            "remedy": verdict.remedy(),
         })
     }
 }

@@ -418,14 +418,14 @@ fn warnings(
 }
 
 /// Ctrl-C and SIGTERM, waited for with a timeout.
-struct Interrupt {
+pub(crate) struct Interrupt {
     runtime: tokio::runtime::Runtime,
     interrupt: Signal,
     terminate: Signal,
 }
 
 impl Interrupt {
-    fn new() -> anyhow::Result<Self> {
+    pub(crate) fn new() -> anyhow::Result<Self> {
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .build()
@@ -445,7 +445,7 @@ impl Interrupt {
     }
 
     /// Waits so long, or until a signal comes; whether one came.
-    fn wait(&mut self, span: Duration) -> bool {
+    pub(crate) fn wait(&mut self, span: Duration) -> bool {
         self.runtime.block_on(async {
             tokio::select! {
                 _ = self.interrupt.recv() => true,

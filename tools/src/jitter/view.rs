@@ -110,7 +110,7 @@ impl Drop for View {
 }
 
 /// Reads keys that wait; on such a screen Ctrl-C is one, and no signal.
-fn is_end_wanted() -> anyhow::Result<bool> {
+pub(crate) fn is_end_wanted() -> anyhow::Result<bool> {
     while event::poll(Duration::ZERO)? {
         if let Event::Key(key) = event::read()? {
             let is_interrupt =
@@ -145,7 +145,8 @@ fn draw(frame: &mut Frame<'_>, scene: &Scene<'_>) {
     let below = head.rows().nth(1).unwrap_or(head);
     frame.render_widget(Line::from(second), below);
     frame.render_widget(figures(scene), table);
-    frame.render_widget(bars(&pooled(&scene.threads), chart.width), chart);
+    let title = "cycles by latency from, us; logarithmic";
+    frame.render_widget(bars(title, &pooled(&scene.threads), chart.width), chart);
     frame.render_widget(
         Line::from("q or Ctrl-C ends it and keeps what was measured").dim(),
         foot,
@@ -188,10 +189,10 @@ fn row(tool: &str, thread: &ThreadReport) -> Row<'static> {
     clippy::cast_sign_loss,
     reason = "counts are positive; heights are small"
 )]
-fn bars(latency: &Histogram, width: u16) -> BarChart<'static> {
+pub(crate) fn bars(title: &'static str, times: &Histogram, width: u16) -> BarChart<'static> {
     let mut bounds: Vec<_> = BARS_US.iter().map(|&us| f64::from(us) * 1e3).collect();
     bounds.push(f64::INFINITY);
-    let counts = latency.rebinned(&bounds);
+    let counts = times.rebinned(&bounds);
     let bar = |(us, count): (&u32, f64)| {
         let height = (count.round() + 1.0).log2() * 16.0;
         let text = if count < 0.5 {
@@ -208,7 +209,7 @@ fn bars(latency: &Histogram, width: u16) -> BarChart<'static> {
     let room = usize::from(width.saturating_sub(2));
     let bar_width = (room / BARS_US.len()).saturating_sub(1).clamp(3, 9);
     BarChart::default()
-        .block(Block::bordered().title("cycles by latency from, us; logarithmic"))
+        .block(Block::bordered().title(title))
         .data(BarGroup::default().bars(&all))
         .bar_width(u16::try_from(bar_width).unwrap_or(3))
         .bar_gap(1)

@@ -106,11 +106,15 @@ pub struct Master {
     state: State,
     since: Duration,
     found: [u32; 4],
+    /// A slave answered the question of a scan. All may, one after the other, so the time is waited out:
+    /// a late answer would pass for one to the next question.
+    heard: bool,
     outcome: Option<Result<Reply, LssError>>,
 }
 
 impl Master {
-    /// A master that waits so long for each answer; a scan needs about 130 times that.
+    /// A master that waits so long for each answer; a scan takes 133 times that, as all slaves may answer
+    /// each of its questions.
     #[must_use]
     pub const fn new(timeout: Duration) -> Self {
         Self {
@@ -119,6 +123,7 @@ impl Master {
             state: State::Idle,
             since: Duration::ZERO,
             found: [0; 4],
+            heard: false,
             outcome: None,
         }
     }
@@ -133,7 +138,7 @@ impl Master {
     pub const fn start(&mut self, job: Job) {
         self.job = job;
         self.outcome = None;
-        self.found = [0; 4];
+        (self.found, self.heard) = ([0; 4], false);
         self.state = match job {
             Job::FastScan(_) => State::Scan {
                 phase: Phase::Anybody,
@@ -174,7 +179,8 @@ impl Master {
             State::Waiting(_) => None,
             State::Scan { sent: true, .. } if !silent => None,
             State::Scan { sent: true, .. } => {
-                self.scanned(false);
+                let heard = std::mem::take(&mut self.heard);
+                self.scanned(heard);
                 self.poll_transmit(now)
             }
             State::Scan { phase, sub, .. } => {
@@ -245,8 +251,8 @@ impl Master {
     pub fn handle(&mut self, message: &Message) {
         match self.state {
             State::Waiting(at) => self.answered(at, message),
-            State::Scan { sent: true, .. } if message[0] == IDENTIFIED => self.scanned(true),
-            State::Idle | State::Sending(_) | State::Scan { .. } => {}
+            State::Scan { sent: true, .. } => self.heard |= message[0] == IDENTIFIED,
+            State::Idle | State::Sending(_) | State::Scan { sent: false, .. } => {}
         }
     }
 

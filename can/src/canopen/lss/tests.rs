@@ -110,6 +110,31 @@ fn known_numbers_shorten_a_scan() {
     assert_eq!(line.run(Job::FastScan(other)), Err(LssError::Silent));
 }
 
+/// Slaves are not equally fast: the same answer comes several times, the last one late.
+#[test]
+fn a_scan_waits_until_all_slaves_have_answered() {
+    let mut slaves = [3, 9].map(|serial| Slave::new(identity(serial), None));
+    let (mut master, mut now) = (Master::new(10 * MS), MS);
+    master.start(Job::FastScan([None; 4]));
+    let outcome = loop {
+        if let Some(message) = master.poll_transmit(now) {
+            for slave in &mut slaves {
+                // The second one's answer is late, and meets a poll in between.
+                if let (Some(answer), _) = slave.handle(&message) {
+                    master.handle(&answer);
+                    now += 2 * MS;
+                    assert_eq!(master.poll_transmit(now), None);
+                }
+            }
+        }
+        if let Some(outcome) = master.take_outcome() {
+            break outcome;
+        }
+        now = now.max(master.poll_timeout().unwrap());
+    };
+    assert_eq!(outcome, Ok(Reply::Address(identity(3))));
+}
+
 #[test]
 fn a_slave_is_selected_by_its_whole_address() {
     let slaves = vec![

@@ -211,6 +211,11 @@ impl Joint {
         self.firmware
     }
 
+    /// Sets the I2t flag, as too much current for too long does.
+    pub fn overheat(&mut self) {
+        self.heat = 2.0 * f64::from(self.parameters.value(26));
+    }
+
     /// How far the joint is from its home stop, or the wheel from where it was, rad; positive
     /// away from the stop.
     #[must_use]

@@ -14,6 +14,7 @@ use std::time::Duration;
 use super::super::event::JobError;
 use super::transfer::{Progress, Transfer, protocol};
 use super::{Answer, Request};
+use crate::config::Patience;
 use crate::register;
 use crate::sii::MailboxAreas;
 use crate::{CoeService, Emergency, MailboxError, MailboxHeader, MailboxKind, SyncManager};
@@ -24,6 +25,8 @@ const LEN_MAX: usize = 1486;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
     Idle,
+    Clear,
+    Discard,
     Send,
     Poll,
     Fetch,
@@ -55,7 +58,7 @@ pub(super) struct Mailbox {
     repeat: bool,
     transfer: Option<Transfer>,
     since: Duration,
-    patience: Duration,
+    patience: Patience,
     /// Messages that belonged to nothing.
     pub(super) ignored: u32,
     /// Messages that were asked for again.
@@ -63,7 +66,7 @@ pub(super) struct Mailbox {
 }
 
 impl Mailbox {
-    pub(super) fn new(patience: Duration) -> Self {
+    pub(super) fn new(patience: Patience) -> Self {
         Self {
             areas: MailboxAreas::default(),
             protocols: 0,
@@ -151,8 +154,18 @@ impl Mailbox {
         if let Some(missing) = missing {
             return Some(Output::Done(transfer, Err(JobError::Unsupported(missing))));
         }
+        let raw = transfer.is_raw();
         self.transfer = Some(transfer);
-        self.send(now)
+        let output = self.send(now);
+        if raw && output.is_none() {
+            self.phase = Phase::Clear;
+        }
+        output
+    }
+
+    /// Whether what is under way has no header.
+    fn is_raw(&self) -> bool {
+        self.transfer.as_ref().is_some_and(Transfer::is_raw)
     }
 
     /// Looks into the mailbox without having asked for anything.
@@ -200,14 +213,19 @@ impl Mailbox {
 
     /// Ends what takes too long.
     pub(super) fn check(&mut self, now: Duration) -> Option<Output> {
-        if self.phase == Phase::Idle || now.saturating_sub(self.since) <= self.patience {
+        let patience = if self.is_raw() {
+            self.patience.raw
+        } else {
+            self.patience.mailbox
+        };
+        if self.phase == Phase::Idle || now.saturating_sub(self.since) <= patience {
             return None;
         }
         if self.transfer.is_none() {
             self.phase = Phase::Idle;
             return None;
         }
-        self.end(Err(JobError::Timeout(self.patience)))
+        self.end(Err(JobError::Timeout(patience)))
     }
 
     /// The datagram that is due.
@@ -219,8 +237,10 @@ impl Mailbox {
                 let data = self.message.get(..self.areas.receive_len.into())?;
                 Request::write(self.areas.receive, data)
             }
-            Phase::Poll | Phase::RepeatCheck | Phase::RepeatWait => Request::read(sm1, 8),
-            Phase::Fetch => Request::read(self.areas.send, self.areas.send_len),
+            Phase::Clear | Phase::Poll | Phase::RepeatCheck | Phase::RepeatWait => {
+                Request::read(sm1, 8)
+            }
+            Phase::Discard | Phase::Fetch => Request::read(self.areas.send, self.areas.send_len),
             Phase::RepeatAsk => {
                 Request::write(sm1 + 6, if self.repeat { &[0x03] } else { &[0x01] })
             }
@@ -235,6 +255,9 @@ impl Mailbox {
             if self.phase == Phase::Fetch {
                 self.phase = Phase::RepeatCheck;
             }
+            if self.phase == Phase::Send && self.is_raw() {
+                self.phase = Phase::Poll;
+            }
             return None;
         };
         let done = counter > 0;
@@ -244,6 +267,10 @@ impl Mailbox {
             .unwrap_or_default();
         match self.phase {
             Phase::Idle => None,
+            Phase::Clear | Phase::Discard => {
+                self.cleared(done, sm);
+                None
+            }
             Phase::Send => self.sent(done),
             Phase::Poll => {
                 if done && sm.is_full() {
@@ -291,6 +318,26 @@ impl Mailbox {
         }
     }
 
+    /// What lay in the mailbox before a raw message goes.
+    const fn cleared(&mut self, done: bool, sm: SyncManager) {
+        self.phase = match self.phase {
+            Phase::Clear if !done => Phase::Clear,
+            Phase::Clear if sm.is_full() => Phase::Discard,
+            Phase::Clear => Phase::Send,
+            Phase::Discard
+            | Phase::Idle
+            | Phase::Send
+            | Phase::Poll
+            | Phase::Fetch
+            | Phase::RepeatCheck
+            | Phase::RepeatAsk
+            | Phase::RepeatWait => {
+                self.ignored += done as u32;
+                Phase::Clear
+            }
+        };
+    }
+
     /// The slave took the message, or its mailbox is full still.
     fn sent(&mut self, taken: bool) -> Option<Output> {
         if !taken {
@@ -312,7 +359,9 @@ impl Mailbox {
             let progress = transfer.handle_raw(mailbox);
             return self.proceed(progress, now);
         }
-        let Some((header, inside)) = MailboxHeader::decode(mailbox) else {
+        let header = MailboxHeader::decode(mailbox);
+        // One that speaks no protocol sends no headers either.
+        let Some((header, inside)) = header.filter(|_| self.protocols != 0) else {
             self.ignored += 1;
             return None;
         };

@@ -20,8 +20,6 @@ pub fn serve<L: Link>(
 }
 
 impl Controller for Krc {
-    type Status = KrcStatus;
-
     fn poll_transmit(&mut self, now: Duration, buf: &mut [u8]) -> Option<usize> {
         self.poll_transmit(now, buf)
     }
@@ -32,13 +30,5 @@ impl Controller for Krc {
 
     fn poll_timeout(&self) -> Duration {
         self.poll_timeout()
-    }
-
-    fn apply(&mut self, status: &KrcStatus) {
-        status.apply(self);
-    }
-
-    fn publish(&self, status: &KrcStatus) {
-        status.publish(self);
     }
 }

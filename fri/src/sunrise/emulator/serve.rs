@@ -20,8 +20,6 @@ pub fn serve<L: Link>(
 }
 
 impl Controller for Cabinet {
-    type Status = CabinetStatus;
-
     fn poll_transmit(&mut self, now: Duration, buf: &mut [u8]) -> Option<usize> {
         self.poll_transmit(now, buf)
     }
@@ -32,13 +30,5 @@ impl Controller for Cabinet {
 
     fn poll_timeout(&self) -> Duration {
         self.poll_timeout()
-    }
-
-    fn apply(&mut self, status: &CabinetStatus) {
-        status.apply(self);
-    }
-
-    fn publish(&self, status: &CabinetStatus) {
-        status.publish(self);
     }
 }

@@ -4,7 +4,8 @@
 use std::net::SocketAddr;
 use std::time::Duration;
 
-use serde::Deserialize;
+use serde::{Deserialize, Deserializer};
+use takt_fri::lwr::Protocol as Handshake;
 
 use crate::device::{DeviceDescription, iiwa, lwr, rmp};
 use crate::span;
@@ -50,7 +51,9 @@ impl DeviceConfig {
     pub fn describe(&self) -> DeviceDescription {
         match self {
             Self::Lwr(config) => lwr::describe(&config.name).with(lwr::PARTS),
-            Self::Iiwa(config) => iiwa::describe(&config.name, config.model).with(iiwa::PARTS),
+            Self::Iiwa(config) => {
+                iiwa::describe(&config.name, config.model).with(&iiwa::parts(&config.io))
+            }
             Self::Rmp(config) => rmp::describe(config),
         }
     }
@@ -84,6 +87,18 @@ pub struct LwrConfig {
     /// Period of the net thread that commands it; `None` for the first.
     #[serde(default, deserialize_with = "span::text::deserialize_some")]
     pub thread: Option<Duration>,
+    /// How the KRL program takes control strategy, tool and load over user data; `None` if it does not.
+    #[serde(default, deserialize_with = "handshake")]
+    pub handshake: Option<Handshake>,
+}
+
+fn handshake<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Handshake>, D::Error> {
+    let name = String::deserialize(from)?;
+    let known = Handshake::ALL.into_iter().find(|it| it.to_string() == name);
+    known.map(Some).ok_or_else(|| {
+        let all = Handshake::ALL.map(|it| it.to_string()).join(", ");
+        serde::de::Error::custom(format!("`{name}` is no handshake; known are {all}"))
+    })
 }
 
 impl LwrConfig {
@@ -97,6 +112,7 @@ impl LwrConfig {
             priority,
             cpus: Vec::new(),
             thread: None,
+            handshake: None,
         }
     }
 
@@ -149,6 +165,23 @@ pub struct IiwaConfig {
     /// Period of the net thread that commands it; `None` for the first.
     #[serde(default, deserialize_with = "span::text::deserialize_some")]
     pub thread: Option<Duration>,
+    /// Inputs and outputs that the robot program shares, at most 10.
+    #[serde(default)]
+    pub io: IiwaIo,
+}
+
+/// Inputs and outputs of a Sunrise cabinet by their names, `Group.Name`; the first of each list is port 0.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct IiwaIo {
+    /// Truth values that the cabinet tells.
+    pub bool_in: Vec<String>,
+    /// Truth values that nets set.
+    pub bool_out: Vec<String>,
+    /// Numbers that the cabinet tells, analogue or digital.
+    pub real_in: Vec<String>,
+    /// Analogue values that nets set.
+    pub real_out: Vec<String>,
 }
 
 impl IiwaConfig {
@@ -162,6 +195,7 @@ impl IiwaConfig {
             priority: LwrConfig::default_priority(),
             cpus: Vec::new(),
             thread: None,
+            io: IiwaIo::default(),
         }
     }
 
@@ -223,5 +257,42 @@ impl RmpConfig {
 
     const fn default_period() -> Duration {
         Duration::from_millis(50)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_handshake_is_known_by_its_name() {
+        let parse = |handshake: &str| {
+            let text = format!("type = \"kuka_lwr_fri\"\nname = \"a\"\n{handshake}");
+            toml::from_str::<DeviceConfig>(&text).map_err(|error| error.to_string())
+        };
+        for known in Handshake::ALL {
+            let DeviceConfig::Lwr(arm) = parse(&format!("handshake = \"{known}\"")).unwrap() else {
+                panic!("{known}");
+            };
+            assert_eq!(arm.handshake, Some(known));
+        }
+        let DeviceConfig::Lwr(arm) = parse("").unwrap() else {
+            panic!("no LWR");
+        };
+        assert_eq!(arm.handshake, None);
+        let told = parse("handshake = \"RCC\"").unwrap_err();
+        let all = "`RCC` is no handshake; known are rcc, stanford, kuka-lwr, tum, first-app";
+        assert!(told.contains(all), "{told}");
+    }
+
+    #[test]
+    fn inputs_and_outputs_of_an_iiwa_are_named() {
+        let text = "type = \"kuka_iiwa_fri\"\nname = \"a\"\nio = { bool_out = [\"Media.Lamp\"] }";
+        let DeviceConfig::Iiwa(arm) = toml::from_str(text).unwrap() else {
+            panic!("no iiwa");
+        };
+        assert_eq!(arm.io.bool_out, ["Media.Lamp"]);
+        let wrong = text.replace("bool_out", "bools");
+        assert!(toml::from_str::<DeviceConfig>(&wrong).is_err());
     }
 }

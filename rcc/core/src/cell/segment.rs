@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use serde::Deserialize;
 
+use super::{YouBotArm, YouBotBase};
 use crate::span;
 
 /// A segment.
@@ -42,6 +43,12 @@ pub struct EthercatConfig {
     /// Inputs and outputs.
     #[serde(default, rename = "io")]
     pub ios: Vec<EthercatIo>,
+    /// Bases of KUKA youBots.
+    #[serde(default, rename = "youbot_base")]
+    pub youbot_bases: Vec<YouBotBase>,
+    /// Arms of KUKA youBots.
+    #[serde(default, rename = "youbot_arm")]
+    pub youbot_arms: Vec<YouBotArm>,
 }
 
 impl EthercatConfig {

@@ -9,9 +9,10 @@
 mod arm;
 mod describe;
 mod io;
+mod youbot;
 
 use std::ops::ControlFlow;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
@@ -20,7 +21,7 @@ use takt_ethercat::linux::PacketLink;
 use takt_ethercat::master::Master;
 use takt_rt::alloc::enter_real_time;
 use takt_rt::cycle::{Cycles, Follow, Tick};
-use takt_rt::latest::{LatestWriter, latest};
+use takt_rt::latest::{LatestReader, LatestWriter, latest};
 use takt_rt::servo::{Estimate, Servo, ServoConfig};
 use takt_rt::stats::{self, StatsReader};
 use takt_rt::{Nanos, monotonic};
@@ -31,6 +32,8 @@ use crate::error::Error;
 use arm::Arm;
 pub use describe::{check, describe};
 use io::InOut;
+pub use youbot::{Wait, YouBotFigures};
+use youbot::{Waiting, YouBots};
 
 /// Longest Ethernet payload.
 const FRAME: usize = 1500;
@@ -79,11 +82,15 @@ struct Shared {
     lost: AtomicU64,
     events: AtomicU64,
     operational: AtomicBool,
+    /// In the order of the fields of [`YouBotFigures`].
+    youbots: [AtomicU64; 4],
 }
 
 /// Figures of a segment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct EthercatFigures {
+    /// Time from one frame to the next.
+    pub period: Duration,
     /// Frames with process data.
     pub cycles: u64,
     /// Frames whose answer did not come in its cycle.
@@ -92,13 +99,19 @@ pub struct EthercatFigures {
     pub events: u64,
     /// Whether all slaves are where they are wanted.
     pub operational: bool,
+    /// What happened to the drives of youBots.
+    pub youbots: YouBotFigures,
 }
 
 /// A running driver.
 #[derive(Debug)]
 pub struct Ethercat {
     devices: Vec<String>,
+    period: Duration,
     shared: Arc<Shared>,
+    /// Names of its slaves, and the drive of a youBot that is waited for.
+    slaves: Vec<String>,
+    waiting: Mutex<LatestReader<Option<Waiting>>>,
     /// How the cycle keeps its time; its phase error is that to SYNC0.
     pub stats: StatsReader,
     thread: DriverThread,
@@ -117,10 +130,14 @@ impl Ethercat {
         let mut given = ends.devices.into_iter();
         let arms = config.arms.iter().zip(&mut given);
         let arms = arms.map(|(arm, end)| Arm::new(config, arm, end)).collect();
-        let ios = config.ios.iter().zip(given);
+        let ios = config.ios.iter().zip(&mut given);
         let ios = ios.map(|(io, end)| InOut::new(config, io, end)).collect();
+        let youbots = YouBots::new(config, &mut given);
         let shared = Arc::new(Shared::default());
         let (own_clock, followed) = latest(1, Estimate::default);
+        let (own_waiting, waiting) = latest(1, || None);
+        let slaves = master.config().slaves.iter();
+        let slaves = slaves.map(|slave| slave.name.clone()).collect();
         let (mut recorded, stats) = stats::pair();
         let phase = config.phase.unwrap_or(config.cycle / 2);
         let mut driver = Box::new(Driver {
@@ -130,9 +147,11 @@ impl Ethercat {
             cycle: config.cycle,
             arms,
             ios,
+            youbots,
             buffer: [0; FRAME],
             clocks: [own_clock, ends.clock],
             shared: Arc::clone(&shared),
+            waiting: own_waiting,
             farewell: FAREWELL,
         });
         let EthercatConfig {
@@ -155,10 +174,22 @@ impl Ethercat {
         })?;
         Ok(Self {
             devices,
+            period,
             shared,
+            slaves,
+            waiting: Mutex::new(waiting),
             stats,
             thread,
         })
+    }
+
+    /// The drive of a youBot that is waited for, and why; `None` if all follow, or there is no youBot.
+    #[must_use]
+    pub fn waits_for(&self) -> Option<String> {
+        let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
+        let Waiting { slave, why } = waiting.read()?;
+        let name = self.slaves.get(slave).map_or("", String::as_str);
+        Some(format!("{name}: {why}"))
     }
 
     /// Its figures so far.
@@ -169,12 +200,23 @@ impl Ethercat {
             lost,
             events,
             operational,
+            youbots,
         } = &*self.shared;
+        let [timeouts, i2t, clamped, repeats] = youbots
+            .each_ref()
+            .map(|count| count.load(Ordering::Relaxed));
         EthercatFigures {
+            period: self.period,
             cycles: cycles.load(Ordering::Relaxed),
             lost: lost.load(Ordering::Relaxed),
             events: events.load(Ordering::Relaxed),
             operational: operational.load(Ordering::Relaxed),
+            youbots: YouBotFigures {
+                timeouts,
+                i2t,
+                clamped,
+                repeats,
+            },
         }
     }
 }
@@ -194,11 +236,18 @@ impl DeviceDriver for Ethercat {
 
     fn figures(&self) -> Vec<(&'static str, String)> {
         let figures = self.figures();
-        vec![
+        let mut told = vec![
             ("cycles", figures.cycles.to_string()),
             ("lost", figures.lost.to_string()),
             ("events", figures.events.to_string()),
-        ]
+        ];
+        let YouBotFigures { timeouts, i2t, .. } = figures.youbots;
+        if timeouts + i2t > 0 {
+            told.push(("youbot timeouts", timeouts.to_string()));
+            told.push(("youbot i2t", i2t.to_string()));
+        }
+        told.extend(self.waits_for().map(|why| ("waits for", why)));
+        told
     }
 }
 
@@ -209,10 +258,12 @@ struct Driver {
     cycle: Duration,
     arms: Vec<Arm>,
     ios: Vec<InOut>,
+    youbots: YouBots,
     buffer: [u8; FRAME],
     /// Where the segment's clock is told: to this thread, and to the controller.
     clocks: [LatestWriter<Estimate>; 2],
     shared: Arc<Shared>,
+    waiting: LatestWriter<Option<Waiting>>,
     /// Cycles left once it is to stop.
     farewell: u32,
 }
@@ -269,11 +320,25 @@ impl Driver {
         for io in &mut self.ios {
             io.cycle(&mut self.master, tick);
         }
+        while let Some(reply) = self.master.poll_reply() {
+            self.youbots.handle_reply(reply, tick);
+        }
+        self.youbots.cycle(&mut self.master, tick, stopping);
         let frames = self.master.frames();
         let shared = &self.shared;
         shared.cycles.store(self.master.cycles(), Ordering::Relaxed);
         shared.lost.store(frames.lost, Ordering::Relaxed);
         shared.events.fetch_add(happened as u64, Ordering::Relaxed);
+        let YouBotFigures {
+            timeouts,
+            i2t,
+            clamped,
+            repeats,
+        } = self.youbots.figures();
+        for (to, count) in shared.youbots.iter().zip([timeouts, i2t, clamped, repeats]) {
+            to.store(count, Ordering::Relaxed);
+        }
+        self.waiting.write(self.youbots.waits_for());
         let operational = self.master.is_operational();
         shared.operational.store(operational, Ordering::Relaxed);
     }
@@ -297,7 +362,7 @@ impl Driver {
         if !stopping {
             return ControlFlow::Continue(());
         }
-        let off = self.arms.iter().all(Arm::is_off);
+        let off = self.arms.iter().all(Arm::is_off) && self.youbots.rest();
         self.farewell = self.farewell.saturating_sub(1);
         if off || self.farewell == 0 || !self.master.is_exchanging() {
             ControlFlow::Break(())

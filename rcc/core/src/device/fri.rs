@@ -3,6 +3,7 @@
 //! themselves are in `takt_fri`; what differs between them is told by `Protocol`.
 
 mod clock;
+pub(super) mod orders;
 mod protocol;
 
 use std::marker::PhantomData;
@@ -29,6 +30,7 @@ use crate::device::{
 use crate::error::Error;
 use clock::DatagramClock;
 
+pub use orders::Orders;
 pub use protocol::{AXES, Heard, Joints, Protocol, Totals};
 
 /// Room for any datagram, and one byte more so that a longer one shows.
@@ -37,6 +39,8 @@ const ROOM: usize = MESSAGE_MAX + 1;
 const STALE_AFTER: i64 = 10;
 /// Longest wait for a datagram, so that a stop is seen soon.
 const WAIT: Duration = Duration::from_millis(20);
+/// Faster than this a joint moves, rad/s.
+const MOVES_FROM: f64 = 1e-3;
 /// Waiting datagrams taken at most before one of them is answered.
 const BACKLOG: usize = 64;
 
@@ -300,8 +304,12 @@ impl<P: Protocol> Driver<P> {
                 if let Ok(now) = takt_fri::linux::monotonic() {
                     self.clock.handle_time(nanos(now));
                     self.publish_clock();
-                    if self.session.hear_nothing(now) {
+                    let is_gone = self.session.hear_nothing(now);
+                    self.take_orders(now);
+                    if is_gone {
                         self.publish(nanos(now));
+                    } else {
+                        self.tell();
                     }
                 }
             }
@@ -335,8 +343,7 @@ impl<P: Protocol> Driver<P> {
     }
 
     fn reply(&mut self, at: Nanos) {
-        let taken = &mut self.taken;
-        self.command.read_with(|command| taken.copy_from(command));
+        self.take_orders(Duration::from_nanos(at.0.unsigned_abs()));
         let joints = self.next_positions();
         let mut buffer = [0; ROOM];
         let answer = self.session.reply(&joints, &mut buffer);
@@ -353,6 +360,27 @@ impl<P: Protocol> Driver<P> {
         }
     }
 
+    /// Takes what nets command now.
+    fn take_orders(&mut self, now: Duration) {
+        let taken = &mut self.taken;
+        self.command.read_with(|command| taken.copy_from(command));
+        let moves = |joint: &Joint| joint.motion().1.abs() > MOVES_FROM;
+        let orders = Orders {
+            words: &self.taken.words,
+            cycle: self.taken.cycle,
+            is_fresh: self.is_fresh(),
+            moves: self.joints.iter().any(moves),
+            now,
+        };
+        self.session.obey(&self.interfaces, &orders);
+    }
+
+    /// Whether the net thread is alive.
+    fn is_fresh(&self) -> bool {
+        let stale = Nanos(self.clock.period().0 * STALE_AFTER) + self.net_period;
+        self.clock.now() - self.taken.time <= stale
+    }
+
     /// Where the joints are to be now.
     fn next_positions(&mut self) -> [f64; AXES] {
         let is_commanding = self.is_commanding();
@@ -367,9 +395,7 @@ impl<P: Protocol> Driver<P> {
             }
             return positions;
         }
-        let period = self.clock.period();
-        let stale = Nanos(period.0 * STALE_AFTER) + self.net_period;
-        let fresh = self.clock.now() - command.time <= stale;
+        let (period, fresh) = (self.clock.period(), self.is_fresh());
         #[expect(
             clippy::cast_precision_loss,
             reason = "spans of milliseconds are exact"
@@ -418,6 +444,13 @@ impl<P: Protocol> Driver<P> {
             };
         }
         self.tell_torques();
+        self.tell();
+    }
+
+    /// Hands over what is known, with what became of orders.
+    fn tell(&mut self) {
+        let signals = &mut self.last.state.signals;
+        self.session.report(&self.interfaces, signals);
         let told = &self.last.state;
         self.state.write_with(|state| state.copy_from(told));
     }

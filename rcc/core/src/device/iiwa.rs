@@ -1,23 +1,23 @@
-//! A KUKA LBR iiwa on a Sunrise cabinet: what it is like, and its end of the connection as the driver of
-//! FRI arms sees it. The driver is in `fri`, the protocol in `takt_fri::sunrise`. Control and command
-//! mode are chosen by the robot program; nothing here can switch them.
+//! A KUKA LBR iiwa on a Sunrise cabinet: what it is like, and how its driver is started. The driver is in `fri`,
+//! its end of the connection in `end`, the protocol in `takt_fri::sunrise`. Control and command mode are
+//! chosen by the robot program; nothing here can switch them.
 
-use std::time::Duration;
+mod end;
 
 use takt_fri::linux::UdpLink;
-use takt_fri::sunrise::wire::{CommandMode, MonitorData, Quality};
-use takt_fri::sunrise::{AXES, Demand, Phase, Session, SessionConfig};
+use takt_fri::sunrise::wire::Quality;
 use takt_net::JointLimits;
-use takt_net::value::Wrench;
 
-use crate::cell::{IiwaConfig, IiwaModel};
+use crate::cell::{IiwaConfig, IiwaIo, IiwaModel};
 use crate::device::driver::DriverEnds;
-use crate::device::fri::{self, FriArm, FriFigures, Heard, Joints, Protocol, Settings, Totals};
-use crate::device::{ArmDescription, DeviceStatus, Part};
+use crate::device::fri::{self, AXES, FriArm, FriFigures, Settings};
+use crate::device::{ArmDescription, Part};
 use crate::error::Error;
 
+pub use end::End;
+
 /// A running driver of an iiwa.
-pub type Iiwa = FriArm<Session>;
+pub type Iiwa = FriArm<End>;
 /// Figures of a driver of an iiwa.
 pub type IiwaFigures = FriFigures<Quality>;
 
@@ -26,10 +26,72 @@ pub type IiwaFigures = FriFigures<Quality>;
 const SPEED_SHARE: f64 = 0.99;
 /// No acceleration is published for commanded positions; this is what gentle drivers use, rad/s².
 const ACCELERATION: f64 = 4.0;
+/// Inputs and outputs of one message at most.
+const IOS_MAX: usize = takt_fri::sunrise::wire::IOS_MAX;
+/// Longest name of one, bytes.
+const IO_NAME_MAX: usize = 63;
 
-/// What an iiwa tells beside its joints. Force at the tool is not among it: only FRI 2.7 tells it, and
-/// the order of its torques has not been seen.
-pub const PARTS: &[Part] = &[Part::Torques];
+/// What an iiwa offers beside its joints. Force at the tool is told by FRI 2.7 only; older ones leave it null.
+#[must_use]
+pub fn parts(io: &IiwaIo) -> Vec<Part> {
+    let mut parts = vec![
+        Part::Strategy,
+        Part::JointImpedance,
+        Part::CartesianImpedance,
+        Part::Torques,
+        Part::Wrench,
+    ];
+    if *io != IiwaIo::default() {
+        parts.push(Part::Io {
+            bool_in: io.bool_in.len(),
+            bool_out: io.bool_out.len(),
+            real_in: io.real_in.len(),
+            real_out: io.real_out.len(),
+        });
+    }
+    parts
+}
+
+/// Whether its settings make sense; the first thing that does not.
+///
+/// # Errors
+/// Says what to change.
+pub fn check(config: &IiwaConfig) -> Result<(), String> {
+    let IiwaIo {
+        bool_in,
+        bool_out,
+        real_in,
+        real_out,
+    } = &config.io;
+    let names: Vec<_> = [bool_in, bool_out, real_in, real_out]
+        .into_iter()
+        .flatten()
+        .collect();
+    let name = &config.name;
+    if names.len() > IOS_MAX {
+        let found = names.len();
+        return Err(format!(
+            "{name}: io names {found} inputs and outputs; FRI carries {IOS_MAX} at most"
+        ));
+    }
+    match names
+        .iter()
+        .find(|io| io.is_empty() || io.len() > IO_NAME_MAX)
+    {
+        Some(bad) => Err(format!(
+            "{name}: io `{bad}` must be `Group.Name` of at most {IO_NAME_MAX} bytes"
+        )),
+        None => Ok(()),
+    }
+}
+
+/// Largest torque of each joint by the data sheets, Nm; more is not added.
+const fn torque_max(model: IiwaModel) -> [f64; AXES] {
+    match model {
+        IiwaModel::Iiwa7 => [176.0, 176.0, 110.0, 110.0, 110.0, 40.0, 40.0],
+        IiwaModel::Iiwa14 => [320.0, 320.0, 176.0, 176.0, 110.0, 40.0, 40.0],
+    }
+}
 
 /// An iiwa by its data sheet: ranges and speeds of the axes.
 #[must_use]
@@ -75,129 +137,14 @@ impl Iiwa {
     /// # Errors
     /// If the socket has no address or the system has no thread to give.
     pub fn start(config: &IiwaConfig, link: UdpLink, ends: DriverEnds) -> Result<Self, Error> {
-        let session = Session::new(SessionConfig::default());
         let settings = Settings {
             listen: config.listen,
             priority: config.priority,
             cpus: config.cpus.clone(),
         };
-        let description = describe(&config.name, config.model).with(PARTS);
-        Self::launch(session, description, settings, link, ends)
-    }
-}
-
-/// What brings the joints to these positions under an overlay of this kind: they are the centre of the
-/// impedance where the overlay adds a wrench or torques. `None` where they cannot be commanded.
-fn demand(mode: CommandMode, joints: &Joints) -> Option<Demand> {
-    match mode {
-        CommandMode::Position => Some(Demand::Position(*joints)),
-        CommandMode::Wrench => Some(Demand::Wrench {
-            wrench: [0.0; 6],
-            joints: Some(*joints),
-        }),
-        CommandMode::Torque => Some(Demand::Torque {
-            torque: [0.0; AXES],
-            joints: Some(*joints),
-        }),
-        CommandMode::None | CommandMode::CartesianPose | CommandMode::Other(_) => None,
-    }
-}
-
-fn told(session: &Session) -> Option<&MonitorData> {
-    session.message()?.monitor.as_ref()
-}
-
-impl Protocol for Session {
-    type Quality = Quality;
-
-    /// Engages as soon as the overlay is active: set-points that are under way then are refused by the
-    /// joints until they end, so nothing moves that was not asked for anew.
-    fn hear(&mut self, datagram: &[u8], at: Duration) -> Option<Heard> {
-        let reception = self.handle_datagram(datagram, at).ok()?;
-        if self.phase() == Phase::CommandingActive && !self.is_engaged() {
-            let _not_active = self.engage();
-        }
-        Some(Heard {
-            is_new: reception.order.is_new(),
-            lost: reception.lost,
-        })
-    }
-
-    fn hear_nothing(&mut self, now: Duration) -> bool {
-        self.handle_timeout(now)
-    }
-
-    fn is_due(&self) -> bool {
-        self.is_pending()
-    }
-
-    fn reply(&mut self, joints: &Joints, buffer: &mut [u8]) -> Option<usize> {
-        let demand = demand(self.command_mode(), joints).filter(|_| self.is_engaged());
-        let answer = self.answer(&demand.unwrap_or(Demand::Hold), buffer);
-        answer.ok().map(|answer| answer.len)
-    }
-
-    fn status(&self) -> DeviceStatus {
-        match self.phase() {
-            Phase::Offline => DeviceStatus::Offline,
-            Phase::Idle
-            | Phase::MonitoringWait
-            | Phase::MonitoringReady
-            | Phase::CommandingWait => DeviceStatus::SafeOperational,
-            Phase::CommandingActive => {
-                let follows = demand(self.command_mode(), &[0.0; AXES]).is_some();
-                if follows && self.is_engaged() {
-                    DeviceStatus::Operational
-                } else {
-                    DeviceStatus::SafeOperational
-                }
-            }
-        }
-    }
-
-    fn rest(&self) -> Joints {
-        self.mirror()
-    }
-
-    fn set_point(&self) -> Option<Joints> {
-        self.message().map(|_| self.mirror())
-    }
-
-    fn measured(&self) -> Option<Joints> {
-        told(self)?.measured
-    }
-
-    fn external_torques(&self) -> Option<Joints> {
-        told(self)?.external_torque
-    }
-
-    fn measured_torques(&self) -> Option<Joints> {
-        told(self)?.torque
-    }
-
-    fn wrench(&self) -> Option<Wrench> {
-        None
-    }
-
-    fn cycle(&self) -> Option<Duration> {
-        self.period()
-    }
-
-    fn quality_code(&self) -> i32 {
-        self.message().map_or(0, |told| told.quality().code())
-    }
-
-    fn quality(code: i32) -> Quality {
-        Quality::from(code)
-    }
-
-    fn totals(&self) -> Totals {
-        let counters = self.counters();
-        Totals {
-            received: counters.received,
-            lost: counters.lost,
-            malformed: counters.malformed,
-        }
+        let description = describe(&config.name, config.model).with(&parts(&config.io));
+        let end = End::new(config.model, config.io.clone());
+        Self::launch(end, description, settings, link, ends)
     }
 }
 
@@ -206,26 +153,32 @@ mod tests {
     use super::*;
 
     #[test]
-    fn joints_go_with_every_overlay_that_takes_them() {
-        let joints = [0.1; AXES];
-        for mode in [
-            CommandMode::Position,
-            CommandMode::Wrench,
-            CommandMode::Torque,
-        ] {
-            assert_eq!(demand(mode, &joints).and_then(|d| d.mode()), Some(mode));
-        }
-        for mode in [CommandMode::None, CommandMode::CartesianPose] {
-            assert_eq!(demand(mode, &joints), None);
-        }
-    }
-
-    #[test]
     fn the_two_arms_differ_in_speed_and_kinematics() {
         let [light, heavy] = [IiwaModel::Iiwa7, IiwaModel::Iiwa14].map(|m| describe("a", m));
         assert!(light.limits[3].velocity_max > 1.5 * heavy.limits[3].velocity_max);
         for arm in [light, heavy] {
             assert!(takt_motion::kinematics::named(&arm.model).is_some());
         }
+    }
+
+    #[test]
+    fn more_than_fri_carries_is_refused_with_the_bound() {
+        let anywhere = ([127, 0, 0, 1], 0).into();
+        let with = |bool_in: Vec<String>| IiwaConfig {
+            io: IiwaIo {
+                bool_in,
+                ..IiwaIo::default()
+            },
+            ..IiwaConfig::new("arm", anywhere)
+        };
+        let names = |count: usize| (0..count).map(|i| format!("Group.Lamp{i}")).collect();
+        assert_eq!(check(&with(names(10))), Ok(()));
+        let told = check(&with(names(11))).unwrap_err();
+        assert!(
+            told.contains("11 inputs and outputs; FRI carries 10"),
+            "{told}"
+        );
+        let told = check(&with(vec!["x".repeat(64)])).unwrap_err();
+        assert!(told.contains("at most 63 bytes"), "{told}");
     }
 }

@@ -1,24 +1,29 @@
-//! A KUKA LWR on a KRC2 lr: what it is like, and its end of the connection as the driver of FRI arms
-//! sees it. The driver is in `fri`, the protocol in `takt_fri::lwr`.
+//! A KUKA LWR on a KRC2 lr: what it is like, and how its driver is started. The driver is in `fri`, its end of the
+//! connection in `end`, the protocol in `takt_fri::lwr`.
 
-use std::time::Duration;
+mod end;
+mod impedance;
+mod program;
 
 use takt_fri::linux::UdpLink;
-use takt_fri::lwr::wire::{Msr, Quality};
-use takt_fri::lwr::{Phase, Session, SessionConfig};
+use takt_fri::lwr::wire::Quality;
 use takt_net::JointLimits;
-use takt_net::value::{Vector, Wrench};
 
 use crate::cell::LwrConfig;
 use crate::device::driver::DriverEnds;
-use crate::device::fri::{self, FriArm, FriFigures, Heard, Joints, Protocol, Settings, Totals};
-use crate::device::{ArmDescription, DeviceStatus, Part};
+use crate::device::fri::{self, AXES, FriArm, FriFigures, Settings};
+use crate::device::{ArmDescription, Part};
 use crate::error::Error;
 
+pub use end::End;
+
 /// A running driver of an LWR.
-pub type Lwr = FriArm<Session>;
+pub type Lwr = FriArm<End>;
 /// Figures of a driver of an LWR.
 pub type LwrFigures = FriFigures<Quality>;
+
+/// Largest torque of each joint by the data sheet of the LWR 4+, Nm; more is not added.
+const TORQUE_MAX: [f64; AXES] = [176.0, 176.0, 100.0, 100.0, 100.0, 38.0, 38.0];
 
 /// An LWR as its controller describes it: ranges of the axes, and the speed and acceleration that
 /// existing drivers use for all of them.
@@ -39,8 +44,23 @@ pub fn describe(name: &str) -> ArmDescription {
     }
 }
 
-/// What an LWR tells beside its joints.
-pub const PARTS: &[Part] = &[Part::Torques, Part::Wrench];
+/// What an LWR offers beside its joints. Its inputs and outputs are the user data of FRI: port n is KRL's index
+/// n + 1, an input what the program writes to `$FRI_TO_BOOL` or `$FRI_TO_REA`, an output what it finds in
+/// `$FRI_FRM_BOOL` or `$FRI_FRM_REA`.
+pub const PARTS: &[Part] = &[
+    Part::Tool,
+    Part::Strategy,
+    Part::JointImpedance,
+    Part::CartesianImpedance,
+    Part::Torques,
+    Part::Wrench,
+    Part::Io {
+        bool_in: 16,
+        bool_out: 16,
+        real_in: 16,
+        real_out: 16,
+    },
+];
 
 /// Opens the socket at which the KRC's datagrams arrive.
 ///
@@ -57,115 +77,21 @@ impl Lwr {
     /// # Errors
     /// If the socket has no address or the system has no thread to give.
     pub fn start(config: &LwrConfig, link: UdpLink, ends: DriverEnds) -> Result<Self, Error> {
-        let session = Session::new(SessionConfig::default());
         let settings = Settings {
             listen: config.listen,
             priority: config.priority,
             cpus: config.cpus.clone(),
         };
         let description = describe(&config.name).with(PARTS);
-        Self::launch(session, description, settings, link, ends)
+        let end = End::new(config.handshake);
+        Self::launch(end, description, settings, link, ends)
     }
 }
 
-impl Protocol for Session {
-    type Quality = Quality;
-
-    fn hear(&mut self, datagram: &[u8], at: Duration) -> Option<Heard> {
-        let reception = self.handle_datagram(datagram, at).ok()?;
-        Some(Heard {
-            is_new: reception.order.is_new(),
-            lost: reception.lost,
-        })
-    }
-
-    fn hear_nothing(&mut self, now: Duration) -> bool {
-        self.handle_timeout(now)
-    }
-
-    fn is_due(&self) -> bool {
-        self.is_pending()
-    }
-
-    fn reply(&mut self, joints: &Joints, buffer: &mut [u8]) -> Option<usize> {
-        self.answer(Some(joints), buffer).ok()
-    }
-
-    fn status(&self) -> DeviceStatus {
-        match self.phase() {
-            Phase::Offline => DeviceStatus::Offline,
-            Phase::Monitor => DeviceStatus::SafeOperational,
-            Phase::Command => DeviceStatus::Operational,
-        }
-    }
-
-    fn rest(&self) -> Joints {
-        self.mirror()
-    }
-
-    fn set_point(&self) -> Option<Joints> {
-        self.measurement().map(Msr::set_point)
-    }
-
-    fn measured(&self) -> Option<Joints> {
-        self.measurement()
-            .map(|msr| msr.measured_joints.map(f64::from))
-    }
-
-    fn external_torques(&self) -> Option<Joints> {
-        self.measurement()
-            .map(|msr| msr.external_torque.map(f64::from))
-    }
-
-    fn measured_torques(&self) -> Option<Joints> {
-        self.measurement()
-            .map(|msr| msr.measured_torque.map(f64::from))
-    }
-
-    fn wrench(&self) -> Option<Wrench> {
-        self.measurement().map(|msr| wrench(&msr.external_wrench))
-    }
-
-    fn cycle(&self) -> Option<Duration> {
-        self.period()
-    }
-
-    fn quality_code(&self) -> i32 {
-        let quality = self.measurement().map(|msr| msr.interface.quality.code());
-        quality.unwrap_or_default().into()
-    }
-
-    fn quality(code: i32) -> Quality {
-        Quality::from(u16::try_from(code).unwrap_or_default())
-    }
-
-    fn totals(&self) -> Totals {
-        let counters = self.counters();
-        Totals {
-            received: counters.received,
-            lost: counters.lost,
-            malformed: counters.malformed,
-        }
-    }
-}
-
-/// Force and torque in the wire's order, in which torques are about z, y, x.
-fn wrench(values: &[f32; 6]) -> Wrench {
-    let [x, y, z, about_z, about_y, about_x] = values.map(f64::from);
-    Wrench {
-        force: Vector::new(x, y, z),
-        torque: Vector::new(about_x, about_y, about_z),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn torques_about_z_come_first_on_the_wire() {
-        let wrench = wrench(&[1.0, 2.0, 3.0, 6.0, 5.0, 4.0]);
-        assert_eq!(wrench.force, Vector::new(1.0, 2.0, 3.0));
-        assert_eq!(wrench.torque, Vector::new(4.0, 5.0, 6.0));
-    }
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "the wire has single precision"
+)]
+const fn to_f32(value: f64) -> f32 {
+    value as f32
 }

@@ -13,6 +13,11 @@ use super::robot_arm::{TOOL_ERROR, TellTool, tell_tool};
 const ROBOT: &str = "name of the robot arm";
 const AXIS: &str = "which joint, from 0";
 const UNKNOWN: NullRule = NullRule::Own("Null while the driver does not know the value.");
+/// What became of an impedance.
+const TAKEN: &str = "the arm has taken what was ordered since this began";
+const REFUSED: &str = "0 none, 1 out of range or no number, 2 no contact to the arm, 4 the strategy in force or the \
+                       robot's program does not take it, 6 not before command mode is entered anew, \
+                       or the addition asked for anew, -1 concurrent access";
 const KEEPS: NullRule = NullRule::Own(
     "A null stiffness or damping leaves what is in force; a null addition adds nothing.",
 );
@@ -57,6 +62,8 @@ struct JointImpParameters {
     damping: In<f64>,
     torque: In<f64>,
     order: Standing<JointImpedance>,
+    completed: Out<bool>,
+    error: Out<i32>,
 }
 
 impl Primitive for JointImpParameters {
@@ -67,7 +74,9 @@ impl Primitive for JointImpParameters {
             torque: self.torque.get(cycle),
             torque_max: None,
         };
-        self.order.repeat(cycle, wanted);
+        let outcome = self.order.repeat(cycle, wanted);
+        self.completed.set(cycle, outcome.is_done());
+        self.error.set(cycle, outcome.error);
     }
 }
 
@@ -90,6 +99,8 @@ fn joint_imp_parameters(b: &mut Build<'_, '_>) -> Result<JointImpParameters, Fau
         damping: b.input("inDamping")?,
         torque: b.input("inAddTorque")?,
         order: joint_impedance(b, "Axis")?,
+        completed: b.output("outCompleted"),
+        error: b.output("outError"),
     })
 }
 
@@ -98,6 +109,8 @@ struct CartImpParameters {
     damping: In<Wrench>,
     wrench: In<Wrench>,
     order: Standing<CartesianImpedance>,
+    completed: Out<bool>,
+    error: Out<i32>,
 }
 
 impl Primitive for CartImpParameters {
@@ -107,7 +120,9 @@ impl Primitive for CartImpParameters {
             damping: self.damping.get(cycle),
             wrench: self.wrench.get(cycle),
         };
-        self.order.repeat(cycle, wanted);
+        let outcome = self.order.repeat(cycle, wanted);
+        self.completed.set(cycle, outcome.is_done());
+        self.error.set(cycle, outcome.error);
     }
 }
 
@@ -121,6 +136,8 @@ fn cart_imp_parameters(b: &mut Build<'_, '_>) -> Result<CartImpParameters, Fault
         damping: b.input("inDamping")?,
         wrench: b.input("inAddTorque")?,
         order: Standing::new(order),
+        completed: b.output("outCompleted"),
+        error: b.output("outError"),
     })
 }
 
@@ -332,8 +349,9 @@ pub(super) fn table() -> Vec<Definition> {
         .output::<bool>("outCompleted", "the strategy is in force")
         .output::<i32>(
             "outError",
-            "0 none, 1 no such strategy, 2 drives without power, 3 the arm moves or is not where it \
-             is commanded, -1 concurrent access",
+            "0 none, 1 no such strategy, 2 no contact or drives without power, 3 the arm moves or is \
+             not where it is commanded, 4 the robot's program cannot switch it, 5 it did not, -1 \
+             concurrent access",
         )
         .null(NullRule::Own(
             "A null strategy changes nothing, and the outputs are null.",
@@ -350,6 +368,8 @@ pub(super) fn table() -> Vec<Definition> {
         .input::<f64>(port("inAddTorque", "torque to add, Nm"))
         .text("Robot", ROBOT)
         .parameter::<i32>("Axis", "0", AXIS)
+        .output::<bool>("outCompleted", TAKEN)
+        .output::<i32>("outError", REFUSED)
         .null(KEEPS),
         Definition::new(
             "KUKA::LWR::CartImpParameters",
@@ -362,6 +382,8 @@ pub(super) fn table() -> Vec<Definition> {
         .input::<Wrench>(port("inDamping", "damping ratio, 0 to 1"))
         .input::<Wrench>(port("inAddTorque", "force and torque to add, N and Nm"))
         .text("Robot", ROBOT)
+        .output::<bool>("outCompleted", TAKEN)
+        .output::<i32>("outError", REFUSED)
         .null(KEEPS),
         tool_definition("KUKA::LWR::ToolParameters"),
         tool_definition("KUKA:LWR::ToolParameters"),

@@ -225,8 +225,8 @@ const AXIS: &str = "which joint, from 0";
 const ERROR: &str = "0 none, 1 offline or out of range, 2 not enabled or no number, 3 set-points \
                      refused by the driver, -1 concurrent access";
 
-pub(super) const TOOL_ERROR: &str =
-    "0 none, 1 no such tool, 2 no number, -1 concurrent access, others as the arm says";
+pub(super) const TOOL_ERROR: &str = "0 none, 1 no such tool, 2 no number, no contact or drives without power, 3 the arm moves or is not where it \
+     is commanded, 4 the robot's program cannot take it, 5 it did not, -1 concurrent access";
 
 pub(super) fn table() -> Vec<Definition> {
     vec![

@@ -8,11 +8,11 @@ use std::time::Duration;
 use crate::cost::NetCost;
 use crate::definition::Primitive;
 use crate::fault::{Fault, FaultKind};
-use crate::load::LoadContext;
 use crate::load::builder::Build;
 use crate::load::graph::Unit;
 use crate::load::resolve::{Origin, Resolved};
 use crate::load::taps::Tapped;
+use crate::load::{LoadContext, activation};
 use crate::netcomm::{Directory, Inter, Mailbox};
 use crate::plan::{Guard, Op, Plan, RootPort};
 use crate::slots::{In, SlotRef, SlotsBuilder};
@@ -86,8 +86,7 @@ pub(super) fn build(
         return None;
     }
     walk.close();
-    let primitives = resolved.nodes.iter().map(|node| node.definition);
-    let cost = NetCost::of(primitives.zip(elements), walk.guard_tests());
+    let cost = cost_of(resolved, &elements, walk.guard_tests());
     let budget = context.limits.cost.filter(|budget| cost.total > *budget);
     if let (Some(budget), 0) = (budget, known) {
         let period = context.period;
@@ -100,6 +99,20 @@ pub(super) fn build(
         return None;
     }
     parts.finish(walk, resolved, context.period, cost)
+}
+
+/// What the longest activation costs; `elements` are those of the arrays at the ports of each node.
+fn cost_of(resolved: &Resolved<'_>, elements: &[usize], guard_tests: usize) -> NetCost {
+    let nodes = || resolved.nodes.iter().zip(elements);
+    let costs: Vec<_> = nodes()
+        .map(|(node, elements)| node.definition.cost.of_one(*elements))
+        .collect();
+    let counts = activation::longest(resolved, &costs);
+    let counted = nodes().map(|(node, elements)| {
+        let counts = counts[node.guard as usize];
+        (node.definition, counts.then_some(*elements))
+    });
+    NetCost::of(counted, guard_tests)
 }
 
 /// What is collected over all primitives.

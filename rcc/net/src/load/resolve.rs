@@ -12,7 +12,7 @@ use crate::text::{Arg, ArgValue, Body, Fragment, Name, Node as TextNode, Source,
 use crate::value::{Element, Type};
 
 /// The out port of a primitive.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) struct Origin {
     pub(super) node: u32,
     pub(super) port: u32,

@@ -4,10 +4,14 @@ use takt_ethercat::axis;
 use takt_ethercat::config::{ConfigError, MasterConfig, Place, SlaveSpec, SyncSpec};
 use takt_ethercat::master::Master;
 
+use super::youbot;
 use crate::cell::{DriveJoint, EthercatConfig, EthercatSlave};
 use crate::device::{DeviceDescription, Part, drives};
 
-/// The devices of a segment: first its arms, then its inputs and outputs.
+/// Datagrams for mailboxes in a cycle: nine drives of a youBot are asked at once.
+const YOUBOT_ACYCLIC: u8 = 4;
+
+/// The devices of a segment: first its arms, then its inputs and outputs, then its youBots.
 #[must_use]
 pub fn describe(config: &EthercatConfig) -> Vec<DeviceDescription> {
     let arms = config
@@ -27,7 +31,7 @@ pub fn describe(config: &EthercatConfig) -> Vec<DeviceDescription> {
             real_out: 0,
         }],
     });
-    arms.chain(ios).collect()
+    arms.chain(ios).chain(youbot::describe(config)).collect()
 }
 
 /// The slave of that name.
@@ -43,7 +47,13 @@ pub(super) fn master(config: &EthercatConfig) -> Result<Master, ConfigError> {
             .slaves
             .iter()
             .map(|slave| spec(slave, config))
+            .chain(youbot::specs(config))
             .collect(),
+        acyclic: if config.youbot_arms.is_empty() && config.youbot_bases.is_empty() {
+            1
+        } else {
+            YOUBOT_ACYCLIC
+        },
         ..MasterConfig::default()
     })
 }
@@ -93,6 +103,7 @@ pub fn check(config: &EthercatConfig) -> Result<(), String> {
         let checked = drives::check(arm, |joint| check_drive(config, joint));
         checked.map_err(|what| format!("{name}: {what}"))?;
     }
+    youbot::check(config).map_err(|what| format!("{name}: {what}"))?;
     let bits = config
         .ios
         .iter()

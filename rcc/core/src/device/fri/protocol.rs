@@ -3,8 +3,10 @@
 use std::fmt;
 use std::time::Duration;
 
+use takt_net::device::Interfaces;
 use takt_net::value::Wrench;
 
+use super::orders::Orders;
 use crate::device::DeviceStatus;
 
 /// Joints of every arm that speaks FRI.
@@ -46,6 +48,13 @@ pub trait Protocol: fmt::Debug + Send + 'static {
 
     /// Whether the controller waits for an answer.
     fn is_due(&self) -> bool;
+
+    /// Takes what nets order beside positions; it goes out with the next answers as far as the robot takes it
+    /// now.
+    fn obey(&mut self, has: &Interfaces, orders: &Orders<'_>);
+
+    /// Tells what became of orders, and the robot's inputs and outputs.
+    fn report(&self, has: &Interfaces, signals: &mut [u64]);
 
     /// Writes the answer with these positions, rad, and tells its length; nothing if none is due.
     fn reply(&mut self, joints: &Joints, buffer: &mut [u8]) -> Option<usize>;

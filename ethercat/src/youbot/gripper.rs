@@ -1,0 +1,315 @@
+//! The gripper behind the last joint: two bars that stepper motors move without seeing where they are, reached through
+//! that joint's mailbox. It is known where they are once they were opened to their stops; that is a motion, and done
+//! only when it is allowed.
+//!
+//! ```text
+//!          1 start       2           3 not calibrated, may move         4 open     5 closed
+//! Idle ------------> Setup --> Ask ----------------------------> Origin --> Open --> Close --> Preset
+//!                              | 7 calibrated                                                    | 6
+//!                              v          8 order          9 both there                          v
+//!                            Ready <-------------------> Order                                  Mark --> Ready
+//! any --10 too long, refused--> Failed(why)              any --11 forget--> Idle
+//! ```
+//! 1 in [`Gripper::start`], 8 in [`Gripper::order`], 11 in [`Gripper::forget`], the others in [`Gripper::cycle`].
+
+use std::time::Duration;
+
+use super::mailbox::{CallError, Mailbox};
+use super::parameters::GRIPPER_CALIBRATED;
+use super::tmcl::Request;
+
+/// Longest way of a bar.
+const MOVE_MAX: Duration = Duration::from_secs(8);
+/// What is written at the start: bar, parameter, value (stallGuard).
+const SETUP: [(u8, u8, i32); 4] = [(0, 174, 50), (1, 174, 50), (0, 173, 1), (1, 173, 1)];
+
+/// A bar.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BarConfig {
+    /// Steps of all of its way; it counts down when it opens.
+    pub steps: i32,
+    /// All of its way, m.
+    pub way: f64,
+}
+
+impl Default for BarConfig {
+    fn default() -> Self {
+        Self {
+            steps: 67_000,
+            way: 0.0115,
+        }
+    }
+}
+
+/// Where the gripper is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum GripperState {
+    /// Not begun.
+    Idle,
+    /// Parameters are written.
+    Setup(u8),
+    /// It is asked whether it was calibrated since power came on.
+    Ask,
+    /// The counter of a bar is read.
+    Origin(u8),
+    /// It opens to its stops.
+    Open,
+    /// It closes by as much.
+    Close,
+    /// The counter of a bar is set to 0.
+    Preset(u8),
+    /// The drive is told that it was calibrated.
+    Mark,
+    /// It rests where it was told.
+    Ready,
+    /// It moves where it was told.
+    Order,
+    /// It cannot be used.
+    Failed(GripperError),
+}
+
+/// Why the gripper cannot be used.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum GripperError {
+    /// A bar did not get there.
+    #[error("a bar is not there after 8 s")]
+    Late,
+    /// The drive refused.
+    #[error("{0}")]
+    Call(CallError),
+}
+
+/// Bars on their way.
+#[derive(Clone, Copy, Debug, Default)]
+struct Way {
+    targets: [i32; 2],
+    step: u8,
+    reached: bool,
+    since: Duration,
+}
+
+/// The gripper.
+#[derive(Debug)]
+pub struct Gripper {
+    config: BarConfig,
+    state: GripperState,
+    way: Way,
+    origin: [i32; 2],
+    /// Counters of the bars as last read, steps.
+    counts: [Option<i32>; 2],
+}
+
+impl Gripper {
+    /// Not begun.
+    #[must_use]
+    pub fn new(config: BarConfig) -> Self {
+        Self {
+            config,
+            state: GripperState::Idle,
+            way: Way::default(),
+            origin: [0; 2],
+            counts: [None; 2],
+        }
+    }
+
+    /// Where it is.
+    #[must_use]
+    pub const fn state(&self) -> GripperState {
+        self.state
+    }
+
+    /// Whether it takes orders.
+    #[must_use]
+    pub const fn is_ready(&self) -> bool {
+        matches!(self.state, GripperState::Ready | GripperState::Order)
+    }
+
+    /// Largest distance between the fingers, m.
+    #[must_use]
+    pub fn distance_max(&self) -> f64 {
+        2.0 * self.config.way
+    }
+
+    /// Distance between the fingers, m; `None` while it is not known.
+    #[must_use]
+    pub fn distance(&self) -> Option<f64> {
+        let [one, other] = self.counts;
+        let steps = f64::from(-(one?.saturating_add(other?)));
+        self.is_ready()
+            .then(|| steps / f64::from(self.config.steps) * self.config.way)
+    }
+
+    /// Begins, unless it did.
+    pub fn start(&mut self) {
+        match self.state {
+            GripperState::Idle | GripperState::Failed(_) => self.state = GripperState::Setup(0),
+            GripperState::Setup(_)
+            | GripperState::Ask
+            | GripperState::Origin(_)
+            | GripperState::Open
+            | GripperState::Close
+            | GripperState::Preset(_)
+            | GripperState::Mark
+            | GripperState::Ready
+            | GripperState::Order => {}
+        }
+    }
+
+    /// Its drive was gone: nothing is known any more. The bars stop where they were sent.
+    pub fn forget(&mut self) {
+        self.state = GripperState::Idle;
+        self.counts = [None; 2];
+    }
+
+    /// Moves the fingers to a distance, m, from now on. False if it takes no orders, or not this one.
+    pub fn order(&mut self, distance: f64, now: Duration) -> bool {
+        if !self.is_ready() || !(0.0..=self.distance_max()).contains(&distance) {
+            return false;
+        }
+        #[expect(clippy::cast_possible_truncation, reason = "within the way of a bar")]
+        let steps = (distance / self.distance_max() * f64::from(self.config.steps)).round() as i32;
+        self.go([-steps; 2], GripperState::Order, now);
+        true
+    }
+
+    fn go(&mut self, targets: [i32; 2], state: GripperState, now: Duration) {
+        self.way = Way {
+            targets,
+            step: 0,
+            reached: false,
+            since: now,
+        };
+        self.state = state;
+    }
+
+    /// One cycle while its drive answers. It is calibrated only if it `may_move`.
+    pub fn cycle(&mut self, mailbox: &mut Mailbox, may_move: bool, now: Duration) {
+        let (bank, number) = GRIPPER_CALIBRATED;
+        match self.state {
+            GripperState::Idle | GripperState::Failed(_) => {}
+            GripperState::Ready => self.look(mailbox),
+            GripperState::Setup(step) => {
+                let next = SETUP.get(usize::from(step));
+                let Some((bar, parameter, value)) = next.copied() else {
+                    self.state = GripperState::Ask;
+                    return;
+                };
+                if self
+                    .call(mailbox, Request::set_bar(bar, parameter, value))
+                    .is_some()
+                {
+                    self.state = GripperState::Setup(step + 1);
+                }
+            }
+            GripperState::Ask => match self.call(mailbox, Request::get_global(bank, number)) {
+                Some(1) => self.state = GripperState::Ready,
+                Some(_) if may_move => self.state = GripperState::Origin(0),
+                Some(_) | None => {}
+            },
+            GripperState::Origin(bar) => {
+                if let Some(count) = self.call(mailbox, Request::get_bar(bar, 1)) {
+                    if let Some(origin) = self.origin.get_mut(usize::from(bar)) {
+                        *origin = count;
+                        self.state = GripperState::Origin(bar + 1);
+                    }
+                    if bar == 1 {
+                        let open = self.origin.map(|at| at.saturating_sub(self.config.steps));
+                        self.go(open, GripperState::Open, now);
+                    }
+                }
+            }
+            GripperState::Open => {
+                if self.travel(mailbox, now) {
+                    self.go(self.origin, GripperState::Close, now);
+                }
+            }
+            GripperState::Close => {
+                if self.travel(mailbox, now) {
+                    self.state = GripperState::Preset(0);
+                }
+            }
+            GripperState::Preset(step) => self.preset(mailbox, step),
+            GripperState::Mark => {
+                if self
+                    .call(mailbox, Request::set_global(bank, number, 1))
+                    .is_some()
+                {
+                    self.state = GripperState::Ready;
+                }
+            }
+            GripperState::Order => {
+                if self.travel(mailbox, now) {
+                    self.state = GripperState::Ready;
+                }
+            }
+        }
+    }
+
+    /// Each bar's counter to 0, then its target too, so that it does not go where 0 was before.
+    fn preset(&mut self, mailbox: &mut Mailbox, step: u8) {
+        let bar = step / 2;
+        let request = if step.is_multiple_of(2) {
+            Request::set_bar(bar, 1, 0)
+        } else {
+            Request::move_bar(bar, 0)
+        };
+        if self.call(mailbox, request).is_some() {
+            self.state = if step < 3 {
+                GripperState::Preset(step + 1)
+            } else {
+                GripperState::Mark
+            };
+        }
+    }
+
+    /// Reads where the bars are, in turn.
+    fn look(&mut self, mailbox: &mut Mailbox) {
+        let bar = u8::from(self.counts[0].is_some());
+        if self.counts[usize::from(bar)].is_some() {
+            return;
+        }
+        if let Some(count) = self.call(mailbox, Request::get_bar(bar, 1)) {
+            self.counts[usize::from(bar)] = Some(count);
+        }
+    }
+
+    /// Sends both bars, then asks in turn where they are and whether they are there; true when both are.
+    fn travel(&mut self, mailbox: &mut Mailbox, now: Duration) -> bool {
+        let Way { targets, step, .. } = self.way;
+        let request = match step {
+            0 => Request::move_bar(0, targets[0]),
+            1 => Request::move_bar(1, targets[1]),
+            2 => Request::get_bar(0, 8),
+            3 => Request::get_bar(1, 8),
+            4 => Request::get_bar(0, 1),
+            _ => Request::get_bar(1, 1),
+        };
+        if let Some(value) = self.call(mailbox, request) {
+            self.way.step = if step >= 5 { 2 } else { step + 1 };
+            match step {
+                2 => self.way.reached = value == 1,
+                3 => self.way.reached &= value == 1,
+                4 => self.counts[0] = Some(value),
+                5 => {
+                    self.counts[1] = Some(value);
+                    return self.way.reached;
+                }
+                _ => {}
+            }
+        }
+        if now.saturating_sub(self.way.since) > MOVE_MAX {
+            self.state = GripperState::Failed(GripperError::Late);
+        }
+        false
+    }
+
+    fn call(&mut self, mailbox: &mut Mailbox, request: Request) -> Option<i32> {
+        match mailbox.call(request)? {
+            Ok(answer) => answer.value(),
+            Err(error) => {
+                self.state = GripperState::Failed(GripperError::Call(error));
+                None
+            }
+        }
+    }
+}

@@ -1,0 +1,449 @@
+//! The youBot's machines against the emulated one, in virtual time: the truth is where its motors are. Cells of the
+//! drive's and the homing's state tables are tried one by one in `cells`.
+
+use std::time::Duration;
+
+use super::homing::HomingError;
+use super::*;
+use crate::config::MasterConfig;
+use crate::emulator::{YouBot, YouBotConfig};
+use crate::master::Master;
+use crate::master::tests::Rig;
+
+mod cells;
+
+/// Cycles of inputs that may be missing.
+const OLD: u32 = 4;
+
+/// A youBot led cycle by cycle: drives 0 to 3 wheels, 4 to 8 joints.
+struct Lead {
+    rig: Rig,
+    bot: YouBot,
+    drives: Vec<Drive>,
+    wanted: [Option<Command>; 9],
+    may_move: bool,
+    homing: Vec<Homing>,
+    gripper: Gripper,
+}
+
+fn slave(drive: usize) -> usize {
+    if drive < 4 { 1 + drive } else { 2 + drive }
+}
+
+impl Lead {
+    fn new(firmware: Firmware) -> Self {
+        let config = YouBotConfig {
+            firmware,
+            ..YouBotConfig::default()
+        };
+        let (segment, bot) = YouBot::segment(&config);
+        let rig = Rig::new(MasterConfig::default(), segment);
+        let drive = |n: usize| {
+            let config = DriveConfig {
+                current_max_ma: 3000,
+                direction: if n < 4 || n == 6 { 1 } else { -1 },
+            };
+            Drive::new(slave(n), config)
+        };
+        let mut lead = Self {
+            rig,
+            bot,
+            drives: (0..9).map(drive).collect(),
+            wanted: [None; 9],
+            may_move: true,
+            homing: HOMING.map(Homing::new).to_vec(),
+            gripper: Gripper::new(BarConfig::default()),
+        };
+        lead.rig.until(5000, Master::is_operational);
+        lead
+    }
+
+    /// One whose drives follow.
+    fn ready(firmware: Firmware) -> Self {
+        let mut lead = Self::new(firmware);
+        lead.until(4000, |lead| lead.drives.iter().all(Drive::follows));
+        lead
+    }
+
+    fn cycle(&mut self) {
+        let now = self.rig.now;
+        let master = &mut self.rig.master;
+        while let Some(reply) = master.poll_reply() {
+            let of = |drive: &&mut Drive| drive.slave() == reply.job.slave;
+            let drive = self.drives.iter_mut().find(of).unwrap();
+            drive.mailbox().handle_reply(reply, now);
+        }
+        for (n, drive) in self.drives.iter_mut().enumerate() {
+            let mut wanted = self.wanted[n];
+            let told = drive.feedback().copied().filter(|_| drive.follows());
+            if n >= 4
+                && let Some(told) = told
+            {
+                let homing = &mut self.homing[n - 4];
+                let may_move = self.may_move;
+                if let Some(order) = homing.cycle(&told, drive.mailbox(), may_move, now) {
+                    wanted = Some(order);
+                }
+            }
+            if n == 8 && drive.follows() {
+                self.gripper.cycle(drive.mailbox(), self.may_move, now);
+            }
+            let (bytes, age) = master.inputs(slave(n));
+            let inputs = (age <= OLD).then_some(bytes);
+            let command = drive.cycle(inputs, wanted, self.may_move, now);
+            master
+                .outputs_mut(slave(n))
+                .copy_from_slice(&command.encode());
+            drive.mailbox().poll(master, now);
+        }
+        self.rig.cycle();
+    }
+
+    fn cycles(&mut self, count: usize) {
+        for _ in 0..count {
+            self.cycle();
+        }
+    }
+
+    #[track_caller]
+    fn until(&mut self, most: usize, holds: impl Fn(&Self) -> bool) -> usize {
+        for count in 0..most {
+            if holds(self) {
+                return count;
+            }
+            self.cycle();
+        }
+        let states: Vec<_> = self.drives.iter().map(Drive::state).collect();
+        panic!(
+            "not within {most} cycles: {states:?} {:?} {:?}",
+            self.homing, self.gripper
+        );
+    }
+
+    /// A request to a drive, answered.
+    #[track_caller]
+    fn call(&mut self, drive: usize, request: Request) -> Result<Answer, CallError> {
+        for _ in 0..4000 {
+            if let Some(outcome) = self.drives[drive].mailbox().call(request) {
+                return outcome;
+            }
+            self.cycle();
+        }
+        panic!("no answer to {request:?}");
+    }
+
+    fn angle(&self, joint: usize) -> f64 {
+        let angle = self.bot.arms[0][joint].lock().angle();
+        // The third joint counts towards negative angles.
+        angle * -ARM[joint].sign
+    }
+}
+
+#[test]
+fn drives_of_either_firmware_are_brought_to_follow() {
+    for (firmware, number) in [(Firmware::V148, 148), (Firmware::V200, 200)] {
+        let lead = Lead::ready(firmware);
+        for (n, drive) in lead.drives.iter().enumerate() {
+            let board = if n < 4 { 1632 } else { 1610 };
+            assert_eq!(drive.version(), Some(Version { board, number }));
+            assert_eq!(drive.counters().commutations, 1);
+        }
+        assert_eq!(
+            lead.rig.master.groups()[0].misses,
+            0,
+            "cycles go on meanwhile"
+        );
+    }
+}
+
+#[test]
+fn nothing_turns_for_its_commutation_before_it_may() {
+    let mut lead = Lead::new(Firmware::V200);
+    lead.may_move = false;
+    lead.cycles(1500);
+    for drive in &lead.drives {
+        assert_eq!(drive.obstacle(), Some(Obstacle::Uncommutated));
+    }
+    let before = lead.bot.wheels[0].lock().angle();
+    lead.cycles(500);
+    assert!((lead.bot.wheels[0].lock().angle() - before).abs() < 1e-6);
+    lead.may_move = true;
+    lead.until(1500, |lead| lead.drives.iter().all(Drive::follows));
+}
+
+#[test]
+fn wheels_move_the_base_and_odometry_tells_how_far() {
+    let mut lead = Lead::ready(Firmware::V200);
+    let (mecanum, mut odometry) = (Mecanum::default(), Odometry::default());
+    let mut ramp = Ramp::new(1.0, 2.0);
+    let angles =
+        |lead: &Lead| -> [f64; 4] { std::array::from_fn(|n| lead.bot.wheels[n].lock().angle()) };
+    let before = angles(&lead);
+    for n in 0..2500 {
+        let wanted = if n < 2000 { [0.2, 0.1, 0.0] } else { [0.0; 3] };
+        ramp.step(wanted, 1e-3);
+        for (wanted, rpm) in lead.wanted.iter_mut().zip(mecanum.rpm(ramp.velocity())) {
+            *wanted = Some(Command::velocity(rpm));
+        }
+        lead.cycle();
+        let ticks = std::array::from_fn(|n| lead.drives[n].feedback().unwrap().position);
+        odometry.advance(&mecanum, ticks);
+    }
+    // `angle` counts against the motor.
+    let after = angles(&lead);
+    let turned = std::array::from_fn(|n| before[n] - after[n]);
+    let truth = mecanum.velocity(turned);
+    let pose = odometry.pose();
+    for (told, truth) in pose.into_iter().zip(truth) {
+        assert!((told - truth).abs() < 0.003, "{pose:?} {truth:?}");
+    }
+    assert!(
+        (pose[0] - 0.4).abs() < 0.02 && (pose[1] - 0.2).abs() < 0.01,
+        "{pose:?}"
+    );
+}
+
+#[test]
+fn an_arm_is_homed_at_its_stops_once() {
+    for firmware in [Firmware::V148, Firmware::V200] {
+        let mut lead = Lead::ready(firmware);
+        lead.homing.iter_mut().for_each(Homing::start);
+        lead.until(6000, |lead| lead.homing.iter().all(Homing::is_done));
+        for joint in 0..5 {
+            assert!(
+                lead.angle(joint).abs() < 0.05,
+                "{joint} at {}",
+                lead.angle(joint)
+            );
+            let told = lead.drives[4 + joint].feedback().unwrap().position;
+            let angle = ARM[joint].angle(told);
+            assert!(
+                (angle - lead.angle(joint)).abs() < 0.02,
+                "{joint} told {angle}"
+            );
+        }
+        // Positions are those of the joints.
+        let targets = [1.0, 0.5, -1.0, 0.8, 1.5];
+        for (joint, target) in targets.into_iter().enumerate() {
+            lead.wanted[4 + joint] = Some(Command::position(ARM[joint].ticks(target)));
+        }
+        lead.cycles(4000);
+        for (joint, target) in targets.into_iter().enumerate() {
+            assert!((lead.angle(joint) - target).abs() < 0.02, "{joint}");
+        }
+        // The drives know that they were homed.
+        lead.homing.iter_mut().for_each(Homing::forget);
+        lead.homing.iter_mut().for_each(Homing::start);
+        lead.may_move = false;
+        lead.until(400, |lead| lead.homing.iter().all(Homing::is_done));
+        assert!((lead.angle(0) - 1.0).abs() < 0.02);
+    }
+}
+
+#[test]
+fn homing_is_cancelled_on_its_way() {
+    let mut lead = Lead::ready(Firmware::V200);
+    lead.homing[0].start();
+    lead.until(500, |lead| {
+        matches!(lead.homing[0].state(), HomingState::Approach(..))
+    });
+    lead.cycles(30);
+    lead.homing[0].cancel();
+    lead.cycles(100);
+    let at = lead.angle(0);
+    lead.cycles(300);
+    assert!((lead.angle(0) - at).abs() < 1e-3, "it stands");
+    assert_eq!(lead.homing[0].state(), HomingState::Cancelled);
+}
+
+#[test]
+fn the_gripper_finds_its_stops_and_opens_as_told() {
+    let mut lead = Lead::ready(Firmware::V200);
+    lead.gripper.start();
+    lead.until(12_000, |lead| lead.gripper.is_ready());
+    lead.until(100, |lead| lead.gripper.distance().is_some());
+    let truth = |lead: &Lead| -> f64 {
+        let joint = lead.bot.arms[0][4].lock();
+        joint
+            .bars()
+            .unwrap()
+            .iter()
+            .map(crate::emulator::Bar::opening)
+            .sum()
+    };
+    assert!(truth(&lead) < 1e-3, "{}", truth(&lead));
+    let now = lead.rig.now;
+    assert!(!lead.gripper.order(0.024, now), "too far");
+    assert!(lead.gripper.order(0.02, now));
+    lead.until(4000, |lead| lead.gripper.state() == GripperState::Ready);
+    assert!((truth(&lead) - 0.02).abs() < 1e-3, "{}", truth(&lead));
+    assert!((lead.gripper.distance().unwrap() - 0.02).abs() < 1e-4);
+    // Calibrated drives are not calibrated again.
+    lead.gripper.forget();
+    lead.gripper.start();
+    lead.may_move = false;
+    lead.until(400, |lead| lead.gripper.is_ready());
+}
+
+#[test]
+fn a_time_out_is_cleared_and_counted_until_there_are_too_many() {
+    let mut lead = Lead::ready(Firmware::V200);
+    for count in 1..=6_u64 {
+        lead.rig.segment.set_link(0, false);
+        lead.until(300, |lead| lead.drives[0].state() == DriveState::Absent);
+        lead.cycles(200);
+        lead.rig.segment.set_link(0, true);
+        lead.until(3000, |lead| lead.drives[0].counters().timeouts == count);
+        lead.cycles(300);
+        let drive = &lead.drives[0];
+        assert_eq!(drive.follows(), count <= 5, "{count}: {:?}", drive.state());
+    }
+    assert_eq!(lead.drives[0].counters().commutations, 1, "not found anew");
+}
+
+#[test]
+fn too_much_current_for_too_long_is_cleared_five_times_then_waits() {
+    let mut lead = Lead::ready(Firmware::V200);
+    let order = Command::current(100_000);
+    lead.wanted[0] = Some(order);
+    lead.cycles(5);
+    let current = lead.drives[0].feedback().unwrap().current_ma;
+    assert_eq!(current, 3000, "the drive itself would have taken it");
+    assert!(lead.drives[0].counters().clamped > 0);
+    assert_eq!(lead.call(0, Request::get(6)), Ok(Answer::Value(3000)));
+    lead.wanted[0] = None;
+    for count in 1..=6 {
+        lead.bot.wheels[0].lock().overheat();
+        lead.cycles(200);
+        let drive = &lead.drives[0];
+        assert_eq!(drive.counters().i2t, count);
+        assert_eq!(drive.follows(), count <= 5, "{count}: {:?}", drive.state());
+    }
+    assert_eq!(lead.drives[0].obstacle(), Some(Obstacle::TooOften));
+    // One is forgotten each ten seconds.
+    lead.until(11_000, |lead| lead.drives[0].follows());
+    assert_eq!(lead.drives[0].counters().i2t, 6);
+}
+
+#[test]
+fn an_emergency_stop_holds_and_ends_where_the_joint_is_then() {
+    let mut lead = Lead::ready(Firmware::V148);
+    lead.bot.wheels[1].lock().emergency_stop = true;
+    lead.cycles(20);
+    let why = lead.drives[1].obstacle();
+    assert!(matches!(why, Some(Obstacle::Flags(flags)) if flags.any(Flags::EMERGENCY_STOP)));
+    lead.bot.wheels[1].lock().emergency_stop = false;
+    lead.cycles(20);
+    assert!(lead.drives[1].follows());
+}
+
+#[test]
+fn whatever_frame_is_lost_a_request_has_its_own_answer() {
+    let mut lead = Lead::ready(Firmware::V200);
+    for lost in 0..12 {
+        let other = Request::set(11, 4000 + lost);
+        for (n, request) in [other, Request::get(11)].into_iter().enumerate() {
+            let mut outcome = None;
+            for cycle in 0..4000 {
+                outcome = lead.drives[0].mailbox().call(request);
+                if outcome.is_some() {
+                    break;
+                }
+                if n == 0 && cycle == lost {
+                    lead.rig.segment.faults.lose = 1;
+                }
+                lead.cycle();
+            }
+            assert_eq!(
+                outcome,
+                Some(Ok(Answer::Value(4000 + lost))),
+                "frame {lost}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_late_answer_is_not_taken_for_that_of_the_next_request() {
+    let mut lead = Lead::ready(Firmware::V200);
+    // For longer than a request is waited for.
+    lead.rig.segment.slave(1).unwrap().faults().hung = true;
+    let slow = Request::get(250);
+    assert_eq!(lead.drives[0].mailbox().call(slow), None);
+    lead.cycles(300);
+    lead.rig.segment.slave(1).unwrap().faults().hung = false;
+    assert_eq!(lead.call(0, slow), Ok(Answer::Value(4000)));
+    assert_eq!(lead.call(0, Request::get(253)), Ok(Answer::Value(16)));
+    assert!(lead.drives[0].mailbox().repeats() > 0);
+}
+
+#[test]
+fn refused_parameters_say_why() {
+    let mut lead = Lead::ready(Firmware::V200);
+    for (request, refusal) in [
+        (Request::set(26, 5), Refusal::Protected),
+        (Request::set(4, -1), Refusal::Value),
+        (Request::get(99), Refusal::Type),
+        (Request::get_bar(0, 8), Refusal::Command),
+    ] {
+        assert_eq!(lead.call(0, request), Err(CallError::Refused(refusal)));
+    }
+    for parameter in parameters::ALL {
+        let answer = lead.call(8, parameter.get(1));
+        assert!(answer.is_ok(), "{}: {answer:?}", parameter.name);
+    }
+}
+
+#[test]
+fn a_joint_gives_way_to_a_push_and_comes_back() {
+    let mut lead = Lead::ready(Firmware::V200);
+    let joint = ARM[0];
+    let law = Impedance {
+        stiffness: 30.0,
+        damping: 1.0,
+        torque_max: 8.0,
+        added: 0.0,
+    };
+    let start = lead.drives[4].feedback().unwrap().position;
+    let home = joint.angle(start) + 0.5;
+    let spring = |lead: &mut Lead, cycles: usize| {
+        for _ in 0..cycles {
+            let told = lead.drives[4].feedback().unwrap();
+            let torque = law.torque(
+                &joint,
+                home - joint.angle(told.position),
+                -joint.speed(told.velocity_rpm),
+            );
+            lead.wanted[4] = Some(Command::current(joint.current_ma(torque)));
+            lead.cycle();
+        }
+        joint.angle(lead.drives[4].feedback().unwrap().position)
+    };
+    let rest = spring(&mut lead, 2000);
+    assert!((rest - home).abs() < 0.1, "{rest}");
+    lead.bot.arms[0][0].lock().pushed = 5.0;
+    let pushed = spring(&mut lead, 2000);
+    assert!((pushed - rest).abs() > 0.1, "{rest} {pushed}");
+    lead.bot.arms[0][0].lock().pushed = 0.0;
+    let back = spring(&mut lead, 2000);
+    assert!((back - home).abs() < 0.1, "{back}");
+}
+
+#[test]
+fn homing_without_a_stop_ends() {
+    let mut homing = Homing::new(HOMING[0]);
+    let mut mailbox = Mailbox::new(0);
+    homing.start();
+    let told = Feedback {
+        velocity_rpm: 156,
+        ..Feedback::default()
+    };
+    let mut now = Duration::from_secs(1);
+    homing.cycle(&told, &mut mailbox, true, now);
+    mailbox.pretend(Ok(Answer::Value(0)));
+    for _ in 0..16_000 {
+        homing.cycle(&told, &mut mailbox, true, now);
+        now += Duration::from_millis(1);
+    }
+    assert_eq!(homing.state(), HomingState::Failed(HomingError::NoStop));
+}

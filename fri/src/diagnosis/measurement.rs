@@ -1,0 +1,53 @@
+//! Measurements of both generations as the one kind that is judged. It decodes nothing.
+
+use super::Measurement;
+use crate::lwr::wire::{Msr, Quality as LwrQuality};
+use crate::sunrise::wire::{Monitoring, Quality};
+use std::time::Duration;
+
+/// Resolution of an f32 of seconds: the stamps of FRI 1.0 are useless when it is coarser than a tenth of the period.
+fn stamp(msr: &Msr, period: Duration) -> Option<Duration> {
+    let seconds = msr.interface.timestamp_s;
+    let step = seconds * f32::EPSILON;
+    (seconds >= 0.0 && step < period.as_secs_f32() / 10.0)
+        .then(|| Duration::try_from_secs_f32(seconds).ok())?
+}
+
+impl Measurement {
+    /// Of FRI 1.0.
+    #[must_use]
+    pub fn lwr(at: Duration, msr: &Msr) -> Self {
+        let period = Duration::try_from_secs_f32(msr.interface.msr_period_s).unwrap_or_default();
+        Self {
+            at,
+            sequence: msr.header.sequence.into(),
+            reflected: msr.header.reflected.into(),
+            stamp: stamp(msr, period),
+            period,
+            is_due: true,
+            answer_rate: Some(msr.statistics.answer_rate.into()),
+            is_good: msr.interface.quality.code() >= LwrQuality::Bad.code(),
+        }
+    }
+
+    /// Of Sunrise. Whether it wants an answer is told for a receiveMultiplier of 1 only: whoever answers knows better.
+    #[must_use]
+    pub fn sunrise(at: Duration, message: &Monitoring) -> Self {
+        let stamp = message.monitor.and_then(|data| data.stamp);
+        let connection = message.connection;
+        let period_ms = connection.and_then(|it| it.send_period_ms).unwrap_or(0);
+        let times = connection.and_then(|it| it.receive_multiplier).unwrap_or(1);
+        Self {
+            at,
+            sequence: message.header.sequence,
+            reflected: message.header.reflected,
+            stamp: stamp.map(|it| {
+                Duration::from_secs(it.seconds.into()) + Duration::from_nanos(it.nanoseconds.into())
+            }),
+            period: Duration::from_millis(period_ms.into()),
+            is_due: times <= 1,
+            answer_rate: None,
+            is_good: message.quality().code() >= Quality::Good.code(),
+        }
+    }
+}

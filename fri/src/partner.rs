@@ -1,0 +1,367 @@
+//! The client's side of a connection whose generation is not known beforehand: found out from the first datagrams, then
+//! answered as its [session](crate) prescribes, and [observed](crate::diagnosis). For tools; a driver knows its robot
+//! and keeps the session itself.
+
+use crate::diagnosis::{Measurement, Observed, Observer};
+use crate::error::{AnswerError, DecodeError};
+use crate::generation::Kind;
+use crate::guard::Violation;
+use crate::lwr;
+use crate::sunrise::{self, wire::Dialect};
+use std::fmt;
+use std::time::Duration;
+
+mod status;
+#[cfg(test)]
+mod tests;
+
+pub use status::{Counters, Phase, Quality, State, Status, Told};
+
+/// Number of axes of both generations.
+pub const AXES: usize = 7;
+
+/// A generation of FRI, and the dialect of Sunrise as far as it is known.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Version {
+    /// FRI 1.0.
+    Lwr,
+    /// FRI of Sunrise.
+    Sunrise(Option<Dialect>),
+}
+
+/// Settings of a [`Partner`].
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct PartnerConfig {
+    /// What the controller must speak; `None` takes any.
+    pub expected: Option<Version>,
+    /// Settings for an LWR.
+    pub lwr: lwr::SessionConfig,
+    /// Settings for Sunrise; what is expected overrides their dialect.
+    pub sunrise: sunrise::SessionConfig,
+}
+
+/// Why a datagram was refused.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum Refusal {
+    /// It is no measurement.
+    #[error("{found} came, where only a controller's measurements are due{}", remedy(*found))]
+    NoMeasurement {
+        /// What it is.
+        found: Kind,
+    },
+    /// The controller speaks another generation than the one asked for.
+    #[error(
+        "the controller speaks {actual}, {expected} was asked for: the client's SDK must be of the controller's version"
+    )]
+    Version {
+        /// What was asked for.
+        expected: Version,
+        /// What the controller speaks.
+        actual: Version,
+    },
+    /// It is damaged, or of another dialect than the one asked for.
+    #[error(transparent)]
+    Decode(#[from] DecodeError),
+}
+
+fn remedy(found: Kind) -> &'static str {
+    match found {
+        Kind::LwrCommand | Kind::SunriseCommand { .. } => {
+            ": a second client takes this host for a controller; correct the address it answers to"
+        }
+        Kind::Unknown | Kind::LwrMeasurement | Kind::SunriseMonitoring { .. } => {
+            ": another program uses this port; choose a port of the controller's own"
+        }
+    }
+}
+
+/// What one datagram told.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Heard {
+    /// Whether it is newer than those before it; else it means nothing.
+    pub is_new: bool,
+    /// Measurements lost since the one before.
+    pub lost: u16,
+    /// Whether the robot follows our answers from now on; they start at [`Partner::mirror`].
+    pub has_entered: bool,
+}
+
+/// Why what was asked for is not in an answer.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum Withheld {
+    /// A value is beyond its guard.
+    #[error(transparent)]
+    Guard(Violation),
+    /// Sunrise does not let it through.
+    #[error(transparent)]
+    Sunrise(sunrise::Withheld),
+}
+
+/// An answer that was built.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Answer {
+    /// Bytes to send.
+    pub len: usize,
+    /// Why the positions asked for are not in it, if they are not.
+    pub withheld: Option<Withheld>,
+}
+
+/// The client of a controller of either generation.
+///
+/// Per cycle as the sessions themselves: [`handle_datagram`](Self::handle_datagram), [`answer`](Self::answer), send what
+/// it wrote, tell when by [`handle_sent`](Self::handle_sent). A controller that comes back after silence may be of the
+/// other generation.
+#[derive(Debug, Clone)]
+pub struct Partner {
+    config: PartnerConfig,
+    version: Option<Version>,
+    lwr: lwr::Session,
+    sunrise: sunrise::Session,
+    observer: Observer,
+    /// Counter of the answer built last.
+    answered: u32,
+    refused: u64,
+    refusal: Option<Refusal>,
+}
+
+impl Partner {
+    /// One that has heard nothing yet.
+    #[must_use]
+    pub fn new(mut config: PartnerConfig) -> Self {
+        if let Some(Version::Sunrise(dialect)) = config.expected {
+            config.sunrise.dialect = dialect;
+        }
+        Self {
+            version: None,
+            lwr: lwr::Session::new(config.lwr),
+            sunrise: sunrise::Session::new(config.sunrise),
+            observer: Observer::lwr(),
+            answered: 0,
+            refused: 0,
+            refusal: None,
+            config,
+        }
+    }
+
+    /// Takes a received datagram; `now` is its time of arrival.
+    pub fn handle_datagram(&mut self, bytes: &[u8], now: Duration) -> Result<Heard, Refusal> {
+        self.take(bytes, now).inspect_err(|refusal| {
+            self.refused += 1;
+            self.refusal = Some(*refusal);
+        })
+    }
+
+    fn take(&mut self, bytes: &[u8], now: Duration) -> Result<Heard, Refusal> {
+        self.handle_timeout(now);
+        if self.phase() == Phase::Offline {
+            self.detect(bytes)?;
+        }
+        match self.version {
+            Some(Version::Sunrise(_)) => self.take_sunrise(bytes, now),
+            Some(Version::Lwr) | None => self.take_lwr(bytes, now),
+        }
+    }
+
+    /// Finds out what to talk to.
+    fn detect(&mut self, bytes: &[u8]) -> Result<(), Refusal> {
+        let found = Kind::of(bytes);
+        let actual = match found {
+            Kind::LwrMeasurement => Version::Lwr,
+            Kind::SunriseMonitoring { .. } => Version::Sunrise(None),
+            Kind::LwrCommand | Kind::SunriseCommand { .. } | Kind::Unknown => {
+                return Err(Refusal::NoMeasurement { found });
+            }
+        };
+        if let Some(expected) = self.config.expected.filter(|it| !it.is_same(actual)) {
+            return Err(Refusal::Version { expected, actual });
+        }
+        if self.version.is_none_or(|before| !before.is_same(actual)) {
+            self.observer = actual.observer();
+            self.version = Some(actual);
+        }
+        Ok(())
+    }
+
+    fn take_lwr(&mut self, bytes: &[u8], now: Duration) -> Result<Heard, Refusal> {
+        let reception = self.lwr.handle_datagram(bytes, now)?;
+        // Of a copy or an old one the newest is told again, and counted as such.
+        if let Some(msr) = self.lwr.measurement() {
+            self.observer.handle_measurement(Measurement::lwr(now, msr));
+        }
+        Ok(Heard {
+            is_new: reception.order.is_new(),
+            lost: reception.lost,
+            has_entered: reception.event == Some(lwr::Event::CommandEntered),
+        })
+    }
+
+    fn take_sunrise(&mut self, bytes: &[u8], now: Duration) -> Result<Heard, Refusal> {
+        let reception = self.sunrise.handle_datagram(bytes, now)?;
+        self.version = Some(Version::Sunrise(self.sunrise.dialect()));
+        if let Some(message) = self.sunrise.message() {
+            self.observer.handle_measurement(Measurement {
+                is_due: reception.is_due,
+                ..Measurement::sunrise(now, message)
+            });
+        }
+        Ok(Heard {
+            is_new: reception.order.is_new(),
+            lost: reception.lost,
+            has_entered: reception.event == Some(sunrise::Event::CommandEntered),
+        })
+    }
+
+    /// Lets positions through from now on, in command mode; on an LWR that needs no word. They start at
+    /// [`mirror`](Self::mirror).
+    pub fn engage(&mut self) -> Result<(), Withheld> {
+        match self.version {
+            Some(Version::Sunrise(_)) => self.sunrise.engage().map_err(Withheld::Sunrise),
+            Some(Version::Lwr) | None => Ok(()),
+        }
+    }
+
+    /// Builds the answer to the last measurement. `None` asks for nothing: an LWR in command mode is held where it is,
+    /// an iiwa where its interpolator has it.
+    pub fn answer(
+        &mut self,
+        joints: Option<&[f64; AXES]>,
+        buf: &mut [u8],
+    ) -> Result<Answer, AnswerError> {
+        let answer = match self.version {
+            Some(Version::Sunrise(_)) => {
+                let demand = joints.map_or(sunrise::Demand::Hold, |joints| {
+                    sunrise::Demand::Position(*joints)
+                });
+                let answer = self.sunrise.answer(&demand, buf)?;
+                Answer {
+                    len: answer.len,
+                    withheld: answer.withheld.map(Withheld::Sunrise),
+                }
+            }
+            Some(Version::Lwr) | None => Answer {
+                len: self.lwr.answer(joints, buf)?,
+                withheld: self.lwr.violation().map(Withheld::Guard),
+            },
+        };
+        self.answered = self.next_sequence().wrapping_sub(1);
+        Ok(answer)
+    }
+
+    /// Counter of the next answer.
+    fn next_sequence(&self) -> u32 {
+        match self.version {
+            Some(Version::Sunrise(_)) => wrapped(self.sunrise.counters().answered),
+            Some(Version::Lwr) | None => {
+                u32::from(self.config.lwr.first_sequence) + wrapped(self.lwr.counters().answered)
+            }
+        }
+    }
+
+    /// The answer built last left at `at`.
+    pub fn handle_sent(&mut self, at: Duration) {
+        self.observer.handle_answer(at, self.answered);
+    }
+
+    /// Tells the time; returns whether the controller has just been found gone.
+    pub fn handle_timeout(&mut self, now: Duration) -> bool {
+        match self.version {
+            Some(Version::Sunrise(_)) => self.sunrise.handle_timeout(now),
+            Some(Version::Lwr) => self.lwr.handle_timeout(now),
+            None => false,
+        }
+    }
+
+    /// Whether a measurement waits for its answer.
+    #[must_use]
+    pub fn is_pending(&self) -> bool {
+        match self.version {
+            Some(Version::Sunrise(_)) => self.sunrise.is_pending(),
+            Some(Version::Lwr) => self.lwr.is_pending(),
+            None => false,
+        }
+    }
+
+    /// Joint positions, rad, that the next answer may carry without a jump. Zeros before the first measurement.
+    #[must_use]
+    pub fn mirror(&self) -> [f64; AXES] {
+        match self.version {
+            Some(Version::Sunrise(_)) => self.sunrise.mirror(),
+            Some(Version::Lwr) | None => self.lwr.mirror(),
+        }
+    }
+
+    /// Time between measurements; `None` before the first one.
+    #[must_use]
+    pub fn period(&self) -> Option<Duration> {
+        match self.version? {
+            Version::Sunrise(_) => self.sunrise.period(),
+            Version::Lwr => self.lwr.period(),
+        }
+    }
+
+    /// What the controller speaks; `None` before the first measurement.
+    #[must_use]
+    pub fn version(&self) -> Option<Version> {
+        self.version
+    }
+
+    /// What was observed so far.
+    #[must_use]
+    pub fn observed(&self) -> Observed {
+        self.observer.observed()
+    }
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "a counter that wraps")]
+fn wrapped(counter: u64) -> u32 {
+    counter as u32
+}
+
+impl Version {
+    /// Whether both may be the same generation.
+    fn is_same(self, other: Self) -> bool {
+        match (self, other) {
+            (Self::Lwr, Self::Lwr) | (Self::Sunrise(_), Self::Sunrise(_)) => true,
+            (Self::Lwr, Self::Sunrise(_)) | (Self::Sunrise(_), Self::Lwr) => false,
+        }
+    }
+
+    fn observer(self) -> Observer {
+        match self {
+            Self::Lwr => Observer::lwr(),
+            Self::Sunrise(_) => Observer::sunrise(),
+        }
+    }
+
+    /// Largest absolute position of each joint by the data sheets, rad.
+    #[must_use]
+    pub fn position_max_rad(self) -> [f64; AXES] {
+        let last = match self {
+            Self::Lwr => 170.0,
+            Self::Sunrise(_) => 175.0_f64,
+        };
+        [170.0, 120.0, 170.0, 120.0, 170.0, 120.0, last].map(f64::to_radians)
+    }
+
+    /// Names of the joints in the order of every joint array.
+    #[must_use]
+    pub fn joint_names(self) -> [&'static str; AXES] {
+        match self {
+            Self::Lwr => lwr::JOINT_NAMES,
+            Self::Sunrise(_) => sunrise::JOINT_NAMES,
+        }
+    }
+}
+
+impl fmt::Display for Version {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Lwr => f.pad("FRI 1.0 (LWR)"),
+            Self::Sunrise(None) => f.pad("FRI of Sunrise"),
+            Self::Sunrise(Some(Dialect::V1)) => f.pad("FRI 1.x of Sunrise"),
+            Self::Sunrise(Some(Dialect::V2)) => f.pad("FRI 2.0 to 2.5 of Sunrise"),
+            Self::Sunrise(Some(Dialect::V3)) => f.pad("FRI 2.7 (3.0) of Sunrise"),
+        }
+    }
+}

@@ -1,0 +1,226 @@
+//! What is to be known of a connection at one moment, in one value for both generations. It draws no conclusion.
+
+use super::{AXES, Partner, Refusal, Version};
+use crate::lwr::{self, wire as lwr_wire};
+use crate::sunrise::{self, wire};
+use std::fmt;
+use std::time::Duration;
+
+/// Where the connection stands, whatever the generation calls it.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Phase {
+    /// Nothing came yet, or not for a while.
+    #[default]
+    Offline,
+    /// Measurements flow; the robot does not follow.
+    Monitor,
+    /// An overlay is about to begin.
+    Synchronising,
+    /// The robot follows our answers.
+    Command,
+}
+
+/// State as the controller tells it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum State {
+    /// Of FRI 1.0.
+    Lwr(lwr_wire::State),
+    /// Of Sunrise.
+    Sunrise(wire::SessionState),
+}
+
+/// Quality as the controller tells it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Quality {
+    /// Of FRI 1.0.
+    Lwr(lwr_wire::Quality),
+    /// Of Sunrise.
+    Sunrise(wire::Quality),
+}
+
+/// What an LWR's controller says of our answers: averages over its last 100 measurements.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Told {
+    /// Share of measurements answered in time, 0..=1.
+    pub answer_rate: f32,
+    /// Time from measurement to answer, s.
+    pub latency_s: f32,
+    /// Variation of that time, s.
+    pub jitter_s: f32,
+    /// Answers missing since the interface was opened.
+    pub missed: u32,
+}
+
+/// Totals since the partner was made.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Counters {
+    /// Measurements accepted as new.
+    pub received: u64,
+    /// Answers built.
+    pub answered: u64,
+    /// Measurements that never came.
+    pub lost: u64,
+    /// Copies, and measurements overtaken by newer ones.
+    pub old: u64,
+    /// Restarts of the controller.
+    pub restarts: u64,
+    /// Times the controller fell silent.
+    pub silences: u64,
+    /// Datagrams refused.
+    pub refused: u64,
+}
+
+/// A connection at one moment.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Status {
+    /// What the controller speaks; `None` before the first measurement, as all that follows.
+    pub version: Option<Version>,
+    /// Where the connection stands.
+    pub phase: Phase,
+    /// State as told.
+    pub state: Option<State>,
+    /// Quality as told.
+    pub quality: Option<Quality>,
+    /// Whether the drives have power.
+    pub has_power: Option<bool>,
+    /// Time between measurements.
+    pub period: Option<Duration>,
+    /// Measured joint positions, rad.
+    pub measured: Option<[f64; AXES]>,
+    /// Where the controller itself has the joints, rad.
+    pub set_point: Option<[f64; AXES]>,
+    /// Estimated external torques, Nm.
+    pub external_torque: Option<[f64; AXES]>,
+    /// What an LWR's controller says of our answers.
+    pub told: Option<Told>,
+    /// Totals.
+    pub counters: Counters,
+    /// Why a datagram was refused last.
+    pub refusal: Option<Refusal>,
+}
+
+impl Quality {
+    /// Whether it suffices for commands with something to spare: OK or PERFECT, GOOD or EXCELLENT.
+    #[must_use]
+    pub fn is_sound(self) -> bool {
+        match self {
+            Self::Lwr(quality) => match quality {
+                lwr_wire::Quality::Ok | lwr_wire::Quality::Perfect => true,
+                lwr_wire::Quality::Unacceptable
+                | lwr_wire::Quality::Bad
+                | lwr_wire::Quality::Other(_) => false,
+            },
+            Self::Sunrise(quality) => match quality {
+                wire::Quality::Good | wire::Quality::Excellent => true,
+                wire::Quality::Poor | wire::Quality::Fair | wire::Quality::Other(_) => false,
+            },
+        }
+    }
+}
+
+impl Partner {
+    /// Where the connection stands.
+    #[must_use]
+    pub fn phase(&self) -> Phase {
+        match self.version {
+            None => Phase::Offline,
+            Some(Version::Lwr) => match self.lwr.phase() {
+                lwr::Phase::Offline => Phase::Offline,
+                lwr::Phase::Monitor => Phase::Monitor,
+                lwr::Phase::Command => Phase::Command,
+            },
+            Some(Version::Sunrise(_)) => match self.sunrise.phase() {
+                sunrise::Phase::Offline => Phase::Offline,
+                sunrise::Phase::Idle
+                | sunrise::Phase::MonitoringWait
+                | sunrise::Phase::MonitoringReady => Phase::Monitor,
+                sunrise::Phase::CommandingWait => Phase::Synchronising,
+                sunrise::Phase::CommandingActive => Phase::Command,
+            },
+        }
+    }
+
+    /// All that is known at this moment.
+    #[must_use]
+    pub fn status(&self) -> Status {
+        let told = match self.version {
+            None => None,
+            Some(Version::Lwr) => self.lwr.measurement().map(of_lwr),
+            Some(Version::Sunrise(_)) => self.sunrise.message().map(of_sunrise),
+        };
+        Status {
+            version: self.version,
+            phase: self.phase(),
+            period: self.period(),
+            counters: self.counters(),
+            refusal: self.refusal,
+            ..told.unwrap_or_default()
+        }
+    }
+
+    /// Totals of both generations: a port may have met either.
+    fn counters(&self) -> Counters {
+        let (lwr, sunrise) = (self.lwr.counters(), self.sunrise.counters());
+        Counters {
+            received: lwr.received + sunrise.received,
+            answered: lwr.answered + sunrise.answered,
+            lost: lwr.lost + sunrise.lost,
+            old: lwr.old + sunrise.old,
+            restarts: lwr.restarts + sunrise.restarts,
+            silences: lwr.silences + sunrise.silences,
+            refused: self.refused,
+        }
+    }
+}
+
+fn of_lwr(msr: &lwr_wire::Msr) -> Status {
+    let statistics = msr.statistics;
+    Status {
+        state: Some(State::Lwr(msr.interface.state)),
+        quality: Some(Quality::Lwr(msr.interface.quality)),
+        has_power: Some(msr.robot.power != 0),
+        measured: Some(msr.measured_joints.map(f64::from)),
+        set_point: Some(msr.set_point()),
+        external_torque: Some(msr.external_torque.map(f64::from)),
+        told: Some(Told {
+            answer_rate: statistics.answer_rate,
+            latency_s: statistics.latency_s,
+            jitter_s: statistics.jitter_s,
+            missed: statistics.miss_counter,
+        }),
+        ..Status::default()
+    }
+}
+
+fn of_sunrise(message: &wire::Monitoring) -> Status {
+    let drives = message.robot.and_then(|robot| robot.drives);
+    let data = message.monitor;
+    let ipo = message.ipo.and_then(|ipo| ipo.joints);
+    Status {
+        state: Some(State::Sunrise(message.state())),
+        quality: Some(Quality::Sunrise(message.quality())),
+        has_power: drives.map(|drives| drives.iter().all(|drive| *drive == wire::Drive::Active)),
+        measured: message.measured(),
+        set_point: ipo.or(data.and_then(|data| data.commanded)),
+        external_torque: data.and_then(|data| data.external_torque),
+        ..Status::default()
+    }
+}
+
+impl fmt::Display for State {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Lwr(state) => state.fmt(f),
+            Self::Sunrise(state) => state.fmt(f),
+        }
+    }
+}
+
+impl fmt::Display for Quality {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Lwr(quality) => quality.fmt(f),
+            Self::Sunrise(quality) => quality.fmt(f),
+        }
+    }
+}

@@ -1,0 +1,229 @@
+//! Two, four and eight LWRs at 1 ms, moved by one net of one thread, each with a driver of its own and an emulated KRC
+//! at the other end of the wire, on the other processors as far as there are any. Prints how many answers came in time,
+//! and how late. Judges no figure. `cargo bench -p takt-core --bench arms [-- [--json]]`.
+#![expect(clippy::print_stdout, reason = "a benchmark prints its result")]
+
+use std::fmt::Write;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+use takt_core::cell::{DeviceConfig, LwrConfig};
+use takt_core::controller::LoadRequest;
+use takt_core::device::DeviceStatus;
+use takt_core::device::lwr::Lwr;
+use takt_core::{CellConfig, Controller, SessionId};
+use takt_fri::linux::{UdpLink, monotonic};
+use takt_fri::lwr::emulator::{Krc, KrcConfig, KrcStatus, Timing, serve};
+use takt_rt::thread::{Thread, ThreadConfig, spawn};
+
+const COUNTS: [usize; 4] = [1, 2, 4, 8];
+const PERIOD: Duration = Duration::from_millis(1);
+/// How long the arms are looked at.
+const LOOK: Duration = Duration::from_secs(10);
+/// How long they may take to follow commands.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+fn main() {
+    let mut all = json!({});
+    for count in COUNTS {
+        let result = run(count);
+        println!(
+            "{count} arms: {:.4} of answers in time (the worst arm), {:.4} answered at all, answer time p50 {} us, \
+             p99 {} us, {} stalls of the host, {} falls",
+            result["in_time"].as_f64().unwrap_or(f64::NAN),
+            result["answered"].as_f64().unwrap_or(f64::NAN),
+            result["answer_us_p50"],
+            result["answer_us_p99"],
+            result["stalls"],
+            result["falls"],
+        );
+        all[format!("arms_{count}")] = result;
+    }
+    if std::env::args().any(|argument| argument == "--json") {
+        println!("{all}");
+    }
+}
+
+/// Processors for the controller, and for the emulators.
+fn processors() -> [Vec<usize>; 2] {
+    let count = std::thread::available_parallelism().map_or(1, usize::from);
+    if count < 2 {
+        return [Vec::new(), Vec::new()];
+    }
+    let half = count / 2;
+    [(0..half).collect(), (half..count).collect()]
+}
+
+/// An emulated KRC in a thread of its own.
+struct Robot {
+    status: Arc<KrcStatus>,
+    stop: Arc<AtomicBool>,
+    thread: Option<Thread<()>>,
+}
+
+impl Robot {
+    fn start(target: SocketAddr, cpus: Vec<usize>) -> Self {
+        let (status, stop) = (Arc::new(KrcStatus::new()), Arc::new(AtomicBool::new(false)));
+        let (shared, stopping) = (Arc::clone(&status), Arc::clone(&stop));
+        let config = ThreadConfig {
+            priority: Some(88),
+            cpus,
+            ..ThreadConfig::new("krc")
+        };
+        let thread = spawn(config, move || {
+            let local = SocketAddr::from(([127, 0, 0, 1], 0));
+            let mut link = UdpLink::connect(local, target).expect("loopback is there");
+            // More patience than a real one: a fall would hide what is to be seen.
+            let timing = Timing {
+                misses_max: 1000,
+                bad_from: 0.0,
+                ..Timing::default()
+            };
+            let config = KrcConfig {
+                period: PERIOD,
+                joints: [0.0, 0.5, 0.0, -1.2, 0.0, 0.8, 0.0],
+                timing,
+                ..KrcConfig::default()
+            };
+            let start = monotonic().expect("there is a clock");
+            let mut krc = Box::new(Krc::new(config, start));
+            serve(&mut krc, &mut link, &shared, &stopping).expect("loopback works");
+        });
+        Self {
+            status,
+            stop,
+            thread: Some(thread.expect("the system has a thread to give")),
+        }
+    }
+
+    fn counts(&self) -> Counts {
+        Counts {
+            sent: self.status.sent(),
+            answers: self.status.answers(),
+            missed: self.status.missed().into(),
+            stalls: self.status.stalls(),
+        }
+    }
+}
+
+impl Drop for Robot {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            thread.join().expect("no cycle panics");
+        }
+    }
+}
+
+/// Totals of an emulated controller.
+#[derive(Clone, Copy)]
+struct Counts {
+    sent: u64,
+    answers: u64,
+    /// Measurements without an answer in time.
+    missed: u64,
+    /// Measurements that were not sent because this host was late.
+    stalls: u64,
+}
+
+/// Moves joint 6 of each arm to and fro without end.
+fn net(count: usize) -> String {
+    let mut text = String::from(
+        "{true=Core::BooleanValue(Value='true'),past=Core::BooleanPre(inValue=true.outValue),
+        first=Core::BooleanIsNull(inValue=past.outValue),clock=Core::Clock(),
+        sine=Core::DoubleSin(inValue=clock.outValue),
+        way=Core::DoubleMultiply(inFirst=sine.outValue,Second='0.3'),cancel=Cancel(),outTerminate=cancel.outCancel",
+    );
+    for arm in 0..count {
+        let _infallible = write!(
+            text,
+            ",m{arm}=RobotArm::JointMonitor(Robot='arm{arm}',Axis='6'),
+            s{arm}=Core::DoubleSnapshot(inSnapshot=first.outValue,inValue=m{arm}.outCommandedPosition),
+            to{arm}=Core::DoubleAdd(inFirst=s{arm}.outValue,inSecond=way.outValue),
+            j{arm}=RobotArm::JointPosition(inPosition=to{arm}.outValue,Robot='arm{arm}',Axis='6')"
+        );
+    }
+    text.push('}');
+    text
+}
+
+fn start(count: usize, cpus: &[usize]) -> Controller {
+    let anywhere = SocketAddr::from(([127, 0, 0, 1], 0));
+    let arm = |arm: usize| {
+        DeviceConfig::Lwr(LwrConfig {
+            cpus: cpus.to_vec(),
+            ..LwrConfig::new(format!("arm{arm}"), anywhere)
+        })
+    };
+    let mut config = CellConfig {
+        devices: (0..count).map(arm).collect(),
+        ..CellConfig::default()
+    };
+    config.controller.period = PERIOD;
+    config.controller.cpus = cpus.to_vec();
+    Controller::start(&config).expect("the system has threads and sockets to give")
+}
+
+fn wait_for(controller: &Controller) {
+    let until = Instant::now() + PATIENCE;
+    let follows = |c: &Controller| {
+        let devices = c.devices();
+        devices
+            .iter()
+            .all(|d| d.status == DeviceStatus::Operational)
+    };
+    while !follows(controller) {
+        assert!(Instant::now() < until, "the arms never followed commands");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+/// One run with so many arms.
+fn run(count: usize) -> Value {
+    let [ours, theirs] = processors();
+    let controller = start(count, &ours);
+    let addresses = controller.with_drivers(Lwr::address);
+    let robots: Vec<_> = addresses
+        .into_iter()
+        .map(|address| Robot::start(address, theirs.clone()))
+        .collect();
+    wait_for(&controller);
+    let request = LoadRequest {
+        text: net(count),
+        session: SessionId::NONE,
+        description: String::new(),
+        period: None,
+    };
+    let id = controller.load(request).expect("there is room");
+    controller.start_net(id).expect("the arms follow commands");
+    std::thread::sleep(Duration::from_secs(1));
+    let before: Vec<_> = robots.iter().map(Robot::counts).collect();
+    std::thread::sleep(LOOK);
+    let after: Vec<_> = robots.iter().map(Robot::counts).collect();
+    let spans: Vec<_> = before.iter().zip(&after).collect();
+    let worst = |share: &dyn Fn(&Counts, &Counts) -> f64| {
+        let shares = spans.iter().map(|(before, after)| share(before, after));
+        (shares.fold(1.0, f64::min) * 1e5).round() / 1e5
+    };
+    let in_time = worst(&|a, b| 1.0 - ratio(b.missed - a.missed, b.sent - a.sent));
+    let answered = worst(&|a, b| ratio(b.answers - a.answers, b.sent - a.sent));
+    let stalls: u64 = spans.iter().map(|(a, b)| b.stalls - a.stalls).sum();
+    let falls: u64 = robots.iter().map(|robot| robot.status.falls()).sum();
+    let times = controller.with_drivers(|driver: &Lwr| driver.answer_time.read());
+    let us = |quantile: f64| {
+        let values = times.iter().map(|times| times.quantile(quantile).0);
+        values.max().unwrap_or(0) / 1000
+    };
+    json!({
+        "in_time": in_time, "answered": answered, "answer_us_p50": us(0.5),
+        "answer_us_p99": us(0.99), "stalls": stalls, "falls": falls,
+    })
+}
+
+#[expect(clippy::cast_precision_loss, reason = "few cycles")]
+fn ratio(part: u64, whole: u64) -> f64 {
+    part as f64 / whole.max(1) as f64
+}

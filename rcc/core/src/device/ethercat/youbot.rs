@@ -1,0 +1,186 @@
+//! youBots on the segment: arms with their grippers, and bases. Which slaves they are follows from where their power
+//! boards stand; what drives, homing and grippers do is in `takt_ethercat::youbot`.
+
+mod arm;
+mod base;
+mod describe;
+mod gripper;
+mod springs;
+
+use std::time::Duration;
+
+use takt_ethercat::master::{Master, Reply};
+use takt_ethercat::youbot::{Command, Drive, HomingError, Obstacle};
+use takt_rt::Nanos;
+use takt_rt::cycle::Tick;
+
+use crate::cell::EthercatConfig;
+use crate::device::driver::DeviceEnd;
+use arm::Arm;
+use base::Base;
+pub(super) use describe::{check, describe, specs};
+
+/// Cycles without inputs after which a drive counts as gone.
+const GONE: u32 = 4;
+/// Commands older than this many cycles of the segment are no longer followed.
+const STALE_AFTER: i64 = 10;
+
+/// What happened to all drives of all youBots.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct YouBotFigures {
+    /// EtherCAT time-outs of drives, each cleared.
+    pub timeouts: u64,
+    /// I2t of drives, each cleared unless there were too many.
+    pub i2t: u64,
+    /// Cycles in which a current was cut to the largest one.
+    pub clamped: u64,
+    /// TMCL requests that were asked again.
+    pub repeats: u64,
+}
+
+/// Why a device is not operational.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Wait {
+    /// A drive does not do what it is told.
+    #[error("{0}")]
+    Drive(Obstacle),
+    /// A joint was not homed since power came on.
+    #[error("it was not homed since power came on; `homing = true` lets it look for its stop")]
+    NotHomed,
+    /// It is being homed.
+    #[error("it is on its way to its stop")]
+    Homing,
+    /// It could not be homed.
+    #[error("homing failed: {0}")]
+    Failed(HomingError),
+}
+
+/// A drive that a device waits for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Waiting {
+    /// Number of the drive with the master.
+    pub(super) slave: usize,
+    pub(super) why: Wait,
+}
+
+impl YouBotFigures {
+    fn add(&mut self, drive: &Drive) {
+        let counters = drive.counters();
+        self.timeouts += counters.timeouts;
+        self.i2t += counters.i2t;
+        self.clamped += counters.clamped;
+        self.repeats += drive.repeats();
+    }
+}
+
+/// All youBots of a segment.
+#[derive(Debug)]
+pub(super) struct YouBots {
+    bases: Vec<Base>,
+    arms: Vec<Arm>,
+}
+
+impl YouBots {
+    /// Takes the ends of its devices, in the order of [`describe`].
+    pub(super) fn new(config: &EthercatConfig, ends: &mut impl Iterator<Item = DeviceEnd>) -> Self {
+        let places = describe::Places::new(config);
+        let bases = config.youbot_bases.iter().zip(&places.bases);
+        let bases = bases.filter_map(|(base, slaves)| {
+            Some(Base::new(base, *slaves, config.cycle, ends.next()?))
+        });
+        let bases = bases.collect();
+        let mut arms = Vec::new();
+        for (arm, slaves) in config.youbot_arms.iter().zip(&places.arms) {
+            let Some(end) = ends.next() else {
+                break;
+            };
+            let gripper = arm.gripper.as_ref().and_then(|_| ends.next());
+            arms.push(Arm::new(arm, *slaves, config.cycle, end, gripper));
+        }
+        Self { bases, arms }
+    }
+
+    /// A reply of the master to a job of one of them.
+    pub(super) fn handle_reply(&mut self, reply: Reply, tick: &Tick) {
+        let bases = self.bases.iter_mut().flat_map(|base| &mut base.drives);
+        let arms = self.arms.iter_mut().flat_map(|arm| &mut arm.drives);
+        let slave = reply.job.slave;
+        if let Some(drive) = bases.chain(arms).find(|drive| drive.slave() == slave) {
+            drive.mailbox().handle_reply(reply, now(tick));
+        }
+    }
+
+    /// Leads all through one cycle.
+    pub(super) fn cycle(&mut self, master: &mut Master, tick: &Tick, stopping: bool) {
+        for base in &mut self.bases {
+            base.cycle(master, tick, stopping);
+        }
+        for arm in &mut self.arms {
+            arm.cycle(master, tick, stopping);
+        }
+    }
+
+    /// Whether nothing moves any more.
+    pub(super) fn rest(&self) -> bool {
+        self.bases.iter().all(Base::rests) && self.arms.iter().all(Arm::rests)
+    }
+
+    /// The first drive that is waited for.
+    pub(super) fn waits_for(&self) -> Option<Waiting> {
+        let bases = self.bases.iter().flat_map(|base| &base.drives);
+        let arms = self.arms.iter().flat_map(|arm| &arm.drives);
+        let blocked = |drive: &Drive| {
+            let why = Wait::Drive(drive.obstacle()?);
+            let slave = drive.slave();
+            Some(Waiting { slave, why })
+        };
+        let of_drives = bases.chain(arms).find_map(blocked);
+        of_drives.or_else(|| self.arms.iter().find_map(Arm::waits_for))
+    }
+
+    /// What happened to their drives.
+    pub(super) fn figures(&self) -> YouBotFigures {
+        let mut figures = YouBotFigures::default();
+        let bases = self.bases.iter().flat_map(|base| &base.drives);
+        let arms = self.arms.iter().flat_map(|arm| &arm.drives);
+        for drive in bases.chain(arms) {
+            figures.add(drive);
+        }
+        figures
+    }
+}
+
+fn now(tick: &Tick) -> Duration {
+    Duration::from_nanos(tick.scheduled.0.unsigned_abs())
+}
+
+/// Whether the net thread that gave a command at that time is alive.
+fn is_fresh(given: Nanos, tick: &Tick, cycle: Nanos, net_period: Nanos) -> bool {
+    tick.scheduled - given <= Nanos(cycle.0 * STALE_AFTER) + net_period
+}
+
+/// One cycle of a drive: inputs of the last frame, outputs of the next, and its mailbox.
+fn lead(
+    drive: &mut Drive,
+    master: &mut Master,
+    wanted: Option<Command>,
+    may_move: bool,
+    tick: &Tick,
+) {
+    let slave = drive.slave();
+    let (bytes, age) = master.inputs(slave);
+    let there = master.is_exchanging() && age <= GONE && !bytes.is_empty();
+    let command = drive.cycle(there.then_some(bytes), wanted, may_move, now(tick));
+    if let Some(outputs) = master.outputs_mut(slave).first_chunk_mut() {
+        *outputs = command.encode();
+    }
+    drive.mailbox().poll(master, now(tick));
+}
+
+#[expect(
+    clippy::cast_precision_loss,
+    reason = "spans of milliseconds are exact"
+)]
+const fn seconds(span: Nanos) -> f64 {
+    span.0 as f64 * 1e-9
+}

@@ -1,0 +1,203 @@
+//! The base of a youBot: velocities that nets want, ramped and given to four wheels, and where the wheels say that it
+//! is. When commands stop it brakes to rest at its acceleration.
+
+use std::time::Duration;
+
+use takt_ethercat::master::Master;
+use takt_ethercat::youbot::{Command, Drive, DriveConfig, DriveState, Mecanum, Odometry, Ramp};
+use takt_net::device::{Interfaces, JointError, Layout};
+use takt_net::value::{Frame, Rotation, Twist, Vector};
+use takt_rt::Nanos;
+use takt_rt::cycle::Tick;
+use takt_rt::latest::{LatestReader, LatestWriter};
+
+use super::describe::base_parts;
+use super::{is_fresh, lead, seconds};
+use crate::cell::YouBotBase;
+use crate::device::driver::DeviceEnd;
+use crate::device::{DeviceCommand, DeviceState, DeviceStatus, parts};
+
+/// Longest time that a step of the ramp makes up for, s.
+const STEP_MAX: f64 = 0.1;
+
+/// The base.
+#[derive(Debug)]
+pub(super) struct Base {
+    pub(super) drives: [Drive; 4],
+    mecanum: Mecanum,
+    ramp: Ramp,
+    odometry: Odometry,
+    may_commutate: bool,
+    /// What came while it did not follow is refused until it ends.
+    refused: bool,
+    cycle: Nanos,
+    net_period: Nanos,
+    last: Option<Nanos>,
+    interfaces: Interfaces,
+    told: DeviceState,
+    taken: DeviceCommand,
+    state: LatestWriter<DeviceState>,
+    command: LatestReader<DeviceCommand>,
+}
+
+impl Base {
+    pub(super) fn new(
+        base: &YouBotBase,
+        slaves: [usize; 4],
+        cycle: Duration,
+        end: DeviceEnd,
+    ) -> Self {
+        #[expect(
+            clippy::cast_possible_truncation,
+            reason = "checked to be some amperes"
+        )]
+        let current_max_ma = (base.current_max * 1000.0) as i32;
+        let config = DriveConfig {
+            current_max_ma,
+            direction: 1,
+        };
+        let mut layout = Layout::default();
+        let interfaces = parts::lay(&base_parts(base), 0, &mut layout);
+        Self {
+            drives: slaves.map(|slave| Drive::new(slave, config)),
+            mecanum: Mecanum::default(),
+            ramp: Ramp::new(base.acceleration_max, base.rotation_acceleration_max),
+            odometry: Odometry::default(),
+            may_commutate: base.commutation,
+            refused: false,
+            cycle: cycle.into(),
+            net_period: end.net_period.into(),
+            last: None,
+            interfaces,
+            told: DeviceState::new(layout.signals),
+            taken: DeviceCommand::new(layout.commands),
+            state: end.state,
+            command: end.command,
+        }
+    }
+
+    pub(super) fn rests(&self) -> bool {
+        self.ramp.velocity().iter().all(|v| v.abs() < 1e-9)
+    }
+
+    fn follows(&self) -> bool {
+        self.drives.iter().all(Drive::follows)
+    }
+
+    pub(super) fn cycle(&mut self, master: &mut Master, tick: &Tick, stopping: bool) {
+        let taken = &mut self.taken;
+        self.command.read_with(|command| taken.copy_from(command));
+        let elapsed = self.last.replace(tick.scheduled);
+        let dt = elapsed
+            .map_or(0.0, |last| seconds(tick.scheduled - last))
+            .min(STEP_MAX);
+        let commanded = self.wanted(tick);
+        let follows = self.follows();
+        self.refused = commanded.is_some() && (self.refused || !follows);
+        let wanted = commanded.filter(|_| !self.refused && !stopping);
+        if follows {
+            self.ramp.step(wanted.unwrap_or_default(), dt);
+        } else {
+            self.ramp.rest();
+        }
+        let rpm = self.mecanum.rpm(self.ramp.velocity());
+        let may_move = self.may_commutate && commanded.is_none() && !stopping;
+        for (drive, rpm) in self.drives.iter_mut().zip(rpm) {
+            // All turn or none: a base with three wheels goes where nobody wants it.
+            let order = follows.then_some(Command::velocity(rpm));
+            lead(drive, master, order, may_move, tick);
+        }
+        self.measure();
+        self.tell(tick, wanted);
+    }
+
+    fn wanted(&self, tick: &Tick) -> Option<[f64; 3]> {
+        let base = self.interfaces.base.as_ref()?;
+        let given = base.command.read(&self.taken.words)?;
+        let fresh = is_fresh(self.taken.time, tick, self.cycle, self.net_period);
+        let Twist { vel, rot } = given.value;
+        let stands = fresh && given.stands(self.taken.cycle);
+        let finite = [vel.x, vel.y, rot.z].iter().all(|v| v.is_finite());
+        (stands && finite).then_some([vel.x, vel.y, rot.z])
+    }
+
+    fn measure(&mut self) {
+        let told = self.drives.each_ref().map(Drive::feedback);
+        if let [Some(a), Some(b), Some(c), Some(d)] = told {
+            let ticks = [a, b, c, d].map(|told| told.position);
+            self.odometry.advance(&self.mecanum, ticks);
+        } else {
+            self.odometry.forget();
+        }
+    }
+
+    fn tell(&mut self, tick: &Tick, wanted: Option<[f64; 3]>) {
+        let absent = |drive: &Drive| drive.state() == DriveState::Absent;
+        let status = if self.follows() {
+            DeviceStatus::Operational
+        } else if self.drives.iter().any(absent) {
+            DeviceStatus::Offline
+        } else {
+            DeviceStatus::SafeOperational
+        };
+        let left = self.told.status == DeviceStatus::Operational && status != self.told.status;
+        self.told.faults += u64::from(left);
+        (self.told.status, self.told.stamp) = (status, tick.scheduled);
+        self.tell_base(status, wanted);
+        let signals = &mut self.told.signals;
+        let flags = self
+            .interfaces
+            .drives
+            .iter()
+            .flat_map(|drives| drives.iter());
+        for (place, drive) in flags.zip(&self.drives) {
+            let flags = drive.feedback().map(|told| told.flags.0.cast_signed());
+            place.tell(signals, flags);
+        }
+        let told = &self.told;
+        self.state.write_with(|state| state.copy_from(told));
+    }
+
+    fn tell_base(&mut self, status: DeviceStatus, wanted: Option<[f64; 3]>) {
+        let Some(base) = &self.interfaces.base else {
+            return;
+        };
+        let error = match status {
+            DeviceStatus::Offline => JointError::Offline,
+            DeviceStatus::SafeOperational => JointError::NotEnabled,
+            DeviceStatus::Operational if self.refused => JointError::Refused,
+            DeviceStatus::Operational => JointError::None,
+        };
+        let rates = self.drives.each_ref().map(|drive| {
+            drive
+                .feedback()
+                .map(|told| self.mecanum.rate(told.velocity_rpm))
+        });
+        let velocity = if let [Some(a), Some(b), Some(c), Some(d)] = rates {
+            Some(self.mecanum.velocity([a, b, c, d]))
+        } else {
+            None
+        };
+        let [x, y, heading] = self.odometry.pose();
+        let rotation = Rotation::from_axis_angle(&Vector::z_axis(), heading);
+        let pose = Frame::from_parts([x, y, 0.0].into(), rotation);
+        let signals = &mut self.told.signals;
+        base.error.tell(signals, Some(error as i32));
+        base.commanded
+            .tell(signals, wanted.map(|_| twist(self.ramp.velocity())));
+        base.velocity.tell(signals, velocity.map(twist));
+        base.pose.tell(signals, velocity.map(|_| pose));
+        let wheels = base.wheels.iter().zip(rates).zip(self.odometry.wheels());
+        for ((wheel, rate), angle) in wheels {
+            wheel.position.tell(signals, rate.map(|_| angle));
+            wheel.velocity.tell(signals, rate);
+        }
+    }
+}
+
+fn twist([x, y, turn]: [f64; 3]) -> Twist {
+    Twist {
+        vel: Vector::new(x, y, 0.0),
+        rot: Vector::new(0.0, 0.0, turn),
+    }
+}

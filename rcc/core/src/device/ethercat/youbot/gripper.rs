@@ -1,0 +1,136 @@
+//! The gripper of a youBot as a device: orders of nets, and the distance between its fingers. It speaks through the
+//! mailbox of the last joint's drive, between that drive's own requests.
+
+use takt_ethercat::youbot::{BarConfig, Drive, DriveState, Gripper as Fingers, GripperState};
+use takt_net::device::{Answer, Gripper as Interface, Layout};
+use takt_rt::cycle::Tick;
+use takt_rt::latest::{LatestReader, LatestWriter};
+
+use super::now;
+use crate::device::driver::DeviceEnd;
+use crate::device::{DeviceCommand, DeviceState, DeviceStatus};
+
+/// Values of the answer's error.
+mod error {
+    /// The distance is out of range or no number.
+    pub(super) const RANGE: i32 = 1;
+    /// The gripper is not there, or its fingers did not arrive.
+    pub(super) const FAILED: i32 = 2;
+}
+
+/// The gripper.
+#[derive(Debug)]
+pub(super) struct Gripper {
+    fingers: Fingers,
+    gripper: Interface,
+    /// The order that was looked at last, and whether it is under way.
+    order: u64,
+    under_way: bool,
+    answer: Option<Answer>,
+    told: DeviceState,
+    taken: DeviceCommand,
+    state: LatestWriter<DeviceState>,
+    command: LatestReader<DeviceCommand>,
+}
+
+impl Gripper {
+    pub(super) fn new(end: DeviceEnd) -> Self {
+        let mut layout = Layout::default();
+        let fingers = Fingers::new(BarConfig::default());
+        // As `parts::lay` does it for the part of a gripper.
+        let gripper = Interface::new(&mut layout, fingers.distance_max());
+        Self {
+            fingers,
+            gripper,
+            order: 0,
+            under_way: false,
+            answer: None,
+            told: DeviceState::new(layout.signals),
+            taken: DeviceCommand::new(layout.commands),
+            state: end.state,
+            command: end.command,
+        }
+    }
+
+    /// One cycle behind this drive. The fingers look for their stops only if they `may_move`.
+    pub(super) fn cycle(&mut self, drive: &mut Drive, may_move: bool, tick: &Tick) {
+        let taken = &mut self.taken;
+        self.command.read_with(|command| taken.copy_from(command));
+        let is_there = drive.feedback().is_some();
+        let speaks = match drive.state() {
+            DriveState::Absent | DriveState::Identify | DriveState::Refused(..) => false,
+            DriveState::Prepare(_)
+            | DriveState::Uncommutated
+            | DriveState::Commutate(_)
+            | DriveState::Settle(_)
+            | DriveState::Ready
+            | DriveState::Clear(_)
+            | DriveState::Exhausted => true,
+        };
+        if is_there && speaks {
+            self.fingers.start();
+            self.fingers.cycle(drive.mailbox(), may_move, now(tick));
+        } else {
+            self.fingers.forget();
+        }
+        self.obey(tick);
+        self.tell(is_there, tick);
+    }
+
+    fn obey(&mut self, tick: &Tick) {
+        let given = self.gripper.order.command.read(&self.taken.words);
+        if let Some(given) = given.filter(|given| given.cycle != self.order) {
+            self.order = given.cycle;
+            self.under_way = self.fingers.order(given.value, now(tick));
+            if !self.under_way {
+                let error = if self.fingers.is_ready() {
+                    error::RANGE
+                } else {
+                    error::FAILED
+                };
+                self.end(error);
+            }
+        }
+        if !self.under_way {
+            return;
+        }
+        match self.fingers.state() {
+            GripperState::Order => {}
+            GripperState::Ready => self.end(0),
+            GripperState::Idle
+            | GripperState::Setup(_)
+            | GripperState::Ask
+            | GripperState::Origin(_)
+            | GripperState::Open
+            | GripperState::Close
+            | GripperState::Preset(_)
+            | GripperState::Mark
+            | GripperState::Failed(_) => self.end(error::FAILED),
+        }
+    }
+
+    const fn end(&mut self, error: i32) {
+        self.under_way = false;
+        let order = self.order;
+        self.answer = Some(Answer { order, error });
+    }
+
+    fn tell(&mut self, is_there: bool, tick: &Tick) {
+        let status = match (is_there, self.fingers.is_ready()) {
+            (false, _) => DeviceStatus::Offline,
+            (true, false) => DeviceStatus::SafeOperational,
+            (true, true) => DeviceStatus::Operational,
+        };
+        let told = &mut self.told;
+        let left = told.status == DeviceStatus::Operational && status != told.status;
+        told.faults += u64::from(left);
+        (told.status, told.stamp) = (status, tick.scheduled);
+        let gripper = &self.gripper;
+        gripper
+            .distance
+            .tell(&mut told.signals, self.fingers.distance());
+        gripper.order.answer.tell(&mut told.signals, self.answer);
+        let told = &self.told;
+        self.state.write_with(|state| state.copy_from(told));
+    }
+}

@@ -1,0 +1,390 @@
+//! Our end of the connection to a Sunrise cabinet, as the driver of FRI arms sees it: the session, and what nets
+//! ordered beside positions. What the overlay of the robot program does not take is refused, not emulated.
+
+use std::time::Duration;
+
+use takt_fri::guard::Guard;
+use takt_fri::sunrise::wire::{CommandMode, ControlMode, MonitorData, Quality};
+use takt_fri::sunrise::{AXES, Demand, IoLevel, JOINT_NAMES, Phase, Session, SessionConfig};
+use takt_net::device::{Answer, CartesianImpedance, Interfaces, Io, JointImpedance};
+use takt_net::value::Wrench;
+
+use crate::cell::{IiwaIo, IiwaModel};
+use crate::device::DeviceStatus;
+use crate::device::fri::orders::{Gate, answer, error, first, from_wire, to_wire};
+use crate::device::fri::{Heard, Joints, Orders, Protocol, Totals};
+
+/// The session with a cabinet, and orders to it.
+#[derive(Debug)]
+pub struct End {
+    session: Session,
+    torque_max: Joints,
+    /// What goes on top of the springs, Nm.
+    torque: Joints,
+    torque_gates: [Gate; AXES],
+    /// The same at the tool, in the wire's order, N and Nm.
+    wrench: [f64; 6],
+    wrench_gate: Gate,
+    answers: Answers,
+    io: IiwaIo,
+}
+
+/// What became of the last orders.
+#[derive(Debug, Default)]
+struct Answers {
+    strategy: Option<Answer>,
+    joints: [Option<Answer>; AXES],
+    cartesian: Option<Answer>,
+}
+
+impl End {
+    /// Nothing heard yet.
+    #[must_use]
+    pub fn new(model: IiwaModel, io: IiwaIo) -> Self {
+        let torque_max = super::torque_max(model);
+        let guard = Guard {
+            torque_nm: torque_max,
+            ..Guard::open(JOINT_NAMES)
+        };
+        let config = SessionConfig {
+            guard,
+            ..SessionConfig::default()
+        };
+        Self {
+            session: Session::new(config),
+            torque_max,
+            torque: [0.0; AXES],
+            torque_gates: [Gate::default(); AXES],
+            wrench: [0.0; 6],
+            wrench_gate: Gate::default(),
+            answers: Answers::default(),
+            io,
+        }
+    }
+
+    fn told(&self) -> Option<&MonitorData> {
+        self.session.message()?.monitor.as_ref()
+    }
+
+    fn follows(&self) -> bool {
+        self.status() == DeviceStatus::Operational
+    }
+
+    /// Whether the overlay takes what only one command mode carries.
+    fn verdict(&self, needed: CommandMode) -> i32 {
+        match self.session.phase() {
+            Phase::Offline | Phase::Idle => error::NOT_THERE,
+            Phase::MonitoringWait | Phase::MonitoringReady | Phase::CommandingWait => {
+                error::NOT_NOW
+            }
+            Phase::CommandingActive if self.session.command_mode() == needed => error::NONE,
+            Phase::CommandingActive => error::IMPOSSIBLE,
+        }
+    }
+
+    /// The strategy is the robot program's: an order for the one in force is fulfilled, others are impossible.
+    fn take_strategy(&self, wanted: i32) -> i32 {
+        let message = self.session.message();
+        let in_force = message
+            .and_then(|message| message.robot)
+            .and_then(|robot| robot.control_mode)
+            .and_then(number);
+        match self.session.phase() {
+            _ if !(1..=3).contains(&wanted) => error::RANGE,
+            Phase::Offline | Phase::Idle => error::NOT_THERE,
+            Phase::MonitoringWait
+            | Phase::MonitoringReady
+            | Phase::CommandingWait
+            | Phase::CommandingActive => {
+                if in_force == Some(wanted) {
+                    error::NONE
+                } else {
+                    error::IMPOSSIBLE
+                }
+            }
+        }
+    }
+
+    fn take_joint(&mut self, axis: usize, wanted: &JointImpedance, stands: bool) -> i32 {
+        let torque = wanted.torque.filter(|_| stands).unwrap_or(0.0);
+        let is_strong = !torque.is_finite() || torque.abs() > self.torque_max[axis];
+        let is_added = !is_strong && torque.abs() > 0.0;
+        let passes = self.torque_gates[axis].admits(is_added, self.follows());
+        self.torque[axis] = if passes { torque } else { 0.0 };
+        let is_fixed = wanted.stiffness.is_some()
+            || wanted.damping.is_some()
+            || wanted.torque_max.is_some_and(|torque| torque > 0.0);
+        let needed = match wanted.torque {
+            Some(_) => self.verdict(CommandMode::Torque),
+            None => error::NONE,
+        };
+        first([
+            if is_strong { error::RANGE } else { 0 },
+            // FRI of Sunrise carries no stiffness and no damping.
+            if is_fixed { error::IMPOSSIBLE } else { 0 },
+            needed,
+            if is_added && !passes {
+                error::NOT_NOW
+            } else {
+                0
+            },
+        ])
+    }
+
+    fn take_cartesian(&mut self, wanted: &CartesianImpedance, stands: bool) -> i32 {
+        let wrench = to_wire(&wanted.wrench.filter(|_| stands).unwrap_or_default());
+        let is_number = wrench.iter().all(|value| value.is_finite());
+        let is_added = is_number && wrench.iter().any(|value| value.abs() > 0.0);
+        let passes = self.wrench_gate.admits(is_added, self.follows());
+        self.wrench = if passes { wrench } else { [0.0; 6] };
+        let is_fixed = wanted.stiffness.is_some() || wanted.damping.is_some();
+        let needed = match wanted.wrench {
+            Some(_) => self.verdict(CommandMode::Wrench),
+            None => error::NONE,
+        };
+        first([
+            if is_number { 0 } else { error::RANGE },
+            if is_fixed { error::IMPOSSIBLE } else { 0 },
+            needed,
+            if is_added && !passes {
+                error::NOT_NOW
+            } else {
+                0
+            },
+        ])
+    }
+
+    /// Writes the outputs that nets command. One that the robot program does not share is not written, and its
+    /// state stays null.
+    fn write(&mut self, io: &Io, orders: &Orders<'_>) {
+        for (name, output) in self.io.bool_out.iter().zip(io.bool_out.iter()) {
+            if let Some(given) = output.command.read(orders.words) {
+                let _not_shared = self.session.write(name, IoLevel::Boolean(given.value));
+            }
+        }
+        for (name, output) in self.io.real_out.iter().zip(io.real_out.iter()) {
+            if let Some(given) = output.command.read(orders.words) {
+                let _not_shared = self.session.write(name, IoLevel::Analog(given.value));
+            }
+        }
+    }
+
+    fn read(&self, io: &Io, signals: &mut [u64]) {
+        let is_silent = self.session.phase() == Phase::Offline;
+        let level = |name: &String| self.session.read(name).filter(|_| !is_silent);
+        let truth = |name| level(name).and_then(truth);
+        let real = |name| level(name).and_then(real);
+        for (name, input) in self.io.bool_in.iter().zip(io.bool_in.iter()) {
+            input.tell(signals, truth(name));
+        }
+        for (name, input) in self.io.real_in.iter().zip(io.real_in.iter()) {
+            input.tell(signals, real(name));
+        }
+        for (name, output) in self.io.bool_out.iter().zip(io.bool_out.iter()) {
+            output.state.tell(signals, truth(name));
+        }
+        for (name, output) in self.io.real_out.iter().zip(io.real_out.iter()) {
+            output.state.tell(signals, real(name));
+        }
+    }
+}
+
+const fn truth(level: IoLevel) -> Option<bool> {
+    match level {
+        IoLevel::Boolean(value) => Some(value),
+        IoLevel::Digital(_) | IoLevel::Analog(_) => None,
+    }
+}
+
+#[expect(
+    clippy::cast_precision_loss,
+    reason = "digital values are small counts"
+)]
+const fn real(level: IoLevel) -> Option<f64> {
+    match level {
+        IoLevel::Boolean(_) => None,
+        IoLevel::Digital(value) => Some(value as f64),
+        IoLevel::Analog(value) => Some(value),
+    }
+}
+
+/// The number by which nets know a control mode.
+const fn number(mode: ControlMode) -> Option<i32> {
+    match mode {
+        ControlMode::Position => Some(1),
+        ControlMode::CartesianImpedance => Some(2),
+        ControlMode::JointImpedance => Some(3),
+        ControlMode::None | ControlMode::Other(_) => None,
+    }
+}
+
+/// What brings the joints to these positions under an overlay of this kind, with what is added: they are the
+/// centre of the impedance where the overlay adds a wrench or torques. `None` where they cannot be commanded.
+fn demand(mode: CommandMode, joints: &Joints, torque: Joints, wrench: [f64; 6]) -> Option<Demand> {
+    let joints = Some(*joints);
+    match mode {
+        CommandMode::Position => joints.map(Demand::Position),
+        CommandMode::Wrench => Some(Demand::Wrench { wrench, joints }),
+        CommandMode::Torque => Some(Demand::Torque { torque, joints }),
+        CommandMode::None | CommandMode::CartesianPose | CommandMode::Other(_) => None,
+    }
+}
+
+impl Protocol for End {
+    type Quality = Quality;
+
+    /// Engages as soon as the overlay is active: set-points that are under way then are refused by the
+    /// joints until they end, so nothing moves that was not asked for anew.
+    fn hear(&mut self, datagram: &[u8], at: Duration) -> Option<Heard> {
+        let reception = self.session.handle_datagram(datagram, at).ok()?;
+        if self.session.phase() == Phase::CommandingActive && !self.session.is_engaged() {
+            let _not_active = self.session.engage();
+        }
+        Some(Heard {
+            is_new: reception.order.is_new(),
+            lost: reception.lost,
+        })
+    }
+
+    fn hear_nothing(&mut self, now: Duration) -> bool {
+        self.session.handle_timeout(now)
+    }
+
+    fn is_due(&self) -> bool {
+        self.session.is_pending()
+    }
+
+    fn obey(&mut self, has: &Interfaces, orders: &Orders<'_>) {
+        // Answered anew each time: it is the robot program that switches.
+        if let Some(given) = has.strategy.and_then(|it| it.command.read(orders.words)) {
+            self.answers.strategy = answer(given.cycle, self.take_strategy(given.value));
+        }
+        let joints = has.joint_impedance.iter().flat_map(|joints| joints.iter());
+        for (axis, order) in joints.take(AXES).enumerate() {
+            if let Some(given) = order.command.read(orders.words) {
+                let error = self.take_joint(axis, &given.value, orders.stands(&given));
+                self.answers.joints[axis] = answer(given.cycle, error);
+            }
+        }
+        if let Some(given) = has
+            .cartesian_impedance
+            .and_then(|it| it.command.read(orders.words))
+        {
+            let error = self.take_cartesian(&given.value, orders.stands(&given));
+            self.answers.cartesian = answer(given.cycle, error);
+        }
+        if let Some(io) = &has.io {
+            self.write(io, orders);
+        }
+    }
+
+    fn report(&self, has: &Interfaces, signals: &mut [u64]) {
+        if let Some(order) = &has.strategy {
+            order.answer.tell(signals, self.answers.strategy);
+        }
+        let joints = has.joint_impedance.iter().flat_map(|joints| joints.iter());
+        for (order, answer) in joints.zip(self.answers.joints) {
+            order.answer.tell(signals, answer);
+        }
+        if let Some(order) = &has.cartesian_impedance {
+            order.answer.tell(signals, self.answers.cartesian);
+        }
+        if let Some(io) = &has.io {
+            self.read(io, signals);
+        }
+    }
+
+    fn reply(&mut self, joints: &Joints, buffer: &mut [u8]) -> Option<usize> {
+        let mode = self.session.command_mode();
+        let demand = demand(mode, joints, self.torque, self.wrench);
+        let demand = demand.filter(|_| self.session.is_engaged());
+        let answer = self.session.answer(&demand.unwrap_or(Demand::Hold), buffer);
+        answer.ok().map(|answer| answer.len)
+    }
+
+    fn status(&self) -> DeviceStatus {
+        match self.session.phase() {
+            Phase::Offline => DeviceStatus::Offline,
+            Phase::Idle
+            | Phase::MonitoringWait
+            | Phase::MonitoringReady
+            | Phase::CommandingWait => DeviceStatus::SafeOperational,
+            Phase::CommandingActive => {
+                let mode = self.session.command_mode();
+                let follows = demand(mode, &[0.0; AXES], [0.0; AXES], [0.0; 6]).is_some();
+                if follows && self.session.is_engaged() {
+                    DeviceStatus::Operational
+                } else {
+                    DeviceStatus::SafeOperational
+                }
+            }
+        }
+    }
+
+    fn rest(&self) -> Joints {
+        self.session.mirror()
+    }
+
+    fn set_point(&self) -> Option<Joints> {
+        self.session.message().map(|_| self.session.mirror())
+    }
+
+    fn measured(&self) -> Option<Joints> {
+        self.told()?.measured
+    }
+
+    fn external_torques(&self) -> Option<Joints> {
+        self.told()?.external_torque
+    }
+
+    fn measured_torques(&self) -> Option<Joints> {
+        self.told()?.torque
+    }
+
+    fn wrench(&self) -> Option<Wrench> {
+        self.told()?.external_force.map(from_wire)
+    }
+
+    fn cycle(&self) -> Option<Duration> {
+        self.session.period()
+    }
+
+    fn quality_code(&self) -> i32 {
+        let message = self.session.message();
+        message.map_or(0, |told| told.quality().code())
+    }
+
+    fn quality(code: i32) -> Quality {
+        Quality::from(code)
+    }
+
+    fn totals(&self) -> Totals {
+        let counters = self.session.counters();
+        Totals {
+            received: counters.received,
+            lost: counters.lost,
+            malformed: counters.malformed,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn joints_and_what_is_added_go_with_every_overlay_that_takes_them() {
+        let (joints, torque, wrench) = ([0.1; AXES], [1.0; AXES], [2.0; 6]);
+        let with = |mode| demand(mode, &joints, torque, wrench);
+        let joints = Some(joints);
+        let pushed = Demand::Wrench { wrench, joints };
+        let turned = Demand::Torque { torque, joints };
+        assert_eq!(with(CommandMode::Wrench), Some(pushed));
+        assert_eq!(with(CommandMode::Torque), Some(turned));
+        let positions = joints.map(Demand::Position);
+        assert_eq!(with(CommandMode::Position), positions);
+        for mode in [CommandMode::None, CommandMode::CartesianPose] {
+            assert_eq!(with(mode), None);
+        }
+    }
+}

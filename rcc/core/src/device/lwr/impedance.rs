@@ -1,0 +1,207 @@
+//! Stiffness, damping and what is added to the springs, as nets order them for joints and for the tool. Which
+//! strategy is in force is the KRL program's affair.
+
+use takt_fri::lwr::wire::{CmdFlags, Control};
+use takt_fri::lwr::{Fields, Phase};
+use takt_net::device::{Answer, CartesianImpedance, Interfaces, JointImpedance};
+use takt_net::value::Wrench;
+
+use super::TORQUE_MAX;
+use crate::device::fri::orders::{Gate, answer, error, first, to_wire};
+use crate::device::fri::{AXES, Orders};
+
+/// Stiffer than this is a slip of a unit, Nm/rad.
+const JOINT_STIFFNESS_MAX: f64 = 5000.0;
+/// Stiffer than this is a slip of a unit, N/m and Nm/rad.
+const CARTESIAN_STIFFNESS_MAX: f64 = 10_000.0;
+
+/// Where the session stands, for the verdict on an order.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Standing {
+    pub(super) phase: Phase,
+    pub(super) control: Control,
+    /// Fields that go out with the next answer.
+    pub(super) flags: CmdFlags,
+}
+
+impl Standing {
+    fn follows(&self) -> bool {
+        self.phase == Phase::Command
+    }
+
+    /// Whether these fields reach the robot.
+    fn verdict(&self, fields: CmdFlags) -> i32 {
+        match self.phase {
+            Phase::Offline => error::NOT_THERE,
+            Phase::Monitor | Phase::Command
+                if !CmdFlags::allowed(self.control).contains(fields) =>
+            {
+                error::IMPOSSIBLE
+            }
+            // They are chosen now, and in force with the next friStart.
+            Phase::Monitor => error::NONE,
+            Phase::Command if self.flags.contains(fields) => error::NONE,
+            Phase::Command => error::NOT_NOW,
+        }
+    }
+}
+
+/// What became of orders, and which fields they need.
+#[derive(Debug)]
+pub(super) struct Impedance {
+    /// Fields that were ever ordered: what no net orders stays as `$STIFFNESS` says.
+    chosen: CmdFlags,
+    joints: [Option<Answer>; AXES],
+    joint_gates: [Gate; AXES],
+    cartesian: Option<Answer>,
+    cartesian_gate: Gate,
+}
+
+impl Default for Impedance {
+    fn default() -> Self {
+        Self {
+            chosen: CmdFlags::JNTPOS,
+            joints: [None; AXES],
+            joint_gates: [Gate::default(); AXES],
+            cartesian: None,
+            cartesian_gate: Gate::default(),
+        }
+    }
+}
+
+impl Impedance {
+    /// The fields to be chosen when that is possible.
+    pub(super) const fn chosen(&self) -> CmdFlags {
+        self.chosen
+    }
+
+    /// Takes what nets order into the fields of the answers.
+    pub(super) fn obey(
+        &mut self,
+        has: &Interfaces,
+        orders: &Orders<'_>,
+        standing: &Standing,
+        fields: &mut Fields,
+    ) {
+        let joints = has.joint_impedance.iter().flat_map(|joints| joints.iter());
+        for (axis, order) in joints.take(AXES).enumerate() {
+            if let Some(given) = order.command.read(orders.words) {
+                let stands = orders.stands(&given);
+                let error = self.take_joint(axis, &given.value, stands, standing, fields);
+                self.joints[axis] = answer(given.cycle, error);
+            }
+        }
+        if let Some(given) = has
+            .cartesian_impedance
+            .and_then(|order| order.command.read(orders.words))
+        {
+            let stands = orders.stands(&given);
+            let error = self.take_cartesian(&given.value, stands, standing, fields);
+            self.cartesian = answer(given.cycle, error);
+        }
+    }
+
+    fn take_joint(
+        &mut self,
+        axis: usize,
+        wanted: &JointImpedance,
+        stands: bool,
+        standing: &Standing,
+        fields: &mut Fields,
+    ) -> i32 {
+        let torque = wanted.torque.filter(|_| stands).unwrap_or(0.0);
+        let is_strong = !torque.is_finite() || torque.abs() > TORQUE_MAX[axis];
+        let torque = if is_strong { 0.0 } else { torque };
+        let gate = &mut self.joint_gates[axis];
+        let is_added = torque.abs() > 0.0;
+        let passes = gate.admits(is_added, standing.follows());
+        fields.joint_torque[axis] = if passes { torque } else { 0.0 };
+        let is_soft = in_range(wanted.stiffness, JOINT_STIFFNESS_MAX);
+        let is_damped = in_range(wanted.damping, 1.0);
+        if !(is_soft && is_damped) || is_strong {
+            return error::RANGE;
+        }
+        let Fields {
+            joint_stiffness,
+            joint_damping,
+            ..
+        } = fields;
+        joint_stiffness[axis] = wanted.stiffness.unwrap_or(joint_stiffness[axis]);
+        joint_damping[axis] = wanted.damping.unwrap_or(joint_damping[axis]);
+        let needed = needed([
+            (wanted.stiffness.is_some(), CmdFlags::JNTSTIFF),
+            (wanted.damping.is_some(), CmdFlags::JNTDAMP),
+            (wanted.torque.is_some(), CmdFlags::JNTTRQ),
+        ]);
+        self.chosen = self.chosen | needed;
+        // Torques are limited by the strategy's parameters on this arm.
+        let is_capped = wanted.torque_max.is_some_and(|torque| torque > 0.0);
+        first([
+            if is_capped { error::IMPOSSIBLE } else { 0 },
+            standing.verdict(needed),
+            if is_added && !passes {
+                error::NOT_NOW
+            } else {
+                0
+            },
+        ])
+    }
+
+    fn take_cartesian(
+        &mut self,
+        wanted: &CartesianImpedance,
+        stands: bool,
+        standing: &Standing,
+        fields: &mut Fields,
+    ) -> i32 {
+        let wrench = wanted.wrench.filter(|_| stands).unwrap_or_default();
+        let wrench = to_wire(&wrench);
+        let is_number = wrench.iter().all(|value| value.is_finite());
+        let is_added = is_number && wrench.iter().any(|value| value.abs() > 0.0);
+        let passes = self.cartesian_gate.admits(is_added, standing.follows());
+        fields.wrench = if passes { wrench } else { [0.0; 6] };
+        let values = |wrench: Wrench| to_wire(&wrench);
+        let stiffness = wanted.stiffness.map(values);
+        let damping = wanted.damping.map(values);
+        let fit = |values: Option<[f64; 6]>, max| {
+            let mut values = values.iter().flatten();
+            values.all(|value| in_range(Some(*value), max))
+        };
+        if !is_number || !fit(stiffness, CARTESIAN_STIFFNESS_MAX) || !fit(damping, 1.0) {
+            return error::RANGE;
+        }
+        fields.cartesian_stiffness = stiffness.unwrap_or(fields.cartesian_stiffness);
+        fields.cartesian_damping = damping.unwrap_or(fields.cartesian_damping);
+        let needed = needed([
+            (stiffness.is_some(), CmdFlags::CARTSTIFF),
+            (damping.is_some(), CmdFlags::CARTDAMP),
+            (wanted.wrench.is_some(), CmdFlags::TCPFT),
+        ]);
+        self.chosen = self.chosen | needed;
+        let late = if is_added && !passes {
+            error::NOT_NOW
+        } else {
+            0
+        };
+        first([standing.verdict(needed), late])
+    }
+
+    pub(super) fn report(&self, has: &Interfaces, signals: &mut [u64]) {
+        let joints = has.joint_impedance.iter().flat_map(|joints| joints.iter());
+        for (order, answer) in joints.zip(self.joints) {
+            order.answer.tell(signals, answer);
+        }
+        if let Some(order) = &has.cartesian_impedance {
+            order.answer.tell(signals, self.cartesian);
+        }
+    }
+}
+
+fn needed(parts: [(bool, CmdFlags); 3]) -> CmdFlags {
+    let ordered = parts.into_iter().filter(|(is_ordered, _)| *is_ordered);
+    ordered.fold(CmdFlags::NONE, |all, (_, flag)| all | flag)
+}
+
+fn in_range(value: Option<f64>, max: f64) -> bool {
+    value.is_none_or(|value| (0.0..=max).contains(&value))
+}

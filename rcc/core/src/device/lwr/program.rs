@@ -1,0 +1,271 @@
+//! Orders that only the KRL program can carry out: control strategy, tool and load. They are handed to it over user
+//! data, in the convention that the cell names. Impedances are elsewhere: they need no program.
+
+use std::time::Duration;
+
+use takt_fri::lwr::wire::{Control, Krl, Msr};
+use takt_fri::lwr::{Dialog, DialogError, Load, Phase, Progress, Protocol, Request, Settings};
+use takt_net::device::{Answer, Given, Interfaces, Order, Tool};
+use takt_net::value::Frame;
+
+use crate::device::fri::Orders;
+use crate::device::fri::orders::{answer, error};
+
+/// The handshake with the KRL program, and what became of orders to it.
+#[derive(Debug)]
+pub(super) struct Program {
+    /// `None` if nobody said which convention the program follows: then nothing is asked of it.
+    dialog: Option<Dialog>,
+    job: Option<Job>,
+    strategy: Option<Answer>,
+    tool: Option<Answer>,
+}
+
+/// An order under way.
+#[derive(Clone, Copy, Debug)]
+struct Job {
+    goal: Goal,
+    /// The order to be answered.
+    order: u64,
+    /// What the program is asked for next.
+    then: Option<Request>,
+}
+
+/// What an order wants.
+#[derive(Clone, Copy, Debug)]
+enum Goal {
+    Strategy(Control),
+    Tool(Tool),
+}
+
+impl Program {
+    pub(super) fn new(protocol: Option<Protocol>) -> Self {
+        Self {
+            dialog: protocol.map(Dialog::new),
+            job: None,
+            strategy: None,
+            tool: None,
+        }
+    }
+
+    /// Whether the handshake owns the truth value of that index, from 0.
+    pub(super) fn owns_bool(&self, index: usize) -> bool {
+        match self.dialog.as_ref().map(Dialog::protocol) {
+            Some(Protocol::Rcc) => index == 15,
+            Some(Protocol::Tum) => index == 0,
+            Some(Protocol::Stanford | Protocol::KukaLwr | Protocol::FirstApp) | None => false,
+        }
+    }
+
+    /// Whether the handshake owns the real number of that index, from 0.
+    pub(super) fn owns_real(&self, index: usize) -> bool {
+        match self.dialog.as_ref().map(Dialog::protocol) {
+            Some(Protocol::Rcc) => index == 14,
+            Some(Protocol::FirstApp) => index == 0,
+            Some(Protocol::Stanford | Protocol::KukaLwr | Protocol::Tum) | None => false,
+        }
+    }
+
+    /// One turn: goes on with what is under way, or begins what was ordered since.
+    pub(super) fn turn(
+        &mut self,
+        has: &Interfaces,
+        orders: &Orders<'_>,
+        (phase, msr): (Phase, Option<&Msr>),
+        krl: &mut Krl,
+    ) {
+        match (self.job, msr) {
+            (Some(job), Some(msr)) => self.go_on(job, phase, msr, krl, orders.now),
+            (Some(_), None) => {}
+            (None, msr) => self.begin(has, orders, (phase, msr), krl),
+        }
+    }
+
+    fn begin(
+        &mut self,
+        has: &Interfaces,
+        orders: &Orders<'_>,
+        (phase, msr): (Phase, Option<&Msr>),
+        krl: &mut Krl,
+    ) {
+        let strategy = newer(has.strategy.as_ref(), orders, self.strategy);
+        let tool = newer(has.tool.as_ref(), orders, self.tool);
+        let (order, goal) = match (strategy, tool) {
+            (Some(given), _) => match control(given.value) {
+                Some(control) => (given.cycle, Goal::Strategy(control)),
+                None => {
+                    self.strategy = answer(given.cycle, error::RANGE);
+                    return;
+                }
+            },
+            (None, Some(given)) => (given.cycle, Goal::Tool(given.value)),
+            (None, None) => return,
+        };
+        let job = Job {
+            goal,
+            order,
+            then: None,
+        };
+        match msr.filter(|_| phase != Phase::Offline) {
+            None => self.end(&job, error::NOT_THERE),
+            Some(_) if orders.moves => self.end(&job, error::MOVES),
+            Some(msr) => self.ask(job, phase, msr, krl, orders.now),
+        }
+    }
+
+    /// Asks the program for it, unless there is nothing to be done.
+    fn ask(&mut self, job: Job, phase: Phase, msr: &Msr, krl: &mut Krl, now: Duration) {
+        let Some(dialog) = &mut self.dialog else {
+            let is_so = matches!(job.goal, Goal::Strategy(it) if it == msr.robot.control);
+            let error = if is_so {
+                error::NONE
+            } else {
+                error::IMPOSSIBLE
+            };
+            return self.end(&job, error);
+        };
+        let steps = steps(dialog.protocol(), &job.goal, phase, msr);
+        let Some((first, then)) = steps else {
+            return self.end(&job, error::NONE);
+        };
+        match dialog.request(&first, msr, krl, now) {
+            Ok(()) => self.job = Some(Job { then, ..job }),
+            Err(refused) => self.end(&job, code(&refused)),
+        }
+    }
+
+    fn go_on(&mut self, job: Job, phase: Phase, msr: &Msr, krl: &mut Krl, now: Duration) {
+        let Some(dialog) = &mut self.dialog else {
+            return;
+        };
+        match (dialog.poll(msr, krl, now), job.then) {
+            (Progress::Running, _) => {}
+            (Progress::Done, Some(next)) if phase != Phase::Offline => {
+                let job = Job { then: None, ..job };
+                match dialog.request(&next, msr, krl, now) {
+                    Ok(()) => self.job = Some(job),
+                    Err(refused) => self.end(&job, code(&refused)),
+                }
+            }
+            (Progress::Done | Progress::Idle, _) => {
+                let is_done = match job.goal {
+                    Goal::Strategy(wanted) => msr.robot.control == wanted,
+                    Goal::Tool(_) => true,
+                };
+                let error = if is_done {
+                    error::NONE
+                } else {
+                    error::NO_REACTION
+                };
+                self.end(&job, error);
+            }
+            (Progress::Failed(why), _) => self.end(&job, code(&why)),
+        }
+    }
+
+    fn end(&mut self, job: &Job, error: i32) {
+        self.job = None;
+        match job.goal {
+            Goal::Strategy(_) => self.strategy = answer(job.order, error),
+            Goal::Tool(_) => self.tool = answer(job.order, error),
+        }
+    }
+
+    pub(super) fn report(&self, has: &Interfaces, signals: &mut [u64]) {
+        if let Some(order) = &has.strategy {
+            order.answer.tell(signals, self.strategy);
+        }
+        if let Some(order) = &has.tool {
+            order.answer.tell(signals, self.tool);
+        }
+    }
+}
+
+/// The order, unless it was answered already.
+fn newer<T: takt_net::device::Words>(
+    order: Option<&Order<T>>,
+    orders: &Orders<'_>,
+    last: Option<Answer>,
+) -> Option<Given<T>> {
+    let given = order?.command.read(orders.words)?;
+    last.is_none_or(|last| last.order != given.cycle)
+        .then_some(given)
+}
+
+/// Numbers of strategies as nets know them.
+fn control(number: i32) -> Option<Control> {
+    match number {
+        1 => Some(Control::Position),
+        2 => Some(Control::CartesianImpedance),
+        3 => Some(Control::JointImpedance),
+        _ => None,
+    }
+}
+
+/// What the program is asked for, one after the other; nothing if all is as wanted. Only RCC's program changes
+/// anything by itself: others take the strategy with friStart.
+fn steps(
+    protocol: Protocol,
+    goal: &Goal,
+    phase: Phase,
+    msr: &Msr,
+) -> Option<(Request, Option<Request>)> {
+    let configure = |settings| Some((Request::Configure(settings), None));
+    match (protocol, *goal) {
+        (_, Goal::Strategy(control)) if control == msr.robot.control && phase == Phase::Command => {
+            None
+        }
+        (Protocol::Rcc, Goal::Strategy(control)) if control == msr.robot.control => None,
+        (Protocol::Rcc, Goal::Strategy(control)) => configure(Settings {
+            strategy: Some(control),
+            ..Settings::default()
+        }),
+        (Protocol::Stanford | Protocol::KukaLwr, Goal::Strategy(control)) => {
+            let start = Request::Start {
+                strategy: Some(control),
+            };
+            Some(if phase == Phase::Command {
+                (Request::Stop, Some(start))
+            } else {
+                (start, None)
+            })
+        }
+        (Protocol::Tum | Protocol::FirstApp, Goal::Strategy(control)) => configure(Settings {
+            strategy: Some(control),
+            ..Settings::default()
+        }),
+        (_, Goal::Tool(tool)) => configure(Settings {
+            tool: Some(pose(&tool.tcp)),
+            load: Some(load(&tool)),
+            ..Settings::default()
+        }),
+    }
+}
+
+/// X, Y, Z in mm, then A, B, C in degrees: about z, the new y, the new x.
+fn pose(frame: &Frame) -> [f32; 6] {
+    let [x, y, z] = frame.translation.vector.into();
+    let (c, b, a) = frame.rotation.euler_angles();
+    let [a, b, c] = [a, b, c].map(f64::to_degrees);
+    [x * 1e3, y * 1e3, z * 1e3, a, b, c].map(super::to_f32)
+}
+
+fn load(tool: &Tool) -> Load {
+    let inertia: [f64; 3] = tool.moi.into();
+    Load {
+        mass_kg: super::to_f32(tool.mass),
+        centre: pose(&tool.com),
+        inertia: inertia.map(super::to_f32),
+    }
+}
+
+fn code(why: &DialogError) -> i32 {
+    match why {
+        DialogError::Power => error::NOT_THERE,
+        DialogError::Deviation { .. } => error::MOVES,
+        DialogError::Unsupported { .. } => error::IMPOSSIBLE,
+        DialogError::Silent { .. } => error::NO_REACTION,
+        // Busy cannot be: one order at a time is handed over.
+        _ => error::NOT_NOW,
+    }
+}

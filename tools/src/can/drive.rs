@@ -1,0 +1,145 @@
+//! `takt can drive`: one CiA 402 drive, brought up state by state over SDO, with the reason when it does not come,
+//! and jogged. It maps no PDO and drives no set-points in a cycle; that is what a net is for.
+
+mod diagnosis;
+mod facts;
+mod overheard;
+mod session;
+#[cfg(test)]
+mod tests;
+mod text;
+
+use std::time::Duration;
+
+use clap::Args;
+use takt_can::canopen::NodeId;
+
+use super::confirm;
+use super::wire::Live;
+use crate::Verdict;
+use crate::output::{say, span};
+use session::{Jog, Plan, Session, Step};
+
+/// Bring one drive up, see its words as named bits, and learn why it does not come up.
+///
+/// Everything goes by SDO, so nothing needs to be mapped. The drive is brought to Operation enabled, held there, and
+/// switched off again. It watches the heartbeat of this program meanwhile (1016h), so that it stops by 6007h if that
+/// ends. Ctrl-C brakes (quick stop). Exit status: 0 it came up and went down as it should; 1 it did not, with the
+/// reason; 2 it could not be tried.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  takt can drive can0 5 --watch
+  takt can drive can0 5
+  takt can drive can0 5 --axis 1 --reset --hold 5s
+  takt can drive can0 5 --jog 1000 --for 2s --yes")]
+pub(crate) struct Drive {
+    /// The CAN interface.
+    interface: String,
+    /// The node, 1 to 127.
+    #[arg(value_parser = super::node)]
+    node: NodeId,
+    /// The axis of a multi-axis drive, from 0.
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..8))]
+    axis: u8,
+    /// Only look: show its words whenever they change, command nothing.
+    #[arg(long, conflicts_with_all = ["jog", "mode", "reset"])]
+    watch: bool,
+    /// Mode of operation (6060h): pp, vl, pv, tq, hm, ip, csp, csv, cst, or its number.
+    #[arg(long, value_name = "MODE", default_value = "pv", value_parser = mode, allow_hyphen_values = true)]
+    mode: i8,
+    /// Reset a fault first.
+    #[arg(long)]
+    reset: bool,
+    /// How long to hold it in Operation enabled (or to watch it).
+    #[arg(long, value_name = "TIME", value_parser = span)]
+    hold: Option<Duration>,
+    /// Turn it with this velocity (60FFh, the drive's velocity unit), by profile velocity.
+    #[arg(long, value_name = "VELOCITY", allow_hyphen_values = true)]
+    jog: Option<i32>,
+    /// How long to turn it.
+    #[arg(long = "for", value_name = "TIME", default_value = "1s", value_parser = span, requires = "jog")]
+    time: Duration,
+    /// Jog although the drive cannot watch the heartbeat of this program.
+    #[arg(long, requires = "jog")]
+    unguarded: bool,
+    /// Print one JSON object at the end.
+    #[arg(long)]
+    json: bool,
+    /// It is safe that the machine moves.
+    #[arg(long, visible_alias = "yes")]
+    confirm_motion: bool,
+}
+
+/// Modes of operation by their names (CiA 402-2, object 6060h).
+const MODES: [(&str, i8); 9] = [
+    ("pp", 1),
+    ("vl", 2),
+    ("pv", 3),
+    ("tq", 4),
+    ("hm", 6),
+    ("ip", 7),
+    ("csp", 8),
+    ("csv", 9),
+    ("cst", 10),
+];
+
+/// Profile velocity.
+const PV: i8 = 3;
+
+fn mode(text: &str) -> Result<i8, String> {
+    let named = MODES.iter().find(|(name, _)| *name == text);
+    let number = named
+        .map(|(_, number)| *number)
+        .or_else(|| text.parse().ok());
+    number.ok_or_else(|| {
+        format!("`{text}` is no mode: write pp, vl, pv, tq, hm, ip, csp, csv, cst, or a number")
+    })
+}
+
+/// How long a drive is held in Operation enabled unless told otherwise.
+const HOLD: Duration = Duration::from_secs(1);
+
+impl Drive {
+    pub(super) fn run(self) -> anyhow::Result<Verdict> {
+        anyhow::ensure!(
+            self.jog.is_none() || self.mode == PV,
+            "--jog turns by profile velocity; leave --mode away"
+        );
+        let mut wire = Live::open_to_stop(&self.interface)?;
+        if !self.watch {
+            let what = format!("enabling axis {} of node {}", self.axis, self.node);
+            confirm::deed(&self.interface, &what, self.confirm_motion)?;
+        }
+        let plan = Plan {
+            node: self.node,
+            axis: self.axis,
+            mode: self.mode,
+            reset: self.reset,
+            hold: self.hold.unwrap_or(HOLD),
+            jog: self.jog.map(|velocity| Jog {
+                velocity,
+                time: self.time,
+                unguarded: self.unguarded,
+            }),
+        };
+        let mut show = |step: &Step| match self.json {
+            true => Ok(()),
+            false => say(&text::step(step)),
+        };
+        let session = Session::new(&mut wire, plan, &mut show);
+        let report = if self.watch {
+            session.watch(self.hold)?
+        } else {
+            session.run()?
+        };
+        if self.json {
+            say(&text::json(&report).to_string())?;
+        } else {
+            say(text::verdict(&report).trim_end())?;
+        }
+        Ok(match report.diagnosis {
+            None => Verdict::Good,
+            Some(_) => Verdict::Failed,
+        })
+    }
+}

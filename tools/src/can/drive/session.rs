@@ -1,0 +1,418 @@
+//! One drive, led over SDO: asked, commanded by the master of `takt-cia402`, brought to rest and switched off, however
+//! it ends. It decides by the drive's answers alone; what it prints, the caller says.
+//!
+//! ```text
+//! look (1000h, axis) -> guard (1016h, heartbeat) -> enable -> hold or jog -> stop -> off
+//!                                                      \---- diagnosis, Ctrl-C: quick stop ----/
+//! ```
+
+mod lead;
+
+use std::time::Duration;
+
+use takt_can::Frame;
+use takt_can::canopen::{HEARTBEAT, NmtCommand, NmtState, NodeId, heartbeat};
+use takt_cia402::dictionary::Address;
+use takt_cia402::{ControlWord, Goal, Master, Obstacle, Patience, StatusWord};
+
+use super::diagnosis::{Cause, Diagnosis};
+use super::facts::facts;
+use super::overheard::Overheard;
+use crate::can::ask::{Asker, PATIENCE, Refusal, number};
+use crate::can::wire::Wire;
+
+/// Time from one look at the drive to the next.
+const CYCLE: Duration = Duration::from_millis(10);
+/// Time between heartbeats of this program, and after which the drive takes it for gone.
+const BEAT: Duration = Duration::from_millis(100);
+const BEAT_LOST_MS: u32 = 500;
+/// How long a drive may take from a new velocity to turning, from the stop to rest, and to switch off.
+const TURN: Duration = Duration::from_secs(1);
+const REST: Duration = Duration::from_secs(5);
+const OFF: Duration = Duration::from_secs(1);
+/// How long somebody may take to show that a number is taken.
+const FREE: Duration = Duration::from_millis(50);
+/// Consumer heartbeat time.
+const CONSUMER: Address = Address::new(0x1016, 1);
+/// Looks at rest, one after the other, that make it stand.
+const STANDS: u8 = 3;
+
+/// What to do.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Plan {
+    pub(super) node: NodeId,
+    pub(super) axis: u8,
+    /// 6060h
+    pub(super) mode: i8,
+    pub(super) reset: bool,
+    /// Time in Operation enabled.
+    pub(super) hold: Duration,
+    pub(super) jog: Option<Jog>,
+}
+
+/// How to turn it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Jog {
+    /// 60FFh
+    pub(super) velocity: i32,
+    pub(super) time: Duration,
+    /// Even if it would not stop without this program.
+    pub(super) unguarded: bool,
+}
+
+/// The words at a time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Step {
+    /// Since the begin.
+    pub(super) at: Duration,
+    pub(super) status: StatusWord,
+    pub(super) control: ControlWord,
+    /// 6061h, if it has that.
+    pub(super) mode: Option<i8>,
+    /// 6064h
+    pub(super) position: i32,
+    /// 606Ch
+    pub(super) velocity: i32,
+}
+
+/// What came of it.
+#[derive(Clone, Debug)]
+pub(super) struct Report {
+    pub(super) node: NodeId,
+    pub(super) axis: u8,
+    /// Whenever a word changed.
+    pub(super) steps: Vec<Step>,
+    pub(super) diagnosis: Option<Diagnosis>,
+    /// Somebody asked to end.
+    pub(super) stopped: bool,
+    pub(super) commanded: bool,
+}
+
+/// Why a session does not go on as planned.
+#[derive(Debug)]
+enum End {
+    /// The tool itself failed.
+    Failed(anyhow::Error),
+    Because(Cause),
+    Stopped,
+}
+
+impl From<anyhow::Error> for End {
+    fn from(error: anyhow::Error) -> Self {
+        Self::Failed(error)
+    }
+}
+
+type Go<T> = Result<T, End>;
+
+/// Shows a step to the user.
+type Show<'s> = &'s mut dyn FnMut(&Step) -> anyhow::Result<()>;
+
+/// A session with one drive.
+pub(super) struct Session<'s, W> {
+    wire: Overheard<'s, W>,
+    asker: Asker,
+    plan: Plan,
+    show: Show<'s>,
+    master: Master,
+    begun: Duration,
+    steps: Vec<Step>,
+    /// What was written last, so that only changes go over the bus.
+    control: Option<ControlWord>,
+    mode: Option<i8>,
+    /// The number that this program has while it sends heartbeats, and when the next one is due.
+    own: Option<(NodeId, Duration)>,
+    /// 1016h:01 as it was.
+    consumer: Option<[u8; 4]>,
+    /// A reset was asked for.
+    resetting: bool,
+    /// It has been in Operation enabled, and is not to leave that.
+    enabled: bool,
+    /// It was told to turn, and not seen at rest since.
+    moving: bool,
+    /// It is being switched off.
+    leaving: bool,
+    /// 607Ah as it was written.
+    aligned: Option<i32>,
+}
+
+impl<'s, W: Wire> Session<'s, W> {
+    pub(super) fn new(wire: &'s mut W, plan: Plan, show: Show<'s>) -> Self {
+        let begun = wire.now();
+        Self {
+            wire: Overheard::new(wire, plan.node),
+            asker: Asker::new(plan.node, PATIENCE),
+            plan,
+            show,
+            master: Master::new(Patience::default()),
+            begun,
+            steps: Vec::new(),
+            control: None,
+            mode: None,
+            own: None,
+            consumer: None,
+            resetting: false,
+            enabled: false,
+            moving: false,
+            leaving: false,
+            aligned: None,
+        }
+    }
+
+    /// Looks only, until somebody asks to end or the time is over.
+    pub(super) fn watch(mut self, time: Option<Duration>) -> anyhow::Result<Report> {
+        let end = time.map(|time| self.begun + time);
+        let done = self.look().and_then(|()| self.stare(end));
+        let diagnosis = self.diagnose(&done)?;
+        self.report(done, diagnosis, false)
+    }
+
+    fn stare(&mut self, end: Option<Duration>) -> Go<()> {
+        while !self.wire.is_stopped() && end.is_none_or(|end| self.wire.now() < end) {
+            let begun = self.wire.now();
+            let control = self.read(0x6040)?;
+            self.control = control.map(|raw| ControlWord::new(low_word(raw)));
+            self.observe()?;
+            self.rest_of_cycle(begun)?;
+        }
+        Ok(())
+    }
+
+    /// All of it.
+    pub(super) fn run(mut self) -> anyhow::Result<Report> {
+        let done = self.look().and_then(|()| self.lead());
+        if done.is_err() && self.moving {
+            // First of all. If that fails too, the drive stops by 6007h.
+            let _ = self.order(ControlWord::QUICK_STOP);
+        }
+        let diagnosis = self.diagnose(&done)?;
+        // However it went: at rest, without power, as it was.
+        let down = self.go_down();
+        let later = self.diagnose(&down)?;
+        self.restore()?;
+        let done = done.and(down);
+        self.report(done, diagnosis.or(later), true)
+    }
+
+    fn report(
+        self,
+        end: Go<()>,
+        diagnosis: Option<Diagnosis>,
+        commanded: bool,
+    ) -> anyhow::Result<Report> {
+        let stopped = match end {
+            Err(End::Failed(error)) => return Err(error),
+            Err(End::Stopped) => true,
+            Ok(()) | Err(End::Because(_)) => false,
+        };
+        Ok(Report {
+            node: self.plan.node,
+            axis: self.plan.axis,
+            steps: self.steps,
+            diagnosis,
+            stopped,
+            commanded,
+        })
+    }
+
+    /// What the drive says about the end, while it still says it.
+    fn diagnose(&mut self, end: &Go<()>) -> anyhow::Result<Option<Diagnosis>> {
+        let Err(End::Because(cause)) = end else {
+            return Ok(None);
+        };
+        let fault = Some(Obstacle::Fault);
+        let about = match *cause {
+            Cause::Drive(obstacle) => Some(Some(obstacle)),
+            Cause::DoesNotTurn { .. } | Cause::DoesNotStop { .. } => Some(None),
+            Cause::Refused(refusal) if refusal.address() == self.address(0x6060) => {
+                let (wanted, shown) = (self.plan.mode, 0);
+                Some(Some(Obstacle::Mode { wanted, shown }))
+            }
+            Cause::Dropped(_) | Cause::Left(_) | Cause::Rebooted => Some(fault),
+            Cause::Silent(_)
+            | Cause::NotADrive(_)
+            | Cause::NoAxis(..)
+            | Cause::Refused(_)
+            | Cause::Overwritten { .. }
+            | Cause::Unguarded(_)
+            | Cause::NoReaction => None,
+        };
+        let axis = self.plan.axis;
+        let mut told = match about {
+            Some(about) => facts(&mut self.wire, &mut self.asker, axis, about)?,
+            None => Vec::new(),
+        };
+        let emergency = self.wire.heard.emergency;
+        told.extend(emergency.map(|emergency| super::facts::emergency(&emergency)));
+        Ok(Some(Diagnosis {
+            node: self.plan.node,
+            cause: *cause,
+            facts: told,
+            stranger: self.wire.heard.stranger,
+        }))
+    }
+
+    fn address(&self, index: u16) -> Address {
+        let address = Address::new(index, 0);
+        address.on_axis(self.plan.axis).unwrap_or(address)
+    }
+
+    /// A number; `None` if the drive has no such object.
+    fn read(&mut self, index: u16) -> Go<Option<u32>> {
+        let address = self.address(index);
+        match self.asker.read(&mut self.wire, address, false)? {
+            Ok(bytes) => Ok(number(&bytes)),
+            Err(refusal) if refusal.is_silence() => Err(End::Because(Cause::Silent(refusal))),
+            Err(_) => Ok(None),
+        }
+    }
+
+    fn write(&mut self, index: u16, value: &[u8]) -> Go<Result<(), Refusal>> {
+        let address = self.address(index);
+        match self.asker.write(&mut self.wire, address, value, false)? {
+            Err(refusal) if refusal.is_silence() => Err(End::Because(Cause::Silent(refusal))),
+            answer => Ok(answer),
+        }
+    }
+
+    /// Is it a drive, and has it that axis?
+    fn look(&mut self) -> Go<()> {
+        let kind = self.read(0x1000)?.unwrap_or(0);
+        if low_word(kind) != 402 {
+            return Err(End::Because(Cause::NotADrive(kind)));
+        }
+        let status = self.address(0x6041);
+        match self.asker.read(&mut self.wire, status, false)? {
+            Ok(_) => Ok(()),
+            Err(refusal) if refusal.is_silence() => Err(End::Because(Cause::Silent(refusal))),
+            Err(refusal) => Err(End::Because(Cause::NoAxis(self.plan.axis, refusal))),
+        }
+    }
+
+    fn lead(&mut self) -> Go<()> {
+        self.guard()?;
+        self.start()?;
+        self.master.set_mode(self.plan.mode);
+        self.master.set_goal(Goal::OperationEnabled);
+        self.enable()?;
+        match self.plan.jog {
+            None => self.hold(self.plan.hold),
+            Some(jog) => self.jog(jog),
+        }
+    }
+
+    /// Lets the drive watch the heartbeat of this program, so that it stops if that ends.
+    fn guard(&mut self) -> Go<()> {
+        let must = self.plan.jog.is_some_and(|jog| !jog.unguarded);
+        if must && self.read(0x6007)?.map(low_word) == Some(0) {
+            return Err(End::Because(Cause::NoReaction));
+        }
+        let own = self.free_number()?;
+        let before = self.asker.read(&mut self.wire, CONSUMER, false)?;
+        let before = before.ok().and_then(|bytes| bytes.first_chunk().copied());
+        self.own = Some((own, self.wire.now()));
+        self.beat()?;
+        let entry = u32::from(own.raw()) << 16 | BEAT_LOST_MS;
+        let answer = self
+            .asker
+            .write(&mut self.wire, CONSUMER, &entry.to_le_bytes(), false)?;
+        match answer {
+            Ok(()) => {
+                self.consumer = before;
+                Ok(())
+            }
+            Err(refusal) if refusal.is_silence() => Err(End::Because(Cause::Silent(refusal))),
+            Err(refusal) if must => Err(End::Because(Cause::Unguarded(refusal))),
+            Err(_) => Ok(()),
+        }
+    }
+
+    /// The highest number at which nobody answers.
+    fn free_number(&mut self) -> Go<NodeId> {
+        let mut own = self.plan.node;
+        for raw in (1..=NodeId::LAST.raw()).rev() {
+            let Ok(node) = NodeId::new(raw) else {
+                continue;
+            };
+            if node == self.plan.node {
+                continue;
+            }
+            let mut asker = Asker::new(node, FREE);
+            let answer = asker.read(&mut self.wire, Address::new(0x1000, 0), false)?;
+            own = node;
+            if answer.is_err_and(Refusal::is_silence) {
+                break;
+            }
+        }
+        Ok(own)
+    }
+
+    /// To Operational, unless it is.
+    fn start(&mut self) -> Go<()> {
+        let node = self.plan.node;
+        if let Ok(question) = Frame::remote(node.cob(HEARTBEAT), 1) {
+            self.wire.send(&question)?;
+        }
+        let until = self.wire.now() + FREE;
+        while self.wire.receive_until(until)?.is_some() {}
+        if self.wire.heard.state != Some(NmtState::Operational) {
+            self.wire.send(&NmtCommand::Start.frame(Some(node)))?;
+        }
+        (self.wire.heard.state, self.wire.heard.boots) = (None, 0);
+        Ok(())
+    }
+
+    /// A heartbeat, if it is time.
+    fn beat(&mut self) -> Go<()> {
+        if let Some((own, due)) = self.own
+            && self.wire.now() >= due
+        {
+            self.wire.send(&heartbeat(own, NmtState::Operational))?;
+            self.own = Some((own, due.max(self.wire.now()) + BEAT));
+        }
+        Ok(())
+    }
+
+    /// Reads the words; a change of one is a step.
+    fn observe(&mut self) -> Go<Step> {
+        let status = self.read(0x6041)?.unwrap_or(0);
+        let signed = |raw: Option<u32>| raw.unwrap_or(0).cast_signed();
+        let step = Step {
+            at: self.wire.now().saturating_sub(self.begun),
+            status: StatusWord::new(low_word(status)),
+            control: self.control.unwrap_or_default(),
+            mode: self
+                .read(0x6061)?
+                .map(|raw| raw.to_le_bytes()[0].cast_signed()),
+            position: signed(self.read(0x6064)?),
+            velocity: signed(self.read(0x606C)?),
+        };
+        let words = |step: &Step| (step.status, step.control, step.mode);
+        if self.steps.last().map(words) != Some(words(&step)) {
+            (self.show)(&step)?;
+            self.steps.push(step);
+        }
+        Ok(step)
+    }
+
+    fn rest_of_cycle(&mut self, begun: Duration) -> Go<()> {
+        while self.wire.now() < begun + CYCLE {
+            self.wire.receive_until(begun + CYCLE)?;
+        }
+        Ok(())
+    }
+
+    /// Its heartbeat consumer as it was. What it refuses or is silent about, stays. It is left in Operational:
+    /// leaving that is a lost master to a drive, which it answers by 6007h.
+    fn restore(&mut self) -> anyhow::Result<()> {
+        if let Some(before) = self.consumer {
+            let _ = self.asker.write(&mut self.wire, CONSUMER, &before, false)?;
+        }
+        Ok(())
+    }
+}
+
+const fn low_word(raw: u32) -> u16 {
+    let [a, b, ..] = raw.to_le_bytes();
+    u16::from_le_bytes([a, b])
+}

@@ -1,0 +1,230 @@
+//! The part of a session that commands: cycles of looking and writing, up to Operation enabled, a jog, and down
+//! again.
+
+use takt_can::canopen::NmtState;
+use takt_cia402::{ControlWord, Feedback, Goal, Obstacle, State};
+
+use super::{
+    Cause, Duration, End, Go, Jog, OFF, REST, STANDS, Session, Step, TURN, Wire, low_word,
+};
+
+impl<W: Wire> Session<'_, W> {
+    /// One look and what follows from it.
+    pub(super) fn cycle(&mut self) -> Go<(Step, bool)> {
+        let begun = self.wire.now();
+        self.beat()?;
+        let step = self.observe()?;
+        let state = step.status.state();
+        if !self.leaving {
+            self.check(state.ok())?;
+        }
+        let fault = state == Ok(State::Fault);
+        if fault && self.plan.reset && !std::mem::replace(&mut self.resetting, true) {
+            self.master.reset_fault();
+        }
+        let feedback = Feedback {
+            status: step.status,
+            mode: step.mode,
+            position: step.position,
+        };
+        let orders = self.master.step(&feedback, self.wire.now());
+        if !matches!(state, Ok(State::OperationEnabled)) {
+            self.align(step.position)?;
+        }
+        self.set_mode(orders.mode)?;
+        self.order(orders.control)?;
+        self.rest_of_cycle(begun)?;
+        Ok((step, orders.follows))
+    }
+
+    /// What ends it from outside.
+    fn check(&self, state: Option<State>) -> Go<()> {
+        if self.wire.is_stopped() {
+            return Err(End::Stopped);
+        }
+        let heard = &self.wire.heard;
+        if heard.boots > 0 {
+            return Err(End::Because(Cause::Rebooted));
+        }
+        if let Some(shown) = heard.state.filter(|shown| *shown != NmtState::Operational) {
+            return Err(End::Because(Cause::Left(shown)));
+        }
+        match state {
+            Some(State::Fault | State::FaultReactionActive) if self.enabled => {
+                Err(End::Because(Cause::Drive(Obstacle::Fault)))
+            }
+            Some(state) if self.enabled && state != State::OperationEnabled => {
+                Err(End::Because(Cause::Dropped(state)))
+            }
+            Some(_) | None => Ok(()),
+        }
+    }
+
+    /// Until it follows, targets are where it is: it must not jump when it is enabled.
+    fn align(&mut self, position: i32) -> Go<()> {
+        if self.aligned == Some(position) {
+            return Ok(());
+        }
+        let first = self.aligned.is_none();
+        // What it has not, cannot make it jump.
+        let _ = self.write(0x607A, &position.to_le_bytes())?;
+        if first {
+            let _ = self.write(0x60FF, &[0; 4])?;
+            let _ = self.write(0x6071, &[0; 2])?;
+        }
+        self.aligned = Some(position);
+        Ok(())
+    }
+
+    fn set_mode(&mut self, mode: i8) -> Go<()> {
+        if self.mode == Some(mode) || self.leaving {
+            return Ok(());
+        }
+        self.mode = Some(mode);
+        match self.write(0x6060, &mode.to_le_bytes())? {
+            Ok(()) => Ok(()),
+            Err(refusal) => Err(End::Because(Cause::Refused(refusal))),
+        }
+    }
+
+    /// Writes 6040h if it is another than before.
+    pub(super) fn order(&mut self, control: ControlWord) -> Go<()> {
+        if self.control == Some(control) {
+            return Ok(());
+        }
+        self.control = Some(control);
+        match self.write(0x6040, &control.raw().to_le_bytes())? {
+            Ok(()) => Ok(()),
+            Err(refusal) => Err(End::Because(Cause::Refused(refusal))),
+        }
+    }
+
+    /// Up to where it follows.
+    pub(super) fn enable(&mut self) -> Go<()> {
+        loop {
+            let (_, follows) = self.cycle()?;
+            if follows {
+                self.enabled = true;
+                return Ok(());
+            }
+            match self.master.obstacle() {
+                None => {}
+                // The edges of a reset take their time.
+                Some(Obstacle::Fault) if self.plan.reset => {}
+                Some(obstacle) => return Err(End::Because(self.blame(obstacle)?)),
+            }
+        }
+    }
+
+    /// A drive that ignores its controlword may hold another one.
+    fn blame(&mut self, obstacle: Obstacle) -> Go<Cause> {
+        let stuck = matches!(obstacle, Obstacle::Stuck { .. });
+        let wrote = self.control.unwrap_or_default().raw();
+        let holds = if stuck { self.read(0x6040)? } else { None };
+        Ok(match holds.map(low_word) {
+            Some(holds) if holds != wrote => Cause::Overwritten { wrote, holds },
+            Some(_) | None => Cause::Drive(obstacle),
+        })
+    }
+
+    pub(super) fn hold(&mut self, time: Duration) -> Go<()> {
+        let end = self.wire.now() + time;
+        while self.wire.now() < end {
+            self.cycle()?;
+        }
+        Ok(())
+    }
+
+    fn turn(&mut self, velocity: i32) -> Go<()> {
+        match self.write(0x60FF, &velocity.to_le_bytes())? {
+            Ok(()) => Ok(()),
+            Err(refusal) => Err(End::Because(Cause::Refused(refusal))),
+        }
+    }
+
+    /// Turns it for a time, and stops it.
+    pub(super) fn jog(&mut self, jog: Jog) -> Go<()> {
+        let wanted = jog.velocity;
+        self.moving = true;
+        self.turn(wanted)?;
+        let end = self.wire.now() + jog.time;
+        let mut turned = self.wire.now();
+        let mut fastest = 0;
+        while self.wire.now() < end {
+            let (step, _) = self.cycle()?;
+            let speed = step.velocity.unsigned_abs();
+            fastest = speed.max(fastest);
+            if speed > wanted.unsigned_abs() / 20 || wanted == 0 {
+                turned = self.wire.now();
+            }
+            if self.wire.now() > turned + TURN {
+                let shown = step.velocity;
+                return Err(End::Because(Cause::DoesNotTurn { wanted, shown }));
+            }
+        }
+        self.turn(0)?;
+        self.wait_for_rest()?;
+        self.moving = false;
+        if wanted != 0 && fastest <= wanted.unsigned_abs() / 20 {
+            return Err(End::Because(Cause::DoesNotTurn { wanted, shown: 0 }));
+        }
+        Ok(())
+    }
+
+    /// Slower than a fiftieth of its jog it stands: encoders show some noise.
+    fn stands(&self, velocity: i32) -> bool {
+        let jog = self.plan.jog.map_or(0, |jog| jog.velocity.unsigned_abs());
+        velocity.unsigned_abs() <= (jog / 50).max(10)
+    }
+
+    fn wait_for_rest(&mut self) -> Go<()> {
+        let end = self.wire.now() + REST;
+        let mut looks = 0;
+        loop {
+            let (step, _) = self.cycle()?;
+            looks = if self.stands(step.velocity) {
+                looks + 1
+            } else {
+                0
+            };
+            if looks >= STANDS {
+                return Ok(());
+            }
+            if self.wire.now() > end {
+                let shown = step.velocity;
+                return Err(End::Because(Cause::DoesNotStop { shown }));
+            }
+        }
+    }
+
+    /// At rest by a quick stop if it moves, then without power. What never was commanded is left alone.
+    pub(super) fn go_down(&mut self) -> Go<()> {
+        if self.control.is_none() {
+            return Ok(());
+        }
+        (self.leaving, self.enabled) = (true, false);
+        let mut rest = Ok(());
+        if self.moving {
+            self.master.set_goal(Goal::QuickStop);
+            rest = self.wait_for_rest();
+        } else {
+            self.master.set_goal(Goal::SwitchedOn);
+            self.until(|state| state != State::OperationEnabled)?;
+        }
+        self.master.set_goal(Goal::SwitchOnDisabled);
+        self.until(|state| matches!(state, State::SwitchOnDisabled | State::Fault))?;
+        rest
+    }
+
+    /// Until its state is such, but not for ever.
+    fn until(&mut self, is: impl Fn(State) -> bool) -> Go<()> {
+        let end = self.wire.now() + OFF;
+        while self.wire.now() < end {
+            let (step, _) = self.cycle()?;
+            if step.status.state().is_ok_and(&is) {
+                break;
+            }
+        }
+        Ok(())
+    }
+}

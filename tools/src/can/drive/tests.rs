@@ -1,0 +1,633 @@
+//! `takt can drive` against emulated drives, each with what can be wrong with it.
+
+use std::time::Duration;
+
+use takt_can::Frame;
+use takt_can::canopen::emulator::{DriveNode, DriveNodeConfig};
+use takt_can::canopen::sdo::{Initiate, Request, Response};
+use takt_can::canopen::{Message, NmtCommand, RPDO1};
+use takt_cia402::dictionary::{AbortCode, Address};
+use takt_cia402::emulator::{Drive as Axis, DriveConfig, FaultCode, MotorConfig, Quirks};
+use takt_cia402::{Goal, State, next_control_word};
+
+use super::diagnosis::Cause;
+use super::session::{Jog, Plan, Report, Session};
+use crate::can::ask::{Asker, PATIENCE};
+use crate::can::lab::{Device, Lab, drive, node};
+use crate::can::wire::Wire;
+
+fn plan() -> Plan {
+    Plan {
+        node: node(5),
+        axis: 0,
+        mode: 3,
+        reset: false,
+        hold: Duration::from_millis(200),
+        jog: None,
+    }
+}
+
+fn jog(velocity: i32, ms: u64) -> Plan {
+    let time = Duration::from_millis(ms);
+    Plan {
+        jog: Some(Jog {
+            velocity,
+            time,
+            unguarded: false,
+        }),
+        ..plan()
+    }
+}
+
+fn lab() -> Lab {
+    lab_with(DriveConfig::default())
+}
+
+fn lab_with(axis: DriveConfig) -> Lab {
+    let mut lab = Lab::new();
+    lab.add_drive(DriveNodeConfig {
+        axes: vec![axis],
+        ..DriveNodeConfig::new(node(5))
+    });
+    lab.run(20);
+    lab
+}
+
+fn axis(devices: &mut [Device]) -> &mut Axis {
+    let drives = drive(devices, 0).application_mut();
+    drives.axis_mut(0).unwrap()
+}
+
+fn run(lab: &mut Lab, plan: Plan) -> Report {
+    Session::new(lab, plan, &mut |_| Ok(())).run().unwrap()
+}
+
+/// The name of what is found, all that is said about it, and that the drive is without power and at rest then.
+fn diagnosed(lab: &mut Lab, plan: Plan) -> (Cause, String) {
+    let report = run(lab, plan);
+    let text = super::text::verdict(&report);
+    let diagnosis = report.diagnosis.expect("a diagnosis");
+    lab.run(3000);
+    if let Device::Drive(drive) = &mut lab.devices[0] {
+        let axis = drive.application_mut().axis_mut(0).unwrap();
+        assert!(axis.motor().velocity.abs() < 0.1, "it turns: {text}");
+        assert_ne!(axis.state(), State::OperationEnabled, "{text}");
+    }
+    (diagnosis.cause, text)
+}
+
+fn states(report: &Report) -> Vec<State> {
+    let mut states: Vec<State> = report
+        .steps
+        .iter()
+        .filter_map(|s| s.status.state().ok())
+        .collect();
+    states.dedup();
+    states
+}
+
+#[test]
+fn a_drive_comes_up_state_by_state_and_goes_down_again() {
+    let mut lab = lab();
+    let report = run(&mut lab, plan());
+    assert_eq!(report.diagnosis, None);
+    assert_eq!(
+        states(&report),
+        [
+            State::SwitchOnDisabled,
+            State::ReadyToSwitchOn,
+            State::SwitchedOn,
+            State::OperationEnabled,
+            State::SwitchedOn,
+            State::SwitchOnDisabled
+        ]
+    );
+    assert!(super::text::verdict(&report).contains("ok, came up and went down"));
+    let json = super::text::json(&report);
+    assert_eq!(
+        (&json["enabled"], &json["diagnosis"]),
+        (&true.into(), &serde_json::Value::Null)
+    );
+    // As it was: nobody's heartbeat is watched, and nothing is taken for a fault.
+    lab.run(2000);
+    let drive = lab.drive(0);
+    assert_eq!(drive.state(), takt_can::canopen::nmt::State::Operational);
+    assert_eq!(
+        drive.dictionary().bytes(Address::new(0x1016, 1)),
+        Some(&[0; 4][..])
+    );
+    assert_eq!(axis(&mut lab.devices).state(), State::SwitchOnDisabled);
+}
+
+#[test]
+fn a_step_shows_both_words_with_their_bits() {
+    let mut lab = lab();
+    let report = run(&mut lab, plan());
+    let texts: Vec<String> = report.steps.iter().map(super::text::step).collect();
+    let enabled = texts
+        .iter()
+        .find(|text| text.contains("s  operation enabled"))
+        .unwrap();
+    assert!(enabled.contains("6041h 0x"), "{enabled}");
+    assert!(enabled.contains("+operation-enabled+"), "{enabled}");
+    assert!(
+        enabled.contains("6040h 0x000f switch-on+enable-voltage+quick-stop+enable-operation"),
+        "{enabled}"
+    );
+}
+
+#[test]
+fn every_drive_with_a_quirk_comes_up() {
+    for name in Quirks::NAMES.into_iter().filter(|name| *name != "ssc-5.11") {
+        let quirks = Quirks::named(name).unwrap();
+        let mut lab = lab_with(DriveConfig {
+            quirks,
+            ..DriveConfig::default()
+        });
+        let report = run(&mut lab, plan());
+        assert_eq!(report.diagnosis, None, "{name}");
+        assert!(report.was_enabled(), "{name}");
+    }
+}
+
+#[test]
+fn an_axis_of_several_is_led_alone() {
+    let mut lab = Lab::new();
+    lab.add_drive(DriveNodeConfig {
+        axes: vec![DriveConfig::default(); 3],
+        ..DriveNodeConfig::new(node(5))
+    });
+    lab.run(20);
+    let report = run(
+        &mut lab,
+        Plan {
+            axis: 2,
+            ..jog(20_000, 500)
+        },
+    );
+    assert_eq!(report.diagnosis, None);
+    let drives = lab.drive(0).application();
+    assert!(drives.axis(2).unwrap().motor().position > 1.0);
+    assert!(drives.axis(0).unwrap().motor().position.abs() < 1e-6);
+}
+
+#[test]
+fn a_jog_turns_and_comes_to_rest() {
+    let mut lab = lab();
+    let report = run(&mut lab, jog(-20_000, 1000));
+    assert_eq!(report.diagnosis, None, "{}", super::text::verdict(&report));
+    let turned = axis(&mut lab.devices).motor().position;
+    // A second at 20,000 increments/s of 4,096 a turn.
+    let expected = -20_000.0 / 4096.0 * std::f64::consts::TAU;
+    assert!(
+        (turned - expected).abs() < 0.1 * expected.abs(),
+        "{turned} {expected}"
+    );
+    assert!(axis(&mut lab.devices).motor().velocity.abs() < 0.1);
+}
+
+#[test]
+fn ctrl_c_brakes_by_a_quick_stop() {
+    let mut lab = lab();
+    lab.stop_at = Some(lab.now() + Duration::from_secs(1));
+    let report = run(&mut lab, jog(20_000, 60_000));
+    assert!(report.stopped && report.diagnosis.is_none());
+    assert!(
+        states(&report).contains(&State::QuickStopActive),
+        "{:?}",
+        states(&report)
+    );
+    assert!(lab.now() < Duration::from_secs(3), "{:?}", lab.now());
+    assert!(axis(&mut lab.devices).motor().velocity.abs() < 0.1);
+    assert_eq!(axis(&mut lab.devices).state(), State::SwitchOnDisabled);
+}
+
+/// This program dies in the middle: the interface fails.
+#[test]
+fn a_drive_whose_master_vanishes_stops_by_itself() {
+    struct Dying(Lab, Duration);
+    impl Wire for Dying {
+        fn now(&self) -> Duration {
+            self.0.now()
+        }
+        fn send(&mut self, frame: &Frame) -> anyhow::Result<()> {
+            anyhow::ensure!(self.now() < self.1, "gone");
+            self.0.send(frame)
+        }
+        fn receive(&mut self, timeout: Duration) -> anyhow::Result<Option<Frame>> {
+            self.0.receive(timeout)
+        }
+        fn is_stopped(&self) -> bool {
+            false
+        }
+    }
+    let mut wire = Dying(lab(), Duration::from_secs(1));
+    let mut show = |_: &super::session::Step| Ok(());
+    let failed = Session::new(&mut wire, jog(20_000, 60_000), &mut show).run();
+    assert_eq!(failed.unwrap_err().to_string(), "gone");
+    let lab = &mut wire.0;
+    assert!(axis(&mut lab.devices).motor().velocity > 10.0);
+    lab.run(1500);
+    assert!(axis(&mut lab.devices).motor().velocity.abs() < 0.1);
+    assert_eq!(axis(&mut lab.devices).state(), State::Fault);
+}
+
+#[test]
+fn watching_commands_nothing() {
+    let mut lab = lab();
+    lab.at(300, |devices| axis(devices).fault(FaultCode::TEMPERATURE));
+    let mut show = |_: &super::session::Step| Ok(());
+    let session = Session::new(&mut lab, plan(), &mut show);
+    let report = session.watch(Some(Duration::from_millis(600))).unwrap();
+    assert_eq!(states(&report).last(), Some(&State::Fault));
+    let reads = |frame: &Frame| {
+        let Message::SdoRequest(_, message) = Message::decode(frame) else {
+            return false;
+        };
+        matches!(Request::decode(&message), Some(Request::Upload { .. }))
+    };
+    assert!(lab.sent.iter().all(|(_, frame)| reads(frame)));
+}
+
+#[test]
+fn nobody_there() {
+    let (cause, text) = diagnosed(&mut Lab::new().with_nothing(), plan());
+    assert!(matches!(cause, Cause::Silent(_)), "{text}");
+    assert!(text.contains("node 5 does not answer"), "{text}");
+}
+
+impl Lab {
+    fn with_nothing(mut self) -> Self {
+        self.devices.push(Device::Nothing);
+        self
+    }
+}
+
+/// Changes the answer about an object.
+fn answer_instead(frame: Frame, index: u16, value: &[u8]) -> Frame {
+    let Message::SdoResponse(node, message) = Message::decode(&frame) else {
+        return frame;
+    };
+    match Response::decode(&message) {
+        Some(Response::Upload { address, .. }) if address.index == index => {
+            let data = Initiate::Expedited(takt_can::canopen::sdo::Bytes::new(value));
+            let answer = Response::Upload { address, data }.encode();
+            Frame::full(node.cob(takt_can::canopen::SDO_RESPONSE), answer)
+        }
+        _ => frame,
+    }
+}
+
+#[test]
+fn no_drive_and_no_such_axis() {
+    let mut lab = lab();
+    lab.tamper = |frame| answer_instead(frame, 0x1000, &[0x91, 1, 3, 0]);
+    let (cause, text) = diagnosed(&mut lab, plan());
+    assert_eq!(cause, Cause::NotADrive(0x0003_0191), "{text}");
+    lab.tamper = |frame| frame;
+    let (cause, text) = diagnosed(&mut lab, Plan { axis: 1, ..plan() });
+    assert!(matches!(cause, Cause::NoAxis(1, _)), "{text}");
+    assert!(text.contains("refuses 6841h:00"), "{text}");
+}
+
+#[test]
+fn a_statusword_without_a_state() {
+    let mut lab = lab();
+    lab.tamper = |frame| answer_instead(frame, 0x6041, &[1, 0]);
+    let (cause, text) = diagnosed(&mut lab, plan());
+    assert_eq!(cause.name(), "undefined-state", "{text}");
+}
+
+#[test]
+fn a_fault_with_its_code_and_history() {
+    let mut lab = lab();
+    axis(&mut lab.devices).fault(FaultCode::SHORT_CIRCUIT);
+    lab.run(50);
+    let (cause, text) = diagnosed(&mut lab, plan());
+    assert_eq!(cause.name(), "fault");
+    for words in [
+        "603Fh:00 error code: short circuit or earth leakage at the motor (2320h)",
+        "1001h:00 error register 03h: generic, current",
+        "1003h:01 last error: short circuit",
+    ] {
+        assert!(text.contains(words), "{words}\n{text}");
+    }
+}
+
+#[test]
+fn a_fault_that_is_reset_and_one_that_stays() {
+    let mut lab = lab();
+    axis(&mut lab.devices).fault(FaultCode::ENCODER);
+    lab.run(50);
+    let (cause, text) = diagnosed(
+        &mut lab,
+        Plan {
+            reset: true,
+            ..plan()
+        },
+    );
+    assert_eq!(cause.name(), "reset-refused");
+    assert!(
+        text.contains("after 3 resets") && text.contains("encoder"),
+        "{text}"
+    );
+    axis(&mut lab.devices).mend();
+    let report = run(
+        &mut lab,
+        Plan {
+            reset: true,
+            ..plan()
+        },
+    );
+    assert_eq!(report.diagnosis, None);
+    assert!(report.was_enabled());
+}
+
+#[test]
+fn no_voltage_at_the_dc_link() {
+    let mut lab = lab();
+    axis(&mut lab.devices).dc_link = 3.0;
+    let (cause, text) = diagnosed(&mut lab, plan());
+    assert_eq!(cause.name(), "no-voltage");
+    assert!(
+        text.contains("6079h:00 DC link: 3.0 V") && text.contains("bit 4"),
+        "{text}"
+    );
+}
+
+#[test]
+fn a_service_tool_holds_the_drive() {
+    let mut lab = lab();
+    axis(&mut lab.devices).local = true;
+    let (cause, text) = diagnosed(&mut lab, plan());
+    assert_eq!(cause.name(), "not-remote");
+    assert!(text.contains("bit 9 of 6041h is low"), "{text}");
+}
+
+#[test]
+fn an_interlock_is_open() {
+    let mut lab = lab();
+    axis(&mut lab.devices).interlock = true;
+    let (cause, text) = diagnosed(&mut lab, plan());
+    assert_eq!(cause.name(), "stuck");
+    assert!(
+        text.contains("60FDh:00 digital inputs 0000000Ch: home switch, interlock"),
+        "{text}"
+    );
+    assert!(
+        text.contains("ready to switch on although 6040h is 0x0007"),
+        "{text}"
+    );
+}
+
+#[test]
+fn another_master_writes_the_controlword() {
+    let mut lab = lab();
+    let nothing = Frame::new(node(5).cob(RPDO1), &[0, 0]).unwrap();
+    let begun = lab.now();
+    for ms in 0..6000 {
+        lab.stranger
+            .push((begun + Duration::from_millis(ms), nothing));
+    }
+    let (cause, text) = diagnosed(&mut lab, plan());
+    assert!(
+        matches!(cause, Cause::Overwritten { holds: 0, .. }),
+        "{text}"
+    );
+    assert!(text.contains("another master talks to it"), "{text}");
+}
+
+#[test]
+fn a_mode_that_the_drive_has_not() {
+    let mut lab = lab_with(DriveConfig {
+        quirks: Quirks {
+            supported_modes: 0x1,
+            ..Quirks::default()
+        },
+        ..DriveConfig::default()
+    });
+    let (cause, text) = diagnosed(&mut lab, plan());
+    assert_eq!(cause.name(), "refused");
+    assert!(
+        text.contains("node 5 refuses 6060h:00: the value is not allowed"),
+        "{text}"
+    );
+    assert!(text.contains("6502h:00 has the modes PP (1)"), "{text}");
+}
+
+#[test]
+fn a_mode_that_does_not_come() {
+    let mut lab = lab_with(DriveConfig {
+        quirks: Quirks {
+            mode_delay: Duration::from_secs(10),
+            ..Quirks::default()
+        },
+        ..DriveConfig::default()
+    });
+    let (cause, text) = diagnosed(&mut lab, plan());
+    assert_eq!(cause.name(), "mode");
+    assert!(
+        text.contains("6061h shows mode 0, not 3") && text.contains("6502h:00"),
+        "{text}"
+    );
+}
+
+/// Somebody has left it in Quick stop active.
+#[test]
+fn a_quick_stop_that_is_held() {
+    let mut lab = lab();
+    let mut asker = Asker::new(node(5), PATIENCE);
+    let mut write = |index, value: &[u8]| {
+        let answer = asker.write(&mut lab, Address::new(index, 0), value, false);
+        answer.unwrap().unwrap();
+        lab.run(500);
+    };
+    write(0x605A, &[6, 0]);
+    write(0x6060, &[3]);
+    for state in [
+        State::SwitchOnDisabled,
+        State::ReadyToSwitchOn,
+        State::SwitchedOn,
+    ] {
+        let word = next_control_word(state, Goal::OperationEnabled);
+        write(0x6040, &word.raw().to_le_bytes());
+    }
+    write(0x6040, &[2, 0]);
+    let (cause, text) = diagnosed(&mut lab, plan());
+    assert_eq!(cause.name(), "quick-stop-held");
+    assert!(
+        text.contains("quick stop option 6: quick stop ramp, stays"),
+        "{text}"
+    );
+}
+
+/// Over SDO nobody gives set-points in a cycle.
+#[test]
+fn a_cyclic_mode_that_is_not_followed() {
+    let mut lab = lab_with(DriveConfig {
+        quirks: Quirks::named("dm556ec").unwrap(),
+        ..DriveConfig::default()
+    });
+    let (cause, text) = diagnosed(&mut lab, Plan { mode: 8, ..plan() });
+    assert_eq!(cause.name(), "not-following");
+    assert!(
+        text.contains("bit 12") && text.contains("6061h:00 mode of operation 8"),
+        "{text}"
+    );
+}
+
+#[test]
+fn a_motor_that_does_not_turn() {
+    let mut lab = lab();
+    let mut asker = Asker::new(node(5), PATIENCE);
+    let none = asker.write(&mut lab, Address::new(0x6072, 0), &[0, 0], false);
+    none.unwrap().unwrap();
+    let (cause, text) = diagnosed(&mut lab, jog(20_000, 3000));
+    assert_eq!(
+        cause,
+        Cause::DoesNotTurn {
+            wanted: 20_000,
+            shown: 0
+        }
+    );
+    assert!(
+        text.contains("6072h:00 max torque 0.0 % of rated"),
+        "{text}"
+    );
+    // A jog too short to wait for it is judged at its end.
+    let (cause, _) = diagnosed(&mut lab, jog(20_000, 200));
+    assert_eq!(cause.name(), "does-not-turn");
+}
+
+#[test]
+fn a_fault_while_it_turns() {
+    let mut lab = lab();
+    lab.at(1000, |devices| axis(devices).fault(FaultCode::OVER_VOLTAGE));
+    let (cause, text) = diagnosed(&mut lab, jog(20_000, 5000));
+    assert_eq!(cause.name(), "fault");
+    assert!(
+        text.contains("DC link over-voltage (3210h)") && text.contains("emergency: DC link"),
+        "{text}"
+    );
+}
+
+#[test]
+fn silence_while_it_turns() {
+    let mut lab = lab();
+    lab.at(1000, |devices| devices[0] = Device::Nothing);
+    let (cause, text) = diagnosed(&mut lab, jog(20_000, 5000));
+    assert_eq!(cause.name(), "silent", "{text}");
+}
+
+#[test]
+fn a_drive_that_begins_anew() {
+    let mut lab = lab();
+    lab.at(1000, |devices| {
+        let config = DriveNodeConfig::new(node(5));
+        let again = DriveNode::power_on(config, Duration::from_secs(1)).unwrap();
+        devices[0] = Device::Drive(Box::new(again));
+    });
+    let (cause, text) = diagnosed(&mut lab, jog(20_000, 5000));
+    assert_eq!(cause, Cause::Rebooted, "{text}");
+}
+
+#[test]
+fn a_drive_that_is_taken_out_of_operational() {
+    let mut lab = Lab::new();
+    lab.add_drive(DriveNodeConfig {
+        heartbeat_ms: 50,
+        ..DriveNodeConfig::new(node(5))
+    });
+    lab.run(20);
+    let preop = NmtCommand::EnterPreOperational.frame(None);
+    lab.stranger.push((Duration::from_secs(1), preop));
+    let mut asker = Asker::new(node(5), PATIENCE);
+    let ignore = asker.write(&mut lab, Address::new(0x6007, 0), &[0, 0], false);
+    ignore.unwrap().unwrap();
+    let held = Plan {
+        hold: Duration::from_secs(5),
+        ..plan()
+    };
+    let (cause, text) = diagnosed(&mut lab, held);
+    assert_eq!(cause.name(), "left-operational", "{text}");
+    assert!(
+        text.contains("another master talks to it: NMT enter pre-operational"),
+        "{text}"
+    );
+}
+
+/// Another master disables it.
+#[test]
+fn a_drive_that_drops_out_by_itself() {
+    let mut lab = lab();
+    let off = Frame::new(node(5).cob(RPDO1), &[0, 0]).unwrap();
+    lab.stranger.push((Duration::from_secs(1), off));
+    let held = Plan {
+        hold: Duration::from_secs(5),
+        ..plan()
+    };
+    let (cause, text) = diagnosed(&mut lab, held);
+    assert_eq!(cause, Cause::Dropped(State::SwitchOnDisabled), "{text}");
+}
+
+#[test]
+fn a_load_that_drives_the_motor() {
+    let mut lab = lab_with(DriveConfig {
+        motor: MotorConfig {
+            stops: (-1e9, 1e9),
+            thermal_time: 1e6,
+            ..MotorConfig::default()
+        },
+        ..DriveConfig::default()
+    });
+    lab.at(600, |devices| {
+        axis(devices).motor_mut().external = 3.0;
+    });
+    let report = run(&mut lab, jog(20_000, 500));
+    let cause = report.diagnosis.as_ref().expect("a diagnosis").cause;
+    assert_eq!(cause.name(), "does-not-stop");
+    assert_ne!(axis(&mut lab.devices).state(), State::OperationEnabled);
+}
+
+#[test]
+fn a_drive_that_would_go_on_without_its_master_is_not_jogged() {
+    let mut lab = lab();
+    let mut asker = Asker::new(node(5), PATIENCE);
+    let none = asker.write(&mut lab, Address::new(0x6007, 0), &[0, 0], false);
+    none.unwrap().unwrap();
+    let (cause, _) = diagnosed(&mut lab, jog(20_000, 500));
+    assert_eq!(cause, Cause::NoReaction);
+    let unguarded = |mut plan: Plan| {
+        plan.jog = plan.jog.map(|jog| Jog {
+            unguarded: true,
+            ..jog
+        });
+        plan
+    };
+    assert_eq!(run(&mut lab, unguarded(jog(20_000, 500))).diagnosis, None);
+    // A drive that has no 1016h.
+    let mut lab = self::lab();
+    lab.tamper = |frame| {
+        let Message::SdoResponse(node, message) = Message::decode(&frame) else {
+            return frame;
+        };
+        match Response::decode(&message) {
+            Some(Response::Download { address }) if address.index == 0x1016 => {
+                let code = AbortCode::NoObject;
+                let answer = Response::Abort { address, code }.encode();
+                Frame::full(node.cob(takt_can::canopen::SDO_RESPONSE), answer)
+            }
+            _ => frame,
+        }
+    };
+    let (cause, text) = diagnosed(&mut lab, jog(20_000, 500));
+    assert_eq!(cause.name(), "unguarded", "{text}");
+    assert!(text.contains("--unguarded"), "{text}");
+}
+
+#[test]
+fn modes_have_names() {
+    assert_eq!(super::mode("csp"), Ok(8));
+    assert_eq!(super::mode("-1"), Ok(-1));
+    assert!(super::mode("fast").is_err());
+}

@@ -1,0 +1,249 @@
+//! `takt can rmp` against an emulated power base, with each thing that can be wrong with it.
+
+use std::time::Duration;
+
+use takt_can::Frame;
+use takt_can::rmp::emulator::PowerbaseConfig;
+use takt_can::rmp::{Command, Config, Gain, Mode, Model};
+
+use super::session::{Finding, Jog, Plan, Report, Session};
+use super::{Configs, configs, text, velocity};
+use crate::can::lab::{Device, Lab, rmp};
+
+fn lab() -> Lab {
+    let mut lab = Lab::new();
+    lab.add_rmp(PowerbaseConfig::default());
+    lab
+}
+
+fn look() -> Plan {
+    Plan {
+        model: Model::Rmp200,
+        look: Some(Duration::from_secs(2)),
+        configs: vec![],
+        jog: None,
+    }
+}
+
+fn jog(velocity: [f64; 2], ms: u64) -> Plan {
+    let time = Duration::from_millis(ms);
+    Plan {
+        jog: Some(Jog { velocity, time }),
+        ..look()
+    }
+}
+
+fn run(lab: &mut Lab, plan: Plan) -> Report {
+    Session::new(lab, plan).run(&mut |_| ()).unwrap()
+}
+
+fn names(report: &Report) -> Vec<&'static str> {
+    report
+        .findings
+        .iter()
+        .map(|finding| finding.name())
+        .collect()
+}
+
+#[test]
+fn looking_sends_nothing_and_shows_all() {
+    let mut lab = lab();
+    let mut views = 0;
+    let report = Session::new(&mut lab, look())
+        .run(&mut |_| views += 1)
+        .unwrap();
+    assert_eq!(report.findings, []);
+    assert!(lab.sent.is_empty());
+    assert!(report.view.cycles > 150 && report.view.broken == 0);
+    assert!((9..=10).contains(&views), "{views}");
+    let shown = text::report("can0", &report);
+    for words in [
+        "can0: rmp200",
+        "mode       disabled",
+        "batteries  power base",
+        "odometry   x +0.000 m",
+        "can0: ok",
+    ] {
+        assert!(shown.contains(words), "{words}\n{shown}");
+    }
+    assert!(shown.lines().all(|line| line.len() <= 80), "{shown}");
+    let json = text::json(&report);
+    assert_eq!(
+        (&json["broken"], &json["findings"]),
+        (&0.into(), &serde_json::json!([]))
+    );
+}
+
+#[test]
+fn a_jog_drives_and_ends_disabled_at_rest() {
+    let mut lab = lab();
+    let report = run(&mut lab, jog([0.4, 0.0], 2000));
+    assert_eq!(report.findings, []);
+    let (told, truth) = (report.view.motion.pose, lab.rmp(0).truth());
+    // Ramps of 0.5 m/s² on both sides.
+    assert!((truth.x - 0.8).abs() < 0.15, "{}", truth.x);
+    assert!((told.x - truth.x).abs() < 0.02, "{} {}", told.x, truth.x);
+    assert_eq!(lab.rmp(0).mode(), Mode::Disabled);
+    assert!(lab.rmp(0).speed().iter().all(|speed| speed.abs() < 0.01));
+}
+
+#[test]
+fn ctrl_c_brakes() {
+    let mut lab = lab();
+    lab.stop_at = Some(Duration::from_secs(3));
+    let report = run(&mut lab, jog([0.5, 0.5], 60_000));
+    assert!(report.stopped && report.findings.is_empty());
+    assert!(lab.rmp(0).truth().x > 0.2);
+    assert!(lab.rmp(0).speed().iter().all(|speed| speed.abs() < 0.01));
+    assert!(lab.bus.now() < Duration::from_secs(6));
+}
+
+#[test]
+fn settings_are_sent_until_they_are_there() {
+    let mut lab = lab();
+    let plan = Plan {
+        configs: configs("velocity=16,acceleration=9,turn=5,gain=1")
+            .unwrap()
+            .0,
+        ..look()
+    };
+    let report = run(&mut lab, plan);
+    assert_eq!(report.findings, []);
+    assert_eq!(lab.rmp(0).scales(), [16, 9, 5]);
+    assert_eq!(report.view.measured.unwrap().gain, Gain::from_raw(1));
+    assert!(text::report("can0", &report).contains("set        velocity scale 16/16"));
+}
+
+#[test]
+fn a_gain_that_is_not_taken() {
+    let mut lab = lab();
+    let plan = Plan {
+        configs: configs("gain=2").unwrap().0,
+        ..look()
+    };
+    // The frame with the setting does not arrive at the power base; it goes on with its own.
+    lab.at(1500, |devices| {
+        rmp(devices, 0).faults.silent = [true; 2];
+    });
+    let report = run(&mut lab, plan);
+    assert!(
+        names(&report).contains(&"gain-not-taken"),
+        "{:?}",
+        report.findings
+    );
+}
+
+#[test]
+fn settings_of_the_command_line_are_checked() {
+    assert_eq!(
+        configs("turn=3,current=256"),
+        Ok(Configs(vec![Config::MaxTurn(3), Config::CurrentLimit(256)]))
+    );
+    for wrong in [
+        "",
+        "turn",
+        "turn=17",
+        "current=257",
+        "gain=3",
+        "speed=1",
+        "turn=-1",
+    ] {
+        assert!(configs(wrong).is_err(), "{wrong}");
+    }
+    assert_eq!(velocity("0.2,-0.1").map(|v| v.0), Ok([0.2, -0.1]));
+    assert_eq!(velocity("-0.2").map(|v| v.0), Ok([-0.2, 0.0]));
+    for wrong in ["", "x", "2,0", "0,9", "nan", "inf,0"] {
+        assert!(velocity(wrong).is_err(), "{wrong}");
+    }
+}
+
+#[test]
+fn nothing_is_heard_and_a_power_base_that_is_off() {
+    let mut lab = Lab::new();
+    assert_eq!(names(&run(&mut lab, look())), ["silent"]);
+    assert_eq!(
+        names(&run(&mut Lab::new(), jog([0.2, 0.0], 500))),
+        ["silent"]
+    );
+    let mut lab = self::lab();
+    lab.rmp(0).power(false);
+    let report = run(&mut lab, look());
+    assert_eq!(names(&report), ["powered-off"]);
+    assert!(text::report("can0", &report).contains("switch it on"));
+    assert_eq!(names(&run(&mut lab, jog([0.2, 0.0], 500))), ["powered-off"]);
+}
+
+#[test]
+fn each_hindrance_is_told() {
+    type Injure = fn(&mut [Device]);
+    let cases: [(Injure, &str); 4] = [
+        (
+            |d| rmp(d, 0).faults.emergency_stop = true,
+            "emergency stop is open",
+        ),
+        (|d| rmp(d, 0).faults.word1 = 0x0040, "integrity fault"),
+        (|d| rmp(d, 0).faults.refuses_mode = true, "it stays in mode"),
+        (|d| rmp(d, 0).faults.word1 = 0x4000, "battery is low"),
+    ];
+    for (injure, words) in cases {
+        let mut lab = lab();
+        injure(&mut lab.devices);
+        let report = run(&mut lab, jog([0.2, 0.0], 1000));
+        let shown = text::report("can0", &report);
+        assert!(shown.contains(words), "{words}\n{shown}");
+        assert_eq!(report.findings.len(), 1, "{shown}");
+    }
+}
+
+#[test]
+fn what_fails_while_it_drives_is_told() {
+    let mut lab = lab();
+    lab.at(3000, |devices| rmp(devices, 0).faults.emergency_stop = true);
+    let report = run(&mut lab, jog([0.2, 0.0], 20_000));
+    assert_eq!(names(&report), ["blocked"]);
+    let mut lab = self::lab();
+    lab.at(3000, |devices| devices[0] = Device::Nothing);
+    let report = run(&mut lab, jog([0.2, 0.0], 20_000));
+    assert_eq!(names(&report), ["silent"]);
+    let mut lab = self::lab();
+    lab.at(500, |devices| devices[0] = Device::Nothing);
+    assert_eq!(names(&run(&mut lab, look())), ["silent"]);
+}
+
+#[test]
+fn a_message_that_is_missing_in_every_cycle() {
+    let mut lab = lab();
+    lab.rmp(0).faults.lacks = Some(0x404);
+    let report = run(&mut lab, look());
+    assert!(
+        names(&report).contains(&"broken-cycles"),
+        "{:?}",
+        report.findings
+    );
+}
+
+#[test]
+fn another_host_that_commands_it() {
+    let mut lab = lab();
+    let rest: Frame = Command::default().frame();
+    for turn in 0..20_u64 {
+        lab.stranger.push((Duration::from_millis(50 * turn), rest));
+    }
+    let report = run(&mut lab, look());
+    assert_eq!(report.findings, [Finding::Stranger(20)]);
+}
+
+/// It keeps the scale that it has stored, which is none.
+#[test]
+fn a_power_base_that_follows_and_does_not_move() {
+    let mut lab = lab();
+    lab.rmp(0).faults.keeps_scale = true;
+    lab.rmp(0).store_scale(0);
+    let report = run(&mut lab, jog([0.3, 0.0], 5000));
+    assert_eq!(report.findings, [Finding::Stands]);
+    assert!(
+        report.findings[0]
+            .to_string()
+            .contains("--config velocity=16")
+    );
+}

@@ -1,0 +1,434 @@
+//! Listening and asking: what is known of each node then, and what is wrong. It prints nothing.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::time::Duration;
+
+use takt_can::Frame;
+use takt_can::canopen::lss::{Identity, Job, LssError, Master, Mode, Reply};
+use takt_can::canopen::sdo::{Initiate, Request, Response};
+use takt_can::canopen::{HEARTBEAT, LSS_MASTER, Message, NmtState, NodeId, SDO_REQUEST};
+use takt_cia402::dictionary::{AbortCode, Address};
+
+use crate::can::ask::{Asker, PATIENCE, number};
+use crate::can::wire::Wire;
+
+const DEVICE_TYPE: Address = Address::new(0x1000, 0);
+const SERIAL: Address = Address::new(0x1018, 4);
+/// How long a slave may take for an LSS answer.
+const LSS_PATIENCE: Duration = Duration::from_millis(20);
+/// How long a node may take for an answer to node guarding.
+const GUARD_PATIENCE: Duration = Duration::from_millis(50);
+/// Most devices without a number that are looked for.
+const LSS_MAX: usize = 127;
+
+/// What to do.
+#[derive(Clone, Debug)]
+pub(super) struct Plan {
+    pub(super) nodes: Vec<NodeId>,
+    pub(super) listen: Duration,
+    pub(super) wait: Duration,
+    pub(super) lss: bool,
+}
+
+/// What is known of a node.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(super) struct Found {
+    pub(super) state: Option<NmtState>,
+    /// Time between its last two heartbeats.
+    pub(super) heartbeat: Option<Duration>,
+    pub(super) beat: Option<Duration>,
+    /// Boot-ups that were heard.
+    pub(super) boots: u32,
+    /// 1000h
+    pub(super) device_type: Option<u32>,
+    /// 1018h
+    pub(super) identity: [Option<u32>; 4],
+    /// 1008h
+    pub(super) name: Option<String>,
+    /// 1001h
+    pub(super) errors: Option<u8>,
+    /// Most answers that came to one question.
+    pub(super) answers: usize,
+}
+
+/// What is wrong.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Finding {
+    /// There is nobody.
+    Nobody,
+    /// One number, several devices.
+    Twice(NodeId),
+    /// Heard, but it does not answer.
+    Mute(NodeId, Option<NmtState>),
+    /// 1001h is not zero.
+    Errors(NodeId, u8),
+}
+
+impl Finding {
+    pub(super) const fn name(self) -> &'static str {
+        match self {
+            Self::Nobody => "nobody",
+            Self::Twice(_) => "duplicate",
+            Self::Mute(..) => "mute",
+            Self::Errors(..) => "error-register",
+        }
+    }
+}
+
+impl fmt::Display for Finding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Nobody => f.write_str(
+                "nobody is there: are the nodes powered, is the bit rate right (takt can stat), have they \
+                 numbers (--lss)?",
+            ),
+            Self::Twice(node) => write!(
+                f,
+                "several devices have number {node}: unplug all but one and give it another number"
+            ),
+            Self::Mute(node, Some(NmtState::Stopped)) => write!(
+                f,
+                "node {node} is stopped, so it answers no SDO: takt can nmt IFACE {node} preop"
+            ),
+            Self::Mute(node, _) => write!(
+                f,
+                "node {node} is heard but answers no SDO: is its server elsewhere (1200h), or busy with another \
+                 master?"
+            ),
+            Self::Errors(node, bits) => write!(
+                f,
+                "node {node} tells errors (1001h = {bits:02X}h): takt can sdo IFACE {node} upload 1003:01"
+            ),
+        }
+    }
+}
+
+/// All that was found.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Report {
+    pub(super) nodes: BTreeMap<NodeId, Found>,
+    /// Devices without a number.
+    pub(super) unconfigured: Vec<Identity>,
+}
+
+impl Report {
+    pub(super) fn findings(&self) -> Vec<Finding> {
+        let nobody = self.nodes.is_empty() && self.unconfigured.is_empty();
+        let mut findings: Vec<Finding> = nobody.then_some(Finding::Nobody).into_iter().collect();
+        for (node, found) in &self.nodes {
+            if found.answers > 1 {
+                findings.push(Finding::Twice(*node));
+            }
+            if found.answers == 0 {
+                findings.push(Finding::Mute(*node, found.state));
+            }
+            let errors = found.errors.filter(|bits| *bits != 0);
+            findings.extend(errors.map(|bits| Finding::Errors(*node, bits)));
+        }
+        findings
+    }
+
+    /// Takes what a node tells without being asked.
+    fn handle(&mut self, frame: &Frame, now: Duration) {
+        let message = Message::decode(frame);
+        let node = match message {
+            Message::Heartbeat(node, ..)
+            | Message::Emergency(node, _)
+            | Message::SdoResponse(node, _) => node,
+            Message::Nmt(..)
+            | Message::Sync(_)
+            | Message::Time(..)
+            | Message::Tpdo(..)
+            | Message::Rpdo(..)
+            | Message::SdoRequest(..)
+            | Message::Guard(_)
+            | Message::Lss(..)
+            | Message::Unknown => return,
+        };
+        let found = self.nodes.entry(node).or_default();
+        let Message::Heartbeat(_, state, _) = message else {
+            return;
+        };
+        if state == NmtState::BootUp {
+            found.boots += 1;
+            // After it a node is pre-operational (CiA 301, figure 43), until it says otherwise.
+            found.state = Some(NmtState::PreOperational);
+            return;
+        }
+        found.state = Some(state);
+        found.heartbeat = found.beat.map(|beat| now.saturating_sub(beat));
+        found.beat = Some(now);
+    }
+}
+
+/// Listens, asks, and asks further who answered.
+pub(super) fn survey<W: Wire>(wire: &mut W, plan: &Plan) -> anyhow::Result<Report> {
+    let mut report = Report::default();
+    listen(wire, &mut report, plan.listen)?;
+    let types = ask_all(wire, &mut report, &plan.nodes, DEVICE_TYPE, plan.wait)?;
+    let present: Vec<NodeId> = report.nodes.keys().copied().collect();
+    // Two of a kind give the same answer at once, which is one frame on the wire; their serial numbers differ.
+    let serials = ask_all(wire, &mut report, &present, SERIAL, plan.wait)?;
+    for (node, found) in &mut report.nodes {
+        let of =
+            |all: &BTreeMap<NodeId, Vec<Option<u32>>>| all.get(node).cloned().unwrap_or_default();
+        let (types, serials) = (of(&types), of(&serials));
+        found.answers = types.len().max(serials.len());
+        found.device_type = types.first().copied().flatten();
+        found.identity[3] = serials.first().copied().flatten();
+    }
+    for (node, found) in &mut report.nodes {
+        if found.answers > 0 {
+            details(wire, *node, found)?;
+        }
+        if found.state.is_none() {
+            found.state = guard(wire, *node)?;
+        }
+    }
+    if plan.lss {
+        report.unconfigured = fast_scan(wire)?;
+    }
+    Ok(report)
+}
+
+fn listen<W: Wire>(wire: &mut W, report: &mut Report, time: Duration) -> anyhow::Result<()> {
+    let until = wire.now() + time;
+    while wire.now() < until {
+        if let Some(frame) = wire.receive_until(until)? {
+            report.handle(&frame, wire.now());
+        }
+    }
+    Ok(())
+}
+
+/// Asks all of these at once; who answers, and with which numbers. An abort is an answer too.
+fn ask_all<W: Wire>(
+    wire: &mut W,
+    report: &mut Report,
+    nodes: &[NodeId],
+    address: Address,
+    wait: Duration,
+) -> anyhow::Result<BTreeMap<NodeId, Vec<Option<u32>>>> {
+    let mut answers: BTreeMap<NodeId, Vec<Option<u32>>> = BTreeMap::new();
+    let mut left = nodes.iter();
+    let mut until = wire.now() + wait;
+    while wire.now() < until {
+        // One question after the other, so that answers are taken while others are asked.
+        if let Some(node) = left.next() {
+            let question = Request::Upload { address }.encode();
+            wire.send(&Frame::full(node.cob(SDO_REQUEST), question))?;
+            until = wire.now() + wait;
+        }
+        let patience = if left.len() > 0 { wire.now() } else { until };
+        while let Some(frame) = wire.receive_until(patience)? {
+            report.handle(&frame, wire.now());
+            if let Message::SdoResponse(node, message) = Message::decode(&frame)
+                && let Some(answer) = answer(&message, address)
+            {
+                answers.entry(node).or_default().push(answer);
+            }
+        }
+    }
+    Ok(answers)
+}
+
+/// The number in an answer about that object; `None` within if it is refused or longer.
+fn answer(message: &[u8; 8], about: Address) -> Option<Option<u32>> {
+    let response = Response::decode(message)?;
+    if response.address() != Some(about) {
+        return None;
+    }
+    let Response::Upload { data, .. } = response else {
+        return Some(None);
+    };
+    Some(match data {
+        Initiate::Expedited(bytes) => number(bytes.as_slice()),
+        Initiate::Segmented(_) => None,
+    })
+}
+
+/// What else a node has to say. A refusal leaves a gap, silence ends it.
+fn details<W: Wire>(wire: &mut W, node: NodeId, found: &mut Found) -> anyhow::Result<()> {
+    let mut asker = Asker::new(node, PATIENCE);
+    let mut read = |wire: &mut W, index, sub| asker.read(wire, Address::new(index, sub), false);
+    for sub in 1..=3_u8 {
+        match read(wire, 0x1018, sub)? {
+            Ok(bytes) => found.identity[usize::from(sub) - 1] = number(&bytes),
+            Err(refusal) if refusal.is_silence() => return Ok(()),
+            // There is no more than that many.
+            Err(refusal) if refusal.code() == Some(AbortCode::NoSubIndex) => break,
+            Err(_) => {}
+        }
+    }
+    if let Ok(bytes) = read(wire, 0x1008, 0)? {
+        let name = String::from_utf8_lossy(&bytes);
+        found.name = Some(name.trim_end_matches('\0').to_owned());
+    }
+    if let Ok(bytes) = read(wire, 0x1001, 0)? {
+        found.errors = bytes.first().copied();
+    }
+    Ok(())
+}
+
+/// The state of a node without heartbeat, by node guarding; not every node has that.
+fn guard<W: Wire>(wire: &mut W, node: NodeId) -> anyhow::Result<Option<NmtState>> {
+    if let Ok(question) = Frame::remote(node.cob(HEARTBEAT), 1) {
+        wire.send(&question)?;
+    }
+    let until = wire.now() + GUARD_PATIENCE;
+    while let Some(frame) = wire.receive_until(until)? {
+        if let Message::Heartbeat(from, state, _) = Message::decode(&frame)
+            && from == node
+        {
+            return Ok(Some(state));
+        }
+    }
+    Ok(None)
+}
+
+/// Finds all devices without a number. Each that is found stands aside for the others, and all go back in the end.
+fn fast_scan<W: Wire>(wire: &mut W) -> anyhow::Result<Vec<Identity>> {
+    let mut found = Vec::new();
+    let mut master = Master::new(LSS_PATIENCE);
+    run(wire, &mut master, Job::Switch(Mode::Waiting))?.ok();
+    while found.len() < LSS_MAX {
+        let Ok(Reply::Address(identity)) = run(wire, &mut master, Job::FastScan([None; 4]))? else {
+            break;
+        };
+        found.push(identity);
+    }
+    run(wire, &mut master, Job::Switch(Mode::Waiting))?.ok();
+    Ok(found)
+}
+
+fn run<W: Wire>(
+    wire: &mut W,
+    master: &mut Master,
+    job: Job,
+) -> anyhow::Result<Result<Reply, LssError>> {
+    master.start(job);
+    loop {
+        if let Some(message) = master.poll_transmit(wire.now()) {
+            wire.send(&Frame::full(LSS_MASTER, message))?;
+        }
+        if let Some(outcome) = master.take_outcome() {
+            return Ok(outcome);
+        }
+        let until = master.poll_timeout().unwrap_or_default();
+        if let Some(frame) = wire.receive_until(until)?
+            && let Message::Lss(false, message) = Message::decode(&frame)
+        {
+            master.handle(&message);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::can::lab::{Lab, node};
+    use takt_can::canopen::NmtCommand;
+    use takt_can::canopen::emulator::DriveNodeConfig;
+
+    fn plan(lss: bool) -> Plan {
+        Plan {
+            nodes: NodeId::all().collect(),
+            listen: Duration::from_millis(300),
+            wait: Duration::from_millis(100),
+            lss,
+        }
+    }
+
+    #[test]
+    fn nodes_are_found_with_and_without_heartbeat() {
+        let mut lab = Lab::of_drives(&[5, 127]);
+        lab.add_drive(DriveNodeConfig {
+            heartbeat_ms: 100,
+            ..DriveNodeConfig::new(node(9))
+        });
+        lab.run(10);
+        let report = survey(&mut lab, &plan(false)).unwrap();
+        assert_eq!(report.findings(), []);
+        let numbers: Vec<u8> = report.nodes.keys().map(|node| node.raw()).collect();
+        assert_eq!(numbers, [5, 9, 127]);
+        for (at, found) in &report.nodes {
+            assert_eq!(found.state, Some(NmtState::PreOperational), "{at}");
+            assert_eq!(found.device_type, Some(0x0002_0192));
+            let serial = u32::from(at.raw());
+            assert_eq!(
+                found.identity,
+                [Some(0), Some(0x402), Some(1), Some(serial)]
+            );
+            assert_eq!(found.name.as_deref(), Some("Takt emulated drive"));
+        }
+        let beat = report.nodes[&node(9)].heartbeat.unwrap().as_millis();
+        assert!((99..=101).contains(&beat), "{beat}");
+        assert_eq!(report.nodes[&node(5)].heartbeat, None);
+    }
+
+    #[test]
+    fn an_empty_bus_says_so() {
+        let report = survey(&mut Lab::new(), &plan(true)).unwrap();
+        assert_eq!(report.findings(), [Finding::Nobody]);
+    }
+
+    #[test]
+    fn two_devices_of_one_number_are_told_apart_by_their_serial_numbers() {
+        let mut lab = Lab::of_drives(&[5]);
+        let mut twin = DriveNodeConfig::new(node(5));
+        twin.identity.serial = 99;
+        lab.add_drive(twin);
+        lab.run(10);
+        let report = survey(&mut lab, &plan(false)).unwrap();
+        assert!(report.findings().contains(&Finding::Twice(node(5))));
+    }
+
+    #[test]
+    fn a_stopped_node_is_heard_and_mute() {
+        let mut lab = Lab::new();
+        lab.add_drive(DriveNodeConfig {
+            heartbeat_ms: 100,
+            ..DriveNodeConfig::new(node(9))
+        });
+        lab.run(10);
+        lab.send(&NmtCommand::Stop.frame(None)).unwrap();
+        lab.run(10);
+        let report = survey(&mut lab, &plan(false)).unwrap();
+        let stopped = Finding::Mute(node(9), Some(NmtState::Stopped));
+        assert_eq!(report.findings(), [stopped]);
+        assert!(stopped.to_string().contains("preop"), "{stopped}");
+    }
+
+    #[test]
+    fn a_node_with_errors_is_told() {
+        use takt_cia402::emulator::FaultCode;
+        let mut lab = Lab::of_drives(&[5]);
+        lab.run(10);
+        let drives = lab.drive(0).application_mut();
+        drives.axis_mut(0).unwrap().fault(FaultCode::TEMPERATURE);
+        lab.run(20);
+        let report = survey(&mut lab, &plan(false)).unwrap();
+        assert_eq!(report.findings(), [Finding::Errors(node(5), 0x09)]);
+    }
+
+    #[test]
+    fn devices_without_a_number_are_found_and_left_as_they_were() {
+        let mut lab = Lab::of_drives(&[5]);
+        for serial in [7, 0x8000_0001] {
+            let mut config = DriveNodeConfig::new(node(1));
+            config.id = None;
+            config.identity.serial = serial;
+            lab.add_drive(config);
+        }
+        lab.run(10);
+        for _ in 0..2 {
+            let report = survey(&mut lab, &plan(true)).unwrap();
+            let mut serials: Vec<u32> = report.unconfigured.iter().map(|id| id.serial).collect();
+            serials.sort_unstable();
+            assert_eq!(serials, [7, 0x8000_0001]);
+            assert_eq!(report.nodes.len(), 1);
+        }
+        assert_eq!(lab.drive(1).id(), None);
+    }
+}

@@ -1,0 +1,207 @@
+//! `takt can sdo` against an emulated drive.
+
+use clap::Parser;
+
+use super::*;
+use crate::can::lab::{Lab, node};
+use takt_can::canopen::eds::Eds;
+use takt_can::canopen::emulator::DriveNodeConfig;
+
+#[derive(Debug, Parser)]
+struct Line {
+    #[command(flatten)]
+    sdo: Sdo,
+}
+
+/// The command line as it is written behind `takt can sdo can0 5`.
+fn what(words: &[&str]) -> What {
+    let line = ["sdo", "can0", "5"].iter().chain(words);
+    Line::try_parse_from(line).unwrap().sdo.what
+}
+
+fn drive() -> DriveNodeConfig {
+    DriveNodeConfig {
+        domain_len: 1000,
+        ..DriveNodeConfig::new(node(5))
+    }
+}
+
+fn lab() -> Lab {
+    let mut lab = Lab::new();
+    lab.add_drive(drive());
+    lab.run(10);
+    lab
+}
+
+fn ask(lab: &mut Lab, words: &[&str]) -> Result<Told, Refusal> {
+    perform(lab, node(5), &what(words), Some(500)).unwrap()
+}
+
+fn text(lab: &mut Lab, words: &[&str]) -> String {
+    let told = ask(lab, words).unwrap();
+    assert!(told.good, "{told:?}");
+    told.text
+}
+
+/// A file that goes with its test.
+struct Kept(PathBuf);
+
+impl Kept {
+    fn new(name: &str) -> Self {
+        Self(std::env::temp_dir().join(format!("takt-sdo-{}-{name}", std::process::id())))
+    }
+
+    fn path(&self) -> &str {
+        self.0.to_str().unwrap()
+    }
+}
+
+impl Drop for Kept {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_file(&self.0);
+    }
+}
+
+#[test]
+fn entries_are_read_by_number_and_by_name() {
+    let mut lab = lab();
+    let status = text(&mut lab, &["upload", "6041"]);
+    assert!(status.starts_with("6041h:00 "), "{status}");
+    assert!(
+        status.contains("= 592 (0250h)  0x0250 voltage-enabled+switch-on-disabled+remote"),
+        "{status}"
+    );
+    let serial = text(&mut lab, &["upload", "serial number"]);
+    assert!(
+        serial.ends_with("serial number = 5 (00000005h)"),
+        "{serial}"
+    );
+    let name = text(&mut lab, &["upload", "1008", "--block"]);
+    assert!(name.ends_with("= \"Takt emulated drive\""), "{name}");
+    let json = text(&mut lab, &["upload", "1018:02", "--json"]);
+    let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert_eq!(json["bytes"], json!([2, 4, 0, 0]));
+    assert_eq!(
+        (&json["node"], &json["type"]),
+        (&5.into(), &"UNSIGNED32".into())
+    );
+    let forced = text(&mut lab, &["upload", "1018:02", "--type", "bytes"]);
+    assert!(forced.ends_with("= 02 04 00 00"), "{forced}");
+}
+
+#[test]
+fn entries_are_written_and_refusals_told() {
+    let mut lab = lab();
+    let written = text(&mut lab, &["download", "1017", "250"]);
+    assert!(written.ends_with("= 250 (00FAh)"), "{written}");
+    assert!(text(&mut lab, &["upload", "1017"]).contains("250"));
+    let refused = ask(&mut lab, &["download", "6041", "0"]).unwrap_err();
+    assert!(
+        refused
+            .to_string()
+            .contains("the object can only be read (0601 0002h)"),
+        "{refused}"
+    );
+    let refused = ask(&mut lab, &["upload", "5FFF"]).unwrap_err();
+    assert!(
+        refused.to_string().contains("there is no such object"),
+        "{refused}"
+    );
+    for (words, why) in [
+        (
+            &["download", "1017", "70000"][..],
+            "does not fit UNSIGNED16",
+        ),
+        (&["download", "5FFF", "1"], "give it by --type"),
+        (&["upload", "nonsense!"], "is no object"),
+    ] {
+        let error = perform(&mut lab, node(5), &what(words), None).unwrap_err();
+        assert!(format!("{error:#}").contains(why), "{error:#}");
+    }
+}
+
+#[test]
+fn files_go_to_a_domain_and_come_back() {
+    let mut lab = lab();
+    let (to, from) = (Kept::new("to"), Kept::new("from"));
+    let bytes: Vec<u8> = (0..1000_u32).map(|n| (n * 7).to_le_bytes()[0]).collect();
+    std::fs::write(&to.0, &bytes).unwrap();
+    let told = text(
+        &mut lab,
+        &["download", "2000", "--file", to.path(), "--block"],
+    );
+    assert!(told.contains("1000 bytes of"), "{told}");
+    let told = text(&mut lab, &["upload", "2000", "--out", from.path()]);
+    assert!(told.contains("1000 bytes in"), "{told}");
+    assert_eq!(std::fs::read(&from.0).unwrap(), bytes);
+}
+
+#[test]
+fn a_whole_node_is_dumped_and_compared() {
+    let mut lab = lab();
+    let (eds, dcf) = (Kept::new("eds"), Kept::new("dcf"));
+    std::fs::write(&eds.0, drive().eds().print()).unwrap();
+    // As it left the factory, its settings are the defaults of its data sheet.
+    let told = text(&mut lab, &["compare", eds.path()]);
+    assert!(
+        told.ends_with(" differ") && told.contains(", 0 differ"),
+        "{told}"
+    );
+    text(&mut lab, &["download", "6083", "4321"]);
+    let dumped = text(
+        &mut lab,
+        &["dump", "--eds", eds.path(), "--dcf", dcf.path()],
+    );
+    assert!(dumped.contains("entries read, 0 refused"), "{dumped}");
+    let file = Eds::parse(&std::fs::read_to_string(&dcf.0).unwrap()).unwrap();
+    assert_eq!((file.node, file.kbit), (Some(node(5)), Some(500)));
+    assert_eq!(file.remarks, []);
+    assert!(text(&mut lab, &["compare", dcf.path()]).contains(", 0 differ"));
+    text(&mut lab, &["download", "6083", "99"]);
+    let differs = ask(&mut lab, &["compare", dcf.path()]).unwrap();
+    assert!(!differs.good);
+    let first = differs.text.lines().next().unwrap();
+    assert!(
+        first.starts_with("6083h:00 ") && first.contains("file 4321") && first.contains("node 99")
+    );
+    assert!(differs.text.ends_with(", 1 differ"), "{}", differs.text);
+    let json = ask(&mut lab, &["compare", dcf.path(), "--json"]).unwrap();
+    let json: serde_json::Value = serde_json::from_str(&json.text).unwrap();
+    assert_eq!(
+        (&json["equal"], &json["differences"][0]["node"]),
+        (&false.into(), &json!([99, 0, 0, 0]))
+    );
+}
+
+#[test]
+fn what_a_node_lacks_is_a_difference_and_silence_an_end() {
+    let mut lab = lab();
+    let eds = Kept::new("two");
+    let mut two = drive();
+    two.axes.push(two.axes[0].clone());
+    std::fs::write(&eds.0, two.eds().print()).unwrap();
+    let dumped = text(&mut lab, &["dump", "--eds", eds.path()]);
+    assert!(
+        dumped.contains("node 5 refuses 6840h:00: there is no such object"),
+        "{dumped}"
+    );
+    let differs = ask(&mut lab, &["compare", eds.path()]).unwrap();
+    assert!(
+        !differs.good && differs.text.contains("node 5 refuses 6860h:00"),
+        "{}",
+        differs.text
+    );
+    lab.at(0, |devices| devices[0] = crate::can::lab::Device::Nothing);
+    assert!(ask(&mut lab, &["dump"]).unwrap_err().is_silence());
+    assert!(
+        ask(&mut lab, &["compare", eds.path()])
+            .unwrap_err()
+            .is_silence()
+    );
+}
+
+#[test]
+fn what_can_move_is_asked_for() {
+    assert!(!can_move(Address::new(0x1017, 0)));
+    assert!(can_move(Address::new(0x6040, 0)) && can_move(Address::new(0x2000, 0)));
+}

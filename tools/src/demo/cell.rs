@@ -1,0 +1,169 @@
+//! The cells that a demo can show, and the emulated machines in them. What moves and how is in `motion`.
+
+use std::net::SocketAddr;
+use std::time::Duration;
+
+use anyhow::Context as _;
+use clap::ValueEnum;
+use takt_core::cell::{ControllerConfig, DeviceConfig, EthercatConfig, LwrConfig};
+use takt_core::device::driver::DeviceDriver as _;
+use takt_core::device::ethercat::{self, Ethercat, Wire};
+use takt_core::{CellConfig, Controller};
+use takt_ethercat::emulator::{Coupler, Segment, Server, ServoConfig, ServoDrive, SharedSegment};
+use takt_ethercat::linux::{CableEnd, cable, monotonic};
+
+use crate::emulate::{Robot, Service, resting};
+
+/// The larger cell, in the form in which users write theirs.
+const FACTORY: &str = include_str!("factory.toml");
+/// Address of the master in a segment that has no other.
+const MASTER: [u8; 6] = [2, 0, 0, 0, 0, 1];
+/// Longest wait of an emulated segment for a frame, so that a stop is seen soon.
+const WAIT: Duration = Duration::from_millis(5);
+
+/// A cell to show.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(super) enum Kind {
+    /// Two KUKA LWRs.
+    Pair,
+    /// The same beside a Stäubli TX90 on EtherCAT.
+    Factory,
+}
+
+/// An arm of a cell.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Arm {
+    pub(super) name: &'static str,
+    /// Names of its joints, from the base.
+    pub(super) joints: &'static [&'static str],
+}
+
+const LEFT: Arm = Arm {
+    name: "left",
+    joints: &takt_fri::lwr::JOINT_NAMES,
+};
+const RIGHT: Arm = Arm {
+    name: "right",
+    joints: &takt_fri::lwr::JOINT_NAMES,
+};
+const TX90: Arm = Arm {
+    name: "tx90",
+    joints: &["J1", "J2", "J3", "J4", "J5", "J6"],
+};
+
+impl Kind {
+    /// Arms that one net moves together, for each net.
+    pub(super) const fn groups(self) -> &'static [&'static [Arm]] {
+        match self {
+            Self::Pair => &[&[LEFT, RIGHT]],
+            Self::Factory => &[&[LEFT, RIGHT], &[TX90]],
+        }
+    }
+
+    /// All its arms.
+    pub(super) fn arms(self) -> Vec<Arm> {
+        self.groups().concat()
+    }
+
+    /// The cell and, apart from it, the segments that are emulated inside of this process.
+    pub(super) fn config(self) -> anyhow::Result<(CellConfig, Vec<EthercatConfig>)> {
+        match self {
+            Self::Pair => Ok((pair(), Vec::new())),
+            Self::Factory => {
+                let mut cell = CellConfig::parse(FACTORY)?;
+                cell.controller.websocket = None;
+                let segments = std::mem::take(&mut cell.ethercat);
+                Ok((cell, segments))
+            }
+        }
+    }
+}
+
+/// Two LWRs, every address chosen by the system.
+fn pair() -> CellConfig {
+    let anywhere = SocketAddr::from(([127, 0, 0, 1], 0));
+    let controller = ControllerConfig {
+        websocket: None,
+        tcp: Some(anywhere),
+        // Between two datagrams, so that neither the arms' drivers nor the robots are in the way.
+        follow: Some(LEFT.name.to_owned()),
+        phase: Some(Duration::from_micros(500)),
+        ..Default::default()
+    };
+    let lwr = |arm: Arm| DeviceConfig::Lwr(LwrConfig::new(arm.name, anywhere));
+    CellConfig {
+        controller,
+        devices: [LEFT, RIGHT].map(lwr).into(),
+        ..CellConfig::default()
+    }
+}
+
+/// The emulated machines of a cell.
+pub(super) struct Machines {
+    /// Those of the LWRs, by name of the arm.
+    pub(super) krcs: Vec<(String, Robot)>,
+    segments: Vec<Service<Server<CableEnd>>>,
+}
+
+impl Machines {
+    /// Starts them; this share of the datagrams of each KRC is lost in each direction.
+    pub(super) fn start(
+        controller: &Controller,
+        segments: &[EthercatConfig],
+        drop: f64,
+    ) -> anyhow::Result<Self> {
+        let addresses = controller.with_arms(|arm| (arm.name().to_owned(), arm.address()));
+        let mut krcs = Vec::new();
+        for (seed, (name, address)) in (1..).zip(addresses) {
+            let mut config = resting(Duration::from_millis(1));
+            config.seed = seed;
+            config.faults.to_client.drop = drop;
+            config.faults.to_krc.drop = drop;
+            let robot = Robot::start(&format!("krc-{name}"), address, config)?;
+            krcs.push((name, robot));
+        }
+        let segments = segments.iter().map(|config| segment(controller, config));
+        Ok(Self {
+            krcs,
+            segments: segments.collect::<anyhow::Result<_>>()?,
+        })
+    }
+
+    pub(super) fn stop(self) -> anyhow::Result<()> {
+        for (_, robot) in self.krcs {
+            robot.stop()?;
+        }
+        for segment in self.segments {
+            segment.stop()?;
+        }
+        Ok(())
+    }
+}
+
+/// Serves a segment inside of this process, and gives it to the controller.
+fn segment(
+    controller: &Controller,
+    config: &EthercatConfig,
+) -> anyhow::Result<Service<Server<CableEnd>>> {
+    let mut tx90 = ServoConfig::tx90();
+    // A host without PREEMPT_RT misses SYNC0 now and then, and the demo is to show Takt, not the host.
+    for axis in &mut tx90.axes {
+        axis.quirks.missing_set_points = None;
+    }
+    let (drives, _) = ServoDrive::slave(tx90).context("the drive makes no sense")?;
+    let slaves = SharedSegment::new(Segment::line([Coupler::slave(), drives]));
+    let (near, far) = cable();
+    let service = Service::start(&config.name, Server::new(slaves, far), |server| {
+        let turn = server.turn(WAIT, &mut monotonic);
+        turn.map(|_| ()).context("the cable failed")
+    })?;
+    let wire = Wire {
+        link: Box::new(near),
+        source: MASTER,
+    };
+    let devices = ethercat::describe(config);
+    controller.add_driver(&config.name, devices, config.thread, |ends| {
+        Ok(Box::new(Ethercat::start(config, wire, ends)?))
+    })?;
+    Ok(service)
+}

@@ -1,0 +1,402 @@
+//! `takt ecat drive`: one axis of a CiA 402 drive, brought up state by state over process data, with the reason when
+//! it does not come, and moved a little. Programs of moves are for nets.
+
+mod setup;
+#[cfg(test)]
+mod tests;
+mod way;
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use anyhow::Context as _;
+use clap::Args;
+use takt_cia402::emulator::FaultCode;
+use takt_cia402::{ControlWord, Goal, Obstacle, Patience, State, StatusWord};
+use takt_ethercat::AlState;
+use takt_ethercat::axis::{Axis, AxisState, Target};
+
+use super::session::{Session, Wire};
+use super::{Target as Segment, confirm};
+use crate::Verdict;
+use crate::output::{say, span};
+use way::Way;
+
+/// Bring an axis of a CiA 402 drive up, see its words as named bits, learn why it does not come, and jog it.
+///
+/// The segment is brought to OP, the axis to Operation enabled in cyclic synchronous position (CSP), held there or
+/// moved, and switched off again; then all slaves are left in INIT. Ctrl-C brakes first. Exit status: 0 it came up
+/// and did as asked; 1 it did not, with the reason; 2 it could not be tried.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  takt ecat drive enp2s0 3
+  takt ecat drive enp2s0 3 --axis 1 --sync0 --reset --hold 5s
+  takt ecat drive enp2s0 3 --jog 4096 --for 2s --yes")]
+pub(crate) struct Drive {
+    #[command(flatten)]
+    target: Segment,
+    /// The slave: its position from 0, or its name or order code if no other has it.
+    slave: String,
+    /// The axis of a drive with several, from 0.
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..8))]
+    axis: u8,
+    /// Period of the frames, and of SYNC0.
+    #[arg(long, value_name = "TIME", default_value = "4ms", value_parser = span)]
+    cycle: Duration,
+    /// Run the drive by SYNC0.
+    #[arg(long)]
+    sync0: bool,
+    /// Reset a fault, once.
+    #[arg(long)]
+    reset: bool,
+    /// How long to hold it in Operation enabled.
+    #[arg(long, value_name = "TIME", default_value = "1s", value_parser = span)]
+    hold: Duration,
+    /// Move it by so many increments, smoothly, from where it stands.
+    #[arg(long, value_name = "INCREMENTS", allow_hyphen_values = true)]
+    jog: Option<i32>,
+    /// How long the move takes; from rest to rest.
+    #[arg(long = "for", value_name = "TIME", default_value = "2s", value_parser = span)]
+    time: Duration,
+    /// Do not ask whether what moves is safe.
+    #[arg(long, visible_alias = "yes")]
+    confirm_motion: bool,
+}
+
+impl Drive {
+    pub(super) fn run(self) -> anyhow::Result<Verdict> {
+        let what = format!("enabling axis {} of slave {}", self.axis, self.slave);
+        confirm::motion(&what, self.confirm_motion)?;
+        let stop = until_signal()?;
+        let mut session = self.target.bring_up(AlState::PreOp, super::ASKING)?;
+        let slave = session.find(&self.slave)?;
+        let order = Order {
+            slave,
+            axis: self.axis,
+            cycle: self.cycle,
+            sync0: self.sync0,
+            reset: self.reset,
+            hold: self.hold,
+            jog: self.jog.map(|increments| (increments, self.time)),
+            patience: self.target.patience,
+        };
+        let done = perform(&mut session, &order, &stop, &mut |line| say(line));
+        let left = session.leave();
+        let outcome = done?;
+        left?;
+        say(&outcome.to_string())?;
+        Ok(outcome.verdict())
+    }
+}
+
+/// A mark that is set when the process is asked to end.
+fn until_signal() -> anyhow::Result<Arc<AtomicBool>> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let told = stop.clone();
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()?;
+    // Ends with the process.
+    std::thread::Builder::new()
+        .name("signals".to_owned())
+        .spawn(move || {
+            runtime.block_on(async {
+                use tokio::signal::unix::{SignalKind, signal};
+                let mut terminate = signal(SignalKind::terminate()).ok();
+                let ended = async {
+                    match &mut terminate {
+                        Some(signal) => signal.recv().await,
+                        None => std::future::pending().await,
+                    }
+                };
+                tokio::select! {
+                    _ = tokio::signal::ctrl_c() => {}
+                    _ = ended => {}
+                }
+                told.store(true, Ordering::Relaxed);
+            });
+        })
+        .context("cannot listen for signals")?;
+    Ok(stop)
+}
+
+/// What is to be done with an axis.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Order {
+    slave: usize,
+    axis: u8,
+    cycle: Duration,
+    sync0: bool,
+    reset: bool,
+    hold: Duration,
+    /// Increments, and how long they take.
+    jog: Option<(i32, Duration)>,
+    patience: Duration,
+}
+
+/// What came of it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Outcome {
+    /// All was done; increments moved, and the largest lag behind the set-points.
+    Done(Option<(i32, i32)>),
+    /// The slave did not get to OP.
+    Slave(String),
+    /// The axis did not come, or fell.
+    Axis(String),
+    /// Somebody stopped it; it was braked.
+    Stopped,
+}
+
+impl Outcome {
+    const fn verdict(&self) -> Verdict {
+        match self {
+            Self::Done(_) => Verdict::Good,
+            Self::Slave(_) | Self::Axis(_) | Self::Stopped => Verdict::Failed,
+        }
+    }
+}
+
+impl std::fmt::Display for Outcome {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Done(None) => f.write_str("good: it came up and went down as asked"),
+            Self::Done(Some((moved, lag))) => {
+                write!(
+                    f,
+                    "good: moved by {moved} increments, up to {lag} behind its set-points"
+                )
+            }
+            Self::Slave(why) | Self::Axis(why) => write!(f, "FAIL  {why}"),
+            Self::Stopped => f.write_str("stopped: braked and switched off"),
+        }
+    }
+}
+
+/// Longest wait for the axis to switch off at the end.
+const OFF: Duration = Duration::from_secs(3);
+
+/// Does it, telling each step.
+pub(super) fn perform<W: Wire>(
+    session: &mut Session<W>,
+    order: &Order,
+    stop: &AtomicBool,
+    tell: &mut dyn FnMut(&str) -> anyhow::Result<()>,
+) -> anyhow::Result<Outcome> {
+    let config = match setup::config(session, order)? {
+        Ok(config) => config,
+        Err(why) => return Ok(Outcome::Slave(why)),
+    };
+    session.restart(config)?;
+    if order.sync0 {
+        session.follow_sync0();
+    }
+    session.bring_up(order.patience)?;
+    if let Some(why) = setup::missing(session, order) {
+        return Ok(Outcome::Slave(why));
+    }
+    let process = session
+        .master()
+        .slave(order.slave)
+        .map(|slave| slave.process());
+    let process = process.context("the slave went away")?;
+    let axis = match Axis::new(order.slave, process, order.axis, Patience::default()) {
+        Ok(axis) => axis,
+        Err(missing) => return Ok(Outcome::Slave(missing.to_string())),
+    };
+    let begin = session.now()?;
+    let mut bench = Bench {
+        session,
+        axis,
+        order,
+        stop,
+        tell,
+        begin,
+        told: None,
+    };
+    let outcome = bench.run()?;
+    bench.switch_off()?;
+    Ok(outcome)
+}
+
+/// An axis under way.
+struct Bench<'a, W: Wire> {
+    session: &'a mut Session<W>,
+    axis: Axis,
+    order: &'a Order,
+    stop: &'a AtomicBool,
+    tell: &'a mut dyn FnMut(&str) -> anyhow::Result<()>,
+    begin: Duration,
+    /// Words that were told last.
+    told: Option<(ControlWord, StatusWord)>,
+}
+
+impl<W: Wire> Bench<'_, W> {
+    /// One cycle; words that changed are told.
+    fn cycle(&mut self, target: Target) -> anyhow::Result<AxisState> {
+        self.session.cycle()?;
+        let now = self.session.now()?;
+        let state = self.axis.cycle(self.session.master_mut(), target, now);
+        let words = (state.control, state.status);
+        if self.told != Some(words) {
+            self.told = Some(words);
+            let time = now.saturating_sub(self.begin).as_secs_f64();
+            let name = state
+                .state
+                .map_or_else(|| "no state".to_owned(), |s| s.to_string());
+            (self.tell)(&format!("{time:>8.3} s  {name}"))?;
+            (self.tell)(&format!("            6041h {}", state.status))?;
+            (self.tell)(&format!("            6040h {}", state.control))?;
+        }
+        Ok(state)
+    }
+
+    fn is_stopped(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+
+    fn run(&mut self) -> anyhow::Result<Outcome> {
+        if let Err(outcome) = self.enable()? {
+            return Ok(outcome);
+        }
+        let Some((increments, time)) = self.order.jog else {
+            return self.hold();
+        };
+        self.jog(increments, time)
+    }
+
+    /// To Operation enabled, until it follows.
+    fn enable(&mut self) -> anyhow::Result<Result<(), Outcome>> {
+        // What it shows before it is asked for anything.
+        for _ in 0..3 {
+            self.cycle(Target::Hold)?;
+        }
+        self.axis.set_goal(Goal::OperationEnabled);
+        let mut reset = self.order.reset;
+        let begin = self.session.now()?;
+        loop {
+            let state = self.cycle(Target::Hold)?;
+            if self.is_stopped() {
+                return Ok(Err(Outcome::Stopped));
+            }
+            if state.follows {
+                return Ok(Ok(()));
+            }
+            if reset && state.state == Some(State::Fault) {
+                (self.tell)("            its fault is reset")?;
+                self.axis.reset_fault();
+                reset = false;
+                continue;
+            }
+            let resetting = self.order.reset && state.obstacle == Some(Obstacle::Fault);
+            let silent = !state.online && self.session.now()?.saturating_sub(begin) > ONLINE;
+            if silent || (state.obstacle.is_some() && !resetting) {
+                return Ok(Err(self.failure(&state)?));
+            }
+        }
+    }
+
+    fn hold(&mut self) -> anyhow::Result<Outcome> {
+        let end = self.session.now()? + self.order.hold;
+        while self.session.now()? < end {
+            let state = self.cycle(Target::Hold)?;
+            if self.is_stopped() {
+                return Ok(Outcome::Stopped);
+            }
+            if !state.follows {
+                return self.failure(&state);
+            }
+        }
+        Ok(Outcome::Done(None))
+    }
+
+    /// From rest to rest; braked when somebody stops it.
+    fn jog(&mut self, increments: i32, time: Duration) -> anyhow::Result<Outcome> {
+        let start = self.cycle(Target::Hold)?.position;
+        let begin = self.session.now()?;
+        let mut way = Way::new(increments, time);
+        let (mut lag, mut stopped, mut tells) = (0, false, PROGRESS);
+        loop {
+            let now = self.session.now()?.saturating_sub(begin);
+            if self.is_stopped() && !stopped {
+                stopped = true;
+                (self.tell)("            braking")?;
+                way.brake(now);
+            }
+            let target = start.wrapping_add(way.at(now));
+            let state = self.cycle(Target::Position(target))?;
+            if !state.follows {
+                return self.failure(&state);
+            }
+            let behind = target.wrapping_sub(state.position).saturating_abs();
+            lag = lag.max(behind);
+            if now >= tells {
+                tells += PROGRESS;
+                let time = self.session.now()?.saturating_sub(self.begin).as_secs_f64();
+                let position = state.position;
+                (self.tell)(&format!(
+                    "{time:>8.3} s  position {position}, {behind} behind"
+                ))?;
+            }
+            // At the end it gets time to arrive.
+            if now > way.end() + SETTLE {
+                let moved = state.position.wrapping_sub(start);
+                return Ok(if stopped {
+                    Outcome::Stopped
+                } else {
+                    Outcome::Done(Some((moved, lag)))
+                });
+            }
+        }
+    }
+
+    /// What the axis says of why it is not where it is wanted.
+    fn failure(&mut self, state: &AxisState) -> anyhow::Result<Outcome> {
+        let number = self.order.axis;
+        let mut why = match (state.online, state.obstacle, state.state) {
+            (false, ..) => match self.session.master().slave(self.order.slave) {
+                Some(slave) => slave.fault().map_or_else(
+                    || "its process data stopped coming".to_owned(),
+                    |fault| fault.to_string(),
+                ),
+                None => "its slave is gone".to_owned(),
+            },
+            (true, Some(obstacle), _) => obstacle.to_string(),
+            (true, None, Some(shown)) => format!("it left Operation enabled: {shown}"),
+            (true, None, None) => format!("its statusword {} shows no state", state.status),
+        };
+        for line in setup::reasons(self.session, self.order, state)? {
+            why = format!("{why}\n      {line}");
+        }
+        Ok(Outcome::Axis(format!("axis {number}: {why}")))
+    }
+
+    /// Without power, whatever was before.
+    fn switch_off(&mut self) -> anyhow::Result<()> {
+        self.axis.set_goal(Goal::SwitchOnDisabled);
+        let end = self.session.now()? + OFF;
+        while self.session.now()? < end {
+            let state = self.cycle(Target::Hold)?;
+            let off = matches!(
+                state.state,
+                Some(State::SwitchOnDisabled | State::NotReadyToSwitchOn | State::Fault)
+            );
+            if off || !state.online {
+                return Ok(());
+            }
+        }
+        (self.tell)("            it does not switch off; the watchdog of its slave will")
+    }
+}
+
+/// How long the first process data may take.
+const ONLINE: Duration = Duration::from_secs(1);
+/// How often it is told where a move is.
+const PROGRESS: Duration = Duration::from_millis(500);
+/// How long an axis gets to arrive.
+const SETTLE: Duration = Duration::from_millis(200);
+
+/// An error code of 603Fh in words.
+fn error_text(code: u16) -> String {
+    format!("603Fh is {code:04X}h: {}", FaultCode(code))
+}

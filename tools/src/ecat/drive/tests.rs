@@ -1,0 +1,183 @@
+//! Drives brought up, jogged, stopped and found faulty, on an emulated segment in virtual time.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use takt_cia402::emulator::FaultCode;
+use takt_ethercat::AlState;
+use takt_ethercat::emulator::{Coupler, Segment, ServoConfig, ServoDrive};
+
+use super::{Order, Outcome, perform};
+use crate::ecat::tests::up;
+
+/// A coupler and a drive.
+fn line(config: ServoConfig) -> (Segment, ServoDrive) {
+    let (slave, drive) = ServoDrive::slave(config).unwrap();
+    (Segment::line([Coupler::slave(), slave]), drive)
+}
+
+fn order() -> Order {
+    Order {
+        slave: 1,
+        axis: 0,
+        cycle: Duration::from_millis(4),
+        sync0: false,
+        reset: false,
+        hold: Duration::from_millis(500),
+        jog: None,
+        patience: Duration::from_secs(10),
+    }
+}
+
+/// What came of it, and what was told meanwhile; stopped when a line with `stop_at` was told.
+fn done(segment: Segment, order: &Order, stop_at: Option<&str>) -> (Outcome, Vec<String>) {
+    let mut session = up(segment, AlState::PreOp);
+    let (stop, mut lines) = (AtomicBool::new(false), Vec::new());
+    let mut tell = |line: &str| {
+        if stop_at.is_some_and(|text| line.contains(text)) {
+            stop.store(true, Ordering::Relaxed);
+        }
+        lines.push(line.to_owned());
+        Ok(())
+    };
+    let outcome = perform(&mut session, order, &stop, &mut tell).unwrap();
+    session.leave().unwrap();
+    (outcome, lines)
+}
+
+#[test]
+fn a_drive_comes_up_step_by_step_with_its_words_named() {
+    let (segment, _) = line(ServoConfig::default());
+    let (outcome, lines) = done(segment, &order(), None);
+    assert_eq!(outcome, Outcome::Done(None), "{lines:#?}");
+    let states: Vec<&str> = lines
+        .iter()
+        .filter_map(|line| line.split(" s  ").nth(1))
+        .collect();
+    let mut seen = states.clone();
+    seen.dedup();
+    assert_eq!(
+        seen,
+        [
+            "switch on disabled",
+            "ready to switch on",
+            "switched on",
+            "operation enabled",
+            "switch on disabled"
+        ],
+        "{lines:#?}"
+    );
+    let told = |text: &str| lines.iter().any(|line| line.contains(text));
+    assert!(told("6040h 0x0006 enable-voltage+quick-stop"), "{lines:#?}");
+    assert!(told("operation-enabled"), "{lines:#?}");
+}
+
+#[test]
+fn an_axis_is_jogged_by_so_many_increments() {
+    let (segment, drive) = line(ServoConfig::default());
+    let before = drive.axis(0, |axis| axis.motor().position).unwrap();
+    let jog = Order {
+        jog: Some((-8192, Duration::from_secs(1))),
+        ..order()
+    };
+    let (outcome, lines) = done(segment, &jog, None);
+    let Outcome::Done(Some((moved, lag))) = outcome else {
+        panic!("{outcome:?} {lines:#?}");
+    };
+    assert!((moved + 8192).abs() <= 4, "{moved}");
+    assert!(lag < 1000, "{lag}");
+    let after = drive.axis(0, |axis| axis.motor().position).unwrap();
+    let turned = after - before;
+    assert!(
+        (turned + 2.0 * std::f64::consts::TAU).abs() < 0.1,
+        "{turned}"
+    );
+}
+
+#[test]
+fn a_jog_that_is_stopped_brakes_before_the_power_goes() {
+    let (segment, drive) = line(ServoConfig::default());
+    let before = drive.axis(0, |axis| axis.motor().position).unwrap();
+    let jog = Order {
+        jog: Some((40_960, Duration::from_secs(2))),
+        ..order()
+    };
+    let (outcome, lines) = done(segment, &jog, Some("s  position"));
+    assert_eq!(outcome, Outcome::Stopped, "{lines:#?}");
+    assert!(
+        lines.iter().any(|line| line.ends_with("braking")),
+        "{lines:#?}"
+    );
+    let (after, speed) = drive
+        .axis(0, |axis| (axis.motor().position, axis.motor().velocity))
+        .unwrap();
+    let turns = (after - before) / std::f64::consts::TAU;
+    assert!((0.1..9.0).contains(&turns), "{turns}");
+    assert!(speed.abs() < 0.01, "{speed}");
+}
+
+#[test]
+fn a_drive_in_fault_says_why_and_comes_up_after_a_reset() {
+    let (segment, drive) = line(ServoConfig::default());
+    drive.axis(0, |axis| axis.fault(FaultCode(0x2310))).unwrap();
+    let (outcome, _) = done(segment, &order(), None);
+    let Outcome::Axis(why) = outcome else {
+        panic!("{outcome:?}");
+    };
+    assert!(why.contains("the drive is in fault"), "{why}");
+    assert!(why.contains("603Fh is 2310h"), "{why}");
+
+    let (segment, drive) = line(ServoConfig::default());
+    drive.axis(0, |axis| axis.fault(FaultCode(0x2310))).unwrap();
+    drive.axis(0, |axis| axis.mend()).unwrap();
+    let reset = Order {
+        reset: true,
+        ..order()
+    };
+    let (outcome, lines) = done(segment, &reset, None);
+    assert_eq!(outcome, Outcome::Done(None), "{lines:#?}");
+}
+
+#[test]
+fn a_drive_that_wants_sync0_says_so_and_gets_it() {
+    let (segment, _) = line(ServoConfig::tx90());
+    let (outcome, _) = done(segment, &order(), None);
+    let Outcome::Slave(why) = outcome else {
+        panic!("{outcome:?}");
+    };
+    assert!(why.contains("--sync0"), "{why}");
+    let (segment, _) = line(ServoConfig::tx90());
+    let sync = Order {
+        sync0: true,
+        axis: 5,
+        jog: Some((1000, Duration::from_secs(1))),
+        ..order()
+    };
+    let (outcome, lines) = done(segment, &sync, None);
+    assert!(
+        matches!(outcome, Outcome::Done(Some((990..=1010, _)))),
+        "{outcome:?} {lines:#?}"
+    );
+}
+
+#[test]
+fn what_is_no_drive_or_has_no_such_axis_is_told() {
+    for (slave, axis, why) in [
+        (0, 0, "has no statusword (6041h)"),
+        (
+            1,
+            1,
+            "slave 1 has 1 axes, counted from 0; there is no axis 1",
+        ),
+    ] {
+        let (segment, _) = line(ServoConfig::default());
+        let asked = Order {
+            slave,
+            axis,
+            ..order()
+        };
+        let (outcome, _) = done(segment, &asked, None);
+        let told = outcome.to_string();
+        assert!(told.contains(why), "{told}");
+    }
+}

@@ -1,0 +1,125 @@
+//! A move from rest to rest whose speed and acceleration have no steps, and how it is broken off. It knows no drive.
+
+use std::f64::consts::TAU;
+use std::time::Duration;
+
+/// A move of so many increments.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Way {
+    increments: f64,
+    time: f64,
+    /// When it was broken off, s; where it was and how fast.
+    broken: Option<(f64, f64, f64)>,
+}
+
+impl Way {
+    /// Takes 10 ms or longer.
+    pub(super) fn new(increments: i32, time: Duration) -> Self {
+        Self {
+            increments: increments.into(),
+            time: time.as_secs_f64().max(0.01),
+            broken: None,
+        }
+    }
+
+    /// Speed as one turn of a cosine: where and how fast, after `s` seconds.
+    fn whole(&self, s: f64) -> (f64, f64) {
+        let x = (s / self.time).clamp(0.0, 1.0);
+        let position = self.increments * (x - (TAU * x).sin() / TAU);
+        let speed = self.increments / self.time * (1.0 - (TAU * x).cos());
+        (position, speed)
+    }
+
+    /// The largest acceleration of the whole move.
+    fn acceleration(&self) -> f64 {
+        (self.increments * TAU / self.time.powi(2)).abs().max(1.0)
+    }
+
+    /// How long braking from a speed takes, s.
+    fn braking(&self, speed: f64) -> f64 {
+        speed.abs() / self.acceleration()
+    }
+
+    /// Brakes from now on, as hard as the move accelerates at most.
+    pub(super) fn brake(&mut self, now: Duration) {
+        let s = now.as_secs_f64();
+        let (position, speed) = self.whole(s);
+        self.broken = Some((s, position, speed));
+    }
+
+    /// Where it is, increments from the start.
+    pub(super) fn at(&self, now: Duration) -> i32 {
+        let s = now.as_secs_f64();
+        let position = match self.broken {
+            None => self.whole(s).0,
+            Some((since, from, speed)) => {
+                let passed = (s - since).clamp(0.0, self.braking(speed));
+                let slowing = self.acceleration().copysign(speed);
+                from + speed * passed - slowing * passed.powi(2) / 2.0
+            }
+        };
+        #[expect(
+            clippy::cast_possible_truncation,
+            reason = "between zero and increments, which are an i32"
+        )]
+        let rounded = position.round() as i32;
+        rounded
+    }
+
+    /// When it stands.
+    pub(super) fn end(&self) -> Duration {
+        let end = match self.broken {
+            None => self.time,
+            Some((since, _, speed)) => since + self.braking(speed),
+        };
+        Duration::from_secs_f64(end)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: Duration = Duration::from_millis(1);
+
+    /// Largest differences of positions and of speeds from one millisecond to the next.
+    fn steps(way: impl Fn(Duration) -> i32, count: u32) -> (i32, i32) {
+        let at: Vec<i32> = (0..count).map(|n| way(n * MS)).collect();
+        let speeds: Vec<i32> = at.windows(2).map(|two| two[1] - two[0]).collect();
+        let most = |all: &mut dyn Iterator<Item = i32>| all.map(i32::abs).max().unwrap();
+        let jumps = most(&mut speeds.windows(2).map(|two| two[1] - two[0]));
+        (most(&mut speeds.iter().copied()), jumps)
+    }
+
+    #[test]
+    fn a_move_begins_and_ends_at_rest_without_a_step() {
+        for increments in [100_000, -100_000] {
+            let way = Way::new(increments, Duration::from_secs(2));
+            assert_eq!((way.at(Duration::ZERO), way.at(way.end())), (0, increments));
+            let (speed, jump) = steps(|now| way.at(now), 2100);
+            assert!(speed == 100 && jump <= 2, "{speed} {jump}");
+        }
+    }
+
+    #[test]
+    fn a_move_that_is_broken_off_brakes_and_stands() {
+        for at in [0, 300, 1000, 1900] {
+            let mut way = Way::new(-100_000, Duration::from_secs(2));
+            let before = way;
+            let when = at * MS;
+            way.brake(when);
+            let now = |now: Duration| {
+                if now < when {
+                    before.at(now)
+                } else {
+                    way.at(now)
+                }
+            };
+            let (_, jump) = steps(now, 3000);
+            assert!(jump <= 2, "{at} {jump}");
+            let stands = way.at(way.end());
+            assert_eq!(way.at(way.end() + Duration::from_secs(9)), stands);
+            assert!((-100_001..=0).contains(&stands), "{stands}");
+        }
+    }
+}

@@ -1,0 +1,188 @@
+//! Clocks of a recording: differences as they were read, the reference against the clock of who recorded, and where
+//! between two SYNC0 the frames passed. What nobody asked for stays unknown.
+
+use std::fmt::Write as _;
+use std::time::Duration;
+
+use serde_json::json;
+use takt_ethercat::dc::{PhaseFigures, phase_ns};
+
+use super::Recording;
+use super::report::Report;
+use crate::ecat::stat::{Finding, nanos};
+use crate::output::time;
+
+/// The reference clock as frames passed it.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Reference {
+    station: Option<u16>,
+    /// When a frame was recorded, and the system time that it brought back, ns.
+    samples: Vec<(Duration, u64)>,
+}
+
+impl Reference {
+    pub(super) fn take(&mut self, at: Duration, station: u16, counter: u16, data: &[u8]) {
+        if counter == 0 {
+            return;
+        }
+        if self.station != Some(station) {
+            (self.station, self.samples) = (Some(station), Vec::new());
+        }
+        if let Some(eight) = data.first_chunk() {
+            self.samples.push((at, u64::from_le_bytes(*eight)));
+        }
+    }
+
+    /// How much faster it runs than the clock of who recorded, millionths: between the means of the first and the
+    /// last tenth, so that no single late frame decides.
+    #[expect(
+        clippy::cast_precision_loss,
+        reason = "differences of some seconds in ns"
+    )]
+    fn drift_ppm(&self) -> Option<f64> {
+        let (origin, zero) = *self.samples.first()?;
+        let count = (self.samples.len() / 10).max(1);
+        let mean = |samples: &[(Duration, u64)]| {
+            let each = samples.iter().map(|(at, system)| {
+                let host = at.saturating_sub(origin).as_nanos() as f64;
+                (host, system.wrapping_sub(zero).cast_signed() as f64)
+            });
+            let (host, system) = each.fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
+            let count = samples.len() as f64;
+            (host / count, system / count)
+        };
+        let first = mean(self.samples.get(..count)?);
+        let last = mean(self.samples.get(self.samples.len() - count..)?);
+        let host = last.0 - first.0;
+        (host > 1e6).then(|| (last.1 - first.1 - host) / host * 1e6)
+    }
+
+    /// Frames behind SYNC0, as distances from the middle between two.
+    fn phase(&self, start_ns: u64, cycle_ns: u32) -> PhaseFigures {
+        let cycle = Duration::from_nanos(cycle_ns.into());
+        let half = i64::from(cycle_ns / 2);
+        let mut figures = PhaseFigures::default();
+        for (_, system) in self
+            .samples
+            .iter()
+            .filter(|(_, system)| *system >= start_ns)
+        {
+            let behind = phase_ns(system - start_ns, cycle, 0);
+            figures.add(i64::try_from(behind).unwrap_or(0) - half);
+        }
+        figures
+    }
+}
+
+/// What a recording says of clocks; differences beyond the window fail.
+pub(in crate::ecat) fn dc(recording: &Recording, window: Duration) -> Report {
+    let ring = recording.ring();
+    let clock = &recording.clock;
+    let drift = clock.drift_ppm();
+    let mut findings = Vec::new();
+    if clock.station.is_none() {
+        let text = "no frame tells the time (FRMW 0910h): its master runs without distributed clocks, or the \
+                    recording ends before";
+        findings.push(Finding::Seen(text.to_owned()));
+    }
+    let mut text = format!(
+        "{}: {} slaves, {}\n",
+        recording.name,
+        ring.len(),
+        time(nanos(recording.end.saturating_sub(recording.begin)))
+    );
+    if let Some(ppm) = drift {
+        let _ = writeln!(
+            text,
+            "the reference runs {ppm:+.1} ppm against the clock of who recorded"
+        );
+    }
+    text.push_str("\n slave  station  clock      delay ns  difference ns: min      max     last\n");
+    let mut slaves = Vec::new();
+    for (number, (station, seen)) in ring.iter().enumerate() {
+        let is_reference = clock.station == Some(*station);
+        let range = seen.difference.filter(|_| !is_reference);
+        let kind = match (is_reference, range) {
+            (true, _) => "reference",
+            (false, Some(_)) => "follows",
+            (false, None) => "?",
+        };
+        let delay = seen
+            .delay_ns
+            .map_or_else(|| "?".to_owned(), |delay| delay.to_string());
+        let _ = write!(text, "{number:>6}   {station:04X}h   {kind:<9}  {delay:>8}");
+        if let Some(range) = range {
+            let (least, most, last) = (range.least, range.most, range.last);
+            let _ = write!(text, "  {least:>17} {most:>8} {last:>8}");
+            let furthest = least.unsigned_abs().max(most.unsigned_abs());
+            if u128::from(furthest) > window.as_nanos() {
+                findings.push(Finding::Seen(format!(
+                    "slave {number}: its clock was up to {furthest} ns from the reference, {} ns are allowed; frames \
+                     that are late or lost (`takt ecat stat --from`), or it was not locked yet",
+                    window.as_nanos()
+                )));
+            }
+        }
+        text.push('\n');
+        slaves.push(json!({
+            "slave": number,
+            "station": station,
+            "clock": kind,
+            "delay_ns": seen.delay_ns,
+            "min_ns": range.map(|range| range.least),
+            "max_ns": range.map(|range| range.most),
+            "last_ns": range.map(|range| range.last),
+        }));
+    }
+    let phases = phases(recording, &mut text);
+    Report {
+        name: recording.name.clone(),
+        object: json!({
+            "version": 1,
+            "recording": recording.name,
+            "drift_ppm": drift,
+            "slaves": slaves,
+            "sync0": phases,
+        }),
+        table: text,
+        findings,
+    }
+}
+
+/// Where frames were between two SYNC0, slave by slave that has them.
+fn phases(recording: &Recording, text: &mut String) -> Vec<serde_json::Value> {
+    let mut all = Vec::new();
+    for (number, (_, seen)) in recording.ring().iter().enumerate() {
+        let (Some(start), Some(cycle)) = (seen.sync0_start_ns, seen.sync0_cycle_ns) else {
+            continue;
+        };
+        let figures = recording.clock.phase(start, cycle);
+        let Some((least, most)) = figures.range_ns() else {
+            continue;
+        };
+        let half = i64::from(cycle / 2);
+        let [least, mean, most] = [least, rounded(figures.mean_ns()), most].map(|ns| ns + half);
+        let _ = writeln!(
+            text,
+            "slave {number}: SYNC0 each {}; frames come {} behind it ({} to {})",
+            time(cycle.into()),
+            time(mean),
+            time(least),
+            time(most)
+        );
+        all.push(json!({
+            "slave": number,
+            "cycle_ns": cycle,
+            "mean_ns": mean,
+            "min_ns": least,
+            "max_ns": most,
+            "rms_ns": figures.rms_ns(),
+        }));
+    }
+    all
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "less than a period")]
+fn rounded(ns: f64) -> i64 {
+    ns.round() as i64
+}

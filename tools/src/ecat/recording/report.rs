@@ -1,0 +1,300 @@
+//! Losses of a recording, and the cable that its error counters point to. What was not asked for while it was made is
+//! said to be unknown, not to be good.
+
+use std::fmt::Write as _;
+use std::time::Duration;
+
+use serde_json::{Value, json};
+use takt_ethercat::Command;
+use takt_ethercat::master::{Cable, Suspect};
+use takt_ethercat::topology::Topology;
+
+use super::Recording;
+use super::slave::Seen;
+use crate::Verdict;
+use crate::ecat::stat::{Finding, judged, nanos, percentiles, verdict};
+use crate::output::{say, time};
+
+/// What is said of a recording.
+#[derive(Debug)]
+pub(in crate::ecat) struct Report {
+    pub(super) name: String,
+    pub(super) table: String,
+    pub(super) object: Value,
+    pub(super) findings: Vec<Finding>,
+}
+
+impl Report {
+    /// Says it.
+    pub(in crate::ecat) fn say(mut self, json: bool, quiet: bool) -> anyhow::Result<Verdict> {
+        if json {
+            let findings: Vec<Value> = self
+                .findings
+                .iter()
+                .map(|finding| json!({ "failure": finding.is_failure(), "text": finding.to_string() }))
+                .collect();
+            if let Value::Object(object) = &mut self.object {
+                object.insert("findings".to_owned(), findings.into());
+            }
+            say(&self.object.to_string())?;
+        } else {
+            if !quiet {
+                say(self.table.trim_end())?;
+            }
+            say(verdict(&self.name, &self.findings).trim_end())?;
+        }
+        Ok(judged(&self.findings))
+    }
+}
+
+/// What a recording says of losses.
+pub(in crate::ecat) fn stat(recording: &Recording) -> Report {
+    let findings = findings(recording);
+    Report {
+        name: recording.name.clone(),
+        table: table(recording),
+        object: object(recording),
+        findings,
+    }
+}
+
+/// When working counters were other than expected, each time once.
+fn misses(recording: &Recording) -> Vec<Duration> {
+    let groups = recording.groups.values();
+    let mut all: Vec<Duration> = groups
+        .flat_map(|counted| counted.misses(recording.down))
+        .collect();
+    all.sort_unstable();
+    all
+}
+
+/// How close in time what belongs together is: the master looks at the slaves one by one after a miss.
+const TOGETHER: Duration = Duration::from_millis(50);
+
+/// Misses at which a slave was silent or not in OP.
+fn misses_of(seen: &Seen, misses: &[Duration]) -> usize {
+    let near = |at: &Duration, miss: &Duration| at.abs_diff(*miss) <= TOGETHER;
+    let falls = || seen.falls.iter().map(|(at, ..)| at);
+    let blamed = |miss: &&Duration| {
+        seen.was_down(**miss)
+            || falls().any(|at| near(at, miss))
+            || seen.silent.iter().any(|at| near(at, miss))
+    };
+    misses.iter().filter(blamed).count()
+}
+
+/// The tree, from the links that were read; a line where they were not.
+fn topology(ring: &[(u16, &Seen)]) -> (Topology, bool) {
+    let open: Option<Vec<[bool; 4]>> = ring.iter().map(|(_, seen)| seen.open()).collect();
+    open.map_or_else(
+        || (Topology::line(ring.len()), false),
+        |open| (Topology::new(&open), true),
+    )
+}
+
+fn suspects(ring: &[(u16, &Seen)]) -> Vec<Suspect> {
+    let (tree, _) = topology(ring);
+    let errors = |number: usize, port: usize| {
+        let seen = ring.get(number).map(|(_, seen)| seen.at_port(port));
+        let [invalid, receive, _, links] = seen.unwrap_or_default();
+        (invalid + receive, links)
+    };
+    let mut all = Vec::new();
+    for number in 0..ring.len() {
+        let (mut broken, mut lost_links) = errors(number, 0);
+        let above = tree.parent(number);
+        if let Some((parent, port)) = above {
+            let (more, links) = errors(parent, port);
+            broken += more;
+            lost_links = lost_links.max(links);
+        }
+        if broken > 0 || lost_links > 0 {
+            let from = above.map(|(parent, port)| (parent, u8::try_from(port).unwrap_or(0)));
+            all.push(Suspect {
+                cable: Cable {
+                    from,
+                    to: Some(number),
+                },
+                errors: broken,
+                lost_links,
+            });
+        }
+    }
+    all.sort_by_key(|suspect| std::cmp::Reverse((suspect.lost_links, suspect.errors)));
+    all
+}
+
+fn findings(recording: &Recording) -> Vec<Finding> {
+    let ring = recording.ring();
+    let suspects = suspects(&ring);
+    let misses = misses(recording);
+    let broken = !suspects.is_empty();
+    let mut all: Vec<Finding> = suspects.into_iter().map(Finding::Suspect).collect();
+    for (number, (_, seen)) in ring.iter().enumerate() {
+        for (at, al, code) in seen.falls.iter().take(3) {
+            let at = since(recording, *at);
+            all.push(Finding::Seen(format!(
+                "slave {number}: {al} at {at}: {code}"
+            )));
+        }
+        let blamed = misses_of(seen, &misses);
+        if blamed > 0 {
+            all.push(Finding::Seen(format!(
+                "slave {number}: it was silent or not in OP at {blamed} of {} missed working counters",
+                misses.len()
+            )));
+        }
+        if seen.controller_errors() > 0 {
+            all.push(Finding::Controller(number, seen.controller_errors()));
+        }
+    }
+    let frames = recording.frames;
+    if frames.lost > 0 {
+        all.push(Finding::Lost {
+            lost: frames.lost,
+            sent: frames.sent,
+            broken,
+        });
+    }
+    if !misses.is_empty() {
+        all.push(Finding::Misses(
+            u64::try_from(misses.len()).unwrap_or(u64::MAX),
+        ));
+    }
+    if frames.stale > 0 {
+        all.push(Finding::Late(frames.stale));
+    }
+    if frames.foreign > 0 {
+        all.push(Finding::Foreign(frames.foreign));
+    }
+    if recording.broken > 0 {
+        let broken = recording.broken;
+        all.push(Finding::Seen(format!(
+            "{broken} frames in it cannot be read"
+        )));
+    }
+    all
+}
+
+/// A time from the beginning of the recording.
+fn since(recording: &Recording, at: Duration) -> String {
+    time(nanos(at.saturating_sub(recording.begin)))
+}
+
+fn table(recording: &Recording) -> String {
+    let ring = recording.ring();
+    let frames = recording.frames;
+    let cycle = recording.cycle().map_or_else(String::new, |cycle| {
+        format!(" at a cycle of {}", time(nanos(cycle)))
+    });
+    let mut text = format!(
+        "{}: {} slaves, {}{cycle}\nframes      {} sent, {} lost, {} late, {} foreign\n",
+        recording.name,
+        ring.len(),
+        since(recording, recording.end),
+        frames.sent,
+        frames.lost,
+        frames.stale,
+        frames.foreign
+    );
+    let trips: Vec<Duration> = recording.trips.iter().map(|(_, trip)| *trip).collect();
+    if let Some(trips) = percentiles(&trips) {
+        let [p50, p99, most] = trips.map(|trip| time(nanos(trip)));
+        let _ = writeln!(text, "round trip  p50 {p50}, p99 {p99}, max {most}");
+    }
+    for ((command, address, len), counted) in &recording.groups {
+        let _ = writeln!(
+            text,
+            "counters    {} {address:08X}h, {len} bytes: {} expected, {} of {} missed",
+            Command::from(*command),
+            counted.expected(),
+            counted.misses(recording.down).len(),
+            counted.counters.len()
+        );
+    }
+    if !ring.is_empty() && !topology(&ring).1 {
+        text.push_str("tree        not in the recording: slaves are taken for a line\n");
+    }
+    let misses = misses(recording);
+    text.push_str(
+        "\n slave  station  state      misses  port  invalid  receive  forwarded  lost links\n",
+    );
+    for (number, (station, seen)) in ring.iter().enumerate() {
+        let state = seen
+            .al
+            .map_or_else(|| "?".to_owned(), |(al, _)| al.to_string());
+        let state: String = state.chars().take(9).collect();
+        let blamed = misses_of(seen, &misses);
+        let mut head = format!("{number:>6}   {station:04X}h   {state:<9} {blamed:>7}");
+        if !seen.counted {
+            let _ = writeln!(text, "{head}  error counters were not asked for");
+            continue;
+        }
+        let open = seen.open().unwrap_or([true, false, false, false]);
+        for (port, open) in open.iter().enumerate() {
+            let [invalid, receive, forwarded, links] = seen.at_port(port);
+            if !open && invalid + receive + forwarded + links == 0 {
+                continue;
+            }
+            let _ = writeln!(
+                text,
+                "{head:<34} {port:>5} {invalid:>8} {receive:>8} {forwarded:>10} {links:>11}"
+            );
+            head.clear();
+        }
+    }
+    text
+}
+
+fn object(recording: &Recording) -> Value {
+    let frames = recording.frames;
+    let misses = misses(recording);
+    let ring = recording.ring();
+    let slaves: Vec<Value> = ring
+        .iter()
+        .enumerate()
+        .map(|(number, (station, seen))| {
+            let ports: Vec<[u64; 4]> = (0..4).map(|port| seen.at_port(port)).collect();
+            let column = |at: usize| -> Vec<u64> {
+                ports
+                    .iter()
+                    .filter_map(|port| port.get(at).copied())
+                    .collect()
+            };
+            json!({
+                "slave": number,
+                "station": station,
+                "state": seen.al.map(|(al, _)| al.to_string()),
+                "misses": misses_of(seen, &misses),
+                "silent": seen.silent.len(),
+                "counted": seen.counted,
+                "invalid": column(0),
+                "receive": column(1),
+                "forwarded": column(2),
+                "lost_links": column(3),
+                "controller": seen.controller_errors(),
+            })
+        })
+        .collect();
+    let trips: Vec<Duration> = recording.trips.iter().map(|(_, trip)| *trip).collect();
+    let trip = percentiles(&trips).map(|trips| {
+        let [p50, p99, most] = trips.map(nanos);
+        json!({ "p50_ns": p50, "p99_ns": p99, "max_ns": most })
+    });
+    json!({
+        "version": 1,
+        "recording": recording.name,
+        "duration_ns": nanos(recording.end.saturating_sub(recording.begin)),
+        "cycle_ns": recording.cycle().map(nanos),
+        "frames": {
+            "sent": frames.sent,
+            "answered": frames.answered,
+            "lost": frames.lost,
+            "late": frames.stale,
+            "foreign": frames.foreign,
+        },
+        "round_trip": trip,
+        "working_counter_misses": misses.len(),
+        "slaves": slaves,
+    })
+}

@@ -1,0 +1,172 @@
+//! What a recording shows of one slave: its states, the error counters of its ports, its clock. It is only told what
+//! the master that was recorded asked.
+
+use std::time::Duration;
+
+use takt_ethercat::{AlState, AlStatus, AlStatusCode, Command, register};
+
+use crate::ecat::dc::Range;
+
+/// Registers from 0300h to 0313h.
+const COUNTERS: usize = 20;
+
+/// A slave as it was seen.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Seen {
+    /// In the ring, from 0; `None` if the recording begins after that was told.
+    pub(super) position: Option<u16>,
+    /// Datagrams to it that were answered, and that nobody answered.
+    pub(super) answered: u64,
+    pub(super) silent: Vec<Duration>,
+    /// Its state as last read, and the code.
+    pub(super) al: Option<(AlStatus, AlStatusCode)>,
+    /// When it was seen in another state than before.
+    states: Vec<(Duration, AlStatus)>,
+    /// When it fell out of a state, and why.
+    pub(super) falls: Vec<(Duration, AlStatus, AlStatusCode)>,
+    /// DL status (0110h).
+    pub(super) dl_status: Option<u16>,
+    last: Option<[u8; COUNTERS]>,
+    gained: [u64; COUNTERS],
+    /// Error counters were read.
+    pub(super) counted: bool,
+    /// 092Ch, ns.
+    pub(super) difference: Option<Range>,
+    /// 0928h, ns.
+    pub(super) delay_ns: Option<u32>,
+    /// 0990h and 09A0h, ns.
+    pub(super) sync0_start_ns: Option<u64>,
+    pub(super) sync0_cycle_ns: Option<u32>,
+}
+
+fn u32_at(data: &[u8], at: usize) -> Option<u32> {
+    let four = data.get(at..)?.first_chunk()?;
+    Some(u32::from_le_bytes(*four))
+}
+
+impl Seen {
+    /// A datagram to it that came back.
+    pub(super) fn take(
+        &mut self,
+        at: Duration,
+        command: Command,
+        ado: u16,
+        counter: u16,
+        data: &[u8],
+    ) {
+        if counter == 0 {
+            self.silent.push(at);
+            return;
+        }
+        self.answered += 1;
+        // A datagram may carry several registers that lie one behind the other.
+        let from = |register: u16| {
+            let skip = usize::from(register.checked_sub(ado)?);
+            data.get(skip..).filter(|rest| !rest.is_empty())
+        };
+        let reads = command == Command::Fprd;
+        if reads && let Some([a, b, rest @ ..]) = from(register::AL_STATUS) {
+            let code = match rest {
+                [_, _, c, d, ..] => AlStatusCode(u16::from_le_bytes([*c, *d])),
+                _ => AlStatusCode::default(),
+            };
+            self.take_state(at, AlStatus::from_raw(u16::from_le_bytes([*a, *b])), code);
+        }
+        if reads && let Some([a, b, ..]) = from(register::DL_STATUS) {
+            self.dl_status = Some(u16::from_le_bytes([*a, *b]));
+        }
+        if let Some(block) = from(register::ERROR_COUNTERS).and_then(|block| block.first_chunk()) {
+            self.take_counters(reads, *block);
+        }
+        if reads && let Some(raw) = from(register::DC_DIFFERENCE).and_then(|rest| u32_at(rest, 0)) {
+            self.take_difference(raw);
+        }
+        self.take_clock(&from);
+    }
+
+    fn take_clock<'a>(&mut self, from: &impl Fn(u16) -> Option<&'a [u8]>) {
+        let double = |register| from(register).and_then(|rest| u32_at(rest, 0));
+        if let Some(delay) = double(register::DC_DELAY) {
+            self.delay_ns = Some(delay);
+        }
+        if let Some(start) = from(register::DC_START_TIME).and_then(|rest| rest.first_chunk()) {
+            self.sync0_start_ns = Some(u64::from_le_bytes(*start));
+        }
+        if let Some(cycle) = double(register::DC_SYNC0_CYCLE).filter(|cycle| *cycle > 0) {
+            self.sync0_cycle_ns = Some(cycle);
+        }
+    }
+
+    fn take_state(&mut self, at: Duration, al: AlStatus, code: AlStatusCode) {
+        let before = self.al.replace((al, code)).map(|(before, _)| before);
+        if before != Some(al) {
+            self.states.push((at, al));
+        }
+        let fell = al.error && before.is_none_or(|before| !before.error);
+        if fell {
+            self.falls.push((at, al, code));
+        }
+    }
+
+    /// Registers that went down were cleared meanwhile; what they show then came since.
+    fn take_counters(&mut self, reads: bool, block: [u8; COUNTERS]) {
+        let last = self.last.replace(block);
+        let (true, Some(last)) = (reads, last) else {
+            return;
+        };
+        self.counted = true;
+        for (gained, (now, before)) in self.gained.iter_mut().zip(block.iter().zip(last)) {
+            *gained += u64::from(now.checked_sub(before).unwrap_or(*now));
+        }
+    }
+
+    /// Bit 31 is the sign.
+    fn take_difference(&mut self, raw: u32) {
+        let size = (raw & 0x7FFF_FFFF).cast_signed();
+        // High: its clock is ahead of the time that passed it.
+        let ns = if raw & 0x8000_0000 == 0 { -size } else { size };
+        let Range { least, most, .. } = self.difference.unwrap_or(Range {
+            least: ns,
+            most: ns,
+            last: ns,
+        });
+        self.difference = Some(Range {
+            least: least.min(ns),
+            most: most.max(ns),
+            last: ns,
+        });
+    }
+
+    fn gained(&self, at: usize) -> u64 {
+        self.gained.get(at).copied().unwrap_or(0)
+    }
+
+    /// Invalid frames, receive errors, forwarded errors and lost links of a port since the recording began.
+    pub(super) fn at_port(&self, port: usize) -> [u64; 4] {
+        [
+            self.gained(2 * port),
+            self.gained(2 * port + 1),
+            self.gained(8 + port),
+            self.gained(16 + port),
+        ]
+    }
+
+    /// Errors between its firmware and its controller (030Dh).
+    pub(super) fn controller_errors(&self) -> u64 {
+        self.gained(13)
+    }
+
+    /// Which of its ports are open; `None` if nobody asked.
+    pub(super) fn open(&self) -> Option<[bool; 4]> {
+        let status = self.dl_status?;
+        Some(std::array::from_fn(|port| {
+            status >> (8 + 2 * port) & 3 == 2
+        }))
+    }
+
+    /// Whether it was in another state than OP then, as far as was seen.
+    pub(super) fn was_down(&self, at: Duration) -> bool {
+        let before = self.states.iter().rev().find(|(since, _)| *since <= at);
+        before.is_some_and(|(_, al)| al.error || al.state != AlState::Op)
+    }
+}

@@ -1,0 +1,133 @@
+//! What was on an emulated segment is found again in a recording of it.
+
+use std::time::Duration;
+
+use takt_ethercat::AlState;
+use takt_ethercat::config::{MasterConfig, Place, SlaveSpec, SyncSpec};
+use takt_ethercat::emulator::{Corrupt, Faults};
+
+use super::{Recording, dc, stat};
+use crate::Verdict;
+use crate::ecat::stat::{judged, verdict};
+use crate::ecat::tests::{CYCLE, recording, session, tree, up};
+
+const MS: Duration = Duration::from_millis(1);
+
+fn texts(recording: &Recording) -> (String, String, Verdict) {
+    let report = stat(recording);
+    let text = verdict("r", &report.findings);
+    (report.table, text, judged(&report.findings))
+}
+
+#[test]
+fn a_good_run_has_nothing_to_be_told() {
+    let mut session = up(tree(), AlState::Op);
+    session.run_for(500 * MS).unwrap();
+    session.leave().unwrap();
+    let read = Recording::of("good", &recording(&mut session)).unwrap();
+    let (table, text, good) = texts(&read);
+    assert_eq!(
+        (good, text.as_str()),
+        (Verdict::Good, "r: good\n"),
+        "{table}"
+    );
+    for part in [
+        "3 slaves",
+        "at a cycle of 1.0 ms",
+        "0 lost, 0 late, 0 foreign",
+        "     1   1002h   OP",
+    ] {
+        assert!(table.contains(part), "{part}\n{table}");
+    }
+    assert!(table.contains(", 0 of "), "{table}");
+}
+
+#[test]
+fn lost_and_late_frames_and_the_bad_cable_are_found_in_a_recording() {
+    let mut session = up(tree(), AlState::Op);
+    session.run_for(200 * MS).unwrap();
+    let faults = Faults {
+        corrupt: Some(Corrupt {
+            slave: 2,
+            port: 0,
+            frames: 4,
+        }),
+        late: None,
+        ..Faults::default()
+    };
+    session.wire().put_in(100 * MS, faults);
+    session.run_for(300 * MS).unwrap();
+    let late = Faults {
+        late: Some((2, 1_500_000)),
+        ..Faults::default()
+    };
+    session.wire().put_in(Duration::ZERO, late);
+    session.run_for(300 * MS).unwrap();
+    let read = Recording::of("bad", &recording(&mut session)).unwrap();
+    let (table, text, judged) = texts(&read);
+    assert_eq!(judged, Verdict::Failed);
+    for part in [
+        "FAIL  the cable from slave 0 port 3 to slave 1 port 0: 4 broken frames",
+        "FAIL  4 of ",
+        "WARN  2 frames came back after the end of their cycle",
+    ] {
+        assert!(text.contains(part), "{part}\n{text}\n{table}");
+    }
+    let object = stat(&read).object;
+    assert_eq!(object["frames"]["lost"], 4);
+    assert_eq!(object["slaves"][1]["invalid"][0], 4);
+}
+
+#[test]
+fn missed_working_counters_are_put_to_the_slave_that_fell() {
+    let mut session = up(tree(), AlState::Op);
+    session.run_for(200 * MS).unwrap();
+    let segment = &mut session.wire().segment;
+    let drive = segment.slave(2).unwrap();
+    drive.fall(AlState::SafeOp, takt_ethercat::AlStatusCode(0x001B));
+    session.run_for(300 * MS).unwrap();
+    let read = Recording::of("fell", &recording(&mut session)).unwrap();
+    let (table, text, judged) = texts(&read);
+    assert_eq!(judged, Verdict::Failed, "{table}");
+    assert!(text.contains("slave 1: SAFE-OP + error at "), "{text}");
+    assert!(
+        text.contains("slave 1: it was silent or not in OP at 204 of 204 missed"),
+        "{text}"
+    );
+    assert!(!text.contains("slave 0"), "{text}");
+}
+
+#[test]
+fn clocks_and_the_phase_of_frames_to_sync0_are_found_in_a_recording() {
+    let mut session = session(tree(), AlState::Op);
+    let specs = (0..3).map(|number| {
+        let mut spec = SlaveSpec::new(format!("{number}"), Place::Position(number));
+        spec.sync = (number == 1).then(|| SyncSpec::sync0(CYCLE));
+        spec
+    });
+    let config = MasterConfig {
+        slaves: specs.collect(),
+        cycle: CYCLE,
+        ..MasterConfig::default()
+    };
+    session.restart(config).unwrap();
+    session.follow_sync0();
+    session.bring_up(Duration::from_secs(10)).unwrap();
+    session.run_for(Duration::from_secs(2)).unwrap();
+    session.wire().seen.retain(|(at, _)| *at > Duration::ZERO);
+    let read = Recording::of("clocks", &recording(&mut session)).unwrap();
+    let report = dc(&read, Duration::from_secs(1));
+    let text = &report.table;
+    assert!(text.contains("the reference runs +0.0 ppm"), "{text}");
+    assert!(text.contains("     0   1001h   reference"), "{text}");
+    assert!(
+        text.contains("slave 1: SYNC0 each 1.0 ms; frames come "),
+        "{text}"
+    );
+    assert_eq!(judged(&report.findings), Verdict::Good);
+    // In the middle between two pulses at last.
+    let last = report.object["slaves"][1]["last_ns"].as_i64().unwrap();
+    assert!(last.abs() < 100, "{text}");
+    let narrow = dc(&read, Duration::ZERO);
+    assert!(narrow.findings.is_empty() || judged(&narrow.findings) == Verdict::Failed);
+}

@@ -1,0 +1,128 @@
+//! EEPROMs of emulated slaves, read, decoded and written in virtual time.
+
+use takt_ethercat::AlState;
+use takt_ethercat::sii::{Sii, checksum};
+
+use super::{Change, read, text, write};
+use crate::ecat::session::Session;
+use crate::ecat::tests::{Emulated, tree, up};
+
+const DRIVE: usize = 1;
+
+fn image(session: &mut Session<Emulated>) -> Vec<u8> {
+    read(session, DRIVE).unwrap().unwrap()
+}
+
+/// Writes what is to change, and gives the whole EEPROM as it is then.
+fn changed(session: &mut Session<Emulated>, change: &Change) -> Vec<u8> {
+    let words = change.words(&image(session)).unwrap();
+    write(session, DRIVE, &words).unwrap().unwrap();
+    image(session)
+}
+
+#[test]
+fn every_category_of_an_sii_is_told() {
+    let mut session = up(tree(), AlState::PreOp);
+    let image = image(&mut session);
+    assert_eq!(image.len(), 2048);
+    let text = text("drive", &image);
+    for line in [
+        "  identity    vendor 00007A87h product 00004021h revision 00010000h serial 1",
+        "  PDI         control 08h (16 bit microcontroller, asynchronous), configuration 0000h",
+        "  controller  DC SYNC unit, DC latch unit, SYNC pulse 1000 ns",
+        "  mailbox     receives at 1000h 128 bytes, sends at 1080h 128 bytes",
+        "  protocols   CoE",
+        "  name        \"TK4021 servo\", order \"TK4021\", group -, picture -",
+        "  CoE         SDO, information, PDO assignment, PDO configuration, complete access",
+        "  ports       MII, MII, -, -",
+        "  FMMU 2  state of the mailbox",
+        "  SyncManager 2  outputs     at 1100h, 14 bytes, control 64h",
+        "    607Ah:00   32 bits  INTEGER32",
+        "  \"DC-Synchron\": AssignActivate 0300h, SYNC0 each the master's cycle (factor 0), shift 0 ns; SYNC1 factor 0, shift 0 ns",
+    ] {
+        assert!(text.lines().any(|other| other == line), "{line}\n{text}");
+    }
+    assert!(!text.contains('!'), "{text}");
+    let used = Sii::new(&image).used().unwrap();
+    for len in 0..used {
+        let cut = super::text("cut", &image[..len]);
+        assert!(cut.contains("! its categories do not end"), "{len}");
+    }
+    // What the file beside the tests of the commands was made from.
+    let kept = include_bytes!("../../../tests/ecat/drive.sii");
+    assert!(
+        image == kept,
+        "make it anew by `takt ecat sii IFACE SLAVE --raw`"
+    );
+}
+
+#[test]
+fn an_alias_is_written_with_its_checksum_and_nothing_else_changes() {
+    let mut session = up(tree(), AlState::PreOp);
+    let before = image(&mut session);
+    let after = changed(&mut session, &Change::Alias(0x1234));
+    let sii = Sii::new(&after);
+    assert_eq!((sii.word(4), sii.is_checked()), (Some(0x1234), true));
+    let differ = before.iter().zip(&after).enumerate();
+    let differ: Vec<usize> = differ
+        .filter(|(_, (a, b))| a != b)
+        .map(|(at, _)| at)
+        .collect();
+    assert_eq!(differ, [8, 9, 14]);
+    let again = Change::Alias(0x1234).words(&after).unwrap();
+    assert!(again.is_empty());
+}
+
+#[test]
+fn an_erased_eeprom_is_reached_and_written() {
+    let mut session = up(tree(), AlState::PreOp);
+    let good = image(&mut session);
+    let mut segment = tree();
+    segment.slave(2).unwrap().eeprom_mut().fill(0xFF);
+    segment.set_power(2, false);
+    segment.set_power(2, true);
+    let mut session = up(segment, AlState::PreOp);
+    let drive = (0..3)
+        .find(|number| {
+            session
+                .master()
+                .slave(*number)
+                .unwrap()
+                .info()
+                .identity
+                .vendor
+                == u32::MAX
+        })
+        .unwrap();
+    let erased = read(&mut session, drive).unwrap().unwrap();
+    let told = text("drive", &erased);
+    assert!(told.contains("! checksum    FFh"), "{told}");
+    let words = Change::Image(good.clone()).words(&erased).unwrap();
+    let (first, last) = (words.first().unwrap().0, words.last().unwrap().0);
+    assert!(first >= 8 && last == 7, "{first} {last}");
+    write(&mut session, drive, &words).unwrap().unwrap();
+    assert_eq!(read(&mut session, drive).unwrap().unwrap(), good);
+}
+
+#[test]
+fn a_file_that_does_not_fit_the_slave_is_refused() {
+    let mut session = up(tree(), AlState::PreOp);
+    let present = image(&mut session);
+    let mut other = present.clone();
+    other[20] ^= 1;
+    let mut broken = present.clone();
+    broken[2] ^= 1;
+    let right = format!("{:02X}h is right", checksum(&broken[..14]));
+    for (image, why) in [
+        (other, "another slave's EEPROM"),
+        (broken, right.as_str()),
+        (vec![0; 127], "the file has 127 bytes"),
+        ([present.clone(), vec![0; 2]].concat(), "the EEPROM 2048"),
+    ] {
+        let told = Change::Image(image)
+            .words(&present)
+            .unwrap_err()
+            .to_string();
+        assert!(told.contains(why), "{told}");
+    }
+}

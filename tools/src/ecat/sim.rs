@@ -1,0 +1,135 @@
+//! `takt ecat sim`: an emulated segment at an interface, for any master at the other end of its cable, and faults put
+//! into it by lines of text. What its slaves are made of is in `takt-ethercat`'s emulator.
+
+mod fault;
+mod plan;
+
+use std::io::BufRead as _;
+use std::path::PathBuf;
+use std::sync::mpsc::{self, Receiver};
+use std::time::Duration;
+
+use anyhow::Context as _;
+use clap::Args;
+use takt_core::CellConfig;
+use takt_ethercat::emulator::{ServoDrive, SharedSegment, YouBot, YouBotConfig};
+use takt_ethercat::linux::monotonic;
+
+use crate::Verdict;
+use crate::emulate::segment;
+use crate::output::{complain, say, span};
+use fault::Fault;
+use plan::{Plan, Stand};
+
+/// Emulate a segment at an interface: slaves that any EtherCAT master accepts, and faults on command.
+///
+/// Lines on standard input put faults in; `help` lists them. Exit status: 0 ended as asked; 2 it could not be tried.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  ip link add near type veth peer name far && ip link set near up && ip link set far up
+  takt ecat sim near --segment tx90
+  takt ecat sim near --segment cell/line.toml --strict
+  takt ecat sim near --cell /etc/takt/cell.toml --name cell1
+  echo 'cut 2' | takt ecat sim near --segment youbot --duration 1min
+
+A file has one [[slave]] for each slave: kind = coupler, digital, analogue, drive or tx90; outputs, inputs, looped
+(terminals); axes (drive); behind = [slave, port]; alias, vendor, product, drift_ppm.")]
+pub(crate) struct Sim {
+    /// The network interface; the master is at the other end of its cable.
+    #[arg(value_name = "IFACE")]
+    interface: String,
+    /// What is on it: tx90, youbot, or a file.
+    #[arg(
+        long,
+        value_name = "FILE|tx90|youbot",
+        required_unless_present = "cell"
+    )]
+    segment: Option<String>,
+    /// The slaves that a segment of this cell expects, each as its part of the cell uses it.
+    #[arg(long, value_name = "FILE", conflicts_with = "segment")]
+    cell: Option<PathBuf>,
+    /// Which segment of the cell; needed if it has several.
+    #[arg(long, value_name = "NAME", requires = "cell")]
+    name: Option<String>,
+    /// Axes fault after three cycles without a set-point, as real ones do; for masters on real-time hosts.
+    #[arg(long)]
+    strict: bool,
+    /// End after this time; without it, at Ctrl-C.
+    #[arg(long, value_name = "TIME", value_parser = span)]
+    duration: Option<Duration>,
+}
+
+impl Sim {
+    pub(super) fn run(self) -> anyhow::Result<Verdict> {
+        let Stand {
+            segment,
+            drives,
+            loops,
+        } = self.stand()?;
+        let shared = SharedSegment::new(segment);
+        let orders = lines();
+        let between = move || {
+            for io in &loops {
+                io.set_inputs(&io.outputs());
+            }
+        };
+        segment::serve(&shared, &self.interface, self.duration, between, || {
+            while let Ok(line) = orders.try_recv() {
+                obey(&line, &shared, &drives)?;
+            }
+            Ok(())
+        })
+    }
+
+    fn stand(&self) -> anyhow::Result<Stand> {
+        if let Some(path) = &self.cell {
+            let cell = CellConfig::read(path)?;
+            return plan::of_cell(&cell, self.name.as_deref(), self.strict);
+        }
+        match self.segment.as_deref().unwrap_or_default() {
+            "tx90" => Ok(Stand::plain(segment::tx90(self.strict)?)),
+            "youbot" => {
+                let (segment, _) = YouBot::segment(&YouBotConfig::default());
+                Ok(Stand::plain(segment))
+            }
+            path => {
+                let text = std::fs::read_to_string(path).with_context(|| {
+                    format!("cannot read {path}; known without a file: tx90, youbot")
+                })?;
+                let plan: Plan = toml::from_str(&text).with_context(|| path.to_owned())?;
+                plan.build(self.strict)
+                    .with_context(|| format!("{path} makes no segment"))
+            }
+        }
+    }
+}
+
+/// Lines of standard input, read by a thread that ends with the process.
+fn lines() -> Receiver<String> {
+    let (to, from) = mpsc::channel();
+    std::thread::spawn(move || {
+        for line in std::io::stdin().lock().lines().map_while(Result::ok) {
+            if to.send(line).is_err() {
+                break;
+            }
+        }
+    });
+    from
+}
+
+fn obey(line: &str, segment: &SharedSegment, drives: &[ServoDrive]) -> anyhow::Result<()> {
+    let line = line.trim();
+    let now = u64::try_from(monotonic()?.as_nanos()).unwrap_or(u64::MAX);
+    let put_in = |fault: Fault| fault.put_in(segment, drives, now);
+    match line {
+        "" => Ok(()),
+        "help" => say(fault::HELP),
+        _ => match line.parse().and_then(put_in) {
+            Ok(told) => say(&told),
+            Err(why) => {
+                complain(&format!("{why}; `help` lists what there is"));
+                Ok(())
+            }
+        },
+    }
+}

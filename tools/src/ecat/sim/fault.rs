@@ -1,0 +1,224 @@
+//! Faults of an emulated segment, as lines of text. When they happen is the caller's.
+
+use std::str::FromStr;
+use std::time::Duration;
+
+use takt_cia402::emulator::FaultCode;
+use takt_ethercat::emulator::{Corrupt, Segment, ServoDrive, SharedSegment};
+use takt_ethercat::{AlState, AlStatusCode};
+
+use crate::output::span;
+
+/// What can be said.
+pub(super) const HELP: &str = "\
+cut SLAVE             the cable before a slave, until
+mend SLAVE            puts it back
+off SLAVE, on SLAVE   the power of a slave
+lose N                the next N frames are lost
+late N TIME           the next N frames come back late by a time
+broken N SLAVE PORT   the next N frames are broken on the cable to a port
+fall SLAVE CODE       a slave leaves OP for SAFE-OP with an AL status code, hexadecimal
+fault DRIVE AXIS CODE an axis faults with a code of 603Fh, hexadecimal; drives and axes count from 0
+jump SLAVE TIME       the clock of a slave jumps ahead";
+
+/// A fault.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Fault {
+    /// The cable before a slave is cut, or whole again.
+    Cable(usize, bool),
+    /// The power of a slave is on, or off.
+    Power(usize, bool),
+    /// Frames are lost.
+    Lose(u32),
+    /// Frames are late.
+    Late(u32, Duration),
+    /// Frames are broken before a port.
+    Broken(Corrupt),
+    /// A slave falls.
+    Fall(usize, u16),
+    /// An axis of a drive faults.
+    Axis(usize, usize, u16),
+    /// A clock jumps.
+    Jump(usize, Duration),
+}
+
+impl FromStr for Fault {
+    type Err = String;
+
+    fn from_str(line: &str) -> Result<Self, String> {
+        let words: Vec<&str> = line.split_whitespace().collect();
+        Ok(match words[..] {
+            ["cut", slave] => Self::Cable(number(slave)?, false),
+            ["mend", slave] => Self::Cable(number(slave)?, true),
+            ["off", slave] => Self::Power(number(slave)?, false),
+            ["on", slave] => Self::Power(number(slave)?, true),
+            ["lose", frames] => Self::Lose(number(frames)?),
+            ["late", frames, time] => Self::Late(number(frames)?, span(time)?),
+            ["broken", frames, slave, port] => Self::Broken(Corrupt {
+                slave: number(slave)?,
+                port: number(port)?,
+                frames: number(frames)?,
+            }),
+            ["fall", slave, code] => Self::Fall(number(slave)?, hexadecimal(code)?),
+            ["fault", drive, axis, code] => {
+                Self::Axis(number(drive)?, number(axis)?, hexadecimal(code)?)
+            }
+            ["jump", slave, time] => Self::Jump(number(slave)?, span(time)?),
+            _ => return Err(format!("`{line}` is no fault")),
+        })
+    }
+}
+
+fn number<T: FromStr>(text: &str) -> Result<T, String> {
+    text.parse().map_err(|_| format!("`{text}` is no number"))
+}
+
+fn hexadecimal(text: &str) -> Result<u16, String> {
+    let digits = text.trim_start_matches("0x").trim_end_matches('h');
+    u16::from_str_radix(digits, 16).map_err(|_| format!("`{text}` is no code: write 8611"))
+}
+
+fn nanos(time: Duration) -> u64 {
+    u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
+}
+
+/// Refuses slaves that are not there.
+fn checked(segment: &Segment, slave: usize) -> Result<(), String> {
+    if slave < segment.len() {
+        return Ok(());
+    }
+    let count = segment.len();
+    Err(format!(
+        "there is no slave {slave}, they are 0 to {}",
+        count.saturating_sub(1)
+    ))
+}
+
+impl Fault {
+    /// Does it at `now`, ns of the segment's clock; what was done, in words.
+    #[expect(clippy::too_many_lines, reason = "a table of what is done for each")]
+    pub(super) fn put_in(
+        self,
+        segment: &SharedSegment,
+        drives: &[ServoDrive],
+        now: u64,
+    ) -> Result<String, String> {
+        let mut segment = segment.lock();
+        match self {
+            Self::Cable(slave, whole) => {
+                checked(&segment, slave)?;
+                segment.set_link(slave, whole);
+                let what = if whole { "whole" } else { "cut" };
+                Ok(format!("the cable before slave {slave} is {what}"))
+            }
+            Self::Power(slave, on) => {
+                checked(&segment, slave)?;
+                segment.set_power(slave, on);
+                let what = if on { "on" } else { "off" };
+                Ok(format!("slave {slave} is {what}"))
+            }
+            Self::Lose(frames) => {
+                segment.faults.lose = frames;
+                Ok(format!("{frames} frames will be lost"))
+            }
+            Self::Late(frames, time) => {
+                segment.faults.late = Some((frames, nanos(time)));
+                Ok(format!("{frames} frames will be late by {time:?}"))
+            }
+            Self::Broken(corrupt) => {
+                checked(&segment, corrupt.slave)?;
+                segment.faults.corrupt = Some(corrupt);
+                let Corrupt {
+                    slave,
+                    port,
+                    frames,
+                } = corrupt;
+                Ok(format!(
+                    "{frames} frames will be broken before slave {slave} port {port}"
+                ))
+            }
+            Self::Fall(number, code) => {
+                let slave = segment.slave(number);
+                let slave = slave.ok_or_else(|| format!("there is no slave {number}"))?;
+                let code = AlStatusCode(code);
+                slave.fall(AlState::SafeOp, code);
+                Ok(format!("slave {number} fell: {code}"))
+            }
+            Self::Axis(number, axis, code) => {
+                let drive = drives.get(number);
+                let drive = drive.ok_or_else(|| format!("there is no drive {number}"))?;
+                drive
+                    .axis(axis, |axis| axis.fault(FaultCode(code)))
+                    .ok_or_else(|| format!("drive {number} has no axis {axis}"))?;
+                Ok(format!(
+                    "drive {number} axis {axis} faults with {code:04X}h"
+                ))
+            }
+            Self::Jump(number, time) => {
+                let slave = segment.slave(number);
+                let clock = slave.and_then(|slave| slave.clock());
+                let clock = clock.ok_or_else(|| format!("slave {number} has no clock"))?;
+                clock.jump(i64::try_from(nanos(time)).unwrap_or(i64::MAX), now);
+                Ok(format!("the clock of slave {number} jumped by {time:?}"))
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use takt_ethercat::emulator::{Coupler, ServoConfig};
+
+    use super::*;
+
+    fn stand() -> (SharedSegment, Vec<ServoDrive>) {
+        let (slave, drive) = ServoDrive::slave(ServoConfig::default()).unwrap();
+        let segment = Segment::line([Coupler::slave(), slave]);
+        (SharedSegment::new(segment), vec![drive])
+    }
+
+    fn said(line: &str) -> Result<String, String> {
+        let (segment, drives) = stand();
+        line.parse::<Fault>()?.put_in(&segment, &drives, 0)
+    }
+
+    #[test]
+    fn each_fault_of_the_help_is_understood_and_done() {
+        for (line, told) in [
+            ("cut 1", "the cable before slave 1 is cut"),
+            ("mend 1", "the cable before slave 1 is whole"),
+            ("off 0", "slave 0 is off"),
+            ("on 0", "slave 0 is on"),
+            ("lose 3", "3 frames will be lost"),
+            ("late 2 1ms", "2 frames will be late by 1ms"),
+            (
+                "broken 5 1 0",
+                "5 frames will be broken before slave 1 port 0",
+            ),
+            ("fault 0 0 8611h", "drive 0 axis 0 faults with 8611h"),
+            ("jump 0 5us", "the clock of slave 0 jumped by 5µs"),
+        ] {
+            assert_eq!(said(line).as_deref(), Ok(told), "{line}");
+            let word = line.split(' ').next().unwrap();
+            assert!(HELP.contains(word), "{word}");
+        }
+        let told = said("fall 1 0x001B").unwrap();
+        assert!(told.starts_with("slave 1 fell: "), "{told}");
+    }
+
+    #[test]
+    fn what_cannot_be_is_told() {
+        for (line, why) in [
+            ("cut", "`cut` is no fault"),
+            ("cut 2", "there is no slave 2, they are 0 to 1"),
+            ("late 1 5", "write a number and a unit"),
+            ("lose -1", "`-1` is no number"),
+            ("fault 1 0 8611", "there is no drive 1"),
+            ("fault 0 1 8611", "drive 0 has no axis 1"),
+            ("fall 9 1B", "there is no slave 9"),
+        ] {
+            let told = said(line).unwrap_err();
+            assert!(told.contains(why), "{told}");
+        }
+    }
+}

@@ -1,0 +1,352 @@
+//! What an emulated segment is made of: told by a file, or by what a cell expects of its segment. How slaves behave is
+//! not told here.
+
+use anyhow::{Context as _, ensure};
+use serde::Deserialize;
+use takt_core::CellConfig;
+use takt_core::cell::{EthercatConfig, EthercatSlave};
+use takt_ethercat::emulator::{Coupler, Io, Segment, ServoConfig, ServoDrive, Slave};
+use takt_ethercat::sii;
+
+/// A segment that is ready to be served.
+#[derive(Debug)]
+pub(super) struct Stand {
+    pub(super) segment: Segment,
+    /// Its drives, in their order.
+    pub(super) drives: Vec<ServoDrive>,
+    /// Terminals whose outputs come back as inputs.
+    pub(super) loops: Vec<Io>,
+}
+
+impl Stand {
+    /// Of a segment without handles.
+    pub(super) const fn plain(segment: Segment) -> Self {
+        Self {
+            segment,
+            drives: Vec::new(),
+            loops: Vec::new(),
+        }
+    }
+}
+
+/// A file.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Plan {
+    #[serde(default, rename = "slave")]
+    slaves: Vec<SlavePlan>,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum Kind {
+    #[default]
+    Coupler,
+    Digital,
+    Analogue,
+    Drive,
+    Tx90,
+}
+
+/// A slave of a file.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SlavePlan {
+    kind: Kind,
+    /// Channels of a terminal.
+    #[serde(default = "SlavePlan::channels")]
+    outputs: u8,
+    #[serde(default = "SlavePlan::channels")]
+    inputs: u8,
+    /// Outputs of a terminal come back as its inputs.
+    #[serde(default)]
+    looped: bool,
+    /// Axes of a drive, 1 to 8.
+    #[serde(default = "SlavePlan::one")]
+    axes: u8,
+    /// The slave and the port that its cable goes to; without it, port 1 of the one before.
+    behind: Option<(usize, usize)>,
+    alias: Option<u16>,
+    vendor: Option<u32>,
+    product: Option<u32>,
+    /// How much faster its clock runs, millionths.
+    #[serde(default)]
+    drift_ppm: f64,
+}
+
+impl SlavePlan {
+    const fn channels() -> u8 {
+        8
+    }
+
+    const fn one() -> u8 {
+        1
+    }
+
+    const fn new(kind: Kind) -> Self {
+        Self {
+            kind,
+            outputs: 8,
+            inputs: 8,
+            looped: false,
+            axes: 1,
+            behind: None,
+            alias: None,
+            vendor: None,
+            product: None,
+            drift_ppm: 0.0,
+        }
+    }
+
+    fn build(&self, strict: bool, stand: &mut Stand) -> anyhow::Result<Slave> {
+        let terminal = |(slave, io): (Slave, Io), stand: &mut Stand| {
+            if self.looped {
+                stand.loops.push(io);
+            }
+            slave
+        };
+        let mut slave = match self.kind {
+            Kind::Coupler => Coupler::slave(),
+            Kind::Digital => terminal(Io::digital(self.outputs, self.inputs), stand),
+            Kind::Analogue => terminal(Io::analogue(self.outputs, self.inputs), stand),
+            Kind::Tx90 => drive(ServoConfig::tx90(), strict, stand)?,
+            Kind::Drive => {
+                ensure!(
+                    (1..=8).contains(&self.axes),
+                    "a drive has 1 to 8 axes, not {}",
+                    self.axes
+                );
+                let axis = ServoConfig::default().axes;
+                let axes = axis.into_iter().cycle().take(self.axes.into()).collect();
+                drive(
+                    ServoConfig {
+                        axes,
+                        ..ServoConfig::default()
+                    },
+                    strict,
+                    stand,
+                )?
+            }
+        };
+        self.name(&mut slave);
+        Ok(slave)
+    }
+
+    /// What its EEPROM is to say instead, and how its clock runs.
+    fn name(&self, slave: &mut Slave) {
+        let eeprom = slave.eeprom_mut();
+        let mut put = |word: sii::Word, bytes: &[u8]| {
+            let at = 2 * usize::from(word);
+            if let Some(place) = eeprom.get_mut(at..at + bytes.len()) {
+                place.copy_from_slice(bytes);
+            }
+        };
+        if let Some(alias) = self.alias {
+            put(sii::word::ALIAS, &alias.to_le_bytes());
+        }
+        if let Some(vendor) = self.vendor {
+            put(sii::word::IDENTITY, &vendor.to_le_bytes());
+        }
+        if let Some(product) = self.product {
+            put(sii::word::IDENTITY + 2, &product.to_le_bytes());
+        }
+        let sum = eeprom.get(..14).map_or(0, sii::checksum);
+        if let Some(place) = eeprom.get_mut(14) {
+            *place = sum;
+        }
+        slave.power_on(0);
+        if let Some(clock) = slave.clock() {
+            #[expect(clippy::cast_possible_truncation, reason = "saturates, and is bounded")]
+            clock.set_drift((self.drift_ppm * 1e3).clamp(-1e6, 1e6) as i64, 0);
+        }
+    }
+}
+
+fn drive(mut config: ServoConfig, strict: bool, stand: &mut Stand) -> anyhow::Result<Slave> {
+    if !strict {
+        for axis in &mut config.axes {
+            axis.quirks.missing_set_points = None;
+        }
+    }
+    let (slave, drive) = ServoDrive::slave(config).context("a drive makes no sense")?;
+    stand.drives.push(drive);
+    Ok(slave)
+}
+
+impl Plan {
+    /// The slaves, in a line but where a slave says otherwise.
+    pub(super) fn build(&self, strict: bool) -> anyhow::Result<Stand> {
+        ensure!(!self.slaves.is_empty(), "it has no [[slave]]");
+        let mut stand = Stand::plain(Segment::default());
+        let mut taken: Vec<(usize, usize)> = Vec::new();
+        for (number, plan) in self.slaves.iter().enumerate() {
+            let slave = plan
+                .build(strict, &mut stand)
+                .with_context(|| format!("slave {number}"))?;
+            let before = number.checked_sub(1).map(|last| (last, 1));
+            let parent = plan.behind.or(before);
+            if let Some((above, port)) = parent {
+                ensure!(
+                    above < number && (1..=3).contains(&port) && !taken.contains(&(above, port)),
+                    "slave {number} is behind slave {above} port {port}; it has to be one before it, port 1 to 3, \
+                     where no other is"
+                );
+                taken.push((above, port));
+            }
+            stand.segment.add(slave, parent);
+        }
+        Ok(stand)
+    }
+}
+
+/// What a segment of a cell expects.
+pub(super) fn of_cell(
+    cell: &CellConfig,
+    name: Option<&str>,
+    strict: bool,
+) -> anyhow::Result<Stand> {
+    let config = segment(cell, name)?;
+    let mut free: Vec<&EthercatSlave> = config.slaves.iter().collect();
+    let mut slaves = Vec::new();
+    while !free.is_empty() {
+        let here = free
+            .iter()
+            .position(|slave| slave.position.map(usize::from) == Some(slaves.len()));
+        // Those that are found by their alias may be anywhere: they fill what is left.
+        let here = here.or_else(|| free.iter().position(|slave| slave.position.is_none()));
+        match here {
+            Some(at) => slaves.push(expected(config, free.remove(at))),
+            None => slaves.push(SlavePlan::new(Kind::Coupler)),
+        }
+        ensure!(
+            slaves.len() <= takt_ethercat::config::SLAVES_MAX,
+            "{}: a position beyond what a segment has",
+            config.name
+        );
+    }
+    Plan { slaves }.build(strict)
+}
+
+/// The segment of that name; without one, the only one.
+pub(in crate::ecat) fn segment<'a>(
+    cell: &'a CellConfig,
+    name: Option<&str>,
+) -> anyhow::Result<&'a EthercatConfig> {
+    let names: Vec<&str> = cell
+        .ethercat
+        .iter()
+        .map(|segment| segment.name.as_str())
+        .collect();
+    let names = names.join(", ");
+    match (name, &cell.ethercat[..]) {
+        (_, []) => anyhow::bail!("the cell has no [[ethercat]]"),
+        (None, [only]) => Ok(only),
+        (None, _) => anyhow::bail!("the cell has several segments: {names}; say which"),
+        (Some(name), all) => {
+            let found = all.iter().find(|segment| segment.name == name);
+            found.with_context(|| format!("the cell has no segment `{name}`; it has {names}"))
+        }
+    }
+}
+
+fn expected(config: &EthercatConfig, slave: &EthercatSlave) -> SlavePlan {
+    let bits = |all: &[(String, usize)]| -> usize {
+        let of = all.iter().filter(|(of, _)| *of == slave.name);
+        of.map(|(_, bits)| bits).sum()
+    };
+    let outputs: usize = config.ios.iter().map(|io| bits(&io.digital_out)).sum();
+    let inputs: usize = config.ios.iter().map(|io| bits(&io.digital_in)).sum();
+    let is_tx90 = slave.axes == 6
+        && config.arms.iter().any(|arm| {
+            arm.model.contains("tx90") && arm.joints.iter().any(|joint| joint.drive == slave.name)
+        });
+    let kind = match slave.axes {
+        0 if outputs + inputs > 0 => Kind::Digital,
+        0 => Kind::Coupler,
+        _ if is_tx90 => Kind::Tx90,
+        _ => Kind::Drive,
+    };
+    SlavePlan {
+        outputs: u8::try_from(outputs).unwrap_or(u8::MAX),
+        inputs: u8::try_from(inputs).unwrap_or(u8::MAX),
+        axes: slave.axes,
+        alias: slave.alias,
+        vendor: slave.vendor,
+        product: slave.product,
+        ..SlavePlan::new(kind)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use takt_ethercat::AlState;
+
+    use super::*;
+    use crate::ecat::scan;
+    use crate::ecat::tests::up;
+
+    /// A drive of two axes behind a slave that the cell does not name, and a terminal that is found by its alias.
+    const CELL: &str = "[[ethercat]]\nname = 'line'\ninterface = 'eth1'\n\
+        [[ethercat.slave]]\nname = 'drive'\nposition = 1\naxes = 2\nproduct = 5\n\
+        [[ethercat.slave]]\nname = 'valves'\nalias = 40\n\
+        [[ethercat.io]]\nname = 'io'\ndigital_out = [['valves', 3]]\n";
+
+    #[test]
+    fn the_slaves_that_a_cell_expects_are_made() {
+        let path = std::env::temp_dir().join(format!("takt-sim-{}.toml", std::process::id()));
+        std::fs::write(&path, CELL).unwrap();
+        let cell = CellConfig::read(&path).unwrap();
+        std::fs::remove_file(&path).unwrap();
+        let stand = of_cell(&cell, None, true).unwrap();
+        assert_eq!((stand.segment.len(), stand.drives.len()), (2, 1));
+        let text = scanned(stand);
+        for part in [
+            "   0  o TK0300 digital",
+            "   1  o TK4021",
+            "00007A87  00000005",
+        ] {
+            assert!(text.contains(part), "{part}\n{text}");
+        }
+        let told = of_cell(&cell, Some("other"), true).unwrap_err().to_string();
+        assert!(told.contains("no segment `other`; it has line"), "{told}");
+    }
+
+    fn scanned(stand: Stand) -> String {
+        scan::text(&up(stand.segment, AlState::PreOp))
+    }
+
+    #[test]
+    fn a_file_makes_a_tree_of_slaves_with_their_identities() {
+        let text = "[[slave]]\nkind = 'coupler'\n\
+            [[slave]]\nkind = 'digital'\noutputs = 4\ninputs = 2\nlooped = true\nbehind = [0, 3]\n\
+            [[slave]]\nkind = 'drive'\naxes = 2\nbehind = [0, 1]\nvendor = 9\nproduct = 0xAB\nalias = 7\n\
+            [[slave]]\nkind = 'tx90'\ndrift_ppm = 50.0\n";
+        let plan: Plan = toml::from_str(text).unwrap();
+        let stand = plan.build(true).unwrap();
+        assert_eq!((stand.drives.len(), stand.loops.len()), (2, 1));
+        let text = scanned(stand);
+        for part in ["| o TK0402", "0:3", "00000009  000000AB", "TKTX90"] {
+            assert!(text.contains(part), "{part}\n{text}");
+        }
+    }
+
+    #[test]
+    fn a_file_that_makes_no_segment_is_told() {
+        for (text, why) in [
+            ("", "it has no [[slave]]"),
+            (
+                "[[slave]]\nkind = 'drive'\naxes = 9\n",
+                "1 to 8 axes, not 9",
+            ),
+            (
+                "[[slave]]\nkind = 'coupler'\nbehind = [0, 1]\n",
+                "has to be one before it",
+            ),
+        ] {
+            let plan: Plan = toml::from_str(text).unwrap();
+            let told = format!("{:#}", plan.build(false).unwrap_err());
+            assert!(told.contains(why), "{told}");
+        }
+        assert!(toml::from_str::<Plan>("[[slave]]\nkind = 'robot'\n").is_err());
+    }
+}
