@@ -12,6 +12,7 @@ pub mod nmt;
 pub mod node;
 pub mod pdo;
 pub mod sdo;
+pub mod store;
 pub mod sync;
 mod time;
 

@@ -9,6 +9,7 @@ mod error;
 pub mod fault;
 mod fd;
 mod frame;
+pub mod fuzz;
 pub mod link;
 pub mod linux;
 pub mod log;

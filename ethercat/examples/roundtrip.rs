@@ -1,11 +1,13 @@
-//! How long a cycle takes on a veth pair, from asking the master for its frame to having its answer taken, against a bare
-//! loop that sends the same frame by the same socket and waits for it. The emulated segment answers on the other end
-//! in both. Cycles and bare frames alternate, so that a busy host is busy for both. Needs to be allowed to make
-//! interfaces and raw sockets.
+//! How long a cycle takes on a veth pair, from asking the master for its frame to having its answer taken, against a
+//! bare loop that sends the same frame by the same socket and waits for it. The emulated segment answers on the other
+//! end, on the other processor, in both. Cycles and bare frames alternate, so that a busy host is busy for both. Needs
+//! to be allowed to make interfaces and raw sockets.
 //!
 //! ```console
-//! # cargo run --release -p takt-ethercat --example roundtrip [CYCLES]
+//! # cargo run --release -p takt-ethercat --example roundtrip [CYCLES] [SPIN_US]
 //! ```
+//!
+//! With `SPIN_US` both ask so long for their answer before they sleep (`PacketLink::spinning`).
 #![expect(
     clippy::print_stdout,
     clippy::disallowed_methods,
@@ -20,6 +22,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
 
+use nix::sched::{CpuSet, sched_setaffinity};
+use nix::unistd::Pid;
 use takt_cia402::emulator::DriveConfig;
 use takt_ethercat::config::MasterConfig;
 use takt_ethercat::emulator::{
@@ -88,6 +92,14 @@ fn cycle(
     Ok(None)
 }
 
+/// Keeps the calling thread on a processor; where there is no such one it stays where it is.
+fn stay_on(cpu: usize) {
+    let mut set = CpuSet::new();
+    let _placed = set
+        .set(cpu)
+        .and_then(|()| sched_setaffinity(Pid::from_raw(0), &set));
+}
+
 fn told(name: &str, times: &mut [Duration]) {
     times.sort_unstable();
     let at = |share: usize| {
@@ -106,9 +118,9 @@ fn told(name: &str, times: &mut [Duration]) {
     );
 }
 
-fn measure(cycles: usize) -> Result<(), Box<dyn Error>> {
+fn measure(cycles: usize, spin: Duration) -> Result<(), Box<dyn Error>> {
     let mut port = {
-        let link = PacketLink::open(ENDS[0])?;
+        let link = PacketLink::open(ENDS[0])?.spinning(spin);
         let mac = link.mac();
         Port::new(link, mac)
     };
@@ -135,6 +147,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let cycles = std::env::args()
         .nth(1)
         .map_or(Ok(20_000), |text| text.parse())?;
+    let spin = std::env::args().nth(2).map_or(Ok(0), |text| text.parse())?;
     let _left_behind = ip(&format!("link del {}", ENDS[0]));
     ip(&format!(
         "link add {} type veth peer name {}",
@@ -147,9 +160,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     let stopped = stop.clone();
     let mut server = Server::new(SharedSegment::new(segment()?), PacketLink::open(ENDS[1])?);
     let served = thread::spawn(move || {
+        stay_on(0);
         while !stopped.load(Ordering::Relaxed) && server.turn(PATIENCE, &mut monotonic).is_ok() {}
     });
-    let measured = measure(cycles);
+    stay_on(1);
+    let measured = measure(cycles, Duration::from_micros(spin));
     stop.store(true, Ordering::Relaxed);
     let _ended = served.join();
     ip(&format!("link del {}", ENDS[0]))?;

@@ -25,8 +25,8 @@ pub(crate) use history::{History, Sent};
 pub(crate) use line::Line;
 pub(crate) use rng::Rng;
 #[cfg(target_os = "linux")]
-pub(crate) use serve::{Controller, serve};
-pub use status::{Served, Shown, Status};
+pub use serve::serve;
+pub(crate) use status::{Served, Shown, Status};
 pub use window::Timing;
 pub(crate) use window::Window;
 

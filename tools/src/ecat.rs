@@ -1,6 +1,7 @@
 //! `takt ecat`: look at an EtherCAT segment by a master of its own, and at recordings of one. The protocol is that of
 //! `takt-ethercat`; whether the host is fit for it is asked by `takt doctor`.
 
+mod cell;
 mod confirm;
 mod dc;
 mod drive;
@@ -17,11 +18,13 @@ mod stat;
 mod tests;
 mod value;
 mod ways;
+mod youbot;
 
 use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, Subcommand};
+use takt_core::CellConfig;
 use takt_ethercat::AlState;
 use takt_ethercat::config::MasterConfig;
 use takt_ethercat::linux::PacketLink;
@@ -41,6 +44,7 @@ pub(crate) enum Ecat {
     Sii(sii::Sii),
     Sim(sim::Sim),
     Drive(drive::Drive),
+    Youbot(youbot::YouBot),
     Stat(stat::Stat),
     Pdos(pdos::Pdos),
     Dc(dc::Dc),
@@ -55,6 +59,7 @@ impl Ecat {
             Self::Sii(sii) => sii.run(),
             Self::Sim(sim) => sim.run(),
             Self::Drive(drive) => drive.run(),
+            Self::Youbot(youbot) => youbot.run(),
             Self::Stat(stat) => stat.run(),
             Self::Pdos(pdos) => pdos.run(),
             Self::Dc(dc) => dc.run(),
@@ -83,33 +88,61 @@ struct Source {
     /// Judge this recording (pcap) instead, as far as its master asked.
     #[arg(long, value_name = "FILE", conflicts_with = "interface")]
     from: Option<PathBuf>,
+    /// Expect the slaves that a segment of this cell expects, with their PDOs and SYNC0.
+    #[arg(long, value_name = "FILE", conflicts_with = "from")]
+    config: Option<PathBuf>,
+    /// Which segment of the cell; needed if it has several.
+    #[arg(long, value_name = "NAME", requires = "config")]
+    segment: Option<String>,
     /// How long slaves may take to their state.
     #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span)]
     patience: Duration,
 }
 
 impl Source {
-    /// Takes the segment and brings it to a state.
-    fn bring_up(&self, goal: AlState, cycle: Duration) -> anyhow::Result<Session<PacketLink>> {
+    /// Takes the segment and brings it to a state, at a cycle; without one, at the cell's or else at 1 ms.
+    fn bring_up(
+        &self,
+        goal: AlState,
+        cycle: Option<Duration>,
+    ) -> anyhow::Result<Session<PacketLink>> {
+        let mut config = MasterConfig {
+            goal,
+            cycle: cycle.unwrap_or(Duration::from_millis(1)),
+            ..MasterConfig::default()
+        };
+        if let Some(path) = &self.config {
+            let cell = CellConfig::read(path)?;
+            let segment = cell::segment(&cell, self.segment.as_deref())?;
+            config.cycle = cycle.unwrap_or(segment.cycle);
+            config.slaves = cell::slaves(segment, config.cycle);
+        }
         let target = Target {
             interface: self.interface.clone().unwrap_or_default(),
             patience: self.patience,
         };
-        target.bring_up(goal, cycle)
+        target.open(config)
     }
 }
 
 impl Target {
     /// Takes the segment and brings it to a state.
     fn bring_up(&self, goal: AlState, cycle: Duration) -> anyhow::Result<Session<PacketLink>> {
-        let link = PacketLink::open(&self.interface)?;
-        let mac = link.mac();
-        let config = MasterConfig {
+        self.open(MasterConfig {
             goal,
             cycle,
             ..MasterConfig::default()
-        };
+        })
+    }
+
+    fn open(&self, config: MasterConfig) -> anyhow::Result<Session<PacketLink>> {
+        let link = PacketLink::open(&self.interface)?;
+        let mac = link.mac();
+        let has_sync = config.slaves.iter().any(|slave| slave.sync.is_some());
         let mut session = Session::new(&self.interface, link, mac, config)?;
+        if has_sync {
+            session.follow_sync0();
+        }
         session.listen()?;
         session.bring_up(self.patience)?;
         Ok(session)

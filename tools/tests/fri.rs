@@ -1,13 +1,22 @@
 //! `takt fri` live, against emulated controllers over UDP on the loopback. What is asserted is what is said, never how
 //! fast a host is; networks that are wrong are in `fri_network`.
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![expect(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test that cannot go on ends"
+)]
 
 mod common;
 
 use std::net::UdpSocket;
+use std::time::Duration;
 
-use common::{Process, alone, complaint, expect_status, run};
+use common::{Folder, Process, alone, complaint, expect_status, run};
 use serde_json::Value;
+use takt_fri::capture::{Datagram, Writer};
+use takt_fri::lwr::emulator::{Krc, KrcConfig};
+use takt_fri::lwr::wire::Msr;
+use takt_fri::lwr::{Session, SessionConfig};
 
 /// `takt fri` with these words at a port that the system chooses, and that port's address.
 fn listening(words: &[&str]) -> (Process, String) {
@@ -62,6 +71,7 @@ fn stat_judges_an_arm_as_its_partner() {
     assert!(connection["answers"].as_u64().unwrap() > 0);
     assert!(connection["latency_us"]["p50"].as_f64().unwrap() > 0.0);
     assert_eq!(report["silence"], Value::Null);
+    assert_eq!(report["rt_allocations"], 0);
 }
 
 #[test]
@@ -161,7 +171,7 @@ fn move_refuses_what_is_not_safe() {
     drop(arm);
     // Nobody to ask, and not told that it is safe.
     let (process, address) = listening(&["move", "--joint", "1", "--by", "5deg"]);
-    let arm = lwr(&address, &[]);
+    let _arm = lwr(&address, &[]);
     let (lines, status) = process.end();
     assert_eq!(status, Some(2), "{lines:#?}");
     assert!(
@@ -248,5 +258,62 @@ fn two_controllers_with_one_target_are_told_apart() {
             .iter()
             .any(|line| line.contains("sends measurements to this port too")),
         "{lines:#?}"
+    );
+}
+
+/// 500 measurements of an emulated arm in virtual time, and their answers `late` after them.
+fn recording(late: Duration) -> Vec<u8> {
+    let (robot, host) = ("192.168.0.20:49152", "192.168.0.5:49938");
+    let mut writer = Writer::new(Vec::new()).unwrap();
+    let mut krc = Krc::new(KrcConfig::default(), Duration::ZERO);
+    let mut session = Session::new(SessionConfig::default());
+    let mut bytes = [0; Msr::LEN];
+    let mut write = |at, from: &str, to: &str, bytes: &[u8]| {
+        let (from, to) = (from.parse().unwrap(), to.parse().unwrap());
+        let bytes = bytes.to_vec();
+        let datagram = Datagram {
+            at,
+            from,
+            to,
+            bytes,
+        };
+        writer.write(&datagram).unwrap();
+    };
+    for _ in 0..500 {
+        let now = krc.poll_timeout();
+        let len = krc.poll_transmit(now, &mut bytes).unwrap();
+        write(now, robot, host, &bytes[..len]);
+        session.handle_datagram(&bytes[..len], now).unwrap();
+        let len = session.answer(None, &mut bytes).unwrap();
+        write(now + late, host, robot, &bytes[..len]);
+        krc.handle_datagram(&bytes[..len], now).unwrap();
+    }
+    writer.into_inner()
+}
+
+#[test]
+fn recordings_are_judged_as_live_connections_are() {
+    let folder = Folder::new();
+    let stat = |name: &str, late_us, more: &[&str]| {
+        let path = folder.file(name);
+        std::fs::write(&path, recording(Duration::from_micros(late_us))).unwrap();
+        run(&[&["fri", "stat", "--from", &path], more].concat())
+    };
+    let good = expect_status(&stat("good.pcap", 50, &["--quiet"]), 0);
+    assert_eq!(good, "192.168.0.20:49152 > 192.168.0.5:49938: good\n");
+    let late = expect_status(&stat("late.pcap", 1_500, &["--json"]), 1);
+    let late: Value = serde_json::from_str(&late).unwrap();
+    let connection = &late["connections"][0];
+    let verdict = connection["verdict"].as_str().unwrap();
+    assert!(verdict.starts_with("this host is late: 100.0 %"), "{late}");
+    assert_eq!(connection["latency_us"], Value::Null);
+    let path = folder.file("good.pcap");
+    let shown = run(&["fri", "monitor", "--from", &path, "--count", "2"]);
+    let shown = expect_status(&shown, 0);
+    let lines: Vec<_> = shown.lines().collect();
+    assert_eq!(lines.len(), 2);
+    assert!(
+        lines[0].contains("192.168.0.20:49152 > 192.168.0.5:49938 MSR"),
+        "{shown}"
     );
 }

@@ -59,7 +59,7 @@ fn stat(network: &str, target: &str, listen: &str) -> std::process::Output {
     let takt = env!("CARGO_BIN_EXE_takt");
     let script = format!(
         "{CABLE}\n{network}\n\
-         robot {takt} emulate lwr --period 10ms --target {target} --duration 30s >/dev/null 2>&1 &\n\
+         nsenter --net=/proc/$pid/ns/net {takt} emulate lwr --period 10ms --target {target} --duration 30s >/dev/null 2>&1 &\n\
          emulator=$!\n\
          set +e\n\
          {takt} fri stat --listen {listen} --duration 3s --wait 4s\n\

@@ -90,6 +90,54 @@ fn full_load_is_that_of_a_real_bus() {
     assert!(bus.traffic().busy > Duration::from_millis(999));
 }
 
+/// Two seconds of a bus that never rests, read every 10 ms as a driver does: each frame arrives, in its order, has its
+/// meaning, and is counted.
+#[test]
+fn a_full_bus_is_decoded_and_dispatched_without_loss() {
+    use crate::canopen::Message;
+    use crate::stat::{Limits, Meter};
+    let (mut bus, ports) = bus(2);
+    let mut meter = Meter::new(Some(Rates::classic(1_000_000)));
+    let (mut sent, mut pdos, mut heard) = (0_u32, 0_u32, 0_u32);
+    while bus.now() < Duration::from_secs(2) {
+        let cycle = bus.now() + 10 * MS;
+        while bus.now() < cycle {
+            let at = bus.now();
+            let numbered = |sent: u32| data(0x181, &(u64::from(sent) << 16).to_be_bytes());
+            while bus.send(ports[0], &numbered(sent), at).is_ok() {
+                sent += 1;
+            }
+            bus.advance((at + MS / 2).min(cycle));
+        }
+        for received in received(&mut bus, ports[1]) {
+            assert_eq!(received.dropped, 0);
+            meter.handle_frame(&received);
+            let frame = received.frame.classic().expect("a classic frame");
+            pdos += u32::from(matches!(Message::decode(frame), Message::Tpdo(..)));
+            let number = u64::from_be_bytes(*frame.data().first_chunk().expect("eight bytes"));
+            assert_eq!(number >> 16, u64::from(heard));
+            heard += 1;
+        }
+    }
+    assert!((14_800..=18_018).contains(&heard), "{heard} frames in 2 s");
+    assert_eq!((pdos, u64::from(heard)), (heard, meter.report().frames));
+    assert!(
+        sent - heard <= 11,
+        "what is not heard waits or is on the wire"
+    );
+    let report = meter.report();
+    assert!(
+        report.load().is_some_and(|load| load > 0.99),
+        "{:?}",
+        report.load()
+    );
+    let told = report.findings(&Limits::default());
+    assert!(
+        told.iter().any(|finding| finding.name() == "load"),
+        "{told:?}"
+    );
+}
+
 #[test]
 fn queues_are_bounded() {
     let mut bus = Bus::new(Config {

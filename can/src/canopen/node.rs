@@ -26,6 +26,7 @@ use super::emcy;
 use super::message::{LSS_MASTER, NMT, frame};
 use super::nmt::{Consumer, ErrorBehaviour, Input, Reset, Slave, State};
 use super::pdo::{Rpdo, Tpdo};
+use super::store::{Group, Store};
 use super::sync;
 use super::{NmtState, NodeId, TimeOfDay, lss, sdo};
 use crate::{Frame, Id};
@@ -165,6 +166,8 @@ pub struct Node<A> {
     application: A,
     dictionary: Dictionary,
     relative: Vec<Address>,
+    /// What it was told to keep (1010h).
+    store: Store,
     keys: Keys,
     settings: Settings,
     slave: Slave,
@@ -198,6 +201,7 @@ impl<A: Application> Node<A> {
             settings: configure::settings(&dictionary, id_or_any),
             dictionary,
             relative: config.relative,
+            store: Store::default(),
             slave: Slave::new(id_or_any),
             lss: lss::Slave::new(identity, id),
             server: sdo::Server::new(config.sdo_len_max, config.sdo_timeout),
@@ -291,7 +295,7 @@ impl<A: Application> Node<A> {
         self.application.poll(&mut context);
     }
 
-    /// Begins anew: the objects have their defaults, the node its number.
+    /// Begins anew: the objects have their defaults or what was stored of them, the node its number.
     fn begin(&mut self, reset: Reset, now: Duration) {
         match reset {
             Reset::Node => self.dictionary.restore_defaults(),
@@ -303,6 +307,11 @@ impl<A: Application> Node<A> {
         self.lss.activate();
         self.slave = Slave::new(self.lss.pending().unwrap_or(NodeId::LAST));
         add_node_id(&mut self.dictionary, &self.relative, self.slave.id());
+        let group = match reset {
+            Reset::Node => Group::All,
+            Reset::Communication => Group::Communication,
+        };
+        self.store.apply(&mut self.dictionary, group);
         self.configure_all(now);
         self.tell(Event::Reset(reset), now);
         if self.lss.pending().is_some() {

@@ -24,9 +24,21 @@ pub struct PacketLink {
     socket: OwnedFd,
     /// Of the interface.
     mac: [u8; 6],
+    /// How long a wait asks again and again before it sleeps.
+    spin: Duration,
 }
 
 impl PacketLink {
+    /// Asks again and again for so long before a wait sleeps; zero, as it is at first, sleeps at once.
+    ///
+    /// What comes meanwhile is taken without the system's wake-up, some microseconds earlier and with less jitter. It
+    /// keeps a processor busy for that long in each cycle: give it the round trip and a half, and a processor of its own.
+    #[must_use]
+    pub const fn spinning(mut self, spin: Duration) -> Self {
+        self.spin = spin;
+        self
+    }
+
     /// Opens an interface, promiscuous, for EtherCAT frames. Needs CAP_NET_RAW.
     pub fn open(interface: &str) -> io::Result<Self> {
         let index = nix::net::if_::if_nametoindex(interface).map_err(|error| {
@@ -59,7 +71,8 @@ impl PacketLink {
         };
         set(&socket, libc::PACKET_ADD_MEMBERSHIP, &member)?;
         let mac = mac_of(interface).unwrap_or([0x02, 0, 0, 0, 0, 1]);
-        Ok(Self { socket, mac })
+        let spin = Duration::ZERO;
+        Ok(Self { socket, mac, spin })
     }
 
     /// MAC address of the interface; a locally administered one if it has none.
@@ -141,6 +154,10 @@ impl Link for PacketLink {
         if timeout.is_zero() {
             return Ok(None);
         }
+        if let Some(received) = self.spin(buf, timeout)? {
+            return Ok(Some(received));
+        }
+        let timeout = timeout.saturating_sub(self.spin);
         let mut waits = [PollFd::new(
             std::os::fd::AsFd::as_fd(&self.socket),
             PollFlags::POLLIN,
@@ -154,6 +171,19 @@ impl Link for PacketLink {
 }
 
 impl PacketLink {
+    fn spin(&self, buf: &mut [u8], timeout: Duration) -> io::Result<Option<(usize, Duration)>> {
+        if self.spin.is_zero() {
+            return Ok(None);
+        }
+        let end = monotonic()? + self.spin.min(timeout);
+        while monotonic()? < end {
+            if let Some(received) = self.take(buf)? {
+                return Ok(Some(received));
+            }
+        }
+        Ok(None)
+    }
+
     fn take(&self, buf: &mut [u8]) -> io::Result<Option<(usize, Duration)>> {
         match nix::unistd::read(&self.socket, buf) {
             Ok(len) => Ok(Some((len, monotonic()?))),

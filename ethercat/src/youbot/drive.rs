@@ -258,6 +258,9 @@ impl Drive {
             | DriveState::Prepare(_)
             | DriveState::Commutate(_)
             | DriveState::Settle(_) => Some(Obstacle::Starting),
+            DriveState::Uncommutated if self.flags().any(Flags::BLOCKING) => {
+                Some(Obstacle::Flags(self.flags()))
+            }
             DriveState::Uncommutated => Some(Obstacle::Uncommutated),
             DriveState::Exhausted => Some(Obstacle::TooOften),
             DriveState::Refused(why, _) => Some(why),

@@ -7,8 +7,8 @@ use super::homing::HomingError;
 use super::*;
 use crate::config::MasterConfig;
 use crate::emulator::{YouBot, YouBotConfig};
-use crate::master::Master;
 use crate::master::tests::Rig;
+use crate::master::{Job, JobError, JobKind, Master};
 
 mod cells;
 
@@ -209,14 +209,14 @@ fn an_arm_is_homed_at_its_stops_once() {
         let mut lead = Lead::ready(firmware);
         lead.homing.iter_mut().for_each(Homing::start);
         lead.until(6000, |lead| lead.homing.iter().all(Homing::is_done));
-        for joint in 0..5 {
+        for (joint, geometry) in ARM.iter().enumerate() {
             assert!(
                 lead.angle(joint).abs() < 0.05,
                 "{joint} at {}",
                 lead.angle(joint)
             );
             let told = lead.drives[4 + joint].feedback().unwrap().position;
-            let angle = ARM[joint].angle(told);
+            let angle = geometry.angle(told);
             assert!(
                 (angle - lead.angle(joint)).abs() < 0.02,
                 "{joint} told {angle}"
@@ -446,4 +446,38 @@ fn homing_without_a_stop_ends() {
         now += Duration::from_millis(1);
     }
     assert_eq!(homing.state(), HomingState::Failed(HomingError::NoStop));
+}
+
+#[test]
+fn what_lies_in_a_raw_mailbox_is_thrown_away_before_a_request() {
+    let mut rig = Lead::ready(Firmware::V200).rig;
+    let ask = |rig: &mut Rig, request: Request| {
+        let mut data = Vec::with_capacity(64);
+        data.extend_from_slice(&request.encode());
+        let (slave, kind, token) = (1, JobKind::RawMailbox, 0);
+        let job = Job {
+            slave,
+            kind,
+            data,
+            token,
+        };
+        rig.master.submit(job).unwrap();
+        for _ in 0..1000 {
+            rig.cycle();
+            if let Some(reply) = rig.master.poll_reply() {
+                return reply.result.map(|()| request.answer(&reply.job.data));
+            }
+        }
+        panic!("no reply");
+    };
+    rig.segment.slave(1).unwrap().faults().hung = true;
+    let late = ask(&mut rig, Request::get(250));
+    assert!(matches!(late, Err(JobError::Timeout(_))), "{late:?}");
+    rig.segment.slave(1).unwrap().faults().hung = false;
+    rig.cycles(2);
+    assert_eq!(
+        ask(&mut rig, Request::get(253)),
+        Ok(Ok(Answer::Value(16))),
+        "not 4000, which was asked for before"
+    );
 }

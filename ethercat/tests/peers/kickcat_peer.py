@@ -44,6 +44,8 @@ def command(drive, word, target):
 
 def main(interface):
     link = kickcat.create_link(interface, "")
+    # It waits this long now and then in a good run too, so longer is slow; a frame that comes later still is lost to
+    # it ("datagram state is LOST", "Error while fetching eeprom data"): then the host stalled.
     link.set_timeout(ms(20))
     bus = kickcat.Bus(link)
     bus.init(ms(100))

@@ -14,20 +14,12 @@ const WAIT_MAX: Duration = Duration::from_millis(50);
 /// Room for any datagram, and one byte more so that a longer one shows.
 const ROOM: usize = 1501;
 
-/// What is served.
-pub(crate) trait Controller: Served + Sized {
-    fn poll_transmit(&mut self, now: Duration, buf: &mut [u8]) -> Option<usize>;
-    /// Takes a datagram; a malformed one is counted by the controller and means nothing else to it.
-    fn take(&mut self, bytes: &[u8], now: Duration);
-    fn poll_timeout(&self) -> Duration;
-}
-
-/// Serves `controller` on `link` until `stop`; the clock is [`monotonic`], which must also have given its start.
+/// Serves `controller` on `link` until `stop`; the clock is [`monotonic`], which must also have given its start. Whoever is
+/// late skips to the grid. After the first cycle nothing is allocated.
 ///
 /// Answers are awaited until the next deadline of the grid: the wait ends on the same high-resolution timer as an absolute
-/// sleep, and its length is computed anew from the grid each time, so nothing accumulates. Whoever is late skips to the
-/// grid. After the first cycle nothing is allocated.
-pub(crate) fn serve<C: Controller, L: Link>(
+/// sleep, and its length is computed anew from the grid each time, so nothing accumulates.
+pub fn serve<C: Served, L: Link>(
     controller: &mut C,
     link: &mut L,
     status: &Status<C>,
@@ -41,12 +33,12 @@ pub(crate) fn serve<C: Controller, L: Link>(
             }
         }
         let now = monotonic()?;
-        if now >= controller.poll_timeout() {
+        if now >= controller.due() {
             status.apply(controller);
             transmit(controller, link, now)?;
             status.publish(controller);
         }
-        let wait = controller.poll_timeout().saturating_sub(monotonic()?);
+        let wait = controller.due().saturating_sub(monotonic()?);
         if !wait.is_zero() {
             receive(controller, link, wait.min(WAIT_MAX))?;
         }
@@ -54,19 +46,15 @@ pub(crate) fn serve<C: Controller, L: Link>(
     Ok(())
 }
 
-fn transmit<C: Controller, L: Link>(
-    controller: &mut C,
-    link: &mut L,
-    now: Duration,
-) -> io::Result<()> {
+fn transmit<C: Served, L: Link>(controller: &mut C, link: &mut L, now: Duration) -> io::Result<()> {
     let mut buf = [0; ROOM];
-    while let Some(len) = controller.poll_transmit(now, &mut buf) {
+    while let Some(len) = controller.transmit(now, &mut buf) {
         link.send(&buf[..len])?;
     }
     Ok(())
 }
 
-fn receive<C: Controller, L: Link>(
+fn receive<C: Served, L: Link>(
     controller: &mut C,
     link: &mut L,
     timeout: Duration,

@@ -5,6 +5,7 @@ use std::array;
 use std::fmt;
 use std::marker::PhantomData;
 use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU32, AtomicU64, Ordering};
+use std::time::Duration;
 
 /// What a controller shows of itself in one cycle.
 #[derive(Debug, Clone, Copy)]
@@ -24,7 +25,7 @@ pub struct Shown {
     pub(crate) falls: u64,
 }
 
-/// What can be shown by a [`Status`]: the emulated controllers only.
+/// What can be served and shown by a [`Status`]: the emulated controllers only.
 pub trait Served {
     /// State, as the generation calls it.
     type State;
@@ -33,6 +34,15 @@ pub trait Served {
     /// Why command mode was left.
     type Leave;
 
+    /// The next datagram due, if one is.
+    #[doc(hidden)]
+    fn transmit(&mut self, now: Duration, buf: &mut [u8]) -> Option<usize>;
+    /// Takes a datagram; a malformed one is counted by the controller and means nothing else to it.
+    #[doc(hidden)]
+    fn take(&mut self, bytes: &[u8], now: Duration);
+    /// When the next cycle begins.
+    #[doc(hidden)]
+    fn due(&self) -> Duration;
     #[doc(hidden)]
     fn state_of(code: i32) -> Self::State;
     #[doc(hidden)]

@@ -201,7 +201,7 @@ fn of_sunrise(message: &wire::Monitoring) -> Status {
         quality: Some(Quality::Sunrise(message.quality())),
         has_power: drives.map(|drives| drives.iter().all(|drive| *drive == wire::Drive::Active)),
         measured: message.measured(),
-        set_point: ipo.or(data.and_then(|data| data.commanded)),
+        set_point: ipo.or_else(|| data.and_then(|data| data.commanded)),
         external_torque: data.and_then(|data| data.external_torque),
         ..Status::default()
     }

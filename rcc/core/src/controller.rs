@@ -46,6 +46,8 @@ pub use rules::{RuleId, RuleInfo, RuleRequest};
 pub const NETS_MAX: usize = 1024;
 /// Sessions that may be open at once.
 pub const SESSIONS_MAX: usize = 256;
+/// Why a net is over that was aborted too early.
+const NEVER_RAN: &str = "aborted before it ran";
 /// How long the net thread may take to answer.
 const ANSWER_WITHIN: Duration = Duration::from_secs(2);
 
@@ -353,18 +355,40 @@ impl Controller {
                 return Ok(());
             }
             NetState::Ready | NetState::Scheduled => {
+                let away = desk.net(id)?.is_away();
                 desk.withdraw(id)?;
-                desk.net(id)?.end("aborted before it ran".to_owned());
-                self.inner.announce(&desk);
-                return Ok(());
+                if !away {
+                    desk.net(id)?.end(NEVER_RAN.to_owned());
+                    self.inner.announce(&desk);
+                    return Ok(());
+                }
             }
-            NetState::Running | NetState::Cancelling => desk.command(Command::Abort(id.0))?,
+            NetState::Running | NetState::Cancelling => {}
         }
-        self.inner
-            .wait_for(desk, |desk| match desk.net(id).map(|net| net.state()) {
-                Ok(NetState::Running | NetState::Cancelling) => None,
-                _ => Some(()),
-            })
+        // One that is away may have started meanwhile.
+        desk.command(Command::Abort(id.0))?;
+        let mut seen_running = false;
+        self.inner.wait_for(desk, |desk| {
+            let net = desk.nets.get_mut(&id)?;
+            match net.state() {
+                NetState::Running | NetState::Cancelling => {
+                    // It may have started only now: a start that crossed the way of a rule is sent again.
+                    if !std::mem::replace(&mut seen_running, true) {
+                        desk.command(Command::Abort(id.0)).ok();
+                    }
+                    None
+                }
+                NetState::Ready | NetState::Scheduled if net.is_away() => None,
+                NetState::Ready | NetState::Scheduled => {
+                    net.end(NEVER_RAN.to_owned());
+                    Some(())
+                }
+                NetState::Loading
+                | NetState::Rejected
+                | NetState::Terminated
+                | NetState::Unloaded => Some(()),
+            }
+        })
     }
 
     /// Forgets a net that does not run; one that runs is left alone.
@@ -388,6 +412,12 @@ impl Controller {
             | NetState::Scheduled
             | NetState::Terminated
             | NetState::Unloaded => {}
+        }
+        if desk.net(id)?.is_away() {
+            // Or it would run without anybody who knows it.
+            drop(desk);
+            self.abort(id)?;
+            desk = self.inner.lock();
         }
         desk.withdraw(id)?;
         let mut net = desk.nets.remove(&id);

@@ -513,7 +513,8 @@ fn press_with_iiwa() -> Result<(), String> {
         let config = CabinetConfig {
             robot: Robot::Iiwa7,
             limits: Limits::of(Robot::Iiwa7),
-            dialect: Dialect::V3,
+            // Tells torques only: the force is felt by them.
+            dialect: Dialect::V1,
             send_period: period,
             joints: HOME,
             timing: patient(),

@@ -283,6 +283,26 @@ fn a_net_switches_the_control_strategy_through_the_krl_program() {
 }
 
 #[test]
+fn a_net_takes_an_arm_into_command_mode_and_out_of_it() {
+    for protocol in [Handshake::Stanford, Handshake::KukaLwr, Handshake::Tum] {
+        let mut rig = Lwr::new(Script::Handshake(protocol), Control::Position);
+        rig.steps(200);
+        assert_eq!(rig.robot.state(), State::Mon, "{protocol}: nobody asked");
+        for _ in 0..2 {
+            assert_eq!(rig.ordered(&strategy(1)), "0", "{protocol}");
+            rig.until_operational();
+            assert_eq!(rig.ordered(&strategy(0)), "0", "{protocol}");
+            rig.steps(200);
+            assert_eq!(rig.robot.state(), State::Mon, "{protocol}");
+        }
+    }
+    let mut rig = Lwr::new(Script::Handshake(Handshake::Rcc), Control::Position);
+    rig.until_operational();
+    assert_eq!(rig.ordered(&strategy(0)), "4", "its program cannot");
+    assert_eq!(rig.robot.state(), State::Cmd);
+}
+
+#[test]
 fn a_strategy_that_nobody_can_switch_to_is_refused() {
     let mut rig = Lwr::new(Script::default(), Control::Position);
     rig.until_operational();

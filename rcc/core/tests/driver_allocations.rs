@@ -148,7 +148,7 @@ fn the_driver_of_an_lwr_allocates_nothing_whatever_nets_order() {
     let nets = [first, orders(), io.to_owned(), second];
     assert_eq!(allocations(&cell, "arm", &nets), 0);
     let figures = cell.controller.with_drivers(lwr::Lwr::figures)[0];
-    assert!(figures.datagrams > 1000, "{figures:?}");
+    assert!(figures.datagrams > 50, "{figures:?}");
 }
 
 #[test]
@@ -198,7 +198,7 @@ fn the_driver_of_an_iiwa_allocates_nothing_whatever_nets_order() {
     let nets = [first, orders(), second];
     assert_eq!(allocations(&cell, "arm", &nets), 0);
     let figures = cell.controller.with_drivers(Iiwa::figures)[0];
-    assert!(figures.datagrams > 500, "{figures:?}");
+    assert!(figures.datagrams > 50, "{figures:?}");
 }
 
 /// The joint of a drive in `cell.toml`.
@@ -299,7 +299,7 @@ fn the_driver_of_an_ethercat_segment_allocates_nothing() {
     added.unwrap();
     assert_eq!(allocations(&cell, "arm", &swings("arm")), 0);
     let figures = cell.controller.with_drivers(Ethercat::figures);
-    assert!(figures[0].cycles > 100, "{figures:?}");
+    assert!(figures[0].cycles > 50, "{figures:?}");
 }
 
 #[test]

@@ -261,7 +261,10 @@ fn without_leave_an_arm_does_not_move_to_find_its_stops() {
     assert_eq!(hall.cell().status("hand"), DeviceStatus::SafeOperational);
     let why = hall.cell().controller.with_drivers(Ethercat::waits_for);
     let why = why[0].clone().unwrap();
-    assert!(why.starts_with("arm joint 0: its commutation is not known"), "{why}");
+    assert!(
+        why.starts_with("arm joint 0: its commutation is not known"),
+        "{why}"
+    );
     for (joint, before) in before.into_iter().enumerate() {
         assert!((hall.angle(joint) - before).abs() < 0.05, "{joint}");
     }

@@ -15,6 +15,8 @@ pub use decode::DecodeError;
 
 /// Most bytes of one message, in either direction.
 pub const MESSAGE_BYTES_MAX: usize = 8 << 20;
+/// Longest tag or command, bytes.
+pub const IDENTIFIER_BYTES_MAX: usize = 256;
 
 /// Most lists and maps inside one another.
 pub const DEPTH_MAX: usize = 32;

@@ -12,9 +12,14 @@
 mod crab;
 mod wire;
 
+use std::io::Read;
 use std::path::PathBuf;
-use std::process::Command;
+use std::process::{Command, Stdio};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
 use takt_tests::skip;
 use wire::{Cable, Capture};
 
@@ -44,17 +49,66 @@ fn run(test: &str, script: &str) {
     let script = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
         .join("../ethercat/tests/peers")
         .join(script);
-    let output = Command::new(python)
+    let mut command = Command::new(python);
+    command
+        // Lines come as they are printed, and an abort shows where it stood.
+        .args(["-u", "-X", "faulthandler"])
         .arg(script)
-        .arg(cable.master())
-        .output();
-    let output = output.unwrap();
-    let told = String::from_utf8_lossy(&output.stdout);
-    let errors = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{told}\n{errors}");
+        .arg(cable.master());
+    let Ended { good, told, errors } = peer(command);
+    assert!(good, "{told}\n{errors}");
     assert!(told.ends_with("done\n"), "{told}");
     served.end();
     check(test, capture);
+}
+
+/// A peer that has come to its end.
+struct Ended {
+    good: bool,
+    told: String,
+    errors: String,
+}
+
+/// How long a peer may take; each needs some ten seconds.
+const PATIENCE: Duration = Duration::from_secs(90);
+
+/// Runs a peer; one that hangs is ended and says where it stood, as none of them bounds its own waits.
+fn peer(mut command: Command) -> Ended {
+    let mut child = command
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let told = collected(child.stdout.take().unwrap());
+    let errors = collected(child.stderr.take().unwrap());
+    let begin = Instant::now();
+    let (mut status, mut hung) = (child.try_wait().unwrap(), false);
+    while status.is_none() {
+        if !hung && begin.elapsed() > PATIENCE {
+            hung = true;
+            kill(Pid::from_raw(child.id().cast_signed()), Signal::SIGABRT).unwrap();
+        }
+        std::thread::sleep(Duration::from_millis(50));
+        status = child.try_wait().unwrap();
+    }
+    let mut told = told.join().unwrap();
+    if hung {
+        told += &format!("hung for {PATIENCE:?} after the line above; where it stood:");
+    }
+    Ended {
+        good: status.is_some_and(|status| status.success()),
+        told,
+        errors: errors.join().unwrap(),
+    }
+}
+
+/// Reads all that comes, in a thread, so that no pipe fills.
+fn collected(mut from: impl Read + Send + 'static) -> JoinHandle<String> {
+    std::thread::spawn(move || {
+        let mut bytes = Vec::new();
+        from.read_to_end(&mut bytes).unwrap();
+        String::from_utf8_lossy(&bytes).into_owned()
+    })
 }
 
 /// What tshark has to say against the frames of a test.

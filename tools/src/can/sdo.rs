@@ -10,6 +10,7 @@ use anyhow::Context as _;
 use clap::{Args, Subcommand};
 use serde_json::json;
 use takt_can::canopen::NodeId;
+use takt_can::canopen::store::Group;
 use takt_can::linux::Interface;
 use takt_cia402::dictionary::{Address, DataType};
 
@@ -31,7 +32,8 @@ use crate::output::{complain, say, span};
   takt can sdo can0 5 upload 'serial number'
   takt can sdo can0 5 download 1017 100
   takt can sdo can0 5 dump --eds drive.eds --dcf before.dcf
-  takt can sdo can0 5 compare before.dcf")]
+  takt can sdo can0 5 compare before.dcf
+  takt can sdo can0 5 store")]
 pub(crate) struct Sdo {
     /// The CAN interface.
     interface: String,
@@ -110,6 +112,24 @@ pub(super) enum What {
         json: bool,
         #[command(flatten)]
         transfer: Transfer,
+    },
+    /// Have the node keep its settings (1010h).
+    Store {
+        /// all, communication, application or manufacturer.
+        #[arg(default_value = "all")]
+        group: Group,
+        /// How long the node may take: its memory is slow.
+        #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span)]
+        timeout: Duration,
+    },
+    /// Have the node take its defaults again, after its next reset (1011h).
+    Restore {
+        /// all, communication, application or manufacturer.
+        #[arg(default_value = "all")]
+        group: Group,
+        /// How long the node may take: its memory is slow.
+        #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span)]
+        timeout: Duration,
     },
     /// Compare the settings of the node with those of a file.
     Compare {
@@ -225,6 +245,14 @@ pub(super) fn perform<W: Wire>(
             json,
             transfer,
         } => dump(wire, node, dcf.as_deref(), *domains, *json, transfer, kbit),
+        What::Store { group, timeout } => {
+            let text = format!("node {node}: stored");
+            keep(wire, node, group.store(), text, *timeout)
+        }
+        What::Restore { group, timeout } => {
+            let text = format!("node {node}: has its defaults after its next reset (takt can nmt)");
+            keep(wire, node, group.restore(), text, *timeout)
+        }
         What::Compare {
             with,
             all,
@@ -245,6 +273,19 @@ pub(super) fn perform<W: Wire>(
             Ok(Ok(Told { text, good }))
         }
     }
+}
+
+/// Writes the signature that stores or restores.
+fn keep<W: Wire>(
+    wire: &mut W,
+    node: NodeId,
+    (address, signature): (Address, [u8; 4]),
+    text: String,
+    timeout: Duration,
+) -> anyhow::Result<Result<Told, Refusal>> {
+    let mut asker = Asker::new(node, timeout);
+    let answer = asker.write(wire, address, &signature, false)?;
+    Ok(answer.map(|()| Told { text, good: true }))
 }
 
 fn dump<W: Wire>(

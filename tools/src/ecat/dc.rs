@@ -1,5 +1,5 @@
 //! `takt ecat dc`: the clocks of a segment: who is the reference, how far the others are from it, how it runs against
-//! the host's clock. SYNC signals are not started; whether a drive likes its SYNC0 is seen with the controller.
+//! the host's clock, and with a cell whose slaves have SYNC0, where between two of them frames come.
 
 use std::fmt::Write as _;
 use std::time::Duration;
@@ -7,10 +7,10 @@ use std::time::Duration;
 use clap::Args;
 use serde_json::{Value, json};
 use takt_ethercat::AlState;
-use takt_ethercat::dc::Sample;
+use takt_ethercat::dc::{PhaseFigures, Sample};
 use takt_ethercat::master::{Master, SlaveView};
 
-use super::session::{Session, Wire};
+use super::session::{Session, Wire, phase_error};
 use super::{Source, recording, scan};
 use crate::Verdict;
 use crate::output::{say, span, time};
@@ -23,6 +23,7 @@ use crate::output::{say, span, time};
 #[command(after_help = "Examples:
   takt ecat dc enp2s0
   takt ecat dc enp2s0 --duration 1min --window 200ns --json
+  takt ecat dc enp2s0 --config /etc/takt/cell.toml
   takt ecat dc --from run.pcap
 
 Differences are those of register 092Ch, positive where the slave is ahead of the reference.")]
@@ -35,9 +36,10 @@ pub(crate) struct Dc {
     /// How long clocks may take to settle before.
     #[arg(long, value_name = "TIME", default_value = "5s", value_parser = span)]
     settle: Duration,
-    /// Period of the frames; clocks follow the better the more often the time is told.
-    #[arg(long, value_name = "TIME", default_value = "1ms", value_parser = span)]
-    cycle: Duration,
+    /// Period of the frames, without it that of the cell, or else 1ms; clocks follow the better the more often the
+    /// time is told.
+    #[arg(long, value_name = "TIME", value_parser = span)]
+    cycle: Option<Duration>,
     /// Largest difference that is good.
     #[arg(long, value_name = "TIME", default_value = "1us", value_parser = span)]
     window: Duration,
@@ -86,6 +88,8 @@ pub(super) struct Watched {
     pub(super) ranges: Vec<Option<Range>>,
     /// How much faster the reference runs than the host, in millionths; `None` without samples enough.
     pub(super) drift_ppm: Option<f64>,
+    /// How far from the middle between two SYNC0 frames passed; of none without SYNC0.
+    pub(super) phase: PhaseFigures,
 }
 
 impl Watched {
@@ -96,12 +100,16 @@ impl Watched {
     ) -> anyhow::Result<Self> {
         let mut ranges = vec![None; session.master().len()];
         let (mut first, mut last) = (None, None);
+        let (mut phase, cycle) = (PhaseFigures::default(), session.master().config().cycle);
         let begin = session.now()?;
         while session.now()?.saturating_sub(begin) < duration {
             session.cycle()?;
             if let Some(sample) = session.sample() {
                 first = first.or(Some(sample));
                 last = Some(sample);
+                if slaves(session.master()).any(|slave| slave.sync_start_ns().is_some()) {
+                    phase.add(phase_error(&sample, cycle));
+                }
             }
             for (number, range) in ranges.iter_mut().enumerate() {
                 let slave = session.master().slave(number);
@@ -115,13 +123,18 @@ impl Watched {
             duration,
             ranges,
             drift_ppm,
+            phase,
         })
     }
 
     /// What is wrong.
     pub(super) fn findings(&self, master: &Master, window: Duration) -> Vec<String> {
-        let mut findings = Vec::new();
-        if master.reference().is_none() {
+        let mut findings: Vec<String> = master
+            .differences()
+            .iter()
+            .map(ToString::to_string)
+            .collect();
+        if master.reference().is_none() && findings.is_empty() {
             findings.push(
                 "no slave has a distributed clock; SYNC0 cannot be had on this segment".to_owned(),
             );
@@ -206,6 +219,14 @@ pub(super) fn text<W: Wire>(
             "the reference runs {ppm:+.1} ppm against the host's clock"
         );
     }
+    if let Some((least, most)) = watched.phase.range_ns() {
+        let rms = watched.phase.rms_ns();
+        let [least, most] = [least, most].map(time);
+        let _ = writeln!(
+            text,
+            "frames pass {least} to {most} from the middle between two SYNC0, rms {rms:.0} ns"
+        );
+    }
     text.push_str(
         "\n slave                       clock      delay ns  difference ns: min      max     last\n",
     );
@@ -261,6 +282,12 @@ pub(super) fn object<W: Wire>(
         "duration_ns": u64::try_from(watched.duration.as_nanos()).unwrap_or(u64::MAX),
         "reference": master.reference(),
         "drift_ppm": watched.drift_ppm,
+        "phase": watched.phase.range_ns().map(|(least, most)| json!({
+            "min_ns": least,
+            "max_ns": most,
+            "mean_ns": watched.phase.mean_ns(),
+            "rms_ns": watched.phase.rms_ns(),
+        })),
         "slaves": slaves,
         "findings": findings,
     })

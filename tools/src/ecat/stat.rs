@@ -24,6 +24,7 @@ use crate::output::{say, span, time};
 #[command(after_help = "Examples:
   takt ecat stat enp2s0
   takt ecat stat enp2s0 --duration 1min --json
+  takt ecat stat enp2s0 --config /etc/takt/cell.toml --segment cell1
   takt ecat stat --from fault.pcap
   takt ecat stat enp2s0 --state op --confirm-motion    with working counters; all outputs are zero")]
 pub(crate) struct Stat {
@@ -32,9 +33,9 @@ pub(crate) struct Stat {
     /// How long to measure.
     #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span)]
     duration: Duration,
-    /// Period of the frames.
-    #[arg(long, value_name = "TIME", default_value = "1ms", value_parser = span)]
-    cycle: Duration,
+    /// Period of the frames; without it that of the cell, or else 1ms.
+    #[arg(long, value_name = "TIME", value_parser = span)]
+    cycle: Option<Duration>,
     /// State to measure in. Working counters of process data are known in OP alone.
     #[arg(long, value_name = "STATE", default_value = "safe-op")]
     state: State,
@@ -154,7 +155,9 @@ impl Measured {
 
     /// What is to be said about it, the worst first.
     pub(super) fn findings(&self, master: &Master) -> Vec<Finding> {
-        let mut all: Vec<Finding> = self.cables.iter().cloned().map(Finding::Cut).collect();
+        let differences = master.differences().iter();
+        let mut all: Vec<Finding> = differences.map(|d| Finding::Seen(d.to_string())).collect();
+        all.extend(self.cables.iter().cloned().map(Finding::Cut));
         all.extend(master.suspects().into_iter().map(Finding::Suspect));
         for slave in slaves(master) {
             let number = slave.number();
@@ -217,7 +220,7 @@ pub(super) enum Finding {
     Late(u64),
     /// Frames that nobody sent here.
     Foreign(u64),
-    /// What only a recording shows.
+    /// What a recording shows, or how the segment differs from its cell.
     Seen(String),
 }
 

@@ -405,6 +405,7 @@ fn watched_with(difference: i32) -> dc::Watched {
         duration: Duration::from_secs(1),
         ranges: vec![None, Some(range), None],
         drift_ppm: None,
+        phase: takt_ethercat::dc::PhaseFigures::default(),
     }
 }
 

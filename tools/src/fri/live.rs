@@ -14,6 +14,7 @@ use takt_fri::linux::{UdpLink, monotonic};
 use takt_fri::partner::{AXES, Partner, PartnerConfig, Phase, Status, Withheld};
 use takt_fri::sunrise::wire::MESSAGE_MAX;
 use takt_rt::Nanos;
+use takt_rt::host::{Host, HostConfig, prepare};
 use takt_rt::latest::{LatestReader, LatestWriter, latest};
 use takt_rt::stats::{Recorder, RecorderReader};
 use takt_rt::thread::{Thread, ThreadConfig, spawn};
@@ -73,6 +74,8 @@ pub(super) struct Live {
     /// How far measurements come from where the one before and the period put them.
     pub(super) deviation: RecorderReader,
     pub(super) local: SocketAddr,
+    /// Memory and processors as `takt run` has them, as long as this lives.
+    _host: Host,
 }
 
 impl Live {
@@ -90,6 +93,7 @@ impl Live {
         let (writer, seen) = latest(1, Seen::default);
         let (answer_time, deviation) = (Recorder::new(), Recorder::new());
         let readers = (answer_time.reader(), deviation.reader());
+        let host = prepare(&HostConfig::default());
         let stop = Arc::new(AtomicBool::new(false));
         let stopping = Arc::clone(&stop);
         // Boxed, so that the thread's small stack does not hold it as it is moved there.
@@ -116,7 +120,8 @@ impl Live {
             drop(scope);
         })
         .context("cannot start a thread")?;
-        for grant in thread.grants().iter().filter(|grant| grant.is_refused()) {
+        let grants = host.grants().iter().chain(thread.grants());
+        for grant in grants.filter(|grant| grant.is_refused()) {
             complain(&format!("warning: {grant}"));
         }
         Ok(Self {
@@ -126,6 +131,7 @@ impl Live {
             answer_time: readers.0,
             deviation: readers.1,
             local,
+            _host: host,
         })
     }
 

@@ -240,7 +240,7 @@ impl Motion {
         match self.stage {
             Stage::Idle => self.begin(partner, is_sound),
             Stage::Moving | Stage::Braking if partner.phase() != Phase::Command => {
-                self.enter(Stage::Left)
+                self.enter(Stage::Left);
             }
             Stage::Moving if self.remote.wish() == Wish::Brake => self.brake(Why::Asked),
             Stage::Moving if !is_sound => self.brake(Why::Quality),

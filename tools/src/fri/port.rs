@@ -27,6 +27,7 @@ impl Address {
 /// Opens it. The error says in one sentence what is wrong and what to do.
 pub(super) fn open(listen: SocketAddr) -> anyhow::Result<UdpLink> {
     UdpLink::bind(listen).map_err(|error| {
+        #[expect(clippy::wildcard_enum_match_arm, reason = "some 40 other kinds")]
         let why = match error.kind() {
             ErrorKind::AddrInUse => taken(listen, owner(listen.port())),
             ErrorKind::AddrNotAvailable => not_ours(listen.ip(), &addresses()),

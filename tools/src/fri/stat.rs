@@ -255,6 +255,7 @@ impl Findings {
             "connections": connections.collect::<Vec<_>>(),
             "silence": self.silence,
             "refused": self.refusal,
+            "rt_allocations": takt_rt::alloc::real_time_allocations(),
             "foreign": self.foreign,
             "damaged": self.refused,
         })

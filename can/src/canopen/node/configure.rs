@@ -10,6 +10,7 @@ use crate::Id;
 use crate::canopen::lss::Identity;
 use crate::canopen::nmt::{Consumer, ErrorBehaviour};
 use crate::canopen::pdo::{Direction, PDOS_MAX, Rpdo, Tpdo, number_at};
+use crate::canopen::store::Group;
 use crate::canopen::{NodeId, SDO_REQUEST, SDO_RESPONSE, SYNC, sync};
 
 const OFF: u32 = 1 << 31;
@@ -158,6 +159,7 @@ impl<A: Application> Node<A> {
                 self.errors.set_inhibit(inhibit);
             }
             0x1016 => self.configure_consumers(),
+            0x1010 | 0x1011 => self.keep(address),
             0x1017 => self.slave.set_heartbeat(ms(number(d, 0x1017, 0)), now),
             index => {
                 if let Some((direction, number, _)) = Direction::of(index) {
@@ -165,6 +167,19 @@ impl<A: Application> Node<A> {
                 }
             }
         }
+    }
+
+    /// The signature was written: the object says again that it can do that on command.
+    fn keep(&mut self, address: Address) {
+        let Some(group) = Group::from_sub(address.sub) else {
+            return;
+        };
+        if address.index == 0x1010 {
+            self.store.save(&self.dictionary, group);
+        } else {
+            self.store.forget(group);
+        }
+        let _ = self.dictionary.store(address, &1_u32.to_le_bytes());
     }
 
     fn configure_sync(&mut self, now: Duration) {

@@ -4,6 +4,7 @@ use takt_cia402::dictionary::{AbortCode, Address, Dictionary, Hooks};
 
 use super::Application;
 use crate::canopen::pdo::{self, PdoCob, number_at};
+use crate::canopen::store::{LOAD, SAVE};
 
 const OFF: u32 = 1 << 31;
 
@@ -70,6 +71,8 @@ pub(super) fn check(d: &Dictionary, at: Address, data: &[u8]) -> Result<(), Abor
             let own = (0x081..=0x0FF).contains(&(value & 0x3FFF_FFFF));
             changes(value, now, now & OFF == 0) && (id.is_some() || own)
         }
+        (0x1010, 1..) if value != SAVE => return Err(AbortCode::CannotStore),
+        (0x1011, 1..) if value != LOAD => return Err(AbortCode::CannotStore),
         (0x1016, 1..) => return check_consumer(d, at, value),
         (0x1019, 0) if number_at(d, Address::new(0x1006, 0)).unwrap_or(0) != 0 => {
             return Err(AbortCode::DeviceState);

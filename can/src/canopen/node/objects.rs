@@ -1,5 +1,7 @@
 //! The communication objects 1000h to 1FFFh of a node, from the few facts in which nodes differ.
 
+use std::borrow::Cow;
+
 use takt_cia402::dictionary::{Access, Address, Entry, Object};
 
 use crate::canopen::lss::Identity;
@@ -45,6 +47,17 @@ impl Default for Communication {
             mapped_max: 8,
         }
     }
+}
+
+/// The entries of 1010h and 1011h: each is done on command (bit 0).
+fn groups(all: &'static str, what: &str) -> Vec<Entry> {
+    let entry = |name: Cow<'static, str>| Entry {
+        name,
+        ..Entry::number("", Access::ReadWrite, 1_u32)
+    };
+    let groups = ["communication", "application", "manufacturer"];
+    let groups = groups.map(|group| entry(format!("{what} {group} parameters").into()));
+    std::iter::once(entry(all.into())).chain(groups).collect()
 }
 
 impl Communication {
@@ -95,6 +108,16 @@ impl Communication {
             ),
             var(0x100C, Entry::number("guard time", rw, 0_u16)),
             var(0x100D, Entry::number("life time factor", rw, 0_u8)),
+            Object::array(
+                0x1010,
+                "store parameters",
+                groups("save all parameters", "save"),
+            ),
+            Object::array(
+                0x1011,
+                "restore default parameters",
+                groups("restore all default parameters", "restore"),
+            ),
             var(
                 0x1012,
                 Entry::number("COB-ID time stamp", rw, 0x8000_0100_u32),

@@ -362,3 +362,72 @@ fn every_frame_is_survived() {
         }
     }
 }
+
+/// 1010h and 1011h: what is stored is there after a reset, what is restored is the default after the next one.
+#[test]
+fn parameters_are_stored_and_restored_by_groups() {
+    let mut rig = Rig::new(Some(5));
+    let value = |rig: &Rig, index| {
+        rig.node
+            .dictionary()
+            .bytes(Address::new(index, 0))
+            .unwrap()
+            .to_vec()
+    };
+    let reset = "000#8105";
+    // The wrong signature, and what the objects say of themselves.
+    assert_eq!(
+        rig.ask("605#2310100101000000").last().unwrap(),
+        "585#8010100120000008"
+    );
+    assert_eq!(
+        rig.ask("605#4010100100000000").last().unwrap(),
+        "585#4310100101000000"
+    );
+    rig.ask("605#2B17100064000000");
+    rig.ask("605#2B00200007000000");
+    rig.ask(reset);
+    assert_eq!(
+        (value(&rig, 0x1017), value(&rig, 0x2000)),
+        (vec![0, 0], vec![0, 0])
+    );
+    // Communication alone is stored: `save` to 1010h:02.
+    rig.ask("605#2B17100064000000");
+    rig.ask("605#2B00200007000000");
+    assert_eq!(
+        rig.ask("605#2310100273617665").last().unwrap(),
+        "585#6010100200000000"
+    );
+    assert_eq!(
+        rig.ask("605#4010100200000000").last().unwrap(),
+        "585#4310100201000000"
+    );
+    rig.ask("605#2B17100001000000");
+    rig.ask(reset);
+    assert_eq!(
+        (value(&rig, 0x1017), value(&rig, 0x2000)),
+        (vec![100, 0], vec![0, 0])
+    );
+    // The rest too: `save` to 1010h:01. A reset of communication leaves the application alone.
+    rig.ask("605#2B00200009000000");
+    rig.ask("605#2310100173617665");
+    rig.ask("605#2B0020000A000000");
+    rig.ask("000#8205");
+    assert_eq!(value(&rig, 0x2000), [10, 0]);
+    rig.ask(reset);
+    assert_eq!(
+        (value(&rig, 0x1017), value(&rig, 0x2000)),
+        (vec![100, 0], vec![9, 0])
+    );
+    // `load` to 1011h:04: the manufacturer's objects only, and not before the next reset.
+    assert_eq!(
+        rig.ask("605#231110046C6F6164").last().unwrap(),
+        "585#6011100400000000"
+    );
+    assert_eq!(value(&rig, 0x2000), [9, 0]);
+    rig.ask(reset);
+    assert_eq!(
+        (value(&rig, 0x1017), value(&rig, 0x2000)),
+        (vec![100, 0], vec![0, 0])
+    );
+}

@@ -9,14 +9,12 @@ mod config;
 mod krc;
 mod krl;
 mod leave;
-#[cfg(target_os = "linux")]
-mod serve;
 mod status;
 
+#[cfg(target_os = "linux")]
+pub use crate::emulator::serve;
 pub use crate::emulator::{Contact, LineFaults, PowerOff, Shape, Timing};
 pub use config::{Faults, KrcConfig, Limits, Script, Stiffness};
 pub use krc::{Krc, KrcCounters, Left, StartRefused};
 pub use leave::Leave;
-#[cfg(target_os = "linux")]
-pub use serve::serve;
 pub use status::KrcStatus;

@@ -4,6 +4,7 @@ use super::krc::Krc;
 use super::leave::Leave;
 use crate::emulator::{Contact, LineFaults, Served, Shown, Status};
 use crate::lwr::wire::{Quality, State};
+use std::time::Duration;
 
 /// Live state of a controller in [`super::serve`], shared by an `Arc`.
 pub type KrcStatus = Status<Krc>;
@@ -12,6 +13,18 @@ impl Served for Krc {
     type State = State;
     type Quality = Quality;
     type Leave = Leave;
+
+    fn transmit(&mut self, now: Duration, buf: &mut [u8]) -> Option<usize> {
+        self.poll_transmit(now, buf)
+    }
+
+    fn take(&mut self, bytes: &[u8], now: Duration) {
+        let _malformed = self.handle_datagram(bytes, now);
+    }
+
+    fn due(&self) -> Duration {
+        self.poll_timeout()
+    }
 
     fn state_of(code: i32) -> State {
         u16::try_from(code).unwrap_or(u16::MAX).into()

@@ -8,14 +8,12 @@
 mod cabinet;
 mod config;
 mod leave;
-#[cfg(target_os = "linux")]
-mod serve;
 mod status;
 
+#[cfg(target_os = "linux")]
+pub use crate::emulator::serve;
 pub use crate::emulator::{Contact, LineFaults, PowerOff, Shape, Timing};
 pub use cabinet::{Cabinet, CabinetCounters, Left, StartRefused};
 pub use config::{CabinetConfig, Control, Faults, Io, Limits, Overlay, Program, Robot};
 pub use leave::{Lacking, Leave};
-#[cfg(target_os = "linux")]
-pub use serve::serve;
 pub use status::CabinetStatus;

@@ -4,6 +4,7 @@ use super::cabinet::Cabinet;
 use super::leave::Leave;
 use crate::emulator::{Contact, LineFaults, Served, Shown, Status};
 use crate::sunrise::wire::{Quality, SessionState};
+use std::time::Duration;
 
 /// Live state of a cabinet in [`super::serve`], shared by an `Arc`.
 pub type CabinetStatus = Status<Cabinet>;
@@ -12,6 +13,18 @@ impl Served for Cabinet {
     type State = SessionState;
     type Quality = Quality;
     type Leave = Leave;
+
+    fn transmit(&mut self, now: Duration, buf: &mut [u8]) -> Option<usize> {
+        self.poll_transmit(now, buf)
+    }
+
+    fn take(&mut self, bytes: &[u8], now: Duration) {
+        let _malformed = self.handle_datagram(bytes, now);
+    }
+
+    fn due(&self) -> Duration {
+        self.poll_timeout()
+    }
 
     fn state_of(code: i32) -> SessionState {
         code.into()

@@ -169,7 +169,11 @@ impl Monitoring {
             match field.tag {
                 1 => header = Some(Header::read(&field, Self::ID)?),
                 2 => monitoring.robot = Some(RobotInfo::read(&field)?),
-                3 => monitoring.monitor = Some(MonitorData::read(&field)?),
+                // In place: it is large.
+                3 => monitoring
+                    .monitor
+                    .insert(MonitorData::default())
+                    .read(&field)?,
                 4 => monitoring.connection = Some(ConnectionInfo::read(&field)?),
                 5 => monitoring.ipo = Some(IpoData::read(&field)?),
                 6 => push(
@@ -288,8 +292,8 @@ impl RobotInfo {
 }
 
 impl MonitorData {
-    fn read(field: &Field<'_>) -> Result<Self, DecodeError> {
-        let mut data = Self::default();
+    fn read(&mut self, field: &Field<'_>) -> Result<(), DecodeError> {
+        let data = self;
         let mut from = field.message()?;
         while let Some(field) = from.next()? {
             match field.tag {
@@ -306,7 +310,7 @@ impl MonitorData {
                 _ => {}
             }
         }
-        Ok(data)
+        Ok(())
     }
 
     fn write(&self, to: &mut Writer<'_>) -> Result<(), EncodeError> {

@@ -26,15 +26,17 @@ impl<const N: usize> Collector<N> {
     }
 
     fn take(&mut self, field: &Field<'_>) -> Result<(), DecodeError> {
-        field.f64s(|value| {
-            let too_many = DecodeError::TooMany {
-                field: self.field,
-                max: N,
-            };
-            *self.values.get_mut(self.len).ok_or(too_many)? = value;
-            self.len += 1;
-            Ok(())
-        })
+        field.f64s(|value| self.push(value))
+    }
+
+    fn push(&mut self, value: f64) -> Result<(), DecodeError> {
+        let too_many = DecodeError::TooMany {
+            field: self.field,
+            max: N,
+        };
+        *self.values.get_mut(self.len).ok_or(too_many)? = value;
+        self.len += 1;
+        Ok(())
     }
 
     fn finish(self) -> Result<Option<[f64; N]>, DecodeError> {
@@ -57,12 +59,17 @@ pub(super) fn read_array<const N: usize>(
 ) -> Result<Option<[f64; N]>, DecodeError> {
     let mut from = field.message()?;
     let mut values = Collector::new(name);
-    while let Some(field) = from.next()? {
+    loop {
+        while let Some(value) = from.double() {
+            values.push(value)?;
+        }
+        let Some(field) = from.next()? else {
+            return values.finish();
+        };
         if field.tag == 1 {
             values.take(&field)?;
         }
     }
-    values.finish()
 }
 
 pub(super) fn write_joints(

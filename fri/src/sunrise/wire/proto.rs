@@ -107,7 +107,29 @@ impl<'a> Reader<'a> {
         Ok(inner)
     }
 
+    /// A double of field 1, if the next field is one: what joint values consist of, without the detour over [`Field`].
+    pub(super) fn double(&mut self) -> Option<f64> {
+        let ([0x09, value @ ..], rest) = self.rest.split_first_chunk::<9>()? else {
+            return None;
+        };
+        let value = f64::from_le_bytes(value.first_chunk().copied()?);
+        self.rest = rest;
+        self.offset += 9;
+        Some(value)
+    }
+
+    /// Nearly all have one byte.
+    #[inline]
     fn varint(&mut self) -> Result<u64, DecodeError> {
+        if let [byte @ 0..=0x7f, rest @ ..] = self.rest {
+            self.rest = rest;
+            self.offset += 1;
+            return Ok(u64::from(*byte));
+        }
+        self.long_varint()
+    }
+
+    fn long_varint(&mut self) -> Result<u64, DecodeError> {
         let mut value = 0_u64;
         for (index, byte) in self.rest.iter().take(VARINT_MAX).enumerate() {
             value |= u64::from(byte & 0x7f) << (7 * index);

@@ -90,7 +90,7 @@ impl Robot {
             };
             let start = monotonic().expect("there is a clock");
             let mut krc = Box::new(Krc::new(config, start));
-            serve(&mut krc, &mut link, &shared, &stopping).expect("loopback works");
+            serve(&mut *krc, &mut link, &shared, &stopping).expect("loopback works");
         });
         Self {
             status,

@@ -200,6 +200,11 @@ impl Net {
         self.with_rules = false;
     }
 
+    /// Whether the net thread has it, or will, while it does not run yet.
+    pub(super) const fn is_away(&self) -> bool {
+        self.with_rules || self.is_to_start()
+    }
+
     /// Whether a start is asked for and not answered.
     pub(super) const fn is_to_start(&self) -> bool {
         matches!(self.starting, Some(None))

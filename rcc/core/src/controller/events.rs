@@ -52,6 +52,7 @@ impl Desk {
             tracing::warn!(net = %NetId(running.id), why, "net ended");
         }
         self.with(running.id, |net| net.ended(why));
+        self.answer_rules(NetId(running.id));
     }
 
     /// A net is back from the rules. If a start by hand crossed its way, it is sent off again.

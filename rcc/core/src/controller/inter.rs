@@ -90,6 +90,10 @@ impl Look {
             *next += 1;
             records.push_back(TapRecord { number, words });
         });
+        if now >= self.until {
+            *records = VecDeque::new();
+            return;
+        }
         let newest = records.back().map_or(Nanos(0), TapRecord::time);
         let span = i64::try_from(self.span.as_nanos()).unwrap_or(i64::MAX);
         let old = |record: &TapRecord| newest.0 - record.time().0 > span;

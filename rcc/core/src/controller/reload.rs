@@ -3,7 +3,7 @@
 
 use crate::cell::DeviceConfig;
 use crate::controller::clock::FollowedClock;
-use crate::controller::desk::Desk;
+use crate::controller::desk::{Desk, Net};
 use crate::controller::{Controller, NetState};
 use crate::device::DeviceState;
 use crate::error::Error;
@@ -79,11 +79,13 @@ impl DeviceState {
 }
 
 impl Desk {
-    /// An error if a net that is not over reads or commands the device.
+    /// An error if a net that is not over reads or commands the device, or one is being loaded: which devices
+    /// that will use is not known yet.
     pub(super) fn refuse_if_used(&self, name: &str) -> Result<(), Error> {
         let over = |state| matches!(state, NetState::Terminated | NetState::Rejected);
         let mut nets = self.nets.iter();
-        match nets.find(|(_, net)| !over(net.state()) && net.uses(name)) {
+        let may_use = |net: &Net| net.state() == NetState::Loading || net.uses(name);
+        match nets.find(|(_, net)| !over(net.state()) && may_use(net)) {
             None => Ok(()),
             Some((net, _)) => Err(Error::DeviceInUse {
                 name: name.to_owned(),

@@ -1,6 +1,7 @@
 //! Synchronization rules as programs give them: conditions as text, nets by identifier. Watching
 //! them is the net thread's business.
 
+use std::collections::BTreeSet;
 use std::fmt;
 use std::str::FromStr;
 use std::sync::Arc;
@@ -16,6 +17,8 @@ use crate::executor::rules::shared::{Part, Shared};
 use crate::executor::rules::{Literal, Question, Rule, RuleRefusal, RuleState};
 use crate::executor::thread::Command;
 
+/// Longest condition, bytes.
+const CONDITION_BYTES: usize = 16 << 10;
 /// Rules that are remembered; the oldest that no longer wait are forgotten first.
 const RULES_KEPT: usize = 4096;
 
@@ -80,6 +83,8 @@ pub struct RuleInfo {
 #[derive(Debug)]
 pub(super) struct RuleEntry {
     request: RuleRequest,
+    /// What its condition asks: nets and keys.
+    asked: Vec<(NetId, String)>,
     pub(super) state: RuleState,
     /// Set while net threads have not answered, and then to their answer.
     adding: Option<Option<Result<(), Error>>>,
@@ -144,7 +149,15 @@ impl Controller {
 }
 
 impl Desk {
-    pub(super) fn install(&mut self, request: RuleRequest) -> Result<RuleId, Error> {
+    pub(super) fn install(&mut self, mut request: RuleRequest) -> Result<RuleId, Error> {
+        if request.condition.len() > CONDITION_BYTES {
+            let (what, bound) = ("bytes of a condition", CONDITION_BYTES);
+            return Err(Error::TooMany { what, bound });
+        }
+        for nets in [&mut request.stop, &mut request.cancel] {
+            nets.sort_unstable();
+            nets.dedup();
+        }
         let condition = Parser::parse(&request.condition)?;
         let mut literals = Vec::with_capacity(condition.literals.len());
         for (net, key) in &condition.literals {
@@ -176,8 +189,11 @@ impl Desk {
             self.send(*thread, Command::AddRule(rule))
                 .map_err(|_| busy())?;
         }
+        let asked = condition.literals.into_iter();
+        let asked = asked.filter_map(|(net, key)| Some((net.parse().ok()?, key)));
         let entry = RuleEntry {
             request,
+            asked: asked.collect(),
             state: RuleState::Active,
             adding: Some(None),
             unanswered: threads.len(),
@@ -327,6 +343,22 @@ impl Desk {
         })
     }
 
+    /// Answers what rules ask of a net that has ended: one that came to its thread after that was not told.
+    pub(super) fn answer_rules(&mut self, ended: NetId) {
+        let active = self.rules.values();
+        let active = active.filter(|entry| entry.state == RuleState::Active);
+        let asked = active.flat_map(|entry| &entry.asked);
+        let asked: BTreeSet<_> = asked.filter(|(net, _)| *net == ended).cloned().collect();
+        for (net, key) in asked {
+            let Ok(literal) = self.literal(&net.to_string(), &key) else {
+                continue;
+            };
+            if self.command(Command::Answer(literal)).is_err() {
+                tracing::error!(%net, "the net thread takes no more requests");
+            }
+        }
+    }
+
     /// A rule waits now in one more thread.
     pub(super) fn rule_added(&mut self, id: u32) {
         let Some(entry) = self.rules.get_mut(&RuleId(id)) else {
@@ -354,6 +386,10 @@ impl Desk {
                     bound,
                 }
             }
+            RuleRefusal::TooLong => Error::TooMany {
+                what: "literals, operations and nets of all waiting rules",
+                bound: crate::executor::rules::WORK_MAX,
+            },
             RuleRefusal::ResourceInUse(n) | RuleRefusal::ResourceTwice(n) => {
                 Error::NotSchedulable {
                     resource: self.resource_name(n),

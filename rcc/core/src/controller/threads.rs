@@ -13,11 +13,15 @@ use crate::cell::{CellConfig, THREADS_MAX, listed};
 use crate::controller::clock::FollowedClock;
 use crate::controller::desk::Desk;
 use crate::error::Error;
+use crate::executor::rules::Literal;
 use crate::executor::serve::{DeviceEnd, Driver};
 use crate::executor::stop::{EmergencyStop, StopPart};
 use crate::executor::thread::{COMMANDS, Command, NetThread, NetThreadConfig};
 use crate::ids::NetId;
 use crate::record::Tap;
+
+/// Longest time from one cycle of a net to the next.
+const NET_PERIOD_MAX: Duration = Duration::from_mins(1);
 
 /// Where and when a net is evaluated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -98,6 +102,11 @@ impl Desk {
         period: Option<Duration>,
         devices: &[String],
     ) -> Result<Place, Rejection> {
+        if let Some(period) = period.filter(|period| *period > NET_PERIOD_MAX) {
+            let why =
+                format!("{period:?} is longer than the {NET_PERIOD_MAX:?} that a cycle may take");
+            return Err(refused("cycle", why));
+        }
         let periods = self.periods();
         let given = |thread: usize| periods.get(thread).copied().unwrap_or_default();
         let Some(device) = devices.first() else {
@@ -171,6 +180,7 @@ impl Desk {
             | Command::Abort(id)
             | Command::StartScheduled(id)
             | Command::Forget(id)
+            | Command::Answer(Literal { net: id, .. })
             | Command::Unschedule { net: id, .. } => self.thread_of(*id),
             Command::AddRule(_) => 0,
             Command::AddDevice(end) => return self.add_to_threads(end.number(), command),

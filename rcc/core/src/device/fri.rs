@@ -3,6 +3,7 @@
 //! themselves are in `takt_fri`; what differs between them is told by `Protocol`.
 
 mod clock;
+mod force;
 pub(super) mod orders;
 mod protocol;
 
@@ -29,6 +30,7 @@ use crate::device::{
 };
 use crate::error::Error;
 use clock::DatagramClock;
+use force::ForceByTorques;
 
 pub use orders::Orders;
 pub use protocol::{AXES, Heard, Joints, Protocol, Totals};
@@ -230,6 +232,7 @@ struct Driver<P> {
     /// The newest command.
     taken: DeviceCommand,
     interfaces: Interfaces,
+    force: ForceByTorques,
     /// Time from one cycle of the net thread to the next.
     net_period: Nanos,
     /// The robot's cycles since the last answer. Its speed check counts in these, so the joints'
@@ -264,6 +267,7 @@ impl<P: Protocol> Driver<P> {
             },
             taken: DeviceCommand::new(layout.commands),
             interfaces,
+            force: ForceByTorques::new(&description.model),
             net_period: end.net_period.into(),
             cycles: 0,
             state: end.state,
@@ -469,7 +473,11 @@ impl<P: Protocol> Driver<P> {
             place.measured.tell(signals, measured.and_then(of_axis));
         }
         if let Some(place) = &self.interfaces.wrench {
-            place.tell(signals, heard.and_then(P::wrench));
+            let felt = || heard.and_then(P::measured).zip(estimated);
+            let wrench = heard.and_then(P::wrench).or_else(|| {
+                felt().and_then(|(joints, torques)| self.force.estimate(&joints, &torques))
+            });
+            place.tell(signals, wrench);
         }
     }
 

@@ -31,7 +31,8 @@ const IOS_MAX: usize = takt_fri::sunrise::wire::IOS_MAX;
 /// Longest name of one, bytes.
 const IO_NAME_MAX: usize = 63;
 
-/// What an iiwa offers beside its joints. Force at the tool is told by FRI 2.7 only; older ones leave it null.
+/// What an iiwa offers beside its joints. Force at the tool is told by FRI 2.7; with older ones
+/// the driver finds it by the external torques.
 #[must_use]
 pub fn parts(io: &IiwaIo) -> Vec<Part> {
     let mut parts = vec![

@@ -12,6 +12,9 @@ use shared::{Decision, Part};
 
 /// Most rules that wait at once in one thread.
 pub const RULES_MAX: usize = 1024;
+/// Most that the waiting rules of one thread look at in a cycle, all together: literals, operations, and
+/// nets that they stop, cancel and start.
+pub const WORK_MAX: usize = 8192;
 /// Most Boolean operations of one condition.
 pub const CONDITION_MAX: usize = 256;
 
@@ -84,7 +87,7 @@ pub struct Rule {
     pub part: Option<Part>,
     /// What became of it.
     pub state: RuleState,
-    /// What the nets that it starts need and was free when it was added: kept for them.
+    /// What the nets that it starts need: kept for them.
     pub(super) reserved: ResourceSet,
 }
 
@@ -210,6 +213,12 @@ impl Rule {
         !self.start.is_empty() || self.part.as_ref().is_some_and(Part::starts)
     }
 
+    /// How much of it is looked at in a cycle.
+    fn work(&self) -> usize {
+        let nets = self.stop.len() + self.cancel.len() + self.start.len();
+        self.literals.len() + self.steps.len() + nets
+    }
+
     /// Whether the rule hands over from this net: it stops it or waits for it.
     fn follows(&self, net: u32) -> bool {
         self.stop.contains(&net) || self.literals.iter().any(|l| l.net == net)
@@ -221,6 +230,8 @@ impl Rule {
 pub enum RuleRefusal {
     /// Too many rules wait.
     TooMany,
+    /// The waiting rules would look at more than [`WORK_MAX`] things in a cycle.
+    TooLong,
     /// A net that it starts needs this resource, which is held by a net that it does not follow or
     /// kept for another rule.
     ResourceInUse(usize),
@@ -276,7 +287,7 @@ impl Executor {
         Some(self.rules.scheduled.remove(at))
     }
 
-    /// Takes a rule. What its nets need and is free is kept for them from now on.
+    /// Takes a rule. What its nets need is kept for them from now on, but for nets that it follows.
     ///
     /// # Errors
     /// If it cannot be kept; the rule comes back with the reason, and its parts in other threads do
@@ -304,6 +315,10 @@ impl Executor {
         if self.rules.waiting.len() == RULES_MAX {
             return Err(RuleRefusal::TooMany);
         }
+        let others = self.rules.waiting.iter().map(|other| other.work());
+        if others.sum::<usize>() + rule.work() > WORK_MAX {
+            return Err(RuleRefusal::TooLong);
+        }
         let mut wanted = ResourceSet::default();
         for net in self
             .rules
@@ -316,8 +331,9 @@ impl Executor {
             }
             wanted.add(&net.resources);
         }
+        let claim = self.claim(rule, wanted);
         for net in self.running.iter().filter(|net| !rule.follows(net.id)) {
-            if let Some(held) = wanted.common(&net.resources) {
+            if let Some(held) = claim.common(&net.resources) {
                 return Err(RuleRefusal::ResourceInUse(held));
             }
         }
@@ -330,12 +346,20 @@ impl Executor {
                 .any(|n| other.follows(*n))
         };
         for other in self.rules.waiting.iter().filter(stranger) {
-            if let Some(kept) = wanted.common(&other.reserved) {
+            if let Some(kept) = claim.common(&self.claim(other, other.reserved)) {
                 return Err(RuleRefusal::ResourceInUse(kept));
             }
         }
-        wanted.remove(&self.held());
         Ok(wanted)
+    }
+
+    /// What a rule that wants this claims now: not what scheduled nets that it follows will bring.
+    fn claim(&self, rule: &Rule, mut wanted: ResourceSet) -> ResourceSet {
+        let scheduled = self.rules.scheduled.iter();
+        for net in scheduled.filter(|net| rule.follows(net.id)) {
+            wanted.remove(&net.resources);
+        }
+        wanted
     }
 
     /// The lowest resource of a net that is kept for other nets.
@@ -344,15 +368,19 @@ impl Executor {
             .rules
             .waiting
             .iter()
-            .filter(|rule| !rule.start.contains(&net.id));
+            .filter(|rule| !rule.start.contains(&net.id) && !rule.follows(net.id));
         others
-            .map(|rule| &rule.reserved)
-            .find_map(|kept| net.resources.common(kept))
+            .map(|rule| self.claim(rule, rule.reserved))
+            .find_map(|kept| net.resources.common(&kept))
     }
 
     /// Tells each running net whether a successor waits for it; calls `changed` where that is new.
     /// Called before each cycle.
     pub fn announce_takeovers(&mut self, mut changed: impl FnMut(u32, bool)) {
+        let waiting = &self.rules.waiting;
+        if waiting.is_empty() && !self.running.iter().any(|net| net.takeover) {
+            return;
+        }
         for net in &mut self.running {
             let waits = |rule: &Box<Rule>| {
                 rule.state == RuleState::Active && rule.starts_any() && rule.follows(net.id)
@@ -500,6 +528,14 @@ impl Executor {
                 false
             }
         }
+    }
+
+    /// Answers for good what waiting rules ask of a net that had ended before they came.
+    pub fn answer_for_good(&mut self, told: Literal) {
+        let literals = self.rules.waiting.iter_mut();
+        let literals = literals.flat_map(|rule| &mut rule.literals);
+        let asked = |l: &&mut Literal| !l.last && (l.net, l.question) == (told.net, told.question);
+        literals.filter(asked).for_each(|literal| *literal = told);
     }
 
     /// Tells rules that a net will never run again, or never did.

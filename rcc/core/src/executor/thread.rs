@@ -13,7 +13,7 @@ use takt_rt::stats::{Recorder, RecorderReader, StatsReader, StatsWriter};
 use takt_rt::thread::{Thread, ThreadConfig};
 
 use crate::error::Error;
-use crate::executor::rules::{Rule, RuleRefusal};
+use crate::executor::rules::{Literal, Rule, RuleRefusal};
 use crate::executor::serve::{DeviceEnd, Served};
 use crate::executor::stop::StopPart;
 use crate::executor::{Effect, End, Executor, Refusal, Running};
@@ -32,6 +32,8 @@ pub enum Command {
     Schedule(Box<Running>),
     /// Watch this rule.
     AddRule(Box<Rule>),
+    /// Answer for good what rules ask of a net that has ended.
+    Answer(Literal),
     /// Give back a net that was scheduled: always, or only if no rule waits to start it.
     Unschedule {
         /// The net.
@@ -310,6 +312,7 @@ impl Cycle {
             }
             rule @ (Command::Schedule(_)
             | Command::AddRule(_)
+            | Command::Answer(_)
             | Command::Unschedule { .. }
             | Command::Forget(_)) => self.obey_rule(rule),
             Command::AddDevice(end) => self.served.add(end, &mut self.executor),
@@ -348,6 +351,7 @@ impl Cycle {
                     Err((rule, why)) => self.tell(Event::RuleRefused(rule, why)),
                 }
             }
+            Command::Answer(literal) => self.executor.answer_for_good(literal),
             Command::Unschedule { net, always } => {
                 if let Some(net) = self.executor.take_unscheduled(net, always) {
                     self.tell(Event::Unscheduled(net));

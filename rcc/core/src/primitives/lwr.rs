@@ -343,7 +343,8 @@ pub(super) fn table() -> Vec<Definition> {
         .active()
         .input::<i32>(port(
             "inStrategy",
-            "1 position, 2 Cartesian impedance, 3 joint impedance",
+            "1 position, 2 Cartesian impedance, 3 joint impedance; 0 takes an arm whose program can do \
+             that out of command mode",
         ))
         .text("Robot", ROBOT)
         .output::<bool>("outCompleted", "the strategy is in force")

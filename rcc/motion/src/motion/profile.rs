@@ -1,6 +1,7 @@
 //! One coordinate on its way: planned with bounded velocity, acceleration and jerk, sampled once a
 //! cycle, and planned anew from where it is. A plan that cannot be made leaves the one before.
-//! Neither planning nor sampling allocates; limits are checked by whoever makes a profile.
+//! Neither planning nor sampling allocates, but for a plan that cannot be made: the library writes down what it
+//! refuses. Limits are checked by whoever makes a profile.
 
 use rsruckig::prelude::{
     ControlInterface, DataArrayOrVec, InputParameter, Ruckig, RuckigError, RuckigErrorHandler,

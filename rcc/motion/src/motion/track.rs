@@ -127,9 +127,10 @@ pub(super) fn definition() -> Definition {
     .array_output::<f64>("outVelocity", "velocity of each joint, rad/s")
     .output::<bool>("outDone", "all joints are at rest, at their goals or stopped");
     // A new goal is planned to within the cycle it comes in, joint by joint.
-    with_joint_limits(definition)
-        .cost_ns(40_000)
-        .null(NullRule::Own(
-            "Never null while active; a null goal keeps the one before.",
-        ))
+    let mut definition = with_joint_limits(definition).cost_ns(1_000);
+    // Three arrays have an element for each joint.
+    definition.cost.element_ns = 2_000.0;
+    definition.null(NullRule::Own(
+        "Never null while active; a null goal keeps the one before.",
+    ))
 }

@@ -111,6 +111,10 @@ pub(super) fn resolve<'t>(
     }
 }
 
+/// Known names that a fault keeps: one more than it shows.
+const NAMES_MAX: usize = 13;
+/// Characters that it keeps of each.
+const NAME_CHARS_MAX: usize = 100;
 const BOOL: Type = Type::scalar(Element::Bool);
 
 pub(super) struct Resolver<'t, 'f> {
@@ -223,6 +227,10 @@ impl<'t> Resolver<'t, '_> {
             }
         }
         match &node.body {
+            Body::Fragment(_) if self.scopes.len() > self.context.limits.primitives => {
+                self.beyond("fragments", node);
+                Member::Broken
+            }
             Body::Fragment(fragment) => {
                 let guard = self.guard(scope, &node.args);
                 Member::Scope(self.fragment(fragment, name, Some(scope), guard, &node.args))
@@ -270,17 +278,8 @@ impl<'t> Resolver<'t, '_> {
             self.fault(kind, ty.span());
             return Member::Broken;
         };
-        let bound = self.context.limits.primitives;
-        if self.nodes.len() >= bound {
-            if !self.bound_told {
-                let kind = FaultKind::Bound {
-                    what: "primitives",
-                    found: bound + 1,
-                    bound,
-                };
-                self.fault(kind, node.at.clone());
-                self.bound_told = true;
-            }
+        if self.nodes.len() >= self.context.limits.primitives {
+            self.beyond("primitives", node);
             return Member::Broken;
         }
         let own_guard = definition.gated.then(|| self.guard(scope, &node.args));
@@ -296,6 +295,16 @@ impl<'t> Resolver<'t, '_> {
             texts: vec![None; definition.parameters.len()],
         });
         Member::Node(member)
+    }
+
+    /// Tells, once, that there are more of these than primitives are taken.
+    fn beyond(&mut self, what: &'static str, node: &TextNode<'_>) {
+        let bound = self.context.limits.primitives;
+        if !std::mem::replace(&mut self.bound_told, true) {
+            let found = bound + 1;
+            let kind = FaultKind::Bound { what, found, bound };
+            self.fault(kind, node.at.clone());
+        }
     }
 
     /// Makes a node of a source that is written in place.
@@ -314,6 +323,9 @@ impl<'t> Resolver<'t, '_> {
             ..
         } = self.nodes[number];
         for arg in args {
+            if self.faults.len() >= FAULTS_MAX {
+                return;
+            }
             match &arg.value {
                 ArgValue::Text(text, start) => self.set_parameter(number, arg.name, text, *start),
                 ArgValue::Link(source) => self.set_link(number, scope, arg.name, source),
@@ -543,6 +555,9 @@ impl<'t> Resolver<'t, '_> {
     fn link_root(&mut self, tree: &'t Fragment<'t>) -> Vec<(&'t str, Option<Origin>)> {
         let mut root = Vec::new();
         for out in &tree.outs {
+            if self.faults.len() >= FAULTS_MAX {
+                return root;
+            }
             let ArgValue::Link(source) = &out.value else {
                 continue;
             };
@@ -561,8 +576,11 @@ impl<'t> Resolver<'t, '_> {
     }
 }
 
+/// The first names in their order, cut short: no fault shows more, and a fault is kept for long.
 fn names<'n>(keys: impl Iterator<Item = &'n &'n str>) -> Vec<String> {
-    let mut names: Vec<String> = keys.map(|k| (*k).to_owned()).collect();
-    names.sort();
-    names
+    let mut names: Vec<&str> = keys.copied().collect();
+    names.sort_unstable();
+    names.truncate(NAMES_MAX);
+    let short = |name: &str| name.chars().take(NAME_CHARS_MAX).collect();
+    names.into_iter().map(short).collect()
 }

@@ -25,7 +25,7 @@ struct EStop {
 
 impl Primitive for EStop {
     fn step(&mut self, cycle: &Cycle<'_>) {
-        let until = cycle.moment.cycle + cycle.moment.every.max(1);
+        let until = cycle.moment.cycle.saturating_add(cycle.moment.every.max(1));
         let stop = self.stop.get(cycle).unwrap_or(true);
         let vote = &cycle.image.stop;
         vote.set(vote.get().with(until, stop));

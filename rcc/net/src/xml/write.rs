@@ -25,17 +25,26 @@ pub fn to_xml(text: &str, limits: &Limits) -> Result<String, Rejection> {
     Ok(out)
 }
 
+/// Longest name of which the name of something in it is made.
+const PLACE_BYTES_MAX: usize = 200;
+
 /// The inside of one fragment: its name, and the names of its children.
 struct Scope<'a> {
     id: &'a str,
     taken: HashSet<String>,
+    /// How often a name was taken already.
+    clashes: usize,
 }
 
 impl<'a> Scope<'a> {
     fn new(fragment: &Fragment<'_>, id: &'a str) -> Self {
         let children = fragment.children.iter();
         let taken = children.map(|c| c.name.text.to_owned()).collect();
-        Self { id, taken }
+        Self {
+            id,
+            taken,
+            clashes: 0,
+        }
     }
 
     fn fragment(&mut self, fragment: &Fragment<'_>, out: &mut String) {
@@ -66,7 +75,7 @@ impl<'a> Scope<'a> {
         };
         let mut before = String::new();
         for arg in &node.args {
-            let place = format!("{id}.{}", arg.name.text);
+            let place = place_in(id, arg.name.text);
             self.arg_to(port, &place, arg, &mut args, &mut before);
         }
         out.push_str(&before);
@@ -127,11 +136,26 @@ impl<'a> Scope<'a> {
     }
 
     /// A name that no sibling has, also when its dots are read as underscores.
-    fn unused(&mut self, mut name: String) -> String {
-        while !self.taken.insert(name.replace('.', "_")) {
-            name.push('_');
+    fn unused(&mut self, name: String) -> String {
+        let mut unused = name.clone();
+        while !self.taken.insert(unused.replace('.', "_")) {
+            let number = match self.clashes {
+                0 => String::new(),
+                clashes => clashes.to_string(),
+            };
+            self.clashes += 1;
+            unused = format!("{name}_{number}");
         }
-        name
+        unused
+    }
+}
+
+/// A name for what is written in place in an argument; it does not grow with depth and length without bound.
+fn place_in(id: &str, arg: &str) -> String {
+    match (id.len() > PLACE_BYTES_MAX, arg.len() > PLACE_BYTES_MAX) {
+        (false, false) => format!("{id}.{arg}"),
+        (true, false) => format!("inline.{arg}"),
+        (_, true) => "inline".to_owned(),
     }
 }
 

@@ -61,10 +61,7 @@ pub(super) async fn serve(
         Kind::Tcp => link.serve_lines(visit).await,
         Kind::Http => link.serve_http(visit).await,
     };
-    let opened = link
-        .connection
-        .map(|c| c.opened_sessions().to_vec())
-        .unwrap_or_default();
+    let opened = link.opened;
     match ended {
         Ok(()) => Ok(opened),
         Err(error) => Err(Failure { error, opened }),
@@ -93,6 +90,8 @@ struct Link {
     codec: Codec,
     /// Away only while a blocking thread has it; lost if that thread panics.
     connection: Option<Connection>,
+    /// Sessions that it opened and did not end, as of the last work that it finished.
+    opened: Vec<SessionId>,
     begin: Instant,
 }
 
@@ -122,6 +121,7 @@ impl Link {
             counters: Arc::clone(&site.counters),
             codec,
             connection: Some(connection),
+            opened: Vec::new(),
             begin: Instant::now(),
         }
     }
@@ -258,15 +258,16 @@ impl Link {
             tokio::select! {
                 biased;
                 () = closed(&mut closing) => return Ok(()),
+                // Before what comes: a client that is never silent is ended too.
+                () = tokio::time::sleep_until(admitted_by), if !self.is_admitted() => {
+                    return Err(self.broken(io::ErrorKind::TimedOut.into()));
+                }
                 alive = read(&mut self.stream, &mut received) => {
                     if !alive.map_err(|e| self.broken(e))? {
                         return Ok(());
                     }
                     self.codec.push(&received);
                     received.clear();
-                }
-                () = tokio::time::sleep_until(admitted_by), if !self.is_admitted() => {
-                    return Err(self.broken(io::ErrorKind::TimedOut.into()));
                 }
                 () = changed.notified() => self.push(true).await?,
                 () = sleep_until(next) => self.push(false).await?,
@@ -341,6 +342,7 @@ impl Link {
             (connection, lines)
         });
         let (connection, lines) = worked.await.map_err(|e| self.broken(io::Error::other(e)))?;
+        self.opened = connection.opened_sessions().to_vec();
         self.connection = Some(connection);
         self.send_lines(&lines).await
     }

@@ -4,8 +4,8 @@
 use std::collections::BTreeMap;
 
 use super::{
-    DEPTH_MAX, MESSAGE_BYTES_MAX, Message, VALUES_MAX, Value, continues_identifier,
-    starts_identifier,
+    DEPTH_MAX, IDENTIFIER_BYTES_MAX, MESSAGE_BYTES_MAX, Message, VALUES_MAX, Value,
+    continues_identifier, starts_identifier,
 };
 
 /// Why a text is no message; `at` counts bytes from 0.
@@ -26,6 +26,9 @@ pub enum DecodeError {
     /// The bound on length.
     #[error("the message has {bytes} bytes; at most {MESSAGE_BYTES_MAX} are taken")]
     TooLong { bytes: usize },
+    /// The bound on names. Subscriptions keep a tag and repeat it in each push.
+    #[error("the name at byte {at} is too long: at most {IDENTIFIER_BYTES_MAX} bytes are taken")]
+    NameTooLong { at: usize },
     /// The bound on nesting.
     #[error(
         "lists and maps at byte {at} are nested too deep; at most {DEPTH_MAX} levels are taken"
@@ -132,7 +135,12 @@ impl Reader<'_> {
 
     fn identifier(&mut self, name: &'static str) -> Result<String, DecodeError> {
         if self.peek().is_some_and(starts_identifier) {
-            Ok(self.run(continues_identifier))
+            let at = self.at;
+            let name = self.run(continues_identifier);
+            if name.len() > IDENTIFIER_BYTES_MAX {
+                return Err(DecodeError::NameTooLong { at });
+            }
+            Ok(name)
         } else {
             self.expected(name)
         }

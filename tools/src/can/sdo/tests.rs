@@ -205,3 +205,24 @@ fn what_can_move_is_asked_for() {
     assert!(!can_move(Address::new(0x1017, 0)));
     assert!(can_move(Address::new(0x6040, 0)) && can_move(Address::new(0x2000, 0)));
 }
+
+#[test]
+fn settings_are_stored_and_restored() {
+    let mut lab = lab();
+    let reset = |lab: &mut Lab| {
+        let frame = takt_can::canopen::NmtCommand::ResetNode.frame(None);
+        Wire::send(lab, &frame).unwrap();
+        lab.run(50);
+    };
+    text(&mut lab, &["download", "6083", "4321"]);
+    text(&mut lab, &["download", "607A", "777"]);
+    assert_eq!(text(&mut lab, &["store"]), "node 5: stored");
+    reset(&mut lab);
+    assert!(text(&mut lab, &["upload", "6083"]).contains("4321"));
+    // A command is no setting.
+    assert!(text(&mut lab, &["upload", "607A"]).ends_with("= 0 (00000000h)"));
+    assert!(text(&mut lab, &["restore", "application"]).contains("after its next reset"));
+    reset(&mut lab);
+    assert!(text(&mut lab, &["upload", "6083"]).contains("400000"));
+    assert!(Line::try_parse_from(["sdo", "can0", "5", "store", "some"]).is_err());
+}

@@ -129,8 +129,7 @@ pub(in crate::ecat) fn dc(recording: &Recording, window: Duration) -> Report {
             "station": station,
             "clock": kind,
             "delay_ns": seen.delay_ns,
-            "min_ns": range.map(|range| range.least),
-            "max_ns": range.map(|range| range.most),
+            "range_ns": range.map(|range| [range.least, range.most]),
             "last_ns": range.map(|range| range.last),
         }));
     }

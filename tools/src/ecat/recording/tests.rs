@@ -45,7 +45,7 @@ fn a_good_run_has_nothing_to_be_told() {
 #[test]
 fn lost_and_late_frames_and_the_bad_cable_are_found_in_a_recording() {
     let mut session = up(tree(), AlState::Op);
-    session.run_for(200 * MS).unwrap();
+    session.run_for(100 * MS).unwrap();
     let faults = Faults {
         corrupt: Some(Corrupt {
             slave: 2,
@@ -55,15 +55,16 @@ fn lost_and_late_frames_and_the_bad_cable_are_found_in_a_recording() {
         late: None,
         ..Faults::default()
     };
-    session.wire().put_in(100 * MS, faults);
-    session.run_for(300 * MS).unwrap();
+    session.wire().put_in(50 * MS, faults);
+    session.run_for(150 * MS).unwrap();
     let late = Faults {
         late: Some((2, 1_500_000)),
         ..Faults::default()
     };
     session.wire().put_in(Duration::ZERO, late);
-    session.run_for(300 * MS).unwrap();
-    let read = Recording::of("bad", &recording(&mut session)).unwrap();
+    session.run_for(150 * MS).unwrap();
+    let bytes = recording(&mut session);
+    let read = Recording::of("bad", &bytes).unwrap();
     let (table, text, judged) = texts(&read);
     assert_eq!(judged, Verdict::Failed);
     for part in [
@@ -73,6 +74,9 @@ fn lost_and_late_frames_and_the_bad_cable_are_found_in_a_recording() {
     ] {
         assert!(text.contains(part), "{part}\n{text}\n{table}");
     }
+    // What the file beside the tests of the commands was made from.
+    let kept = include_bytes!("../../../tests/ecat/cable.pcap");
+    assert_eq!(texts(&Recording::of("kept", kept).unwrap()).1, text);
     let object = stat(&read).object;
     assert_eq!(object["frames"]["lost"], 4);
     assert_eq!(object["slaves"][1]["invalid"][0], 4);

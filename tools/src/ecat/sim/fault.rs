@@ -96,7 +96,6 @@ fn checked(segment: &Segment, slave: usize) -> Result<(), String> {
 
 impl Fault {
     /// Does it at `now`, ns of the segment's clock; what was done, in words.
-    #[expect(clippy::too_many_lines, reason = "a table of what is done for each")]
     pub(super) fn put_in(
         self,
         segment: &SharedSegment,

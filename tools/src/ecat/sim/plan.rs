@@ -8,6 +8,8 @@ use takt_core::cell::{EthercatConfig, EthercatSlave};
 use takt_ethercat::emulator::{Coupler, Io, Segment, ServoConfig, ServoDrive, Slave};
 use takt_ethercat::sii;
 
+use crate::ecat::cell;
+
 /// A segment that is ready to be served.
 #[derive(Debug)]
 pub(super) struct Stand {
@@ -205,7 +207,7 @@ pub(super) fn of_cell(
     name: Option<&str>,
     strict: bool,
 ) -> anyhow::Result<Stand> {
-    let config = segment(cell, name)?;
+    let config = cell::segment(cell, name)?;
     let mut free: Vec<&EthercatSlave> = config.slaves.iter().collect();
     let mut slaves = Vec::new();
     while !free.is_empty() {
@@ -225,28 +227,6 @@ pub(super) fn of_cell(
         );
     }
     Plan { slaves }.build(strict)
-}
-
-/// The segment of that name; without one, the only one.
-pub(in crate::ecat) fn segment<'a>(
-    cell: &'a CellConfig,
-    name: Option<&str>,
-) -> anyhow::Result<&'a EthercatConfig> {
-    let names: Vec<&str> = cell
-        .ethercat
-        .iter()
-        .map(|segment| segment.name.as_str())
-        .collect();
-    let names = names.join(", ");
-    match (name, &cell.ethercat[..]) {
-        (_, []) => anyhow::bail!("the cell has no [[ethercat]]"),
-        (None, [only]) => Ok(only),
-        (None, _) => anyhow::bail!("the cell has several segments: {names}; say which"),
-        (Some(name), all) => {
-            let found = all.iter().find(|segment| segment.name == name);
-            found.with_context(|| format!("the cell has no segment `{name}`; it has {names}"))
-        }
-    }
 }
 
 fn expected(config: &EthercatConfig, slave: &EthercatSlave) -> SlavePlan {

@@ -96,7 +96,7 @@ mod tests {
         let wrench = from_wire([1.0, 2.0, 3.0, 6.0, 5.0, 4.0]);
         assert_eq!(wrench.force, Vector::new(1.0, 2.0, 3.0));
         assert_eq!(wrench.torque, Vector::new(4.0, 5.0, 6.0));
-        assert_eq!(to_wire(&wrench), [1.0, 2.0, 3.0, 6.0, 5.0, 4.0]);
+        assert_eq!(from_wire(to_wire(&wrench)), wrench);
     }
 
     #[test]

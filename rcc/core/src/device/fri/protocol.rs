@@ -77,7 +77,7 @@ pub trait Protocol: fmt::Debug + Send + 'static {
     /// Torques measured at the joints, Nm.
     fn measured_torques(&self) -> Option<Joints>;
 
-    /// Force and torque at the tool, if the controller tells.
+    /// Force and torque at the tool, if the controller tells; else the driver finds them by the external torques.
     fn wrench(&self) -> Option<Wrench>;
 
     /// Time between measurements; `None` before the first.

@@ -35,6 +35,8 @@ struct Job {
 #[derive(Clone, Copy, Debug)]
 enum Goal {
     Strategy(Control),
+    /// Out of command mode.
+    Stop,
     Tool(Tool),
 }
 
@@ -91,8 +93,8 @@ impl Program {
         let strategy = newer(has.strategy.as_ref(), orders, self.strategy);
         let tool = newer(has.tool.as_ref(), orders, self.tool);
         let (order, goal) = match (strategy, tool) {
-            (Some(given), _) => match control(given.value) {
-                Some(control) => (given.cycle, Goal::Strategy(control)),
+            (Some(given), _) => match goal(given.value) {
+                Some(goal) => (given.cycle, goal),
                 None => {
                     self.strategy = answer(given.cycle, error::RANGE);
                     return;
@@ -108,7 +110,9 @@ impl Program {
         };
         match msr.filter(|_| phase != Phase::Offline) {
             None => self.end(&job, error::NOT_THERE),
-            Some(_) if orders.moves => self.end(&job, error::MOVES),
+            Some(_) if orders.moves && !matches!(goal, Goal::Stop) => {
+                self.end(&job, error::MOVES);
+            }
             Some(msr) => self.ask(job, phase, msr, krl, orders.now),
         }
     }
@@ -116,7 +120,11 @@ impl Program {
     /// Asks the program for it, unless there is nothing to be done.
     fn ask(&mut self, job: Job, phase: Phase, msr: &Msr, krl: &mut Krl, now: Duration) {
         let Some(dialog) = &mut self.dialog else {
-            let is_so = matches!(job.goal, Goal::Strategy(it) if it == msr.robot.control);
+            let is_so = match job.goal {
+                Goal::Strategy(wanted) => wanted == msr.robot.control,
+                Goal::Stop => phase != Phase::Command,
+                Goal::Tool(_) => false,
+            };
             let error = if is_so {
                 error::NONE
             } else {
@@ -150,6 +158,7 @@ impl Program {
             (Progress::Done | Progress::Idle, _) => {
                 let is_done = match job.goal {
                     Goal::Strategy(wanted) => msr.robot.control == wanted,
+                    Goal::Stop => phase != Phase::Command,
                     Goal::Tool(_) => true,
                 };
                 let error = if is_done {
@@ -166,7 +175,7 @@ impl Program {
     fn end(&mut self, job: &Job, error: i32) {
         self.job = None;
         match job.goal {
-            Goal::Strategy(_) => self.strategy = answer(job.order, error),
+            Goal::Strategy(_) | Goal::Stop => self.strategy = answer(job.order, error),
             Goal::Tool(_) => self.tool = answer(job.order, error),
         }
     }
@@ -192,12 +201,13 @@ fn newer<T: takt_net::device::Words>(
         .then_some(given)
 }
 
-/// Numbers of strategies as nets know them.
-fn control(number: i32) -> Option<Control> {
+/// Numbers of strategies as nets know them; 0 is none.
+fn goal(number: i32) -> Option<Goal> {
     match number {
-        1 => Some(Control::Position),
-        2 => Some(Control::CartesianImpedance),
-        3 => Some(Control::JointImpedance),
+        0 => Some(Goal::Stop),
+        1 => Some(Goal::Strategy(Control::Position)),
+        2 => Some(Goal::Strategy(Control::CartesianImpedance)),
+        3 => Some(Goal::Strategy(Control::JointImpedance)),
         _ => None,
     }
 }
@@ -216,6 +226,13 @@ fn steps(
             None
         }
         (Protocol::Rcc, Goal::Strategy(control)) if control == msr.robot.control => None,
+        (_, Goal::Stop) if phase != Phase::Command => None,
+        (_, Goal::Stop) => Some((Request::Stop, None)),
+        (Protocol::Tum | Protocol::FirstApp, Goal::Strategy(control))
+            if control == msr.robot.control =>
+        {
+            Some((Request::Start { strategy: None }, None))
+        }
         (Protocol::Rcc, Goal::Strategy(control)) => configure(Settings {
             strategy: Some(control),
             ..Settings::default()
@@ -266,6 +283,6 @@ fn code(why: &DialogError) -> i32 {
         DialogError::Unsupported { .. } => error::IMPOSSIBLE,
         DialogError::Silent { .. } => error::NO_REACTION,
         // Busy cannot be: one order at a time is handed over.
-        _ => error::NOT_NOW,
+        DialogError::Busy | _ => error::NOT_NOW,
     }
 }
