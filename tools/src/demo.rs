@@ -26,8 +26,8 @@ use crate::run::{Server, tell_grants};
 use cell::{Arm, Kind, Machines};
 use report::Report;
 
-/// How long a robot may take to come into command mode.
-const READY_WITHIN: Duration = Duration::from_secs(20);
+/// How long a robot may take to come into command mode, or to find its stops.
+const READY_WITHIN: Duration = Duration::from_mins(1);
 /// How often joints are noted for the plot.
 const SAMPLE_EVERY: Duration = Duration::from_millis(10);
 
@@ -83,12 +83,11 @@ impl Samples {
         }
     }
 
-    fn take(&mut self, controller: &Controller, arms: &[Arm], at: Duration) {
+    fn take(&mut self, controller: &Controller, machines: &Machines, arms: &[Arm], at: Duration) {
         self.time_s.push(at.as_secs_f64());
         for (arm, joints) in arms.iter().zip(&mut self.joints) {
-            let state = controller.arm_state(arm.name).unwrap_or_default();
-            for (joint, told) in joints.iter_mut().zip(&state.joints) {
-                joint.push(told.measured_position.unwrap_or(f64::NAN));
+            for (joint, position) in joints.iter_mut().zip(machines.positions(controller, *arm)) {
+                joint.push(position);
             }
         }
     }
@@ -108,10 +107,7 @@ impl Samples {
 
 impl Demo {
     pub(crate) fn run(self) -> anyhow::Result<Verdict> {
-        let groups = self.cell.groups().iter();
-        let nets: Vec<_> = groups
-            .map(|arms| motion::net(arms, self.duration))
-            .collect();
+        let nets = self.cell.nets(self.duration);
         if self.print_net {
             nets.iter().try_for_each(|net| say(net.trim_end()))?;
             return Ok(Verdict::Good);
@@ -133,15 +129,15 @@ impl Demo {
         let machines = Machines::start(&controller, &segments, self.drop)?;
         wait_until_ready(&controller)?;
         let address = server.tcp().context("the server does not listen")?;
-        let ended = self.drive(&controller, address, &nets);
+        let ended = self.drive(&controller, &machines, address, &nets);
         let recorded = controller.finish_recording()?;
         let (samples, faults) = ended?;
-        let arms = self.cell.arms();
+        let arms = self.cell.moved();
         let moved: Vec<_> = arms.iter().copied().zip(samples.moved()).collect();
         let followed = cell.controller.follow.unwrap_or_default();
         let krcs = &machines.krcs;
         let report = Report::collect(&controller, &host, krcs, &moved, &followed, faults);
-        plot::draw(&self.svg, &arms, &samples, &controller.stats())
+        plot::draw(&self.svg, arms, &samples, &controller.stats())
             .with_context(|| format!("cannot write {}", self.svg.display()))?;
         server.stop();
         // Before its robots, so that it is not seen to lose them.
@@ -154,6 +150,7 @@ impl Demo {
     fn drive(
         &self,
         controller: &Controller,
+        machines: &Machines,
         address: SocketAddr,
         nets: &[String],
     ) -> anyhow::Result<(Samples, Vec<String>)> {
@@ -174,7 +171,7 @@ impl Demo {
         for id in &ids {
             client.command("nest", id)?;
         }
-        let samples = self.follow(controller, &mut client, ids.len())?;
+        let samples = self.follow(controller, machines, &mut client, ids.len())?;
         let mut ends = Vec::new();
         for id in &ids {
             ends.extend(client.end_of(id)?);
@@ -187,13 +184,14 @@ impl Demo {
     fn follow(
         &self,
         controller: &Controller,
+        machines: &Machines,
         client: &mut Client,
         mut running: usize,
     ) -> anyhow::Result<Samples> {
         let begin = Instant::now();
         let bar = self.progress();
-        let arms = self.cell.arms();
-        let mut samples = Samples::of(&arms);
+        let arms = self.cell.moved();
+        let mut samples = Samples::of(arms);
         // Braking for want of set-points, or a slow host, may take longer than the motion itself.
         let latest = self.duration * 2 + Duration::from_secs(10);
         while running > 0 {
@@ -209,7 +207,7 @@ impl Demo {
                 begin.elapsed() < latest,
                 "{running} nets did not end within {latest:?}"
             );
-            samples.take(controller, &arms, begin.elapsed());
+            samples.take(controller, machines, arms, begin.elapsed());
             bar.set_position(u64::try_from(begin.elapsed().as_millis()).unwrap_or(u64::MAX));
         }
         bar.finish_and_clear();

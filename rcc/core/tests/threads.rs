@@ -448,3 +448,40 @@ fn a_cell_that_makes_no_sense_does_not_start() {
     let error = Controller::start(&cell).unwrap_err().to_string();
     assert!(error.contains("1ms is given twice"), "{error}");
 }
+
+#[test]
+fn a_net_that_is_unloaded_while_it_starts_does_not_run_on() {
+    let slow = Duration::from_millis(100);
+    let mut cell = CellConfig::default();
+    cell.controller.period = slow;
+    let bench = Bench(Controller::start(&cell).unwrap());
+    bench.arm("left", "100ms");
+    for unload in [true, false] {
+        let net = bench.load(&swing(&["left"]), None);
+        std::thread::scope(|scope| {
+            // Whether it still has an answer is a matter of luck.
+            scope.spawn(|| bench.0.start_net(net).ok());
+            std::thread::sleep(Duration::from_millis(10));
+            if unload {
+                bench.0.unload(net).unwrap();
+            } else {
+                bench.0.abort(net).unwrap();
+            }
+        });
+        let state = bench.0.net(net).map(|net| net.state());
+        assert_eq!(state, (!unload).then_some(NetState::Terminated));
+        // Nothing holds the arm any more.
+        let next = bench.load(&swing(&["left"]), None);
+        bench.0.start_net(next).unwrap();
+        bench.0.abort(next).unwrap();
+    }
+}
+
+#[test]
+fn a_period_beyond_reason_is_refused() {
+    let bench = Bench::new();
+    let endless = "{never=Core::BooleanValue(),outTerminate=never.outValue}";
+    let period = Duration::from_secs(5_000_000_000_000_000_000);
+    let refusal = bench.refusal(endless, Some(period));
+    assert!(refusal.contains("longer than the 60s"), "{refusal}");
+}

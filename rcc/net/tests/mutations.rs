@@ -4,8 +4,10 @@
 #![allow(clippy::unwrap_used, reason = "all of this file is a test")]
 
 use std::path::Path;
+use std::time::Duration;
 
 use takt_net::fuzz::{net_text, value_text};
+use takt_net::{Limits, LoadContext, NoDevices, Registry, load};
 
 const ROUNDS: usize = 10_000;
 
@@ -154,6 +156,44 @@ fn no_value_text_makes_reading_panic() {
         text.insert(0, u8::try_from(round % 251).unwrap());
         value_text(&text);
     }
+}
+
+#[test]
+fn what_is_wrong_many_times_is_told_soon_and_kept_small() {
+    let empty: String = (0..200_000).map(|i| format!("c{i}={{}},")).collect();
+    let loops = "a=f.x,".repeat(200_000);
+    let fragments = format!("{{f={{x=parent.i}}(i=f.x),{empty}{loops}d=f.x}}");
+    let ports: String = (0..50_000).map(|i| format!("p{i}=x.y,")).collect();
+    let asked = "a=f.q,".repeat(100);
+    let names = format!("{{f={{{ports}z=x.y}},{asked}b=f.q}}");
+    let args = "Value='1',".repeat(200_000);
+    let twice = format!("{{a=Core::DoubleValue({args}Value='1')}}");
+    for text in [fragments, names, twice] {
+        let registry = Registry::core();
+        let context = LoadContext {
+            registry: &registry,
+            devices: &NoDevices,
+            period: Duration::from_millis(1),
+            limits: Limits {
+                text_bytes: 8 << 20,
+                ..Limits::default()
+            },
+        };
+        let rejection = load(&text, &context).unwrap_err();
+        assert!(rejection.faults.len() <= 101, "{}", rejection.faults.len());
+        let kept = format!("{rejection:?}").len();
+        assert!(kept < 1 << 20, "{kept} bytes");
+    }
+}
+
+#[test]
+fn names_of_what_is_written_in_place_stay_short() {
+    let long = "N".repeat(30_000);
+    let inner = "b=C().d,".repeat(300);
+    let text = format!("{{{long}=P({inner}c=C().d)}}");
+    let xml = takt_net::xml::to_xml(&text, &Limits::default()).unwrap();
+    // The long name itself stands there once.
+    assert!(xml.len() < 200_000, "{} bytes", xml.len());
 }
 
 #[test]

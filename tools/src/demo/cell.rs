@@ -9,9 +9,13 @@ use takt_core::cell::{ControllerConfig, DeviceConfig, EthercatConfig, LwrConfig}
 use takt_core::device::driver::DeviceDriver as _;
 use takt_core::device::ethercat::{self, Ethercat, Wire};
 use takt_core::{CellConfig, Controller};
-use takt_ethercat::emulator::{Coupler, Segment, Server, ServoConfig, ServoDrive, SharedSegment};
+use takt_ethercat::emulator::{
+    Coupler, DriveHandle, Segment, Server, ServoConfig, ServoDrive, SharedSegment, YouBot,
+    YouBotConfig,
+};
 use takt_ethercat::linux::{CableEnd, cable, monotonic};
 
+use super::motion;
 use crate::emulate::{Robot, Service, resting};
 
 /// The larger cell, in the form in which users write theirs.
@@ -26,15 +30,15 @@ const WAIT: Duration = Duration::from_millis(5);
 pub(super) enum Kind {
     /// Two KUKA LWRs.
     Pair,
-    /// The same beside a Stäubli TX90 on EtherCAT.
+    /// The same beside a Stäubli TX90 and a KUKA youBot, each on an EtherCAT segment.
     Factory,
 }
 
-/// An arm of a cell.
+/// An arm of a cell, or a base.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Arm {
     pub(super) name: &'static str,
-    /// Names of its joints, from the base.
+    /// Names of its joints, from the base, or of its wheels.
     pub(super) joints: &'static [&'static str],
 }
 
@@ -51,18 +55,36 @@ const TX90: Arm = Arm {
     joints: &["J1", "J2", "J3", "J4", "J5", "J6"],
 };
 
+const ARM: Arm = Arm {
+    name: "arm",
+    joints: &["A1", "A2", "A3", "A4", "A5"],
+};
+const BASE: Arm = Arm {
+    name: "base",
+    joints: &["front left", "front right", "rear left", "rear right"],
+};
+
 impl Kind {
-    /// Arms that one net moves together, for each net.
-    pub(super) const fn groups(self) -> &'static [&'static [Arm]] {
+    /// The nets that move all that can move, for a motion of that length.
+    pub(super) fn nets(self, duration: Duration) -> Vec<String> {
+        let pair = motion::swing(&[LEFT, RIGHT], duration);
         match self {
-            Self::Pair => &[&[LEFT, RIGHT]],
-            Self::Factory => &[&[LEFT, RIGHT], &[TX90]],
+            Self::Pair => vec![pair],
+            Self::Factory => vec![
+                pair,
+                motion::swing(&[TX90], duration),
+                motion::swing(&[ARM], duration),
+                motion::forth_and_back(BASE.name, duration),
+            ],
         }
     }
 
-    /// All its arms.
-    pub(super) fn arms(self) -> Vec<Arm> {
-        self.groups().concat()
+    /// What moves, in the order of the report.
+    pub(super) const fn moved(self) -> &'static [Arm] {
+        match self {
+            Self::Pair => &[LEFT, RIGHT],
+            Self::Factory => &[LEFT, RIGHT, TX90, ARM, BASE],
+        }
     }
 
     /// The cell and, apart from it, the segments that are emulated inside of this process.
@@ -103,6 +125,7 @@ pub(super) struct Machines {
     /// Those of the LWRs, by name of the arm.
     pub(super) krcs: Vec<(String, Robot)>,
     segments: Vec<Service<Server<CableEnd>>>,
+    wheels: Vec<DriveHandle>,
 }
 
 impl Machines {
@@ -122,11 +145,48 @@ impl Machines {
             let robot = Robot::start(&format!("krc-{name}"), address, config)?;
             krcs.push((name, robot));
         }
-        let segments = segments.iter().map(|config| segment(controller, config));
-        Ok(Self {
+        let mut machines = Self {
             krcs,
-            segments: segments.collect::<anyhow::Result<_>>()?,
-        })
+            segments: Vec::new(),
+            wheels: Vec::new(),
+        };
+        for config in segments {
+            let slaves = machines.slaves(config)?;
+            machines.segments.push(segment(controller, config, slaves)?);
+        }
+        Ok(machines)
+    }
+
+    /// The slaves that a segment is configured for.
+    fn slaves(&mut self, config: &EthercatConfig) -> anyhow::Result<Segment> {
+        if !config.youbot_bases.is_empty() {
+            let (slaves, bot) = YouBot::segment(&YouBotConfig::default());
+            self.wheels = bot.wheels.into_iter().collect();
+            return Ok(slaves);
+        }
+        let mut tx90 = ServoConfig::tx90();
+        // A host without PREEMPT_RT misses SYNC0 now and then, and the demo is to show Takt, not the host.
+        for axis in &mut tx90.axes {
+            axis.quirks.missing_set_points = None;
+        }
+        let (drives, _) = ServoDrive::slave(tx90).context("the drive makes no sense")?;
+        Ok(Segment::line([Coupler::slave(), drives]))
+    }
+
+    /// Where the joints of an arm are, or the motors of a base in truth: a base tells no wheels.
+    pub(super) fn positions(&self, controller: &Controller, arm: Arm) -> Vec<f64> {
+        if arm.name == BASE.name {
+            return self
+                .wheels
+                .iter()
+                .map(|wheel| wheel.lock().angle())
+                .collect();
+        }
+        let state = controller.arm_state(arm.name).unwrap_or_default();
+        let joints = state.joints.iter().take(arm.joints.len());
+        joints
+            .map(|told| told.measured_position.unwrap_or(f64::NAN))
+            .collect()
     }
 
     pub(super) fn stop(self) -> anyhow::Result<()> {
@@ -144,14 +204,9 @@ impl Machines {
 fn segment(
     controller: &Controller,
     config: &EthercatConfig,
+    slaves: Segment,
 ) -> anyhow::Result<Service<Server<CableEnd>>> {
-    let mut tx90 = ServoConfig::tx90();
-    // A host without PREEMPT_RT misses SYNC0 now and then, and the demo is to show Takt, not the host.
-    for axis in &mut tx90.axes {
-        axis.quirks.missing_set_points = None;
-    }
-    let (drives, _) = ServoDrive::slave(tx90).context("the drive makes no sense")?;
-    let slaves = SharedSegment::new(Segment::line([Coupler::slave(), drives]));
+    let slaves = SharedSegment::new(slaves);
     let (near, far) = cable();
     let service = Service::start(&config.name, Server::new(slaves, far), |server| {
         let turn = server.turn(WAIT, &mut monotonic);

@@ -12,13 +12,16 @@ const SWINGS: [(f64, f64); 7] = [
     (0.4, 2.0),
     (-0.5, 1.0),
     (0.5, 2.0),
-    (-0.3, 2.0),
+    (0.3, 2.0),
     (-0.4, 2.0),
     (0.8, 1.0),
 ];
 
+/// Largest speed of a base, m/s.
+const SPEED: f64 = 0.2;
+
 /// The net for a motion of these arms of that length.
-pub(super) fn net(moved: &[Arm], duration: Duration) -> String {
+pub(super) fn swing(moved: &[Arm], duration: Duration) -> String {
     let seconds = duration.as_secs_f64().max(0.1);
     // As many swings as fit without more speed; where the time is short, smaller ones.
     let repeats = (seconds / 5.0).round().max(1.0);
@@ -69,6 +72,30 @@ pub(super) fn net(moved: &[Arm], duration: Duration) -> String {
 }}
 ",
         arms = arms.concat()
+    )
+}
+
+/// The net that drives a base forth and back in that time.
+pub(super) fn forth_and_back(base: &str, duration: Duration) -> String {
+    let seconds = duration.as_secs_f64().max(0.1);
+    format!(
+        "{{
+  clock=Core::Clock(),
+  part=Core::Interval(inValue=clock.outValue, Max='{seconds}'),
+  angle=Core::DoubleMultiply(inFirst=part.outValue, Second='{TAU}'),
+  sine=Core::DoubleSin(inValue=angle.outValue),
+  speed=Core::DoubleMultiply(inFirst=sine.outValue, Second='{SPEED}'),
+  velocity=World::TwistFromXYZ(inX=speed.outValue),
+  move=RobotBase::BaseVelocity(inVel=velocity.outValue, Robot='{base}'),
+  good=Core::IntEquals(inFirst=move.outError),
+  failed=Core::BooleanNot(inValue=good.outValue),
+  cancel=Cancel(),
+  done=Core::DoubleGreater(inFirst=clock.outValue, Second='{seconds}'),
+  over=Core::BooleanOr(inFirst=done.outValue, inSecond=cancel.outCancel),
+  end=Core::BooleanOr(inFirst=over.outValue, inSecond=failed.outValue),
+  outTerminate=end.outValue
+}}
+"
     )
 }
 

@@ -48,7 +48,7 @@ struct RobotReport {
     name: String,
     protocol: &'static str,
     period_ns: u64,
-    /// How far the farthest joint moved, rad.
+    /// How far the farthest joint moved, or the motor of a wheel, rad.
     moved_rad_max: f64,
     #[serde(flatten)]
     wire: WireReport,
@@ -75,8 +75,8 @@ enum WireReport {
         frames: u64,
         /// Those whose answer did not come in their cycle.
         lost: u64,
-        /// How far cycles began from their place before SYNC0, while it was known.
-        sync0_error_ns: Quantiles,
+        /// How far cycles began from their place before SYNC0; `None` without SYNC0.
+        sync0_error_ns: Option<Quantiles>,
     },
 }
 
@@ -96,10 +96,11 @@ impl WireReport {
 
     fn of_segment(segment: &Ethercat) -> (u64, Self) {
         let figures = segment.figures();
+        let phase = segment.stats.snapshot().phase_error;
         let wire = Self::Ethercat {
             frames: figures.cycles,
             lost: figures.lost,
-            sync0_error_ns: segment.stats.snapshot().phase_error.into(),
+            sync0_error_ns: (phase.count > 0).then(|| phase.into()),
         };
         (nanoseconds(figures.period), wire)
     }
@@ -133,7 +134,9 @@ impl WireReport {
                 sync0_error_ns,
             } => (
                 format!("{frames} frames, {lost} lost"),
-                format!("\n           to SYNC0   {sync0_error_ns}"),
+                sync0_error_ns.map_or_else(String::new, |error| {
+                    format!("\n           to SYNC0   {error}")
+                }),
             ),
         }
     }

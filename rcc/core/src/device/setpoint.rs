@@ -27,8 +27,9 @@ use crate::device::JointSetPoints;
 const START_DISTANCE_RAD: f64 = 0.02;
 /// Farther behind its set-points than this, a joint gives up, rad.
 const LOST_DISTANCE_RAD: f64 = 0.2;
-/// What interpolation may add to a speed, as a factor.
-const SPEED_SLACK: f64 = 1.001;
+/// Part of the largest speed that a joint takes: a robot's own guard sees it rounded to single precision, and
+/// in some of its cycles a little more than interpolation meant.
+const SPEED_SHARE: f64 = 0.998;
 /// Nearer than this is arrived, rad: below the resolution of a single-precision datagram.
 const ARRIVED_RAD: f64 = 1e-7;
 /// Slower than this is at rest, rad/s.
@@ -132,7 +133,7 @@ impl Joint {
     /// Takes the set-point as it is if the joint can; else goes over to approaching it.
     fn follow(&mut self, target: f64, speed: f64, dt_s: f64) {
         let step = (target - self.position).abs();
-        if step <= self.limits.velocity_max * dt_s * SPEED_SLACK {
+        if step <= self.limits.velocity_max * SPEED_SHARE * dt_s {
             self.position = target;
             self.mode = Mode::Follow;
         } else {
@@ -152,12 +153,13 @@ impl Joint {
             self.brake(dt_s, Mode::Refused);
             return;
         }
+        let fastest = velocity_max * SPEED_SHARE;
         // Seen from the target, which has moved since the last sample.
         let behind = target - speed * dt_s - self.position;
         let wanted = speed + closing_speed(behind, APPROACH_SHARE * acceleration_max, dt_s);
         let change = acceleration_max * dt_s;
         let velocity = wanted
-            .clamp(-velocity_max, velocity_max)
+            .clamp(-fastest, fastest)
             .clamp(self.velocity - change, self.velocity + change);
         self.position += velocity * dt_s;
         let arrived = (target - self.position).abs() <= ARRIVED_RAD;

@@ -556,3 +556,6 @@ fn answer(literal: &mut Literal, net: &Running, end: Option<End>) {
     };
     literal.last = end.is_some();
 }
+
+#[cfg(test)]
+mod tests;

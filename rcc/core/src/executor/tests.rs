@@ -15,11 +15,11 @@ const COUNTER: &str = "{clock=Core::Clock(Increment='1000'),
     n=Core::DoubleNetcommOut(inValue=clock.outValue,Key='n'),
     cancel=Cancel(),outTerminate=cancel.outCancel}";
 /// Counts its evaluations and never ends by itself.
-const ENDLESS: &str = "{clock=Core::Clock(Increment='1000'),
+pub(super) const ENDLESS: &str = "{clock=Core::Clock(Increment='1000'),
     n=Core::DoubleNetcommOut(inValue=clock.outValue,Key='n'),
     never=Core::BooleanValue(),outTerminate=never.outValue}";
 /// Ends in its first cycle.
-const BRIEF: &str = "{yes=Core::BooleanValue(Value='true'),outTerminate=yes.outValue}";
+pub(super) const BRIEF: &str = "{yes=Core::BooleanValue(Value='true'),outTerminate=yes.outValue}";
 /// Gives out what is written to it, in text.
 const ECHO: &str = "{x=Core::IntNetcommIn(Key='x',Value='0'),
     y=Core::IntNetcommOut(inValue=x.outValue,Key='y'),
@@ -64,7 +64,7 @@ pub(super) fn net(id: u32, text: &str) -> Box<Running> {
 }
 
 /// A net that holds these resources.
-fn holding(id: u32, text: &str, resources: &[usize]) -> Box<Running> {
+pub(super) fn holding(id: u32, text: &str, resources: &[usize]) -> Box<Running> {
     let mut net = net(id, text);
     resources
         .iter()

@@ -186,6 +186,16 @@ fn depth_is_bounded() {
 }
 
 #[test]
+fn length_of_names_is_bounded() {
+    let with = |length| format!("{}=c()", "t".repeat(length));
+    assert!(Message::decode(&with(IDENTIFIER_BYTES_MAX)).is_ok());
+    assert_eq!(
+        Message::decode(&with(IDENTIFIER_BYTES_MAX + 1)),
+        Err(DecodeError::NameTooLong { at: 0 })
+    );
+}
+
+#[test]
 fn number_of_values_is_bounded() {
     let with = |count| format!("t=c({})", vec!["1"; count].join(","));
     assert!(Message::decode(&with(VALUES_MAX)).is_ok());
