@@ -34,7 +34,7 @@ const SAMPLE_EVERY: Duration = Duration::from_millis(10);
 /// Move emulated robots with nets.
 #[derive(Debug, Args)]
 pub(crate) struct Demo {
-    /// Which robots.
+    /// Which robots: two LWRs, or these beside a TX90 and a youBot on EtherCAT.
     #[arg(long, value_enum, default_value_t = Kind::Pair)]
     cell: Kind,
     /// How long the motion takes.

@@ -2,7 +2,6 @@
 //! `takt-ethercat`; whether the host is fit for it is asked by `takt doctor`.
 
 mod cell;
-mod confirm;
 mod dc;
 mod drive;
 mod dump;

@@ -3,6 +3,7 @@
 
 mod can;
 mod client;
+mod confirm;
 mod demo;
 mod doctor;
 mod ecat;

@@ -87,8 +87,14 @@ fn a_factory_moves_two_lwrs_a_tx90_and_a_youbot() {
     let robots = report["robots"].as_array().unwrap();
     let of = |key: &str| -> Vec<_> { robots.iter().map(|robot| robot[key].clone()).collect() };
     assert_eq!(of("name"), ["left", "right", "tx90", "arm", "base"]);
-    assert_eq!(of("protocol"), ["fri1", "fri1", "ethercat", "ethercat", "ethercat"]);
-    assert_eq!(of("period_ns"), [1_000_000, 1_000_000, 2_000_000, 2_000_000, 2_000_000]);
+    assert_eq!(
+        of("protocol"),
+        ["fri1", "fri1", "ethercat", "ethercat", "ethercat"]
+    );
+    assert_eq!(
+        of("period_ns"),
+        [1_000_000, 1_000_000, 2_000_000, 2_000_000, 2_000_000]
+    );
     let moved = of("moved_rad_max");
     assert!(
         moved.iter().all(|moved| moved.as_f64().unwrap() > 0.05),

@@ -1,12 +1,11 @@
 //! Frames that can set something in motion are sent only when somebody stands by it: asked on a terminal,
 //! or told by `--confirm-motion`. It decides by what a frame can do, not by what is connected.
 
-use std::io::{self, IsTerminal as _, Write as _};
-
-use anyhow::Context as _;
 use takt_can::AnyFrame;
 use takt_can::canopen::{Message, NmtCommand};
 use takt_can::linux::Interface;
+
+use crate::confirm;
 
 /// Asks if needed.
 ///
@@ -28,26 +27,8 @@ pub(super) fn motion<'a>(
 /// # Errors
 /// If the answer is no, or nobody can answer.
 pub(super) fn deed(interface: &str, what: &str, confirmed: bool) -> anyhow::Result<()> {
-    if confirmed || is_virtual(interface) {
-        return Ok(());
-    }
-    anyhow::ensure!(
-        io::stdin().is_terminal(),
-        "{what} can set a machine on {interface} in motion; if that is safe, say --confirm-motion"
-    );
-    let mut out = io::stderr().lock();
-    write!(
-        out,
-        "{what} can set a machine on {interface} in motion. Is that safe? [y/N] "
-    )?;
-    out.flush()?;
-    let mut answer = String::new();
-    io::stdin()
-        .read_line(&mut answer)
-        .context("cannot read the answer")?;
-    let yes = matches!(answer.trim(), "y" | "Y" | "yes");
-    anyhow::ensure!(yes, "nothing was sent");
-    Ok(())
+    let confirmed = confirmed || is_virtual(interface);
+    confirm::motion(&format!("on {interface}, {what}"), confirmed)
 }
 
 /// Nothing that moves is on an interface that has no controller.

@@ -25,12 +25,10 @@ const MASTER: [u8; 6] = [2, 0, 0, 0, 0, 1];
 /// Longest wait of an emulated segment for a frame, so that a stop is seen soon.
 const WAIT: Duration = Duration::from_millis(5);
 
-/// A cell to show.
+/// A cell to show: two KUKA LWRs, or these beside a Stäubli TX90 and a KUKA youBot, each on an EtherCAT segment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(super) enum Kind {
-    /// Two KUKA LWRs.
     Pair,
-    /// The same beside a Stäubli TX90 and a KUKA youBot, each on an EtherCAT segment.
     Factory,
 }
 

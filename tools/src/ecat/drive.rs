@@ -17,10 +17,10 @@ use takt_cia402::{ControlWord, Goal, Obstacle, Patience, State, StatusWord};
 use takt_ethercat::AlState;
 use takt_ethercat::axis::{Axis, AxisState, Target};
 
+use super::Target as Segment;
 use super::session::{Session, Wire};
-use super::{Target as Segment, confirm};
-use crate::Verdict;
 use crate::output::{say, span};
+use crate::{Verdict, confirm};
 use way::Way;
 
 /// Bring an axis of a CiA 402 drive up, see its words as named bits, learn why it does not come, and jog it.

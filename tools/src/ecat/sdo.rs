@@ -11,9 +11,9 @@ use takt_ethercat::coe::Whole;
 use takt_ethercat::master::{EntryDescription, JobError, JobKind, ObjectDescription};
 
 use super::session::{Session, Wire};
-use super::{ASKING, Target, confirm, value};
-use crate::Verdict;
+use super::{ASKING, Target, value};
 use crate::output::{complain, say};
+use crate::{Verdict, confirm};
 
 /// List, read and write objects of a slave (CoE).
 ///

@@ -14,9 +14,9 @@ use takt_ethercat::master::{JobError, JobKind};
 use takt_ethercat::sii::{self, Identity};
 
 use super::session::{Session, Wire};
-use super::{ASKING, Target, confirm};
-use crate::Verdict;
+use super::{ASKING, Target};
 use crate::output::{complain, say, span};
+use crate::{Verdict, confirm};
 
 pub(super) use decode::text;
 

@@ -12,9 +12,9 @@ use takt_ethercat::master::{
 };
 
 use super::session::{Session, Wire};
-use super::{Source, confirm, recording, scan};
-use crate::Verdict;
+use super::{Source, recording, scan};
 use crate::output::{say, span, time};
+use crate::{Verdict, confirm};
 
 /// Measure a segment: lost and late frames, working counters, errors by port; and say what is wrong.
 ///

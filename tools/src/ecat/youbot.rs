@@ -16,9 +16,9 @@ use takt_ethercat::youbot::parameters::{Access, Parameter, Place};
 use takt_ethercat::youbot::{Answer, CallError, Flags, Refusal, Request, TRINAMIC, parameters};
 
 use super::session::{Session, Wire};
-use super::{ASKING, Target, confirm};
-use crate::Verdict;
+use super::{ASKING, Target};
 use crate::output::{complain, say};
+use crate::{Verdict, confirm};
 
 /// Room for a mailbox of any length.
 const ROOM: usize = 1486;

@@ -1,12 +1,11 @@
 //! `takt fri move`: one joint, a little, with somebody standing by. It refuses what is not small, a connection that is not
 //! sound, and goals near the end of a range; the motion itself is in `motion`. It is no safety function.
 
-use std::io::{self, IsTerminal as _, Write as _};
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context as _, ensure};
+use anyhow::ensure;
 use clap::Args;
 use takt_fri::diagnosis::judge;
 use takt_fri::guard::Guard;
@@ -17,8 +16,8 @@ use takt_fri::sunrise;
 use super::live::Seen;
 use super::motion::{Goal, MARGIN_RAD, Motion, Remote, Stage, Why};
 use super::watch::{Port, Watched};
-use crate::Verdict;
 use crate::output::{complain, say, span};
+use crate::{Verdict, confirm};
 
 /// Farthest that is still small, degrees.
 const BY_MAX_DEG: f64 = 15.0;
@@ -60,8 +59,8 @@ pub(crate) struct Shift {
     #[arg(long, value_name = "TIME", default_value = "30s", value_parser = span)]
     within: Duration,
     /// Do not ask whether it is safe.
-    #[arg(long, visible_alias = "confirm-motion")]
-    yes: bool,
+    #[arg(long, visible_alias = "yes")]
+    confirm_motion: bool,
     #[command(flatten)]
     port: Port,
 }
@@ -164,7 +163,8 @@ impl Shift {
             Ok(plan) => plan,
             Err(why) => return Ok(Err(why)),
         };
-        self.confirm(&plan)?;
+        complain(&plan);
+        confirm::motion("this", self.confirm_motion)?;
         remote.go();
         if let Err(why) = self.follow(watched, remote)? {
             return Ok(Err(why));
@@ -213,32 +213,6 @@ impl Shift {
             return Err("the controller tells no joint positions".to_owned());
         };
         plan(version, &joints, self.joint, self.by, self.velocity)
-    }
-
-    fn confirm(&self, plan: &str) -> anyhow::Result<()> {
-        complain(plan);
-        if self.yes {
-            return Ok(());
-        }
-        ensure!(
-            io::stdin().is_terminal(),
-            "nobody can be asked here whether that is safe; if it is, say --yes"
-        );
-        let mut out = io::stderr().lock();
-        write!(
-            out,
-            "Is the robot's space free, and a hand at the emergency stop? [y/N] "
-        )?;
-        out.flush()?;
-        let mut answer = String::new();
-        io::stdin()
-            .read_line(&mut answer)
-            .context("cannot read the answer")?;
-        ensure!(
-            matches!(answer.trim(), "y" | "Y" | "yes"),
-            "nothing was moved"
-        );
-        Ok(())
     }
 
     /// Watches the motion to its end. Ctrl-C brakes.

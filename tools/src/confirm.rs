@@ -9,7 +9,7 @@ use anyhow::{Context as _, ensure};
 ///
 /// # Errors
 /// If the answer is no, or nobody can answer.
-pub(super) fn motion(what: &str, confirmed: bool) -> anyhow::Result<()> {
+pub(crate) fn motion(what: &str, confirmed: bool) -> anyhow::Result<()> {
     asked(
         &format!("{what} can set a machine in motion"),
         "--confirm-motion",
@@ -21,7 +21,7 @@ pub(super) fn motion(what: &str, confirmed: bool) -> anyhow::Result<()> {
 ///
 /// # Errors
 /// If the answer is no, or nobody can answer.
-pub(super) fn change(what: &str, confirmed: bool) -> anyhow::Result<()> {
+pub(crate) fn change(what: &str, confirmed: bool) -> anyhow::Result<()> {
     asked(what, "--yes", confirmed)
 }
 
