@@ -417,6 +417,18 @@ mod tests {
     }
 
     #[test]
+    fn every_example_of_the_readme_is_taken() {
+        let readme = include_str!("../README.md");
+        let examples: Vec<_> = readme.split("```toml\n").skip(1).collect();
+        assert!(examples.len() >= 3);
+        for example in examples {
+            let example = example.split("```").next().unwrap();
+            let taken = CellConfig::of_text(example);
+            assert!(taken.is_ok(), "{example}\n{taken:?}");
+        }
+    }
+
+    #[test]
     fn faults_name_the_line_or_the_field() {
         for (text, said) in [
             ("[controller]\nperiod = 1", "invalid type"),

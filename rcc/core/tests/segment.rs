@@ -8,8 +8,9 @@
 
 mod common;
 
-use std::sync::Arc;
+use std::io::Write;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use takt_core::cell::{DriveArm, DriveJoint, EthercatConfig, EthercatIo, EthercatSlave};
@@ -94,7 +95,13 @@ struct Hall {
 
 impl Hall {
     fn new() -> Self {
-        let config = config();
+        let hall = Self::start(&config());
+        hall.cell().wait_for("tx90", DeviceStatus::Operational);
+        hall
+    }
+
+    /// Whose devices are not waited for.
+    fn start(config: &EthercatConfig) -> Self {
         let (terminal, io) = Io::digital(8, 8);
         let mut tx90 = ServoConfig::tx90();
         // A host without PREEMPT_RT misses SYNC0 now and then.
@@ -124,13 +131,12 @@ impl Hall {
             link: Box::new(near),
             source: [2, 0, 0, 0, 0, 1],
         };
-        let added = controller.add_driver("segment", describe(&config), None, |ends| {
-            Ok(Box::new(Ethercat::start(&config, wire, ends)?))
+        let added = controller.add_driver("segment", describe(config), None, |ends| {
+            Ok(Box::new(Ethercat::start(config, wire, ends)?))
         });
         added.unwrap();
         let robots = Vec::new();
         let cell = Cell { controller, robots };
-        cell.wait_for("tx90", DeviceStatus::Operational);
         Self {
             cell: Some(cell),
             segment,
@@ -154,6 +160,43 @@ impl Drop for Hall {
             thread.join().unwrap();
         }
     }
+}
+
+/// What is logged.
+#[derive(Clone, Default)]
+struct Log(Arc<Mutex<Vec<u8>>>);
+
+impl Write for Log {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.0.lock().unwrap().extend(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+#[test]
+fn what_differs_from_the_configuration_is_told_slave_by_slave() {
+    let log = Log::default();
+    let writer = log.clone();
+    let subscriber = tracing_subscriber::fmt().with_ansi(false);
+    let subscriber = subscriber.with_writer(move || writer.clone()).finish();
+    tracing::subscriber::set_global_default(subscriber).unwrap();
+    let mut config = config();
+    config.slaves[1].product = Some(0xBAD);
+    config.slaves.remove(0);
+    let hall = Hall::start(&config);
+    for told in [
+        "\"terminal\" should have product 00000BADh",
+        "is not in the configuration",
+    ] {
+        hall.cell().wait(told, |_| {
+            String::from_utf8_lossy(&log.0.lock().unwrap()).contains(told)
+        });
+    }
+    assert_eq!(hall.cell().status("tx90"), DeviceStatus::Offline);
 }
 
 #[test]

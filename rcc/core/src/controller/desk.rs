@@ -27,6 +27,9 @@ use crate::executor::thread::{Command, NetThread};
 use crate::executor::{ResourceSet, Running};
 use crate::record::Recorder;
 
+/// Things that a driver may tell before others are looked at.
+const NEWS_AT_ONCE: usize = 32;
+
 /// An open session.
 #[derive(Debug)]
 pub(super) struct Session {
@@ -518,6 +521,10 @@ impl Desk {
 
     /// Notes changes of devices; returns whether there were any.
     pub(super) fn look_at_devices(&mut self) -> bool {
+        for driver in &self.drivers {
+            let news = std::iter::from_fn(|| driver.news()).take(NEWS_AT_ONCE);
+            news.for_each(|news| tracing::info!(driver = driver.name(), "{news}"));
+        }
         let is_stopped = self.stop.is_on(takt_rt::monotonic());
         let statuses: BTreeMap<String, DeviceStatus> = self
             .devices

@@ -112,6 +112,11 @@ pub trait DeviceDriver: Any + fmt::Debug + Send {
     /// What people want to know of it when one of its devices changes its status: name and value.
     fn figures(&self) -> Vec<(&'static str, String)>;
 
+    /// The next thing that happened on its wire and that people want to know, oldest first; `None` if they know all.
+    fn news(&self) -> Option<String> {
+        None
+    }
+
     /// Name of its device, or of its bus.
     fn name(&self) -> &str {
         &self.thread().name

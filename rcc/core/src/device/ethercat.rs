@@ -11,6 +11,7 @@ mod describe;
 mod io;
 mod youbot;
 
+use std::fmt;
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -18,10 +19,11 @@ use std::time::Duration;
 
 use takt_ethercat::link::{Link, Port};
 use takt_ethercat::linux::PacketLink;
-use takt_ethercat::master::Master;
+use takt_ethercat::master::{Difference, EmergencyReport, Event, Master};
 use takt_rt::alloc::enter_real_time;
 use takt_rt::cycle::{Cycles, Follow, Tick};
 use takt_rt::latest::{LatestReader, LatestWriter, latest};
+use takt_rt::ring::{Consumer, Producer, ring};
 use takt_rt::servo::{Estimate, Servo, ServoConfig};
 use takt_rt::stats::{self, StatsReader};
 use takt_rt::{Nanos, monotonic};
@@ -41,13 +43,15 @@ const FRAME: usize = 1500;
 const FAREWELL: u32 = 1000;
 /// Frames looked at for the answer of one; more are a flood that somebody else sends.
 const ANSWERS: usize = 64;
+/// What waits to be told.
+const NEWS: usize = 256;
 /// Events looked at in one cycle.
 const EVENTS: usize = 32;
 
 /// A link that a driver thread can own.
-pub trait EthernetLink: Link + Send + std::fmt::Debug {}
+pub trait EthernetLink: Link + Send + fmt::Debug {}
 
-impl<T: Link + Send + std::fmt::Debug> EthernetLink for T {}
+impl<T: Link + Send + fmt::Debug> EthernetLink for T {}
 
 /// A link at the end of which frames go out with this address as their source.
 #[derive(Debug)]
@@ -73,6 +77,31 @@ pub fn open(config: &EthercatConfig) -> Result<Wire, Error> {
         link: Box::new(link),
         source,
     })
+}
+
+/// What is told of a segment.
+#[derive(Debug)]
+enum News {
+    Event(Event),
+    Emergency(EmergencyReport),
+    Difference(Difference),
+}
+
+impl fmt::Display for News {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Event(event) => event.fmt(f),
+            Self::Emergency(report) => {
+                let (slave, said) = (report.slave, &report.emergency);
+                let [code, register] = [said.code, u16::from(said.register)];
+                write!(
+                    f,
+                    "slave {slave}: emergency, error code {code:04X}h, register {register:02X}h"
+                )
+            }
+            Self::Difference(difference) => difference.fmt(f),
+        }
+    }
 }
 
 /// Figures of a segment that others read while it runs.
@@ -112,6 +141,7 @@ pub struct Ethercat {
     /// Names of its slaves, and the drive of a youBot that is waited for.
     slaves: Vec<String>,
     waiting: Mutex<LatestReader<Option<Waiting>>>,
+    news: Mutex<Consumer<News>>,
     /// How the cycle keeps its time; its phase error is that to SYNC0.
     pub stats: StatsReader,
     thread: DriverThread,
@@ -139,6 +169,7 @@ impl Ethercat {
         let slaves = master.config().slaves.iter();
         let slaves = slaves.map(|slave| slave.name.clone()).collect();
         let (mut recorded, stats) = stats::pair();
+        let (own_news, news) = ring(NEWS);
         let phase = config.phase.unwrap_or(config.cycle / 2);
         let mut driver = Box::new(Driver {
             master,
@@ -152,6 +183,8 @@ impl Ethercat {
             clocks: [own_clock, ends.clock],
             shared: Arc::clone(&shared),
             waiting: own_waiting,
+            news: own_news,
+            differs: false,
             farewell: FAREWELL,
         });
         let EthercatConfig {
@@ -178,6 +211,7 @@ impl Ethercat {
             shared,
             slaves,
             waiting: Mutex::new(waiting),
+            news: Mutex::new(news),
             stats,
             thread,
         })
@@ -249,6 +283,11 @@ impl DeviceDriver for Ethercat {
         told.extend(self.waits_for().map(|why| ("waits for", why)));
         told
     }
+
+    fn news(&self) -> Option<String> {
+        let mut news = self.news.lock().unwrap_or_else(PoisonError::into_inner);
+        news.pop().map(|news| news.to_string())
+    }
 }
 
 struct Driver {
@@ -264,6 +303,10 @@ struct Driver {
     clocks: [LatestWriter<Estimate>; 2],
     shared: Arc<Shared>,
     waiting: LatestWriter<Option<Waiting>>,
+    /// What is told; if nobody takes it, it is lost.
+    news: Producer<News>,
+    /// Whether the segment was last another than the one expected.
+    differs: bool,
     /// Cycles left once it is to stop.
     farewell: u32,
 }
@@ -279,9 +322,21 @@ impl Driver {
             drop(scope);
         } else {
             while self.exchange(until) && !self.master.is_exchanging() {}
+            self.compare();
             self.lead(tick, stopping);
         }
         self.end(stopping)
+    }
+
+    /// Tells what differs from what is expected, once each time that it comes to differ.
+    fn compare(&mut self) {
+        let differences = self.master.differences();
+        let differed = std::mem::replace(&mut self.differs, !differences.is_empty());
+        if self.differs && !differed {
+            for difference in differences {
+                self.news.push(News::Difference(difference.clone())).ok();
+            }
+        }
     }
 
     /// Sends a frame and waits for its answer; false if there was none to send or no time for more.
@@ -310,10 +365,15 @@ impl Driver {
     fn lead(&mut self, tick: &Tick, stopping: bool) {
         self.take_samples();
         let mut happened = 0;
-        while happened < EVENTS && self.master.poll_event().is_some() {
+        while happened < EVENTS
+            && let Some(event) = self.master.poll_event()
+        {
             happened += 1;
+            self.news.push(News::Event(event)).ok();
         }
-        while self.master.poll_emergency().is_some() {}
+        while let Some(emergency) = self.master.poll_emergency() {
+            self.news.push(News::Emergency(emergency)).ok();
+        }
         for arm in &mut self.arms {
             arm.cycle(&mut self.master, tick, stopping);
         }
