@@ -175,7 +175,9 @@ fn move_refuses_what_is_not_safe() {
     let (lines, status) = process.end();
     assert_eq!(status, Some(2), "{lines:#?}");
     assert!(
-        lines.iter().any(|line| line.contains("say --confirm-motion")),
+        lines
+            .iter()
+            .any(|line| line.contains("say --confirm-motion")),
         "{lines:#?}"
     );
 }
