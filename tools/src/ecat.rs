@@ -15,7 +15,6 @@ mod sim;
 mod stat;
 #[cfg(test)]
 mod tests;
-mod value;
 mod ways;
 mod youbot;
 

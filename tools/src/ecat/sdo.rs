@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use anyhow::{Context as _, bail};
+use anyhow::Context as _;
 use clap::{Args, Subcommand};
 use serde_json::json;
 use takt_cia402::dictionary::{Address, DataType};
@@ -11,7 +11,7 @@ use takt_ethercat::coe::Whole;
 use takt_ethercat::master::{EntryDescription, JobError, JobKind, ObjectDescription};
 
 use super::session::{Session, Wire};
-use super::{ASKING, Target, value};
+use super::{ASKING, Target};
 use crate::output::{complain, say};
 use crate::{Verdict, confirm};
 
@@ -46,7 +46,7 @@ pub(super) enum What {
         /// Index and sub-index, hexadecimal: 6041, 1018:01.
         address: Address,
         /// Its data type (u8, i32, f32, string, bytes, ..); without it the slave is asked.
-        #[arg(long = "type", value_name = "TYPE", value_parser = value::data_type)]
+        #[arg(long = "type", value_name = "TYPE", value_parser = DataType::named)]
         data_type: Option<DataType>,
         /// Read the whole object from the sub-index on (complete access).
         #[arg(long)]
@@ -63,7 +63,7 @@ pub(super) enum What {
         #[arg(allow_hyphen_values = true)]
         value: String,
         /// Its data type (u8, i32, f32, string, bytes, ..); without it the slave is asked.
-        #[arg(long = "type", value_name = "TYPE", value_parser = value::data_type)]
+        #[arg(long = "type", value_name = "TYPE", value_parser = DataType::named)]
         data_type: Option<DataType>,
         /// Write the whole object from the sub-index on (complete access), as bytes.
         #[arg(long)]
@@ -137,7 +137,7 @@ pub(super) fn perform<W: Wire>(
                 (false, Some(data_type)) => Some(*data_type),
                 (false, None) => type_of(session, slave, *address)?,
             };
-            let shown = value::shown(data_type, &bytes);
+            let shown = data_type.unwrap_or(DataType::OctetString).show(&bytes);
             if !json {
                 return Ok(Ok(shown));
             }
@@ -184,11 +184,8 @@ fn download<W: Wire>(
             format!("slave {slave} does not tell the type of {address}; give it by --type")
         })?,
     };
-    let bytes = match value::bytes(data_type, value) {
-        Ok(bytes) => bytes,
-        Err(text) => bail!("{address}: {text}"),
-    };
-    let text = format!("{address} <- {}", value::shown(Some(data_type), &bytes));
+    let bytes = data_type.read(value).with_context(|| address.to_string())?;
+    let text = format!("{address} <- {}", data_type.show(&bytes));
     let kind = JobKind::Download {
         address,
         whole: whole(complete),

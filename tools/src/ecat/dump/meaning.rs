@@ -4,13 +4,12 @@
 use std::collections::HashSet;
 use std::fmt::Write as _;
 
+use takt_cia402::dictionary::DataType;
 use takt_ethercat::coe::{Information, Sdo};
 use takt_ethercat::{
     Address, AlStatus, AlStatusCode, CoeService, Command, Datagram, Emergency, MailboxError,
     MailboxHeader, MailboxKind, SyncManager, register,
 };
-
-use super::super::value::hexadecimal;
 
 /// Registers by their first address, how many bytes they have, what they are.
 const REGISTERS: [(u16, u16, &str); 36] = [
@@ -172,7 +171,10 @@ impl Meanings {
 
 fn bytes(data: &[u8]) -> String {
     let more = if data.len() > SHOWN { " .." } else { "" };
-    format!("{}{more}", hexadecimal(data.get(..SHOWN).unwrap_or(data)))
+    format!(
+        "{}{more}",
+        DataType::OctetString.show(data.get(..SHOWN).unwrap_or(data))
+    )
 }
 
 /// What a register holds.
@@ -283,7 +285,7 @@ fn coe(rest: &[u8]) -> Option<String> {
                 register,
                 data,
             } = Emergency::decode(rest)?;
-            let data = hexadecimal(&data);
+            let data = DataType::OctetString.show(&data);
             format!("emergency {code:04X}h, register {register:02X}h, {data}")
         }
         CoeService::SdoInformation => {

@@ -5,8 +5,6 @@ use std::fmt::Write as _;
 use takt_cia402::dictionary::DataType;
 use takt_ethercat::sii::{self, Category, MailboxAreas, SiiPdo, word};
 
-use crate::ecat::value::hexadecimal;
-
 /// The whole image, under a title.
 pub(crate) fn text(title: &str, bytes: &[u8]) -> String {
     let image = sii::Sii::new(bytes);
@@ -316,6 +314,6 @@ fn clocks(text: &mut String, image: &sii::Sii<'_>) {
 
 fn bytes_text(text: &mut String, data: &[u8]) {
     for chunk in data.chunks(16) {
-        let _ = writeln!(text, "  {}", hexadecimal(chunk));
+        let _ = writeln!(text, "  {}", DataType::OctetString.show(chunk));
     }
 }
