@@ -369,7 +369,10 @@ impl Controller {
         desk.command(Command::Abort(id.0))?;
         let mut seen_running = false;
         self.inner.wait_for(desk, |desk| {
-            let net = desk.nets.get_mut(&id)?;
+            let Some(net) = desk.nets.get_mut(&id) else {
+                // Somebody unloaded it meanwhile.
+                return Some(());
+            };
             match net.state() {
                 NetState::Running | NetState::Cancelling => {
                     // It may have started only now: a start that crossed the way of a rule is sent again.

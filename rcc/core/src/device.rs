@@ -109,6 +109,13 @@ impl DeviceState {
         }
     }
 
+    /// Notes how the device is at that instant; one that leaves [`DeviceStatus::Operational`] has one fault more.
+    pub fn enter(&mut self, status: DeviceStatus, stamp: Nanos) {
+        let left = self.status == DeviceStatus::Operational && status != self.status;
+        self.faults += u64::from(left);
+        (self.status, self.stamp) = (status, stamp);
+    }
+
     /// Becomes like another of the same device, in the memory it has.
     pub fn copy_from(&mut self, other: &Self) {
         (self.stamp, self.status, self.faults) = (other.stamp, other.status, other.faults);

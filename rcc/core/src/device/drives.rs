@@ -268,10 +268,7 @@ impl Arm {
         } else {
             DeviceStatus::Offline
         };
-        let left = self.told.status == DeviceStatus::Operational && status != self.told.status;
-        self.told.faults += u64::from(left);
-        self.told.status = status;
-        self.told.stamp = tick.scheduled;
+        self.told.enter(status, tick.scheduled);
         for (told, driven) in self.told.joints.iter_mut().zip(&self.joints) {
             let (position, velocity, acceleration) = driven.joint.motion();
             let error = match status {

@@ -420,12 +420,8 @@ impl<P: Protocol> Driver<P> {
     /// Tells nets how the arm is.
     fn publish(&mut self, at: Nanos) {
         let status = self.session.status();
-        let was = self.last.state.status;
-        let left = was == DeviceStatus::Operational && status != was;
         let state = &mut self.last.state;
-        state.stamp = at;
-        state.status = status;
-        state.faults += u64::from(left);
+        state.enter(status, at);
         let measured = self.session.measured();
         let velocities = rates(measured, self.last.positions, self.clock.elapsed());
         let accelerations = rates(velocities, self.last.velocities, self.clock.elapsed());

@@ -102,9 +102,7 @@ impl InOut {
         } else {
             DeviceStatus::Operational
         };
-        let left = self.told.status == DeviceStatus::Operational && status != self.told.status;
-        self.told.faults += u64::from(left);
-        (self.told.status, self.told.stamp) = (status, tick.scheduled);
+        self.told.enter(status, tick.scheduled);
         let told = &self.told;
         self.state.write_with(|state| state.copy_from(told));
     }

@@ -251,9 +251,7 @@ impl Arm {
         } else {
             DeviceStatus::SafeOperational
         };
-        let left = self.told.status == DeviceStatus::Operational && status != self.told.status;
-        self.told.faults += u64::from(left);
-        (self.told.status, self.told.stamp) = (status, tick.scheduled);
+        self.told.enter(status, tick.scheduled);
         for n in 0..ARM.len() {
             let measured = self.measured(n);
             let joint = &self.joints[n];

@@ -140,9 +140,7 @@ impl Base {
         } else {
             DeviceStatus::SafeOperational
         };
-        let left = self.told.status == DeviceStatus::Operational && status != self.told.status;
-        self.told.faults += u64::from(left);
-        (self.told.status, self.told.stamp) = (status, tick.scheduled);
+        self.told.enter(status, tick.scheduled);
         self.tell_base(status, wanted);
         let signals = &mut self.told.signals;
         let flags = self

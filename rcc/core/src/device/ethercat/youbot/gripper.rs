@@ -122,9 +122,7 @@ impl Gripper {
             (true, true) => DeviceStatus::Operational,
         };
         let told = &mut self.told;
-        let left = told.status == DeviceStatus::Operational && status != told.status;
-        told.faults += u64::from(left);
-        (told.status, told.stamp) = (status, tick.scheduled);
+        told.enter(status, tick.scheduled);
         let gripper = &self.gripper;
         gripper
             .distance
