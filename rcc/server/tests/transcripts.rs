@@ -74,8 +74,8 @@ struct Line {
     frames: bool,
     /// Messages that may come at any time.
     loose: Vec<String>,
-    /// A message that comes before or after the next that is expected.
-    either: Option<String>,
+    /// Messages that come once, in whatever order with what else is expected.
+    awaited: Vec<String>,
     /// A message that was read and not expected yet.
     held: VecDeque<(u8, String)>,
 }
@@ -89,7 +89,7 @@ impl Line {
             bytes: Vec::new(),
             frames,
             loose: Vec::new(),
-            either: None,
+            awaited: Vec::new(),
             held: VecDeque::new(),
         }
     }
@@ -149,7 +149,10 @@ impl Line {
     fn message(&mut self) -> (u8, String) {
         loop {
             let (first, text) = self.read().expect("the server closed the connection");
-            if !self.loose.iter().any(|pattern| fits(pattern, &text)) {
+            let awaited = self.awaited.iter().position(|one| fits(one, &text));
+            if let Some(at) = awaited {
+                self.awaited.remove(at);
+            } else if !self.loose.iter().any(|pattern| fits(pattern, &text)) {
                 return (first, text);
             }
         }
@@ -285,16 +288,7 @@ fn converse(line: &mut Line, verb: &str, rest: &str, optional: bool) -> Result<(
             Ok(())
         }
         "<<" => {
-            let (mut first, mut text) = line.message();
-            if let Some(other) = line.either.take() {
-                let came = fits(&other, &text);
-                let (next, next_text) = line.message();
-                if came {
-                    (first, text) = (next, next_text);
-                } else if !fits(&other, &next_text) {
-                    return Err(format!("{text}, then {next_text}"));
-                }
-            }
+            let (first, text) = line.message();
             let fits = first == 0x81 && fits(rest, &text);
             if !fits && optional {
                 line.held.push_front((first, text));
@@ -302,8 +296,16 @@ fn converse(line: &mut Line, verb: &str, rest: &str, optional: bool) -> Result<(
             }
             told(fits, text)
         }
+        "<&" if rest.is_empty() => {
+            while !line.awaited.is_empty() {
+                let (_, text) = line.read().ok_or("the server closed the connection")?;
+                let at = line.awaited.iter().position(|one| fits(one, &text));
+                line.awaited.remove(at.ok_or(text)?);
+            }
+            Ok(())
+        }
         "<&" => {
-            line.either = Some(rest.to_owned());
+            line.awaited.push(rest.to_owned());
             Ok(())
         }
         ">close" => {
