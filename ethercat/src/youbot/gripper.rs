@@ -5,12 +5,14 @@
 //! ```text
 //!          1 start       2           3 not calibrated, may move         4 open     5 closed
 //! Idle ------------> Setup --> Ask ----------------------------> Origin --> Open --> Close --> Preset
-//!                              | 7 calibrated                                                    | 6
-//!                              v          8 order          9 both there                          v
-//!                            Ready <-------------------> Order                                  Mark --> Ready
-//! any --10 too long, refused--> Failed(why)              any --11 forget--> Idle
+//!   ^                  ^       | 7 calibrated                                                    | 6
+//!   | 11 forget,       |       v          8 order          9 both there                          v
+//!   |    from any      |     Ready <-------------------> Order ---13 too long---> Short         Mark --> Ready
+//!                      |                                   ^---------8 order--------+
+//!                      +-- 12 lost, 2 s later -- Failed(why) <--10 refused, or too long on the way to the stops-- any
 //! ```
-//! 1 in [`Gripper::start`], 8 in [`Gripper::order`], 11 in [`Gripper::forget`], the others in [`Gripper::cycle`].
+//! 1 and 12 in [`Gripper::start`], 8 in [`Gripper::order`], 11 in [`Gripper::forget`], the others in [`Gripper::cycle`].
+//! Bars that did not reach their stops are not sent there again by themselves: what is in their way may be a hand.
 
 use std::time::Duration;
 
@@ -20,6 +22,8 @@ use super::tmcl::Request;
 
 /// Longest way of a bar.
 const MOVE_MAX: Duration = Duration::from_secs(8);
+/// Before a mailbox that failed is tried again.
+const AGAIN: Duration = Duration::from_secs(2);
 /// What is written at the start: bar, parameter, value (stallGuard).
 const SETUP: [(u8, u8, i32); 4] = [(0, 174, 50), (1, 174, 50), (0, 173, 1), (1, 173, 1)];
 
@@ -64,17 +68,21 @@ pub enum GripperState {
     Ready,
     /// It moves where it was told.
     Order,
-    /// It cannot be used.
-    Failed(GripperError),
+    /// Something is in its way: it presses, short of where it was told.
+    Short,
+    /// It cannot be used, since then.
+    Failed(GripperError, Duration),
 }
 
 /// Why the gripper cannot be used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum GripperError {
-    /// A bar did not get there.
-    #[error("a bar is not there after 8 s")]
+    /// A bar did not reach its stop.
+    #[error(
+        "a finger did not reach its stop within 8 s; clear its way, then take the power of the arm off and on"
+    )]
     Late,
-    /// The drive refused.
+    /// The drive refused, or did not answer.
     #[error("{0}")]
     Call(CallError),
 }
@@ -121,7 +129,18 @@ impl Gripper {
     /// Whether it takes orders.
     #[must_use]
     pub const fn is_ready(&self) -> bool {
-        matches!(self.state, GripperState::Ready | GripperState::Order)
+        match self.state {
+            GripperState::Ready | GripperState::Order | GripperState::Short => true,
+            GripperState::Idle
+            | GripperState::Setup(_)
+            | GripperState::Ask
+            | GripperState::Origin(_)
+            | GripperState::Open
+            | GripperState::Close
+            | GripperState::Preset(_)
+            | GripperState::Mark
+            | GripperState::Failed(..) => false,
+        }
     }
 
     /// Largest distance between the fingers, m.
@@ -134,16 +153,28 @@ impl Gripper {
     #[must_use]
     pub fn distance(&self) -> Option<f64> {
         let [one, other] = self.counts;
-        let steps = f64::from(-(one?.saturating_add(other?)));
+        let steps = -(f64::from(one?) + f64::from(other?));
         self.is_ready()
             .then(|| steps / f64::from(self.config.steps) * self.config.way)
     }
 
-    /// Begins, unless it did.
-    pub fn start(&mut self) {
+    #[cfg(test)]
+    pub(super) const fn force(&mut self, state: GripperState, counts: [Option<i32>; 2]) {
+        (self.state, self.counts) = (state, counts);
+    }
+
+    /// Begins, unless it did; again, if its mailbox failed two seconds ago. What else failed stays so until it is
+    /// [forgotten](Self::forget).
+    pub fn start(&mut self, now: Duration) {
         match self.state {
-            GripperState::Idle | GripperState::Failed(_) => self.state = GripperState::Setup(0),
-            GripperState::Setup(_)
+            GripperState::Idle => self.state = GripperState::Setup(0),
+            GripperState::Failed(GripperError::Call(CallError::Lost(_)), since)
+                if now.saturating_sub(since) >= AGAIN =>
+            {
+                self.state = GripperState::Setup(0);
+            }
+            GripperState::Failed(..)
+            | GripperState::Setup(_)
             | GripperState::Ask
             | GripperState::Origin(_)
             | GripperState::Open
@@ -151,7 +182,8 @@ impl Gripper {
             | GripperState::Preset(_)
             | GripperState::Mark
             | GripperState::Ready
-            | GripperState::Order => {}
+            | GripperState::Order
+            | GripperState::Short => {}
         }
     }
 
@@ -186,8 +218,8 @@ impl Gripper {
     pub fn cycle(&mut self, mailbox: &mut Mailbox, may_move: bool, now: Duration) {
         let (bank, number) = GRIPPER_CALIBRATED;
         match self.state {
-            GripperState::Idle | GripperState::Failed(_) => {}
-            GripperState::Ready => self.look(mailbox),
+            GripperState::Idle | GripperState::Failed(..) => {}
+            GripperState::Ready | GripperState::Short => self.look(mailbox, now),
             GripperState::Setup(step) => {
                 let next = SETUP.get(usize::from(step));
                 let Some((bar, parameter, value)) = next.copied() else {
@@ -195,19 +227,19 @@ impl Gripper {
                     return;
                 };
                 if self
-                    .call(mailbox, Request::set_bar(bar, parameter, value))
+                    .call(mailbox, Request::set_bar(bar, parameter, value), now)
                     .is_some()
                 {
                     self.state = GripperState::Setup(step + 1);
                 }
             }
-            GripperState::Ask => match self.call(mailbox, Request::get_global(bank, number)) {
+            GripperState::Ask => match self.call(mailbox, Request::get_global(bank, number), now) {
                 Some(1) => self.state = GripperState::Ready,
                 Some(_) if may_move => self.state = GripperState::Origin(0),
                 Some(_) | None => {}
             },
             GripperState::Origin(bar) => {
-                if let Some(count) = self.call(mailbox, Request::get_bar(bar, 1)) {
+                if let Some(count) = self.call(mailbox, Request::get_bar(bar, 1), now) {
                     if let Some(origin) = self.origin.get_mut(usize::from(bar)) {
                         *origin = count;
                         self.state = GripperState::Origin(bar + 1);
@@ -228,10 +260,10 @@ impl Gripper {
                     self.state = GripperState::Preset(0);
                 }
             }
-            GripperState::Preset(step) => self.preset(mailbox, step),
+            GripperState::Preset(step) => self.preset(mailbox, step, now),
             GripperState::Mark => {
                 if self
-                    .call(mailbox, Request::set_global(bank, number, 1))
+                    .call(mailbox, Request::set_global(bank, number, 1), now)
                     .is_some()
                 {
                     self.state = GripperState::Ready;
@@ -246,14 +278,14 @@ impl Gripper {
     }
 
     /// Each bar's counter to 0, then its target too, so that it does not go where 0 was before.
-    fn preset(&mut self, mailbox: &mut Mailbox, step: u8) {
+    fn preset(&mut self, mailbox: &mut Mailbox, step: u8, now: Duration) {
         let bar = step / 2;
         let request = if step.is_multiple_of(2) {
             Request::set_bar(bar, 1, 0)
         } else {
             Request::move_bar(bar, 0)
         };
-        if self.call(mailbox, request).is_some() {
+        if self.call(mailbox, request, now).is_some() {
             self.state = if step < 3 {
                 GripperState::Preset(step + 1)
             } else {
@@ -263,12 +295,12 @@ impl Gripper {
     }
 
     /// Reads where the bars are, in turn.
-    fn look(&mut self, mailbox: &mut Mailbox) {
+    fn look(&mut self, mailbox: &mut Mailbox, now: Duration) {
         let bar = u8::from(self.counts[0].is_some());
         if self.counts[usize::from(bar)].is_some() {
             return;
         }
-        if let Some(count) = self.call(mailbox, Request::get_bar(bar, 1)) {
+        if let Some(count) = self.call(mailbox, Request::get_bar(bar, 1), now) {
             self.counts[usize::from(bar)] = Some(count);
         }
     }
@@ -284,7 +316,7 @@ impl Gripper {
             4 => Request::get_bar(0, 1),
             _ => Request::get_bar(1, 1),
         };
-        if let Some(value) = self.call(mailbox, request) {
+        if let Some(value) = self.call(mailbox, request, now) {
             self.way.step = if step >= 5 { 2 } else { step + 1 };
             match step {
                 2 => self.way.reached = value == 1,
@@ -298,16 +330,20 @@ impl Gripper {
             }
         }
         if now.saturating_sub(self.way.since) > MOVE_MAX {
-            self.state = GripperState::Failed(GripperError::Late);
+            self.state = if self.state == GripperState::Order {
+                GripperState::Short
+            } else {
+                GripperState::Failed(GripperError::Late, now)
+            };
         }
         false
     }
 
-    fn call(&mut self, mailbox: &mut Mailbox, request: Request) -> Option<i32> {
+    fn call(&mut self, mailbox: &mut Mailbox, request: Request, now: Duration) -> Option<i32> {
         match mailbox.call(request)? {
             Ok(answer) => answer.value(),
             Err(error) => {
-                self.state = GripperState::Failed(GripperError::Call(error));
+                self.state = GripperState::Failed(GripperError::Call(error), now);
                 None
             }
         }

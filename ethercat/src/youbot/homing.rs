@@ -215,8 +215,8 @@ impl Homing {
         let spent = now.saturating_sub(since);
         let HomingConfig { rpm, current_ma } = self.config;
         // A motor that speeds up draws current too.
-        let stands = told.velocity_rpm.abs() < rpm.abs() / 4;
-        let presses = spent >= START && stands && told.current_ma.abs() > current_ma;
+        let stands = told.velocity_rpm.saturating_abs() < rpm.saturating_abs() / 4;
+        let presses = spent >= START && stands && told.current_ma.saturating_abs() > current_ma;
         let pressed = if presses { pressed + 1 } else { 0 };
         self.state = if pressed >= PRESSED {
             HomingState::Rest(now)

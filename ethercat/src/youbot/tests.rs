@@ -11,6 +11,7 @@ use crate::master::tests::Rig;
 use crate::master::{Job, JobError, JobKind, Master};
 
 mod cells;
+mod gripper;
 
 /// Cycles of inputs that may be missing.
 const OLD: u32 = 4;
@@ -254,35 +255,6 @@ fn homing_is_cancelled_on_its_way() {
     lead.cycles(300);
     assert!((lead.angle(0) - at).abs() < 1e-3, "it stands");
     assert_eq!(lead.homing[0].state(), HomingState::Cancelled);
-}
-
-#[test]
-fn the_gripper_finds_its_stops_and_opens_as_told() {
-    let mut lead = Lead::ready(Firmware::V200);
-    lead.gripper.start();
-    lead.until(12_000, |lead| lead.gripper.is_ready());
-    lead.until(100, |lead| lead.gripper.distance().is_some());
-    let truth = |lead: &Lead| -> f64 {
-        let joint = lead.bot.arms[0][4].lock();
-        joint
-            .bars()
-            .unwrap()
-            .iter()
-            .map(crate::emulator::Bar::opening)
-            .sum()
-    };
-    assert!(truth(&lead) < 1e-3, "{}", truth(&lead));
-    let now = lead.rig.now;
-    assert!(!lead.gripper.order(0.024, now), "too far");
-    assert!(lead.gripper.order(0.02, now));
-    lead.until(4000, |lead| lead.gripper.state() == GripperState::Ready);
-    assert!((truth(&lead) - 0.02).abs() < 1e-3, "{}", truth(&lead));
-    assert!((lead.gripper.distance().unwrap() - 0.02).abs() < 1e-4);
-    // Calibrated drives are not calibrated again.
-    lead.gripper.forget();
-    lead.gripper.start();
-    lead.may_move = false;
-    lead.until(400, |lead| lead.gripper.is_ready());
 }
 
 #[test]

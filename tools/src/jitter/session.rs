@@ -119,7 +119,8 @@ fn usual_slices(plan: &Plan) -> u32 {
     u32::try_from(slices).unwrap_or(u32::MAX).max(1)
 }
 
-/// When to start both slices of that pair: the next instant with that pair's phase to the kernel's tick.
+/// When to start both slices of that pair: the next instant with that pair's phase to the kernel's tick, once the
+/// host has cleared up behind the slice before: a process that ends unmaps its memory on all processors.
 ///
 /// All cycles of a slice have one phase to the tick, and those that come right behind it are twice as late as others.
 /// Timers that start slices in whole milliseconds would give each tool the same phase all along, a
@@ -128,6 +129,8 @@ fn usual_slices(plan: &Plan) -> u32 {
 fn start_of_slice(now: Nanos, number: u32) -> Nanos {
     const SPAN: i64 = 10_000_000;
     const STEP: i64 = 6_180_340;
+    const CLEARED_UP: Nanos = Nanos(20_000_000);
+    let now = now + CLEARED_UP;
     let phase = i64::from(number) * STEP % SPAN;
     now + Nanos((phase - now.0).rem_euclid(SPAN))
 }
@@ -490,7 +493,7 @@ mod tests {
         for number in 0..200 {
             let now = Nanos(i64::from(number) * 517_111_113);
             let start = start_of_slice(now, number);
-            assert!((Nanos::ZERO..Nanos(10_000_000)).contains(&(start - now)));
+            assert!((Nanos(20_000_000)..Nanos(30_000_000)).contains(&(start - now)));
             // Also within one cycle of 1 ms.
             let tenth = usize::try_from(start.0 % 1_000_000 / 100_000).unwrap();
             per_tenth[tenth] += 1;

@@ -13,6 +13,8 @@ pub struct Bar {
     /// Where it is: 0 closed, -67000 open, steps.
     pub(super) place: f64,
     parameters: Parameters,
+    /// Something holds it: its motor stalls, stops and does not count.
+    pub jammed: bool,
 }
 
 /// Where a bar stops when it opens, steps: 11.5 mm.
@@ -27,6 +29,7 @@ impl Bar {
             target: 0.0,
             place,
             parameters: Parameters::bar(),
+            jammed: false,
         }
     }
 
@@ -37,7 +40,8 @@ impl Bar {
     }
 
     pub(super) fn step(&mut self, dt: f64) {
-        let most = f64::from(self.parameters.value(4)) * BAR_SPEED * dt;
+        let speed = if self.jammed { 0.0 } else { BAR_SPEED };
+        let most = f64::from(self.parameters.value(4)) * speed * dt;
         let by = (self.target - self.count).clamp(-most, most);
         self.count += by;
         // At its stop it loses steps.

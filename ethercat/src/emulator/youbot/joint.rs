@@ -229,6 +229,11 @@ impl Joint {
         self.bars.as_ref()
     }
 
+    /// The same, to put faults in.
+    pub const fn bars_mut(&mut self) -> Option<&mut [Bar; 2]> {
+        self.bars.as_mut()
+    }
+
     /// Encoder position, ticks.
     fn ticks(&self) -> f64 {
         self.motor.position / TAU * TICKS + self.origin

@@ -269,6 +269,16 @@ fn each_cell_of_homing() {
             ..Feedback::default()
         },
     );
+    let (fastest, strongest) = (
+        Feedback {
+            velocity_rpm: i32::MIN,
+            ..pressed
+        },
+        Feedback {
+            current_ma: i32::MIN,
+            ..pressed
+        },
+    );
     let hold = Some(Command::HOLD);
     let (go, limp) = (Some(Command::velocity(156)), Some(Command::current(0)));
     let late = NOW + Duration::from_millis(300);
@@ -333,6 +343,17 @@ fn each_cell_of_homing() {
         (way(3), free, None, true, 300, way(0), go),
         (way(3), pressed, None, true, 300, way(4), go),
         (way(4), pressed, None, true, 100, way(0), go),
+        // Inputs may hold anything.
+        (way(4), fastest, None, true, 300, way(0), go),
+        (
+            way(4),
+            strongest,
+            None,
+            true,
+            300,
+            HomingState::Rest(late),
+            limp,
+        ),
         (
             way(4),
             pressed,
