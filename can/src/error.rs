@@ -46,6 +46,9 @@ pub enum LogError {
     /// The line does not begin with a time stamp.
     #[error("no time stamp like (1700000000.000125)")]
     Stamp,
+    /// The time stamp is beyond the year 9999.
+    #[error("a time stamp beyond the year 9999; is the line damaged?")]
+    Late,
     /// An interface's name has 1 to 15 bytes.
     #[error("no interface name of 1 to 15 characters")]
     Interface,

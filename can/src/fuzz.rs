@@ -3,13 +3,16 @@
 
 use std::time::Duration;
 
+use crate::bits::Rates;
 use crate::canopen::eds::Eds;
 use crate::canopen::lss;
 use crate::canopen::sdo::{BlockSegment, Client, Request, Response};
 use crate::canopen::{Emergency, Message, NodeId};
 use crate::cia402::dictionary::Address;
+use crate::link::{Link as _, Replay};
 use crate::log::{Log, Record};
 use crate::rmp::{self, Channel, Packet, PacketReader};
+use crate::stat::{Limits, Meter};
 use crate::{Frame, Id};
 
 /// Bytes from which one frame is made: identifier, what it is like, eight bytes of data.
@@ -99,7 +102,8 @@ pub fn eds(data: &[u8]) {
     assert_eq!(again.map(|again| again.node), Ok(first.node));
 }
 
-/// A recording is read, with what was left out; what is read prints as lines that read back as the same.
+/// A recording is read, with what was left out; what is read prints as lines that read back as the same, and is
+/// measured and judged like a bus.
 ///
 /// # Panics
 /// If one does not.
@@ -111,6 +115,17 @@ pub fn log(data: &[u8]) {
         let again = Record::parse(&line);
         assert_eq!(again.map(|again| again.frame), Ok(record.frame), "{line}");
     }
+    measure(log);
+}
+
+fn measure(log: Log) {
+    let mut meter = Meter::new(Some(Rates::classic(500_000)));
+    let mut link = Replay::new(log.records);
+    while let Ok(Some(received)) = link.receive(Duration::MAX) {
+        meter.handle_frame(&received);
+    }
+    let findings = meter.report().findings(&Limits::default());
+    assert!(findings.iter().all(|found| !found.to_string().is_empty()));
 }
 
 /// Messages and packets of a Segway RMP mean the same when they are encoded again; a driver stands any of them, and

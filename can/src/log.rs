@@ -42,6 +42,18 @@ pub struct Record {
     pub direction: Option<Direction>,
 }
 
+/// The year 10,000: what comes then is damage, and sums of earlier times never overflow.
+const LATEST: Duration = Duration::from_secs(253_402_300_800);
+
+/// Refuses times that no recording has.
+fn sound(at: Duration) -> Result<Duration, LogError> {
+    if at < LATEST {
+        Ok(at)
+    } else {
+        Err(LogError::Late)
+    }
+}
+
 impl Record {
     /// Reads one line of a candump log, with or without its line end.
     pub fn parse(line: &str) -> Result<Self, LogError> {
@@ -190,7 +202,7 @@ impl Log {
     }
 
     fn take(&mut self, place: usize, record: Result<Record, LogError>) {
-        match record {
+        match record.and_then(|record| sound(record.at).map(|_| record)) {
             Ok(record) => self.records.push(record),
             Err(why) => self.leave_out(place, why),
         }

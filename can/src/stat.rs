@@ -65,7 +65,7 @@ impl Heartbeat {
     /// Longest silence that is not one: twice the usual time, as soon as two intervals were seen.
     #[must_use]
     pub fn patience(&self) -> Option<Duration> {
-        (self.intervals.count() >= 2).then(|| self.intervals.mean() * 2)
+        (self.intervals.count() >= 2).then(|| self.intervals.mean().saturating_mul(2))
     }
 }
 
@@ -245,7 +245,7 @@ impl Meter {
         let busy = self.wire_time(frame);
         self.report.frames += 1;
         self.report.sent += u64::from(received.origin != Origin::Bus);
-        if at >= self.window.0 + WINDOW {
+        if at >= self.window.0.saturating_add(WINDOW) {
             self.report.peak_load = self.peak(self.window.1);
             self.window = (at, Duration::ZERO);
         }

@@ -18,15 +18,17 @@ use std::time::Duration;
 use bus::{Bus, MS, node, plan};
 use takt_can::canopen::emulator::DriveNodeConfig;
 use takt_can::canopen::network::{
-    AxisCommand, AxisTrouble, Download, Event, NetworkConfig, Phase, Supervision, Transfer, Trouble,
+    AxisCommand, AxisTrouble, Download, Event, Network, NetworkConfig, NetworkError, NodePlan, Phase,
+    Supervision, Transfer, Trouble,
 };
 use takt_can::canopen::sdo::Outcome;
 use takt_can::canopen::{Emergency, emergency};
 use takt_cia402::dictionary::Address;
 use takt_cia402::emulator::FaultCode;
-use takt_cia402::{Goal, HomingError, Obstacle};
+use takt_cia402::{Goal, HomingError, Obstacle, State};
 
 const CSP: i8 = 8;
+const PV: i8 = 3;
 const SECOND: Duration = Duration::from_secs(1);
 
 /// Lets an axis hold where it is, and enables it.
@@ -202,7 +204,7 @@ fn drives_stop_by_themselves_when_their_master_dies() {
     bus.run(SECOND);
     for raw in [1, 2] {
         let drive = bus.drive(raw).application().axis(0).unwrap();
-        assert_ne!(drive.state(), takt_cia402::State::OperationEnabled);
+        assert_ne!(drive.state(), State::OperationEnabled);
         assert!(drive.motor().velocity.abs() < 0.1, "it stands");
     }
 }
@@ -360,8 +362,7 @@ fn a_homing_run_to_a_switch_that_is_not_there_is_told() {
     bus.run(SECOND / 10);
     let trouble = bus.master.axis(node(1), 0).unwrap().trouble();
     let timed_out = AxisTrouble::Homing(HomingError::TimedOut(SECOND));
-    let not_aligned = matches!(trouble, Some(AxisTrouble::NotAligned { .. }));
-    assert!(trouble == Some(timed_out) || not_aligned, "{trouble:?}");
+    assert_eq!(trouble, Some(timed_out));
 }
 
 /// Each reason for which a node does not come up, produced by its cause.
@@ -463,4 +464,90 @@ fn guarding_watches_a_node_without_heartbeat() {
     bus.drives[0] = None;
     bus.run(SECOND / 5);
     assert_eq!(bus.master.trouble(node(1)), Some(Trouble::GuardingLost));
+}
+
+/// Its heartbeat alone is lost: it hears and would go on turning for ever.
+#[test]
+fn a_node_that_is_given_up_stops_its_motor() {
+    for on_link_loss in [0, 1, 3] {
+        let mut bus = Bus::running(1, |plan| {
+            let drive = NodePlan::drive(plan.id, plan.axes[0]);
+            (plan.rpdos, plan.tpdos) = (drive.rpdos, drive.tpdos);
+            plan.axes[0].on_link_loss = Some(on_link_loss);
+        });
+        let axis = bus.master.axis_mut(node(1), 0).unwrap();
+        axis.command(AxisCommand {
+            velocity: 5_000,
+            ..AxisCommand::default()
+        });
+        axis.set_goal(Goal::OperationEnabled, PV);
+        let turns = |bus: &mut Bus| {
+            let velocity = bus.drive(1).application().axis(0).unwrap().motor().velocity;
+            (velocity.abs() > 0.5).then_some(())
+        };
+        bus.until(5 * SECOND, turns);
+        bus.run(SECOND / 2);
+        bus.muted = Some(0x701);
+        bus.run(SECOND);
+        let lost = Trouble::HeartbeatLost(250 * MS);
+        assert!(bus.events.contains(&Event::Trouble(node(1), lost)));
+        let drive = bus.drive(1).application().axis(0).unwrap();
+        let (state, velocity) = (drive.state(), drive.motor().velocity);
+        assert_ne!(state, State::OperationEnabled, "6007h = {on_link_loss}");
+        assert!(velocity.abs() < 0.01, "6007h = {on_link_loss}: {velocity}");
+        // Heard again, it comes back at rest.
+        bus.muted = None;
+        bus.until(10 * SECOND, |bus| {
+            (bus.master.phase(node(1)) == Some(Phase::Running)).then_some(())
+        });
+        assert!(!bus.master.axis(node(1), 0).unwrap().state().follows);
+    }
+}
+
+#[test]
+fn a_tpdo_that_comes_back_is_no_trouble_and_its_next_loss_is_told() {
+    let mut bus = six_following();
+    for _ in 0..2 {
+        bus.events.clear();
+        bus.muted = Some(0x182);
+        bus.run(SECOND / 20);
+        let missing = Trouble::PdoMissing {
+            number: 0,
+            cycles: 4,
+        };
+        assert!(bus.events.contains(&Event::Trouble(node(2), missing)));
+        assert_eq!(bus.master.trouble(node(2)), Some(missing));
+        bus.muted = None;
+        bus.run(SECOND / 20);
+        assert_eq!(bus.master.trouble(node(2)), None);
+        assert_eq!(bus.master.phase(node(2)), Some(Phase::Running));
+        enable(&mut bus, 2);
+        bus.until(5 * SECOND, all_follow);
+    }
+}
+
+#[test]
+fn a_drive_is_told_its_cycle_and_what_to_do_without_a_master() {
+    for (period, value, exponent) in [(2 * MS, 2_u8, -3_i8), (MS / 4, 25, -5)] {
+        let bus = Bus::running(2, |plan| {
+            plan.axes[0].set_point_period = Some(period);
+            plan.axes[0].on_link_loss = Some(3);
+        });
+        for drive in bus.drives.iter().flatten() {
+            let bytes = |index, sub| drive.dictionary().bytes(Address::new(index, sub)).unwrap();
+            assert_eq!(bytes(0x60C2, 1), value.to_le_bytes());
+            assert_eq!(bytes(0x60C2, 2), exponent.to_le_bytes());
+            assert_eq!(bytes(0x6007, 0), 3_i16.to_le_bytes());
+        }
+    }
+}
+
+#[test]
+fn the_number_of_the_master_is_its_own() {
+    let config = NetworkConfig {
+        heartbeat: Some((node(2), 20 * MS)),
+        ..NetworkConfig::default()
+    };
+    let refused = Network::new(config, vec![plan(1), plan(2)]).unwrap_err();
+    assert_eq!(refused, NetworkError::Master(node(2)));
 }

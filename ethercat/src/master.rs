@@ -135,8 +135,14 @@ impl Master {
     /// Forgets the segment and begins anew; outputs are no longer sent, so watchdogs of slaves stop them.
     pub fn restart(&mut self) {
         let frames = self.exchange.counters();
+        let running = self.scan.phase == Phase::Running;
         for unit in &mut self.units {
-            unit.lose(&mut self.out);
+            // What never ran is not lost.
+            if running {
+                unit.lose(&mut self.out);
+            } else {
+                unit.abandon(&mut self.out);
+            }
         }
         self.exchange = Exchange::new(self.config.redundant);
         self.exchange.keep(frames);
@@ -314,7 +320,12 @@ impl Master {
             })
             .collect();
         let delays = dc::delays(&self.topology, &times);
-        let first = times.iter().position(Option::is_some);
+        let leads = |number: &usize| {
+            let unit = self.units.get(*number);
+            unit.is_some_and(|unit| unit.can_lead(&self.config))
+        };
+        let known = || times.iter().position(Option::is_some);
+        let first = self.ring.iter().position(leads).or_else(known);
         let base = first.and_then(|at| delays.get(at)).copied().unwrap_or(0);
         for (number, delay) in self.ring.iter().zip(&delays) {
             if let Some(unit) = self.units.get_mut(*number) {
@@ -333,8 +344,13 @@ impl Master {
                 return;
             }
         }
+        let room = self.image.mailbox_room();
         for unit in &mut self.units {
             unit.gate = Gate::Goal;
+            let (slave, size) = (unit.number, unit.mailbox_size());
+            if size > room && self.config.goal != AlState::PreOp {
+                self.out.event(Event::MailboxTooLong { slave, size, room });
+            }
         }
         self.scan.phase = Phase::Running;
         self.next_census = now;

@@ -14,9 +14,12 @@ use std::io::{Cursor, Read, Write};
 use std::net::SocketAddrV4;
 use std::time::Duration;
 
+mod fuzz;
 mod packet;
 #[cfg(test)]
 mod tests;
+
+pub use fuzz::fuzz;
 
 /// First bytes of a pcapng file, whatever its byte order.
 const PCAPNG: [u8; 4] = [0x0a, 0x0d, 0x0d, 0x0a];

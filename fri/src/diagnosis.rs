@@ -298,7 +298,7 @@ struct Deviation {
 
 impl Deviation {
     fn add(&mut self, interval: Duration, expected: Duration) {
-        self.sum += interval.abs_diff(expected);
+        self.sum = self.sum.saturating_add(interval.abs_diff(expected));
         self.count = self.count.saturating_add(1);
     }
 
@@ -366,7 +366,7 @@ impl Observer {
     }
 
     fn compare(&mut self, last: &Measurement, next: &Measurement, cycles: u32) {
-        let expected = next.period * cycles;
+        let expected = next.period.saturating_mul(cycles);
         self.arrivals.add(next.at.saturating_sub(last.at), expected);
         if let (Some(from), Some(to)) = (last.stamp, next.stamp) {
             self.stamps.add(to.saturating_sub(from), expected);

@@ -251,9 +251,10 @@ impl Partner {
     /// Counter of the next answer.
     fn next_sequence(&self) -> u32 {
         match self.version {
-            Some(Version::Sunrise(_)) => wrapped(self.sunrise.counters().answered),
+            Some(Version::Sunrise(_)) => counted(0, self.sunrise.counters().answered),
             Some(Version::Lwr) | None => {
-                u32::from(self.config.lwr.first_sequence) + wrapped(self.lwr.counters().answered)
+                let first = u32::from(self.config.lwr.first_sequence);
+                counted(first, self.lwr.counters().answered)
             }
         }
     }
@@ -313,9 +314,10 @@ impl Partner {
     }
 }
 
+/// The counter of the next answer after so many since `first`.
 #[expect(clippy::cast_possible_truncation, reason = "a counter that wraps")]
-fn wrapped(counter: u64) -> u32 {
-    counter as u32
+fn counted(first: u32, answered: u64) -> u32 {
+    first.wrapping_add(answered as u32)
 }
 
 impl Version {

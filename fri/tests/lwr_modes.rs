@@ -25,6 +25,8 @@ struct Pair {
     progress: Vec<Progress>,
     /// Added to the mirrored positions in every cycle, rad.
     step: [f64; AXES],
+    /// What goes wrong with answers on their way.
+    spoil: fn(&mut Cmd),
 }
 
 impl Pair {
@@ -44,6 +46,7 @@ impl Pair {
             now: Duration::ZERO,
             progress: Vec::new(),
             step: [0.0; AXES],
+            spoil: |_| {},
         }
     }
 
@@ -69,8 +72,11 @@ impl Pair {
                 for (joint, step) in joints.iter_mut().zip(self.step) {
                     *joint += step;
                 }
-                let len = self.session.answer(Some(&joints), &mut cmd).unwrap();
-                self.krc.handle_datagram(&cmd[..len], self.now).unwrap();
+                self.session.answer(Some(&joints), &mut cmd).unwrap();
+                let mut sent = Cmd::decode(&cmd).unwrap();
+                (self.spoil)(&mut sent);
+                sent.encode(&mut cmd).unwrap();
+                self.krc.handle_datagram(&cmd, self.now).unwrap();
             }
         }
         self
@@ -299,6 +305,77 @@ fn guards_hold_the_robot_and_name_joint_and_limit() {
 }
 
 #[test]
+fn a_field_that_is_no_good_ends_command_mode_with_its_name() {
+    type Case = (Control, CmdFlags, fn(&mut Cmd), &'static str);
+    let [joint, cartesian] = [Control::JointImpedance, Control::CartesianImpedance];
+    let cases: [Case; 8] = [
+        (
+            joint,
+            CmdFlags::JNTTRQ,
+            |cmd| cmd.joint_torque[6] = 38.5,
+            "A6 commanded an added torque of 38.500 (Nm, a number within the joint's torque)",
+        ),
+        (
+            joint,
+            CmdFlags::JNTTRQ,
+            |cmd| cmd.joint_torque[0] = f32::NAN,
+            "A1 commanded an added torque of NaN (Nm, a number within the joint's torque)",
+        ),
+        (
+            joint,
+            CmdFlags::JNTSTIFF,
+            |cmd| cmd.joint_stiffness[2] = -1.0,
+            "E1 commanded stiffness -1.000 (a number from 0)",
+        ),
+        (
+            joint,
+            CmdFlags::JNTDAMP,
+            |cmd| cmd.joint_damping[3] = 1.01,
+            "A3 commanded damping 1.010 (0 to 1)",
+        ),
+        (
+            cartesian,
+            CmdFlags::TCPFT,
+            |cmd| cmd.wrench[1] = f32::INFINITY,
+            "Y commanded an added force or torque of inf (a number)",
+        ),
+        (
+            cartesian,
+            CmdFlags::CARTSTIFF,
+            |cmd| cmd.cartesian_stiffness[0] = f32::NAN,
+            "X commanded stiffness NaN (a number from 0)",
+        ),
+        (
+            cartesian,
+            CmdFlags::CARTSTIFF,
+            |cmd| cmd.cartesian_stiffness[4] = f32::INFINITY,
+            "about Y commanded stiffness inf (a number from 0)",
+        ),
+        (
+            cartesian,
+            CmdFlags::CARTDAMP,
+            |cmd| cmd.cartesian_damping[5] = f32::NAN,
+            "about X commanded damping NaN (0 to 1)",
+        ),
+    ];
+    for (control, flag, spoil, text) in cases {
+        let mut pair = Pair::in_mode(control, CmdFlags::JNTPOS | flag);
+        pair.spoil = spoil;
+        pair.run(3);
+        assert_eq!(
+            (pair.krc.state(), pair.reasons()),
+            (State::Mon, vec![text.to_owned()])
+        );
+        assert!(pair.krc.joints().iter().all(|joint| joint.is_finite()));
+        // The same in a field that no flag declares valid is nothing to the controller.
+        let mut pair = Pair::in_mode(control, CmdFlags::JNTPOS);
+        pair.spoil = spoil;
+        pair.run(3);
+        assert_eq!(pair.reasons(), Vec::<String>::new());
+    }
+}
+
+#[test]
 fn foreign_datagrams_are_named() {
     let mut session = Session::new(SessionConfig::default());
     let mut pair = Pair::new(KrcConfig::default());
@@ -384,6 +461,62 @@ fn nothing_starts_the_robot_again_after_a_fall() {
             Leave::Misses { .. }
         ));
         assert_eq!(pair.krc.state(), State::Mon, "{protocol}");
+    }
+}
+
+#[test]
+fn a_start_that_was_given_up_starts_nothing_later() {
+    for protocol in [Protocol::Stanford, Protocol::KukaLwr, Protocol::FirstApp] {
+        let mut pair = handshake(protocol);
+        pair.krc.set_power(false);
+        pair.ask(&start()).unwrap();
+        pair.run(5_100);
+        assert!(
+            matches!(
+                pair.progress[..],
+                [Progress::Failed(DialogError::Silent { .. })]
+            ),
+            "{protocol}"
+        );
+        pair.krc.set_power(true);
+        pair.run(1_000);
+        assert_eq!(pair.krc.state(), State::Mon, "{protocol}");
+    }
+}
+
+#[test]
+fn a_program_started_after_a_silence_does_not_start_the_robot() {
+    for protocol in [
+        Protocol::Stanford,
+        Protocol::KukaLwr,
+        Protocol::Tum,
+        Protocol::FirstApp,
+    ] {
+        for is_under_way in [false, true] {
+            let mut pair = handshake(protocol);
+            pair.krc.set_power(!is_under_way);
+            pair.ask(&start()).unwrap();
+            pair.run(50);
+            assert_eq!(pair.session.is_commanding(), !is_under_way, "{protocol}");
+            let config = KrcConfig {
+                script: Script::Handshake(protocol),
+                joints: JOINTS,
+                ..KrcConfig::default()
+            };
+            let begin = pair.now + Duration::from_secs(1);
+            pair.krc = Krc::new(config, begin);
+            assert!(pair.session.handle_timeout(begin));
+            let was_busy = pair.dialog.handle_silence(pair.session.krl_mut());
+            assert_eq!(was_busy, is_under_way, "{protocol}");
+            pair.run(1_000);
+            assert_eq!(pair.krc.state(), State::Mon, "{protocol}");
+            pair.ask(&start()).unwrap();
+            pair.run(50);
+            assert!(
+                pair.session.is_commanding(),
+                "{protocol}: and it can be asked for anew"
+            );
+        }
     }
 }
 

@@ -77,6 +77,9 @@ pub enum NetworkError {
     /// A node number is planned twice.
     #[error("node {0} is planned twice")]
     Twice(NodeId),
+    /// The master has the number of a node.
+    #[error("node {0} has the master's number; give the master another one")]
+    Master(NodeId),
     /// Two PDOs or services have the same identifier.
     #[error("node {node}: {id}h is used already; give its PDO another identifier")]
     Collision {
@@ -175,7 +178,7 @@ impl Network {
         }
         let frames = 1 + members.iter().map(|m| m.plan.rpdos.len()).sum::<usize>();
         Ok(Self {
-            routes: routes(&members)?,
+            routes: routes(&members, config.heartbeat.map(|(master, _)| master))?,
             process: VecDeque::with_capacity(frames),
             counter: Counter::new(config.sync_overflow),
             cycled: None,
@@ -430,12 +433,15 @@ fn news_of(member: &mut Member) -> Option<Event> {
 }
 
 /// Where each identifier belongs; refuses two owners.
-fn routes(members: &[Member]) -> Result<Vec<Route>, NetworkError> {
+fn routes(members: &[Member], master: Option<NodeId>) -> Result<Vec<Route>, NetworkError> {
     let mut routes = vec![Route::Nowhere; IDS];
     for (at, member) in (0_u8..).zip(members) {
         let node = member.plan.id;
         if members.iter().filter(|other| other.plan.id == node).count() > 1 {
             return Err(NetworkError::Twice(node));
+        }
+        if master == Some(node) {
+            return Err(NetworkError::Master(node));
         }
         let mut add = |id: Id, route| {
             let place = usize::try_from(id.raw())

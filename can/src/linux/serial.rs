@@ -7,8 +7,10 @@ use std::os::fd::AsFd;
 use std::os::unix::fs::OpenOptionsExt;
 use std::time::Duration;
 
-use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use nix::errno::Errno;
+use nix::poll::{PollFd, PollFlags, ppoll};
 use nix::sys::termios::{BaudRate, SetArg, cfmakeraw, cfsetspeed, tcgetattr, tcsetattr};
+use nix::sys::time::TimeSpec;
 
 use super::monotonic;
 use crate::Frame;
@@ -100,10 +102,13 @@ impl Serial {
 
     /// Reads what is there, waiting for it at most so long.
     fn fill(&mut self, timeout: Duration) -> io::Result<()> {
-        let wait = PollTimeout::try_from(timeout).unwrap_or(PollTimeout::MAX);
+        // Not poll, whose milliseconds make a busy loop of the last one of each wait.
+        let wait = TimeSpec::from_duration(timeout);
         let mut polled = [PollFd::new(self.port.as_fd(), PollFlags::POLLIN)];
-        if poll(&mut polled, wait)? == 0 {
-            return Ok(());
+        match ppoll(&mut polled, Some(wait), None) {
+            Ok(0) | Err(Errno::EINTR) => return Ok(()),
+            Ok(_) => {}
+            Err(errno) => return Err(errno.into()),
         }
         match self.port.read(&mut self.bytes) {
             Ok(0) => Err(io::ErrorKind::UnexpectedEof.into()),
@@ -111,7 +116,14 @@ impl Serial {
                 (self.next, self.filled) = (0, len);
                 Ok(())
             }
-            Err(error) if error.kind() == io::ErrorKind::WouldBlock => Ok(()),
+            Err(error)
+                if matches!(
+                    error.kind(),
+                    io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted
+                ) =>
+            {
+                Ok(())
+            }
             Err(error) => Err(error),
         }
     }

@@ -120,8 +120,9 @@ pub struct SocketCan {
     filled: usize,
     batch: usize,
     clock: Clock,
-    /// From the kernel's clock to the monotonic one, taken when the buffers were filled.
+    /// From the kernel's clock to the monotonic one, and that one, taken when the buffers were filled.
     age: Duration,
+    filled_at: Duration,
     queue: QueuePolicy,
     dropped: u32,
     refused: u64,
@@ -164,6 +165,7 @@ impl SocketCan {
             batch: BATCH,
             clock: options.clock,
             age: Duration::ZERO,
+            filled_at: Duration::ZERO,
             queue: options.queue,
             dropped: 0,
             refused: 0,
@@ -238,7 +240,8 @@ impl SocketCan {
         let filled = self.buffers.fill(self.socket.as_fd(), self.batch);
         self.filled = filled.map_err(|error| link_error(error.raw_os_error().unwrap_or(0)))?;
         if self.filled > 0 && self.clock == Clock::Monotonic {
-            self.age = wall().saturating_sub(monotonic());
+            self.filled_at = monotonic();
+            self.age = wall().saturating_sub(self.filled_at);
         }
         Ok(())
     }
@@ -260,7 +263,7 @@ impl SocketCan {
         Some(Received {
             frame: stamped.frame?,
             at: match self.clock {
-                Clock::Monotonic => at.saturating_sub(self.age),
+                Clock::Monotonic => carried_over(at, self.age, self.filled_at),
                 Clock::Wall => at,
             },
             hardware: stamped.hardware,
@@ -268,6 +271,16 @@ impl SocketCan {
             dropped: self.dropped,
         })
     }
+}
+
+/// Longest time that a frame is taken to have waited for being read.
+const WAITED_MAX: Duration = Duration::from_millis(100);
+
+/// A stamp of the wall clock on the monotonic one. Whoever sets the wall clock between stamp and reading
+/// would make frames come from the future, or heartbeats from long ago: what cannot be is not told.
+fn carried_over(stamp: Duration, age: Duration, now: Duration) -> Duration {
+    let earliest = now.saturating_sub(WAITED_MAX);
+    stamp.saturating_sub(age).clamp(earliest, now)
 }
 
 /// Longest sleep between two attempts to send.
@@ -311,5 +324,22 @@ impl Link for SocketCan {
             self.fill()?;
         }
         Ok(self.take())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_wall_clock_that_is_set_moves_no_frame_out_of_its_time() {
+        let ms = Duration::from_millis;
+        let (age, now) = (ms(1_700_000_000_000), ms(5_000));
+        let of = |stamp| carried_over(stamp, age, now);
+        assert_eq!(of(age + ms(4_999)), ms(4_999), "as it is");
+        assert_eq!(of(age + ms(8_600_000)), now, "set back by hours");
+        assert_eq!(of(age - ms(60_000)), ms(4_900), "set on by minutes");
+        assert_eq!(of(Duration::ZERO), ms(4_900), "set on by years");
+        assert_eq!(carried_over(ms(7), Duration::ZERO, ms(20)), ms(7));
     }
 }

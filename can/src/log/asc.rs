@@ -254,6 +254,7 @@ fn date(text: &str) -> Option<Duration> {
     } else {
         Duration::from_secs(second.parse().ok()?)
     };
+    let second = second.min(Duration::from_secs(60));
     let hour: u32 = hour.parse().ok()?;
     let hour = match rest.first().map(String::as_str) {
         Some("am") => hour % 12,
@@ -351,11 +352,30 @@ mod tests {
         }
     }
 
+    #[test]
+    fn times_that_no_recording_has_are_told() {
+        let most = u64::MAX;
+        for text in [
+            format!("base hex\n{most}.0 1 123 Rx d 0\n"),
+            format!("base hex timestamps relative\n{most}.9 1 123 Rx d 0\n{most}.9 1 123 Rx d 0\n"),
+            format!("date Tue Nov 14 10:13:{most} 9999\n{most}.0 1 123 Rx d 0\n"),
+            format!("date Tue Nov 14 10:13:{most}.5 9999\n{most}.0 1 123 Rx d 0\n"),
+        ] {
+            let log = Log::read(text.as_bytes());
+            assert_eq!(log.records, [], "{text}");
+            assert!(
+                log.left_out.iter().all(|left| left.why == LogError::Late) && log.left_out_count > 0,
+                "{text}: {:?}",
+                log.left_out
+            );
+        }
+    }
+
     proptest! {
         #[test]
         fn any_text_is_answered(
             lines in prop::collection::vec(
-                "(date|base|begin|[0-9]{1,3}\\.[0-9]{0,12}) (CANFD )?[0-9a-zA-Z:. ]{0,60}", 0..8),
+                "(date|base|begin|[0-9]{1,20}\\.[0-9]{0,12}) (CANFD )?[0-9a-zA-Z:. ]{0,60}", 0..8),
         ) {
             let _ = Log::read(format!("base hex\n{}", lines.join("\n")).as_bytes());
         }

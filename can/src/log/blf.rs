@@ -32,6 +32,9 @@ const BASE_LEN: usize = 16;
 /// Largest content of a container that is unpacked. Writers use 128 KiB.
 const CONTAINER_MAX: usize = 64 << 20;
 
+/// Largest object within a container. Of CAN none has more than some hundred bytes.
+const OBJECT_MAX: usize = 1 << 20;
+
 /// Kinds of objects.
 mod kind {
     pub(super) const CAN_MESSAGE: u32 = 1;
@@ -126,6 +129,10 @@ impl Reader {
             };
             let begin = at + gap;
             let len = len_at(bytes, begin + 8).unwrap_or(BASE_LEN).max(BASE_LEN);
+            if !is_file && len > OBJECT_MAX {
+                log.leave_out(place, broken("an object of a BLF file of more than 1 MiB"));
+                return bytes.len();
+            }
             let Some(object) = bytes.get(begin..begin.saturating_add(len)) else {
                 return begin;
             };

@@ -23,6 +23,7 @@ impl<'a> Line<'a> {
     pub(super) fn parse(line: &'a str) -> Result<Self, LogError> {
         let mut words = line.split_ascii_whitespace();
         let at = words.next().and_then(stamp).ok_or(LogError::Stamp)?;
+        let at = super::sound(at)?;
         let fits = |name: &&str| name.len() <= INTERFACE_LEN_MAX;
         let interface = words.next().filter(fits).ok_or(LogError::Interface)?;
         let frame = frame(words.next().ok_or(LogError::Id)?)?;
@@ -411,10 +412,21 @@ mod tests {
         prop::sample::select(some.to_vec())
     }
 
+    #[test]
+    fn times_beyond_the_calendar_are_told() {
+        for seconds in [253_402_300_800, u64::MAX] {
+            let line = format!("({seconds}.000000) can0 705#05");
+            assert_eq!(Record::parse(&line), Err(LogError::Late));
+            assert_eq!(LogLine::parse(&line), Err(LogError::Late));
+            assert_eq!(Log::read(line.as_bytes()).left_out_count, 1);
+        }
+        assert!(Record::parse("(253402300799.999999) can0 705#05").is_ok());
+    }
+
     proptest! {
         #[test]
         fn printed_line_reads_back(
-            frame in any_frame(), seconds in any::<u64>(), micros in 0..1_000_000_u32,
+            frame in any_frame(), seconds in 0..253_402_300_800_u64, micros in 0..1_000_000_u32,
             direction in any_direction(), interface in "[a-z]{1,13}[0-9]{0,2}",
         ) {
             let at = Duration::new(seconds, micros * 1_000);

@@ -10,6 +10,7 @@
 //!   Ready       -- a hindrance ------------------------------> Blocked
 //!   Blocked     -- the hindrance is gone --------------------> Configuring
 //!   any         -- no whole cycle for `silence` -------------> Silent
+//!                  (PoweredOff: nothing of its user interface)
 //! ```
 //!
 //! After every way back to Ready the power base stands still until the program has asked for rest once:
@@ -241,8 +242,9 @@ impl Driver {
         now: Duration,
     ) -> Option<Measurement> {
         let message = Message::decode(frame)?;
-        if matches!(message, Message::PowerbaseOff { .. }) && self.state == State::Silent {
-            self.state = State::PoweredOff;
+        let is_off = matches!(message, Message::PowerbaseOff { .. });
+        if is_off && matches!(self.state, State::Silent | State::PoweredOff) {
+            (self.state, self.heard) = (State::PoweredOff, Some(now));
         }
         let [a, b] = &mut self.cycles;
         let cycles = match channel {
@@ -356,8 +358,8 @@ impl Driver {
     fn fall_silent(&mut self) {
         match self.state {
             State::Ready => self.leave(),
-            State::Silent | State::PoweredOff => return,
-            State::Configuring | State::Blocked(_) => {}
+            State::Silent => return,
+            State::PoweredOff | State::Configuring | State::Blocked(_) => {}
         }
         self.state = State::Silent;
         self.heard = None;

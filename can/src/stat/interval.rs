@@ -40,7 +40,7 @@ impl Intervals {
                 (self.shortest, self.first) = (interval, interval);
             }
             self.count += 1;
-            self.sum += interval;
+            self.sum = self.sum.saturating_add(interval);
             self.shortest = self.shortest.min(interval);
             self.longest = self.longest.max(interval);
             let deviation = interval.as_secs_f64() - self.first.as_secs_f64();

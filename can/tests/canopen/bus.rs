@@ -49,6 +49,8 @@ pub(crate) struct Bus {
     pub(crate) drives: Vec<Option<DriveNode>>,
     /// Frames that a stranger sends: each as soon as the one before is through.
     pub(crate) stranger: VecDeque<Frame>,
+    /// Frames with this identifier are lost for all.
+    pub(crate) muted: Option<u32>,
     /// A receiver loses so many frames in a thousand.
     pub(crate) loss: u64,
     pub(crate) dice: Dice,
@@ -83,6 +85,7 @@ impl Bus {
             queues: vec![VecDeque::new(); drives.len() + 2],
             drives,
             stranger: VecDeque::new(),
+            muted: None,
             loss: 0,
             dice: Dice::new(1),
             period: 2 * MS,
@@ -183,7 +186,7 @@ impl Bus {
             self.rpdo_latest = self.rpdo_latest.max(self.now - self.begun);
         }
         for to in 0..self.drives.len() + 1 {
-            if to == port || self.dice.says(self.loss) {
+            if to == port || self.muted == Some(frame.id().raw()) || self.dice.says(self.loss) {
                 continue;
             }
             if to == 0 {

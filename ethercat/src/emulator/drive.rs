@@ -23,7 +23,7 @@ use super::terminal::VENDOR;
 
 use pdo::Pdos;
 
-/// Length of each mailbox, bytes.
+/// Length of each mailbox, bytes, unless told otherwise.
 const MAILBOX: u16 = 128;
 /// CoE details: SDO, information, PDO assignment and configuration, complete access.
 const COE: u8 = 0x2F;
@@ -45,6 +45,8 @@ pub struct ServoConfig {
     pub needs_sync0: bool,
     /// Its clock: what it shows at power-on, ns, and its drift, ppb.
     pub clock: (u64, i64),
+    /// Length of each of its two mailboxes, bytes.
+    pub mailbox: u16,
 }
 
 impl Default for ServoConfig {
@@ -56,6 +58,7 @@ impl Default for ServoConfig {
             axes: vec![DriveConfig::default()],
             needs_sync0: false,
             clock: (0, 0),
+            mailbox: MAILBOX,
         }
     }
 }
@@ -96,7 +99,7 @@ impl ServoConfig {
             product: 0x5458,
             axes: axes.to_vec(),
             needs_sync0: true,
-            clock: (0, 0),
+            ..Self::default()
         }
     }
 }
@@ -171,8 +174,8 @@ impl Firmware {
             axes,
             keys: Keys::new(&dictionary)?,
             dictionary,
+            coe: CoeServer::new(config.mailbox, true),
             config,
-            coe: CoeServer::new(MAILBOX, true),
             pdos: Pdos::default(),
             state: AlState::Init,
             link_lost: false,
@@ -359,7 +362,7 @@ fn sii(config: &ServoConfig) -> SiiImage {
         },
         order: config.name.split(' ').next().unwrap_or_default().to_owned(),
         name: config.name.clone(),
-        mailbox_len: MAILBOX,
+        mailbox_len: config.mailbox,
         coe: COE,
         clock: true,
         rx_pdos: (0..axes).map(|axis| pdo::image(axis, true)).collect(),

@@ -98,6 +98,11 @@ pub enum Fault {
     },
     /// It is to give SYNC signals, and has no clock that can.
     NoClock,
+    /// The reference clock does not show its time.
+    NoReference {
+        /// Whose clock that is.
+        slave: Option<usize>,
+    },
     /// It came when the process image was made already, and its process data was not known then.
     NoRoom,
 }
@@ -151,6 +156,13 @@ impl fmt::Display for Fault {
             Self::NoClock => f.write_str(
                 "SYNC0 is wanted, and the slave has no clock of 64 bits with SYNC unit; take `sync` out",
             ),
+            Self::NoReference { slave } => {
+                f.write_str("its clock waits for the reference clock, which is not running; see ")?;
+                match slave {
+                    Some(slave) => write!(f, "why slave {slave} does not come up"),
+                    None => f.write_str("why no slave with a clock comes up"),
+                }
+            }
             Self::NoRoom => f.write_str(
                 "it has no place in the process image; give its outputs and inputs in the configuration",
             ),
@@ -180,6 +192,17 @@ pub enum JobError {
         /// Bytes of the answer.
         size: usize,
         /// Bytes of room.
+        room: usize,
+    },
+    /// A datagram as long as its mailbox has no room in a frame beside the process image.
+    #[error(
+        "its mailbox of {size} bytes does not fit into a frame beside the process image, which leaves {room}; map \
+         fewer or smaller PDOs, or split the segment"
+    )]
+    NoRoom {
+        /// Bytes of the longer of its two areas.
+        size: usize,
+        /// Bytes left for one datagram.
         room: usize,
     },
     /// The answer is not what the protocol says.
@@ -251,6 +274,16 @@ pub enum Event {
         /// Whose.
         slave: usize,
     },
+    /// While process data is exchanged, the mailbox of a slave cannot be used: it does not fit beside them. Jobs for it
+    /// end with [`JobError::NoRoom`], and should it come back later, it cannot be set up by objects.
+    MailboxTooLong {
+        /// Whose.
+        slave: usize,
+        /// Bytes of the longer of its two areas.
+        size: usize,
+        /// Bytes left for one datagram.
+        room: usize,
+    },
     /// The reference clock changed.
     Reference {
         /// The slave whose clock it is now.
@@ -309,6 +342,16 @@ impl fmt::Display for Event {
             ),
             Self::ClockBack { slave } => {
                 write!(f, "slave {slave}: its clock follows the reference again")
+            }
+            Self::MailboxTooLong { slave, size, room } => {
+                write!(
+                    f,
+                    "slave {slave}: {}",
+                    JobError::NoRoom {
+                        size: *size,
+                        room: *room
+                    }
+                )
             }
             Self::Reference { slave } => write!(f, "slave {slave}: its clock is the reference now"),
         }

@@ -7,7 +7,8 @@ use std::ops::Range;
 use super::exchange::{Batch, Owner};
 use super::process::ProcessData;
 use crate::config::IMAGE_MAX;
-use crate::{Address, Command};
+use crate::wire::FrameWriter;
+use crate::{Address, Command, DatagramHeader, FrameHeader};
 
 /// Groups of slaves, each with a working counter of its own.
 pub(super) const GROUPS: usize = 8;
@@ -57,6 +58,19 @@ pub struct Group {
     pub misses: u64,
     /// Datagrams of the cycle that came back so far.
     parts: u8,
+}
+
+impl Group {
+    /// Lengths of the datagrams that carry it.
+    fn datagrams(&self) -> impl Iterator<Item = usize> + use<> {
+        let (out, back) = (self.outputs.len(), self.inputs.len());
+        let two = if self.lrw && out > 0 && back > 0 {
+            [out + back, 0]
+        } else {
+            [out, back]
+        };
+        two.into_iter().filter(|len| *len > 0)
+    }
 }
 
 /// The image does not fit a frame.
@@ -139,6 +153,20 @@ impl Image {
     pub(super) fn has_room(&self, slave: usize, (outputs, inputs): (usize, usize)) -> bool {
         let place = self.places.get(slave);
         place.is_some_and(|place| place.outputs.len() == outputs && place.inputs.len() == inputs)
+    }
+
+    /// Bytes that the datagram of a mailbox can have in a frame with the clock's datagram, the census and this image;
+    /// without an image nothing else need be in its frame.
+    pub(super) fn mailbox_room(&self) -> usize {
+        const CYCLIC: [usize; 2] = [8, 2];
+        let overhead = DatagramHeader::LEN + 2;
+        let whole = FrameWriter::LEN_MAX - FrameHeader::LEN - overhead;
+        if self.data.is_empty() {
+            return whole;
+        }
+        let lens = self.groups.iter().flat_map(Group::datagrams);
+        let used = lens.chain(CYCLIC).map(|len| len + overhead).sum();
+        whole.saturating_sub(used)
     }
 
     const fn base(group: usize) -> u32 {

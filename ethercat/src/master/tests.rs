@@ -9,6 +9,7 @@ mod mailbox;
 mod more;
 mod recovery;
 mod start;
+mod stuck;
 
 /// A master, a segment, and the time that both live in.
 pub(crate) struct Rig {

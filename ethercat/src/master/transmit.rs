@@ -224,30 +224,56 @@ impl Master {
         Some(system_ns)
     }
 
-    /// A reference that was there and has not answered for a while is given up.
+    /// A reference that was there and has not answered for a while is given up; one that was never there, as soon as
+    /// it fails.
     fn check_reference(&mut self) {
-        if self.clock.last.is_none() {
+        if self.scan.phase != Phase::Running {
             return;
         }
-        self.clock.silent = self.clock.silent.saturating_add(1);
-        if self.clock.silent >= REFERENCE_SILENT {
+        if self.clock.last.is_some() {
+            self.clock.silent = self.clock.silent.saturating_add(1);
+            if self.clock.silent < REFERENCE_SILENT {
+                return;
+            }
+        }
+        let config = &self.config;
+        let leads = |unit: &Unit| unit.can_lead(config);
+        let slave = self.clock.slave.and_then(|slave| self.units.get(slave));
+        if self.clock.last.is_some() || !slave.is_some_and(leads) {
             self.change_reference();
         }
     }
 
     /// The reference is gone: the next clock in the ring that follows it still is the reference from now on. What lies
-    /// between the two, some microseconds, its followers are off from then on.
+    /// between the two, some microseconds, its followers are off from then on. If none follows, there is nobody to
+    /// disturb, and the first that can be the reference is.
     fn change_reference(&mut self) {
-        let candidate = |number: &&usize| {
-            let unit = self.units.get(**number);
-            unit.is_some_and(|unit| unit.is_running() && unit.clock.locked)
+        let Self {
+            config,
+            units,
+            ring,
+            clock,
+            out,
+            ..
+        } = self;
+        let find = |holds: &dyn Fn(&Unit) -> bool| {
+            let mut numbers = ring.iter().copied();
+            numbers.find(|number| units.get(*number).is_some_and(holds))
         };
-        let Some(next) = self.ring.iter().find(candidate).copied() else {
+        let locked = find(&|unit| unit.is_running() && unit.clock.locked);
+        let first = || find(&|unit| unit.can_lead(config));
+        let Some(next) = locked.or_else(first) else {
             return;
         };
-        self.clock.slave = Some(next);
-        self.clock.silent = 0;
-        self.out.event(super::Event::Reference { slave: next });
+        if let Some(unit) = units.get_mut(next) {
+            // One that runs already is not set up again: its time is taken as it is.
+            unit.clock.locked |= unit.is_running();
+        }
+        clock.silent = 0;
+        if clock.slave != Some(next) {
+            clock.slave = Some(next);
+            out.event(super::Event::Reference { slave: next });
+        }
     }
 
     fn take_process(&mut self, group: u8, sent: &Sent) {

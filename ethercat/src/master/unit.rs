@@ -69,6 +69,17 @@ pub(super) struct Context<'a> {
     pub(super) image: &'a Image,
 }
 
+impl Context<'_> {
+    /// Bytes that one datagram of a mailbox can have, beside the image if that is exchanged.
+    fn mailbox_room(&self) -> usize {
+        if self.config.goal == AlState::PreOp {
+            Image::default().mailbox_room()
+        } else {
+            self.image.mailbox_room()
+        }
+    }
+}
+
 /// What a datagram under way is for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum Asked {
@@ -253,6 +264,20 @@ impl Unit {
         }
     }
 
+    /// Its clock can be the reference: it is there, not given up, and brought to where clocks are set up.
+    pub(super) fn can_lead(&self, config: &MasterConfig) -> bool {
+        self.is_present()
+            && self.mapped
+            && !self.has_failed()
+            && self.info.has_clock()
+            && self.goal(config) != AlState::PreOp
+    }
+
+    /// Bytes of the longest datagram that its mailbox needs; zero without one.
+    pub(super) fn mailbox_size(&self) -> usize {
+        self.mailbox.size()
+    }
+
     /// It failed more than once, so that nobody should wait for it.
     pub(super) const fn has_failed(&self) -> bool {
         matches!(self.step, Step::Failed) && self.failures >= 2
@@ -346,7 +371,7 @@ impl Unit {
     }
 
     /// All jobs end.
-    fn abandon(&mut self, out: &mut Outbox) {
+    pub(super) fn abandon(&mut self, out: &mut Outbox) {
         if let Some(transfer) = self.mailbox.reset() {
             self.give_back(transfer.into_job(), Err(JobError::Absent), out);
         }
@@ -386,6 +411,10 @@ impl Unit {
         }
         self.fault = Some(fault);
         (self.step, self.op, self.since) = (Step::Failed, Op::Rest, cx.now);
+        // Its operation ends here, and it must not wait for it before it is tried again.
+        if let Some(job) = self.job.take() {
+            self.give_back(job, Err(JobError::Absent), out);
+        }
     }
 
     /// What the census or an inspection saw of its state.
@@ -447,10 +476,12 @@ impl Unit {
         };
         if mailbox == Some(true) {
             let kind = job.kind;
-            if let Some(output) = self
-                .mailbox
-                .begin(transfer::Transfer::new(job), kind, cx.now)
-            {
+            if let Some(output) = self.mailbox.begin(
+                transfer::Transfer::new(job),
+                kind,
+                cx.mailbox_room(),
+                cx.now,
+            ) {
                 self.handle_mailbox(output, cx, out);
             }
             return;

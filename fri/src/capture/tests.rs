@@ -199,3 +199,51 @@ fn files_that_are_none_are_refused() {
     }
     assert!(matches!(read(b"abc"), Err(CaptureError::Io(_))));
 }
+
+#[test]
+fn ten_thousand_hostile_recordings_do_no_harm() {
+    let mut sound = Vec::new();
+    for (at, sample) in (0_u64..).zip(recorded()) {
+        let packet = packet::build(&sample);
+        sound.extend((at * 2_000_000).to_le_bytes());
+        sound.extend(u16::try_from(packet.len()).unwrap().to_le_bytes());
+        sound.extend(packet);
+    }
+    fuzz(&sound);
+    let mut state = 1_u64;
+    let mut noise = move || {
+        state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        usize::try_from(state >> 33).unwrap()
+    };
+    for _ in 0..10_000 {
+        let mut input = sound.clone();
+        for _ in 0..noise() % 16 {
+            let at = noise() % input.len();
+            input[at] = noise().to_le_bytes()[0];
+        }
+        input.truncate(noise() % (sound.len() + 1));
+        fuzz(&input);
+    }
+}
+
+/// Measurements and answers of both generations.
+fn recorded() -> Vec<Datagram> {
+    use crate::lwr::emulator::{Krc, KrcConfig};
+    use crate::sunrise::emulator::{Cabinet, CabinetConfig};
+    let (mut krc, mut cabinet) = (
+        Krc::new(KrcConfig::default(), Duration::ZERO),
+        Cabinet::new(CabinetConfig::default(), Duration::ZERO),
+    );
+    let mut all = samples();
+    let mut buf = [0; crate::sunrise::wire::MESSAGE_MAX];
+    for ms in [0, 2, 4] {
+        let now = Duration::from_millis(ms);
+        let len = krc.poll_transmit(now, &mut buf).unwrap();
+        all.push(datagram(ms, &buf[..len]));
+        let len = cabinet.poll_transmit(now, &mut buf).unwrap();
+        all.push(datagram(ms, &buf[..len]));
+    }
+    all
+}

@@ -1,7 +1,9 @@
 //! Measurements of both generations as the one kind that is judged. It decodes nothing.
 
 use super::Measurement;
+use crate::lwr::stated_period;
 use crate::lwr::wire::{Msr, Quality as LwrQuality};
+use crate::sunrise::PERIOD_MS;
 use crate::sunrise::wire::{Monitoring, Quality};
 use std::time::Duration;
 
@@ -17,7 +19,7 @@ impl Measurement {
     /// Of FRI 1.0.
     #[must_use]
     pub fn lwr(at: Duration, msr: &Msr) -> Self {
-        let period = Duration::try_from_secs_f32(msr.interface.msr_period_s).unwrap_or_default();
+        let period = stated_period(msr);
         Self {
             at,
             sequence: msr.header.sequence.into(),
@@ -35,7 +37,8 @@ impl Measurement {
     pub fn sunrise(at: Duration, message: &Monitoring) -> Self {
         let stamp = message.monitor.and_then(|data| data.stamp);
         let connection = message.connection;
-        let period_ms = connection.and_then(|it| it.send_period_ms).unwrap_or(0);
+        let period_ms = connection.and_then(|it| it.send_period_ms);
+        let period_ms = period_ms.map_or(0, |ms| ms.clamp(*PERIOD_MS.start(), *PERIOD_MS.end()));
         let times = connection.and_then(|it| it.receive_multiplier).unwrap_or(1);
         Self {
             at,

@@ -266,3 +266,47 @@ fn a_restart_is_neither_loss_nor_jitter() {
     });
     assert_eq!(verdict, Verdict::Good);
 }
+
+/// Real measurements of both generations with nonsense in the numbers that an observer reckons with.
+#[test]
+fn no_number_on_the_wire_makes_the_observer_overflow() {
+    use crate::lwr::emulator::{Krc, KrcConfig};
+    use crate::lwr::wire::Msr;
+    let mut krc = Krc::new(KrcConfig::default(), Duration::ZERO);
+    let mut bytes = [0; Msr::LEN];
+    krc.poll_transmit(Duration::ZERO, &mut bytes).unwrap();
+    let sound = Msr::decode(&bytes).unwrap();
+    let wild = [1e19, 1.8e19, f32::MAX, f32::INFINITY, f32::NAN, -1.0, 0.0];
+    let mut observer = Observer::lwr();
+    for (sequence, (period, stamp)) in (0..)
+        .zip(wild.iter().flat_map(|a| wild.map(|b| (*a, b))))
+        .map(|(i, it)| (i * 40, it))
+    {
+        let mut msr = sound;
+        msr.header.sequence = sequence;
+        (msr.interface.msr_period_s, msr.interface.timestamp_s) = (period, stamp);
+        let at = if sequence % 80 == 0 {
+            Duration::MAX
+        } else {
+            Duration::ZERO
+        };
+        observer.handle_measurement(Measurement::lwr(at, &msr));
+        observer.handle_answer(Duration::MAX, 0);
+        let period = observer.observed().period;
+        assert!((US * 1_000..=US * 100_001).contains(&period), "{period:?}");
+    }
+    let _line = observer.verdict().to_string();
+    let mut sunrise = Observer::sunrise();
+    for i in 0..200 {
+        let mut message = crate::sunrise::wire::Monitoring::default();
+        message.header.sequence = i * 50;
+        message.connection = Some(crate::sunrise::wire::ConnectionInfo {
+            state: 1.into(),
+            quality: 3.into(),
+            send_period_ms: Some(u32::MAX),
+            receive_multiplier: Some(0),
+        });
+        sunrise.handle_measurement(Measurement::sunrise(Duration::MAX, &message));
+    }
+    assert_eq!(sunrise.observed().period, US * 100_000);
+}

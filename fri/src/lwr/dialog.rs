@@ -230,7 +230,7 @@ impl Dialog {
         };
         match self.next(step, msr, krl) {
             Next::Wait(waits_for) if now.saturating_sub(since) >= PATIENCE => {
-                self.end(krl);
+                self.give_up(krl);
                 let protocol = self.protocol;
                 Progress::Failed(DialogError::Silent {
                     protocol,
@@ -274,14 +274,32 @@ impl Dialog {
         }
     }
 
-    /// Leaves nothing in the user data that asks for a start.
+    /// The controller fell silent or began anew: who starts its program then must not start the robot by what was asked
+    /// for before. Returns whether a request was under way; it counts as given up.
+    pub fn handle_silence(&mut self, krl: &mut Krl) -> bool {
+        let was_busy = self.step.is_some();
+        self.give_up(krl);
+        was_busy
+    }
+
+    /// Takes back what still asks for a start, by its level too.
+    fn give_up(&mut self, krl: &mut Krl) {
+        self.end(krl);
+        match self.protocol {
+            Protocol::KukaLwr => krl.int[1] = 0,
+            Protocol::FirstApp => krl.int[0] = 1,
+            Protocol::Rcc | Protocol::Stanford | Protocol::Tum => {}
+        }
+    }
+
+    /// Leaves no word in the user data that asks for a start. Levels stay: the program follows them.
     fn end(&mut self, krl: &mut Krl) {
         self.step = None;
         match self.protocol {
             Protocol::Rcc => krl.set_bool(15, false),
             Protocol::Stanford => krl.int[15] = 0,
             Protocol::Tum => krl.set_bool(0, false),
-            // The level in FRM_INT[2] is what the program follows; a fall needs 0 and 1 again.
+            // FRM_INT[2] = 0 would be friStop; a fall needs 0 and 1 again. FRM_INT[1] = 10 is said as long as it runs.
             Protocol::KukaLwr | Protocol::FirstApp => {}
         }
     }

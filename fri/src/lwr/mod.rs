@@ -12,6 +12,7 @@ pub use crate::error::AnswerError;
 pub use crate::sequence::Order;
 pub use dialog::{Dialog, DialogError, Progress, Request, Settings};
 pub use protocol::{Load, Protocol};
+pub(crate) use session::stated_period;
 pub use session::{ChooseError, Counters, Event, Fields, Phase, Reception, Session, SessionConfig};
 
 /// Number of axes.

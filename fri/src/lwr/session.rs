@@ -51,7 +51,8 @@ impl Default for SessionConfig {
 ///     └────(4) silence ─────────────────────────────────────────────────────────────────┘
 /// ```
 /// Transitions 1 to 3 are made by [`Session::handle_datagram`] (Offline to Command directly when the first datagram says
-/// so), transition 4 by [`Session::handle_timeout`].
+/// so), transition 4 by [`Session::handle_timeout`]. A controller that started again in command mode is entered
+/// as one that was offline.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Phase {
     /// No datagram for [`SessionConfig::offline_after`] periods, or none yet.
@@ -173,6 +174,10 @@ impl Session {
         self.handle_timeout(now);
         let order = self.tracker.accept(msr.header.sequence);
         let lost = self.count(order);
+        if order == Order::Restart && msr.is_commanding() {
+            // Nothing that was commanded before means anything to one that began anew: entered, not gone on with.
+            self.phase = Phase::Offline;
+        }
         let event = if order.is_new() {
             self.accept(&msr, now)
         } else {
@@ -335,11 +340,7 @@ impl Session {
     /// Period of measurements as the controller states it, 1 ms to 100 ms; `None` before the first one.
     #[must_use]
     pub fn period(&self) -> Option<Duration> {
-        let stated = self.msr.as_ref()?.interface.msr_period_s;
-        let (shortest, longest) = (*PERIOD_RANGE_S.start(), *PERIOD_RANGE_S.end());
-        // `max` first: it also replaces a value that is not a number.
-        let seconds = stated.max(shortest).min(longest);
-        Some(Duration::from_secs_f32(seconds))
+        self.msr.as_ref().map(stated_period)
     }
 
     /// Where the connection stands.
@@ -377,6 +378,14 @@ impl Session {
     pub fn counters(&self) -> Counters {
         self.counters
     }
+}
+
+/// Period of measurements as one of them states it, 1 ms to 100 ms whatever stands there.
+pub(crate) fn stated_period(msr: &Msr) -> Duration {
+    let (shortest, longest) = (*PERIOD_RANGE_S.start(), *PERIOD_RANGE_S.end());
+    // `max` first: it also replaces a value that is not a number.
+    let seconds = msr.interface.msr_period_s.max(shortest).min(longest);
+    Duration::from_secs_f32(seconds)
 }
 
 #[expect(

@@ -7,6 +7,7 @@ pub mod wire;
 
 pub use crate::error::AnswerError;
 pub use crate::sequence::Order;
+pub(crate) use session::PERIOD_MS;
 pub use session::{
     Answer, Counters, Demand, Event, IoError, IoLevel, Phase, PlaceError, Reception, Session,
     SessionConfig, Withheld,

@@ -23,7 +23,7 @@ pub use exchange::{IoError, IoLevel, PlaceError};
 pub use phase::{Event, Phase};
 
 /// What a controller's sendPeriod may be, ms; a wilder one on the wire must not make the silence timer absurd.
-const PERIOD_MS: std::ops::RangeInclusive<u32> = 1..=100;
+pub(crate) const PERIOD_MS: std::ops::RangeInclusive<u32> = 1..=100;
 
 /// Settings of a [`Session`].
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -126,6 +126,8 @@ pub struct Session {
     heard: Option<Duration>,
     is_pending: bool,
     is_engaged: bool,
+    /// Whether the overlay was active already when the first message came.
+    has_joined: bool,
     next_sequence: u32,
     /// Sequence number of the message answered last.
     answered: Option<u32>,
@@ -147,6 +149,7 @@ impl Session {
             heard: None,
             is_pending: false,
             is_engaged: false,
+            has_joined: false,
             next_sequence: 0,
             answered: None,
             held: [0.0; AXES],
@@ -169,6 +172,11 @@ impl Session {
         self.handle_timeout(now);
         let order = self.tracker.accept(message.header.sequence);
         let lost = self.count(order);
+        if order == Order::Restart && Phase::from(message.state()).is_commanding() {
+            // Nothing that was commanded before means anything to one that began anew: entered, not gone on with.
+            self.phase = Phase::Offline;
+            self.is_engaged = false;
+        }
         let event = if order.is_new() {
             self.note_dialect(order, is_framed, &message);
             self.accept(message, now)
@@ -237,7 +245,9 @@ impl Session {
         self.message = message;
         self.heard = Some(now);
         self.is_pending = self.phase != Phase::Idle && self.is_due();
-        self.is_engaged &= self.phase == Phase::CommandingActive;
+        let is_active = self.phase == Phase::CommandingActive;
+        self.has_joined = is_active && (self.has_joined || from == Phase::Offline);
+        self.is_engaged &= is_active;
         if !self.is_engaged {
             self.held = self.reference();
         }
@@ -254,11 +264,12 @@ impl Session {
     }
 
     /// Where the controller itself would have the joints: the interpolator's position, else the commanded (1.x), else the
-    /// measured one.
+    /// measured one. Under an overlay that was active already when this session began, somebody may have brought the arm
+    /// away from the interpolator's position, which then would be a jump.
     fn reference(&self) -> Joints {
         let ipo = self.message.ipo.and_then(|ipo| ipo.joints);
         let commanded = self.message.monitor.and_then(|data| data.commanded);
-        let interpolated = ipo.filter(|_| self.phase.is_commanding());
+        let interpolated = ipo.filter(|_| self.phase.is_commanding() && !self.has_joined);
         interpolated
             .or(commanded)
             .or_else(|| self.message.measured())

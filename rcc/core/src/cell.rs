@@ -43,7 +43,7 @@ use crate::device::{canopen, ethercat, iiwa, rmp};
 use crate::error::Error;
 use crate::span;
 pub use device::{DeviceConfig, IiwaConfig, IiwaIo, IiwaModel, LwrConfig, RmpConfig};
-pub use segment::{CanopenConfig, DriveArm, DriveJoint, EthercatConfig, EthercatIo, EthercatSlave};
+pub use segment::{CanopenConfig, DriveArm, DriveJoint, EthercatConfig, EthercatIo, EthercatSlave, LinkLoss};
 pub use youbot::{YouBotArm, YouBotBase, YouBotControl};
 
 /// Net threads that a controller may have.

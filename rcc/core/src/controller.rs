@@ -13,6 +13,7 @@ mod inter;
 mod load;
 mod reload;
 mod rules;
+mod share;
 mod threads;
 
 use std::collections::BTreeMap;
@@ -40,6 +41,7 @@ pub use eval::{EVAL_COST_MAX, EVAL_PRIMITIVES_MAX};
 pub use figures::{NetFigures, ThreadInfo};
 pub use inter::{LOOK_LASTS, LOOKS_MAX, TapRecord, Taps};
 pub use load::LoadRequest;
+pub use share::{NETS_MEMORY_MAX, NETS_TEXT_MAX};
 pub use rules::{RuleId, RuleInfo, RuleRequest};
 
 /// Nets that may be loaded at once.

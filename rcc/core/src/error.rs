@@ -59,6 +59,38 @@ pub enum Error {
          does not follow, kept for another rule, or wanted twice"
     )]
     NotSchedulable { resource: String },
+    /// Nets of one thread would cost more in a cycle than they may.
+    #[error(
+        "net {net} costs up to {cost:?} a cycle, and {running:?} of the {budget:?} that nets of its thread          may cost together are taken: {heaviest}; end one of them, make them smaller, or load one for          another net thread (`[[controller.thread]]`)"
+    )]
+    Overload {
+        net: NetId,
+        cost: std::time::Duration,
+        running: std::time::Duration,
+        budget: std::time::Duration,
+        heaviest: String,
+    },
+    /// A net would take the time that scheduled nets need.
+    #[error(
+        "net {net} costs up to {cost:?} a cycle, which leaves too little of the {budget:?} that nets of its          thread may cost together for what rule {rule} is to start: {kept_for}; abort those first"
+    )]
+    OverloadKept {
+        net: NetId,
+        cost: std::time::Duration,
+        budget: std::time::Duration,
+        rule: u32,
+        kept_for: String,
+    },
+    /// Nets that a rule is to start would cost too much beside those that run on.
+    #[error(
+        "the nets to be started cost up to {started:?} a cycle, and {running:?} of the {budget:?} that nets          of their thread may cost together stay taken by nets that the rule does not follow: {heaviest};          let it stop one of them or wait for its end, or make them smaller"
+    )]
+    RuleOverload {
+        started: std::time::Duration,
+        running: std::time::Duration,
+        budget: std::time::Duration,
+        heaviest: String,
+    },
     /// A rule's condition is wrong.
     #[error("condition: {what}")]
     Condition { what: String },

@@ -99,6 +99,20 @@ pub enum Refusal {
     ResourceKept(usize),
     /// This device does not follow commands.
     DeviceNotReady(usize),
+    /// Together with those that run it would cost more in a cycle than nets may.
+    Overload {
+        /// What those cost that run.
+        running: Nanos,
+        /// What all may cost.
+        budget: Nanos,
+    },
+    /// It would leave too little of a cycle for the nets that this rule starts.
+    OverloadKept {
+        /// The rule's number.
+        rule: u32,
+        /// What all nets may cost.
+        budget: Nanos,
+    },
     /// Too many nets run.
     TooMany,
 }
@@ -129,6 +143,8 @@ pub struct Running {
     pub devices: Vec<(usize, u64)>,
     /// It is evaluated in every so many cycles of its thread.
     pub every: u64,
+    /// What a cycle of it costs at most by what its primitives declare.
+    pub cost: Nanos,
     /// Whether it was asked to cancel.
     pub cancel: bool,
     /// Whether a successor waits for it.
@@ -168,6 +184,7 @@ impl Running {
     ) -> Self {
         let period = plan.period();
         let (links, _) = links::links(&plan);
+        let cost = plan.cost().total.into();
         Self {
             id,
             links,
@@ -179,6 +196,7 @@ impl Running {
             resources: ResourceSet::default(),
             devices: Vec::new(),
             every: 1,
+            cost,
             cancel: false,
             takeover: false,
             fresh: false,
@@ -266,6 +284,8 @@ pub struct Executor {
     pub devices: Vec<DeviceView>,
     running: Vec<Box<Running>>,
     rules: rules::Rules,
+    /// What the nets that run may cost together in a cycle, by what they declare.
+    budget: Nanos,
     /// How many joints of the image belong to a device.
     joints: usize,
     /// How many words of the image do.
@@ -281,6 +301,7 @@ impl Default for Executor {
             devices: Vec::with_capacity(DEVICES_MAX),
             running: Vec::with_capacity(RUNNING_MAX),
             rules: rules::Rules::new(),
+            budget: Nanos::MAX,
             joints: 0,
             used: Layout::default(),
             fresh: Vec::with_capacity(DEVICES_MAX),
@@ -289,6 +310,22 @@ impl Default for Executor {
 }
 
 impl Executor {
+    /// One whose nets may cost so much together in a cycle, by what they declare; [`Self::default`] has
+    /// no bound.
+    #[must_use]
+    pub fn within(budget: Nanos) -> Self {
+        Self {
+            budget,
+            ..Self::default()
+        }
+    }
+
+    /// How much rules look at in a cycle, at most [`rules::WORK_MAX`].
+    #[must_use]
+    pub const fn rule_work(&self) -> usize {
+        self.rules.work()
+    }
+
     /// Takes a net in. It is evaluated from the next [`Self::cycle`] on.
     ///
     /// # Errors
@@ -297,11 +334,8 @@ impl Executor {
         if self.running.len() == RUNNING_MAX {
             return Err((net, Refusal::TooMany));
         }
-        if let Some(resource) = net.resources.common(&self.held()) {
-            return Err((net, Refusal::ResourceInUse(resource)));
-        }
-        if let Some(resource) = self.kept(&net) {
-            return Err((net, Refusal::ResourceKept(resource)));
+        if let Some(refusal) = self.blocked(&net) {
+            return Err((net, refusal));
         }
         for i in 0..net.devices.len() {
             let number = net.devices[i].0;

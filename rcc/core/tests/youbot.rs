@@ -56,8 +56,20 @@ struct Hall {
     cell: Option<Cell>,
     segment: SharedSegment,
     bot: YouBot,
+    served: Option<Served>,
+}
+
+/// A segment at the end of a cable.
+struct Served {
     stop: Arc<AtomicBool>,
-    thread: Option<Thread<()>>,
+    thread: Thread<()>,
+}
+
+impl Served {
+    fn end(self) {
+        self.stop.store(true, Ordering::Relaxed);
+        self.thread.join().unwrap();
+    }
 }
 
 impl Hall {
@@ -74,10 +86,21 @@ impl Hall {
             firmware,
             ..YouBotConfig::default()
         });
-        let segment = SharedSegment::new(segment);
+        let mut hall = Self {
+            cell: None,
+            segment: SharedSegment::new(segment),
+            bot,
+            served: None,
+        };
+        hall.lead(config);
+        hall
+    }
+
+    /// Begins to serve the segment, and a controller that leads it.
+    fn lead(&mut self, config: &EthercatConfig) {
         let (near, far) = cable();
         let stop = Arc::new(AtomicBool::new(false));
-        let (stopping, served) = (Arc::clone(&stop), segment.clone());
+        let (stopping, served) = (Arc::clone(&stop), self.segment.clone());
         let of_thread = ThreadConfig {
             priority: Some(88),
             ..ThreadConfig::new("segment")
@@ -99,13 +122,16 @@ impl Hall {
             Ok(Box::new(Ethercat::start(config, wire, ends)?))
         });
         added.unwrap();
-        let robots = Vec::new();
-        Self {
-            cell: Some(Cell { controller, robots }),
-            segment,
-            bot,
-            stop,
-            thread: Some(thread.unwrap()),
+        let (robots, thread) = (Vec::new(), thread.unwrap());
+        self.cell = Some(Cell { controller, robots });
+        self.served = Some(Served { stop, thread });
+    }
+
+    /// Ends the controller. The drives keep their power.
+    fn leave(&mut self) {
+        self.cell = None;
+        if let Some(served) = self.served.take() {
+            served.end();
         }
     }
 
@@ -174,11 +200,7 @@ impl Hall {
 
 impl Drop for Hall {
     fn drop(&mut self) {
-        self.cell = None;
-        self.stop.store(true, Ordering::Relaxed);
-        if let Some(thread) = self.thread.take() {
-            thread.join().unwrap();
-        }
+        self.leave();
     }
 }
 
@@ -295,6 +317,73 @@ fn a_cut_cable_ends_the_net_and_a_mended_one_brings_all_back_at_rest() {
     assert!((hall.angle(1) - angle).abs() < 0.01);
 }
 
+/// The angles of the arm's joints, rad away from their stops.
+fn angles(hall: &Hall) -> [f64; 5] {
+    std::array::from_fn(|joint| hall.angle(joint))
+}
+
+/// Waits for the arm and asserts that no joint moved on the way there, nor moves for a while after it.
+fn stays(hall: &Hall, before: [f64; 5]) {
+    let near = || {
+        for (joint, before) in before.into_iter().enumerate() {
+            let away = hall.angle(joint) - before;
+            assert!(away.abs() < 0.02, "joint {joint} moved by {away} rad");
+        }
+    };
+    hall.cell().wait("the arm, resting", |_| {
+        near();
+        hall.cell().status("arm") == DeviceStatus::Operational
+    });
+    for _ in 0..60 {
+        std::thread::sleep(Duration::from_millis(5));
+        near();
+    }
+}
+
+#[test]
+fn an_arm_that_knows_where_it_is_rests_there_when_another_controller_takes_it() {
+    for control in [YouBotControl::Position, YouBotControl::Velocity] {
+        let mut config = config();
+        config.youbot_arms[0].control = control;
+        let mut hall = Hall::new(Firmware::V200, &config);
+        for _ in 0..2 {
+            hall.runs("arm", &common::swing_joint("arm", 3, 1.0), |_| ());
+            hall.runs("arm", &common::swing_joint("arm", 4, 1.0), |_| ());
+        }
+        assert!(hall.angle(3) > 0.9 && hall.angle(4) > 0.9);
+        let before = angles(&hall);
+        hall.leave();
+        hall.lead(&config);
+        stays(&hall, before);
+    }
+}
+
+#[test]
+fn an_arm_behind_a_cable_that_was_cut_rests_where_it_is() {
+    let hall = Hall::new(Firmware::V200, &config());
+    for _ in 0..2 {
+        hall.runs("arm", &common::swing_joint("arm", 4, 1.0), |_| ());
+    }
+    assert!(hall.angle(4) > 0.9);
+    let before = angles(&hall);
+    hall.segment.lock().set_link(3, false);
+    hall.cell().wait_for("arm", DeviceStatus::Offline);
+    hall.segment.lock().set_link(3, true);
+    stays(&hall, before);
+}
+
+#[test]
+fn fingers_that_do_not_reach_their_stops_are_told() {
+    let hall = Hall::start(Firmware::V200, &config());
+    hall.joint(4).lock().bars_mut().unwrap()[0].jammed = true;
+    let why = || hall.cell().controller.with_drivers(Ethercat::waits_for)[0].clone();
+    hall.cell().wait("the reason", |_| {
+        why().is_some_and(|why| why.starts_with("arm joint 4: its gripper: a finger"))
+    });
+    assert_eq!(hall.cell().status("arm"), DeviceStatus::Operational);
+    assert_eq!(hall.cell().status("hand"), DeviceStatus::SafeOperational);
+}
+
 #[test]
 fn i2t_ends_the_net_and_is_cleared() {
     let hall = Hall::new(Firmware::V200, &config());
@@ -384,6 +473,18 @@ fn wrong_youbots_are_refused_and_named() {
         (
             "[[ethercat.youbot_base]]\nname = \"a\"\nvelocity_max = 0",
             "must be above 0",
+        ),
+        (
+            "[[ethercat.youbot_base]]\nname = \"a\"\nacceleration_max = inf",
+            "must be above 0 and finite",
+        ),
+        (
+            "[[ethercat.youbot_arm]]\nname = \"b\"\nposition = 5\nacceleration_max = [90,90,inf,90,90]",
+            "joint 2: range must go up, velocity_max and acceleration_max must be above 0, all of them finite",
+        ),
+        (
+            "[[ethercat.youbot_arm]]\nname = \"b\"\nposition = 5\nvelocity_max = [nan,90,90,90,90]",
+            "joint 0: range must go up",
         ),
     ] {
         let text = format!("[[ethercat]]\nname = \"s\"\ninterface = \"none\"\n{text}");

@@ -107,6 +107,8 @@ pub struct Plan {
     pub(crate) devices: Box<[String]>,
     pub(crate) uses: Box<[String]>,
     pub(crate) cost: NetCost,
+    /// Bytes of arrays and histories.
+    pub(crate) memory: usize,
 }
 
 impl std::fmt::Debug for Plan {
@@ -245,6 +247,14 @@ impl Plan {
         ports
             .filter_map(|port| Some((port.name.clone(), port.slot.text(&self.slots)?)))
             .collect()
+    }
+
+    /// Memory that the net takes at most, in bytes: slots, steps, arrays, histories, and one in-box and
+    /// out-box.
+    #[must_use]
+    pub fn memory(&self) -> usize {
+        let words = self.inbox.words.len() + self.outbox.words.len();
+        self.bytes() + self.memory + words * size_of::<u64>()
     }
 
     /// Memory that a cycle can touch, in bytes: slots, steps and their parameters and state, but

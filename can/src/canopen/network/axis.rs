@@ -150,10 +150,17 @@ impl Axis {
         }
     }
 
+    /// As it was planned.
+    #[must_use]
+    pub const fn plan(&self) -> &AxisPlan {
+        &self.plan
+    }
+
     /// Says where the axis is wanted, and in which mode of operation (6060h). An axis that was held
     /// back is free again.
     pub fn set_goal(&mut self, goal: Goal, mode: i8) {
         self.held_back = false;
+        self.homing_failed = None;
         (self.goal, self.mode) = (goal, mode);
         if self.homing.is_none() || goal != Goal::OperationEnabled {
             self.homing = None;
@@ -239,6 +246,11 @@ impl Axis {
         self.trouble = Some(AxisTrouble::NodeDown);
     }
 
+    /// What goes into the image when its node is given up: a quick stop.
+    pub(super) fn part(&self, image: &mut Dictionary) {
+        self.write(image, ControlWord::QUICK_STOP, false);
+    }
+
     /// One cycle: what the drive is told goes into the image. Returns whether its TPDOs have just
     /// been missing for too long.
     pub(super) fn cycle(&mut self, image: &mut Dictionary, now: Duration) -> bool {
@@ -289,8 +301,11 @@ impl Axis {
         self.state.follows = orders.follows;
         if self.held_back {
             self.trouble = Some(AxisTrouble::HeldBack);
-        } else if let Some(error) = self.homing_failed {
-            self.trouble = self.trouble.or(Some(AxisTrouble::Homing(error)));
+        } else if let Some(error) = self.homing_failed
+            && matches!(self.trouble, None | Some(AxisTrouble::NotAligned { .. }))
+        {
+            // That it stands elsewhere than its target follows from that.
+            self.trouble = Some(AxisTrouble::Homing(error));
         }
         orders
     }

@@ -68,7 +68,12 @@ pub(super) struct Member {
     pub(super) trouble: Option<Trouble>,
     pub(super) news: News,
     seen: Phase,
+    /// Periods in which its drives are still told to stop, before it is told so itself.
+    parting: u32,
 }
+
+/// Periods in which the drives of a node that is given up are told to stop: two of them may be lost.
+const PARTING: u32 = 3;
 
 impl Member {
     pub(super) fn new(plan: NodePlan, config: &NetworkConfig) -> Result<Self, NetworkError> {
@@ -121,6 +126,7 @@ impl Member {
             trouble: None,
             news: News::default(),
             seen: Phase::Off,
+            parting: 0,
             plan,
         })
     }
@@ -150,8 +156,10 @@ impl Member {
             self.trouble = self.startup.trouble();
             self.news.trouble = true;
         }
+        self.parting = 0;
         if before == Phase::Running {
             self.axes.iter_mut().for_each(Axis::lost);
+            self.part();
         }
         match phase {
             Phase::Starting => self.watch(now),
@@ -163,6 +171,14 @@ impl Member {
                 }
             }
             Phase::Checking(_) | Phase::Configuring { .. } => {}
+        }
+    }
+
+    /// A quick stop by RPDO stops also a drive whose 6007h makes nothing of NMT stop.
+    fn part(&mut self) {
+        if self.seen == Phase::Failed && !self.axes.is_empty() {
+            self.parting = PARTING;
+            self.command = None;
         }
     }
 
@@ -223,6 +239,16 @@ impl Member {
             self.note(Trouble::PdoShort { number, len });
             return;
         }
+        // It is back; the next time is told again.
+        let number = tpdo.number;
+        let is_back = matches!(
+            self.trouble,
+            Some(Trouble::PdoMissing { number: n, .. } | Trouble::PdoShort { number: n, .. })
+                if n == number
+        );
+        if is_back && !self.news.trouble {
+            self.trouble = None;
+        }
         tpdo.mapping.unpack(&mut self.image, data);
         let axes = tpdo.axes;
         for (n, axis) in self.axes.iter_mut().enumerate() {
@@ -234,9 +260,28 @@ impl Member {
 
     /// One cycle: its axes, then its RPDOs.
     pub(super) fn cycle(&mut self, now: Duration, mut send: impl FnMut(Frame)) {
-        if !self.is_running() {
+        if self.is_running() {
+            self.lead(now);
+        } else if self.parting > 0 {
+            self.parting -= 1;
+            for axis in &self.axes {
+                axis.part(&mut self.image);
+            }
+            if self.parting == 0 {
+                self.command = Some(NmtCommand::Stop);
+            }
+        } else {
             return;
         }
+        for (id, mapping) in &self.sent {
+            let mut data = [0; 8];
+            mapping.pack(&self.image, &mut data);
+            let data = data.get(..mapping.len()).unwrap_or_default();
+            send(crate::canopen::message::frame(*id, data));
+        }
+    }
+
+    fn lead(&mut self, now: Duration) {
         for at in 0..self.axes.len() {
             let axis = &mut self.axes[at];
             let homed = axis.is_homing();
@@ -250,12 +295,6 @@ impl Member {
                 let number = self.received.iter().find(carries).map_or(0, |t| t.number);
                 self.note(Trouble::PdoMissing { number, cycles });
             }
-        }
-        for (id, mapping) in &self.sent {
-            let mut data = [0; 8];
-            mapping.pack(&self.image, &mut data);
-            let data = data.get(..mapping.len()).unwrap_or_default();
-            send(crate::canopen::message::frame(*id, data));
         }
     }
 

@@ -18,6 +18,8 @@ pub struct Download {
     pub data: Vec<u8>,
     /// Whether it is read back and compared.
     pub verify: bool,
+    /// Whether a device may do without the object.
+    pub may_lack: bool,
 }
 
 impl Download {
@@ -28,6 +30,16 @@ impl Download {
             address: Address::new(index, sub),
             data: data.to_vec(),
             verify: true,
+            may_lack: false,
+        }
+    }
+
+    /// The same, of an object that a device need not have.
+    #[must_use]
+    pub fn where_present(self) -> Self {
+        Self {
+            may_lack: true,
+            ..self
         }
     }
 
@@ -63,6 +75,44 @@ pub struct AxisPlan {
     pub missing_max: u32,
     /// Longest time for a homing run.
     pub homing: Duration,
+    /// 60C2h: time from one set-point to the next, which is that of SYNC; `None` leaves what the drive has.
+    pub set_point_period: Option<Duration>,
+    /// 6007h: what the drive does when it loses its master (0 nothing, 1 fault, 2 disable voltage, 3
+    /// quick stop); `None` leaves what it has.
+    pub on_link_loss: Option<i16>,
+}
+
+impl AxisPlan {
+    /// What its drive is told before it runs. Both objects are optional ones.
+    fn downloads(&self) -> Vec<Download> {
+        let at = |index, sub, data: &[u8]| {
+            let address = Address::new(index, sub).on_axis(self.axis)?;
+            let download = Download::new(address.index, address.sub, data);
+            Some(download.where_present())
+        };
+        let period = self.set_point_period.and_then(time_index);
+        let period = period.into_iter().flat_map(|(value, exponent)| {
+            // The unit first: some drives check the product of both with each write.
+            [(2, exponent.to_le_bytes()), (1, value.to_le_bytes())]
+        });
+        let period = period.filter_map(|(sub, data)| at(0x60C2, sub, &data));
+        let loss = self.on_link_loss;
+        let loss = loss.and_then(|option| at(0x6007, 0, &option.to_le_bytes()));
+        loss.into_iter().chain(period).collect()
+    }
+}
+
+/// A time as 60C2h has it: a number and the power of ten of its unit in seconds. `None` for one that
+/// eight bits do not hold to the microsecond.
+fn time_index(period: Duration) -> Option<(u8, i8)> {
+    let micros = period.as_micros();
+    let of_unit = |(unit, exponent): (u128, i8)| {
+        let value = u8::try_from(micros / unit).ok()?;
+        (micros.is_multiple_of(unit) && value > 0).then_some((value, exponent))
+    };
+    [(1000, -3), (100, -4), (10, -5), (1, -6)]
+        .into_iter()
+        .find_map(of_unit)
 }
 
 impl Default for AxisPlan {
@@ -73,9 +123,14 @@ impl Default for AxisPlan {
             jump_max: 1000,
             missing_max: 3,
             homing: Duration::from_secs(60),
+            set_point_period: None,
+            on_link_loss: None,
         }
     }
 }
+
+/// PDOs that each axis of a drive has room for (CiA 402-3).
+const AXIS_PDOS: u16 = 64;
 
 /// What one node is to be.
 #[derive(Clone, Debug)]
@@ -153,6 +208,33 @@ impl NodePlan {
         }
     }
 
+    /// A drive with several axes whose positions go with every SYNC, each by one PDO each way: 6040h, 6060h and
+    /// 607Ah to it, 6041h, 6061h and 6064h from it. Each axis has 64 PDOs of its own (CiA 402-3); their identifiers
+    /// are those of the first four PDOs of the node. `None` for no axis, and for more than [`Self::AXES_MAX`].
+    #[must_use]
+    pub fn drives(id: NodeId, axes: &[AxisPlan]) -> Option<Self> {
+        if axes.is_empty() || axes.len() > Self::AXES_MAX {
+            return None;
+        }
+        let mut all = Self::new(id);
+        for (axis, function) in axes.iter().zip((0_u16..).step_by(0x100)) {
+            let one = Self::drive(id, *axis);
+            let number = AXIS_PDOS * u16::from(axis.axis);
+            let of_axis = |pdos: Vec<(u16, Parameters)>, first: u16| {
+                let pdo = pdos.into_iter().next().map(|(_, pdo)| pdo);
+                let cob = PdoCob::new(id.cob(first + function));
+                pdo.map(|pdo| (number, Parameters { cob, ..pdo }))
+            };
+            all.rpdos.extend(of_axis(one.rpdos, 0x200));
+            all.tpdos.extend(of_axis(one.tpdos, 0x180));
+            all.axes.push(*axis);
+        }
+        Some(all)
+    }
+
+    /// Axes for which a node has identifiers (CiA 301, predefined connection set).
+    pub const AXES_MAX: usize = 4;
+
     /// All that is written before it runs: supervision, PDOs by the procedure, its own values.
     #[must_use]
     pub fn all_downloads(&self, master: Option<(NodeId, Duration)>) -> Vec<Download> {
@@ -177,6 +259,7 @@ impl NodePlan {
         for (direction, (number, parameters)) in receive.chain(transmit) {
             all.extend(pdo_downloads(direction, *number, parameters));
         }
+        all.extend(self.axes.iter().flat_map(AxisPlan::downloads));
         all.extend(self.downloads.iter().cloned());
         all
     }

@@ -132,11 +132,18 @@ impl Startup {
         Action::Command(NmtCommand::EnterPreOperational)
     }
 
-    /// Something is wrong while it runs or starts.
+    /// Something is wrong while it runs or starts. A node that was told to start is told to stop: it
+    /// may hear without being heard, and nobody leads it any more. NMT stop it is, not enter
+    /// pre-operational, as that is what 6007h of drives and 6206h of outputs react to.
     pub const fn fail(&mut self, trouble: Trouble, now: Duration) -> Action {
+        let started = matches!(self.phase, Phase::Starting | Phase::Running);
         self.trouble = Some(trouble);
         (self.phase, self.since) = (Phase::Failed, now);
-        Action::None
+        if started {
+            Action::Command(NmtCommand::Stop)
+        } else {
+            Action::None
+        }
     }
 
     /// Its boot-up message came.
@@ -239,6 +246,7 @@ impl Startup {
         };
         let address = download.address;
         match answer {
+            Answer::Refused(code) if download.may_lack && is_absent(code) => Ok(false),
             Answer::Refused(code) => Err(Trouble::Refused { address, code }),
             Answer::Silent => Err(Trouble::Silent(address)),
             Answer::Written => Ok(download.verify && !reading),
@@ -313,6 +321,11 @@ impl Startup {
             | Phase::Failed => None,
         }
     }
+}
+
+/// Whether a device says that it has no such object.
+const fn is_absent(code: AbortCode) -> bool {
+    matches!(code, AbortCode::NoObject | AbortCode::NoSubIndex)
 }
 
 #[cfg(test)]

@@ -154,6 +154,24 @@ fn other_objects_are_passed_over_and_broken_ones_told() {
     assert_eq!(Log::read(b"LOGG").left_out_count, 1);
 }
 
+/// What is kept from one container to the next has a bound.
+#[test]
+fn object_that_no_containers_would_ever_hold_is_refused() {
+    let good = object(1, 2, &data_message(0, 1));
+    let mut endless = object(1, 2, &[0; 64]);
+    endless[8..12].copy_from_slice(&u32::MAX.to_le_bytes());
+    let mut objects = container(&endless);
+    objects.extend(container(&[0xAA; 64]));
+    objects.extend(container(&good));
+    let log = Log::read(&file(&objects));
+    assert!(log.left_out[0].why.to_string().contains("1 MiB"));
+    assert_eq!(log.records.len(), 1, "{:?}", log.left_out);
+    let largest = object(1, 2, &vec![0; OBJECT_MAX - 32]);
+    let cut = largest.split_at(700);
+    let log = Log::read(&file(&[container(cut.0), container(cut.1)].concat()));
+    assert_eq!(log.left_out_count, 0);
+}
+
 #[test]
 fn container_that_unpacks_to_too_much_is_refused() {
     let mut bytes = FILE.to_vec();
@@ -168,8 +186,16 @@ proptest! {
     fn damaged_files_are_answered(at in 0..FILE.len(), byte in any::<u8>(), end in 0..=FILE.len()) {
         let mut bytes = FILE.to_vec();
         bytes[at] = byte;
-        let _ = Log::read(&bytes);
-        let _ = Log::read(&FILE[..end]);
+        crate::fuzz::log(&bytes);
+        crate::fuzz::log(&FILE[..end]);
+    }
+
+    #[test]
+    fn damaged_heads_are_answered(at in 0..144_usize, bytes in any::<[u8; 8]>()) {
+        let mut damaged = FILE.to_vec();
+        let place = &mut damaged[at.min(136)..][..8];
+        place.copy_from_slice(&bytes);
+        crate::fuzz::log(&damaged);
     }
 
     #[test]

@@ -195,6 +195,12 @@ fn a_power_base_that_is_off_is_told_apart_from_a_silent_one() {
     assert_eq!(single.state(), State::PoweredOff);
     single.powerbase.power(true);
     single.start();
+    single.powerbase.power(false);
+    single.run(None, s(1));
+    assert_eq!(single.state(), State::PoweredOff);
+    single.connected = false;
+    single.run(None, s(1));
+    assert_eq!(single.state(), State::Silent, "its cable was pulled");
     let mut silent = Single::new();
     silent.connected = false;
     silent.run(None, s(1));

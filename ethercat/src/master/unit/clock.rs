@@ -29,6 +29,27 @@ impl Unit {
         }
     }
 
+    /// Goes on as soon as the reference shows its time. One that is to give SYNC signals fails if that takes as long
+    /// as a clock may take to lock; one that only could has no use for the time, and goes on without.
+    pub(super) fn pass_clock(&mut self, cx: &Context<'_>, out: &mut Outbox) {
+        let first = self.step == Step::ClockWait && cx.reference == Some(self.number);
+        let waited = cx.now.saturating_sub(self.since);
+        if first || cx.reference_ns.is_some() || !self.follows(cx) {
+            self.enter(self.step, cx, out);
+        } else if waited <= cx.config.clocks.lock {
+        } else if self.spec.sync.is_some() {
+            self.fail(
+                Fault::NoReference {
+                    slave: cx.reference,
+                },
+                cx,
+                out,
+            );
+        } else {
+            self.enter(Step::SafeOp, cx, out);
+        }
+    }
+
     pub(super) fn write_clock(&mut self) -> Op {
         let mut bytes = [0; 12];
         let (offset, delay) = bytes.split_at_mut(8);
@@ -127,7 +148,8 @@ impl Unit {
         } else {
             0
         };
-        if self.streak >= LOCKED {
+        // It may have become the reference meanwhile, to which nothing is different from itself.
+        if self.streak >= LOCKED || cx.reference == Some(self.number) {
             self.clock.locked = true;
             return true;
         }

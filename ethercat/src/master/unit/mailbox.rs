@@ -139,11 +139,21 @@ impl Mailbox {
         self.transfer.take()
     }
 
-    /// Begins a transfer. To be called only if it is free.
+    /// Bytes of the longer of its two areas; zero if there are none.
+    pub(super) fn size(&self) -> usize {
+        if self.exists() {
+            self.areas.receive_len.max(self.areas.send_len).into()
+        } else {
+            0
+        }
+    }
+
+    /// Begins a transfer, whose datagrams have so much room. To be called only if it is free.
     pub(super) fn begin(
         &mut self,
         transfer: Transfer,
         kind: super::JobKind,
+        room: usize,
         now: Duration,
     ) -> Option<Output> {
         let missing = match protocol(kind) {
@@ -153,6 +163,10 @@ impl Mailbox {
         };
         if let Some(missing) = missing {
             return Some(Output::Done(transfer, Err(JobError::Unsupported(missing))));
+        }
+        let size = self.size();
+        if size > room {
+            return Some(Output::Done(transfer, Err(JobError::NoRoom { size, room })));
         }
         let raw = transfer.is_raw();
         self.transfer = Some(transfer);

@@ -118,7 +118,10 @@ impl Unit {
                 address: Address::default(),
                 whole: Whole::Entry,
             };
-            if let Some(output) = self.mailbox.begin(transfer, kind, cx.now) {
+            if let Some(output) = self
+                .mailbox
+                .begin(transfer, kind, cx.mailbox_room(), cx.now)
+            {
                 self.handle_mailbox(output, cx, out);
             }
             return;

@@ -101,7 +101,10 @@ impl Unit {
                         address: Address::default(),
                         whole: Whole::Entry,
                     };
-                    if let Some(output) = self.mailbox.begin(transfer, kind, cx.now) {
+                    if let Some(output) =
+                        self.mailbox
+                            .begin(transfer, kind, cx.mailbox_room(), cx.now)
+                    {
                         self.handle_mailbox(output, cx, out);
                     }
                     return;
@@ -123,7 +126,7 @@ impl Unit {
         } else if self.step == Step::Configured && self.gate >= Gate::Goal {
             self.enter(Step::Watchdog, cx, out);
         } else if matches!(self.step, Step::ClockWait | Step::SyncStart) {
-            self.enter(self.step, cx, out);
+            self.pass_clock(cx, out);
         }
     }
 

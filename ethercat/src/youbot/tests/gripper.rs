@@ -71,7 +71,10 @@ fn fingers_on_a_thing_press_and_take_the_next_order() {
     lead.until(9000, |lead| lead.gripper.state() == GripperState::Short);
     lead.cycles(100);
     let distance = lead.gripper.distance().unwrap();
-    assert!((distance - 0.01).abs() < 1e-4, "one finger came: {distance}");
+    assert!(
+        (distance - 0.01).abs() < 1e-4,
+        "one finger came: {distance}"
+    );
     jam(&lead, false);
     assert!(lead.gripper.order(0.02, lead.rig.now));
     lead.until(4000, |lead| lead.gripper.state() == GripperState::Ready);
@@ -80,11 +83,11 @@ fn fingers_on_a_thing_press_and_take_the_next_order() {
 #[test]
 fn only_a_mailbox_that_failed_is_tried_again_after_two_seconds() {
     let now = Duration::from_secs(100);
-    let lost = CallError::Lost(JobError::Timeout);
+    let lost = CallError::Lost(JobError::Timeout(Duration::from_secs(1)));
     for (error, later_s, again) in [
         (GripperError::Call(lost), 1, false),
         (GripperError::Call(lost), 2, true),
-        (GripperError::Call(Refusal::InvalidCommand.into()), 60, false),
+        (GripperError::Call(Refusal::Command.into()), 60, false),
         (GripperError::Late, 60, false),
     ] {
         let mut gripper = Gripper::new(BarConfig::default());

@@ -64,6 +64,8 @@ pub struct Limits {
     pub speed_rad_per_s: [f64; AXES],
     /// Deceleration of braking, rad/s2. Commanded accelerations are not checked: no such check is known.
     pub acceleration_rad_per_s2: [f64; AXES],
+    /// Largest absolute added torque, Nm: the joints' own by the data sheet of the LWR 4+.
+    pub torque_nm: [f64; AXES],
 }
 
 impl Default for Limits {
@@ -73,6 +75,7 @@ impl Default for Limits {
             position_rad: degrees.map(f64::to_radians),
             speed_rad_per_s: [112.5_f64.to_radians(); AXES],
             acceleration_rad_per_s2: [4.0; AXES],
+            torque_nm: [176.0, 176.0, 100.0, 100.0, 100.0, 38.0, 38.0],
         }
     }
 }

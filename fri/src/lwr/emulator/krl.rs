@@ -238,6 +238,10 @@ impl Program {
                 self.phase = Phase::Parameters;
                 Calls::default()
             }
+            Phase::Starting if from.int[0] != 10 => {
+                self.phase = Phase::Wait;
+                Calls::default()
+            }
             Phase::Starting => Self::start(state, 0),
             Phase::Parameters if state != State::Cmd => {
                 // Whatever ended command mode ends the program.

@@ -1,5 +1,6 @@
 //! Why the emulated controller left command mode, as a value with the joint, the number and its limit. No policy.
 
+use super::parameter::Parameter;
 use crate::lwr::JOINT_NAMES;
 use crate::lwr::wire::CmdFlags;
 use std::fmt;
@@ -62,6 +63,15 @@ pub enum Leave {
     },
     /// A commanded frame is out of reach.
     OutOfReach,
+    /// A field beside the position that flags declare valid is no number or out of its range.
+    Parameter {
+        /// Which field.
+        parameter: Parameter,
+        /// Joint, 0..=6, or component, 0..=5.
+        index: usize,
+        /// Commanded, in the field's unit.
+        value: f64,
+    },
 }
 
 impl Leave {
@@ -93,6 +103,11 @@ impl Leave {
             Self::NotFinite { joint } => words(7, joint, 0.0, 0.0),
             Self::FlagsChanged { from, to } => [8, from.bits().into(), to.bits().into()],
             Self::OutOfReach => words(9, 0, 0.0, 0.0),
+            Self::Parameter {
+                parameter,
+                index,
+                value,
+            } => words(10, index, f64::from(parameter as u8), value),
         }
     }
 
@@ -136,6 +151,11 @@ impl Leave {
                 }
             }
             9 => Self::OutOfReach,
+            10 => Self::Parameter {
+                parameter: *Parameter::ALL.get(x as usize)?,
+                index: joint,
+                value: y,
+            },
             _ => return None,
         })
     }
@@ -206,6 +226,14 @@ impl fmt::Display for Leave {
                 )
             }
             Self::OutOfReach => write!(f, "the commanded frame is out of reach"),
+            Self::Parameter {
+                parameter,
+                index,
+                value,
+            } => {
+                write!(f, "{} commanded {parameter} ", parameter.place(index))?;
+                write!(f, "{value:.3} {}", parameter.bounds())
+            }
         }
     }
 }
@@ -259,6 +287,14 @@ mod tests {
                 "A6 commanded a position that is not a number",
             ),
             (Leave::OutOfReach, "the commanded frame is out of reach"),
+            (
+                Leave::Parameter {
+                    parameter: Parameter::JointDamping,
+                    index: 2,
+                    value: 1.5,
+                },
+                "E1 commanded damping 1.500 (0 to 1)",
+            ),
             (
                 Leave::FlagsChanged {
                     from: flags,

@@ -9,6 +9,7 @@ mod config;
 mod krc;
 mod krl;
 mod leave;
+mod parameter;
 mod status;
 
 #[cfg(target_os = "linux")]
@@ -17,4 +18,5 @@ pub use crate::emulator::{Contact, LineFaults, PowerOff, Shape, Timing};
 pub use config::{Faults, KrcConfig, Limits, Script, Stiffness};
 pub use krc::{Krc, KrcCounters, Left, StartRefused};
 pub use leave::Leave;
+pub use parameter::Parameter;
 pub use status::KrcStatus;

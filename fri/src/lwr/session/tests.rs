@@ -199,6 +199,19 @@ fn copies_and_old_ones_change_nothing() {
 }
 
 #[test]
+fn a_controller_that_starts_again_in_command_mode_is_entered_anew() {
+    let mut session = command();
+    let got = session
+        .handle_datagram(&msr(65000, State::Cmd, 0x7f), PERIOD)
+        .unwrap();
+    assert_eq!(
+        (got.order, got.event),
+        (Order::Restart, Some(Event::CommandEntered))
+    );
+    assert_joints(&answer(&mut session, None), 0.75);
+}
+
+#[test]
 fn lost_measurements_are_counted_by_the_gap() {
     let mut session = monitor();
     let got = session

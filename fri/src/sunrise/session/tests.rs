@@ -117,6 +117,10 @@ impl Bench {
             Phase::CommandingWait => SessionState::CommandingWait,
             Phase::CommandingActive => SessionState::CommandingActive,
         };
+        if phase == Phase::CommandingActive {
+            bench.hear(SessionState::CommandingWait);
+            bench.answer(&Demand::Hold);
+        }
         bench.hear(state);
         if phase != Phase::Idle {
             bench.answer(&Demand::Hold);
@@ -246,13 +250,10 @@ fn silence_leads_from_every_phase_to_offline() {
     for phase in Phase::ALL {
         let mut bench = Bench::at(phase, Dialect::V2, CommandMode::Position);
         let due = bench.session.poll_timeout();
-        assert_eq!(
-            due,
-            (phase != Phase::Offline).then_some(MS * 51),
-            "{phase:?}"
-        );
-        assert!(!bench.session.handle_timeout(MS * 50));
-        assert_eq!(bench.session.handle_timeout(MS * 51), due.is_some());
+        let gone = bench.now + MS * 50;
+        assert_eq!(due, (phase != Phase::Offline).then_some(gone), "{phase:?}");
+        assert!(!bench.session.handle_timeout(gone - MS));
+        assert_eq!(bench.session.handle_timeout(gone), due.is_some());
         assert_eq!(bench.session.phase(), Phase::Offline);
         assert_eq!(bench.session.counters().silences, u64::from(due.is_some()));
     }
@@ -269,7 +270,7 @@ fn every_phase_answers_what_the_controller_expects() {
         (SessionState::Other(9), Some(COMMANDED), None),
     ] {
         for (dialect, joints) in [(Dialect::V1, v1), (Dialect::V2, v2), (Dialect::V3, v2)] {
-            let mut bench = Bench::new(dialect, CommandMode::Position);
+            let mut bench = Bench::at(Phase::MonitoringReady, dialect, CommandMode::Position);
             bench.hear(state);
             let (command, withheld) = bench.answer(&Demand::Position([9.0; AXES]));
             assert_eq!(
@@ -316,7 +317,7 @@ fn synchronising_carries_all_that_the_overlay_wants() {
         (CommandMode::Other(8), Some(IPO), None, None, false),
     ] {
         for state in [SessionState::CommandingWait, SessionState::CommandingActive] {
-            let mut bench = Bench::new(Dialect::V3, mode);
+            let mut bench = Bench::at(Phase::MonitoringReady, Dialect::V3, mode);
             bench.hear(state);
             let data = bench.answer(&Demand::Hold).0.data.unwrap();
             assert_eq!(
@@ -485,6 +486,29 @@ fn nothing_moves_after_a_re_entry_until_the_program_asks_again() {
     bench.session.disengage();
     bench.hear(SessionState::CommandingActive);
     assert_eq!(bench.answer(&far).0.data.unwrap().joints, Some(IPO));
+}
+
+#[test]
+fn an_overlay_under_way_is_joined_where_the_arm_is() {
+    for (dialect, place) in [(Dialect::V1, COMMANDED), (Dialect::V2, MEASURED)] {
+        // The first message, the first after silence, and the first of a controller that started again.
+        let fresh = Bench::new(dialect, CommandMode::Position);
+        let mut silent = Bench::at(Phase::CommandingActive, dialect, CommandMode::Position);
+        silent.session.engage().unwrap();
+        silent.now += MS * 60;
+        let mut restarted = Bench::at(Phase::CommandingActive, dialect, CommandMode::Position);
+        restarted.session.engage().unwrap();
+        restarted.sequence += 1_000_000;
+        for mut bench in [fresh, silent, restarted] {
+            let reception = bench.hear(SessionState::CommandingActive);
+            assert_eq!(reception.event, Some(Event::CommandEntered));
+            assert!(!bench.session.is_engaged());
+            let far = Demand::Position([0.9; AXES]);
+            assert_eq!(bench.answer(&far).0.data.unwrap().joints, Some(place));
+            bench.session.engage().unwrap();
+            assert_eq!(bench.session.mirror(), place);
+        }
+    }
 }
 
 #[test]

@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use takt_core::device::{ArmDescription, DeviceStatus, DeviceTable};
-use takt_core::executor::rules::{Literal, Question, Rule, Step};
+use takt_core::executor::rules::{Literal, Orders, Question, Rule, Step};
 use takt_core::executor::{DeviceView, Executor, Running};
 use takt_net::{JointLimits, Limits, LoadContext, Moment, Nanos, Registry, load};
 use takt_rt::latest::latest;
@@ -73,8 +73,11 @@ fn follow(executor: &mut Executor, next: Box<Running>) {
         value: None,
         last: false,
     };
-    let mut rule = Box::new(Rule::new(id, vec![literal], vec![Step::Literal(0)]));
-    rule.start = vec![id];
+    let orders = Orders {
+        start: vec![id],
+        ..Orders::default()
+    };
+    let rule = Box::new(Rule::new(id, vec![literal], vec![Step::Literal(0)], orders));
     let scheduled = executor.schedule(next).is_ok();
     let waits = executor.add_rule(rule).is_ok();
     assert!(scheduled && waits, "there is room for one net and one rule");
@@ -137,7 +140,7 @@ fn one_cycle(executor: &mut Executor, cycle: u64, id: u32) -> (bool, bool, Vec<u
         ended.push(net.id);
         Ok(())
     }) {}
-    while executor.take_rule(|_| Ok(())) {}
+    executor.take_rules(|_| Ok(()));
     let is_its_own = (command.position - f64::from(id)).abs() < 0.1;
     (command.cycle == cycle, is_its_own, ended)
 }

@@ -131,6 +131,16 @@ pub struct CanopenConfig {
     /// Period of the net thread that commands its devices; `None` for the first.
     #[serde(default, deserialize_with = "span::text::deserialize_some")]
     pub thread: Option<Duration>,
+    /// The master's own node number, 1 to 127; no node may have it.
+    #[serde(default = "CanopenConfig::default_master")]
+    pub master: u8,
+    /// Time from one heartbeat of the master to the next, two cycles to 20 s; nodes that hear none for two and a half
+    /// times that take it for lost. `None` for five cycles, but not less than 20 ms; zero for no heartbeat.
+    #[serde(default, deserialize_with = "span::text::deserialize_some")]
+    pub heartbeat: Option<Duration>,
+    /// What drives do that have lost the master (6007h).
+    #[serde(default)]
+    pub on_link_loss: LinkLoss,
     /// Robot arms made of drives.
     #[serde(default, rename = "arm")]
     pub arms: Vec<DriveArm<u8>>,
@@ -140,6 +150,28 @@ impl CanopenConfig {
     const fn default_cycle() -> Duration {
         Duration::from_millis(2)
     }
+
+    const fn default_master() -> u8 {
+        127
+    }
+}
+
+/// What a CANopen drive does when it has lost its master: abort connection option code, 6007h. Drives without that
+/// object do what they always do.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LinkLoss {
+    /// It stops by its quick stop option code (605Ah).
+    #[default]
+    QuickStop,
+    /// It takes the voltage from its motor, which coasts unless there is a brake.
+    DisableVoltage,
+    /// It goes into fault, by its fault reaction option code (605Eh).
+    Fault,
+    /// It goes on.
+    Nothing,
+    /// What is set in the drive, which is not touched.
+    AsSet,
 }
 
 /// A robot arm made of drives, which are named as their bus names them.

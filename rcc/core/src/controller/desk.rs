@@ -16,6 +16,7 @@ use crate::controller::clock::FollowedClock;
 use crate::controller::departed::Departed;
 use crate::controller::inter::{Look, NetLinks};
 use crate::controller::rules::{RuleEntry, RuleId};
+use crate::controller::share::memory;
 use crate::controller::threads::busy;
 use crate::controller::{DeviceInfo, NetId, NetInfo, NetState, SessionId};
 use crate::device::driver::DeviceDriver;
@@ -91,6 +92,8 @@ pub(super) struct Counted {
     pub(super) period: Duration,
     pub(super) primitives: usize,
     pub(super) cost: Duration,
+    /// Bytes that it takes while it can run.
+    pub(super) memory: usize,
 }
 
 impl Net {
@@ -138,6 +141,7 @@ impl Net {
             period: running.plan.period(),
             primitives: running.plan.primitives(),
             cost: running.plan.cost().total,
+            memory: memory(&running.plan),
         });
         self.running = Some(running);
         self.values = Some(Values {
@@ -223,6 +227,11 @@ impl Net {
         self.end = Some(why);
         self.running = None;
         self.enter(NetState::Terminated);
+    }
+
+    /// Its text.
+    pub(super) fn text(&self) -> &str {
+        &self.text
     }
 
     /// Whether the net reads or commands the device of that name.

@@ -95,6 +95,8 @@ impl Desk {
                     status: self.status_text(arm.map(|arm| &**arm)),
                 }
             }
+            Refusal::Overload { running, budget } => self.overload(net, running, budget),
+            Refusal::OverloadKept { rule, budget } => self.overload_kept(net, rule, budget),
         };
         self.with(running.id, |net| net.take_back(running, Some(error)));
     }

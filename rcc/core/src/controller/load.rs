@@ -56,6 +56,7 @@ impl Controller {
                     bound: NETS_MAX,
                 });
             }
+            desk.take_text(text.len())?;
             let id = desk.next_net();
             let net = Net::new(session, description, Arc::clone(&text));
             desk.nets.insert(id, net);
@@ -64,6 +65,7 @@ impl Controller {
         };
         let prepared = self.prepare(id, &text, period);
         let mut desk = self.inner.lock();
+        let prepared = prepared.and_then(|prepared| desk.take_memory(prepared));
         if let Some(net) = desk.nets.get_mut(&id) {
             match prepared {
                 Ok(prepared) => net.make_ready(prepared),

@@ -14,7 +14,7 @@ use crate::controller::threads::busy;
 use crate::controller::{Controller, NetId, NetState};
 use crate::error::Error;
 use crate::executor::rules::shared::{Part, Shared};
-use crate::executor::rules::{Literal, Question, Rule, RuleRefusal, RuleState};
+use crate::executor::rules::{Literal, Orders, Question, Rule, RuleRefusal, RuleState};
 use crate::executor::thread::Command;
 
 /// Longest condition, bytes.
@@ -82,7 +82,7 @@ pub struct RuleInfo {
 /// A rule at the desk.
 #[derive(Debug)]
 pub(super) struct RuleEntry {
-    request: RuleRequest,
+    pub(super) request: RuleRequest,
     /// What its condition asks: nets and keys.
     asked: Vec<(NetId, String)>,
     pub(super) state: RuleState,
@@ -181,10 +181,13 @@ impl Desk {
                 nets.filter(|net| self.thread_of(*net) == *thread).collect()
             };
             let Condition { steps, .. } = &condition;
-            let mut rule = Box::new(Rule::new(id.0, literals.clone(), steps.clone()));
-            rule.stop = of_thread(&request.stop);
-            rule.cancel = of_thread(&request.cancel);
-            rule.start = of_thread(&request.start);
+            let orders = Orders {
+                stop: of_thread(&request.stop),
+                cancel: of_thread(&request.cancel),
+                start: of_thread(&request.start),
+            };
+            let rule = Rule::new(id.0, literals.clone(), steps.clone(), orders);
+            let mut rule = Box::new(rule);
             rule.part = shared.clone().map(|shared| Part::new(shared, number));
             self.send(*thread, Command::AddRule(rule))
                 .map_err(|_| busy())?;
@@ -395,6 +398,11 @@ impl Desk {
                     resource: self.resource_name(n),
                 }
             }
+            RuleRefusal::Overload {
+                running,
+                started,
+                budget,
+            } => self.rule_overload(rule, running, started, budget),
         };
         if let Some(entry) = self.rules.get_mut(&RuleId(rule.id)) {
             entry.unanswered = entry.unanswered.saturating_sub(1);
@@ -428,7 +436,7 @@ impl Desk {
 
     /// Asks for the nets of a rule back that no other rule waits with.
     fn release(&mut self, rule: &Rule) {
-        for net in &rule.start {
+        for net in &rule.orders().start {
             if self
                 .command(Command::Unschedule {
                     net: *net,

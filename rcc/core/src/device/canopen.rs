@@ -2,32 +2,41 @@
 //! them, and leads the arms on the network. Start-up, supervision and SDO transfers, which never delay a cycle,
 //! are in `takt_can::canopen::network`.
 
+use std::fmt;
+use std::mem::{Discriminant, discriminant};
 use std::ops::ControlFlow;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use takt_can::canopen::NodeId;
-use takt_can::canopen::network::{AxisCommand, AxisPlan, Event, Network, NetworkConfig, NodePlan};
+use takt_can::canopen::network::{
+    AxisCommand, AxisPlan, AxisTrouble, Event, Network, NetworkConfig, NodePlan, Phase, Trouble,
+};
+use takt_can::canopen::{Emergency, NodeId};
+use takt_can::cia402::Obstacle;
 use takt_can::linux::{Options, SocketCan};
 use takt_rt::alloc::enter_real_time;
 use takt_rt::cycle::{Cycles, Tick};
+use takt_rt::ring::{Consumer, Producer, ring};
 use takt_rt::stats::{self, StatsReader};
 use takt_rt::{Nanos, monotonic};
 
-use crate::cell::{CanopenConfig, DriveJoint};
+use crate::cell::{CanopenConfig, DriveJoint, LinkLoss};
 use crate::device::DeviceDescription;
-use crate::device::driver::{DeviceDriver, DriverEnds, DriverThread};
+use crate::device::driver::{DeviceDriver, DriverEnds, DriverThread, FAREWELL};
 use crate::device::drives::{self, Arm, Feedback};
 use crate::device::rmp::CanLink;
 use crate::error::Error;
 
 /// Cyclic synchronous position (6060h).
 const CSP: i8 = 8;
-/// Cycles in which drives may brake and be switched off before the thread ends.
-const FAREWELL: u32 = 500;
 /// Frames taken, and service frames sent, in one cycle at most.
 const FRAMES: usize = 256;
+/// Heartbeats of the master: not oftener unless asked, and as rarely as 1016h can tell.
+const HEARTBEAT_MIN: Duration = Duration::from_millis(20);
+const HEARTBEAT_MAX: Duration = Duration::from_secs(20);
+/// What waits to be told.
+const NEWS: usize = 256;
 
 /// The devices of a network: its arms.
 #[must_use]
@@ -62,28 +71,65 @@ pub fn check(config: &CanopenConfig) -> Result<(), String> {
         .map_err(|what| format!("{name}: {what}"))
 }
 
-/// The master of a network. A node has one PDO each way, which leaves room for six axes at 1 Mbit/s and 2 ms.
+/// The master of a network. An axis has one PDO each way, which leaves room for six axes at 1 Mbit/s and 2 ms.
 fn network(config: &CanopenConfig) -> Result<Network, String> {
-    let mut plans: Vec<NodePlan> = Vec::new();
+    let mut nodes: Vec<(NodeId, Vec<AxisPlan>)> = Vec::new();
     for joint in config.arms.iter().flat_map(|arm| &arm.joints) {
-        let Ok(id) = NodeId::new(joint.drive) else {
-            continue;
-        };
-        if plans.iter().any(|plan| plan.id == id) {
-            return Err(format!(
-                "node {id} drives two joints; multi-axis drives go by EtherCAT"
-            ));
-        }
+        let id = NodeId::new(joint.drive).map_err(|error| error.to_string())?;
         let axis = AxisPlan {
             axis: joint.axis,
+            set_point_period: Some(config.cycle),
+            on_link_loss: on_link_loss(config.on_link_loss),
             ..AxisPlan::default()
         };
-        let mut plan = NodePlan::drive(id, axis);
-        plan.rpdos.truncate(1);
-        plan.tpdos.truncate(1);
-        plans.push(plan);
+        match nodes.iter_mut().find(|(node, _)| *node == id) {
+            Some((_, axes)) if axes.iter().any(|other| other.axis == axis.axis) => {
+                return Err(format!("axis {} of node {id} drives two joints", axis.axis));
+            }
+            Some((_, axes)) => axes.push(axis),
+            None => nodes.push((id, vec![axis])),
+        }
     }
-    Network::new(NetworkConfig::default(), plans).map_err(|error| error.to_string())
+    let mut plans = Vec::new();
+    for (id, axes) in nodes {
+        let plan = NodePlan::drives(id, &axes).ok_or_else(|| {
+            let (count, most) = (axes.len(), NodePlan::AXES_MAX);
+            format!("node {id} drives {count} joints; its PDOs have identifiers for {most}")
+        });
+        plans.push(plan?);
+    }
+    let network = NetworkConfig {
+        heartbeat: heartbeat(config)?,
+        ..NetworkConfig::default()
+    };
+    Network::new(network, plans).map_err(|error| error.to_string())
+}
+
+/// Number and heartbeat of the master.
+fn heartbeat(config: &CanopenConfig) -> Result<Option<(NodeId, Duration)>, String> {
+    let usual = (config.cycle * 5).max(HEARTBEAT_MIN);
+    let period = config.heartbeat.unwrap_or(usual);
+    if period.is_zero() {
+        return Ok(None);
+    }
+    if !(config.cycle * 2..=HEARTBEAT_MAX).contains(&period) {
+        return Err(format!(
+            "heartbeat is {period:?}; it must be two cycles to {HEARTBEAT_MAX:?}, or zero for none"
+        ));
+    }
+    let master = NodeId::new(config.master).map_err(|error| format!("master: {error}"))?;
+    Ok(Some((master, period)))
+}
+
+/// 6007h.
+const fn on_link_loss(config: LinkLoss) -> Option<i16> {
+    match config {
+        LinkLoss::Nothing => Some(0),
+        LinkLoss::Fault => Some(1),
+        LinkLoss::DisableVoltage => Some(2),
+        LinkLoss::QuickStop => Some(3),
+        LinkLoss::AsSet => None,
+    }
 }
 
 /// Opens the CAN interface of a network.
@@ -103,6 +149,34 @@ pub fn open(config: &CanopenConfig) -> Result<Box<dyn CanLink>, Error> {
     Ok(Box::new(socket))
 }
 
+/// What is told of a network.
+#[derive(Debug)]
+enum News {
+    Runs(NodeId),
+    Trouble(NodeId, Trouble),
+    Emergency(NodeId, Emergency, u32),
+    /// Of the axis of that number in its drive.
+    Axis(NodeId, u8, AxisTrouble),
+}
+
+impl fmt::Display for News {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Runs(node) => write!(f, "node {node}: it runs"),
+            Self::Trouble(node, trouble) => write!(f, "node {node}: {trouble}"),
+            Self::Emergency(node, emergency, 1) => {
+                write!(f, "node {node}: {}", Trouble::Emergency(*emergency))
+            }
+            Self::Emergency(node, emergency, count) => write!(
+                f,
+                "node {node}: {count} emergencies, the last of them: {}",
+                Trouble::Emergency(*emergency)
+            ),
+            Self::Axis(node, axis, trouble) => write!(f, "node {node}, axis {axis}: {trouble}"),
+        }
+    }
+}
+
 /// Figures of a network that others read while it runs.
 #[derive(Debug, Default)]
 struct Shared {
@@ -116,6 +190,7 @@ struct Shared {
 pub struct Canopen {
     devices: Vec<String>,
     shared: Arc<Shared>,
+    news: Mutex<Consumer<News>>,
     /// How SYNC keeps its time.
     pub stats: StatsReader,
     thread: DriverThread,
@@ -135,22 +210,26 @@ impl Canopen {
         let network = network(config).map_err(Error::Cell)?;
         let devices = config.arms.iter().map(|arm| arm.name.clone()).collect();
         let arms = config.arms.iter().zip(ends.devices).map(|(arm, end)| {
-            let axes = arm.joints.iter();
-            let axes = axes
-                .filter_map(|joint| NodeId::new(joint.drive).ok())
-                .collect();
+            let axes = arm.joints.iter().filter_map(|joint| {
+                let node = NodeId::new(joint.drive).ok()?;
+                Reached::new(&network, node, joint.axis)
+            });
+            let axes = axes.collect();
             (Arm::new(arm, config.cycle, end), axes)
         });
+        let arms = arms.collect();
+        let (own_news, news) = ring(NEWS);
         let shared = Arc::new(Shared::default());
         let (mut recorded, stats) = stats::pair();
         let mut driver = Box::new(Driver {
             link,
             network,
-            arms: arms.collect(),
+            arms,
+            news: own_news,
             cycle: config.cycle,
             started: false,
             shared: Arc::clone(&shared),
-            farewell: FAREWELL,
+            farewell: None,
         });
         let CanopenConfig {
             name,
@@ -170,6 +249,7 @@ impl Canopen {
         Ok(Self {
             devices,
             shared,
+            news: Mutex::new(news),
             stats,
             thread,
         })
@@ -197,18 +277,74 @@ impl DeviceDriver for Canopen {
             ("troubles", number(&self.shared.troubles)),
         ]
     }
+
+    fn news(&self) -> Option<String> {
+        let mut news = self.news.lock().unwrap_or_else(PoisonError::into_inner);
+        news.pop().map(|news| news.to_string())
+    }
+}
+
+/// What a trouble of an axis is, whatever its figures are.
+type Kind = (Discriminant<AxisTrouble>, Option<Discriminant<Obstacle>>);
+
+fn kind(trouble: &AxisTrouble) -> Kind {
+    let obstacle = if let AxisTrouble::Drive(obstacle) = trouble {
+        Some(discriminant(obstacle))
+    } else {
+        None
+    };
+    (discriminant(trouble), obstacle)
+}
+
+/// Where the axis of a joint is in the network.
+#[derive(Debug)]
+struct Reached {
+    node: NodeId,
+    /// In the plan of its node.
+    place: usize,
+    /// In its drive.
+    axis: u8,
+    /// What was told of it last.
+    told: Option<Kind>,
+}
+
+impl Reached {
+    fn new(network: &Network, node: NodeId, axis: u8) -> Option<Self> {
+        let place = (0..NodePlan::AXES_MAX).find(|place| {
+            let there = network.axis(node, *place);
+            there.is_some_and(|there| there.plan().axis == axis)
+        })?;
+        Some(Self {
+            node,
+            place,
+            axis,
+            told: None,
+        })
+    }
+
+    /// What is to be told of it, once each time that it comes to be so.
+    fn news(&mut self, network: &Network) -> Option<News> {
+        let trouble = network.axis(self.node, self.place)?.trouble();
+        let kind = trouble.as_ref().map(kind);
+        let before = std::mem::replace(&mut self.told, kind);
+        // That its node is down is told of the node.
+        let trouble = trouble.filter(|trouble| *trouble != AxisTrouble::NodeDown)?;
+        (kind != before).then_some(News::Axis(self.node, self.axis, trouble))
+    }
 }
 
 struct Driver {
     link: Box<dyn CanLink>,
     network: Network,
-    /// The arms, and by joint the node of its axis.
-    arms: Vec<(Arm, Vec<NodeId>)>,
+    /// The arms, and by joint its axis.
+    arms: Vec<(Arm, Vec<Reached>)>,
+    /// What is told; if nobody takes it, it is lost.
+    news: Producer<News>,
     cycle: Duration,
     started: bool,
     shared: Arc<Shared>,
-    /// Cycles left once it is to stop.
-    farewell: u32,
+    /// When it ends at the latest, once it is to stop.
+    farewell: Option<Nanos>,
 }
 
 impl Driver {
@@ -226,17 +362,38 @@ impl Driver {
         }
         self.listen(tick.scheduled + Nanos::from(self.cycle * 3 / 4));
         while let Some(event) = self.network.poll_event() {
-            if matches!(event, Event::Trouble(..)) {
-                self.shared.troubles.fetch_add(1, Ordering::Relaxed);
-            }
+            self.tell(event);
         }
-        for (arm, nodes) in &mut self.arms {
+        for (arm, axes) in &mut self.arms {
             let network = &mut self.network;
             arm.cycle(tick, stopping, |joint, order| {
-                lead(network, *nodes.get(joint)?, order)
+                lead(network, axes.get(joint)?, order)
             });
         }
-        self.end(stopping)
+        self.end(tick, stopping)
+    }
+
+    fn tell(&mut self, event: Event) {
+        let news = match event {
+            Event::Phase(node, Phase::Running) => News::Runs(node),
+            Event::Trouble(node, trouble) => {
+                self.shared.troubles.fetch_add(1, Ordering::Relaxed);
+                News::Trouble(node, trouble)
+            }
+            Event::Emergency(node, emergency, count) => News::Emergency(node, emergency, count),
+            Event::Axis(node) => return self.tell_axes(node),
+            Event::Phase(..) | Event::Homed(_) | Event::Transferred(..) => return,
+        };
+        self.news.push(news).ok();
+    }
+
+    fn tell_axes(&mut self, node: NodeId) {
+        let axes = self.arms.iter_mut().flat_map(|(_, axes)| axes);
+        for axis in axes.filter(|axis| axis.node == node) {
+            if let Some(news) = axis.news(&self.network) {
+                self.news.push(news).ok();
+            }
+        }
     }
 
     fn listen(&mut self, until: Nanos) {
@@ -265,10 +422,13 @@ impl Driver {
         }
     }
 
-    fn end(&mut self, stopping: bool) -> ControlFlow<()> {
-        self.farewell -= u32::from(stopping);
-        let off = self.arms.iter().all(|(arm, _)| arm.is_off());
-        if stopping && (off || self.farewell == 0) {
+    fn end(&mut self, tick: &Tick, stopping: bool) -> ControlFlow<()> {
+        if !stopping {
+            return ControlFlow::Continue(());
+        }
+        let now = tick.scheduled;
+        let end = *self.farewell.get_or_insert(now + FAREWELL.into());
+        if now >= end || self.arms.iter().all(|(arm, _)| arm.is_off()) {
             ControlFlow::Break(())
         } else {
             ControlFlow::Continue(())
@@ -276,10 +436,10 @@ impl Driver {
     }
 }
 
-/// Gives an order to the first axis of a node, and says how that is.
-fn lead(network: &mut Network, node: NodeId, order: drives::Order) -> Option<Feedback> {
-    let running = network.trouble(node).is_none();
-    let axis = network.axis_mut(node, 0)?;
+/// Gives an order to an axis, and says how that is. A trouble of its node that is over does not count.
+fn lead(network: &mut Network, reached: &Reached, order: drives::Order) -> Option<Feedback> {
+    let running = network.phase(reached.node) == Some(Phase::Running);
+    let axis = network.axis_mut(reached.node, reached.place)?;
     if let Some(goal) = order.goal {
         axis.set_goal(goal, CSP);
     }
@@ -287,13 +447,21 @@ fn lead(network: &mut Network, node: NodeId, order: drives::Order) -> Option<Fee
         axis.reset_fault();
     }
     let state = *axis.state();
-    axis.command(AxisCommand {
-        position: order.target.unwrap_or(state.position),
-        ..AxisCommand::default()
-    });
+    // One that follows goes where it was sent last, not where it happens to be: that would give way to any load.
+    let position = match order.target {
+        None if state.follows => None,
+        target => Some(target.unwrap_or(state.position)),
+    };
+    if let Some(position) = position {
+        axis.command(AxisCommand {
+            position,
+            ..AxisCommand::default()
+        });
+    }
     Some(Feedback {
         online: running && state.missing <= MISSING_MAX && state.status != Default::default(),
         follows: state.follows,
+        state: state.status.state().ok(),
         increments: state.position,
     })
 }

@@ -15,6 +15,10 @@ use takt_rt::thread::{Thread, ThreadConfig};
 use crate::device::{DeviceCommand, DeviceState};
 use crate::error::Error;
 
+/// How long a driver that is told to end may take to bring its devices to rest and to take their power away: it
+/// brakes them as when set-points cease, and cuts no power while they move.
+pub const FAREWELL: Duration = Duration::from_secs(4);
+
 /// What a driver gets for each of its devices.
 #[derive(Debug)]
 pub struct DeviceEnd {
@@ -60,8 +64,8 @@ pub struct DriverThread {
 }
 
 impl DriverThread {
-    /// Starts it. `body` ends soon after the flag that it is given is set, and then gives back where it told
-    /// the clock of its device. `priority` is that of `SCHED_FIFO`; no `cpus` are any.
+    /// Starts it. `body` ends within [`FAREWELL`] after the flag that it is given is set, and then gives back where
+    /// it told the clock of its device. `priority` is that of `SCHED_FIFO`; no `cpus` are any.
     ///
     /// # Errors
     /// If the system has no thread to give.
@@ -132,8 +136,13 @@ pub trait DeviceDriver: Any + fmt::Debug + Send {
         self.thread().thread.grants()
     }
 
+    /// Tells its thread to bring its devices to rest and to end, without waiting for that.
+    fn ask_to_stop(&self) {
+        self.thread().stop.store(true, Ordering::Relaxed);
+    }
+
     /// Ends its thread, waits for that, and gives back where it told the clock of its device; nothing
-    /// if the thread had ended by itself.
+    /// if the thread had ended by a panic.
     fn stop(self: Box<Self>) -> Option<LatestWriter<Estimate>> {
         self.into_thread().stop()
     }

@@ -29,7 +29,7 @@ use takt_rt::stats::{self, StatsReader};
 use takt_rt::{Nanos, monotonic};
 
 use crate::cell::EthercatConfig;
-use crate::device::driver::{DeviceDriver, DriverEnds, DriverThread};
+use crate::device::driver::{DeviceDriver, DriverEnds, DriverThread, FAREWELL};
 use crate::error::Error;
 use arm::Arm;
 pub use describe::{check, describe};
@@ -39,8 +39,6 @@ use youbot::{Waiting, YouBots};
 
 /// Longest Ethernet payload.
 const FRAME: usize = 1500;
-/// Cycles in which drives may brake and be switched off before the thread ends.
-const FAREWELL: u32 = 1000;
 /// Frames looked at for the answer of one; more are a flood that somebody else sends.
 const ANSWERS: usize = 64;
 /// What waits to be told.
@@ -185,7 +183,7 @@ impl Ethercat {
             waiting: own_waiting,
             news: own_news,
             differs: false,
-            farewell: FAREWELL,
+            farewell: None,
         });
         let EthercatConfig {
             name,
@@ -307,8 +305,8 @@ struct Driver {
     news: Producer<News>,
     /// Whether the segment was last another than the one expected.
     differs: bool,
-    /// Cycles left once it is to stop.
-    farewell: u32,
+    /// When it ends at the latest, once it is to stop.
+    farewell: Option<Nanos>,
 }
 
 impl Driver {
@@ -325,7 +323,7 @@ impl Driver {
             self.compare();
             self.lead(tick, stopping);
         }
-        self.end(stopping)
+        self.end(tick, stopping)
     }
 
     /// Tells what differs from what is expected, once each time that it comes to differ.
@@ -418,13 +416,14 @@ impl Driver {
         }
     }
 
-    fn end(&mut self, stopping: bool) -> ControlFlow<()> {
+    fn end(&mut self, tick: &Tick, stopping: bool) -> ControlFlow<()> {
         if !stopping {
             return ControlFlow::Continue(());
         }
+        let now = tick.scheduled;
+        let end = *self.farewell.get_or_insert(now + FAREWELL.into());
         let off = self.arms.iter().all(Arm::is_off) && self.youbots.rest();
-        self.farewell = self.farewell.saturating_sub(1);
-        if off || self.farewell == 0 || !self.master.is_exchanging() {
+        if off || now >= end || !self.master.is_exchanging() {
             ControlFlow::Break(())
         } else {
             ControlFlow::Continue(())

@@ -2,18 +2,26 @@
 //! cancelled and started between two cycles, all at once. It evaluates nothing itself and knows
 //! no text: conditions come here compiled. Of a rule whose nets are in several threads each has a
 //! part, and [`shared`] is between them.
+//!
+//! What a cycle costs is bounded by what rules name, [`WORK_MAX`], and not by that times the number of
+//! nets: each net that a rule names has a slot on the roll, by which it is found at once.
 
-#![expect(clippy::borrowed_box, reason = "what lists of boxes lend")]
-
+mod fire;
+mod keep;
+mod roll;
 pub mod shared;
 
-use crate::executor::{End, Executor, ResourceSet, Running};
+use takt_rt::Nanos;
+
+use crate::executor::{ResourceSet, Running};
+use fire::answer;
+use roll::{Roll, Slot};
 use shared::{Decision, Part};
 
 /// Most rules that wait at once in one thread.
 pub const RULES_MAX: usize = 1024;
 /// Most that the waiting rules of one thread look at in a cycle, all together: literals, operations, and
-/// nets that they stop, cancel and start.
+/// nets that they stop, cancel and start. Of a rule in several threads, literals count in each.
 pub const WORK_MAX: usize = 8192;
 /// Most Boolean operations of one condition.
 pub const CONDITION_MAX: usize = 256;
@@ -68,27 +76,40 @@ pub enum RuleState {
     Inactive,
 }
 
+/// What a rule does to nets of one thread.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Orders {
+    /// Nets that it ends.
+    pub stop: Vec<u32>,
+    /// Nets that it asks to cancel.
+    pub cancel: Vec<u32>,
+    /// Nets that it starts, in this order.
+    pub start: Vec<u32>,
+}
+
 /// A synchronization rule.
 #[derive(Debug)]
 pub struct Rule {
     /// Its number.
     pub id: u32,
     /// The condition's literals.
-    pub literals: Vec<Literal>,
+    literals: Vec<Literal>,
     /// The condition.
-    pub steps: Vec<Step>,
-    /// Nets of this thread that it ends.
-    pub stop: Vec<u32>,
-    /// Nets of this thread that it asks to cancel.
-    pub cancel: Vec<u32>,
-    /// Nets of this thread that it starts.
-    pub start: Vec<u32>,
+    steps: Vec<Step>,
+    /// What it does in this thread.
+    orders: Orders,
     /// What joins it to its parts in other threads; `None` if it is whole.
     pub part: Option<Part>,
     /// What became of it.
     pub state: RuleState,
     /// What the nets that it starts need: kept for them.
-    pub(super) reserved: ResourceSet,
+    reserved: ResourceSet,
+    /// What they cost in a cycle.
+    cost: Nanos,
+    /// The slots of the nets it names, while it waits: of literals, then of nets to stop, cancel, start.
+    slots: Box<[Slot]>,
+    /// Whether a literal changed since the condition was evaluated.
+    changed: bool,
 }
 
 /// Whether something is true, and whether it is false. Neither is "unknown" (Kleene); both is
@@ -111,18 +132,69 @@ impl From<Option<bool>> for Truth {
 impl Rule {
     /// A rule that waits.
     #[must_use]
-    pub fn new(id: u32, literals: Vec<Literal>, steps: Vec<Step>) -> Self {
+    pub fn new(id: u32, literals: Vec<Literal>, steps: Vec<Step>, mut orders: Orders) -> Self {
+        for nets in [&mut orders.stop, &mut orders.cancel] {
+            nets.sort_unstable();
+            nets.dedup();
+        }
+        let Orders {
+            stop,
+            cancel,
+            start,
+        } = &orders;
+        let named = literals.len() + stop.len() + cancel.len() + start.len();
         Self {
             id,
             literals,
             steps,
-            stop: Vec::new(),
-            cancel: Vec::new(),
-            start: Vec::new(),
+            orders,
             part: None,
             state: RuleState::Active,
             reserved: ResourceSet::default(),
+            cost: Nanos::ZERO,
+            slots: vec![0; named].into_boxed_slice(),
+            changed: true,
         }
+    }
+
+    /// What it does in this thread.
+    #[must_use]
+    pub const fn orders(&self) -> &Orders {
+        &self.orders
+    }
+
+    /// The nets it names, in the order of its slots.
+    fn names(&self) -> impl Iterator<Item = u32> {
+        let Orders {
+            stop,
+            cancel,
+            start,
+        } = &self.orders;
+        let asked = self.literals.iter().map(|literal| literal.net);
+        asked.chain(stop.iter().chain(cancel).chain(start).copied())
+    }
+
+    /// Slots of the nets from which it hands over: it waits for them or stops them.
+    fn followed(&self) -> &[Slot] {
+        self.slots_between(0, self.literals.len() + self.orders.stop.len())
+    }
+
+    fn stopped(&self) -> &[Slot] {
+        self.slots_between(self.literals.len(), self.orders.stop.len())
+    }
+
+    fn cancelled(&self) -> &[Slot] {
+        let first = self.literals.len() + self.orders.stop.len();
+        self.slots_between(first, self.orders.cancel.len())
+    }
+
+    fn started(&self) -> &[Slot] {
+        let count = self.orders.start.len();
+        self.slots_between(self.slots.len().saturating_sub(count), count)
+    }
+
+    fn slots_between(&self, first: usize, count: usize) -> &[Slot] {
+        self.slots.get(first..first + count).unwrap_or_default()
     }
 
     /// The truth of the condition with literals as `answer` says; unknown if it is malformed.
@@ -191,37 +263,33 @@ impl Rule {
     fn is_due(&self) -> bool {
         match &self.part {
             Some(part) => part.shared().decision() == Decision::Fire,
-            None => self.holds(),
+            None => self.changed && self.holds(),
         }
     }
 
-    /// Ends the wait for good without firing, in all threads.
-    fn give_up(&mut self) {
+    /// Ends the wait for good without firing, in all threads; says what becomes of this part.
+    fn give_up(&self) -> RuleState {
         let decided = self
             .part
             .as_ref()
             .map(|p| p.shared().decide(Decision::Never));
         // Other parts may have been told to fire already; this one cannot.
-        self.state = match decided {
+        match decided {
             None | Some(Decision::Never) => RuleState::Inactive,
             Some(Decision::Open | Decision::Fire | Decision::Fail) => RuleState::FireFailed,
-        };
+        }
     }
 
     /// Whether it starts a net, be it in another thread.
     fn starts_any(&self) -> bool {
-        !self.start.is_empty() || self.part.as_ref().is_some_and(Part::starts)
+        !self.orders.start.is_empty() || self.part.as_ref().is_some_and(Part::starts)
     }
 
     /// How much of it is looked at in a cycle.
     fn work(&self) -> usize {
-        let nets = self.stop.len() + self.cancel.len() + self.start.len();
-        self.literals.len() + self.steps.len() + nets
-    }
-
-    /// Whether the rule hands over from this net: it stops it or waits for it.
-    fn follows(&self, net: u32) -> bool {
-        self.stop.contains(&net) || self.literals.iter().any(|l| l.net == net)
+        let parts = self.part.as_ref().map_or(1, Part::count);
+        let nets = self.slots.len() - self.literals.len();
+        self.literals.len() * parts + self.steps.len() + nets
     }
 }
 
@@ -237,6 +305,16 @@ pub enum RuleRefusal {
     ResourceInUse(usize),
     /// Two nets that it starts need this resource.
     ResourceTwice(usize),
+    /// The nets that it starts and those that run on beside them would cost more in a cycle than they
+    /// may.
+    Overload {
+        /// What those cost that run on.
+        running: Nanos,
+        /// What those cost that it starts.
+        started: Nanos,
+        /// What all may cost.
+        budget: Nanos,
+    },
 }
 
 /// What the executor knows of rules.
@@ -244,11 +322,17 @@ pub enum RuleRefusal {
     clippy::vec_box,
     reason = "they come and go as boxes; a cycle neither makes nor frees any"
 )]
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Rules {
     waiting: Vec<Box<Rule>>,
     /// Nets that rules start, until they do.
     scheduled: Vec<Box<Running>>,
+    /// The nets that `waiting` name.
+    roll: Roll,
+    /// The work of all that are in `waiting`.
+    work: usize,
+    /// How many in `waiting` do not wait any more.
+    over: usize,
 }
 
 impl Rules {
@@ -256,305 +340,62 @@ impl Rules {
         Self {
             waiting: Vec::with_capacity(RULES_MAX),
             scheduled: Vec::with_capacity(super::RUNNING_MAX),
+            roll: Roll::default(),
+            work: 0,
+            over: 0,
         }
     }
-}
 
-impl Executor {
-    /// Takes a net that rules may start.
-    ///
-    /// # Errors
-    /// If there is no room for it.
-    pub fn schedule(&mut self, net: Box<Running>) -> Result<(), Box<Running>> {
-        if self.rules.scheduled.len() == super::RUNNING_MAX {
-            return Err(net);
-        }
-        self.rules.scheduled.push(net);
-        Ok(())
+    /// How much is looked at in a cycle.
+    pub(super) const fn work(&self) -> usize {
+        self.work
     }
 
-    /// Gives back a scheduled net: always, or only if no rule waits to start it. Rules that lose it
-    /// can do nothing any more.
-    pub fn take_unscheduled(&mut self, id: u32, always: bool) -> Option<Box<Running>> {
-        let waits =
-            |rule: &&mut Box<Rule>| rule.state == RuleState::Active && rule.start.contains(&id);
-        let mut waiting = self.rules.waiting.iter_mut().filter(waits).peekable();
-        if !always && waiting.peek().is_some() {
-            return None;
-        }
-        waiting.for_each(|rule| rule.give_up());
-        let at = self.rules.scheduled.iter().position(|net| net.id == id)?;
-        Some(self.rules.scheduled.remove(at))
+    /// Where a net of that slot is in `running`, if it is.
+    fn running_at(&self, slot: Slot, running: &[Box<Running>]) -> Option<usize> {
+        let (id, at) = self.roll.running(slot);
+        running.get(at).filter(|net| net.id == id).map(|_| at)
     }
 
-    /// Takes a rule. What its nets need is kept for them from now on, but for nets that it follows.
-    ///
-    /// # Errors
-    /// If it cannot be kept; the rule comes back with the reason, and its parts in other threads do
-    /// nothing any more.
-    pub fn add_rule(&mut self, mut rule: Box<Rule>) -> Result<(), (Box<Rule>, RuleRefusal)> {
-        match self.reserve(&rule) {
-            Ok(reserved) => rule.reserved = reserved,
-            Err(refusal) => {
-                rule.give_up();
-                return Err((rule, refusal));
-            }
-        }
-        for literal in rule.literals.iter_mut().filter(|l| !l.last) {
-            let net = self.running.iter().find(|net| net.id == literal.net);
-            if let Some(net) = net {
-                answer(literal, net, None);
-            }
-        }
-        self.rules.waiting.push(rule);
-        Ok(())
+    /// Where a net of that slot is in `scheduled`, if it is.
+    fn scheduled_at(&self, slot: Slot) -> Option<usize> {
+        let (id, at) = self.roll.scheduled(slot);
+        let net = self.scheduled.get(at).filter(|net| net.id == id);
+        net.map(|_| at)
     }
 
-    /// What is to be kept for a new rule.
-    fn reserve(&self, rule: &Rule) -> Result<ResourceSet, RuleRefusal> {
-        if self.rules.waiting.len() == RULES_MAX {
-            return Err(RuleRefusal::TooMany);
+    /// Notes where the nets are that rules name.
+    fn seat(&mut self, running: &[Box<Running>]) {
+        for (at, net) in running.iter().enumerate() {
+            self.roll.seat_running(net.id, at);
         }
-        let others = self.rules.waiting.iter().map(|other| other.work());
-        if others.sum::<usize>() + rule.work() > WORK_MAX {
-            return Err(RuleRefusal::TooLong);
+        for (at, net) in self.scheduled.iter().enumerate() {
+            self.roll.seat_scheduled(net.id, at);
         }
-        let mut wanted = ResourceSet::default();
-        for net in self
-            .rules
-            .scheduled
-            .iter()
-            .filter(|net| rule.start.contains(&net.id))
-        {
-            if let Some(twice) = wanted.common(&net.resources) {
-                return Err(RuleRefusal::ResourceTwice(twice));
-            }
-            wanted.add(&net.resources);
-        }
-        let claim = self.claim(rule, wanted);
-        for net in self.running.iter().filter(|net| !rule.follows(net.id)) {
-            if let Some(held) = claim.common(&net.resources) {
-                return Err(RuleRefusal::ResourceInUse(held));
-            }
-        }
-        // Alternatives of one predecessor may want the same: only one of them will come to run.
-        let stranger = |other: &&Box<Rule>| {
-            !rule
-                .stop
-                .iter()
-                .chain(rule.literals.iter().map(|l| &l.net))
-                .any(|n| other.follows(*n))
-        };
-        for other in self.rules.waiting.iter().filter(stranger) {
-            if let Some(kept) = claim.common(&self.claim(other, other.reserved)) {
-                return Err(RuleRefusal::ResourceInUse(kept));
-            }
-        }
-        Ok(wanted)
     }
 
-    /// What a rule that wants this claims now: not what scheduled nets that it follows will bring.
-    fn claim(&self, rule: &Rule, mut wanted: ResourceSet) -> ResourceSet {
-        let scheduled = self.rules.scheduled.iter();
-        for net in scheduled.filter(|net| rule.follows(net.id)) {
-            wanted.remove(&net.resources);
+    /// Takes a scheduled net out of its place.
+    fn unseat_scheduled(&mut self, at: usize) -> Box<Running> {
+        let net = self.scheduled.swap_remove(at);
+        if let Some(moved) = self.scheduled.get(at) {
+            self.roll.seat_scheduled(moved.id, at);
         }
-        wanted
+        net
     }
 
-    /// The lowest resource of a net that is kept for other nets.
-    pub(super) fn kept(&self, net: &Running) -> Option<usize> {
-        let others = self
-            .rules
-            .waiting
-            .iter()
-            .filter(|rule| !rule.start.contains(&net.id) && !rule.follows(net.id));
-        others
-            .map(|rule| self.claim(rule, rule.reserved))
-            .find_map(|kept| net.resources.common(&kept))
-    }
-
-    /// Tells each running net whether a successor waits for it; calls `changed` where that is new.
-    /// Called before each cycle.
-    pub fn announce_takeovers(&mut self, mut changed: impl FnMut(u32, bool)) {
-        let waiting = &self.rules.waiting;
-        if waiting.is_empty() && !self.running.iter().any(|net| net.takeover) {
+    /// Ends the wait of a rule.
+    fn retire(&mut self, at: usize, state: RuleState) {
+        let rule = &mut self.waiting[at];
+        if rule.state != RuleState::Active {
             return;
         }
-        for net in &mut self.running {
-            let waits = |rule: &Box<Rule>| {
-                rule.state == RuleState::Active && rule.starts_any() && rule.follows(net.id)
-            };
-            let waits = self.rules.waiting.iter().any(waits);
-            if std::mem::replace(&mut net.takeover, waits) != waits {
-                changed(net.id, waits);
-            }
+        rule.state = state;
+        self.over += 1;
+        if rule.starts_any() {
+            let followed = rule.followed().iter();
+            followed.for_each(|slot| self.roll.follow(*slot, false));
         }
     }
-
-    /// Brings the literals up to date and fires the rules that hold. Called after each cycle,
-    /// before nets that ended are taken out: what they held passes to their successors, which are
-    /// evaluated from the next cycle on.
-    pub fn fire_rules(&mut self) {
-        if self.rules.waiting.is_empty() {
-            return;
-        }
-        for rule in &mut self.rules.waiting {
-            for literal in rule.literals.iter_mut().filter(|l| !l.last) {
-                if let Some(net) = self.running.iter().find(|net| net.id == literal.net) {
-                    answer(literal, net, net.end);
-                }
-            }
-        }
-        self.consult();
-        // Those that start nothing cannot fail, and may free what others need.
-        for starts in [false, true] {
-            for i in 0..self.rules.waiting.len() {
-                let rule = &self.rules.waiting[i];
-                let due = rule.state == RuleState::Active && rule.is_due();
-                if due && rule.start.is_empty() != starts {
-                    self.fire(i);
-                }
-            }
-        }
-        for rule in &mut self.rules.waiting {
-            let whole = rule.part.is_none();
-            if whole && rule.state == RuleState::Active && !rule.can_hold() {
-                rule.state = RuleState::Inactive;
-            }
-        }
-    }
-
-    /// Does what was decided about rules in several threads since the last cycle. Called before each
-    /// cycle; returns whether nets may have been changed.
-    pub fn fire_decided(&mut self) -> bool {
-        let mut any = false;
-        for i in 0..self.rules.waiting.len() {
-            let rule = &self.rules.waiting[i];
-            let decided = rule.state == RuleState::Active && rule.part.is_some() && rule.is_due();
-            if decided {
-                self.fire(i);
-                any = true;
-            }
-        }
-        any
-    }
-
-    /// Exchanges literals of rules in several threads, and decides about those that are decided here.
-    fn consult(&mut self) {
-        for i in 0..self.rules.waiting.len() {
-            let rule = &self.rules.waiting[i];
-            if rule.part.is_none() || rule.state != RuleState::Active {
-                continue;
-            }
-            let able = self.is_able(i);
-            let rule = &mut *self.rules.waiting[i];
-            let Some(part) = &rule.part else {
-                continue;
-            };
-            part.exchange(&mut rule.literals, able);
-            if part.is_to_decide() {
-                if rule.holds() {
-                    part.decide_to_fire();
-                } else if !rule.can_hold() {
-                    part.shared().decide(Decision::Never);
-                }
-            }
-            match part.shared().decision() {
-                Decision::Open | Decision::Fire => {}
-                Decision::Fail => rule.state = RuleState::FireFailed,
-                Decision::Never => rule.state = RuleState::Inactive,
-            }
-        }
-    }
-
-    /// Whether the nets that a rule starts here could start now.
-    fn is_able(&self, number: usize) -> bool {
-        let rule = &self.rules.waiting[number];
-        let ending = |net: &Running| net.end.is_some() || rule.stop.contains(&net.id);
-        let mut held = ResourceSet::default();
-        for net in self.running.iter().filter(|net| !ending(net)) {
-            held.add(&net.resources);
-        }
-        let starts = |net: &&Box<Running>| rule.start.contains(&net.id);
-        let found = self.rules.scheduled.iter().filter(starts).count();
-        let blocked = self.rules.scheduled.iter().filter(starts).any(|net| {
-            let device = |d: &(usize, u64)| self.devices.get(d.0).is_none_or(|v| !v.is_ready());
-            net.resources.common(&held).is_some() || net.devices.iter().any(device)
-        });
-        let room = self.running.len() + found <= super::RUNNING_MAX;
-        !blocked && room && found == rule.start.len()
-    }
-
-    fn fire(&mut self, number: usize) {
-        if !self.is_able(number) {
-            self.rules.waiting[number].state = RuleState::FireFailed;
-            return;
-        }
-        let rule = &self.rules.waiting[number];
-        for net in &mut self.running {
-            if rule.stop.contains(&net.id) {
-                net.end = net.end.or(Some(End::Stopped));
-            }
-            if rule.cancel.contains(&net.id) && !net.cancel {
-                (net.cancel, net.fresh_cancel) = (true, true);
-            }
-        }
-        self.rules.waiting[number].state = RuleState::Fired;
-        let mut at = 0;
-        while at < self.rules.scheduled.len() {
-            let id = self.rules.scheduled[at].id;
-            if !self.rules.waiting[number].start.contains(&id) {
-                at += 1;
-                continue;
-            }
-            let mut net = self.rules.scheduled.remove(at);
-            net.fresh = true;
-            self.start_by_rule(net);
-        }
-    }
-
-    /// Takes out one rule that no longer waits, if `take` accepts it.
-    pub fn take_rule(&mut self, take: impl FnOnce(Box<Rule>) -> Result<(), Box<Rule>>) -> bool {
-        let done = |rule: &Box<Rule>| rule.state != RuleState::Active;
-        let Some(at) = self.rules.waiting.iter().position(done) else {
-            return false;
-        };
-        let rule = self.rules.waiting.remove(at);
-        match take(rule) {
-            Ok(()) => true,
-            Err(rule) => {
-                self.rules.waiting.insert(at, rule);
-                false
-            }
-        }
-    }
-
-    /// Answers for good what waiting rules ask of a net that had ended before they came.
-    pub fn answer_for_good(&mut self, told: Literal) {
-        let literals = self.rules.waiting.iter_mut();
-        let literals = literals.flat_map(|rule| &mut rule.literals);
-        let asked = |l: &&mut Literal| !l.last && (l.net, l.question) == (told.net, told.question);
-        literals.filter(asked).for_each(|literal| *literal = told);
-    }
-
-    /// Tells rules that a net will never run again, or never did.
-    pub fn forget(&mut self, id: u32) {
-        for rule in &mut self.rules.waiting {
-            for literal in rule.literals.iter_mut().filter(|l| l.net == id) {
-                literal.last = true;
-            }
-        }
-    }
-}
-
-/// Answers a literal from its net, which has just ended if there is an `end`.
-fn answer(literal: &mut Literal, net: &Running, end: Option<End>) {
-    literal.value = match literal.question {
-        Question::Value(at) => net.plan.out_bool(at),
-        Question::Terminated => end.map(|end| end == End::Terminated),
-    };
-    literal.last = end.is_some();
 }
 
 #[cfg(test)]

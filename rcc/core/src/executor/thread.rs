@@ -13,7 +13,8 @@ use takt_rt::stats::{Recorder, RecorderReader, StatsReader, StatsWriter};
 use takt_rt::thread::{Thread, ThreadConfig};
 
 use crate::error::Error;
-use crate::executor::rules::{Literal, Rule, RuleRefusal};
+use crate::executor::figures::budget;
+use crate::executor::rules::{Literal, Rule, RuleRefusal, WORK_MAX};
 use crate::executor::serve::{DeviceEnd, Served};
 use crate::executor::stop::StopPart;
 use crate::executor::{Effect, End, Executor, Refusal, Running};
@@ -49,6 +50,25 @@ pub enum Command {
     AddDevice(Box<DeviceEnd>),
     /// Serve the device of that number no longer.
     RemoveDevice(usize),
+}
+
+impl Command {
+    /// Whether all waiting rules are looked at for it.
+    const fn looks_at_rules(&self) -> bool {
+        match self {
+            Self::Start(_)
+            | Self::AddRule(_)
+            | Self::Answer(_)
+            | Self::Unschedule { .. }
+            | Self::StartScheduled(_)
+            | Self::Forget(_) => true,
+            Self::Cancel(_)
+            | Self::Abort(_)
+            | Self::Schedule(_)
+            | Self::AddDevice(_)
+            | Self::RemoveDevice(_) => false,
+        }
+    }
 }
 
 /// What the thread tells the controller.
@@ -127,7 +147,7 @@ impl NetThread {
         let hand_over_reader = hand_over.reader();
         let stop = Arc::new(AtomicBool::new(false));
         let mut cycle = Box::new(Cycle {
-            executor: Executor::default(),
+            executor: Executor::within(budget(config.period).into()),
             served: Served::new(config.period.into(), hand_over).under(config.stop),
             commands: command_end,
             events: event_end,
@@ -228,6 +248,8 @@ impl Slot {
 
 /// Most commands taken in one cycle; the rest waits for the next.
 const COMMANDS_A_CYCLE: usize = 16;
+/// So much work of waiting rules makes a command that looks at them count once more.
+const WORK_A_COMMAND: usize = WORK_MAX / COMMANDS_A_CYCLE;
 
 struct Cycle {
     executor: Executor,
@@ -243,12 +265,7 @@ impl Cycle {
         let moment = slot.moment;
         self.served.look(slot.begin);
         self.served.read(&mut self.executor);
-        for _ in 0..COMMANDS_A_CYCLE {
-            let Some(command) = self.commands.pop() else {
-                break;
-            };
-            self.obey(command);
-        }
+        self.obey_commands();
         for net in self.executor.running() {
             let received = net.receive();
             if let (true, Some(tap)) = (received, &mut self.tap) {
@@ -284,6 +301,20 @@ impl Cycle {
         self.tell_rules();
         if let Some(tap) = &mut self.tap {
             tap.outputs(moment, &self.executor);
+        }
+    }
+
+    /// Obeys the commands of this cycle: fewer where rules that wait make each of them dearer.
+    fn obey_commands(&mut self) {
+        let mut left = COMMANDS_A_CYCLE;
+        while left > 0 {
+            let Some(command) = self.commands.pop() else {
+                break;
+            };
+            let looks_at_rules = command.looks_at_rules();
+            self.obey(command);
+            let rules = self.executor.rule_work() / WORK_A_COMMAND;
+            left = left.saturating_sub(1 + if looks_at_rules { rules } else { 0 });
         }
     }
 
@@ -401,10 +432,10 @@ impl Cycle {
             let told = events.push(Event::Started(id));
             debug_assert!(told.is_ok(), "more events than requests");
         });
-        while executor.take_rule(|rule| match events.push(Event::RuleDone(rule)) {
+        executor.take_rules(|rule| match events.push(Event::RuleDone(rule)) {
             Err(Event::RuleDone(rule)) => Err(rule),
             _ => Ok(()),
-        }) {}
+        });
     }
 
     /// There is room: see [`EVENTS`].

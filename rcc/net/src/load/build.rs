@@ -242,6 +242,7 @@ impl Parts {
             devices: self.devices.into_boxed_slice(),
             uses: self.uses.into_boxed_slice(),
             cost,
+            memory: self.memory,
         })
     }
 }

@@ -43,6 +43,7 @@ fn startup(phase: Phase) -> Startup {
 
 const RESET: Action = Action::Command(NmtCommand::ResetCommunication);
 const START: Action = Action::Command(NmtCommand::Start);
+const STOP: Action = Action::Command(NmtCommand::Stop);
 const TYPE: Address = Address::new(0x1000, 0);
 const PRODUCT: Address = Address::new(0x1018, 2);
 const FIRST: Address = Address::new(0x2000, 0);
@@ -93,8 +94,12 @@ fn every_state_that_a_node_can_say_in_every_phase() {
     for phase in PHASES {
         for state in states {
             let mut s = startup(phase);
-            assert_eq!(s.said(state, NOW), Action::None, "{phase:?} {state}");
             let operational = state == NmtState::Operational;
+            let action = match phase {
+                Phase::Running if !operational => STOP,
+                _ => Action::None,
+            };
+            assert_eq!(s.said(state, NOW), action, "{phase:?} {state}");
             let expected = match phase {
                 Phase::Starting if operational => Phase::Running,
                 Phase::Running if !operational => Phase::Failed,
@@ -164,7 +169,7 @@ fn time_in_every_phase() {
         (
             Phase::Starting,
             200,
-            Action::None,
+            STOP,
             Some(Trouble::NoHeartbeat(200 * MS)),
         ),
         (Phase::Failed, 499, Action::None, None),
@@ -188,4 +193,45 @@ fn time_in_every_phase() {
     );
     unwatched.poll(NOW);
     assert_eq!(unwatched.phase(), Phase::Running);
+}
+
+#[test]
+fn only_what_was_started_is_stopped_when_it_fails() {
+    for phase in PHASES {
+        let mut s = startup(phase);
+        let expected = match phase {
+            Phase::Starting | Phase::Running => STOP,
+            _ => Action::None,
+        };
+        let lost = Trouble::HeartbeatLost(250 * MS);
+        assert_eq!(s.fail(lost, NOW), expected, "{phase:?}");
+        assert_eq!((s.phase(), s.trouble()), (Phase::Failed, Some(lost)));
+    }
+}
+
+#[test]
+fn an_object_that_a_device_may_lack_is_passed_over() {
+    let configuring = Phase::Configuring {
+        at: 0,
+        reading: false,
+    };
+    for (code, passed) in [
+        (AbortCode::NoObject, true),
+        (AbortCode::NoSubIndex, true),
+        (AbortCode::ReadOnly, false),
+    ] {
+        let mut s = startup(configuring);
+        s.downloads[0] = s.downloads[0].clone().where_present();
+        let action = s.answered(Answer::Refused(code), NOW);
+        let failed = Trouble::Refused {
+            address: FIRST,
+            code,
+        };
+        let expected = if passed {
+            (Action::Write(1), None)
+        } else {
+            (Action::None, Some(failed))
+        };
+        assert_eq!((action, s.trouble()), expected, "{code:?}");
+    }
 }

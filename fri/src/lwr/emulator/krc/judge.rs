@@ -2,8 +2,8 @@
 
 use super::{Krc, Received};
 use crate::lwr::AXES;
-use crate::lwr::emulator::Leave;
-use crate::lwr::wire::{CmdFlags, State};
+use crate::lwr::emulator::{Leave, Parameter};
+use crate::lwr::wire::{Cmd, CmdFlags, State};
 
 /// Allowance on a speed for the single precision of positions: half a bit at pi over 1 ms is 1.2e-4 rad/s.
 const SPEED_ROUNDING: f64 = 5e-4;
@@ -17,6 +17,7 @@ impl Krc {
         if received.sent.is_some_and(|sent| sent.in_command) {
             judge_flags(self.flags, cmd.flags)?;
         }
+        self.judge_parameters(cmd)?;
         let Some(joints) = self.target(cmd)? else {
             return Ok(());
         };
@@ -29,6 +30,29 @@ impl Krc {
                 self.judge_speed(received, &joints)
             }
         }
+    }
+
+    /// The fields that flags declare valid and the strategy allows, one by one.
+    fn judge_parameters(&self, cmd: &Cmd) -> Result<(), Leave> {
+        let flags = cmd.flags.intersection(CmdFlags::allowed(self.control));
+        let torque_max = &self.config.limits.torque_nm;
+        for parameter in Parameter::ALL {
+            if !flags.contains(parameter.flag()) {
+                continue;
+            }
+            for (index, value) in parameter.values(cmd).iter().enumerate() {
+                let value = f64::from(*value);
+                let [low, high] = parameter.range(torque_max.get(index).copied());
+                if !(low..=high).contains(&value) || value.is_infinite() {
+                    return Err(Leave::Parameter {
+                        parameter,
+                        index,
+                        value,
+                    });
+                }
+            }
+        }
+        Ok(())
     }
 
     fn judge_speed(&self, received: &Received, joints: &[f64; AXES]) -> Result<(), Leave> {

@@ -65,6 +65,7 @@ impl Arm {
             Some(Feedback {
                 online: state.online,
                 follows: state.follows,
+                state: state.state,
                 increments: state.position,
             })
         });

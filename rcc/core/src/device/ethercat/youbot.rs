@@ -10,7 +10,7 @@ mod springs;
 use std::time::Duration;
 
 use takt_ethercat::master::{Master, Reply};
-use takt_ethercat::youbot::{Command, Drive, HomingError, Obstacle};
+use takt_ethercat::youbot::{Command, Drive, GripperError, HomingError, Obstacle};
 use takt_rt::Nanos;
 use takt_rt::cycle::Tick;
 
@@ -53,6 +53,12 @@ pub enum Wait {
     /// It could not be homed.
     #[error("homing failed: {0}")]
     Failed(HomingError),
+    /// The gripper behind it was not homed since power came on.
+    #[error("its gripper was not homed since power came on; `homing = true` lets it open to its stops")]
+    GripperNotHomed,
+    /// The gripper behind it cannot be used.
+    #[error("its gripper: {0}")]
+    Gripper(GripperError),
 }
 
 /// A drive that a device waits for.

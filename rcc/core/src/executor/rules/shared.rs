@@ -135,6 +135,11 @@ impl Part {
         &self.shared
     }
 
+    /// How many parts the rule has.
+    pub(super) fn count(&self) -> usize {
+        self.shared.parts.len()
+    }
+
     /// Whether the rule starts a net, be it in another thread.
     pub(super) fn starts(&self) -> bool {
         self.shared.starts

@@ -2,9 +2,10 @@
 //! `tests/rules.rs`.
 
 use takt_net::Moment;
+use takt_rt::Nanos;
 
 use super::*;
-use crate::executor::Refusal;
+use crate::executor::{End, Executor, Refusal};
 use crate::executor::tests::{BRIEF, ENDLESS, holding};
 
 const ARM: usize = 3;
@@ -19,9 +20,16 @@ fn after(id: u32, followed: &[u32], start: u32) -> Box<Rule> {
     };
     let mut steps: Vec<_> = (0..followed.len()).map(Step::Literal).collect();
     steps.extend((1..followed.len()).map(|_| Step::And));
-    let mut rule = Rule::new(id, followed.iter().map(asked).collect(), steps);
-    rule.start = vec![start];
-    Box::new(rule)
+    let orders = Orders {
+        start: vec![start],
+        ..Orders::default()
+    };
+    Box::new(Rule::new(
+        id,
+        followed.iter().map(asked).collect(),
+        steps,
+        orders,
+    ))
 }
 
 #[derive(Default)]
@@ -45,7 +53,7 @@ impl Bench {
         self.0.cycle(Moment::default());
         self.0.fire_rules();
         while self.0.take_ended(|_, _| Ok(())) {}
-        while self.0.take_rule(|_| Ok(())) {}
+        self.0.take_rules(|_| Ok(()));
         self.0.running().iter().map(|net| net.id).collect()
     }
 }
@@ -107,12 +115,149 @@ fn an_answer_that_comes_after_the_rule_is_heard() {
 #[test]
 fn rules_that_are_too_much_for_a_cycle_are_refused() {
     let mut bench = Bench::default();
-    let mut rule = after(0, &[1], 2);
-    rule.stop = (10..10 + u32::try_from(WORK_MAX).unwrap() / 2).collect();
-    bench.0.add_rule(rule).unwrap();
-    let mut more = after(1, &[1], 2);
-    more.stop = (10..10 + u32::try_from(WORK_MAX).unwrap() / 2).collect();
-    let refused = bench.0.add_rule(more).unwrap_err();
+    let stopping = |id, first: u32, count: usize| {
+        let orders = Orders {
+            stop: (first..).take(count).collect(),
+            ..Orders::default()
+        };
+        Box::new(Rule::new(id, vec![], vec![Step::Constant(false)], orders))
+    };
+    bench.0.add_rule(stopping(0, 10, WORK_MAX / 2)).unwrap();
+    let refused = bench.0.add_rule(stopping(1, 10, WORK_MAX / 2)).unwrap_err();
     assert_eq!(refused.1, RuleRefusal::TooLong);
-    bench.0.add_rule(after(2, &[1], 2)).unwrap();
+    // As many nets as rules can name, all different.
+    bench.0.add_rule(stopping(2, 9999, WORK_MAX / 2 - 2)).unwrap();
+    assert_eq!(bench.run(), []);
+    assert_eq!(bench.0.rule_work(), 0);
+    bench.0.add_rule(stopping(3, 10, WORK_MAX - 1)).unwrap();
+}
+
+/// A net that never ends and costs so many microseconds a cycle.
+fn costing(id: u32, us: i64) -> Box<Running> {
+    let mut net = holding(id, ENDLESS, &[]);
+    net.cost = Nanos::from_micros(us);
+    net
+}
+
+/// Runs nets that may cost 800 us a cycle together, of which net 1 costs 500.
+fn loaded() -> Executor {
+    let mut executor = Executor::within(Nanos::from_micros(800));
+    executor.start(costing(1, 500)).unwrap();
+    executor
+}
+
+/// A rule that starts net 2, which costs so much, once net 1 has ended.
+fn successor(executor: &mut Executor, us: i64) -> Result<(), RuleRefusal> {
+    executor.schedule(costing(2, us)).unwrap();
+    let added = executor.add_rule(after(0, &[1], 2));
+    added.map_err(|(_, refusal)| refusal)
+}
+
+fn run(executor: &mut Executor) -> Vec<u32> {
+    executor.cycle(Moment::default());
+    executor.fire_rules();
+    while executor.take_ended(|_, _| Ok(())) {}
+    executor.running().iter().map(|net| net.id).collect()
+}
+
+#[test]
+fn nets_that_cost_more_together_than_their_thread_has_do_not_start() {
+    let mut executor = loaded();
+    let (running, budget) = (Nanos::from_micros(500), Nanos::from_micros(800));
+    let (_, refusal) = executor.start(costing(3, 301)).unwrap_err();
+    assert_eq!(refusal, Refusal::Overload { running, budget });
+    executor.start(costing(3, 300)).unwrap();
+}
+
+#[test]
+fn a_successor_costs_nothing_beside_the_net_that_it_follows() {
+    let mut executor = loaded();
+    successor(&mut executor, 800).unwrap();
+    // Nor does what ends in the cycle in which it starts.
+    executor.end(1, End::Terminated);
+    assert_eq!(run(&mut executor), [2]);
+    assert_eq!(executor.load(), Nanos::from_micros(800));
+}
+
+#[test]
+fn a_rule_that_would_overload_its_thread_is_refused() {
+    let mut executor = loaded();
+    executor.start(costing(3, 200)).unwrap();
+    let refused = RuleRefusal::Overload {
+        running: Nanos::from_micros(200),
+        started: Nanos::from_micros(601),
+        budget: Nanos::from_micros(800),
+    };
+    assert_eq!(successor(&mut executor, 601), Err(refused));
+    assert!(executor.take_unscheduled(2, false).is_some());
+    successor(&mut executor, 600).unwrap();
+}
+
+#[test]
+fn time_of_the_cycle_is_kept_for_scheduled_nets() {
+    let mut executor = loaded();
+    successor(&mut executor, 700).unwrap();
+    // There is room beside net 1 and not beside its successor.
+    let kept = Refusal::OverloadKept {
+        rule: 0,
+        budget: Nanos::from_micros(800),
+    };
+    assert_eq!(executor.start(costing(3, 101)).unwrap_err().1, kept);
+    executor.start(costing(3, 100)).unwrap();
+    executor.end(1, End::Terminated);
+    assert_eq!(run(&mut executor), [3, 2]);
+}
+
+#[test]
+fn a_rule_without_time_for_its_nets_fails_when_it_fires() {
+    let mut executor = loaded();
+    // Waits for net 1 and does not end it, which no condition tells beforehand.
+    executor.schedule(costing(2, 400)).unwrap();
+    let asked = Literal {
+        net: 1,
+        question: Question::Terminated,
+        value: None,
+        last: false,
+    };
+    let orders = Orders {
+        start: vec![2],
+        ..Orders::default()
+    };
+    let steps = vec![Step::Literal(0), Step::Constant(true), Step::Or];
+    let rule = Box::new(Rule::new(0, vec![asked], steps, orders));
+    executor.add_rule(rule).unwrap();
+    assert_eq!(run(&mut executor), [1]);
+    let mut states = Vec::new();
+    executor.take_rules(|rule| {
+        states.push(rule.state);
+        Ok(())
+    });
+    assert_eq!(states, [RuleState::FireFailed]);
+}
+
+#[test]
+fn rules_that_nobody_has_room_for_are_offered_again() {
+    let mut bench = Bench::default();
+    bench.start(1, BRIEF).unwrap();
+    for id in 0..3 {
+        let steps = vec![Step::Constant(true)];
+        let rule = Rule::new(id, vec![], steps, Orders::default());
+        bench.0.add_rule(Box::new(rule)).unwrap();
+    }
+    bench.0.fire_rules();
+    let mut taken = Vec::new();
+    let mut offer = |executor: &mut Executor, room: usize| {
+        executor.take_rules(|rule| {
+            if taken.len() == room {
+                return Err(rule);
+            }
+            taken.push(rule.id);
+            Ok(())
+        });
+        executor.rules.waiting.len()
+    };
+    assert_eq!(offer(&mut bench.0, 1), 2);
+    assert_eq!(offer(&mut bench.0, 2), 1);
+    assert_eq!(offer(&mut bench.0, 3), 0);
+    assert_eq!((bench.0.rule_work(), bench.0.rules.over), (0, 0));
 }

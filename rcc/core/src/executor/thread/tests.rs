@@ -12,7 +12,7 @@ use takt_rt::servo::{Servo, ServoConfig, State};
 use super::*;
 use crate::device::{DeviceCommand, DeviceTable, lwr};
 use crate::executor::figures::RUNAWAY_AFTER;
-use crate::executor::rules::{Literal, Question, Step};
+use crate::executor::rules::{Literal, Orders, Question, Step};
 use crate::executor::serve::Driver;
 use crate::executor::tests::net;
 use crate::record::replay;
@@ -77,8 +77,11 @@ impl Bench {
             value: None,
             last: false,
         };
-        let mut rule = Box::new(Rule::new(7, vec![literal], vec![Step::Literal(0)]));
-        rule.start = vec![next.id];
+        let orders = Orders {
+            start: vec![next.id],
+            ..Orders::default()
+        };
+        let rule = Box::new(Rule::new(7, vec![literal], vec![Step::Literal(0)], orders));
         self.command(Command::Schedule(next));
         self.command(Command::AddRule(rule));
     }

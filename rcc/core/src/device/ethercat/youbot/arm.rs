@@ -118,7 +118,7 @@ impl Arm {
                 .all(|joint| joint.motion().1.abs() < 1e-9)
     }
 
-    /// The first joint whose stop is not known.
+    /// The first joint whose stop is not known, or what the gripper waits for.
     pub(super) fn waits_for(&self) -> Option<Waiting> {
         let joints = self.homing.iter().zip(&self.drives);
         let why = |homing: &Homing| match homing.state() {
@@ -135,8 +135,13 @@ impl Arm {
             | HomingState::Preset
             | HomingState::Mark => Some(Wait::Homing),
         };
-        joints.into_iter().find_map(|(homing, drive)| {
+        let of_joints = joints.into_iter().find_map(|(homing, drive)| {
             let (slave, why) = (drive.slave(), why(homing)?);
+            Some(Waiting { slave, why })
+        });
+        of_joints.or_else(|| {
+            let why = self.gripper.as_ref()?.waits_for(self.may_home)?;
+            let slave = self.drives[4].slave();
             Some(Waiting { slave, why })
         })
     }
@@ -171,17 +176,20 @@ impl Arm {
         let may_move = self.may_home && !commanded && !stopping;
         let ready = self.is_ready();
         let rests = ready.then(|| self.is_still());
-        let (words, cycle) = (&self.taken.words, self.taken.cycle);
-        self.springs.obey(&self.interfaces, words, cycle, rests);
+        let fresh = is_fresh(self.taken.time, tick, self.cycle, self.net_period);
+        self.springs
+            .obey(&self.interfaces, &self.taken, fresh, rests);
         let follows = self.follows();
         for n in 0..ARM.len() {
             let order = if ready {
                 Some(self.set_point(n, tick, dt, stopping))
             } else {
+                let order = self.home(n, follows, may_move, stopping, tick);
+                // Behind homing: a joint whose stop is known since just now rests where it is before it follows.
                 if let Some([position, _]) = self.measured(n) {
                     self.joints[n].rest_at(position, &self.taken.joints[n]);
                 }
-                self.home(n, follows, may_move, stopping, tick)
+                order
             };
             lead(&mut self.drives[n], master, order, may_move, tick);
         }

@@ -150,7 +150,7 @@ pub(in crate::device::ethercat) fn check(config: &EthercatConfig) -> Result<(), 
         if !positive.iter().all(|v| v.is_finite() && *v > 0.0) {
             return Err(format!(
                 "youbot_base {}: velocity_max, rotation_max, acceleration_max and rotation_acceleration_max must be \
-                 above 0",
+                 above 0 and finite",
                 base.name
             ));
         }
@@ -182,12 +182,20 @@ fn check_arm(arm: &YouBotArm) -> Result<(), String> {
         }
     }
     for (joint, limits) in limits(arm).iter().enumerate() {
-        let sound = limits.position_min < limits.position_max
-            && limits.velocity_max > 0.0
-            && limits.acceleration_max > 0.0;
+        let JointLimits {
+            position_min,
+            position_max,
+            velocity_max,
+            acceleration_max,
+        } = *limits;
+        let all = [position_min, position_max, velocity_max, acceleration_max];
+        let sound = all.iter().all(|value| value.is_finite())
+            && position_min < position_max
+            && velocity_max > 0.0
+            && acceleration_max > 0.0;
         if !sound {
             return Err(format!(
-                "joint {joint}: range must go up, and velocity_max and acceleration_max must be above 0"
+                "joint {joint}: range must go up, velocity_max and acceleration_max must be above 0, all of them finite"
             ));
         }
     }

@@ -6,7 +6,7 @@ use takt_net::device::{Answer, Gripper as Interface, Layout};
 use takt_rt::cycle::Tick;
 use takt_rt::latest::{LatestReader, LatestWriter};
 
-use super::now;
+use super::{Wait, now};
 use crate::device::driver::DeviceEnd;
 use crate::device::{DeviceCommand, DeviceState, DeviceStatus};
 
@@ -14,7 +14,7 @@ use crate::device::{DeviceCommand, DeviceState, DeviceStatus};
 mod error {
     /// The distance is out of range or no number.
     pub(super) const RANGE: i32 = 1;
-    /// The gripper is not there, or its fingers did not arrive.
+    /// The gripper is not there, or something is in the way of its fingers.
     pub(super) const FAILED: i32 = 2;
 }
 
@@ -68,13 +68,32 @@ impl Gripper {
             | DriveState::Exhausted => true,
         };
         if is_there && speaks {
-            self.fingers.start();
+            self.fingers.start(now(tick));
             self.fingers.cycle(drive.mailbox(), may_move, now(tick));
         } else {
             self.fingers.forget();
         }
         self.obey(tick);
         self.tell(is_there, tick);
+    }
+
+    /// Why it takes no orders, where that does not pass by itself.
+    pub(super) const fn waits_for(&self, may_move: bool) -> Option<Wait> {
+        match self.fingers.state() {
+            GripperState::Failed(error, _) => Some(Wait::Gripper(error)),
+            GripperState::Ask if !may_move => Some(Wait::GripperNotHomed),
+            GripperState::Idle
+            | GripperState::Setup(_)
+            | GripperState::Ask
+            | GripperState::Origin(_)
+            | GripperState::Open
+            | GripperState::Close
+            | GripperState::Preset(_)
+            | GripperState::Mark
+            | GripperState::Ready
+            | GripperState::Order
+            | GripperState::Short => None,
+        }
     }
 
     fn obey(&mut self, tick: &Tick) {
@@ -105,7 +124,8 @@ impl Gripper {
             | GripperState::Close
             | GripperState::Preset(_)
             | GripperState::Mark
-            | GripperState::Failed(_) => self.end(error::FAILED),
+            | GripperState::Short
+            | GripperState::Failed(..) => self.end(error::FAILED),
         }
     }
 

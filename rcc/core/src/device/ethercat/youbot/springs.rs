@@ -4,6 +4,8 @@
 use takt_ethercat::youbot::Impedance;
 use takt_net::device::{Answer, Interfaces, JointImpedance};
 
+use crate::device::DeviceCommand;
+
 /// Largest stiffness, Nm/rad.
 const STIFFNESS_MAX: f64 = 1000.0;
 
@@ -32,14 +34,16 @@ pub(super) struct Springs {
 }
 
 impl Springs {
-    /// Takes orders; `rests` is whether the arm is at rest where it is commanded, `None` if it does not follow.
+    /// Takes orders. `fresh` is whether the net thread that gave them is alive: what it adds ends with it. `rests` is
+    /// whether the arm is at rest where it is commanded, `None` if it does not follow.
     pub(super) fn obey(
         &mut self,
         has: &Interfaces,
-        words: &[u64],
-        cycle: u64,
+        given: &DeviceCommand,
+        fresh: bool,
         rests: Option<bool>,
     ) {
+        let DeviceCommand { words, cycle, .. } = given;
         if rests.is_none() {
             // What comes back holds its position.
             self.soft = false;
@@ -58,9 +62,8 @@ impl Springs {
         let orders = has.joint_impedance.iter().flat_map(|orders| orders.iter());
         for ((order, law), last) in orders.zip(&mut self.laws).zip(&mut self.answers) {
             let given = order.command.read(words);
-            let standing = given.filter(|given| given.stands(cycle));
-            let added = standing.and_then(|given| given.value.torque);
-            law.added = added.filter(|torque| torque.is_finite()).unwrap_or(0.0);
+            let standing = given.filter(|given| fresh && given.stands(*cycle));
+            law.added = standing.map_or(0.0, |given| addition(&given.value));
             if let Some(given) = given
                 && last.is_none_or(|last| last.order != given.cycle)
             {
@@ -100,6 +103,12 @@ impl Springs {
     }
 }
 
+/// What is to be added, if it is a number.
+fn addition(wanted: &JointImpedance) -> f64 {
+    let torque = wanted.torque.filter(|torque| torque.is_finite());
+    torque.unwrap_or(0.0)
+}
+
 fn take(law: &mut Impedance, wanted: &JointImpedance) -> bool {
     let stiffness = wanted.stiffness.unwrap_or(law.stiffness);
     let damping = wanted.damping.unwrap_or(law.damping);
@@ -118,8 +127,39 @@ fn take(law: &mut Impedance, wanted: &JointImpedance) -> bool {
 mod tests {
     use super::*;
     use crate::device::ethercat::youbot::describe::ARM_PARTS;
-    use crate::device::parts;
-    use takt_net::device::Layout;
+    use crate::device::{Part, parts};
+    use takt_net::device::{Layout, Words};
+
+    /// What a net's primitive leaves for the first joint in a cycle: two stamps before what it wants.
+    fn given(layout: Layout, cycle: u64, wanted: JointImpedance) -> DeviceCommand {
+        let mut given = DeviceCommand::new(layout.commands);
+        given.cycle = cycle;
+        (given.words[1], given.words[2]) = (cycle, 1);
+        wanted.put_words(|i, word| given.words[3 + i] = word);
+        given
+    }
+
+    #[test]
+    fn what_a_net_adds_ends_with_the_net_and_with_its_thread() {
+        let mut layout = Layout::default();
+        let has = parts::lay(&[Part::JointImpedance], 5, &mut layout);
+        let torque = |torque| JointImpedance {
+            torque: Some(torque),
+            ..JointImpedance::default()
+        };
+        let mut springs = Springs::default();
+        let mut added = |given: &DeviceCommand, fresh| {
+            springs.obey(&has, given, fresh, Some(true));
+            springs.laws[0].added
+        };
+        let mut standing = given(layout, 5, torque(2.0));
+        assert!((added(&standing, true) - 2.0).abs() < 1e-9);
+        assert!(added(&standing, false).abs() < 1e-9, "its thread stands still");
+        standing.cycle = 6;
+        assert!(added(&standing, true).abs() < 1e-9, "it ended");
+        let no_number = given(layout, 7, torque(f64::NAN));
+        assert!(added(&no_number, true).abs() < 1e-9);
+    }
 
     #[test]
     fn the_strategy_changes_only_at_rest() {
@@ -169,9 +209,10 @@ mod tests {
             soft: true,
             ..Springs::default()
         };
-        springs.obey(&has, &vec![0; layout.commands], 1, Some(true));
+        let given = DeviceCommand::new(layout.commands);
+        springs.obey(&has, &given, true, Some(true));
         assert!(springs.soft);
-        springs.obey(&has, &vec![0; layout.commands], 2, None);
+        springs.obey(&has, &given, true, None);
         assert!(!springs.soft);
     }
 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use takt_net::Moment;
 
 use super::*;
-use crate::executor::rules::{Question, Rule, RuleRefusal, RuleState, Step};
+use crate::executor::rules::{Orders, Question, Rule, RuleRefusal, RuleState, Step};
 use crate::executor::tests::net;
 use crate::executor::{Effect, End, Executor, Running};
 
@@ -52,10 +52,10 @@ impl Thread {
             told.push(format!("{} {end:?}", net.id));
             Ok(())
         }) {}
-        while self.executor.take_rule(|rule| {
+        self.executor.take_rules(|rule| {
             told.push(format!("rule {:?}", rule.state));
             Ok(())
-        }) {}
+        });
         let running = self.executor.running().iter().map(|net| net.id);
         (told, running.collect())
     }
@@ -73,6 +73,11 @@ fn terminated(net: u32) -> Literal {
 /// The parts of a rule: when net 0 of the first thread and, if `both`, net 10 of the second have ended,
 /// net 11 of the second is stopped, and nets 1 and 12 start, one in each thread.
 fn parts(both: bool) -> [Box<Rule>; 2] {
+    parts_that_start(both, &[1])
+}
+
+/// The same, of which the first starts these nets.
+fn parts_that_start(both: bool, starts: &[u32]) -> [Box<Rule>; 2] {
     let mut owned = vec![(terminated(0), Some(0))];
     let mut steps = vec![Step::Literal(0)];
     if both {
@@ -82,12 +87,17 @@ fn parts(both: bool) -> [Box<Rule>; 2] {
     let shared = Arc::new(Shared::new(&owned, 2, 0, true));
     let literals: Vec<_> = owned.iter().map(|(literal, _)| *literal).collect();
     [0, 1].map(|number| {
-        let mut rule = Rule::new(5, literals.clone(), steps.clone());
+        let (stop, start) = match number {
+            0 => (vec![], starts.to_vec()),
+            _ => (vec![11], vec![12]),
+        };
+        let orders = Orders {
+            stop,
+            start,
+            ..Orders::default()
+        };
+        let mut rule = Rule::new(5, literals.clone(), steps.clone(), orders);
         rule.part = Some(Part::new(Arc::clone(&shared), number));
-        match number {
-            0 => rule.start = vec![1],
-            _ => (rule.stop, rule.start) = (vec![11], vec![12]),
-        }
         Box::new(rule)
     })
 }
@@ -218,9 +228,8 @@ fn a_part_that_is_refused_ends_the_others() {
 #[test]
 fn the_predecessor_learns_of_a_successor_in_another_thread() {
     let mut threads = threads();
-    let [mut mine, other] = parts(false);
+    let [mine, other] = parts_that_start(false, &[]);
     let [first, second] = &mut threads;
-    mine.start.clear();
     first.start(net(0, ENDLESS));
     first.executor.add_rule(mine).unwrap();
     second.executor.add_rule(other).unwrap();
@@ -274,11 +283,9 @@ fn the_first_decision_stands() {
     assert_eq!(shared.decide(Decision::Fire), Decision::Fire);
     assert_eq!(shared.decide(Decision::Never), Decision::Fire);
     let rule = |part: usize| {
-        let mut rule = Rule::new(0, vec![], vec![]);
+        let mut rule = Rule::new(0, vec![], vec![], Orders::default());
         rule.part = Some(Part::new(Arc::new(Shared::new(&[], 2, 0, false)), part));
         rule
     };
-    let mut rule = rule(1);
-    rule.give_up();
-    assert_eq!(rule.state, RuleState::Inactive);
+    assert_eq!(rule(1).give_up(), RuleState::Inactive);
 }

@@ -1,0 +1,376 @@
+//! Arms of made-up drives in virtual time: what they are told in each cycle, and where their motors are. The profile's
+//! own machine is not asked here; drives come and go as a test says.
+
+use takt_rt::latest::latest;
+
+use super::*;
+use crate::device::SetPoint;
+
+const CYCLE: Duration = Duration::from_millis(1);
+/// One turn of a joint, increments: so many that rounding to them is no acceleration to speak of.
+const TURN: f64 = 5e8;
+const PER_RAD: f64 = TURN / std::f64::consts::TAU;
+/// Share of its way to the target that a motor goes in a cycle.
+const STIFFNESS: f64 = 0.3;
+
+fn config(joints: u8) -> DriveArm<u8> {
+    let joint = |drive| DriveJoint {
+        drive,
+        axis: 0,
+        increments_per_turn: TURN,
+        zero: 0.0,
+        range: [-170.0, 170.0],
+        velocity_max: 100.0,
+        acceleration_max: 300.0,
+    };
+    DriveArm {
+        name: "arm".to_owned(),
+        model: String::new(),
+        joints: (0..joints).map(joint).collect(),
+    }
+}
+
+/// A drive whose servo gives way to a load in proportion: told to stay where it is, it sags in every cycle.
+#[derive(Debug)]
+struct Drive {
+    state: State,
+    goal: Goal,
+    has_fault: bool,
+    is_online: bool,
+    /// It is pushed off its target by so much, increments.
+    load: f64,
+    /// It turns on by itself, increments per cycle, and heeds no target.
+    runaway: f64,
+    position: f64,
+    velocity: f64,
+    /// Targets since it follows.
+    targets: Vec<i32>,
+    goals: Vec<Goal>,
+    /// How fast the motor turned when its power was cut, rad/s.
+    cut: Option<f64>,
+}
+
+impl Drive {
+    const fn new(position: f64) -> Self {
+        Self {
+            state: State::SwitchOnDisabled,
+            goal: Goal::SwitchOnDisabled,
+            has_fault: false,
+            is_online: true,
+            load: 0.0,
+            runaway: 0.0,
+            position,
+            velocity: 0.0,
+            targets: Vec::new(),
+            goals: Vec::new(),
+            cut: None,
+        }
+    }
+
+    fn step(&mut self, order: Order) -> Option<Feedback> {
+        if !self.is_online {
+            return None;
+        }
+        self.goals.extend(order.goal);
+        self.goal = order.goal.unwrap_or(self.goal);
+        let before = self.state;
+        self.state = match self.goal {
+            _ if self.has_fault => State::Fault,
+            Goal::OperationEnabled => State::OperationEnabled,
+            Goal::SwitchOnDisabled => State::SwitchOnDisabled,
+            Goal::ReadyToSwitchOn => State::ReadyToSwitchOn,
+            Goal::SwitchedOn => State::SwitchedOn,
+            Goal::QuickStop => State::QuickStopActive,
+        };
+        let follows = self.state == State::OperationEnabled;
+        if before == State::OperationEnabled && self.state == State::SwitchOnDisabled {
+            self.cut = Some(self.velocity / PER_RAD / CYCLE.as_secs_f64());
+        }
+        let position = self.position;
+        if follows {
+            let target = order.target.map_or(self.position, f64::from);
+            self.position += STIFFNESS * (target - self.load - self.position);
+            self.targets.extend(order.target);
+        } else if self.state == State::QuickStopActive {
+            self.runaway = 0.0;
+        }
+        self.position += self.runaway;
+        self.velocity = self.position - position;
+        Some(Feedback {
+            online: true,
+            follows,
+            state: Some(self.state),
+            increments: self.position.round() as i32,
+        })
+    }
+
+    /// The fastest change of speed between its last so many targets, rad/s².
+    fn acceleration(&self, targets: usize) -> f64 {
+        let last = &self.targets[self.targets.len() - targets..];
+        let changes = last.windows(3).map(|w| {
+            let change = f64::from(w[2]) - 2.0 * f64::from(w[1]) + f64::from(w[0]);
+            (change / PER_RAD / CYCLE.as_secs_f64().powi(2)).abs()
+        });
+        changes.fold(0.0, f64::max)
+    }
+}
+
+struct Bench {
+    arm: Arm,
+    drives: Vec<Drive>,
+    command: LatestWriter<DeviceCommand>,
+    state: LatestReader<DeviceState>,
+    given: DeviceCommand,
+    tick: u64,
+}
+
+impl Bench {
+    /// An arm with power and at rest.
+    fn new(joints: u8) -> Self {
+        let (driver_state, state) = latest(1, DeviceState::default);
+        let (command, driver_command) = latest(1, DeviceCommand::default);
+        let end = DeviceEnd {
+            state: driver_state,
+            command: driver_command,
+            net_period: CYCLE,
+        };
+        let mut bench = Self {
+            arm: Arm::new(&config(joints), CYCLE, end),
+            drives: (0..joints)
+                .map(|n| Drive::new(f64::from(n) * 1e6))
+                .collect(),
+            command,
+            state,
+            given: DeviceCommand::default(),
+            tick: 1_000_000,
+        };
+        bench.run(100, false);
+        assert_eq!(bench.status(), DeviceStatus::Operational);
+        bench
+    }
+
+    fn status(&mut self) -> DeviceStatus {
+        self.state.read_with(|state| state.status)
+    }
+
+    fn error(&mut self, joint: usize) -> i32 {
+        self.state.read_with(|state| state.joints[joint].error)
+    }
+
+    fn cycle(&mut self, stopping: bool) {
+        self.tick += 1;
+        let scheduled = Nanos(self.tick.cast_signed() * Nanos::from(CYCLE).0);
+        self.given.time = scheduled;
+        let given = &self.given;
+        self.command.write_with(|command| command.copy_from(given));
+        let tick = Tick {
+            index: self.tick,
+            missed: 0,
+            time: scheduled,
+            scheduled,
+            woken: scheduled,
+        };
+        let drives = &mut self.drives;
+        self.arm
+            .cycle(&tick, stopping, |n, order| drives[n].step(order));
+    }
+
+    fn run(&mut self, cycles: usize, stopping: bool) {
+        (0..cycles).for_each(|_| self.cycle(stopping));
+    }
+
+    /// A cycle in which nets want this of a joint.
+    fn want(&mut self, joint: usize, position: Option<f64>) {
+        let time = Nanos((self.tick.cast_signed() + 1) * Nanos::from(CYCLE).0);
+        let set_points = &mut self.given.joints[joint];
+        set_points.period = CYCLE.into();
+        set_points.advance(position.map(|position| SetPoint { time, position }));
+    }
+
+    /// Nets speed a joint up to 1 rad/s at 4 rad/s² and go on so; returns where it is wanted last.
+    fn swing(&mut self, joint: usize, cycles: u32) -> f64 {
+        let start = self.drives[joint].position / PER_RAD;
+        let mut wanted = start;
+        for n in 0..cycles {
+            let t = f64::from(n) * CYCLE.as_secs_f64();
+            let ramp = t.min(0.25);
+            wanted = start + 2.0 * ramp * ramp + (t - ramp);
+            self.want(joint, Some(wanted));
+            self.cycle(false);
+        }
+        wanted
+    }
+}
+
+#[test]
+fn a_joint_whose_arm_does_not_follow_keeps_its_place_under_a_load() {
+    let mut bench = Bench::new(3);
+    bench.drives[0].load = 2e5;
+    bench.run(100, false);
+    let before = bench.drives[0].position;
+    bench.drives[2].has_fault = true;
+    bench.run(2000, false);
+    assert_eq!(bench.status(), DeviceStatus::SafeOperational);
+    let sagged = (bench.drives[0].position - before) / PER_RAD;
+    assert!(sagged.abs() < 1e-6, "sagged by {sagged} rad");
+}
+
+#[test]
+fn a_moving_joint_brakes_within_its_limit_when_another_does_not_follow() {
+    let mut bench = Bench::new(3);
+    bench.swing(0, 500);
+    bench.drives[2].has_fault = true;
+    let wanted = bench.swing(0, 1);
+    bench.drives[0].targets.clear();
+    for _ in 0..1000 {
+        bench.want(0, Some(wanted));
+        bench.cycle(false);
+    }
+    let drive = &bench.drives[0];
+    assert_eq!(drive.targets.len(), 1000, "each cycle has a target");
+    // From 1 rad/s at 300°/s².
+    let acceleration = drive.acceleration(1000);
+    assert!(
+        (5.0..5.3).contains(&acceleration),
+        "braked at {acceleration} rad/s²"
+    );
+    assert!(drive.velocity.abs() < 1.0);
+    assert_eq!(drive.targets[998], drive.targets[999], "it stays");
+}
+
+#[test]
+fn set_points_of_the_time_in_which_the_arm_did_not_follow_are_refused_until_they_end() {
+    let mut bench = Bench::new(2);
+    bench.swing(0, 100);
+    let wanted = bench.drives[0].position / PER_RAD;
+    bench.drives[1].has_fault = true;
+    let want = |bench: &mut Bench, position, cycles| {
+        for _ in 0..cycles {
+            bench.want(0, position);
+            bench.cycle(false);
+        }
+    };
+    want(&mut bench, Some(wanted), 1000);
+    let rest = bench.drives[0].position;
+    bench.drives[1].has_fault = false;
+    want(&mut bench, Some(wanted), 1000);
+    assert_eq!(bench.status(), DeviceStatus::Operational);
+    assert_eq!(bench.error(0), JointError::Refused as i32);
+    assert!((bench.drives[0].position - rest).abs() < 1.0, "it moved");
+    want(&mut bench, None, 2);
+    assert_eq!(bench.error(0), JointError::None as i32);
+    let target = rest / PER_RAD + 0.01;
+    want(&mut bench, Some(target), 1000);
+    assert!((bench.drives[0].position / PER_RAD - target).abs() < 1e-4);
+}
+
+#[test]
+fn an_arm_told_to_stop_in_mid_swing_brakes_within_its_limit_before_it_loses_power() {
+    let mut bench = Bench::new(3);
+    let wanted = bench.swing(0, 500);
+    bench
+        .drives
+        .iter_mut()
+        .for_each(|drive| drive.targets.clear());
+    for _ in 0..1000 {
+        bench.want(0, Some(wanted));
+        bench.cycle(true);
+    }
+    assert!(bench.arm.is_off());
+    for drive in &bench.drives {
+        let acceleration = drive.acceleration(drive.targets.len());
+        assert!(acceleration < 5.3, "braked at {acceleration} rad/s²");
+        let goals = &drive.goals[1..];
+        assert_eq!(goals.first(), Some(&Goal::SwitchedOn), "{goals:?}");
+        assert_eq!(goals.last(), Some(&Goal::SwitchOnDisabled));
+        assert!(!goals.contains(&Goal::QuickStop));
+        assert_eq!(drive.state, State::SwitchOnDisabled);
+        assert_eq!(drive.cut, None);
+    }
+    // 1 rad/s, set-points one and a half periods behind, and 1/(2 · 5.24) rad of braking.
+    let stopped = bench.drives[0].position / PER_RAD;
+    assert!((stopped - wanted - 0.094).abs() < 5e-3, "{stopped}");
+}
+
+#[test]
+fn a_motor_that_does_not_come_to_rest_is_stopped_by_quick_stop() {
+    let mut bench = Bench::new(2);
+    bench.drives[1].runaway = 1e4;
+    let before = bench.drives[0].goals.len();
+    let patience = BRAKE_WITHIN.as_millis();
+    bench.run(usize::try_from(patience).unwrap(), true);
+    assert_eq!(bench.drives[0].goals.len(), before, "it waits for a stand");
+    assert!(!bench.arm.is_off());
+    bench.run(1000, true);
+    assert_eq!(bench.drives[1].goals[before], Goal::QuickStop);
+    assert_eq!(bench.drives[1].cut, None);
+    assert!(bench.arm.is_off());
+}
+
+#[test]
+fn a_drive_without_power_or_contact_is_not_waited_for() {
+    let mut bench = Bench::new(2);
+    bench.drives[0].has_fault = true;
+    bench.drives[1].is_online = false;
+    bench.run(2, false);
+    assert_eq!(bench.status(), DeviceStatus::Offline);
+    bench.run(1, true);
+    assert!(bench.arm.is_off());
+}
+
+#[test]
+fn an_arm_that_is_lost_in_motion_is_told_to_rest() {
+    let mut bench = Bench::new(2);
+    bench.swing(0, 300);
+    for drive in &mut bench.drives {
+        drive.is_online = false;
+    }
+    bench.want(0, None);
+    bench.run(2, false);
+    let velocity = |state: &DeviceState| state.joints[0].commanded_velocity;
+    assert_eq!(bench.state.read_with(velocity), Some(0.0));
+}
+
+#[test]
+fn limits_that_are_no_numbers_or_do_not_fit_the_drive_are_refused() {
+    let sound = |_: &DriveJoint<u8>| Ok(());
+    assert_eq!(check(&config(2), sound), Ok(()));
+    let fields: [fn(&mut DriveJoint<u8>) -> &mut f64; 6] = [
+        |joint| &mut joint.increments_per_turn,
+        |joint| &mut joint.zero,
+        |joint| &mut joint.range[0],
+        |joint| &mut joint.range[1],
+        |joint| &mut joint.velocity_max,
+        |joint| &mut joint.acceleration_max,
+    ];
+    for (number, field) in fields.iter().enumerate() {
+        for value in [f64::INFINITY, f64::NEG_INFINITY, f64::NAN] {
+            let mut arm = config(2);
+            *field(&mut arm.joints[1]) = value;
+            let told = check(&arm, sound).unwrap_err();
+            let wanted = "arm arm: joint 1: increments_per_turn must not be 0";
+            assert!(told.starts_with(wanted), "{number}, {value}: {told}");
+        }
+    }
+    let mut arm = config(1);
+    arm.joints[0].zero = 2e9;
+    let told = check(&arm, sound).unwrap_err();
+    assert!(
+        told.contains("170 degrees are 2236111111 increments"),
+        "{told}"
+    );
+}
+
+#[test]
+fn a_position_that_is_no_number_is_no_target() {
+    let arm = config(1);
+    let driven = Driven::new(&arm.joints[0]);
+    assert_eq!(
+        driven.increments(1.0),
+        Some(PER_RAD.round() as i32),
+        "increments of a radian"
+    );
+    for position in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+        assert_eq!(driven.increments(position), None);
+    }
+}

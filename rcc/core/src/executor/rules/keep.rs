@@ -1,0 +1,293 @@
+//! Rules and their nets come and go: what is kept for the nets that a rule starts, in resources and in
+//! time of the cycle, and what is refused for it. Nothing fires here.
+
+use takt_rt::Nanos;
+
+use super::{Literal, RULES_MAX, Rule, RuleRefusal, RuleState, Rules, Slot, WORK_MAX, answer};
+use crate::executor::{Executor, RUNNING_MAX, Refusal, ResourceSet, Running};
+
+impl Executor {
+    /// Takes a net that rules may start.
+    ///
+    /// # Errors
+    /// If there is no room for it.
+    pub fn schedule(&mut self, net: Box<Running>) -> Result<(), Box<Running>> {
+        if self.rules.scheduled.len() == RUNNING_MAX {
+            return Err(net);
+        }
+        self.rules.scheduled.push(net);
+        Ok(())
+    }
+
+    /// Gives back a scheduled net: always, or only if no rule waits to start it. Rules that lose it
+    /// can do nothing any more.
+    pub fn take_unscheduled(&mut self, id: u32, always: bool) -> Option<Box<Running>> {
+        let rules = &mut self.rules;
+        if let Some(slot) = rules.roll.find(id) {
+            for at in 0..rules.waiting.len() {
+                let rule = &rules.waiting[at];
+                if rule.state != RuleState::Active || !rule.started().contains(&slot) {
+                    continue;
+                }
+                if !always {
+                    return None;
+                }
+                let state = rule.give_up();
+                rules.retire(at, state);
+            }
+        }
+        let at = rules.scheduled.iter().position(|net| net.id == id)?;
+        Some(rules.unseat_scheduled(at))
+    }
+
+    /// Takes a rule. What its nets need is kept for them from now on, but for nets that it follows.
+    ///
+    /// # Errors
+    /// If it cannot be kept; the rule comes back with the reason, and its parts in other threads do
+    /// nothing any more.
+    pub fn add_rule(&mut self, mut rule: Box<Rule>) -> Result<(), (Box<Rule>, RuleRefusal)> {
+        if let Err(refusal) = self.take_in(&mut rule) {
+            rule.state = rule.give_up();
+            return Err((rule, refusal));
+        }
+        let rules = &mut self.rules;
+        if rule.starts_any() {
+            let followed = rule.followed().iter();
+            followed.for_each(|slot| rules.roll.follow(*slot, true));
+        }
+        let Rule {
+            literals, slots, ..
+        } = &mut *rule;
+        for (literal, slot) in literals.iter_mut().zip(slots).filter(|(l, _)| !l.last) {
+            if let Some(at) = rules.running_at(*slot, &self.running) {
+                answer(literal, &self.running[at], None);
+            }
+        }
+        rules.work += rule.work();
+        rules.waiting.push(rule);
+        Ok(())
+    }
+
+    /// Puts the nets of a new rule on the roll and reserves what it needs.
+    fn take_in(&mut self, rule: &mut Rule) -> Result<(), RuleRefusal> {
+        if self.rules.waiting.len() == RULES_MAX {
+            return Err(RuleRefusal::TooMany);
+        }
+        if self.rules.work + rule.work() > WORK_MAX {
+            return Err(RuleRefusal::TooLong);
+        }
+        self.rules.enter(rule);
+        self.rules.seat(&self.running);
+        self.rules.mark(rule.followed(), true);
+        let reserved = self.reserve(rule);
+        self.rules.mark(rule.followed(), false);
+        match reserved {
+            Ok((reserved, cost)) => {
+                (rule.reserved, rule.cost) = (reserved, cost);
+                Ok(())
+            }
+            Err(refusal) => {
+                self.rules.leave(rule);
+                Err(refusal)
+            }
+        }
+    }
+
+    /// What is to be kept for a new rule, and what its nets cost. The nets that it follows are marked.
+    fn reserve(&self, rule: &Rule) -> Result<(ResourceSet, Nanos), RuleRefusal> {
+        let rules = &self.rules;
+        let mut wanted = ResourceSet::default();
+        let mut started = Nanos::ZERO;
+        for slot in rule.started() {
+            let Some(at) = rules.scheduled_at(*slot) else {
+                continue;
+            };
+            let net = &rules.scheduled[at];
+            if let Some(twice) = wanted.common(&net.resources) {
+                return Err(RuleRefusal::ResourceTwice(twice));
+            }
+            wanted.add(&net.resources);
+            started += net.cost;
+        }
+        let claim = rules.claim(rule, wanted);
+        let is_followed =
+            |net: &Running| rules.roll.find(net.id).is_some_and(|s| rules.roll.is_marked(s));
+        let mut running = Nanos::ZERO;
+        for net in self.running.iter().filter(|net| !is_followed(net)) {
+            if let Some(held) = claim.common(&net.resources) {
+                return Err(RuleRefusal::ResourceInUse(held));
+            }
+            if net.end.is_none() {
+                running += net.cost;
+            }
+        }
+        let budget = self.budget;
+        if !rule.started().is_empty() && running + started > budget {
+            return Err(RuleRefusal::Overload {
+                running,
+                started,
+                budget,
+            });
+        }
+        // Alternatives of one predecessor may want the same: only one of them will come to run.
+        let is_stranger = |other: &Rule| !other.followed().iter().any(|s| rules.roll.is_marked(*s));
+        for other in &rules.waiting {
+            if claim.common(&other.reserved).is_none() || !is_stranger(other) {
+                continue;
+            }
+            if let Some(kept) = claim.common(&rules.claim(other, other.reserved)) {
+                return Err(RuleRefusal::ResourceInUse(kept));
+            }
+        }
+        Ok((wanted, started))
+    }
+
+    /// Why a net cannot start now beside those that run and those that rules are to start.
+    pub(in crate::executor) fn blocked(&mut self, net: &Running) -> Option<Refusal> {
+        let held = self.held();
+        if let Some(resource) = net.resources.common(&held) {
+            return Some(Refusal::ResourceInUse(resource));
+        }
+        let (running, budget) = (self.load(), self.budget);
+        if running + net.cost > budget {
+            return Some(Refusal::Overload { running, budget });
+        }
+        if self.rules.waiting.is_empty() {
+            return None;
+        }
+        self.rules.seat(&self.running);
+        let slot = self.rules.roll.find(net.id);
+        (0..self.rules.waiting.len()).find_map(|at| {
+            let rule = &self.rules.waiting[at];
+            // Looked at first, since it rules out most: whether they come into each other's way at all.
+            let meet = net.resources.common(&rule.reserved).is_some();
+            let crowded = rule.cost > Nanos::ZERO && running + net.cost + rule.cost > budget;
+            let concerns = |slots: &[Slot]| slot.is_some_and(|slot| slots.contains(&slot));
+            if !(meet || crowded) || concerns(rule.started()) {
+                return None;
+            }
+            let follows = concerns(rule.followed());
+            if meet && !follows {
+                let kept = self.rules.claim(rule, rule.reserved);
+                if let Some(resource) = net.resources.common(&kept) {
+                    return Some(Refusal::ResourceKept(resource));
+                }
+            }
+            let (rule, started) = (rule.id, rule.cost);
+            let beside = if follows { Nanos::ZERO } else { net.cost };
+            let running = running - self.followed_cost(at) + beside;
+            (crowded && running + started > budget).then_some(Refusal::OverloadKept { rule, budget })
+        })
+    }
+
+    /// What the running nets cost that a rule follows.
+    fn followed_cost(&mut self, at: usize) -> Nanos {
+        let Rules { waiting, roll, .. } = &mut self.rules;
+        let followed = waiting[at].followed();
+        let mut cost = Nanos::ZERO;
+        for slot in followed {
+            let (id, seat) = roll.running(*slot);
+            let net = self.running.get(seat).filter(|net| net.id == id);
+            // A condition may name a net more than once.
+            if let Some(net) = net.filter(|net| net.end.is_none() && roll.mark(*slot, true)) {
+                cost += net.cost;
+            }
+        }
+        followed.iter().for_each(|slot| {
+            roll.mark(*slot, false);
+        });
+        cost
+    }
+
+    /// What all running nets cost in a cycle in which each is evaluated.
+    pub(super) fn load(&self) -> Nanos {
+        let going_on = self.running.iter().filter(|net| net.end.is_none());
+        going_on.fold(Nanos::ZERO, |sum, net| sum + net.cost)
+    }
+
+    /// Takes out the rules that no longer wait, as far as `take` accepts them.
+    pub fn take_rules(&mut self, mut take: impl FnMut(Box<Rule>) -> Result<(), Box<Rule>>) {
+        if self.rules.over == 0 {
+            return;
+        }
+        let Rules {
+            waiting,
+            roll,
+            work,
+            over,
+            ..
+        } = &mut self.rules;
+        let mut back = None;
+        for rule in waiting.extract_if(.., |rule| rule.state != RuleState::Active) {
+            rule.slots.iter().for_each(|slot| roll.leave(*slot));
+            *work -= rule.work();
+            *over -= 1;
+            back = take(rule).err();
+            if back.is_some() {
+                break;
+            }
+        }
+        if let Some(mut rule) = back {
+            // Nobody has room for it now; it is offered again, and does nothing meanwhile.
+            self.rules.enter(&mut rule);
+            self.rules.work += rule.work();
+            self.rules.over += 1;
+            self.rules.waiting.push(rule);
+        }
+    }
+
+    /// Answers for good what waiting rules ask of a net that had ended before they came.
+    pub fn answer_for_good(&mut self, told: Literal) {
+        for rule in &mut self.rules.waiting {
+            let asked = |l: &&mut Literal| !l.last && (l.net, l.question) == (told.net, told.question);
+            for literal in rule.literals.iter_mut().filter(asked) {
+                *literal = told;
+                rule.changed = true;
+            }
+        }
+    }
+
+    /// Tells rules that a net will never run again, or never did.
+    pub fn forget(&mut self, id: u32) {
+        if self.rules.roll.find(id).is_none() {
+            return;
+        }
+        for rule in &mut self.rules.waiting {
+            for literal in rule.literals.iter_mut().filter(|l| l.net == id) {
+                literal.last = true;
+                rule.changed = true;
+            }
+        }
+    }
+}
+
+impl Rules {
+    /// Puts the nets that a rule names on the roll.
+    fn enter(&mut self, rule: &mut Rule) {
+        let mut slots = std::mem::take(&mut rule.slots);
+        for (slot, id) in slots.iter_mut().zip(rule.names()) {
+            *slot = self.roll.enter(id);
+        }
+        rule.slots = slots;
+    }
+
+    fn leave(&mut self, rule: &Rule) {
+        rule.slots.iter().for_each(|slot| self.roll.leave(*slot));
+    }
+
+    fn mark(&mut self, slots: &[Slot], marked: bool) {
+        for slot in slots {
+            self.roll.mark(*slot, marked);
+        }
+    }
+
+    /// What a rule that wants this claims now: not what scheduled nets that it follows will bring.
+    fn claim(&self, rule: &Rule, mut wanted: ResourceSet) -> ResourceSet {
+        for slot in rule.followed() {
+            if let Some(at) = self.scheduled_at(*slot) {
+                wanted.remove(&self.scheduled[at].resources);
+            }
+        }
+        wanted
+    }
+}
