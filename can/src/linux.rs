@@ -7,6 +7,7 @@ mod interface;
 mod kernel;
 mod live;
 mod netlink;
+mod qdisc;
 mod serial;
 mod socket;
 

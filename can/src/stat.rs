@@ -125,7 +125,7 @@ pub struct Report {
     pub silent: Vec<(NodeId, Duration)>,
     /// Emergencies that are not withdrawn: code and node.
     pub emergencies: BTreeMap<NodeId, u16>,
-    /// Frames that this host's sockets lost.
+    /// Frames that this host lost: its sockets and its interface.
     pub dropped: u64,
     /// Frames that this host could not send.
     pub refused: u64,
@@ -166,6 +166,8 @@ pub struct Meter {
     start: Option<Duration>,
     now: Duration,
     window: (Duration, Duration),
+    /// Frames that the interface lost.
+    lost: u64,
 }
 
 impl Meter {
@@ -180,6 +182,7 @@ impl Meter {
             start: None,
             now: Duration::ZERO,
             window: (Duration::ZERO, Duration::ZERO),
+            lost: 0,
         }
     }
 
@@ -205,6 +208,11 @@ impl Meter {
         self.report.refused = frames;
     }
 
+    /// Frames that the interface received and lost before any socket got them, all so far.
+    pub const fn handle_lost(&mut self, frames: u64) {
+        self.lost = frames;
+    }
+
     /// What the interface itself tells: state, error counters.
     pub const fn handle_state(&mut self, state: Option<BusState>, counters: Option<(u16, u16)>) {
         if state.is_some() {
@@ -220,6 +228,7 @@ impl Meter {
     pub fn report(&self) -> Report {
         let mut report = self.report.clone();
         report.silent = self.silent();
+        report.dropped += self.lost;
         report.peak_load = self.peak(self.window.1);
         report
     }

@@ -18,8 +18,8 @@ use std::time::Duration;
 use bus::{Bus, MS, node, plan};
 use takt_can::canopen::emulator::DriveNodeConfig;
 use takt_can::canopen::network::{
-    AxisCommand, AxisTrouble, Download, Event, Network, NetworkConfig, NetworkError, NodePlan, Phase,
-    Supervision, Transfer, Trouble,
+    AxisCommand, AxisTrouble, Download, Event, Network, NetworkConfig, NetworkError, NodePlan,
+    Phase, Supervision, Transfer, Trouble,
 };
 use takt_can::canopen::sdo::Outcome;
 use takt_can::canopen::{Emergency, emergency};

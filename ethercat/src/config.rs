@@ -243,11 +243,16 @@ pub struct SyncSpec {
 }
 
 impl SyncSpec {
+    /// AssignActivate for SYNC0.
+    pub const SYNC0: u16 = 0x0300;
+    /// AssignActivate for SYNC0 and SYNC1.
+    pub const BOTH: u16 = 0x0700;
+
     /// SYNC0 each cycle.
     #[must_use]
     pub const fn sync0(cycle: Duration) -> Self {
         Self {
-            assign_activate: 0x0300,
+            assign_activate: Self::SYNC0,
             sync0: cycle,
             sync1: Duration::ZERO,
             shift_ns: 0,

@@ -63,8 +63,9 @@ impl Guard {
         if !to.is_finite() {
             return Err(Breach::NotFinite);
         }
+        // One that stands beyond its range already may stay or come back.
         let [low, high] = self.position_rad[joint];
-        if to < low || to > high {
+        if to < low.min(from) || to > high.max(from) {
             return Err(Breach::Position {
                 position: to,
                 low,
@@ -258,6 +259,9 @@ mod tests {
             check(1.0, 1.001, MS),
             refused("E1 commanded 1.0010 rad, range -2.0000 to 1.0000 rad")
         );
+        assert_eq!(check(1.005, 1.005, MS), Ok(()), "it stands there");
+        assert_eq!(check(1.005, 1.004, MS), Ok(()), "and comes back");
+        assert!(check(1.005, 1.006, MS).is_err());
         assert_eq!(
             check(0.0, f64::NAN, MS),
             refused("E1 commanded a value that is not a finite number")

@@ -112,8 +112,7 @@ impl Source {
         if let Some(path) = &self.config {
             let cell = CellConfig::read(path)?;
             let segment = cell::segment(&cell, self.segment.as_deref())?;
-            config.cycle = cycle.unwrap_or(segment.cycle);
-            config.slaves = cell::slaves(segment, config.cycle);
+            config = cell::master(segment, cycle.unwrap_or(segment.cycle), goal)?;
         }
         let target = Target {
             interface: self.interface.clone().unwrap_or_default(),

@@ -10,19 +10,28 @@ mod common;
 
 use std::io::Write as _;
 use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::Duration;
 
 use common::{Process, expect_status, run};
 use serde_json::Value;
+use takt_can::link::Link as _;
+use takt_can::linux::{Options, SocketCan};
 
 fn vcan(test: &str) -> Option<String> {
     let name = std::env::var("TAKT_VCAN").unwrap_or_else(|_| "vcan0".to_owned());
     if Path::new("/sys/class/net").join(&name).exists() {
         return Some(name);
     }
-    eprintln!("skipped: needs vcan");
+    skip(test, "needs vcan")
+}
+
+/// Notes for the runner that a test cannot run here.
+fn skip<T>(test: &str, why: &str) -> Option<T> {
+    eprintln!("skipped: {why}");
     if let Some(path) = std::env::var_os("TAKT_SKIPS") {
         let mut file = std::fs::OpenOptions::new().append(true).open(path).unwrap();
-        file.write_all(format!("{test}: needs vcan\n").as_bytes())
+        file.write_all(format!("{test}: {why}\n").as_bytes())
             .unwrap();
     }
     None
@@ -59,7 +68,7 @@ fn replayed_recording_is_seen_by_stat() {
         "1M",
         "--json",
     ]);
-    let stat = stat.stdout(std::process::Stdio::piped()).spawn().unwrap();
+    let stat = stat.stdout(Stdio::piped()).spawn().unwrap();
     // Until it listens, and then some: what it has not seen is sent again.
     for _ in 0..10 {
         let sent = run(&[
@@ -88,6 +97,74 @@ fn replayed_recording_is_seen_by_stat() {
             .iter()
             .any(|node| node["node"] == 5)
     );
+}
+
+/// A virtual interface of a test's own, which a shaper makes as slow as a bus.
+struct Slow(&'static str);
+
+impl Slow {
+    fn create(test: &str, name: &'static str) -> Option<Self> {
+        let has = |program: &&str| {
+            let paths = std::env::var_os("PATH").unwrap_or_default();
+            std::env::split_paths(&paths).any(|path| path.join(program).is_file())
+        };
+        if !["ip", "tc"].iter().all(has) {
+            return skip(test, "needs ip and tc of iproute2");
+        }
+        let does = |program: &str, arguments: &str| {
+            let mut command = Command::new(program);
+            let status = command
+                .args(arguments.split(' '))
+                .stderr(Stdio::null())
+                .status();
+            status.is_ok_and(|status| status.success())
+        };
+        if !does("ip", &format!("link add {name} type vcan")) {
+            return skip(test, "needs to create a virtual interface");
+        }
+        let own = Self(name);
+        let shaper =
+            format!("qdisc replace dev {name} root tbf rate 100kbit burst 1600 limit 1600");
+        if !does("ip", &format!("link set {name} up")) || !does("tc", &shaper) {
+            return skip(test, "needs the module sch_tbf");
+        }
+        Some(own)
+    }
+}
+
+impl Drop for Slow {
+    fn drop(&mut self) {
+        let mut command = Command::new("ip");
+        let _ = command.args(["link", "delete", self.0]).status();
+    }
+}
+
+/// Another program's frames are refused; stat sees that from outside.
+#[test]
+fn a_send_queue_that_is_full_is_seen_by_stat() {
+    let test = "a_send_queue_that_is_full_is_seen_by_stat";
+    if vcan(test).is_none() {
+        return;
+    }
+    let Some(slow) = Slow::create(test, "taktvcan2") else {
+        return;
+    };
+    let mut stat = common::takt(&["can", "stat", slow.0, "--duration", "3s", "--json"]);
+    let mut stat = stat.stdout(Stdio::piped()).spawn().unwrap();
+    let mut link = SocketCan::open(slow.0, &Options::default()).unwrap();
+    let frame = takt_can::log::parse_frame("001#0000000000000000").unwrap();
+    while stat.try_wait().unwrap().is_none() {
+        while link.send(&frame).is_ok() {}
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    let report = expect_status(&stat.wait_with_output().unwrap(), 1);
+    let report: Value = serde_json::from_str(&report).unwrap();
+    let found = report["findings"].as_array().unwrap();
+    assert!(
+        found.iter().any(|finding| finding["name"] == "refused"),
+        "{report}"
+    );
+    assert!(report["refused"].as_u64().unwrap() > 0, "{report}");
 }
 
 #[test]

@@ -11,6 +11,7 @@ use socketcan::nl::CanState;
 use socketcan::{CanCtrlMode, CanInterface};
 
 use super::netlink::{Change, Refusal, can};
+use super::qdisc;
 use crate::BusState;
 use crate::bits::Rates;
 
@@ -186,7 +187,7 @@ pub struct Details {
     pub queue: Option<u32>,
     /// Received frames that the driver or the kernel dropped.
     pub receive_dropped: u64,
-    /// Frames that were to be sent and were dropped.
+    /// Frames that were to be sent and that its queue or its driver refused.
     pub send_dropped: u64,
 }
 
@@ -279,7 +280,8 @@ impl Interface {
             queue: number("tx_queue_len").and_then(|len| len.try_into().ok()),
             receive_dropped: number("statistics/rx_dropped").unwrap_or(0)
                 + number("statistics/rx_over_errors").unwrap_or(0),
-            send_dropped: number("statistics/tx_dropped").unwrap_or(0),
+            send_dropped: number("statistics/tx_dropped").unwrap_or(0)
+                + u64::from(qdisc::refused(self.index).unwrap_or(0)),
         })
     }
 

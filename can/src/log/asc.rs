@@ -364,7 +364,8 @@ mod tests {
             let log = Log::read(text.as_bytes());
             assert_eq!(log.records, [], "{text}");
             assert!(
-                log.left_out.iter().all(|left| left.why == LogError::Late) && log.left_out_count > 0,
+                log.left_out.iter().all(|left| left.why == LogError::Late)
+                    && log.left_out_count > 0,
                 "{text}: {:?}",
                 log.left_out
             );

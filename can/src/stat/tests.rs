@@ -340,6 +340,8 @@ fn losses_of_this_host() {
     bench.run(MS);
     bench.traffic(data(0x181, 0).unwrap(), MS, 1);
     assert_eq!(bench.findings(), [Finding::Dropped { frames: 3 }]);
+    bench.meter.handle_lost(4);
+    assert_eq!(bench.findings(), [Finding::Dropped { frames: 7 }]);
 }
 
 #[test]

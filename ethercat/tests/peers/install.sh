@@ -1,9 +1,10 @@
 #!/bin/sh
-# Installs the independent EtherCAT masters that the peer tests drive against the emulated segment,
-# into target/peers of the workspace. Needs Python 3 with venv, and the network.
+# Installs the independent EtherCAT masters that the peer tests drive against the emulated segment into
+# target/peers of the workspace, for who runs those tests by hand; `cargo xtask test` has its own. Needs
+# Python 3 with venv, and the network.
 set -eu
 here=$(cd "$(dirname "$0")/../../.." && pwd)
 venv="${CARGO_TARGET_DIR:-$here/target}/peers"
 python3 -m venv "$venv"
-"$venv/bin/pip" install --quiet pysoem==1.1.13 kickcat==2.5
+"$venv/bin/pip" install --quiet --requirement "$here/ethercat/tests/peers/requirements.txt"
 echo "$venv/bin/python"

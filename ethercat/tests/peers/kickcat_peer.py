@@ -3,6 +3,7 @@ pysoem_peer.py). Its Python side knows no distributed clocks and does not write 
 run by outputs. Prints one line a step; ends with an error at the first that is not as it should
 be."""
 
+import os
 import struct
 import sys
 import time
@@ -43,9 +44,14 @@ def command(drive, word, target):
 
 
 def main(interface):
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(40))
+    except PermissionError:
+        print("not real-time: a busy host may make this lose frames")
     link = kickcat.create_link(interface, "")
-    # It waits this long now and then in a good run too, so longer is slow; a frame that comes later still is lost to
-    # it ("datagram state is LOST", "Error while fetching eeprom data"): then the host stalled.
+    # Without a second interface it waits this long behind each broadcast, good answer or not: for the answer on the
+    # second one (Link::writeThenRead). So longer is slow. Shorter than a stall of this very process loses frames whose
+    # answers lie in its socket: it looks at the clock before it looks there again (Socket::read).
     link.set_timeout(ms(20))
     bus = kickcat.Bus(link)
     bus.init(ms(100))

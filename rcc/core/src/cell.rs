@@ -31,6 +31,7 @@
 
 mod device;
 mod segment;
+mod slave;
 mod youbot;
 
 use std::net::SocketAddr;
@@ -43,7 +44,11 @@ use crate::device::{canopen, ethercat, iiwa, rmp};
 use crate::error::Error;
 use crate::span;
 pub use device::{DeviceConfig, IiwaConfig, IiwaIo, IiwaModel, LwrConfig, RmpConfig};
-pub use segment::{CanopenConfig, DriveArm, DriveJoint, EthercatConfig, EthercatIo, EthercatSlave, LinkLoss};
+pub use segment::{CanopenConfig, DriveArm, DriveJoint, EthercatConfig, LinkLoss};
+pub use slave::{
+    AnalogueChannel, EthercatClocks, EthercatIo, EthercatSlave, SlaveGoal, SlavePdo, StartupObject,
+    StartupValue, UnlockedPolicy,
+};
 pub use youbot::{YouBotArm, YouBotBase, YouBotControl};
 
 /// Net threads that a controller may have.

@@ -2,6 +2,7 @@
 //! calls may block for a cycle or two; none is made in a real-time thread.
 
 mod clock;
+mod closing;
 mod condition;
 mod departed;
 mod desk;
@@ -41,8 +42,8 @@ pub use eval::{EVAL_COST_MAX, EVAL_PRIMITIVES_MAX};
 pub use figures::{NetFigures, ThreadInfo};
 pub use inter::{LOOK_LASTS, LOOKS_MAX, TapRecord, Taps};
 pub use load::LoadRequest;
-pub use share::{NETS_MEMORY_MAX, NETS_TEXT_MAX};
 pub use rules::{RuleId, RuleInfo, RuleRequest};
+pub use share::{NETS_MEMORY_MAX, NETS_TEXT_MAX};
 
 /// Nets that may be loaded at once.
 pub const NETS_MAX: usize = 1024;

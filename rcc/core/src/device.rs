@@ -18,7 +18,8 @@ use std::borrow::Cow;
 use std::fmt;
 use std::ops::Range;
 
-use takt_net::{Image, JointLimits, JointState};
+use takt_net::device::Base;
+use takt_net::{Image, JointLimits, JointState, Twist};
 use takt_rt::Nanos;
 
 pub use parts::Part;
@@ -26,6 +27,11 @@ pub use table::{Device, DevicePorts, DeviceTable};
 
 /// Most joints of one robot arm.
 pub const ARM_JOINTS_MAX: usize = 8;
+
+/// Below this a joint or a base counts as resting by what it is commanded, rad/s and m/s.
+const RESTS_COMMANDED: f64 = 1e-3;
+/// Below this a base counts as resting by what its wheels measure, m/s and rad/s: a few of their increments.
+const RESTS_MEASURED: f64 = 1e-2;
 
 /// Whether a device can be used.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -114,6 +120,23 @@ impl DeviceState {
         let left = self.status == DeviceStatus::Operational && status != self.status;
         self.faults += u64::from(left);
         (self.status, self.stamp) = (status, stamp);
+    }
+
+    /// Whether nothing of it moves: no joint is commanded to, whose measured velocity would never be without noise,
+    /// and its base, if it is one, neither is nor does. What is out of contact cannot be waited for and counts as
+    /// resting. `base` is where a base lies in [`Self::signals`].
+    #[must_use]
+    pub fn is_at_rest(&self, base: Option<&Base>) -> bool {
+        let joints = self.joints.iter().filter_map(|j| j.commanded_velocity);
+        let rests = |base: &Base| {
+            let below = |twist: Option<Twist>, bound: f64| {
+                twist.is_none_or(|twist| twist.vel.norm() < bound && twist.rot.norm() < bound)
+            };
+            below(base.commanded.read(&self.signals), RESTS_COMMANDED)
+                && below(base.velocity.read(&self.signals), RESTS_MEASURED)
+        };
+        self.status == DeviceStatus::Offline
+            || (joints.into_iter().all(|v| v.abs() < RESTS_COMMANDED) && base.is_none_or(rests))
     }
 
     /// Becomes like another of the same device, in the memory it has.

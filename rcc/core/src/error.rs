@@ -114,6 +114,9 @@ pub enum Error {
     /// The net thread did not take a command.
     #[error("the net thread did not answer within {0:?}; it hangs or starves (see `takt jitter`)")]
     NoAnswer(std::time::Duration),
+    /// Nothing begins any more.
+    #[error("the controller is stopping")]
+    Closing,
     /// A thread could not be made.
     #[error("cannot start thread {name}: {source}")]
     Thread {

@@ -32,12 +32,9 @@ fn config() -> EthercatConfig {
     let slave = |name: &str, position, axes| EthercatSlave {
         name: name.to_owned(),
         position: Some(position),
-        alias: None,
-        vendor: None,
-        product: None,
         axes,
         sync0: axes > 0,
-        watchdog: None,
+        ..EthercatSlave::default()
     };
     let ranges = [
         [-180.0, 180.0],
@@ -59,10 +56,6 @@ fn config() -> EthercatConfig {
         name: "segment".to_owned(),
         interface: "none".to_owned(),
         cycle: Duration::from_millis(2),
-        phase: None,
-        priority: Some(85),
-        cpus: Vec::new(),
-        thread: None,
         slaves: vec![
             slave("coupler", 0, 0),
             slave("terminal", 1, 0),
@@ -77,9 +70,9 @@ fn config() -> EthercatConfig {
             name: "io".to_owned(),
             digital_in: vec![("terminal".to_owned(), 8)],
             digital_out: vec![("terminal".to_owned(), 8)],
+            ..EthercatIo::default()
         }],
-        youbot_bases: Vec::new(),
-        youbot_arms: Vec::new(),
+        ..EthercatConfig::default()
     }
 }
 
@@ -254,4 +247,71 @@ fn a_cut_cable_takes_the_arm_offline_and_a_mended_one_brings_it_back() {
     hall.cell().wait_for("tx90", DeviceStatus::Offline);
     hall.segment.lock().set_link(2, true);
     hall.cell().wait_for("tx90", DeviceStatus::Operational);
+}
+
+#[test]
+fn a_joint_takes_no_other_place_under_a_load_when_the_drive_of_another_faults() {
+    let hall = Hall::new();
+    let motor = |number| {
+        hall.drives
+            .axis(number, |drive| drive.motor().position)
+            .unwrap()
+    };
+    let before = motor(0);
+    let too_hot = takt_can::cia402::emulator::FaultCode::TEMPERATURE;
+    hall.drives.axis(2, |drive| drive.fault(too_hot));
+    hall.cell().wait("the fault", |_| {
+        hall.cell().status("tx90") != DeviceStatus::Operational
+    });
+    hall.drives
+        .axis(0, |drive| drive.motor_mut().external = -1.0);
+    std::thread::sleep(Duration::from_secs(1));
+    let sagged = (motor(0) - before) / 50.0;
+    assert!(sagged.abs() < 1e-4, "joint 0 sagged by {sagged} rad");
+}
+
+/// A drive at an instant: its state, and the speed of its motor, rad/s.
+type Seen = (takt_can::cia402::State, f64);
+
+fn look(drives: &ServoDrive, axis: usize) -> Seen {
+    let seen = drives.axis(axis, |drive| (drive.state(), drive.motor().velocity));
+    seen.unwrap()
+}
+
+#[test]
+fn a_controller_that_ends_in_mid_swing_takes_no_power_from_a_motor_that_turns() {
+    use takt_can::cia402::State;
+    let mut hall = Hall::new();
+    // Faster than 0.2 rad/s at the joint; again if the host stalled meanwhile.
+    let turns = |hall: &Hall| look(&hall.drives, 3).1 > 10.0;
+    while !turns(&hall) {
+        hall.cell().wait_for("tx90", DeviceStatus::Operational);
+        let net = hall.cell().load(&common::swing_joint("tx90", 3, 2.0));
+        if hall.cell().controller.start_net(net).is_ok() {
+            let moves = |_: &Controller| turns(&hall) || hall.cell().is_over(net);
+            hall.cell().wait("the motor turning", moves);
+        }
+    }
+    let seen = Arc::new(Mutex::new(vec![look(&hall.drives, 3)]));
+    let ended = Arc::new(AtomicBool::new(false));
+    let (drives, until, to) = (hall.drives.clone(), Arc::clone(&ended), Arc::clone(&seen));
+    let config = ThreadConfig {
+        priority: Some(87),
+        ..ThreadConfig::new("watch")
+    };
+    let watch = spawn(config, move || {
+        while !until.load(Ordering::Relaxed) {
+            std::thread::sleep(Duration::from_micros(500));
+            to.lock().unwrap().push(look(&drives, 3));
+        }
+    });
+    hall.cell = None;
+    ended.store(true, Ordering::Relaxed);
+    watch.unwrap().join().unwrap();
+    let seen = seen.lock().unwrap();
+    assert!(seen[0].1 > 5.0, "it turned: {:?}", seen[0]);
+    let enabled = seen.iter().take_while(|s| s.0 == State::OperationEnabled);
+    let (_, last) = enabled.last().unwrap();
+    assert!(last.abs() < 0.5, "{last} rad/s when power went off");
+    assert_eq!(seen[seen.len() - 1].0, State::SwitchOnDisabled);
 }

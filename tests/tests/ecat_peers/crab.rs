@@ -39,20 +39,20 @@ fn block_on<F: Future>(future: F) -> F::Output {
     }
 }
 
-/// One drive's process data.
-fn command(outputs: &mut [u8], word: u16, target: i32) {
+/// What one drive is told: a controlword and a position.
+pub(crate) fn command(outputs: &mut [u8], word: u16, target: i32) {
     outputs.fill(0);
     outputs[..2].copy_from_slice(&word.to_le_bytes());
     outputs[2] = 8;
     outputs[4..8].copy_from_slice(&target.to_le_bytes());
 }
 
-fn feedback(inputs: &[u8]) -> (u16, i32) {
+pub(crate) fn feedback(inputs: &[u8]) -> (u16, i32) {
     let word = u16::from_le_bytes([inputs[0], inputs[1]]);
     (word, i32::from_le_bytes(inputs[4..8].try_into().unwrap()))
 }
 
-const fn follow(word: u16) -> u16 {
+pub(crate) const fn follow(word: u16) -> u16 {
     match word & 0x6F {
         0x21 => 0x07,
         0x23 | 0x27 => 0x0F,

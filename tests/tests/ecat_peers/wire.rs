@@ -6,7 +6,6 @@ use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread::JoinHandle;
 use std::time::Duration;
 
 use nix::sched::{CloneFlags, unshare};
@@ -16,6 +15,7 @@ use takt_ethercat::emulator::{
     Coupler, Io, Segment, Server, ServoConfig, ServoDrive, SharedSegment,
 };
 use takt_ethercat::linux::{PacketLink, monotonic};
+use takt_rt::thread::{Thread, ThreadConfig, spawn};
 use takt_tests::skip;
 
 /// The end of the segment.
@@ -33,7 +33,7 @@ impl Cable {
     /// Lays it in a namespace of this thread's own, or notes why that cannot be.
     pub(crate) fn lay(test: &str) -> Option<Self> {
         if let Err(error) = unshare(CloneFlags::CLONE_NEWNET) {
-            let why = format!("needs root, or CAP_SYS_ADMIN and CAP_NET_ADMIN: {error}");
+            let why = format!("needs a veth pair of its own, so CAP_SYS_ADMIN and CAP_NET_ADMIN: {error}");
             skip(test, &why).unwrap();
             return None;
         }
@@ -41,7 +41,7 @@ impl Cable {
             && ip(&["link", "set", NEAR, "up"])
             && ip(&["link", "set", FAR, "up"]);
         if !done {
-            skip(test, "needs `ip` and virtual Ethernet (CONFIG_VETH)").unwrap();
+            skip(test, "needs `ip` and veth (CONFIG_VETH)").unwrap();
             return None;
         }
         let turn = File::create(std::env::temp_dir().join("takt-ecat-peers.lock")).unwrap();
@@ -61,8 +61,9 @@ fn ip(arguments: &[&str]) -> bool {
 
 /// What is served.
 pub(crate) struct Served {
+    pub(crate) segment: SharedSegment,
     stop: Arc<AtomicBool>,
-    thread: JoinHandle<()>,
+    thread: Thread<()>,
 }
 
 impl Served {
@@ -110,8 +111,14 @@ pub(crate) fn serve(bench: Bench) -> Served {
     let stop = Arc::new(AtomicBool::new(false));
     let stopped = stop.clone();
     let link = PacketLink::open(NEAR).unwrap();
-    let mut server = Server::new(SharedSegment::new(bench.segment), link);
-    let thread = std::thread::spawn(move || {
+    let segment = SharedSegment::new(bench.segment);
+    let mut server = Server::new(segment.clone(), link);
+    // A slave controller is not kept from answering by what else a host does.
+    let config = ThreadConfig {
+        priority: Some(60),
+        ..ThreadConfig::new("segment")
+    };
+    let thread = spawn(config, move || {
         while !stopped.load(Ordering::Relaxed) {
             server
                 .turn(Duration::from_millis(10), &mut monotonic)
@@ -121,7 +128,11 @@ pub(crate) fn serve(bench: Bench) -> Served {
             }
         }
     });
-    Served { stop, thread }
+    Served {
+        segment,
+        stop,
+        thread: thread.unwrap(),
+    }
 }
 
 /// A capture that goes on.

@@ -112,8 +112,8 @@ impl Stat {
 
     fn of_interface(&self, name: &str) -> anyhow::Result<Report> {
         let interface = Interface::open(name)?;
-        let rates = interface.details()?.rates();
-        let rates = self.bitrate.map(Rates::classic).or(rates);
+        let before = interface.details()?;
+        let rates = self.bitrate.map(Rates::classic).or(before.rates());
         let mut feed = Feed::open(&[name.to_owned()], None)?;
         let stop = Stop::listen()?;
         let mut meter = Meter::new(rates);
@@ -127,6 +127,10 @@ impl Stat {
         let details = interface.details()?;
         meter.handle_time(wall());
         meter.handle_state(details.state, details.counters);
+        // Counted for all programs of this host. A counter that went back was reset.
+        let counted = |after: u64, before: u64| after.saturating_sub(before);
+        meter.handle_refused(counted(details.send_dropped, before.send_dropped));
+        meter.handle_lost(counted(details.receive_dropped, before.receive_dropped));
         Ok(meter.report())
     }
 }

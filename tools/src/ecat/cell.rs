@@ -5,9 +5,10 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use takt_core::CellConfig;
-use takt_core::cell::{EthercatConfig, EthercatSlave};
-use takt_ethercat::axis;
-use takt_ethercat::config::{Place, SlaveSpec, SyncSpec};
+use takt_core::cell::EthercatConfig;
+use takt_core::device::ethercat::master_config;
+use takt_ethercat::AlState;
+use takt_ethercat::config::MasterConfig;
 
 /// The segment of that name; without one, the only one.
 pub(super) fn segment<'a>(
@@ -31,42 +32,41 @@ pub(super) fn segment<'a>(
     }
 }
 
-/// The slaves that a segment expects, set up as the controller sets them up.
-pub(super) fn slaves(segment: &EthercatConfig, cycle: Duration) -> Vec<SlaveSpec> {
-    segment
-        .slaves
-        .iter()
-        .map(|slave| spec(slave, cycle))
-        .collect()
+/// What the master of a segment is to expect and to set up, as the controller has it, at a cycle and up to a state.
+///
+/// # Errors
+/// If the segment is a ring whose other end has a link: a tool holds one end, and what goes out by the other would not
+/// come back.
+pub(super) fn master(
+    segment: &EthercatConfig,
+    cycle: Duration,
+    goal: AlState,
+) -> anyhow::Result<MasterConfig> {
+    if let Some(second) = segment.second.as_ref().filter(|second| has_link(second)) {
+        anyhow::bail!(
+            "segment {} is a ring that ends at {second}, where its frames would be lost: `ip link set {second} down` \
+             makes a line of it for as long as this takes",
+            segment.name
+        );
+    }
+    let segment = EthercatConfig {
+        cycle,
+        second: None,
+        ..segment.clone()
+    };
+    Ok(MasterConfig {
+        goal,
+        ..master_config(&segment)
+    })
 }
 
-fn spec(slave: &EthercatSlave, cycle: Duration) -> SlaveSpec {
-    let place = slave.alias.map_or_else(
-        || Place::Position(slave.position.unwrap_or_default()),
-        Place::Alias,
-    );
-    let mut spec = SlaveSpec {
-        vendor: slave.vendor,
-        product: slave.product,
-        watchdog: slave.watchdog,
-        sync: slave.sync0.then(|| SyncSpec::sync0(cycle)),
-        ..SlaveSpec::new(slave.name.clone(), place)
-    };
-    if slave.axes > 0 {
-        let (outputs, inputs) = axis::pdos(slave.axes);
-        (spec.outputs, spec.inputs) = (Some(outputs), Some(inputs));
-        spec.startup = (0..slave.axes)
-            .flat_map(|number| axis::interpolation(number, cycle))
-            .collect();
-    }
-    spec
+fn has_link(interface: &str) -> bool {
+    let carrier = format!("/sys/class/net/{interface}/carrier");
+    std::fs::read_to_string(carrier).is_ok_and(|text| text.trim() == "1")
 }
 
 #[cfg(test)]
 mod tests {
-    use takt_ethercat::AlState;
-    use takt_ethercat::config::MasterConfig;
-
     use super::*;
     use crate::ecat::tests::{CYCLE, session, tree};
     use crate::ecat::{dc, stat};
@@ -83,12 +83,7 @@ mod tests {
         std::fs::write(&path, text).unwrap();
         let cell = CellConfig::read(&path).unwrap();
         std::fs::remove_file(&path).unwrap();
-        MasterConfig {
-            cycle: CYCLE,
-            goal: AlState::SafeOp,
-            slaves: slaves(segment(&cell, None).unwrap(), CYCLE),
-            ..MasterConfig::default()
-        }
+        master(segment(&cell, None).unwrap(), CYCLE, AlState::SafeOp).unwrap()
     }
 
     #[test]

@@ -15,16 +15,13 @@ const REST_WITHIN: Duration = Duration::from_secs(2);
 /// How often is looked.
 const LOOK: Duration = Duration::from_millis(10);
 
-/// Ends all nets and waits until no robot moves. `meanwhile` is called while it waits.
+/// Ends all nets and waits until no robot moves. Nothing begins any more. `meanwhile` is called while it waits.
 pub(super) fn come_to_rest(controller: &Controller, mut meanwhile: impl FnMut()) {
-    for net in running(controller) {
-        if let Err(error) = controller.cancel(net) {
-            complain(&format!("cannot cancel {net}: {error}"));
-        }
-    }
+    controller.close();
     let mut wait = |within: Duration| {
         let until = Instant::now() + within;
-        while !(running(controller).is_empty() && controller.is_at_rest()) {
+        // A net whose start or rule was under way may run only now, so all are looked at each time.
+        while !(controller.wind_down(&controller.nets()) && controller.is_at_rest()) {
             if Instant::now() >= until {
                 return false;
             }

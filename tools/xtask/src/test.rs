@@ -121,19 +121,20 @@ fn loom(root: &Path) -> Cargo {
         .env("RUSTFLAGS", format!("{flags} --cfg loom").trim())
 }
 
+/// The test target that a file, or a folder with a `main.rs`, makes.
+fn target(path: &Path) -> Option<String> {
+    let is_target = path.extension().is_some_and(|kind| kind == "rs") || path.join("main.rs").is_file();
+    let name = path.file_stem().filter(|_| is_target)?;
+    Some(name.to_str()?.to_owned())
+}
+
 /// Tests across crates belong to the part their file's name begins with.
 fn cross_crate(root: &Path, parts: &[&Part]) -> Option<Cargo> {
     let mut names: Vec<String> = fs::read_dir(root.join("tests/tests"))
         .into_iter()
         .flatten()
         .flatten()
-        .filter_map(|entry| {
-            entry
-                .file_name()
-                .to_str()?
-                .strip_suffix(".rs")
-                .map(String::from)
-        })
+        .filter_map(|entry| target(&entry.path()))
         .filter(|name| {
             parts
                 .iter()
@@ -181,6 +182,17 @@ mod tests {
     #[test]
     fn unknown_part_is_refused() {
         assert!(lines(Path::new("/nowhere"), &["frit".to_owned()]).is_err());
+    }
+
+    #[test]
+    fn tests_across_crates_are_found_as_files_and_as_folders() {
+        let root = cargo::workspace_root().unwrap();
+        let part = parts::find("ecat").unwrap();
+        let line = cross_crate(&root, &[part]).unwrap().to_string();
+        assert!(line.ends_with("-p takt-tests --test ecat_peers"), "{line}");
+        let part = parts::find("net").unwrap();
+        let line = cross_crate(&root, &[part]).unwrap().to_string();
+        assert!(line.ends_with("--test net_examples --test net_fuzz"), "{line}");
     }
 
     #[test]

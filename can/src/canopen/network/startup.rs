@@ -286,14 +286,14 @@ impl Startup {
         let waited = now.saturating_sub(self.since);
         match self.phase {
             Phase::Resetting if waited >= self.boot_up_max => {
-                self.fail(Trouble::NoBootUp(waited), now)
+                self.fail(Trouble::NoBootUp(self.boot_up_max), now)
             }
             Phase::Starting if !self.watched => {
                 self.phase = Phase::Running;
                 Action::None
             }
             Phase::Starting if waited >= self.boot_up_max + self.boot_up_max => {
-                self.fail(Trouble::NoHeartbeat(waited), now)
+                self.fail(Trouble::NoHeartbeat(self.boot_up_max * 2), now)
             }
             Phase::Failed if waited >= self.retry && !self.retry.is_zero() => self.begin(now),
             Phase::Off

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use serde::Deserialize;
 
-use super::{YouBotArm, YouBotBase};
+use super::{EthercatClocks, EthercatIo, EthercatSlave, YouBotArm, YouBotBase};
 use crate::span;
 
 /// A segment.
@@ -16,6 +16,10 @@ pub struct EthercatConfig {
     pub name: String,
     /// Network interface at its beginning.
     pub interface: String,
+    /// Network interface at its other end, which makes it a ring: a cable may be cut, and all slaves are still
+    /// reached. `None` for a line.
+    #[serde(default)]
+    pub second: Option<String>,
     /// Time from one frame to the next, 100 us to 100 ms.
     #[serde(
         default = "EthercatConfig::default_cycle",
@@ -34,6 +38,9 @@ pub struct EthercatConfig {
     /// Period of the net thread that commands its devices; `None` for the first.
     #[serde(default, deserialize_with = "span::text::deserialize_some")]
     pub thread: Option<Duration>,
+    /// How its clocks are brought together.
+    #[serde(default)]
+    pub clocks: EthercatClocks,
     /// The slaves that are expected.
     #[serde(default, rename = "slave")]
     pub slaves: Vec<EthercatSlave>,
@@ -51,6 +58,28 @@ pub struct EthercatConfig {
     pub youbot_arms: Vec<YouBotArm>,
 }
 
+impl Default for EthercatConfig {
+    /// A line of nothing at no interface.
+    fn default() -> Self {
+        Self {
+            name: String::new(),
+            interface: String::new(),
+            second: None,
+            cycle: Self::default_cycle(),
+            phase: None,
+            priority: Self::default_priority(),
+            cpus: Vec::new(),
+            thread: None,
+            clocks: EthercatClocks::default(),
+            slaves: Vec::new(),
+            arms: Vec::new(),
+            ios: Vec::new(),
+            youbot_bases: Vec::new(),
+            youbot_arms: Vec::new(),
+        }
+    }
+}
+
 impl EthercatConfig {
     const fn default_cycle() -> Duration {
         Duration::from_millis(1)
@@ -63,49 +92,6 @@ impl EthercatConfig {
     const fn default_priority() -> Option<u8> {
         Some(85)
     }
-}
-
-/// A slave that is expected.
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct EthercatSlave {
-    /// Its name.
-    pub name: String,
-    /// Where it is in the ring, from 0.
-    #[serde(default)]
-    pub position: Option<u16>,
-    /// Its station alias, instead of a position.
-    #[serde(default)]
-    pub alias: Option<u16>,
-    /// Vendor (1018h:01); `None` for any.
-    #[serde(default)]
-    pub vendor: Option<u32>,
-    /// Product code (1018h:02); `None` for any.
-    #[serde(default)]
-    pub product: Option<u32>,
-    /// CiA 402 axes in it, 0 to 8; with any, process data are set up for them.
-    #[serde(default)]
-    pub axes: u8,
-    /// Whether it is run by SYNC0 each cycle.
-    #[serde(default)]
-    pub sync0: bool,
-    /// Process data watchdog; `None` leaves what the slave has.
-    #[serde(default, deserialize_with = "span::text::deserialize_some")]
-    pub watchdog: Option<Duration>,
-}
-
-/// Inputs and outputs: all bits of the process data of these slaves, in their order.
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct EthercatIo {
-    /// Name by which nets find it.
-    pub name: String,
-    /// Slave and number of bits that are digital inputs.
-    #[serde(default)]
-    pub digital_in: Vec<(String, usize)>,
-    /// Slave and number of bits that are digital outputs.
-    #[serde(default)]
-    pub digital_out: Vec<(String, usize)>,
 }
 
 /// A CANopen network.

@@ -402,6 +402,8 @@ pub(super) struct Desk {
     pub(super) serving: BTreeMap<String, usize>,
     /// Whether events were taken of which nobody was told yet.
     pub(super) unannounced: bool,
+    /// Whether nothing is to begin any more.
+    pub(super) closing: bool,
 }
 
 impl fmt::Debug for Desk {
@@ -441,6 +443,7 @@ impl Desk {
             threads,
             serving: BTreeMap::new(),
             unannounced: false,
+            closing: false,
         }
     }
 
@@ -489,6 +492,7 @@ impl Desk {
 
     /// Sends a net off to run.
     pub(super) fn begin(&mut self, id: NetId) -> Result<(), Error> {
+        self.refuse_if_closing()?;
         let net = self.net(id)?;
         let (thread, command) = (net.thread, net.begin(id)?);
         self.next_rule();
@@ -573,17 +577,6 @@ impl Desk {
             status: device.status().under(is_stopped),
         };
         self.devices.all().map(|(_, device)| info(device)).collect()
-    }
-
-    /// Ends all threads. Drivers go last, so that they see their set-points end and brake.
-    pub(super) fn stop(&mut self) {
-        self.threads.iter().for_each(NetThread::ask_to_stop);
-        for thread in self.threads.drain(..) {
-            thread.stop();
-        }
-        for driver in self.drivers.drain(..) {
-            drop(driver.stop());
-        }
     }
 }
 

@@ -47,6 +47,7 @@ impl Controller {
         let text: Arc<str> = text.into();
         let id = {
             let mut desk = self.inner.lock();
+            desk.refuse_if_closing()?;
             if session != SessionId::NONE && !desk.sessions.contains_key(&session) {
                 return Err(Error::NoSuchSession(session.to_string()));
             }

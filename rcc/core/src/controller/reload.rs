@@ -5,12 +5,8 @@ use crate::cell::DeviceConfig;
 use crate::controller::clock::FollowedClock;
 use crate::controller::desk::{Desk, Net};
 use crate::controller::{Controller, NetState};
-use crate::device::DeviceState;
 use crate::error::Error;
 use crate::executor::thread::Command;
-
-/// Below this a joint counts as resting, rad/s.
-const REST_VELOCITY: f64 = 1e-3;
 
 impl Controller {
     /// Starts the driver of another device of the cell.
@@ -36,7 +32,7 @@ impl Controller {
         if desk
             .devices
             .find(name)
-            .is_some_and(|arm| !arm.state().is_at_rest())
+            .is_some_and(|device| !device.is_at_rest())
         {
             return Err(Error::DeviceParameter {
                 name: name.to_owned(),
@@ -54,27 +50,6 @@ impl Controller {
             FollowedClock::give_back(&mut self.inner.lock().clock, name, clock);
         }
         Ok(())
-    }
-
-    /// Whether every arm that is commanded stands still.
-    #[must_use]
-    pub fn is_at_rest(&self) -> bool {
-        let desk = self.inner.lock();
-        desk.devices.arms().all(|(_, arm)| arm.state().is_at_rest())
-    }
-}
-
-impl DeviceState {
-    /// Whether no joint is commanded to move; of measured velocities the noise would never rest.
-    #[must_use]
-    pub fn is_at_rest(&self) -> bool {
-        let velocities = self
-            .joints
-            .iter()
-            .filter_map(|joint| joint.commanded_velocity);
-        velocities
-            .into_iter()
-            .all(|velocity| velocity.abs() < REST_VELOCITY)
     }
 }
 

@@ -150,6 +150,7 @@ impl Controller {
 
 impl Desk {
     pub(super) fn install(&mut self, mut request: RuleRequest) -> Result<RuleId, Error> {
+        self.refuse_if_closing()?;
         if request.condition.len() > CONDITION_BYTES {
             let (what, bound) = ("bytes of a condition", CONDITION_BYTES);
             return Err(Error::TooMany { what, bound });

@@ -101,7 +101,11 @@ impl Desk {
         started: Nanos,
         budget: Nanos,
     ) -> Error {
-        let thread = rule.orders().start.first().map_or(0, |net| self.thread_of(*net));
+        let thread = rule
+            .orders()
+            .start
+            .first()
+            .map_or(0, |net| self.thread_of(*net));
         Error::RuleOverload {
             started: duration(started),
             running: duration(running),
@@ -140,14 +144,12 @@ impl Net {
     /// Bytes that it takes; `None` if it cannot run any more.
     fn memory(&self) -> Option<usize> {
         match self.state() {
-            NetState::Loading
-            | NetState::Rejected
-            | NetState::Terminated
-            | NetState::Unloaded => None,
-            NetState::Ready
-            | NetState::Scheduled
-            | NetState::Running
-            | NetState::Cancelling => Some(self.counted()?.memory),
+            NetState::Loading | NetState::Rejected | NetState::Terminated | NetState::Unloaded => {
+                None
+            }
+            NetState::Ready | NetState::Scheduled | NetState::Running | NetState::Cancelling => {
+                Some(self.counted()?.memory)
+            }
         }
     }
 }

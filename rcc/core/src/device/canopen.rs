@@ -78,7 +78,7 @@ fn network(config: &CanopenConfig) -> Result<Network, String> {
         let id = NodeId::new(joint.drive).map_err(|error| error.to_string())?;
         let axis = AxisPlan {
             axis: joint.axis,
-            set_point_period: Some(config.cycle),
+            set_point_period: None,
             on_link_loss: on_link_loss(config.on_link_loss),
             ..AxisPlan::default()
         };
@@ -289,6 +289,9 @@ type Kind = (Discriminant<AxisTrouble>, Option<Discriminant<Obstacle>>);
 
 fn kind(trouble: &AxisTrouble) -> Kind {
     let obstacle = if let AxisTrouble::Drive(obstacle) = trouble {
+        // Resets go on as long as the fault does.
+        let of_fault = matches!(obstacle, Obstacle::ResetRefused(_));
+        let obstacle = if of_fault { &Obstacle::Fault } else { obstacle };
         Some(discriminant(obstacle))
     } else {
         None

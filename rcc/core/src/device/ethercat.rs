@@ -17,9 +17,10 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use takt_ethercat::config::IMAGE_MAX;
 use takt_ethercat::link::{Link, Port};
 use takt_ethercat::linux::PacketLink;
-use takt_ethercat::master::{Difference, EmergencyReport, Event, Master};
+use takt_ethercat::master::{Difference, EmergencyReport, Event, Master, Phase};
 use takt_rt::alloc::enter_real_time;
 use takt_rt::cycle::{Cycles, Follow, Tick};
 use takt_rt::latest::{LatestReader, LatestWriter, latest};
@@ -32,8 +33,8 @@ use crate::cell::EthercatConfig;
 use crate::device::driver::{DeviceDriver, DriverEnds, DriverThread, FAREWELL};
 use crate::error::Error;
 use arm::Arm;
-pub use describe::{check, describe};
-use io::InOut;
+pub use describe::{check, describe, master_config};
+use io::{InOut, Lack};
 pub use youbot::{Wait, YouBotFigures};
 use youbot::{Waiting, YouBots};
 
@@ -45,6 +46,10 @@ const ANSWERS: usize = 64;
 const NEWS: usize = 256;
 /// Events looked at in one cycle.
 const EVENTS: usize = 32;
+/// How long a segment that is not as expected is left alone before it is looked at again.
+const REFUSED: Duration = Duration::from_secs(2);
+/// Turn of one of two links that are both waited for.
+const TURN: Duration = Duration::from_micros(20);
 
 /// A link that a driver thread can own.
 pub trait EthernetLink: Link + Send + fmt::Debug {}
@@ -60,20 +65,44 @@ pub struct Wire {
     pub source: [u8; 6],
 }
 
-/// Opens the network interface of a segment.
+/// The wires of a segment: one, or of a ring two.
+#[derive(Debug)]
+pub struct Wires {
+    /// To the first slave.
+    pub first: Wire,
+    /// To the last slave.
+    pub second: Option<Wire>,
+}
+
+impl From<Wire> for Wires {
+    fn from(first: Wire) -> Self {
+        Self {
+            first,
+            second: None,
+        }
+    }
+}
+
+/// Opens the network interfaces of a segment.
 ///
 /// # Errors
 /// If there is no such interface or no right to open it.
-pub fn open(config: &EthercatConfig) -> Result<Wire, Error> {
-    let link = PacketLink::open(&config.interface).map_err(|source| Error::Device {
-        name: config.name.clone(),
-        what: format!("open {}", config.interface),
-        source,
-    })?;
-    let source = link.mac();
-    Ok(Wire {
-        link: Box::new(link),
-        source,
+pub fn open(config: &EthercatConfig) -> Result<Wires, Error> {
+    let open = |interface: &String| {
+        let link = PacketLink::open(interface).map_err(|source| Error::Device {
+            name: config.name.clone(),
+            what: format!("open {interface}"),
+            source,
+        })?;
+        let source = link.mac();
+        Ok(Wire {
+            link: Box::new(link),
+            source,
+        })
+    };
+    Ok(Wires {
+        first: open(&config.interface)?,
+        second: config.second.as_ref().map(open).transpose()?,
     })
 }
 
@@ -83,6 +112,11 @@ enum News {
     Event(Event),
     Emergency(EmergencyReport),
     Difference(Difference),
+    /// It is as expected again, or for the first time after it was not.
+    AsExpected,
+    /// Bytes of a process image that fits no frame.
+    TooLarge(usize),
+    Lack(Lack),
 }
 
 impl fmt::Display for News {
@@ -98,6 +132,13 @@ impl fmt::Display for News {
                 )
             }
             Self::Difference(difference) => difference.fmt(f),
+            Self::AsExpected => f.write_str("all slaves are there as the cell expects them"),
+            Self::TooLarge(bytes) => write!(
+                f,
+                "the process image has {bytes} bytes, {IMAGE_MAX} fit one frame; map fewer or smaller PDOs, or make \
+                 two segments of it"
+            ),
+            Self::Lack(lack) => lack.fmt(f),
         }
     }
 }
@@ -150,9 +191,15 @@ impl Ethercat {
     ///
     /// # Errors
     /// If the configuration makes no sense or the system has no thread to give.
-    pub fn start(config: &EthercatConfig, wire: Wire, ends: DriverEnds) -> Result<Self, Error> {
+    pub fn start(
+        config: &EthercatConfig,
+        wires: impl Into<Wires>,
+        ends: DriverEnds,
+    ) -> Result<Self, Error> {
         check(config).map_err(Error::Cell)?;
-        let master = describe::master(config).map_err(|e| Error::Cell(e.to_string()))?;
+        let master = Master::new(master_config(config)).map_err(|e| Error::Cell(e.to_string()))?;
+        let Wires { first, second } = wires.into();
+        let port = |wire: Wire| Port::new(wire.link, wire.source);
         let descriptions = describe(config);
         let devices = descriptions.iter().map(|d| d.name.clone()).collect();
         let mut given = ends.devices.into_iter();
@@ -171,7 +218,7 @@ impl Ethercat {
         let phase = config.phase.unwrap_or(config.cycle / 2);
         let mut driver = Box::new(Driver {
             master,
-            port: Port::new(wire.link, wire.source),
+            ports: [first].into_iter().chain(second).map(port).collect(),
             servo: Servo::new(&ServoConfig::new(config.cycle)),
             cycle: config.cycle,
             arms,
@@ -182,7 +229,7 @@ impl Ethercat {
             shared: Arc::clone(&shared),
             waiting: own_waiting,
             news: own_news,
-            differs: false,
+            refused: Refused::default(),
             farewell: None,
         });
         let EthercatConfig {
@@ -288,9 +335,19 @@ impl DeviceDriver for Ethercat {
     }
 }
 
+/// A segment that is not as expected.
+#[derive(Debug, Default)]
+struct Refused {
+    since: Option<Nanos>,
+    /// What was told last, so that it is told again only if it changes.
+    differences: Vec<Difference>,
+    too_large: Option<usize>,
+}
+
 struct Driver {
     master: Master,
-    port: Port<Box<dyn EthernetLink>>,
+    /// One, or of a ring two.
+    ports: Vec<Port<Box<dyn EthernetLink>>>,
     servo: Servo,
     cycle: Duration,
     arms: Vec<Arm>,
@@ -303,8 +360,7 @@ struct Driver {
     waiting: LatestWriter<Option<Waiting>>,
     /// What is told; if nobody takes it, it is lost.
     news: Producer<News>,
-    /// Whether the segment was last another than the one expected.
-    differs: bool,
+    refused: Refused,
     /// When it ends at the latest, once it is to stop.
     farewell: Option<Nanos>,
 }
@@ -320,21 +376,55 @@ impl Driver {
             drop(scope);
         } else {
             while self.exchange(until) && !self.master.is_exchanging() {}
-            self.compare();
+            self.start_up(tick);
             self.lead(tick, stopping);
         }
         self.end(tick, stopping)
     }
 
-    /// Tells what differs from what is expected, once each time that it comes to differ.
-    fn compare(&mut self) {
-        let differences = self.master.differences();
-        let differed = std::mem::replace(&mut self.differs, !differences.is_empty());
-        if self.differs && !differed {
-            for difference in differences {
-                self.news.push(News::Difference(difference.clone())).ok();
+    /// Tells what differs from what is expected, and looks again after a while: a slave whose power was not there may
+    /// have it now.
+    fn start_up(&mut self, tick: &Tick) {
+        if self.master.is_exchanging() {
+            self.refused.since = None;
+            if !std::mem::take(&mut self.refused.differences).is_empty() {
+                self.tell(News::AsExpected);
+            }
+            let lacks: Vec<_> = self
+                .ios
+                .iter_mut()
+                .flat_map(|io| io.find(&self.master))
+                .collect();
+            for lack in lacks {
+                self.tell(News::Lack(lack));
+            }
+            return;
+        }
+        if self.master.phase() != Phase::Refused {
+            return;
+        }
+        let since = *self.refused.since.get_or_insert(tick.scheduled);
+        if self.refused.differences != self.master.differences() {
+            self.refused.differences = self.master.differences().to_vec();
+            for difference in self.refused.differences.clone() {
+                self.tell(News::Difference(difference));
             }
         }
+        let too_large = self.master.image_too_large();
+        if self.refused.too_large != too_large {
+            self.refused.too_large = too_large;
+            if let Some(bytes) = too_large {
+                self.tell(News::TooLarge(bytes));
+            }
+        }
+        if tick.scheduled - since > Nanos::from(REFUSED) {
+            self.refused.since = None;
+            self.master.restart();
+        }
+    }
+
+    fn tell(&mut self, news: News) {
+        self.news.push(news).ok();
     }
 
     /// Sends a frame and waits for its answer; false if there was none to send or no time for more.
@@ -343,18 +433,35 @@ impl Driver {
         let Some(len) = self.master.poll_transmit(now, &mut self.buffer) else {
             return false;
         };
-        if self.port.send(&self.buffer[..len]).is_err() {
-            return false;
+        let mut sent = false;
+        for port in &mut self.ports {
+            sent |= port.send(&self.buffer[..len]).is_ok();
         }
-        for _ in 0..ANSWERS {
+        sent && self.answered(until)
+    }
+
+    /// Waits for the answer, of a ring by both of its ends in turn; false if it did not come, or no time is left.
+    fn answered(&mut self, until: Nanos) -> bool {
+        let both = self.ports.len() > 1;
+        let mut looked = 0;
+        while looked < ANSWERS {
             let left = since_start(until - monotonic());
-            match self.port.receive(left) {
-                Ok(Some((frame, at))) => {
-                    if self.master.handle_frame(0, frame, at) {
-                        return !left.is_zero();
+            let wait = if both { left.min(TURN) } else { left };
+            let mut deaf = 0;
+            for (number, port) in self.ports.iter_mut().enumerate() {
+                match port.receive(wait) {
+                    Ok(Some((frame, at))) => {
+                        looked += 1;
+                        if self.master.handle_frame(number, frame, at) {
+                            return !left.is_zero();
+                        }
                     }
+                    Ok(None) => {}
+                    Err(_) => deaf += 1,
                 }
-                Ok(None) | Err(_) => return false,
+            }
+            if deaf == self.ports.len() || left.is_zero() {
+                return false;
             }
         }
         false

@@ -3,9 +3,13 @@
 //! themselves are in `takt_fri`; what differs between them is told by `Protocol`.
 
 mod clock;
+mod driver;
 mod force;
+mod news;
 pub(super) mod orders;
 mod protocol;
+#[cfg(test)]
+mod tests;
 
 use std::marker::PhantomData;
 use std::net::SocketAddr;
@@ -13,36 +17,34 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicI32, AtomicU64, Ordering};
 use std::time::Duration;
 
+use takt_fri::diagnosis::Verdict;
+use takt_fri::error::DecodeError;
+use takt_fri::guard::{Guard, Violation};
 use takt_fri::link::Link;
 use takt_fri::linux::UdpLink;
 use takt_fri::sunrise::wire::MESSAGE_MAX;
-use takt_net::JointState;
-use takt_net::device::{Interfaces, JointError, Layout};
+use takt_net::JointLimits;
 use takt_rt::Nanos;
-use takt_rt::latest::{LatestReader, LatestWriter};
-use takt_rt::servo::Estimate;
-use takt_rt::stats::{Recorder, RecorderReader};
+use takt_rt::stats::RecorderReader;
 
-use crate::device::driver::{DeviceDriver, DeviceEnd, DriverEnds, DriverThread};
-use crate::device::setpoint::Joint;
-use crate::device::{
-    DeviceCommand, DeviceDescription, DeviceState, DeviceStatus, JointSetPoints, parts,
-};
+use crate::device::DeviceDescription;
+use crate::device::driver::{DeviceDriver, DriverEnds, DriverThread};
 use crate::error::Error;
-use clock::DatagramClock;
-use force::ForceByTorques;
+use driver::Driver;
+use news::{Listener, advice, herald};
 
 pub use orders::Orders;
 pub use protocol::{AXES, Heard, Joints, Protocol, Totals};
 
 /// Room for any datagram, and one byte more so that a longer one shows.
 const ROOM: usize = MESSAGE_MAX + 1;
-/// Set-points older than this many cycles of the driver are no longer followed.
-const STALE_AFTER: i64 = 10;
 /// Longest wait for a datagram, so that a stop is seen soon.
 const WAIT: Duration = Duration::from_millis(20);
-/// Faster than this a joint moves, rad/s.
-const MOVES_FROM: f64 = 1e-3;
+/// Longest time that a driver which is to end goes on answering, so that the arm comes to rest. From full speed at the
+/// joints' own acceleration it needs less than half of that.
+const FAREWELL: Duration = Duration::from_secs(2);
+/// A step as long as full speed for this time is none that a stream of set-points makes, s.
+const STEP_S: f64 = 0.2;
 /// Waiting datagrams taken at most before one of them is answered.
 const BACKLOG: usize = 64;
 
@@ -76,6 +78,14 @@ pub struct FriFigures<Q> {
     pub tracking_error_rad_max: f64,
     /// How much faster than this host's the robot's clock runs, ppb; `None` while that is not known.
     pub clock_ppb: Option<f64>,
+    /// Who is late, by the last 100 to 200 measurements.
+    pub verdict: Verdict,
+    /// Why a datagram was refused last.
+    pub refusal: Option<DecodeError>,
+    /// Why a command was withheld last: which joint, which limit.
+    pub violation: Option<Violation>,
+    /// Measurements of other controllers than the one that is answered.
+    pub foreign: u64,
 }
 
 /// A running driver.
@@ -89,6 +99,7 @@ pub struct FriArm<P> {
     pub set_point_age: RecorderReader,
     /// Time between the arrival of a measurement, early or late, and its instant on the robot's clock.
     pub phase_error: RecorderReader,
+    listener: Listener,
     thread: DriverThread,
     protocol: PhantomData<fn() -> P>,
 }
@@ -139,20 +150,23 @@ impl<P: Protocol> FriArm<P> {
             .local_addr()
             .map_err(|source| refused(&name, settings.listen, source))?;
         let shared = Arc::new(Shared::default());
+        let (herald, listener) = herald(session.observer());
         // Boxed, so that the thread's small stack does not hold it as it is moved there.
         let parts = (end, clock, Arc::clone(&shared));
-        let mut driver = Box::new(Driver::new(session, &description, link, parts));
+        let driver = Driver::new(session, &description, herald, parts);
         let (answer_time, set_point_age) =
             (driver.answer_time.reader(), driver.set_point_age.reader());
         let phase_error = driver.phase_error.reader();
+        let mut exchange = Box::new(Exchange { link, driver });
         let Settings { priority, cpus, .. } = &settings;
         let thread = DriverThread::start(&name, *priority, cpus, move |stopping| {
             let scope = takt_rt::alloc::enter_real_time();
             while !stopping.load(Ordering::Relaxed) {
-                driver.serve();
+                exchange.serve();
             }
+            exchange.bring_to_rest();
             drop(scope);
-            driver.clock_out
+            exchange.driver.into_clock()
         })?;
         Ok(Self {
             address,
@@ -160,6 +174,7 @@ impl<P: Protocol> FriArm<P> {
             answer_time,
             set_point_age,
             phase_error,
+            listener,
             thread,
             protocol: PhantomData,
         })
@@ -185,6 +200,7 @@ impl<P: Protocol> FriArm<P> {
         } = &*self.shared;
         let clock_ppb = f64::from_bits(clock_ppb_bits.load(Ordering::Relaxed));
         let period_ns = period_ns.load(Ordering::Relaxed);
+        let told = self.listener.told();
         FriFigures {
             datagrams: received.load(Ordering::Relaxed),
             lost: lost.load(Ordering::Relaxed),
@@ -193,6 +209,10 @@ impl<P: Protocol> FriArm<P> {
             period: (period_ns > 0).then(|| Duration::from_nanos(period_ns)),
             tracking_error_rad_max: f64::from_bits(tracking_error_bits.load(Ordering::Relaxed)),
             clock_ppb: (period_ns > 0 && !clock_ppb.is_nan()).then_some(clock_ppb),
+            verdict: told.verdict,
+            refusal: told.refusal,
+            violation: told.violation,
+            foreign: told.foreign,
         }
     }
 }
@@ -208,82 +228,36 @@ impl<P: Protocol> DeviceDriver for FriArm<P> {
 
     fn figures(&self) -> Vec<(&'static str, String)> {
         let figures = self.figures();
-        vec![
+        let mut told = vec![
             ("quality", format!("{:?}", figures.quality)),
             ("lost", figures.lost.to_string()),
-        ]
-    }
-}
-
-/// What was last told to nets, for differences.
-#[derive(Default)]
-struct Published {
-    state: DeviceState,
-    positions: Option<[f64; AXES]>,
-    velocities: Option<[f64; AXES]>,
-}
-
-struct Driver<P> {
-    link: UdpLink,
-    session: P,
-    clock: DatagramClock,
-    joints: Vec<Joint>,
-    last: Published,
-    /// The newest command.
-    taken: DeviceCommand,
-    interfaces: Interfaces,
-    force: ForceByTorques,
-    /// Time from one cycle of the net thread to the next.
-    net_period: Nanos,
-    /// The robot's cycles since the last answer. Its speed check counts in these, so the joints'
-    /// limits do too, whatever its clock does.
-    cycles: i64,
-    state: LatestWriter<DeviceState>,
-    command: LatestReader<DeviceCommand>,
-    shared: Arc<Shared>,
-    answer_time: Recorder,
-    set_point_age: Recorder,
-    phase_error: Recorder,
-    clock_out: LatestWriter<Estimate>,
-}
-
-impl<P: Protocol> Driver<P> {
-    fn new(
-        session: P,
-        description: &DeviceDescription,
-        link: UdpLink,
-        (end, clock_out, shared): (DeviceEnd, LatestWriter<Estimate>, Arc<Shared>),
-    ) -> Self {
-        let mut layout = Layout::default();
-        let interfaces = parts::lay(&description.parts, AXES, &mut layout);
-        Self {
-            link,
-            session,
-            clock: DatagramClock::default(),
-            joints: description.limits.iter().copied().map(Joint::new).collect(),
-            last: Published {
-                state: DeviceState::new(layout.signals),
-                ..Published::default()
-            },
-            taken: DeviceCommand::new(layout.commands),
-            interfaces,
-            force: ForceByTorques::new(&description.model),
-            net_period: end.net_period.into(),
-            cycles: 0,
-            state: end.state,
-            command: end.command,
-            shared,
-            answer_time: Recorder::new(),
-            set_point_age: Recorder::new(),
-            phase_error: Recorder::new(),
-            clock_out,
+            ("timing", advice(figures.verdict)),
+        ];
+        if let Some(refusal) = figures.refusal {
+            told.push(("refused", format!("{}, last: {refusal}", figures.malformed)));
         }
+        if let Some(violation) = figures.violation {
+            told.push(("withheld", violation.to_string()));
+        }
+        if figures.foreign > 0 {
+            told.push(("foreign", figures.foreign.to_string()));
+        }
+        told
     }
 
-    fn is_commanding(&self) -> bool {
-        self.session.status() == DeviceStatus::Operational
+    fn news(&self) -> Option<String> {
+        let news = self.listener.news()?;
+        Some(news.text(|code| format!("{:?}", P::quality(code))))
     }
+}
 
+/// A driver and its socket.
+struct Exchange<P> {
+    link: UdpLink,
+    driver: Driver<P>,
+}
+
+impl<P: Protocol> Exchange<P> {
     /// Waits for one datagram and answers it.
     fn serve(&mut self) {
         let mut wait = WAIT;
@@ -293,244 +267,69 @@ impl<P: Protocol> Driver<P> {
             let Ok(Some((len, at))) = self.link.receive(&mut buffer, wait) else {
                 break;
             };
-            if self.accept(&buffer[..len], at) {
+            let Some(from) = self.link.peer() else {
+                break;
+            };
+            if self.driver.accept(from, &buffer[..len], at) {
                 newest = Some(at);
             }
             // After a stall several wait: only the newest deserves an answer.
-            if !self.clock.is_late(nanos(at)) {
+            if !self.driver.is_late(at.into()) {
                 break;
             }
             wait = Duration::ZERO;
         }
         match newest {
-            Some(at) => self.answer(nanos(at)),
+            Some(at) => self.answer(at.into()),
             None => {
                 if let Ok(now) = takt_fri::linux::monotonic() {
-                    self.clock.handle_time(nanos(now));
-                    self.publish_clock();
-                    let is_gone = self.session.hear_nothing(now);
-                    self.take_orders(now);
-                    if is_gone {
-                        self.publish(nanos(now));
-                    } else {
-                        self.tell();
-                    }
+                    self.driver.handle_silence(now);
                 }
             }
         }
     }
 
-    fn accept(&mut self, datagram: &[u8], at: Duration) -> bool {
-        let Some(heard) = self.session.hear(datagram, at) else {
-            // Counted by the session; a stranger's datagram is no reason to stop.
-            self.count();
-            return false;
-        };
-        if heard.is_new {
-            let period = self.session.cycle().unwrap_or(Duration::from_millis(1));
-            self.clock.tick(nanos(at), Nanos::from(period), heard.lost);
-            self.publish_clock();
-            self.phase_error
-                .record((nanos(at) - self.clock.now()).abs());
-            self.cycles += 1 + i64::from(heard.lost);
-        }
-        heard.is_new
-    }
-
-    /// Answers the newest measurement if it wants an answer, and tells what it says.
+    /// Answers before anything else.
     fn answer(&mut self, at: Nanos) {
-        if self.session.is_due() {
-            self.reply(at);
-        }
-        self.publish(at);
-        self.count();
-    }
-
-    fn reply(&mut self, at: Nanos) {
-        self.take_orders(Duration::from_nanos(at.0.unsigned_abs()));
-        let joints = self.next_positions();
         let mut buffer = [0; ROOM];
-        let answer = self.session.reply(&joints, &mut buffer);
+        let answer = self.driver.answer(at, &mut buffer);
+        if let Some(peer) = self.driver.peer() {
+            self.link.answer_to(peer);
+        }
         let sent = answer.and_then(|len| self.link.send(buffer.get(..len)?).ok());
-        if sent.is_none_or(|sent| sent == 0) {
-            return;
+        if sent.is_some_and(|sent| sent > 0) {
+            self.driver.handle_sent(at, takt_rt::monotonic());
         }
-        let now = takt_rt::monotonic();
-        self.answer_time.record(now - at);
-        let moving = self.taken.joints.iter().find(|joint| joint.active);
-        if let Some(set_points) = moving.filter(|_| self.is_commanding()) {
-            let played = self.clock.now() - delay(set_points);
-            self.set_point_age.record(now - played);
-        }
+        self.driver.finish(at);
     }
 
-    /// Takes what nets command now.
-    fn take_orders(&mut self, now: Duration) {
-        let taken = &mut self.taken;
-        self.command.read_with(|command| taken.copy_from(command));
-        let moves = |joint: &Joint| joint.motion().1.abs() > MOVES_FROM;
-        let orders = Orders {
-            words: &self.taken.words,
-            cycle: self.taken.cycle,
-            is_fresh: self.is_fresh(),
-            moves: self.joints.iter().any(moves),
-            now,
-        };
-        self.session.obey(&self.interfaces, &orders);
-    }
-
-    /// Whether the net thread is alive.
-    fn is_fresh(&self) -> bool {
-        let stale = Nanos(self.clock.period().0 * STALE_AFTER) + self.net_period;
-        self.clock.now() - self.taken.time <= stale
-    }
-
-    /// Where the joints are to be now.
-    fn next_positions(&mut self) -> [f64; AXES] {
-        let is_commanding = self.is_commanding();
-        let command = &self.taken;
-        let mut positions = self.session.rest();
-        if !is_commanding {
-            self.cycles = 0;
-            for ((joint, position), set_points) in
-                self.joints.iter_mut().zip(positions).zip(&command.joints)
-            {
-                joint.rest_at(position, set_points);
-            }
-            return positions;
-        }
-        let (period, fresh) = (self.clock.period(), self.is_fresh());
-        #[expect(
-            clippy::cast_precision_loss,
-            reason = "spans of milliseconds are exact"
-        )]
-        let dt_s = (std::mem::take(&mut self.cycles) * period.0) as f64 * 1e-9;
-        for ((joint, position), set_points) in self
-            .joints
-            .iter_mut()
-            .zip(&mut positions)
-            .zip(&command.joints)
-        {
-            let play = self.clock.now() - delay(set_points);
-            *position = joint.sample(set_points, fresh, play, dt_s);
-        }
-        positions
-    }
-
-    /// Tells nets how the arm is.
-    fn publish(&mut self, at: Nanos) {
-        let status = self.session.status();
-        let state = &mut self.last.state;
-        state.enter(status, at);
-        let measured = self.session.measured();
-        let velocities = rates(measured, self.last.positions, self.clock.elapsed());
-        let accelerations = rates(velocities, self.last.velocities, self.clock.elapsed());
-        (self.last.positions, self.last.velocities) = (measured, velocities);
-        for (i, told) in state.joints.iter_mut().enumerate().take(AXES) {
-            let (position, velocity, acceleration) = self.joints[i].motion();
-            let error = match status {
-                DeviceStatus::Offline => JointError::Offline,
-                DeviceStatus::SafeOperational => JointError::NotEnabled,
-                DeviceStatus::Operational => self.joints[i].error(),
-            };
-            *told = JointState {
-                commanded_position: Some(position),
-                commanded_velocity: Some(velocity),
-                commanded_acceleration: Some(acceleration),
-                measured_position: measured.map(|m| m[i]),
-                measured_velocity: velocities.map(|v| v[i]),
-                measured_acceleration: accelerations.map(|a| a[i]),
-                error: error as i32,
-            };
-        }
-        self.tell_torques();
-        self.tell();
-    }
-
-    /// Hands over what is known, with what became of orders.
-    fn tell(&mut self) {
-        let signals = &mut self.last.state.signals;
-        self.session.report(&self.interfaces, signals);
-        let told = &self.last.state;
-        self.state.write_with(|state| state.copy_from(told));
-    }
-
-    /// Tells what the robot's sensors say of torques and forces; nothing while it is silent.
-    fn tell_torques(&mut self) {
-        let silent = self.last.state.status == DeviceStatus::Offline;
-        let heard = Some(&self.session).filter(|_| !silent);
-        let estimated = heard.and_then(P::external_torques);
-        let measured = heard.and_then(P::measured_torques);
-        let signals = &mut self.last.state.signals;
-        let places = self.interfaces.torques.iter().flat_map(|t| t.iter());
-        for (axis, place) in places.enumerate() {
-            let of_axis = |values: Joints| values.get(axis).copied();
-            place.estimated.tell(signals, estimated.and_then(of_axis));
-            place.measured.tell(signals, measured.and_then(of_axis));
-        }
-        if let Some(place) = &self.interfaces.wrench {
-            let felt = || heard.and_then(P::measured).zip(estimated);
-            let wrench = heard.and_then(P::wrench).or_else(|| {
-                felt().and_then(|(joints, torques)| self.force.estimate(&joints, &torques))
-            });
-            place.tell(signals, wrench);
-        }
-    }
-
-    fn publish_clock(&mut self) {
-        let clock = self.clock.estimate();
-        self.clock_out.write(clock);
-        let ppb = if clock.state.is_followed() {
-            clock.frequency_ppb
-        } else {
-            f64::NAN
-        };
-        let bits = &self.shared.clock_ppb_bits;
-        bits.store(ppb.to_bits(), Ordering::Relaxed);
-    }
-
-    fn count(&self) {
-        let totals = self.session.totals();
-        let shared = &self.shared;
-        shared.received.store(totals.received, Ordering::Relaxed);
-        shared.lost.store(totals.lost, Ordering::Relaxed);
-        shared.malformed.store(totals.malformed, Ordering::Relaxed);
-        let quality = self.session.quality_code();
-        shared.quality.store(quality, Ordering::Relaxed);
-        let period_ns = self.clock.period().0.unsigned_abs();
-        shared.period_ns.store(period_ns, Ordering::Relaxed);
-        let pair = self.session.set_point().zip(self.session.measured());
-        if let Some((wanted, measured)) = pair.filter(|_| self.is_commanding()) {
-            let distances = wanted.into_iter().zip(measured);
-            let error = distances.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-            let bits = &shared.tracking_error_bits;
-            let worst = f64::from_bits(bits.load(Ordering::Relaxed)).max(error);
-            bits.store(worst.to_bits(), Ordering::Relaxed);
+    /// Goes on answering until the arm is at rest: one that is left in motion is stopped by its controller, hard.
+    fn bring_to_rest(&mut self) {
+        self.driver.begin_stop();
+        let until = takt_rt::monotonic() + FAREWELL.into();
+        while !self.driver.is_at_rest() && takt_rt::monotonic() < until {
+            self.serve();
         }
     }
 }
 
-/// How far behind the robot's clock set-points are played: one and a half times what lies between
-/// two of them, so that the two around that instant are there even if the net is half of it late.
-const fn delay(set_points: &JointSetPoints) -> Nanos {
-    Nanos(set_points.period.0 * 3 / 2)
-}
-
-/// Change of each value per second; `None` while there is no earlier value or no time has passed.
-fn rates(
-    now: Option<[f64; AXES]>,
-    before: Option<[f64; AXES]>,
-    span: Nanos,
-) -> Option<[f64; AXES]> {
-    let (now, before) = now.zip(before).filter(|_| span.0 > 0)?;
-    #[expect(
-        clippy::cast_precision_loss,
-        reason = "spans of milliseconds are exact"
-    )]
-    let span_s = span.0 as f64 * 1e-9;
-    Some(std::array::from_fn(|i| (now[i] - before[i]) / span_s))
-}
-
-fn nanos(time: Duration) -> Nanos {
-    Nanos::from(time)
+/// What no driver sends whatever went wrong before: beyond the limits of its joints. `torque_nm` and `wrench` are the
+/// largest that are added.
+pub(super) fn guard(
+    names: [&'static str; AXES],
+    limits: &[JointLimits],
+    torque_nm: Joints,
+    wrench: [f64; 6],
+) -> Guard {
+    let mut guard = Guard {
+        torque_nm,
+        wrench,
+        ..Guard::open(names)
+    };
+    for (joint, limits) in limits.iter().enumerate().take(AXES) {
+        guard.position_rad[joint] = [limits.position_min, limits.position_max];
+        guard.speed_rad_per_s[joint] = limits.velocity_max;
+        guard.step_rad[joint] = limits.velocity_max * STEP_S;
+    }
+    guard
 }

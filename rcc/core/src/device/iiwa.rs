@@ -94,6 +94,16 @@ const fn torque_max(model: IiwaModel) -> [f64; AXES] {
     }
 }
 
+/// Largest force and torque added at the tool, in the wire's order, N and Nm. A slip of a unit is beyond: the main axes
+/// hold that force half a metre out, the wrist's axes that torque.
+const fn wrench_max(model: IiwaModel) -> [f64; 6] {
+    let force = match model {
+        IiwaModel::Iiwa7 => 350.0,
+        IiwaModel::Iiwa14 => 640.0,
+    };
+    [force, force, force, 110.0, 110.0, 110.0]
+}
+
 /// An iiwa by its data sheet: ranges and speeds of the axes.
 #[must_use]
 pub fn describe(name: &str, model: IiwaModel) -> ArmDescription {

@@ -14,8 +14,11 @@
 //! `follow`, 4 and 6 at the top. One sample may make several: a first set-point right where the
 //! joint is leads from Held to Follow, one that is too far away from Held or Follow to Refused.
 //!
-//! Speed is limited in all modes; acceleration is in all but Follow, where set-points are taken as
-//! they are.
+//! Speed and range are kept in all modes. Acceleration is limited in all; in Follow, where set-points are taken as they
+//! are, by what a stream within the joint's acceleration may look like: set-points lie a period of their net apart,
+//! fall anywhere into the joint's cycles, and the clock by which they are played wanders. A stream beyond that, or a
+//! clock that is set anew, is approached. At the end of its range a joint stops whatever its speed: that is beyond its
+//! acceleration, and still better than beyond its range.
 
 use takt_net::JointLimits;
 use takt_net::device::JointError;
@@ -37,6 +40,13 @@ const RESTING_RAD_PER_S: f64 = 1e-7;
 /// Share of a joint's acceleration that catching up uses by itself; the rest is for following
 /// set-points that accelerate meanwhile.
 const APPROACH_SHARE: f64 = 0.5;
+
+/// How much of the joint's acceleration a stream may show: nets keep it to the bit, but for their own rounding and what
+/// a joint that is braked to its limits did before.
+const FOLLOW_SHARE: f64 = 1.25;
+/// By how much of a step the clock by which set-points are played may wander from one cycle to the next. Clocks of
+/// robots and buses are followed to a few microseconds a period.
+const WANDER_SHARE: f64 = 0.01;
 
 /// What a joint does at the moment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -100,11 +110,16 @@ impl Joint {
             return self.position;
         }
         let before = (self.position, self.velocity);
-        let (target, speed) = interpolate(set_points, at);
-        // What lies beyond the last set-point may be out of range even if that is not.
-        let target = target
+        let (wanted, speed) = interpolate(set_points, at);
+        // What lies beyond the last set-point may be out of range even if that is not; nothing goes on there.
+        let target = wanted
             .max(self.limits.position_min)
             .min(self.limits.position_max);
+        let speed = if target < wanted || target > wanted {
+            0.0
+        } else {
+            speed
+        };
         match self.mode {
             // Also the way out of Refused.
             _ if !set_points.active => self.brake(dt_s, Mode::Held),
@@ -112,11 +127,25 @@ impl Joint {
             _ if !fresh => self.brake(dt_s, Mode::Held),
             Mode::Held => self.begin(target, speed, dt_s),
             Mode::Approach => self.approach(target, speed, dt_s),
-            Mode::Follow => self.follow(target, speed, dt_s),
+            Mode::Follow => self.follow(target, speed, set_points.period, dt_s),
         }
+        self.position = self.in_range(self.position, before.0);
         self.velocity = (self.position - before.0) / dt_s;
         self.acceleration = (self.velocity - before.1) / dt_s;
         self.position
+    }
+
+    /// The nearest to `position` in the range, which is as wide as to hold `present` too: a joint that stands beyond its
+    /// range stays there or comes back.
+    fn in_range(&self, position: f64, present: f64) -> f64 {
+        let JointLimits {
+            position_min,
+            position_max,
+            ..
+        } = self.limits;
+        position
+            .max(position_min.min(present))
+            .min(position_max.max(present))
     }
 
     fn begin(&mut self, target: f64, speed: f64, dt_s: f64) {
@@ -131,9 +160,13 @@ impl Joint {
     }
 
     /// Takes the set-point as it is if the joint can; else goes over to approaching it.
-    fn follow(&mut self, target: f64, speed: f64, dt_s: f64) {
-        let step = (target - self.position).abs();
-        if step <= self.limits.velocity_max * SPEED_SHARE * dt_s {
+    fn follow(&mut self, target: f64, speed: f64, period: Nanos, dt_s: f64) {
+        let velocity = (target - self.position) / dt_s;
+        let is_slow = velocity.abs() <= self.limits.velocity_max * SPEED_SHARE;
+        let change = (velocity - self.velocity).abs();
+        let allowed = FOLLOW_SHARE * self.limits.acceleration_max * (dt_s + seconds(period))
+            + WANDER_SHARE * self.velocity.abs().max(velocity.abs());
+        if is_slow && change <= allowed {
             self.position = target;
             self.mode = Mode::Follow;
         } else {

@@ -5,7 +5,7 @@ use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use takt_net::device::{
-    COMMAND_WORDS_MAX, Interfaces, JOINTS_MAX, Kinematics, Layout, SIGNAL_WORDS_MAX,
+    Base, COMMAND_WORDS_MAX, Interfaces, JOINTS_MAX, Kinematics, Layout, SIGNAL_WORDS_MAX,
 };
 use takt_net::{ArmBinding, Devices, JointLimits};
 use takt_rt::latest::{LatestReader, LatestWriter, latest};
@@ -35,6 +35,8 @@ pub struct Device {
     pub kinematics: Option<Arc<dyn Kinematics>>,
     /// What it offers beside joints.
     pub interfaces: Interfaces,
+    /// Its base, if it is one, among the words of its own state.
+    base: Option<Base>,
     state: Mutex<LatestReader<DeviceState>>,
 }
 
@@ -42,6 +44,11 @@ impl Device {
     /// The last state its driver told.
     pub fn state(&self) -> DeviceState {
         self.read(Clone::clone)
+    }
+
+    /// Whether nothing of it moves, as far as it is in contact.
+    pub fn is_at_rest(&self) -> bool {
+        self.read(|state| state.is_at_rest(self.base.as_ref()))
     }
 
     /// Whether it can be used.
@@ -192,6 +199,7 @@ impl DeviceTable {
             limits: device.limits.into(),
             kinematics,
             interfaces,
+            base: parts::lay(&device.parts, joints, &mut Layout::default()).base,
             state: Mutex::new(for_table),
         }));
         Ok((

@@ -3,7 +3,6 @@
 
 use std::time::Duration;
 
-use takt_core::controller::NetState;
 use takt_core::{Controller, SessionId};
 
 /// How long cancelled nets may take to end before they are aborted.
@@ -12,22 +11,19 @@ pub(super) const CANCEL_WITHIN: Duration = Duration::from_secs(2);
 /// How often it is looked whether they have ended.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 
-/// Cancels the nets of the sessions, gives them time to end, and ends the sessions.
+/// Has the nets of the sessions come to their end, gives them time for it, and ends the sessions.
 pub(super) async fn end_sessions(
     controller: &Controller,
     sessions: Vec<SessionId>,
     within: Duration,
 ) {
-    let cancelling = with(controller, sessions.clone(), cancel_nets).await;
-    if cancelling {
-        let ended = tokio::time::timeout(within, async {
-            while with(controller, sessions.clone(), any_runs).await {
-                tokio::time::sleep(LOOK_EVERY).await;
-            }
-        });
-        if ended.await.is_err() {
-            tracing::warn!("nets of a lost client did not end within {within:?}: aborted");
+    let ended = tokio::time::timeout(within, async {
+        while !with(controller, sessions.clone(), wind_down).await {
+            tokio::time::sleep(LOOK_EVERY).await;
         }
+    });
+    if ended.await.is_err() {
+        tracing::warn!("nets of a lost client did not end within {within:?}: aborted");
     }
     with(controller, sessions, end).await;
 }
@@ -44,24 +40,12 @@ async fn with(
         .unwrap_or(false)
 }
 
-fn cancel_nets(controller: &Controller, sessions: &[SessionId]) -> bool {
-    for net in sessions
-        .iter()
-        .flat_map(|s| controller.session_nets(*s).unwrap_or_default())
-    {
-        if let Err(error) = controller.cancel(net) {
-            tracing::warn!(%net, %error, "cannot cancel a net of a lost client");
-        }
-    }
-    any_runs(controller, sessions)
-}
-
-fn any_runs(controller: &Controller, sessions: &[SessionId]) -> bool {
-    let runs = |s| matches!(s, NetState::Running | NetState::Cancelling);
-    let mut nets = sessions
+/// One look at all their nets: also rules and starts that were under way bring some to run.
+fn wind_down(controller: &Controller, sessions: &[SessionId]) -> bool {
+    let nets = sessions
         .iter()
         .flat_map(|s| controller.session_nets(*s).unwrap_or_default());
-    nets.any(|net| controller.net(net).is_some_and(|info| runs(info.state())))
+    controller.wind_down(&nets.collect::<Vec<_>>())
 }
 
 fn end(controller: &Controller, sessions: &[SessionId]) -> bool {
@@ -78,31 +62,69 @@ fn end(controller: &Controller, sessions: &[SessionId]) -> bool {
 mod tests {
     use super::*;
     use takt_core::CellConfig;
-    use takt_core::controller::LoadRequest;
+    use takt_core::NetId;
+    use takt_core::controller::{LoadRequest, NetState, RuleRequest, RuleState};
+
+    /// One that does not heed a cancel.
+    const DEAF: &str = "{f=Core::BooleanValue(Value='false'),outTerminate=f.outValue}";
+    const PATIENT: &str = "{cancel=Cancel(), outTerminate=cancel.outCancel}";
+
+    fn controller() -> Controller {
+        let mut cell = CellConfig::default();
+        cell.controller.priority = None;
+        Controller::start(&cell).unwrap()
+    }
+
+    fn load(controller: &Controller, session: SessionId, net: &str) -> NetId {
+        let (text, description) = (net.to_owned(), String::new());
+        let request = LoadRequest {
+            text,
+            session,
+            description,
+            period: None,
+        };
+        controller.load(request).unwrap()
+    }
 
     #[tokio::test]
     async fn nets_that_do_not_heed_cancel_are_aborted() {
-        let mut cell = CellConfig::default();
-        cell.controller.priority = None;
-        let controller = Controller::start(&cell).unwrap();
+        let controller = controller();
         let session = controller.open_session("lost").unwrap();
-        let net = "{f=Core::BooleanValue(Value='false'),outTerminate=f.outValue}";
-        let load = |session| {
-            let (text, description) = (net.to_owned(), String::new());
-            let request = LoadRequest {
-                text,
-                session,
-                description,
-                period: None,
-            };
-            let net = controller.load(request).unwrap();
+        let [lost, stays] = [session, SessionId::NONE].map(|s| load(&controller, s, DEAF));
+        for net in [lost, stays] {
             controller.start_net(net).unwrap();
-            net
-        };
-        let (lost, stays) = (load(session), load(SessionId::NONE));
+        }
         end_sessions(&controller, vec![session], LOOK_EVERY).await;
         assert!(controller.net(lost).is_none());
         assert_eq!(controller.session_nets(session), None);
         assert_eq!(controller.net(stays).unwrap().state(), NetState::Running);
+    }
+
+    #[tokio::test]
+    async fn the_end_of_a_lost_client_s_net_starts_no_other_of_it() {
+        let controller = controller();
+        let session = controller.open_session("lost").unwrap();
+        let [first, second] = [PATIENT; 2].map(|net| load(&controller, session, net));
+        let watch = load(&controller, SessionId::NONE, PATIENT);
+        let rule = |start| RuleRequest {
+            condition: format!("{first}.terminated"),
+            start: vec![start],
+            ..RuleRequest::default()
+        };
+        let rules = [second, watch].map(|net| controller.schedule(rule(net)).unwrap());
+        controller.start_net(first).unwrap();
+        // Longer than this test may take: nothing is to be aborted.
+        end_sessions(&controller, vec![session], Duration::from_secs(300)).await;
+        let departed = controller.departed(second).unwrap();
+        assert!(!departed.states.contains(&NetState::Running));
+        assert_eq!(
+            controller.departed(first).unwrap().states.last(),
+            Some(&NetState::Terminated)
+        );
+        // A net that is not the client's is none of its business.
+        assert_ne!(controller.net(watch).unwrap().state(), NetState::Terminated);
+        let states = rules.map(|rule| controller.rule(rule).unwrap().state);
+        assert_ne!(states[0], RuleState::Fired);
+        assert_eq!(states[1], RuleState::Fired);
     }
 }

@@ -79,10 +79,12 @@ pub(super) fn vng(root: &Path) -> Had<PathBuf> {
     Ok(python(root)?.map(|python| python.with_file_name("vng")))
 }
 
-/// Debian packages that tests on a bus talk to.
-const PEERS: &[&str] = &["can-utils", "iproute2"];
+/// Debian packages that tests on a bus talk to, or look at it with.
+const PEERS: &[&str] = &["can-utils", "iproute2", "tshark"];
 /// What our own Python has beside itself: virtme-ng, and what tests on a bus talk to.
 const MODULES: [&str; 3] = ["virtme-ng~=1.42", "python-can~=4.0", "canopen~=2.0"];
+/// The same for EtherCAT, as a person installs it too.
+const MASTERS: &str = include_str!("../../../../ethercat/tests/peers/requirements.txt");
 
 /// Fetches what tests on a bus talk to; returns the Python that has such modules. Of what cannot be
 /// had the tests say so themselves.
@@ -97,7 +99,10 @@ fn python(root: &Path) -> Had<PathBuf> {
     let folder = cargo::target_dir(root).join("vm/python");
     let python = folder.join("bin/python3");
     let complete = folder.join("complete");
-    if complete.is_file() {
+    let modules: Vec<&str> = MODULES.into_iter().chain(MASTERS.lines()).collect();
+    let wanted = modules.join(" ");
+    // One that was made for other modules is added to.
+    if std::fs::read_to_string(&complete).is_ok_and(|has| has == wanted) {
         return Ok(Ok(python));
     }
     if let Err(obstacle) = packages(&["python3-venv"])? {
@@ -105,13 +110,12 @@ fn python(root: &Path) -> Had<PathBuf> {
     }
     let make = Line::new("/usr/bin/python3").args(["-m", "venv"]);
     let fetch = Line::new(folder.join("bin/pip")).args(["install", "--quiet"]);
-    if make.arg(&folder).succeeds()? && fetch.args(MODULES).succeeds()? {
-        std::fs::write(complete, "")?;
+    if make.arg(&folder).succeeds()? && fetch.args(&modules).succeeds()? {
+        std::fs::write(complete, wanted)?;
         return Ok(Ok(python));
     }
-    let modules = MODULES.join(" ");
     Ok(Err(Obstacle(format!(
-        "needs {modules}, and pip cannot install it"
+        "needs {wanted}, and pip cannot install it"
     ))))
 }
 

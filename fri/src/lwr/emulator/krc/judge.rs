@@ -7,6 +7,8 @@ use crate::lwr::wire::{Cmd, CmdFlags, State};
 
 /// Allowance on a speed for the single precision of positions: half a bit at pi over 1 ms is 1.2e-4 rad/s.
 const SPEED_ROUNDING: f64 = 5e-4;
+/// The same on a position, rad.
+const POSITION_ROUNDING: f64 = 5e-7;
 
 impl Krc {
     pub(super) fn judge(&self, received: &Received) -> Result<(), Leave> {
@@ -104,7 +106,7 @@ fn judge_mirror(
 
 fn judge_position(joints: &[f64; AXES], limits: &[f64; AXES]) -> Result<(), Leave> {
     for (joint, (position, limit)) in joints.iter().zip(limits).enumerate() {
-        if position.abs() > *limit {
+        if position.abs() > *limit + POSITION_ROUNDING {
             return Err(Leave::Position {
                 joint,
                 position: *position,

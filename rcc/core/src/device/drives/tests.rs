@@ -72,6 +72,7 @@ impl Drive {
             return None;
         }
         self.goals.extend(order.goal);
+        self.goals.dedup();
         self.goal = order.goal.unwrap_or(self.goal);
         let before = self.state;
         self.state = match self.goal {
@@ -87,7 +88,7 @@ impl Drive {
             self.cut = Some(self.velocity / PER_RAD / CYCLE.as_secs_f64());
         }
         let position = self.position;
-        if follows {
+        if follows && self.runaway == 0.0 {
             let target = order.target.map_or(self.position, f64::from);
             self.position += STIFFNESS * (target - self.load - self.position);
             self.targets.extend(order.target);
@@ -296,6 +297,7 @@ fn an_arm_told_to_stop_in_mid_swing_brakes_within_its_limit_before_it_loses_powe
 fn a_motor_that_does_not_come_to_rest_is_stopped_by_quick_stop() {
     let mut bench = Bench::new(2);
     bench.drives[1].runaway = 1e4;
+    bench.run(100, false);
     let before = bench.drives[0].goals.len();
     let patience = BRAKE_WITHIN.as_millis();
     bench.run(usize::try_from(patience).unwrap(), true);

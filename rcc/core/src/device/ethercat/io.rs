@@ -1,15 +1,18 @@
-//! Digital inputs and outputs: bits of the process data of slaves. Outputs keep what nets wrote when those
-//! end; when the segment stops, the slaves' watchdogs switch them off.
+//! Digital and analogue inputs and outputs: bits and numbers of the process data of slaves. Outputs keep what nets
+//! wrote when those end; when the segment stops, the slaves' watchdogs switch them off.
 
+use std::fmt;
+
+use takt_can::cia402::dictionary::Address;
 use takt_ethercat::master::Master;
 use takt_net::device::{Interfaces, Layout};
 use takt_rt::cycle::Tick;
 use takt_rt::latest::{LatestReader, LatestWriter};
 
-use super::describe::slave;
-use crate::cell::{EthercatConfig, EthercatIo};
+use super::describe::{part, slave};
+use crate::cell::{AnalogueChannel, EthercatConfig, EthercatIo};
 use crate::device::driver::DeviceEnd;
-use crate::device::{DeviceCommand, DeviceState, DeviceStatus, Part, parts};
+use crate::device::{DeviceCommand, DeviceState, DeviceStatus, parts};
 
 /// Cycles without inputs after which a slave counts as gone.
 const GONE: u32 = 4;
@@ -21,11 +24,162 @@ struct Bit {
     bit: usize,
 }
 
+/// A number in a slave's process data.
+#[derive(Clone, Copy, Debug)]
+struct Number {
+    slave: usize,
+    object: Option<Address>,
+    /// First bit and how many; `None` while that is not known.
+    place: Option<(usize, u32)>,
+    signed: bool,
+    scale: f64,
+    offset: f64,
+}
+
+impl Number {
+    fn new(config: &EthercatConfig, channel: &AnalogueChannel) -> Self {
+        let object = channel.object.map(|(index, sub)| Address::new(index, sub));
+        Self {
+            slave: slave(config, &channel.slave).unwrap_or_default(),
+            object,
+            place: channel.bit.map(|bit| (bit, channel.bits.into())),
+            signed: channel.signed,
+            scale: channel.scale,
+            offset: channel.offset,
+        }
+    }
+
+    fn find(&mut self, master: &Master, outputs: bool) -> Option<Lack> {
+        let process = master.slave(self.slave)?.process();
+        if let Some(object) = self.object {
+            let found = process.locate(object, outputs);
+            let found = found.filter(|place| (1..=32).contains(&place.bits));
+            self.place = found.map(|place| (place.bit, place.bits.into()));
+        }
+        let len = if outputs {
+            process.outputs_len()
+        } else {
+            process.inputs_len()
+        };
+        let inside = self
+            .place
+            .is_some_and(|(bit, count)| bit + count as usize <= 8 * len);
+        (!inside).then_some(Lack::Number {
+            slave: self.slave,
+            object: self.object,
+            outputs,
+        })
+    }
+
+    fn read(&self, bytes: &[u8]) -> Option<f64> {
+        let (first, count) = self.place?;
+        let mut raw = 0_i64;
+        for n in 0..count as usize {
+            let at = first + n;
+            let bit = bytes.get(at / 8)? >> (at % 8) & 1;
+            raw |= i64::from(bit) << n;
+        }
+        if self.signed && raw >> (count - 1) & 1 != 0 {
+            raw -= 1 << count;
+        }
+        #[expect(clippy::cast_precision_loss, reason = "at most 32 bits")]
+        let raw = raw as f64;
+        Some(raw * self.scale + self.offset)
+    }
+
+    /// Writes a value, cut to what the number holds; returns whether there was room.
+    fn write(&self, bytes: &mut [u8], value: f64) -> bool {
+        let Some((first, count)) = self.place else {
+            return false;
+        };
+        let (least, most) = if self.signed {
+            (-(1_i64 << (count - 1)), (1_i64 << (count - 1)) - 1)
+        } else {
+            (0, (1_i64 << count) - 1)
+        };
+        #[expect(
+            clippy::cast_possible_truncation,
+            reason = "it saturates, no number is zero, and then it is cut"
+        )]
+        let raw = (((value - self.offset) / self.scale).round() as i64).clamp(least, most);
+        for n in 0..count as usize {
+            let at = first + n;
+            let Some(byte) = bytes.get_mut(at / 8) else {
+                return false;
+            };
+            let mask = 1 << (at % 8);
+            *byte = if raw >> n & 1 == 0 {
+                *byte & !mask
+            } else {
+                *byte | mask
+            };
+        }
+        true
+    }
+}
+
+/// What the cell names and the process data of a slave lacks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Lack {
+    /// More bits are named than there are.
+    Bits {
+        slave: usize,
+        outputs: bool,
+        has: usize,
+        named: usize,
+    },
+    /// A number is not where it should be.
+    Number {
+        slave: usize,
+        object: Option<Address>,
+        outputs: bool,
+    },
+}
+
+impl fmt::Display for Lack {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let kind = |outputs: bool| if outputs { "outputs" } else { "inputs" };
+        match *self {
+            Self::Bits {
+                slave,
+                outputs,
+                has,
+                named,
+            } => write!(
+                f,
+                "slave {slave}: it has {has} bits of {}, {named} are named in the cell",
+                kind(outputs)
+            ),
+            Self::Number {
+                slave,
+                object: Some(object),
+                outputs,
+            } => write!(
+                f,
+                "slave {slave}: an analogue channel is {object}, which is not among its {}; `takt ecat pdos` lists \
+                 what is",
+                kind(outputs)
+            ),
+            Self::Number {
+                slave,
+                object: None,
+                outputs,
+            } => write!(
+                f,
+                "slave {slave}: an analogue channel lies beyond the end of its {}",
+                kind(outputs)
+            ),
+        }
+    }
+}
+
 /// The device.
 #[derive(Debug)]
 pub(super) struct InOut {
     inputs: Vec<Bit>,
     outputs: Vec<Bit>,
+    analogue_in: Vec<Number>,
+    analogue_out: Vec<Number>,
     interfaces: Interfaces,
     told: DeviceState,
     taken: DeviceCommand,
@@ -42,18 +196,18 @@ impl InOut {
                 .flat_map(|(slave, bits)| (0..bits).map(move |bit| Bit { slave, bit }))
                 .collect()
         };
-        let (inputs, outputs) = (bits(&io.digital_in), bits(&io.digital_out));
-        let part = Part::Io {
-            bool_in: inputs.len(),
-            bool_out: outputs.len(),
-            real_in: 0,
-            real_out: 0,
+        let numbers = |of: &[AnalogueChannel]| -> Vec<Number> {
+            of.iter()
+                .map(|channel| Number::new(config, channel))
+                .collect()
         };
         let mut layout = Layout::default();
-        let interfaces = parts::lay(&[part], 0, &mut layout);
+        let interfaces = parts::lay(&[part(io)], 0, &mut layout);
         Self {
-            inputs,
-            outputs,
+            inputs: bits(&io.digital_in),
+            outputs: bits(&io.digital_out),
+            analogue_in: numbers(&io.analogue_in),
+            analogue_out: numbers(&io.analogue_out),
             interfaces,
             told: DeviceState::new(layout.signals),
             taken: DeviceCommand::new(layout.commands),
@@ -62,14 +216,61 @@ impl InOut {
         }
     }
 
+    /// The process data is known: finds its numbers in it, and gives what is not there.
+    pub(super) fn find(&mut self, master: &Master) -> Vec<Lack> {
+        let mut lacks = Vec::new();
+        for (outputs, bits) in [(false, &self.inputs), (true, &self.outputs)] {
+            for slave in 0..master.len() {
+                let last = bits.iter().filter(|bit| bit.slave == slave);
+                let named = last.map(|bit| bit.bit + 1).max().unwrap_or(0);
+                let process = master.slave(slave).map(|slave| slave.process());
+                let len = process.map_or(0, |process| {
+                    if outputs {
+                        process.outputs_len()
+                    } else {
+                        process.inputs_len()
+                    }
+                });
+                if named > 8 * len {
+                    lacks.push(Lack::Bits {
+                        slave,
+                        outputs,
+                        has: 8 * len,
+                        named,
+                    });
+                }
+            }
+        }
+        let inputs = self.analogue_in.iter_mut();
+        lacks.extend(inputs.filter_map(|number| number.find(master, false)));
+        let outputs = self.analogue_out.iter_mut();
+        lacks.extend(outputs.filter_map(|number| number.find(master, true)));
+        lacks
+    }
+
     /// Takes inputs of the last frame and gives outputs of the next.
     pub(super) fn cycle(&mut self, master: &mut Master, tick: &Tick) {
         let taken = &mut self.taken;
         self.command.read_with(|command| taken.copy_from(command));
-        let Some(io) = &self.interfaces.io else {
-            return;
-        };
         let mut gone = !master.is_exchanging();
+        gone |= self.digital(master);
+        gone |= self.analogue(master);
+        let status = if gone {
+            DeviceStatus::Offline
+        } else {
+            DeviceStatus::Operational
+        };
+        self.told.enter(status, tick.scheduled);
+        let told = &self.told;
+        self.state.write_with(|state| state.copy_from(told));
+    }
+
+    /// Returns whether something is gone.
+    fn digital(&mut self, master: &mut Master) -> bool {
+        let Some(io) = &self.interfaces.io else {
+            return true;
+        };
+        let mut gone = false;
         for (place, bit) in io.bool_in.iter().zip(&self.inputs) {
             let (bytes, age) = master.inputs(bit.slave);
             let value = bytes
@@ -97,13 +298,76 @@ impl InOut {
             let value = *byte & mask != 0;
             place.state.tell(&mut self.told.signals, Some(value));
         }
-        let status = if gone {
-            DeviceStatus::Offline
-        } else {
-            DeviceStatus::Operational
+        gone
+    }
+
+    /// The same of numbers. What an output is, is told as it was cut and rounded.
+    fn analogue(&mut self, master: &mut Master) -> bool {
+        let Some(io) = &self.interfaces.io else {
+            return true;
         };
-        self.told.enter(status, tick.scheduled);
-        let told = &self.told;
-        self.state.write_with(|state| state.copy_from(told));
+        let mut gone = false;
+        for (place, number) in io.real_in.iter().zip(&self.analogue_in) {
+            let (bytes, age) = master.inputs(number.slave);
+            let value = number.read(bytes).filter(|_| age <= GONE);
+            gone |= value.is_none();
+            place.tell(&mut self.told.signals, value);
+        }
+        for (place, number) in io.real_out.iter().zip(&self.analogue_out) {
+            let wanted = place
+                .command
+                .read(&self.taken.words)
+                .map(|given| given.value);
+            let bytes = master.outputs_mut(number.slave);
+            if let Some(wanted) = wanted.filter(|wanted| wanted.is_finite()) {
+                gone |= !number.write(bytes, wanted);
+            }
+            let value = number.read(bytes);
+            gone |= value.is_none();
+            place.state.tell(&mut self.told.signals, value);
+        }
+        gone
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn number(bit: usize, bits: u32, signed: bool) -> Number {
+        Number {
+            slave: 0,
+            object: None,
+            place: Some((bit, bits)),
+            signed,
+            scale: 0.5,
+            offset: 10.0,
+        }
+    }
+
+    #[test]
+    #[expect(clippy::float_cmp, reason = "exact in binary")]
+    fn a_number_is_read_as_it_was_written_and_cut_to_its_range() {
+        let mut bytes = [0xFF; 6];
+        for (of, value, read) in [
+            (number(3, 16, true), -20.0, -20.0),
+            (number(0, 16, true), 1e9, 16_393.5),
+            (number(0, 16, true), -1e9, -16_374.0),
+            (number(5, 12, false), -1.0, 10.0),
+            (number(5, 12, false), 1e300, 2057.5),
+            (number(16, 32, true), f64::MAX, 1_073_741_833.5),
+            (number(16, 32, false), 1e12, 2_147_483_657.5),
+            (number(7, 1, false), 10.5, 10.5),
+        ] {
+            assert!(of.write(&mut bytes, value));
+            assert_eq!(of.read(&bytes), Some(read), "{of:?}");
+        }
+        let (before, beyond) = (bytes, number(40, 16, true));
+        assert_eq!(beyond.read(&bytes), None);
+        assert!(!beyond.write(&mut bytes, 10.0));
+        assert_eq!(bytes[..5], before[..5]);
+        let mut bytes = [0; 3];
+        number(4, 16, true).write(&mut bytes, 9.5);
+        assert_eq!(bytes, [0xF0, 0xFF, 0x0F], "nothing beside it");
     }
 }

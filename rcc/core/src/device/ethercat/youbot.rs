@@ -54,7 +54,9 @@ pub enum Wait {
     #[error("homing failed: {0}")]
     Failed(HomingError),
     /// The gripper behind it was not homed since power came on.
-    #[error("its gripper was not homed since power came on; `homing = true` lets it open to its stops")]
+    #[error(
+        "its gripper was not homed since power came on; `homing = true` lets it open to its stops"
+    )]
     GripperNotHomed,
     /// The gripper behind it cannot be used.
     #[error("its gripper: {0}")]

@@ -72,6 +72,13 @@ pub(in crate::device) fn first(errors: impl IntoIterator<Item = i32>) -> i32 {
     errors.find(|e| *e != error::NONE).unwrap_or(error::NONE)
 }
 
+/// Whether all of these are numbers no larger than allowed.
+pub(in crate::device) fn within(values: &[f64; 6], max: &[f64; 6]) -> bool {
+    let mut pairs = values.iter().zip(max);
+    // What is no number is not less than anything.
+    pairs.all(|(value, max)| value.abs() <= *max)
+}
+
 /// Force and torque from the order of both generations: along x, y, z, then about z, y, x.
 pub(in crate::device) const fn from_wire(values: [f64; 6]) -> Wrench {
     let [x, y, z, about_z, about_y, about_x] = values;

@@ -3,6 +3,10 @@
 use std::fmt;
 use std::time::Duration;
 
+use takt_fri::diagnosis::{Measurement, Observer};
+use takt_fri::error::DecodeError;
+use takt_fri::guard::Violation;
+use takt_fri::lwr::Order;
 use takt_net::device::Interfaces;
 use takt_net::value::Wrench;
 
@@ -19,6 +23,24 @@ pub struct Heard {
     pub is_new: bool,
     /// Measurements lost since the one before.
     pub lost: u16,
+    /// Whether it is the first, the first after silence, or of a controller that began anew: nothing that was commanded
+    /// before means anything to it.
+    pub is_first: bool,
+}
+
+impl Heard {
+    /// By its place in the controller's sequence.
+    pub(in crate::device) fn of(order: Order, lost: u16) -> Self {
+        let is_first = match order {
+            Order::First | Order::Restart => true,
+            Order::Next { .. } | Order::Duplicate | Order::Old => false,
+        };
+        Self {
+            is_new: order.is_new(),
+            lost,
+            is_first,
+        }
+    }
 }
 
 /// Totals of a session.
@@ -40,8 +62,23 @@ pub trait Protocol: fmt::Debug + Send + 'static {
     /// How the controller judges the connection.
     type Quality: Copy + fmt::Debug + PartialEq;
 
-    /// Takes a datagram that arrived `at`; `None` if it is none of this protocol.
-    fn hear(&mut self, datagram: &[u8], at: Duration) -> Option<Heard>;
+    /// Takes a datagram that arrived `at`.
+    ///
+    /// # Errors
+    /// If it is none of this protocol, with the reason.
+    fn hear(&mut self, datagram: &[u8], at: Duration) -> Result<Heard, DecodeError>;
+
+    /// An observer of this protocol that has seen nothing yet.
+    fn observer(&self) -> Observer;
+
+    /// The newest measurement, which arrived `at`, for an observer; `None` before the first.
+    fn measurement(&self, at: Duration) -> Option<Measurement>;
+
+    /// The counter of the answer written last.
+    fn sent_sequence(&self) -> u32;
+
+    /// Why the last answer held the robot, or added nothing; `None` if it said what was asked for.
+    fn violation(&self) -> Option<Violation>;
 
     /// It is `now`, and nothing came; whether the controller counts as gone since just now.
     fn hear_nothing(&mut self, now: Duration) -> bool;

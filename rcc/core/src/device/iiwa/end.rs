@@ -3,22 +3,30 @@
 
 use std::time::Duration;
 
-use takt_fri::guard::Guard;
+use takt_fri::diagnosis::{Measurement, Observer};
+use takt_fri::error::DecodeError;
+use takt_fri::guard::Violation;
 use takt_fri::sunrise::wire::{CommandMode, ControlMode, MonitorData, Quality};
-use takt_fri::sunrise::{AXES, Demand, IoLevel, JOINT_NAMES, Phase, Session, SessionConfig};
+use takt_fri::sunrise::{
+    AXES, Demand, IoLevel, JOINT_NAMES, Phase, Session, SessionConfig, Withheld,
+};
 use takt_net::device::{Answer, CartesianImpedance, Interfaces, Io, JointImpedance};
 use takt_net::value::Wrench;
 
 use crate::cell::{IiwaIo, IiwaModel};
 use crate::device::DeviceStatus;
-use crate::device::fri::orders::{Gate, answer, error, first, from_wire, to_wire};
-use crate::device::fri::{Heard, Joints, Orders, Protocol, Totals};
+use crate::device::fri::orders::{Gate, answer, error, first, from_wire, to_wire, within};
+use crate::device::fri::{Heard, Joints, Orders, Protocol, Totals, guard};
 
 /// The session with a cabinet, and orders to it.
 #[derive(Debug)]
 pub struct End {
     session: Session,
+    /// Why the last answer held the robot.
+    violation: Option<Violation>,
     torque_max: Joints,
+    /// In the wire's order, N and Nm.
+    wrench_max: [f64; 6],
     /// What goes on top of the springs, Nm.
     torque: Joints,
     torque_gates: [Gate; AXES],
@@ -41,18 +49,17 @@ impl End {
     /// Nothing heard yet.
     #[must_use]
     pub fn new(model: IiwaModel, io: IiwaIo) -> Self {
-        let torque_max = super::torque_max(model);
-        let guard = Guard {
-            torque_nm: torque_max,
-            ..Guard::open(JOINT_NAMES)
-        };
+        let (torque_max, wrench_max) = (super::torque_max(model), super::wrench_max(model));
+        let limits = super::describe("", model).limits;
         let config = SessionConfig {
-            guard,
+            guard: guard(JOINT_NAMES, &limits, torque_max, wrench_max),
             ..SessionConfig::default()
         };
         Self {
             session: Session::new(config),
+            violation: None,
             torque_max,
+            wrench_max,
             torque: [0.0; AXES],
             torque_gates: [Gate::default(); AXES],
             wrench: [0.0; 6],
@@ -133,8 +140,8 @@ impl End {
 
     fn take_cartesian(&mut self, wanted: &CartesianImpedance, stands: bool) -> i32 {
         let wrench = to_wire(&wanted.wrench.filter(|_| stands).unwrap_or_default());
-        let is_number = wrench.iter().all(|value| value.is_finite());
-        let is_added = is_number && wrench.iter().any(|value| value.abs() > 0.0);
+        let fits = within(&wrench, &self.wrench_max);
+        let is_added = fits && wrench.iter().any(|value| value.abs() > 0.0);
         let passes = self.wrench_gate.admits(is_added, self.follows());
         self.wrench = if passes { wrench } else { [0.0; 6] };
         let is_fixed = wanted.stiffness.is_some() || wanted.damping.is_some();
@@ -143,7 +150,7 @@ impl End {
             None => error::NONE,
         };
         first([
-            if is_number { 0 } else { error::RANGE },
+            if fits { 0 } else { error::RANGE },
             if is_fixed { error::IMPOSSIBLE } else { 0 },
             needed,
             if is_added && !passes {
@@ -235,15 +242,34 @@ impl Protocol for End {
 
     /// Engages as soon as the overlay is active: set-points that are under way then are refused by the
     /// joints until they end, so nothing moves that was not asked for anew.
-    fn hear(&mut self, datagram: &[u8], at: Duration) -> Option<Heard> {
-        let reception = self.session.handle_datagram(datagram, at).ok()?;
+    fn hear(&mut self, datagram: &[u8], at: Duration) -> Result<Heard, DecodeError> {
+        let reception = self.session.handle_datagram(datagram, at)?;
         if self.session.phase() == Phase::CommandingActive && !self.session.is_engaged() {
             let _not_active = self.session.engage();
         }
-        Some(Heard {
-            is_new: reception.order.is_new(),
-            lost: reception.lost,
+        Ok(Heard::of(reception.order, reception.lost))
+    }
+
+    fn observer(&self) -> Observer {
+        Observer::sunrise()
+    }
+
+    fn measurement(&self, at: Duration) -> Option<Measurement> {
+        let heard = self.session.message();
+        heard.map(|message| Measurement {
+            is_due: self.session.is_pending(),
+            ..Measurement::sunrise(at, message)
         })
+    }
+
+    fn sent_sequence(&self) -> u32 {
+        #[expect(clippy::cast_possible_truncation, reason = "a counter that wraps")]
+        let answered = self.session.counters().answered as u32;
+        answered.wrapping_sub(1)
+    }
+
+    fn violation(&self) -> Option<Violation> {
+        self.violation
     }
 
     fn hear_nothing(&mut self, now: Duration) -> bool {
@@ -299,7 +325,12 @@ impl Protocol for End {
         let demand = demand(mode, joints, self.torque, self.wrench);
         let demand = demand.filter(|_| self.session.is_engaged());
         let answer = self.session.answer(&demand.unwrap_or(Demand::Hold), buffer);
-        answer.ok().map(|answer| answer.len)
+        let answer = answer.ok()?;
+        self.violation = match answer.withheld {
+            Some(Withheld::Guard(violation)) => Some(violation),
+            Some(_) | None => None,
+        };
+        Some(answer.len)
     }
 
     fn status(&self) -> DeviceStatus {
@@ -371,6 +402,26 @@ impl Protocol for End {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_wrench_that_no_arm_holds_is_out_of_range() {
+        let mut end = End::new(IiwaModel::Iiwa7, IiwaIo::default());
+        for (force, torque, is_refused) in [
+            (350.0, -110.0, false),
+            (350.1, 0.0, true),
+            (0.0, 110.1, true),
+            (1e39, 0.0, true),
+            (f64::NAN, 0.0, true),
+        ] {
+            let wrench = from_wire([force, 0.0, 0.0, 0.0, torque, 0.0]);
+            let wanted = CartesianImpedance {
+                wrench: Some(wrench),
+                ..CartesianImpedance::default()
+            };
+            let told = end.take_cartesian(&wanted, true);
+            assert_eq!(told == error::RANGE, is_refused, "{force} N, {torque} Nm");
+        }
+    }
 
     #[test]
     fn joints_and_what_is_added_go_with_every_overlay_that_takes_them() {

@@ -3,23 +3,27 @@
 
 use std::time::Duration;
 
-use takt_fri::guard::Guard;
+use takt_fri::diagnosis::{Measurement, Observer};
+use takt_fri::error::DecodeError;
+use takt_fri::guard::Violation;
 use takt_fri::lwr::wire::{Control, Krl, Msr, Quality};
 use takt_fri::lwr::{JOINT_NAMES, Phase, Session, SessionConfig};
 use takt_net::device::{Interfaces, Io};
 use takt_net::value::Wrench;
 
-use super::TORQUE_MAX;
 use super::impedance::{Impedance, Standing};
 use super::program::Program;
+use super::{TORQUE_MAX, WRENCH_MAX};
 use crate::device::DeviceStatus;
 use crate::device::fri::orders::from_wire;
-use crate::device::fri::{Heard, Joints, Orders, Protocol, Totals};
+use crate::device::fri::{Heard, Joints, Orders, Protocol, Totals, guard};
 
 /// The session with a KRC, and orders to it.
 #[derive(Debug)]
 pub struct End {
     session: Session,
+    /// Counter of the first answer.
+    first_sequence: u16,
     program: Program,
     impedance: Impedance,
     /// User data as it goes out.
@@ -30,16 +34,14 @@ impl End {
     /// Nothing heard yet. `handshake` is the convention by which the KRL program takes orders, if it does.
     #[must_use]
     pub fn new(handshake: Option<takt_fri::lwr::Protocol>) -> Self {
-        let guard = Guard {
-            torque_nm: TORQUE_MAX,
-            ..Guard::open(JOINT_NAMES)
-        };
+        let limits = super::describe("").limits;
         let config = SessionConfig {
-            guard,
+            guard: guard(JOINT_NAMES, &limits, TORQUE_MAX, WRENCH_MAX),
             ..SessionConfig::default()
         };
         Self {
             session: Session::new(config),
+            first_sequence: config.first_sequence,
             program: Program::new(handshake),
             impedance: Impedance::default(),
             krl: Krl::default(),
@@ -96,16 +98,41 @@ impl End {
 impl Protocol for End {
     type Quality = Quality;
 
-    fn hear(&mut self, datagram: &[u8], at: Duration) -> Option<Heard> {
-        let reception = self.session.handle_datagram(datagram, at).ok()?;
-        Some(Heard {
-            is_new: reception.order.is_new(),
-            lost: reception.lost,
-        })
+    fn hear(&mut self, datagram: &[u8], at: Duration) -> Result<Heard, DecodeError> {
+        let reception = self.session.handle_datagram(datagram, at)?;
+        let heard = Heard::of(reception.order, reception.lost);
+        if heard.is_first {
+            self.program.handle_silence(&mut self.krl);
+        }
+        Ok(heard)
+    }
+
+    fn observer(&self) -> Observer {
+        Observer::lwr()
+    }
+
+    fn measurement(&self, at: Duration) -> Option<Measurement> {
+        let heard = self.session.measurement();
+        heard.map(|msr| Measurement::lwr(at, msr))
+    }
+
+    fn sent_sequence(&self) -> u32 {
+        #[expect(clippy::cast_possible_truncation, reason = "a counter that wraps")]
+        let answered = self.session.counters().answered as u16;
+        let next = self.first_sequence.wrapping_add(answered);
+        next.wrapping_sub(1).into()
+    }
+
+    fn violation(&self) -> Option<Violation> {
+        self.session.violation()
     }
 
     fn hear_nothing(&mut self, now: Duration) -> bool {
-        self.session.handle_timeout(now)
+        let is_gone = self.session.handle_timeout(now);
+        if is_gone {
+            self.program.handle_silence(&mut self.krl);
+        }
+        is_gone
     }
 
     fn is_due(&self) -> bool {

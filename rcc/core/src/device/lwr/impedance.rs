@@ -6,8 +6,8 @@ use takt_fri::lwr::{Fields, Phase};
 use takt_net::device::{Answer, CartesianImpedance, Interfaces, JointImpedance};
 use takt_net::value::Wrench;
 
-use super::TORQUE_MAX;
-use crate::device::fri::orders::{Gate, answer, error, first, to_wire};
+use super::{TORQUE_MAX, WRENCH_MAX};
+use crate::device::fri::orders::{Gate, answer, error, first, to_wire, within};
 use crate::device::fri::{AXES, Orders};
 
 /// Stiffer than this is a slip of a unit, Nm/rad.
@@ -156,8 +156,8 @@ impl Impedance {
     ) -> i32 {
         let wrench = wanted.wrench.filter(|_| stands).unwrap_or_default();
         let wrench = to_wire(&wrench);
-        let is_number = wrench.iter().all(|value| value.is_finite());
-        let is_added = is_number && wrench.iter().any(|value| value.abs() > 0.0);
+        let fits = within(&wrench, &WRENCH_MAX);
+        let is_added = fits && wrench.iter().any(|value| value.abs() > 0.0);
         let passes = self.cartesian_gate.admits(is_added, standing.follows());
         fields.wrench = if passes { wrench } else { [0.0; 6] };
         let values = |wrench: Wrench| to_wire(&wrench);
@@ -167,7 +167,7 @@ impl Impedance {
             let mut values = values.iter().flatten();
             values.all(|value| in_range(Some(*value), max))
         };
-        if !is_number || !fit(stiffness, CARTESIAN_STIFFNESS_MAX) || !fit(damping, 1.0) {
+        if !fits || !fit(stiffness, CARTESIAN_STIFFNESS_MAX) || !fit(damping, 1.0) {
             return error::RANGE;
         }
         fields.cartesian_stiffness = stiffness.unwrap_or(fields.cartesian_stiffness);
@@ -204,4 +204,38 @@ fn needed(parts: [(bool, CmdFlags); 3]) -> CmdFlags {
 
 fn in_range(value: Option<f64>, max: f64) -> bool {
     value.is_none_or(|value| (0.0..=max).contains(&value))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::device::fri::orders::from_wire;
+
+    #[test]
+    fn a_wrench_that_no_arm_holds_is_out_of_range_and_not_added() {
+        let standing = Standing {
+            phase: Phase::Command,
+            control: Control::CartesianImpedance,
+            flags: CmdFlags::JNTPOS | CmdFlags::TCPFT,
+        };
+        for (force, torque, is_refused) in [
+            (-350.0, 100.0, false),
+            (350.1, 0.0, true),
+            (0.0, -100.1, true),
+            (1e39, 0.0, true),
+            (f64::NAN, 0.0, true),
+        ] {
+            let mut impedance = Impedance::default();
+            let mut fields = Fields::default();
+            let wrench = [force, 0.0, 0.0, 0.0, torque, 0.0];
+            let wanted = CartesianImpedance {
+                wrench: Some(from_wire(wrench)),
+                ..CartesianImpedance::default()
+            };
+            let told = impedance.take_cartesian(&wanted, true, &standing, &mut fields);
+            assert_eq!(told == error::RANGE, is_refused, "{force} N, {torque} Nm");
+            let sent = if is_refused { [0.0; 6] } else { wrench };
+            assert_eq!(fields.wrench.map(f64::to_bits), sent.map(f64::to_bits));
+        }
+    }
 }

@@ -83,6 +83,16 @@ impl Program {
         }
     }
 
+    /// The robot fell silent or began anew: what the program was asked for is given up, also what it would only see now.
+    pub(super) fn handle_silence(&mut self, krl: &mut Krl) {
+        if let Some(dialog) = &mut self.dialog {
+            dialog.handle_silence(krl);
+        }
+        if let Some(job) = self.job.take() {
+            self.end(&job, error::NOT_THERE);
+        }
+    }
+
     fn begin(
         &mut self,
         has: &Interfaces,

@@ -59,7 +59,7 @@ enum Input {
 }
 
 const HERE: Input = Input::At(0.0);
-/// A step that the joint's speed allows.
+/// A step that the joint's speed allows, and its acceleration does not.
 const WITHIN: Input = Input::At(0.0018);
 /// A step that it does not allow, but near enough to begin.
 const BEYOND: Input = Input::At(-0.019);
@@ -81,7 +81,7 @@ fn every_cell_of_the_state_machine() {
         ),
         (
             Follow,
-            [Held, Held, Follow, Follow, Approach, Approach, Refused],
+            [Held, Held, Follow, Approach, Approach, Approach, Refused],
         ),
         (
             Refused,
@@ -99,7 +99,7 @@ fn every_cell_of_the_state_machine() {
         ),
         (
             Follow,
-            [Held, Held, Follow, Follow, Approach, Approach, Refused],
+            [Held, Held, Approach, Approach, Approach, Approach, Refused],
         ),
         (
             Refused,
@@ -124,6 +124,23 @@ fn every_cell_of_the_state_machine() {
                 );
             }
         }
+    }
+}
+
+#[test]
+fn a_moving_joint_follows_what_its_acceleration_allows() {
+    for (velocity, mode) in [
+        (0.5, Mode::Follow),
+        (0.504, Mode::Follow),
+        (0.496, Mode::Follow),
+        (0.52, Mode::Approach),
+        (0.48, Mode::Approach),
+    ] {
+        let mut joint = in_mode(Mode::Follow, 0.5);
+        joint.sample(&stream(&[velocity * DT_S]), true, Nanos(0), DT_S);
+        assert_eq!(joint.mode(), mode, "{velocity}");
+        let change = (joint.motion().1 - 0.5).abs();
+        assert!(change <= ACCELERATION_MAX * DT_S + 1e-9, "{velocity}");
     }
 }
 
@@ -251,6 +268,7 @@ struct Rig {
 /// What one sample was, as measured outside.
 #[derive(Clone, Copy, Debug)]
 struct Seen {
+    dt_s: f64,
     mode: Mode,
     position: f64,
     velocity: f64,
@@ -261,9 +279,12 @@ struct Seen {
 
 impl Rig {
     fn new() -> Self {
-        let (joint, points) = (Joint::new(LIMITS), JointSetPoints::default());
+        let points = JointSetPoints {
+            period: PERIOD,
+            ..JointSetPoints::default()
+        };
         Self {
-            joint,
+            joint: Joint::new(LIMITS),
             points,
             net_time: Nanos(0),
             now: Nanos(0),
@@ -289,6 +310,7 @@ impl Rig {
         self.last = (position, velocity);
         let target = interpolate(&self.points, at).0;
         Seen {
+            dt_s,
             mode: self.joint.mode(),
             position,
             velocity,
@@ -311,11 +333,21 @@ impl Seen {
             self.velocity.abs() <= VELOCITY_MAX * 1.002,
             "too fast: {self:?}"
         );
+        let range = LIMITS.position_max;
+        assert!(self.position.abs() <= range, "out of range: {self:?}");
         // Differences of positions of some rad by times of a tenth of a millisecond.
         let slack = ACCELERATION_MAX * 1e-6 + 1e-6;
-        let limited = self.mode != Mode::Follow;
+        let limit = match self.mode {
+            // As a stream within the limit may look: a quarter more, over a cycle and a period; one per cent of the speed.
+            Mode::Follow => {
+                let wander = 0.01 * (self.velocity.abs() + self.acceleration.abs() * self.dt_s);
+                (1.25 * ACCELERATION_MAX * (self.dt_s + DT_S) + wander) / self.dt_s
+            }
+            Mode::Held | Mode::Approach | Mode::Refused => ACCELERATION_MAX,
+        };
+        let at_end = self.position.abs() >= range;
         assert!(
-            !limited || self.acceleration.abs() <= ACCELERATION_MAX + slack,
+            at_end || self.acceleration.abs() <= limit + slack,
             "too hard: {self:?}"
         );
     }
@@ -436,6 +468,51 @@ fn a_run_of_set_points_may_end_and_begin_elsewhere_nearby() {
     assert_eq!((modes[0], modes[299]), (Mode::Approach, Mode::Follow));
 }
 
+#[test]
+fn a_clock_that_is_set_anew_and_a_stream_that_steps_are_no_jump() {
+    // Both are steps that the joint's speed allows.
+    for (jitter, step) in [(5_000_000, 0.0), (-1_000_000, 0.0), (0, 0.0015)] {
+        let mut rig = Rig::new();
+        let mut modes = Vec::new();
+        for i in 0..400 {
+            let is_later = i >= 200;
+            let jitter = Nanos(if is_later { jitter } else { 0 });
+            let step = if is_later { step } else { 0.0 };
+            let t = f64::from(i) * DT_S;
+            let position = if t < 0.15 {
+                t * t
+            } else {
+                0.15 * (2.0 * t - 0.15)
+            };
+            rig.command(rig.net_time + PERIOD, Some(position + step));
+            let seen = rig.sample(PERIOD, jitter);
+            seen.check();
+            modes.push(seen.mode);
+        }
+        assert_eq!(
+            (modes[199], modes[399]),
+            (Mode::Follow, Mode::Follow),
+            "{jitter} ns, {step} rad"
+        );
+        assert!(modes.contains(&Mode::Approach), "{jitter} ns, {step} rad");
+    }
+}
+
+#[test]
+fn a_joint_beyond_its_range_stays_or_comes_back() {
+    let mut joint = in_mode(Mode::Held, 0.0);
+    joint.rest_at(3.01, &JointSetPoints::default());
+    for (wanted, most) in [(3.02, 3.01), (3.0, 3.01), (2.995, 3.01)] {
+        let mut last = joint.motion().0;
+        for _ in 0..200 {
+            let position = joint.sample(&stream(&[wanted]), true, Nanos(0), DT_S);
+            assert!(position <= last && position <= most, "{wanted}: {position}");
+            last = position;
+        }
+        assert!((last - wanted.min(3.0)).abs() < 1e-6, "{wanted}: {last}");
+    }
+}
+
 /// What happens to a stream of set-points in the next so many cycles.
 #[derive(Clone, Copy, Debug)]
 enum Phase {
@@ -474,14 +551,18 @@ fn phase() -> impl Strategy<Value = Phase> {
     ]
 }
 
-/// Motions turn back here, so that a joint that brakes from full speed stays in its range.
-const RANGE: f64 = 2.3;
+/// Motions end here, so that a joint that brakes from full speed stays in its range.
+const NEAR: f64 = 2.3;
+/// Motions go to the very end of the range.
+const FULL: f64 = LIMITS.position_max;
 
 /// A stream under way.
 struct Play {
     rig: Rig,
     position: f64,
     speed: f64,
+    /// Where motions come to rest, rad.
+    range: f64,
     /// How far the robot's clock is off its grid, ns, by turns.
     jitter: Vec<i64>,
     samples: usize,
@@ -526,12 +607,16 @@ impl Play {
 
     fn advance(&mut self, wanted: f64, acceleration: f64) {
         let change = acceleration * DT_S;
-        self.speed = wanted.clamp(self.speed - change, self.speed + change);
-        let next = self.position + self.speed * DT_S;
-        if next.abs() > RANGE {
-            self.speed = -self.speed;
-        }
-        self.position += self.speed * DT_S;
+        let wanted = wanted.clamp(self.speed - change, self.speed + change);
+        let end = self.position + wanted * (DT_S + wanted.abs() / (2.0 * ACCELERATION_MAX));
+        self.speed = if end.abs() >= self.range {
+            // It must brake now to come to rest before the end.
+            let loss = ACCELERATION_MAX * DT_S;
+            (self.speed.abs() - loss).max(0.0).copysign(self.speed)
+        } else {
+            wanted
+        };
+        self.position = (self.position + self.speed * DT_S).clamp(-self.range, self.range);
     }
 
     fn run(&mut self, phase: Phase) {
@@ -546,7 +631,9 @@ impl Play {
                     self.cycle(true, true);
                 }
             }
-            Phase::Jump(by) => self.position = (self.position + by).clamp(-RANGE, RANGE),
+            Phase::Jump(by) => {
+                self.position = (self.position + by).clamp(-self.range, self.range);
+            }
             Phase::Gap(cycles) => {
                 for _ in 0..cycles {
                     self.advance(self.speed, 0.0);
@@ -578,11 +665,12 @@ impl Play {
     }
 }
 
-fn play(phases: &[Phase], jitter: Vec<i64>) -> Play {
+fn play(phases: &[Phase], range: f64, jitter: Vec<i64>) -> Play {
     let mut play = Play {
         rig: Rig::new(),
         position: 0.0,
         speed: 0.0,
+        range,
         jitter,
         samples: 0,
         left: None,
@@ -610,11 +698,24 @@ proptest! {
         phases in prop::collection::vec(phase(), 1..12),
         jitter in jitters(),
     ) {
-        let mut played = play(&phases, jitter);
+        let mut played = play(&phases, NEAR, jitter);
         // Whatever happened: when set-points end, the joint rests, and a new run is followed.
         played.run(Phase::Restart(0.0));
         played.run(Phase::Move { speed: 0.5, acceleration: 1.0, cycles: 20 });
-        prop_assert_eq!(played.rig.joint.mode(), Mode::Follow);
+        let (mode, behind) = (played.rig.joint.mode(), played.position - played.rig.last.0);
+        prop_assert!(matches!(mode, Mode::Follow | Mode::Approach), "{:?}", mode);
+        prop_assert!(behind.abs() < 1e-4, "{} rad", behind);
+    }
+
+    /// Also when set-points stop coming in mid-motion, right before its end.
+    #[test]
+    fn no_stream_drives_a_joint_out_of_its_range(
+        phases in prop::collection::vec(phase(), 1..20),
+        jitter in jitters(),
+    ) {
+        let mut played = play(&phases, FULL, jitter);
+        played.run(Phase::Move { speed: 1.9, acceleration: 4.0, cycles: 2_000 });
+        played.run(Phase::Stall(1_000));
     }
 
     #[test]
@@ -622,7 +723,7 @@ proptest! {
         phases in prop::collection::vec(phase(), 1..6),
         jitter in jitters(),
     ) {
-        let mut played = play(&phases, jitter);
+        let mut played = play(&phases, NEAR, jitter);
         played.run(Phase::Restart(0.0));
         played.run(Phase::Jump(if played.position > 0.0 { -0.1 } else { 0.1 }));
         played.cycle(true, true);
@@ -648,7 +749,7 @@ proptest! {
         // A motion begins where the joint is.
         let begin = Phase::Move { speed: 0.0, acceleration: 1.0, cycles: 1 };
         let phases: Vec<_> = std::iter::once(begin).chain(moves).collect();
-        let played = play(&phases, vec![0]);
+        let played = play(&phases, NEAR, vec![0]);
         prop_assert_eq!(played.modes[Mode::Follow as usize] as usize, played.samples);
     }
 }

@@ -110,8 +110,12 @@ impl Executor {
             started += net.cost;
         }
         let claim = rules.claim(rule, wanted);
-        let is_followed =
-            |net: &Running| rules.roll.find(net.id).is_some_and(|s| rules.roll.is_marked(s));
+        let is_followed = |net: &Running| {
+            rules
+                .roll
+                .find(net.id)
+                .is_some_and(|s| rules.roll.is_marked(s))
+        };
         let mut running = Nanos::ZERO;
         for net in self.running.iter().filter(|net| !is_followed(net)) {
             if let Some(held) = claim.common(&net.resources) {
@@ -176,7 +180,8 @@ impl Executor {
             let (rule, started) = (rule.id, rule.cost);
             let beside = if follows { Nanos::ZERO } else { net.cost };
             let running = running - self.followed_cost(at) + beside;
-            (crowded && running + started > budget).then_some(Refusal::OverloadKept { rule, budget })
+            (crowded && running + started > budget)
+                .then_some(Refusal::OverloadKept { rule, budget })
         })
     }
 
@@ -239,7 +244,8 @@ impl Executor {
     /// Answers for good what waiting rules ask of a net that had ended before they came.
     pub fn answer_for_good(&mut self, told: Literal) {
         for rule in &mut self.rules.waiting {
-            let asked = |l: &&mut Literal| !l.last && (l.net, l.question) == (told.net, told.question);
+            let asked =
+                |l: &&mut Literal| !l.last && (l.net, l.question) == (told.net, told.question);
             for literal in rule.literals.iter_mut().filter(asked) {
                 *literal = told;
                 rule.changed = true;

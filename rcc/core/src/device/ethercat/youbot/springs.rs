@@ -154,7 +154,10 @@ mod tests {
         };
         let mut standing = given(layout, 5, torque(2.0));
         assert!((added(&standing, true) - 2.0).abs() < 1e-9);
-        assert!(added(&standing, false).abs() < 1e-9, "its thread stands still");
+        assert!(
+            added(&standing, false).abs() < 1e-9,
+            "its thread stands still"
+        );
         standing.cycle = 6;
         assert!(added(&standing, true).abs() < 1e-9, "it ended");
         let no_number = given(layout, 7, torque(f64::NAN));

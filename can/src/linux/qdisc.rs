@@ -1,0 +1,180 @@
+//! How many frames the send queues of an interface refused, by rtnetlink. The statistics in sysfs count only
+//! what the driver refused; a full queue is told by the queue alone. It changes no queue.
+//!
+//! | bytes of a message | what |
+//! |---|---|
+//! | 0 to 3 | length of all |
+//! | 4, 5 | 38: ask for queues; 36: a queue; 3: that was all; 2: refused |
+//! | 6, 7 | flags: 301h asks for all |
+//! | 20 to 23 | number of the interface |
+//! | 28 to 31 | where the queue hangs: FFFF_FFFFh at the interface itself |
+//! | 36 ... | attributes, of which 7 holds 3, the third number of which is the count |
+
+use std::os::fd::AsRawFd as _;
+
+use nix::sys::socket::{
+    AddressFamily, MsgFlags, NetlinkAddr, SockFlag, SockProtocol, SockType, recv, sendto, socket,
+};
+
+const RTM_NEWQDISC: u16 = 36;
+const RTM_GETQDISC: u16 = 38;
+const REQUEST_DUMP: u16 = 0x301;
+const NLMSG_ERROR: u16 = 2;
+const NLMSG_DONE: u16 = 3;
+const TC_H_ROOT: u32 = 0xFFFF_FFFF;
+const TCA_STATS2: u16 = 7;
+const TCA_STATS_QUEUE: u16 = 3;
+/// Head of a message, and of a message about a queue.
+const HEAD: usize = 16;
+const QUEUE_HEAD: usize = 36;
+/// Most answers that are read; a host has some dozens of queues.
+const ANSWERS: usize = 256;
+
+/// Frames that the queue of an interface refused since it was made; `None` if the kernel does not tell.
+pub(super) fn refused(index: u32) -> Option<u32> {
+    let (kind, flags) = (SockType::Raw, SockFlag::SOCK_CLOEXEC);
+    let socket = socket(
+        AddressFamily::Netlink,
+        kind,
+        flags,
+        SockProtocol::NetlinkRoute,
+    );
+    let socket = socket.ok()?;
+    let kernel = NetlinkAddr::new(0, 0);
+    sendto(socket.as_raw_fd(), &request(), &kernel, MsgFlags::empty()).ok()?;
+    let mut answer = [0; 16_384];
+    let mut found = None;
+    for _ in 0..ANSWERS {
+        let len = recv(socket.as_raw_fd(), &mut answer, MsgFlags::empty()).ok()?;
+        let read = read(answer.get(..len)?, index);
+        found = found.or(read.refused);
+        if read.ends {
+            break;
+        }
+    }
+    found
+}
+
+fn request() -> [u8; QUEUE_HEAD] {
+    let mut bytes = [0; QUEUE_HEAD];
+    bytes[..4].copy_from_slice(&36_u32.to_ne_bytes());
+    bytes[4..6].copy_from_slice(&RTM_GETQDISC.to_ne_bytes());
+    bytes[6..8].copy_from_slice(&REQUEST_DUMP.to_ne_bytes());
+    bytes
+}
+
+fn u16_at(bytes: &[u8], at: usize) -> Option<u16> {
+    Some(u16::from_ne_bytes(*bytes.get(at..)?.first_chunk()?))
+}
+
+fn u32_at(bytes: &[u8], at: usize) -> Option<u32> {
+    Some(u32::from_ne_bytes(*bytes.get(at..)?.first_chunk()?))
+}
+
+/// What one answer tells.
+#[derive(Debug, Default, PartialEq, Eq)]
+struct Read {
+    refused: Option<u32>,
+    ends: bool,
+}
+
+fn read(mut bytes: &[u8], index: u32) -> Read {
+    let mut read = Read::default();
+    while let (Some(len), Some(kind)) = (u32_at(bytes, 0), u16_at(bytes, 4)) {
+        let len = usize::try_from(len).unwrap_or(0);
+        let Some(message) = bytes.get(..len).filter(|_| len >= HEAD) else {
+            break;
+        };
+        match kind {
+            NLMSG_DONE | NLMSG_ERROR => read.ends = true,
+            RTM_NEWQDISC => read.refused = read.refused.or_else(|| of_queue(message, index)),
+            _ => {}
+        }
+        bytes = bytes.get(len.next_multiple_of(4)..).unwrap_or_default();
+    }
+    read
+}
+
+/// The count in a message about the queue that hangs at that interface.
+fn of_queue(message: &[u8], index: u32) -> Option<u32> {
+    if (u32_at(message, 20)?, u32_at(message, 28)?) != (index, TC_H_ROOT) {
+        return None;
+    }
+    let statistics = attribute(message.get(QUEUE_HEAD..)?, TCA_STATS2)?;
+    u32_at(attribute(statistics, TCA_STATS_QUEUE)?, 8)
+}
+
+/// The content of the first attribute of that kind.
+fn attribute(mut rest: &[u8], kind: u16) -> Option<&[u8]> {
+    loop {
+        let len = usize::from(u16_at(rest, 0)?);
+        let content = rest.get(4..len)?;
+        // The top bit tells that there are attributes in it.
+        if u16_at(rest, 2)? & 0x3FFF == kind {
+            return Some(content);
+        }
+        rest = rest.get(len.next_multiple_of(4)..)?;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn with_attribute(bytes: &mut Vec<u8>, kind: u16, content: &[u8]) {
+        bytes.extend(u16::try_from(4 + content.len()).unwrap().to_ne_bytes());
+        bytes.extend(kind.to_ne_bytes());
+        bytes.extend(content);
+        bytes.resize(bytes.len().next_multiple_of(4), 0);
+    }
+
+    /// A queue that refused so many frames.
+    fn queue(index: u32, parent: u32, refused: u32) -> Vec<u8> {
+        let numbers = [0, 0, refused, 0, 0].map(u32::to_ne_bytes).concat();
+        let mut statistics = Vec::new();
+        with_attribute(&mut statistics, 1, &[0; 16]);
+        with_attribute(&mut statistics, TCA_STATS_QUEUE, &numbers);
+        let mut message = vec![0; QUEUE_HEAD];
+        with_attribute(&mut message, 1, b"tbf\0");
+        with_attribute(&mut message, TCA_STATS2 | 0x8000, &statistics);
+        let len = u32::try_from(message.len()).unwrap();
+        message[..4].copy_from_slice(&len.to_ne_bytes());
+        message[4..6].copy_from_slice(&RTM_NEWQDISC.to_ne_bytes());
+        message[20..24].copy_from_slice(&index.to_ne_bytes());
+        message[28..32].copy_from_slice(&parent.to_ne_bytes());
+        message
+    }
+
+    #[test]
+    fn count_is_that_of_the_queue_at_the_interface() {
+        let done = [20_u32.to_ne_bytes(), [3, 0, 2, 0], [0; 4], [0; 4], [0; 4]].concat();
+        let others = [queue(6, TC_H_ROOT, 1), queue(7, 0x0001_0001, 2)].concat();
+        let all = [others.clone(), queue(7, TC_H_ROOT, 3), done].concat();
+        let expected = Read {
+            refused: Some(3),
+            ends: true,
+        };
+        assert_eq!(read(&all, 7), expected);
+        assert_eq!(read(&others, 7), Read::default());
+        assert_eq!(RTM_GETQDISC, libc::RTM_GETQDISC);
+        assert_eq!(RTM_NEWQDISC, libc::RTM_NEWQDISC);
+    }
+
+    #[test]
+    fn kernel_answers() {
+        assert_eq!(refused(0x7FFF_FFF0), None);
+    }
+
+    proptest! {
+        #[test]
+        fn any_answer_is_read(bytes in prop::collection::vec(any::<u8>(), 0..100), at in 0..120_usize, byte: u8) {
+            let _ = read(&bytes, 7);
+            let mut damaged = queue(7, TC_H_ROOT, 3);
+            let at = at % damaged.len();
+            damaged[at] = byte;
+            let _ = read(&damaged, 7);
+        }
+    }
+}

@@ -1,0 +1,702 @@
+//! The driver against the emulated controllers of both generations, in virtual time: entering and re-entering command
+//! mode, strangers, guards, stopping, and what loss and jitter do to what is commanded. Threads and sockets are in
+//! `tests/arms.rs` and `tests/iiwa.rs`.
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use takt_fri::lwr::emulator::{Faults, Krc, KrcConfig, LineFaults, Script};
+use takt_fri::lwr::wire::{Msr, State};
+use takt_fri::sunrise::emulator::{self as sunrise, Cabinet, CabinetConfig};
+use takt_fri::sunrise::wire::{Dialect, SessionState};
+use takt_rt::Nanos;
+use takt_rt::latest::{LatestReader, LatestWriter, latest};
+
+use super::driver::Driver;
+use super::news::{Listener, herald};
+use super::*;
+use crate::cell::{IiwaIo, IiwaModel};
+use crate::device::driver::DeviceEnd;
+use crate::device::setpoint::{Joint, Mode};
+use crate::device::{
+    DeviceCommand, DeviceState, DeviceStatus, JointSetPoints, SetPoint, iiwa, lwr,
+};
+
+const MS: Duration = Duration::from_millis(1);
+/// Period of the net thread.
+const NET: Nanos = Nanos(1_000_000);
+/// Time from a datagram to its answer.
+const WORK: Duration = Duration::from_micros(50);
+const POSTURE: Joints = [0.0, 0.5, 0.0, -1.2, 0.0, 0.8, 0.0];
+/// The joint that moves.
+const JOINT: usize = 6;
+
+/// An emulated controller of either generation.
+trait Controller {
+    /// When it has something to do.
+    fn due(&self) -> Duration;
+    /// What is under way to the driver.
+    fn transmit(&mut self, now: Duration, buffer: &mut [u8]) -> Option<usize>;
+    /// Takes an answer.
+    fn take(&mut self, answer: &[u8], now: Duration);
+    /// What goes wrong on the way to the driver, and back.
+    fn lines(&mut self) -> [&mut LineFaults; 2];
+    /// Set-point, rad.
+    fn set_point(&self) -> Joints;
+    /// Whether it follows commands.
+    fn follows(&self) -> bool;
+    /// Whether quality is the best there is, and whether it suffices.
+    fn judges(&self) -> [bool; 2];
+    /// Why it left command mode, oldest first.
+    fn reasons(&self) -> Vec<String>;
+}
+
+impl Controller for Krc {
+    fn due(&self) -> Duration {
+        self.poll_timeout()
+    }
+    fn transmit(&mut self, now: Duration, buffer: &mut [u8]) -> Option<usize> {
+        self.poll_transmit(now, buffer)
+    }
+    fn take(&mut self, answer: &[u8], now: Duration) {
+        self.handle_datagram(answer, now).unwrap();
+    }
+    fn lines(&mut self) -> [&mut LineFaults; 2] {
+        let faults = self.faults_mut();
+        [&mut faults.to_client, &mut faults.to_krc]
+    }
+    fn set_point(&self) -> Joints {
+        self.set_point()
+    }
+    fn follows(&self) -> bool {
+        self.state() == State::Cmd
+    }
+    fn judges(&self) -> [bool; 2] {
+        [3, 2].map(|rank| self.quality().code() >= rank)
+    }
+    fn reasons(&self) -> Vec<String> {
+        self.log().map(|left| left.reason.to_string()).collect()
+    }
+}
+
+impl Controller for Cabinet {
+    fn due(&self) -> Duration {
+        self.poll_timeout()
+    }
+    fn transmit(&mut self, now: Duration, buffer: &mut [u8]) -> Option<usize> {
+        self.poll_transmit(now, buffer)
+    }
+    fn take(&mut self, answer: &[u8], now: Duration) {
+        self.handle_datagram(answer, now).unwrap();
+    }
+    fn lines(&mut self) -> [&mut LineFaults; 2] {
+        let faults = self.faults_mut();
+        [&mut faults.to_client, &mut faults.to_cabinet]
+    }
+    fn set_point(&self) -> Joints {
+        self.set_point()
+    }
+    fn follows(&self) -> bool {
+        self.state() == SessionState::CommandingActive
+    }
+    fn judges(&self) -> [bool; 2] {
+        [3, 2].map(|rank| self.quality().code() >= rank)
+    }
+    fn reasons(&self) -> Vec<String> {
+        self.log().map(|left| left.reason.to_string()).collect()
+    }
+}
+
+/// A controller, the driver, and a net thread, in virtual time.
+struct Rig<C, P> {
+    controller: C,
+    driver: Driver<P>,
+    listener: Listener,
+    shared: Arc<Shared>,
+    now: Duration,
+    command: LatestWriter<DeviceCommand>,
+    /// What nets command, and the time of their last cycle.
+    wanted: DeviceCommand,
+    /// Where a net wants the joint, by the time since it began; `None` while none runs.
+    net: Option<(Duration, fn(f64) -> f64)>,
+    state: LatestReader<DeviceState>,
+    /// The controller's set-points of the joint, cycle by cycle.
+    path: Vec<f64>,
+    /// Quality in each of these cycles.
+    judged: Vec<[bool; 2]>,
+}
+
+fn span(time: Nanos) -> Duration {
+    Duration::from_nanos(time.0.unsigned_abs())
+}
+
+fn at_port(port: u16) -> SocketAddr {
+    ([192, 168, 0, 20], port).into()
+}
+
+impl<C: Controller, P: Protocol> Rig<C, P> {
+    fn new(controller: C, session: P, description: &DeviceDescription) -> Self {
+        let mut layout = takt_net::device::Layout::default();
+        let _places = crate::device::parts::lay(&description.parts, AXES, &mut layout);
+        let (state, told) = latest(1, || DeviceState::new(layout.signals));
+        let (command, taken) = latest(1, || DeviceCommand::new(layout.commands));
+        let (clock, _) = latest(1, takt_rt::servo::Estimate::default);
+        let end = DeviceEnd {
+            state,
+            command: taken,
+            net_period: Duration::from_nanos(NET.0.unsigned_abs()),
+        };
+        let shared = Arc::new(Shared::default());
+        let (herald, listener) = herald(session.observer());
+        let parts = (end, clock, Arc::clone(&shared));
+        let mut wanted = DeviceCommand::new(layout.commands);
+        for joint in &mut wanted.joints {
+            joint.period = NET;
+        }
+        Self {
+            controller,
+            driver: Driver::new(session, description, herald, parts),
+            listener,
+            shared,
+            now: Duration::ZERO,
+            command,
+            wanted,
+            net: None,
+            state: told,
+            path: Vec::new(),
+            judged: Vec::new(),
+        }
+    }
+
+    /// All cycles of the net thread that are due.
+    fn think(&mut self) {
+        while self.wanted.time + NET <= self.now.into() {
+            self.wanted.time += NET;
+            self.wanted.cycle += 1;
+            let time = self.wanted.time;
+            let position = self.net.map(|(began, net)| {
+                let since = span(time).saturating_sub(began).as_secs_f64();
+                POSTURE[JOINT] + net(since)
+            });
+            let point = position.map(|position| SetPoint { time, position });
+            self.wanted.joints[JOINT].advance(point);
+        }
+        let wanted = &self.wanted;
+        self.command.write_with(|command| command.copy_from(wanted));
+    }
+
+    /// The next instant at which the controller has something to do, and what comes of it.
+    fn step(&mut self) {
+        self.now = self.controller.due();
+        self.think();
+        let mut measurement = [0; ROOM];
+        while let Some(len) = self.controller.transmit(self.now, &mut measurement) {
+            self.hear(at_port(1), &measurement[..len]);
+        }
+        self.path.push(self.controller.set_point()[JOINT]);
+        self.judged.push(self.controller.judges());
+    }
+
+    fn hear(&mut self, from: SocketAddr, datagram: &[u8]) {
+        if !self.driver.accept(from, datagram, self.now) {
+            return self.driver.handle_silence(self.now);
+        }
+        let mut answer = [0; ROOM];
+        let at = Nanos::from(self.now);
+        if let Some(len) = self.driver.answer(at, &mut answer) {
+            let sent = self.now + WORK;
+            self.controller.take(&answer[..len], sent);
+            self.driver.handle_sent(at, sent.into());
+        }
+        self.driver.finish(at);
+    }
+
+    fn run(&mut self, cycles: u32) {
+        for _ in 0..cycles {
+            self.step();
+        }
+    }
+
+    fn status(&mut self) -> DeviceStatus {
+        self.state.read_with(|state| state.status)
+    }
+
+    fn faults(&mut self) -> u64 {
+        self.state.read_with(|state| state.faults)
+    }
+
+    /// Until nets may command the arm.
+    fn follow(&mut self) {
+        for _ in 0..20_000 {
+            self.step();
+            if self.status() == DeviceStatus::Operational && self.controller.follows() {
+                self.path.clear();
+                self.judged.clear();
+                return;
+            }
+        }
+        panic!("never followed: {:?}", self.controller.reasons());
+    }
+
+    fn begin(&mut self, net: fn(f64) -> f64) {
+        self.net = Some((self.now, net));
+    }
+
+    fn mode(&self) -> Mode {
+        self.driver.joints[JOINT].mode()
+    }
+
+    /// Largest speed, and largest acceleration, of the controller's set-point, by differences.
+    fn worst(&self, period: Duration) -> [f64; 2] {
+        let dt_s = period.as_secs_f64();
+        let rates = |values: &[f64]| -> Vec<f64> {
+            values
+                .windows(2)
+                .map(|pair| (pair[1] - pair[0]) / dt_s)
+                .collect()
+        };
+        let worst = |all: &[f64]| all.iter().fold(0.0_f64, |worst, it| worst.max(it.abs()));
+        let speeds = rates(&self.path);
+        [worst(&speeds), worst(&rates(&speeds))]
+    }
+
+    fn news(&self) -> Vec<String> {
+        std::iter::from_fn(|| self.listener.news())
+            .map(|news| news.text(|code| format!("{:?}", P::quality(code))))
+            .collect()
+    }
+}
+
+fn krc(config: KrcConfig) -> Rig<Krc, lwr::End> {
+    let config = KrcConfig {
+        period: MS,
+        joints: POSTURE,
+        ..config
+    };
+    let description = lwr::describe("arm").with(lwr::PARTS);
+    let krc = Krc::new(config, Duration::ZERO);
+    Rig::new(krc, lwr::End::new(None), &description)
+}
+
+fn cabinet(config: CabinetConfig) -> Rig<Cabinet, iiwa::End> {
+    let config = CabinetConfig {
+        send_period: MS,
+        joints: POSTURE,
+        ..config
+    };
+    let model = IiwaModel::Iiwa14;
+    let description = iiwa::describe("arm", model).with(&iiwa::parts(&IiwaIo::default()));
+    let cabinet = Cabinet::new(config, Duration::ZERO);
+    Rig::new(
+        cabinet,
+        iiwa::End::new(model, IiwaIo::default()),
+        &description,
+    )
+}
+
+/// Bridges whatever is lost, as the emulators of `takt emulate` do.
+fn patient() -> takt_fri::lwr::emulator::Timing {
+    takt_fri::lwr::emulator::Timing {
+        misses_max: 100,
+        bad_from: 0.0,
+        ok_from: 0.0,
+        ..Default::default()
+    }
+}
+
+/// Swings by 0.2 rad either way, at 1.2 rad/s² at most.
+fn swing(t: f64) -> f64 {
+    0.2 * (1.0 - (2.0 * t).cos())
+}
+
+fn stay(_: f64) -> f64 {
+    0.0
+}
+
+// ------------------------------------------------------------------------------------------ entering and re-entering
+
+/// Runs a net through a silence that the controller bridges, for so many measurements.
+fn after_a_silence<C: Controller, P: Protocol>(rig: &mut Rig<C, P>, silence: u32) -> u64 {
+    rig.follow();
+    rig.begin(swing);
+    rig.run(400);
+    assert_eq!(rig.mode(), Mode::Follow);
+    let faults = rig.faults();
+    let [to_driver, _] = rig.controller.lines();
+    to_driver.drop_next = silence;
+    // Nothing comes: the thread wakes by itself.
+    let until = rig.now + MS * silence;
+    while rig.controller.due() <= until {
+        rig.step();
+        rig.driver.handle_silence(rig.now);
+    }
+    assert_eq!(rig.status(), DeviceStatus::Offline);
+    rig.path.clear();
+    rig.run(300);
+    assert!(rig.controller.follows(), "{:?}", rig.controller.reasons());
+    rig.faults() - faults
+}
+
+fn nothing_goes_on<C: Controller, P: Protocol>(rig: &mut Rig<C, P>) {
+    assert_eq!(after_a_silence(rig, 60), 1);
+    // The net goes on and on, and is not followed.
+    assert_eq!(rig.mode(), Mode::Refused);
+    let settled = rig.path[10];
+    assert!(
+        rig.path[10..].iter().all(|at| (at - settled).abs() < 1e-6),
+        "moves by itself"
+    );
+    rig.net = None;
+    rig.run(5);
+    assert_eq!(rig.mode(), Mode::Held);
+    assert!(rig.news().iter().any(|news| news.contains("fell silent")));
+}
+
+#[test]
+fn what_ran_before_a_silence_does_not_go_on_when_the_robot_comes_back_in_command_mode() {
+    nothing_goes_on(&mut krc(KrcConfig {
+        timing: patient(),
+        ..KrcConfig::default()
+    }));
+    for dialect in [Dialect::V1, Dialect::V2, Dialect::V3] {
+        nothing_goes_on(&mut cabinet(CabinetConfig {
+            dialect,
+            timing: patient(),
+            ..CabinetConfig::default()
+        }));
+    }
+}
+
+#[test]
+fn a_controller_that_starts_again_in_command_mode_ends_what_ran() {
+    let mut rig = krc(KrcConfig {
+        timing: patient(),
+        ..KrcConfig::default()
+    });
+    rig.follow();
+    rig.begin(swing);
+    rig.run(400);
+    let faults = rig.faults();
+    // Another counter from one measurement to the next, and the arm somewhere else.
+    let elsewhere = 0.35;
+    let mut measurement = [0; Msr::LEN];
+    for i in 0..20_u16 {
+        rig.now = rig.controller.due();
+        rig.think();
+        rig.controller.transmit(rig.now, &mut measurement).unwrap();
+        let mut msr = Msr::decode(&measurement).unwrap();
+        msr.header.sequence = 40_000 + i;
+        msr.commanded_joints[JOINT] = elsewhere;
+        msr.joint_offset[JOINT] = 0.0;
+        msr.encode(&mut measurement).unwrap();
+        assert!(rig.driver.accept(at_port(1), &measurement, rig.now));
+        let mut answer = [0; ROOM];
+        let len = rig.driver.answer(rig.now.into(), &mut answer).unwrap();
+        let cmd = takt_fri::lwr::wire::Cmd::decode(&answer[..len]).unwrap();
+        assert!((cmd.joints[JOINT] - elsewhere).abs() < 1e-6, "{cmd}");
+        rig.driver.finish(rig.now.into());
+    }
+    assert_eq!((rig.mode(), rig.faults()), (Mode::Refused, faults + 1));
+    assert_eq!(rig.status(), DeviceStatus::Operational);
+}
+
+// ------------------------------------------------------------------------------------------------------- strangers
+
+#[test]
+fn of_two_controllers_that_send_here_one_is_heard_until_it_is_gone() {
+    let mut rig = krc(KrcConfig::default());
+    let mut other = Krc::new(
+        KrcConfig {
+            period: MS,
+            joints: [1.0; AXES],
+            script: Script::Manual,
+            ..KrcConfig::default()
+        },
+        Duration::ZERO,
+    );
+    let mut measurement = [0; Msr::LEN];
+    let mut intrude = |rig: &mut Rig<Krc, lwr::End>| {
+        while other.poll_transmit(rig.now, &mut measurement).is_some() {
+            let is_heard = rig.driver.accept(at_port(2), &measurement, rig.now);
+            if is_heard {
+                rig.driver.finish(rig.now.into());
+            }
+        }
+    };
+    rig.follow();
+    rig.begin(swing);
+    for _ in 0..1_000 {
+        rig.step();
+        intrude(&mut rig);
+        assert_eq!(rig.driver.peer(), Some(at_port(1)));
+    }
+    assert_eq!(rig.controller.reasons(), Vec::<String>::new());
+    assert_eq!((rig.mode(), rig.faults()), (Mode::Follow, 0));
+    assert_eq!(rig.shared.lost.load(Ordering::Relaxed), 0);
+    let told = rig.listener.told();
+    assert!(told.foreign >= 999, "{told:?}");
+    let news = rig.news();
+    let ignored = "measurements of a second controller at 192.168.0.20:2 are ignored";
+    assert!(news.iter().any(|it| it.starts_with(ignored)), "{news:?}");
+    // The first falls silent, and the second is heard.
+    for _ in 0..200 {
+        rig.now += MS;
+        rig.think();
+        rig.driver.handle_silence(rig.now);
+        intrude(&mut rig);
+    }
+    assert_eq!(rig.driver.peer(), Some(at_port(2)));
+}
+
+#[test]
+fn what_is_refused_is_told_with_the_reason() {
+    let mut rig = krc(KrcConfig::default());
+    rig.follow();
+    assert!(!rig.driver.accept(at_port(1), &[0; 12], rig.now));
+    rig.run(2);
+    let refusal = rig.listener.told().refusal.unwrap().to_string();
+    assert!(refusal.contains("12 bytes"), "{refusal}");
+    assert_eq!(rig.news(), [format!("a datagram was refused: {refusal}")]);
+    // A flood of them is told once a second.
+    for _ in 0..500 {
+        rig.step();
+        rig.driver.accept(at_port(1), &[0; 12], rig.now);
+    }
+    assert_eq!(rig.news().len(), 0);
+    assert_eq!(rig.shared.malformed.load(Ordering::Relaxed), 501);
+}
+
+// ---------------------------------------------------------------------------------------------------------- guards
+
+fn guards_hold<C: Controller, P: Protocol>(rig: &mut Rig<C, P>, name: &str) {
+    rig.follow();
+    rig.begin(stay);
+    rig.run(20);
+    // A joint that has lost its mind: its own limits are none.
+    let wild = JointLimits {
+        position_min: -1e9,
+        position_max: 1e9,
+        velocity_max: 1e9,
+        acceleration_max: 1e12,
+    };
+    let mut joint = Joint::new(wild);
+    joint.rest_at(POSTURE[JOINT], &JointSetPoints::default());
+    rig.driver.joints[JOINT] = joint;
+    rig.net = None;
+    rig.run(5);
+    rig.begin(|t| if t < 0.1 { 0.0 } else { 0.015 });
+    rig.path.clear();
+    rig.run(200);
+    assert_eq!(rig.controller.reasons(), Vec::<String>::new());
+    let moved = rig.path.iter().map(|at| (at - POSTURE[JOINT]).abs());
+    assert!(moved.fold(0.0, f64::max) < 1e-6, "nothing moved");
+    assert_eq!(rig.mode(), Mode::Refused);
+    let violation = rig.listener.told().violation.unwrap().to_string();
+    assert!(violation.starts_with(name), "{violation}");
+    assert!(violation.contains("rad/s, limit "), "{violation}");
+    let news = rig.news();
+    assert!(news.iter().any(|it| it.contains(&violation)), "{news:?}");
+}
+
+#[test]
+fn a_guard_holds_what_is_too_fast_and_names_joint_and_limit() {
+    guards_hold(&mut krc(KrcConfig::default()), "A6 commanded");
+    guards_hold(&mut cabinet(CabinetConfig::default()), "A7 commanded");
+}
+
+#[test]
+fn every_limit_of_the_data_sheets_is_guarded() {
+    let limits = lwr::describe("arm").limits;
+    let guard = guard(
+        takt_fri::lwr::JOINT_NAMES,
+        &limits,
+        [38.0; AXES],
+        [100.0; 6],
+    );
+    let text = |from: f64, to: f64, span| {
+        let refused = guard.check_joints(&[from; AXES], &[to; AXES], span);
+        refused.map_err(|violation| violation.to_string())
+    };
+    assert_eq!(text(0.0, 0.0019, MS), Ok(()));
+    assert_eq!(
+        text(0.0, 0.0021, MS).unwrap_err(),
+        "A1 commanded 2.100 rad/s, limit 1.963 rad/s"
+    );
+    assert_eq!(
+        text(2.0943, 2.0952, MS).unwrap_err(),
+        "A2 commanded 2.0952 rad, range -2.0944 to 2.0944 rad"
+    );
+    assert_eq!(
+        text(0.0, 0.4, MS * 1_000).unwrap_err(),
+        "A1 commanded a step of 0.40000 rad, limit 0.39270 rad"
+    );
+    assert!(guard.check_torque(&[39.0; AXES]).is_err());
+    assert!(guard.check_wrench(&[1e39; 6]).is_err());
+}
+
+// -------------------------------------------------------------------------------------------------------- stopping
+
+fn comes_to_rest<C: Controller, P: Protocol>(rig: &mut Rig<C, P>, acceleration: f64) {
+    rig.follow();
+    rig.begin(swing);
+    rig.run(750);
+    let speed = rig.driver.joints[JOINT].motion().1;
+    assert!(speed.abs() > 0.35, "{speed}");
+    rig.path.clear();
+    rig.step();
+    rig.driver.begin_stop();
+    let mut cycles = 0;
+    while !rig.driver.is_at_rest() {
+        rig.step();
+        cycles += 1;
+        assert!(cycles < 2_000, "never rests");
+    }
+    // The thread has ended; the controller finds that out.
+    let Rig {
+        controller,
+        path,
+        now,
+        ..
+    } = rig;
+    let mut measurement = [0; ROOM];
+    for _ in 0..100 {
+        *now = controller.due();
+        while controller.transmit(*now, &mut measurement).is_some() {}
+        path.push(controller.set_point()[JOINT]);
+    }
+    let [fastest, hardest] = rig.worst(MS);
+    assert!(fastest <= speed.abs() + 1e-3, "{fastest}");
+    assert!(hardest <= acceleration * 1.01 + 0.3, "{hardest} rad/s²");
+    let ideal = speed.abs() / acceleration * 1e3;
+    assert!(
+        (f64::from(cycles) - ideal).abs() < 5.0,
+        "{cycles}, not {ideal}"
+    );
+    let [.., a, b] = rig.path[..] else { panic!() };
+    assert!((a - b).abs() < 1e-9, "still moves");
+}
+
+#[test]
+fn a_driver_that_is_to_end_in_mid_swing_brakes_first() {
+    comes_to_rest(&mut krc(KrcConfig::default()), 4.0);
+    comes_to_rest(&mut cabinet(CabinetConfig::default()), 4.0);
+}
+
+// -------------------------------------------------------------------------------------------------- loss and jitter
+
+fn line(drop: f64) -> LineFaults {
+    LineFaults {
+        drop,
+        jitter: Duration::from_micros(100),
+        ..LineFaults::default()
+    }
+}
+
+/// Shares of best and of sufficient quality, and speed and acceleration of what was commanded, in twenty seconds of a net.
+fn lossy<C: Controller, P: Protocol>(rig: &mut Rig<C, P>) -> ([f64; 2], [f64; 2]) {
+    rig.follow();
+    rig.begin(swing);
+    let until = rig.now + MS * 20_000;
+    let mut commanded = Vec::new();
+    while rig.now < until {
+        rig.step();
+        commanded.push(rig.driver.joints[JOINT].motion());
+    }
+    assert!(rig.controller.follows(), "{:?}", rig.controller.reasons());
+    assert_eq!(rig.controller.reasons(), Vec::<String>::new());
+    #[expect(clippy::cast_precision_loss, reason = "some thousands")]
+    let share = |which: usize| {
+        let good = rig.judged.iter().filter(|judged| judged[which]).count();
+        good as f64 / rig.judged.len() as f64
+    };
+    let worst = |pick: fn(&(f64, f64, f64)) -> f64| {
+        commanded
+            .iter()
+            .map(pick)
+            .fold(0.0_f64, |worst, it| worst.max(it.abs()))
+    };
+    ([share(0), share(1)], [worst(|it| it.1), worst(|it| it.2)])
+}
+
+fn check_lossy(told: ([f64; 2], [f64; 2]), best_from: f64, speed_max: f64) {
+    let ([best, sufficient], [speed, acceleration]) = told;
+    println!(
+        "best {best:.4}, sufficient {sufficient:.4}, {speed:.3} rad/s, {acceleration:.2} rad/s²"
+    );
+    assert!(best >= best_from, "{best}");
+    assert!(sufficient >= 1.0, "{sufficient}");
+    assert!(speed <= speed_max, "{speed}");
+    assert!(acceleration <= 4.0, "{acceleration}");
+}
+
+#[test]
+fn one_per_cent_of_loss_and_jitter_leave_quality_good_and_motion_within_limits() {
+    // By exchange, and in each direction.
+    for (drop, best_from) in [(0.005, 0.95), (0.01, 0.7)] {
+        let mut rig = krc(KrcConfig {
+            faults: Faults {
+                to_client: line(drop),
+                to_krc: line(drop),
+                ..Faults::default()
+            },
+            ..KrcConfig::default()
+        });
+        check_lossy(lossy(&mut rig), best_from, 112.5_f64.to_radians());
+        let mut rig = cabinet(CabinetConfig {
+            faults: sunrise::Faults {
+                to_client: line(drop),
+                to_cabinet: line(drop),
+                ..sunrise::Faults::default()
+            },
+            ..CabinetConfig::default()
+        });
+        check_lossy(lossy(&mut rig), best_from, 135.0_f64.to_radians());
+    }
+}
+
+/// Twenty measurements in a row do not come in mid-swing.
+fn braked<C: Controller, P: Protocol>(rig: &mut Rig<C, P>, deceleration: f64) {
+    rig.follow();
+    rig.begin(swing);
+    rig.run(750);
+    rig.path.clear();
+    rig.step();
+    let [to_client, _] = rig.controller.lines();
+    to_client.drop_next = 20;
+    rig.run(600);
+    let [_, hardest] = rig.worst(MS);
+    assert!(hardest <= deceleration * 1.01 + 0.3, "{hardest} rad/s²");
+    let reasons = rig.controller.reasons();
+    assert!(reasons[0].contains("no answer for 10"), "{reasons:?}");
+    let [.., a, b] = rig.path[..] else { panic!() };
+    assert!((a - b).abs() < 1e-9, "still moves");
+    let news = rig.news();
+    println!("{news:?}");
+}
+
+#[test]
+fn twenty_losses_in_a_row_brake_the_arm_at_its_limit_and_never_faster() {
+    let krc_limits = takt_fri::lwr::emulator::Limits::default();
+    braked(
+        &mut krc(KrcConfig::default()),
+        krc_limits.acceleration_rad_per_s2[JOINT],
+    );
+    let config = CabinetConfig::default();
+    let deceleration = config.limits.acceleration_rad_per_s2[JOINT];
+    braked(&mut cabinet(config), deceleration);
+}
+
+#[test]
+fn a_fall_of_quality_is_told_with_who_is_to_blame() {
+    let mut rig = krc(KrcConfig::default());
+    rig.follow();
+    rig.run(300);
+    assert_eq!(rig.listener.told().verdict, Verdict::Good);
+    let [_, to_krc] = rig.controller.lines();
+    to_krc.drop = 0.08;
+    rig.run(300);
+    let news = rig.news();
+    let fall = "quality fell from Perfect to Ok: the network loses answers";
+    assert!(news.iter().any(|it| it.starts_with(fall)), "{news:?}");
+}

@@ -1,0 +1,356 @@
+//! What a cell's file can say of an EtherCAT segment, against emulated slaves at the end of a cable inside of this
+//! process: how slaves are found and set up, a ring, inputs and outputs, and a segment that is not as expected at first.
+
+#![expect(
+    clippy::unwrap_used,
+    reason = "a test may fail anywhere, its helpers too"
+)]
+
+mod common;
+
+use std::io::Write;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use takt_can::cia402::dictionary::Address;
+use takt_core::cell::EthercatConfig;
+use takt_core::device::DeviceStatus;
+use takt_core::device::ethercat::{Ethercat, Wire, Wires, describe, master_config};
+use takt_core::{CellConfig, Controller};
+use takt_ethercat::config::{Place, Unlocked};
+use takt_ethercat::emulator::{
+    Coupler, Io, Segment, Server, ServoConfig, ServoDrive, SharedSegment, Slave,
+};
+use takt_ethercat::linux::{cable, monotonic};
+use takt_rt::thread::{Thread, ThreadConfig, spawn};
+
+use common::Cell;
+
+fn config(text: &str) -> EthercatConfig {
+    let text = format!(
+        "[[ethercat]]\nname = 'segment'\ninterface = 'near'\ncycle = '2ms'\npriority = 85\n{text}"
+    );
+    let cell = CellConfig::parse(&text).unwrap();
+    cell.ethercat.into_iter().next().unwrap()
+}
+
+fn refused(text: &str) -> String {
+    let text = format!("[[ethercat]]\nname = 'segment'\ninterface = 'near'\n{text}");
+    CellConfig::parse(&text).unwrap_err().to_string()
+}
+
+/// A segment in a thread of its own, and a controller that leads it.
+struct Hall {
+    cell: Option<Cell>,
+    segment: SharedSegment,
+    stop: Arc<AtomicBool>,
+    thread: Option<Thread<()>>,
+}
+
+impl Hall {
+    /// By one cable, or by two if the cell names a second interface.
+    fn start(config: &EthercatConfig, segment: Segment) -> Self {
+        let segment = SharedSegment::new(segment);
+        let stop = Arc::new(AtomicBool::new(false));
+        let (stopping, served) = (Arc::clone(&stop), segment.clone());
+        let ((near, far), (near2, far2)) = (cable(), cable());
+        let mut server = Server::new(served, far);
+        if config.second.is_some() {
+            server = server.with_second(far2);
+        }
+        let of_thread = ThreadConfig {
+            priority: Some(88),
+            ..ThreadConfig::new("segment")
+        };
+        let thread = spawn(of_thread, move || {
+            while !stopping.load(Ordering::Relaxed) {
+                let wait = Duration::from_millis(5);
+                server.turn(wait, &mut monotonic).unwrap();
+            }
+        });
+        let wire = |link, last| Wire {
+            link: Box::new(link),
+            source: [2, 0, 0, 0, 0, last],
+        };
+        let wires = Wires {
+            first: wire(near, 1),
+            second: config.second.is_some().then(|| wire(near2, 2)),
+        };
+        let controller = Controller::start(&CellConfig::default()).unwrap();
+        let added = controller.add_driver("segment", describe(config), None, |ends| {
+            Ok(Box::new(Ethercat::start(config, wires, ends)?))
+        });
+        added.unwrap();
+        let robots = Vec::new();
+        Self {
+            cell: Some(Cell { controller, robots }),
+            segment,
+            stop,
+            thread: Some(thread.unwrap()),
+        }
+    }
+
+    fn cell(&self) -> &Cell {
+        self.cell.as_ref().unwrap()
+    }
+
+    fn is_operational(&self) -> bool {
+        let figures = self.cell().controller.with_drivers(Ethercat::figures);
+        figures[0].operational
+    }
+
+    fn wait_until_operational(&self) {
+        let cell = self.cell();
+        cell.wait("the segment", |_| self.is_operational());
+    }
+}
+
+impl Drop for Hall {
+    fn drop(&mut self) {
+        self.cell = None;
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            thread.join().unwrap();
+        }
+    }
+}
+
+fn servo() -> (Slave, ServoDrive) {
+    let mut config = ServoConfig::default();
+    // A host without PREEMPT_RT stalls now and then.
+    config.axes[0].quirks.missing_set_points = None;
+    ServoDrive::slave(config).unwrap()
+}
+
+fn value(drive: &ServoDrive, index: u16, sub: u8) -> Vec<u8> {
+    drive.dictionary(|d| {
+        d.upload(Address::new(index, sub), &mut ())
+            .unwrap()
+            .to_vec()
+    })
+}
+
+#[test]
+fn a_slave_is_found_by_its_name_and_set_up_by_objects() {
+    let config = config(
+        "[[ethercat.slave]]\nname = 'head'\nposition = 0\n\
+         [[ethercat.slave]]\nname = 'drive'\nsii_name = 'TK4021 servo'\nvendor = 0x7A87\nproduct = 0x4021\naxes = 1\n\
+         startup = [\n\
+           { index = 0x6083, value = { u32 = 54321 } },\n\
+           { index = 0x6085, value = { u32 = 7 }, may_fail = true },\n\
+           { index = 0x3000, sub = 9, value = { bytes = [1, 2, 3] }, may_fail = true },\n\
+         ]\n",
+    );
+    let (slave, drive) = servo();
+    let hall = Hall::start(&config, Segment::line([Coupler::slave(), slave]));
+    hall.wait_until_operational();
+    assert_eq!(value(&drive, 0x6083, 0), 54_321_u32.to_le_bytes());
+}
+
+#[test]
+fn all_that_a_file_says_of_a_slave_reaches_the_master() {
+    let config = config(
+        "second = 'far'\nclocks = { window = '3us', lock = '8s', unlocked = 'start' }\n\
+         [[ethercat.slave]]\nname = 'tool'\nalias = 7\nrevision = 0x10000\noptional = true\ngroup = 2\ngoal = 'SAFE-OP'\n\
+         outputs = [{ pdo = 0x1600, entries = [[0x6040, 0, 16], [0, 0, 8], [0x607A, 0, 32]] }]\n\
+         inputs = [{ pdo = 0x1A00 }]\ncomplete_access = false\nwatchdog = '50ms'\n\
+         sync0 = true\nsync1 = '250us'\nshift = '-100us'\n",
+    );
+    let master = master_config(&config);
+    assert!(master.redundant);
+    assert_eq!(
+        (master.clocks.window_ns, master.clocks.unlocked),
+        (3000, Unlocked::Start)
+    );
+    let slave = &master.slaves[0];
+    assert_eq!(
+        (&slave.place, slave.revision),
+        (&Place::Alias(7), Some(0x10000))
+    );
+    assert_eq!(
+        (slave.optional, slave.group, slave.complete_access),
+        (true, 2, false)
+    );
+    let sync = slave.sync.unwrap();
+    let sync1 = Duration::from_micros(250);
+    assert_eq!(
+        (sync.assign_activate, sync.sync1, sync.shift_ns),
+        (0x0700, sync1, -100_000)
+    );
+    let outputs = slave.outputs.as_ref().unwrap();
+    let bits: Vec<_> = outputs[0].entries.iter().map(|entry| entry.bits).collect();
+    assert_eq!((outputs[0].index, bits), (0x1600, vec![16, 8, 32]));
+    assert!(slave.inputs.as_ref().unwrap()[0].entries.is_empty());
+}
+
+#[test]
+fn what_cannot_be_is_refused_with_its_slave() {
+    let slave = |rest: &str| refused(&format!("[[ethercat.slave]]\nname = 'a'\n{rest}\n"));
+    let io = |rest: &str| {
+        refused(&format!(
+            "[[ethercat.slave]]\nname = 'a'\nposition = 0\n[[ethercat.io]]\nname = 'io'\n{rest}\n"
+        ))
+    };
+    let usize_max = i64::MAX;
+    for (told, why) in [
+        (
+            slave(""),
+            "slave a: it needs one of `position`, `alias` and `sii_name`",
+        ),
+        (slave("position = 0\nalias = 3"), "it needs one of"),
+        (slave("position = 0\noptional = true"), "placed by position"),
+        (slave("position = 0\ngroup = 8"), "groups are 0 to 7"),
+        (slave("position = 0\nsync1 = '1us'"), "need `sync0 = true`"),
+        (
+            slave("position = 0\nsync0 = true\nshift = '1ms'"),
+            "`shift` is 1000000 ns",
+        ),
+        (slave("position = 0\nwatchdog = '7s'"), "at most 6.5535s"),
+        (
+            slave(
+                "position = 0\naxes = 1\noutputs = [{ pdo = 0x1600, entries = [[0x6040, 0, 16]] }]",
+            ),
+            "axis 0 cannot be led without 607A",
+        ),
+        (
+            slave("position = 0\nstartup = [{ index = 0x6060, value = { i8 = 200 } }]"),
+            "200",
+        ),
+        (
+            refused("second = 'near'\n"),
+            "`second` is near, as `interface` is",
+        ),
+        (
+            refused("clocks = { window = '2s' }\n"),
+            "clocks.window is 2s",
+        ),
+        (
+            io(&format!(
+                "digital_in = [['a', {usize_max}], ['a', {usize_max}]]"
+            )),
+            "bits are more than the",
+        ),
+        (
+            io("digital_out = [['b', 8]]"),
+            "io io: there is no slave `b`",
+        ),
+        (
+            io("analogue_in = [{ slave = 'a' }]"),
+            "give either `object` or `bit`",
+        ),
+        (
+            io("analogue_in = [{ slave = 'a', bit = 0, scale = 0.0 }]"),
+            "not zero",
+        ),
+        (
+            io("analogue_out = [{ slave = 'a', bit = 0, bits = 33 }]"),
+            "1 to 32 are possible",
+        ),
+    ] {
+        assert!(told.contains(why), "{why}: {told}");
+    }
+}
+
+#[test]
+fn nets_read_and_set_analogue_channels_in_their_units() {
+    let config = config(
+        "[[ethercat.slave]]\nname = 'volts'\nposition = 0\n\
+         [[ethercat.io]]\nname = 'io'\n\
+         analogue_in = [{ slave = 'volts', object = [0x6010, 0x11], scale = 0.5 }]\n\
+         analogue_out = [{ slave = 'volts', bit = 16, scale = 0.5, offset = 1.0 }]\n",
+    );
+    let (terminal, io) = Io::analogue(2, 2);
+    let hall = Hall::start(&config, Segment::line([terminal]));
+    hall.cell().wait_for("io", DeviceStatus::Operational);
+    let net = hall.cell().load(
+        "{ in=IO::InReal(DeviceID='io',Port='0'),
+           out=IO::OutReal(inIO=in.outIO,DeviceID='io',Port='0'),
+           cancel=Cancel(),outTerminate=cancel.outCancel }",
+    );
+    hall.cell().controller.start_net(net).unwrap();
+    for (raw, value) in [(100_i16, 98_i16), (-7, -9), (i16::MIN, i16::MIN)] {
+        let [low, high] = raw.to_le_bytes();
+        io.set_inputs(&[0, 0, low, high]);
+        let [low, high] = value.to_le_bytes();
+        hall.cell().wait("the output as the input", |_| {
+            io.outputs() == [0, 0, low, high]
+        });
+    }
+}
+
+#[test]
+fn a_ring_of_two_interfaces_goes_on_when_a_cable_is_cut() {
+    let config = config(
+        "second = 'far'\n\
+         [[ethercat.slave]]\nname = 'a'\nposition = 0\n\
+         [[ethercat.slave]]\nname = 'b'\nposition = 1\n\
+         [[ethercat.io]]\nname = 'io'\ndigital_in = [['a', 8], ['b', 8]]\ndigital_out = [['a', 8], ['b', 8]]\n",
+    );
+    let ((a, _a), (b, io)) = (Io::digital(8, 8), Io::digital(8, 8));
+    let hall = Hall::start(&config, Segment::line([a, b]));
+    hall.cell().wait_for("io", DeviceStatus::Operational);
+    let net = hall.cell().load(
+        "{ in=IO::InBool(DeviceID='io',Port='8'),
+           out=IO::OutBool(inIO=in.outIO,DeviceID='io',Port='15'),
+           cancel=Cancel(),outTerminate=cancel.outCancel }",
+    );
+    hall.cell().controller.start_net(net).unwrap();
+    let follows = |value: u8| {
+        io.set_inputs(&[value]);
+        hall.cell()
+            .wait("the output as the input", |_| io.outputs() == [value << 7]);
+    };
+    follows(1);
+    hall.segment.lock().set_link(1, false);
+    follows(0);
+    follows(1);
+    assert!(hall.is_operational());
+    hall.segment.lock().set_link(1, true);
+    follows(0);
+}
+
+/// What is logged.
+#[derive(Clone, Default)]
+struct Log(Arc<Mutex<Vec<u8>>>);
+
+impl Write for Log {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.0.lock().unwrap().extend(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+#[test]
+fn a_slave_without_power_at_start_is_missed_once_and_taken_when_it_comes() {
+    let log = Log::default();
+    let writer = log.clone();
+    let subscriber = tracing_subscriber::fmt().with_ansi(false);
+    let subscriber = subscriber.with_writer(move || writer.clone()).finish();
+    tracing::subscriber::set_global_default(subscriber).unwrap();
+    let text = || String::from_utf8_lossy(&log.0.lock().unwrap()).into_owned();
+    let config = config(
+        "[[ethercat.slave]]\nname = 'a'\nposition = 0\n\
+         [[ethercat.slave]]\nname = 'b'\nposition = 1\n\
+         [[ethercat.io]]\nname = 'io'\ndigital_out = [['b', 9]]\n",
+    );
+    let mut segment = Segment::line([Io::digital(8, 8).0, Io::digital(8, 8).0]);
+    segment.set_power(1, false);
+    let hall = Hall::start(&config, segment);
+    hall.cell()
+        .wait("it is told", |_| text().contains("\"b\" is missing"));
+    hall.segment.lock().set_power(1, true);
+    hall.wait_until_operational();
+    let told = [
+        "as the cell expects them",
+        "it has 8 bits of outputs, 9 are named",
+    ];
+    for told in told {
+        hall.cell().wait(told, |_| text().contains(told));
+    }
+    assert_eq!(text().matches("is missing").count(), 1, "{}", text());
+}
