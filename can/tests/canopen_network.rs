@@ -25,7 +25,7 @@ use takt_can::canopen::sdo::Outcome;
 use takt_can::canopen::{Emergency, emergency};
 use takt_cia402::dictionary::Address;
 use takt_cia402::emulator::FaultCode;
-use takt_cia402::{Goal, HomingError, Obstacle, State};
+use takt_cia402::{Change, Goal, HomingError, Obstacle, SetPoint, SetPointError, State};
 
 const CSP: i8 = 8;
 const PV: i8 = 3;
@@ -550,4 +550,63 @@ fn the_number_of_the_master_is_its_own() {
     };
     let refused = Network::new(config, vec![plan(1), plan(2)]).unwrap_err();
     assert_eq!(refused, NetworkError::Master(node(2)));
+}
+
+#[test]
+fn set_points_of_profile_position_are_handed_over_one_by_one() {
+    let mut bus = Bus::running(1, |plan| {
+        plan.downloads = vec![
+            Download::new(0x6081, 0, &40_000_u32.to_le_bytes()),
+            Download::new(0x6083, 0, &400_000_u32.to_le_bytes()),
+            Download::new(0x6084, 0, &400_000_u32.to_le_bytes()),
+        ];
+    });
+    bus.master
+        .axis_mut(node(1), 0)
+        .unwrap()
+        .set_goal(Goal::OperationEnabled, 1);
+    bus.until(5 * SECOND, all_follow);
+    let there = |bus: &mut Bus, target: i32, taken: u32| {
+        bus.until(5 * SECOND, |bus| {
+            let axis = bus.master.axis(node(1), 0).unwrap();
+            assert_eq!(axis.trouble(), None);
+            let state = axis.state();
+            let arrived = (state.position - target).abs() < 10 && state.taken == taken;
+            arrived.then_some(())
+        });
+    };
+    let to = |target, relative, change| SetPoint {
+        target,
+        relative,
+        change,
+    };
+    let offer = |bus: &mut Bus, set_point| {
+        bus.until(5 * SECOND, |bus| {
+            let axis = bus.master.axis(node(1), 0).unwrap();
+            (!axis.is_handing_over()).then_some(())
+        });
+        bus.master.axis_mut(node(1), 0).unwrap().move_to(set_point);
+    };
+    offer(&mut bus, to(3_000, false, Change::AfterStop));
+    offer(&mut bus, to(1_000, true, Change::AfterStop));
+    there(&mut bus, 4_000, 2);
+    // Away, and back before it is there.
+    offer(&mut bus, to(400_000, false, Change::AfterStop));
+    bus.run(SECOND / 4);
+    offer(&mut bus, to(-2_000, false, Change::AtOnce));
+    there(&mut bus, -2_000, 4);
+    // In fault it takes none, and says so.
+    let drive = bus.drive(1).application_mut().axis_mut(0).unwrap();
+    drive.fault(FaultCode::SHORT_CIRCUIT);
+    bus.run(SECOND / 10);
+    offer(&mut bus, to(0, false, Change::AfterStop));
+    bus.run(SECOND / 10);
+    let drive = bus.drive(1).application_mut().axis_mut(0).unwrap();
+    drive.mend();
+    bus.master.axis_mut(node(1), 0).unwrap().reset_fault();
+    bus.until(5 * SECOND, all_follow);
+    let trouble = bus.master.axis(node(1), 0).unwrap().trouble();
+    let interrupted = AxisTrouble::SetPoint(SetPointError::Interrupted);
+    assert_eq!(trouble, Some(interrupted));
+    assert!((position(&bus, 1) + 2_000).abs() < 20, "it stays");
 }

@@ -184,6 +184,41 @@ impl Lead {
             .extend(std::iter::from_fn(|| network.poll_event()));
     }
 
+    /// Reads or writes an object by a transfer that is not in blocks.
+    fn transfer(&mut self, node: NodeId, transfer: Transfer) -> (Vec<u8>, Outcome) {
+        self.network.transfer(node, transfer).unwrap();
+        self.until("the end of a transfer", |l| {
+            let at = l
+                .events
+                .iter()
+                .position(|event| matches!(event, Event::Transferred(..)))?;
+            match l.events.swap_remove(at) {
+                Event::Transferred(_, done, outcome) => Some((done.data, outcome)),
+                _ => None,
+            }
+        })
+    }
+
+    fn read(&mut self, node: NodeId, index: u16) -> Vec<u8> {
+        let read = Transfer {
+            address: Address::new(index, 0),
+            ..Transfer::default()
+        };
+        let (data, outcome) = self.transfer(node, read);
+        assert_eq!(outcome, Outcome::Read);
+        data
+    }
+
+    fn write(&mut self, node: NodeId, index: u16, data: &[u8]) {
+        let write = Transfer {
+            address: Address::new(index, 0),
+            write: true,
+            data: data.to_vec(),
+            ..Transfer::default()
+        };
+        assert_eq!(self.transfer(node, write).1, Outcome::Written);
+    }
+
     fn until<T>(&mut self, what: &str, mut holds: impl FnMut(&mut Self) -> Option<T>) -> T {
         let end = monotonic() + PATIENCE;
         while monotonic() < end {
@@ -238,25 +273,24 @@ fn our_master_leads_a_drive_made_of_python_canopen() {
     lead.until("the move", |l| {
         (l.network.axis(node, 0).unwrap().state().position == 1234).then_some(())
     });
-    let read = Transfer {
-        address: Address::new(0x1008, 0),
-        ..Transfer::default()
-    };
-    lead.network.transfer(node, read).unwrap();
-    let name = lead.until("its name", |l| {
-        l.events.iter().find_map(|event| match event {
-            Event::Transferred(_, transfer, Outcome::Read) => Some(transfer.data.clone()),
-            Event::Transferred(..)
-            | Event::Phase(..)
-            | Event::Trouble(..)
-            | Event::Emergency(..)
-            | Event::Homed(_)
-            | Event::Axis(_) => None,
-        })
+    assert_eq!(lead.read(node, 0x1008), b"Takt emulated drive");
+    let value: Vec<u8> = (0..3000_u32)
+        .map(|n| (n * 7 % 251).to_le_bytes()[0])
+        .collect();
+    lead.write(node, 0x2000, &value);
+    assert_eq!(lead.read(node, 0x2000), value, "in segments, both ways");
+    lead.network.axis_mut(node, 0).unwrap().home();
+    lead.until("homing", |l| {
+        l.events.contains(&Event::Homed(node)).then_some(())
     });
-    assert_eq!(name, b"Takt emulated drive");
+    let axis = lead.network.axis_mut(node, 0).unwrap();
+    assert_eq!((axis.state().homed, axis.state().position), (1, 0));
+    axis.command(command(500));
+    lead.until("a move from its home", |l| {
+        (l.network.axis(node, 0).unwrap().state().position == 500).then_some(())
+    });
     drop(child.stdin.take());
-    assert_eq!(lines.next().unwrap().unwrap(), "position 1234");
+    assert_eq!(lines.next().unwrap().unwrap(), "position 500");
     assert!(child.wait().unwrap().success());
     std::fs::remove_file(sheet).unwrap();
 }

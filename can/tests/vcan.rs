@@ -553,10 +553,15 @@ fn controllers_are_set_up_and_exchange() {
     let (heard, own) = (receive(&mut b), receive(&mut a));
     assert_eq!((heard.origin, own.origin), (Origin::Bus, Origin::Own));
     assert_eq!(heard.frame, own.frame);
-    let burst = (0..5_000)
-        .take_while(|_| a.send(&data(1, &[0; 8])).is_ok())
-        .count();
-    eprintln!("{burst} frames until the queue was full");
+    // Faster than 1 Mbit/s for once.
+    let sent = |number: u32| Some((number, a.send(&data(1, &[0; 8])).err()?));
+    let refusal = (0..1_000_000).find_map(sent);
+    eprintln!("frames until the queue was full, and why no more: {refusal:?}");
+    assert_eq!(
+        refusal.map(|(_, refusal)| refusal),
+        Some(LinkError::QueueFull)
+    );
+    assert_eq!(a.refused(), 1);
     let options = Options {
         queue: QueuePolicy::Wait(PATIENCE),
         ..Options::default()

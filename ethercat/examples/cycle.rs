@@ -35,6 +35,9 @@ use takt_ethercat::master::Master;
 
 const ENDS: [&str; 2] = ["tkcy-master", "tkcy-slaves"];
 
+/// Events that are printed.
+const EVENTS: usize = 32;
+
 /// A coupler and drives of up to eight axes each, and what a master is to make of them.
 fn stand(axes: u8, cycle: Duration) -> Result<(Segment, MasterConfig), Box<dyn Error>> {
     let mut slaves = vec![Coupler::slave()];
@@ -144,21 +147,30 @@ fn run(axes: u8, config: MasterConfig, seconds: u64) -> Result<(), Box<dyn Error
     let misses =
         |master: &Master| -> u64 { master.groups().iter().map(|group| group.misses).sum() };
     let (before, frames) = (misses(&master), master.frames());
-    let (mut n, mut following) = (0_u64, 0_usize);
+    let (mut n, mut following, mut losses) = (0_u64, 0_usize, 0_u64);
+    let (mut told, mut last) = (Vec::with_capacity(EVENTS), None);
     due = monotonic()? + period;
     for _ in 0..count {
         wait(due);
         cycle(&mut master, &mut port, &mut frame, due, &mut figures)?;
         following = 0;
+        while let Some(event) = master.poll_event() {
+            if told.len() < EVENTS {
+                told.push((n, event));
+            }
+        }
         for (axis, start) in &mut all {
             let target = start.map_or(Target::Hold, |(at, since)| {
                 Target::Position(at + sine(n - since, period))
             });
             let state = axis.cycle(&mut master, target, due);
+            if !state.follows {
+                last = Some(state);
+            }
             if !state.online {
                 // What comes back does not move by itself: here it is to go on.
                 axis.set_goal(Goal::OperationEnabled);
-                *start = None;
+                losses += u64::from(start.take().is_some());
             } else if state.follows && start.is_none() {
                 *start = Some((state.position, n));
             }
@@ -173,9 +185,15 @@ fn run(axes: u8, config: MasterConfig, seconds: u64) -> Result<(), Box<dyn Error
         }
     }
     let lost = master.frames().lost - frames.lost;
-    println!("{axes} axes, {following} following, {period:?}, {count} cycles");
-    told("wake-up late", &mut figures.late);
-    told("round trip", &mut figures.trips);
+    println!("{axes} axes, {following} following, {period:?}, {count} cycles, axes lost and taken again {losses}");
+    if let Some(last) = last.filter(|_| following < usize::from(axes)) {
+        println!("one that does not follow: {last}");
+    }
+    for (n, event) in told {
+        println!("cycle {n}: {event}");
+    }
+    tell("wake-up late", &mut figures.late);
+    tell("round trip", &mut figures.trips);
     println!(
         "answers after the cycle {}, cycles left out {}, frames lost {lost}, working counter misses {}",
         figures.missed,
@@ -193,7 +211,7 @@ fn sine(cycles: u64, period: Duration) -> i32 {
     increments
 }
 
-fn told(name: &str, times: &mut [Duration]) {
+fn tell(name: &str, times: &mut [Duration]) {
     times.sort_unstable();
     let at = |share: usize| {
         let place = times.len().saturating_sub(1) * share / 10_000;

@@ -10,6 +10,7 @@
 //!     Request, Reply                                                       tmcl.rs, parameters.rs
 //! Command, Feedback, Flags                                                 wire.rs
 //! JointGeometry, Impedance: ticks, rpm and mA <-> rad, rad/s and N m       joint.rs
+//! holding: torques that carry the arm's own weight                         weight.rs
 //! Mecanum, Odometry: four wheels <-> the base                              base.rs
 //! ```
 
@@ -21,6 +22,7 @@ mod joint;
 mod mailbox;
 pub mod parameters;
 mod tmcl;
+mod weight;
 mod wire;
 
 pub use base::{Mecanum, Odometry, Ramp};
@@ -30,6 +32,7 @@ pub use homing::{Homing, HomingConfig, HomingError, HomingState};
 pub use joint::{ARM, HOMING, Impedance, JointGeometry};
 pub use mailbox::{CallError, Mailbox};
 pub use tmcl::{Answer, Refusal, Request, Version};
+pub use weight::holding;
 pub use wire::{Command, Feedback, Flags, Mode, Targets};
 
 /// Vendor number of Trinamic, who made the drives.

@@ -3,6 +3,8 @@
 
 mod drive;
 mod iiwa;
+mod knobs;
+mod lwr;
 mod rmp;
 pub(crate) mod segment;
 mod service;
@@ -14,15 +16,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::Context as _;
-use clap::{Args, Subcommand};
+use clap::Subcommand;
 use takt_fri::linux::UdpLink;
-use takt_fri::lwr::emulator::{Krc, KrcConfig, KrcStatus, serve};
-use takt_fri::lwr::{DEFAULT_PORT, emulator};
+use takt_fri::lwr::emulator::{self, Krc, KrcConfig, KrcStatus, serve};
 use takt_rt::thread::{Thread, ThreadConfig};
 
 use crate::Verdict;
-use crate::output::{say, share, span};
-use crate::run::until_stopped;
+use crate::output::say;
+use knobs::MISSES_MAX;
 pub(crate) use service::Service;
 
 /// Emulated robots.
@@ -31,8 +32,8 @@ pub(crate) enum Emulate {
     /// A KRC with a KUKA LWR, speaking FRI 1.0 over UDP.
     ///
     /// It bridges up to 100 missing answers and no quality ends its command mode: more patience than a
-    /// real KRC has, for hosts that stall.
-    Lwr(Lwr),
+    /// real KRC has, for hosts that stall; `--strict` takes it away.
+    Lwr(lwr::Lwr),
     Iiwa(iiwa::Iiwa),
     /// A Segway power base on CAN or on its USB port.
     Rmp(rmp::Rmp),
@@ -56,120 +57,12 @@ impl Emulate {
     }
 }
 
-/// A KRC with an LWR.
-#[derive(Debug, Args)]
-pub(crate) struct Lwr {
-    /// Where the controller listens; datagrams are sent there.
-    #[arg(long, value_name = "IP:PORT", default_value_t = SocketAddr::from(([127, 0, 0, 1], DEFAULT_PORT)))]
-    target: SocketAddr,
-    /// Time from one measurement to the next, 1ms to 100ms.
-    #[arg(long, value_name = "TIME", default_value = "1ms", value_parser = span)]
-    period: Duration,
-    #[command(flatten)]
-    knobs: Knobs,
-}
-
-/// What goes wrong on the way and in the robot, and when it ends.
-#[derive(Debug, Args)]
-struct Knobs {
-    /// Share of datagrams to lose in each direction, 0 to 1.
-    #[arg(long, value_name = "SHARE", default_value_t = 0.0, value_parser = share)]
-    drop: f64,
-    /// Delay of every datagram.
-    #[arg(long, value_name = "TIME", default_value = "0ms", value_parser = span)]
-    delay: Duration,
-    /// Longest additional delay, uniformly distributed.
-    #[arg(long, value_name = "TIME", default_value = "0ms", value_parser = span)]
-    jitter: Duration,
-    /// Share of datagrams to send behind their successor, 0 to 1.
-    #[arg(long, value_name = "SHARE", default_value_t = 0.0, value_parser = share)]
-    reorder: f64,
-    /// Switch the drives off this long after the start.
-    #[arg(long, value_name = "TIME", value_parser = span)]
-    power_off: Option<Duration>,
-    /// Seed of all that is random.
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
-    /// End after this time; without it, at Ctrl-C.
-    #[arg(long, value_name = "TIME", value_parser = span)]
-    duration: Option<Duration>,
-}
-
-impl Knobs {
-    /// What happens to datagrams, in each direction.
-    fn line(&self) -> emulator::LineFaults {
-        emulator::LineFaults {
-            drop: self.drop,
-            reorder: self.reorder,
-            delay: self.delay,
-            jitter: self.jitter,
-            ..emulator::LineFaults::default()
-        }
-    }
-
-    fn power_off(&self) -> Option<emulator::PowerOff> {
-        self.power_off.map(|at| emulator::PowerOff {
-            at,
-            span: Duration::from_secs(2),
-        })
-    }
-}
-
-impl Lwr {
-    fn run(self) -> anyhow::Result<Verdict> {
-        let line = self.knobs.line();
-        let faults = emulator::Faults {
-            to_client: line,
-            to_krc: line,
-            power_off: self.knobs.power_off(),
-            ..emulator::Faults::default()
-        };
-        let config = KrcConfig {
-            faults,
-            seed: self.knobs.seed,
-            ..resting(self.period)
-        };
-        let robot = Robot::start("krc", self.target, config)?;
-        say(&format!(
-            "LWR sends measurements to {} every {:?}",
-            self.target, self.period
-        ))?;
-        let mut told = None;
-        until_stopped(self.knobs.duration, || {
-            let status = &robot.status;
-            let now = (
-                status.state(),
-                status.quality(),
-                status.has_power(),
-                status.falls(),
-            );
-            if told == Some(now) {
-                return Ok(());
-            }
-            told = Some(now);
-            let power = if status.has_power() {
-                "drives on"
-            } else {
-                "drives off"
-            };
-            let fall = status.last_fall().filter(|_| status.falls() > 0);
-            let fall = fall.map_or_else(String::new, |why| format!("; left command mode: {why}"));
-            say(&format!(
-                "{:?}, quality {:?}, {power}{fall}",
-                status.state(),
-                status.quality()
-            ))
-        })?;
-        let status = robot.stop()?;
-        say(&format!(
-            "sent {}, answers {}, missed {}, own stalls {}",
-            status.sent(),
-            status.answers(),
-            status.missed(),
-            status.stalls()
-        ))?;
-        Ok(Verdict::Good)
-    }
+/// What a FRI controller sent and was answered, at the end.
+fn farewell(sent: u64, answers: u64, missed: u32, stalls: u64) -> anyhow::Result<Verdict> {
+    say(&format!(
+        "sent {sent}, answers {answers}, missed {missed}, own stalls {stalls}"
+    ))?;
+    Ok(Verdict::Good)
 }
 
 /// An arm in a posture in which every joint can move both ways.
@@ -189,9 +82,6 @@ pub(crate) fn resting(period: Duration) -> KrcConfig {
         ..KrcConfig::default()
     }
 }
-
-/// Consecutive cycles without an answer that an emulated KRC bridges.
-const MISSES_MAX: u32 = 100;
 
 /// An emulated controller in a thread of its own.
 #[derive(Debug)]

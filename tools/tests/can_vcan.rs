@@ -99,43 +99,91 @@ fn replayed_recording_is_seen_by_stat() {
     );
 }
 
-/// A virtual interface of a test's own, which a shaper makes as slow as a bus.
-struct Slow(&'static str);
+/// A virtual interface of a test's own, which it may disturb.
+struct Own(&'static str);
 
-impl Slow {
+fn has(program: &str) -> bool {
+    let paths = std::env::var_os("PATH").unwrap_or_default();
+    std::env::split_paths(&paths).any(|path| path.join(program).is_file())
+}
+
+fn does(program: &str, arguments: &str) -> bool {
+    let mut command = Command::new(program);
+    let status = command
+        .args(arguments.split(' '))
+        .stderr(Stdio::null())
+        .status();
+    status.is_ok_and(|status| status.success())
+}
+
+impl Own {
     fn create(test: &str, name: &'static str) -> Option<Self> {
-        let has = |program: &&str| {
-            let paths = std::env::var_os("PATH").unwrap_or_default();
-            std::env::split_paths(&paths).any(|path| path.join(program).is_file())
-        };
-        if !["ip", "tc"].iter().all(has) {
-            return skip(test, "needs ip and tc of iproute2");
-        }
-        let does = |program: &str, arguments: &str| {
-            let mut command = Command::new(program);
-            let status = command
-                .args(arguments.split(' '))
-                .stderr(Stdio::null())
-                .status();
-            status.is_ok_and(|status| status.success())
-        };
         if !does("ip", &format!("link add {name} type vcan")) {
-            return skip(test, "needs to create a virtual interface");
+            return skip(
+                test,
+                "needs ip of iproute2 and to create a virtual interface",
+            );
         }
         let own = Self(name);
+        assert!(does("ip", &format!("link set {name} up")));
+        Some(own)
+    }
+
+    /// One that a shaper makes as slow as a bus.
+    fn create_slow(test: &str, name: &'static str) -> Option<Self> {
+        let own = Self::create(test, name)?;
         let shaper =
             format!("qdisc replace dev {name} root tbf rate 100kbit burst 1600 limit 1600");
-        if !does("ip", &format!("link set {name} up")) || !does("tc", &shaper) {
-            return skip(test, "needs the module sch_tbf");
+        if !does("tc", &shaper) {
+            return skip(test, "needs tc of iproute2 and the module sch_tbf");
         }
         Some(own)
     }
 }
 
-impl Drop for Slow {
+impl Drop for Own {
     fn drop(&mut self) {
         let mut command = Command::new("ip");
         let _ = command.args(["link", "delete", self.0]).status();
+    }
+}
+
+/// What a controller would report comes from cansend, which lets error frames through as the kernel does.
+#[test]
+fn reports_of_a_controller_are_judged_by_stat() {
+    let test = "reports_of_a_controller_are_judged_by_stat";
+    if vcan(test).is_none() {
+        return;
+    }
+    if !has("cansend") {
+        let _: Option<()> = skip(test, "needs cansend of can-utils");
+        return;
+    }
+    let Some(own) = Own::create(test, "taktvcan3") else {
+        return;
+    };
+    // No acknowledgement, with both counters; error-passive; bus-off and the restart after it.
+    for (reports, name) in [
+        (["20000220#0000000000008000"; 3], "alone"),
+        (["20000204#0020000000008800"; 3], "weak"),
+        (["20000040#0000000000000000"; 3], "bus-off"),
+    ] {
+        let mut stat = common::takt(&["can", "stat", own.0, "--duration", "2s", "--json"]);
+        let mut stat = stat.stdout(Stdio::piped()).spawn().unwrap();
+        while stat.try_wait().unwrap().is_none() {
+            for report in reports {
+                let sent = Command::new("cansend").args([own.0, report]).status();
+                assert!(sent.unwrap().success(), "{report}");
+            }
+            std::thread::sleep(Duration::from_millis(50));
+        }
+        let report = stat.wait_with_output().unwrap();
+        let report: Value = serde_json::from_str(&String::from_utf8_lossy(&report.stdout)).unwrap();
+        let found = report["findings"].as_array().unwrap();
+        assert!(
+            found.iter().any(|finding| finding["name"] == name),
+            "{name}: {report}"
+        );
     }
 }
 
@@ -146,12 +194,12 @@ fn a_send_queue_that_is_full_is_seen_by_stat() {
     if vcan(test).is_none() {
         return;
     }
-    let Some(slow) = Slow::create(test, "taktvcan2") else {
+    let Some(own) = Own::create_slow(test, "taktvcan2") else {
         return;
     };
-    let mut stat = common::takt(&["can", "stat", slow.0, "--duration", "3s", "--json"]);
+    let mut stat = common::takt(&["can", "stat", own.0, "--duration", "3s", "--json"]);
     let mut stat = stat.stdout(Stdio::piped()).spawn().unwrap();
-    let mut link = SocketCan::open(slow.0, &Options::default()).unwrap();
+    let mut link = SocketCan::open(own.0, &Options::default()).unwrap();
     let frame = takt_can::log::parse_frame("001#0000000000000000").unwrap();
     while stat.try_wait().unwrap().is_none() {
         while link.send(&frame).is_ok() {}

@@ -263,6 +263,37 @@ fn two_controllers_with_one_target_are_told_apart() {
     );
 }
 
+#[test]
+fn a_strict_krc_leaves_command_mode_after_ten_missing_answers() {
+    let _alone = alone();
+    let (mut monitor, address) = listening(&["monitor"]);
+    let mut arm = lwr(&address, &["--strict"]);
+    arm.wait_for("Cmd, quality Perfect");
+    monitor.kill();
+    let line = arm.wait_for("left command mode");
+    assert!(
+        line.contains("no answer for 10 cycles") || line.contains("UNACCEPTABLE"),
+        "{line}"
+    );
+}
+
+#[test]
+fn a_krc_with_a_handshake_starts_only_when_asked() {
+    let _alone = alone();
+    let (_monitor, address) = listening(&["monitor"]);
+    let words = ["--handshake", "kuka-lwr", "--duration", "3s"];
+    let (lines, status) = lwr(&address, &words).end();
+    assert_eq!(status, Some(0), "{lines:#?}");
+    assert!(
+        lines.iter().any(|line| line.starts_with("Mon, ")),
+        "{lines:#?}"
+    );
+    assert!(
+        !lines.iter().any(|line| line.starts_with("Cmd, ")),
+        "{lines:#?}"
+    );
+}
+
 /// 500 measurements of an emulated arm in virtual time, and their answers `late` after them.
 fn recording(late: Duration) -> Vec<u8> {
     let (robot, host) = ("192.168.0.20:49152", "192.168.0.5:49938");

@@ -95,6 +95,8 @@ class Follower:
         self.network = network
         self.node = network.create_node(NUMBER, SHEET)
         self.state, self.mode, self.position = "disabled", 0, 1000
+        # SYNCs until a homing run is over; None while there is none; 0 when it was.
+        self.homing = None
         self.running = False
         network.subscribe(0x000, self.nmt)
         network.subscribe(0x080, self.sync)
@@ -128,10 +130,26 @@ class Follower:
             self.state = "enabled"
         if self.state == "enabled" and self.mode == 8:
             self.position = target
+        if self.state != "enabled" or self.mode != 6 or not word & 0x10:
+            self.homing = None
+        elif self.homing is None:
+            self.homing = 5
+
+    def status(self):
+        if self.state != "enabled" or self.mode != 6:
+            return self.STATES[self.state]
+        # Bits 12 and 10: attained and arrived at the end of a run, neither during one.
+        if self.homing is None:
+            return 0x0637
+        if self.homing > 0:
+            self.homing -= 1
+            if self.homing == 0:
+                self.position = 0
+        return 0x0237 if self.homing else 0x1637
 
     def sync(self, _id, _data, _time):
         if self.running:
-            status = self.STATES[self.state].to_bytes(2, "little")
+            status = self.status().to_bytes(2, "little")
             mode = self.mode.to_bytes(1, "little", signed=True)
             position = self.position.to_bytes(4, "little", signed=True)
             self.network.send_message(0x180 + NUMBER, status + mode + position)

@@ -1,11 +1,12 @@
 //! The slaves of a KUKA youBot: power boards, four wheel drives, five joint drives and the gripper
 //! behind the last, with the process data of both firmwares and the raw TMCL mailbox. Masses and
-//! friction are plausible rather than measured; joints do not feel each other.
+//! friction are plausible rather than measured; joints feel each other's weight, but not each other's motion.
 
 mod gripper;
 mod joint;
 mod parameters;
 mod tmcl;
+mod weight;
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -20,6 +21,7 @@ use super::slave::{Slave, SlaveConfig};
 pub use crate::youbot::Firmware;
 pub use gripper::Bar;
 pub use joint::{Axis, Joint};
+use weight::Posture;
 
 /// Vendor number of Trinamic.
 const TRINAMIC: u32 = 0x0000_0286;
@@ -103,8 +105,8 @@ impl YouBot {
             wheels: Vec::new(),
             arms: Vec::new(),
         };
-        let add = |slaves: &mut Vec<Slave>, name, product, axis| {
-            let (slave, handle) = drive(config.firmware, name, product, axis);
+        let add = |slaves: &mut Vec<Slave>, name, product, axis, arm| {
+            let (slave, handle) = drive(config.firmware, name, product, axis, arm);
             slaves.push(slave);
             handle
         };
@@ -112,16 +114,18 @@ impl YouBot {
         if config.base {
             slaves.push(board("KR-845", config.products.0));
             for _ in 0..4 {
-                let handle = add(&mut slaves, wheel, wheel_product, Axis::wheel());
+                let handle = add(&mut slaves, wheel, wheel_product, Axis::wheel(), None);
                 bot.wheels.push(handle);
             }
         }
         for _ in 0..config.arms.min(2) {
             slaves.push(board(arm_board, config.products.0));
+            let posture = Posture::new(config.folded);
             let axes = config.folded.iter().enumerate();
             let arm = axes.map(|(n, folded)| {
                 let axis = Axis::joint(n, *folded);
-                add(&mut slaves, joint, joint_product, axis)
+                let arm = Some((posture.clone(), n));
+                add(&mut slaves, joint, joint_product, axis, arm)
             });
             let arm = arm.collect();
             bot.arms.push(arm);
@@ -157,7 +161,13 @@ const fn identity(product: u32) -> Identity {
     }
 }
 
-fn drive(firmware: Firmware, name: &str, product: u32, axis: Axis) -> (Slave, DriveHandle) {
+fn drive(
+    firmware: Firmware,
+    name: &str,
+    product: u32,
+    axis: Axis,
+    arm: Option<(Posture, usize)>,
+) -> (Slave, DriveHandle) {
     // Numbers as CiA 301 counts types: 4 is INTEGER32, 7 UNSIGNED32, 5 UNSIGNED8.
     let pdo = |index, sync_manager, name: &str, types: &[(u8, u8)]| PdoImage {
         index,
@@ -194,7 +204,7 @@ fn drive(firmware: Firmware, name: &str, product: u32, axis: Axis) -> (Slave, Dr
     // The four digits of the board, as the firmware tells them.
     let digits: String = name.chars().filter(char::is_ascii_digit).collect();
     let version = format!("{digits:0>4}{}", text(firmware));
-    let handle = DriveHandle(Arc::new(Mutex::new(Joint::new(axis, firmware, version))));
+    let handle = DriveHandle(Arc::new(Mutex::new(Joint::new(axis, arm, firmware, version))));
     let slave = Slave::new(SlaveConfig::new(sii), Box::new(handle.clone()));
     (slave, handle)
 }

@@ -97,7 +97,8 @@ impl JointGeometry {
     }
 
     /// Inertia of the rotor as the joint feels it, kg m².
-    fn inertia(&self) -> f64 {
+    #[must_use]
+    pub fn inertia(&self) -> f64 {
         ROTOR * self.gear * self.gear
     }
 }

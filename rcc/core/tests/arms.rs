@@ -83,6 +83,26 @@ fn drives_that_lose_power_end_the_net_and_nothing_moves_when_they_come_back() {
 }
 
 #[test]
+fn a_controller_that_ends_in_mid_swing_leaves_its_arm_at_rest() {
+    let cell = Cell::new(&["left"]);
+    let before = cell.position("left", 6);
+    let net = cell.load(&swing("left", 2.0));
+    cell.controller.start_net(net).unwrap();
+    cell.wait("the arm well under way", |_| {
+        (cell.position("left", 6) - before).abs() > 0.1 || cell.is_over(net)
+    });
+    let Cell { controller, robots } = cell;
+    drop(controller);
+    let status = &robots[0].status;
+    // A robot that was left in motion is moved on by its controller at the last speed, for a hundred cycles here.
+    let (rested, sent) = (status.commanded(), status.sent());
+    while status.sent() < sent + 50 {
+        std::thread::yield_now();
+    }
+    assert_eq!(status.commanded(), rested);
+}
+
+#[test]
 fn a_joint_belongs_to_one_running_net() {
     let cell = Cell::new(&["left"]);
     let (first, second) = (

@@ -1012,10 +1012,10 @@ fn wrong_parameters_of_devices_are_told() {
         }
     };
     let base = "kuka_youbot_base_sim";
-    assert!(made(base, ("max_vel", "0")).contains("max_vel: `0` is no number above zero"));
+    assert!(made(base, ("max_vel", "0")).contains("max_vel: `0` is no number from 1e-6 to 1e9"));
     assert!(
         made("io_sim", ("bools", "65")).contains("bools: `65` is no whole number from 0 to 64")
     );
-    assert!(made("kuka_lwr_sim", ("external_wrench", "[1]")).contains("6 numbers are wanted"));
+    assert!(made("kuka_lwr_sim", ("external_wrench", "[1]")).contains("6 numbers from -1e9 to 1e9 are wanted"));
     assert_eq!(made("io_sim", ("anything", "else")), "io_sim");
 }

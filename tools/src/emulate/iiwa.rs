@@ -6,12 +6,16 @@ use std::time::Duration;
 
 use clap::builder::PossibleValue;
 use clap::{Args, ValueEnum};
+use takt_fri::sunrise::DEFAULT_PORT;
 use takt_fri::sunrise::emulator::{
-    Cabinet, CabinetConfig, CabinetStatus, Faults, Limits, Robot as Arm, Timing, serve,
+    Cabinet, CabinetConfig, CabinetStatus, Control, Faults, Limits, Overlay, Program, Robot as Arm,
+    Timing, serve,
 };
-use takt_fri::sunrise::{DEFAULT_PORT, wire::Dialect};
+use takt_fri::sunrise::wire::{CommandMode, Dialect, OperationMode};
 
-use super::{Knobs, MISSES_MAX, Robot};
+use super::Robot;
+use super::knobs::{Knobs, MISSES_MAX};
+use super::lwr::Strategy;
 use crate::Verdict;
 use crate::output::{say, span};
 use crate::run::until_stopped;
@@ -20,7 +24,7 @@ use crate::run::until_stopped;
 ///
 /// Its robot program holds the arm with an overlay of joint positions and starts again when that ends. It bridges up
 /// to 100 missing answers and calls quality good when half of them are in time: more patience than a real cabinet
-/// has, for hosts that stall.
+/// has, for hosts that stall; `--strict` takes it away.
 #[derive(Debug, Args)]
 pub(crate) struct Iiwa {
     /// Where the controller listens; datagrams are sent there.
@@ -35,9 +39,53 @@ pub(crate) struct Iiwa {
     /// Time from one message to the next, 1ms to 100ms.
     #[arg(long, value_name = "TIME", default_value = "2ms", value_parser = span)]
     period: Duration,
+    /// Every how many messages an answer is wanted, 1 to 100.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=100))]
+    receive_multiplier: u32,
+    /// What the overlay of the robot program has the client command.
+    #[arg(long, value_enum, default_value = "position")]
+    overlay: What,
+    /// Control mode of the motion below an overlay of positions or poses; torques want joint, wrenches cartesian.
+    #[arg(long, value_enum)]
+    control: Option<Strategy>,
+    /// Operation mode at the smartPAD; in T1 the flange is limited to 250 mm/s.
+    #[arg(long, value_enum, default_value = "aut")]
+    mode: Mode,
     #[command(flatten)]
     knobs: Knobs,
 }
+
+/// What an overlay has the client command, as the command line names it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum What {
+    /// Joint positions.
+    Position,
+    /// Joint torques on top of springs at the joints.
+    Torque,
+    /// Forces on top of springs at the tool.
+    Wrench,
+    /// Poses of the tool; FRI 2 only.
+    Pose,
+}
+
+/// An operation mode as the command line names it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Mode {
+    /// Manual, reduced speed.
+    T1,
+    /// Manual, high speed.
+    T2,
+    /// Automatic.
+    Aut,
+}
+
+/// Pause of the robot program after a motion has ended.
+const RESTART: Duration = Duration::from_secs(1);
+/// Stiffness of springs at the joints, Nm/rad, and their damping.
+const JOINT_SPRINGS: ([f64; 7], [f64; 7]) = ([1000.0; 7], [0.7; 7]);
+/// The same at the tool, N/m and Nm/rad.
+const TOOL_SPRINGS: ([f64; 6], [f64; 6]) =
+    ([2000.0, 2000.0, 2000.0, 200.0, 200.0, 200.0], [0.7; 6]);
 
 /// A version of FRI as the command line names it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -76,7 +124,7 @@ impl ValueEnum for Model {
 
 impl Iiwa {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
-        let config = self.config();
+        let config = self.config()?;
         let robot = Robot::launch(
             "cabinet",
             self.target,
@@ -100,40 +148,87 @@ impl Iiwa {
             say(&now.line(&robot.status))
         })?;
         let status = robot.stop()?;
-        say(&format!(
-            "sent {}, answers {}, missed {}, own stalls {}",
+        super::farewell(
             status.sent(),
             status.answers(),
             status.missed(),
-            status.stalls()
-        ))?;
-        Ok(Verdict::Good)
+            status.stalls(),
+        )
     }
 
-    fn config(&self) -> CabinetConfig {
+    fn config(&self) -> anyhow::Result<CabinetConfig> {
         let Model(robot) = self.model;
         let Version(dialect) = self.dialect;
         let line = self.knobs.line();
-        CabinetConfig {
+        let patience = Timing {
+            misses_max: MISSES_MAX,
+            bad_from: 0.0,
+            ok_from: 0.5,
+            ..Timing::default()
+        };
+        let config = CabinetConfig {
             robot,
             limits: Limits::of(robot),
             dialect,
             send_period: self.period,
-            timing: Timing {
-                misses_max: MISSES_MAX,
-                bad_from: 0.0,
-                ok_from: 0.5,
-                ..Timing::default()
+            receive_multiplier: self.receive_multiplier,
+            timing: self.knobs.timing(patience),
+            operation_mode: match self.mode {
+                Mode::T1 => OperationMode::T1,
+                Mode::T2 => OperationMode::T2,
+                Mode::Aut => OperationMode::Aut,
+            },
+            program: Program::Auto {
+                overlay: self.overlay()?,
+                restart: Some(RESTART),
             },
             faults: Faults {
                 to_client: line,
                 to_cabinet: line,
                 power_off: self.knobs.power_off(),
+                drift_ppm: self.knobs.drift_ppm(),
                 ..Faults::default()
             },
             seed: self.knobs.seed,
             ..CabinetConfig::default()
-        }
+        };
+        let flange = Cabinet::new(config.clone(), Duration::ZERO).flange();
+        Ok(CabinetConfig {
+            contact: self.knobs.contact(flange),
+            ..config
+        })
+    }
+
+    /// The motion that the robot program makes, if a cabinet would let it.
+    fn overlay(&self) -> anyhow::Result<Overlay> {
+        let Version(dialect) = self.dialect;
+        let (command, fitting) = match self.overlay {
+            What::Position => (CommandMode::Position, None),
+            What::Torque => (CommandMode::Torque, Some(Strategy::Joint)),
+            What::Wrench => (CommandMode::Wrench, Some(Strategy::Cartesian)),
+            What::Pose => (CommandMode::CartesianPose, None),
+        };
+        anyhow::ensure!(
+            self.overlay != What::Pose || dialect != Dialect::V1,
+            "an overlay of poses needs FRI 2: give --dialect v2 or v3"
+        );
+        let wanted = self.control.or(fitting).unwrap_or(Strategy::Position);
+        anyhow::ensure!(
+            fitting.is_none_or(|fitting| fitting == wanted),
+            "the control mode does not fit the overlay: leave --control out; torques go with joint, wrenches with cartesian"
+        );
+        let control = match wanted {
+            Strategy::Position => Control::Position,
+            Strategy::Joint => Control::JointImpedance {
+                stiffness: JOINT_SPRINGS.0,
+                damping: JOINT_SPRINGS.1,
+            },
+            Strategy::Cartesian => Control::CartesianImpedance {
+                stiffness: TOOL_SPRINGS.0,
+                damping: TOOL_SPRINGS.1,
+            },
+        };
+        Ok(Overlay { control, command })
     }
 }
 
@@ -165,5 +260,80 @@ impl Shown {
             takt_fri::sunrise::wire::SessionState::from(self.state),
             takt_fri::sunrise::wire::Quality::from(self.quality)
         )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+
+    #[derive(Debug, Parser)]
+    struct Line {
+        #[command(flatten)]
+        iiwa: Iiwa,
+    }
+
+    fn config(words: &str) -> Result<CabinetConfig, String> {
+        let line = Line::try_parse_from(std::iter::once("iiwa").chain(words.split_whitespace()));
+        let line = line.map_err(|e| e.to_string())?;
+        line.iiwa.config().map_err(|e| e.to_string())
+    }
+
+    #[test]
+    fn overlays_bring_the_control_mode_that_they_need() {
+        let overlay = |words| match config(words).unwrap().program {
+            Program::Auto { overlay, .. } => (overlay.command, overlay.control.mode()),
+            Program::Manual => panic!("no program"),
+        };
+        use takt_fri::sunrise::wire::ControlMode as Mode;
+        for (words, command, control) in [
+            ("", CommandMode::Position, Mode::Position),
+            (
+                "--control joint",
+                CommandMode::Position,
+                Mode::JointImpedance,
+            ),
+            (
+                "--overlay torque",
+                CommandMode::Torque,
+                Mode::JointImpedance,
+            ),
+            (
+                "--overlay wrench",
+                CommandMode::Wrench,
+                Mode::CartesianImpedance,
+            ),
+            (
+                "--overlay pose --dialect v2",
+                CommandMode::CartesianPose,
+                Mode::Position,
+            ),
+        ] {
+            assert_eq!(overlay(words), (command, control), "{words}");
+        }
+        let told = config("--overlay wrench --control joint").unwrap_err();
+        assert!(told.contains("wrenches with cartesian"), "{told}");
+        let told = config("--overlay pose").unwrap_err();
+        assert!(told.contains("--dialect v2"), "{told}");
+    }
+
+    #[test]
+    fn knobs_reach_the_cabinet() {
+        let words =
+            "--receive-multiplier 3 --mode t1 --duplicate 0.1 --drift -20 --contact wall:0.02:5000";
+        let told = config(words).unwrap();
+        assert_eq!(
+            (told.receive_multiplier, told.operation_mode),
+            (3, OperationMode::T1)
+        );
+        assert!((told.faults.to_cabinet.duplicate - 0.1).abs() < 1e-12);
+        assert!((told.faults.drift_ppm + 20.0).abs() < 1e-12);
+        let contact = told.contact.unwrap();
+        let flange = Cabinet::new(CabinetConfig::default(), Duration::ZERO).flange();
+        assert!((flange[2] - contact.place[2] - 0.02).abs() < 1e-9);
+        assert_eq!(told.timing.misses_max, MISSES_MAX);
+        assert_eq!(config("--strict").unwrap().timing, Timing::default());
     }
 }

@@ -38,6 +38,9 @@ pub(super) trait Task: Send + 'static {
 
     /// The answer did not carry them.
     fn handle_withheld(&mut self, withheld: Withheld);
+
+    /// The robot follows from now on: entered, or entered anew without a measurement in between that said otherwise.
+    fn handle_entered(&mut self);
 }
 
 /// Answers, and asks for nothing: the robot stays where its controller has it.
@@ -49,6 +52,8 @@ impl Task for Watch {
     }
 
     fn handle_withheld(&mut self, _withheld: Withheld) {}
+
+    fn handle_entered(&mut self) {}
 }
 
 /// A connection at one moment.
@@ -207,6 +212,9 @@ impl<T: Task> Worker<T> {
             return;
         };
         self.seen.peer = from;
+        if heard.has_entered {
+            self.task.handle_entered();
+        }
         if !heard.is_new {
             return;
         }

@@ -277,6 +277,14 @@ impl Task for Motion {
             self.brake(Why::Withheld);
         }
     }
+
+    /// What was under way does not go on where the robot is entered anew.
+    fn handle_entered(&mut self) {
+        match self.stage {
+            Stage::Moving | Stage::Braking => self.enter(Stage::Left),
+            Stage::Idle | Stage::Arrived | Stage::Stopped | Stage::Left | Stage::Beyond => {}
+        }
+    }
 }
 
 #[cfg(test)]
@@ -302,6 +310,8 @@ mod tests {
         fn send(&mut self, now: Duration, buf: &mut [u8]) -> Option<usize>;
         fn take(&mut self, bytes: &[u8], now: Duration);
         fn joints(&self) -> [f64; AXES];
+        /// Switches the drives' power.
+        fn switch(&mut self, is_on: bool);
     }
 
     impl Controller for Krc {
@@ -317,6 +327,9 @@ mod tests {
         fn joints(&self) -> [f64; AXES] {
             self.joints()
         }
+        fn switch(&mut self, is_on: bool) {
+            self.set_power(is_on);
+        }
     }
 
     impl Controller for Cabinet {
@@ -331,6 +344,9 @@ mod tests {
         }
         fn joints(&self) -> [f64; AXES] {
             self.joints()
+        }
+        fn switch(&mut self, is_on: bool) {
+            self.set_power(is_on);
         }
     }
 
@@ -354,6 +370,9 @@ mod tests {
                 let now = self.controller.due();
                 while let Some(len) = self.controller.send(now, &mut message) {
                     let heard = self.partner.handle_datagram(&message[..len], now).unwrap();
+                    if heard.has_entered {
+                        self.motion.handle_entered();
+                    }
                     let joints = self
                         .motion
                         .joints(&mut self.partner, u32::from(heard.lost) + 1);
@@ -472,6 +491,51 @@ mod tests {
         bench.run(true, |bench| bench.controller.due() > later);
         let way = bench.controller.joints()[3] - at[3];
         assert!(way.abs() < 0.02, "{way} rad after {len} commands");
+    }
+
+    /// Power goes in mid-motion and comes back: the joint brakes, and nothing moves after.
+    fn is_left_without_power<C: Controller>(controller: C) {
+        let mut bench = Bench::new(controller, goal(8.0));
+        bench.run(true, |bench| bench.path.len() > 500);
+        bench.controller.switch(false);
+        bench.run(true, Bench::at_end);
+        assert_eq!(bench.remote.stage(), Stage::Left);
+        assert!(bench.worst()[1] < ACCELERATION + 1e-3);
+        let after = |bench: &mut Bench<C>, ms| {
+            let until = bench.controller.due() + Duration::from_millis(ms);
+            bench.run(true, |bench| bench.controller.due() > until);
+            bench.controller.joints()
+        };
+        let at = after(&mut bench, 1_000);
+        bench.controller.switch(true);
+        let commands = bench.path.len();
+        let later = after(&mut bench, 5_000);
+        assert!((later[3] - at[3]).abs() < 1e-6, "{at:?} {later:?}");
+        assert_eq!(bench.path.len(), commands, "commands after it was left");
+    }
+
+    #[test]
+    fn a_loss_of_power_ends_it_for_good() {
+        is_left_without_power(krc());
+        is_left_without_power(cabinet());
+    }
+
+    #[test]
+    fn command_mode_that_is_entered_anew_after_a_silence_ends_it_too() {
+        let timing = takt_fri::lwr::emulator::Timing {
+            misses_max: 1_000,
+            bad_from: 0.0,
+            ..Default::default()
+        };
+        let config = KrcConfig {
+            timing,
+            ..KrcConfig::default()
+        };
+        let mut bench = Bench::new(Krc::new(config, Duration::ZERO), goal(8.0));
+        bench.run(true, |bench| bench.path.len() > 500);
+        bench.controller.faults_mut().to_client.drop_next = 60;
+        bench.run(true, Bench::at_end);
+        assert_eq!(bench.remote.stage(), Stage::Left);
     }
 
     #[test]

@@ -53,3 +53,78 @@ fn running(controller: &Controller) -> Vec<NetId> {
     let nets = nets.filter_map(|id| controller.net(id)).filter(is_running);
     nets.map(|net| net.id).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use takt_core::controller::{LoadRequest, NetState, RuleRequest};
+    use takt_core::{CellConfig, SessionId};
+
+    use super::*;
+
+    const PATIENT: &str = "{cancel=Cancel(), outTerminate=cancel.outCancel}";
+
+    fn controller() -> Controller {
+        let mut cell = CellConfig::default();
+        cell.controller.priority = None;
+        Controller::start(&cell).unwrap()
+    }
+
+    fn load(controller: &Controller, text: &str) -> NetId {
+        let request = LoadRequest {
+            text: text.to_owned(),
+            session: SessionId::NONE,
+            description: String::new(),
+            period: None,
+        };
+        controller.load(request).unwrap()
+    }
+
+    #[test]
+    fn the_end_of_a_net_starts_no_other_and_nothing_else_begins() {
+        let controller = controller();
+        let [first, second, third] = [PATIENT; 3].map(|net| load(&controller, net));
+        let rule = RuleRequest {
+            condition: format!("{first}.terminated"),
+            start: vec![second],
+            ..RuleRequest::default()
+        };
+        controller.schedule(rule).unwrap();
+        controller.start_net(first).unwrap();
+        let mut told = Vec::new();
+        come_to_rest(&controller, || {
+            told.extend(controller.start_net(third).err());
+        });
+        let net = |id| controller.net(id).unwrap();
+        assert_eq!(net(first).end, None, "it ended by itself");
+        for never in [second, third] {
+            assert!(!net(never).states.contains(&NetState::Running));
+        }
+        let stopping = |error: &takt_core::Error| error.to_string() == "the controller is stopping";
+        assert!(told.iter().all(stopping), "{told:?}");
+    }
+
+    #[test]
+    fn bases_are_waited_for() {
+        let controller = controller();
+        // A second from full speed to rest.
+        let parameters = [("max_vel", "0.5"), ("max_acc", "0.5")];
+        let parameters = parameters.map(|(key, value)| (key.to_owned(), value.to_owned()));
+        let (kind, parameters) = ("kuka_youbot_base_sim", BTreeMap::from(parameters));
+        controller.add_device("base", kind, &parameters).unwrap();
+        let net = load(
+            &controller,
+            "{v=World::TwistValue(Value='{vel:{x:0.5}}'),
+              base=RobotBase::BaseVelocity(Robot='base',inVel=v.outValue),
+              cancel=Cancel(), outTerminate=cancel.outCancel}",
+        );
+        controller.start_net(net).unwrap();
+        while controller.is_at_rest() {
+            std::thread::sleep(LOOK);
+        }
+        let mut looks = 0;
+        come_to_rest(&controller, || looks += 1);
+        assert!(looks > 0 && controller.is_at_rest());
+    }
+}

@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use takt_cia402::dictionary::{Address, Dictionary, Key, Number};
 use takt_cia402::{
-    ControlWord, Feedback, Goal, HOMING_MODE, HOMING_START, Homing, Master, Orders, State,
-    StatusWord,
+    ControlWord, Feedback, Goal, HOMING_MODE, HOMING_START, HandShake, Homing, Master, Orders,
+    SetPoint, SetPointError, State, StatusWord,
 };
 
 use super::AxisTrouble;
@@ -52,7 +52,14 @@ pub struct AxisState {
     pub missing: u32,
     /// Homing runs that came to a good end.
     pub homed: u32,
+    /// Set-points of profile position that the drive took.
+    pub taken: u32,
 }
+
+/// Profile position (6060h).
+const PROFILE_POSITION: i8 = 1;
+/// Bit 8 of the controlword: halt.
+const HALT: u16 = 1 << 8;
 
 /// Objects of an axis in the process image; those that are not mapped are not there.
 #[derive(Clone, Copy, Debug)]
@@ -116,6 +123,10 @@ pub struct Axis {
     mode: i8,
     homing: Option<Homing>,
     homing_failed: Option<takt_cia402::HomingError>,
+    hand_shake: HandShake,
+    /// 607Ah of the set-points that were handed over; `None` while there was none, and 607Ah is as commanded.
+    handed_over: Option<i32>,
+    not_taken: Option<SetPointError>,
     /// Its TPDO came since the last cycle.
     fresh: bool,
     /// It was heard since its node runs.
@@ -141,6 +152,9 @@ impl Axis {
             mode: 0,
             homing: None,
             homing_failed: None,
+            hand_shake: HandShake::new(plan.patience.state),
+            handed_over: None,
+            not_taken: None,
             fresh: false,
             heard: false,
             held_back: false,
@@ -161,6 +175,9 @@ impl Axis {
     pub fn set_goal(&mut self, goal: Goal, mode: i8) {
         self.held_back = false;
         self.homing_failed = None;
+        if (goal, mode) != (self.goal, self.mode) {
+            self.forget_set_points();
+        }
         (self.goal, self.mode) = (goal, mode);
         if self.homing.is_none() || goal != Goal::OperationEnabled {
             self.homing = None;
@@ -184,6 +201,28 @@ impl Axis {
     #[must_use]
     pub const fn state(&self) -> &AxisState {
         &self.state
+    }
+
+    /// Hands a set-point of profile position over, by the edge and the answer that the profile wants; one that the drive
+    /// has not taken is replaced. It counts in that mode and while the axis follows; then 607Ah and bits 4, 5, 6 and 9 of
+    /// the controlword are those of the hand-shake, and of the command only halt counts.
+    pub const fn move_to(&mut self, set_point: SetPoint) {
+        if self.handed_over.is_none() {
+            self.handed_over = Some(self.state.position);
+        }
+        self.not_taken = None;
+        self.hand_shake.offer(set_point);
+    }
+
+    /// Whether a set-point is on its way to the drive.
+    #[must_use]
+    pub fn is_handing_over(&self) -> bool {
+        !self.hand_shake.is_idle()
+    }
+
+    const fn forget_set_points(&mut self) {
+        self.hand_shake = HandShake::new(self.plan.patience.state);
+        (self.handed_over, self.not_taken) = (None, None);
     }
 
     /// Enables it in homing mode and lets it home by the method in 6098h; then the mode of
@@ -238,6 +277,7 @@ impl Axis {
         self.held_back |= wanted;
         self.heard = false;
         self.homing = None;
+        self.forget_set_points();
         self.goal = Goal::SwitchOnDisabled;
         self.master = Master::new(self.plan.patience);
         self.master.set_mode(self.mode);
@@ -292,10 +332,11 @@ impl Axis {
         let bits = if start { HOMING_START } else { 0 };
         orders.follows &= !homing;
         self.align(&mut orders);
-        let bits = if orders.follows {
-            self.command.mode_bits & 0x0370
-        } else {
-            bits
+        let handed = self.hand_over(&orders, now);
+        let bits = match handed {
+            Some(handed) => self.command.mode_bits & HALT | handed,
+            None if orders.follows => self.command.mode_bits & 0x0370,
+            None => bits,
         };
         orders.control = ControlWord::new(orders.control.raw() | bits);
         self.state.follows = orders.follows;
@@ -306,8 +347,24 @@ impl Axis {
         {
             // That it stands elsewhere than its target follows from that.
             self.trouble = Some(AxisTrouble::Homing(error));
+        } else if let Some(error) = self.not_taken {
+            self.trouble = self.trouble.or(Some(AxisTrouble::SetPoint(error)));
         }
         orders
+    }
+
+    /// Bits of the controlword while set-points of profile position are handed over.
+    fn hand_over(&mut self, orders: &Orders, now: Duration) -> Option<u16> {
+        self.handed_over?;
+        let ready = orders.follows && orders.mode == PROFILE_POSITION;
+        let offer = self.hand_shake.step(self.state.status, ready, now);
+        self.handed_over = offer.target.or(self.handed_over);
+        match offer.outcome {
+            Some(Ok(())) => self.state.taken = self.state.taken.wrapping_add(1),
+            Some(Err(error)) => self.not_taken = Some(error),
+            None => {}
+        }
+        ready.then_some(offer.bits)
     }
 
     /// Bit 4, while the drive homes; ends the run.
@@ -366,7 +423,12 @@ impl Axis {
         };
         let zero_or = |value| if follows { value } else { 0 };
         let hold = self.hold.unwrap_or(self.state.position);
-        let position = if follows { c.position } else { hold };
+        let handed_over = self.handed_over.filter(|_| self.mode == PROFILE_POSITION);
+        let position = match handed_over {
+            Some(target) if follows => target,
+            None if follows => c.position,
+            Some(_) | None => hold,
+        };
         set(image, k.control, control.raw());
         set(image, k.mode, mode);
         set(image, k.position, position);

@@ -4,7 +4,7 @@ use std::fmt;
 use std::time::Duration;
 
 use takt_cia402::dictionary::{AbortCode, Address};
-use takt_cia402::{HomingError, Obstacle};
+use takt_cia402::{HomingError, Obstacle, SetPointError};
 
 use crate::canopen::{Emergency, NmtState};
 
@@ -154,6 +154,8 @@ pub enum AxisTrouble {
     },
     /// The last homing run failed.
     Homing(HomingError),
+    /// A set-point of profile position was not taken.
+    SetPoint(SetPointError),
     /// It was lost while enabled; it is held back until its goal is set anew.
     HeldBack,
 }
@@ -169,6 +171,7 @@ impl fmt::Display for AxisTrouble {
                  it would jump"
             ),
             Self::Homing(error) => error.fmt(f),
+            Self::SetPoint(error) => error.fmt(f),
             Self::HeldBack => f.write_str(
                 "its node was lost while it was enabled: find out why, then set its goal",
             ),

@@ -9,6 +9,7 @@ use super::Firmware;
 use super::gripper::Bar;
 use super::parameters::{Parameters, whole};
 use super::tmcl::{Refusal, Request, command, reply};
+use super::weight::Posture;
 
 /// The loops run this often, s.
 const TICK: f64 = 250e-6;
@@ -62,20 +63,17 @@ pub struct Axis {
     position: f64,
     /// Torque constant, N m/A.
     torque_constant: f64,
-    /// Torque of gravity at the motor when the link lies flat, N m, and the motor's position when
-    /// it stands upright, rad.
-    gravity: (f64, f64),
     gear: f64,
     has_gripper: bool,
 }
 
-/// Gear, torque constant, range in degrees, home to upright in rad, torque of the flat link in N m.
-const JOINTS: [(f64, f64, f64, f64, f64); 5] = [
-    (156.0, 0.0335, 338.0, 2.9496, 0.0),
-    (156.0, 0.0335, 155.0, 1.1345, 3.0),
-    (100.0, 0.0335, 297.0, 2.5482, 2.5),
-    (71.0, 0.051, 205.0, 1.7890, 0.6),
-    (71.0, 0.049, 335.0, 2.9147, 0.0),
+/// Gear, torque constant, range in degrees.
+const JOINTS: [(f64, f64, f64); 5] = [
+    (156.0, 0.0335, 338.0),
+    (156.0, 0.0335, 155.0),
+    (100.0, 0.0335, 297.0),
+    (71.0, 0.051, 205.0),
+    (71.0, 0.049, 335.0),
 ];
 
 impl Axis {
@@ -92,7 +90,6 @@ impl Axis {
             },
             position: 0.0,
             torque_constant: 0.0335,
-            gravity: (0.0, 0.0),
             gear: 9405.0 / 364.0,
             has_gripper: false,
         }
@@ -103,7 +100,7 @@ impl Axis {
     #[must_use]
     pub fn joint(number: usize, folded: f64) -> Self {
         let number = number.min(4);
-        let (gear, torque_constant, range, upright, flat) = JOINTS[number];
+        let (gear, torque_constant, range) = JOINTS[number];
         Self {
             motor: MotorConfig {
                 inertia: 1e-5,
@@ -114,7 +111,6 @@ impl Axis {
             },
             position: -folded * gear,
             torque_constant,
-            gravity: (flat / gear, -upright * gear),
             gear,
             has_gripper: number == 4,
         }
@@ -125,6 +121,8 @@ impl Axis {
 #[derive(Clone, Debug)]
 pub struct Joint {
     axis: Axis,
+    /// Its arm, and its number there.
+    arm: Option<(Posture, usize)>,
     firmware: Firmware,
     version: String,
     motor: Motor,
@@ -158,7 +156,12 @@ pub struct Joint {
 }
 
 impl Joint {
-    pub(super) fn new(axis: Axis, firmware: Firmware, version: String) -> Self {
+    pub(super) fn new(
+        axis: Axis,
+        arm: Option<(Posture, usize)>,
+        firmware: Firmware,
+        version: String,
+    ) -> Self {
         let mut motor = Motor::new(axis.motor.clone(), axis.position);
         motor.braked = false;
         let bars = axis
@@ -168,6 +171,7 @@ impl Joint {
             origin: -axis.position / TAU * TICKS,
             motor,
             axis,
+            arm,
             firmware,
             version,
             parameters: Parameters::drive(),
@@ -200,7 +204,8 @@ impl Joint {
         parameters.reset();
         banks.iter_mut().for_each(Parameters::reset);
         let bars = self.bars.take();
-        *self = Self::new(axis, self.firmware, std::mem::take(&mut self.version));
+        let (arm, version) = (self.arm.take(), std::mem::take(&mut self.version));
+        *self = Self::new(axis, arm, self.firmware, version);
         (self.parameters, self.banks) = (parameters, banks);
         if let Some(bars) = bars {
             self.bars = Some(bars.map(|bar| Bar::new(bar.place)));
@@ -293,9 +298,10 @@ impl Joint {
         let wanted = self.wanted_current(dt, live);
         self.current = wanted.clamp(-CURRENT_MAX, CURRENT_MAX);
         self.warm(dt);
-        let (flat, upright) = self.axis.gravity;
-        let lean = (self.motor.position - upright) / self.axis.gear;
-        self.motor.external = flat * lean.sin() + self.pushed / self.axis.gear;
+        let angle = self.angle();
+        let weight = self.arm.as_ref();
+        let weight = weight.map_or(0.0, |(posture, number)| posture.weigh(*number, angle));
+        self.motor.external = (self.pushed - weight) / self.axis.gear;
         self.motor
             .step(self.current * self.axis.torque_constant, dt);
         for bar in self.bars.iter_mut().flatten() {

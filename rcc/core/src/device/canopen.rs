@@ -78,7 +78,7 @@ fn network(config: &CanopenConfig) -> Result<Network, String> {
         let id = NodeId::new(joint.drive).map_err(|error| error.to_string())?;
         let axis = AxisPlan {
             axis: joint.axis,
-            set_point_period: None,
+            set_point_period: Some(config.cycle),
             on_link_loss: on_link_loss(config.on_link_loss),
             ..AxisPlan::default()
         };

@@ -278,7 +278,8 @@ fn check_joint<D>(joint: &DriveJoint<D>) -> Result<(), String> {
         acceleration_max,
         ..
     } = joint;
-    let above_zero = |value: &f64| value.is_finite() && *value > 0.0;
+    // Beyond these, products with the cycle would be zero or infinite.
+    let above_zero = |value: &f64| (1e-6..=1e9).contains(value);
     let sound = increments_per_turn.is_normal()
         && [zero, low, high].iter().all(|value| value.is_finite())
         && low < high
@@ -287,7 +288,7 @@ fn check_joint<D>(joint: &DriveJoint<D>) -> Result<(), String> {
     if !sound {
         return Err(
             "increments_per_turn must not be 0, range must go up, velocity_max and acceleration_max must be \
-             above 0, and all of them and zero must be finite"
+             from 1e-6 to 1e9, and all of them and zero must be finite"
                 .to_owned(),
         );
     }

@@ -72,3 +72,60 @@ pub fn make(name: &str, kind: &str, parameters: &BTreeMap<String, String>) -> Re
 const fn seconds(span: Nanos) -> f64 {
     span.0 as f64 * 1e-9
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sound(kind: &str) -> BTreeMap<String, String> {
+        let joints = if kind == "kuka_youbot_arm_sim" { 5 } else { 7 };
+        let list = |value: f64| format!("{:?}", vec![value; joints]);
+        let of_arm = [
+            ("min_joint", -2.0),
+            ("max_joint", 2.0),
+            ("max_vel", 2.0),
+            ("max_acc", 4.0),
+            ("home_joint", 0.0),
+            ("external_torque", 1.0),
+        ];
+        let of_base = ["max_vel", "max_rot_vel", "max_acc", "max_rot_acc"];
+        let of_gripper = ["max_distance", "max_vel"];
+        let scalar = |key: &&str| ((*key).to_owned(), "0.5".to_owned());
+        match kind {
+            "kuka_youbot_base_sim" => of_base.iter().map(scalar).collect(),
+            "kuka_youbot_gripper_sim" => of_gripper.iter().map(scalar).collect(),
+            "io_sim" => BTreeMap::new(),
+            _ => of_arm.map(|(key, v)| (key.to_owned(), list(v))).into(),
+        }
+    }
+
+    #[test]
+    fn what_is_no_number_or_leaves_the_range_of_numbers_is_refused_in_every_parameter() {
+        for kind in kinds() {
+            let parameters = sound(kind);
+            assert!(make("a", kind, &parameters).is_ok(), "{kind}");
+            for (key, text) in &parameters {
+                for value in ["inf", "-inf", "nan", "1e300", "-1e300"] {
+                    let mut wrong = parameters.clone();
+                    // All numbers of a list but the last are as they were.
+                    let text = text.trim_end_matches(']').rsplit_once(", ");
+                    let text = text.map_or(value.to_owned(), |(head, _)| format!("{head}, {value}]"));
+                    wrong.insert(key.clone(), text);
+                    assert!(make("a", kind, &wrong).is_err(), "{kind}, {key}, {value}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn limits_that_vanish_beside_the_cycle_are_refused() {
+        for key in ["max_vel", "max_acc"] {
+            for value in ["0", "1e-320", "-1"] {
+                let mut wrong = sound("kuka_lwr_sim");
+                wrong.insert(key.to_owned(), format!("[{}]", [value; 7].join(",")));
+                let told = make("a", "kuka_lwr_sim", &wrong).unwrap_err().to_string();
+                assert!(told.contains("leave it no motion"), "{told}");
+            }
+        }
+    }
+}

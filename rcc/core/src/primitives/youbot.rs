@@ -220,7 +220,12 @@ fn of_arm() -> [Definition; 2] {
         )
         .active()
         .input::<i32>(
-            port("inController", "0 position, 1 joint impedance").or("Controller", "0"),
+            port(
+                "inController",
+                "0 position, 1 joint impedance, 2 Cartesian impedance, along the axes of the flange, as \
+                 KUKA::LWR::CartImpParameters says",
+            )
+            .or("Controller", "0"),
         )
         .text("Robot", ROBOT)
         .output::<bool>("outSuccess", "the strategy is in force")

@@ -121,6 +121,9 @@ mod tests {
             controller.departed(first).unwrap().states.last(),
             Some(&NetState::Terminated)
         );
+        while controller.rule(rules[1]).unwrap().state == RuleState::Active {
+            tokio::task::yield_now().await;
+        }
         // A net that is not the client's is none of its business.
         assert_ne!(controller.net(watch).unwrap().state(), NetState::Terminated);
         let states = rules.map(|rule| controller.rule(rule).unwrap().state);

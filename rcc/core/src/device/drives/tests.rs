@@ -354,6 +354,12 @@ fn limits_that_are_no_numbers_or_do_not_fit_the_drive_are_refused() {
             assert!(told.starts_with(wanted), "{number}, {value}: {told}");
         }
     }
+    for (field, value) in [(4, 0.0), (5, 0.0), (5, 1e-320), (4, 1e300)] {
+        let mut arm = config(1);
+        *fields[field](&mut arm.joints[0]) = value;
+        let told = check(&arm, sound).unwrap_err();
+        assert!(told.contains("from 1e-6 to 1e9"), "{field}, {value}: {told}");
+    }
     let mut arm = config(1);
     arm.joints[0].zero = 2e9;
     let told = check(&arm, sound).unwrap_err();

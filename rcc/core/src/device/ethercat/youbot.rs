@@ -6,6 +6,7 @@ mod base;
 mod describe;
 mod gripper;
 mod springs;
+mod tool;
 
 use std::time::Duration;
 

@@ -19,6 +19,7 @@ use takt_rt::Nanos;
 
 use super::compliance::Compliance;
 use super::io::loop_back;
+use super::parameters::LEAST;
 use super::{Made, Parameters, Simulated, seconds};
 use crate::device::setpoint::Joint;
 use crate::device::{
@@ -177,9 +178,12 @@ fn limits(parameters: &Parameters<'_>, joints: usize) -> Result<Vec<JointLimits>
     let (velocity, acceleration) = (needed("max_vel")?, needed("max_acc")?);
     let mut limits = Vec::with_capacity(joints);
     for i in 0..joints {
-        let positive = velocity[i] > 0.0 && acceleration[i] > 0.0;
-        if min[i] > max[i] || !positive {
-            let what = format!("the limits of joint {i} leave it no motion");
+        let moves = velocity[i] >= LEAST && acceleration[i] >= LEAST;
+        if min[i] > max[i] || !moves {
+            let what = format!(
+                "the limits of joint {i} leave it no motion: min_joint is above max_joint, or max_vel or \
+                 max_acc below {LEAST:e}"
+            );
             return Err(parameters.wrong(what));
         }
         limits.push(JointLimits {

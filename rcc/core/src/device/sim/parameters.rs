@@ -8,6 +8,11 @@ use takt_net::value::text::parse_array;
 
 use crate::error::Error;
 
+/// Numbers above zero are not below this, and none is beyond [`MOST`]: products with the cycle would be zero or
+/// infinite.
+pub(super) const LEAST: f64 = 1e-6;
+const MOST: f64 = 1e9;
+
 /// The parameters of one device.
 pub(super) struct Parameters<'a> {
     pub(super) name: &'a str,
@@ -22,15 +27,16 @@ impl Parameters<'_> {
         }
     }
 
-    /// A list of so many finite numbers, if it is given.
+    /// A list of so many numbers up to [`MOST`] either way, if it is given.
     pub(super) fn list(&self, key: &str, len: usize) -> Result<Option<Vec<f64>>, Error> {
         let Some(text) = self.texts.get(key) else {
             return Ok(None);
         };
         let values =
             parse_array::<f64>(text, len).map_err(|e| self.wrong(format!("{key}: {}", e.what)))?;
-        if values.len() != len || values.iter().any(|v| !v.is_finite()) {
-            return Err(self.wrong(format!("{key}: {len} numbers are wanted")));
+        if values.len() != len || !values.iter().all(|v| v.abs() <= MOST) {
+            let what = format!("{key}: {len} numbers from -{MOST:e} to {MOST:e} are wanted");
+            return Err(self.wrong(what));
         }
         Ok(Some(values))
     }
@@ -41,15 +47,18 @@ impl Parameters<'_> {
             .ok_or_else(|| self.wrong(format!("{key} is missing")))
     }
 
-    /// A finite number above zero.
+    /// A number above zero.
     pub(super) fn positive(&self, key: &str, default: f64) -> Result<f64, Error> {
         let Some(text) = self.texts.get(key) else {
             return Ok(default);
         };
         let value = text.trim().parse().ok();
         value
-            .filter(|v: &f64| v.is_finite() && *v > 0.0)
-            .ok_or_else(|| self.wrong(format!("{key}: `{text}` is no number above zero")))
+            .filter(|v| (LEAST..=MOST).contains(v))
+            .ok_or_else(|| {
+                let what = format!("{key}: `{text}` is no number from {LEAST:e} to {MOST:e}");
+                self.wrong(what)
+            })
     }
 
     /// A whole number in a range.

@@ -16,6 +16,7 @@ use takt_rt::latest::{LatestReader, LatestWriter};
 use super::describe::{ARM_PARTS, limits};
 use super::gripper::Gripper;
 use super::springs::Springs;
+use super::tool::Motions;
 use super::{Wait, Waiting, is_fresh, lead, now, seconds};
 use crate::cell::{YouBotArm, YouBotControl};
 use crate::device::driver::DeviceEnd;
@@ -35,6 +36,8 @@ pub(super) struct Arm {
     pub(super) drives: [Drive; 5],
     homing: [Homing; 5],
     joints: [Joint; 5],
+    /// Smallest and largest position of each, rad.
+    ends: [(f64, f64); 5],
     control: YouBotControl,
     may_home: bool,
     springs: Springs,
@@ -85,6 +88,7 @@ impl Arm {
             drives: std::array::from_fn(drive),
             homing: std::array::from_fn(homing),
             joints: limits(arm).map(Joint::new),
+            ends: limits(arm).map(|limits| (limits.position_min, limits.position_max)),
             control: arm.control,
             may_home: arm.homing,
             springs: Springs::default(),
@@ -180,9 +184,10 @@ impl Arm {
         self.springs
             .obey(&self.interfaces, &self.taken, fresh, rests);
         let follows = self.follows();
+        let orders = ready.then(|| self.set_points(tick, dt, stopping));
         for n in 0..ARM.len() {
-            let order = if ready {
-                Some(self.set_point(n, tick, dt, stopping))
+            let order = if let Some(orders) = &orders {
+                Some(orders[n])
             } else {
                 let order = self.home(n, follows, may_move, stopping, tick);
                 // Behind homing: a joint whose stop is known since just now rests where it is before it follows.
@@ -227,27 +232,33 @@ impl Arm {
         homing.cycle(&told?, drive.mailbox(), may_move, now(tick))
     }
 
-    /// What a joint that is ready is to do.
-    fn set_point(&mut self, n: usize, tick: &Tick, dt: f64, stopping: bool) -> Command {
-        let set_points = &self.taken.joints[n];
+    /// What joints that are ready are to do.
+    fn set_points(&mut self, tick: &Tick, dt: f64, stopping: bool) -> [Command; 5] {
         let fresh = is_fresh(self.taken.time, tick, self.cycle, self.net_period) && !stopping;
-        // Half a period more than one, so that the two around that instant are there even if the net is half of it
-        // late.
-        let play = tick.scheduled - Nanos(set_points.period.0 * 3 / 2);
-        let position = self.joints[n].sample(set_points, fresh, play, dt);
-        let (_, velocity, _) = self.joints[n].motion();
-        let geometry = ARM[n];
-        let [at, speed] = self.measured(n).unwrap_or([position, velocity]);
-        if self.springs.soft && !stopping {
-            let torque = self.springs.laws[n].torque(&geometry, position - at, velocity - speed);
-            return Command::current(geometry.current_ma(torque));
+        let mut commanded = [[0.0; 2]; 5];
+        for (n, commanded) in commanded.iter_mut().enumerate() {
+            let set_points = &self.taken.joints[n];
+            // Half a period more than one, so that the two around that instant are there even if the net is half of
+            // it late.
+            let play = tick.scheduled - Nanos(set_points.period.0 * 3 / 2);
+            let position = self.joints[n].sample(set_points, fresh, play, dt);
+            *commanded = [position, self.joints[n].motion().1];
         }
-        match self.control {
-            YouBotControl::Position => Command::position(geometry.ticks(position)),
-            YouBotControl::Velocity => {
-                Command::velocity(geometry.rpm(velocity + CORRECTION * (position - at)))
+        let measured: Motions =
+            std::array::from_fn(|n| self.measured(n).unwrap_or(commanded[n]));
+        let torques = self.springs.torques(&commanded, &measured, &self.ends);
+        let torques = torques.filter(|_| !stopping);
+        std::array::from_fn(|n| {
+            let (geometry, [position, velocity]) = (ARM[n], commanded[n]);
+            match (torques, self.control) {
+                (Some(torques), _) => Command::current(geometry.current_ma(torques[n])),
+                (None, YouBotControl::Position) => Command::position(geometry.ticks(position)),
+                (None, YouBotControl::Velocity) => {
+                    let correction = CORRECTION * (position - measured[n][0]);
+                    Command::velocity(geometry.rpm(velocity + correction))
+                }
             }
-        }
+        })
     }
 
     fn tell(&mut self, tick: &Tick) {

@@ -83,9 +83,10 @@ pub(super) fn limits(arm: &YouBotArm) -> [JointLimits; 5] {
     })
 }
 
-pub(super) const ARM_PARTS: [Part; 4] = [
+pub(super) const ARM_PARTS: [Part; 5] = [
     Part::Strategy,
     Part::JointImpedance,
+    Part::CartesianImpedance,
     Part::Torques,
     Part::Drives { count: 5 },
 ];

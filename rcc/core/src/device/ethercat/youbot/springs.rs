@@ -1,17 +1,43 @@
-//! What nets order of the compliance of a youBot arm: its control strategy and how each joint gives way. The law of
-//! the spring is `takt_ethercat::youbot::Impedance`.
+//! What nets order of the compliance of a youBot arm: its control strategy, how each joint gives way, and how the tool
+//! does. The law of a joint's spring is `takt_ethercat::youbot::Impedance`, that of the tool's [`Tool`].
 
-use takt_ethercat::youbot::Impedance;
-use takt_net::device::{Answer, Interfaces, JointImpedance};
+use takt_ethercat::youbot::{ARM, Impedance, holding};
+use takt_net::device::{Answer, CartesianImpedance, Interfaces, JointImpedance};
+use takt_net::value::Wrench;
 
+use super::tool::{Motions, Tool, axes};
 use crate::device::DeviceCommand;
 
 /// Largest stiffness, Nm/rad.
 const STIFFNESS_MAX: f64 = 1000.0;
 
-/// Numbers of the control strategies.
-const POSITION: i32 = 0;
-const JOINT_IMPEDANCE: i32 = 1;
+/// Largest stiffness of the tool, N/m and Nm/rad.
+const TOOL_STIFFNESS_MAX: f64 = 10_000.0;
+/// Nearer to the end of its range than this, no joint is pushed on towards it, rad: 5 degrees.
+const END: f64 = 0.0873;
+
+/// How the arm is controlled, by the number that nets order.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) enum Strategy {
+    /// Each joint by its drive's own loop.
+    #[default]
+    Position = 0,
+    /// Each joint as a spring.
+    Joints = 1,
+    /// The tool as a spring.
+    Tool = 2,
+}
+
+impl Strategy {
+    const fn of(number: i32) -> Option<Self> {
+        match number {
+            0 => Some(Self::Position),
+            1 => Some(Self::Joints),
+            2 => Some(Self::Tool),
+            _ => None,
+        }
+    }
+}
 
 /// Values of the answers' error.
 mod error {
@@ -26,11 +52,12 @@ mod error {
 /// What is in force.
 #[derive(Debug, Default)]
 pub(super) struct Springs {
-    /// Joints give way.
-    pub(super) soft: bool,
-    pub(super) laws: [Impedance; 5],
-    strategy: Option<Answer>,
+    pub(super) strategy: Strategy,
+    laws: [Impedance; 5],
+    tool: Tool,
+    switched: Option<Answer>,
     answers: [Option<Answer>; 5],
+    tool_answer: Option<Answer>,
 }
 
 impl Springs {
@@ -46,60 +73,111 @@ impl Springs {
         let DeviceCommand { words, cycle, .. } = given;
         if rests.is_none() {
             // What comes back holds its position.
-            self.soft = false;
+            self.strategy = Strategy::Position;
         }
-        let given = has
-            .strategy
-            .as_ref()
-            .and_then(|order| order.command.read(words));
+        self.obey_strategy(has, words, rests);
+        let orders = has.joint_impedance.iter().flat_map(|orders| orders.iter());
+        for ((order, law), last) in orders.zip(&mut self.laws).zip(&mut self.answers) {
+            let Some(given) = order.command.read(words) else {
+                continue;
+            };
+            law.added = 0.0;
+            if fresh && given.stands(*cycle) {
+                law.added = addition(&given.value);
+            }
+            answer(last, given.cycle, || take(law, &given.value));
+        }
+        let order = has.cartesian_impedance.as_ref();
+        if let Some(given) = order.and_then(|order| order.command.read(words)) {
+            self.tool.added = [0.0; 6];
+            if fresh && given.stands(*cycle) {
+                self.tool.added = force(&given.value);
+            }
+            let tool = &mut self.tool;
+            answer(&mut self.tool_answer, given.cycle, || {
+                take_tool(tool, &given.value)
+            });
+        }
+    }
+
+    fn obey_strategy(&mut self, has: &Interfaces, words: &[u64], rests: Option<bool>) {
+        let order = has.strategy.as_ref();
+        let given = order.and_then(|order| order.command.read(words));
         if let Some(given) = given
-            && self.strategy.is_none_or(|last| last.order != given.cycle)
+            && self.switched.is_none_or(|last| last.order != given.cycle)
         {
             let order = given.cycle;
             let error = self.switch(given.value, rests);
-            self.strategy = Some(Answer { order, error });
-        }
-        let orders = has.joint_impedance.iter().flat_map(|orders| orders.iter());
-        for ((order, law), last) in orders.zip(&mut self.laws).zip(&mut self.answers) {
-            let given = order.command.read(words);
-            let standing = given.filter(|given| fresh && given.stands(*cycle));
-            law.added = standing.map_or(0.0, |given| addition(&given.value));
-            if let Some(given) = given
-                && last.is_none_or(|last| last.order != given.cycle)
-            {
-                let possible = take(law, &given.value);
-                let error = if possible { 0 } else { error::RANGE };
-                let order = given.cycle;
-                *last = Some(Answer { order, error });
-            }
+            self.switched = Some(Answer { order, error });
         }
     }
 
     fn switch(&mut self, wanted: i32, rests: Option<bool>) -> i32 {
-        let soft = match wanted {
-            POSITION => false,
-            JOINT_IMPEDANCE => true,
-            _ => return error::RANGE,
+        let Some(wanted) = Strategy::of(wanted) else {
+            return error::RANGE;
         };
         match rests {
-            _ if soft == self.soft => 0,
+            _ if wanted == self.strategy => 0,
             None => error::NOT_ENABLED,
             Some(false) => error::MOVES,
             Some(true) => {
-                self.soft = soft;
+                self.strategy = wanted;
                 0
             }
         }
     }
 
+    /// Torques of all joints, N m, from where they are commanded and where they are; `ends` are the smallest and
+    /// largest position of each, rad. `None` while the drives' own loops lead them.
+    pub(super) fn torques(
+        &self,
+        commanded: &Motions,
+        measured: &Motions,
+        ends: &[(f64, f64); 5],
+    ) -> Option<[f64; 5]> {
+        let mut torques = match self.strategy {
+            Strategy::Position => return None,
+            Strategy::Joints => std::array::from_fn(|n| {
+                let ([to, wanted], [at, speed]) = (commanded[n], measured[n]);
+                self.laws[n].torque(&ARM[n], to - at, wanted - speed)
+            }),
+            Strategy::Tool => self.tool.torques(commanded, measured),
+        };
+        let joints = measured.map(|[at, _]| at);
+        for (n, weight) in holding(&joints).into_iter().enumerate() {
+            torques[n] = before_end(torques[n] + weight, joints[n], ends[n]);
+        }
+        Some(torques)
+    }
+
     pub(super) fn tell(&self, has: &Interfaces, signals: &mut [u64]) {
         if let Some(order) = &has.strategy {
-            order.answer.tell(signals, self.strategy);
+            order.answer.tell(signals, self.switched);
         }
         let orders = has.joint_impedance.iter().flat_map(|orders| orders.iter());
         for (order, answer) in orders.zip(self.answers) {
             order.answer.tell(signals, answer);
         }
+        if let Some(order) = &has.cartesian_impedance {
+            order.answer.tell(signals, self.tool_answer);
+        }
+    }
+}
+
+/// Takes an order that was not answered yet.
+fn answer(last: &mut Option<Answer>, order: u64, take: impl FnOnce() -> bool) {
+    if last.is_none_or(|last| last.order != order) {
+        let error = if take() { 0 } else { error::RANGE };
+        *last = Some(Answer { order, error });
+    }
+}
+
+/// A torque without what would push a joint into the end of its range.
+fn before_end(torque: f64, at: f64, (low, high): (f64, f64)) -> f64 {
+    if (at < low + END && torque < 0.0) || (at > high - END && torque > 0.0) {
+        0.0
+    } else {
+        torque
     }
 }
 
@@ -107,6 +185,27 @@ impl Springs {
 fn addition(wanted: &JointImpedance) -> f64 {
     let torque = wanted.torque.filter(|torque| torque.is_finite());
     torque.unwrap_or(0.0)
+}
+
+/// The same for the tool; all of it or nothing.
+fn force(wanted: &CartesianImpedance) -> [f64; 6] {
+    let wrench = wanted.wrench.as_ref().map(axes);
+    let wrench = wrench.filter(|wrench| wrench.iter().all(|value| value.is_finite()));
+    wrench.unwrap_or_default()
+}
+
+fn take_tool(tool: &mut Tool, wanted: &CartesianImpedance) -> bool {
+    let or = |wanted: &Option<Wrench>, now| wanted.as_ref().map_or(now, axes);
+    let stiffness = or(&wanted.stiffness, tool.stiffness);
+    let damping = or(&wanted.damping, tool.damping);
+    let within = |values: [f64; 6], most| values.iter().all(|value| (0.0..=most).contains(value));
+    let possible = within(stiffness, TOOL_STIFFNESS_MAX)
+        && within(damping, 1.0)
+        && or(&wanted.wrench, [0.0; 6]).iter().all(|v| v.is_finite());
+    if possible {
+        (tool.stiffness, tool.damping) = (stiffness, damping);
+    }
+    possible
 }
 
 fn take(law: &mut Impedance, wanted: &JointImpedance) -> bool {
@@ -129,6 +228,10 @@ mod tests {
     use crate::device::ethercat::youbot::describe::ARM_PARTS;
     use crate::device::{Part, parts};
     use takt_net::device::{Layout, Words};
+
+    fn limits() -> [(f64, f64); 5] {
+        [(0.0, 5.9), (0.0, 2.7), (-5.2, 0.0), (0.0, 3.6), (0.0, 5.8)]
+    }
 
     /// What a net's primitive leaves for the first joint in a cycle: two stamps before what it wants.
     fn given(layout: Layout, cycle: u64, wanted: JointImpedance) -> DeviceCommand {
@@ -166,21 +269,85 @@ mod tests {
 
     #[test]
     fn the_strategy_changes_only_at_rest() {
-        for (soft, wanted, rests, error, after) in [
-            (false, 1, Some(true), 0, true),
-            (true, 0, Some(true), 0, false),
-            (false, 1, Some(false), error::MOVES, false),
-            (false, 1, None, error::NOT_ENABLED, false),
-            (true, 1, Some(false), 0, true),
-            (false, 2, Some(true), error::RANGE, false),
+        use Strategy::{Joints, Position, Tool};
+        for (before, wanted, rests, error, after) in [
+            (Position, 1, Some(true), 0, Joints),
+            (Position, 2, Some(true), 0, Tool),
+            (Tool, 1, Some(true), 0, Joints),
+            (Joints, 0, Some(true), 0, Position),
+            (Position, 1, Some(false), error::MOVES, Position),
+            (Joints, 2, Some(false), error::MOVES, Joints),
+            (Position, 2, None, error::NOT_ENABLED, Position),
+            (Joints, 1, Some(false), 0, Joints),
+            (Position, 3, Some(true), error::RANGE, Position),
+            (Position, -1, Some(true), error::RANGE, Position),
         ] {
             let mut springs = Springs {
-                soft,
+                strategy: before,
                 ..Springs::default()
             };
             assert_eq!(springs.switch(wanted, rests), error, "{wanted} {rests:?}");
-            assert_eq!(springs.soft, after);
+            assert_eq!(springs.strategy, after);
+            assert_eq!(Strategy::of(after as i32), Some(after));
         }
+    }
+
+    #[test]
+    fn parameters_of_the_tool_out_of_range_leave_what_is_in_force() {
+        let wrench = |force: f64, torque: f64| Wrench {
+            force: [force; 3].into(),
+            torque: [torque; 3].into(),
+        };
+        let mut tool = Tool::default();
+        let before = tool.clone();
+        for (stiffness, damping) in [
+            (wrench(-1.0, 5.0), wrench(0.5, 0.5)),
+            (wrench(50.0, 10_001.0), wrench(0.5, 0.5)),
+            (wrench(f64::NAN, 5.0), wrench(0.5, 0.5)),
+            (wrench(50.0, 5.0), wrench(0.5, 1.1)),
+        ] {
+            let wanted = CartesianImpedance {
+                stiffness: Some(stiffness),
+                damping: Some(damping),
+                wrench: None,
+            };
+            assert!(!take_tool(&mut tool, &wanted));
+            assert_eq!(tool, before);
+        }
+        let wanted = CartesianImpedance {
+            stiffness: Some(wrench(80.0, 8.0)),
+            ..CartesianImpedance::default()
+        };
+        assert!(take_tool(&mut tool, &wanted));
+        assert_eq!(tool.damping.map(f64::to_bits), before.damping.map(f64::to_bits));
+        assert!((tool.stiffness[0] - 80.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn soft_joints_carry_the_arm_and_are_not_pushed_into_their_ends() {
+        let springs = Springs {
+            strategy: Strategy::Joints,
+            ..Springs::default()
+        };
+        let ends = limits();
+        let flat = [1.0, 2.5, -2.5, 1.8, 1.0].map(|at| [at, 0.0]);
+        let torques = springs.torques(&flat, &flat, &ends).unwrap();
+        let weight = holding(&flat.map(|[at, _]| at));
+        for (torque, weight) in torques.iter().zip(weight) {
+            assert!((torque - weight).abs() < 1e-9, "{torque} {weight}");
+        }
+        assert!(torques[1] < -5.0, "{torques:?}");
+        for (at, pushed) in [(0.05, false), (0.2, true)] {
+            let (mut commanded, mut measured) = (flat, flat);
+            (commanded[0][0], measured[0][0]) = (0.0, at);
+            let torques = springs.torques(&commanded, &measured, &ends).unwrap();
+            assert_eq!(torques[0] < 0.0, pushed, "at {at} rad");
+            // Off the end it always is.
+            (commanded[0][0], measured[0][0]) = (1.0, at);
+            let torques = springs.torques(&commanded, &measured, &ends).unwrap();
+            assert!(torques[0] > 0.0);
+        }
+        assert!(Springs::default().torques(&flat, &flat, &ends).is_none());
     }
 
     #[test]
@@ -209,13 +376,13 @@ mod tests {
         let mut layout = Layout::default();
         let has = parts::lay(&ARM_PARTS, 5, &mut layout);
         let mut springs = Springs {
-            soft: true,
+            strategy: Strategy::Tool,
             ..Springs::default()
         };
         let given = DeviceCommand::new(layout.commands);
         springs.obey(&has, &given, true, Some(true));
-        assert!(springs.soft);
+        assert_eq!(springs.strategy, Strategy::Tool);
         springs.obey(&has, &given, true, None);
-        assert!(!springs.soft);
+        assert_eq!(springs.strategy, Strategy::Position);
     }
 }
