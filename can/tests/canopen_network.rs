@@ -18,8 +18,8 @@ use std::time::Duration;
 use bus::{Bus, MS, node, plan};
 use takt_can::canopen::emulator::DriveNodeConfig;
 use takt_can::canopen::network::{
-    AxisCommand, AxisTrouble, Download, Event, Network, NetworkConfig, NetworkError, NodePlan,
-    Phase, Supervision, Transfer, Trouble,
+    AxisCommand, AxisPlan, AxisTrouble, Download, Event, Network, NetworkConfig, NetworkError,
+    NodePlan, Phase, Supervision, Transfer, Trouble,
 };
 use takt_can::canopen::sdo::Outcome;
 use takt_can::canopen::{Emergency, emergency};
@@ -609,4 +609,48 @@ fn set_points_of_profile_position_are_handed_over_one_by_one() {
     let interrupted = AxisTrouble::SetPoint(SetPointError::Interrupted);
     assert_eq!(trouble, Some(interrupted));
     assert!((position(&bus, 1) + 2_000).abs() < 20, "it stays");
+}
+
+#[test]
+fn axes_of_one_drive_have_pdos_of_their_own() {
+    let axes = [0, 1, 3].map(|axis| AxisPlan {
+        axis,
+        set_point_period: Some(2 * MS),
+        ..AxisPlan::default()
+    });
+    let plan = NodePlan::drives(node(1), &axes).unwrap();
+    assert_eq!(plan.rpdos[2].0, 192, "RPDO 193 is the first of axis 3");
+    let mut config = DriveNodeConfig::new(node(1));
+    config.axes = vec![config.axes[0].clone(); 4];
+    let mut bus = Bus::new(NetworkConfig::default(), vec![plan], vec![config]);
+    bus.master.start(bus.now);
+    bus.until(5 * SECOND, |bus| {
+        (bus.master.phase(node(1)) == Some(Phase::Running)).then_some(())
+    });
+    let state = |bus: &Bus, n| *bus.master.axis(node(1), n).unwrap().state();
+    for n in 0..3 {
+        let axis = bus.master.axis_mut(node(1), n).unwrap();
+        axis.set_goal(Goal::OperationEnabled, CSP);
+    }
+    bus.until(5 * SECOND, |bus| {
+        (0..3).all(|n| state(bus, n).follows).then_some(())
+    });
+    for cycle in 1..=500 {
+        for (n, step) in [20, 0, -10].into_iter().enumerate() {
+            let axis = bus.master.axis_mut(node(1), n).unwrap();
+            axis.command(AxisCommand {
+                position: cycle * step,
+                ..AxisCommand::default()
+            });
+        }
+        bus.run(bus.period);
+    }
+    bus.run(SECOND / 10);
+    for (n, place) in [10_000, 0, -5_000].into_iter().enumerate() {
+        assert!((state(&bus, n).position - place).abs() < 20, "axis {n}");
+    }
+    let still = bus.drive(1).application().axis(2).unwrap();
+    assert_ne!(still.state(), State::OperationEnabled, "nobody asked it");
+    assert!(NodePlan::drives(node(1), &[]).is_none());
+    assert!(NodePlan::drives(node(1), &[axes[0]; 5]).is_none());
 }

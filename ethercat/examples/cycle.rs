@@ -1,7 +1,7 @@
 //! A cycle kept over minutes on a veth pair: how late it woke up, how many of its answers came after the next cycle
 //! began, how many working counters were other than expected. Axes of two drives follow a slow sine meanwhile, and the
-//! emulated segment answers on the other end. It asks for no priority: run it by `chrt` and `taskset`, and cyclictest
-//! beside it on the same processor.
+//! emulated segment answers on the other end. It asks for no priority: run it by `chrt` and `taskset`. Where there is
+//! cyclictest, it runs before and after on the same processor with the same period, half of the time each.
 //!
 //! ```console
 //! # cargo build --release -p takt-ethercat --example cycle
@@ -35,6 +35,10 @@ use takt_ethercat::master::Master;
 
 const ENDS: [&str; 2] = ["tkcy-master", "tkcy-slaves"];
 
+/// Priority of cyclictest, as this is to be run.
+const PRIORITY: u8 = 80;
+/// Cycles from one time that an axis is asked to go on to the next.
+const ASK_EACH: u64 = 100;
 /// Events that are printed.
 const EVENTS: usize = 32;
 
@@ -164,17 +168,19 @@ fn run(axes: u8, config: MasterConfig, seconds: u64) -> Result<(), Box<dyn Error
                 Target::Position(at + sine(n - since, period))
             });
             let state = axis.cycle(&mut master, target, due);
-            if !state.follows {
-                last = Some(state);
+            if state.follows {
+                following += 1;
+                start.get_or_insert((state.position, n));
+                continue;
             }
-            if !state.online {
-                // What comes back does not move by itself: here it is to go on.
+            last = Some(state);
+            losses += u64::from(start.take().is_some());
+            // What was gone does not move by itself, and a drive whose slave fell out of OP is in fault: here it is to
+            // go on all the same.
+            if n.is_multiple_of(ASK_EACH) {
                 axis.set_goal(Goal::OperationEnabled);
-                losses += u64::from(start.take().is_some());
-            } else if state.follows && start.is_none() {
-                *start = Some((state.position, n));
+                axis.reset_fault();
             }
-            following += usize::from(state.follows);
         }
         n += 1;
         due += period;
@@ -185,7 +191,9 @@ fn run(axes: u8, config: MasterConfig, seconds: u64) -> Result<(), Box<dyn Error
         }
     }
     let lost = master.frames().lost - frames.lost;
-    println!("{axes} axes, {following} following, {period:?}, {count} cycles, axes lost and taken again {losses}");
+    println!(
+        "{axes} axes, {following} following, {period:?}, {count} cycles, axes lost and taken again {losses}"
+    );
     if let Some(last) = last.filter(|_| following < usize::from(axes)) {
         println!("one that does not follow: {last}");
     }
@@ -228,6 +236,38 @@ fn tell(name: &str, times: &mut [Duration]) {
     );
 }
 
+/// How late cyclictest wakes up, which inherits processor and priority; nothing where there is none.
+fn cyclictest(period: Duration, seconds: u64) {
+    let arguments = format!(
+        "--mlockall --quiet --histogram=20000 --policy=fifo --priority={PRIORITY} --interval={} --duration={}s",
+        period.as_micros(),
+        seconds.max(1)
+    );
+    let run = Command::new("cyclictest")
+        .args(arguments.split(' '))
+        .output();
+    let Some(output) = run.ok().filter(|output| output.status.success()) else {
+        println!("cyclictest    not run: install rt-tests, and be allowed to use SCHED_FIFO");
+        return;
+    };
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    let mut late = Vec::new();
+    for line in text.lines() {
+        let mut words = line.split_whitespace().map(str::parse::<u64>);
+        if let (Some(Ok(us)), Some(Ok(count))) = (words.next(), words.next()) {
+            let count = usize::try_from(count).unwrap_or(0);
+            late.extend(std::iter::repeat_n(Duration::from_micros(us), count));
+        }
+    }
+    // What the histogram does not hold is in this line.
+    let most = text
+        .lines()
+        .find_map(|line| line.strip_prefix("# Max Latencies:"));
+    let most = most.and_then(|text| text.trim().parse().ok());
+    late.extend(most.map(Duration::from_micros));
+    tell("cyclictest", &mut late);
+}
+
 fn ip(arguments: &str) -> io::Result<()> {
     let done = Command::new("ip").args(arguments.split(' ')).output()?;
     if done.status.success() {
@@ -267,7 +307,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         let turn = Duration::from_millis(20);
         while !stopped.load(Ordering::Relaxed) && server.turn(turn, &mut monotonic).is_ok() {}
     });
+    cyclictest(period, seconds / 2);
     let done = run(axes, config, seconds);
+    cyclictest(period, seconds / 2);
     stop.store(true, Ordering::Relaxed);
     let _ended = served.join();
     ip(&format!("link del {}", ENDS[0]))?;

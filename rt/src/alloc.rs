@@ -1,5 +1,5 @@
 //! Shows that real-time threads do not allocate: a global allocator that counts the calls they make, or
-//! ends the process at the first.
+//! ends the process at the first. Page faults in the same stretch of a thread are counted by the kernel.
 //!
 //! It does not make allocation faster or bounded, and sees nothing that bypasses Rust's allocator, such
 //! as a C library's own `malloc`.
@@ -13,7 +13,8 @@ use std::{
     sync::atomic::{AtomicBool, AtomicU64, Ordering},
 };
 
-use crate::linux::process;
+pub use crate::linux::faults::{PageFaults, real_time_page_faults};
+use crate::linux::{faults, process};
 
 thread_local! {
     /// How many [`RealTimeScope`]s this thread is in. Constant and without destructor: its use never
@@ -55,7 +56,13 @@ pub fn real_time_allocations() -> u64 {
 }
 
 /// Marks the calling thread as real-time until the scope is dropped. Scopes nest.
+///
+/// Its page faults are counted from here on too. The outermost scope locks and allocates for that, before it
+/// begins and after it ends.
 pub fn enter_real_time() -> RealTimeScope {
+    if SCOPES.get() == 0 {
+        faults::begin();
+    }
     SCOPES.set(SCOPES.get() + 1);
     RealTimeScope {
         _this_thread: PhantomData,
@@ -73,6 +80,9 @@ pub struct RealTimeScope {
 impl Drop for RealTimeScope {
     fn drop(&mut self) {
         SCOPES.set(SCOPES.get() - 1);
+        if SCOPES.get() == 0 {
+            faults::end();
+        }
     }
 }
 

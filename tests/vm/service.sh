@@ -32,6 +32,7 @@ status_says() { property StatusText | grep -q -e "$1"; }
 journal_says() { journalctl --no-pager --output cat --unit takt | grep -q -e "$1"; }
 state_says() { grep -q -e "$1" /var/lib/takt/state.json; }
 arm_is() { tail -n 1 "$arm_log" | grep -q "^$1,"; }
+restarted_at_least() { [ "$(property NRestarts)" -ge "$1" ]; }
 net_is() { takt net list | grep "^$1 " | grep -q "$2"; }
 # A command that must fail; the shell does not count a plain `!`.
 not() { if "$@"; then return 1; fi; }
@@ -287,6 +288,21 @@ wrong_cell_is_not_started_again_and_again() {
     is ActiveState failed
     is NRestarts 0
     journal_says 'nonsense'
+    write_cell ''
+    systemctl restart takt
+    is ActiveState active
+}
+
+address_that_is_not_there_yet_is_waited_for() {
+    write_cell ''
+    sed -i 's/127.0.0.1:49938/10.99.0.1:49938/' /etc/takt/cell.toml
+    not systemctl restart takt
+    # More often than systemd's own limit allows.
+    wait_for 60 restarted_at_least 7
+    not is ActiveState failed
+    ip address add 10.99.0.1/32 dev lo
+    wait_for 60 is ActiveState active
+    ip address del 10.99.0.1/32 dev lo
     write_cell ''
     systemctl restart takt
     is ActiveState active

@@ -26,7 +26,8 @@ static ALLOCATOR: takt_rt::alloc::CountingAllocator = takt_rt::alloc::CountingAl
 
 /// Robot control core: run it, try it without hardware, and look into it.
 ///
-/// Exit status: 0 good; 1 the check failed or the controller refused; 2 wrong usage or environment.
+/// Exit status: 0 good; 1 the check failed or the controller refused; 2 wrong usage or environment; 78 the
+/// cell of `takt run` cannot be read or makes no sense.
 /// Durations are written with a unit: 250us, 1ms, 5s.
 #[derive(Debug, Parser)]
 #[command(name = "takt", version)]
@@ -90,8 +91,20 @@ fn main() -> ExitCode {
         Err(error) if output::is_broken_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
             output::complain(&format!("takt: {}", output::chain(&error)));
-            ExitCode::from(if is_refusal(&error) { 1 } else { 2 })
+            ExitCode::from(status_of(&error))
         }
+    }
+}
+
+/// Exit status of `takt run` with a cell that makes no sense, `EX_CONFIG` of sysexits(3): the service is not
+/// started again for it.
+const WRONG_CELL: u8 = 78;
+
+fn status_of(error: &anyhow::Error) -> u8 {
+    match error {
+        error if is_refusal(error) => 1,
+        error if error.is::<run::WrongCell>() => WRONG_CELL,
+        _ => 2,
     }
 }
 

@@ -8,6 +8,7 @@ mod service;
 mod state_file;
 mod watchdog;
 
+use std::fmt;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -45,7 +46,7 @@ pub(crate) struct Run {
 
 impl Run {
     pub(crate) fn run(self) -> anyhow::Result<Verdict> {
-        let cell = read_cell(&self.config)?;
+        let cell = read_cell(&self.config).map_err(WrongCell)?;
         let book = LogBook::default();
         let logging = Logging::start(cell.controller.log.as_deref(), &book)?;
         let host = prepare(&HostConfig::default());
@@ -53,7 +54,7 @@ impl Run {
             takt_rt::alloc::set_guard(takt_rt::alloc::Guard::Abort);
         }
         let recording = self.record.as_deref().map(Recorder::start).transpose()?;
-        let controller = Controller::start_recording(&cell, recording)?;
+        let controller = Controller::start_recording(&cell, recording).map_err(judged)?;
         tell_grants(&host, &controller);
         let token = token::of_controller(cell.controller.token_file.as_deref())?;
         let server = Server::start(&cell, &controller, token, book)?;
@@ -69,6 +70,36 @@ impl Run {
             say(&format!("recorded {cycles} cycles"))?;
         }
         Ok(Verdict::Good)
+    }
+}
+
+/// A cell that cannot be read or makes no sense: to start again is no remedy.
+#[derive(Debug)]
+pub(crate) struct WrongCell(anyhow::Error);
+
+impl fmt::Display for WrongCell {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+impl std::error::Error for WrongCell {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        self.0.source()
+    }
+}
+
+/// Tells what is wrong with the cell from what the host lacks, which may come: an interface, an address.
+fn judged(error: takt_core::Error) -> anyhow::Error {
+    use takt_core::Error as E;
+    match error {
+        E::Cell(_)
+        | E::Config { .. }
+        | E::DeviceTwice { .. }
+        | E::DeviceParameter { .. }
+        | E::TooManyJoints { .. }
+        | E::TooManyValues { .. } => WrongCell(error.into()).into(),
+        error => error.into(),
     }
 }
 

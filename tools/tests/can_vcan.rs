@@ -273,10 +273,13 @@ fn nodes_are_scanned_commanded_and_asked() {
     assert!(common::complaint(&refused).contains("there is no such object"));
     let file = std::env::temp_dir().join(format!("takt-vcan-{}.dcf", std::process::id()));
     let file = file.to_str().unwrap();
-    let dumped = run(&["can", "sdo", &vcan, "61", "dump", "--dcf", file]);
-    let compared = run(&["can", "sdo", &vcan, "61", "compare", file]);
-    std::fs::remove_file(file).unwrap();
+    // Hosts may be slow.
+    let patience = ["--timeout", "30s"];
+    let asked = |words: &[&str]| run(&[&["can", "sdo", &vcan, "61"], words, &patience].concat());
+    let dumped = asked(&["dump", "--dcf", file]);
     expect_status(&dumped, 0);
+    let compared = asked(&["compare", file]);
+    std::fs::remove_file(file).unwrap();
     let compared = String::from_utf8_lossy(&compared.stdout).into_owned();
     assert!(compared.contains("entries compared"), "{compared}");
 }

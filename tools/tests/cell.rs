@@ -232,10 +232,9 @@ fn environment_that_is_not_there_is_named() {
         .local_addr()
         .unwrap();
     let nobody = nobody.to_string();
-    let cases: [(&[&str], &str); 5] = [
+    let cases: [(&[&str], &str); 4] = [
         (&["net", "list", "--server", &nobody], "start `takt run`"),
         (&["net", "check", "/nowhere.net"], "/nowhere.net"),
-        (&["run", "--config", "/nowhere.toml"], "/nowhere.toml"),
         (&["demo", "--replay", "/nowhere.mcap"], "/nowhere.mcap"),
         (&["demo", "--duration", "5"], "unit"),
     ];
@@ -248,4 +247,27 @@ fn environment_that_is_not_there_is_named() {
             complaint(&output)
         );
     }
+}
+
+/// What a service manager starts again, and what not.
+#[test]
+fn a_wrong_cell_has_a_status_of_its_own_and_an_address_that_is_missing_has_not() {
+    let folder = Folder::new();
+    // An address of the documentation, which no host has.
+    let missing = "[[device]]\nname = 'left'\ntype = 'kuka_lwr_fri'\nlisten = '192.0.2.1:49938'\n";
+    let bus = "[[canopen]]\nname = 'bus'\ninterface = 'nocan7'\n";
+    for (text, status, what) in [
+        ("nonsense", 78, "nonsense"),
+        ("[[device]]\nname = 'a'\ntype = 'teapot'\n", 78, "teapot"),
+        ("[controller]\nfollow = 'nobody'\n", 78, "nobody"),
+        (missing, 2, "left"),
+        (bus, 2, "nocan7"),
+    ] {
+        let path = folder.file("cell.toml");
+        std::fs::write(&path, text).unwrap();
+        let output = run(&["run", "--config", &path]);
+        assert_eq!(output.status.code(), Some(status), "{}", complaint(&output));
+        assert!(complaint(&output).contains(what), "{}", complaint(&output));
+    }
+    expect_status(&run(&["run", "--config", "/nowhere.toml"]), 78);
 }

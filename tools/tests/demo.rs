@@ -56,6 +56,9 @@ fn demo_reports_what_was_promised() {
     let cycles = report["cycles"].as_u64().unwrap() + report["overruns"].as_u64().unwrap();
     assert!(cycles >= 2000, "{report}");
     assert_eq!(report["rt_allocations"], 0);
+    if report["memory_locked"] == true {
+        assert_eq!(report["rt_page_faults"], 0);
+    }
     assert!(report["sync_error_ns_max"].as_i64().unwrap() > 0);
     let quantiles = ["p50", "p99", "p999", "max"];
     let latency = quantiles.map(|q| report["latency_ns"][q].as_i64().unwrap());

@@ -141,7 +141,7 @@ fn move_brakes_when_told_to_end() {
     ];
     let (mut process, address) = listening(&words);
     let _arm = lwr(&address, &[]);
-    process.wait_for("the robot follows");
+    process.wait_for("the robot follows; Ctrl-C brakes");
     process.terminate();
     let (lines, status) = process.end();
     assert_eq!(status, Some(1), "{lines:#?}");

@@ -7,7 +7,7 @@
 use std::time::Duration;
 
 use takt_cia402::dictionary::{
-    AbortCode, Access, Address, Dictionary, DictionaryError, Entry, Mapped, Object,
+    AbortCode, Access, Address, DataType, Dictionary, DictionaryError, Entry, Mapped, Object,
 };
 use takt_cia402::emulator::{Drive, DriveConfig, FaultCode, Step};
 
@@ -43,6 +43,8 @@ pub struct DriveNodeConfig {
     pub heartbeat_ms: u16,
     /// Bytes of the domain 2000h, a firmware or a recording to be transferred; 0 leaves it out.
     pub domain_len: usize,
+    /// Whether it holds its own data sheet (1021h), as text (1022h is 0).
+    pub stored_eds: bool,
     /// How long its SDO server waits for a client. In a block upload that is the time in which the
     /// client takes 127 segments.
     pub sdo_timeout: Duration,
@@ -63,6 +65,7 @@ impl DriveNodeConfig {
             axes: vec![DriveConfig::default()],
             heartbeat_ms: 0,
             domain_len: 0,
+            stored_eds: false,
             sdo_timeout: Duration::from_secs(2),
         }
     }
@@ -103,13 +106,11 @@ impl DriveNodeConfig {
         let mut objects = self.communication().objects();
         if self.domain_len > 0 {
             let domain = vec![0; self.domain_len];
-            let domain = Entry::of(
-                "domain",
-                takt_cia402::dictionary::DataType::Domain,
-                Access::ReadWrite,
-                domain,
-            );
+            let domain = Entry::of("domain", DataType::Domain, Access::ReadWrite, domain);
             objects.push(Object::var(0x2000, domain));
+        }
+        if self.stored_eds {
+            objects.extend(self.eds_objects());
         }
         for (axis, config) in (0_u8..).zip(self.axes.iter().take(AXES_MAX)) {
             objects.extend(config.objects(axis));
@@ -118,6 +119,20 @@ impl DriveNodeConfig {
             objects.push(Object::var(index, kind));
         }
         objects
+    }
+}
+
+impl DriveNodeConfig {
+    /// The data sheet in the drive says nothing of itself.
+    fn eds_objects(&self) -> [Object; 2] {
+        let without = Self {
+            stored_eds: false,
+            ..self.clone()
+        };
+        let text = without.eds().print().into_bytes();
+        let sheet = Entry::of("store EDS", DataType::Domain, Access::ReadOnly, text);
+        let format = Entry::number("store format", Access::Const, 0_u8);
+        [Object::var(0x1021, sheet), Object::var(0x1022, format)]
     }
 }
 
@@ -165,10 +180,12 @@ impl DriveNode {
     pub fn power_on(config: DriveNodeConfig, now: Duration) -> Result<Self, NodeError> {
         let communication = config.communication();
         let dictionary = Dictionary::new(config.objects())?;
+        let sheet = dictionary.bytes(Address::new(0x1021, 0));
+        let sheet = sheet.map_or(0, <[u8]>::len);
         let node = NodeConfig {
             id: config.id,
             relative: communication.relative(),
-            sdo_len_max: config.domain_len.max(256),
+            sdo_len_max: config.domain_len.max(256).max(sheet),
             sdo_timeout: config.sdo_timeout,
             dictionary,
         };

@@ -204,7 +204,9 @@ fn drive(
     // The four digits of the board, as the firmware tells them.
     let digits: String = name.chars().filter(char::is_ascii_digit).collect();
     let version = format!("{digits:0>4}{}", text(firmware));
-    let handle = DriveHandle(Arc::new(Mutex::new(Joint::new(axis, arm, firmware, version))));
+    let handle = DriveHandle(Arc::new(Mutex::new(Joint::new(
+        axis, arm, firmware, version,
+    ))));
     let slave = Slave::new(SlaveConfig::new(sii), Box::new(handle.clone()));
     (slave, handle)
 }

@@ -1016,6 +1016,9 @@ fn wrong_parameters_of_devices_are_told() {
     assert!(
         made("io_sim", ("bools", "65")).contains("bools: `65` is no whole number from 0 to 64")
     );
-    assert!(made("kuka_lwr_sim", ("external_wrench", "[1]")).contains("6 numbers from -1e9 to 1e9 are wanted"));
+    assert!(
+        made("kuka_lwr_sim", ("external_wrench", "[1]"))
+            .contains("6 numbers from -1e9 to 1e9 are wanted")
+    );
     assert_eq!(made("io_sim", ("anything", "else")), "io_sim");
 }

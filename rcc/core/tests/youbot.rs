@@ -217,6 +217,27 @@ fn drive(velocity: &str, seconds: f64) -> String {
     )
 }
 
+/// Leads the base forth by a distance within a time, half-way turned by a quarter to the left.
+fn lead(distance: f64, seconds: f64) -> String {
+    format!(
+        "{{ true=Core::BooleanValue(Value='true'),past=Core::BooleanPre(inValue=true.outValue),
+            first=Core::BooleanIsNull(inValue=past.outValue),
+            at=CartesianPosition::CartesianMonitor(Robot='base'),
+            start=World::FrameSnapshot(inSnapshot=first.outValue,inValue=at.outCommandedPosition),
+            clock=Core::Clock(),part=Core::Interval(inValue=clock.outValue,Max='{seconds}'),
+            way=Core::DoubleBezier(inValue=part.outValue,To='{distance}'),
+            turn=Core::DoubleBezier(inValue=part.outValue,To='1.5'),
+            moved=World::FrameFromXYZ(inX=way.outValue,inRot=turned.outValue),
+            turned=World::RotationFromABC(inA=turn.outValue),
+            goal=World::FrameTransform(inFirst=start.outValue,inSecond=moved.outValue),
+            to=CartesianPosition::CartesianPosition(inPosition=goal.outValue,Robot='base'),
+            cancel=Cancel(),
+            done=Core::DoubleGreater(inFirst=clock.outValue,Second='{seconds}'),
+            end=Core::BooleanOr(inFirst=done.outValue,inSecond=cancel.outCancel),
+            outTerminate=end.outValue }}"
+    )
+}
+
 /// Moves the fingers and ends when they are there.
 fn grip(distance: f64) -> String {
     format!(
@@ -449,6 +470,97 @@ fn a_soft_joint_gives_way_and_its_current_is_clamped() {
     hall.joint(0).lock().pushed = 0.0;
     hall.runs("arm", &spring(20.0), |_| ());
     assert!(hall.figures().youbots.clamped > 0);
+}
+
+/// Makes the tool a spring, for some seconds, and tells what became of that.
+fn tool_spring(stiffness: f64, seconds: f64) -> String {
+    let turn = stiffness / 10.0;
+    format!(
+        "{{ c=KUKA::youBot::ArmControlStrategy(Robot='arm',Controller='2'),
+            k=World::WrenchValue(Value='{{force:{{x:{stiffness},y:{stiffness},z:{stiffness}}},
+                torque:{{x:{turn},y:{turn},z:{turn}}}}}'),
+            i=KUKA::LWR::CartImpParameters(inStiffness=k.outValue,Robot='arm'),
+            switched=Core::BooleanNetcommOut(inValue=c.outSuccess,Key='switched'),
+            taken=Core::BooleanNetcommOut(inValue=i.outCompleted,Key='taken'),
+            clock=Core::Clock(),
+            done=Core::DoubleGreater(inFirst=clock.outValue,Second='{seconds}'),
+            outTerminate=done.outValue }}"
+    )
+}
+
+/// Pushes an arm whose tool is soft. False if the arm was lost meanwhile, which makes it stiff.
+fn gives_way(hall: &Hall) -> bool {
+    let (at, faults) = (angles(hall), hall.faults("arm"));
+    let net = hall.goes("arm", &tool_spring(600.0, 12.0));
+    let is = |key: &str| {
+        let values = hall.cell().controller.out_values(net);
+        let key = format!("out{key}");
+        values
+            .iter()
+            .any(|(name, value)| *name == key && value == "true")
+    };
+    let lost = || hall.faults("arm") != faults;
+    hall.cell().wait("the strategy", |_| {
+        (is("switched") && is("taken")) || lost()
+    });
+    std::thread::sleep(Duration::from_millis(800));
+    let away = |joint: usize| (hall.angle(joint) - at[joint]).abs();
+    for joint in 0..5 {
+        let sagged = away(joint);
+        assert!(
+            sagged < 0.06 || lost(),
+            "joint {joint} does not carry itself: {sagged}"
+        );
+    }
+    hall.joint(1).lock().pushed = 12.0;
+    hall.cell()
+        .wait("the arm giving way", |_| away(1) > 0.05 || lost());
+    hall.joint(1).lock().pushed = 0.0;
+    hall.cell()
+        .wait("the arm coming back", |_| away(1) < 0.03 || lost());
+    hall.cell().wait_for_end(net);
+    !lost()
+}
+
+#[test]
+fn a_soft_tool_carries_itself_gives_way_and_comes_back() {
+    let hall = Hall::new(Firmware::V200, &config());
+    // Off the ends of their ranges, where nothing is pushed on.
+    for joint in [0, 1, 1, 2, 2, 3, 3, 4] {
+        let (off, other) = ("To='0.5'", "To='-0.5'");
+        let swing = common::swing_joint("arm", joint, 1.0);
+        let swing = if joint == 2 {
+            swing.replace(off, other)
+        } else {
+            swing
+        };
+        hall.runs("arm", &swing, |_| ());
+    }
+    let done = (0..ATTEMPTS).any(|_| {
+        hall.cell().wait_for("arm", DeviceStatus::Operational);
+        gives_way(&hall)
+    });
+    assert!(done, "the arm was lost in each of {ATTEMPTS} attempts");
+    assert_eq!(real_time_allocations(), 0);
+}
+
+#[test]
+fn a_base_is_led_to_poses() {
+    let hall = Hall::new(Firmware::V200, &config());
+    let before = hall.runs("base", &lead(0.3, 4.0), Hall::wheels);
+    let ways: Vec<f64> = hall
+        .wheels()
+        .into_iter()
+        .zip(before)
+        .map(|(now, then)| now - then)
+        .collect();
+    // All four turn the base, by 1.5 rad with a lever of 0.385 m; what is left of each after that is the way.
+    let turned = ways.iter().sum::<f64>() / 4.0 * 0.0475 / 0.385;
+    assert!((turned - 1.5).abs() < 0.05, "turned {turned} rad");
+    // The way was straight in the frame in which it began, so that x and y in its own frame took turns.
+    let x = (-ways[0] + ways[1] - ways[2] + ways[3]) / 4.0 * 0.0475;
+    let y = (ways[0] + ways[1] - ways[2] - ways[3]) / 4.0 * 0.0475;
+    assert!(x > 0.1 && y < -0.1 && x.hypot(y) < 0.31, "{x} {y}");
 }
 
 #[test]

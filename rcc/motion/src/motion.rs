@@ -5,6 +5,7 @@
 
 mod cartesian;
 mod path;
+mod planner;
 mod profile;
 mod ptp;
 mod runner;

@@ -163,6 +163,46 @@ fn tracking_allocates_nothing() {
     assert_eq!(allocations(net, inputs, 10_000), 0);
 }
 
+/// Found by a search for goals that cannot be planned for from where the joint is: limits of sizes far
+/// apart, and a goal nearer than the way of one cycle.
+#[test]
+fn goals_that_cannot_be_planned_for_allocate_nothing() {
+    let goals = [
+        "[9.657931820174715]",
+        "[0.000000005694524260855557]",
+        "[-912466.2404292527]",
+        "[847503.6979055653]",
+        "[0.000000009894982708035042]",
+        "[-0.00000003242035345692076]",
+        "[1e308]",
+        "[-inf]",
+        "[nan]",
+        "[-0.0]",
+        "[5e-324]",
+    ];
+    for (velocity, acceleration, jerk) in [
+        ("103495.93557002446", "7204.247045473444", "88219.6070782271"),
+        ("56201.30844236721", "63.836126795975346", "220674.4261554565"),
+        ("85810.44643993766", "58959.41727481623", "813809.9989958379"),
+        ("8966.675142661368", "43318.68396212631", "29.97982290112072"),
+        ("0.0000011035869197075916", "0.00018920078594933927", "216876.48290599213"),
+        ("0.5259005265244278", "20.614936481973768", "89492.39740718369"),
+        ("1e6", "1e-6", "1e6"),
+        ("1e-6", "1e6", "1e-6"),
+    ] {
+        let net = format!(
+            "g=Core::DoubleArrayNetcommIn(Key='g',Value='[0]'),s=Core::BooleanNetcommIn(Key='s'),\
+             r=Core::BooleanNetcommIn(Key='r'),\
+             m=Motion::Track(inGoal=g.outValue,inStop=s.outValue,inReset=r.outValue,\
+             Velocity='[{velocity}]',Acceleration='[{acceleration}]',Jerk='[{jerk}]')"
+        );
+        let mut inputs: Vec<(&str, &[&str])> = vec![("g", &goals)];
+        let seldom: Vec<_> = (0..61).map(|k| if k == 60 { "true" } else { "false" }).collect();
+        inputs.extend([("s", &seldom[2..]), ("r", &seldom[..])]);
+        assert_eq!(allocations(&net, &inputs, 5_000), 0, "{velocity} {acceleration} {jerk}");
+    }
+}
+
 #[test]
 fn kinematics_allocate_nothing() {
     for (model, joints, frame) in [

@@ -6,6 +6,7 @@
 
 pub(crate) mod clock;
 pub mod ethtool;
+pub(crate) mod faults;
 pub(crate) mod memory;
 pub(crate) mod process;
 pub(crate) mod scheduler;

@@ -93,6 +93,7 @@ impl Distribution {
             p999: self.quantile(0.999),
             max: nanos(self.max),
             mean: nanos(self.sum / count),
+            sum: nanos(self.sum),
             count,
         }
     }
@@ -127,8 +128,10 @@ pub struct Summary {
     pub p999: Nanos,
     /// The largest, exact.
     pub max: Nanos,
-    /// The mean, exact.
+    /// The mean, rounded down to a nanosecond.
     pub mean: Nanos,
+    /// All together, exact. It never goes down from one reading to the next.
+    pub sum: Nanos,
     /// How many there are.
     pub count: u64,
 }
@@ -176,6 +179,17 @@ mod tests {
                 "{found} for {exact}ns"
             );
         }
+    }
+
+    #[test]
+    fn the_sum_is_exact_where_the_mean_is_rounded() {
+        let mut recorder = Recorder::new();
+        let reader = recorder.reader();
+        [10, 10, 0].map(|ns| recorder.record(Nanos(ns)));
+        let summary = reader.read().summary();
+        assert_eq!((summary.mean, summary.sum), (Nanos(6), Nanos(20)));
+        recorder.record(Nanos(0));
+        assert_eq!(reader.read().summary().sum, Nanos(20));
     }
 
     #[test]

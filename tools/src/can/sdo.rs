@@ -1,6 +1,7 @@
 //! `takt can sdo`: the objects of one node, read, written, dumped and compared, with their names. Transfers are
 //! those of `takt-can`; nothing here runs beside a cycle.
 
+mod stored;
 mod whole;
 
 use std::path::{Path, PathBuf};
@@ -33,6 +34,7 @@ use crate::output::{complain, say, span};
   takt can sdo can0 5 download 1017 100
   takt can sdo can0 5 dump --eds drive.eds --dcf before.dcf
   takt can sdo can0 5 compare before.dcf
+  takt can sdo can0 5 eds drive.eds
   takt can sdo can0 5 store")]
 pub(crate) struct Sdo {
     /// The CAN interface.
@@ -112,6 +114,15 @@ pub(super) enum What {
         json: bool,
         #[command(flatten)]
         transfer: Transfer,
+    },
+    /// Read the data sheet that the node holds itself (1021h), if it holds one.
+    Eds {
+        /// Where to; then it is one for --eds.
+        #[arg(value_name = "FILE")]
+        out: PathBuf,
+        /// How long the node may take for an answer.
+        #[arg(long, value_name = "TIME", default_value = "500ms", value_parser = span)]
+        timeout: Duration,
     },
     /// Have the node keep its settings (1010h).
     Store {
@@ -245,6 +256,7 @@ pub(super) fn perform<W: Wire>(
             json,
             transfer,
         } => dump(wire, node, dcf.as_deref(), *domains, *json, transfer, kbit),
+        What::Eds { out, timeout } => stored::fetch(wire, &mut Asker::new(node, *timeout), out),
         What::Store { group, timeout } => {
             let text = format!("node {node}: stored");
             keep(wire, node, group.store(), text, *timeout)

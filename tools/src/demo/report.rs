@@ -204,6 +204,9 @@ pub(super) struct Report {
     /// In how many cycles it was.
     phase_known: u64,
     rt_allocations: u64,
+    rt_page_faults: u64,
+    /// Whether memory stays resident: only then is a page fault a fault.
+    memory_locked: bool,
     /// Whether the threads have real-time priority and locked memory.
     realtime: bool,
     /// Whether the kernel bounds how late they may be.
@@ -230,6 +233,11 @@ impl Report {
         if rt_allocations > 0 {
             faults.push(format!("{rt_allocations} allocations in real-time threads"));
         }
+        let rt_page_faults = controller.real_time_page_faults().all();
+        let memory_locked = is_memory_locked(host);
+        if memory_locked && rt_page_faults > 0 {
+            faults.push(format!("{rt_page_faults} page faults in real-time threads"));
+        }
         for (name, robot) in krcs {
             if let Some(why) = robot.status.last_fall() {
                 faults.push(format!("{name} left command mode: {why}"));
@@ -249,6 +257,8 @@ impl Report {
             phase_error_ns: stats.phase_error.into(),
             phase_known: stats.phase_error.count,
             rt_allocations,
+            rt_page_faults,
+            memory_locked,
             realtime: is_real_time(controller, host),
             preempt_rt: host.is_preempt_rt(),
             robots,
@@ -278,15 +288,22 @@ impl Report {
         );
         text.extend(self.robots.iter().map(RobotReport::text));
         text += &format!(
-            "sync       all arms had each set-point within {}\nallocations in real-time threads: {}\n",
+            "sync       all arms had each set-point within {}\nallocations in real-time threads: {}; page faults: {}\n",
             time(self.sync_error_ns_max),
-            self.rt_allocations
+            self.rt_allocations,
+            self.rt_page_faults
         );
         for fault in &self.faults {
             text += &format!("FAULT      {fault}\n");
         }
         text + if self.ok { "OK\n" } else { "FAILED\n" }
     }
+}
+
+/// Whether the host granted that memory is locked.
+fn is_memory_locked(host: &Host) -> bool {
+    let mut grants = host.grants().iter();
+    grants.any(|grant| grant.what == takt_rt::host::MEMORY && !grant.is_refused())
 }
 
 /// Whether nothing was refused that real-time threads ask for. The kernel is told apart.

@@ -25,7 +25,9 @@ pub(super) struct Posture(Arc<[AtomicU64; 5]>);
 
 impl Posture {
     pub(super) fn new(angles: [f64; 5]) -> Self {
-        Self(Arc::new(angles.map(|angle| AtomicU64::new(angle.to_bits()))))
+        Self(Arc::new(
+            angles.map(|angle| AtomicU64::new(angle.to_bits())),
+        ))
     }
 
     /// Joint `number` has come to that angle; gives the torque of the weight there, N m, positive off the stop.
@@ -76,7 +78,10 @@ mod tests {
         let [base, shoulder, elbow, wrist, hand] = weight(flat);
         // Its data sheet allows 9.5 N m at the shoulder, which has to be enough for this.
         assert!((9.0..9.5).contains(&shoulder), "{shoulder}");
-        assert!(elbow < 0.0 && wrist > 0.0, "both fall forward: {elbow} {wrist}");
+        assert!(
+            elbow < 0.0 && wrist > 0.0,
+            "both fall forward: {elbow} {wrist}"
+        );
         assert!(base.abs() < 1e-12 && hand.abs() < 1e-12);
     }
 }

@@ -99,6 +99,10 @@ impl Desk {
 
     /// Ends all threads. Nets end and devices come to rest while they still run; drivers go last.
     pub(super) fn stop(&mut self) {
+        if self.threads.is_empty() {
+            // That was done already.
+            return;
+        }
         self.closing = true;
         self.rest();
         self.threads.iter().for_each(NetThread::ask_to_stop);

@@ -17,13 +17,6 @@ use crate::executor::rules::{CONDITION_MAX, Step};
 /// Parentheses inside one another.
 const DEPTH_MAX: usize = 64;
 
-/// The words of a condition.
-pub(super) fn names(condition: &str) -> impl Iterator<Item = &str> {
-    condition
-        .split(|c: char| !is_name(c))
-        .filter(|word| !word.is_empty())
-}
-
 const fn is_name(c: char) -> bool {
     c.is_ascii_alphanumeric() || matches!(c, ':' | '_')
 }

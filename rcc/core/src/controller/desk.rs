@@ -73,7 +73,7 @@ pub(super) struct Net {
     end: Option<String>,
     /// The net while the net thread does not have it.
     running: Option<Box<Running>>,
-    /// Set while a start is under way, and then to its outcome.
+    /// Set while a start is under way, and then to its outcome until somebody asks for it.
     starting: Option<Option<Result<(), Error>>>,
     /// Whether the net thread keeps it for rules to start.
     with_rules: bool,
@@ -168,11 +168,12 @@ impl Net {
             state,
             what,
         };
-        if !matches!(state, NetState::Ready | NetState::Scheduled) || self.starting.is_some() {
+        if !matches!(state, NetState::Ready | NetState::Scheduled) || self.is_to_start() {
             return Err(wrong(
                 "only a net that is READY can be started; load it again",
             ));
         }
+        // An outcome that nobody waited for any more is that of an earlier start.
         let command = match self.running.take() {
             Some(running) => Command::Start(running),
             None if self.with_rules => Command::StartScheduled(id.0),
@@ -237,11 +238,6 @@ impl Net {
     /// Whether the net reads or commands the device of that name.
     pub(super) fn uses(&self, device: &str) -> bool {
         self.devices.iter().any(|name| name == device)
-    }
-
-    /// Whether a start is under way.
-    pub(super) const fn is_starting(&self) -> bool {
-        self.starting.is_some()
     }
 
     /// Gives the net away for rules to start, unless they have it already.
@@ -587,3 +583,6 @@ fn listed(figures: &[(&'static str, String)]) -> String {
         .map(|(name, value)| format!("{name} {value}"));
     pairs.collect::<Vec<_>>().join(", ")
 }
+
+#[cfg(test)]
+mod tests;

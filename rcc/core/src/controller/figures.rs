@@ -76,6 +76,13 @@ impl Controller {
         takt_rt::alloc::real_time_allocations()
     }
 
+    /// Page faults of real-time threads, those of drivers included, from when their cycles began: none
+    /// where memory could be locked.
+    #[must_use]
+    pub fn real_time_page_faults(&self) -> takt_rt::alloc::PageFaults {
+        takt_rt::alloc::real_time_page_faults()
+    }
+
     /// Time between handing over set-points to the first and to the last arm of a cycle of the first net thread.
     #[must_use]
     pub fn hand_over(&self) -> takt_rt::stats::Summary {

@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use takt_net::{Element, Type};
 
-use crate::controller::condition::{Condition, Parser, names};
+use crate::controller::condition::{Condition, Parser};
 use crate::controller::desk::Desk;
 use crate::controller::threads::busy;
 use crate::controller::{Controller, NetId, NetState};
@@ -129,14 +129,13 @@ impl Controller {
         let desk = self.inner.lock();
         let occurs = |entry: &&RuleEntry| {
             let RuleRequest {
-                condition,
                 stop,
                 cancel,
                 start,
                 ..
             } = &entry.request;
             let listed = stop.iter().chain(cancel).chain(start).any(|n| *n == net);
-            listed || names(condition).any(|name| name.parse() == Ok(net))
+            listed || entry.asked.iter().any(|(asked, _)| *asked == net)
         };
         let entries = desk.rules.iter().filter(|(_, entry)| occurs(entry));
         let info = |(id, entry): (&RuleId, &RuleEntry)| RuleInfo {
@@ -145,6 +144,13 @@ impl Controller {
             state: entry.state,
         };
         entries.map(info).collect()
+    }
+
+    /// The states of all rules that are remembered.
+    #[must_use]
+    pub fn rule_states(&self) -> Vec<RuleState> {
+        let desk = self.inner.lock();
+        desk.rules.values().map(|entry| entry.state).collect()
     }
 }
 
@@ -229,7 +235,7 @@ impl Desk {
             let net = self.net(*id)?;
             let state = net.state();
             let twice = request.start.iter().filter(|other| *other == id).count() > 1;
-            if !matches!(state, NetState::Ready | NetState::Scheduled) || twice || net.is_starting()
+            if !matches!(state, NetState::Ready | NetState::Scheduled) || twice || net.is_to_start()
             {
                 let what = "a rule can only start a net that is READY or SCHEDULED, and once";
                 return Err(Error::WrongState {

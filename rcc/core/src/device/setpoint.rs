@@ -115,7 +115,7 @@ impl Joint {
         let target = wanted
             .max(self.limits.position_min)
             .min(self.limits.position_max);
-        let speed = if target < wanted || target > wanted {
+        let speed = if (target - wanted).abs() > 0.0 {
             0.0
         } else {
             speed

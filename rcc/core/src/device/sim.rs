@@ -109,7 +109,8 @@ mod tests {
                     let mut wrong = parameters.clone();
                     // All numbers of a list but the last are as they were.
                     let text = text.trim_end_matches(']').rsplit_once(", ");
-                    let text = text.map_or(value.to_owned(), |(head, _)| format!("{head}, {value}]"));
+                    let text = text
+                        .map_or_else(|| value.to_owned(), |(head, _)| format!("{head}, {value}]"));
                     wrong.insert(key.clone(), text);
                     assert!(make("a", kind, &wrong).is_err(), "{kind}, {key}, {value}");
                 }

@@ -59,7 +59,7 @@ fn loaded(id: u32, text: &str) -> Loaded {
     }
 }
 
-pub(super) fn net(id: u32, text: &str) -> Box<Running> {
+pub(crate) fn net(id: u32, text: &str) -> Box<Running> {
     loaded(id, text).running
 }
 

@@ -1,26 +1,10 @@
 //! One coordinate on its way: planned with bounded velocity, acceleration and jerk, sampled once a
 //! cycle, and planned anew from where it is. A plan that cannot be made leaves the one before.
-//! Neither planning nor sampling allocates, but for a plan that cannot be made: the library writes down what it
-//! refuses. Limits are checked by whoever makes a profile.
+//! Neither planning nor sampling allocates. Limits are checked by whoever makes a profile.
 
-use rsruckig::prelude::{
-    ControlInterface, DataArrayOrVec, InputParameter, Ruckig, RuckigError, RuckigErrorHandler,
-    RuckigResult, Trajectory,
-};
+use rsruckig::prelude::{DataArrayOrVec, Trajectory};
 
-/// Errors without their texts, which would be allocated.
-#[derive(Debug)]
-struct Wordless;
-
-impl RuckigErrorHandler for Wordless {
-    fn handle_validation_error(_: &str) -> Result<(), RuckigError> {
-        Err(RuckigError::ValidationError(String::new()))
-    }
-
-    fn handle_calculator_error(_: &str) -> Result<(), RuckigError> {
-        Err(RuckigError::CalculatorError(String::new()))
-    }
-}
+use super::planner::{Planner, Target};
 
 /// Limits of a coordinate, in its unit per s, s² and s³.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -55,7 +39,7 @@ impl Bounds {
 pub(super) struct State {
     pub(super) place: f64,
     pub(super) velocity: f64,
-    acceleration: f64,
+    pub(super) acceleration: f64,
 }
 
 impl State {
@@ -66,11 +50,12 @@ impl State {
 
 /// A coordinate on its way.
 pub(super) struct Profile {
-    planner: Ruckig<1, Wordless>,
-    input: InputParameter<1>,
+    planner: Planner,
     plan: Trajectory<1>,
     spare: Trajectory<1>,
     bounds: Bounds,
+    /// Whether it is to go up only.
+    forward_only: bool,
     period_s: f64,
     now: State,
     /// Where the plan comes to rest; `None` if it only brakes.
@@ -82,21 +67,18 @@ pub(super) struct Profile {
 impl Profile {
     /// The same coordinate, which is to go up and never down.
     pub(super) fn forward_only(mut self) -> Self {
-        self.input.min_velocity = Some(DataArrayOrVec::new(None, 0.0));
+        self.forward_only = true;
         self
     }
 
     /// At rest at `place`.
     pub(super) fn new(place: f64, bounds: Bounds, period_s: f64) -> Self {
-        let mut input = InputParameter::new(None);
-        input.max_acceleration[0] = bounds.acceleration;
-        input.max_jerk[0] = bounds.jerk;
         Self {
-            planner: Ruckig::new(None, period_s),
-            input,
+            planner: Planner::new(),
             plan: Trajectory::new(None),
             spare: Trajectory::new(None),
             bounds,
+            forward_only: false,
             period_s,
             now: State {
                 place,
@@ -134,25 +116,28 @@ impl Profile {
     /// Plans to come to rest at `goal`, not faster than `part` (0 to 1) of the velocity limit.
     /// Returns whether there is such a plan.
     pub(super) fn go_to(&mut self, goal: f64, part: f64) -> bool {
-        self.input.control_interface = ControlInterface::Position;
-        self.input.max_velocity[0] = self.bounds.velocity * part;
-        self.input.target_position[0] = goal;
-        self.make_plan(Some(goal))
+        let velocity = self.bounds.velocity * part;
+        self.make_plan(Some(goal), velocity)
     }
 
     /// Plans to come to rest as soon as possible. Returns whether there is such a plan.
     pub(super) fn brake(&mut self) -> bool {
-        self.input.control_interface = ControlInterface::Velocity;
-        self.make_plan(None)
+        self.make_plan(None, self.bounds.velocity)
     }
 
-    fn make_plan(&mut self, goal: Option<f64>) -> bool {
-        self.input.current_position[0] = self.now.place;
-        self.input.current_velocity[0] = self.now.velocity;
-        self.input.current_acceleration[0] = self.now.acceleration;
-        let result = self.planner.calculate(&self.input, &mut self.spare);
-        let is_planned = matches!(result, Ok(RuckigResult::Working | RuckigResult::Finished))
-            && self.spare.get_duration().is_finite();
+    fn make_plan(&mut self, goal: Option<f64>, velocity: f64) -> bool {
+        let is_number = goal.is_none_or(f64::is_finite) && self.now.is_finite() && velocity > 0.0;
+        if !is_number {
+            return false;
+        }
+        let bounds = Bounds {
+            velocity,
+            ..self.bounds
+        };
+        let target = goal.map_or(Target::Anywhere, Target::Place);
+        let lowest = if self.forward_only { 0.0 } else { -velocity };
+        let plan = &mut self.spare;
+        let is_planned = self.planner.plan(self.now, target, bounds, lowest, plan);
         if is_planned {
             std::mem::swap(&mut self.plan, &mut self.spare);
             self.goal = goal;
@@ -313,5 +298,37 @@ mod tests {
             profile.advance();
         }
         assert_eq!(profile.now().place.to_bits(), 1e-3_f64.to_bits());
+    }
+
+    /// Goals that change at any instant, among them far, near and equal ones, with limits of all sizes that
+    /// are taken: a plan that cannot be made is rare, and what is sampled is always finite and in bounds.
+    #[test]
+    fn any_goal_at_any_instant_is_planned_for_or_changes_nothing() {
+        let mut draw = series();
+        let (mut failed, mut all) = (0, 0);
+        for _ in 0..2_000 {
+            let bounds = Bounds {
+                velocity: draw(-6.0, 6.0),
+                acceleration: draw(-6.0, 6.0),
+                jerk: draw(-6.0, 6.0),
+            };
+            let mut profile = Profile::new(0.0, bounds, 1e-3);
+            for _ in 0..20 {
+                let sign = if draw(-1.0, 1.0) > 1.0 { 1.0 } else { -1.0 };
+                let planned = profile.go_to(sign * draw(-9.0, 6.0), 1.0);
+                (all, failed) = (all + 1, failed + u32::from(!planned));
+                let mut cycles = draw(0.0, 2.0);
+                while cycles > 0.0 {
+                    profile.advance();
+                    assert!(profile.now.velocity.abs() <= bounds.velocity * (1.0 + 1e-6), "{bounds:?}");
+                    cycles -= 1.0;
+                }
+                if draw(-1.0, 1.0) > 5.0 && !profile.is_at_rest() {
+                    let planned = profile.brake();
+                    (all, failed) = (all + 1, failed + u32::from(!planned));
+                }
+            }
+        }
+        assert!(failed * 1_000 < all, "{failed} of {all}");
     }
 }

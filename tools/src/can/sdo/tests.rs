@@ -226,3 +226,23 @@ fn settings_are_stored_and_restored() {
     assert!(text(&mut lab, &["upload", "6083"]).contains("400000"));
     assert!(Line::try_parse_from(["sdo", "can0", "5", "store", "some"]).is_err());
 }
+
+#[test]
+fn the_data_sheet_in_a_node_is_one_for_eds() {
+    let file = Kept::new("stored.eds");
+    let mut without = lab();
+    let refused = ask(&mut without, &["eds", file.path()]).unwrap_err();
+    assert!(refused.to_string().contains("node 5 refuses 1021h:00"));
+    let mut lab = Lab::new();
+    lab.add_drive(DriveNodeConfig {
+        stored_eds: true,
+        ..drive()
+    });
+    lab.run(10);
+    let told = text(&mut lab, &["eds", file.path()]);
+    assert!(told.contains("product 00000402h"), "{told}");
+    let own = std::fs::read_to_string(file.path()).unwrap();
+    assert_eq!(own, drive().eds().print());
+    let read = text(&mut lab, &["upload", "domain", "--eds", file.path()]);
+    assert!(read.starts_with("2000h:00 domain = "), "{read}");
+}

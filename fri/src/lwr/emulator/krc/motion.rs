@@ -44,7 +44,9 @@ impl Krc {
             let law = self.law();
             self.arm.settle(&law, span_s);
         } else {
+            // Brakes hold the joints where they are, and that is where they are to be when power comes back.
             self.arm.body.freeze();
+            self.arm.take_up();
         }
     }
 

@@ -126,7 +126,7 @@ fn a_net_that_cannot_be_started_for_want_of_room_stays_ready() {
         );
         let known = desk.net(net).unwrap();
         assert_eq!(known.state(), NetState::Ready);
-        assert!(!known.is_starting());
+        assert!(!known.is_to_start());
         Some(net)
     });
     let net = net.unwrap();

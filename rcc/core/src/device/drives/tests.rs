@@ -1,9 +1,11 @@
 //! Arms of made-up drives in virtual time: what they are told in each cycle, and where their motors are. The profile's
 //! own machine is not asked here; drives come and go as a test says.
 
+use takt_net::device::JointError;
 use takt_rt::latest::latest;
 
 use super::*;
+use crate::cell::DriveJoint;
 use crate::device::SetPoint;
 
 const CYCLE: Duration = Duration::from_millis(1);
@@ -12,6 +14,11 @@ const TURN: f64 = 5e8;
 const PER_RAD: f64 = TURN / std::f64::consts::TAU;
 /// Share of its way to the target that a motor goes in a cycle.
 const STIFFNESS: f64 = 0.3;
+
+#[expect(clippy::cast_possible_truncation, reason = "positions in here fit")]
+fn rounded(position: f64) -> i32 {
+    position.round() as i32
+}
 
 fn config(joints: u8) -> DriveArm<u8> {
     let joint = |drive| DriveJoint {
@@ -101,7 +108,7 @@ impl Drive {
             online: true,
             follows,
             state: Some(self.state),
-            increments: self.position.round() as i32,
+            increments: rounded(self.position),
         })
     }
 
@@ -240,6 +247,31 @@ fn a_moving_joint_brakes_within_its_limit_when_another_does_not_follow() {
 }
 
 #[test]
+fn a_motor_does_not_jump_when_the_bus_stood_still_for_a_while() {
+    let mut bench = Bench::new(1);
+    bench.swing(0, 500);
+    let mut wanted = f64::from(bench.drives[0].targets[499]) / PER_RAD;
+    bench.drives[0].targets.drain(..498);
+    let mut go_on = |bench: &mut Bench| {
+        wanted += CYCLE.as_secs_f64();
+        bench.want(0, Some(wanted));
+    };
+    for _ in 0..50 {
+        go_on(&mut bench);
+        bench.tick += 1;
+    }
+    for _ in 0..500 {
+        go_on(&mut bench);
+        bench.cycle(false);
+    }
+    let drive = &bench.drives[0];
+    let acceleration = drive.acceleration(drive.targets.len());
+    assert!(acceleration < 5.3, "caught up at {acceleration} rad/s²");
+    let behind = wanted - drive.position / PER_RAD;
+    assert!(behind < 0.01, "{behind} rad behind");
+}
+
+#[test]
 fn set_points_of_the_time_in_which_the_arm_did_not_follow_are_refused_until_they_end() {
     let mut bench = Bench::new(2);
     bench.swing(0, 100);
@@ -358,7 +390,10 @@ fn limits_that_are_no_numbers_or_do_not_fit_the_drive_are_refused() {
         let mut arm = config(1);
         *fields[field](&mut arm.joints[0]) = value;
         let told = check(&arm, sound).unwrap_err();
-        assert!(told.contains("from 1e-6 to 1e9"), "{field}, {value}: {told}");
+        assert!(
+            told.contains("from 1e-6 to 1e9"),
+            "{field}, {value}: {told}"
+        );
     }
     let mut arm = config(1);
     arm.joints[0].zero = 2e9;
@@ -375,7 +410,7 @@ fn a_position_that_is_no_number_is_no_target() {
     let driven = Driven::new(&arm.joints[0]);
     assert_eq!(
         driven.increments(1.0),
-        Some(PER_RAD.round() as i32),
+        Some(rounded(PER_RAD)),
         "increments of a radian"
     );
     for position in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {

@@ -3,6 +3,7 @@
 
 mod arm;
 mod base;
+mod course;
 mod describe;
 mod gripper;
 mod springs;

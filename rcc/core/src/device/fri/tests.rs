@@ -108,6 +108,9 @@ impl Controller for Cabinet {
     }
 }
 
+/// Where a net wants the joint, rad from its posture, by the time since it began.
+type Net = fn(f64) -> f64;
+
 /// A controller, the driver, and a net thread, in virtual time.
 struct Rig<C, P> {
     controller: C,
@@ -119,7 +122,7 @@ struct Rig<C, P> {
     /// What nets command, and the time of their last cycle.
     wanted: DeviceCommand,
     /// Where a net wants the joint, by the time since it began; `None` while none runs.
-    net: Option<(Duration, fn(f64) -> f64)>,
+    net: Option<(Duration, Net)>,
     state: LatestReader<DeviceState>,
     /// The controller's set-points of the joint, cycle by cycle.
     path: Vec<f64>,
@@ -239,7 +242,7 @@ impl<C: Controller, P: Protocol> Rig<C, P> {
         panic!("never followed: {:?}", self.controller.reasons());
     }
 
-    fn begin(&mut self, net: fn(f64) -> f64) {
+    fn begin(&mut self, net: Net) {
         self.net = Some((self.now, net));
     }
 

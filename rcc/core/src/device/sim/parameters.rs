@@ -53,12 +53,10 @@ impl Parameters<'_> {
             return Ok(default);
         };
         let value = text.trim().parse().ok();
-        value
-            .filter(|v| (LEAST..=MOST).contains(v))
-            .ok_or_else(|| {
-                let what = format!("{key}: `{text}` is no number from {LEAST:e} to {MOST:e}");
-                self.wrong(what)
-            })
+        value.filter(|v| (LEAST..=MOST).contains(v)).ok_or_else(|| {
+            let what = format!("{key}: `{text}` is no number from {LEAST:e} to {MOST:e}");
+            self.wrong(what)
+        })
     }
 
     /// A whole number in a range.

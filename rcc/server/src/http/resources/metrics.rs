@@ -1,7 +1,6 @@
 //! `/metrics`: what monitoring systems collect, in the text format 0.0.4 of Prometheus. How many lines
 //! there are is bounded by threads and devices; single nets, which come and go, have none.
 
-use std::collections::BTreeMap;
 use std::fmt::{self, Write as _};
 use std::time::Duration;
 
@@ -97,8 +96,7 @@ impl Exposition {
             &[("thread", thread), ("le", "+Inf")],
             summary.count,
         );
-        let mean = u128::try_from(summary.mean.0).unwrap_or(0);
-        let sum = seconds(mean * u128::from(summary.count));
+        let sum = seconds(u128::try_from(summary.sum.0).unwrap_or(0));
         self.sample(&format!("{name}_sum"), &[("thread", thread)], sum);
         self.sample(
             &format!("{name}_count"),
@@ -204,6 +202,13 @@ impl Ask<'_> {
             "Allocations made by real-time threads; anything but 0 is a fault.",
             self.controller.real_time_allocations(),
         );
+        let faults = self.controller.real_time_page_faults();
+        let name = "takt_real_time_page_faults_total";
+        let help = "Page faults of real-time threads since they began their cycles, by kind; 0 where memory \
+                    can be locked.";
+        out.family(name, "counter", help);
+        out.sample(name, &[("kind", "minor")], faults.minor);
+        out.sample(name, &[("kind", "major")], faults.major);
     }
 
     /// What only threads have that keep phase with a device's clock; nothing if there are none.
@@ -265,11 +270,9 @@ impl Ask<'_> {
     }
 
     fn of_rules(&self, out: &mut Exposition) {
-        let nets = self.controller.nets().into_iter();
-        let rules = nets.flat_map(|net| self.controller.rules_of(net));
-        let rules: BTreeMap<_, _> = rules.map(|rule| (rule.id, rule.state)).collect();
+        let rules = self.controller.rule_states();
         let name = "takt_rules";
-        let help = "Synchronization rules of the nets that are loaded, by state.";
+        let help = "Synchronization rules that wait, and the last of those that do no longer, by state.";
         out.family(name, "gauge", help);
         for state in [
             RuleState::Active,
@@ -277,7 +280,7 @@ impl Ask<'_> {
             RuleState::FireFailed,
             RuleState::Inactive,
         ] {
-            let count = rules.values().filter(|s| **s == state).count();
+            let count = rules.iter().filter(|s| **s == state).count();
             let word = state.word().to_ascii_lowercase();
             out.sample(name, &[("state", &word)], count);
         }
@@ -333,5 +336,23 @@ impl Ask<'_> {
         out.family(name, "counter", "DirectIO messages, by direction.");
         out.sample(name, &[("direction", "received")], read(&counters.received));
         out.sample(name, &[("direction", "sent")], read(&counters.sent));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_sum_is_that_of_the_samples() {
+        let summary = Summary {
+            count: 3,
+            sum: Nanos(20),
+            mean: Nanos(6),
+            ..Summary::default()
+        };
+        let mut out = Exposition::default();
+        out.histogram("x", "nets", &summary, std::iter::empty());
+        assert!(out.0.contains("x_sum{thread=\"nets\"} 0.00000002\n"), "{}", out.0);
     }
 }

@@ -244,8 +244,7 @@ impl Arm {
             let position = self.joints[n].sample(set_points, fresh, play, dt);
             *commanded = [position, self.joints[n].motion().1];
         }
-        let measured: Motions =
-            std::array::from_fn(|n| self.measured(n).unwrap_or(commanded[n]));
+        let measured: Motions = std::array::from_fn(|n| self.measured(n).unwrap_or(commanded[n]));
         let torques = self.springs.torques(&commanded, &measured, &self.ends);
         let torques = torques.filter(|_| !stopping);
         std::array::from_fn(|n| {

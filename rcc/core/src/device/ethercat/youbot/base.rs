@@ -1,16 +1,17 @@
-//! The base of a youBot: velocities that nets want, ramped and given to four wheels, and where the wheels say that it
-//! is. When commands stop it brakes to rest at its acceleration.
+//! The base of a youBot: velocities that nets want, or those that lead to poses that they want, ramped and given to
+//! four wheels, and where the wheels say that it is. When commands stop it brakes to rest at its acceleration.
 
 use std::time::Duration;
 
 use takt_ethercat::master::Master;
 use takt_ethercat::youbot::{Command, Drive, DriveConfig, DriveState, Mecanum, Odometry, Ramp};
-use takt_net::device::{Interfaces, JointError, Layout};
+use takt_net::device::{Given, Interfaces, JointError, Layout};
 use takt_net::value::{Frame, Rotation, Twist, Vector};
 use takt_rt::Nanos;
 use takt_rt::cycle::Tick;
 use takt_rt::latest::{LatestReader, LatestWriter};
 
+use super::course::{Course, Planar, within};
 use super::describe::base_parts;
 use super::{is_fresh, lead, seconds};
 use crate::cell::YouBotBase;
@@ -27,6 +28,9 @@ pub(super) struct Base {
     mecanum: Mecanum,
     ramp: Ramp,
     odometry: Odometry,
+    course: Course,
+    /// Largest speed (m/s) and rotational speed (rad/s) towards a pose.
+    speed_max: (f64, f64),
     may_commutate: bool,
     /// What came while it did not follow is refused until it ends.
     refused: bool,
@@ -63,6 +67,8 @@ impl Base {
             mecanum: Mecanum::default(),
             ramp: Ramp::new(base.acceleration_max, base.rotation_acceleration_max),
             odometry: Odometry::default(),
+            course: Course::default(),
+            speed_max: (base.velocity_max, base.rotation_max),
             may_commutate: base.commutation,
             refused: false,
             cycle: cycle.into(),
@@ -91,17 +97,25 @@ impl Base {
         let dt = elapsed
             .map_or(0.0, |last| seconds(tick.scheduled - last))
             .min(STEP_MAX);
-        let commanded = self.wanted(tick);
+        let fresh = is_fresh(self.taken.time, tick, self.cycle, self.net_period);
+        let (velocity, pose) = (self.velocity(fresh), self.pose(fresh));
+        let commanded = velocity.is_some() || pose.is_some();
         let follows = self.follows();
-        self.refused = commanded.is_some() && (self.refused || !follows);
-        let wanted = commanded.filter(|_| !self.refused && !stopping);
+        self.refused = commanded && (self.refused || !follows);
+        let pose = pose.filter(|_| velocity.is_none() && !self.refused && !stopping);
+        let period = seconds(self.net_period);
+        let at = self.odometry.pose();
+        let led = self.course.follow(pose.as_ref(), at, period);
+        let velocity = velocity.filter(|_| !self.refused && !stopping);
+        let (speed_max, rotation_max) = self.speed_max;
+        let wanted = velocity.or_else(|| Some(within(led?, speed_max, rotation_max)));
         if follows {
             self.ramp.step(wanted.unwrap_or_default(), dt);
         } else {
             self.ramp.rest();
         }
         let rpm = self.mecanum.rpm(self.ramp.velocity());
-        let may_move = self.may_commutate && commanded.is_none() && !stopping;
+        let may_move = self.may_commutate && !commanded && !stopping;
         for (drive, rpm) in self.drives.iter_mut().zip(rpm) {
             // All turn or none: a base with three wheels goes where nobody wants it.
             let order = follows.then_some(Command::velocity(rpm));
@@ -111,10 +125,17 @@ impl Base {
         self.tell(tick, wanted);
     }
 
-    fn wanted(&self, tick: &Tick) -> Option<[f64; 3]> {
+    /// The pose that a net wants.
+    fn pose(&self, fresh: bool) -> Option<Given<Frame>> {
+        let cartesian = self.interfaces.cartesian.as_ref()?;
+        let given = cartesian.command.read(&self.taken.words)?;
+        (fresh && given.stands(self.taken.cycle)).then_some(given)
+    }
+
+    /// The velocity that a net wants.
+    fn velocity(&self, fresh: bool) -> Option<Planar> {
         let base = self.interfaces.base.as_ref()?;
         let given = base.command.read(&self.taken.words)?;
-        let fresh = is_fresh(self.taken.time, tick, self.cycle, self.net_period);
         let Twist { vel, rot } = given.value;
         let stands = fresh && given.stands(self.taken.cycle);
         let finite = [vel.x, vel.y, rot.z].iter().all(|v| v.is_finite());
@@ -131,7 +152,7 @@ impl Base {
         }
     }
 
-    fn tell(&mut self, tick: &Tick, wanted: Option<[f64; 3]>) {
+    fn tell(&mut self, tick: &Tick, wanted: Option<Planar>) {
         let absent = |drive: &Drive| drive.state() == DriveState::Absent;
         let status = if self.follows() {
             DeviceStatus::Operational
@@ -156,7 +177,7 @@ impl Base {
         self.state.write_with(|state| state.copy_from(told));
     }
 
-    fn tell_base(&mut self, status: DeviceStatus, wanted: Option<[f64; 3]>) {
+    fn tell_base(&mut self, status: DeviceStatus, wanted: Option<Planar>) {
         let Some(base) = &self.interfaces.base else {
             return;
         };
@@ -176,9 +197,7 @@ impl Base {
         } else {
             None
         };
-        let [x, y, heading] = self.odometry.pose();
-        let rotation = Rotation::from_axis_angle(&Vector::z_axis(), heading);
-        let pose = Frame::from_parts([x, y, 0.0].into(), rotation);
+        let pose = frame(self.odometry.pose());
         let signals = &mut self.told.signals;
         base.error.tell(signals, Some(error as i32));
         base.commanded
@@ -190,10 +209,38 @@ impl Base {
             wheel.position.tell(signals, rate.map(|_| angle));
             wheel.velocity.tell(signals, rate);
         }
+        if let Some(cartesian) = &self.interfaces.cartesian {
+            let heading = self.odometry.pose()[2];
+            let refused = self.course.is_refused() && error == JointError::None;
+            let error = if refused { JointError::Refused } else { error };
+            let goal = self.course.goal().unwrap_or_else(|| self.odometry.pose());
+            let known = velocity.map(|velocity| twist(in_place(velocity, heading)));
+            let ramped = twist(in_place(self.ramp.velocity(), heading));
+            cartesian.error.tell(signals, Some(error as i32));
+            cartesian
+                .commanded_position
+                .tell(signals, Some(frame(goal)));
+            cartesian.commanded_velocity.tell(signals, Some(ramped));
+            cartesian
+                .measured_position
+                .tell(signals, known.map(|_| pose));
+            cartesian.measured_velocity.tell(signals, known);
+        }
     }
 }
 
-fn twist([x, y, turn]: [f64; 3]) -> Twist {
+/// A velocity of the base's own frame in that in which it started.
+fn in_place([x, y, turn]: Planar, heading: f64) -> Planar {
+    let (sin, cos) = heading.sin_cos();
+    [cos * x - sin * y, sin * x + cos * y, turn]
+}
+
+fn frame([x, y, heading]: Planar) -> Frame {
+    let rotation = Rotation::from_axis_angle(&Vector::z_axis(), heading);
+    Frame::from_parts([x, y, 0.0].into(), rotation)
+}
+
+fn twist([x, y, turn]: Planar) -> Twist {
     Twist {
         vel: Vector::new(x, y, 0.0),
         rot: Vector::new(0.0, 0.0, turn),

@@ -101,13 +101,14 @@ fn of_arm(arm: &YouBotArm) -> DeviceDescription {
     .with(&ARM_PARTS)
 }
 
-pub(super) fn base_parts(base: &YouBotBase) -> [Part; 2] {
+pub(super) fn base_parts(base: &YouBotBase) -> [Part; 3] {
     [
         Part::Base {
             wheels: 4,
             velocity_max: base.velocity_max,
             rotation_max: base.rotation_max,
         },
+        Part::CartesianPosition,
         Part::Drives { count: 4 },
     ]
 }

@@ -319,7 +319,10 @@ mod tests {
             ..CartesianImpedance::default()
         };
         assert!(take_tool(&mut tool, &wanted));
-        assert_eq!(tool.damping.map(f64::to_bits), before.damping.map(f64::to_bits));
+        assert_eq!(
+            tool.damping.map(f64::to_bits),
+            before.damping.map(f64::to_bits)
+        );
         assert!((tool.stiffness[0] - 80.0).abs() < 1e-9);
     }
 

@@ -42,9 +42,7 @@ impl Default for Tool {
 /// In the order of [`Axes`].
 pub(super) fn axes(wrench: &Wrench) -> Axes {
     let Wrench { force, torque } = wrench;
-    [
-        force.x, force.y, force.z, torque.x, torque.y, torque.z,
-    ]
+    [force.x, force.y, force.z, torque.x, torque.y, torque.z]
 }
 
 /// The way from one frame to another, m and rad, seen along these axes.
@@ -89,7 +87,13 @@ impl Tool {
             let damper = 2.0 * self.damping[i] * (self.stiffness[i] * mass).sqrt();
             self.stiffness[i] * deviation[i] + damper * speed + self.added[i]
         });
-        jacobian.map(|column| column.iter().zip(wrench).map(|(way, force)| way * force).sum())
+        jacobian.map(|column| {
+            column
+                .iter()
+                .zip(wrench)
+                .map(|(way, force)| way * force)
+                .sum()
+        })
     }
 }
 
@@ -118,14 +122,21 @@ mod tests {
         let flange = way(&here.rotation, &here, &tool.arm.forward(&moved));
         let of_joints: f64 = torques.iter().zip(ways).map(|(t, way)| t * way).sum();
         let of_flange: f64 = tool.added.iter().zip(flange).map(|(f, way)| f * way).sum();
-        assert!((of_joints - of_flange).abs() < 1e-9, "{of_joints} {of_flange}");
+        assert!(
+            (of_joints - of_flange).abs() < 1e-9,
+            "{of_joints} {of_flange}"
+        );
         assert!(of_joints.abs() > 1e-6);
     }
 
     #[test]
     fn a_tool_is_pulled_to_where_it_is_commanded_and_nowhere_once_there() {
         let tool = Tool::default();
-        assert!(tool.torques(&at(POSE), &at(POSE)).iter().all(|t| t.abs() < 1e-9));
+        assert!(
+            tool.torques(&at(POSE), &at(POSE))
+                .iter()
+                .all(|t| t.abs() < 1e-9)
+        );
         for n in 0..5 {
             let mut commanded = POSE;
             commanded[n] += 0.05;
@@ -146,6 +157,9 @@ mod tests {
         let mut commanded = POSE;
         commanded[4] += 0.3;
         let torques = tool.torques(&at(commanded), &at(POSE));
-        assert!(torques.iter().all(|torque| torque.abs() < 1e-6), "{torques:?}");
+        assert!(
+            torques.iter().all(|torque| torque.abs() < 1e-6),
+            "{torques:?}"
+        );
     }
 }

@@ -1,0 +1,31 @@
+//! Starts of a net whose answers come late or to nobody.
+
+use super::*;
+
+const ID: NetId = NetId(1);
+const TEXT: &str = "{never=Core::BooleanValue(),outTerminate=never.outValue}";
+
+/// A net that is ready.
+fn ready() -> Net {
+    let mut net = Net::new(SessionId::NONE, String::new(), "".into());
+    net.running = Some(crate::executor::tests::net(ID.0, TEXT));
+    net.enter(NetState::Ready);
+    net
+}
+
+fn begin(net: &mut Net) -> Option<Box<Running>> {
+    match net.begin(ID) {
+        Ok(Command::Start(running)) => Some(running),
+        _ => None,
+    }
+}
+
+#[test]
+fn a_start_that_was_refused_when_nobody_waited_any_more_can_be_repeated() {
+    let mut net = ready();
+    let running = begin(&mut net).unwrap();
+    assert!(begin(&mut net).is_none(), "it is under way");
+    net.take_back(running, Some(busy()));
+    assert!(begin(&mut net).is_some());
+    assert!(net.is_to_start(), "the outcome is that of this start");
+}

@@ -1,0 +1,87 @@
+//! An arm of drives as its cell describes it: what nets see of it, and what of it makes no sense. No drive is asked.
+
+use takt_net::JointLimits;
+
+use crate::cell::{DriveArm, DriveJoint};
+use crate::device::{ARM_JOINTS_MAX, DeviceDescription};
+
+/// The limits of a joint as nets see them.
+pub(super) fn limits_of<D>(joint: &DriveJoint<D>) -> JointLimits {
+    JointLimits {
+        position_min: joint.range[0].to_radians(),
+        position_max: joint.range[1].to_radians(),
+        velocity_max: joint.velocity_max.to_radians(),
+        acceleration_max: joint.acceleration_max.to_radians(),
+    }
+}
+
+/// The arm as a device of that type.
+pub(in crate::device) fn describe<D>(arm: &DriveArm<D>, kind: &'static str) -> DeviceDescription {
+    DeviceDescription {
+        name: arm.name.clone(),
+        kind,
+        limits: arm.joints.iter().map(limits_of).collect(),
+        model: arm.model.clone().into(),
+        parts: Vec::new(),
+    }
+}
+
+/// What is wrong with an arm; `drive` says what is wrong with the drive of a joint.
+pub(in crate::device) fn check<D>(
+    arm: &DriveArm<D>,
+    drive: impl Fn(&DriveJoint<D>) -> Result<(), String>,
+) -> Result<(), String> {
+    let wrong = |what: String| Err(format!("arm {}: {what}", arm.name));
+    let joints = arm.joints.len();
+    if !(1..=ARM_JOINTS_MAX).contains(&joints) {
+        return wrong(format!("{joints} joints; an arm has 1 to {ARM_JOINTS_MAX}"));
+    }
+    let limits: Vec<_> = arm.joints.iter().map(limits_of).collect();
+    let model = takt_motion::kinematics::limited(&arm.model, &limits);
+    if !arm.model.is_empty() && model.is_none() {
+        return wrong(format!(
+            "there is no model `{}` of {joints} joints",
+            arm.model
+        ));
+    }
+    for (number, joint) in arm.joints.iter().enumerate() {
+        if let Err(what) = check_joint(joint).and_then(|()| drive(joint)) {
+            return wrong(format!("joint {number}: {what}"));
+        }
+    }
+    Ok(())
+}
+
+fn check_joint<D>(joint: &DriveJoint<D>) -> Result<(), String> {
+    let DriveJoint {
+        increments_per_turn,
+        zero,
+        range: [low, high],
+        velocity_max,
+        acceleration_max,
+        ..
+    } = joint;
+    // Beyond these, products with the cycle would be zero or infinite.
+    let above_zero = |value: &f64| (1e-6..=1e9).contains(value);
+    let sound = increments_per_turn.is_normal()
+        && [zero, low, high].iter().all(|value| value.is_finite())
+        && low < high
+        && above_zero(velocity_max)
+        && above_zero(acceleration_max);
+    if !sound {
+        return Err(
+            "increments_per_turn must not be 0, range must go up, velocity_max and acceleration_max must be \
+             from 1e-6 to 1e9, and all of them and zero must be finite"
+                .to_owned(),
+        );
+    }
+    for end in [low, high] {
+        let increments = end / 360.0 * increments_per_turn + zero;
+        if increments.abs() > f64::from(i32::MAX) {
+            return Err(format!(
+                "{end} degrees are {increments:.0} increments, which do not fit the 32 bits of 607Ah"
+            ));
+        }
+    }
+    Ok(())
+}

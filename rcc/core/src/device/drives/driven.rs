@@ -1,0 +1,184 @@
+//! A joint that an axis of a drive moves: its target in each cycle, and what is known of its motor. Whether the arm
+//! may move is not decided here.
+
+use std::time::Duration;
+
+use takt_can::cia402::State;
+use takt_net::device::JointError;
+use takt_rt::Nanos;
+
+use super::Feedback;
+use super::check::limits_of;
+use crate::cell::DriveJoint;
+use crate::device::setpoint::Joint;
+use crate::device::{DeviceStatus, JointSetPoints};
+
+/// A motor that moved by no more than this, rad at its joint, for [`STANDS_FOR`] stands: slower than 0.01 rad/s.
+const STANDS_WITHIN_RAD: f64 = 5e-4;
+const STANDS_FOR: Duration = Duration::from_millis(50);
+
+/// What the power stage of a drive does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Power {
+    /// It has no voltage, as far as is known.
+    Off,
+    /// It has voltage, the motor gets none.
+    On,
+    /// It moves or stops the motor.
+    Drives,
+}
+
+impl Power {
+    const fn of(state: State) -> Self {
+        match state {
+            State::NotReadyToSwitchOn
+            | State::SwitchOnDisabled
+            | State::ReadyToSwitchOn
+            | State::Fault => Self::Off,
+            State::SwitchedOn => Self::On,
+            State::OperationEnabled | State::QuickStopActive | State::FaultReactionActive => {
+                Self::Drives
+            }
+        }
+    }
+}
+
+/// A joint and what is known of the axis that moves it.
+#[derive(Debug)]
+pub(super) struct Driven {
+    axis: Option<Feedback>,
+    pub(super) joint: Joint,
+    increments_per_rad: f64,
+    zero: f64,
+    /// 607Ah as it was last given.
+    target: Option<i32>,
+    /// Set-points that came while it could not follow them are refused until they end.
+    refused: bool,
+    /// Measured position and velocity, rad and rad/s.
+    pub(super) measured: Option<[f64; 2]>,
+    /// Where the motor last came from, 6064h, and when it was seen away from there.
+    stood: (i32, Nanos),
+}
+
+impl Driven {
+    pub(super) fn new<D>(joint: &DriveJoint<D>) -> Self {
+        Self {
+            axis: None,
+            joint: Joint::new(limits_of(joint)),
+            increments_per_rad: joint.increments_per_turn / std::f64::consts::TAU,
+            zero: joint.zero,
+            target: None,
+            refused: false,
+            measured: None,
+            stood: (0, Nanos(0)),
+        }
+    }
+
+    fn position(&self, increments: i32) -> f64 {
+        (f64::from(increments) - self.zero) / self.increments_per_rad
+    }
+
+    /// 607Ah for a position; `None` if that is no number.
+    pub(super) fn increments(&self, position: f64) -> Option<i32> {
+        #[expect(
+            clippy::cast_possible_truncation,
+            reason = "saturates, which a range that fits the drive never does"
+        )]
+        let increments = (position * self.increments_per_rad + self.zero).round() as i32;
+        position.is_finite().then_some(increments)
+    }
+
+    pub(super) fn follows(&self) -> bool {
+        self.axis.is_some_and(|axis| axis.online && axis.follows)
+    }
+
+    pub(super) fn is_online(&self) -> bool {
+        self.axis.is_some_and(|axis| axis.online)
+    }
+
+    pub(super) fn power(&self) -> Power {
+        let axis = self.axis.filter(|axis| axis.online);
+        axis.and_then(|axis| axis.state)
+            .map_or(Power::Off, Power::of)
+    }
+
+    /// Whether its motor stands, or has no power that could move it.
+    pub(super) fn stands(&self, now: Nanos) -> bool {
+        let (_, velocity, _) = self.joint.motion();
+        let still = velocity == 0.0 && now - self.stood.1 >= Nanos::from(STANDS_FOR);
+        still || self.power() != Power::Drives
+    }
+
+    /// The target of this cycle. One that may not move brakes, and stays where it then is.
+    pub(super) fn aim(
+        &mut self,
+        set_points: &JointSetPoints,
+        may_move: bool,
+        when: &When,
+    ) -> Option<i32> {
+        self.refused = set_points.active && (self.refused || !may_move);
+        if !self.follows() {
+            return None;
+        }
+        let none = JointSetPoints::default();
+        let followed = if self.refused { &none } else { set_points };
+        // Half a period more than one, so that the two around that instant are there even if the net
+        // is half of it late.
+        let play = when.now - Nanos(followed.period.0 * 3 / 2);
+        let position = self.joint.sample(followed, when.fresh, play, when.dt_s);
+        self.target = self.increments(position).or(self.target);
+        self.target
+    }
+
+    /// What its axis says to an order. One without a target rests where its drive holds it.
+    pub(super) fn take(&mut self, axis: Option<Feedback>, aimed: bool, when: &When) {
+        self.axis = axis;
+        let online = axis.filter(|axis| axis.online);
+        self.measured = online.map(|axis| {
+            let position = self.position(axis.increments);
+            let before = self.measured.filter(|_| when.elapsed_s > 0.0);
+            let velocity = before.map_or(0.0, |[before, _]| (position - before) / when.elapsed_s);
+            [position, velocity]
+        });
+        if let Some(axis) = online {
+            self.watch(axis.increments, when.now);
+        }
+        if !aimed {
+            let (commanded, ..) = self.joint.motion();
+            let position = self.measured.map_or(commanded, |[position, _]| position);
+            self.joint.rest_at(position, &JointSetPoints::default());
+            self.target = online.map(|axis| axis.increments);
+        }
+    }
+
+    /// Notes when the motor was last seen to move.
+    fn watch(&mut self, increments: i32, now: Nanos) {
+        let moved = f64::from(increments) - f64::from(self.stood.0);
+        // The encoder may stand on an edge.
+        let play = (STANDS_WITHIN_RAD * self.increments_per_rad).abs().max(2.0);
+        if moved.abs() > play {
+            self.stood = (increments, now);
+        }
+    }
+
+    pub(super) fn error(&self, status: DeviceStatus) -> JointError {
+        match status {
+            DeviceStatus::Offline => JointError::Offline,
+            DeviceStatus::SafeOperational => JointError::NotEnabled,
+            DeviceStatus::Operational if self.refused => JointError::Refused,
+            DeviceStatus::Operational => self.joint.error(),
+        }
+    }
+}
+
+/// The cycle that joints are led through.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct When {
+    pub(super) now: Nanos,
+    /// Since the last one, s.
+    pub(super) elapsed_s: f64,
+    /// For how long the target is, s: a drive takes one for a cycle, however long the host was away before.
+    pub(super) dt_s: f64,
+    /// Whether set-points still come.
+    pub(super) fresh: bool,
+}

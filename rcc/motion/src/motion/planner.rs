@@ -1,0 +1,102 @@
+//! The way of one coordinate to standstill, by the parts of the library for trajectories of which its own
+//! entry consists. That entry writes a text about each plan that cannot be made, which allocates; here one
+//! fails without a word. Nothing is checked that whoever asks can check.
+
+use rsruckig::block::Block;
+use rsruckig::position_third_step1::PositionThirdOrderStep1;
+use rsruckig::prelude::{DataArrayOrVec, Trajectory};
+use rsruckig::velocity_third_step1::VelocityThirdOrderStep1;
+
+use super::profile::{Bounds, State};
+
+/// How far a sample may be off a limit by rounding, as a share of it.
+const ROUNDING: f64 = 1e-9;
+
+/// Where a coordinate is to come to rest.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Target {
+    /// There.
+    Place(f64),
+    /// As soon as possible.
+    Anywhere,
+}
+
+/// Plans ways of one coordinate.
+pub(super) struct Planner {
+    step: PositionThirdOrderStep1,
+    block: Block,
+}
+
+impl Planner {
+    pub(super) fn new() -> Self {
+        let zero = 0.0;
+        Self {
+            step: PositionThirdOrderStep1::new(
+                zero, zero, zero, zero, zero, zero, zero, zero, zero, zero, zero,
+            ),
+            block: Block::default(),
+        }
+    }
+
+    /// Plans a way from `now` to rest. It goes down only if the lowest velocity, `lowest`, is below zero.
+    /// Returns whether there is one; if not, `plan` is worth nothing.
+    pub(super) fn plan(
+        &mut self,
+        now: State,
+        target: Target,
+        bounds: Bounds,
+        lowest: f64,
+        plan: &mut Trajectory<1>,
+    ) -> bool {
+        let Bounds {
+            velocity: highest,
+            acceleration: a_max,
+            jerk,
+        } = bounds;
+        let (v, a) = (
+            rounded(now.velocity, highest),
+            rounded(now.acceleration, a_max),
+        );
+        let Some(profile) = plan.profiles.first_mut().map(|section| &mut section[0]) else {
+            return false;
+        };
+        let found = match target {
+            Target::Place(place) => {
+                let brake = &mut profile.brake;
+                brake.get_position_brake_trajectory(v, a, highest, lowest, a_max, -a_max, jerk);
+                profile.set_boundary(now.place, v, a, place, 0.0, 0.0);
+                let [p, v, a] = [&mut profile.p[0], &mut profile.v[0], &mut profile.a[0]];
+                profile.brake.finalize(p, v, a);
+                let (p, v, a) = (profile.p[0], profile.v[0], profile.a[0]);
+                self.step.reset(
+                    p, v, a, place, 0.0, 0.0, highest, lowest, a_max, -a_max, jerk,
+                );
+                self.step.get_profile(profile, &mut self.block)
+            }
+            Target::Anywhere => {
+                let brake = &mut profile.brake;
+                brake.get_velocity_brake_trajectory(a, a_max, -a_max, jerk);
+                profile.set_boundary_for_velocity(now.place, v, a, 0.0, 0.0);
+                let [p, v, a] = [&mut profile.p[0], &mut profile.v[0], &mut profile.a[0]];
+                profile.brake.finalize(p, v, a);
+                let (v, a) = (profile.v[0], profile.a[0]);
+                VelocityThirdOrderStep1::new(v, a, 0.0, 0.0, a_max, -a_max, jerk)
+                    .get_profile(profile, &mut self.block)
+            }
+        };
+        *profile = self.block.p_min;
+        plan.duration = self.block.t_min;
+        plan.independent_min_durations = DataArrayOrVec::new(None, plan.duration);
+        if let Some(end) = plan.cumulative_times.first_mut() {
+            *end = plan.duration;
+        }
+        found && plan.duration.is_finite()
+    }
+}
+
+/// A value at its limit, if it is beyond by no more than rounding: a plan from outside its limits begins
+/// with a way back into them.
+fn rounded(value: f64, limit: f64) -> f64 {
+    let beyond = value.abs() > limit && value.abs() <= limit * (1.0 + ROUNDING);
+    if beyond { limit.copysign(value) } else { value }
+}

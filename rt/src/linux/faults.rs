@@ -1,0 +1,133 @@
+//! Page faults of threads while they are real-time, counted by the kernel and read from outside, so that a
+//! cycle need not ask. A fault there means memory that was not resident when the cycles began.
+//!
+//! It cannot say what was touched; `perf trace -F all` can.
+
+use std::sync::{Mutex, PoisonError};
+
+use super::usage::thread_usage;
+
+/// Page faults by kind.
+#[derive(Debug, Default, Clone, Copy, PartialEq, Eq)]
+pub struct PageFaults {
+    /// Served without the disk.
+    pub minor: u64,
+    /// Waited for the disk.
+    pub major: u64,
+}
+
+impl PageFaults {
+    /// Of both kinds.
+    #[must_use]
+    pub const fn all(self) -> u64 {
+        self.minor + self.major
+    }
+
+    const fn plus(self, other: Self) -> Self {
+        Self {
+            minor: self.minor + other.minor,
+            major: self.major + other.major,
+        }
+    }
+
+    const fn since(self, earlier: Self) -> Self {
+        Self {
+            minor: self.minor.saturating_sub(earlier.minor),
+            major: self.major.saturating_sub(earlier.major),
+        }
+    }
+
+    fn of_this_thread() -> Self {
+        let usage = thread_usage();
+        Self {
+            minor: usage.page_faults_minor,
+            major: usage.page_faults_major,
+        }
+    }
+
+    /// Those of a thread of this process; `None` once it is gone.
+    fn of_thread(id: u32) -> Option<Self> {
+        let stat = std::fs::read_to_string(format!("/proc/self/task/{id}/stat"));
+        in_stat(&stat.ok()?)
+    }
+}
+
+/// The counts in the text of a thread's `stat` (proc(5)): minflt is the eighth field behind the name in
+/// brackets, majflt the tenth.
+fn in_stat(stat: &str) -> Option<PageFaults> {
+    let (_, fields) = stat.rsplit_once(')')?;
+    let mut fields = fields.split_ascii_whitespace().skip(7);
+    let minor = fields.next()?.parse().ok()?;
+    let major = fields.nth(1)?.parse().ok()?;
+    Some(PageFaults { minor, major })
+}
+
+/// The threads that are real-time now, each with its faults when that began, and the faults of those that
+/// were.
+#[derive(Default)]
+struct Table {
+    running: Vec<(u32, PageFaults)>,
+    over: PageFaults,
+}
+
+static TABLE: Mutex<Table> = Mutex::new(Table {
+    running: Vec::new(),
+    over: PageFaults { minor: 0, major: 0 },
+});
+
+/// Counts the calling thread's faults from now on. Allocates and locks: for the set-up.
+pub(crate) fn begin() {
+    let mut table = TABLE.lock().unwrap_or_else(PoisonError::into_inner);
+    table.running.reserve(1);
+    let thread = nix::unistd::gettid().as_raw().unsigned_abs();
+    table.running.push((thread, PageFaults::of_this_thread()));
+}
+
+/// Ends that.
+pub(crate) fn end() {
+    let now = PageFaults::of_this_thread();
+    let thread = nix::unistd::gettid().as_raw().unsigned_abs();
+    let mut table = TABLE.lock().unwrap_or_else(PoisonError::into_inner);
+    let Some(at) = table.running.iter().position(|(id, _)| *id == thread) else {
+        return;
+    };
+    let (_, before) = table.running.swap_remove(at);
+    table.over = table.over.plus(now.since(before));
+}
+
+/// Page faults of all threads of this process while they were real-time, up to now. Reads a file for each
+/// that is; not for the real-time path.
+pub fn real_time_page_faults() -> PageFaults {
+    let table = TABLE.lock().unwrap_or_else(PoisonError::into_inner);
+    let of_running = table.running.iter().map(|(id, before)| {
+        let now = PageFaults::of_thread(*id).unwrap_or(*before);
+        now.since(*before)
+    });
+    of_running.fold(table.over, PageFaults::plus)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_fields_are_found_behind_any_name() {
+        let stat = "12 (a ) b) S 1 2 3 4 5 6 70 80 9 100 11";
+        let faults = PageFaults { minor: 70, major: 9 };
+        assert_eq!(in_stat(stat), Some(faults));
+        assert_eq!(in_stat("12 (a) S 1"), None);
+        assert_eq!(in_stat(""), None);
+    }
+
+    #[test]
+    fn fresh_memory_counts_while_the_scope_lasts_and_stays_counted() {
+        let scope = crate::alloc::enter_real_time();
+        let before = real_time_page_faults().all();
+        let pages = std::hint::black_box(vec![1_u8; 4 << 20]);
+        let within = real_time_page_faults().all();
+        drop(scope);
+        drop(pages);
+        let after = real_time_page_faults().all();
+        assert!(within > before && after >= within, "{before} {within} {after}");
+    }
+}
