@@ -654,3 +654,18 @@ fn axes_of_one_drive_have_pdos_of_their_own() {
     assert!(NodePlan::drives(node(1), &[]).is_none());
     assert!(NodePlan::drives(node(1), &[axes[0]; 5]).is_none());
 }
+
+/// Both boot-up messages, its own and that after the master's reset, find the master asking.
+#[test]
+fn a_node_that_powers_up_with_its_master_comes_up_at_once() {
+    let mut plan = plan(1);
+    plan.device_type = None;
+    let drives = vec![DriveNodeConfig::new(node(1))];
+    let mut bus = Bus::new(NetworkConfig::default(), vec![plan], drives);
+    bus.master.start(bus.now);
+    bus.until(SECOND, |bus| {
+        (bus.master.phase(node(1)) == Some(Phase::Running)).then_some(())
+    });
+    let failed = |event: &Event| *event == Event::Phase(node(1), Phase::Failed);
+    assert!(!bus.events.iter().any(failed), "{:?}", bus.events);
+}

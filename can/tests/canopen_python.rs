@@ -192,9 +192,10 @@ impl Lead {
                 .events
                 .iter()
                 .position(|event| matches!(event, Event::Transferred(..)))?;
-            match l.events.swap_remove(at) {
-                Event::Transferred(_, done, outcome) => Some((done.data, outcome)),
-                _ => None,
+            if let Event::Transferred(_, done, outcome) = l.events.swap_remove(at) {
+                Some((done.data, outcome))
+            } else {
+                None
             }
         })
     }

@@ -3,7 +3,6 @@
 //! that it was skipped. How regular SYNC was is printed; nothing here judges how fast a host is.
 #![expect(
     clippy::unwrap_used,
-    clippy::panic,
     clippy::print_stderr,
     clippy::disallowed_methods,
     reason = "a test that cannot go on ends"
@@ -30,14 +29,14 @@ const CSP: i8 = 8;
 const MS: Duration = Duration::from_millis(1);
 const PERIOD: Duration = Duration::from_millis(2);
 /// While drives are brought up and after that: a slow host keeps up with it.
-const CALM: Duration = Duration::from_millis(50);
+const CALM: Duration = Duration::from_millis(20);
 const PATIENCE: Duration = Duration::from_secs(120);
 /// Numbers that no other test on this interface uses.
 const NODES: std::ops::RangeInclusive<u8> = 101..=106;
 /// Periods that are looked at.
 const CYCLES: i32 = 1_000;
 /// Bytes that are transferred meanwhile.
-const LEN: usize = 8_000;
+const LEN: usize = 3_000;
 
 fn vcan(test: &str) -> Option<String> {
     let name = std::env::var("TAKT_VCAN").unwrap_or_else(|_| "vcan0".to_owned());
@@ -117,6 +116,7 @@ impl Master {
         };
         let config = NetworkConfig {
             sdo_timeout: Duration::from_secs(10),
+            sdo_per_cycle: 12,
             boot_up_max: Duration::from_secs(20),
             ..NetworkConfig::default()
         };

@@ -501,6 +501,28 @@ fn full_queue_is_refused_or_waited_for() {
     assert_eq!(patient.refused(), 0);
 }
 
+/// As a bus of 1 Mbit/s, and looked at.
+fn set_up_for_a_pair(name: &str) {
+    let setup = Setup {
+        bitrate: Some(1_000_000),
+        restart: Some(Duration::from_millis(100)),
+        report_errors: Some(true),
+        queue: Some(10),
+        ..Setup::default()
+    };
+    let interface = Interface::open(name).unwrap();
+    interface.set_up(&setup).unwrap();
+    let details = interface.details().unwrap();
+    assert!(details.up && !details.is_virtual());
+    assert_eq!(details.bitrate, Some(1_000_000));
+    assert_eq!(details.state, Some(BusState::ErrorActive));
+    assert_eq!(
+        (details.restart, details.report_errors),
+        (Some(Duration::from_millis(100)), true)
+    );
+    assert_eq!(details.queue, Some(10));
+}
+
 /// Two controllers on one wire, as QEMU has them: set up, exchange, a queue that fills, statistics.
 #[test]
 fn controllers_are_set_up_and_exchange() {
@@ -523,26 +545,7 @@ fn controllers_are_set_up_and_exchange() {
         "{refusal}"
     );
     eprintln!("{refusal}");
-    let setup = Setup {
-        bitrate: Some(1_000_000),
-        restart: Some(Duration::from_millis(100)),
-        report_errors: Some(true),
-        queue: Some(10),
-        ..Setup::default()
-    };
-    for name in [first, second] {
-        let interface = Interface::open(name).unwrap();
-        interface.set_up(&setup).unwrap();
-        let details = interface.details().unwrap();
-        assert!(details.up && !details.is_virtual());
-        assert_eq!(details.bitrate, Some(1_000_000));
-        assert_eq!(details.state, Some(BusState::ErrorActive));
-        assert_eq!(
-            (details.restart, details.report_errors),
-            (Some(Duration::from_millis(100)), true)
-        );
-        assert_eq!(details.queue, Some(10));
-    }
+    [first, second].into_iter().for_each(set_up_for_a_pair);
     let options = Options {
         own: true,
         ..Options::default()

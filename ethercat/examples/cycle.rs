@@ -26,7 +26,7 @@ use nix::time::{ClockId, ClockNanosleepFlags, clock_nanosleep};
 use nix::unistd::Pid;
 use takt_cia402::emulator::DriveConfig;
 use takt_cia402::{Goal, Patience};
-use takt_ethercat::axis::{self, Axis, Target};
+use takt_ethercat::axis::{self, Axis, AxisState, Target};
 use takt_ethercat::config::{MasterConfig, Place, SlaveSpec};
 use takt_ethercat::emulator::{Coupler, Segment, Server, ServoConfig, ServoDrive, SharedSegment};
 use takt_ethercat::link::Port;
@@ -121,6 +121,52 @@ fn wait(due: Duration) {
     let _woken = clock_nanosleep(ClockId::CLOCK_MONOTONIC, flags, &due.into());
 }
 
+/// An axis, and where and in which cycle it began to follow.
+type Follower = (Axis, Option<(i32, u64)>);
+
+fn followers(master: &Master, axes: u8) -> Result<Vec<Follower>, Box<dyn Error>> {
+    let mut all = Vec::new();
+    for number in 0..axes {
+        let slave = usize::from(number / 8) + 1;
+        let process = master.slave(slave).ok_or("a drive is gone")?.process();
+        let mut axis = Axis::new(slave, process, number % 8, Patience::default())?;
+        axis.set_goal(Goal::OperationEnabled);
+        all.push((axis, None));
+    }
+    Ok(all)
+}
+
+/// One cycle of all axes; how many follow, how many ceased to, and one that does not.
+fn lead(
+    all: &mut [Follower],
+    master: &mut Master,
+    n: u64,
+    due: Duration,
+) -> (usize, u64, Option<AxisState>) {
+    let period = master.config().cycle;
+    let (mut following, mut losses, mut last) = (0, 0, None);
+    for (axis, start) in all {
+        let target = start.map_or(Target::Hold, |(at, since)| {
+            Target::Position(at + sine(n - since, period))
+        });
+        let state = axis.cycle(master, target, due);
+        if state.follows {
+            following += 1;
+            start.get_or_insert((state.position, n));
+            continue;
+        }
+        last = Some(state);
+        losses += u64::from(start.take().is_some());
+        // What was gone does not move by itself, and a drive whose slave fell out of OP is in fault: here it is to
+        // go on all the same.
+        if n.is_multiple_of(ASK_EACH) {
+            axis.set_goal(Goal::OperationEnabled);
+            axis.reset_fault();
+        }
+    }
+    (following, losses, last)
+}
+
 fn run(axes: u8, config: MasterConfig, seconds: u64) -> Result<(), Box<dyn Error>> {
     let link = PacketLink::open(ENDS[0])?;
     let mac = link.mac();
@@ -133,14 +179,7 @@ fn run(axes: u8, config: MasterConfig, seconds: u64) -> Result<(), Box<dyn Error
         due = (due + period).max(monotonic()?);
         cycle(&mut master, &mut port, &mut frame, due, &mut figures)?;
     }
-    let mut all = Vec::new();
-    for number in 0..axes {
-        let slave = usize::from(number / 8) + 1;
-        let process = master.slave(slave).ok_or("a drive is gone")?.process();
-        let mut axis = Axis::new(slave, process, number % 8, Patience::default())?;
-        axis.set_goal(Goal::OperationEnabled);
-        all.push((axis, None));
-    }
+    let mut all = followers(&master, axes)?;
     let count = usize::try_from(u128::from(seconds) * 1_000_000_000 / period.as_nanos())?;
     let room = || Vec::with_capacity(count + 16);
     figures = Figures {
@@ -157,31 +196,14 @@ fn run(axes: u8, config: MasterConfig, seconds: u64) -> Result<(), Box<dyn Error
     for _ in 0..count {
         wait(due);
         cycle(&mut master, &mut port, &mut frame, due, &mut figures)?;
-        following = 0;
         while let Some(event) = master.poll_event() {
             if told.len() < EVENTS {
                 told.push((n, event));
             }
         }
-        for (axis, start) in &mut all {
-            let target = start.map_or(Target::Hold, |(at, since)| {
-                Target::Position(at + sine(n - since, period))
-            });
-            let state = axis.cycle(&mut master, target, due);
-            if state.follows {
-                following += 1;
-                start.get_or_insert((state.position, n));
-                continue;
-            }
-            last = Some(state);
-            losses += u64::from(start.take().is_some());
-            // What was gone does not move by itself, and a drive whose slave fell out of OP is in fault: here it is to
-            // go on all the same.
-            if n.is_multiple_of(ASK_EACH) {
-                axis.set_goal(Goal::OperationEnabled);
-                axis.reset_fault();
-            }
-        }
+        let (now_following, lost, not) = lead(&mut all, &mut master, n, due);
+        (following, last) = (now_following, not);
+        losses += lost;
         n += 1;
         due += period;
         let now = monotonic()?;
@@ -194,7 +216,7 @@ fn run(axes: u8, config: MasterConfig, seconds: u64) -> Result<(), Box<dyn Error
     println!(
         "{axes} axes, {following} following, {period:?}, {count} cycles, axes lost and taken again {losses}"
     );
-    if let Some(last) = last.filter(|_| following < usize::from(axes)) {
+    if let Some(last) = last {
         println!("one that does not follow: {last}");
     }
     for (n, event) in told {

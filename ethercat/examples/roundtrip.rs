@@ -1,27 +1,36 @@
-//! How long a cycle takes on a veth pair, from asking the master for its frame to having its answer taken, against a
-//! bare loop that sends the same frame by the same socket and waits for it. The emulated segment answers on the other
-//! end, on the other processor, in both. Cycles and bare frames alternate, so that a busy host is busy for both. Needs
-//! to be allowed to make interfaces and raw sockets.
+//! How long a cycle takes on a veth pair, from asking the master for its frame to having its answer taken: ours, a bare
+//! loop that sends the same frame by the same socket and waits for it, ethercrab, and SOEM by pysoem. Each master has a
+//! pair and an emulated segment of its own, of the same slaves in OP; short slices of each alternate, so that a busy
+//! host is busy for all. Segments answer on processor 0, masters ask on processor 1; ethercrab's thread for its socket
+//! may run on both. Needs to be allowed to make interfaces and raw sockets.
 //!
 //! ```console
-//! # cargo run --release -p takt-ethercat --example roundtrip [CYCLES] [SPIN_US]
+//! # ethercat/tests/peers/install.sh
+//! # TAKT_PYTHON=target/peers/bin/python cargo run --release -p takt-ethercat --example roundtrip [CYCLES] [SPIN_US]
 //! ```
 //!
-//! With `SPIN_US` both ask so long for their answer before they sleep (`PacketLink::spinning`).
+//! With `SPIN_US` ours and the bare loop ask so long for their answer before they sleep (`PacketLink::spinning`). SOEM's
+//! cycle is timed in Python around two calls into it, which costs some microseconds of it.
 #![expect(
     clippy::print_stdout,
     clippy::disallowed_methods,
-    reason = "an example: it prints, and the segment's end of the cable is a thread of its own"
+    reason = "an example: it prints, and the segments' ends of the cables are threads of their own"
 )]
 
 use std::error::Error;
-use std::io;
-use std::process::Command;
+use std::future::Future;
+use std::io::{self, BufRead, BufReader, Write};
+use std::pin::pin;
+use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread;
+use std::task::{Context, Poll, Wake, Waker};
+use std::thread::{self, JoinHandle, Thread};
 use std::time::Duration;
 
+use ethercrab::std::{ethercat_now, tx_rx_task};
+use ethercrab::subdevice_group::{NoDc, Op};
+use ethercrab::{DefaultLock, MainDevice, MainDeviceConfig, PduStorage, SubDeviceGroup, Timeouts};
 use nix::sched::{CpuSet, sched_setaffinity};
 use nix::unistd::Pid;
 use takt_cia402::emulator::DriveConfig;
@@ -33,8 +42,15 @@ use takt_ethercat::link::Port;
 use takt_ethercat::linux::{PacketLink, monotonic};
 use takt_ethercat::master::Master;
 
-const ENDS: [&str; 2] = ["tkrt-master", "tkrt-slaves"];
 const PATIENCE: Duration = Duration::from_millis(20);
+/// Cycles of a slice: all four slices are over before a watchdog of 100 ms is.
+const SLICE: usize = 50;
+const SLAVES: usize = 8;
+const IMAGE: usize = 512;
+
+static STORAGE: PduStorage<16, { PduStorage::element_size(1100) }> = PduStorage::new();
+
+type Anything<T> = Result<T, Box<dyn Error>>;
 
 fn ip(arguments: &str) -> io::Result<()> {
     let done = Command::new("ip").args(arguments.split(' ')).output()?;
@@ -47,7 +63,7 @@ fn ip(arguments: &str) -> io::Result<()> {
 }
 
 /// A coupler, terminals, and a drive of six axes.
-fn segment() -> Result<Segment, Box<dyn Error>> {
+fn segment() -> Anything<Segment> {
     let axes = vec![DriveConfig::default(); 6];
     let (drive, _) = ServoDrive::slave(ServoConfig {
         axes,
@@ -61,112 +77,305 @@ fn segment() -> Result<Segment, Box<dyn Error>> {
     ]))
 }
 
-/// Sends a frame and waits for it; how long that took, if it came back.
-fn bare(port: &mut Port<PacketLink>, frame: &[u8]) -> io::Result<Option<Duration>> {
-    let begin = monotonic()?;
-    port.send(frame)?;
-    let back = port.receive(PATIENCE)?.is_some();
-    Ok(if back {
-        Some(monotonic()?.saturating_sub(begin))
-    } else {
-        None
-    })
-}
-
-/// One cycle of the master; how long it took, if its answer came.
-fn cycle(
-    master: &mut Master,
-    port: &mut Port<PacketLink>,
-    frame: &mut [u8],
-) -> io::Result<Option<(usize, Duration)>> {
-    let begin = monotonic()?;
-    let Some(len) = master.poll_transmit(begin, frame) else {
-        return Ok(None);
-    };
-    port.send(frame.get(..len).unwrap_or_default())?;
-    while let Some((bytes, at)) = port.receive(PATIENCE)? {
-        if master.handle_frame(0, bytes, at) {
-            return Ok(Some((len, monotonic()?.saturating_sub(begin))));
-        }
-    }
-    Ok(None)
-}
-
-/// Keeps the calling thread on a processor; where there is no such one it stays where it is.
-fn stay_on(cpu: usize) {
+/// Keeps the calling thread on processors; where there is no such one it stays where it is.
+fn stay_on(cpus: &[usize]) {
     let mut set = CpuSet::new();
-    let _placed = set
-        .set(cpu)
-        .and_then(|()| sched_setaffinity(Pid::from_raw(0), &set));
+    let all = cpus.iter().try_for_each(|cpu| set.set(*cpu));
+    let _placed = all.and_then(|()| sched_setaffinity(Pid::from_raw(0), &set));
 }
 
-fn told(name: &str, times: &mut [Duration]) {
-    times.sort_unstable();
-    let at = |share: usize| {
-        times
-            .get(times.len() * share / 1000)
-            .copied()
-            .unwrap_or_default()
-    };
-    let us = |share| at(share).as_secs_f64() * 1e6;
-    println!(
-        "{name:8} p50 {:7.1} us  p90 {:7.1} us  p99 {:7.1} us  ({} frames)",
-        us(500),
-        us(900),
-        us(990),
-        times.len()
-    );
+/// A segment that answers at the other end of a pair.
+struct Served {
+    near: String,
+    stop: Arc<AtomicBool>,
+    thread: JoinHandle<()>,
 }
 
-fn measure(cycles: usize, spin: Duration) -> Result<(), Box<dyn Error>> {
-    let mut port = {
-        let link = PacketLink::open(ENDS[0])?.spinning(spin);
-        let mac = link.mac();
-        Port::new(link, mac)
-    };
-    let mut master = Master::new(MasterConfig::default())?;
-    let mut frame = [0; 1500];
-    let (mut ours, mut theirs) = (Vec::with_capacity(cycles), Vec::with_capacity(cycles));
-    while !master.is_operational() {
-        cycle(&mut master, &mut port, &mut frame)?;
-        while master.poll_event().is_some() {}
+impl Served {
+    fn start(name: &str) -> Anything<Self> {
+        let (near, far) = (format!("tkrt-{name}"), format!("tkrt-{name}-s"));
+        let _left_behind = ip(&format!("link del {near}"));
+        ip(&format!("link add {near} type veth peer name {far}"))?;
+        for end in [&near, &far] {
+            ip(&format!("link set {end} up"))?;
+        }
+        let stop = Arc::new(AtomicBool::new(false));
+        let stopped = stop.clone();
+        let mut server = Server::new(SharedSegment::new(segment()?), PacketLink::open(&far)?);
+        let thread = thread::spawn(move || {
+            stay_on(&[0]);
+            while !stopped.load(Ordering::Relaxed) && server.turn(PATIENCE, &mut monotonic).is_ok()
+            {
+            }
+        });
+        Ok(Self { near, stop, thread })
     }
-    for _ in 0..cycles {
-        if let Some((len, time)) = cycle(&mut master, &mut port, &mut frame)? {
-            ours.push(time);
-            theirs.extend(bare(&mut port, frame.get(..len).unwrap_or_default())?);
+
+    fn end(self) -> io::Result<()> {
+        self.stop.store(true, Ordering::Relaxed);
+        let _ended = self.thread.join();
+        ip(&format!("link del {}", self.near))
+    }
+}
+
+/// Our master, and the socket that the bare loop has too.
+struct Ours {
+    master: Master,
+    port: Port<PacketLink>,
+    frame: [u8; 1500],
+    len: usize,
+}
+
+impl Ours {
+    fn start(interface: &str, spin: Duration) -> Anything<Self> {
+        let link = PacketLink::open(interface)?.spinning(spin);
+        let mac = link.mac();
+        let mut ours = Self {
+            master: Master::new(MasterConfig::default())?,
+            port: Port::new(link, mac),
+            frame: [0; 1500],
+            len: 0,
+        };
+        while !ours.master.is_operational() {
+            ours.cycle()?;
+            while ours.master.poll_event().is_some() {}
+        }
+        Ok(ours)
+    }
+
+    /// One cycle of the master; how long it took, if its answer came.
+    fn cycle(&mut self) -> io::Result<Option<Duration>> {
+        let begin = monotonic()?;
+        let Some(len) = self.master.poll_transmit(begin, &mut self.frame) else {
+            return Ok(None);
+        };
+        self.len = len;
+        self.port.send(self.frame.get(..len).unwrap_or_default())?;
+        while let Some((bytes, at)) = self.port.receive(PATIENCE)? {
+            if self.master.handle_frame(0, bytes, at) {
+                return Ok(Some(monotonic()?.saturating_sub(begin)));
+            }
+        }
+        Ok(None)
+    }
+
+    /// Sends the frame of the last cycle and waits for it; how long that took, if it came back.
+    fn bare(&mut self) -> io::Result<Option<Duration>> {
+        let begin = monotonic()?;
+        self.port
+            .send(self.frame.get(..self.len).unwrap_or_default())?;
+        let back = self.port.receive(PATIENCE)?.is_some();
+        let took = monotonic()?.saturating_sub(begin);
+        Ok(back.then_some(took))
+    }
+}
+
+/// Wakes a thread.
+struct Unpark(Thread);
+
+impl Wake for Unpark {
+    fn wake(self: Arc<Self>) {
+        self.0.unpark();
+    }
+}
+
+/// Runs a future to its end on this thread.
+fn block_on<F: Future>(future: F) -> F::Output {
+    let mut future = pin!(future);
+    let waker = Waker::from(Arc::new(Unpark(thread::current())));
+    let mut context = Context::from_waker(&waker);
+    loop {
+        match future.as_mut().poll(&mut context) {
+            Poll::Ready(value) => return value,
+            Poll::Pending => thread::park(),
         }
     }
-    told("bare", &mut theirs);
-    told("master", &mut ours);
-    println!("frames {:?}", master.frames());
+}
+
+/// ethercrab.
+struct Crab {
+    main: &'static MainDevice<'static>,
+    group: SubDeviceGroup<SLAVES, IMAGE, DefaultLock, Op, NoDc>,
+}
+
+impl Crab {
+    fn start(interface: &str) -> Anything<Self> {
+        let (tx, rx, pdus) = STORAGE.try_split().map_err(|()| "its storage is taken")?;
+        let timeouts = Timeouts {
+            pdu: Duration::from_millis(500),
+            state_transition: Duration::from_secs(10),
+            ..Timeouts::default()
+        };
+        let config = MainDeviceConfig::default();
+        // It lives as long as the program.
+        let main: &'static MainDevice<'static> =
+            Box::leak(Box::new(MainDevice::new(pdus, timeouts, config)));
+        let task = tx_rx_task(interface, tx, rx)?;
+        thread::spawn(move || block_on(task).map(|_| ()));
+        let group = block_on(Self::bring_up(main)).map_err(|error| format!("{error:?}"))?;
+        Ok(Self { main, group })
+    }
+
+    async fn bring_up(
+        main: &'static MainDevice<'static>,
+    ) -> Result<SubDeviceGroup<SLAVES, IMAGE, DefaultLock, Op, NoDc>, ethercrab::error::Error> {
+        let group = main
+            .init_single_group::<SLAVES, IMAGE>(ethercat_now)
+            .await?;
+        let group = group.into_safe_op(main).await?;
+        let group = group.request_into_op(main).await?;
+        while !group.tx_rx(main).await?.all_op() {}
+        Ok(group)
+    }
+
+    fn slice(&self, times: &mut Vec<Duration>) -> Anything<()> {
+        for _ in 0..SLICE {
+            let begin = monotonic()?;
+            let answer = block_on(self.group.tx_rx(self.main));
+            let took = monotonic()?.saturating_sub(begin);
+            if answer.is_ok() {
+                times.push(took);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// SOEM in a Python of its own.
+struct Soem {
+    child: Child,
+    to: ChildStdin,
+    from: BufReader<ChildStdout>,
+}
+
+impl Soem {
+    fn start(interface: &str) -> Anything<Self> {
+        let python = std::env::var("TAKT_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+        let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/peers/roundtrip_peer.py");
+        let mut command = Command::new("taskset");
+        command.args(["-c", "1", &python, script, interface]);
+        command.stdin(Stdio::piped()).stdout(Stdio::piped());
+        let mut child = command.spawn()?;
+        let (to, from) = (child.stdin.take(), child.stdout.take());
+        let (Some(to), Some(from)) = (to, from) else {
+            return Err("no pipes".into());
+        };
+        let mut soem = Self {
+            child,
+            to,
+            from: BufReader::new(from),
+        };
+        let mut line = String::new();
+        soem.from.read_line(&mut line)?;
+        if line.trim() != "ready" {
+            return Err(format!("{python} with pysoem did not come to OP: {line}").into());
+        }
+        Ok(soem)
+    }
+
+    fn slice(&mut self, times: &mut Vec<Duration>) -> Anything<()> {
+        writeln!(self.to, "{SLICE}")?;
+        let mut line = String::new();
+        self.from.read_line(&mut line)?;
+        for ns in line.split_whitespace() {
+            times.push(Duration::from_nanos(ns.parse()?));
+        }
+        Ok(())
+    }
+
+    fn end(self) -> io::Result<()> {
+        let Self { mut child, to, .. } = self;
+        drop(to);
+        child.wait().map(|_| ())
+    }
+}
+
+/// How long each took, of one kind of master.
+#[derive(Default)]
+struct Figures {
+    name: &'static str,
+    times: Vec<Duration>,
+}
+
+impl Figures {
+    fn new(name: &'static str, cycles: usize) -> Self {
+        let times = Vec::with_capacity(cycles + SLICE);
+        Self { name, times }
+    }
+
+    fn at(&self, share: usize) -> f64 {
+        let place = self.times.len() * share / 1000;
+        let time = self.times.get(place).copied().unwrap_or_default();
+        time.as_secs_f64() * 1e6
+    }
+
+    /// Sorts them and prints them, with their ratios to others.
+    fn tell(&mut self, bare: Option<(f64, f64)>) -> (f64, f64) {
+        self.times.sort_unstable();
+        let (half, most) = (self.at(500), self.at(990));
+        let ratio = bare.map_or_else(String::new, |(p50, p99)| {
+            format!(
+                "  {:5.2} {:5.2} times the bare loop",
+                half / p50,
+                most / p99
+            )
+        });
+        println!(
+            "{:10} p50 {half:7.1} us  p99 {most:7.1} us  ({} frames){ratio}",
+            self.name,
+            self.times.len()
+        );
+        (half, most)
+    }
+}
+
+fn measure(cycles: usize, spin: Duration, served: &[Served]) -> Anything<()> {
+    let [ours, crab, soem] = served else {
+        return Err("three segments are needed".into());
+    };
+    let crab = Crab::start(&crab.near)?;
+    let soem = Soem::start(&soem.near);
+    stay_on(&[1]);
+    let mut ours = Ours::start(&ours.near, spin)?;
+    let mut soem = soem
+        .inspect_err(|why| println!("SOEM is left out: {why}"))
+        .ok();
+    let names = ["bare loop", "ours", "ethercrab", "SOEM"];
+    let mut figures = names.map(|name| Figures::new(name, cycles));
+    let [bare, own, other, third] = &mut figures;
+    while own.times.len() < cycles {
+        for _ in 0..SLICE {
+            if let Some(time) = ours.cycle()? {
+                own.times.push(time);
+                bare.times.extend(ours.bare()?);
+            }
+        }
+        crab.slice(&mut other.times)?;
+        if let Some(soem) = &mut soem {
+            soem.slice(&mut third.times)?;
+        }
+    }
+    let reference = bare.tell(None);
+    own.tell(Some(reference));
+    other.tell(Some(reference));
+    if let Some(soem) = soem {
+        third.tell(Some(reference));
+        soem.end()?;
+    }
+    println!("ours: {:?}", ours.master.frames());
     Ok(())
 }
 
-fn main() -> Result<(), Box<dyn Error>> {
+fn main() -> Anything<()> {
     let cycles = std::env::args()
         .nth(1)
-        .map_or(Ok(20_000), |text| text.parse())?;
+        .map_or(Ok(10_000), |text| text.parse())?;
     let spin = std::env::args().nth(2).map_or(Ok(0), |text| text.parse())?;
-    let _left_behind = ip(&format!("link del {}", ENDS[0]));
-    ip(&format!(
-        "link add {} type veth peer name {}",
-        ENDS[0], ENDS[1]
-    ))?;
-    for end in ENDS {
-        ip(&format!("link set {end} up"))?;
+    let served = ["ours", "crab", "soem"].map(Served::start);
+    let served = served.into_iter().collect::<Anything<Vec<_>>>()?;
+    let measured = measure(cycles, Duration::from_micros(spin), &served);
+    for served in served {
+        served.end()?;
     }
-    let stop = Arc::new(AtomicBool::new(false));
-    let stopped = stop.clone();
-    let mut server = Server::new(SharedSegment::new(segment()?), PacketLink::open(ENDS[1])?);
-    let served = thread::spawn(move || {
-        stay_on(0);
-        while !stopped.load(Ordering::Relaxed) && server.turn(PATIENCE, &mut monotonic).is_ok() {}
-    });
-    stay_on(1);
-    let measured = measure(cycles, Duration::from_micros(spin));
-    stop.store(true, Ordering::Relaxed);
-    let _ended = served.join();
-    ip(&format!("link del {}", ENDS[0]))?;
     measured
 }

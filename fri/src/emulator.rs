@@ -12,6 +12,7 @@ mod line;
 mod rng;
 #[cfg(target_os = "linux")]
 mod serve;
+mod served;
 mod status;
 mod window;
 
@@ -26,6 +27,7 @@ pub(crate) use line::Line;
 pub(crate) use rng::Rng;
 #[cfg(target_os = "linux")]
 pub use serve::serve;
+pub(crate) use served::served;
 pub(crate) use status::{Served, Shown, Status};
 pub use window::Timing;
 pub(crate) use window::Window;

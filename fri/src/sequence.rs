@@ -33,6 +33,8 @@ impl Order {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Tracker {
     newest: Option<u32>,
+    /// The same, kept when it is forgotten; 0 before any.
+    last: u32,
     window: u16,
     /// Largest counter value; one less than the modulus.
     mask: u32,
@@ -43,6 +45,7 @@ impl Tracker {
     pub(crate) fn new(window: u16) -> Self {
         Self {
             newest: None,
+            last: 0,
             window,
             mask: 0xffff,
         }
@@ -61,10 +64,10 @@ impl Tracker {
         self.newest = None;
     }
 
-    /// The newest number, 0 before any: what is reflected to the peer.
+    /// The newest number, 0 before any: what is reflected to the peer, after a silence too.
     #[cfg(feature = "emulator")]
     pub(crate) fn newest(&self) -> u32 {
-        self.newest.unwrap_or(0)
+        self.last
     }
 
     /// Judges a received number and remembers it if it is new.
@@ -73,6 +76,7 @@ impl Tracker {
         let order = self.judge(number);
         if order.is_new() {
             self.newest = Some(number);
+            self.last = number;
         }
         order
     }

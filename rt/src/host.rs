@@ -88,6 +88,9 @@ impl Host {
     }
 }
 
+/// What the grant of locked memory is called.
+pub const MEMORY: &str = "memory lock";
+
 /// What [`Grant`] calls the kernel.
 pub const KERNEL: &str = "PREEMPT_RT kernel";
 
@@ -104,7 +107,7 @@ fn kernel(flag: &io::Result<String>) -> Grant {
 }
 
 fn lock_memory(requested: bool) -> Grant {
-    const WHAT: &str = "memory lock";
+    const WHAT: &str = MEMORY;
     if !requested {
         return Grant::not_requested(WHAT);
     }

@@ -15,6 +15,7 @@ use anyhow::Context as _;
 use clap::Args;
 use takt_core::Controller;
 use takt_core::device::DeviceStatus;
+use takt_core::device::ethercat::Ethercat;
 use takt_core::record::Recorder;
 use takt_rt::host::{HostConfig, prepare};
 use takt_server::LogBook;
@@ -127,7 +128,7 @@ impl Demo {
         }
         let server = Server::start(&cell, &controller, None, LogBook::default())?;
         let machines = Machines::start(&controller, &segments, self.drop)?;
-        wait_until_ready(&controller)?;
+        self.wait_until_ready(&controller)?;
         let address = server.tcp().context("the server does not listen")?;
         let ended = self.drive(&controller, &machines, address, &nets);
         let recorded = controller.finish_recording()?;
@@ -214,6 +215,40 @@ impl Demo {
         Ok(samples)
     }
 
+    /// Waits for all robots, and says for which: a youBot looks for its stops first, which takes some seconds.
+    fn wait_until_ready(&self, controller: &Controller) -> anyhow::Result<()> {
+        let until = Instant::now() + READY_WITHIN;
+        let waiting = indicatif::ProgressBar::new_spinner();
+        if self.json || !is_terminal() {
+            waiting.set_draw_target(indicatif::ProgressDrawTarget::hidden());
+        }
+        loop {
+            let devices = controller.devices();
+            let late = devices
+                .iter()
+                .find(|d| d.status != DeviceStatus::Operational);
+            let Some(device) = late else {
+                waiting.finish_and_clear();
+                return Ok(());
+            };
+            let why = waits_for(controller);
+            if Instant::now() > until {
+                let why = why.unwrap_or_else(|| {
+                    "this host does not answer it in time; see how busy it is".to_owned()
+                });
+                anyhow::bail!(
+                    "{} is still {} after {READY_WITHIN:?}: {why}",
+                    device.name,
+                    device.status
+                );
+            }
+            let why = why.map(|why| format!(" ({why})")).unwrap_or_default();
+            waiting.set_message(format!("waiting for {}{why}", device.name));
+            waiting.tick();
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
     fn progress(&self) -> indicatif::ProgressBar {
         if self.json || !is_terminal() {
             return indicatif::ProgressBar::hidden();
@@ -244,24 +279,10 @@ impl Demo {
     }
 }
 
-fn wait_until_ready(controller: &Controller) -> anyhow::Result<()> {
-    let until = Instant::now() + READY_WITHIN;
-    loop {
-        let devices = controller.devices();
-        let waiting = devices
-            .iter()
-            .find(|d| d.status != DeviceStatus::Operational);
-        let Some(device) = waiting else { return Ok(()) };
-        if Instant::now() > until {
-            anyhow::bail!(
-                "{} is still {} after {READY_WITHIN:?}: this host does not answer it in time; \
-                 see how busy it is",
-                device.name,
-                device.status
-            );
-        }
-        std::thread::sleep(Duration::from_millis(20));
-    }
+/// What a segment waits for, if it says so.
+fn waits_for(controller: &Controller) -> Option<String> {
+    let all = controller.with_drivers(Ethercat::waits_for);
+    all.into_iter().flatten().next()
 }
 
 fn replay(path: &Path) -> anyhow::Result<Verdict> {

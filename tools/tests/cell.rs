@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{Cell, alone, complaint, expect_status, net, run, run_with_input};
+use common::{Cell, Folder, alone, complaint, expect_status, net, run, run_with_input};
 
 /// `tests/nets/swing`, so slow that it does not end while a test looks at it.
 fn slow_swing() -> String {

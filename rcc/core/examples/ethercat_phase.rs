@@ -41,7 +41,11 @@ fn axes(svg: &mut String) {
         let at = y(us * 1000);
         let color = if us == 0 { "#888" } else { "#e4e4e4" };
         let end = LEFT + WIDTH;
-        writeln!(svg, "<path d=\"M{LEFT} {at:.1}H{end}\" stroke=\"{color}\"/>").unwrap();
+        writeln!(
+            svg,
+            "<path d=\"M{LEFT} {at:.1}H{end}\" stroke=\"{color}\"/>"
+        )
+        .unwrap();
         let (left, base) = (LEFT - 8.0, at + 4.0);
         writeln!(
             svg,
@@ -53,7 +57,11 @@ fn axes(svg: &mut String) {
     for second in 0..=5 {
         let at = x(Duration::from_secs(second));
         let base = bottom + 16.0;
-        writeln!(svg, "<path d=\"M{at:.1} {top}V{bottom}\" stroke=\"#e4e4e4\"/>").unwrap();
+        writeln!(
+            svg,
+            "<path d=\"M{at:.1} {top}V{bottom}\" stroke=\"#e4e4e4\"/>"
+        )
+        .unwrap();
         writeln!(
             svg,
             "<text x=\"{at:.1}\" y=\"{base}\" font-size=\"11\" text-anchor=\"middle\">{second} s</text>"
@@ -65,9 +73,9 @@ fn axes(svg: &mut String) {
 fn dots(svg: &mut String, points: &[Point]) {
     svg.push_str("<path d=\"");
     for point in points.iter().step_by(3) {
-        write!(svg, "M{:.1} {:.1}h1", x(point.at), y(point.frame_ns)).unwrap();
+        write!(svg, "M{:.1} {:.1}h2", x(point.at), y(point.frame_ns)).unwrap();
     }
-    svg.push_str("\" stroke=\"#9bbcd6\" stroke-width=\"1\"/>\n");
+    svg.push_str("\" stroke=\"#8fb4d0\" stroke-width=\"2\"/>\n");
 }
 
 fn line(svg: &mut String, points: &[Point]) {
@@ -80,7 +88,11 @@ fn line(svg: &mut String, points: &[Point]) {
 }
 
 fn main() {
-    let points = run(&[50_000, -50_000, 0], 10e3, Duration::from_secs_f64(SECONDS));
+    let points = run(
+        &[50_000, -50_000, 0],
+        10e3,
+        Duration::from_secs_f64(SECONDS),
+    );
     let rms = rms_ns(&points, Duration::from_secs(2)) / 1e3;
     let mut svg = String::from(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"960\" height=\"450\" viewBox=\"0 0 960 450\" \

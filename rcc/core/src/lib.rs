@@ -17,6 +17,7 @@ pub use controller::Controller;
 pub use error::Error;
 pub use ids::{NetId, SessionId};
 pub use takt_net as net;
+pub use takt_rt::Nanos;
 pub use takt_rt::stats::{Snapshot, Summary};
 
 use takt_net::Registry;

@@ -29,6 +29,7 @@ fn the_phase_is_not_the_master_s_own() {
     // Its clock left alone would be 150 us off after three seconds.
     let points = run(&[50_000], 0.0, Duration::from_secs(5));
     let last = points.last().unwrap();
-    assert!(last.cycle_ns.abs() < 100, "{last:?}");
-    assert!(rms_ns(&points, AFTER) < 100.0);
+    // Half of the way through the segment, which no master can tell apart from a way that is as long in both directions.
+    assert!(last.cycle_ns.abs() < 500, "{last:?}");
+    assert!(rms_ns(&points, AFTER) < 500.0);
 }

@@ -113,7 +113,10 @@ mod tests {
     #[test]
     fn the_fields_are_found_behind_any_name() {
         let stat = "12 (a ) b) S 1 2 3 4 5 6 70 80 9 100 11";
-        let faults = PageFaults { minor: 70, major: 9 };
+        let faults = PageFaults {
+            minor: 70,
+            major: 9,
+        };
         assert_eq!(in_stat(stat), Some(faults));
         assert_eq!(in_stat("12 (a) S 1"), None);
         assert_eq!(in_stat(""), None);
@@ -128,6 +131,9 @@ mod tests {
         drop(scope);
         drop(pages);
         let after = real_time_page_faults().all();
-        assert!(within > before && after >= within, "{before} {within} {after}");
+        assert!(
+            within > before && after >= within,
+            "{before} {within} {after}"
+        );
     }
 }

@@ -122,7 +122,11 @@ fn collected(mut from: impl Read + Send + 'static) -> JoinHandle<String> {
 fn check(test: &str, capture: Option<Capture>) {
     match capture {
         Some(capture) => capture.check(),
-        None => skip(test, "needs a veth pair with dumpcap and tshark to look at it").unwrap(),
+        None => skip(
+            test,
+            "needs a veth pair with dumpcap and tshark to look at it",
+        )
+        .unwrap(),
     }
 }
 

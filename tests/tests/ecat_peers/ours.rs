@@ -4,12 +4,12 @@
 use std::time::Duration;
 
 use takt_cia402::dictionary::{AbortCode, Address};
+use takt_ethercat::coe::Whole;
 use takt_ethercat::config::{MasterConfig, Place, SlaveSpec, SyncSpec};
 use takt_ethercat::emulator::SharedSegment;
 use takt_ethercat::link::Port;
 use takt_ethercat::linux::{PacketLink, monotonic};
 use takt_ethercat::master::{Event, Job, JobError, JobKind, Master};
-use takt_ethercat::coe::Whole;
 
 use super::crab::{command, feedback, follow};
 
@@ -124,7 +124,11 @@ impl Line {
         let starts = DRIVES.map(|drive| self.told(drive).1);
         for n in 1..=300 {
             for (drive, start) in DRIVES.into_iter().zip(starts) {
-                command(self.master.outputs_mut(drive), 0x0F, start + 20 * n.min(250));
+                command(
+                    self.master.outputs_mut(drive),
+                    0x0F,
+                    start + 20 * n.min(250),
+                );
             }
             self.master.outputs_mut(1).fill(0xA5);
             self.cycle();

@@ -33,7 +33,9 @@ impl Cable {
     /// Lays it in a namespace of this thread's own, or notes why that cannot be.
     pub(crate) fn lay(test: &str) -> Option<Self> {
         if let Err(error) = unshare(CloneFlags::CLONE_NEWNET) {
-            let why = format!("needs a veth pair of its own, so CAP_SYS_ADMIN and CAP_NET_ADMIN: {error}");
+            let why = format!(
+                "needs a veth pair of its own, so CAP_SYS_ADMIN and CAP_NET_ADMIN: {error}"
+            );
             skip(test, &why).unwrap();
             return None;
         }

@@ -36,29 +36,43 @@ pub(super) enum Kind {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Arm {
     pub(super) name: &'static str,
+    /// What it is.
+    pub(super) make: &'static str,
+    /// Radius of its wheels, m, if it goes on wheels.
+    pub(super) wheel: Option<f64>,
     /// Names of its joints, from the base, or of its wheels.
     pub(super) joints: &'static [&'static str],
 }
 
 const LEFT: Arm = Arm {
     name: "left",
+    make: "KUKA LWR",
+    wheel: None,
     joints: &takt_fri::lwr::JOINT_NAMES,
 };
 const RIGHT: Arm = Arm {
     name: "right",
+    make: "KUKA LWR",
+    wheel: None,
     joints: &takt_fri::lwr::JOINT_NAMES,
 };
 const TX90: Arm = Arm {
     name: "tx90",
+    make: "Stäubli TX90",
+    wheel: None,
     joints: &["J1", "J2", "J3", "J4", "J5", "J6"],
 };
 
 const ARM: Arm = Arm {
     name: "arm",
+    make: "KUKA youBot arm",
+    wheel: None,
     joints: &["A1", "A2", "A3", "A4", "A5"],
 };
 const BASE: Arm = Arm {
     name: "base",
+    make: "KUKA youBot base",
+    wheel: Some(0.0475),
     joints: &["front left", "front right", "rear left", "rear right"],
 };
 
@@ -171,7 +185,7 @@ impl Machines {
         Ok(Segment::line([Coupler::slave(), drives]))
     }
 
-    /// Where the joints of an arm are, or the motors of a base in truth: a base tells no wheels.
+    /// Where the joints of an arm are, as it tells; or how far the wheels of a base turned, in truth.
     pub(super) fn positions(&self, controller: &Controller, arm: Arm) -> Vec<f64> {
         if arm.name == BASE.name {
             return self

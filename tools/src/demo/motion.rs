@@ -104,6 +104,7 @@ fn arm(
     Arm {
         name: robot,
         joints,
+        ..
     }: Arm,
     repeats: f64,
     scale: f64,

@@ -48,8 +48,13 @@ struct RobotReport {
     name: String,
     protocol: &'static str,
     period_ns: u64,
-    /// How far the farthest joint moved, or the motor of a wheel, rad.
+    /// What it is.
+    make: &'static str,
+    /// How far the farthest joint moved, or the wheel that turned most, rad.
     moved_rad_max: f64,
+    /// How far that brought a base, m.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    moved_m: Option<f64>,
     #[serde(flatten)]
     wire: WireReport,
 }
@@ -147,9 +152,10 @@ impl RobotReport {
     fn new(
         controller: &Controller,
         krcs: &[(String, Robot)],
-        name: &str,
+        arm: Arm,
         moved: f64,
     ) -> Option<Self> {
+        let name = arm.name;
         let krc = krcs.iter().find(|(of, _)| of == name);
         let missed = krc.map_or(0, |(_, robot)| u64::from(robot.status.missed()));
         let of_lwr = |arm: &Lwr| arm.drives(name).then(|| WireReport::of_lwr(arm, missed));
@@ -165,9 +171,11 @@ impl RobotReport {
             .next();
         found.map(|(period_ns, wire)| Self {
             name: name.to_owned(),
+            make: arm.make,
             protocol: wire.protocol(),
             period_ns,
             moved_rad_max: moved,
+            moved_m: arm.wheel.map(|radius| radius * moved),
             wire,
         })
     }
@@ -176,9 +184,13 @@ impl RobotReport {
     fn text(&self) -> String {
         let period = time(self.period_ns.cast_signed());
         let (first, more) = self.wire.text();
+        let moved = match self.moved_m {
+            Some(way) => format!("went {way:.2} m"),
+            None => format!("moved {:.2} rad", self.moved_rad_max),
+        };
         format!(
-            "{:<10} {} every {period}, {first}\n           moved {:.2} rad{more}\n",
-            self.name, self.protocol, self.moved_rad_max
+            "{:<10} {}, {} every {period}, {first}\n           {moved}{more}\n",
+            self.name, self.make, self.protocol
         )
     }
 }
@@ -227,8 +239,7 @@ impl Report {
     ) -> Self {
         let stats = controller.stats();
         let rt_allocations = takt_rt::alloc::real_time_allocations();
-        let report =
-            |(arm, moved): &(Arm, f64)| RobotReport::new(controller, krcs, arm.name, *moved);
+        let report = |(arm, moved): &(Arm, f64)| RobotReport::new(controller, krcs, *arm, *moved);
         let robots: Vec<_> = moved.iter().filter_map(report).collect();
         if rt_allocations > 0 {
             faults.push(format!("{rt_allocations} allocations in real-time threads"));
@@ -288,10 +299,9 @@ impl Report {
         );
         text.extend(self.robots.iter().map(RobotReport::text));
         text += &format!(
-            "sync       all arms had each set-point within {}\nallocations in real-time threads: {}; page faults: {}\n",
+            "sync       all arms had each set-point within {}\nallocations in real-time threads: {}\n",
             time(self.sync_error_ns_max),
-            self.rt_allocations,
-            self.rt_page_faults
+            self.rt_allocations
         );
         for fault in &self.faults {
             text += &format!("FAULT      {fault}\n");

@@ -19,7 +19,10 @@ const PARTS: &[Part] = &[
     part("host", &["takt-rt", "takt-tools", "takt-deploy"]),
     part("cia402", &["takt-cia402"]),
     part("can", &["takt-cia402", "takt-can"]),
-    part("ecat", &["takt-cia402", "takt-ethercat"]),
+    part(
+        "ecat",
+        &["takt-cia402", "takt-ethercat", "takt-core", "takt-tools"],
+    ),
     part("fri", &["takt-fri"]),
     part("net", &["takt-net", "takt-motion", "takt-core"]),
     part("motion", &["takt-motion"]),

@@ -123,7 +123,8 @@ fn loom(root: &Path) -> Cargo {
 
 /// The test target that a file, or a folder with a `main.rs`, makes.
 fn target(path: &Path) -> Option<String> {
-    let is_target = path.extension().is_some_and(|kind| kind == "rs") || path.join("main.rs").is_file();
+    let is_target =
+        path.extension().is_some_and(|kind| kind == "rs") || path.join("main.rs").is_file();
     let name = path.file_stem().filter(|_| is_target)?;
     Some(name.to_str()?.to_owned())
 }
@@ -192,7 +193,10 @@ mod tests {
         assert!(line.ends_with("-p takt-tests --test ecat_peers"), "{line}");
         let part = parts::find("net").unwrap();
         let line = cross_crate(&root, &[part]).unwrap().to_string();
-        assert!(line.ends_with("--test net_examples --test net_fuzz"), "{line}");
+        assert!(
+            line.ends_with("--test net_examples --test net_fuzz"),
+            "{line}"
+        );
     }
 
     #[test]

@@ -70,7 +70,13 @@ pub(super) struct Member {
     seen: Phase,
     /// Periods in which its drives are still told to stop, before it is told so itself.
     parting: u32,
+    /// Until then an SDO answer may be to what was asked before the node booted up.
+    settled: Duration,
 }
+
+/// How long a node that booted up may still answer what it was asked before: who powers up while the master starts
+/// boots up twice, by itself and by the master's reset.
+const SETTLING: Duration = Duration::from_millis(50);
 
 /// Periods in which the drives of a node that is given up are told to stop: two of them may be lost.
 const PARTING: u32 = 3;
@@ -127,6 +133,7 @@ impl Member {
             news: News::default(),
             seen: Phase::Off,
             parting: 0,
+            settled: Duration::ZERO,
             plan,
         })
     }
@@ -224,6 +231,9 @@ impl Member {
             None => drop(self.consumer.handle(state, now)),
         }
         if state == NmtState::BootUp && self.startup.phase() != Phase::Off {
+            if !self.client.is_idle() {
+                self.settled = now + SETTLING;
+            }
             self.drop_transfer(AbortCode::General);
         }
         let action = self.startup.said(state, now);
@@ -317,16 +327,23 @@ impl Member {
     }
 
     pub(super) fn poll_timeout(&self) -> Option<Duration> {
-        if self.command.is_some() || self.question.is_some() || self.has_sdo() {
+        if self.command.is_some() || self.question.is_some() {
             return Some(Duration::ZERO);
         }
+        let asks = self.has_sdo().then_some(self.settled);
         let heartbeat = self.consumer.poll_timeout().filter(|_| self.is_running());
         let guarding = self.guarding.as_ref().map(Guarding::poll_timeout);
         let client = self.client.poll_timeout();
-        [self.startup.poll_timeout(), heartbeat, guarding, client]
-            .into_iter()
-            .flatten()
-            .min()
+        [
+            asks,
+            self.startup.poll_timeout(),
+            heartbeat,
+            guarding,
+            client,
+        ]
+        .into_iter()
+        .flatten()
+        .min()
     }
 }
 
@@ -361,6 +378,9 @@ impl Member {
 
     /// The next SDO message to its server.
     pub(super) fn poll_sdo(&mut self, now: Duration) -> Option<sdo::Message> {
+        if now < self.settled {
+            return None;
+        }
         if let Some(message) = self.message.take() {
             return Some(message);
         }

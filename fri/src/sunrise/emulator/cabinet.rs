@@ -304,7 +304,7 @@ impl Cabinet {
         self.window = Window::new();
         self.misses = 0;
         self.history = History::new();
-        self.tracker.forget();
+        self.tracker = Tracker::wide(COUNTER_WINDOW);
         self.program_at = Some(self.grid.time());
         Ok(())
     }

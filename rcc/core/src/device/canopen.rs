@@ -430,7 +430,7 @@ impl Driver {
             return ControlFlow::Continue(());
         }
         let now = tick.scheduled;
-        let end = *self.farewell.get_or_insert(now + FAREWELL.into());
+        let end = *self.farewell.get_or_insert_with(|| now + FAREWELL.into());
         if now >= end || self.arms.iter().all(|(arm, _)| arm.is_off()) {
             ControlFlow::Break(())
         } else {

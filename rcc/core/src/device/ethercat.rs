@@ -386,7 +386,7 @@ impl Driver {
     /// have it now.
     fn start_up(&mut self, tick: &Tick) {
         if self.master.is_exchanging() {
-            self.refused.since = None;
+            (self.refused.since, self.refused.too_large) = (None, None);
             if !std::mem::take(&mut self.refused.differences).is_empty() {
                 self.tell(News::AsExpected);
             }
@@ -528,7 +528,8 @@ impl Driver {
             return ControlFlow::Continue(());
         }
         let now = tick.scheduled;
-        let end = *self.farewell.get_or_insert(now + FAREWELL.into());
+        let latest = now + FAREWELL.into();
+        let end = *self.farewell.get_or_insert(latest);
         let off = self.arms.iter().all(Arm::is_off) && self.youbots.rest();
         if off || now >= end || !self.master.is_exchanging() {
             ControlFlow::Break(())

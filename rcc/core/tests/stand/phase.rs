@@ -12,13 +12,13 @@ use takt_rt::cycle::Grid;
 use takt_rt::servo::{Servo, ServoConfig as Settings};
 
 /// Time from one frame to the next.
-pub const CYCLE: Duration = Duration::from_millis(1);
+pub(crate) const CYCLE: Duration = Duration::from_millis(1);
 /// Where frames are wanted, behind SYNC0.
-pub const PHASE: Duration = Duration::from_micros(500);
+pub(crate) const PHASE: Duration = Duration::from_micros(500);
 
 /// A cycle.
 #[derive(Clone, Copy, Debug)]
-pub struct Point {
+pub(crate) struct Point {
     /// When it was to begin, since the first.
     pub at: Duration,
     /// How far behind its place to SYNC0 it was to begin, ns.
@@ -38,7 +38,10 @@ impl Noise {
     fn delay(&mut self) -> Duration {
         let mut sum = 0.0;
         for _ in 0..12 {
-            self.seed = self.seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            self.seed = self
+                .seed
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1);
             let bits = u32::try_from(self.seed >> 32).unwrap_or(0);
             sum += f64::from(bits) / f64::from(u32::MAX);
         }
@@ -145,7 +148,7 @@ impl Bench {
 
 /// So long a run with drives whose clocks drift by these, ppb, and delays of this deviation on each way; panics if the
 /// segment is not in OP at the end with all clocks within their window.
-pub fn run(drifts_ppb: &[i64], deviation_ns: f64, time: Duration) -> Vec<Point> {
+pub(crate) fn run(drifts_ppb: &[i64], deviation_ns: f64, time: Duration) -> Vec<Point> {
     let mut bench = Bench::new(drifts_ppb, deviation_ns);
     let cycles = time.as_nanos() / CYCLE.as_nanos();
     let points = (0..cycles).filter_map(|_| bench.cycle()).collect();
@@ -157,7 +160,7 @@ pub fn run(drifts_ppb: &[i64], deviation_ns: f64, time: Duration) -> Vec<Point> 
 }
 
 /// Root mean square of the cycles' distances from `from` on, ns.
-pub fn rms_ns(points: &[Point], from: Duration) -> f64 {
+pub(crate) fn rms_ns(points: &[Point], from: Duration) -> f64 {
     let later = points.iter().filter(|point| point.at >= from);
     let (mut sum, mut count) = (0.0, 0.0);
     for point in later {

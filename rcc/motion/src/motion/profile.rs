@@ -320,7 +320,10 @@ mod tests {
                 let mut cycles = draw(0.0, 2.0);
                 while cycles > 0.0 {
                     profile.advance();
-                    assert!(profile.now.velocity.abs() <= bounds.velocity * (1.0 + 1e-6), "{bounds:?}");
+                    assert!(
+                        profile.now.velocity.abs() <= bounds.velocity * (1.0 + 1e-6),
+                        "{bounds:?}"
+                    );
                     cycles -= 1.0;
                 }
                 if draw(-1.0, 1.0) > 5.0 && !profile.is_at_rest() {

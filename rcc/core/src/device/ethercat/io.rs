@@ -346,7 +346,6 @@ mod tests {
     }
 
     #[test]
-    #[expect(clippy::float_cmp, reason = "exact in binary")]
     fn a_number_is_read_as_it_was_written_and_cut_to_its_range() {
         let mut bytes = [0xFF; 6];
         for (of, value, read) in [

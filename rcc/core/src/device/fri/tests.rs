@@ -128,6 +128,8 @@ struct Rig<C, P> {
     path: Vec<f64>,
     /// Quality in each of these cycles.
     judged: Vec<[bool; 2]>,
+    /// What was sent for the joint, and in which of the robot's milliseconds.
+    sent: Vec<(f64, f64)>,
 }
 
 fn span(time: Nanos) -> Duration {
@@ -169,6 +171,7 @@ impl<C: Controller, P: Protocol> Rig<C, P> {
             state: told,
             path: Vec::new(),
             judged: Vec::new(),
+            sent: Vec::new(),
         }
     }
 
@@ -208,6 +211,8 @@ impl<C: Controller, P: Protocol> Rig<C, P> {
         let mut answer = [0; ROOM];
         let at = Nanos::from(self.now);
         if let Some(len) = self.driver.answer(at, &mut answer) {
+            let at_ms = (self.now.as_secs_f64() * 1e3).floor();
+            self.sent.push((at_ms, self.driver.session.rest()[JOINT]));
             let sent = self.now + WORK;
             self.controller.take(&answer[..len], sent);
             self.driver.handle_sent(at, sent.into());
@@ -596,15 +601,14 @@ fn line(drop: f64) -> LineFaults {
     }
 }
 
-/// Shares of best and of sufficient quality, and speed and acceleration of what was commanded, in twenty seconds of a net.
+/// Shares of best and of sufficient quality, and speed and acceleration of what was commanded, in five seconds of a net.
 fn lossy<C: Controller, P: Protocol>(rig: &mut Rig<C, P>) -> ([f64; 2], [f64; 2]) {
     rig.follow();
     rig.begin(swing);
-    let until = rig.now + MS * 20_000;
-    let mut commanded = Vec::new();
+    let until = rig.now + MS * 5_000;
+    rig.sent.clear();
     while rig.now < until {
         rig.step();
-        commanded.push(rig.driver.joints[JOINT].motion());
     }
     assert!(rig.controller.follows(), "{:?}", rig.controller.reasons());
     assert_eq!(rig.controller.reasons(), Vec::<String>::new());
@@ -613,20 +617,32 @@ fn lossy<C: Controller, P: Protocol>(rig: &mut Rig<C, P>) -> ([f64; 2], [f64; 2]
         let good = rig.judged.iter().filter(|judged| judged[which]).count();
         good as f64 / rig.judged.len() as f64
     };
-    let worst = |pick: fn(&(f64, f64, f64)) -> f64| {
-        commanded
-            .iter()
-            .map(pick)
-            .fold(0.0_f64, |worst, it| worst.max(it.abs()))
+    // By time of the robot, in which a lost measurement is a longer step.
+    let rates = |values: &[(f64, f64)]| -> Vec<(f64, f64)> {
+        let pairs = values.windows(2);
+        pairs
+            .map(|pair| {
+                (
+                    pair[1].0,
+                    (pair[1].1 - pair[0].1) / (pair[1].0 - pair[0].0) * 1e3,
+                )
+            })
+            .collect()
     };
-    ([share(0), share(1)], [worst(|it| it.1), worst(|it| it.2)])
+    let worst = |rates: &[(f64, f64)]| {
+        rates
+            .iter()
+            .fold(0.0_f64, |worst, it| worst.max(it.1.abs()))
+    };
+    let speeds = rates(&rig.sent);
+    (
+        [share(0), share(1)],
+        [worst(&speeds), worst(&rates(&speeds))],
+    )
 }
 
 fn check_lossy(told: ([f64; 2], [f64; 2]), best_from: f64, speed_max: f64) {
     let ([best, sufficient], [speed, acceleration]) = told;
-    println!(
-        "best {best:.4}, sufficient {sufficient:.4}, {speed:.3} rad/s, {acceleration:.2} rad/s²"
-    );
     assert!(best >= best_from, "{best}");
     assert!(sufficient >= 1.0, "{sufficient}");
     assert!(speed <= speed_max, "{speed}");
@@ -636,7 +652,7 @@ fn check_lossy(told: ([f64; 2], [f64; 2]), best_from: f64, speed_max: f64) {
 #[test]
 fn one_per_cent_of_loss_and_jitter_leave_quality_good_and_motion_within_limits() {
     // By exchange, and in each direction.
-    for (drop, best_from) in [(0.005, 0.95), (0.01, 0.7)] {
+    for (drop, best_from) in [(0.005, 0.95), (0.01, 0.85)] {
         let mut rig = krc(KrcConfig {
             faults: Faults {
                 to_client: line(drop),
@@ -675,7 +691,8 @@ fn braked<C: Controller, P: Protocol>(rig: &mut Rig<C, P>, deceleration: f64) {
     let [.., a, b] = rig.path[..] else { panic!() };
     assert!((a - b).abs() < 1e-9, "still moves");
     let news = rig.news();
-    println!("{news:?}");
+    let blame = "the network loses measurements";
+    assert!(news.iter().any(|it| it.contains(blame)), "{news:?}");
 }
 
 #[test]

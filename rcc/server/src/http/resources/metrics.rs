@@ -272,7 +272,8 @@ impl Ask<'_> {
     fn of_rules(&self, out: &mut Exposition) {
         let rules = self.controller.rule_states();
         let name = "takt_rules";
-        let help = "Synchronization rules that wait, and the last of those that do no longer, by state.";
+        let help =
+            "Synchronization rules that wait, and the last of those that do no longer, by state.";
         out.family(name, "gauge", help);
         for state in [
             RuleState::Active,
@@ -341,6 +342,8 @@ impl Ask<'_> {
 
 #[cfg(test)]
 mod tests {
+    use takt_core::Nanos;
+
     use super::*;
 
     #[test]
@@ -353,6 +356,10 @@ mod tests {
         };
         let mut out = Exposition::default();
         out.histogram("x", "nets", &summary, std::iter::empty());
-        assert!(out.0.contains("x_sum{thread=\"nets\"} 0.00000002\n"), "{}", out.0);
+        assert!(
+            out.0.contains("x_sum{thread=\"nets\"} 0.00000002\n"),
+            "{}",
+            out.0
+        );
     }
 }
