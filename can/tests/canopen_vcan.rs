@@ -34,7 +34,7 @@ const PATIENCE: Duration = Duration::from_secs(120);
 /// Numbers that no other test on this interface uses.
 const NODES: std::ops::RangeInclusive<u8> = 101..=106;
 /// Periods that are looked at.
-const CYCLES: i32 = 1_000;
+const CYCLES: i32 = 500;
 /// Bytes that are transferred meanwhile.
 const LEN: usize = 3_000;
 
@@ -69,23 +69,33 @@ fn open(interface: &str, filters: &[Filter]) -> SocketCan {
 /// All drives, on one socket, until told to end.
 fn serve(interface: &str, ends: &AtomicBool) {
     let mut link = open(interface, &[]);
+    let started = monotonic();
     let drive = |raw| {
         let mut config = DriveNodeConfig::new(node(raw));
         // A host that is not real-time misses SYNC now and then.
         config.axes[0].quirks.missing_set_points = None;
         config.domain_len = LEN;
-        DriveNode::power_on(config, monotonic()).unwrap()
+        DriveNode::power_on(config, started).unwrap()
     };
     let mut drives: Vec<_> = NODES.map(drive).collect();
+    // Of a slow host they run in slow motion: making up for lost time would cost it more of that.
+    let mut now = started;
     while !ends.load(Ordering::Relaxed) {
-        let received = link.receive(MS / 2).unwrap();
-        let frame = received.as_ref().and_then(|r| r.frame.classic().copied());
-        for drive in &mut drives {
-            if let Some(frame) = &frame {
-                drive.handle_frame(frame, monotonic());
+        let mut wait = MS / 2;
+        for _ in 0..32 {
+            let Some(received) = link.receive(wait).unwrap() else {
+                break;
+            };
+            wait = Duration::ZERO;
+            if let Some(frame) = received.frame.classic() {
+                drives
+                    .iter_mut()
+                    .for_each(|drive| drive.handle_frame(frame, now));
             }
-            while let Some(frame) = drive.poll_transmit(monotonic()) {
-                // The other drives hear their own SDO server's frames and take none of them.
+        }
+        now = (now + MS).min(monotonic());
+        for drive in &mut drives {
+            while let Some(frame) = drive.poll_transmit(now) {
                 link.send(&frame.into()).unwrap();
             }
         }
@@ -108,7 +118,7 @@ impl Master {
                 ..AxisPlan::default()
             };
             let mut plan = NodePlan::drive(node(raw), axis);
-            plan.supervision = Supervision::Heartbeat(2_000 * MS);
+            plan.supervision = Supervision::None;
             plan.rpdos.truncate(1);
             plan.tpdos.truncate(1);
             plan.sdo_len_max = LEN;

@@ -6,7 +6,8 @@
 //!
 //! ```console
 //! # ethercat/tests/peers/install.sh
-//! # TAKT_PYTHON=target/peers/bin/python cargo run --release -p takt-ethercat --example roundtrip [CYCLES] [SPIN_US]
+//! # cargo build --release -p takt-ethercat --example roundtrip
+//! # TAKT_PYTHON=target/peers/bin/python chrt -f 60 target/release/examples/roundtrip [CYCLES] [SPIN_US]
 //! ```
 //!
 //! With `SPIN_US` ours and the bare loop ask so long for their answer before they sleep (`PacketLink::spinning`). SOEM's

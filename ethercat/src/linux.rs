@@ -3,6 +3,8 @@
 
 mod cable;
 mod packet;
+mod tap;
 
 pub use cable::{CableEnd, cable};
 pub use packet::{PacketLink, monotonic};
+pub use tap::TapLink;

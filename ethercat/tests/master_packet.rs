@@ -12,6 +12,7 @@
 )]
 
 use std::io::Write;
+use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
@@ -21,8 +22,8 @@ use takt_ethercat::config::MasterConfig;
 use takt_ethercat::emulator::{
     Coupler, Io, Segment, Server, ServoConfig, ServoDrive, SharedSegment,
 };
-use takt_ethercat::link::Port;
-use takt_ethercat::linux::{PacketLink, monotonic};
+use takt_ethercat::link::{Link, Port};
+use takt_ethercat::linux::{PacketLink, TapLink, monotonic};
 use takt_ethercat::master::Master;
 
 /// The ends of a cable that the runner has laid.
@@ -33,7 +34,10 @@ fn cable() -> Option<(String, String)> {
 
 /// One line into the file of the runner, which runs the test once more where there is a cable.
 fn skipped(test: &str) {
-    let why = "needs a veth pair (TAKT_VETH, TAKT_VETH_SECOND)";
+    skipped_for(test, "needs a veth pair (TAKT_VETH, TAKT_VETH_SECOND)");
+}
+
+fn skipped_for(test: &str, why: &str) {
     eprintln!("skipped: {why}");
     if let Some(path) = std::env::var_os("TAKT_SKIPS") {
         let file = std::fs::OpenOptions::new().append(true).open(path);
@@ -44,8 +48,11 @@ fn skipped(test: &str) {
 }
 
 /// Serves a segment at the far end until told to stop.
-fn serve(interface: &str, segment: Segment, stop: Arc<AtomicBool>) -> thread::JoinHandle<()> {
-    let link = PacketLink::open(interface).unwrap();
+fn serve<L: Link + Send + 'static>(
+    link: L,
+    segment: Segment,
+    stop: Arc<AtomicBool>,
+) -> thread::JoinHandle<()> {
     let mut server = Server::new(SharedSegment::new(segment), link);
     thread::spawn(move || {
         while !stop.load(Ordering::Relaxed) {
@@ -65,13 +72,44 @@ fn a_segment_behind_an_interface_comes_to_op() {
     let (drive, _) = ServoDrive::slave(ServoConfig::default()).unwrap();
     let stop = Arc::new(AtomicBool::new(false));
     let served = serve(
-        &far,
+        PacketLink::open(&far).unwrap(),
         Segment::line([Coupler::slave(), terminal, drive]),
         stop.clone(),
     );
-    io.set_inputs(&[0xA5]);
+    exchange(&near, &io);
+    stop.store(true, Ordering::Relaxed);
+    served.join().unwrap();
+}
 
-    let link = PacketLink::open(&near).unwrap();
+#[test]
+fn a_segment_behind_a_tap_comes_to_op() {
+    let test = "a_segment_behind_a_tap_comes_to_op";
+    let name = format!("tkt{}", std::process::id());
+    let Ok(tap) = TapLink::open(&name) else {
+        return skipped_for(
+            test,
+            "needs to make a TAP, as root may, and where a veth pair is",
+        );
+    };
+    let up = Command::new("ip")
+        .args(["link", "set", &name, "up"])
+        .status();
+    if !up.is_ok_and(|status| status.success()) {
+        return skipped_for(test, "needs `ip` to bring a TAP up, as for a veth pair");
+    }
+    let (terminal, io) = Io::digital(8, 8);
+    let stop = Arc::new(AtomicBool::new(false));
+    let segment = Segment::line([Coupler::slave(), terminal]);
+    let served = serve(tap, segment, stop.clone());
+    exchange(&name, &io);
+    stop.store(true, Ordering::Relaxed);
+    served.join().unwrap();
+}
+
+/// Brings the segment at an interface to OP and exchanges a byte each way with its terminal at position 1.
+fn exchange(interface: &str, io: &Io) {
+    io.set_inputs(&[0xA5]);
+    let link = PacketLink::open(interface).unwrap();
     let mac = link.mac();
     let mut port = Port::new(link, mac);
     let config = MasterConfig {
@@ -103,6 +141,4 @@ fn a_segment_behind_an_interface_comes_to_op() {
     );
     assert_eq!(master.inputs(1).0, [0xA5]);
     assert_eq!((io.outputs(), master.frames().foreign), (vec![0x3C], 0));
-    stop.store(true, Ordering::Relaxed);
-    served.join().unwrap();
 }

@@ -246,7 +246,7 @@ const CODES: [(u16, &str, &str); 42] = [
     (
         0x0030,
         "invalid DC SYNC configuration",
-        "AssignActivate or cycle differ from the ESI",
+        "AssignActivate or cycle differ from the ESI, or it needs SYNC0 and has none",
     ),
     (
         0x0031,

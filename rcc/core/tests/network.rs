@@ -16,6 +16,7 @@ use takt_can::bus::{Bus, Config};
 use takt_can::canopen::NodeId;
 use takt_can::canopen::emulator::{DriveNode, DriveNodeConfig};
 use takt_can::cia402::State;
+use takt_can::cia402::dictionary::Address;
 use takt_can::cia402::emulator::{Drive, FaultCode};
 use takt_can::link::{Link, LinkError, Received};
 use takt_can::linux::{LivePort, monotonic};
@@ -194,6 +195,15 @@ fn a_net_moves_an_arm_over_canopen() {
         hall.cell().position("arm", 0).abs() < 1e-3,
         "nobody moved it"
     );
+    for drive in hall.drives.lock().unwrap().iter() {
+        let bytes = |index, sub| drive.dictionary().bytes(Address::new(index, sub)).unwrap();
+        assert_eq!(bytes(0x60C2, 1), [4], "SYNC every 4");
+        assert_eq!(bytes(0x60C2, 2), (-3_i8).to_le_bytes(), "ms");
+        assert_eq!(bytes(0x6007, 0), 3_i16.to_le_bytes(), "quick stop");
+        // Five cycles between its heartbeats, and two and a half of those to be patient.
+        let watched = 50_u32 | 127 << 16;
+        assert_eq!(bytes(0x1016, 1), watched.to_le_bytes(), "the master");
+    }
 }
 
 #[test]

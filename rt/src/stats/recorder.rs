@@ -185,7 +185,9 @@ mod tests {
     fn the_sum_is_exact_where_the_mean_is_rounded() {
         let mut recorder = Recorder::new();
         let reader = recorder.reader();
-        [10, 10, 0].map(|ns| recorder.record(Nanos(ns)));
+        for ns in [10, 10, 0] {
+            recorder.record(Nanos(ns));
+        }
         let summary = reader.read().summary();
         assert_eq!((summary.mean, summary.sum), (Nanos(6), Nanos(20)));
         recorder.record(Nanos(0));

@@ -113,7 +113,7 @@ impl Stat {
     fn of_interface(&self, name: &str) -> anyhow::Result<Report> {
         let interface = Interface::open(name)?;
         let before = interface.details()?;
-        let rates = self.bitrate.map(Rates::classic).or(before.rates());
+        let rates = self.bitrate.map(Rates::classic).or_else(|| before.rates());
         let mut feed = Feed::open(&[name.to_owned()], None)?;
         let stop = Stop::listen()?;
         let mut meter = Meter::new(rates);

@@ -7,13 +7,14 @@ mod disturbance;
 mod mixed;
 #[path = "../../../net/benches/net/quantiles.rs"]
 mod quantiles;
+mod rules;
 mod switches;
 
 use serde_json::{Value, json};
 
 fn main() {
     let mut result = json!({});
-    for part in [mixed::run(), switches(), disturbance::run()] {
+    for part in [mixed::run(), rules::run(), switches(), disturbance::run()] {
         if let (Value::Object(all), Value::Object(part)) = (&mut result, part) {
             all.extend(part);
         }

@@ -136,6 +136,9 @@ impl Desk {
         if others > 0 {
             named.push(format!("{others} more"));
         }
+        if named.is_empty() {
+            return "no net runs there".to_owned();
+        }
         named.join(", ")
     }
 }

@@ -55,9 +55,33 @@ pub(in crate::device) struct Gate {
 
 impl Gate {
     /// Whether what is wanted may be added now; `follows` is whether the robot follows.
-    pub(in crate::device) const fn admits(&mut self, is_wanted: bool, follows: bool) -> bool {
+    const fn admits(&mut self, is_wanted: bool, follows: bool) -> bool {
         self.is_shut = is_wanted && (self.is_shut || !follows);
         is_wanted && !self.is_shut
+    }
+
+    /// What of these values is added, and why not all: [`error::RANGE`] if one is no number or larger than `max`,
+    /// [`error::NOT_NOW`] if they are to be asked for anew; then nothing is added.
+    pub(in crate::device) fn pass<const N: usize>(
+        &mut self,
+        wanted: [f64; N],
+        max: &[f64; N],
+        follows: bool,
+    ) -> ([f64; N], i32) {
+        // What is no number is not less than anything.
+        let fits = wanted
+            .iter()
+            .zip(max)
+            .all(|(value, max)| value.abs() <= *max);
+        let is_wanted = fits && wanted.iter().any(|value| value.abs() > 0.0);
+        let passes = self.admits(is_wanted, follows);
+        let added = if passes { wanted } else { [0.0; N] };
+        let refused = match (fits, is_wanted && !passes) {
+            (false, _) => error::RANGE,
+            (true, true) => error::NOT_NOW,
+            (true, false) => error::NONE,
+        };
+        (added, refused)
     }
 }
 
@@ -70,13 +94,6 @@ pub(in crate::device) const fn answer(order: u64, error: i32) -> Option<Answer> 
 pub(in crate::device) fn first(errors: impl IntoIterator<Item = i32>) -> i32 {
     let mut errors = errors.into_iter();
     errors.find(|e| *e != error::NONE).unwrap_or(error::NONE)
-}
-
-/// Whether all of these are numbers no larger than allowed.
-pub(in crate::device) fn within(values: &[f64; 6], max: &[f64; 6]) -> bool {
-    let mut pairs = values.iter().zip(max);
-    // What is no number is not less than anything.
-    pairs.all(|(value, max)| value.abs() <= *max)
 }
 
 /// Force and torque from the order of both generations: along x, y, z, then about z, y, x.

@@ -15,7 +15,7 @@ use takt_net::value::Wrench;
 
 use crate::cell::{IiwaIo, IiwaModel};
 use crate::device::DeviceStatus;
-use crate::device::fri::orders::{Gate, answer, error, first, from_wire, to_wire, within};
+use crate::device::fri::orders::{Gate, answer, error, first, from_wire, to_wire};
 use crate::device::fri::{Heard, Joints, Orders, Protocol, Totals, guard};
 
 /// The session with a cabinet, and orders to it.
@@ -114,10 +114,9 @@ impl End {
 
     fn take_joint(&mut self, axis: usize, wanted: &JointImpedance, stands: bool) -> i32 {
         let torque = wanted.torque.filter(|_| stands).unwrap_or(0.0);
-        let is_strong = !torque.is_finite() || torque.abs() > self.torque_max[axis];
-        let is_added = !is_strong && torque.abs() > 0.0;
-        let passes = self.torque_gates[axis].admits(is_added, self.follows());
-        self.torque[axis] = if passes { torque } else { 0.0 };
+        let (max, follows) = ([self.torque_max[axis]], self.follows());
+        let ([torque], refused) = self.torque_gates[axis].pass([torque], &max, follows);
+        self.torque[axis] = torque;
         let is_fixed = wanted.stiffness.is_some()
             || wanted.damping.is_some()
             || wanted.torque_max.is_some_and(|torque| torque > 0.0);
@@ -125,40 +124,20 @@ impl End {
             Some(_) => self.verdict(CommandMode::Torque),
             None => error::NONE,
         };
-        first([
-            if is_strong { error::RANGE } else { 0 },
-            // FRI of Sunrise carries no stiffness and no damping.
-            if is_fixed { error::IMPOSSIBLE } else { 0 },
-            needed,
-            if is_added && !passes {
-                error::NOT_NOW
-            } else {
-                0
-            },
-        ])
+        verdict(refused, is_fixed, needed)
     }
 
     fn take_cartesian(&mut self, wanted: &CartesianImpedance, stands: bool) -> i32 {
         let wrench = to_wire(&wanted.wrench.filter(|_| stands).unwrap_or_default());
-        let fits = within(&wrench, &self.wrench_max);
-        let is_added = fits && wrench.iter().any(|value| value.abs() > 0.0);
-        let passes = self.wrench_gate.admits(is_added, self.follows());
-        self.wrench = if passes { wrench } else { [0.0; 6] };
+        let follows = self.follows();
+        let (added, refused) = self.wrench_gate.pass(wrench, &self.wrench_max, follows);
+        self.wrench = added;
         let is_fixed = wanted.stiffness.is_some() || wanted.damping.is_some();
         let needed = match wanted.wrench {
             Some(_) => self.verdict(CommandMode::Wrench),
             None => error::NONE,
         };
-        first([
-            if fits { 0 } else { error::RANGE },
-            if is_fixed { error::IMPOSSIBLE } else { 0 },
-            needed,
-            if is_added && !passes {
-                error::NOT_NOW
-            } else {
-                0
-            },
-        ])
+        verdict(refused, is_fixed, needed)
     }
 
     /// Writes the outputs that nets command. One that the robot program does not share is not written, and its
@@ -194,6 +173,22 @@ impl End {
             output.state.tell(signals, real(name));
         }
     }
+}
+
+/// The first of what is wrong with an order: its values, that it fixes what FRI of Sunrise carries none of (stiffness and
+/// damping), what the overlay does not take, and what is to be asked for anew.
+fn verdict(refused: i32, is_fixed: bool, needed: i32) -> i32 {
+    let range = if refused == error::RANGE {
+        refused
+    } else {
+        error::NONE
+    };
+    let fixed = if is_fixed {
+        error::IMPOSSIBLE
+    } else {
+        error::NONE
+    };
+    first([range, fixed, needed, refused])
 }
 
 const fn truth(level: IoLevel) -> Option<bool> {

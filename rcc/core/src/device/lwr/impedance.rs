@@ -7,7 +7,7 @@ use takt_net::device::{Answer, CartesianImpedance, Interfaces, JointImpedance};
 use takt_net::value::Wrench;
 
 use super::{TORQUE_MAX, WRENCH_MAX};
-use crate::device::fri::orders::{Gate, answer, error, first, to_wire, within};
+use crate::device::fri::orders::{Gate, answer, error, first, to_wire};
 use crate::device::fri::{AXES, Orders};
 
 /// Stiffer than this is a slip of a unit, Nm/rad.
@@ -110,15 +110,12 @@ impl Impedance {
         fields: &mut Fields,
     ) -> i32 {
         let torque = wanted.torque.filter(|_| stands).unwrap_or(0.0);
-        let is_strong = !torque.is_finite() || torque.abs() > TORQUE_MAX[axis];
-        let torque = if is_strong { 0.0 } else { torque };
         let gate = &mut self.joint_gates[axis];
-        let is_added = torque.abs() > 0.0;
-        let passes = gate.admits(is_added, standing.follows());
-        fields.joint_torque[axis] = if passes { torque } else { 0.0 };
+        let ([torque], refused) = gate.pass([torque], &[TORQUE_MAX[axis]], standing.follows());
+        fields.joint_torque[axis] = torque;
         let is_soft = in_range(wanted.stiffness, JOINT_STIFFNESS_MAX);
         let is_damped = in_range(wanted.damping, 1.0);
-        if !(is_soft && is_damped) || is_strong {
+        if !(is_soft && is_damped) || refused == error::RANGE {
             return error::RANGE;
         }
         let Fields {
@@ -139,11 +136,7 @@ impl Impedance {
         first([
             if is_capped { error::IMPOSSIBLE } else { 0 },
             standing.verdict(needed),
-            if is_added && !passes {
-                error::NOT_NOW
-            } else {
-                0
-            },
+            refused,
         ])
     }
 
@@ -155,11 +148,9 @@ impl Impedance {
         fields: &mut Fields,
     ) -> i32 {
         let wrench = wanted.wrench.filter(|_| stands).unwrap_or_default();
-        let wrench = to_wire(&wrench);
-        let fits = within(&wrench, &WRENCH_MAX);
-        let is_added = fits && wrench.iter().any(|value| value.abs() > 0.0);
-        let passes = self.cartesian_gate.admits(is_added, standing.follows());
-        fields.wrench = if passes { wrench } else { [0.0; 6] };
+        let gate = &mut self.cartesian_gate;
+        let (added, refused) = gate.pass(to_wire(&wrench), &WRENCH_MAX, standing.follows());
+        fields.wrench = added;
         let values = |wrench: Wrench| to_wire(&wrench);
         let stiffness = wanted.stiffness.map(values);
         let damping = wanted.damping.map(values);
@@ -167,7 +158,8 @@ impl Impedance {
             let mut values = values.iter().flatten();
             values.all(|value| in_range(Some(*value), max))
         };
-        if !fits || !fit(stiffness, CARTESIAN_STIFFNESS_MAX) || !fit(damping, 1.0) {
+        if refused == error::RANGE || !fit(stiffness, CARTESIAN_STIFFNESS_MAX) || !fit(damping, 1.0)
+        {
             return error::RANGE;
         }
         fields.cartesian_stiffness = stiffness.unwrap_or(fields.cartesian_stiffness);
@@ -178,12 +170,7 @@ impl Impedance {
             (wanted.wrench.is_some(), CmdFlags::TCPFT),
         ]);
         self.chosen = self.chosen | needed;
-        let late = if is_added && !passes {
-            error::NOT_NOW
-        } else {
-            0
-        };
-        first([standing.verdict(needed), late])
+        first([standing.verdict(needed), refused])
     }
 
     pub(super) fn report(&self, has: &Interfaces, signals: &mut [u64]) {

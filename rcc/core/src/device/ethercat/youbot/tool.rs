@@ -151,8 +151,10 @@ mod tests {
 
     #[test]
     fn directions_have_springs_of_their_own() {
-        let mut tool = Tool::default();
-        tool.stiffness = [0.0, 0.0, 400.0, 0.0, 0.0, 0.0];
+        let tool = Tool {
+            stiffness: [0.0, 0.0, 400.0, 0.0, 0.0, 0.0],
+            ..Tool::default()
+        };
         // Joint 4 turns about the flange's z axis, which moves nothing along it.
         let mut commanded = POSE;
         commanded[4] += 0.3;

@@ -1,0 +1,118 @@
+//! A TAP: a network interface whose cable ends in this process. An emulated segment behind one is found by any master
+//! on this host, without a second interface. It does not bring the interface up: `ip link set NAME up` does.
+
+use std::fs::{File, OpenOptions};
+use std::io;
+use std::os::fd::{AsFd, AsRawFd};
+use std::os::unix::fs::OpenOptionsExt;
+use std::time::Duration;
+
+use nix::errno::Errno;
+use nix::poll::{PollFd, PollFlags, ppoll};
+use nix::sys::time::TimeSpec;
+
+use super::monotonic;
+use crate::link::Link;
+
+/// The process's end of a TAP; the interface is there as long as this is.
+#[derive(Debug)]
+pub struct TapLink {
+    file: File,
+}
+
+impl TapLink {
+    /// Makes the interface of that name (up to 15 bytes). Needs CAP_NET_ADMIN, but for a TAP that was made for this user
+    /// before (`ip tuntap add NAME mode tap user USER`).
+    pub fn open(name: &str) -> io::Result<Self> {
+        let told = |text: &str, error: io::Error| {
+            io::Error::new(error.kind(), format!("{name}: {text}: {error}"))
+        };
+        let mut options = OpenOptions::new();
+        let options = options.read(true).write(true);
+        let file = options
+            .custom_flags(libc::O_NONBLOCK)
+            .open("/dev/net/tun")
+            .map_err(|error| told("no /dev/net/tun (`modprobe tun`)", error))?;
+        let mut request = request(name)?;
+        // SAFETY: the descriptor is that of /dev/net/tun, and the pointer is to a whole ifreq that lives over the call,
+        // which is what TUNSETIFF reads and writes.
+        let done = unsafe { libc::ioctl(file.as_raw_fd(), libc::TUNSETIFF, &raw mut request) };
+        if done < 0 {
+            let error = io::Error::last_os_error();
+            return Err(told("no TAP: run as root, or make it for this user", error));
+        }
+        Ok(Self { file })
+    }
+
+    fn take(&self, buf: &mut [u8]) -> io::Result<Option<(usize, Duration)>> {
+        match nix::unistd::read(&self.file, buf) {
+            Ok(len) => Ok(Some((len, monotonic()?))),
+            // Not up, or down again: as a cable pulled, nothing comes.
+            Err(Errno::EAGAIN | Errno::EINTR | Errno::EIO) => Ok(None),
+            Err(error) => Err(error.into()),
+        }
+    }
+}
+
+/// What is asked for: a TAP of that name, frames without anything before them.
+fn request(name: &str) -> io::Result<libc::ifreq> {
+    let mut ifr_name = [0; libc::IFNAMSIZ];
+    let fits = !name.is_empty() && name.len() < ifr_name.len() && !name.contains('\0');
+    if !fits {
+        let text = format!("{name:?} is no name of an interface: write 1 to 15 bytes");
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, text));
+    }
+    for (to, from) in ifr_name.iter_mut().zip(name.bytes()) {
+        *to = libc::c_char::from_ne_bytes([from]);
+    }
+    let flags = i16::try_from(libc::IFF_TAP | libc::IFF_NO_PI).unwrap_or_default();
+    Ok(libc::ifreq {
+        ifr_name,
+        ifr_ifru: libc::__c_anonymous_ifr_ifru { ifru_flags: flags },
+    })
+}
+
+impl Link for TapLink {
+    fn send(&mut self, frame: &[u8]) -> io::Result<()> {
+        match nix::unistd::write(&self.file, frame) {
+            // While it is not up, nobody is there to hear it.
+            Ok(_) | Err(Errno::EIO) => Ok(()),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    fn receive(
+        &mut self,
+        buf: &mut [u8],
+        timeout: Duration,
+    ) -> io::Result<Option<(usize, Duration)>> {
+        if let Some(received) = self.take(buf)? {
+            return Ok(Some(received));
+        }
+        if timeout.is_zero() {
+            return Ok(None);
+        }
+        let mut waits = [PollFd::new(self.file.as_fd(), PollFlags::POLLIN)];
+        match ppoll(&mut waits, Some(TimeSpec::from_duration(timeout)), None) {
+            Ok(0) | Err(Errno::EINTR) => Ok(None),
+            Ok(_) => self.take(buf),
+            Err(error) => Err(error.into()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_that_no_interface_can_have_is_refused() {
+        for name in ["", "an-interface-too-long", "a\0b"] {
+            let told = TapLink::open(name).unwrap_err().to_string();
+            assert!(
+                told.contains("is no name of an interface") || told.contains("/dev/net/tun"),
+                "{told}"
+            );
+        }
+    }
+}
