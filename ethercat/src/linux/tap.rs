@@ -1,5 +1,6 @@
 //! A TAP: a network interface whose cable ends in this process. An emulated segment behind one is found by any master
 //! on this host, without a second interface. It does not bring the interface up: `ip link set NAME up` does.
+#![expect(unsafe_code, reason = "nobody wraps TUNSETIFF without a dependency")]
 
 use std::fs::{File, OpenOptions};
 use std::io;

@@ -41,8 +41,8 @@ const RESTING_RAD_PER_S: f64 = 1e-7;
 /// set-points that accelerate meanwhile.
 const APPROACH_SHARE: f64 = 0.5;
 
-/// How much of the joint's acceleration a stream may show: nets keep it to the bit, but for their own rounding and what
-/// a joint that is braked to its limits did before.
+/// How much of the joint's acceleration a stream may show over a cycle and a period: nets that keep the limit do so by
+/// their own differences, which are others than those of the joint's cycles.
 const FOLLOW_SHARE: f64 = 1.25;
 /// By how much of a step the clock by which set-points are played may wander from one cycle to the next. Clocks of
 /// robots and buses are followed to a few microseconds a period.
