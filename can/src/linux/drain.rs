@@ -65,7 +65,9 @@ impl Buffers {
         let mut vectors: [libc::iovec; BATCH] = unsafe { MaybeUninit::zeroed().assume_init() };
         // SAFETY: null pointers with lengths of 0 are valid in every field of a message header.
         let mut headers: [libc::mmsghdr; BATCH] = unsafe { MaybeUninit::zeroed().assume_init() };
-        let memory = self.frames.iter_mut().zip(&mut self.controls);
+        let limit = limit.clamp(1, BATCH);
+        // Only what the call may use: who takes frames one by one does not pay for 32.
+        let memory = self.frames.iter_mut().zip(&mut self.controls).take(limit);
         for ((vector, header), (frame, control)) in vectors.iter_mut().zip(&mut headers).zip(memory)
         {
             vector.iov_base = frame.as_mut_ptr().cast();
@@ -75,8 +77,8 @@ impl Buffers {
             header.msg_hdr.msg_control = control.0.as_mut_ptr().cast();
             header.msg_hdr.msg_controllen = CONTROL_LEN as _;
         }
-        let limit = libc::c_uint::try_from(limit.min(BATCH)).unwrap_or(1);
-        // SAFETY: `limit` is at most the number of headers. Each header points to one vector and to a control
+        let limit = libc::c_uint::try_from(limit).unwrap_or(1);
+        // SAFETY: `limit` is at most the number of headers. Each of so many headers points to one vector and to a control
         // buffer of the length it tells; vectors point to buffers of the lengths they tell. All of them live
         // until the call is over, nobody else has them, and the kernel writes within these bounds. A null
         // timeout is allowed.

@@ -264,15 +264,6 @@ impl Unit {
         }
     }
 
-    /// Its clock can be the reference: it is there, not given up, and brought to where clocks are set up.
-    pub(super) fn can_lead(&self, config: &MasterConfig) -> bool {
-        self.is_present()
-            && self.mapped
-            && !self.has_failed()
-            && self.info.has_clock()
-            && self.goal(config) != AlState::PreOp
-    }
-
     /// Bytes of the longest datagram that its mailbox needs; zero without one.
     pub(super) fn mailbox_size(&self) -> usize {
         self.mailbox.size()

@@ -21,6 +21,9 @@ fn clocks_that_drift_50_ppm_with_10_us_of_noise_are_followed_within_5_us_rms() {
         let rms = rms_ns(&points, AFTER);
         assert!(points.len() > 4500, "{}", points.len());
         assert!(rms < 5000.0, "{rms} ns rms");
+        // What the host and the way add, no servo takes away.
+        let mut later = points.iter().filter(|point| point.at >= AFTER);
+        assert!(later.all(|point| point.frame_ns >= point.cycle_ns));
     }
 }
 

@@ -4,13 +4,22 @@ use super::super::event::{Fault, Outbox};
 use super::steps::{Prepared, Step};
 use super::watch::difference;
 use super::{Context, Op, Unit};
-use crate::config::Unlocked;
-use crate::{dc, register};
+use crate::config::{MasterConfig, Unlocked};
+use crate::{AlState, dc, register};
 
 /// Differences within the window in a row before a clock counts as locked.
 const LOCKED: u8 = 16;
 
 impl Unit {
+    /// Its clock can be the reference: it is there, not given up, and brought to where clocks are set up.
+    pub(in crate::master) fn can_lead(&self, config: &MasterConfig) -> bool {
+        self.is_present()
+            && self.mapped
+            && !self.has_failed()
+            && self.info.has_clock()
+            && self.goal(config) != AlState::PreOp
+    }
+
     /// Whether its clock is part of the segment's.
     pub(super) fn follows(&self, cx: &Context<'_>) -> bool {
         self.info.has_clock() && cx.reference.is_some()

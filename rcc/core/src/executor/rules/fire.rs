@@ -17,7 +17,7 @@ struct Standing {
 impl Standing {
     fn end(&mut self, net: &Running) {
         self.held.remove(&net.resources);
-        self.load = self.load - net.cost;
+        self.load -= net.cost;
     }
 
     fn begin(&mut self, net: &Running) {
