@@ -9,7 +9,7 @@ use takt_ethercat::config::{MasterConfig, Place, SlaveSpec, SyncSpec};
 use takt_ethercat::emulator::SharedSegment;
 use takt_ethercat::link::Port;
 use takt_ethercat::linux::{PacketLink, monotonic};
-use takt_ethercat::master::{Event, Job, JobError, JobKind, Master};
+use takt_ethercat::master::{Cable, Event, Job, JobError, JobKind, Master};
 
 use super::crab::{command, feedback, follow};
 
@@ -170,11 +170,11 @@ pub(crate) fn drive(interface: &str, segment: &SharedSegment) {
     let before = line.master.groups()[0].misses;
     segment.lock().set_link(DRIVES[0], false);
     line.until(|line| {
-        let cut = line.events.iter().filter_map(|event| match event {
-            Event::CableCut { cable } => Some((cable.from, cable.to)),
-            _ => None,
-        });
-        cut.last() == Some((Some((2, 1)), Some(DRIVES[0])))
+        let (from, to) = (Some((2, 1)), Some(DRIVES[0]));
+        let cut = Event::CableCut {
+            cable: Cable { from, to },
+        };
+        line.events.contains(&cut)
     });
     assert!(line.master.groups()[0].misses > before);
     segment.lock().set_link(DRIVES[0], true);
