@@ -92,14 +92,19 @@ impl std::error::Error for WrongCell {
 /// Tells what is wrong with the cell from what the host lacks, which may come: an interface, an address.
 fn judged(error: takt_core::Error) -> anyhow::Error {
     use takt_core::Error as E;
-    match error {
+    let is_of_the_cell = matches!(
+        error,
         E::Cell(_)
-        | E::Config { .. }
-        | E::DeviceTwice { .. }
-        | E::DeviceParameter { .. }
-        | E::TooManyJoints { .. }
-        | E::TooManyValues { .. } => WrongCell(error.into()).into(),
-        error => error.into(),
+            | E::Config { .. }
+            | E::DeviceTwice { .. }
+            | E::DeviceParameter { .. }
+            | E::TooManyJoints { .. }
+            | E::TooManyValues { .. }
+    );
+    if is_of_the_cell {
+        WrongCell(error.into()).into()
+    } else {
+        error.into()
     }
 }
 

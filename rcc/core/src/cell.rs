@@ -30,9 +30,6 @@
 //! ```
 
 mod device;
-mod segment;
-mod slave;
-mod youbot;
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -40,16 +37,16 @@ use std::time::Duration;
 
 use serde::Deserialize;
 
+pub use crate::device::config::{
+    AnalogueChannel, CanopenConfig, DriveArm, DriveJoint, EthercatClocks, EthercatConfig,
+    EthercatIo, EthercatSlave, IiwaConfig, IiwaIo, IiwaModel, LinkLoss, LwrConfig, RmpConfig,
+    SlaveGoal, SlavePdo, StartupObject, StartupValue, UnlockedPolicy, YouBotArm, YouBotBase,
+    YouBotControl,
+};
 use crate::device::{canopen, ethercat, iiwa, rmp};
 use crate::error::Error;
 use crate::span;
-pub use device::{DeviceConfig, IiwaConfig, IiwaIo, IiwaModel, LwrConfig, RmpConfig};
-pub use segment::{CanopenConfig, DriveArm, DriveJoint, EthercatConfig, LinkLoss};
-pub use slave::{
-    AnalogueChannel, EthercatClocks, EthercatIo, EthercatSlave, SlaveGoal, SlavePdo, StartupObject,
-    StartupValue, UnlockedPolicy,
-};
-pub use youbot::{YouBotArm, YouBotBase, YouBotControl};
+pub use device::DeviceConfig;
 
 /// Net threads that a controller may have.
 pub const THREADS_MAX: usize = 8;

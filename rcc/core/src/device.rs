@@ -2,6 +2,7 @@
 //! are in the modules below; what nets see of a device is in `takt_net::device`.
 
 pub mod canopen;
+pub(crate) mod config;
 pub mod driver;
 mod drives;
 pub mod ethercat;

@@ -61,7 +61,9 @@ pub enum Error {
     NotSchedulable { resource: String },
     /// Nets of one thread would cost more in a cycle than they may.
     #[error(
-        "net {net} costs up to {cost:?} a cycle, and {running:?} of the {budget:?} that nets of its thread          may cost together are taken: {heaviest}; end one of them, make them smaller, or load one for          another net thread (`[[controller.thread]]`)"
+        "net {net} costs up to {cost:?} a cycle, and {running:?} of the {budget:?} that nets of its thread \
+         may cost together are taken: {heaviest}; end one of them, make them smaller, or load one for \
+         another net thread (`[[controller.thread]]`)"
     )]
     Overload {
         net: NetId,
@@ -72,7 +74,8 @@ pub enum Error {
     },
     /// A net would take the time that scheduled nets need.
     #[error(
-        "net {net} costs up to {cost:?} a cycle, which leaves too little of the {budget:?} that nets of its          thread may cost together for what rule {rule} is to start: {kept_for}; abort those first"
+        "net {net} costs up to {cost:?} a cycle, which leaves too little of the {budget:?} that nets of its \
+         thread may cost together for what rule {rule} is to start: {kept_for}; abort those first"
     )]
     OverloadKept {
         net: NetId,
@@ -83,7 +86,9 @@ pub enum Error {
     },
     /// Nets that a rule is to start would cost too much beside those that run on.
     #[error(
-        "the nets to be started cost up to {started:?} a cycle, and {running:?} of the {budget:?} that nets          of their thread may cost together stay taken by nets that the rule does not follow: {heaviest};          let it stop one of them or wait for its end, or make them smaller"
+        "the nets to be started cost up to {started:?} a cycle, and {running:?} of the {budget:?} that nets \
+         of their thread may cost together stay taken by nets that the rule does not follow: {heaviest}; \
+         let it stop one of them or wait for its end, or make them smaller"
     )]
     RuleOverload {
         started: std::time::Duration,

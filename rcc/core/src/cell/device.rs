@@ -1,14 +1,11 @@
-//! The devices of a cell as its file tells them, one type for each kind of driver. What a device is and how
-//! it is driven is in its module of `device`.
+//! A device of a cell: one kind of driver or another. What it is and how it is driven is in its module of `device`.
 
-use std::net::SocketAddr;
 use std::time::Duration;
 
-use serde::{Deserialize, Deserializer};
-use takt_fri::lwr::Protocol as Handshake;
+use serde::Deserialize;
 
+use crate::device::config::{IiwaConfig, LwrConfig, RmpConfig};
 use crate::device::{DeviceDescription, iiwa, lwr, rmp};
-use crate::span;
 
 /// A device.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
@@ -69,199 +66,10 @@ impl DeviceConfig {
     }
 }
 
-/// A KUKA LWR.
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct LwrConfig {
-    /// Name by which nets find it.
-    pub name: String,
-    /// Address and port at which the KRC's datagrams arrive.
-    #[serde(default = "LwrConfig::default_listen")]
-    pub listen: SocketAddr,
-    /// `SCHED_FIFO` priority of its driver thread, 1 to 98; `None` for an ordinary thread.
-    #[serde(default = "LwrConfig::default_priority")]
-    pub priority: Option<u8>,
-    /// Processors of its driver thread; empty for any.
-    #[serde(default)]
-    pub cpus: Vec<usize>,
-    /// Period of the net thread that commands it; `None` for the first.
-    #[serde(default, deserialize_with = "span::text::deserialize_some")]
-    pub thread: Option<Duration>,
-    /// How the KRL program takes control strategy, tool and load over user data; `None` if it does not.
-    #[serde(default, deserialize_with = "handshake")]
-    pub handshake: Option<Handshake>,
-}
-
-fn handshake<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Handshake>, D::Error> {
-    let name = String::deserialize(from)?;
-    let known = Handshake::ALL.into_iter().find(|it| it.to_string() == name);
-    known.map(Some).ok_or_else(|| {
-        let all = Handshake::ALL.map(|it| it.to_string()).join(", ");
-        serde::de::Error::custom(format!("`{name}` is no handshake; known are {all}"))
-    })
-}
-
-impl LwrConfig {
-    /// An arm with default settings.
-    #[must_use]
-    pub fn new(name: impl Into<String>, listen: SocketAddr) -> Self {
-        let (name, priority) = (name.into(), Self::default_priority());
-        Self {
-            name,
-            listen,
-            priority,
-            cpus: Vec::new(),
-            thread: None,
-            handshake: None,
-        }
-    }
-
-    const fn default_listen() -> SocketAddr {
-        SocketAddr::new(
-            std::net::IpAddr::V4(std::net::Ipv4Addr::UNSPECIFIED),
-            takt_fri::lwr::DEFAULT_PORT,
-        )
-    }
-
-    #[expect(
-        clippy::unnecessary_wraps,
-        reason = "the type of the field it is the default of"
-    )]
-    const fn default_priority() -> Option<u8> {
-        Some(85)
-    }
-}
-
-/// Which LBR iiwa.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
-pub enum IiwaModel {
-    /// LBR iiwa 7 R800.
-    #[serde(rename = "iiwa7")]
-    Iiwa7,
-    /// LBR iiwa 14 R820.
-    #[default]
-    #[serde(rename = "iiwa14")]
-    Iiwa14,
-}
-
-/// A KUKA LBR iiwa.
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct IiwaConfig {
-    /// Name by which nets find it.
-    pub name: String,
-    /// `iiwa7` or `iiwa14`.
-    #[serde(default)]
-    pub model: IiwaModel,
-    /// Address and port at which the cabinet's datagrams arrive.
-    #[serde(default = "IiwaConfig::default_listen")]
-    pub listen: SocketAddr,
-    /// `SCHED_FIFO` priority of its driver thread, 1 to 98; `None` for an ordinary thread.
-    #[serde(default = "LwrConfig::default_priority")]
-    pub priority: Option<u8>,
-    /// Processors of its driver thread; empty for any.
-    #[serde(default)]
-    pub cpus: Vec<usize>,
-    /// Period of the net thread that commands it; `None` for the first.
-    #[serde(default, deserialize_with = "span::text::deserialize_some")]
-    pub thread: Option<Duration>,
-    /// Inputs and outputs that the robot program shares, at most 10.
-    #[serde(default)]
-    pub io: IiwaIo,
-}
-
-/// Inputs and outputs of a Sunrise cabinet by their names, `Group.Name`; the first of each list is port 0.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct IiwaIo {
-    /// Truth values that the cabinet tells.
-    pub bool_in: Vec<String>,
-    /// Truth values that nets set.
-    pub bool_out: Vec<String>,
-    /// Numbers that the cabinet tells, analogue or digital.
-    pub real_in: Vec<String>,
-    /// Analogue values that nets set.
-    pub real_out: Vec<String>,
-}
-
-impl IiwaConfig {
-    /// An iiwa 14 with default settings.
-    #[must_use]
-    pub fn new(name: impl Into<String>, listen: SocketAddr) -> Self {
-        Self {
-            name: name.into(),
-            model: IiwaModel::default(),
-            listen,
-            priority: LwrConfig::default_priority(),
-            cpus: Vec::new(),
-            thread: None,
-            io: IiwaIo::default(),
-        }
-    }
-
-    const fn default_listen() -> SocketAddr {
-        SocketAddr::new(
-            std::net::IpAddr::V4(std::net::Ipv4Addr::UNSPECIFIED),
-            takt_fri::sunrise::DEFAULT_PORT,
-        )
-    }
-}
-
-/// A Segway RMP, or two of them under one platform.
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct RmpConfig {
-    /// Name by which nets find it.
-    pub name: String,
-    /// Where its power bases are: `can0`, or `/dev/ttyUSB0` for the USB port. One for a base of two wheels;
-    /// the one in front and the one at the back for a platform of two RMP50.
-    pub links: Vec<String>,
-    /// `rmp50`, `rmp100`, `rmp200` or `rmp400`; a platform of two is of RMP50.
-    #[serde(default = "RmpConfig::default_model")]
-    pub model: String,
-    /// Time between commands, 10 ms to 300 ms.
-    #[serde(
-        default = "RmpConfig::default_period",
-        deserialize_with = "span::text::deserialize"
-    )]
-    pub period: Duration,
-    /// `SCHED_FIFO` priority of its driver thread, 1 to 98; `None` for an ordinary thread.
-    #[serde(default)]
-    pub priority: Option<u8>,
-    /// Processors of its driver thread; empty for any.
-    #[serde(default)]
-    pub cpus: Vec<usize>,
-    /// Period of the net thread that commands it; `None` for the first.
-    #[serde(default, deserialize_with = "span::text::deserialize_some")]
-    pub thread: Option<Duration>,
-}
-
-impl RmpConfig {
-    /// A base on these links with default settings.
-    #[must_use]
-    pub fn new(name: impl Into<String>, links: &[&str]) -> Self {
-        Self {
-            name: name.into(),
-            links: links.iter().map(|link| (*link).to_owned()).collect(),
-            model: Self::default_model(),
-            period: Self::default_period(),
-            priority: None,
-            cpus: Vec::new(),
-            thread: None,
-        }
-    }
-
-    fn default_model() -> String {
-        "rmp50".to_owned()
-    }
-
-    const fn default_period() -> Duration {
-        Duration::from_millis(50)
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use takt_fri::lwr::Protocol as Handshake;
+
     use super::*;
 
     #[test]

@@ -21,8 +21,8 @@ use takt_rt::ring::{Consumer, Producer, ring};
 use takt_rt::stats::{self, StatsReader};
 use takt_rt::{Nanos, monotonic};
 
-use crate::cell::{CanopenConfig, DriveJoint, LinkLoss};
 use crate::device::DeviceDescription;
+use crate::device::config::{CanopenConfig, DriveJoint, LinkLoss};
 use crate::device::driver::{DeviceDriver, DriverEnds, DriverThread, FAREWELL};
 use crate::device::drives::{self, Arm, Feedback};
 use crate::device::rmp::CanLink;

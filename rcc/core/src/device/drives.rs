@@ -21,7 +21,7 @@ use takt_rt::Nanos;
 use takt_rt::cycle::Tick;
 use takt_rt::latest::{LatestReader, LatestWriter};
 
-use crate::cell::DriveArm;
+use crate::device::config::DriveArm;
 use crate::device::driver::DeviceEnd;
 use crate::device::{DeviceCommand, DeviceState, DeviceStatus};
 pub(super) use check::{check, describe};

@@ -29,7 +29,7 @@ use takt_rt::servo::{Estimate, Servo, ServoConfig};
 use takt_rt::stats::{self, StatsReader};
 use takt_rt::{Nanos, monotonic};
 
-use crate::cell::EthercatConfig;
+use crate::device::config::EthercatConfig;
 use crate::device::driver::{DeviceDriver, DriverEnds, DriverThread, FAREWELL};
 use crate::error::Error;
 use arm::Arm;

@@ -8,7 +8,7 @@ use takt_fri::linux::UdpLink;
 use takt_fri::sunrise::wire::Quality;
 use takt_net::JointLimits;
 
-use crate::cell::{IiwaConfig, IiwaIo, IiwaModel};
+use crate::device::config::{IiwaConfig, IiwaIo, IiwaModel};
 use crate::device::driver::DriverEnds;
 use crate::device::fri::{self, AXES, FriArm, FriFigures, Settings};
 use crate::device::{ArmDescription, Part};

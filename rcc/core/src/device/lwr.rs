@@ -9,7 +9,7 @@ use takt_fri::linux::UdpLink;
 use takt_fri::lwr::wire::Quality;
 use takt_net::JointLimits;
 
-use crate::cell::LwrConfig;
+use crate::device::config::LwrConfig;
 use crate::device::driver::DriverEnds;
 use crate::device::fri::{self, AXES, FriArm, FriFigures, Settings};
 use crate::device::{ArmDescription, Part};

@@ -12,7 +12,7 @@ use takt_net::device::{Base, Interfaces, Layout};
 use takt_net::value::{Frame, Rotation, Twist, Vector};
 use takt_rt::latest::{LatestReader, LatestWriter};
 
-use crate::cell::RmpConfig;
+use crate::device::config::RmpConfig;
 use crate::device::driver::{DeviceDriver, DriverEnds, DriverThread};
 use crate::device::{DeviceCommand, DeviceDescription, DeviceState, DeviceStatus, Part, parts};
 use crate::error::Error;

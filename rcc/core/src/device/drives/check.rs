@@ -2,7 +2,7 @@
 
 use takt_net::JointLimits;
 
-use crate::cell::{DriveArm, DriveJoint};
+use crate::device::config::{DriveArm, DriveJoint};
 use crate::device::{ARM_JOINTS_MAX, DeviceDescription};
 
 /// The limits of a joint as nets see them.

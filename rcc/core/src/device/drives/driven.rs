@@ -9,7 +9,7 @@ use takt_rt::Nanos;
 
 use super::Feedback;
 use super::check::limits_of;
-use crate::cell::DriveJoint;
+use crate::device::config::DriveJoint;
 use crate::device::setpoint::Joint;
 use crate::device::{DeviceStatus, JointSetPoints};
 

@@ -5,8 +5,8 @@ use takt_net::device::JointError;
 use takt_rt::latest::latest;
 
 use super::*;
-use crate::cell::DriveJoint;
 use crate::device::SetPoint;
+use crate::device::config::DriveJoint;
 
 const CYCLE: Duration = Duration::from_millis(1);
 /// One turn of a joint, increments: so many that rounding to them is no acceleration to speak of.

@@ -9,7 +9,7 @@ use takt_ethercat::master::Master;
 use takt_rt::cycle::Tick;
 
 use super::describe::slave;
-use crate::cell::{DriveArm, EthercatConfig};
+use crate::device::config::{DriveArm, EthercatConfig};
 use crate::device::driver::DeviceEnd;
 use crate::device::drives::{self, Feedback};
 
@@ -30,7 +30,7 @@ pub(super) struct Arm {
 
 impl Arm {
     pub(super) fn new(config: &EthercatConfig, arm: &DriveArm<String>, end: DeviceEnd) -> Self {
-        let place = |joint: &crate::cell::DriveJoint<String>| Place {
+        let place = |joint: &crate::device::config::DriveJoint<String>| Place {
             slave: slave(config, &joint.drive).unwrap_or_default(),
             number: joint.axis,
             axis: None,

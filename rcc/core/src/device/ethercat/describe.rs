@@ -12,7 +12,7 @@ use takt_ethercat::config::{
 use takt_ethercat::master::Master;
 
 use super::youbot;
-use crate::cell::{
+use crate::device::config::{
     AnalogueChannel, DriveJoint, EthercatConfig, EthercatIo, EthercatSlave, SlaveGoal, SlavePdo,
     StartupObject, UnlockedPolicy,
 };

@@ -10,7 +10,7 @@ use takt_rt::cycle::Tick;
 use takt_rt::latest::{LatestReader, LatestWriter};
 
 use super::describe::{part, slave};
-use crate::cell::{AnalogueChannel, EthercatConfig, EthercatIo};
+use crate::device::config::{AnalogueChannel, EthercatConfig, EthercatIo};
 use crate::device::driver::DeviceEnd;
 use crate::device::{DeviceCommand, DeviceState, DeviceStatus, parts};
 

@@ -16,7 +16,7 @@ use takt_ethercat::youbot::{Command, Drive, GripperError, HomingError, Obstacle}
 use takt_rt::Nanos;
 use takt_rt::cycle::Tick;
 
-use crate::cell::EthercatConfig;
+use crate::device::config::EthercatConfig;
 use crate::device::driver::DeviceEnd;
 use arm::Arm;
 use base::Base;

@@ -16,7 +16,7 @@ use takt_rt::latest::{LatestReader, LatestWriter, latest};
 use super::driver::Driver;
 use super::news::{Listener, herald};
 use super::*;
-use crate::cell::{IiwaIo, IiwaModel};
+use crate::device::config::{IiwaIo, IiwaModel};
 use crate::device::driver::DeviceEnd;
 use crate::device::setpoint::{Joint, Mode};
 use crate::device::{

@@ -13,8 +13,8 @@ use takt_fri::sunrise::{
 use takt_net::device::{Answer, CartesianImpedance, Interfaces, Io, JointImpedance};
 use takt_net::value::Wrench;
 
-use crate::cell::{IiwaIo, IiwaModel};
 use crate::device::DeviceStatus;
+use crate::device::config::{IiwaIo, IiwaModel};
 use crate::device::fri::orders::{Gate, answer, error, first, from_wire, to_wire};
 use crate::device::fri::{Heard, Joints, Orders, Protocol, Totals, guard};
 

@@ -18,7 +18,7 @@ use super::gripper::Gripper;
 use super::springs::Springs;
 use super::tool::Motions;
 use super::{Wait, Waiting, is_fresh, lead, now, seconds};
-use crate::cell::{YouBotArm, YouBotControl};
+use crate::device::config::{YouBotArm, YouBotControl};
 use crate::device::driver::DeviceEnd;
 use crate::device::setpoint::Joint;
 use crate::device::{DeviceCommand, DeviceState, DeviceStatus, parts};

@@ -14,7 +14,7 @@ use takt_rt::latest::{LatestReader, LatestWriter};
 use super::course::{Course, Planar, within};
 use super::describe::base_parts;
 use super::{is_fresh, lead, seconds};
-use crate::cell::YouBotBase;
+use crate::device::config::YouBotBase;
 use crate::device::driver::DeviceEnd;
 use crate::device::{DeviceCommand, DeviceState, DeviceStatus, parts};
 

@@ -4,7 +4,7 @@ use takt_ethercat::config::{Place, SlaveSpec};
 use takt_ethercat::youbot::{BarConfig, Gripper, TRINAMIC};
 use takt_net::JointLimits;
 
-use crate::cell::{EthercatConfig, YouBotArm, YouBotBase};
+use crate::device::config::{EthercatConfig, YouBotArm, YouBotBase};
 use crate::device::{ArmDescription, DeviceDescription, Part};
 
 /// Most current that a drive may be given, A.

@@ -1,0 +1,14 @@
+//! What the file of a cell says of devices: plain data, of which `cell` is read and from which drivers are made.
+
+mod robot;
+mod segment;
+mod slave;
+mod youbot;
+
+pub use robot::{IiwaConfig, IiwaIo, IiwaModel, LwrConfig, RmpConfig};
+pub use segment::{CanopenConfig, DriveArm, DriveJoint, EthercatConfig, LinkLoss};
+pub use slave::{
+    AnalogueChannel, EthercatClocks, EthercatIo, EthercatSlave, SlaveGoal, SlavePdo, StartupObject,
+    StartupValue, UnlockedPolicy,
+};
+pub use youbot::{YouBotArm, YouBotBase, YouBotControl};
