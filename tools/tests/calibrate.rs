@@ -59,7 +59,7 @@ fn a_controller_refuses_the_table_of_another_processor() {
     folder.write("costs.toml", &table("Z80", ""));
     let cell = folder.write("cell.toml", "[controller]\ncosts = \"costs.toml\"\n");
     let output = run(&["run", "--config", &cell]);
-    expect_status(&output, 2);
+    expect_status(&output, 78);
     let told = complaint(&output);
     assert!(
         told.contains("Z80") && told.contains("measure anew"),

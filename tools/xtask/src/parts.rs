@@ -18,12 +18,15 @@ const PARTS: &[Part] = &[
     part("rt", &["takt-rt"]),
     part("host", &["takt-rt", "takt-tools", "takt-deploy"]),
     part("cia402", &["takt-cia402"]),
-    part("can", &["takt-cia402", "takt-can"]),
+    part(
+        "can",
+        &["takt-cia402", "takt-can", "takt-core", "takt-tools"],
+    ),
     part(
         "ecat",
         &["takt-cia402", "takt-ethercat", "takt-core", "takt-tools"],
     ),
-    part("fri", &["takt-fri"]),
+    part("fri", &["takt-fri", "takt-core", "takt-tools"]),
     part("net", &["takt-net", "takt-motion", "takt-core"]),
     part("motion", &["takt-motion"]),
     part("core", &["takt-core"]),

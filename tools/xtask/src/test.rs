@@ -176,7 +176,7 @@ mod tests {
     #[test]
     fn packages_of_two_parts_are_tested_once() {
         let expected = "cargo test --no-fail-fast --all-features \
-                        -p takt-can -p takt-cia402 -p takt-ethercat";
+                        -p takt-can -p takt-cia402 -p takt-core -p takt-ethercat -p takt-tools";
         assert_eq!(shown(&["can", "ecat"]), [expected]);
     }
 
