@@ -17,7 +17,7 @@ use crate::test::tally::{Reader, Tally};
 /// Where Debian is fetched from.
 const MIRROR: &str = "http://deb.debian.org/debian";
 /// What the userland holds beside the least there is.
-const USERLAND: &str = "--include=systemd-sysv,dbus,udev,procps,kmod";
+const USERLAND: &str = "--include=systemd-sysv,dbus,udev,procps,kmod,iproute2";
 /// How long all steps may take together, s.
 const WITHIN: u64 = 900;
 
