@@ -189,8 +189,7 @@ impl Drop for Hall {
 fn a_net_moves_an_arm_over_canopen() {
     let hall = Hall::new();
     let moved = hall.cell().swung("arm", 1);
-    // A host that stalls lets the joint brake and catch up; then the net ends before it is there.
-    assert!((moved - 0.5).abs() < 0.03, "moved {moved} rad");
+    assert!((moved - 0.5).abs() < 0.01, "moved {moved} rad");
     assert!(
         hall.cell().position("arm", 0).abs() < 1e-3,
         "nobody moved it"

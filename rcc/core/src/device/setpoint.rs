@@ -252,8 +252,17 @@ fn closing_speed(distance: f64, acceleration: f64, dt_s: f64) -> f64 {
 fn interpolate(set_points: &JointSetPoints, at: Nanos) -> (f64, f64) {
     let points = &set_points.points[..set_points.count.clamp(1, set_points.points.len())];
     let Some(pair) = points.windows(2).find(|pair| pair[1].time <= at) else {
-        // A single set-point, or a run of them that begins later than `at`.
-        return (points[points.len() - 1].position, 0.0);
+        // A single set-point, or a run of them that begins later than `at`, and already moves.
+        let first = points[points.len() - 1];
+        let speed = points.windows(2).last().map_or(0.0, |pair| {
+            let span_s = seconds(pair[0].time - pair[1].time);
+            if span_s > 0.0 {
+                (pair[0].position - pair[1].position) / span_s
+            } else {
+                0.0
+            }
+        });
+        return (first.position, speed);
     };
     let (later, earlier) = (pair[0], pair[1]);
     let span_s = seconds(later.time - earlier.time);

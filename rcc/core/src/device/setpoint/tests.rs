@@ -215,8 +215,8 @@ fn interpolation() {
     for (name, points, periods, position, speed) in [
         ("one point, before it", &one, -1.0, 0.7, 0.0),
         ("one point, after it", &one, 3.0, 0.7, 0.0),
-        ("before the oldest", &four, -3.5, 0.1, 0.0),
-        ("before the oldest kept", &five, -3.5, 0.1, 0.0),
+        ("before the oldest", &four, -3.5, 0.1, 100.0),
+        ("before the oldest kept", &five, -3.5, 0.1, 100.0),
         ("at the oldest", &four, -3.0, 0.1, 100.0),
         ("between the oldest", &four, -2.5, 0.15, 100.0),
         ("between", &four, -1.75, 0.25, 200.0),
