@@ -248,7 +248,7 @@ fn closing_speed(distance: f64, acceleration: f64, dt_s: f64) -> f64 {
 }
 
 /// Position and speed of the set-points at a time: linear between two of them, and on beyond the
-/// last, where the speed of the last two is kept.
+/// last, where the speed of the last two is kept. Before the first of them it is that one, with the speed behind it.
 fn interpolate(set_points: &JointSetPoints, at: Nanos) -> (f64, f64) {
     let points = &set_points.points[..set_points.count.clamp(1, set_points.points.len())];
     let Some(pair) = points.windows(2).find(|pair| pair[1].time <= at) else {
