@@ -3,17 +3,16 @@
 
 #![expect(
     clippy::unwrap_used,
-    clippy::print_stderr,
     reason = "a test that cannot go on ends, and one that cannot run says so"
 )]
 
 use std::collections::HashMap;
 use std::fs;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use takt_deploy::{FILES, LIMITS, SERVICE, SYSCTL, SYSUSERS, UDEV_RULES};
+use takt_tests::skip;
 
 fn settings(text: &str) -> impl Iterator<Item = &str> {
     text.lines()
@@ -133,7 +132,7 @@ fn exposure_is_as_stated() {
         .output();
     fs::remove_dir_all(unit.parent().unwrap()).unwrap();
     let Ok(output) = output else {
-        skip("exposure_is_as_stated", "needs systemd-analyze");
+        skip("exposure_is_as_stated", "needs systemd-analyze").unwrap();
         return;
     };
     let said = String::from_utf8_lossy(&output.stdout);
@@ -257,16 +256,6 @@ fn written_unit(what: &str) -> PathBuf {
     path
 }
 
-fn skip(test: &str, why: &str) {
-    eprintln!("skipped: {why}");
-    if let Some(path) = std::env::var_os("TAKT_SKIPS") {
-        let mut skips = fs::OpenOptions::new().append(true).open(path).unwrap();
-        skips
-            .write_all(format!("{test}: {why}\n").as_bytes())
-            .unwrap();
-    }
-}
-
 #[test]
 fn systemd_accepts_the_unit() {
     let path = written_unit("verify");
@@ -276,7 +265,7 @@ fn systemd_accepts_the_unit() {
         .output();
     fs::remove_dir_all(path.parent().unwrap()).unwrap();
     let Ok(output) = output else {
-        skip("systemd_accepts_the_unit", "needs systemd-analyze");
+        skip("systemd_accepts_the_unit", "needs systemd-analyze").unwrap();
         return;
     };
     // It speaks of other units of the host, too.

@@ -3,7 +3,6 @@
 #![cfg(target_os = "linux")]
 #![expect(
     clippy::unwrap_used,
-    clippy::print_stderr,
     reason = "a test may fail anywhere, its helpers too"
 )]
 #![expect(
@@ -11,7 +10,6 @@
     reason = "the segment's end of the cable is a thread of its own"
 )]
 
-use std::io::Write;
 use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -34,17 +32,7 @@ fn cable() -> Option<(String, String)> {
 
 /// One line into the file of the runner, which runs the test once more where there is a cable.
 fn skipped(test: &str) {
-    skipped_for(test, "needs a veth pair (TAKT_VETH, TAKT_VETH_SECOND)");
-}
-
-fn skipped_for(test: &str, why: &str) {
-    eprintln!("skipped: {why}");
-    if let Some(path) = std::env::var_os("TAKT_SKIPS") {
-        let file = std::fs::OpenOptions::new().append(true).open(path);
-        file.unwrap()
-            .write_all(format!("{test}: {why}\n").as_bytes())
-            .unwrap();
-    }
+    takt_tests::skip(test, "needs a veth pair (TAKT_VETH, TAKT_VETH_SECOND)").unwrap();
 }
 
 /// Serves a segment at the far end until told to stop.
@@ -86,16 +74,15 @@ fn a_segment_behind_a_tap_comes_to_op() {
     let test = "a_segment_behind_a_tap_comes_to_op";
     let name = format!("tkt{}", std::process::id());
     let Ok(tap) = TapLink::open(&name) else {
-        return skipped_for(
-            test,
-            "needs to make a TAP, as root may, and where a veth pair is",
-        );
+        let why = "needs to make a TAP, as root may, and where a veth pair is";
+        return takt_tests::skip(test, why).unwrap();
     };
     let up = Command::new("ip")
         .args(["link", "set", &name, "up"])
         .status();
     if !up.is_ok_and(|status| status.success()) {
-        return skipped_for(test, "needs `ip` to bring a TAP up, as for a veth pair");
+        let why = "needs `ip` to bring a TAP up, as for a veth pair";
+        return takt_tests::skip(test, why).unwrap();
     }
     let (terminal, io) = Io::digital(8, 8);
     let stop = Arc::new(AtomicBool::new(false));

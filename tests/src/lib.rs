@@ -2,5 +2,7 @@
 #![forbid(unsafe_code)]
 
 mod skip;
+mod steady;
 
 pub use skip::skip;
+pub use steady::steady;

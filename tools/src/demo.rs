@@ -15,6 +15,7 @@ use anyhow::Context as _;
 use clap::Args;
 use takt_core::Controller;
 use takt_core::device::DeviceStatus;
+use takt_core::device::driver::DeviceDriver as _;
 use takt_core::device::ethercat::Ethercat;
 use takt_core::record::Recorder;
 use takt_rt::host::{HostConfig, prepare};
@@ -170,7 +171,11 @@ impl Demo {
             ids.push(id);
         }
         for id in &ids {
-            client.command("nest", id)?;
+            // On a host that stalled a device may be lost again by now, and comes back.
+            if client.command("nest", id).is_err() {
+                self.wait_until_ready(controller)?;
+                client.command("nest", id)?;
+            }
         }
         let samples = self.follow(controller, machines, &mut client, ids.len())?;
         let mut ends = Vec::new();
@@ -231,7 +236,7 @@ impl Demo {
                 waiting.finish_and_clear();
                 return Ok(());
             };
-            let why = waits_for(controller);
+            let why = waits_for(controller, &device.name);
             if Instant::now() > until {
                 let why = why.unwrap_or_else(|| {
                     "this host does not answer it in time; see how busy it is".to_owned()
@@ -279,9 +284,10 @@ impl Demo {
     }
 }
 
-/// What a segment waits for, if it says so.
-fn waits_for(controller: &Controller) -> Option<String> {
-    let all = controller.with_drivers(Ethercat::waits_for);
+/// What the segment of a device waits for, if it says so.
+fn waits_for(controller: &Controller, device: &str) -> Option<String> {
+    let of = |segment: &Ethercat| segment.waits_for().filter(|_| segment.drives(device));
+    let all = controller.with_drivers(of);
     all.into_iter().flatten().next()
 }
 

@@ -4,6 +4,7 @@
 mod common;
 
 use common::{Cell, Folder, alone, complaint, expect_status, net, run, run_with_input};
+use takt_tests::steady;
 
 /// `tests/nets/swing`, so slow that it does not end while a test looks at it.
 fn slow_swing() -> String {
@@ -20,69 +21,73 @@ fn values(lines: &[String], key: &str) -> Vec<f64> {
 
 #[test]
 fn net_loaded_by_hand_moves_an_arm_in_a_third_process() {
-    let _alone = alone();
-    let mut cell = Cell::start();
-    let _arm = cell.arm();
-    let id = cell.load(&net("swing"));
-    let mut watch = cell.watch(&id);
-    watch.wait_for("READY");
-    expect_status(&cell.net(&["start", &id]), 0);
-    watch.wait_for("RUNNING");
-    let (lines, status) = watch.end();
-    assert_eq!(status, Some(0), "{lines:#?}");
-    assert_eq!(lines.last().map(String::as_str), Some("TERMINATED"));
-    let measured = values(&lines, "measured");
-    let (first, last) = (measured[0], measured[measured.len() - 1]);
-    assert!((last - first - 0.5).abs() < 0.05, "{measured:?}");
-    assert!(lines.contains(&"done true".to_owned()), "{lines:#?}");
+    steady(|| {
+        let _alone = alone();
+        let mut cell = Cell::start();
+        let _arm = cell.arm();
+        let id = cell.load(&net("swing"));
+        let mut watch = cell.watch(&id);
+        watch.wait_for("READY");
+        expect_status(&cell.net(&["start", &id]), 0);
+        watch.wait_for("RUNNING");
+        let (lines, status) = watch.end();
+        assert_eq!(status, Some(0), "{lines:#?}");
+        assert_eq!(lines.last().map(String::as_str), Some("TERMINATED"));
+        let measured = values(&lines, "measured");
+        let (first, last) = (measured[0], measured[measured.len() - 1]);
+        assert!((last - first - 0.5).abs() < 0.05, "{measured:?}");
+        assert!(lines.contains(&"done true".to_owned()), "{lines:#?}");
+    });
 }
 
 #[test]
 fn killed_robot_ends_its_net_and_the_controller_goes_on() {
-    let _alone = alone();
-    let mut cell = Cell::start();
-    let mut arm = cell.arm();
-    let bystander = cell.load("{cancel=Cancel(), outTerminate=cancel.outCancel}");
-    expect_status(&cell.net(&["start", &bystander]), 0);
-    let id = cell.load(&slow_swing());
-    let mut watch = cell.watch(&id);
-    expect_status(&cell.net(&["start", &id]), 0);
-    watch.wait_for("RUNNING");
-    watch.wait_for("measured");
-    arm.kill();
-    let (lines, status) = watch.end();
-    assert_eq!(status, Some(1), "{lines:#?}");
-    let why = lines
-        .iter()
-        .find(|line| line.contains("did not end by itself"))
-        .unwrap();
-    assert!(why.contains("left"), "{why}");
+    steady(|| {
+        let _alone = alone();
+        let mut cell = Cell::start();
+        let mut arm = cell.arm();
+        let bystander = cell.load("{cancel=Cancel(), outTerminate=cancel.outCancel}");
+        expect_status(&cell.net(&["start", &bystander]), 0);
+        let id = cell.load(&slow_swing());
+        let mut watch = cell.watch(&id);
+        expect_status(&cell.net(&["start", &id]), 0);
+        watch.wait_for("RUNNING");
+        watch.wait_for("measured");
+        arm.kill();
+        let (lines, status) = watch.end();
+        assert_eq!(status, Some(1), "{lines:#?}");
+        let why = lines
+            .iter()
+            .find(|line| line.contains("did not end by itself"))
+            .unwrap();
+        assert!(why.contains("left"), "{why}");
 
-    let list = expect_status(&cell.net(&["list"]), 0);
-    let line = |id: &str| {
-        list.lines()
-            .find(|line| line.starts_with(id))
-            .unwrap()
-            .to_owned()
-    };
-    assert!(line(&bystander).contains("RUNNING"), "{list}");
-    assert!(
-        line(&id).contains("TERMINATED") && line(&id).contains("left"),
-        "{list}"
-    );
-    let next = cell.load(&net("swing"));
-    let refused = cell.net(&["start", &next]);
-    expect_status(&refused, 1);
-    assert!(
-        complaint(&refused).contains("left"),
-        "{}",
-        complaint(&refused)
-    );
+        let list = expect_status(&cell.net(&["list"]), 0);
+        let line = |id: &str| {
+            list.lines()
+                .find(|line| line.starts_with(id))
+                .unwrap()
+                .to_owned()
+        };
+        assert!(line(&bystander).contains("RUNNING"), "{list}");
+        assert!(
+            line(&id).contains("TERMINATED") && line(&id).contains("left"),
+            "{list}"
+        );
+        let next = cell.load(&net("swing"));
+        let refused = cell.net(&["start", &next]);
+        expect_status(&refused, 1);
+        assert!(
+            complaint(&refused).contains("left"),
+            "{}",
+            complaint(&refused)
+        );
 
-    let _another = cell.arm();
-    expect_status(&cell.net(&["start", &next]), 0);
-    let (lines, status) = cell.watch(&next).end();
-    assert_eq!(status, Some(0), "{lines:#?}");
+        let _another = cell.arm();
+        expect_status(&cell.net(&["start", &next]), 0);
+        let (lines, status) = cell.watch(&next).end();
+        assert_eq!(status, Some(0), "{lines:#?}");
+    });
 }
 
 #[test]

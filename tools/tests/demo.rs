@@ -1,16 +1,12 @@
 //! `takt demo` as its users run it: report, recording, replay, lost datagrams. How good the
 //! figures are is not asked: that is the host's matter.
-#![expect(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stderr,
-    reason = "a test that cannot go on ends"
-)]
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
 mod common;
 
 use common::{Folder, alone, complaint, expect_status, run, run_with_input};
 use serde_json::Value;
+use takt_tests::steady;
 
 /// A demo's report, and whether the demo held it for good.
 fn demo(args: &[&str]) -> (Value, bool) {
@@ -19,11 +15,6 @@ fn demo(args: &[&str]) -> (Value, bool) {
     let basics = ["demo", "--duration", "2s", "--json", "--svg", &svg];
     let output = run(&[&basics, args].concat());
     let good = output.status.success();
-    if output.stdout.is_empty() {
-        // No robot came into command mode: this host is too busy to be asked.
-        assert_eq!(output.status.code(), Some(2), "{}", complaint(&output));
-        return (serde_json::json!({"faults": [complaint(&output)]}), good);
-    }
     let report = expect_status(&output, if good { 0 } else { 1 });
     assert_eq!(report.lines().count(), 1, "{report}");
     assert!(std::fs::read_to_string(&svg).unwrap().ends_with("</svg>\n"));
@@ -32,17 +23,11 @@ fn demo(args: &[&str]) -> (Value, bool) {
 
 /// A host that stalls makes a demo fail, and honestly so. Such a run says nothing about Takt.
 fn good_demo(args: &[&str]) -> Value {
-    for attempt in 1..=3 {
+    steady(|| {
         let (report, good) = demo(args);
-        if good {
-            return report;
-        }
-        eprintln!(
-            "attempt {attempt} of 3 failed, a busy host? {}",
-            report["faults"]
-        );
-    }
-    panic!("no demo of three was good");
+        assert!(good, "{}", report["faults"]);
+        report
+    })
 }
 
 #[test]
@@ -113,8 +98,7 @@ fn demo_replayed_gives_every_byte_as_recorded() {
     let folder = Folder::new();
     let recording = folder.file("demo.mcap");
     // A demo that failed is replayed just the same, if its net ran at all.
-    let ran = (1..=3).any(|_| demo(&["--record", &recording]).0["cycles"].is_u64());
-    assert!(ran, "no demo of three ran");
+    steady(|| assert!(demo(&["--record", &recording]).0["cycles"].is_u64()));
     let replay = run(&["demo", "--replay", &recording]);
     let text = expect_status(&replay, 0);
     assert!(text.contains("every byte as recorded"), "{text}");
@@ -135,7 +119,7 @@ fn demo_replayed_gives_every_byte_as_recorded() {
 #[test]
 fn demo_goes_on_or_names_the_fault_at_five_percent_loss() {
     let _alone = alone();
-    let (report, good) = demo(&["--drop", "0.05"]);
+    let (report, good) = steady(|| demo(&["--drop", "0.05"]));
     let faults = report["faults"].as_array().unwrap();
     assert_eq!(good, faults.is_empty(), "{report}");
     assert!(
@@ -166,7 +150,7 @@ fn net_of_the_demo_is_an_ordinary_net() {
 fn guarded_demo_survives() {
     let _alone = alone();
     // The process would end at the first allocation in a real-time thread, with a signal.
-    let (report, _) = demo(&["--guard"]);
+    let (report, _) = steady(|| demo(&["--guard"]));
     assert!(report["faults"].is_array());
 }
 

@@ -17,6 +17,7 @@ use takt_fri::capture::{Datagram, Writer};
 use takt_fri::lwr::emulator::{Krc, KrcConfig};
 use takt_fri::lwr::wire::Msr;
 use takt_fri::lwr::{Session, SessionConfig};
+use takt_tests::steady;
 
 /// `takt fri` with these words at a port that the system chooses, and that port's address.
 fn listening(words: &[&str]) -> (Process, String) {
@@ -91,66 +92,70 @@ fn stat_fails_where_the_network_loses_datagrams() {
 
 #[test]
 fn move_moves_one_joint_of_either_robot() {
-    let _alone = alone();
-    let words = [
-        "move",
-        "--joint",
-        "4",
-        "--by",
-        "-2deg",
-        "--velocity",
-        "10deg/s",
-        "--yes",
-    ];
-    let (process, address) = listening(&words);
-    let arm = lwr(&address, &[]);
-    let (lines, status) = process.end();
-    assert_eq!(status, Some(0), "{lines:#?}");
-    let says = |text: &str| lines.iter().any(|line| line.contains(text));
-    assert!(
-        says("A3 (joint 4) goes from -68.75 deg to -70.75 deg"),
-        "{lines:#?}"
-    );
-    assert!(
-        says("A3 is there: -2.00 deg were asked for, -2.00 deg are measured"),
-        "{lines:#?}"
-    );
-    drop(arm);
-    for dialect in ["v1", "v3"] {
+    steady(|| {
+        let _alone = alone();
+        let words = [
+            "move",
+            "--joint",
+            "4",
+            "--by",
+            "-2deg",
+            "--velocity",
+            "10deg/s",
+            "--yes",
+        ];
         let (process, address) = listening(&words);
-        let _arm = iiwa(&address, dialect);
+        let arm = lwr(&address, &[]);
         let (lines, status) = process.end();
         assert_eq!(status, Some(0), "{lines:#?}");
         let says = |text: &str| lines.iter().any(|line| line.contains(text));
-        assert!(says("A4 is there: -2.00 deg were asked for"), "{lines:#?}");
-    }
+        assert!(
+            says("A3 (joint 4) goes from -68.75 deg to -70.75 deg"),
+            "{lines:#?}"
+        );
+        assert!(
+            says("A3 is there: -2.00 deg were asked for, -2.00 deg are measured"),
+            "{lines:#?}"
+        );
+        drop(arm);
+        for dialect in ["v1", "v3"] {
+            let (process, address) = listening(&words);
+            let _arm = iiwa(&address, dialect);
+            let (lines, status) = process.end();
+            assert_eq!(status, Some(0), "{lines:#?}");
+            let says = |text: &str| lines.iter().any(|line| line.contains(text));
+            assert!(says("A4 is there: -2.00 deg were asked for"), "{lines:#?}");
+        }
+    });
 }
 
 #[test]
 fn move_brakes_when_told_to_end() {
-    let _alone = alone();
-    let words = [
-        "move",
-        "--joint",
-        "1",
-        "--by",
-        "15deg",
-        "--velocity",
-        "1deg/s",
-        "--yes",
-    ];
-    let (mut process, address) = listening(&words);
-    let _arm = lwr(&address, &[]);
-    process.wait_for("the robot follows; Ctrl-C brakes");
-    process.terminate();
-    let (lines, status) = process.end();
-    assert_eq!(status, Some(1), "{lines:#?}");
-    assert!(
-        lines
-            .iter()
-            .any(|line| line == "braked to rest on the way, as asked"),
-        "{lines:#?}"
-    );
+    steady(|| {
+        let _alone = alone();
+        let words = [
+            "move",
+            "--joint",
+            "1",
+            "--by",
+            "15deg",
+            "--velocity",
+            "1deg/s",
+            "--yes",
+        ];
+        let (mut process, address) = listening(&words);
+        let _arm = lwr(&address, &[]);
+        process.wait_for("the robot follows; Ctrl-C brakes");
+        process.terminate();
+        let (lines, status) = process.end();
+        assert_eq!(status, Some(1), "{lines:#?}");
+        assert!(
+            lines
+                .iter()
+                .any(|line| line == "braked to rest on the way, as asked"),
+            "{lines:#?}"
+        );
+    });
 }
 
 #[test]

@@ -2,13 +2,11 @@
 //! nobody may make such, each test notes that it was skipped.
 #![expect(
     clippy::unwrap_used,
-    clippy::print_stderr,
     reason = "a test that cannot go on ends"
 )]
 
 mod common;
 
-use std::io::Write as _;
 use std::process::Command;
 
 use common::{alone, expect_status};
@@ -46,12 +44,7 @@ fn is_possible(test: &str) -> bool {
     if made.is_ok_and(|made| made.status.success()) {
         return true;
     }
-    eprintln!("skipped: needs veth");
-    if let Some(path) = std::env::var_os("TAKT_SKIPS") {
-        let mut file = std::fs::OpenOptions::new().append(true).open(path).unwrap();
-        file.write_all(format!("{test}: needs veth\n").as_bytes())
-            .unwrap();
-    }
+    takt_tests::skip(test, "needs veth").unwrap();
     false
 }
 

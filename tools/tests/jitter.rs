@@ -2,13 +2,11 @@
 //! back. How late this host is, is not asked.
 #![expect(
     clippy::unwrap_used,
-    clippy::print_stderr,
     reason = "a test that cannot go on ends"
 )]
 
 mod common;
 
-use std::io::Write as _;
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 use std::process::{Child, Output, Stdio};
@@ -16,6 +14,7 @@ use std::time::{Duration, Instant};
 
 use common::{Folder, alone, complaint, expect_status, run, takt};
 use serde_json::Value;
+use takt_tests::skip;
 
 /// A file kept beside this test.
 fn kept(name: &str) -> String {
@@ -303,25 +302,12 @@ fn the_real_cyclictest_is_understood() {
     let output = run(&[&args[..], &["--duration", "400ms"]].concat());
     let is_refused = complaint(&output).contains("cyclictest ended with");
     if !found || is_refused {
-        return skip(
-            "the_real_cyclictest_is_understood",
-            "needs cyclictest (rt-tests)",
-        );
+        let test = "the_real_cyclictest_is_understood";
+        return skip(test, "needs cyclictest (rt-tests)").unwrap();
     }
     let report = json(&output, 0);
     assert!(report["ratio"]["p50"].as_f64().unwrap() > 0.0, "{report}");
     assert_eq!(report["compare"]["threads"][0]["cycles"], 400);
-}
-
-/// Says that a test cannot run here, also to the runner if there is one.
-fn skip(test: &str, why: &str) {
-    eprintln!("skipped: {why}");
-    if let Some(path) = std::env::var_os("TAKT_SKIPS") {
-        let file = std::fs::OpenOptions::new().append(true).open(path);
-        file.unwrap()
-            .write_all(format!("{test}: {why}\n").as_bytes())
-            .unwrap();
-    }
 }
 
 /// The picture and the JSON of a kept report; `TRYCMD=overwrite` writes the picture anew.

@@ -6,7 +6,7 @@
 mod common;
 
 use std::net::SocketAddr;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use common::{Cell, Robot, swing};
 use takt_core::cell::{ControllerConfig, DeviceConfig, LwrConfig, NetThreadSettings};
@@ -14,112 +14,126 @@ use takt_core::controller::{ClockInfo, NetState};
 use takt_core::device::DeviceStatus;
 use takt_core::{CellConfig, Controller};
 use takt_rt::servo::State;
+use takt_tests::steady;
 
 #[test]
 fn a_net_moves_an_arm_and_ends() {
-    let cell = Cell::new(&["left"]);
-    let before = cell.robots[0].status.measured()[6];
-    let net = cell.load(&swing("left", 1.0));
-    cell.controller.start_net(net).unwrap();
-    let info = cell.wait_for_end(net);
-    assert_eq!(
-        info.end,
-        None,
-        "{:?}",
-        cell.robots[0].status.last_fall().map(|f| f.to_string())
-    );
-    assert_eq!(
-        info.states,
-        [
-            NetState::Loading,
-            NetState::Ready,
-            NetState::Running,
-            NetState::Terminated
-        ]
-    );
-    cell.wait("the arm at its goal", |_| {
-        (cell.robots[0].status.measured()[6] - before - 0.5).abs() < 1e-3
+    steady(|| {
+        let cell = Cell::new(&["left"]);
+        let before = cell.robots[0].status.measured()[6];
+        let net = cell.load(&swing("left", 1.0));
+        cell.controller.start_net(net).unwrap();
+        let info = cell.wait_for_end(net);
+        assert_eq!(
+            info.end,
+            None,
+            "{:?}",
+            cell.robots[0].status.last_fall().map(|f| f.to_string())
+        );
+        assert_eq!(
+            info.states,
+            [
+                NetState::Loading,
+                NetState::Ready,
+                NetState::Running,
+                NetState::Terminated
+            ]
+        );
+        cell.wait("the arm at its goal", |_| {
+            (cell.robots[0].status.measured()[6] - before - 0.5).abs() < 1e-3
+        });
+        assert_eq!(
+            cell.controller.out_values(net),
+            [("outerror".to_owned(), "0".to_owned())]
+        );
     });
-    assert_eq!(
-        cell.controller.out_values(net),
-        [("outerror".to_owned(), "0".to_owned())]
-    );
 }
 
 #[test]
 fn a_robot_that_vanishes_ends_its_net_and_no_other() {
-    let mut cell = Cell::new(&["left", "right"]);
-    let (left, right) = (
-        cell.load(&swing("left", 3.0)),
-        cell.load(&swing("right", 3.0)),
-    );
-    cell.controller.start_net(left).unwrap();
-    cell.controller.start_net(right).unwrap();
-    cell.robots[0].kill();
-    let ended = cell.wait_for_end(left).end.unwrap();
-    assert!(ended.contains("left ceased to follow commands"), "{ended}");
-    assert_eq!(cell.wait_for_end(right).end, None);
+    steady(|| {
+        let mut cell = Cell::new(&["left", "right"]);
+        let (left, right) = (
+            cell.load(&swing("left", 3.0)),
+            cell.load(&swing("right", 3.0)),
+        );
+        cell.controller.start_net(left).unwrap();
+        cell.controller.start_net(right).unwrap();
+        cell.robots[0].kill();
+        let ended = cell.wait_for_end(left).end.unwrap();
+        assert!(ended.contains("left ceased to follow commands"), "{ended}");
+        assert_eq!(cell.wait_for_end(right).end, None);
+    });
 }
 
 #[test]
 fn drives_that_lose_power_end_the_net_and_nothing_moves_when_they_come_back() {
-    let cell = Cell::new(&["left"]);
-    let net = cell.load(&swing("left", 3.0));
-    cell.controller.start_net(net).unwrap();
-    cell.robots[0].status.set_power(false);
-    assert!(
-        cell.wait_for_end(net)
-            .end
-            .unwrap()
-            .contains("ceased to follow")
-    );
-    cell.robots[0].status.set_power(true);
-    cell.wait("the arm operational again", |c| {
-        c.devices()[0].status == DeviceStatus::Operational
+    steady(|| {
+        let cell = Cell::new(&["left"]);
+        let net = cell.load(&swing("left", 3.0));
+        cell.controller.start_net(net).unwrap();
+        cell.robots[0].status.set_power(false);
+        assert!(
+            cell.wait_for_end(net)
+                .end
+                .unwrap()
+                .contains("ceased to follow")
+        );
+        cell.robots[0].status.set_power(true);
+        cell.wait("the arm operational again", |c| {
+            c.devices()[0].status == DeviceStatus::Operational
+        });
+        let rested = cell.robots[0].status.commanded();
+        std::thread::sleep(Duration::from_millis(100));
+        assert_eq!(cell.robots[0].status.commanded(), rested);
     });
-    let rested = cell.robots[0].status.commanded();
-    std::thread::sleep(Duration::from_millis(100));
-    assert_eq!(cell.robots[0].status.commanded(), rested);
 }
 
 #[test]
 fn a_controller_that_ends_in_mid_swing_leaves_its_arm_at_rest() {
-    let cell = Cell::new(&["left"]);
-    let before = cell.position("left", 6);
-    let net = cell.load(&swing("left", 2.0));
-    cell.controller.start_net(net).unwrap();
-    cell.wait("the arm well under way", |_| {
-        (cell.position("left", 6) - before).abs() > 0.1 || cell.is_over(net)
+    steady(|| {
+        let cell = Cell::new(&["left"]);
+        let before = cell.position("left", 6);
+        let net = cell.load(&swing("left", 2.0));
+        cell.controller.start_net(net).unwrap();
+        cell.wait("the arm well under way", |_| {
+            (cell.position("left", 6) - before).abs() > 0.1 || cell.is_over(net)
+        });
+        assert!(!cell.is_over(net), "it was lost before");
+        let Cell { controller, robots } = cell;
+        drop(controller);
+        let status = &robots[0].status;
+        // A robot that was left in motion is moved on by its controller at the last speed, for a hundred cycles here.
+        let (rested, sent) = (status.commanded(), status.sent());
+        let until = Instant::now() + Duration::from_secs(30);
+        while status.sent() < sent + 50 {
+            assert!(Instant::now() < until, "the robot sends no more");
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        assert_eq!(status.commanded(), rested);
     });
-    let Cell { controller, robots } = cell;
-    drop(controller);
-    let status = &robots[0].status;
-    // A robot that was left in motion is moved on by its controller at the last speed, for a hundred cycles here.
-    let (rested, sent) = (status.commanded(), status.sent());
-    while status.sent() < sent + 50 {
-        std::thread::yield_now();
-    }
-    assert_eq!(status.commanded(), rested);
 }
 
 #[test]
 fn a_joint_belongs_to_one_running_net() {
-    let cell = Cell::new(&["left"]);
-    let (first, second) = (
-        cell.load(&swing("left", 2.0)),
-        cell.load(&swing("left", 2.0)),
-    );
-    cell.controller.start_net(first).unwrap();
-    let error = cell.controller.start_net(second).unwrap_err().to_string();
-    assert!(
-        error.contains("left_Joint_6, which another running net holds"),
-        "{error}"
-    );
-    cell.controller.cancel(first).unwrap();
-    cell.wait_for_end(first);
-    cell.controller.start_net(second).unwrap();
-    cell.controller.abort(second).unwrap();
-    assert_eq!(cell.wait_for_end(second).end.as_deref(), Some("aborted"));
+    steady(|| {
+        let cell = Cell::new(&["left"]);
+        let (first, second) = (
+            cell.load(&swing("left", 2.0)),
+            cell.load(&swing("left", 2.0)),
+        );
+        cell.controller.start_net(first).unwrap();
+        let error = cell.controller.start_net(second).unwrap_err().to_string();
+        assert!(
+            error.contains("left_Joint_6, which another running net holds"),
+            "{error}"
+        );
+        cell.controller.cancel(first).unwrap();
+        cell.wait_for_end(first);
+        cell.controller.start_net(second).unwrap();
+        cell.controller.abort(second).unwrap();
+        assert_eq!(cell.wait_for_end(second).end.as_deref(), Some("aborted"));
+    });
 }
 
 #[test]

@@ -24,6 +24,7 @@ use takt_fri::sunrise::emulator::{
 };
 use takt_fri::sunrise::wire::{CommandMode, Dialect, Quality, SessionState};
 use takt_rt::thread::{Thread, ThreadConfig, spawn};
+use takt_tests::steady;
 
 /// An emulated cabinet in a thread of its own.
 struct Sunrise {
@@ -111,23 +112,25 @@ fn wait_for(cell: &Cell, status: DeviceStatus) {
 
 /// A net moves the arm by half a radian, and what the cabinet measures says so.
 fn move_it(config: CabinetConfig) {
-    let (cell, address) = cell();
-    let cabinet = Sunrise::start(address, config);
-    wait_for(&cell, DeviceStatus::Operational);
-    let before = cabinet.status.measured()[6];
-    let net = cell.load(&swing("arm", 1.0));
-    cell.controller.start_net(net).unwrap();
-    let end = cell.wait_for_end(net).end;
-    let fall = cabinet.status.last_fall().map(|why| why.to_string());
-    assert_eq!(end, None, "{fall:?}");
-    cell.wait("the arm at its goal", |_| {
-        (cabinet.status.measured()[6] - before - 0.5).abs() < 1e-3
+    steady(|| {
+        let (cell, address) = cell();
+        let cabinet = Sunrise::start(address, config.clone());
+        wait_for(&cell, DeviceStatus::Operational);
+        let before = cabinet.status.measured()[6];
+        let net = cell.load(&swing("arm", 1.0));
+        cell.controller.start_net(net).unwrap();
+        let end = cell.wait_for_end(net).end;
+        let fall = cabinet.status.last_fall().map(|why| why.to_string());
+        assert_eq!(end, None, "{fall:?}");
+        cell.wait("the arm at its goal", |_| {
+            (cabinet.status.measured()[6] - before - 0.5).abs() < 1e-3
+        });
+        let figures = cell.controller.with_drivers(Iiwa::figures)[0];
+        assert_eq!(figures.malformed, 0);
+        assert_eq!(figures.quality, Quality::Excellent);
+        assert_eq!(figures.period, Some(Duration::from_millis(2)));
+        assert!(figures.datagrams > 500, "{figures:?}");
     });
-    let figures = cell.controller.with_drivers(Iiwa::figures)[0];
-    assert_eq!(figures.malformed, 0);
-    assert_eq!(figures.quality, Quality::Excellent);
-    assert_eq!(figures.period, Some(Duration::from_millis(2)));
-    assert!(figures.datagrams > 500, "{figures:?}");
 }
 
 #[test]
@@ -163,57 +166,63 @@ fn answers_are_given_only_when_the_cabinet_wants_them() {
 
 #[test]
 fn an_overlay_of_poses_is_no_arm_that_follows_joints() {
-    let (cell, address) = cell();
-    let overlay = Overlay {
-        control: Control::Position,
-        command: CommandMode::CartesianPose,
-    };
-    let restart = Some(Duration::from_millis(100));
-    let cabinet = Sunrise::start(
-        address,
-        CabinetConfig {
-            program: Program::Auto { overlay, restart },
-            ..patient(Dialect::V2)
-        },
-    );
-    cell.wait("the overlay active", |_| {
-        cabinet.status.state() == SessionState::CommandingActive
+    steady(|| {
+        let (cell, address) = cell();
+        let overlay = Overlay {
+            control: Control::Position,
+            command: CommandMode::CartesianPose,
+        };
+        let restart = Some(Duration::from_millis(100));
+        let cabinet = Sunrise::start(
+            address,
+            CabinetConfig {
+                program: Program::Auto { overlay, restart },
+                ..patient(Dialect::V2)
+            },
+        );
+        cell.wait("the overlay active", |_| {
+            cabinet.status.state() == SessionState::CommandingActive
+        });
+        let net = cell.load(&swing("arm", 1.0));
+        let error = cell.controller.start_net(net).unwrap_err().to_string();
+        assert!(error.contains("arm, which is safe-operational"), "{error}");
     });
-    let net = cell.load(&swing("arm", 1.0));
-    let error = cell.controller.start_net(net).unwrap_err().to_string();
-    assert!(error.contains("arm, which is safe-operational"), "{error}");
 }
 
 #[test]
 fn a_cabinet_that_vanishes_ends_the_net_and_a_new_one_in_another_dialect_is_taken() {
-    let (cell, address) = cell();
-    let mut cabinet = Sunrise::start(address, patient(Dialect::V1));
-    wait_for(&cell, DeviceStatus::Operational);
-    let net = cell.load(&swing("arm", 20.0));
-    cell.controller.start_net(net).unwrap();
-    cabinet.kill();
-    let ended = cell.wait_for_end(net).end.unwrap();
-    assert!(ended.contains("arm ceased to follow commands"), "{ended}");
-    wait_for(&cell, DeviceStatus::Offline);
-    let _newer = Sunrise::start(address, patient(Dialect::V3));
-    wait_for(&cell, DeviceStatus::Operational);
+    steady(|| {
+        let (cell, address) = cell();
+        let mut cabinet = Sunrise::start(address, patient(Dialect::V1));
+        wait_for(&cell, DeviceStatus::Operational);
+        let net = cell.load(&swing("arm", 20.0));
+        cell.controller.start_net(net).unwrap();
+        cabinet.kill();
+        let ended = cell.wait_for_end(net).end.unwrap();
+        assert!(ended.contains("arm ceased to follow commands"), "{ended}");
+        wait_for(&cell, DeviceStatus::Offline);
+        let _newer = Sunrise::start(address, patient(Dialect::V3));
+        wait_for(&cell, DeviceStatus::Operational);
+    });
 }
 
 #[test]
 fn an_iiwa_that_loses_power_ends_the_net_and_rests_when_it_comes_back() {
-    let (cell, address) = cell();
-    let cabinet = Sunrise::start(address, patient(Dialect::V2));
-    wait_for(&cell, DeviceStatus::Operational);
-    let net = cell.load(&swing("arm", 20.0));
-    cell.controller.start_net(net).unwrap();
-    cabinet.status.set_power(false);
-    let ended = cell.wait_for_end(net).end.unwrap();
-    assert!(ended.contains("ceased to follow"), "{ended}");
-    cabinet.status.set_power(true);
-    wait_for(&cell, DeviceStatus::Operational);
-    let (rested, sent) = (cabinet.status.commanded(), cabinet.status.sent());
-    cell.wait("a hundred cycles", |_| cabinet.status.sent() > sent + 100);
-    assert_eq!(cabinet.status.commanded(), rested);
+    steady(|| {
+        let (cell, address) = cell();
+        let cabinet = Sunrise::start(address, patient(Dialect::V2));
+        wait_for(&cell, DeviceStatus::Operational);
+        let net = cell.load(&swing("arm", 20.0));
+        cell.controller.start_net(net).unwrap();
+        cabinet.status.set_power(false);
+        let ended = cell.wait_for_end(net).end.unwrap();
+        assert!(ended.contains("ceased to follow"), "{ended}");
+        cabinet.status.set_power(true);
+        wait_for(&cell, DeviceStatus::Operational);
+        let (rested, sent) = (cabinet.status.commanded(), cabinet.status.sent());
+        cell.wait("a hundred cycles", |_| cabinet.status.sent() > sent + 100);
+        assert_eq!(cabinet.status.commanded(), rested);
+    });
 }
 
 #[test]

@@ -185,6 +185,20 @@ impl Cell {
         state.joints[joint].measured_position.unwrap_or(f64::NAN)
     }
 
+    /// Where a joint is once it has not moved for a quarter of a second, rad.
+    fn at_rest(&self, arm: &str, joint: usize) -> f64 {
+        let mut rest = (self.position(arm, joint), Instant::now());
+        let until = rest.1 + Duration::from_secs(5);
+        while rest.1.elapsed() < Duration::from_millis(250) && Instant::now() < until {
+            std::thread::sleep(Duration::from_millis(5));
+            let position = self.position(arm, joint);
+            if (position - rest.0).abs() > 1e-4 {
+                rest = (position, Instant::now());
+            }
+        }
+        rest.0
+    }
+
     /// Lets a net move a joint by half a radian within a second and says how far it came in the end. That begins
     /// again if the arm was lost meanwhile: a host without `PREEMPT_RT` stalls for longer than a bus forgives.
     pub fn swung(&self, arm: &str, joint: usize) -> f64 {
@@ -195,8 +209,7 @@ impl Cell {
             // One that cannot start because the arm was lost just now tries again too.
             if self.controller.start_net(net).is_ok() {
                 self.wait_for_end(net);
-                std::thread::sleep(Duration::from_millis(100));
-                let moved = self.position(arm, joint) - before.0;
+                let moved = self.at_rest(arm, joint) - before.0;
                 if faults() == before.1 {
                     return moved;
                 }
