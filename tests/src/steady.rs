@@ -95,3 +95,28 @@ fn look(stop: &AtomicBool, longest: &AtomicU64) {
         longest.fetch_max(u64::try_from(late).unwrap_or(u64::MAX), Ordering::Relaxed);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::cell::Cell;
+
+    use super::*;
+
+    #[test]
+    fn what_fails_for_good_fails_after_so_many_attempts_at_most() {
+        let attempts = Cell::new(0);
+        let failed = catch_unwind(AssertUnwindSafe(|| {
+            steady(|| {
+                attempts.set(attempts.get() + 1);
+                assert_eq!(attempts.get(), 0, "fails whatever the host does");
+            });
+        }));
+        assert!(failed.is_err());
+        assert!((1..=ATTEMPTS).contains(&attempts.get()));
+    }
+
+    #[test]
+    fn what_holds_is_given_back() {
+        assert_eq!(steady(|| 7), 7);
+    }
+}
