@@ -1,5 +1,6 @@
 //! What a frame costs from the socket to its meaning: received one by one or 32 by one system call, decoded
-//! as CANopen and counted, against a loop that only receives. On `TAKT_VCAN` or `vcan0` if there is one;
+//! as CANopen and counted, against loops that only receive: by `read`, by `recv`, and by a `recvmsg` that asks
+//! the kernel for the same (stamp, losses). On `TAKT_VCAN` or `vcan0` if there is one;
 //! without, the sockets are replaced by the in-process bus, and the loop that only receives by taking frames
 //! out of it. `cargo bench -p takt-can`.
 //!
@@ -8,6 +9,8 @@
 #![expect(clippy::print_stdout, reason = "a benchmark prints its result")]
 
 use std::hint::black_box;
+use std::io::IoSliceMut;
+use std::os::fd::{AsRawFd as _, BorrowedFd};
 use std::path::Path;
 use std::time::Duration;
 
@@ -84,17 +87,29 @@ impl Worker {
     }
 }
 
-/// A loop around one `recv` per frame with nothing behind it.
-fn bare(fd: std::os::fd::RawFd) -> usize {
+/// How a loop receives that does nothing with what it gets.
+#[derive(Clone, Copy)]
+enum Bare {
+    Read,
+    Recv,
+    RecvMsg,
+}
+
+/// One system call per frame with nothing behind it.
+fn bare(fd: BorrowedFd<'_>, call: Bare) -> usize {
+    use nix::sys::socket::{MsgFlags, recv, recvmsg};
     let mut bytes = [0_u8; 72];
-    let mut count = 0;
-    while count < FRAMES
-        && nix::sys::socket::recv(fd, &mut bytes, nix::sys::socket::MsgFlags::MSG_DONTWAIT).is_ok()
-    {
-        black_box(&bytes);
-        count += 1;
-    }
-    count
+    let mut control = [0; 128];
+    let mut one = || match call {
+        Bare::Read => nix::unistd::read(fd, &mut bytes).is_ok(),
+        Bare::Recv => recv(fd.as_raw_fd(), &mut bytes, MsgFlags::MSG_DONTWAIT).is_ok(),
+        Bare::RecvMsg => {
+            let mut vector = [IoSliceMut::new(&mut bytes)];
+            let (fd, control) = (fd.as_raw_fd(), Some(control.as_mut_slice()));
+            recvmsg::<()>(fd, &mut vector, control, MsgFlags::MSG_DONTWAIT).is_ok()
+        }
+    };
+    (0..FRAMES).take_while(|_| black_box(one())).count()
 }
 
 fn ns_per_frame(work: impl FnOnce() -> usize) -> f64 {
@@ -117,31 +132,63 @@ fn drain(link: &mut SocketCan, worker: &mut Worker) -> usize {
     count
 }
 
-fn sockets(interface: &str) -> [f64; 5] {
-    use std::os::fd::AsRawFd as _;
+/// What is measured on a socket.
+#[derive(Clone, Copy)]
+enum Case {
+    Bare(Bare),
+    /// Frames by one call at most, and what is done with them.
+    Link(usize, Work),
+}
+
+const CASES: [(&str, &str, Case); 8] = [
+    ("recv", "recv loop", Case::Bare(Bare::Recv)),
+    ("read", "read loop", Case::Bare(Bare::Read)),
+    ("recvmsg", "recvmsg loop", Case::Bare(Bare::RecvMsg)),
+    (
+        "single_receive",
+        "one by one, received",
+        Case::Link(1, Work::Receive),
+    ),
+    (
+        "single",
+        "one by one, decoded",
+        Case::Link(1, Work::Dispatch),
+    ),
+    (
+        "batch_receive",
+        "32 by a call, received",
+        Case::Link(32, Work::Receive),
+    ),
+    (
+        "batch",
+        "32 by a call, decoded",
+        Case::Link(32, Work::Dispatch),
+    ),
+    (
+        "measure",
+        "32 by a call, measured",
+        Case::Link(32, Work::Measure),
+    ),
+];
+
+/// ns per frame of each case.
+fn sockets(interface: &str) -> [f64; CASES.len()] {
     let options = Options {
         receive_buffer: 8 << 20,
         ..Options::default()
     };
     let open = || SocketCan::open(interface, &options).expect("the interface is there");
     let (frames, mut sender) = (traffic(), open());
-    let mut rounds = [const { Vec::new() }; 5];
-    let cases = [
-        None,
-        Some((1, Work::Dispatch)),
-        Some((32, Work::Receive)),
-        Some((32, Work::Dispatch)),
-        Some((32, Work::Measure)),
-    ];
+    let mut rounds = [const { Vec::new() }; CASES.len()];
     for _ in 0..ROUNDS {
-        for (case, times) in cases.iter().zip(&mut rounds) {
+        for ((.., case), times) in CASES.iter().zip(&mut rounds) {
             let mut link = open();
             frames
                 .iter()
                 .for_each(|frame| sender.send(frame).expect("a virtual bus is never full"));
             times.push(match case {
-                None => ns_per_frame(|| bare(link.fd().as_raw_fd())),
-                Some((batch, work)) => {
+                Case::Bare(call) => ns_per_frame(|| bare(link.fd(), *call)),
+                Case::Link(batch, work) => {
                     link.set_batch(*batch);
                     let mut worker = Worker::new(*work);
                     ns_per_frame(|| drain(&mut link, &mut worker))
@@ -211,25 +258,20 @@ fn main() {
         "\"in_process_receive_ns\":{receive:.1},\"in_process_dispatch_ns\":{dispatch:.1},\"in_process_measure_ns\":{measure:.1}"
     );
     if Path::new("/sys/class/net").join(&vcan).exists() {
-        let [bare, single, batch, dispatch, measure] = sockets(&vcan);
-        for (name, ns) in [
-            ("bare recv loop", bare),
-            ("one recvmmsg per frame, decoded", single),
-            ("recvmmsg of 32, received", batch),
-            ("recvmmsg of 32, decoded", dispatch),
-            ("recvmmsg of 32, measured", measure),
-        ] {
-            let (ratio, load) = (ns / bare, full_load(ns));
-            println!(
-                "{vcan}: {name:32} {ns:8.0} ns, ratio {ratio:.2}, {load:.2} % at 8,000 frames/s"
-            );
-        }
-        figures += &format!(
-            ",\"bare_ns\":{bare:.1},\"single_ratio\":{:.3},\"batch_ratio\":{:.3},\"measure_ratio\":{:.3}",
-            single / bare,
-            dispatch / bare,
-            measure / bare
+        let times = sockets(&vcan);
+        let [recv, read, recvmsg, ..] = times;
+        println!(
+            "{vcan}: {:24} ns per frame, ratio to recv, read, recvmsg",
+            ""
         );
+        for ((key, name, _), ns) in CASES.iter().zip(times) {
+            let load = full_load(ns);
+            let [recv, read, recvmsg] = [recv, read, recvmsg].map(|bare| ns / bare);
+            println!(
+                "{vcan}: {name:24} {ns:12.0} {recv:14.2} {read:5.2} {recvmsg:8.2}, {load:.2} % at 8,000 frames/s"
+            );
+            figures += &format!(",\"{key}_ns\":{ns:.1},\"{key}_ratio\":{recv:.3}");
+        }
     }
     println!("{{\"bench\":\"can_dispatch\",{figures}}}");
 }

@@ -77,6 +77,7 @@ impl Frame {
     pub const LEN_MAX: usize = 8;
 
     /// A frame that carries `data`.
+    #[inline]
     pub fn new(id: Id, data: &[u8]) -> Result<Self, FrameError> {
         let mut frame = Self::remote(id, data.len())?;
         frame.remote = false;
@@ -111,6 +112,7 @@ impl Frame {
     }
 
     /// A frame that asks for `len` bytes of the same identifier.
+    #[inline]
     pub fn remote(id: Id, len: usize) -> Result<Self, FrameError> {
         match u8::try_from(len) {
             Ok(dlc) if len <= Self::LEN_MAX => Ok(Self {

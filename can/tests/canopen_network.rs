@@ -23,7 +23,7 @@ use takt_can::canopen::network::{
 };
 use takt_can::canopen::sdo::Outcome;
 use takt_can::canopen::{Emergency, emergency};
-use takt_cia402::dictionary::Address;
+use takt_cia402::dictionary::{Address, Mapped};
 use takt_cia402::emulator::FaultCode;
 use takt_cia402::{Change, Goal, HomingError, Obstacle, SetPoint, SetPointError, State};
 
@@ -495,12 +495,16 @@ fn a_node_that_is_given_up_stops_its_motor() {
         let (state, velocity) = (drive.state(), drive.motor().velocity);
         assert_ne!(state, State::OperationEnabled, "6007h = {on_link_loss}");
         assert!(velocity.abs() < 0.01, "6007h = {on_link_loss}: {velocity}");
+        assert_eq!(bus.drive(1).state(), takt_can::canopen::nmt::State::Stopped);
         // Heard again, it comes back at rest.
         bus.muted = None;
         bus.until(10 * SECOND, |bus| {
             (bus.master.phase(node(1)) == Some(Phase::Running)).then_some(())
         });
+        bus.run(SECOND);
         assert!(!bus.master.axis(node(1), 0).unwrap().state().follows);
+        let velocity = bus.drive(1).application().axis(0).unwrap().motor().velocity;
+        assert!(velocity.abs() < 0.01, "6007h = {on_link_loss}: {velocity}");
     }
 }
 
@@ -539,6 +543,51 @@ fn a_drive_is_told_its_cycle_and_what_to_do_without_a_master() {
             assert_eq!(bytes(0x60C2, 2), exponent.to_le_bytes());
             assert_eq!(bytes(0x6007, 0), 3_i16.to_le_bytes());
         }
+    }
+}
+
+#[test]
+fn a_drive_is_told_its_jerk_and_its_buffer_where_asked() {
+    let bus = Bus::running(1, |plan| {
+        plan.axes[0].jerk_max = Some(5_000_000);
+        plan.axes[0].records = Some(4);
+    });
+    let drive = bus.drives[0].as_ref().unwrap();
+    let bytes = |index, sub| drive.dictionary().bytes(Address::new(index, sub)).unwrap();
+    assert_eq!(bytes(0x6086, 0), 3_i16.to_le_bytes());
+    assert_eq!(bytes(0x60A4, 1), 5_000_000_u32.to_le_bytes());
+    assert_eq!(bytes(0x60C4, 2), 4_u32.to_le_bytes());
+    assert_eq!((bytes(0x60C4, 3), bytes(0x60C4, 6)), (&[0][..], &[1][..]));
+}
+
+/// With a buffer in the drive and without.
+#[test]
+fn interpolated_position_goes_by_data_records() {
+    const IP: i8 = 7;
+    for records in [None, Some(4)] {
+        let mut bus = Bus::running(1, |plan| {
+            let record = Mapped {
+                address: Address::new(0x60C1, 1),
+                bits: 32,
+            };
+            plan.rpdos[0].1.mapping[2] = record;
+            plan.axes[0].set_point_period = Some(2 * MS);
+            plan.axes[0].records = records;
+        });
+        let axis = bus.master.axis_mut(node(1), 0).unwrap();
+        axis.set_goal(Goal::OperationEnabled, IP);
+        bus.until(5 * SECOND, all_follow);
+        for cycle in 1..=500 {
+            let axis = bus.master.axis_mut(node(1), 0).unwrap();
+            axis.command(AxisCommand {
+                position: 20 * cycle,
+                ..AxisCommand::default()
+            });
+            bus.run(bus.period);
+        }
+        bus.run(SECOND / 10);
+        let off = position(&bus, 1) - 10_000;
+        assert!(off.abs() < 20, "{records:?}: {off}");
     }
 }
 
@@ -613,30 +662,60 @@ fn set_points_of_profile_position_are_handed_over_one_by_one() {
 
 #[test]
 fn axes_of_one_drive_have_pdos_of_their_own() {
-    let axes = [0, 1, 3].map(|axis| AxisPlan {
-        axis,
+    move_axes_of_one_drive(&[0, 1, 3], &[20, 0, -10]);
+    assert!(NodePlan::drives(node(1), &[]).is_none());
+    assert!(NodePlan::drives(node(1), &[AxisPlan::default(); 9]).is_none());
+}
+
+#[test]
+fn six_axes_of_one_drive_take_the_identifiers_of_the_next_node_number_too() {
+    move_axes_of_one_drive(&[0, 1, 2, 3, 4, 5], &[20, 0, -10, 5, 15, -20]);
+    let axes = [AxisPlan::default(); 5];
+    assert!(NodePlan::drives(node(127), &axes).is_none());
+    let plans = vec![NodePlan::drives(node(1), &axes).unwrap(), plan(2)];
+    let collision = NetworkError::Collision {
+        node: node(2),
+        id: node(2).cob(0x180),
+    };
+    let refused = Network::new(NetworkConfig::default(), plans).unwrap_err();
+    assert_eq!(refused, collision);
+}
+
+/// The PDOs of the first axis are on when the drive is switched on, and have the identifiers that the
+/// others are given.
+#[test]
+fn an_axis_that_nobody_asked_gets_no_power() {
+    move_axes_of_one_drive(&[1, 3], &[20, -10]);
+}
+
+/// Moves axes of a drive of six, each by its own step in each cycle; the others shall not even be enabled.
+fn move_axes_of_one_drive(axes: &[u8], steps: &[i32]) {
+    let plans = axes.iter().map(|axis| AxisPlan {
+        axis: *axis,
         set_point_period: Some(2 * MS),
         ..AxisPlan::default()
     });
-    let plan = NodePlan::drives(node(1), &axes).unwrap();
-    assert_eq!(plan.rpdos[2].0, 192, "RPDO 193 is the first of axis 3");
+    let plan = NodePlan::drives(node(1), &plans.collect::<Vec<_>>()).unwrap();
+    let numbers: Vec<_> = plan.rpdos.iter().map(|(number, _)| *number).collect();
+    let expected = axes.iter().map(|axis| 64 * u16::from(*axis));
+    assert_eq!(numbers, expected.collect::<Vec<_>>(), "64 for each axis");
     let mut config = DriveNodeConfig::new(node(1));
-    config.axes = vec![config.axes[0].clone(); 4];
+    config.axes = vec![config.axes[0].clone(); 6];
     let mut bus = Bus::new(NetworkConfig::default(), vec![plan], vec![config]);
     bus.master.start(bus.now);
     bus.until(5 * SECOND, |bus| {
         (bus.master.phase(node(1)) == Some(Phase::Running)).then_some(())
     });
     let state = |bus: &Bus, n| *bus.master.axis(node(1), n).unwrap().state();
-    for n in 0..3 {
+    for n in 0..axes.len() {
         let axis = bus.master.axis_mut(node(1), n).unwrap();
         axis.set_goal(Goal::OperationEnabled, CSP);
     }
     bus.until(5 * SECOND, |bus| {
-        (0..3).all(|n| state(bus, n).follows).then_some(())
+        (0..axes.len()).all(|n| state(bus, n).follows).then_some(())
     });
     for cycle in 1..=500 {
-        for (n, step) in [20, 0, -10].into_iter().enumerate() {
+        for (n, step) in steps.iter().enumerate() {
             let axis = bus.master.axis_mut(node(1), n).unwrap();
             axis.command(AxisCommand {
                 position: cycle * step,
@@ -646,13 +725,15 @@ fn axes_of_one_drive_have_pdos_of_their_own() {
         bus.run(bus.period);
     }
     bus.run(SECOND / 10);
-    for (n, place) in [10_000, 0, -5_000].into_iter().enumerate() {
-        assert!((state(&bus, n).position - place).abs() < 20, "axis {n}");
+    for (n, step) in steps.iter().enumerate() {
+        assert!((state(&bus, n).position - 500 * step).abs() < 20, "{n}");
     }
-    let still = bus.drive(1).application().axis(2).unwrap();
-    assert_ne!(still.state(), State::OperationEnabled, "nobody asked it");
-    assert!(NodePlan::drives(node(1), &[]).is_none());
-    assert!(NodePlan::drives(node(1), &[axes[0]; 5]).is_none());
+    for axis in 0..6_u8 {
+        let drive = bus.drive(1).application().axis(axis.into()).unwrap();
+        let enabled = drive.state() == State::OperationEnabled;
+        assert_eq!(enabled, axes.contains(&axis), "axis {axis}");
+    }
+    assert_eq!(bus.master.trouble(node(1)), None);
 }
 
 /// Both boot-up messages, its own and that after the master's reset, find the master asking.

@@ -16,7 +16,7 @@ use super::emcy::Source;
 use super::lss::Identity;
 use super::nmt::{Reset, State};
 use super::node::{Application, Communication, Context, Event, Node, NodeConfig, NodeError};
-use super::pdo::{Parameters, PdoCob, Transmission};
+use super::pdo::{Direction, Parameters, PdoCob, Transmission, number_at};
 use super::{NodeId, RPDO1, TPDO1};
 
 #[cfg(test)]
@@ -24,6 +24,8 @@ mod tests;
 
 /// Most axes of a drive (CiA 402-2).
 pub const AXES_MAX: usize = 8;
+/// The data record of interpolated position.
+const RECORD: Address = Address::new(0x60C1, 1);
 /// PDOs that each axis has room for (CiA 402-3).
 const AXIS_PDOS: u16 = 64;
 const STEP: Duration = Duration::from_millis(1);
@@ -273,6 +275,21 @@ impl Drives {
         }
     }
 
+    /// Data records of interpolated position that an RPDO brought.
+    fn take_records(&mut self, rpdo: u16, dictionary: &Dictionary) {
+        for sub in 1..=8 {
+            let mapping = Address::new(Direction::Receive.mapping() + rpdo, sub);
+            let mapped = number_at(dictionary, mapping).map(|raw| Mapped::from_raw(raw).address);
+            for (axis, drive) in (0_u8..).zip(&mut self.axes) {
+                let here = RECORD.on_axis(axis).filter(|here| mapped == Some(*here));
+                if let Some(record) = here.and_then(|here| number_at(dictionary, here)) {
+                    // A PDO has no answer: what does not fit is lost.
+                    let _ = drive.take_record(dictionary, record.cast_signed());
+                }
+            }
+        }
+    }
+
     const fn entered(&mut self, state: State) {
         let operational = matches!(state, State::Operational);
         self.left_operational = !operational && (self.operational || self.left_operational);
@@ -287,9 +304,16 @@ impl Application for Drives {
         address: Address,
         data: &[u8],
     ) -> Result<(), AbortCode> {
-        self.axes
-            .iter()
-            .try_for_each(|drive| drive.check_download(dictionary, address, data))
+        for (axis, drive) in (0_u8..).zip(&mut self.axes) {
+            drive.check_download(dictionary, address, data)?;
+            if let (true, Some(record)) =
+                (RECORD.on_axis(axis) == Some(address), data.first_chunk())
+                && !drive.take_record(dictionary, i32::from_le_bytes(*record))
+            {
+                return Err(AbortCode::DeviceState);
+            }
+        }
+        Ok(())
     }
 
     fn handle(&mut self, event: Event, context: &mut Context<'_>) {
@@ -301,7 +325,10 @@ impl Application for Drives {
                 }
                 self.set_point = true;
             }
-            Event::Received(_) => self.set_point = true,
+            Event::Received(number) => {
+                self.set_point = true;
+                self.take_records(number, context.dictionary);
+            }
             Event::Late(_) => self.pdo_late = true,
             Event::InTime(_) => self.pdo_late = false,
             Event::Lost => self.heartbeat_lost = true,

@@ -62,7 +62,8 @@ pub enum NodeError {
 pub enum Event {
     /// SYNC: received values are in the dictionary; what is there after this is transmitted.
     Sync,
-    /// The RPDO of that number (from 0) put new values into the dictionary.
+    /// The RPDO of that number (from 0) put new values into the dictionary; of one that waited for SYNC this comes
+    /// behind [`Self::Sync`].
     Received(u16),
     /// The RPDO of that number is late (1400h:05).
     Late(u16),

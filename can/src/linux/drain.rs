@@ -1,16 +1,15 @@
-//! Up to 32 frames by one system call, each with what the kernel knows of it: time stamps, where it comes
-//! from, how many were lost before it. It does not wait.
+//! One frame or up to 32 by one system call, each with what the kernel knows of it: time stamps, where it
+//! comes from, how many were lost before it. It does not wait.
 
 #![allow(
     unsafe_code,
-    reason = "recvmmsg takes pointers, and no library offers it with these answers"
+    reason = "recvmsg and recvmmsg take pointers, and no library offers them with these answers"
 )]
 
 use std::io;
 use std::mem::MaybeUninit;
 use std::os::fd::{AsRawFd as _, BorrowedFd};
 use std::ptr;
-use std::time::Duration;
 
 use super::kernel;
 use crate::AnyFrame;
@@ -26,9 +25,10 @@ const CONTROL_LEN: usize = 128;
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Stamped {
     pub(super) frame: Option<AnyFrame>,
-    /// Since 1970.
-    pub(super) software: Option<Duration>,
-    pub(super) hardware: Option<Duration>,
+    /// Since 1970, ns.
+    pub(super) software: Option<u64>,
+    /// On the clock of the hardware, ns.
+    pub(super) hardware: Option<u64>,
     pub(super) origin: Origin,
     pub(super) dropped: Option<u32>,
 }
@@ -41,7 +41,15 @@ struct Control([u8; CONTROL_LEN]);
 pub(super) struct Buffers {
     frames: [[u8; kernel::FD_LEN]; BATCH],
     controls: [Control; BATCH],
-    lens: [(usize, usize, i32); BATCH],
+    told: [Told; BATCH],
+}
+
+/// What the kernel tells of a message that it wrote.
+#[derive(Clone, Copy, Default)]
+struct Told {
+    len: usize,
+    control_len: usize,
+    flags: i32,
 }
 
 impl std::fmt::Debug for Buffers {
@@ -55,27 +63,49 @@ impl Buffers {
         Box::new(Self {
             frames: [[0; kernel::FD_LEN]; BATCH],
             controls: [Control([0; CONTROL_LEN]); BATCH],
-            lens: [(0, 0, 0); BATCH],
+            told: [Told::default(); BATCH],
         })
     }
 
     /// Takes what is there, at most `limit` frames; returns how many. 0 when nothing is there.
     pub(super) fn fill(&mut self, socket: BorrowedFd<'_>, limit: usize) -> io::Result<usize> {
-        // SAFETY: an iovec of null and length 0 is valid.
-        let mut vectors: [libc::iovec; BATCH] = unsafe { MaybeUninit::zeroed().assume_init() };
+        let filled = if limit <= 1 {
+            self.fill_one(socket)
+        } else {
+            self.fill_many(socket, limit.min(BATCH))
+        };
+        filled.or_else(|error| match error.raw_os_error() {
+            Some(libc::EAGAIN | libc::EINTR) => Ok(0),
+            _ => Err(error),
+        })
+    }
+
+    /// One frame costs no headers for others, and the call itself less than the one for many.
+    #[inline]
+    fn fill_one(&mut self, socket: BorrowedFd<'_>) -> io::Result<usize> {
+        let ([frame, ..], [control, ..], [told, ..]) =
+            (&mut self.frames, &mut self.controls, &mut self.told);
+        let mut vector = NOWHERE;
+        // SAFETY: null pointers with lengths of 0 are valid in every field of a message header.
+        let mut header: libc::msghdr = unsafe { MaybeUninit::zeroed().assume_init() };
+        point(&mut header, &mut vector, frame, control);
+        // SAFETY: the header points to one vector and to a control buffer of the length it tells, the vector to a
+        // buffer of the length it tells. All of them live until the call is over, nobody else has them, and
+        // the kernel writes within these bounds.
+        let len = unsafe { libc::recvmsg(socket.as_raw_fd(), &raw mut header, libc::MSG_DONTWAIT) };
+        let len = usize::try_from(len).map_err(|_| io::Error::last_os_error())?;
+        *told = Told::by(len, &header);
+        Ok(1)
+    }
+
+    fn fill_many(&mut self, socket: BorrowedFd<'_>, limit: usize) -> io::Result<usize> {
+        let mut vectors = [NOWHERE; BATCH];
         // SAFETY: null pointers with lengths of 0 are valid in every field of a message header.
         let mut headers: [libc::mmsghdr; BATCH] = unsafe { MaybeUninit::zeroed().assume_init() };
-        let limit = limit.clamp(1, BATCH);
-        // Only what the call may use: who takes frames one by one does not pay for 32.
         let memory = self.frames.iter_mut().zip(&mut self.controls).take(limit);
         for ((vector, header), (frame, control)) in vectors.iter_mut().zip(&mut headers).zip(memory)
         {
-            vector.iov_base = frame.as_mut_ptr().cast();
-            vector.iov_len = frame.len();
-            header.msg_hdr.msg_iov = vector;
-            header.msg_hdr.msg_iovlen = 1;
-            header.msg_hdr.msg_control = control.0.as_mut_ptr().cast();
-            header.msg_hdr.msg_controllen = CONTROL_LEN as _;
+            point(&mut header.msg_hdr, vector, frame, control);
         }
         let limit = libc::c_uint::try_from(limit).unwrap_or(1);
         // SAFETY: `limit` is at most the number of headers. Each of so many headers points to one vector and to a control
@@ -91,43 +121,66 @@ impl Buffers {
                 ptr::null_mut(),
             )
         };
-        let Ok(count) = usize::try_from(count) else {
-            let error = io::Error::last_os_error();
-            let nothing = matches!(error.raw_os_error(), Some(libc::EAGAIN | libc::EINTR));
-            return if nothing { Ok(0) } else { Err(error) };
-        };
-        for (len, header) in self.lens.iter_mut().zip(headers.iter().take(count)) {
-            let header = (header.msg_len, &header.msg_hdr);
-            *len = (
-                usize::try_from(header.0).unwrap_or(0),
-                header.1.msg_controllen,
-                header.1.msg_flags,
-            );
+        let count = usize::try_from(count).map_err(|_| io::Error::last_os_error())?;
+        for (told, header) in self.told.iter_mut().zip(headers.iter().take(count)) {
+            let len = usize::try_from(header.msg_len).unwrap_or(0);
+            *told = Told::by(len, &header.msg_hdr);
         }
         Ok(count)
     }
 
     /// The frame at a place below the last count.
+    #[inline]
     pub(super) fn get(&self, place: usize) -> Stamped {
         let all = (
-            self.lens.get(place),
+            self.told.get(place),
             self.frames.get(place),
             self.controls.get(place),
         );
-        let (Some((len, control_len, flags)), Some(frame), Some(control)) = all else {
+        let (Some(told), Some(frame), Some(control)) = all else {
             return Stamped::default();
         };
         let mut stamped = Stamped {
-            frame: frame.get(..*len).and_then(kernel::decode),
-            origin: origin(*flags),
+            frame: frame.get(..told.len).and_then(kernel::decode),
+            origin: origin(told.flags),
             ..Stamped::default()
         };
         read_control(
-            control.0.get(..*control_len).unwrap_or_default(),
+            control.0.get(..told.control_len).unwrap_or_default(),
             &mut stamped,
         );
         stamped
     }
+}
+
+impl Told {
+    const fn by(len: usize, header: &libc::msghdr) -> Self {
+        Self {
+            len,
+            control_len: header.msg_controllen,
+            flags: header.msg_flags,
+        }
+    }
+}
+
+const NOWHERE: libc::iovec = libc::iovec {
+    iov_base: ptr::null_mut(),
+    iov_len: 0,
+};
+
+/// Makes a header point to where a frame and what is said of it go.
+fn point(
+    header: &mut libc::msghdr,
+    vector: &mut libc::iovec,
+    frame: &mut [u8; kernel::FD_LEN],
+    control: &mut Control,
+) {
+    vector.iov_base = frame.as_mut_ptr().cast();
+    vector.iov_len = frame.len();
+    header.msg_iov = vector;
+    header.msg_iovlen = 1;
+    header.msg_control = control.0.as_mut_ptr().cast();
+    header.msg_controllen = CONTROL_LEN as _;
 }
 
 /// The kernel marks what a program of this host sent, and of that what this socket sent.
@@ -145,6 +198,7 @@ const fn origin(flags: i32) -> Origin {
 const HEAD: usize = size_of::<libc::cmsghdr>();
 
 /// Control messages lie one behind the other, each at a multiple of the word length.
+#[inline]
 fn read_control(mut rest: &[u8], stamped: &mut Stamped) {
     const WORD: usize = size_of::<usize>();
     while let Some((len, after)) = rest.split_first_chunk::<WORD>() {
@@ -173,25 +227,15 @@ fn read_control(mut rest: &[u8], stamped: &mut Stamped) {
     }
 }
 
-/// One of three times; all zero means that there is none.
-fn timespec(content: &[u8], place: usize) -> Option<Duration> {
-    const LEN: usize = size_of::<libc::timespec>();
-    const HALF: usize = LEN / 2;
-    let bytes = content.get(place * LEN..)?;
-    let (seconds, rest) = bytes.split_first_chunk::<HALF>()?;
-    let nanos = rest.first_chunk::<HALF>()?;
-    let number = |bytes: &[u8; HALF]| -> u64 {
-        let mut wide = [0; 8];
-        wide.iter_mut()
-            .zip(bytes)
-            .for_each(|(to, from)| *to = *from);
-        // The field is as wide as a word, or 64 bits; words of this crate's hosts are little-endian when
-        // they are shorter.
-        u64::from_ne_bytes(wide)
-    };
-    let (seconds, nanos) = (number(seconds), number(nanos));
-    let stamp = Duration::new(seconds, u32::try_from(nanos).ok()?);
-    (!stamp.is_zero()).then_some(stamp)
+/// One of three times, ns; all zero means that there is none.
+#[inline]
+fn timespec(content: &[u8], place: usize) -> Option<u64> {
+    let bytes = content.get(place * size_of::<libc::timespec>()..)?;
+    let (seconds, rest) = bytes.split_first_chunk()?;
+    let seconds = u64::try_from(libc::time_t::from_ne_bytes(*seconds)).ok()?;
+    let nanos = u64::try_from(libc::c_long::from_ne_bytes(*rest.first_chunk()?)).ok()?;
+    let stamp = seconds.saturating_mul(1_000_000_000).saturating_add(nanos);
+    (stamp != 0).then_some(stamp)
 }
 
 #[cfg(test)]
@@ -224,11 +268,8 @@ mod tests {
         let mut stamped = Stamped::default();
         read_control(&bytes, &mut stamped);
         assert_eq!(stamped.dropped, Some(722));
-        assert_eq!(
-            stamped.software,
-            Some(Duration::new(1_700_000_000, 125_000))
-        );
-        assert_eq!(stamped.hardware, Some(Duration::new(9, 7)));
+        assert_eq!(stamped.software, Some(1_700_000_000_000_125_000));
+        assert_eq!(stamped.hardware, Some(9_000_000_007));
     }
 
     #[test]
@@ -266,12 +307,18 @@ mod tests {
             buffers.get(2).frame.and_then(|f| f.id()).map(|id| id.raw()),
             Some(3)
         );
-        assert_eq!(buffers.fill(fd, BATCH).unwrap(), 2);
+        assert_eq!(buffers.fill(fd, 1).unwrap(), 1);
         assert_eq!(
-            buffers.get(1).frame.and_then(|f| f.id()).map(|id| id.raw()),
+            buffers.get(0).frame.and_then(|f| f.id()).map(|id| id.raw()),
+            Some(4)
+        );
+        assert_eq!(buffers.fill(fd, BATCH).unwrap(), 1);
+        assert_eq!(
+            buffers.get(0).frame.and_then(|f| f.id()).map(|id| id.raw()),
             Some(5)
         );
         assert!(buffers.get(BATCH).frame.is_none());
+        assert_eq!(buffers.fill(fd, 1).unwrap(), 0);
     }
 
     proptest! {

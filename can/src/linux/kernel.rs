@@ -66,6 +66,7 @@ pub(super) fn encode(frame: &AnyFrame) -> Encoded {
 }
 
 /// `None` for what is neither of the two lengths, or breaks the rules of its kind; no kernel gives that.
+#[inline]
 pub(super) fn decode(bytes: &[u8]) -> Option<AnyFrame> {
     let (head, data) = bytes.split_first_chunk::<8>()?;
     let [a, b, c, d, len, flags, _, code] = *head;

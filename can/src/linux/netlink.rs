@@ -1,5 +1,5 @@
-//! Changes of a network interface by rtnetlink, with what the kernel says when it refuses: the error number
-//! and, in its own words, why. The library that asks for the state of interfaces loses both when it sets
+//! Messages to and from the kernel by rtnetlink, and changes of a network interface with what the kernel says
+//! when it refuses: the error number and, in its own words, why. The library that asks for the state of interfaces loses both when it sets
 //! something. It knows nothing about CAN but the numbers of its attributes.
 //!
 //! | bytes of a request | what |
@@ -19,13 +19,14 @@
 use std::io;
 use std::os::fd::{AsRawFd as _, OwnedFd};
 
+use nix::errno::Errno;
 use nix::sys::socket::{
     AddressFamily, MsgFlags, NetlinkAddr, SockFlag, SockProtocol, SockType, recv, sendto, socket,
 };
 
 const RTM_NEWLINK: u16 = 16;
 const REQUEST_AND_ACK: u16 = 1 | 4;
-const NLMSG_ERROR: u16 = 2;
+pub(super) const NLMSG_ERROR: u16 = 2;
 /// Flag of an answer: attributes are behind the request.
 const ACK_TLVS: u16 = 0x200;
 /// Flag of an answer: only the head of the request is in it.
@@ -64,8 +65,8 @@ impl From<io::Error> for Refusal {
     }
 }
 
-impl From<nix::errno::Errno> for Refusal {
-    fn from(errno: nix::errno::Errno) -> Self {
+impl From<Errno> for Refusal {
+    fn from(errno: Errno) -> Self {
         Self {
             errno: errno as i32,
             text: None,
@@ -130,20 +131,64 @@ impl Change {
             .iter_mut()
             .zip(len)
             .for_each(|(to, from)| *to = from);
-        let kind = (SockType::Raw, SockFlag::SOCK_CLOEXEC);
-        let protocol = SockProtocol::NetlinkRoute;
-        let socket = socket(AddressFamily::Netlink, kind.0, kind.1, protocol)?;
-        ask_for_text(&socket);
-        let kernel = NetlinkAddr::new(0, 0);
-        sendto(socket.as_raw_fd(), &self.bytes, &kernel, MsgFlags::empty())?;
+        let kernel = Kernel::open()?;
+        ask_for_text(&kernel.0);
+        kernel.send(&self.bytes)?;
         let mut answer = [0; 4096];
-        let len = recv(socket.as_raw_fd(), &mut answer, MsgFlags::empty())?;
-        read_answer(answer.get(..len).unwrap_or_default())
+        read_answer(kernel.receive(&mut answer)?)
+    }
+}
+
+/// Who answers.
+pub(super) struct Kernel(OwnedFd);
+
+impl Kernel {
+    pub(super) fn open() -> nix::Result<Self> {
+        let protocol = SockProtocol::NetlinkRoute;
+        let flags = SockFlag::SOCK_CLOEXEC;
+        socket(AddressFamily::Netlink, SockType::Raw, flags, protocol).map(Self)
+    }
+
+    pub(super) fn send(&self, bytes: &[u8]) -> nix::Result<()> {
+        let kernel = NetlinkAddr::new(0, 0);
+        sendto(self.0.as_raw_fd(), bytes, &kernel, MsgFlags::empty()).map(drop)
+    }
+
+    /// Waits for an answer. A signal does not end it.
+    pub(super) fn receive<'a>(&self, answer: &'a mut [u8]) -> nix::Result<&'a [u8]> {
+        loop {
+            match recv(self.0.as_raw_fd(), answer, MsgFlags::empty()) {
+                Ok(len) => return Ok(answer.get(..len).unwrap_or_default()),
+                Err(Errno::EINTR) => {}
+                Err(errno) => return Err(errno),
+            }
+        }
+    }
+}
+
+pub(super) fn u16_at(bytes: &[u8], at: usize) -> Option<u16> {
+    Some(u16::from_ne_bytes(*bytes.get(at..)?.first_chunk()?))
+}
+
+pub(super) fn u32_at(bytes: &[u8], at: usize) -> Option<u32> {
+    Some(u32::from_ne_bytes(*bytes.get(at..)?.first_chunk()?))
+}
+
+/// The content of the first attribute of that kind.
+pub(super) fn find_attribute(mut rest: &[u8], kind: u16) -> Option<&[u8]> {
+    loop {
+        let len = usize::from(u16_at(rest, 0)?);
+        let content = rest.get(4..len)?;
+        // The top bits tell what is in it.
+        if u16_at(rest, 2)? & 0x3FFF == kind {
+            return Some(content);
+        }
+        rest = rest.get(len.next_multiple_of(4)..)?;
     }
 }
 
 /// Adds an attribute, padded to a multiple of four.
-fn attribute(bytes: &mut Vec<u8>, kind: u16, content: &[u8]) {
+pub(super) fn attribute(bytes: &mut Vec<u8>, kind: u16, content: &[u8]) {
     let len = u16::try_from(4 + content.len()).unwrap_or(u16::MAX);
     bytes.extend(len.to_ne_bytes());
     bytes.extend(kind.to_ne_bytes());
@@ -177,8 +222,7 @@ fn ask_for_text(socket: &OwnedFd) {
 /// | 16 to 19 | the error number, negative; 0 if all is well |
 /// | 20 ... | the request, or its head of 16 bytes; then attributes |
 fn read_answer(bytes: &[u8]) -> Result<(), Refusal> {
-    let u16_at = |at: usize| Some(u16::from_ne_bytes(*bytes.get(at..)?.first_chunk()?));
-    let u32_at = |at: usize| Some(u32::from_ne_bytes(*bytes.get(at..)?.first_chunk()?));
+    let (u16_at, u32_at) = (|at| u16_at(bytes, at), |at| u32_at(bytes, at));
     let foreign = || Refusal {
         errno: libc::EBADMSG,
         text: None,
@@ -204,18 +248,10 @@ fn read_answer(bytes: &[u8]) -> Result<(), Refusal> {
 }
 
 /// The attribute that is text for readers.
-fn text(mut rest: &[u8]) -> Option<String> {
-    while let Some((head, _)) = rest.split_first_chunk::<4>() {
-        let [a, b, c, d] = *head;
-        let len = usize::from(u16::from_ne_bytes([a, b]));
-        let content = rest.get(4..len)?;
-        if u16::from_ne_bytes([c, d]) == ERROR_TEXT {
-            let end = content.split(|byte| *byte == 0).next()?;
-            return Some(String::from_utf8_lossy(end).into_owned());
-        }
-        rest = rest.get(len.next_multiple_of(4)..)?;
-    }
-    None
+fn text(rest: &[u8]) -> Option<String> {
+    let content = find_attribute(rest, ERROR_TEXT)?;
+    let end = content.split(|byte| *byte == 0).next()?;
+    Some(String::from_utf8_lossy(end).into_owned())
 }
 
 #[cfg(test)]

@@ -10,16 +10,11 @@
 //! | 28 to 31 | where the queue hangs: FFFF_FFFFh at the interface itself |
 //! | 36 ... | attributes, of which 7 holds 3, the third number of which is the count |
 
-use std::os::fd::AsRawFd as _;
-
-use nix::sys::socket::{
-    AddressFamily, MsgFlags, NetlinkAddr, SockFlag, SockProtocol, SockType, recv, sendto, socket,
-};
+use super::netlink::{Kernel, NLMSG_ERROR, find_attribute, u16_at, u32_at};
 
 const RTM_NEWQDISC: u16 = 36;
 const RTM_GETQDISC: u16 = 38;
 const REQUEST_DUMP: u16 = 0x301;
-const NLMSG_ERROR: u16 = 2;
 const NLMSG_DONE: u16 = 3;
 const TC_H_ROOT: u32 = 0xFFFF_FFFF;
 const TCA_STATS2: u16 = 7;
@@ -32,27 +27,26 @@ const ANSWERS: usize = 256;
 
 /// Frames that the queue of an interface refused since it was made; `None` if the kernel does not tell.
 pub(super) fn refused(index: u32) -> Option<u32> {
-    let (kind, flags) = (SockType::Raw, SockFlag::SOCK_CLOEXEC);
-    let socket = socket(
-        AddressFamily::Netlink,
-        kind,
-        flags,
-        SockProtocol::NetlinkRoute,
-    );
-    let socket = socket.ok()?;
-    let kernel = NetlinkAddr::new(0, 0);
-    sendto(socket.as_raw_fd(), &request(), &kernel, MsgFlags::empty()).ok()?;
+    dump(index).ok()?.refused
+}
+
+fn dump(index: u32) -> nix::Result<Read> {
+    let kernel = Kernel::open()?;
+    kernel.send(&request())?;
     let mut answer = [0; 16_384];
-    let mut found = None;
+    let mut all = Read::default();
     for _ in 0..ANSWERS {
-        let len = recv(socket.as_raw_fd(), &mut answer, MsgFlags::empty()).ok()?;
-        let read = read(answer.get(..len)?, index);
-        found = found.or(read.refused);
+        let Ok(answer) = kernel.receive(&mut answer) else {
+            break;
+        };
+        let read = read(answer, index);
+        all.refused = all.refused.or(read.refused);
+        all.ends = read.ends;
         if read.ends {
             break;
         }
     }
-    found
+    Ok(all)
 }
 
 fn request() -> [u8; QUEUE_HEAD] {
@@ -61,14 +55,6 @@ fn request() -> [u8; QUEUE_HEAD] {
     bytes[4..6].copy_from_slice(&RTM_GETQDISC.to_ne_bytes());
     bytes[6..8].copy_from_slice(&REQUEST_DUMP.to_ne_bytes());
     bytes
-}
-
-fn u16_at(bytes: &[u8], at: usize) -> Option<u16> {
-    Some(u16::from_ne_bytes(*bytes.get(at..)?.first_chunk()?))
-}
-
-fn u32_at(bytes: &[u8], at: usize) -> Option<u32> {
-    Some(u32::from_ne_bytes(*bytes.get(at..)?.first_chunk()?))
 }
 
 /// What one answer tells.
@@ -100,21 +86,8 @@ fn of_queue(message: &[u8], index: u32) -> Option<u32> {
     if (u32_at(message, 20)?, u32_at(message, 28)?) != (index, TC_H_ROOT) {
         return None;
     }
-    let statistics = attribute(message.get(QUEUE_HEAD..)?, TCA_STATS2)?;
-    u32_at(attribute(statistics, TCA_STATS_QUEUE)?, 8)
-}
-
-/// The content of the first attribute of that kind.
-fn attribute(mut rest: &[u8], kind: u16) -> Option<&[u8]> {
-    loop {
-        let len = usize::from(u16_at(rest, 0)?);
-        let content = rest.get(4..len)?;
-        // The top bit tells that there are attributes in it.
-        if u16_at(rest, 2)? & 0x3FFF == kind {
-            return Some(content);
-        }
-        rest = rest.get(len.next_multiple_of(4)..)?;
-    }
+    let statistics = find_attribute(message.get(QUEUE_HEAD..)?, TCA_STATS2)?;
+    u32_at(find_attribute(statistics, TCA_STATS_QUEUE)?, 8)
 }
 
 #[cfg(test)]
@@ -122,23 +95,17 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-
-    fn with_attribute(bytes: &mut Vec<u8>, kind: u16, content: &[u8]) {
-        bytes.extend(u16::try_from(4 + content.len()).unwrap().to_ne_bytes());
-        bytes.extend(kind.to_ne_bytes());
-        bytes.extend(content);
-        bytes.resize(bytes.len().next_multiple_of(4), 0);
-    }
+    use crate::linux::netlink::attribute;
 
     /// A queue that refused so many frames.
     fn queue(index: u32, parent: u32, refused: u32) -> Vec<u8> {
         let numbers = [0, 0, refused, 0, 0].map(u32::to_ne_bytes).concat();
         let mut statistics = Vec::new();
-        with_attribute(&mut statistics, 1, &[0; 16]);
-        with_attribute(&mut statistics, TCA_STATS_QUEUE, &numbers);
+        attribute(&mut statistics, 1, &[0; 16]);
+        attribute(&mut statistics, TCA_STATS_QUEUE, &numbers);
         let mut message = vec![0; QUEUE_HEAD];
-        with_attribute(&mut message, 1, b"tbf\0");
-        with_attribute(&mut message, TCA_STATS2 | 0x8000, &statistics);
+        attribute(&mut message, 1, b"tbf\0");
+        attribute(&mut message, TCA_STATS2 | 0x8000, &statistics);
         let len = u32::try_from(message.len()).unwrap();
         message[..4].copy_from_slice(&len.to_ne_bytes());
         message[4..6].copy_from_slice(&RTM_NEWQDISC.to_ne_bytes());
@@ -164,7 +131,16 @@ mod tests {
 
     #[test]
     fn kernel_answers() {
-        assert_eq!(refused(0x7FFF_FFF0), None);
+        let nowhere = dump(0x7FFF_FFF0).unwrap();
+        assert_eq!((nowhere.refused, nowhere.ends), (None, true));
+        // Each host has a loopback, whose queue refuses nothing, and this crate's hosts tell of it once it is up.
+        let (index, state) = ("/sys/class/net/lo/ifindex", "/sys/class/net/lo/operstate");
+        let of_loopback = |path| std::fs::read_to_string(path).unwrap_or_default();
+        if let (Ok(index), "unknown") =
+            (of_loopback(index).trim().parse(), of_loopback(state).trim())
+        {
+            assert_eq!(refused(index), Some(0));
+        }
     }
 
     proptest! {

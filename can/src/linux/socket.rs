@@ -119,10 +119,10 @@ pub struct SocketCan {
     next: usize,
     filled: usize,
     batch: usize,
+    /// The last time of reading found all that there was.
+    drained: bool,
     clock: Clock,
-    /// From the kernel's clock to the monotonic one, and that one, taken when the buffers were filled.
-    age: Duration,
-    filled_at: Duration,
+    clocks: Clocks,
     queue: QueuePolicy,
     dropped: u32,
     refused: u64,
@@ -163,9 +163,9 @@ impl SocketCan {
             next: 0,
             filled: 0,
             batch: BATCH,
+            drained: false,
             clock: options.clock,
-            age: Duration::ZERO,
-            filled_at: Duration::ZERO,
+            clocks: Clocks::default(),
             queue: options.queue,
             dropped: 0,
             refused: 0,
@@ -209,13 +209,8 @@ impl SocketCan {
         }
     }
 
-    /// Waits until the socket may be written to or read from.
     fn wait(&self, event: PollFlags, timeout: Duration) -> Result<(), LinkError> {
-        let mut fds = [PollFd::new(self.socket.as_fd(), event)];
-        match ppoll(&mut fds, Some(TimeSpec::from_duration(timeout)), None) {
-            Ok(_) | Err(Errno::EINTR) => Ok(()),
-            Err(errno) => Err(link_error(errno as i32)),
-        }
+        wait(self.socket.as_fd(), event, timeout)
     }
 
     fn send_patiently(&self, bytes: &[u8], patience: Duration) -> Result<(), LinkError> {
@@ -239,13 +234,11 @@ impl SocketCan {
         self.next = 0;
         let filled = self.buffers.fill(self.socket.as_fd(), self.batch);
         self.filled = filled.map_err(|error| link_error(error.raw_os_error().unwrap_or(0)))?;
-        if self.filled > 0 && self.clock == Clock::Monotonic {
-            self.filled_at = monotonic();
-            self.age = wall().saturating_sub(self.filled_at);
-        }
+        self.drained = self.filled < self.batch;
         Ok(())
     }
 
+    #[inline]
     fn take(&mut self) -> Option<Received> {
         while self.next < self.filled {
             let stamped = self.buffers.get(self.next);
@@ -257,30 +250,79 @@ impl SocketCan {
         None
     }
 
+    #[inline]
     fn received(&mut self, stamped: &Stamped) -> Option<Received> {
         self.dropped = stamped.dropped.unwrap_or(self.dropped);
-        let at = stamped.software.unwrap_or_else(wall);
         Some(Received {
             frame: stamped.frame?,
-            at: match self.clock {
-                Clock::Monotonic => carried_over(at, self.age, self.filled_at),
-                Clock::Wall => at,
+            at: match (self.clock, stamped.software) {
+                (Clock::Monotonic, Some(stamp)) => self.clocks.carry_over(stamp, read_clocks),
+                (Clock::Monotonic, None) => monotonic(),
+                (Clock::Wall, Some(stamp)) => Duration::from_nanos(stamp),
+                (Clock::Wall, None) => wall(),
             },
-            hardware: stamped.hardware,
+            hardware: stamped.hardware.map(Duration::from_nanos),
             origin: stamped.origin,
             dropped: self.dropped,
         })
     }
 }
 
-/// Longest time that a frame is taken to have waited for being read.
-const WAITED_MAX: Duration = Duration::from_millis(100);
+/// Waits until a socket may be written to or read from. A signal does not end it.
+fn wait(socket: BorrowedFd<'_>, event: PollFlags, timeout: Duration) -> Result<(), LinkError> {
+    let until = monotonic() + timeout;
+    let mut left = timeout;
+    loop {
+        let mut fds = [PollFd::new(socket, event)];
+        match ppoll(&mut fds, Some(TimeSpec::from_duration(left)), None) {
+            Ok(_) => return Ok(()),
+            Err(Errno::EINTR) => left = until.saturating_sub(monotonic()),
+            Err(errno) => return Err(link_error(errno as i32)),
+        }
+    }
+}
 
-/// A stamp of the wall clock on the monotonic one. Whoever sets the wall clock between stamp and reading
-/// would make frames come from the future, or heartbeats from long ago: what cannot be is not told.
-fn carried_over(stamp: Duration, age: Duration, now: Duration) -> Duration {
-    let earliest = now.saturating_sub(WAITED_MAX);
-    stamp.saturating_sub(age).clamp(earliest, now)
+/// Longest time that a frame is taken to have waited for being read, ns.
+const WAITED_MAX: u64 = 100_000_000;
+/// A reading of the clocks serves for frames that were stamped until so long after it, ns.
+const READING_LASTS: u64 = 10_000_000;
+
+/// Both clocks as they were read together, ns.
+#[derive(Clone, Copy, Debug, Default)]
+struct Clocks {
+    monotonic: u64,
+    wall: u64,
+}
+
+impl Clocks {
+    /// A stamp of the wall clock on the monotonic one. Clocks are read anew for a stamp that is not near the
+    /// last reading: to read them for each frame costs as much as to receive it where the kernel has to be
+    /// asked.
+    ///
+    /// Whoever sets the wall clock between stamp and reading would make frames come from the future, or
+    /// heartbeats from long ago: what cannot be is not told.
+    #[inline]
+    fn carry_over(&mut self, stamp: u64, read: impl FnOnce() -> Self) -> Duration {
+        let near = self.wall.saturating_sub(WAITED_MAX)..=self.wall.saturating_add(READING_LASTS);
+        let mut latest = self.monotonic.saturating_add(READING_LASTS);
+        if self.wall == 0 || !near.contains(&stamp) {
+            *self = read();
+            latest = self.monotonic;
+        }
+        let at = stamp.saturating_sub(self.wall.saturating_sub(self.monotonic));
+        let earliest = self.monotonic.saturating_sub(WAITED_MAX);
+        Duration::from_nanos(at.clamp(earliest, latest))
+    }
+}
+
+/// The monotonic one first, so that no frame comes from the future.
+fn read_clocks() -> Clocks {
+    let nanos = |time: Duration| u64::try_from(time.as_nanos()).unwrap_or(u64::MAX);
+    let monotonic = nanos(monotonic());
+    Clocks {
+        monotonic,
+        wall: nanos(wall()),
+    }
 }
 
 /// Longest sleep between two attempts to send.
@@ -315,11 +357,17 @@ impl Link for SocketCan {
     }
 
     fn receive(&mut self, timeout: Duration) -> Result<Option<Received>, LinkError> {
-        if let Some(received) = self.take() {
+        if self.next < self.filled
+            && let Some(received) = self.take()
+        {
             return Ok(Some(received));
         }
-        self.fill()?;
-        if self.filled == 0 && !timeout.is_zero() {
+        // Who waits behind an empty queue need not ask it first.
+        let asks = timeout.is_zero() || !self.drained;
+        if asks {
+            self.fill()?;
+        }
+        if !timeout.is_zero() && (!asks || self.filled == 0) {
             self.wait(PollFlags::POLLIN, timeout)?;
             self.fill()?;
         }
@@ -329,17 +377,102 @@ impl Link for SocketCan {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::{AtomicU32, Ordering};
+
+    use nix::sys::pthread::{pthread_kill, pthread_self};
+    use nix::sys::signal::{SaFlags, SigAction, SigHandler, SigSet, Signal, sigaction};
+
     use super::*;
+
+    const MS: u64 = 1_000_000;
+    /// The wall clock when the monotonic one was 0, ns.
+    const AGE: u64 = 1_700_000_000_000 * MS;
+
+    /// The clocks so many ms after the monotonic one began.
+    fn clocks(ms: u64, age: u64) -> Clocks {
+        let monotonic = ms * MS;
+        Clocks {
+            monotonic,
+            wall: age + monotonic,
+        }
+    }
+
+    fn ms(at: Duration) -> u128 {
+        at.as_millis()
+    }
 
     #[test]
     fn a_wall_clock_that_is_set_moves_no_frame_out_of_its_time() {
-        let ms = Duration::from_millis;
-        let (age, now) = (ms(1_700_000_000_000), ms(5_000));
-        let of = |stamp| carried_over(stamp, age, now);
-        assert_eq!(of(age + ms(4_999)), ms(4_999), "as it is");
-        assert_eq!(of(age + ms(8_600_000)), now, "set back by hours");
-        assert_eq!(of(age - ms(60_000)), ms(4_900), "set on by minutes");
-        assert_eq!(of(Duration::ZERO), ms(4_900), "set on by years");
-        assert_eq!(carried_over(ms(7), Duration::ZERO, ms(20)), ms(7));
+        let of = |stamp| ms(Clocks::default().carry_over(stamp, || clocks(5_000, AGE)));
+        assert_eq!(of(AGE + 4_999 * MS), 4_999, "as it is");
+        assert_eq!(of(AGE + 8_600_000 * MS), 5_000, "set back by hours");
+        assert_eq!(of(AGE - 60_000 * MS), 4_900, "set on by minutes");
+        assert_eq!(of(0), 4_900, "set on by years");
+        assert_eq!(of(u64::MAX), 5_000);
+        let young = Clocks::default().carry_over(7 * MS, || clocks(20, 0));
+        assert_eq!(ms(young), 7);
+    }
+
+    #[test]
+    fn clocks_are_read_once_for_frames_that_come_close_together() {
+        let mut last = Clocks::default();
+        // When it is read, how old the monotonic clock was at the stamp, the wall clock; and what comes of it.
+        for (now, stamp, age, at, read, why) in [
+            (1_000, 999, AGE, 999, true, "the first"),
+            (1_000, 950, AGE, 950, false, "it waited longer"),
+            (1_010, 1_009, AGE, 1_009, false, "soon after"),
+            (1_012, 1_011, AGE, 1_011, true, "too long after"),
+            (1_014, 1_013, AGE + 3_600_000 * MS, 1_013, true, "set on"),
+            (1_015, 1_014, AGE, 1_014, true, "set back"),
+            (1_016, 1_015, AGE, 1_015, false, "as it was"),
+        ] {
+            let mut was_read = false;
+            let found = last.carry_over(age + stamp * MS, || {
+                was_read = true;
+                clocks(now, age)
+            });
+            assert_eq!((ms(found), was_read), (at, read), "{why}");
+        }
+    }
+
+    static SIGNALS: AtomicU32 = AtomicU32::new(0);
+
+    extern "C" fn count(_signal: libc::c_int) {
+        SIGNALS.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Any socket of datagrams will do.
+    #[test]
+    #[expect(unsafe_code, reason = "a handler is put in place")]
+    fn a_signal_does_not_end_a_wait() {
+        let action = SigAction::new(
+            SigHandler::Handler(count),
+            SaFlags::empty(),
+            SigSet::empty(),
+        );
+        // SAFETY: the handler only counts, which is safe in a signal, and nobody else here uses this signal.
+        unsafe { sigaction(Signal::SIGURG, &action) }.unwrap();
+        let (socket, peer) = std::os::unix::net::UnixDatagram::pair().unwrap();
+        let patience = Duration::from_secs(60);
+        let (told, waiter) = std::sync::mpsc::channel();
+        std::thread::scope(|scope| {
+            let waits = scope.spawn(|| {
+                told.send(pthread_self()).unwrap();
+                wait(socket.as_fd(), PollFlags::POLLIN, patience).unwrap();
+                let mut buffers = Buffers::new();
+                buffers.fill(socket.as_fd(), BATCH).unwrap()
+            });
+            let waiter = waiter.recv().unwrap();
+            // Each one is counted when the thread handled it; the last of them surely found it waiting.
+            for signal in 1..=50 {
+                pthread_kill(waiter, Signal::SIGURG).unwrap();
+                while SIGNALS.load(Ordering::Relaxed) < signal {
+                    std::thread::yield_now();
+                }
+            }
+            assert!(!waits.is_finished(), "a signal ended it");
+            peer.send(&[0; kernel::CLASSIC_LEN]).unwrap();
+            assert_eq!(waits.join().unwrap(), 1);
+        });
     }
 }

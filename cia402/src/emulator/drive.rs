@@ -171,6 +171,12 @@ impl Drive {
         self.cause = None;
     }
 
+    /// The bus wrote a data record of interpolated position (60C1h:01), which counts if records are buffered
+    /// (60C4h). Returns whether there was a place for it.
+    pub fn take_record(&mut self, dictionary: &Dictionary, record: i32) -> bool {
+        self.modes.take_record(dictionary, &self.keys, record)
+    }
+
     /// What the drive says to a write from the bus beyond what its dictionary says.
     ///
     /// # Errors
@@ -185,6 +191,8 @@ impl Drive {
         let number = |data: &[u8]| data.first().map_or(0, |byte| byte.cast_signed());
         let allowed = match address.index.checked_sub(offset) {
             Some(0x6060) => is_supported(number(data), dictionary.get(self.keys.supported_modes)),
+            // Sin² and jerk-free ramps it has not.
+            Some(0x6086) => matches!(data.first_chunk(), Some(&[0 | 3, 0])),
             Some(0x6098) => {
                 let number = number(data);
                 Method::new(number).is_some() || number == 0 && !self.quirks.no_homing_method_0
@@ -493,6 +501,8 @@ impl Drive {
         let velocity = self.motor.velocity * self.scale;
         let increments = f64::from(self.motor.config().increments) / std::f64::consts::TAU;
         let torque = self.motor.torque / rated;
+        let next_place = self.modes.next_place(d, &k);
+        d.set(k.buffer_position, next_place);
         d.set(k.mode_display, self.modes.mode);
         d.set(k.position_actual, wrap(position));
         d.set(k.position_internal, wrap(self.motor.position * increments));

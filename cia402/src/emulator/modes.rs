@@ -15,7 +15,7 @@ use super::power::{Motion, Stop};
 use super::quirks::Quirks;
 use super::ramp::{Bounds, Ramp};
 
-use cyclic::Cyclic;
+use cyclic::{Cyclic, Records};
 use position::SetPoints;
 pub(super) use velocity::shown;
 
@@ -37,6 +37,9 @@ pub(super) const CSP: i8 = 8;
 pub(super) const CSV: i8 = 9;
 /// Cyclic synchronous torque.
 pub(super) const CST: i8 = 10;
+
+/// Jerk-limited ramp, of the profile types of 6086h.
+pub(super) const JERK_LIMITED: i16 = 3;
 
 /// Whether a drive with that 6502h has a mode; 0 is no mode and always there.
 pub(super) fn is_supported(mode: i8, supported: u32) -> bool {
@@ -126,6 +129,7 @@ pub(super) struct Modes {
     follow: Option<Follow>,
     set_points: SetPoints,
     cyclic: Cyclic,
+    records: Records,
     homing: Homing,
     homing_bit: bool,
     /// How long the actual value has been within its window, s.
@@ -175,6 +179,7 @@ impl Modes {
     fn forget(&mut self) {
         self.set_points = SetPoints::default();
         self.cyclic = Cyclic::default();
+        self.records = Records::default();
         self.homing.interrupt();
         self.homing_bit = false;
         (self.inside, self.slow) = (0.0, 0.0);
@@ -184,20 +189,20 @@ impl Modes {
     pub(super) fn step(&mut self, d: &Dictionary, k: &Keys, quirks: &Quirks, see: &View) -> Said {
         if self.follow != Some(Follow::Position) {
             // Whoever begins to follow a position begins where the motor is.
-            (self.ramp.position, self.ramp.velocity) = match self.follow {
-                Some(Follow::Velocity) => (see.position, self.ramp.velocity),
-                _ => (see.position, see.velocity),
-            };
+            if self.follow != Some(Follow::Velocity) {
+                (self.ramp.velocity, self.ramp.acceleration) = (see.velocity, 0.0);
+            }
+            self.ramp.position = see.position;
         }
         let said = match see.motion {
             Motion::Off => {
                 self.forget();
                 self.torque = 0.0;
-                self.ramp.velocity = 0.0;
+                (self.ramp.velocity, self.ramp.acceleration) = (0.0, 0.0);
                 Said::new(Follow::Nothing)
             }
             Motion::Opening => {
-                self.ramp.velocity = 0.0;
+                (self.ramp.velocity, self.ramp.acceleration) = (0.0, 0.0);
                 Said::new(Follow::Position)
             }
             Motion::Stopping(stop) => {
@@ -245,6 +250,8 @@ impl Modes {
             velocity: f64::from(d.get(k.profile_velocity)).min(see.velocity_max),
             acceleration: rate(k.profile_acceleration, k.max_acceleration),
             deceleration: rate(k.profile_deceleration, k.max_deceleration),
+            jerk: (d.get(k.motion_profile) == JERK_LIMITED)
+                .then(|| f64::from(d.get(k.profile_jerk)).max(1.0)),
         }
     }
 
@@ -256,6 +263,8 @@ impl Modes {
             Stop::QuickRamp => f64::from(d.get(k.quick_stop_deceleration)).max(1.0),
             Stop::Limit => f64::from(d.get(k.max_deceleration)).max(1.0),
         };
+        // Who stops in a hurry does not mind the jerk.
+        bounds.jerk = bounds.jerk.filter(|_| stop == Stop::Ramp);
         self.ramp.toward_velocity(0.0, &bounds, see.dt);
         Said::new(Follow::Position)
     }
@@ -320,6 +329,7 @@ impl Modes {
             velocity: see.velocity_max,
             acceleration: rate,
             deceleration: rate,
+            jerk: None,
         };
         let velocity = f64::from(wish.direction) * f64::from(d.get(speed));
         self.ramp.toward_velocity(velocity, &bounds, see.dt);

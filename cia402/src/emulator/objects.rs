@@ -109,6 +109,8 @@ objects! {
     homing_fast: u32 = 0x6099 1 "speed during search for switch" ReadWrite Receive 20_000;
     homing_slow: u32 = 0x6099 2 "speed during search for zero" ReadWrite Receive 2000;
     homing_acceleration: u32 = 0x609A 0 "homing acceleration" ReadWrite Receive 400_000;
+    jerk_use: u8 = 0x60A3 0 "profile jerk use" ReadWrite None 1;
+    profile_jerk: u32 = 0x60A4 1 "profile jerk 1" ReadWrite Receive 20_000_000;
     position_offset: i32 = 0x60B0 0 "position offset" ReadWrite Receive 0;
     velocity_offset: i32 = 0x60B1 0 "velocity offset" ReadWrite Receive 0;
     torque_offset: i16 = 0x60B2 0 "torque offset" ReadWrite Receive 0;
@@ -122,6 +124,12 @@ objects! {
     interpolation_target: i32 = 0x60C1 1 "interpolation data record" ReadWrite Receive 0;
     interpolation_value: u8 = 0x60C2 1 "interpolation time period value" ReadWrite None 1;
     interpolation_index: i8 = 0x60C2 2 "interpolation time index" ReadWrite None -3;
+    buffer_max: u32 = 0x60C4 1 "maximum buffer size" Const None 16;
+    buffer_size: u32 = 0x60C4 2 "actual buffer size" ReadWrite None 1;
+    buffer_organisation: u8 = 0x60C4 3 "buffer organisation" ReadWrite None 0;
+    buffer_position: u16 = 0x60C4 4 "buffer position" ReadOnly None 0;
+    record_size: u8 = 0x60C4 5 "size of data record" WriteOnly None 4;
+    buffer_clear: u8 = 0x60C4 6 "buffer clear" WriteOnly None 0;
     max_acceleration: u32 = 0x60C5 0 "max acceleration" ReadWrite None 10_000_000;
     max_deceleration: u32 = 0x60C6 0 "max deceleration" ReadWrite None 10_000_000;
     positive_torque_limit: u16 = 0x60E0 0 "positive torque limit" ReadWrite Receive 3000;
@@ -136,7 +144,7 @@ objects! {
 }
 
 /// Limits on what can be written, beyond those of the types.
-const LIMITS: [(u16, u8, i64, i64); 14] = [
+const LIMITS: [(u16, u8, i64, i64); 20] = [
     (0x6007, 0, 0, 3),
     (0x605A, 0, -1, 8),
     (0x605B, 0, 0, 1),
@@ -145,16 +153,22 @@ const LIMITS: [(u16, u8, i64, i64); 14] = [
     (0x605E, 0, 0, 4),
     (0x6048, 2, 1, u16::MAX as i64),
     (0x6049, 2, 1, u16::MAX as i64),
-    (0x6086, 0, 0, 0),
+    (0x6086, 0, 0, 3),
     (0x608F, 2, 1, u32::MAX as i64),
     (0x6091, 1, 1, u32::MAX as i64),
     (0x6098, 0, 0, 37),
+    (0x60A3, 0, 1, 1),
+    (0x60A4, 1, 1, u32::MAX as i64),
     (0x60C0, 0, 0, 0),
     (0x60C2, 2, -6, 0),
+    (0x60C4, 2, 1, 16),
+    (0x60C4, 3, 0, 1),
+    (0x60C4, 5, 4, 4),
+    (0x60C4, 6, 0, 1),
 ];
 
 /// Names of objects with sub-indices.
-const NAMES: [(u16, &str); 13] = [
+const NAMES: [(u16, &str); 15] = [
     (0x6046, "vl velocity min max amount"),
     (0x6048, "vl velocity acceleration"),
     (0x6049, "vl velocity deceleration"),
@@ -166,8 +180,10 @@ const NAMES: [(u16, &str); 13] = [
     (0x6096, "velocity factor"),
     (0x6097, "acceleration factor"),
     (0x6099, "homing speeds"),
+    (0x60A4, "profile jerk"),
     (0x60C1, "interpolation data record"),
     (0x60C2, "interpolation time period"),
+    (0x60C4, "interpolation data configuration"),
 ];
 
 /// The objects of an axis, 0 to 7.

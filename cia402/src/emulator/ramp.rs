@@ -1,12 +1,15 @@
-//! A velocity-limited ramp towards a position or a velocity, re-planned in every step. Jerk is not
-//! limited: 6086h offers the trapezoid alone.
+//! A ramp towards a position or a velocity, limited in velocity and acceleration and, if asked, in jerk; planned
+//! anew in every step, so that targets and bounds may change at any time. Of the profile types of 6086h it has the
+//! trapezoid and the jerk-limited ramp.
 
-/// Bounds of a motion, in user units per second and per second squared.
+/// Bounds of a motion, in user units per second, per second squared and per second cubed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Bounds {
     pub(super) velocity: f64,
     pub(super) acceleration: f64,
     pub(super) deceleration: f64,
+    /// `None`: the acceleration may jump.
+    pub(super) jerk: Option<f64>,
 }
 
 /// A demand in motion, in user units.
@@ -14,12 +17,27 @@ pub(super) struct Bounds {
 pub(super) struct Ramp {
     pub(super) position: f64,
     pub(super) velocity: f64,
+    /// What the last step did to the velocity, per second.
+    pub(super) acceleration: f64,
+}
+
+/// Halvings of the range in which the next acceleration is looked for.
+const HALVINGS: u32 = 40;
+
+/// The largest rate at which `way` can still be gone by a rate that falls by `fall` a second, in steps of `dt` s.
+fn stoppable(way: f64, fall: f64, dt: f64) -> f64 {
+    let half = fall * dt / 2.0;
+    (half * half + 2.0 * fall * way).sqrt() - half
 }
 
 impl Ramp {
     /// One step of `dt` s towards a velocity.
     pub(super) fn toward_velocity(&mut self, velocity: f64, bounds: &Bounds, dt: f64) {
         let velocity = velocity.clamp(-bounds.velocity, bounds.velocity);
+        if let Some(jerk) = bounds.jerk {
+            let acceleration = self.acceleration_toward(velocity, bounds, jerk, dt);
+            return self.go(acceleration, dt);
+        }
         let slower = velocity.abs() < self.velocity.abs() || velocity * self.velocity < 0.0;
         let rate = if slower {
             bounds.deceleration
@@ -27,8 +45,7 @@ impl Ramp {
             bounds.acceleration
         };
         let change = (velocity - self.velocity).clamp(-rate * dt, rate * dt);
-        self.velocity += change;
-        self.position += self.velocity * dt;
+        self.change(change, dt);
     }
 
     /// One step of `dt` s towards a position, to pass it at `end_velocity` (its size; 0 to stand).
@@ -39,6 +56,9 @@ impl Ramp {
         bounds: &Bounds,
         dt: f64,
     ) {
+        if let Some(jerk) = bounds.jerk {
+            return self.glide(target, end_velocity, bounds, jerk, dt);
+        }
         let distance = target - self.position;
         let way = distance.abs();
         let d = bounds.deceleration.max(f64::MIN_POSITIVE);
@@ -51,8 +71,122 @@ impl Ramp {
         let rate = if slower { d } else { bounds.acceleration };
         // A hair more, so that rounding does not make the last step miss.
         let most = rate * dt * (1.0 + 1e-9);
-        self.velocity += (step - self.velocity).clamp(-most, most);
+        self.change((step - self.velocity).clamp(-most, most), dt);
+    }
+
+    /// Changes the velocity at once.
+    fn change(&mut self, by: f64, dt: f64) {
+        self.velocity += by;
+        self.acceleration = by / dt;
         self.position += self.velocity * dt;
+    }
+
+    /// Where it is after a step in which the acceleration changes evenly.
+    fn after(&self, acceleration: f64, dt: f64) -> Self {
+        let mean = (self.acceleration + acceleration) / 2.0;
+        let early = (2.0 * self.acceleration + acceleration) / 6.0;
+        Self {
+            position: self.position + self.velocity * dt + early * dt * dt,
+            velocity: self.velocity + mean * dt,
+            acceleration,
+        }
+    }
+
+    fn go(&mut self, acceleration: f64, dt: f64) {
+        *self = self.after(acceleration, dt);
+    }
+
+    /// The acceleration at the end of the next step of a jerk-limited way to a velocity.
+    fn acceleration_toward(&self, velocity: f64, bounds: &Bounds, jerk: f64, dt: f64) -> f64 {
+        // The change that is left once this step has been gone with the acceleration as it is.
+        let left = velocity - self.velocity - self.acceleration * dt / 2.0;
+        // The last bit of it is gone in two steps.
+        let most = left.abs() / dt;
+        let wanted = stoppable(left.abs(), jerk, dt).min(most).copysign(left);
+        let slower = wanted * self.velocity < 0.0;
+        let most = if slower {
+            bounds.deceleration
+        } else {
+            bounds.acceleration
+        };
+        let wanted = wanted.clamp(-most, most);
+        let change = (wanted - self.acceleration).clamp(-jerk * dt, jerk * dt);
+        self.acceleration + change
+    }
+
+    /// One step of a jerk-limited way to a position.
+    fn glide(&mut self, target: f64, end_velocity: f64, bounds: &Bounds, jerk: f64, dt: f64) {
+        let sign = if target < self.position { -1.0 } else { 1.0 };
+        // As if the target lay ahead in positive direction, at zero.
+        let mut seen = Self {
+            position: sign * (self.position - target),
+            velocity: sign * self.velocity,
+            acceleration: sign * self.acceleration,
+        };
+        let still = jerk * dt * dt;
+        if seen.position.abs() <= 4.0 * still * dt
+            && seen.velocity.abs() <= 4.0 * still
+            && end_velocity <= 0.0
+        {
+            (self.position, self.velocity, self.acceleration) = (target, 0.0, 0.0);
+            return;
+        }
+        if seen.velocity < -still {
+            // It goes away, or has gone past: first it comes to rest.
+            return self.toward_velocity(0.0, bounds, dt);
+        }
+        let stops = |acceleration| {
+            let then = seen.after(acceleration, dt);
+            let way = then.way_to(end_velocity, bounds.deceleration, jerk);
+            then.position + way <= 0.0
+        };
+        let mut high = seen.acceleration_toward(bounds.velocity, bounds, jerk, dt);
+        if !stops(high) {
+            // Not beyond what the deceleration allows, unless it already is.
+            let least = (-bounds.deceleration).min(seen.acceleration);
+            let mut low = (seen.acceleration - jerk * dt).max(least).min(high);
+            for _ in 0..HALVINGS {
+                let middle = f64::midpoint(low, high);
+                if stops(middle) {
+                    low = middle;
+                } else {
+                    high = middle;
+                }
+            }
+            high = low;
+        }
+        seen.go(high, dt);
+        self.position = target + sign * seen.position;
+        self.velocity = sign * seen.velocity;
+        self.acceleration = sign * seen.acceleration;
+    }
+
+    /// How far it still goes in positive direction until its velocity is `end` and its acceleration zero.
+    fn way_to(&self, end: f64, deceleration: f64, jerk: f64) -> f64 {
+        let (v, a) = (self.velocity, self.acceleration);
+        // A whole deceleration begins at the velocity from which this acceleration came or to which it leads.
+        let top = v + a * a / (2.0 * jerk);
+        let excess = top - end;
+        let time = a.abs() / jerk;
+        if a < 0.0 && v - a * a / (2.0 * jerk) <= end {
+            // It brakes harder than it has to: it can let go at once.
+            return v * time + a * time * time / 2.0 + jerk * time.powi(3) / 6.0;
+        }
+        if excess <= 0.0 {
+            return 0.0;
+        }
+        let span = if excess <= deceleration * deceleration / jerk {
+            2.0 * (excess / jerk).sqrt()
+        } else {
+            excess / deceleration + deceleration / jerk
+        };
+        let whole = f64::midpoint(top, end) * span;
+        if a >= 0.0 {
+            // Until there it still gains.
+            whole + v * time + a * time * time / 3.0
+        } else {
+            whole - (top * time - jerk * time.powi(3) / 6.0)
+        }
     }
 
     /// Whether it stands at the target.
@@ -69,6 +203,12 @@ mod tests {
         velocity: 1000.0,
         acceleration: 5000.0,
         deceleration: 8000.0,
+        jerk: None,
+    };
+    const JERK: f64 = 200_000.0;
+    const SMOOTH: Bounds = Bounds {
+        jerk: Some(JERK),
+        ..BOUNDS
     };
 
     #[test]
@@ -91,16 +231,57 @@ mod tests {
         }
     }
 
+    /// Bounds hold in every step, jerk from difference quotients, and none is much slower than the fastest way.
+    #[test]
+    fn a_position_is_reached_without_jumps_of_the_acceleration() {
+        // Way, and seconds of the fastest profile with these bounds: only jerk; jerk and acceleration; all of them.
+        for (target, fastest) in [
+            (0.05, 0.0200),
+            (20.0, 0.1508),
+            (700.0, 0.895),
+            (-12_345.0, 12.54),
+        ] {
+            for dt in [1e-3, 250e-6] {
+                let mut ramp = Ramp::default();
+                let mut steps = 0_u32;
+                while !(ramp.is_at(target) && ramp.velocity.abs() < 1e-9) {
+                    let before = ramp;
+                    ramp.toward_position(target, 0.0, &SMOOTH, dt);
+                    steps += 1;
+                    let why = format!("{target} in steps of {dt} s, {ramp:?}");
+                    assert!(f64::from(steps) * dt < fastest + 0.1, "late: {why}");
+                    assert!(ramp.velocity.abs() <= 1000.0 * 1.001, "{why}");
+                    assert!(ramp.acceleration.abs() <= 8000.0 * 1.001, "{why}");
+                    let jerk = (ramp.acceleration - before.acceleration) / dt;
+                    // The last step ends all motion, which by then is a rest of rounding.
+                    let ends = ramp.is_at(target) && ramp.velocity.abs() < 1e-9;
+                    assert!(ends || jerk.abs() <= JERK * 1.001, "{jerk}: {why}");
+                    let beyond = (ramp.position - target) * target.signum();
+                    assert!(beyond <= 20.0 * JERK * dt.powi(3), "{beyond}: {why}");
+                }
+                let span = f64::from(steps) * dt;
+                assert!(span >= fastest * 0.99 - dt, "{target}: too fast, {span} s");
+                assert!(span <= fastest * 1.05 + 10.0 * dt, "{target}: {span} s");
+            }
+        }
+    }
+
     #[test]
     fn a_target_behind_is_reached_after_turning() {
-        let mut ramp = Ramp {
-            position: 0.0,
-            velocity: 900.0,
-        };
-        for _ in 0..5000 {
-            ramp.toward_position(-50.0, 0.0, &BOUNDS, 1e-3);
+        for bounds in [BOUNDS, SMOOTH] {
+            let mut ramp = Ramp {
+                velocity: 900.0,
+                ..Ramp::default()
+            };
+            for _ in 0..5000 {
+                let before = ramp;
+                ramp.toward_position(-50.0, 0.0, &bounds, 1e-3);
+                let rest = ramp.is_at(-50.0);
+                let jerk = (ramp.acceleration - before.acceleration).abs() / 1e-3;
+                assert!(bounds.jerk.is_none_or(|most| rest || jerk <= most * 1.001));
+            }
+            assert!(ramp.is_at(-50.0), "{}", ramp.position);
         }
-        assert!(ramp.is_at(-50.0), "{}", ramp.position);
     }
 
     #[test]
@@ -112,5 +293,21 @@ mod tests {
         assert!((ramp.velocity - 1000.0).abs() < 1e-6);
         (0..50).for_each(|_| ramp.toward_velocity(-1.0, &BOUNDS, 1e-3));
         assert!((ramp.velocity - 600.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn velocities_are_approached_without_jumps_of_the_acceleration() {
+        let mut ramp = Ramp::default();
+        for (velocity, steps) in [(700.0, 170), (-300.0, 270), (-299.9, 10), (0.0, 90)] {
+            for _ in 0..steps {
+                let before = ramp;
+                ramp.toward_velocity(velocity, &SMOOTH, 1e-3);
+                let jerk = (ramp.acceleration - before.acceleration) / 1e-3;
+                assert!(jerk.abs() <= JERK * 1.001, "{jerk}");
+                assert!(ramp.acceleration.abs() <= 8000.0 * 1.001);
+            }
+            let off = (ramp.velocity - velocity).abs();
+            assert!(off < 1e-6 && ramp.acceleration.abs() < 1e-3, "{ramp:?}");
+        }
     }
 }

@@ -19,6 +19,7 @@ use takt_core::controller::{LoadRequest, NetState};
 use takt_core::device::DeviceStatus;
 use takt_core::device::rmp::{Rmp, Wire, describe};
 use takt_core::{CellConfig, Controller, NetId, SessionId};
+use takt_tests::steady;
 
 /// Power bases in threads of their own, and a controller that leads them.
 struct Yard {
@@ -130,39 +131,43 @@ impl Yard {
 
 #[test]
 fn a_net_moves_a_segway_which_rests_when_the_net_is_over() {
-    let yard = Yard::new(Model::Rmp200, 1);
-    let net = yard.start("{vel:{x:0.5},rot:{z:0.3}}", 2.0);
-    yard.wait("the net over", |yard| {
-        yard.state(net) == NetState::Terminated
+    steady(|| {
+        let yard = Yard::new(Model::Rmp200, 1);
+        let net = yard.start("{vel:{x:0.5},rot:{z:0.3}}", 2.0);
+        yard.wait("the net over", |yard| {
+            yard.state(net) == NetState::Terminated
+        });
+        std::thread::sleep(Duration::from_secs(1));
+        let bases = yard.stop();
+        let truth = bases[0].truth();
+        assert!(truth.x.hypot(truth.y) > 0.5, "{truth:?}");
+        assert!(truth.heading > 0.2, "{truth:?}");
+        assert!(bases[0].speed().iter().all(|speed| speed.abs() < 1e-3));
     });
-    std::thread::sleep(Duration::from_secs(1));
-    let bases = yard.stop();
-    let truth = bases[0].truth();
-    assert!(truth.x.hypot(truth.y) > 0.5, "{truth:?}");
-    assert!(truth.heading > 0.2, "{truth:?}");
-    assert!(bases[0].speed().iter().all(|speed| speed.abs() < 1e-3));
 }
 
 #[test]
 fn a_platform_that_loses_one_power_base_stops_and_its_net_ends() {
-    let yard = Yard::new(Model::Rmp50, 2);
-    let net = yard.start("{vel:{y:0.3}}", 60.0);
-    std::thread::sleep(Duration::from_secs(1));
-    assert_eq!(yard.state(net), NetState::Running);
-    yard.cut[1].store(true, Ordering::Relaxed);
-    yard.wait("the base offline", |yard| {
-        yard.status() == DeviceStatus::Offline
+    steady(|| {
+        let yard = Yard::new(Model::Rmp50, 2);
+        let net = yard.start("{vel:{y:0.3}}", 60.0);
+        std::thread::sleep(Duration::from_secs(1));
+        assert_eq!(yard.state(net), NetState::Running);
+        yard.cut[1].store(true, Ordering::Relaxed);
+        yard.wait("the base offline", |yard| {
+            yard.status() == DeviceStatus::Offline
+        });
+        yard.wait("the net over", |yard| {
+            yard.state(net) == NetState::Terminated
+        });
+        yard.cut[1].store(false, Ordering::Relaxed);
+        yard.wait("the base back", |yard| {
+            yard.status() == DeviceStatus::Operational
+        });
+        std::thread::sleep(Duration::from_millis(500));
+        let bases = yard.stop();
+        assert!(bases.iter().all(|base| base.turned()[0].abs() > 1000.0));
+        let speeds = bases.iter().flat_map(Powerbase::speed);
+        assert!(speeds.into_iter().all(|speed| speed.abs() < 1e-3));
     });
-    yard.wait("the net over", |yard| {
-        yard.state(net) == NetState::Terminated
-    });
-    yard.cut[1].store(false, Ordering::Relaxed);
-    yard.wait("the base back", |yard| {
-        yard.status() == DeviceStatus::Operational
-    });
-    std::thread::sleep(Duration::from_millis(500));
-    let bases = yard.stop();
-    assert!(bases.iter().all(|base| base.turned()[0].abs() > 1000.0));
-    let speeds = bases.iter().flat_map(Powerbase::speed);
-    assert!(speeds.into_iter().all(|speed| speed.abs() < 1e-3));
 }

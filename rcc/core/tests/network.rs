@@ -2,6 +2,7 @@
 
 #![expect(
     clippy::unwrap_used,
+    clippy::panic,
     reason = "a test may fail anywhere, its helpers too"
 )]
 
@@ -93,18 +94,25 @@ struct Hall {
     thread: Option<Thread<()>>,
 }
 
+/// A drive of so many axes. A host without `PREEMPT_RT` misses SYNC now and then.
+fn drive(node: u8, axes: usize) -> DriveNode {
+    let mut config = DriveNodeConfig::new(NodeId::new(node).unwrap());
+    config.axes[0].quirks.missing_set_points = None;
+    config.axes = vec![config.axes[0].clone(); axes];
+    DriveNode::power_on(config, monotonic()).unwrap()
+}
+
 impl Hall {
     fn new() -> Self {
-        let config = config();
+        let drives = (1..=JOINTS).map(|node| drive(node, 1)).collect();
+        Self::of(&config(), drives)
+    }
+
+    /// The network of a configuration with these drives on it.
+    fn of(config: &CanopenConfig, drives: Vec<DriveNode>) -> Self {
         let ours = LivePort::first_of(Bus::new(Config::default()));
-        let mut ports: Vec<_> = (1..=JOINTS).map(|_| ours.attach()).collect();
-        let node = |raw| {
-            let mut config = DriveNodeConfig::new(NodeId::new(raw).unwrap());
-            // A host without PREEMPT_RT misses SYNC now and then.
-            config.axes[0].quirks.missing_set_points = None;
-            DriveNode::power_on(config, monotonic()).unwrap()
-        };
-        let drives = Arc::new(Mutex::new((1..=JOINTS).map(node).collect::<Vec<_>>()));
+        let mut ports: Vec<_> = drives.iter().map(|_| ours.attach()).collect();
+        let drives = Arc::new(Mutex::new(drives));
         let stop = Arc::new(AtomicBool::new(false));
         let muted = Arc::new(AtomicU32::new(u32::MAX));
         let held = Arc::new(AtomicBool::new(false));
@@ -144,13 +152,15 @@ impl Hall {
             port: ours,
             held: Arc::clone(&held),
         };
-        let added = controller.add_driver("network", describe(&config), None, |ends| {
-            Ok(Box::new(Canopen::start(&config, Box::new(ours), ends)?))
+        let added = controller.add_driver("network", describe(config), None, |ends| {
+            Ok(Box::new(Canopen::start(config, Box::new(ours), ends)?))
         });
         added.unwrap();
         let robots = Vec::new();
         let cell = Cell { controller, robots };
-        cell.wait_for("arm", DeviceStatus::Operational);
+        for arm in &config.arms {
+            cell.wait_for(&arm.name, DeviceStatus::Operational);
+        }
         Self {
             cell: Some(cell),
             drives,
@@ -167,6 +177,12 @@ impl Hall {
         drives
             .iter()
             .all(|drive| holds(drive.application().axis(0).unwrap()))
+    }
+
+    /// What an axis of a drive is asked or told; drives count from 0.
+    fn axis<R>(&self, drive: usize, axis: usize, use_it: impl FnOnce(&mut Drive) -> R) -> R {
+        let mut drives = self.drives.lock().unwrap();
+        use_it(drives[drive].application_mut().axis_mut(axis).unwrap())
     }
 
     fn cell(&self) -> &Cell {
@@ -209,13 +225,9 @@ fn a_net_moves_an_arm_over_canopen() {
 fn a_drive_that_faults_ends_the_net_and_the_arm_comes_back_at_rest() {
     let hall = Hall::new();
     let net = hall.cell().swinging("arm", 0);
-    let with = |change: &dyn Fn(&mut Drive)| {
-        let mut drives = hall.drives.lock().unwrap();
-        change(drives[2].application_mut().axis_mut(0).unwrap());
-    };
-    with(&|drive| drive.fault(FaultCode::TEMPERATURE));
+    hall.axis(2, 0, |drive| drive.fault(FaultCode::TEMPERATURE));
     hall.cell().wait_for_end(net);
-    with(&|drive| drive.mend());
+    hall.axis(2, 0, Drive::mend);
     hall.cell().wait_for("arm", DeviceStatus::Operational);
     let rest = hall.cell().position("arm", 0);
     std::thread::sleep(Duration::from_millis(300));
@@ -304,23 +316,84 @@ fn a_network_tells_why_its_arm_is_not_operational() {
     Box::new(network).stop();
 }
 
-#[test]
-fn the_axes_of_one_drive_are_joints_of_one_arm() {
-    let mut config = config();
-    for (joint, axis) in config.arms[0].joints.iter_mut().zip(0..) {
-        (joint.drive, joint.axis) = (9, axis);
-    }
-    assert_eq!(check(&config), Ok(()));
-    let more = config.arms[0].joints[0].clone();
-    for axis in 3..5 {
-        let joint = DriveJoint {
-            axis,
-            ..more.clone()
+/// A network as `cell.toml` has it: for each arm, the node and the axis of each joint.
+fn cell_of(arms: &[(&str, &[(u8, u8)])]) -> CanopenConfig {
+    let mut text =
+        "[[canopen]]\nname = \"network\"\ninterface = \"none\"\ncycle = \"4ms\"\n".to_owned();
+    for (name, joints) in arms {
+        let joint = |(node, axis): &(u8, u8)| {
+            format!(
+                "{{ node = {node}, axis = {axis}, increments_per_turn = 204800.0, \
+                 range = [-170.0, 170.0], velocity_max = 100.0, acceleration_max = 300.0 }}"
+            )
         };
-        config.arms[0].joints.push(joint);
+        let joints: Vec<_> = joints.iter().map(joint).collect();
+        let joints = joints.join(",\n");
+        text += &format!("[[canopen.arm]]\nname = \"{name}\"\njoint = [\n{joints}]\n");
     }
-    let told = check(&config).unwrap_err();
-    assert!(told.contains("node 9 drives 5 joints"), "{told}");
+    CellConfig::parse(&text).unwrap().canopen.remove(0)
+}
+
+/// Joint 1 is axis 2, and axis 0 has no joint: places in the arm and numbers in the drive differ.
+#[test]
+fn axes_of_one_drive_are_joints_of_one_arm() {
+    let config = cell_of(&[("arm", &[(9, 1), (9, 2), (9, 3)])]);
+    let hall = Hall::of(&config, vec![drive(9, 4)]);
+    let turned = |axis| hall.axis(0, axis, |drive| drive.motor().position);
+    let before = [0, 1, 2, 3].map(turned);
+    let moved = hall.cell().swung("arm", 1);
+    assert!((moved - 0.5).abs() < 0.01, "moved {moved} rad");
+    for (axis, before) in before.into_iter().enumerate() {
+        let turned = (turned(axis) - before).abs() > 1.0;
+        assert_eq!(turned, axis == 2, "axis {axis}");
+    }
+    let unasked = hall.axis(0, 0, |drive| drive.state());
+    assert_ne!(unasked, State::OperationEnabled, "nobody asked it");
+}
+
+#[test]
+fn six_axes_of_one_drive_are_an_arm() {
+    let config = cell_of(&[("arm", &[(9, 0), (9, 1), (9, 2), (9, 3), (9, 4), (9, 5)])]);
+    let hall = Hall::of(&config, vec![drive(9, 6)]);
+    for joint in [0, 5] {
+        let moved = hall.cell().swung("arm", joint);
+        assert!((moved - 0.5).abs() < 0.01, "joint {joint} moved {moved}");
+    }
+    for joint in 1..5 {
+        assert!(hall.cell().position("arm", joint).abs() < 1e-3, "{joint}");
+    }
+}
+
+/// Both arms have an axis in each of two drives. That is begun again if the host stalls and the other arm is
+/// lost for that.
+#[test]
+fn a_fault_of_one_axis_leaves_the_other_arm_of_its_drives_alone() {
+    let config = cell_of(&[("left", &[(3, 0), (4, 1)]), ("right", &[(3, 1), (4, 0)])]);
+    let hall = Hall::of(&config, vec![drive(3, 2), drive(4, 2)]);
+    let cell = hall.cell();
+    let faults = |arm| cell.controller.arm_state(arm).unwrap().faults;
+    for _ in 0..10 {
+        let (left, right) = (cell.swinging("left", 0), cell.swinging("right", 1));
+        let before = faults("right");
+        hall.axis(0, 0, |drive| drive.fault(FaultCode::TEMPERATURE));
+        cell.wait_for_end(left);
+        let place = cell.position("right", 1);
+        cell.wait("the other arm to move on", |_| {
+            (cell.position("right", 1) - place).abs() > 0.01 || cell.is_over(right)
+        });
+        let undisturbed = !cell.is_over(right) && faults("right") == before;
+        let its_axes = [(0, 1), (1, 0)].map(|(at, axis)| hall.axis(at, axis, |d| d.state()));
+        let _ = cell.controller.abort(right);
+        cell.wait_for_end(right);
+        hall.axis(0, 0, Drive::mend);
+        cell.wait_for("left", DeviceStatus::Operational);
+        cell.wait_for("right", DeviceStatus::Operational);
+        if undisturbed {
+            assert_eq!(its_axes, [State::OperationEnabled; 2]);
+            return;
+        }
+    }
+    panic!("the other arm was lost in each of ten attempts");
 }
 
 #[test]
@@ -333,11 +406,29 @@ fn what_a_network_cannot_be_is_told() {
     beat.heartbeat = Some(Duration::from_millis(7));
     let mut node = config();
     node.arms[0].joints[0].drive = 200;
+    let mut next = cell_of(&[("arm", &[(9, 0), (9, 1), (9, 2), (9, 3), (9, 4), (11, 0)])]);
+    next.arms[0].joints[5].drive = 10;
+    let mut last = config();
+    last.arms[0].joints = (0..5)
+        .map(|axis| DriveJoint {
+            drive: 127,
+            axis,
+            ..last.arms[0].joints[0].clone()
+        })
+        .collect();
+    let mut cycle = config();
+    cycle.cycle = Duration::from_micros(3_333);
+    let mut number = config();
+    (number.master, number.heartbeat) = (200, Some(Duration::ZERO));
     let mut range = config();
     range.arms[0].joints[2].range = [10.0, -10.0];
     for (config, wanted) in [
         (twice, "axis 0 of node 1 drives two joints"),
         (node, "200"),
+        (next, "node 10: 18Ah is used already"),
+        (last, "node 127 drives 5 joints; from the fifth on"),
+        (cycle, "cycle is 3.333ms; drives can be told at most 255 of"),
+        (number, "master: 200 is no node number"),
         (master, "node 3 has the master's number"),
         (beat, "heartbeat is 7ms; it must be two cycles to 20s"),
         (

@@ -204,6 +204,46 @@ fn modes_and_methods_it_has_not_are_refused() {
     assert_eq!(rig.send("605#2F60600008000000"), ["585#6060600000000000"]);
 }
 
+/// 60C4h over the wire: records by SDO until there is no place left, and by an RPDO of any type.
+#[test]
+fn records_of_interpolated_position_fill_a_buffer() {
+    for (kind, sync) in [("FF", false), ("01", true)] {
+        let mut rig = Rig::enabled(|_| ());
+        for frame in [
+            "605#2F60600007000000", // IP
+            "605#23C4600203000000", // a queue of three
+            "605#2FC4600601000000",
+            "605#2302140105040080",
+            "605#2F02160000000000",
+            "605#230216012001C160",
+            "605#2F02160001000000",
+        ] {
+            assert!(rig.send(frame)[0].starts_with("585#60"), "{frame}");
+        }
+        rig.send(&format!("605#2F021402{kind}000000"));
+        rig.send("605#2302140105040000");
+        rig.run(20);
+        let place = |rig: &mut Rig| {
+            rig.run(2);
+            rig.send("605#40C4600400000000")[0][12..14].to_owned()
+        };
+        assert_eq!(rig.send("605#23C1600164000000"), ["585#60C1600100000000"]);
+        assert_eq!(place(&mut rig), "01");
+        rig.send("405#C8000000");
+        if sync {
+            assert_eq!(place(&mut rig), "01", "it waits for SYNC");
+            rig.send("080#");
+        }
+        assert_eq!(place(&mut rig), "02");
+        if sync {
+            rig.send("080#");
+            assert_eq!(place(&mut rig), "02", "nothing new came");
+        }
+        assert_eq!(rig.send("605#23C160012C010000"), ["585#60C1600100000000"]);
+        assert_eq!(rig.send("605#23C1600190010000"), ["585#80C1600122000008"]);
+    }
+}
+
 #[test]
 fn a_reset_leaves_the_motor_where_it_is() {
     let mut rig = Rig::new(|config| config.axes[0].position = 7.5);

@@ -15,7 +15,7 @@ use super::plan::AxisPlan;
 /// What an axis is told in every cycle. Targets count only while it follows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AxisCommand {
-    /// 607Ah, user units.
+    /// 607Ah, user units; in interpolated position the data record 60C1h:01.
     pub position: i32,
     /// 60FFh, user units/s.
     pub velocity: i32,
@@ -58,6 +58,9 @@ pub struct AxisState {
 
 /// Profile position (6060h).
 const PROFILE_POSITION: i8 = 1;
+/// Interpolated position (6060h), and the bit of the controlword without which its records do not count.
+const INTERPOLATED_POSITION: i8 = 7;
+const ENABLE_INTERPOLATION: u16 = 1 << 4;
 /// Bit 8 of the controlword: halt.
 const HALT: u16 = 1 << 8;
 
@@ -67,6 +70,7 @@ struct Keys {
     control: Option<Key<u16>>,
     mode: Option<Key<i8>>,
     position: Option<Key<i32>>,
+    record: Option<Key<i32>>,
     velocity: Option<Key<i32>>,
     torque: Option<Key<i16>>,
     position_offset: Option<Key<i32>>,
@@ -90,6 +94,9 @@ impl Keys {
             control: key(image, axis, 0x6040),
             mode: key(image, axis, 0x6060),
             position: key(image, axis, 0x607A),
+            record: Address::new(0x60C1, 1)
+                .on_axis(axis)
+                .and_then(|record| image.key(record).ok()),
             velocity: key(image, axis, 0x60FF),
             torque: key(image, axis, 0x6071),
             position_offset: key(image, axis, 0x60B0),
@@ -335,6 +342,9 @@ impl Axis {
         let handed = self.hand_over(&orders, now);
         let bits = match handed {
             Some(handed) => self.command.mode_bits & HALT | handed,
+            None if orders.follows && orders.mode == INTERPOLATED_POSITION => {
+                self.command.mode_bits & 0x0370 | ENABLE_INTERPOLATION
+            }
             None if orders.follows => self.command.mode_bits & 0x0370,
             None => bits,
         };
@@ -432,6 +442,7 @@ impl Axis {
         set(image, k.control, control.raw());
         set(image, k.mode, mode);
         set(image, k.position, position);
+        set(image, k.record, position);
         set(image, k.velocity, zero_or(c.velocity));
         set(image, k.torque, if follows { c.torque } else { 0 });
         set(image, k.position_offset, zero_or(c.position_offset));

@@ -547,6 +547,7 @@ fn data_type(mapped: &Mapped) -> Option<DataType> {
             | 0x60B0
             | 0x60B1
             | 0x60BA..=0x60BD
+            | 0x60C1
             | 0x60F4
             | 0x60FC
             | 0x60FF,

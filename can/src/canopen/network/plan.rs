@@ -80,15 +80,28 @@ pub struct AxisPlan {
     /// 6007h: what the drive does when it loses its master (0 nothing, 1 fault, 2 disable voltage, 3
     /// quick stop); `None` leaves what it has.
     pub on_link_loss: Option<i16>,
+    /// 60A4h:01: largest jerk of its own motions (profile position and velocity), user units/s^3; then the profile
+    /// type (6086h) is the jerk-limited ramp. `None` leaves what the drive has.
+    pub jerk_max: Option<u32>,
+    /// 60C4h: interpolated position goes through a queue of so many data records, which evens out when they come;
+    /// `None` leaves what the drive has.
+    pub records: Option<u8>,
 }
 
 impl AxisPlan {
-    /// What its drive is told before it runs. Both objects are optional ones.
+    /// Whether a drive can be told that set-points come so far apart: at most 255 of 1 us, 10 us, 100 us or
+    /// 1 ms (60C2h).
+    #[must_use]
+    pub fn can_be_told(period: Duration) -> bool {
+        time_index(period).is_some()
+    }
+
+    /// What its drive is told before it runs. 60C2h and 6007h are optional objects that a drive may do without; the
+    /// others are asked for on purpose.
     fn downloads(&self) -> Vec<Download> {
         let at = |index, sub, data: &[u8]| {
             let address = Address::new(index, sub).on_axis(self.axis)?;
-            let download = Download::new(address.index, address.sub, data);
-            Some(download.where_present())
+            Some(Download::new(address.index, address.sub, data))
         };
         let period = self.set_point_period.and_then(time_index);
         let period = period.into_iter().flat_map(|(value, exponent)| {
@@ -98,19 +111,34 @@ impl AxisPlan {
         let period = period.filter_map(|(sub, data)| at(0x60C2, sub, &data));
         let loss = self.on_link_loss;
         let loss = loss.and_then(|option| at(0x6007, 0, &option.to_le_bytes()));
-        loss.into_iter().chain(period).collect()
+        let optional = loss.into_iter().chain(period);
+        let jerk = self.jerk_max.into_iter().flat_map(|jerk| {
+            let limit = at(0x60A4, 1, &jerk.to_le_bytes());
+            [limit, at(0x6086, 0, &JERK_LIMITED.to_le_bytes())]
+        });
+        let records = self.records.into_iter().flat_map(|places| {
+            // Empty and closed while it is set up.
+            let clear = |open: u8| at(0x60C4, 6, &[open]).map(Download::unverified);
+            let places = at(0x60C4, 2, &u32::from(places).to_le_bytes());
+            [clear(0), places, at(0x60C4, 3, &[0]), clear(1)]
+        });
+        let asked = jerk.chain(records).flatten();
+        optional.map(Download::where_present).chain(asked).collect()
     }
 }
+
+/// Profile type 6086h.
+const JERK_LIMITED: i16 = 3;
 
 /// A time as 60C2h has it: a number and the power of ten of its unit in seconds. `None` for one that
 /// eight bits do not hold to the microsecond.
 fn time_index(period: Duration) -> Option<(u8, i8)> {
-    let micros = period.as_micros();
+    let nanos = period.as_nanos();
     let of_unit = |(unit, exponent): (u128, i8)| {
-        let value = u8::try_from(micros / unit).ok()?;
-        (micros.is_multiple_of(unit) && value > 0).then_some((value, exponent))
+        let value = u8::try_from(nanos / unit).ok()?;
+        (nanos.is_multiple_of(unit) && value > 0).then_some((value, exponent))
     };
-    [(1000, -3), (100, -4), (10, -5), (1, -6)]
+    [(1_000_000, -3), (100_000, -4), (10_000, -5), (1_000, -6)]
         .into_iter()
         .find_map(of_unit)
 }
@@ -125,12 +153,17 @@ impl Default for AxisPlan {
             homing: Duration::from_secs(60),
             set_point_period: None,
             on_link_loss: None,
+            jerk_max: None,
+            records: None,
         }
     }
 }
 
 /// PDOs that each axis of a drive has room for (CiA 402-3).
 const AXIS_PDOS: u16 = 64;
+
+/// PDOs each way for which a node number has identifiers (CiA 301, predefined connection set).
+const IDENTIFIERS: u8 = 4;
 
 /// What one node is to be.
 #[derive(Clone, Debug)]
@@ -210,19 +243,23 @@ impl NodePlan {
 
     /// A drive with several axes whose positions go with every SYNC, each by one PDO each way: 6040h, 6060h and
     /// 607Ah to it, 6041h, 6061h and 6064h from it. Each axis has 64 PDOs of its own (CiA 402-3); their identifiers
-    /// are those of the first four PDOs of the node. `None` for no axis, and for more than [`Self::AXES_MAX`].
+    /// are those of the first four PDOs of the node, and from the fifth axis on those of the next node number, which
+    /// no other node of the network may then have. `None` for no axis, for more than [`Self::AXES_MAX`], and if there
+    /// is no next number.
     #[must_use]
     pub fn drives(id: NodeId, axes: &[AxisPlan]) -> Option<Self> {
         if axes.is_empty() || axes.len() > Self::AXES_MAX {
             return None;
         }
         let mut all = Self::new(id);
-        for (axis, function) in axes.iter().zip((0_u16..).step_by(0x100)) {
+        for (place, axis) in (0_u8..).zip(axes) {
             let one = Self::drive(id, *axis);
             let number = AXIS_PDOS * u16::from(axis.axis);
+            let of = NodeId::new(id.raw() + place / IDENTIFIERS).ok()?;
+            let function = 0x100 * u16::from(place % IDENTIFIERS);
             let of_axis = |pdos: Vec<(u16, Parameters)>, first: u16| {
                 let pdo = pdos.into_iter().next().map(|(_, pdo)| pdo);
-                let cob = PdoCob::new(id.cob(first + function));
+                let cob = PdoCob::new(of.cob(first + function));
                 pdo.map(|pdo| (number, Parameters { cob, ..pdo }))
             };
             all.rpdos.extend(of_axis(one.rpdos, 0x200));
@@ -232,8 +269,8 @@ impl NodePlan {
         Some(all)
     }
 
-    /// Axes for which a node has identifiers (CiA 301, predefined connection set).
-    pub const AXES_MAX: usize = 4;
+    /// Axes of a multi-axis drive (CiA 402-3).
+    pub const AXES_MAX: usize = 8;
 
     /// All that is written before it runs: supervision, PDOs by the procedure, its own values.
     #[must_use]
@@ -254,6 +291,8 @@ impl NodePlan {
             let time = u32::from(ms16(period * 5 / 2)) | u32::from(master.raw()) << 16;
             all.push(Download::new(0x1016, 1, &time.to_le_bytes()));
         }
+        all.extend(self.others_off(Direction::Receive, 0x200, &self.rpdos));
+        all.extend(self.others_off(Direction::Transmit, 0x180, &self.tpdos));
         let receive = self.rpdos.iter().map(|pdo| (Direction::Receive, pdo));
         let transmit = self.tpdos.iter().map(|pdo| (Direction::Transmit, pdo));
         for (direction, (number, parameters)) in receive.chain(transmit) {
@@ -262,6 +301,25 @@ impl NodePlan {
         all.extend(self.axes.iter().flat_map(AxisPlan::downloads));
         all.extend(self.downloads.iter().cloned());
         all
+    }
+
+    /// PDOs 1 to 4, if they are not planned and another one gets their identifier: what is on from the factory
+    /// or was stored would take its frames, and an axis that nobody asked would be enabled by them.
+    fn others_off<'a>(
+        &'a self,
+        direction: Direction,
+        first: u16,
+        pdos: &'a [(u16, Parameters)],
+    ) -> impl Iterator<Item = Download> + 'a {
+        let functions = (0..4_u16).zip((first..).step_by(0x100));
+        functions.filter_map(move |(number, function)| {
+            let cob = PdoCob::new(self.id.cob(function));
+            let planned = pdos.iter().any(|(n, _)| *n == number);
+            let taken = pdos.iter().any(|(_, pdo)| pdo.cob.id() == cob.id());
+            let off = cob.off().raw().to_le_bytes();
+            let off = Download::new(direction.communication() + number, 1, &off);
+            (taken && !planned).then(|| off.unverified().where_present())
+        })
     }
 }
 

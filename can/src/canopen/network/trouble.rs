@@ -64,6 +64,17 @@ pub enum Trouble {
     Emergency(Emergency),
 }
 
+/// What a device lacks that has not this object, and what to do.
+const fn lacks(address: Address) -> &'static str {
+    match address.index {
+        0x1016 => {
+            ": it cannot watch its master; let the master send no heartbeat, and know that the device goes on \
+             when the master hangs"
+        }
+        _ => "",
+    }
+}
+
 impl fmt::Display for Trouble {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -81,7 +92,7 @@ impl fmt::Display for Trouble {
                 "{address} is {found:08X}h, {expected:08X}h was planned: another device or \
                  firmware has this node number; correct the plan or the wiring"
             ),
-            Self::Refused { address, code } => write!(f, "{address}: {code}"),
+            Self::Refused { address, code } => write!(f, "{address}: {code}{}", lacks(*address)),
             Self::Silent(address) => write!(
                 f,
                 "no SDO answer about {address}: is the node stopped, or its SDO server busy with \
@@ -119,14 +130,16 @@ impl fmt::Display for Trouble {
             Self::PdoMissing { number, cycles } => write!(
                 f,
                 "TPDO {} did not come for {cycles} SYNCs: bus load too high, SYNC not received \
-                 (1005h), or its type (180{number:X}h:02) changed",
-                number + 1
+                 (1005h), or its type ({:04X}h:02) changed",
+                u32::from(*number) + 1,
+                0x1800 + u32::from(*number)
             ),
             Self::PdoShort { number, len } => write!(
                 f,
-                "TPDO {} came with {len} bytes, more are mapped: its mapping 1A0{number:X}h was \
+                "TPDO {} came with {len} bytes, more are mapped: its mapping {:04X}h was \
                  changed, or another node has the same identifier",
-                number + 1
+                u32::from(*number) + 1,
+                0x1A00 + u32::from(*number)
             ),
             Self::Emergency(emergency) => write!(
                 f,
@@ -176,5 +189,29 @@ impl fmt::Display for AxisTrouble {
                 "its node was lost while it was enabled: find out why, then set its goal",
             ),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn objects_of_high_pdos_are_named() {
+        let missing = |number| Trouble::PdoMissing { number, cycles: 4 }.to_string();
+        assert!(missing(0).contains("TPDO 1 did") && missing(0).contains("(1800h:02)"));
+        assert!(missing(64).contains("TPDO 65 did") && missing(64).contains("(1840h:02)"));
+        let short = |number| Trouble::PdoShort { number, len: 2 }.to_string();
+        assert!(short(0).contains("1A00h") && short(192).contains("1AC0h"));
+    }
+
+    #[test]
+    fn a_device_that_cannot_watch_its_master_has_a_remedy() {
+        let refused = |index| {
+            let (address, code) = (Address::new(index, 1), AbortCode::NoObject);
+            Trouble::Refused { address, code }.to_string()
+        };
+        assert!(refused(0x1016).contains("let the master send no heartbeat"));
+        assert!(!refused(0x1017).contains("heartbeat"));
     }
 }

@@ -86,6 +86,13 @@ impl<A: Application> Node<A> {
             }
         }
         self.tell(Event::Sync, now);
+        for at in 0..self.rpdos.len() {
+            let (number, rpdo) = &mut self.rpdos[at];
+            let number = *number;
+            if rpdo.take_applied() {
+                self.tell(Event::Received(number), now);
+            }
+        }
         self.write_errors();
         if operational {
             for at in 0..self.tpdos.len() {

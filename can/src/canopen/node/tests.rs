@@ -170,7 +170,7 @@ fn sync_takes_received_values_and_then_samples() {
     let mut rig = Rig::in_state(State::Operational);
     assert_eq!(rig.ask("205#3412"), [""; 0], "it waits for SYNC");
     assert_eq!(rig.ask("080#"), ["185#3412"]);
-    assert_eq!(rig.node.application.0, [Event::Sync]);
+    assert_eq!(rig.node.application.0, [Event::Sync, Event::Received(0)]);
     // A change of 2001h is an event of TPDO 2.
     assert_eq!(rig.ask("305#7856"), ["285#7856"]);
 }

@@ -44,6 +44,8 @@ pub struct Rpdo {
     deadline: Duration,
     data: [u8; 8],
     waits: bool,
+    /// What waited is in the dictionary, and nobody was told.
+    applied: bool,
     heard: Option<Duration>,
     late: bool,
 }
@@ -66,6 +68,7 @@ impl Rpdo {
             deadline: Duration::from_millis(parameters.event.into()),
             data: [0; 8],
             waits: false,
+            applied: false,
             heard: None,
             late: false,
         }))
@@ -130,7 +133,13 @@ impl Rpdo {
         if waited {
             self.mapping.unpack(dictionary, &self.data);
         }
+        self.applied |= waited;
         waited
+    }
+
+    /// Whether a SYNC put new values into the dictionary since this was asked last.
+    pub(in crate::canopen) const fn take_applied(&mut self) -> bool {
+        std::mem::replace(&mut self.applied, false)
     }
 
     /// Whether it has just become late; told once.

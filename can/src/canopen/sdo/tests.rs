@@ -357,3 +357,381 @@ proptest! {
         }
     }
 }
+
+/// What an answer is, in a letter or the code of an abort.
+fn answer(message: Option<Message>) -> String {
+    let Some(message) = message else {
+        return "-".to_owned();
+    };
+    match Response::decode(&message) {
+        None => format!("{message:02X?}"),
+        Some(Response::Download { .. }) => "down".to_owned(),
+        Some(Response::DownloadSegment { .. }) => "seg".to_owned(),
+        Some(Response::Upload { .. }) => "up".to_owned(),
+        Some(Response::UploadSegment { .. }) => "upseg".to_owned(),
+        Some(Response::BlockDownload { .. }) => "bdown".to_owned(),
+        Some(Response::BlockDownloadAck { sequence, .. }) => format!("ack{sequence}"),
+        Some(Response::BlockDownloadEnd) => "bdend".to_owned(),
+        Some(Response::BlockUpload { .. }) => "bup".to_owned(),
+        Some(Response::BlockUploadEnd { .. }) => "bupend".to_owned(),
+        Some(Response::Abort { code, .. }) => format!("{:08X}", code.raw()),
+    }
+}
+
+/// A request of each kind, and one of none.
+fn requests() -> Vec<(&'static str, Message)> {
+    let address = TEXT;
+    let (number, data) = (
+        Initiate::Expedited(Bytes::new(&[5, 0, 0, 0])),
+        Bytes::new(b"abc"),
+    );
+    let segmented = Initiate::Segmented(Some(10));
+    let (crc, block, switch) = (true, 4, 0);
+    let code = AbortCode::General;
+    [
+        (
+            "download",
+            Request::Download {
+                address: NUMBER,
+                data: number,
+            },
+        ),
+        (
+            "in segments",
+            Request::Download {
+                address,
+                data: segmented,
+            },
+        ),
+        (
+            "segment",
+            Request::DownloadSegment {
+                toggle: false,
+                last: false,
+                data,
+            },
+        ),
+        ("upload", Request::Upload { address: NUMBER }),
+        ("next segment", Request::UploadSegment { toggle: false }),
+        (
+            "block download",
+            Request::BlockDownload {
+                address,
+                crc,
+                size: Some(5),
+            },
+        ),
+        ("its end", Request::BlockDownloadEnd { unused: 2, crc: 0 }),
+        (
+            "block upload",
+            Request::BlockUpload {
+                address,
+                crc,
+                block,
+                switch,
+            },
+        ),
+        ("go", Request::BlockUploadStart),
+        (
+            "acknowledge",
+            Request::BlockUploadAck { sequence: 4, block },
+        ),
+        ("end", Request::BlockUploadEnd),
+        ("abort", Request::Abort { address, code }),
+    ]
+    .map(|(name, request)| (name, request.encode()))
+    .into_iter()
+    .chain([("nothing", [0xE0; 8])])
+    .collect()
+}
+
+#[test]
+fn every_state_of_the_server_with_every_request() {
+    let all = requests();
+    let of = |name: &str| all.iter().find(|(n, _)| *n == name).unwrap().1;
+    let text = Request::Upload { address: TEXT }.encode();
+    let last = BlockSegment {
+        last: true,
+        sequence: 1,
+        data: *b"hello\0\0",
+    }
+    .encode();
+    let whole = Request::BlockUpload {
+        address: TEXT,
+        crc: true,
+        block: 127,
+        switch: 0,
+    }
+    .encode();
+    let all_came = Request::BlockUploadAck {
+        sequence: 8,
+        block: 127,
+    }
+    .encode();
+    let wrong = "05040001";
+    // Within a block there is no command: all but an abort is a segment, and which one its first byte tells.
+    let table = [
+        ("idle", vec![], "down down W up W bdown W bup W W W - W"),
+        (
+            "download",
+            vec![of("in segments")],
+            "down down seg up W bdown W bup W W W - W",
+        ),
+        (
+            "upload",
+            vec![text],
+            "down down W up upseg bdown W bup W W W - W",
+        ),
+        (
+            "block download",
+            vec![of("block download")],
+            "- - - - - ack0 ack0 ack0 ack0 ack0 ack0 - ack0",
+        ),
+        (
+            "its end",
+            vec![of("block download"), last],
+            "down down W up W bdown 05040004 bup W W W - W",
+        ),
+        (
+            "block upload",
+            vec![of("block upload")],
+            "down down W up W bdown W bup - W W - W",
+        ),
+        (
+            "its blocks",
+            vec![of("block upload"), of("go")],
+            "down down W up W bdown W bup W - W - W",
+        ),
+        (
+            "its last",
+            vec![whole, of("go"), all_came],
+            "down down W up W bdown W bup W W - - W",
+        ),
+    ];
+    for (state, messages, answers) in table {
+        let answers: Vec<_> = answers
+            .split(' ')
+            .map(|a| if a == "W" { wrong } else { a })
+            .collect();
+        assert_eq!(answers.len(), all.len());
+        for ((name, request), expected) in all.iter().zip(answers) {
+            let mut server = Server::new(100, 100 * MS);
+            let mut d = dictionary(&pattern(50));
+            for message in &messages {
+                let _ = server.handle(message, &mut d, &mut (), Duration::ZERO);
+                while server.poll(Duration::ZERO).is_some() {}
+            }
+            let told = answer(server.handle(request, &mut d, &mut (), Duration::ZERO));
+            assert_eq!(told, expected, "{state}: {name}");
+        }
+    }
+}
+
+/// What a client does: the request that it sends, and how the transfer ended.
+fn progress(progress: &Progress) -> String {
+    let sent = progress
+        .send
+        .map(|message| match Request::decode(&message) {
+            None => "segment".to_owned(),
+            Some(Request::Abort { code, .. }) => format!("{:08X}", code.raw()),
+            Some(Request::DownloadSegment { .. }) => "seg".to_owned(),
+            Some(Request::UploadSegment { .. }) => "next".to_owned(),
+            Some(Request::BlockDownloadEnd { .. }) => "end".to_owned(),
+            Some(Request::BlockUploadStart) => "go".to_owned(),
+            Some(Request::BlockUploadAck { sequence, .. }) => format!("ack{sequence}"),
+            Some(Request::BlockUploadEnd) => "bye".to_owned(),
+            Some(other) => format!("{other:?}"),
+        });
+    let outcome = progress.outcome.as_ref().map(|outcome| match outcome {
+        Outcome::Read => "read".to_owned(),
+        Outcome::Written => "written".to_owned(),
+        other => format!("{other:?}"),
+    });
+    match (sent, outcome) {
+        (None, None) => "-".to_owned(),
+        (Some(one), None) | (None, Some(one)) => one,
+        (Some(sent), Some(outcome)) => format!("{sent}+{outcome}"),
+    }
+}
+
+#[test]
+fn every_state_of_the_client_with_every_answer() {
+    let address = TEXT;
+    let (small, data) = (Initiate::Expedited(Bytes::new(b"abc")), Bytes::new(b"abc"));
+    let (large, crc, block) = (Initiate::Segmented(Some(10)), true, 4);
+    let code = AbortCode::General;
+    let all = [
+        ("download", Response::Download { address }),
+        ("segment", Response::DownloadSegment { toggle: false }),
+        (
+            "upload",
+            Response::Upload {
+                address,
+                data: small,
+            },
+        ),
+        (
+            "in segments",
+            Response::Upload {
+                address,
+                data: large,
+            },
+        ),
+        (
+            "its segment",
+            Response::UploadSegment {
+                toggle: false,
+                last: false,
+                data,
+            },
+        ),
+        (
+            "block download",
+            Response::BlockDownload {
+                address,
+                crc,
+                block,
+            },
+        ),
+        (
+            "acknowledge",
+            Response::BlockDownloadAck { sequence: 2, block },
+        ),
+        ("end", Response::BlockDownloadEnd),
+        (
+            "block upload",
+            Response::BlockUpload {
+                address,
+                crc,
+                size: Some(10),
+            },
+        ),
+        ("its end", Response::BlockUploadEnd { unused: 4, crc: 0 }),
+        ("abort", Response::Abort { address, code }),
+    ]
+    .map(|(name, response)| (name, response.encode()));
+    let of = |name: &str| all.iter().find(|(n, _)| *n == name).unwrap().1;
+    let last = BlockSegment {
+        last: true,
+        sequence: 1,
+        data: *b"hello\0\0",
+    }
+    .encode();
+    let wrong = "05040001+GaveUp(CommandSpecifier)";
+    let refused = "Refused(General)";
+    let table = [
+        (
+            "idle",
+            true,
+            false,
+            0,
+            vec![of("upload")],
+            "- - - - - - - - - - -",
+        ),
+        (
+            "download",
+            false,
+            false,
+            2,
+            vec![],
+            "written W W W W W W W W W R",
+        ),
+        (
+            "its segments",
+            false,
+            false,
+            10,
+            vec![of("download")],
+            "W seg W W W W W W W W R",
+        ),
+        (
+            "upload",
+            true,
+            false,
+            0,
+            vec![],
+            "W W read next W W W W W W R",
+        ),
+        (
+            "its segments",
+            true,
+            false,
+            0,
+            vec![of("in segments")],
+            "W W W W next W W W W W R",
+        ),
+        (
+            "block download",
+            false,
+            true,
+            10,
+            vec![],
+            "W W W W W - W W W W R",
+        ),
+        (
+            "its blocks",
+            false,
+            true,
+            10,
+            vec![of("block download")],
+            "W W W W W W end W W W R",
+        ),
+        (
+            "its end",
+            false,
+            true,
+            10,
+            vec![of("block download"), of("acknowledge")],
+            "W W W W W W W written W W R",
+        ),
+        // A server may answer a short value without blocks.
+        (
+            "block upload",
+            true,
+            true,
+            0,
+            vec![],
+            "W W read next W W W W go W R",
+        ),
+        // Within a block there is no command.
+        (
+            "its blocks",
+            true,
+            true,
+            0,
+            vec![of("block upload")],
+            "- - - - - ack0 ack0 ack0 ack0 ack0 R",
+        ),
+        (
+            "its end",
+            true,
+            true,
+            0,
+            vec![of("block upload"), last],
+            "W W W W W W W W W 05040004+GaveUp(Crc) R",
+        ),
+    ];
+    for (state, reads, blocks, len, messages, answers) in table {
+        let answers: Vec<_> = answers.split(' ').collect();
+        assert_eq!(answers.len(), all.len());
+        for ((name, response), expected) in all.iter().zip(answers) {
+            let mut client = Client::new(100, 50 * MS);
+            if reads {
+                let _ = client.read(TEXT, blocks, Duration::ZERO);
+            } else {
+                let _ = client.write(TEXT, &pattern(len), blocks, Duration::ZERO);
+            }
+            for message in &messages {
+                let _ = client.handle(message, Duration::ZERO);
+                while client.poll(Duration::ZERO).send.is_some() {}
+            }
+            let expected = match expected {
+                "W" => wrong,
+                "R" => refused,
+                other => other,
+            };
+            let told = progress(&client.handle(response, Duration::ZERO));
+            assert_eq!(told, expected, "{state}: {name}");
+        }
+    }
+}

@@ -56,7 +56,7 @@ impl Modes {
                 self.set_points.active = Some(next);
             }
         } else {
-            self.ramp.velocity = 0.0;
+            (self.ramp.velocity, self.ramp.acceleration) = (0.0, 0.0);
         }
         let target = self.set_points.active.map(|target| target.position);
         let window = d.get(k.position_window);

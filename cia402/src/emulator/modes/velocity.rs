@@ -52,6 +52,7 @@ impl Modes {
             velocity: see.velocity_max,
             acceleration: rate(k.vl_acceleration_speed, k.vl_acceleration_time),
             deceleration: rate(k.vl_deceleration_speed, k.vl_deceleration_time),
+            jerk: None,
         };
         let told = f64::from(d.get(k.vl_target));
         let (low, high) = (f64::from(d.get(k.vl_min)), f64::from(d.get(k.vl_max)));

@@ -74,6 +74,68 @@ fn profile_position_changes_at_once_relative_and_blended() {
     assert!((rig.position() - 40_000).abs() <= 10, "{}", rig.position());
 }
 
+/// 6086h = 3: the demanded velocity has no corners, in PP and in PV, and a ramp without such a limit has.
+#[test]
+fn jerk_is_limited_where_asked() {
+    for (profile, mode, jerk_max) in [
+        (3_i16, 1_i8, 2_000_000.0),
+        (3, 3, 2_000_000.0),
+        (0, 1, f64::MAX),
+    ] {
+        let mut rig = Rig::enabled(DriveConfig::default(), mode);
+        rig.set(0x6086, profile);
+        rig.set_sub(0x60A4, 1, 2_000_000_u32);
+        rig.set(0x607A, 20_000_i32);
+        rig.set(0x60FF, 20_000_i32);
+        rig.word(0x001F);
+        let mut last = (0.0, 0.0);
+        let mut largest = 0.0_f64;
+        for _ in 0..1500 {
+            rig.step();
+            let velocity = f64::from(rig.get::<i32>(0x606B));
+            let acceleration = (velocity - last.0) / 1e-3;
+            largest = largest.max((acceleration - last.1).abs() / 1e-3);
+            last = (velocity, acceleration);
+        }
+        // The demand is told in whole numbers: twice half a unit over a ms, over a ms.
+        let rounding = 2e6;
+        if profile == 3 {
+            assert!(largest <= jerk_max + rounding, "mode {mode}: {largest}");
+        } else {
+            assert!(largest > 1e8, "a trapezoid has corners: {largest}");
+        }
+        if mode == 1 {
+            assert!((rig.position() - 20_000).abs() <= 10, "{}", rig.position());
+        } else {
+            assert!((rig.velocity() - 20_000).abs() <= 500, "{}", rig.velocity());
+        }
+    }
+}
+
+#[test]
+fn profile_types_that_it_has_not_are_refused() {
+    let rig = Rig::new(DriveConfig::default());
+    for (kind, allowed) in [(0_i16, true), (1, false), (2, false), (3, true)] {
+        let address = Address::new(0x6086, 0);
+        let checked = rig
+            .drive
+            .check_download(&rig.d, address, &kind.to_le_bytes());
+        assert_eq!(checked.is_ok(), allowed, "{kind}");
+    }
+}
+
+#[test]
+fn homing_methods_that_it_has_not_are_refused() {
+    let rig = Rig::new(DriveConfig::default());
+    for method in i8::MIN..=i8::MAX {
+        let has = matches!(method, 0..=14 | 17..=30 | 33..=35 | 37);
+        let checked =
+            rig.drive
+                .check_download(&rig.d, Address::new(0x6098, 0), &method.to_le_bytes());
+        assert_eq!(checked.is_ok(), has, "{method}");
+    }
+}
+
 #[test]
 fn halt_keeps_the_target() {
     let mut rig = Rig::enabled(DriveConfig::default(), 1);
@@ -254,6 +316,101 @@ fn interpolated_position_waits_for_its_bit() {
     rig.run(200);
     assert!((rig.position() - 400).abs() < 10, "{}", rig.position());
     assert_eq!(rig.status().raw() & 0x1000, 0x1000);
+}
+
+/// Set-points of a constant velocity every 4 ms, each up to 0.5 ms early or late: the demand goes on evenly.
+#[test]
+fn jitter_of_set_points_is_not_passed_on() {
+    for early in [-2_i32, -1, 0, 1, 2] {
+        let mut rig = Rig::enabled(DriveConfig::default(), 8);
+        rig.set_sub(0x60C2, 1, 4_u8);
+        let quarter = MS / 4;
+        let mut velocities = vec![];
+        for n in 0..400_i32 {
+            // Every third one is off, by so many quarters of a ms.
+            let off = |n: i32| if n % 3 == 0 { -early } else { 0 };
+            let quarters = 16 + off(n + 1) - off(n);
+            rig.set(0x607A, 40 * (n + 1));
+            for at in 0..quarters {
+                let step = Step {
+                    dt: quarter,
+                    set_point: at == 0,
+                    link_lost: false,
+                };
+                let _ = rig.drive.step(&mut rig.d, &step);
+                velocities.push(rig.get::<i32>(0x606B));
+            }
+        }
+        // 40 in 4 ms. Once the phase is found.
+        let settled = &velocities[200 * 16..];
+        let (low, high) = (settled.iter().min().unwrap(), settled.iter().max().unwrap());
+        let span = if early == 0 { 1 } else { 400 };
+        assert!(
+            *low >= 10_000 - span && *high <= 10_000 + span,
+            "{early}: {low} to {high}"
+        );
+        assert_eq!(rig.drive.state(), State::OperationEnabled);
+    }
+}
+
+/// Records come in bursts and are gone through one in each period.
+#[test]
+fn interpolated_position_may_have_a_buffer() {
+    let mut rig = Rig::enabled(DriveConfig::default(), 7);
+    rig.cyclic = false;
+    rig.set_sub(0x60C2, 1, 20_u8);
+    rig.set_sub(0x60C4, 2, 8_u32);
+    rig.set_sub(0x60C4, 6, 1_u8);
+    rig.step();
+    let records = (1..=8).map(|n| n * 100);
+    let taken = |rig: &mut Rig, record| rig.drive.take_record(&rig.d, record);
+    assert!(records.clone().all(|record| taken(&mut rig, record)));
+    assert!(!taken(&mut rig, 900), "a queue refuses what does not fit");
+    rig.run(50);
+    assert!(rig.position().abs() < 10, "bit 4 is low");
+    rig.word(0x001F);
+    let demand = |rig: &Rig| rig.get::<i32>(0x6062);
+    for n in 1..=8 {
+        rig.run(20);
+        assert!((demand(&rig) - 100 * n).abs() <= 1, "{n}: {}", demand(&rig));
+        if n == 2 {
+            assert!(taken(&mut rig, 900), "there is room again");
+        }
+    }
+    rig.run(20);
+    assert_eq!(demand(&rig), 900);
+    rig.run(100);
+    assert_eq!(demand(&rig), 900, "it waits for more at the last one");
+    assert!(taken(&mut rig, 700));
+    rig.run(20);
+    assert!((demand(&rig) - 700).abs() <= 1, "{}", demand(&rig));
+}
+
+/// What 60C4h tells and does.
+#[test]
+fn a_ring_loses_the_oldest_record_and_a_closed_buffer_all() {
+    let mut rig = Rig::enabled(DriveConfig::default(), 7);
+    rig.cyclic = false;
+    let place = |rig: &Rig| -> u16 { rig.d.get(rig.d.key(Address::new(0x60C4, 4)).unwrap()) };
+    rig.set_sub(0x60C4, 2, 3_u32);
+    rig.set_sub(0x60C4, 3, 1_u8);
+    rig.set_sub(0x60C4, 6, 1_u8);
+    for (record, next) in [(10, 1), (20, 2), (30, 0), (40, 1)] {
+        assert!(rig.drive.take_record(&rig.d, record));
+        rig.step();
+        assert_eq!(place(&rig), next, "{record}");
+    }
+    rig.word(0x001F);
+    rig.step();
+    assert!(rig.get::<i32>(0x6062) <= 21, "20 is the oldest one left");
+    rig.run(20);
+    assert_eq!(rig.get::<i32>(0x6062), 40);
+    assert!(rig.drive.take_record(&rig.d, 9_000));
+    rig.set_sub(0x60C4, 6, 0_u8);
+    rig.run(1);
+    rig.set_sub(0x60C4, 6, 1_u8);
+    rig.run(20);
+    assert_eq!((rig.get::<i32>(0x6062), place(&rig)), (40, 0));
 }
 
 #[test]

@@ -58,6 +58,12 @@ pub fn check(config: &CanopenConfig) -> Result<(), String> {
             config.cycle
         ));
     }
+    if !AxisPlan::can_be_told(config.cycle) {
+        return Err(format!(
+            "{name}: cycle is {:?}; drives can be told at most 255 of 1us, 10us, 100us or 1ms",
+            config.cycle
+        ));
+    }
     for arm in &config.arms {
         let drive = |joint: &DriveJoint<u8>| match NodeId::new(joint.drive) {
             Ok(_) if joint.axis < 8 => Ok(()),
@@ -93,8 +99,11 @@ fn network(config: &CanopenConfig) -> Result<Network, String> {
     let mut plans = Vec::new();
     for (id, axes) in nodes {
         let plan = NodePlan::drives(id, &axes).ok_or_else(|| {
-            let (count, most) = (axes.len(), NodePlan::AXES_MAX);
-            format!("node {id} drives {count} joints; its PDOs have identifiers for {most}")
+            let count = axes.len();
+            format!(
+                "node {id} drives {count} joints; from the fifth on they need the identifiers of the \
+                 next node number"
+            )
         });
         plans.push(plan?);
     }
@@ -107,6 +116,7 @@ fn network(config: &CanopenConfig) -> Result<Network, String> {
 
 /// Number and heartbeat of the master.
 fn heartbeat(config: &CanopenConfig) -> Result<Option<(NodeId, Duration)>, String> {
+    let master = NodeId::new(config.master).map_err(|error| format!("master: {error}"))?;
     let usual = (config.cycle * 5).max(HEARTBEAT_MIN);
     let period = config.heartbeat.unwrap_or(usual);
     if period.is_zero() {
@@ -117,7 +127,6 @@ fn heartbeat(config: &CanopenConfig) -> Result<Option<(NodeId, Duration)>, Strin
             "heartbeat is {period:?}; it must be two cycles to {HEARTBEAT_MAX:?}, or zero for none"
         ));
     }
-    let master = NodeId::new(config.master).map_err(|error| format!("master: {error}"))?;
     Ok(Some((master, period)))
 }
 

@@ -69,7 +69,25 @@ fn head(name: &str, report: &Report) -> String {
         "; {} error frames, {} frames lost here, {} refused",
         errors.frames, report.dropped, report.refused
     );
+    sync(&mut text, report);
     text
+}
+
+/// How evenly SYNC comes, if it does.
+fn sync(text: &mut String, report: &Report) {
+    let of = report.ids.get(&takt_can::canopen::SYNC);
+    if let (Some(jitter), Some(stat)) = (report.sync_jitter(), of) {
+        let intervals = &stat.intervals;
+        let _ = writeln!(
+            text,
+            "SYNC  every {:.3} ms ({:.3} to {:.3} ms), jitter {:.1} %, deviation {:.3} ms",
+            ms(intervals.mean()),
+            ms(intervals.shortest()),
+            ms(intervals.longest()),
+            jitter * 1e2,
+            ms(intervals.deviation()),
+        );
+    }
 }
 
 fn ids(text: &mut String, report: &Report) {
