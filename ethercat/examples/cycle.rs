@@ -1,11 +1,16 @@
 //! A cycle kept over minutes on a veth pair: how late it woke up, how many of its answers came after the next cycle
 //! began, how many working counters were other than expected. Axes of two drives follow a slow sine meanwhile, and the
-//! emulated segment answers on the other end. It asks for no priority: run it by `chrt` and `taskset`. Where there is
-//! cyclictest, it runs before and after on the same processor with the same period, half of the time each.
+//! emulated segment answers on the other end. It asks for no priority: run it by `chrt` and `taskset`.
+//!
+//! What the host does is told apart: on either processor a bare thread wakes up once a cycle, in its middle, and does
+//! nothing else. Of what came late it is counted how often one of them was late at that time too; of working counters,
+//! at that time or within 50 cycles before, as slaves are set up anew after some frames are lost in a row. Where there
+//! is cyclictest, it runs before and after on the same processor with the same period, half of the time each. As takt
+//! and cyclictest do, this keeps processors out of deep sleep; with `sleepy` it does not, to show what that is worth.
 //!
 //! ```console
 //! # cargo build --release -p takt-ethercat --example cycle
-//! # unshare --net taskset -c 1 chrt -f 80 target/release/examples/cycle AXES CYCLE_US SECONDS [SEGMENT_CPU]
+//! # unshare --net taskset -c 1 chrt -f 80 target/release/examples/cycle AXES CYCLE_US SECONDS [SEGMENT_CPU] [sleepy]
 //! ```
 #![expect(
     clippy::print_stdout,
@@ -14,14 +19,16 @@
 )]
 
 use std::error::Error;
-use std::io;
+use std::fs::{File, OpenOptions};
+use std::io::{self, Write as _};
 use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread;
+use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-use nix::sched::{CpuSet, sched_setaffinity};
+use nix::sched::{CpuSet, sched_getcpu, sched_setaffinity};
+use nix::sys::mman::{MlockAllFlags, mlockall};
 use nix::time::{ClockId, ClockNanosleepFlags, clock_nanosleep};
 use nix::unistd::Pid;
 use takt_cia402::emulator::DriveConfig;
@@ -31,7 +38,7 @@ use takt_ethercat::config::{MasterConfig, Place, SlaveSpec};
 use takt_ethercat::emulator::{Coupler, Segment, Server, ServoConfig, ServoDrive, SharedSegment};
 use takt_ethercat::link::Port;
 use takt_ethercat::linux::{PacketLink, monotonic};
-use takt_ethercat::master::Master;
+use takt_ethercat::master::{Event, Master};
 
 const ENDS: [&str; 2] = ["tkcy-master", "tkcy-slaves"];
 
@@ -41,6 +48,8 @@ const PRIORITY: u8 = 80;
 const ASK_EACH: u64 = 100;
 /// Events that are printed.
 const EVENTS: usize = 32;
+/// Cycles after a stall within which slaves that were taken for gone are in OP again.
+const AFTERMATH: u32 = 50;
 
 /// A coupler and drives of up to eight axes each, and what a master is to make of them.
 fn stand(axes: u8, cycle: Duration) -> Result<(Segment, MasterConfig), Box<dyn Error>> {
@@ -80,13 +89,93 @@ fn stand(axes: u8, cycle: Duration) -> Result<(Segment, MasterConfig), Box<dyn E
 struct Figures {
     late: Vec<Duration>,
     trips: Vec<Duration>,
-    /// Answers that were not there when the next cycle was to begin.
-    missed: u64,
-    /// Cycles that were left out.
-    skipped: u64,
+    /// When the cycles began whose answers were not there when the next was to begin.
+    missed: Vec<Duration>,
+    /// When those were to begin that were left out.
+    skipped: Vec<Duration>,
+    /// When working counters were other than expected.
+    miscounted: Vec<Duration>,
 }
 
-/// One cycle that was to begin at `due`; returns whether its answer came in time.
+impl Figures {
+    fn with_room(cycles: usize) -> Self {
+        let room = || Vec::with_capacity(cycles + 16);
+        Self {
+            late: room(),
+            trips: room(),
+            missed: room(),
+            skipped: room(),
+            miscounted: room(),
+        }
+    }
+}
+
+/// A bare thread that wakes up in the middle of each cycle, and what it saw.
+struct Witness {
+    stop: Arc<AtomicBool>,
+    thread: JoinHandle<Vec<(Duration, Duration)>>,
+}
+
+impl Witness {
+    /// On a processor, `first` and every period after; more than `cycles` are not kept.
+    fn start(cpu: usize, first: Duration, period: Duration, cycles: usize) -> Self {
+        let stop = Arc::new(AtomicBool::new(false));
+        let stopped = stop.clone();
+        let mut seen = Vec::with_capacity(cycles);
+        let thread = thread::spawn(move || {
+            stay_on(cpu);
+            let mut due = first;
+            while !stopped.load(Ordering::Relaxed) && seen.len() < cycles {
+                wait(due);
+                let Ok(now) = monotonic() else { break };
+                seen.push((due, now));
+                while due <= now {
+                    due += period;
+                }
+            }
+            seen
+        });
+        Self { stop, thread }
+    }
+
+    /// Each time that it was to wake up, and when it did.
+    fn end(self) -> Vec<(Duration, Duration)> {
+        self.stop.store(true, Ordering::Relaxed);
+        self.thread.join().unwrap_or_default()
+    }
+}
+
+/// Keeps the calling thread on a processor; where there is no such one it stays where it is.
+fn stay_on(cpu: usize) {
+    let mut set = CpuSet::new();
+    let _placed = set
+        .set(cpu)
+        .and_then(|()| sched_setaffinity(Pid::from_raw(0), &set));
+}
+
+/// How many of these cycles, or of so long before them, met a bare thread that was late.
+fn shared(
+    cycles: &[Duration],
+    stalls: &[(Duration, Duration)],
+    (before, period): (Duration, Duration),
+) -> usize {
+    let met = |cycle: &&Duration| {
+        let (begin, end) = (cycle.saturating_sub(before), **cycle + period);
+        stalls.iter().any(|(from, to)| *from < end && begin < *to)
+    };
+    cycles.iter().filter(met).count()
+}
+
+/// Keeps processors out of deep sleep as long as it is open.
+fn awake() -> io::Result<File> {
+    let mut file = OpenOptions::new()
+        .write(true)
+        .open("/dev/cpu_dma_latency")?;
+    file.write_all(&0_i32.to_ne_bytes())?;
+    Ok(file)
+}
+
+/// One cycle that was to begin at `due`.
 fn cycle(
     master: &mut Master,
     port: &mut Port<PacketLink>,
@@ -104,12 +193,14 @@ fn cycle(
     loop {
         let left = end.saturating_sub(monotonic()?);
         let Some((bytes, at)) = port.receive(left)? else {
-            figures.missed += 1;
+            figures.missed.push(due);
             return Ok(());
         };
         if master.handle_frame(0, bytes, at) {
             figures.trips.push(monotonic()?.saturating_sub(begin));
-            figures.missed += u64::from(at > end);
+            if at > end {
+                figures.missed.push(due);
+            }
             return Ok(());
         }
     }
@@ -167,70 +258,147 @@ fn lead(
     (following, losses, last)
 }
 
-fn run(axes: u8, config: MasterConfig, seconds: u64) -> Result<(), Box<dyn Error>> {
-    let link = PacketLink::open(ENDS[0])?;
-    let mac = link.mac();
-    let (mut port, mut frame) = (Port::new(link, mac), [0; 1500]);
-    let mut master = Master::new(config)?;
-    let mut figures = Figures::default();
-    let period = master.config().cycle;
-    let mut due = monotonic()?;
-    while !master.is_operational() {
-        due = (due + period).max(monotonic()?);
-        cycle(&mut master, &mut port, &mut frame, due, &mut figures)?;
+/// A master on its way, and what it saw.
+struct Run {
+    master: Master,
+    port: Port<PacketLink>,
+    frame: [u8; 1500],
+    all: Vec<Follower>,
+    figures: Figures,
+    told: Vec<(u64, Event)>,
+    /// How many follow, and one that does not.
+    following: usize,
+    last: Option<AxisState>,
+    losses: u64,
+}
+
+impl Run {
+    /// With all axes asked to follow.
+    fn start(axes: u8, config: MasterConfig, cycles: usize) -> Result<Self, Box<dyn Error>> {
+        let link = PacketLink::open(ENDS[0])?;
+        let mac = link.mac();
+        let (mut port, mut frame) = (Port::new(link, mac), [0; 1500]);
+        let mut master = Master::new(config)?;
+        let mut unused = Figures::default();
+        let mut due = monotonic()?;
+        while !master.is_operational() {
+            due = (due + master.config().cycle).max(monotonic()?);
+            cycle(&mut master, &mut port, &mut frame, due, &mut unused)?;
+            while master.poll_event().is_some() {}
+        }
+        let all = followers(&master, axes)?;
+        Ok(Self {
+            master,
+            port,
+            frame,
+            all,
+            figures: Figures::with_room(cycles),
+            told: Vec::with_capacity(EVENTS),
+            following: 0,
+            last: None,
+            losses: 0,
+        })
     }
-    let mut all = followers(&master, axes)?;
-    let count = usize::try_from(u128::from(seconds) * 1_000_000_000 / period.as_nanos())?;
-    let room = || Vec::with_capacity(count + 16);
-    figures = Figures {
-        late: room(),
-        trips: room(),
-        ..Figures::default()
-    };
-    let misses =
-        |master: &Master| -> u64 { master.groups().iter().map(|group| group.misses).sum() };
-    let (before, frames) = (misses(&master), master.frames());
-    let (mut n, mut following, mut losses) = (0_u64, 0_usize, 0_u64);
-    let (mut told, mut last) = (Vec::with_capacity(EVENTS), None);
-    due = monotonic()? + period;
-    for _ in 0..count {
-        wait(due);
-        cycle(&mut master, &mut port, &mut frame, due, &mut figures)?;
-        while let Some(event) = master.poll_event() {
-            if told.len() < EVENTS {
-                told.push((n, event));
+
+    fn misses(&self) -> u64 {
+        self.master.groups().iter().map(|group| group.misses).sum()
+    }
+
+    fn cycles(&mut self, first: Duration, count: usize) -> io::Result<()> {
+        let (mut due, period) = (first, self.master.config().cycle);
+        for n in (0_u64..).take(count) {
+            wait(due);
+            let before = self.misses();
+            let Self { master, port, .. } = self;
+            cycle(master, port, &mut self.frame, due, &mut self.figures)?;
+            if self.misses() > before {
+                self.figures.miscounted.push(due);
+            }
+            while let Some(event) = self.master.poll_event() {
+                if self.told.len() < EVENTS {
+                    self.told.push((n, event));
+                }
+            }
+            let (following, lost, not) = lead(&mut self.all, &mut self.master, n, due);
+            (self.following, self.last) = (following, not);
+            self.losses += lost;
+            due += period;
+            let now = monotonic()?;
+            while due < now {
+                self.figures.skipped.push(due);
+                due += period;
             }
         }
-        let (now_following, lost, not) = lead(&mut all, &mut master, n, due);
-        (following, last) = (now_following, not);
-        losses += lost;
-        n += 1;
-        due += period;
-        let now = monotonic()?;
-        while due < now {
-            due += period;
-            figures.skipped += 1;
-        }
+        Ok(())
     }
-    let lost = master.frames().lost - frames.lost;
+}
+
+/// What is asked for.
+struct Options {
+    axes: u8,
+    period: Duration,
+    seconds: u64,
+    /// Of the segment.
+    cpu: usize,
+}
+
+fn run(options: &Options, config: MasterConfig) -> Result<(), Box<dyn Error>> {
+    let period = options.period;
+    let count = usize::try_from(u128::from(options.seconds) * 1_000_000_000 / period.as_nanos())?;
+    let mut run = Run::start(options.axes, config, count)?;
+    let frames = run.master.frames();
+    let before = run.misses();
+    let first = monotonic()? + 2 * period;
+    let bare = |cpu| Witness::start(cpu, first + period / 2, period, 2 * count);
+    let witnesses = [bare(sched_getcpu()?), bare(options.cpu)];
+    let done = run.cycles(first, count);
+    let seen = witnesses.map(Witness::end);
+    done?;
     println!(
-        "{axes} axes, {following} following, {period:?}, {count} cycles, axes lost and taken again {losses}"
+        "{} axes, {} following, {period:?}, {count} cycles, axes lost and taken again {}",
+        options.axes, run.following, run.losses
     );
-    if let Some(last) = last {
+    if let Some(last) = run.last {
         println!("one that does not follow: {last}");
     }
-    for (n, event) in told {
+    for (n, event) in &run.told {
         println!("cycle {n}: {event}");
     }
-    tell("wake-up late", &mut figures.late);
-    tell("round trip", &mut figures.trips);
+    report(&mut run.figures, &seen, period);
     println!(
-        "answers after the cycle {}, cycles left out {}, frames lost {lost}, working counter misses {}",
-        figures.missed,
-        figures.skipped,
-        misses(&master) - before
+        "frames lost {}, working counter misses {}",
+        run.master.frames().lost - frames.lost,
+        run.misses() - before
     );
     Ok(())
+}
+
+/// Times and counts, and what of them came with a bare thread that was late by a quarter of a period too.
+fn report(figures: &mut Figures, seen: &[Vec<(Duration, Duration)>; 2], period: Duration) {
+    tell("wake-up late", &mut figures.late);
+    for (seen, name) in seen.iter().zip(["bare there", "bare, segment"]) {
+        let late = seen.iter().map(|(due, at)| at.saturating_sub(*due));
+        tell(name, &mut late.collect::<Vec<_>>());
+    }
+    tell("round trip", &mut figures.trips);
+    let late = |(due, at): &&(Duration, Duration)| at.saturating_sub(*due) >= period / 4;
+    let stalls: Vec<_> = seen.iter().flatten().filter(late).copied().collect();
+    let none = Duration::ZERO;
+    for (what, cycles, before) in [
+        ("answers after the cycle", &figures.missed, none),
+        ("cycles left out", &figures.skipped, none),
+        (
+            "working counters missed",
+            &figures.miscounted,
+            AFTERMATH * period,
+        ),
+    ] {
+        let host = shared(cycles, &stalls, (before, period));
+        println!(
+            "{what:23} {:6}, {host} of them with a bare thread late too",
+            cycles.len()
+        );
+    }
 }
 
 /// A turn of 1000 increments to each side in two seconds.
@@ -300,15 +468,12 @@ fn ip(arguments: &str) -> io::Result<()> {
     ))
 }
 
-fn main() -> Result<(), Box<dyn Error>> {
-    let number = |at: usize, usual: u64| {
-        let text = std::env::args().nth(at);
-        text.map_or(Ok(usual), |text| text.parse())
-    };
-    let axes = u8::try_from(number(1, 16)?)?;
-    let period = Duration::from_micros(number(2, 1000)?);
-    let (seconds, cpu) = (number(3, 60)?, number(4, 0)?);
-    let (segment, config) = stand(axes, period)?;
+/// Interfaces, and a segment that answers at one of them until `during` is over.
+fn with_segment<T>(
+    segment: Segment,
+    cpu: usize,
+    during: impl FnOnce() -> Result<T, Box<dyn Error>>,
+) -> Result<T, Box<dyn Error>> {
     let _left_behind = ip(&format!("link del {}", ENDS[0]));
     ip(&format!(
         "link add {} type veth peer name {}",
@@ -321,19 +486,40 @@ fn main() -> Result<(), Box<dyn Error>> {
     let stopped = stop.clone();
     let mut server = Server::new(SharedSegment::new(segment), PacketLink::open(ENDS[1])?);
     let served = thread::spawn(move || {
-        let mut set = CpuSet::new();
-        // Where there is no such processor it stays where it is.
-        let _placed = set
-            .set(usize::try_from(cpu).unwrap_or(0))
-            .and_then(|()| sched_setaffinity(Pid::from_raw(0), &set));
+        stay_on(cpu);
         let turn = Duration::from_millis(20);
         while !stopped.load(Ordering::Relaxed) && server.turn(turn, &mut monotonic).is_ok() {}
     });
-    cyclictest(period, seconds / 2);
-    let done = run(axes, config, seconds);
-    cyclictest(period, seconds / 2);
+    let done = during();
     stop.store(true, Ordering::Relaxed);
     let _ended = served.join();
     ip(&format!("link del {}", ENDS[0]))?;
     done
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let mut arguments: Vec<String> = std::env::args().skip(1).collect();
+    let sleepy = arguments.pop_if(|last| last == "sleepy").is_some();
+    let number = |at: usize, usual: u64| {
+        let text = arguments.get(at);
+        text.map_or(Ok(usual), |text| text.parse())
+    };
+    let options = Options {
+        axes: u8::try_from(number(0, 16)?)?,
+        period: Duration::from_micros(number(1, 1000)?),
+        seconds: number(2, 60)?,
+        cpu: usize::try_from(number(3, 0)?)?,
+    };
+    mlockall(MlockAllFlags::MCL_CURRENT | MlockAllFlags::MCL_FUTURE)?;
+    let awake = if sleepy { Ok(None) } else { awake().map(Some) };
+    if let Err(error) = &awake {
+        println!("processors may sleep deeply: /dev/cpu_dma_latency: {error}");
+    }
+    let (segment, config) = stand(options.axes, options.period)?;
+    with_segment(segment, options.cpu, || {
+        cyclictest(options.period, options.seconds / 2);
+        let done = run(&options, config);
+        cyclictest(options.period, options.seconds / 2);
+        done
+    })
 }

@@ -2,7 +2,8 @@
 //! loop that sends the same frame by the same socket and waits for it, ethercrab, and SOEM by pysoem. Each master has a
 //! pair and an emulated segment of its own, of the same slaves in OP; short slices of each alternate, so that a busy
 //! host is busy for all. Segments answer on processor 0, masters ask on processor 1; ethercrab's thread for its socket
-//! may run on both. Needs to be allowed to make interfaces and raw sockets.
+//! may run on both. Processors are kept out of deep sleep, as takt does. Needs to be allowed to make interfaces and raw
+//! sockets.
 //!
 //! ```console
 //! # ethercat/tests/peers/install.sh
@@ -18,20 +19,21 @@
     reason = "an example: it prints, and the segments' ends of the cables are threads of their own"
 )]
 
+#[path = "../tests/peers/crab.rs"]
+mod crab;
+
 use std::error::Error;
-use std::future::Future;
+use std::fs::{File, OpenOptions};
 use std::io::{self, BufRead, BufReader, Write};
-use std::pin::pin;
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::task::{Context, Poll, Wake, Waker};
-use std::thread::{self, JoinHandle, Thread};
+use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-use ethercrab::std::{ethercat_now, tx_rx_task};
+use ethercrab::std::ethercat_now;
 use ethercrab::subdevice_group::{NoDc, Op};
-use ethercrab::{DefaultLock, MainDevice, MainDeviceConfig, PduStorage, SubDeviceGroup, Timeouts};
+use ethercrab::{DefaultLock, MainDevice, MainDeviceConfig, SubDeviceGroup};
 use nix::sched::{CpuSet, sched_setaffinity};
 use nix::unistd::Pid;
 use takt_cia402::emulator::DriveConfig;
@@ -48,8 +50,6 @@ const PATIENCE: Duration = Duration::from_millis(20);
 const SLICE: usize = 50;
 const SLAVES: usize = 8;
 const IMAGE: usize = 512;
-
-static STORAGE: PduStorage<16, { PduStorage::element_size(1100) }> = PduStorage::new();
 
 type Anything<T> = Result<T, Box<dyn Error>>;
 
@@ -171,28 +171,6 @@ impl Ours {
     }
 }
 
-/// Wakes a thread.
-struct Unpark(Thread);
-
-impl Wake for Unpark {
-    fn wake(self: Arc<Self>) {
-        self.0.unpark();
-    }
-}
-
-/// Runs a future to its end on this thread.
-fn block_on<F: Future>(future: F) -> F::Output {
-    let mut future = pin!(future);
-    let waker = Waker::from(Arc::new(Unpark(thread::current())));
-    let mut context = Context::from_waker(&waker);
-    loop {
-        match future.as_mut().poll(&mut context) {
-            Poll::Ready(value) => return value,
-            Poll::Pending => thread::park(),
-        }
-    }
-}
-
 /// ethercrab.
 struct Crab {
     main: &'static MainDevice<'static>,
@@ -201,19 +179,8 @@ struct Crab {
 
 impl Crab {
     fn start(interface: &str) -> Anything<Self> {
-        let (tx, rx, pdus) = STORAGE.try_split().map_err(|()| "its storage is taken")?;
-        let timeouts = Timeouts {
-            pdu: Duration::from_millis(500),
-            state_transition: Duration::from_secs(10),
-            ..Timeouts::default()
-        };
-        let config = MainDeviceConfig::default();
-        // It lives as long as the program.
-        let main: &'static MainDevice<'static> =
-            Box::leak(Box::new(MainDevice::new(pdus, timeouts, config)));
-        let task = tx_rx_task(interface, tx, rx)?;
-        thread::spawn(move || block_on(task).map(|_| ()));
-        let group = block_on(Self::bring_up(main)).map_err(|error| format!("{error:?}"))?;
+        let main = crab::start(interface, MainDeviceConfig::default())?;
+        let group = crab::block_on(Self::bring_up(main)).map_err(|error| format!("{error:?}"))?;
         Ok(Self { main, group })
     }
 
@@ -232,7 +199,7 @@ impl Crab {
     fn slice(&self, times: &mut Vec<Duration>) -> Anything<()> {
         for _ in 0..SLICE {
             let begin = monotonic()?;
-            let answer = block_on(self.group.tx_rx(self.main));
+            let answer = crab::block_on(self.group.tx_rx(self.main));
             let took = monotonic()?.saturating_sub(begin);
             if answer.is_ok() {
                 times.push(took);
@@ -367,7 +334,20 @@ fn measure(cycles: usize, spin: Duration, served: &[Served]) -> Anything<()> {
     Ok(())
 }
 
+/// Keeps processors out of deep sleep as long as it is open.
+fn awake() -> io::Result<File> {
+    let mut file = OpenOptions::new()
+        .write(true)
+        .open("/dev/cpu_dma_latency")?;
+    file.write_all(&0_i32.to_ne_bytes())?;
+    Ok(file)
+}
+
 fn main() -> Anything<()> {
+    let awake = awake();
+    if let Err(error) = &awake {
+        println!("processors may sleep deeply: /dev/cpu_dma_latency: {error}");
+    }
     let cycles = std::env::args()
         .nth(1)
         .map_or(Ok(10_000), |text| text.parse())?;

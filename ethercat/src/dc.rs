@@ -44,8 +44,9 @@ pub(crate) const ORDER: [usize; 3] = [3, 1, 2];
 /// Delay of each slave from the first one in the ring, ns, from the receive times of its ports.
 ///
 /// A frame that leaves by a port and comes back to the next has passed the cable twice and all that is behind it; what
-/// it needed there the slave behind knows. Half of the rest is one way. Times wrap at 32 bits. A slave without clock
-/// passes the delay on unchanged: `times` is `None`.
+/// it needed there the slave behind knows. Half of the rest is one way. Times wrap at 32 bits. A slave without clock,
+/// whose `times` are `None`, is a part of the way from the nearest one with a clock before it; what hangs on branches of
+/// its own is counted as if it lay on that way.
 #[must_use]
 pub fn delays(topology: &Topology, times: &[Option<[u32; 4]>]) -> Vec<u32> {
     let mut delays = vec![0_u32; times.len()];
@@ -53,11 +54,20 @@ pub fn delays(topology: &Topology, times: &[Option<[u32; 4]>]) -> Vec<u32> {
         let Some((parent, port)) = topology.parent(number) else {
             continue;
         };
-        let before = delays.get(parent).copied().unwrap_or(0);
         let times = |number: usize| times.get(number).copied().flatten();
-        let hop = times(parent).zip(times(number)).map_or(0, |(above, here)| {
-            hop(topology, (parent, port, &above), (number, &here))
+        let (mut above, mut by) = (parent, port);
+        while times(above).is_none()
+            && let Some((parent, port)) = topology.parent(above)
+        {
+            (above, by) = (parent, port);
+        }
+        let hop = times(above).zip(times(number)).map(|(before, here)| {
+            let hop = hop(topology, (above, by, &before), (number, &here));
+            (above, hop)
         });
+        // Without a clock its own delay is of no use to anybody.
+        let (above, hop) = hop.unwrap_or((parent, 0));
+        let before = delays.get(above).copied().unwrap_or(0);
         if let Some(delay) = delays.get_mut(number) {
             *delay = before.wrapping_add(hop);
         }
@@ -214,8 +224,11 @@ mod tests {
         // Seen by the first: 1501 - 1 ns there and back; by the second 800.
         let found = delays(&line, &times);
         assert_eq!(found, [0, (1501 - 800) / 2, (1501 - 800) / 2 + 400]);
-        let times = [Some([0, 1600, 0, 0]), None, Some([77, 9, 9, 9])];
-        assert_eq!(delays(&line, &times), [0, 0, 0]);
+        // Without a clock in between the delay behind it is the same.
+        let times = [times[0], None, times[2]];
+        assert_eq!(delays(&line, &times), [0, 0, 1501 / 2]);
+        let times = [None, Some([0, 1600, 0, 0]), Some([77, 9, 9, 9])];
+        assert_eq!(delays(&line, &times), [0, 0, 800]);
     }
 
     #[test]

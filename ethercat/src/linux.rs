@@ -4,6 +4,7 @@
 mod cable;
 mod packet;
 mod tap;
+mod wait;
 
 pub use cable::{CableEnd, cable};
 pub use packet::{PacketLink, monotonic};

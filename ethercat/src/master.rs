@@ -250,11 +250,14 @@ impl Master {
         ring.sort_unstable();
         self.ring = ring.into_iter().map(|(_, number)| number).collect();
         self.presence.set_homes(&self.ring, self.units.len());
+        // With the first cable cut the loop at the end is the only way in.
+        let (_, heard) = self.exchange.halves();
+        let whole = self.config.redundant && heard == [true, true];
         let last = self
             .ring
             .len()
             .checked_sub(1)
-            .filter(|last| self.config.redundant && self.topology.ports(*last)[1]);
+            .filter(|last| whole && self.topology.ports(*last)[1]);
         self.scan
             .begin_latch(last.and_then(|last| u16::try_from(last).ok()));
     }
@@ -273,6 +276,8 @@ impl Master {
                     let later = STATION_FIRST + count + u16::try_from(number).unwrap_or(0);
                     let mut unit = Unit::new(number, later, spec.clone(), &self.config);
                     unit.gate = Gate::Goal;
+                    // What its place in the image will hold, so that who looks for objects finds them.
+                    unit.process = ProcessData::from_spec(&unit.spec).unwrap_or_default();
                     unit
                 },
                 |mut unit| {

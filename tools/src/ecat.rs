@@ -72,6 +72,9 @@ struct Target {
     /// The network interface, as `ip link` names it.
     #[arg(value_name = "IFACE")]
     interface: String,
+    /// The interface at the other end of a ring.
+    #[arg(long, value_name = "IFACE")]
+    second: Option<String>,
     /// How long slaves may take to their state.
     #[arg(long, value_name = "TIME", default_value = "10s", value_parser = span)]
     patience: Duration,
@@ -83,6 +86,9 @@ struct Source {
     /// The network interface, as `ip link` names it.
     #[arg(value_name = "IFACE", required_unless_present = "from")]
     interface: Option<String>,
+    /// The interface at the other end of a ring; with `--config` that of the cell, if it has a link.
+    #[arg(long, value_name = "IFACE", conflicts_with = "from")]
+    second: Option<String>,
     /// Judge this recording (pcap) instead, as far as its master asked.
     #[arg(long, value_name = "FILE", conflicts_with = "interface")]
     from: Option<PathBuf>,
@@ -109,13 +115,16 @@ impl Source {
             cycle: cycle.unwrap_or(Duration::from_millis(1)),
             ..MasterConfig::default()
         };
+        let mut second = self.second.clone();
         if let Some(path) = &self.config {
             let cell = CellConfig::read(path)?;
             let segment = cell::segment(&cell, self.segment.as_deref())?;
-            config = cell::master(segment, cycle.unwrap_or(segment.cycle), goal)?;
+            config = cell::master(segment, cycle.unwrap_or(segment.cycle), goal);
+            second = second.or_else(|| cell::other_end(segment));
         }
         let target = Target {
             interface: self.interface.clone().unwrap_or_default(),
+            second,
             patience: self.patience,
         };
         target.open(config)
@@ -136,7 +145,20 @@ impl Target {
         let link = PacketLink::open(&self.interface)?;
         let mac = link.mac();
         let has_sync = config.slaves.iter().any(|slave| slave.sync.is_some());
+        let config = MasterConfig {
+            redundant: self.second.is_some(),
+            ..config
+        };
         let mut session = Session::new(&self.interface, link, mac, config)?;
+        if let Some(second) = &self.second {
+            anyhow::ensure!(
+                *second != self.interface,
+                "{second} is named as both ends; a ring ends at two interfaces"
+            );
+            let link = PacketLink::open(second)?;
+            let mac = link.mac();
+            session = session.with_second(link, mac);
+        }
         if has_sync {
             session.follow_sync0();
         }

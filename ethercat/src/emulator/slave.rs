@@ -230,6 +230,18 @@ impl Slave {
         self.eeprom.bytes_mut()
     }
 
+    /// Gives it another name, whose first word is its order code. Its EEPROM is as new; the change holds from the next
+    /// power-on on.
+    pub fn rename(&mut self, name: &str) {
+        let sii = &mut self.config.sii;
+        name.clone_into(&mut sii.name);
+        name.split(' ')
+            .next()
+            .unwrap_or_default()
+            .clone_into(&mut sii.order);
+        *self.eeprom.bytes_mut() = sii.encode();
+    }
+
     /// Makes it fall back to a state with a code, as an error of its own does.
     pub fn fall(&mut self, state: AlState, code: AlStatusCode) {
         self.leave(state);

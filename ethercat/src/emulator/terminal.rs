@@ -66,7 +66,8 @@ impl Io {
             pdos(0x1600, 0, outputs, "output"),
             pdos(0x1A00, 1, inputs, "input"),
         );
-        Self::slave(name, 0x2000, rx, tx)
+        let product = 0x2000 + (u32::from(outputs) << 8) + u32::from(inputs);
+        Self::terminal(name, product, rx, tx)
     }
 
     /// A terminal of `outputs` and `inputs` analogue channels of 16 bits, and this handle to them.
@@ -92,15 +93,22 @@ impl Io {
             pdos(0x1600, 0, outputs, "output"),
             pdos(0x1A00, 1, inputs, "input"),
         );
-        Self::slave(name, 0x4000, rx, tx)
+        let product = 0x4000 + (u32::from(outputs) << 8) + u32::from(inputs);
+        Self::terminal(name, product, rx, tx)
     }
 
-    fn slave(name: String, product: u32, rx: Vec<PdoImage>, tx: Vec<PdoImage>) -> (Slave, Self) {
-        let (outputs, inputs) = (rx.len(), tx.len());
+    /// A terminal with these PDOs, and this handle to it. The first word of its name is its order code.
+    #[must_use]
+    pub fn terminal(
+        name: String,
+        product: u32,
+        rx: Vec<PdoImage>,
+        tx: Vec<PdoImage>,
+    ) -> (Slave, Self) {
         let sii = SiiImage {
             identity: Identity {
                 vendor: VENDOR,
-                product: product + u32::try_from(outputs * 256 + inputs).unwrap_or(0),
+                product,
                 revision: 0x0001_0000,
                 serial: 0,
             },

@@ -4,13 +4,12 @@
 #![expect(unsafe_code, reason = "packet sockets have no safe wrapper")]
 
 use std::io;
-use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
+use std::os::fd::{AsFd, AsRawFd, FromRawFd, OwnedFd};
 use std::time::Duration;
 
-use nix::poll::{PollFd, PollFlags, ppoll};
-use nix::sys::time::TimeSpec;
 use nix::time::{ClockId, clock_gettime};
 
+use super::wait::readable;
 use crate::link::{ETHER_TYPE, Link};
 
 /// Time of CLOCK_MONOTONIC, the clock of every stamp in this room.
@@ -157,15 +156,10 @@ impl Link for PacketLink {
         if let Some(received) = self.spin(buf, timeout)? {
             return Ok(Some(received));
         }
-        let timeout = timeout.saturating_sub(self.spin);
-        let mut waits = [PollFd::new(
-            std::os::fd::AsFd::as_fd(&self.socket),
-            PollFlags::POLLIN,
-        )];
-        match ppoll(&mut waits, Some(TimeSpec::from_duration(timeout)), None) {
-            Ok(0) | Err(nix::errno::Errno::EINTR) => Ok(None),
-            Ok(_) => self.take(buf),
-            Err(error) => Err(error.into()),
+        if readable(self.socket.as_fd(), timeout.saturating_sub(self.spin))? {
+            self.take(buf)
+        } else {
+            Ok(None)
         }
     }
 }

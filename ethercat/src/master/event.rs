@@ -101,7 +101,7 @@ pub enum Fault {
     /// The reference clock does not show its time.
     NoReference {
         /// Whose clock that is.
-        slave: Option<usize>,
+        slave: usize,
     },
     /// It came when the process image was made already, and its process data was not known then.
     NoRoom,
@@ -156,13 +156,10 @@ impl fmt::Display for Fault {
             Self::NoClock => f.write_str(
                 "SYNC0 is wanted, and the slave has no clock of 64 bits with SYNC unit; take `sync` out",
             ),
-            Self::NoReference { slave } => {
-                f.write_str("its clock waits for the reference clock, which is not running; see ")?;
-                match slave {
-                    Some(slave) => write!(f, "why slave {slave} does not come up"),
-                    None => f.write_str("why no slave with a clock comes up"),
-                }
-            }
+            Self::NoReference { slave } => write!(
+                f,
+                "its clock waits for the reference clock, which is not running; see why slave {slave} does not come up"
+            ),
             Self::NoRoom => f.write_str(
                 "it has no place in the process image; give its outputs and inputs in the configuration",
             ),
@@ -262,6 +259,17 @@ pub enum Event {
         /// Where in the ring, from 0.
         position: u16,
     },
+    /// At start a ring is open before this position, so that slaves cannot be given addresses by their place; it is
+    /// waited for.
+    StartSplit {
+        /// Where, from 0.
+        position: u16,
+    },
+    /// A slave came back, and which one it is cannot be told: it is left alone. Told once until that changes.
+    Unplaced {
+        /// Because a ring is open between slaves; else because another one of its kind is missing too.
+        ring: bool,
+    },
     /// A clock that was locked does not follow the reference any more.
     ClockLost {
         /// Whose.
@@ -331,6 +339,20 @@ impl fmt::Display for Event {
             Self::Stranger { position } => write!(
                 f,
                 "position {position}: a slave that the configuration does not know; it stays in INIT"
+            ),
+            Self::StartSplit { position } => write!(
+                f,
+                "the ring is open before position {position}: slaves get their addresses by their place, which two \
+                 ends at once do not show; see plugs, cable and supply there, or start without the second port"
+            ),
+            Self::Unplaced { ring: true } => f.write_str(
+                "a slave came back while the ring is open between others, so that its place cannot be told; it stays \
+                 in INIT until the ring is whole",
+            ),
+            Self::Unplaced { ring: false } => f.write_str(
+                "a slave came back while another one of its kind is missing, so that its place cannot be told; it \
+                 stays in INIT until all are back: an alias for each (SII word 4), by which they are expected, tells \
+                 them apart",
             ),
             Self::ClockLost {
                 slave,

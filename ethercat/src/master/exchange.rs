@@ -134,6 +134,17 @@ impl Exchange {
         (self.census, [self.deaf[0] < DEAF, self.deaf[1] < DEAF])
     }
 
+    /// Where a ring is open, if slaves are reached from both of its ends: position 0 is then another slave from either
+    /// end, and nothing can be asked by position.
+    pub(super) const fn split(&self) -> Option<u16> {
+        let [first, last] = self.census;
+        if first > 0 && last > 0 {
+            Some(first)
+        } else {
+            None
+        }
+    }
+
     /// Closes the frame under way: `Whole` if one half of the ring answered, `Nothing` if it is lost or there was none.
     pub(super) fn close(&mut self) -> Heard {
         if !std::mem::take(&mut self.open) {
@@ -244,9 +255,10 @@ impl Exchange {
     fn note_census(&mut self, port: usize, frame: &Frame<'_>) {
         let counted = self.sent.iter().zip(frame.datagrams());
         for (sent, datagram) in counted {
-            if let (Owner::Census, Ok(datagram), Some(to)) =
-                (sent.owner, datagram, self.census.get_mut(port))
-            {
+            // While slaves are only counted, that is the census.
+            let counts = sent.owner == Owner::Census
+                || (sent.owner == Owner::Scan && sent.command == Command::Brd);
+            if let (true, Ok(datagram), Some(to)) = (counts, datagram, self.census.get_mut(port)) {
                 *to = datagram.working_counter.raw();
             }
         }

@@ -156,12 +156,12 @@ impl Image {
     }
 
     /// Bytes that the datagram of a mailbox can have in a frame with the clock's datagram, the census and this image;
-    /// without an image nothing else need be in its frame.
+    /// before there is an image nothing else need be in its frame.
     pub(super) fn mailbox_room(&self) -> usize {
         const CYCLIC: [usize; 2] = [8, 2];
         let overhead = DatagramHeader::LEN + 2;
         let whole = FrameWriter::LEN_MAX - FrameHeader::LEN - overhead;
-        if self.data.is_empty() {
+        if self.places.is_empty() {
             return whole;
         }
         let lens = self.groups.iter().flat_map(Group::datagrams);
@@ -345,6 +345,16 @@ mod tests {
         );
         let large = [need(0, 1300, 1, true)];
         assert_eq!(Image::new(&large).unwrap_err(), TooLarge { bytes: 1301 });
+    }
+
+    #[test]
+    fn a_mailbox_shares_the_frame_with_clock_and_census_even_without_process_data() {
+        let whole = FrameWriter::LEN_MAX - FrameHeader::LEN - 12;
+        assert_eq!(Image::default().mailbox_room(), whole);
+        let without = Image::new(&[need(0, 0, 0, true)]).unwrap();
+        assert_eq!(without.mailbox_room(), whole - 20 - 14);
+        let with = Image::new(&[need(0, 5, 5, true)]).unwrap();
+        assert_eq!(with.mailbox_room(), whole - 20 - 14 - 22);
     }
 
     #[test]

@@ -68,6 +68,8 @@ pub(super) struct Presence {
     rejected: Vec<bool>,
     /// Slaves whose cable was told, until they are there again.
     told: Vec<bool>,
+    /// It was told that somebody's place cannot be.
+    unplaced: bool,
     /// Something was lost in this frame.
     newly_lost: bool,
     frames_lost: u8,
@@ -185,6 +187,7 @@ impl Master {
             .fold(u8::from(strangers > 0), |or, state| or | state);
         if usize::from(count) == known && states & 0x1F == expected {
             self.presence.pause = 0;
+            self.presence.unplaced &= strangers > 0;
             return;
         }
         // Fewer than known is urgent; of what stays as it is one look a while is enough.
@@ -295,6 +298,10 @@ impl Master {
             return;
         }
         match self.missing_at(alias) {
+            Some(slave) if self.is_unclear(slave, alias) => {
+                self.presence.strange += 1;
+                self.unplaced(false);
+            }
             Some(slave) if self.presence.found.is_none() => {
                 self.presence.found = Some((position, slave));
             }
@@ -306,6 +313,33 @@ impl Master {
                     self.out.event(Event::Stranger { position });
                 }
             }
+        }
+    }
+
+    /// Whether the one that was found may as well be another one that is missing: of the same kind, not told by an
+    /// alias, and where not all are back the order of the ring does not tell either. In a line it does, as nothing is
+    /// reached behind one that is missing.
+    fn is_unclear(&self, slave: usize, alias: u16) -> bool {
+        let Some(unit) = self.units.get(slave) else {
+            return false;
+        };
+        let kind = |unit: &Unit| (unit.info.identity.vendor, unit.info.identity.product);
+        let told =
+            alias != 0 && (unit.spec.place == Place::Alias(alias) || unit.info.alias == alias);
+        let missing = || self.units.iter().filter(|unit| !unit.is_present());
+        let alike = missing().filter(|other| kind(other) == kind(unit)).count();
+        let all_back = usize::from(self.presence.counted) >= self.units.len();
+        let is_line = || {
+            (1..self.topology.len())
+                .all(|number| self.topology.parent(number) == Some((number - 1, 1)))
+        };
+        !told && alike > 1 && !all_back && (self.config.redundant || !is_line())
+    }
+
+    /// Tells, once, that somebody's place cannot be told.
+    fn unplaced(&mut self, ring: bool) {
+        if !std::mem::replace(&mut self.presence.unplaced, true) {
+            self.out.event(Event::Unplaced { ring });
         }
     }
 
@@ -386,7 +420,10 @@ impl Master {
                 let unclear = self.presence.silent.iter().any(|silent| *silent > 0);
                 self.presence.pause = if unclear { 0 } else { PAUSE };
                 let more = usize::from(count) > present + usize::from(self.presence.strangers);
-                if more {
+                if more && self.exchange.split().is_some() {
+                    self.presence.state = State::Calm;
+                    self.unplaced(true);
+                } else if more {
                     (self.presence.state, self.presence.strange) = (State::Survey(0), 0);
                     (self.presence.met, self.presence.found) = (None, None);
                 } else {
@@ -468,28 +505,35 @@ impl Master {
             return;
         }
         self.presence.open = open;
-        self.out.event(match open {
-            None => Event::RingClosed,
-            Some(position) => {
-                let at = |position: u16| self.ring.get(usize::from(position)).copied();
-                let from = position
-                    .checked_sub(1)
-                    .and_then(at)
-                    .map(|number| (number, 1));
-                Event::RingOpen {
-                    cable: Cable {
-                        from,
-                        to: at(position),
-                    },
-                }
-            }
-        });
+        let event = self
+            .ring_gap()
+            .map_or(Event::RingClosed, |cable| Event::RingOpen { cable });
+        self.out.event(event);
+    }
+
+    /// The cable at which a ring of two ports is open; `None` while it is whole.
+    #[must_use]
+    pub fn ring_gap(&self) -> Option<Cable> {
+        let position = self.presence.open?;
+        let at = |position: u16| self.ring.get(usize::from(position)).copied();
+        let before = position.checked_sub(1).and_then(at);
+        Some(Cable {
+            from: before.map(|number| (number, 1)),
+            to: at(position),
+        })
     }
 
     /// The position before which a ring of two ports is open; `None` while it is whole.
     #[must_use]
     pub const fn ring_open(&self) -> Option<u16> {
         self.presence.open
+    }
+
+    /// The position before which a ring of two ports is open at start, where slaves wait for it; `None` once they have
+    /// their addresses.
+    #[must_use]
+    pub fn ring_split(&self) -> Option<u16> {
+        self.scan.split.filter(|_| self.scan.phase == Phase::Count)
     }
 
     /// Slaves that are there and not expected.

@@ -64,6 +64,8 @@ pub(super) struct Scan {
     /// ring no frame comes back, and there would be nothing to measure.
     tail: Option<u16>,
     latch: Latch,
+    /// Where the ring was open when slaves were counted last.
+    pub(super) split: Option<u16>,
 }
 
 /// Where the latching is.
@@ -87,6 +89,7 @@ impl Scan {
             addressed: 0,
             tail: None,
             latch: Latch::Now,
+            split: None,
         }
     }
 

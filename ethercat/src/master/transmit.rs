@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use super::event::Event;
 use super::exchange::{Heard, Owner, Sent};
 use super::scan::{Phase, Scanned};
 use super::unit::{Answer, Context, Request};
@@ -190,6 +191,7 @@ impl Master {
                 }
                 Owner::Scan => {
                     let (_, counter) = self.exchange.answer(&sent);
+                    let counter = self.whole(counter);
                     match self.scan.handle(counter) {
                         Scanned::On => {}
                         Scanned::Addressed => self.addressed(now),
@@ -200,6 +202,20 @@ impl Master {
             }
         }
         self.after_frame();
+    }
+
+    /// How many slaves answered to the scan; none, and that is told, if a ring is open between them.
+    fn whole(&mut self, counter: u16) -> u16 {
+        let split = self.exchange.split();
+        if self.scan.phase != Phase::Count || split.is_none() {
+            return counter;
+        }
+        if self.scan.split != split {
+            self.scan.split = split;
+            let position = split.unwrap_or_default();
+            self.out.event(Event::StartSplit { position });
+        }
+        0
     }
 
     /// The reference clock, if this frame passed it.
@@ -272,7 +288,7 @@ impl Master {
         clock.silent = 0;
         if clock.slave != Some(next) {
             clock.slave = Some(next);
-            out.event(super::Event::Reference { slave: next });
+            out.event(Event::Reference { slave: next });
         }
     }
 

@@ -126,6 +126,13 @@ pub(super) struct UnitClock {
     pub(super) start_ns: Option<u64>,
 }
 
+impl UnitClock {
+    /// What locked before is outside of the window, for longer than chance has it.
+    pub(super) const fn is_lost(&self) -> bool {
+        self.outside >= OUTSIDE
+    }
+}
+
 /// Differences beyond the window in a row after which a clock is told to be lost.
 const OUTSIDE: u8 = 3;
 /// Jobs that may wait for one slave.
@@ -341,7 +348,7 @@ impl Unit {
             state: AlState::Other(0),
             error: false,
         };
-        self.clock.locked = false;
+        (self.clock.locked, self.clock.outside) = (false, 0);
         (self.step, self.op, self.waiting) = (Step::Absent, Op::Rest, Asked::Nothing);
         self.fault = Some(Fault::Lost);
         out.event(Event::Fault {
@@ -547,7 +554,7 @@ impl Unit {
         let clock = &mut self.clock;
         clock.difference_ns = Some(difference_ns);
         if difference_ns.unsigned_abs() <= cx.config.clocks.window_ns {
-            if clock.outside >= OUTSIDE {
+            if clock.is_lost() {
                 out.event(Event::ClockBack { slave: self.number });
             }
             (clock.locked, clock.outside) = (true, 0);

@@ -83,6 +83,12 @@ impl<'a> SlaveView<'a> {
         self.unit.clock.difference_ns
     }
 
+    /// Its clock was locked, and was outside of the window the last three times that it was read or more.
+    #[must_use]
+    pub const fn clock_is_lost(&self) -> bool {
+        self.unit.clock.is_lost()
+    }
+
     /// Propagation delay from the reference clock, ns.
     #[must_use]
     pub const fn delay_ns(&self) -> u32 {

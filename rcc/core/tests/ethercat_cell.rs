@@ -7,25 +7,23 @@
 )]
 
 mod common;
+#[path = "common/hall.rs"]
+mod hall;
 
-use std::io::Write;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use takt_can::cia402::State;
 use takt_can::cia402::dictionary::Address;
 use takt_core::cell::EthercatConfig;
 use takt_core::device::DeviceStatus;
-use takt_core::device::ethercat::{Ethercat, Wire, Wires, describe, master_config};
-use takt_core::{CellConfig, Controller};
+use takt_core::device::ethercat::master_config;
+use takt_core::{CellConfig, NetId};
 use takt_ethercat::config::{Place, Unlocked};
-use takt_ethercat::emulator::{
-    Coupler, Io, Segment, Server, ServoConfig, ServoDrive, SharedSegment, Slave,
-};
-use takt_ethercat::linux::{cable, monotonic};
-use takt_rt::thread::{Thread, ThreadConfig, spawn};
+use takt_ethercat::emulator::{Coupler, Io, Segment, ServoConfig, ServoDrive, Slave};
+use takt_ethercat::linux::monotonic;
+use takt_tests::steady;
 
-use common::Cell;
+use hall::{Hall, Log};
 
 fn config(text: &str) -> EthercatConfig {
     let text = format!(
@@ -38,82 +36,6 @@ fn config(text: &str) -> EthercatConfig {
 fn refused(text: &str) -> String {
     let text = format!("[[ethercat]]\nname = 'segment'\ninterface = 'near'\n{text}");
     CellConfig::parse(&text).unwrap_err().to_string()
-}
-
-/// A segment in a thread of its own, and a controller that leads it.
-struct Hall {
-    cell: Option<Cell>,
-    segment: SharedSegment,
-    stop: Arc<AtomicBool>,
-    thread: Option<Thread<()>>,
-}
-
-impl Hall {
-    /// By one cable, or by two if the cell names a second interface.
-    fn start(config: &EthercatConfig, segment: Segment) -> Self {
-        let segment = SharedSegment::new(segment);
-        let stop = Arc::new(AtomicBool::new(false));
-        let (stopping, served) = (Arc::clone(&stop), segment.clone());
-        let ((near, far), (near2, far2)) = (cable(), cable());
-        let mut server = Server::new(served, far);
-        if config.second.is_some() {
-            server = server.with_second(far2);
-        }
-        let of_thread = ThreadConfig {
-            priority: Some(88),
-            ..ThreadConfig::new("segment")
-        };
-        let thread = spawn(of_thread, move || {
-            while !stopping.load(Ordering::Relaxed) {
-                let wait = Duration::from_millis(5);
-                server.turn(wait, &mut monotonic).unwrap();
-            }
-        });
-        let wire = |link, last| Wire {
-            link: Box::new(link),
-            source: [2, 0, 0, 0, 0, last],
-        };
-        let wires = Wires {
-            first: wire(near, 1),
-            second: config.second.is_some().then(|| wire(near2, 2)),
-        };
-        let controller = Controller::start(&CellConfig::default()).unwrap();
-        let added = controller.add_driver("segment", describe(config), None, |ends| {
-            Ok(Box::new(Ethercat::start(config, wires, ends)?))
-        });
-        added.unwrap();
-        let robots = Vec::new();
-        Self {
-            cell: Some(Cell { controller, robots }),
-            segment,
-            stop,
-            thread: Some(thread.unwrap()),
-        }
-    }
-
-    fn cell(&self) -> &Cell {
-        self.cell.as_ref().unwrap()
-    }
-
-    fn is_operational(&self) -> bool {
-        let figures = self.cell().controller.with_drivers(Ethercat::figures);
-        figures[0].operational
-    }
-
-    fn wait_until_operational(&self) {
-        let cell = self.cell();
-        cell.wait("the segment", |_| self.is_operational());
-    }
-}
-
-impl Drop for Hall {
-    fn drop(&mut self) {
-        self.cell = None;
-        self.stop.store(true, Ordering::Relaxed);
-        if let Some(thread) = self.thread.take() {
-            thread.join().unwrap();
-        }
-    }
 }
 
 fn servo() -> (Slave, ServoDrive) {
@@ -260,23 +182,25 @@ fn nets_read_and_set_analogue_channels_in_their_units() {
          analogue_in = [{ slave = 'volts', object = [0x6010, 0x11], scale = 0.5 }]\n\
          analogue_out = [{ slave = 'volts', bit = 16, scale = 0.5, offset = 1.0 }]\n",
     );
-    let (terminal, io) = Io::analogue(2, 2);
-    let hall = Hall::start(&config, Segment::line([terminal]));
-    hall.cell().wait_for("io", DeviceStatus::Operational);
-    let net = hall.cell().load(
-        "{ in=IO::InReal(DeviceID='io',Port='0'),
+    steady(|| {
+        let (terminal, io) = Io::analogue(2, 2);
+        let hall = Hall::start(&config, Segment::line([terminal]));
+        hall.cell().wait_for("io", DeviceStatus::Operational);
+        let net = hall.cell().load(
+            "{ in=IO::InReal(DeviceID='io',Port='0'),
            out=IO::OutReal(inIO=in.outIO,DeviceID='io',Port='0'),
            cancel=Cancel(),outTerminate=cancel.outCancel }",
-    );
-    hall.cell().controller.start_net(net).unwrap();
-    for (raw, value) in [(100_i16, 98_i16), (-7, -9), (i16::MIN, i16::MIN)] {
-        let [low, high] = raw.to_le_bytes();
-        io.set_inputs(&[0, 0, low, high]);
-        let [low, high] = value.to_le_bytes();
-        hall.cell().wait("the output as the input", |_| {
-            io.outputs() == [0, 0, low, high]
-        });
-    }
+        );
+        hall.cell().controller.start_net(net).unwrap();
+        for (raw, value) in [(100_i16, 98_i16), (-7, -9), (i16::MIN, i16::MIN)] {
+            let [low, high] = raw.to_le_bytes();
+            io.set_inputs(&[0, 0, low, high]);
+            let [low, high] = value.to_le_bytes();
+            hall.cell().wait("the output as the input", |_| {
+                io.outputs() == [0, 0, low, high]
+            });
+        }
+    });
 }
 
 #[test]
@@ -287,70 +211,127 @@ fn a_ring_of_two_interfaces_goes_on_when_a_cable_is_cut() {
          [[ethercat.slave]]\nname = 'b'\nposition = 1\n\
          [[ethercat.io]]\nname = 'io'\ndigital_in = [['a', 8], ['b', 8]]\ndigital_out = [['a', 8], ['b', 8]]\n",
     );
-    let ((a, _a), (b, io)) = (Io::digital(8, 8), Io::digital(8, 8));
-    let hall = Hall::start(&config, Segment::line([a, b]));
-    hall.cell().wait_for("io", DeviceStatus::Operational);
-    let net = hall.cell().load(
-        "{ in=IO::InBool(DeviceID='io',Port='8'),
+    steady(|| {
+        let ((a, _a), (b, io)) = (Io::digital(8, 8), Io::digital(8, 8));
+        let hall = Hall::start(&config, Segment::line([a, b]));
+        hall.cell().wait_for("io", DeviceStatus::Operational);
+        let net = hall.cell().load(
+            "{ in=IO::InBool(DeviceID='io',Port='8'),
            out=IO::OutBool(inIO=in.outIO,DeviceID='io',Port='15'),
            cancel=Cancel(),outTerminate=cancel.outCancel }",
-    );
-    hall.cell().controller.start_net(net).unwrap();
-    let follows = |value: u8| {
-        io.set_inputs(&[value]);
-        hall.cell()
-            .wait("the output as the input", |_| io.outputs() == [value << 7]);
-    };
-    follows(1);
-    hall.segment.lock().set_link(1, false);
-    follows(0);
-    follows(1);
-    assert!(hall.is_operational());
-    hall.segment.lock().set_link(1, true);
-    follows(0);
-}
-
-/// What is logged.
-#[derive(Clone, Default)]
-struct Log(Arc<Mutex<Vec<u8>>>);
-
-impl Write for Log {
-    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        self.0.lock().unwrap().extend(bytes);
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> std::io::Result<()> {
-        Ok(())
-    }
+        );
+        hall.cell().controller.start_net(net).unwrap();
+        let follows = |value: u8| {
+            io.set_inputs(&[value]);
+            hall.cell()
+                .wait("the output as the input", |_| io.outputs() == [value << 7]);
+        };
+        follows(1);
+        hall.segment().set_link(1, false);
+        follows(0);
+        follows(1);
+        assert!(hall.figures().operational);
+        hall.segment().set_link(1, true);
+        follows(0);
+    });
 }
 
 #[test]
 fn a_slave_without_power_at_start_is_missed_once_and_taken_when_it_comes() {
-    let log = Log::default();
-    let writer = log.clone();
-    let subscriber = tracing_subscriber::fmt().with_ansi(false);
-    let subscriber = subscriber.with_writer(move || writer.clone()).finish();
-    tracing::subscriber::set_global_default(subscriber).unwrap();
-    let text = || String::from_utf8_lossy(&log.0.lock().unwrap()).into_owned();
+    let log = Log::start();
     let config = config(
         "[[ethercat.slave]]\nname = 'a'\nposition = 0\n\
-         [[ethercat.slave]]\nname = 'b'\nposition = 1\n\
-         [[ethercat.io]]\nname = 'io'\ndigital_out = [['b', 9]]\n",
+         [[ethercat.slave]]\nname = 'late'\nposition = 1\n\
+         [[ethercat.io]]\nname = 'io'\ndigital_out = [['late', 9]]\n",
     );
     let mut segment = Segment::line([Io::digital(8, 8).0, Io::digital(8, 8).0]);
     segment.set_power(1, false);
     let hall = Hall::start(&config, segment);
     hall.cell()
-        .wait("it is told", |_| text().contains("\"b\" is missing"));
-    hall.segment.lock().set_power(1, true);
+        .wait("it is told", |_| log.text().contains("\"late\" is missing"));
+    hall.segment().set_power(1, true);
     hall.wait_until_operational();
     let told = [
         "as the cell expects them",
         "it has 8 bits of outputs, 9 are named",
     ];
     for told in told {
-        hall.cell().wait(told, |_| text().contains(told));
+        hall.cell().wait(told, |_| log.text().contains(told));
     }
-    assert_eq!(text().matches("is missing").count(), 1, "{}", text());
+    assert_eq!(
+        log.text().matches("\"late\" is missing").count(),
+        1,
+        "{}",
+        log.text()
+    );
+}
+
+/// What becomes of an arm in mid swing when the clock of its drive jumps, by a policy.
+fn jumps(policy: &str, judge: impl Fn(&Hall, &ServoDrive, NetId, u64)) {
+    let config = config(&format!(
+        "clocks = {{ window = '50us', lost = '{policy}' }}\n\
+         [[ethercat.slave]]\nname = 'first'\nposition = 0\naxes = 1\nsync0 = true\n\
+         [[ethercat.slave]]\nname = 'drive'\nposition = 1\naxes = 1\nsync0 = true\n\
+         [[ethercat.arm]]\nname = 'arm'\njoint = [{{ slave = 'drive', axis = 0, increments_per_turn = 204800.0, \
+         range = [-170.0, 170.0], velocity_max = 300.0, acceleration_max = 300.0 }}]\n"
+    ));
+    steady(|| {
+        let (slave, drive) = servo();
+        let hall = Hall::start(&config, Segment::line([servo().0, slave]));
+        hall.cell().wait_for("arm", DeviceStatus::Operational);
+        let net = hall.cell().swinging("arm", 0);
+        let events = hall.figures().events;
+        let now = u64::try_from(monotonic().unwrap().as_nanos()).unwrap();
+        hall.segment()
+            .slave(1)
+            .unwrap()
+            .clock()
+            .unwrap()
+            .jump(400_000, now);
+        judge(&hall, &drive, net, events);
+    });
+}
+
+fn stands(drive: &ServoDrive) -> bool {
+    drive.axis(0, |drive| drive.motor().velocity.abs()).unwrap() < 0.5
+}
+
+fn state(drive: &ServoDrive) -> State {
+    drive.axis(0, |drive| drive.state()).unwrap()
+}
+
+#[test]
+fn an_arm_whose_clock_is_lost_is_held_until_it_is_back() {
+    jumps("hold", |hall, drive, net, _| {
+        hall.cell().wait_for("arm", DeviceStatus::SafeOperational);
+        hall.cell().wait_for_end(net);
+        hall.cell().wait("the motor standing", |_| stands(drive));
+        assert_eq!(state(drive), State::OperationEnabled);
+        hall.cell().wait_for("arm", DeviceStatus::Operational);
+        hall.cell().swinging("arm", 0);
+    });
+}
+
+#[test]
+fn an_arm_whose_clock_is_lost_is_stopped_until_it_is_back() {
+    jumps("stop", |hall, drive, net, _| {
+        hall.cell().wait_for_end(net);
+        hall.cell()
+            .wait("power off", |_| state(drive) == State::SwitchOnDisabled);
+        assert!(stands(drive), "power went off while it turned");
+        hall.cell().wait_for("arm", DeviceStatus::Operational);
+        hall.cell().swinging("arm", 0);
+    });
+}
+
+#[test]
+fn an_arm_whose_clock_is_lost_goes_on_if_the_cell_says_so() {
+    jumps("ignore", |hall, drive, net, events| {
+        hall.cell().wait("its loss and its return", |_| {
+            hall.figures().events >= events + 2
+        });
+        assert!(!hall.cell().is_over(net), "the net was ended");
+        assert_eq!(hall.cell().status("arm"), DeviceStatus::Operational);
+        assert_eq!(state(drive), State::OperationEnabled);
+    });
 }

@@ -8,32 +8,25 @@
 )]
 
 mod common;
+#[path = "common/hall.rs"]
+mod hall;
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::ops::{Deref, DerefMut};
 use std::time::Duration;
 
 use takt_core::cell::{EthercatConfig, YouBotControl};
 use takt_core::device::DeviceStatus;
-use takt_core::device::ethercat::{Ethercat, EthercatFigures, Wire, describe};
-use takt_core::{CellConfig, Controller, NetId};
-use takt_ethercat::emulator::{
-    Bar, DriveHandle, Firmware, Server, SharedSegment, YouBot, YouBotConfig,
-};
-use takt_ethercat::linux::{cable, monotonic};
+use takt_core::device::ethercat::Ethercat;
+use takt_core::{CellConfig, NetId};
+use takt_ethercat::emulator::{Bar, DriveHandle, Firmware, YouBot, YouBotConfig};
 use takt_motion::kinematics::YouBot as YouBotArm;
 use takt_net::Frame;
 use takt_net::device::Kinematics as _;
-use takt_rt::thread::{Thread, ThreadConfig, spawn};
-
-use common::Cell;
 use takt_rt::alloc::{CountingAllocator, real_time_allocations};
+use takt_tests::steady;
 
 #[global_allocator]
 static ALLOCATOR: CountingAllocator = CountingAllocator;
-
-/// How often a motion is begun again because the host stalled.
-const ATTEMPTS: u32 = 10;
 
 /// The segment as a cell's file tells it.
 fn config() -> EthercatConfig {
@@ -54,24 +47,23 @@ fn config() -> EthercatConfig {
     cell.ethercat.into_iter().next().unwrap()
 }
 
-/// A youBot in a thread of its own, and a controller that leads it.
+/// A youBot, and a controller that leads it.
 struct Hall {
-    cell: Option<Cell>,
-    segment: SharedSegment,
+    hall: hall::Hall,
     bot: YouBot,
-    served: Option<Served>,
 }
 
-/// A segment at the end of a cable.
-struct Served {
-    stop: Arc<AtomicBool>,
-    thread: Thread<()>,
+impl Deref for Hall {
+    type Target = hall::Hall;
+
+    fn deref(&self) -> &hall::Hall {
+        &self.hall
+    }
 }
 
-impl Served {
-    fn end(self) {
-        self.stop.store(true, Ordering::Relaxed);
-        self.thread.join().unwrap();
+impl DerefMut for Hall {
+    fn deref_mut(&mut self) -> &mut hall::Hall {
+        &mut self.hall
     }
 }
 
@@ -89,61 +81,8 @@ impl Hall {
             firmware,
             ..YouBotConfig::default()
         });
-        let mut hall = Self {
-            cell: None,
-            segment: SharedSegment::new(segment),
-            bot,
-            served: None,
-        };
-        hall.lead(config);
-        hall
-    }
-
-    /// Begins to serve the segment, and a controller that leads it.
-    fn lead(&mut self, config: &EthercatConfig) {
-        let (near, far) = cable();
-        let stop = Arc::new(AtomicBool::new(false));
-        let (stopping, served) = (Arc::clone(&stop), self.segment.clone());
-        let of_thread = ThreadConfig {
-            priority: Some(88),
-            ..ThreadConfig::new("segment")
-        };
-        let thread = spawn(of_thread, move || {
-            let mut server = Server::new(served, far);
-            while !stopping.load(Ordering::Relaxed) {
-                server
-                    .turn(Duration::from_millis(5), &mut monotonic)
-                    .unwrap();
-            }
-        });
-        let controller = Controller::start(&CellConfig::default()).unwrap();
-        let wire = Wire {
-            link: Box::new(near),
-            source: [2, 0, 0, 0, 0, 1],
-        };
-        let added = controller.add_driver("segment", describe(config), None, |ends| {
-            Ok(Box::new(Ethercat::start(config, wire, ends)?))
-        });
-        added.unwrap();
-        let (robots, thread) = (Vec::new(), thread.unwrap());
-        self.cell = Some(Cell { controller, robots });
-        self.served = Some(Served { stop, thread });
-    }
-
-    /// Ends the controller. The drives keep their power.
-    fn leave(&mut self) {
-        self.cell = None;
-        if let Some(served) = self.served.take() {
-            served.end();
-        }
-    }
-
-    fn cell(&self) -> &Cell {
-        self.cell.as_ref().unwrap()
-    }
-
-    fn figures(&self) -> EthercatFigures {
-        self.cell().controller.with_drivers(Ethercat::figures)[0]
+        let hall = hall::Hall::start(config, segment);
+        Self { hall, bot }
     }
 
     fn faults(&self, device: &str) -> u64 {
@@ -170,61 +109,48 @@ impl Hall {
         joint.bars().unwrap().iter().map(Bar::opening).sum()
     }
 
-    /// Runs a net to its end, again if the device was lost meanwhile: a host without `PREEMPT_RT` stalls for longer
-    /// than a bus forgives. Gives what `before` said before the run that counts.
+    /// Runs a net to its end. Gives what `before` said before it.
     fn runs<T>(&self, device: &str, text: &str, before: impl Fn(&Self) -> T) -> T {
-        for _ in 0..ATTEMPTS {
+        steady(|| {
+            self.cell().wait_for(device, DeviceStatus::Operational);
             let (then, faults) = (before(self), self.faults(device));
             let net = self.cell().load(text);
-            if self.cell().controller.start_net(net).is_ok() {
-                self.cell().wait_for_end(net);
-                std::thread::sleep(Duration::from_millis(600));
-                if self.faults(device) == faults {
-                    return then;
-                }
-            }
-            self.cell().wait_for(device, DeviceStatus::Operational);
-        }
-        panic!("{device} was lost in each of {ATTEMPTS} attempts");
+            self.cell().controller.start_net(net).unwrap();
+            self.cell().wait_for_end(net);
+            std::thread::sleep(Duration::from_millis(600));
+            assert_eq!(self.faults(device), faults, "{device} was lost");
+            then
+        })
     }
 
     /// Waits for the gripper. Emulated fingers stand still while the host stalls; those that are late for it get what
     /// is told to do then: the arm's power goes off and on.
     fn wait_for_hand(&self) {
-        let is_late = |hall: &Self| {
-            let why = hall.cell().controller.with_drivers(Ethercat::waits_for)[0].clone();
+        let is_late = || {
+            let why = self.cell().controller.with_drivers(Ethercat::waits_for)[0].clone();
             why.is_some_and(|why| why.contains("a finger did not reach its stop"))
         };
-        for _ in 0..ATTEMPTS {
+        steady(|| {
+            if is_late() {
+                self.segment().set_link(3, false);
+                self.cell().wait_for("hand", DeviceStatus::Offline);
+                self.segment().set_link(3, true);
+            }
             self.cell().wait("the hand", |_| {
-                self.cell().status("hand") == DeviceStatus::Operational || is_late(self)
+                self.cell().status("hand") == DeviceStatus::Operational || is_late()
             });
-            if !is_late(self) {
-                return;
-            }
-            self.segment.lock().set_link(3, false);
-            self.cell().wait_for("hand", DeviceStatus::Offline);
-            self.segment.lock().set_link(3, true);
-        }
-        panic!("the fingers were late in each of {ATTEMPTS} attempts");
+            assert!(!is_late(), "the fingers were late");
+        });
     }
 
-    /// Starts a net that goes on, again if its device was lost just then.
+    /// Starts a net that goes on.
     fn goes(&self, device: &str, text: &str) -> NetId {
-        for _ in 0..ATTEMPTS {
-            let net = self.cell().load(text);
-            if self.cell().controller.start_net(net).is_ok() {
-                return net;
-            }
+        steady(|| {
             self.cell().wait_for(device, DeviceStatus::Operational);
-        }
-        panic!("{device} was lost in each of {ATTEMPTS} attempts");
-    }
-}
-
-impl Drop for Hall {
-    fn drop(&mut self) {
-        self.leave();
+            let net = self.cell().load(text);
+            self.cell().controller.start_net(net).unwrap();
+            net
+        })
     }
 }
 
@@ -343,12 +269,12 @@ fn a_cut_cable_ends_the_net_and_a_mended_one_brings_all_back_at_rest() {
     let net = hall.goes("base", &drive("{vel:{y:0.2}}", 60.0));
     std::thread::sleep(Duration::from_millis(500));
     // Between the second and the third wheel: the arm is behind it too.
-    hall.segment.lock().set_link(3, false);
+    hall.segment().set_link(3, false);
     hall.cell().wait_for("base", DeviceStatus::Offline);
     hall.cell().wait_for("arm", DeviceStatus::Offline);
     hall.cell().wait_for_end(net);
     std::thread::sleep(Duration::from_millis(300));
-    hall.segment.lock().set_link(3, true);
+    hall.segment().set_link(3, true);
     hall.cell().wait_for("base", DeviceStatus::Operational);
     hall.cell().wait_for("arm", DeviceStatus::Operational);
     assert_eq!(real_time_allocations(), 0);
@@ -411,9 +337,9 @@ fn an_arm_behind_a_cable_that_was_cut_rests_where_it_is() {
     }
     assert!(hall.angle(4) > 0.9);
     let before = angles(&hall);
-    hall.segment.lock().set_link(3, false);
+    hall.segment().set_link(3, false);
     hall.cell().wait_for("arm", DeviceStatus::Offline);
-    hall.segment.lock().set_link(3, true);
+    hall.segment().set_link(3, true);
     stays(&hall, before);
 }
 
@@ -519,8 +445,9 @@ fn flange(hall: &Hall) -> Frame {
     YouBotArm::default().forward(&joints)
 }
 
-/// Pushes an arm whose tool is soft. False if the arm was lost meanwhile, which makes it stiff.
-fn gives_way(hall: &Hall) -> bool {
+/// Pushes an arm whose tool is soft. One that is lost meanwhile becomes stiff.
+fn gives_way(hall: &Hall) {
+    hall.cell().wait_for("arm", DeviceStatus::Operational);
     let (at, faults) = (flange(hall), hall.faults("arm"));
     let net = hall.goes("arm", &tool_spring(1000.0, 8.0));
     let is = |key: &str| {
@@ -549,7 +476,7 @@ fn gives_way(hall: &Hall) -> bool {
     hall.cell()
         .wait("the tool coming back", |_| away() < 0.01 || lost());
     hall.cell().wait_for_end(net);
-    !lost()
+    assert!(!lost(), "the arm was lost");
 }
 
 #[test]
@@ -566,11 +493,7 @@ fn a_soft_tool_carries_itself_gives_way_and_comes_back() {
         };
         hall.runs("arm", &swing, |_| ());
     }
-    let done = (0..ATTEMPTS).any(|_| {
-        hall.cell().wait_for("arm", DeviceStatus::Operational);
-        gives_way(&hall)
-    });
-    assert!(done, "the arm was lost in each of {ATTEMPTS} attempts");
+    steady(|| gives_way(&hall));
     assert_eq!(real_time_allocations(), 0);
 }
 

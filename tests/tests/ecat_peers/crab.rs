@@ -1,43 +1,18 @@
 //! What ethercrab does to the segment: scan, SDOs, clocks, OP, two drives that follow positions.
 
-use std::future::Future;
-use std::pin::pin;
-use std::sync::Arc;
-use std::task::{Context, Poll, Wake, Waker};
-use std::thread::Thread;
+#[path = "../../../ethercat/tests/peers/crab.rs"]
+mod client;
+
 use std::time::Duration;
 
 use ethercrab::error::Error;
-use ethercrab::std::{ethercat_now, tx_rx_task};
+use ethercrab::std::ethercat_now;
 use ethercrab::subdevice_group::DcConfiguration;
-use ethercrab::{DcSync, MainDevice, MainDeviceConfig, PduStorage, Timeouts};
+use ethercrab::{DcSync, MainDevice, MainDeviceConfig};
 
 const SLAVES: usize = 8;
 const IMAGE: usize = 128;
 const CYCLE: Duration = Duration::from_millis(4);
-static STORAGE: PduStorage<16, { PduStorage::element_size(1100) }> = PduStorage::new();
-
-/// Wakes a thread.
-struct Unpark(Thread);
-
-impl Wake for Unpark {
-    fn wake(self: Arc<Self>) {
-        self.0.unpark();
-    }
-}
-
-/// Runs a future to its end on this thread.
-fn block_on<F: Future>(future: F) -> F::Output {
-    let mut future = pin!(future);
-    let waker = Waker::from(Arc::new(Unpark(std::thread::current())));
-    let mut context = Context::from_waker(&waker);
-    loop {
-        match future.as_mut().poll(&mut context) {
-            Poll::Ready(value) => return value,
-            Poll::Pending => std::thread::park(),
-        }
-    }
-}
 
 /// What one drive is told: a controlword and a position.
 pub(crate) fn command(outputs: &mut [u8], word: u16, target: i32) {
@@ -84,23 +59,12 @@ impl Axis {
 }
 
 pub(crate) fn drive(interface: &str) {
-    let (tx, rx, pdus) = STORAGE.try_split().unwrap();
-    let main = MainDevice::new(
-        pdus,
-        Timeouts {
-            pdu: Duration::from_millis(500),
-            state_transition: Duration::from_secs(10),
-            ..Timeouts::default()
-        },
-        MainDeviceConfig {
-            dc_static_sync_iterations: 500,
-            ..MainDeviceConfig::default()
-        },
-    );
-    let task = tx_rx_task(interface, tx, rx).unwrap();
-    // It ends with the test.
-    std::thread::spawn(move || block_on(task).map(|_| ()));
-    block_on(run(&main)).unwrap();
+    let config = MainDeviceConfig {
+        dc_static_sync_iterations: 500,
+        ..MainDeviceConfig::default()
+    };
+    let main = client::start(interface, config).unwrap();
+    client::block_on(run(main)).unwrap();
 }
 
 #[expect(clippy::too_many_lines, reason = "one bring-up, step by step")]

@@ -33,31 +33,20 @@ pub(super) fn segment<'a>(
 }
 
 /// What the master of a segment is to expect and to set up, as the controller has it, at a cycle and up to a state.
-///
-/// # Errors
-/// If the segment is a ring whose other end has a link: a tool holds one end, and what goes out by the other would not
-/// come back.
-pub(super) fn master(
-    segment: &EthercatConfig,
-    cycle: Duration,
-    goal: AlState,
-) -> anyhow::Result<MasterConfig> {
-    if let Some(second) = segment.second.as_ref().filter(|second| has_link(second)) {
-        anyhow::bail!(
-            "segment {} is a ring that ends at {second}, where its frames would be lost: `ip link set {second} down` \
-             makes a line of it for as long as this takes",
-            segment.name
-        );
-    }
+pub(super) fn master(segment: &EthercatConfig, cycle: Duration, goal: AlState) -> MasterConfig {
     let segment = EthercatConfig {
         cycle,
-        second: None,
         ..segment.clone()
     };
-    Ok(MasterConfig {
+    MasterConfig {
         goal,
         ..master_config(&segment)
-    })
+    }
+}
+
+/// The interface at the other end of a segment that is a ring. Without a link there, what is left is a line.
+pub(super) fn other_end(segment: &EthercatConfig) -> Option<String> {
+    segment.second.clone().filter(|second| has_link(second))
 }
 
 fn has_link(interface: &str) -> bool {
@@ -83,7 +72,7 @@ mod tests {
         std::fs::write(&path, text).unwrap();
         let cell = CellConfig::read(&path).unwrap();
         std::fs::remove_file(&path).unwrap();
-        master(segment(&cell, None).unwrap(), CYCLE, AlState::SafeOp).unwrap()
+        master(segment(&cell, None).unwrap(), CYCLE, AlState::SafeOp)
     }
 
     #[test]

@@ -6,7 +6,7 @@ use std::fmt::Write as _;
 use clap::Args;
 use serde_json::{Value, json};
 use takt_ethercat::AlState;
-use takt_ethercat::master::{Master, SlaveView};
+use takt_ethercat::master::{Event, Master, SlaveView};
 use takt_ethercat::topology::Topology;
 
 use super::session::{Session, Wire};
@@ -46,7 +46,7 @@ impl Scan {
 
 /// Whether all slaves are where they are wanted.
 pub(super) fn verdict(master: &Master) -> Verdict {
-    if master.is_operational() && master.differences().is_empty() {
+    if master.is_operational() && master.differences().is_empty() && master.ring_gap().is_none() {
         Verdict::Good
     } else {
         Verdict::Failed
@@ -54,7 +54,7 @@ pub(super) fn verdict(master: &Master) -> Verdict {
 }
 
 const HEADER: &str =
-    " pos  slave                           at   state     ports  vendor    product   revision";
+    " pos  slave                           at   state       ports  vendor    product   revision";
 
 /// The tree, one line for each slave, and under it what is wrong with it.
 pub(super) fn text<W: Wire>(session: &Session<W>) -> String {
@@ -74,6 +74,14 @@ pub(super) fn text<W: Wire>(session: &Session<W>) -> String {
     }
     for difference in master.differences() {
         let _ = writeln!(text, "! {difference}");
+    }
+    if master.config().redundant {
+        let ring = master.ring_gap().map(|cable| Event::RingOpen { cable });
+        let ring = ring.map_or_else(
+            || "the ring is whole".to_owned(),
+            |open| format!("! {open}"),
+        );
+        let _ = writeln!(text, "{ring}");
     }
     text
 }
@@ -116,16 +124,21 @@ fn line(master: &Master, position: usize, depth: usize, slave: SlaveView<'_>) ->
         |(parent, port)| format!("{parent}:{port}"),
     );
     let id = info.identity;
-    let (al, _) = slave.al();
     format!(
-        "{position:>4}  {:<30}  {at:<5}{:<10}{}   {:08X}  {:08X}  {:08X}",
+        "{position:>4}  {:<30}  {at:<5}{:<12}{}   {:08X}  {:08X}  {:08X}",
         cut(&name, 30),
-        al.to_string(),
+        state(slave),
         ports(slave),
         id.vendor,
         id.product,
         id.revision
     )
+}
+
+/// Its state, short: `SAFE-OP+ERR`.
+pub(super) fn state(slave: SlaveView<'_>) -> String {
+    let (al, _) = slave.al();
+    format!("{}{}", al.state, if al.error { "+ERR" } else { "" })
 }
 
 /// What to call a slave: its name, or else its order code.
@@ -191,6 +204,7 @@ pub(super) fn object<W: Wire>(session: &Session<W>) -> Value {
         "good": verdict(master) == Verdict::Good,
         "slaves": slaves,
         "differences": differences,
+        "ring_open": master.ring_gap().map(|cable| cable.to_string()),
     })
 }
 

@@ -34,6 +34,8 @@ impl Wire for PacketLink {
 
 /// Listened for another master before the first frame: longer than any usual cycle.
 const LISTEN: Duration = Duration::from_millis(60);
+/// Turn of one of two ends that are both waited for.
+const TURN: Duration = Duration::from_micros(20);
 /// After this long without any answer nobody is there.
 const NOBODY: Duration = Duration::from_secs(1);
 /// So long after the others are there, those with a fault are no longer waited for: the master has tried them again.
@@ -71,6 +73,8 @@ fn nudged(next: Duration, error_ns: i64, cycle: Duration) -> Duration {
 pub(super) struct Session<W> {
     interface: String,
     port: Port<W>,
+    /// The other end of a ring.
+    second: Option<Port<W>>,
     master: Master,
     frame: Box<[u8; FrameWriter::LEN_MAX]>,
     /// When the next cycle begins.
@@ -98,6 +102,7 @@ impl<W: Wire> Session<W> {
         Ok(Self {
             interface: interface.to_owned(),
             port,
+            second: None,
             master: Master::new(config)?,
             frame: Box::new([0; FrameWriter::LEN_MAX]),
             next,
@@ -107,6 +112,12 @@ impl<W: Wire> Session<W> {
             follows: false,
             clock: None,
         })
+    }
+
+    /// With the other end of a ring, of a configuration that is redundant.
+    pub(super) fn with_second(mut self, wire: W, mac: [u8; 6]) -> Self {
+        self.second = Some(Port::new(wire, mac));
+        self
     }
 
     /// The name of the interface.
@@ -126,7 +137,11 @@ impl<W: Wire> Session<W> {
 
     /// Begins anew with another configuration, on the same wire.
     pub(super) fn restart(&mut self, config: MasterConfig) -> anyhow::Result<()> {
-        self.master = Master::new(config)?;
+        let redundant = self.second.is_some();
+        self.master = Master::new(MasterConfig {
+            redundant,
+            ..config
+        })?;
         self.forget();
         Ok(())
     }
@@ -171,9 +186,15 @@ impl<W: Wire> Session<W> {
     /// Listens whether there is a master already. Two on one segment answer each other's frames; outputs of the
     /// other one would be overwritten.
     pub(super) fn listen(&mut self) -> anyhow::Result<()> {
-        let heard = self.port.receive(LISTEN).context("the interface failed")?;
+        let mut heard = false;
+        for port in self.ports() {
+            heard |= port
+                .receive(LISTEN)
+                .context("the interface failed")?
+                .is_some();
+        }
         ensure!(
-            heard.is_none(),
+            !heard,
             "{}: frames of another master are heard; stop it first (`systemctl stop takt`, or what sends there), \
              nothing was sent",
             self.interface
@@ -202,15 +223,10 @@ impl<W: Wire> Session<W> {
         let sent = self.master.poll_transmit(now, &mut self.frame[..]);
         if let Some(len) = sent {
             self.sent_at = now;
-            self.port.send(self.frame.get(..len).unwrap_or_default())?;
+            self.send(len)?;
         }
-        loop {
-            let wait = self.next.saturating_sub(self.port.link().now()?);
-            let Some((bytes, at)) = self.port.receive(wait)? else {
-                break;
-            };
-            if self.master.handle_frame(0, bytes, at) {
-                self.round_trips.push(at.saturating_sub(self.sent_at));
+        while !self.next.saturating_sub(self.port.link().now()?).is_zero() {
+            if self.hear()? {
                 break;
             }
         }
@@ -221,6 +237,41 @@ impl<W: Wire> Session<W> {
             self.port.link().wait_until(self.next)?;
         }
         Ok(())
+    }
+
+    /// The ends of the segment: one, or of a ring two.
+    fn ports(&mut self) -> impl Iterator<Item = &mut Port<W>> {
+        std::iter::once(&mut self.port).chain(&mut self.second)
+    }
+
+    /// Sends what is in the buffer, in a ring from both ends. One end that fails is a cable that is cut.
+    fn send(&mut self, len: usize) -> io::Result<()> {
+        let frame = self.frame.get(..len).unwrap_or_default();
+        let first = self.port.send(frame);
+        match &mut self.second {
+            None => first,
+            Some(second) => second.send(frame).or(first),
+        }
+    }
+
+    /// Waits for a frame until the cycle ends, in a ring a little at each end; whether it was the whole answer.
+    fn hear(&mut self) -> io::Result<bool> {
+        let left = self.next.saturating_sub(self.port.link().now()?);
+        let wait = if self.second.is_some() {
+            left.min(TURN)
+        } else {
+            left
+        };
+        let ends = std::iter::once(&mut self.port).chain(&mut self.second);
+        for (number, port) in ends.enumerate() {
+            if let Some((bytes, at)) = port.receive(wait)?
+                && self.master.handle_frame(number, bytes, at)
+            {
+                self.round_trips.push(at.saturating_sub(self.sent_at));
+                return Ok(true);
+            }
+        }
+        Ok(false)
     }
 
     /// Moves the end of the cycle a little towards the middle between two SYNC0.
@@ -263,9 +314,17 @@ impl<W: Wire> Session<W> {
             && slaves.all(|slave| slave.is_running() || slave.fault().is_some())
     }
 
-    fn nobody(&self) -> anyhow::Result<()> {
+    /// Why there is no slave after a while.
+    pub(super) fn nobody(&self) -> anyhow::Result<()> {
         let interface = &self.interface;
         let frames = self.master.frames();
+        if let Some(position) = self.master.ring_split() {
+            bail!(
+                "{interface}: the ring is open before the slave at position {position}, and a start from both ends \
+                 cannot tell which slave is which; see plugs, cable and supply there. Either side is seen by its own \
+                 end alone (without --second)"
+            );
+        }
         if frames.answered > 0 {
             bail!(
                 "{interface}: frames come back and no slave has touched them; the cable leads to a loop or a switch, \
@@ -330,7 +389,7 @@ impl<W: Wire> Session<W> {
         let mut writer = FrameWriter::new(&mut self.frame[..])?;
         writer.push(Command::Bwr, 0, address, &init.raw().to_le_bytes())?;
         let len = writer.finish();
-        self.port.send(self.frame.get(..len).unwrap_or_default())?;
+        self.send(len)?;
         Ok(())
     }
 

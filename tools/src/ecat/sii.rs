@@ -69,6 +69,7 @@ impl Sii {
         }
         let target = Target {
             interface: self.interface.unwrap_or_default(),
+            second: None,
             patience: self.patience,
         };
         let change = match (&self.write, self.alias) {

@@ -28,14 +28,15 @@ use plan::{Plan, Stand};
 #[command(after_help = "Examples:
   ip link add near type veth peer name far && ip link set near up && ip link set far up
   takt ecat sim near --segment tx90
-  takt ecat sim near --segment cell/line.toml --strict
+  takt ecat sim tap:ecat0 --segment cell/line.toml --strict
   takt ecat sim near --cell /etc/takt/cell.toml --name cell1
   echo 'cut 2' | takt ecat sim near --segment youbot --duration 1min
 
 A file has one [[slave]] for each slave: kind = coupler, digital, analogue, drive or tx90; outputs, inputs, looped
-(terminals); axes (drive); behind = [slave, port]; alias, vendor, product, drift_ppm.")]
+(terminals); axes (drive); behind = [slave, port]; alias, vendor, product, name, drift_ppm.")]
 pub(crate) struct Sim {
-    /// The network interface; the master is at the other end of its cable.
+    /// The network interface; the master is at the other end of its cable. Or `tap:NAME`: an interface of that name is
+    /// made, and the master works on it.
     #[arg(value_name = "IFACE")]
     interface: String,
     /// What is on it: tx90, youbot, or a file.

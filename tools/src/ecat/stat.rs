@@ -158,6 +158,12 @@ impl Measured {
         let differences = master.differences().iter();
         let mut all: Vec<Finding> = differences.map(|d| Finding::Seen(d.to_string())).collect();
         all.extend(self.cables.iter().cloned().map(Finding::Cut));
+        let gap = master.ring_gap().map(|cable| Event::RingOpen { cable });
+        let gap = gap.map(|event| event.to_string());
+        all.extend(
+            gap.filter(|gap| !self.cables.contains(gap))
+                .map(Finding::Cut),
+        );
         all.extend(master.suspects().into_iter().map(Finding::Suspect));
         for slave in slaves(master) {
             let number = slave.number();
@@ -168,7 +174,9 @@ impl Measured {
             }
         }
         let (lost, sent) = (self.lost(), self.frames.sent);
-        let broken = !master.suspects().is_empty() || !self.cables.is_empty();
+        let broken = all
+            .iter()
+            .any(|finding| matches!(finding, Finding::Cut(_) | Finding::Suspect(_)));
         if lost > 0 {
             all.push(Finding::Lost { lost, sent, broken });
         }
@@ -348,7 +356,7 @@ pub(super) fn table<W: Wire>(session: &Session<W>, measured: &Measured) -> Strin
         let _ = writeln!(text, "counters    {misses} cycles other than expected");
     }
     text.push_str(
-        "\n slave                       state     port  invalid  receive  forwarded  lost links\n",
+        "\n slave                      state        port  invalid  receive  forwarded  lost links\n",
     );
     for slave in slaves(master) {
         ports(&mut text, slave);
@@ -360,8 +368,8 @@ pub(super) fn table<W: Wire>(session: &Session<W>, measured: &Measured) -> Strin
 fn ports(text: &mut String, slave: SlaveView<'_>) {
     let counters = slave.counters();
     let name: String = scan::title(slave).chars().take(20).collect();
-    let state = slave.al().0.to_string();
-    let mut head = format!("{:>4}  {name:<20}  {state:<9}", slave.number());
+    let state = scan::state(slave);
+    let mut head = format!("{:>4}  {name:<20}  {state:<11}", slave.number());
     for (port, seen) in slave.info().ports().iter().enumerate() {
         let [invalid, receive, forwarded, links] = at_port(counters, port);
         let errors = invalid + receive + forwarded + links;
@@ -370,7 +378,7 @@ fn ports(text: &mut String, slave: SlaveView<'_>) {
         }
         let _ = writeln!(
             text,
-            "{head:<38} {port:>4} {invalid:>8} {receive:>8} {forwarded:>10} {links:>11}"
+            "{head:<39} {port:>5} {invalid:>8} {receive:>8} {forwarded:>10} {links:>11}"
         );
         head.clear();
     }

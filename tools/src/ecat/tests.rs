@@ -15,6 +15,8 @@ use super::session::{Session, Wire};
 use super::{dc, dump, pdos, scan, sdo, stat};
 use crate::Verdict;
 
+mod ring;
+
 /// A cable with a segment at its end; time passes when somebody waits.
 #[derive(Debug)]
 pub(super) struct Emulated {
@@ -140,10 +142,10 @@ fn a_tree_is_drawn_with_names_states_and_ports() {
     let lines: Vec<&str> = text.lines().collect();
     let expected = [
         "emulated0: 3 slaves",
-        " pos  slave                           at   state     ports  vendor    product   revision",
-        "   0  o TK1100 coupler                -    PRE-OP    01-3   00007A87  00001100  00010000",
-        "   1  | o TK4021 servo                0:3  PRE-OP    0---   00007A87  00004021  00010000",
-        "   2  o TK0808 digital                0:1  PRE-OP    0---   00007A87  00002808  00010000",
+        " pos  slave                           at   state       ports  vendor    product   revision",
+        "   0  o TK1100 coupler                -    PRE-OP      01-3   00007A87  00001100  00010000",
+        "   1  | o TK4021 servo                0:3  PRE-OP      0---   00007A87  00004021  00010000",
+        "   2  o TK0808 digital                0:1  PRE-OP      0---   00007A87  00002808  00010000",
     ];
     assert_eq!(lines, expected);
     assert_eq!(scan::verdict(session.master()), Verdict::Good);
@@ -269,7 +271,7 @@ fn a_good_segment_has_nothing_to_be_told() {
         "emulated0: 3 slaves, 500 ms at a cycle of 1.0 ms",
         "frames      500 sent, 0 lost, 0 late, 0 foreign",
         "counters    0 cycles other than expected",
-        "   0  TK1100 coupler        OP            0        0        0          0           0",
+        "   0  TK1100 coupler        OP              0        0        0          0           0",
     ] {
         assert!(text.lines().any(|other| other == line), "{line}\n{text}");
     }

@@ -184,6 +184,14 @@ fn an_optional_slave_comes_and_goes() {
     rig.segment.set_link(1, false);
     rig.until(3000, Master::is_operational);
     assert!(!rig.master.slave(1).unwrap().is_running());
+    // Where its objects will lie is known before it is there.
+    let statusword = |master: &Master| {
+        let address = takt_cia402::dictionary::Address::new(0x6041, 0);
+        let process = master.slave(1).unwrap().process();
+        (process.locate(address, false), process.outputs_len())
+    };
+    let before = statusword(&rig.master);
+    assert_eq!((before.0.unwrap().bit, before.1), (0, 2));
     rig.segment.set_link(1, true);
     rig.until(3000, |master| master.slave(1).unwrap().is_running());
     rig.cycles(3);
@@ -191,6 +199,7 @@ fn an_optional_slave_comes_and_goes() {
         (rig.age(0), rig.age(1), rig.master.groups()[0].counter),
         (0, 0, 6)
     );
+    assert_eq!(statusword(&rig.master), before);
     rig.segment.set_power(1, false);
     rig.cycles(100);
     assert!(rig.master.is_operational() && rig.age(0) == 0 && rig.age(1) > 90);
@@ -306,6 +315,115 @@ fn a_ring_whose_first_cable_is_cut_goes_on_from_the_other_end() {
         "{:?}",
         rig.told()
     );
+}
+
+/// Terminals of one kind in a ring, in OP, whose inputs are 1, 2, 3 and so on.
+fn ring_of_equals(count: u8) -> Rig {
+    let (slaves, ios): (Vec<_>, Vec<_>) = (0..count).map(|_| Io::digital(8, 8)).unzip();
+    let mut segment = Segment::line(slaves);
+    segment.set_redundant(true);
+    let config = MasterConfig {
+        redundant: true,
+        ..MasterConfig::default()
+    };
+    let mut rig = Rig::new(config, segment);
+    rig.until(5000, Master::is_operational);
+    for (io, value) in ios.iter().zip(1..) {
+        io.set_inputs(&[value]);
+    }
+    rig.cycles(5);
+    rig
+}
+
+/// All are in OP and none is taken for another.
+fn are_themselves(rig: &mut Rig, count: usize) {
+    rig.until(3000, Master::is_operational);
+    rig.cycles(5);
+    for (slave, value) in (0..count).zip(1..) {
+        assert_eq!(rig.master.inputs(slave), (&[value][..], 0), "slave {slave}");
+    }
+}
+
+#[test]
+fn of_equal_slaves_at_an_end_of_a_ring_one_that_comes_back_is_not_taken_for_the_other() {
+    let mut rig = ring_of_equals(4);
+    rig.segment.set_power(0, false);
+    rig.segment.set_power(1, false);
+    rig.cycles(50);
+    rig.events.clear();
+    rig.segment.set_power(1, true);
+    rig.cycles(500);
+    for slave in [0, 1] {
+        assert_eq!(rig.master.slave(slave).unwrap().position(), None);
+    }
+    let told = rig.told();
+    assert_eq!(told.len(), 1, "{told:?}");
+    assert!(told[0].contains("another one of its kind is missing"));
+    rig.segment.set_power(0, true);
+    are_themselves(&mut rig, 4);
+}
+
+#[test]
+fn one_that_comes_back_into_an_open_ring_waits_until_it_is_whole() {
+    let mut rig = ring_of_equals(5);
+    rig.segment.set_power(2, false);
+    rig.segment.set_power(3, false);
+    rig.cycles(50);
+    rig.events.clear();
+    rig.segment.set_power(3, true);
+    rig.cycles(500);
+    let told = rig.told();
+    let unplaced = told
+        .iter()
+        .filter(|text| text.contains("its place cannot be told"));
+    assert_eq!(unplaced.count(), 1, "{told:?}");
+    assert_eq!((rig.age(0), rig.age(4)), (0, 0), "the others go on");
+    assert_eq!(rig.master.slave(3).unwrap().position(), None);
+    rig.segment.set_power(2, true);
+    are_themselves(&mut rig, 5);
+}
+
+#[test]
+fn of_equal_branches_one_that_comes_back_waits_for_the_other() {
+    let mut segment = Segment::line([Coupler::slave()]);
+    for port in [1, 3] {
+        segment.add(Io::digital(8, 8).0, Some((0, port)));
+    }
+    let mut rig = Rig::new(MasterConfig::default(), segment);
+    rig.until(5000, Master::is_operational);
+    rig.segment.set_power(1, false);
+    rig.segment.set_power(2, false);
+    rig.cycles(50);
+    rig.segment.set_power(1, true);
+    rig.cycles(500);
+    let there = |rig: &Rig, slave| rig.master.slave(slave).unwrap().position().is_some();
+    assert!(!there(&rig, 1) && !there(&rig, 2), "{:?}", rig.told());
+    rig.segment.set_power(2, true);
+    rig.until(3000, Master::is_operational);
+}
+
+#[test]
+fn a_ring_that_is_open_at_start_is_told_and_waited_for() {
+    let slaves = (0..3).map(|_| Io::digital(8, 8).0).collect::<Vec<_>>();
+    let mut segment = Segment::line(slaves);
+    segment.set_redundant(true);
+    segment.set_link(2, false);
+    let config = MasterConfig {
+        redundant: true,
+        ..MasterConfig::default()
+    };
+    let mut rig = Rig::new(config, segment);
+    rig.cycles(500);
+    assert_eq!(rig.events, [Event::StartSplit { position: 2 }]);
+    rig.segment.set_link(2, true);
+    rig.until(5000, Master::is_operational);
+    // Open behind its last slave it is a line.
+    let mut segment = Segment::line([Io::digital(8, 8).0, Io::digital(8, 8).0]);
+    segment.set_redundant(true);
+    segment.set_link(0, false);
+    let config = rig.master.config().clone();
+    let mut rig = Rig::new(config, segment);
+    rig.until(5000, Master::is_operational);
 }
 
 #[test]

@@ -234,7 +234,7 @@ fn a_mailbox_without_room_beside_the_image_is_told_with_both_figures() {
 fn sync1_follows_sync0_by_its_delay() {
     let both = SlaveSpec {
         sync: Some(SyncSpec {
-            assign_activate: 0x0700,
+            assign_activate: SyncSpec::BOTH,
             sync1: Duration::from_micros(250),
             ..SyncSpec::sync0(CYCLE)
         }),

@@ -43,17 +43,15 @@ impl Unit {
     pub(super) fn pass_clock(&mut self, cx: &Context<'_>, out: &mut Outbox) {
         let first = self.step == Step::ClockWait && cx.reference == Some(self.number);
         let waited = cx.now.saturating_sub(self.since);
-        if first || cx.reference_ns.is_some() || !self.follows(cx) {
-            self.enter(self.step, cx, out);
-        } else if waited <= cx.config.clocks.lock {
-        } else if self.spec.sync.is_some() {
-            self.fail(
-                Fault::NoReference {
-                    slave: cx.reference,
-                },
-                cx,
-                out,
-            );
+        let ready = first || cx.reference_ns.is_some() || !self.follows(cx);
+        let Some(slave) = cx.reference.filter(|_| !ready) else {
+            return self.enter(self.step, cx, out);
+        };
+        if waited <= cx.config.clocks.lock {
+            return;
+        }
+        if self.spec.sync.is_some() {
+            self.fail(Fault::NoReference { slave }, cx, out);
         } else {
             self.enter(Step::SafeOp, cx, out);
         }

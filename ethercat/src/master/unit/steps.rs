@@ -300,8 +300,9 @@ impl Unit {
         let Some(time) = self.spec.watchdog else {
             return Prepared::Skip;
         };
-        // In units of the divider as the slave has it from the factory: 100 us.
-        let units = u16::try_from(time.as_micros() / 100).unwrap_or(u16::MAX);
+        // In units of the divider as the slave has it from the factory: 100 us. Zero would switch it off, so it is
+        // rounded up.
+        let units = u16::try_from(time.as_nanos().div_ceil(100_000)).unwrap_or(u16::MAX);
         Prepared::Do(self.write(register::WATCHDOG_PROCESS_DATA, &units.to_le_bytes()))
     }
 

@@ -17,6 +17,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use takt_ethercat::axis::NotMapped;
 use takt_ethercat::config::IMAGE_MAX;
 use takt_ethercat::link::{Link, Port};
 use takt_ethercat::linux::PacketLink;
@@ -117,6 +118,8 @@ enum News {
     /// Bytes of a process image that fits no frame.
     TooLarge(usize),
     Lack(Lack),
+    /// An axis of a slave that no arm can lead.
+    Axis(usize, u8, NotMapped),
 }
 
 impl fmt::Display for News {
@@ -139,6 +142,9 @@ impl fmt::Display for News {
                  two segments of it"
             ),
             Self::Lack(lack) => lack.fmt(f),
+            Self::Axis(slave, axis, lack) => {
+                write!(f, "slave {slave}: axis {axis} cannot be led: {lack}")
+            }
         }
     }
 }
@@ -244,9 +250,17 @@ impl Ethercat {
                 follow: Some(Follow::new(followed, phase.into())),
                 ..Cycles::every(period)
             };
+            let mut scope = None;
             cycles.run(&mut recorded, |tick| {
+                // To enter and to leave locks: once for each time that the segment runs. Until then a cycle allocates, as
+                // what a scan finds must lie somewhere.
+                let runs = driver.master.is_exchanging();
+                if runs != scope.is_some() {
+                    scope = runs.then(enter_real_time);
+                }
                 driver.cycle(tick, stopping.load(Ordering::Relaxed))
             });
+            drop(scope);
             let [_, clock] = driver.clocks;
             clock
         })?;
@@ -366,19 +380,16 @@ struct Driver {
 }
 
 impl Driver {
-    /// One cycle. Only while the segment runs is it free of allocation: what a scan finds must lie somewhere.
+    /// One cycle.
     fn cycle(&mut self, tick: &Tick, stopping: bool) -> ControlFlow<()> {
         let until = tick.scheduled + Nanos::from(self.cycle / 2);
         if self.master.is_exchanging() {
-            let scope = enter_real_time();
             self.exchange(until);
-            self.lead(tick, stopping);
-            drop(scope);
         } else {
             while self.exchange(until) && !self.master.is_exchanging() {}
             self.start_up(tick);
-            self.lead(tick, stopping);
         }
+        self.lead(tick, stopping);
         self.end(tick, stopping)
     }
 
@@ -481,6 +492,9 @@ impl Driver {
         }
         for arm in &mut self.arms {
             arm.cycle(&mut self.master, tick, stopping);
+            while let Some((slave, axis, lack)) = arm.poll_lack() {
+                self.news.push(News::Axis(slave, axis, lack)).ok();
+            }
         }
         for io in &mut self.ios {
             io.cycle(&mut self.master, tick);

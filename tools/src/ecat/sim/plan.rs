@@ -4,8 +4,8 @@
 use anyhow::{Context as _, ensure};
 use serde::Deserialize;
 use takt_core::CellConfig;
-use takt_core::cell::{EthercatConfig, EthercatSlave};
-use takt_ethercat::emulator::{Coupler, Io, Segment, ServoConfig, ServoDrive, Slave};
+use takt_core::cell::{AnalogueChannel, EthercatConfig, EthercatSlave};
+use takt_ethercat::emulator::{Coupler, Io, PdoImage, Segment, ServoConfig, ServoDrive, Slave};
 use takt_ethercat::sii;
 
 use crate::ecat::cell;
@@ -48,6 +48,9 @@ enum Kind {
     Analogue,
     Drive,
     Tx90,
+    /// A terminal with the channels that a cell names.
+    #[serde(skip)]
+    Mixed,
 }
 
 /// A slave of a file.
@@ -71,6 +74,11 @@ struct SlavePlan {
     alias: Option<u16>,
     vendor: Option<u32>,
     product: Option<u32>,
+    /// What its SII calls it.
+    name: Option<String>,
+    /// Outputs and inputs of a terminal that is made for a cell.
+    #[serde(skip)]
+    channels: [Vec<(u16, u8, u8, u8)>; 2],
     /// How much faster its clock runs, millionths.
     #[serde(default)]
     drift_ppm: f64,
@@ -96,6 +104,8 @@ impl SlavePlan {
             alias: None,
             vendor: None,
             product: None,
+            name: None,
+            channels: [const { Vec::new() }; 2],
             drift_ppm: 0.0,
         }
     }
@@ -111,6 +121,15 @@ impl SlavePlan {
             Kind::Coupler => Coupler::slave(),
             Kind::Digital => terminal(Io::digital(self.outputs, self.inputs), stand),
             Kind::Analogue => terminal(Io::analogue(self.outputs, self.inputs), stand),
+            Kind::Mixed => {
+                let [outputs, inputs] = self.channels.clone();
+                let rx = pdo(0x1600, 0, outputs);
+                let tx = pdo(0x1A00, 1, inputs);
+                terminal(
+                    Io::terminal("TKMIX terminal".to_owned(), 0x6000, rx, tx),
+                    stand,
+                )
+            }
             Kind::Tx90 => drive(ServoConfig::tx90(), strict, stand)?,
             Kind::Drive => {
                 ensure!(
@@ -136,6 +155,9 @@ impl SlavePlan {
 
     /// What its EEPROM is to say instead, and how its clock runs.
     fn name(&self, slave: &mut Slave) {
+        if let Some(name) = &self.name {
+            slave.rename(name);
+        }
         let eeprom = slave.eeprom_mut();
         let mut put = |word: sii::Word, bytes: &[u8]| {
             let at = 2 * usize::from(word);
@@ -230,40 +252,95 @@ pub(super) fn of_cell(
 }
 
 fn expected(config: &EthercatConfig, slave: &EthercatSlave) -> SlavePlan {
-    let bits = |all: &[(String, usize)]| -> usize {
-        let of = all.iter().filter(|(of, _)| *of == slave.name);
-        of.map(|(_, bits)| bits).sum()
-    };
-    let outputs: usize = config.ios.iter().map(|io| bits(&io.digital_out)).sum();
-    let inputs: usize = config.ios.iter().map(|io| bits(&io.digital_in)).sum();
+    let channels = [true, false].map(|outputs| channels(config, &slave.name, outputs));
     let is_tx90 = slave.axes == 6
         && config.arms.iter().any(|arm| {
             arm.model.contains("tx90") && arm.joints.iter().any(|joint| joint.drive == slave.name)
         });
     let kind = match slave.axes {
-        0 if outputs + inputs > 0 => Kind::Digital,
+        0 if channels.iter().any(|channels| !channels.is_empty()) => Kind::Mixed,
         0 => Kind::Coupler,
         _ if is_tx90 => Kind::Tx90,
         _ => Kind::Drive,
     };
     SlavePlan {
-        outputs: u8::try_from(outputs).unwrap_or(u8::MAX),
-        inputs: u8::try_from(inputs).unwrap_or(u8::MAX),
         axes: slave.axes,
         alias: slave.alias,
         vendor: slave.vendor,
         product: slave.product,
+        name: slave.sii_name.clone(),
+        channels,
         ..SlavePlan::new(kind)
     }
 }
 
+/// Outputs or inputs of a slave that the cell names, in the order in which they lie: index, sub-index, bits, type.
+/// Digital ones are first, analogue ones where the cell has them, or behind.
+fn channels(config: &EthercatConfig, slave: &str, outputs: bool) -> Vec<(u16, u8, u8, u8)> {
+    const BOOL: u8 = 1;
+    const INTEGER16: u8 = 3;
+    let first = if outputs { 0x7000_u16 } else { 0x6000 };
+    let digital = config.ios.iter().map(|io| {
+        let all = if outputs {
+            &io.digital_out
+        } else {
+            &io.digital_in
+        };
+        let of = all.iter().filter(|(of, _)| of == slave);
+        of.map(|(_, bits)| *bits).sum::<usize>()
+    });
+    let digital = u16::try_from(digital.max().unwrap_or(0)).unwrap_or(u16::MAX);
+    let mut entries: Vec<_> = (0..digital)
+        .map(|n| (first.wrapping_add(0x10 * n), 1, 1, BOOL))
+        .collect();
+    let analogue = config.ios.iter().flat_map(|io| {
+        if outputs {
+            &io.analogue_out
+        } else {
+            &io.analogue_in
+        }
+    });
+    let mut analogue: Vec<&AnalogueChannel> =
+        analogue.filter(|channel| channel.slave == slave).collect();
+    // Those by objects may lie anywhere: behind the others.
+    analogue.sort_by_key(|channel| channel.bit.unwrap_or(usize::MAX));
+    let mut bits = usize::from(digital);
+    for (n, channel) in (0_u16..).zip(analogue) {
+        let at = channel.bit.unwrap_or(bits);
+        while bits < at {
+            let gap = u8::try_from(at - bits).unwrap_or(u8::MAX);
+            entries.push((0, 0, gap, 0));
+            bits += usize::from(gap);
+        }
+        let (index, sub) = channel.object.unwrap_or((first + 0x800 + 0x10 * n, 0x11));
+        entries.push((index, sub, channel.bits, INTEGER16));
+        bits += usize::from(channel.bits);
+    }
+    entries
+}
+
+fn pdo(index: u16, sync_manager: u8, entries: Vec<(u16, u8, u8, u8)>) -> Vec<PdoImage> {
+    if entries.is_empty() {
+        return Vec::new();
+    }
+    vec![PdoImage {
+        index,
+        sync_manager,
+        name: "channels".to_owned(),
+        entries,
+    }]
+}
+
 #[cfg(test)]
 mod tests {
+    use std::time::Duration;
+
+    use takt_cia402::dictionary::Address;
     use takt_ethercat::AlState;
 
     use super::*;
     use crate::ecat::scan;
-    use crate::ecat::tests::up;
+    use crate::ecat::tests::{CYCLE, session, up};
 
     /// A drive of two axes behind a slave that the cell does not name, and a terminal that is found by its alias.
     const CELL: &str = "[[ethercat]]\nname = 'line'\ninterface = 'eth1'\n\
@@ -281,7 +358,7 @@ mod tests {
         assert_eq!((stand.segment.len(), stand.drives.len()), (2, 1));
         let text = scanned(stand);
         for part in [
-            "   0  o TK0300 digital",
+            "   0  o TKMIX terminal",
             "   1  o TK4021",
             "00007A87  00000005",
         ] {
@@ -289,6 +366,34 @@ mod tests {
         }
         let told = of_cell(&cell, Some("other"), true).unwrap_err().to_string();
         assert!(told.contains("no segment `other`; it has line"), "{told}");
+    }
+
+    #[test]
+    fn names_and_channels_of_a_cell_are_there() {
+        let text = "[[ethercat]]\nname = 'line'\ninterface = 'eth1'\n\
+            [[ethercat.slave]]\nname = 'drive'\nsii_name = 'AX5000 drive'\naxes = 1\n\
+            [[ethercat.slave]]\nname = 'volts'\nsii_name = 'EL3102'\n\
+            [[ethercat.io]]\nname = 'io'\ndigital_in = [['volts', 2]]\n\
+            analogue_in = [{ slave = 'volts', bit = 16, bits = 12 }, \
+            { slave = 'volts', object = [0x6010, 0x11] }]\n\
+            analogue_out = [{ slave = 'volts', bit = 0 }]\n";
+        let cell = CellConfig::parse(text).unwrap();
+        let segment = of_cell(&cell, None, true).unwrap().segment;
+        let mut session = session(segment, AlState::SafeOp);
+        let expected = cell::master(&cell.ethercat[0], CYCLE, AlState::SafeOp);
+        session.restart(expected).unwrap();
+        session.bring_up(Duration::from_secs(10)).unwrap();
+        assert!(
+            session.master().is_operational(),
+            "{}",
+            scan::text(&session)
+        );
+        let slave = session.master().slave(1).unwrap();
+        let (found, process) = (slave.info(), slave.process());
+        assert_eq!(found.name, "EL3102");
+        assert_eq!((process.inputs_len(), process.outputs_len()), (6, 2));
+        let by_object = process.locate(Address::new(0x6010, 0x11), false).unwrap();
+        assert_eq!((by_object.bit, by_object.bits), (28, 16));
     }
 
     fn scanned(stand: Stand) -> String {

@@ -53,8 +53,16 @@ impl Number {
         let process = master.slave(self.slave)?.process();
         if let Some(object) = self.object {
             let found = process.locate(object, outputs);
-            let found = found.filter(|place| (1..=32).contains(&place.bits));
-            self.place = found.map(|place| (place.bit, place.bits.into()));
+            let wrong = found.filter(|place| !(1..=32).contains(&place.bits));
+            let right = found.filter(|_| wrong.is_none());
+            self.place = right.map(|place| (place.bit, place.bits.into()));
+            if let Some(wrong) = wrong {
+                return Some(Lack::Width {
+                    slave: self.slave,
+                    object,
+                    bits: wrong.bits,
+                });
+            }
         }
         let len = if outputs {
             process.outputs_len()
@@ -92,6 +100,10 @@ impl Number {
         let Some((first, count)) = self.place else {
             return false;
         };
+        // What ends beyond the slave's bytes must not write the part of it that is within: that belongs to others.
+        if first + count as usize > 8 * bytes.len() {
+            return false;
+        }
         let (least, most) = if self.signed {
             (-(1_i64 << (count - 1)), (1_i64 << (count - 1)) - 1)
         } else {
@@ -134,6 +146,12 @@ pub(super) enum Lack {
         object: Option<Address>,
         outputs: bool,
     },
+    /// An object is no number that a channel could be.
+    Width {
+        slave: usize,
+        object: Address,
+        bits: u8,
+    },
 }
 
 impl fmt::Display for Lack {
@@ -159,6 +177,14 @@ impl fmt::Display for Lack {
                 "slave {slave}: an analogue channel is {object}, which is not among its {}; `takt ecat pdos` lists \
                  what is",
                 kind(outputs)
+            ),
+            Self::Width {
+                slave,
+                object,
+                bits,
+            } => write!(
+                f,
+                "slave {slave}: an analogue channel is {object}, which has {bits} bits; channels have 1 to 32"
             ),
             Self::Number {
                 slave,
@@ -364,7 +390,7 @@ mod tests {
         let (before, beyond) = (bytes, number(40, 16, true));
         assert_eq!(beyond.read(&bytes), None);
         assert!(!beyond.write(&mut bytes, 10.0));
-        assert_eq!(bytes[..5], before[..5]);
+        assert_eq!(bytes, before, "nothing of it");
         let mut bytes = [0; 3];
         number(4, 16, true).write(&mut bytes, 9.5);
         assert_eq!(bytes, [0xF0, 0xFF, 0x0F], "nothing beside it");

@@ -184,7 +184,7 @@ impl Arm {
         self.springs
             .obey(&self.interfaces, &self.taken, fresh, rests);
         let follows = self.follows();
-        let orders = ready.then(|| self.set_points(tick, dt, stopping));
+        let orders = ready.then(|| self.set_points(tick, dt, fresh && !stopping));
         for n in 0..ARM.len() {
             let order = if let Some(orders) = &orders {
                 Some(orders[n])
@@ -232,9 +232,9 @@ impl Arm {
         homing.cycle(&told?, drive.mailbox(), may_move, now(tick))
     }
 
-    /// What joints that are ready are to do.
-    fn set_points(&mut self, tick: &Tick, dt: f64, stopping: bool) -> [Command; 5] {
-        let fresh = is_fresh(self.taken.time, tick, self.cycle, self.net_period) && !stopping;
+    /// What joints that are ready are to do. Without fresh set-points they brake; soft ones stay soft, as one that was
+    /// pushed aside would jump to where it is commanded.
+    fn set_points(&mut self, tick: &Tick, dt: f64, fresh: bool) -> [Command; 5] {
         let mut commanded = [[0.0; 2]; 5];
         for (n, commanded) in commanded.iter_mut().enumerate() {
             let set_points = &self.taken.joints[n];
@@ -246,7 +246,6 @@ impl Arm {
         }
         let measured: Motions = std::array::from_fn(|n| self.measured(n).unwrap_or(commanded[n]));
         let torques = self.springs.torques(&commanded, &measured, &self.ends);
-        let torques = torques.filter(|_| !stopping);
         std::array::from_fn(|n| {
             let (geometry, [position, velocity]) = (ARM[n], commanded[n]);
             match (torques, self.control) {

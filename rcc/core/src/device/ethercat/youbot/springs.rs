@@ -145,7 +145,8 @@ impl Springs {
         };
         let joints = measured.map(|[at, _]| at);
         for (n, weight) in holding(&joints).into_iter().enumerate() {
-            torques[n] = before_end(torques[n] + weight, joints[n], ends[n]);
+            // What is kept from the end is the push of a spring. The weight is only balanced, there too.
+            torques[n] = before_end(torques[n], joints[n], ends[n]) + weight;
         }
         Some(torques)
     }
@@ -351,6 +352,12 @@ mod tests {
             assert!(torques[0] > 0.0);
         }
         assert!(Springs::default().torques(&flat, &flat, &ends).is_none());
+        // At the upper end of the elbow, and its weight pulls down.
+        let folded = [1.0, 2.5, -0.05, 1.79, 1.0].map(|at| [at, 0.0]);
+        let torques = springs.torques(&folded, &folded, &ends).unwrap();
+        let weight = holding(&folded.map(|[at, _]| at));
+        assert!(weight[2] > 1.0, "{weight:?}");
+        assert!((torques[2] - weight[2]).abs() < 1e-9, "{torques:?}");
     }
 
     #[test]

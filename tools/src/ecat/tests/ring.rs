@@ -1,0 +1,143 @@
+//! Commands at both ends of a ring, in virtual time: what is said of it while it is whole, and when a cable is cut.
+
+use std::cell::RefCell;
+use std::rc::Rc;
+
+use super::*;
+
+/// A ring, and what is on its way back to each of its ends.
+#[derive(Debug)]
+struct Ring {
+    segment: Segment,
+    now: Duration,
+    returned: [VecDeque<(Duration, Vec<u8>)>; 2],
+}
+
+/// One end of it.
+#[derive(Clone, Debug)]
+struct End(Rc<RefCell<Ring>>, Entry);
+
+impl Link for End {
+    fn send(&mut self, frame: &[u8]) -> io::Result<()> {
+        let mut ring = self.0.borrow_mut();
+        let mut frame = frame.to_vec();
+        let now = ring.now;
+        let ns = u64::try_from(now.as_nanos()).unwrap();
+        if let Some(back) = ring.segment.process_ethernet(&mut frame, self.1, ns) {
+            let due = now + Duration::from_nanos(back.after);
+            ring.returned[usize::from(back.by == Entry::Last)].push_back((due, frame));
+        }
+        Ok(())
+    }
+
+    fn receive(
+        &mut self,
+        buf: &mut [u8],
+        timeout: Duration,
+    ) -> io::Result<Option<(usize, Duration)>> {
+        let mut ring = self.0.borrow_mut();
+        let until = ring.now + timeout;
+        let waiting = &mut ring.returned[usize::from(self.1 == Entry::Last)];
+        let Some((due, frame)) = waiting.pop_front_if(|(due, _)| *due <= until) else {
+            ring.now = until;
+            return Ok(None);
+        };
+        ring.now = ring.now.max(due);
+        buf[..frame.len()].copy_from_slice(&frame);
+        Ok(Some((frame.len(), ring.now)))
+    }
+}
+
+impl Wire for End {
+    fn now(&mut self) -> io::Result<Duration> {
+        Ok(self.0.borrow().now)
+    }
+
+    fn wait_until(&mut self, at: Duration) -> io::Result<()> {
+        let mut ring = self.0.borrow_mut();
+        ring.now = ring.now.max(at);
+        let ns = u64::try_from(ring.now.as_nanos()).unwrap();
+        ring.segment.poll(ns);
+        Ok(())
+    }
+}
+
+/// Three terminals in a ring, brought up from both ends; `cut` is made before.
+fn ring(cut: Option<usize>, goal: AlState) -> (Session<End>, End) {
+    let (mut session, end) = unstarted(cut, goal);
+    session.bring_up(Duration::from_secs(10)).unwrap();
+    (session, end)
+}
+
+fn unstarted(cut: Option<usize>, goal: AlState) -> (Session<End>, End) {
+    let terminals = (0..3).map(|_| Io::digital(8, 8).0);
+    let mut segment = Segment::line(terminals.collect::<Vec<_>>());
+    segment.set_redundant(true);
+    if let Some(cut) = cut {
+        segment.set_link(cut, false);
+    }
+    let end = End(
+        Rc::new(RefCell::new(Ring {
+            segment,
+            now: Duration::from_secs(1),
+            returned: Default::default(),
+        })),
+        Entry::First,
+    );
+    let config = MasterConfig {
+        goal,
+        cycle: CYCLE,
+        redundant: true,
+        ..MasterConfig::default()
+    };
+    let other = End(end.0.clone(), Entry::Last);
+    let session = Session::new("near", end.clone(), [2, 0, 0, 0, 0, 1], config).unwrap();
+    let mut session = session.with_second(other, [2, 0, 0, 0, 0, 2]);
+    session.listen().unwrap();
+    (session, end)
+}
+
+const GAP: &str = "the cable from slave 1 port 1 to slave 2 port 0: the ring is open there";
+
+#[test]
+fn a_ring_is_scanned_from_both_ends() {
+    let (session, _) = ring(None, AlState::PreOp);
+    let text = scan::text(&session);
+    assert!(text.contains("near: 3 slaves"), "{text}");
+    assert!(text.ends_with("the ring is whole\n"), "{text}");
+    assert_eq!(scan::verdict(session.master()), Verdict::Good);
+}
+
+#[test]
+fn a_cable_cut_in_a_ring_is_named_and_all_slaves_are_there() {
+    let (mut session, end) = ring(None, AlState::SafeOp);
+    end.0.borrow_mut().segment.set_link(2, false);
+    let measured = stat::Measured::take(&mut session, Duration::from_millis(200)).unwrap();
+    let text = stat::table(&session, &measured);
+    assert_eq!(text.matches("SAFE-OP ").count(), 3, "{text}");
+    let told = stat::verdict("near", &measured.findings(session.master()));
+    assert!(told.contains(GAP), "{told}");
+    assert_eq!(told.matches("the ring is open").count(), 1, "{told}");
+}
+
+#[test]
+fn a_ring_that_was_cut_before_is_told() {
+    let (mut session, _) = unstarted(Some(2), AlState::SafeOp);
+    for _ in 0..20 {
+        session.cycle().unwrap();
+    }
+    let told = session.nobody().unwrap_err().to_string();
+    assert!(
+        told.contains("near: the ring is open before the slave at position 2"),
+        "{told}"
+    );
+    // Open at its beginning it is a line.
+    let (session, _) = ring(Some(0), AlState::PreOp);
+    let text = scan::text(&session);
+    assert!(text.contains("near: 3 slaves"), "{text}");
+    assert!(
+        text.contains("from the master to slave 0 port 0: the ring is open there"),
+        "{text}"
+    );
+    assert_eq!(scan::verdict(session.master()), Verdict::Failed);
+}
