@@ -108,7 +108,7 @@ pub enum Verdict {
 }
 
 /// Judges what was observed. The first of the verdicts that holds, in the order of [`Verdict`]: what is nearest to this host first,
-/// for it can be mended here.
+/// for it can be mended here; but where more measurements are lost or disordered than answered late, the network.
 #[must_use]
 pub fn judge(observed: &Observed) -> Verdict {
     let Observed {
@@ -133,7 +133,8 @@ pub fn judge(observed: &Observed) -> Verdict {
         let strange = share(observed.strange, measurements);
         return Verdict::SecondClient { strange };
     }
-    if worse(observed.late, measurements) {
+    // Of a measurement that is overtaken at once the host cannot help the lateness.
+    if worse(observed.late, measurements) && observed.late >= lost + disordered {
         let late = share(observed.late, measurements);
         let worst = observed.answer_time_max;
         return Verdict::Host { late, worst };

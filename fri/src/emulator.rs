@@ -28,7 +28,8 @@ pub(crate) use rng::Rng;
 #[cfg(target_os = "linux")]
 pub use serve::serve;
 pub(crate) use served::served;
-pub(crate) use status::{Served, Shown, Status};
+pub(crate) use status::Shown;
+pub use status::{Served, Status};
 pub use window::Timing;
 pub(crate) use window::Window;
 

@@ -24,6 +24,8 @@ pub struct Guard {
     pub speed_rad_per_s: [f64; AXES],
     /// Largest change between two commands whatever the time between them, rad, from 0.
     pub step_rad: [f64; AXES],
+    /// Deceleration by which a joint must be able to stop within its range, rad/s², above 0; infinite asks for none.
+    pub deceleration_rad_per_s2: [f64; AXES],
     /// Largest absolute added torque, Nm, from 0.
     pub torque_nm: [f64; AXES],
     /// Largest absolute added force, N, and torque, Nm, from 0.
@@ -39,6 +41,7 @@ impl Guard {
             position_rad: [[f64::NEG_INFINITY, f64::INFINITY]; AXES],
             speed_rad_per_s: [f64::INFINITY; AXES],
             step_rad: [f64::INFINITY; AXES],
+            deceleration_rad_per_s2: [f64::INFINITY; AXES],
             torque_nm: [f64::INFINITY; AXES],
             wrench: [f64::INFINITY; 6],
         }
@@ -81,19 +84,39 @@ impl Guard {
             let speed = step / span_s;
             return Err(Breach::Speed { speed, limit });
         }
+        self.check_stop(joint, from, to, step / span_s)
+    }
+
+    /// Whether a joint that comes to `to` at this speed can stop in its range.
+    fn check_stop(&self, joint: usize, from: f64, to: f64, speed: f64) -> Result<(), Breach> {
+        let [low, high] = self.position_rad[joint];
+        let stop = to + speed * speed.abs() / (2.0 * self.deceleration_rad_per_s2[joint]);
+        let (lowest, highest) = (low.min(from) - ROUNDING_RAD, high.max(from) + ROUNDING_RAD);
+        if stop < lowest || stop > highest {
+            return Err(Breach::Stop {
+                position: to,
+                speed,
+                low,
+                high,
+            });
+        }
         Ok(())
     }
 
     /// Checks added torques.
     pub fn check_torque(&self, torque: &[f64; AXES]) -> Result<(), Violation> {
-        for (joint, torque) in torque.iter().enumerate() {
-            let (torque, limit) = (*torque, self.torque_nm[joint]);
-            if !torque.is_finite() {
-                return Err(self.violation(joint, Breach::NotFinite));
-            }
-            if torque.abs() > limit {
-                return Err(self.violation(joint, Breach::Torque { torque, limit }));
-            }
+        let mut torques = torque.iter().enumerate();
+        torques.try_for_each(|(joint, torque)| self.check_torque_of(joint, *torque))
+    }
+
+    /// Checks the torque added at one joint, 0..=6.
+    pub fn check_torque_of(&self, joint: usize, torque: f64) -> Result<(), Violation> {
+        let limit = self.torque_nm[joint];
+        if !torque.is_finite() {
+            return Err(self.violation(joint, Breach::NotFinite));
+        }
+        if torque.abs() > limit {
+            return Err(self.violation(joint, Breach::Torque { torque, limit }));
         }
         Ok(())
     }
@@ -168,6 +191,17 @@ pub enum Breach {
         /// Limit, rad/s.
         limit: f64,
     },
+    /// Too fast to stop in the range.
+    Stop {
+        /// Commanded, rad.
+        position: f64,
+        /// Commanded, rad/s.
+        speed: f64,
+        /// Lowest, rad.
+        low: f64,
+        /// Highest, rad.
+        high: f64,
+    },
     /// Too strong.
     Torque {
         /// Commanded, Nm.
@@ -202,6 +236,15 @@ impl fmt::Display for Violation {
             Breach::Speed { speed, limit } => {
                 write!(f, "{speed:.3} rad/s, limit {limit:.3} rad/s")
             }
+            Breach::Stop {
+                position,
+                speed,
+                low,
+                high,
+            } => {
+                write!(f, "{position:.4} rad at {speed:.3} rad/s, too fast to ")?;
+                write!(f, "stop in the range {low:.4} to {high:.4} rad")
+            }
             Breach::Torque { torque, limit } => {
                 write!(f, "{torque:.2} Nm, limit {limit:.2} Nm")
             }
@@ -225,6 +268,7 @@ mod tests {
             position_rad: [[-2.0, 1.0]; AXES],
             speed_rad_per_s: [2.0; AXES],
             step_rad: [0.01; AXES],
+            deceleration_rad_per_s2: [10.0; AXES],
             torque_nm: [10.0; AXES],
             wrench: [50.0, 50.0, 50.0, 5.0, 5.0, 5.0],
             ..Guard::open(crate::lwr::JOINT_NAMES)
@@ -254,7 +298,7 @@ mod tests {
             check(0.0, -0.02, MS * 20),
             refused("E1 commanded a step of -0.02000 rad, limit 0.01000 rad")
         );
-        assert_eq!(check(0.999, 1.0, MS), Ok(()));
+        assert_eq!(check(0.999, 1.0, MS * 1000), Ok(()));
         assert_eq!(
             check(1.0, 1.001, MS),
             refused("E1 commanded 1.0010 rad, range -2.0000 to 1.0000 rad")
@@ -266,6 +310,14 @@ mod tests {
             check(0.0, f64::NAN, MS),
             refused("E1 commanded a value that is not a finite number")
         );
+        assert_eq!(check(0.948, 0.949, MS), Ok(()), "stops in 0.05 rad");
+        assert_eq!(
+            check(0.9495, 0.951, MS),
+            refused(
+                "E1 commanded 0.9510 rad at 1.500 rad/s, too fast to stop in the range -2.0000 to 1.0000 rad"
+            )
+        );
+        assert_eq!(check(0.952, 0.9505, MS), Ok(()), "on its way back");
         let torque = |value| {
             guard()
                 .check_torque(&joints(value))

@@ -119,8 +119,6 @@ pub struct Partner {
     lwr: lwr::Session,
     sunrise: sunrise::Session,
     observer: Observer,
-    /// Counter of the answer built last.
-    answered: u32,
     refused: u64,
     refusal: Option<Refusal>,
 }
@@ -137,7 +135,6 @@ impl Partner {
             lwr: lwr::Session::new(config.lwr),
             sunrise: sunrise::Session::new(config.sunrise),
             observer: Observer::lwr(),
-            answered: 0,
             refused: 0,
             refusal: None,
             config,
@@ -228,7 +225,7 @@ impl Partner {
         joints: Option<&[f64; AXES]>,
         buf: &mut [u8],
     ) -> Result<Answer, AnswerError> {
-        let answer = match self.version {
+        Ok(match self.version {
             Some(Version::Sunrise(_)) => {
                 let demand = joints.map_or(sunrise::Demand::Hold, |joints| {
                     sunrise::Demand::Position(*joints)
@@ -243,25 +240,20 @@ impl Partner {
                 len: self.lwr.answer(joints, buf)?,
                 withheld: self.lwr.violation().map(Withheld::Guard),
             },
-        };
-        self.answered = self.next_sequence().wrapping_sub(1);
-        Ok(answer)
+        })
     }
 
-    /// Counter of the next answer.
-    fn next_sequence(&self) -> u32 {
+    /// Counter of the answer built last.
+    fn sent_sequence(&self) -> u32 {
         match self.version {
-            Some(Version::Sunrise(_)) => counted(0, self.sunrise.counters().answered),
-            Some(Version::Lwr) | None => {
-                let first = u32::from(self.config.lwr.first_sequence);
-                counted(first, self.lwr.counters().answered)
-            }
+            Some(Version::Sunrise(_)) => self.sunrise.sent_sequence(),
+            Some(Version::Lwr) | None => self.lwr.sent_sequence().into(),
         }
     }
 
     /// The answer built last left at `at`.
     pub fn handle_sent(&mut self, at: Duration) {
-        self.observer.handle_answer(at, self.answered);
+        self.observer.handle_answer(at, self.sent_sequence());
     }
 
     /// Tells the time; returns whether the controller has just been found gone.
@@ -312,12 +304,6 @@ impl Partner {
     pub fn observed(&self) -> Observed {
         self.observer.observed()
     }
-}
-
-/// The counter of the next answer after so many since `first`.
-#[expect(clippy::cast_possible_truncation, reason = "a counter that wraps")]
-fn counted(first: u32, answered: u64) -> u32 {
-    first.wrapping_add(answered as u32)
 }
 
 impl Version {

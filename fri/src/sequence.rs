@@ -32,9 +32,10 @@ impl Order {
 /// Follows the counter of one peer.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Tracker {
-    newest: Option<u32>,
-    /// The same, kept when it is forgotten; 0 before any.
-    last: u32,
+    /// 0 before any; kept when it is forgotten.
+    newest: u32,
+    /// Whether the next number is judged by it.
+    is_known: bool,
     window: u16,
     /// Largest counter value; one less than the modulus.
     mask: u32,
@@ -44,8 +45,8 @@ impl Tracker {
     /// For 16-bit counters. Jumps of more than `window` in either direction are taken for a restart of the peer.
     pub(crate) fn new(window: u16) -> Self {
         Self {
-            newest: None,
-            last: 0,
+            newest: 0,
+            is_known: false,
             window,
             mask: 0xffff,
         }
@@ -61,13 +62,13 @@ impl Tracker {
 
     /// Takes whatever comes next for the first.
     pub(crate) fn forget(&mut self) {
-        self.newest = None;
+        self.is_known = false;
     }
 
     /// The newest number, 0 before any: what is reflected to the peer, after a silence too.
     #[cfg(feature = "emulator")]
     pub(crate) fn newest(&self) -> u32 {
-        self.last
+        self.newest
     }
 
     /// Judges a received number and remembers it if it is new.
@@ -75,8 +76,7 @@ impl Tracker {
         let number = number.into();
         let order = self.judge(number);
         if order.is_new() {
-            self.newest = Some(number);
-            self.last = number;
+            (self.newest, self.is_known) = (number, true);
         }
         order
     }
@@ -87,11 +87,11 @@ impl Tracker {
     }
 
     fn judge(&self, number: u32) -> Order {
-        let Some(newest) = self.newest else {
+        if !self.is_known {
             return Order::First;
-        };
-        let forward = self.distance(newest, number);
-        let backward = self.distance(number, newest);
+        }
+        let forward = self.distance(self.newest, number);
+        let backward = self.distance(number, self.newest);
         let within = |gap: u32| u16::try_from(gap).ok().filter(|gap| *gap <= self.window);
         match (within(forward), within(backward)) {
             (Some(0), _) => Order::Duplicate,

@@ -18,11 +18,12 @@ use std::time::Duration;
 use anyhow::Context as _;
 use clap::Subcommand;
 use takt_fri::linux::UdpLink;
-use takt_fri::lwr::emulator::{self, Krc, KrcConfig, KrcStatus, serve};
+use takt_fri::lwr::emulator::{self, Krc, KrcConfig, Served, Status, serve};
 use takt_rt::thread::{Thread, ThreadConfig};
 
 use crate::Verdict;
 use crate::output::say;
+use crate::run::until_stopped;
 use knobs::MISSES_MAX;
 pub(crate) use service::Service;
 
@@ -31,8 +32,8 @@ pub(crate) use service::Service;
 pub(crate) enum Emulate {
     /// A KRC with a KUKA LWR, speaking FRI 1.0 over UDP.
     ///
-    /// It bridges up to 100 missing answers and no quality ends its command mode: more patience than a
-    /// real KRC has, for hosts that stall; `--strict` takes it away.
+    /// It bridges up to 100 missing answers and no quality ends its command mode: more patience than is
+    /// assumed of a real KRC, for hosts that stall; `--strict` takes it away.
     Lwr(lwr::Lwr),
     Iiwa(iiwa::Iiwa),
     /// A Segway power base on CAN or on its USB port.
@@ -57,18 +58,10 @@ impl Emulate {
     }
 }
 
-/// What a FRI controller sent and was answered, at the end.
-fn farewell(sent: u64, answers: u64, missed: u32, stalls: u64) -> anyhow::Result<Verdict> {
-    say(&format!(
-        "sent {sent}, answers {answers}, missed {missed}, own stalls {stalls}"
-    ))?;
-    Ok(Verdict::Good)
-}
-
 /// An arm in a posture in which every joint can move both ways.
 pub(crate) fn resting(period: Duration) -> KrcConfig {
     let joints = [0.0, 0.5, 0.0, -1.2, 0.0, 0.8, 0.0];
-    // A real KRC bridges fewer missing answers and ends command mode at a bad quality. A host
+    // A real KRC is taken to bridge fewer missing answers and to end command mode at a bad quality. A host
     // without PREEMPT_RT stalls for longer now and then, and the demo is to show Takt, not the host.
     let timing = emulator::Timing {
         misses_max: MISSES_MAX,
@@ -83,11 +76,11 @@ pub(crate) fn resting(period: Duration) -> KrcConfig {
     }
 }
 
-/// An emulated controller in a thread of its own.
+/// An emulated FRI controller in a thread of its own.
 #[derive(Debug)]
-pub(crate) struct Robot<S = KrcStatus> {
+pub(crate) struct Robot<C = Krc> {
     /// What it is doing.
-    pub(crate) status: Arc<S>,
+    pub(crate) status: Arc<Status<C>>,
     thread: Thread<std::io::Result<()>>,
     stop: Arc<AtomicBool>,
 }
@@ -95,20 +88,16 @@ pub(crate) struct Robot<S = KrcStatus> {
 impl Robot {
     /// Starts a KRC; its datagrams go to `target`.
     pub(crate) fn start(name: &str, target: SocketAddr, config: KrcConfig) -> anyhow::Result<Self> {
-        Self::launch(name, target, KrcStatus::new(), move |link, status, stop| {
-            let mut krc = Krc::new(config, takt_fri::linux::monotonic()?);
-            serve(&mut krc, link, status, stop)
-        })
+        Self::launch(name, target, |start| Krc::new(config, start))
     }
 }
 
-impl<S: Send + Sync + 'static> Robot<S> {
-    /// Starts what `serve` serves; its datagrams go to `target`.
+impl<C: Served + 'static> Robot<C> {
+    /// Starts the controller that is made so for its time of start; its datagrams go to `target`.
     fn launch(
         name: &str,
         target: SocketAddr,
-        status: S,
-        serve: impl FnOnce(&mut UdpLink, &S, &AtomicBool) -> std::io::Result<()> + Send + 'static,
+        controller: impl FnOnce(Duration) -> C + Send + 'static,
     ) -> anyhow::Result<Self> {
         let local = match target {
             SocketAddr::V4(v4) if v4.ip().is_loopback() => SocketAddr::from(([127, 0, 0, 1], 0)),
@@ -117,7 +106,7 @@ impl<S: Send + Sync + 'static> Robot<S> {
         };
         let mut link = UdpLink::connect(local, target)
             .with_context(|| format!("cannot open a socket to {target}"))?;
-        let status = Arc::new(status);
+        let status = Arc::new(Status::new());
         let stop = Arc::new(AtomicBool::new(false));
         let (shared, stopping) = (Arc::clone(&status), Arc::clone(&stop));
         // Above drivers: the real controller has a processor of its own.
@@ -126,7 +115,8 @@ impl<S: Send + Sync + 'static> Robot<S> {
             ..ThreadConfig::new(name)
         };
         let thread = takt_rt::thread::spawn(config_of_thread, move || {
-            serve(&mut link, &shared, &stopping)
+            let mut controller = controller(takt_fri::linux::monotonic()?);
+            serve(&mut controller, &mut link, &shared, &stopping)
         })
         .with_context(|| format!("cannot start thread {name}"))?;
         Ok(Self {
@@ -136,8 +126,30 @@ impl<S: Send + Sync + 'static> Robot<S> {
         })
     }
 
+    /// Says what changes until it is to end, then what it sent and was answered.
+    fn watch(self, duration: Option<Duration>) -> anyhow::Result<Verdict> {
+        let mut told = None;
+        until_stopped(duration, || {
+            // The same reason once more is news, too.
+            let now = (self.status.falls(), line(&self.status));
+            if told.as_ref() == Some(&now) {
+                return Ok(());
+            }
+            say(&told.insert(now).1)
+        })?;
+        let status = self.stop()?;
+        say(&format!(
+            "sent {}, answers {}, missed {}, own stalls {}",
+            status.sent(),
+            status.answers(),
+            status.missed(),
+            status.stalls()
+        ))?;
+        Ok(Verdict::Good)
+    }
+
     /// Ends it.
-    pub(crate) fn stop(self) -> anyhow::Result<Arc<S>> {
+    pub(crate) fn stop(self) -> anyhow::Result<Arc<Status<C>>> {
         self.stop.store(true, Ordering::Relaxed);
         match self.thread.join() {
             Ok(served) => served.context("the emulated controller failed")?,
@@ -145,4 +157,13 @@ impl<S: Send + Sync + 'static> Robot<S> {
         }
         Ok(self.status)
     }
+}
+
+/// What a controller does, in its own terms.
+fn line<C: Served>(status: &Status<C>) -> String {
+    let power = if status.has_power() { "on" } else { "off" };
+    let fall = status.last_fall();
+    let fall = fall.map_or_else(String::new, |why| format!("; left command mode: {why}"));
+    let (state, quality) = (status.state(), status.quality());
+    format!("{state}, quality {quality}, drives {power}{fall}")
 }

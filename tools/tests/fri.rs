@@ -273,7 +273,7 @@ fn a_strict_krc_leaves_command_mode_after_ten_missing_answers() {
     let _alone = alone();
     let (mut monitor, address) = listening(&["monitor"]);
     let mut arm = lwr(&address, &["--strict"]);
-    arm.wait_for("Cmd, quality Perfect");
+    arm.wait_for("CMD, quality PERFECT");
     monitor.kill();
     let line = arm.wait_for("left command mode");
     assert!(
@@ -290,11 +290,11 @@ fn a_krc_with_a_handshake_starts_only_when_asked() {
     let (lines, status) = lwr(&address, &words).end();
     assert_eq!(status, Some(0), "{lines:#?}");
     assert!(
-        lines.iter().any(|line| line.starts_with("Mon, ")),
+        lines.iter().any(|line| line.starts_with("MON, ")),
         "{lines:#?}"
     );
     assert!(
-        !lines.iter().any(|line| line.starts_with("Cmd, ")),
+        !lines.iter().any(|line| line.starts_with("CMD, ")),
         "{lines:#?}"
     );
 }

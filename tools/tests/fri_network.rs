@@ -1,9 +1,6 @@
 //! `takt fri` on networks that are wrong: robot and host are two network namespaces with a cable between them. Where
 //! nobody may make such, each test notes that it was skipped.
-#![expect(
-    clippy::unwrap_used,
-    reason = "a test that cannot go on ends"
-)]
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
 mod common;
 

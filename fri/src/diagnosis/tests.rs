@@ -23,7 +23,7 @@ fn good() -> Observed {
 #[test]
 #[expect(clippy::too_many_lines, reason = "a table")]
 fn every_verdict_has_its_figures_and_a_remedy() {
-    let cases: [(Observed, Verdict, &str); 14] = [
+    let cases: [(Observed, Verdict, &str); 15] = [
         (good(), Verdict::Good, "good"),
         (
             Observed {
@@ -82,6 +82,19 @@ fn every_verdict_has_its_figures_and_a_remedy() {
             "this host is late: 0.6 % of answers, the worst after 1.9ms",
         ),
         (Observed { late: 5, ..good() }, Verdict::Good, "good"),
+        (
+            Observed {
+                late: 10,
+                lost: 50,
+                measurements: 950,
+                ..good()
+            },
+            Verdict::NetworkHither {
+                lost: 0.05,
+                disordered: 0,
+            },
+            "the network loses measurements: 5.0 %, 0 out of order",
+        ),
         (
             Observed {
                 stamp_jitter: Some(US * 500),

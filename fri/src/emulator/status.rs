@@ -28,11 +28,11 @@ pub struct Shown {
 /// What can be served and shown by a [`Status`]: the emulated controllers only.
 pub trait Served {
     /// State, as the generation calls it.
-    type State;
+    type State: fmt::Display;
     /// Quality, as the generation calls it.
-    type Quality;
+    type Quality: fmt::Display;
     /// Why command mode was left.
-    type Leave;
+    type Leave: fmt::Display;
 
     /// The next datagram due, if one is.
     #[doc(hidden)]

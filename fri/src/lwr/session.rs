@@ -258,7 +258,7 @@ impl Session {
         if let Some(joint) = wanted.iter().position(|value| !value.is_finite()) {
             return Err(AnswerError::NotFinite { joint });
         }
-        let refused = self.check(wanted, msr).err();
+        let refused = self.check_joints(wanted).err();
         let sent = if refused.is_some() {
             self.held
         } else {
@@ -286,11 +286,13 @@ impl Session {
         Ok(len)
     }
 
-    /// Compares with what was commanded last. The controller counts its own cycles, so the time between is theirs.
-    fn check(&self, wanted: &[f64; AXES], msr: &Msr) -> Result<(), Violation> {
-        if self.phase != Phase::Command {
+    /// Whether the guard lets these positions into the next answer, rad: it holds what it refuses at once, so ask before and
+    /// brake. Compares with what was commanded last; the controller counts its own cycles, so the time between is theirs.
+    pub fn check_joints(&self, wanted: &[f64; AXES]) -> Result<(), Violation> {
+        let heard = self.msr.as_ref().filter(|_| self.phase == Phase::Command);
+        let Some(msr) = heard else {
             return Ok(());
-        }
+        };
         let sequence = msr.header.sequence;
         let cycles = self.answered.map_or(1, |last| sequence.wrapping_sub(last));
         let cycles = cycles.clamp(1, self.config.offline_after.max(1));
@@ -371,6 +373,12 @@ impl Session {
     /// User data sent with every answer; it stays until changed. What the KRL program sends is in [`Msr::krl`].
     pub fn krl_mut(&mut self) -> &mut Krl {
         &mut self.krl
+    }
+
+    /// Counter of the answer written last; before the first one, the number before its.
+    #[must_use]
+    pub fn sent_sequence(&self) -> u16 {
+        self.next_sequence.wrapping_sub(1)
     }
 
     /// Totals since the session was made.

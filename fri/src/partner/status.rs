@@ -83,6 +83,8 @@ pub struct Status {
     pub quality: Option<Quality>,
     /// Whether the drives have power.
     pub has_power: Option<bool>,
+    /// What an overlay of Sunrise has the client command; `None` without one, and for an LWR.
+    pub overlay: Option<wire::CommandMode>,
     /// Time between measurements.
     pub period: Option<Duration>,
     /// Measured joint positions, rad.
@@ -198,6 +200,7 @@ fn of_sunrise(message: &wire::Monitoring) -> Status {
     let ipo = message.ipo.and_then(|ipo| ipo.joints);
     Status {
         state: Some(State::Sunrise(message.state())),
+        overlay: Some(message.command_mode()).filter(|mode| *mode != wire::CommandMode::None),
         quality: Some(Quality::Sunrise(message.quality())),
         has_power: drives.map(|drives| drives.iter().all(|drive| *drive == wire::Drive::Active)),
         measured: message.measured(),

@@ -478,6 +478,12 @@ impl Session {
         self.held
     }
 
+    /// Counter of the answer written last; before the first one, the number before its.
+    #[must_use]
+    pub fn sent_sequence(&self) -> u32 {
+        self.next_sequence.wrapping_sub(1)
+    }
+
     /// Totals since the session was made.
     #[must_use]
     pub fn counters(&self) -> Counters {

@@ -8,8 +8,7 @@ use clap::builder::PossibleValue;
 use clap::{Args, ValueEnum};
 use takt_fri::sunrise::DEFAULT_PORT;
 use takt_fri::sunrise::emulator::{
-    Cabinet, CabinetConfig, CabinetStatus, Control, Faults, Limits, Overlay, Program, Robot as Arm,
-    Timing, serve,
+    Cabinet, CabinetConfig, Control, Faults, Limits, Overlay, Program, Robot as Arm, Timing,
 };
 use takt_fri::sunrise::wire::{CommandMode, Dialect, OperationMode};
 
@@ -18,13 +17,12 @@ use super::knobs::{Knobs, MISSES_MAX};
 use super::lwr::Strategy;
 use crate::Verdict;
 use crate::output::{say, span};
-use crate::run::until_stopped;
 
 /// A Sunrise cabinet with a KUKA LBR iiwa, speaking FRI 1.x, 2.x or 2.7 over UDP.
 ///
-/// Its robot program holds the arm with an overlay of joint positions and starts again when that ends. It bridges up
-/// to 100 missing answers and calls quality good when half of them are in time: more patience than a real cabinet
-/// has, for hosts that stall; `--strict` takes it away.
+/// Its robot program holds the arm with an overlay, of joint positions unless `--overlay` says otherwise, and starts
+/// again when that ends. It bridges up to 100 missing answers and calls quality good when half of them are in time:
+/// more patience than is assumed of a real cabinet, for hosts that stall; `--strict` takes it away.
 #[derive(Debug, Args)]
 pub(crate) struct Iiwa {
     /// Where the controller listens; datagrams are sent there.
@@ -125,35 +123,12 @@ impl ValueEnum for Model {
 impl Iiwa {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
         let config = self.config()?;
-        let robot = Robot::launch(
-            "cabinet",
-            self.target,
-            CabinetStatus::new(),
-            move |link, status, stop| {
-                let mut cabinet = Cabinet::new(config, takt_fri::linux::monotonic()?);
-                serve(&mut cabinet, link, status, stop)
-            },
-        )?;
+        let robot = Robot::launch("cabinet", self.target, |start| Cabinet::new(config, start))?;
         say(&format!(
             "iiwa sends messages to {} every {:?}",
             self.target, self.period
         ))?;
-        let mut told = None;
-        until_stopped(self.knobs.duration, || {
-            let now = Shown::of(&robot.status);
-            if told == Some(now) {
-                return Ok(());
-            }
-            told = Some(now);
-            say(&now.line(&robot.status))
-        })?;
-        let status = robot.stop()?;
-        super::farewell(
-            status.sent(),
-            status.answers(),
-            status.missed(),
-            status.stalls(),
-        )
+        robot.watch(self.knobs.duration)
     }
 
     fn config(&self) -> anyhow::Result<CabinetConfig> {
@@ -229,37 +204,6 @@ impl Iiwa {
             },
         };
         Ok(Overlay { control, command })
-    }
-}
-
-/// What is told whenever it changes.
-#[derive(Clone, Copy, PartialEq, Eq)]
-struct Shown {
-    state: i32,
-    quality: i32,
-    has_power: bool,
-    falls: u64,
-}
-
-impl Shown {
-    fn of(status: &CabinetStatus) -> Self {
-        Self {
-            state: status.state().code(),
-            quality: status.quality().code(),
-            has_power: status.has_power(),
-            falls: status.falls(),
-        }
-    }
-
-    fn line(self, status: &CabinetStatus) -> String {
-        let power = if self.has_power { "on" } else { "off" };
-        let fall = status.last_fall().filter(|_| self.falls > 0);
-        let fall = fall.map_or_else(String::new, |why| format!("; overlay ended: {why}"));
-        format!(
-            "{}, quality {}, drives {power}{fall}",
-            takt_fri::sunrise::wire::SessionState::from(self.state),
-            takt_fri::sunrise::wire::Quality::from(self.quality)
-        )
     }
 }
 

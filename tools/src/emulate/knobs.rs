@@ -38,7 +38,7 @@ pub(super) struct Knobs {
     /// How slow the controller's clock runs, parts per million: -1000 to 1000.
     #[arg(long, value_name = "PPM", default_value_t = 0.0, value_parser = drift, allow_hyphen_values = true)]
     drift: f64,
-    /// Judge timing as a real controller is known to: 10 missing answers, or bad quality, end command mode.
+    /// Judge timing as is assumed of a real controller: 10 missing answers, or bad quality, end command mode.
     #[arg(long)]
     strict: bool,
     /// What the flange meets on its way down: `wall:DEPTH[:STIFFNESS]` or `spring:DEPTH[:STIFFNESS]`, so many metres below

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use clap::builder::PossibleValue;
 use clap::{Args, ValueEnum};
-use takt_fri::lwr::emulator::{self, Krc, KrcConfig, KrcStatus, Script};
+use takt_fri::lwr::emulator::{self, Krc, KrcConfig, Script};
 use takt_fri::lwr::wire::Control;
 use takt_fri::lwr::{DEFAULT_PORT, Protocol};
 
@@ -14,7 +14,6 @@ use super::knobs::Knobs;
 use super::{Robot, resting};
 use crate::Verdict;
 use crate::output::{say, span};
-use crate::run::until_stopped;
 
 /// A KRC with an LWR.
 #[derive(Debug, Args)]
@@ -80,22 +79,7 @@ impl Lwr {
             "LWR sends measurements to {} every {:?}",
             self.target, self.period
         ))?;
-        let mut told = None;
-        until_stopped(self.knobs.duration, || {
-            let now = Shown::of(&robot.status);
-            if told == Some(now) {
-                return Ok(());
-            }
-            told = Some(now);
-            say(&now.line(&robot.status))
-        })?;
-        let status = robot.stop()?;
-        super::farewell(
-            status.sent(),
-            status.answers(),
-            status.missed(),
-            status.stalls(),
-        )
+        robot.watch(self.knobs.duration)
     }
 
     fn config(&self) -> KrcConfig {
@@ -128,31 +112,39 @@ impl Lwr {
     }
 }
 
-/// What is told whenever it changes.
-#[derive(Clone, Copy, PartialEq, Eq)]
-struct Shown {
-    state: u16,
-    quality: u16,
-    has_power: bool,
-    falls: u64,
-}
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
 
-impl Shown {
-    fn of(status: &KrcStatus) -> Self {
-        Self {
-            state: status.state().code(),
-            quality: status.quality().code(),
-            has_power: status.has_power(),
-            falls: status.falls(),
-        }
+    use super::*;
+    use crate::emulate::knobs::MISSES_MAX;
+
+    #[derive(Debug, Parser)]
+    struct Line {
+        #[command(flatten)]
+        lwr: Lwr,
     }
 
-    fn line(self, status: &KrcStatus) -> String {
-        let power = if self.has_power { "on" } else { "off" };
-        let fall = status.last_fall().filter(|_| self.falls > 0);
-        let fall = fall.map_or_else(String::new, |why| format!("; left command mode: {why}"));
-        let state = takt_fri::lwr::wire::State::from(self.state);
-        let quality = takt_fri::lwr::wire::Quality::from(self.quality);
-        format!("{state:?}, quality {quality:?}, drives {power}{fall}")
+    fn config(words: &str) -> KrcConfig {
+        let line = Line::try_parse_from(std::iter::once("lwr").chain(words.split_whitespace()));
+        line.unwrap().lwr.config()
+    }
+
+    #[test]
+    fn knobs_reach_the_krc() {
+        let words = "--strategy joint --handshake tum --period 2ms --reorder 0.1 --drift 20 --contact spring:0.02";
+        let told = config(words);
+        assert_eq!(
+            (told.control, told.period),
+            (Control::JointImpedance, Duration::from_millis(2))
+        );
+        assert!(matches!(told.script, Script::Handshake(Protocol::Tum)));
+        assert!((told.faults.to_krc.reorder - 0.1).abs() < 1e-12);
+        assert!((told.faults.drift_ppm - 20.0).abs() < 1e-12);
+        let contact = told.contact.unwrap();
+        let flange = Krc::new(resting(told.period), Duration::ZERO).flange();
+        assert!((flange[2] - contact.place[2] - 0.02).abs() < 1e-9);
+        assert_eq!(told.timing.misses_max, MISSES_MAX);
+        assert_eq!(config("--strict").timing, emulator::Timing::default());
     }
 }

@@ -8,7 +8,8 @@ use clap::Args;
 use takt_ethercat::emulator::{
     Coupler, Io, Segment, Server, ServoConfig, ServoDrive, SharedSegment,
 };
-use takt_ethercat::linux::{PacketLink, monotonic};
+use takt_ethercat::link::Link;
+use takt_ethercat::linux::{PacketLink, TapLink, monotonic};
 
 use super::service::Service;
 use crate::Verdict;
@@ -21,7 +22,8 @@ const WAIT: Duration = Duration::from_millis(5);
 /// A Stäubli TX90: coupler, digital terminal, and one drive of six axes.
 #[derive(Debug, Args)]
 pub(crate) struct Tx90 {
-    /// Network interface; the master is at the other end of its cable (`ip link add near type veth peer name far`).
+    /// Network interface; the master is at the other end of its cable (`ip link add near type veth peer name far`). Or
+    /// `tap:NAME`: an interface of that name is made, and the master works on it.
     #[arg(long, value_name = "IFACE")]
     interface: String,
     /// Axes fault after three cycles without a set-point, as real ones do; for masters on real-time hosts.
@@ -52,7 +54,7 @@ pub(crate) fn tx90(strict: bool) -> anyhow::Result<Segment> {
     Ok(Segment::line([Coupler::slave(), terminal, drives]))
 }
 
-/// Serves a segment at an interface until it is to end. `between` is called after each frame by the thread that
+/// Serves a segment at an interface, or behind one that is made (`tap:NAME`), until it is to end. `between` is called after each frame by the thread that
 /// serves, `look` ten times a second by this one.
 pub(crate) fn serve(
     segment: &SharedSegment,
@@ -61,10 +63,18 @@ pub(crate) fn serve(
     mut between: impl FnMut() + Send + 'static,
     mut look: impl FnMut() -> anyhow::Result<()>,
 ) -> anyhow::Result<Verdict> {
-    let link = PacketLink::open(interface)?;
+    let link: Box<dyn Link + Send> = match interface.strip_prefix("tap:") {
+        Some(name) => Box::new(TapLink::open(name)?),
+        None => Box::new(PacketLink::open(interface)?),
+    };
     let slaves = segment.lock().len();
     let server = Server::new(segment.clone(), link);
-    say(&format!("{slaves} slaves at {interface}"))?;
+    say(&match interface.strip_prefix("tap:") {
+        Some(name) => format!(
+            "{slaves} slaves behind {name}; bring it up (`ip link set {name} up`), their master works on it"
+        ),
+        None => format!("{slaves} slaves at {interface}"),
+    })?;
     let service = Service::start("segment", server, move |server| {
         let turn = server.turn(WAIT, &mut monotonic);
         between();

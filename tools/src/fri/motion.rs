@@ -15,6 +15,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
 
 use takt_fri::partner::{AXES, Partner, Phase, Quality, Withheld};
+use takt_fri::sunrise::wire::CommandMode;
 
 use super::live::Task;
 
@@ -199,8 +200,9 @@ impl Motion {
 
     /// Begins, if all is ready for it.
     fn begin(&mut self, partner: &mut Partner, is_sound: bool) {
-        let is_ready =
-            self.remote.wish() == Wish::Go && is_sound && partner.phase() == Phase::Command;
+        let takes = takes_positions(partner.status().overlay);
+        let follows = partner.phase() == Phase::Command && takes;
+        let is_ready = self.remote.wish() == Wish::Go && is_sound && follows;
         if !is_ready || partner.engage().is_err() {
             return;
         }
@@ -251,19 +253,21 @@ impl Motion {
             | Stage::Left
             | Stage::Beyond => {}
         }
+        // At its end the session holds it: a place commanded on and on would be a jump after a re-entry.
+        let is_under_way = matches!(self.stage, Stage::Moving | Stage::Braking);
         let dt_s = partner.period()?.as_secs_f64();
         for _ in 0..cycles {
             self.advance(dt_s);
         }
-        match self.stage {
-            Stage::Moving | Stage::Braking | Stage::Arrived | Stage::Stopped => {
-                let mut joints = self.start;
-                joints[self.goal.joint] += self.profile.way * self.goal.by_rad.signum();
-                (partner.phase() == Phase::Command).then_some(joints)
-            }
-            Stage::Idle | Stage::Left | Stage::Beyond => None,
-        }
+        let mut joints = self.start;
+        joints[self.goal.joint] += self.profile.way * self.goal.by_rad.signum();
+        (is_under_way && partner.phase() == Phase::Command).then_some(joints)
     }
+}
+
+/// Whether joint positions are what an overlay has the client command, if there is one.
+pub(super) fn takes_positions(overlay: Option<CommandMode>) -> bool {
+    overlay.is_none_or(|mode| mode == CommandMode::Position)
 }
 
 impl Task for Motion {
@@ -432,8 +436,12 @@ mod tests {
         let [speed, acceleration] = bench.worst();
         assert!(speed < 0.1 + 1e-6, "{speed}");
         assert!(acceleration < ACCELERATION + 1e-3, "{acceleration}");
-        let settled = bench.controller.due() + Duration::from_millis(200);
+        let (settled, sent) = (
+            bench.controller.due() + Duration::from_millis(200),
+            bench.path.len(),
+        );
         bench.run(true, |bench| bench.controller.due() > settled);
+        assert_eq!(bench.path.len(), sent, "held, and not commanded on and on");
         for (joint, (now, before)) in bench.controller.joints().iter().zip(before).enumerate() {
             let moved = if joint == 3 { by_deg.to_radians() } else { 0.0 };
             assert!(

@@ -14,7 +14,7 @@ use takt_fri::partner::{AXES, PartnerConfig, Phase, Quality, Version};
 use takt_fri::sunrise;
 
 use super::live::Seen;
-use super::motion::{Goal, MARGIN_RAD, Motion, Remote, Stage, Why};
+use super::motion::{Goal, MARGIN_RAD, Motion, Remote, Stage, Why, takes_positions};
 use super::watch::{Port, Watched};
 use crate::output::{complain, say, span};
 use crate::{Verdict, confirm};
@@ -309,6 +309,11 @@ fn idle(seen: &Seen) -> String {
             "the drives have no power (state {state}): release the brakes at the controller"
         );
     }
+    if let Some(mode) = status.overlay.filter(|mode| !takes_positions(Some(*mode))) {
+        return format!(
+            "the overlay of the robot program wants {mode} (state {state}): only one of joint positions (FRIJointOverlay, POSITION) can be moved"
+        );
+    }
     let what = match status.version {
         Some(Version::Sunrise(_)) => {
             "the robot program must run a motion with an overlay of joint positions (FRIJointOverlay, POSITION)"
@@ -322,6 +327,9 @@ fn ended(stage: Stage, why: Why, seen: &Seen) -> Result<(), String> {
     match stage {
         Stage::Arrived => Ok(()),
         Stage::Beyond => Err("the controller's own set-point is nearer to the end of the range than the measured one: nothing was moved".to_owned()),
+        Stage::Left if seen.status.has_power == Some(false) => {
+            Err("the drives lost their power on the way; the controller's own message says why".to_owned())
+        }
         Stage::Left => {
             let state = seen.status.state.map_or_else(|| "?".to_owned(), |it| it.to_string());
             Err(format!("the controller left command mode on the way (now {state}); its own message says why"))
@@ -345,6 +353,7 @@ fn rest(watched: &mut Watched) {
 mod tests {
     use super::*;
     use takt_fri::partner::Status;
+    use takt_fri::sunrise::wire::CommandMode;
 
     #[test]
     fn angles_and_speeds_have_units_and_bounds() {
@@ -395,6 +404,13 @@ mod tests {
         assert!(idle(&seen(Version::Lwr, true)).contains("friStart"));
         assert!(idle(&seen(Version::Lwr, false)).contains("no power"));
         assert!(idle(&seen(Version::Sunrise(None), true)).contains("FRIJointOverlay"));
+        let mut wrench = seen(Version::Sunrise(None), true);
+        wrench.status.overlay = Some(CommandMode::Wrench);
+        assert!(idle(&wrench).contains("wants wrench"), "{}", idle(&wrench));
+        let told = ended(Stage::Left, Why::Asked, &seen(Version::Lwr, false)).unwrap_err();
+        assert!(told.contains("lost their power"), "{told}");
+        let told = ended(Stage::Left, Why::Asked, &seen(Version::Lwr, true)).unwrap_err();
+        assert!(told.contains("left command mode"), "{told}");
         let bad = unsound(&Seen::default());
         assert!(
             bad.starts_with("quality is unknown, too bad to move anything: no measurement came"),

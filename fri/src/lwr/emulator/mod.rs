@@ -14,7 +14,7 @@ mod status;
 
 #[cfg(target_os = "linux")]
 pub use crate::emulator::serve;
-pub use crate::emulator::{Contact, LineFaults, PowerOff, Shape, Timing};
+pub use crate::emulator::{Contact, LineFaults, PowerOff, Served, Shape, Status, Timing};
 pub use config::{Faults, KrcConfig, Limits, Script, Stiffness};
 pub use krc::{Krc, KrcCounters, Left, StartRefused};
 pub use leave::Leave;

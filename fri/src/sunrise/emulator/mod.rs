@@ -12,7 +12,7 @@ mod status;
 
 #[cfg(target_os = "linux")]
 pub use crate::emulator::serve;
-pub use crate::emulator::{Contact, LineFaults, PowerOff, Shape, Timing};
+pub use crate::emulator::{Contact, LineFaults, PowerOff, Served, Shape, Status, Timing};
 pub use cabinet::{Cabinet, CabinetCounters, Left, StartRefused};
 pub use config::{CabinetConfig, Control, Faults, Io, Limits, Overlay, Program, Robot};
 pub use leave::{Lacking, Leave};

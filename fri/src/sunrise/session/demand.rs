@@ -105,10 +105,20 @@ impl Session {
         self.guard(demand).map_err(Withheld::Guard)
     }
 
+    /// Whether the guard lets these positions into the next answer, rad: it holds what it refuses at once, so ask before and
+    /// brake. Compares with what was commanded last; the controller counts its own cycles, so the time between is theirs.
+    pub fn check_joints(&self, wanted: &Joints) -> Result<(), Violation> {
+        if !self.is_engaged {
+            return Ok(());
+        }
+        let guard = &self.config.guard;
+        guard.check_joints(&self.held, wanted, self.span())
+    }
+
     fn guard(&self, demand: &Demand) -> Result<(), Violation> {
         let guard = &self.config.guard;
         if let Some(joints) = demand.joints() {
-            guard.check_joints(&self.held, joints, self.span())?;
+            self.check_joints(joints)?;
         }
         match demand {
             Demand::Hold | Demand::Position(_) => Ok(()),

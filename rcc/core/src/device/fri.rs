@@ -330,6 +330,7 @@ pub(super) fn guard(
         guard.position_rad[joint] = [limits.position_min, limits.position_max];
         guard.speed_rad_per_s[joint] = limits.velocity_max;
         guard.step_rad[joint] = limits.velocity_max * STEP_S;
+        guard.deceleration_rad_per_s2[joint] = limits.acceleration_max;
     }
     guard
 }

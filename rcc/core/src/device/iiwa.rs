@@ -95,7 +95,7 @@ const fn torque_max(model: IiwaModel) -> [f64; AXES] {
 }
 
 /// Largest force and torque added at the tool, in the wire's order, N and Nm. A slip of a unit is beyond: the main axes
-/// hold that force half a metre out, the wrist's axes that torque.
+/// hold that force half a metre out, the first axis of the wrist that torque.
 const fn wrench_max(model: IiwaModel) -> [f64; 6] {
     let force = match model {
         IiwaModel::Iiwa7 => 350.0,

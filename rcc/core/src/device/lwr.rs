@@ -26,7 +26,7 @@ pub type LwrFigures = FriFigures<Quality>;
 const TORQUE_MAX: [f64; AXES] = [176.0, 176.0, 100.0, 100.0, 100.0, 38.0, 38.0];
 
 /// Largest force and torque added at the tool, in the wire's order, N and Nm. A slip of a unit is beyond: the main axes
-/// hold 350 N half a metre out, the wrist's axes 100 Nm.
+/// hold 350 N half a metre out, the first axis of the wrist 100 Nm.
 const WRENCH_MAX: [f64; 6] = [350.0, 350.0, 350.0, 100.0, 100.0, 100.0];
 
 /// An LWR as its controller describes it: ranges of the axes, and the speed and acceleration that

@@ -17,14 +17,14 @@
 //! Speed and range are kept in all modes. Acceleration is limited in all; in Follow, where set-points are taken as they
 //! are, by what a stream within the joint's acceleration may look like: set-points lie a period of their net apart,
 //! fall anywhere into the joint's cycles, and the clock by which they are played wanders. A stream beyond that, or a
-//! clock that is set anew, is approached. At the end of its range a joint stops whatever its speed: that is beyond its
-//! acceleration, and still better than beyond its range.
+//! clock that is set anew, is approached. Before the end of its range a joint brakes in time, whatever its set-points
+//! want: it never moves faster than it can still stop, so that it comes to the very end within its acceleration.
 
 use takt_net::JointLimits;
 use takt_net::device::JointError;
 use takt_rt::Nanos;
 
-use crate::device::JointSetPoints;
+use crate::device::{JointSetPoints, SetPoint};
 
 /// Farther from the joint than this, a first set-point is refused, rad.
 const START_DISTANCE_RAD: f64 = 0.02;
@@ -84,6 +84,17 @@ impl Joint {
         }
     }
 
+    /// A joint that moves, and brakes: its set-points are refused until they end.
+    #[must_use]
+    pub const fn refused(limits: JointLimits, position: f64, velocity: f64) -> Self {
+        Self {
+            mode: Mode::Refused,
+            position,
+            velocity,
+            ..Self::new(limits)
+        }
+    }
+
     /// The robot is not ours to move: it rests at `position`. Set-points that come meanwhile are
     /// refused until they end, so that nothing moves by itself when the robot comes back.
     pub const fn rest_at(&mut self, position: f64, set_points: &JointSetPoints) {
@@ -135,6 +146,22 @@ impl Joint {
         self.position
     }
 
+    /// Lowest and highest speed of the next step: within the joint's, and such that it can still stop in its range.
+    fn speeds(&self, dt_s: f64) -> [f64; 2] {
+        let JointLimits {
+            position_min,
+            position_max,
+            velocity_max,
+            acceleration_max,
+        } = self.limits;
+        let fastest = velocity_max * SPEED_SHARE;
+        let before = |room: f64| stopping_speed(room.max(0.0), acceleration_max, dt_s).min(fastest);
+        [
+            -before(self.position - position_min),
+            before(position_max - self.position),
+        ]
+    }
+
     /// The nearest to `position` in the range, which is as wide as to hold `present` too: a joint that stands beyond its
     /// range stays there or comes back.
     fn in_range(&self, position: f64, present: f64) -> f64 {
@@ -162,7 +189,8 @@ impl Joint {
     /// Takes the set-point as it is if the joint can; else goes over to approaching it.
     fn follow(&mut self, target: f64, speed: f64, period: Nanos, dt_s: f64) {
         let velocity = (target - self.position) / dt_s;
-        let is_slow = velocity.abs() <= self.limits.velocity_max * SPEED_SHARE;
+        let [lowest, highest] = self.speeds(dt_s);
+        let is_slow = (lowest..=highest).contains(&velocity);
         let change = (velocity - self.velocity).abs();
         let allowed = FOLLOW_SHARE * self.limits.acceleration_max * (dt_s + seconds(period))
             + WANDER_SHARE * self.velocity.abs().max(velocity.abs());
@@ -177,22 +205,18 @@ impl Joint {
     /// One step towards a target that itself moves at `speed`: as fast as the joint can still brake
     /// to that speed over the distance left.
     fn approach(&mut self, target: f64, speed: f64, dt_s: f64) {
-        let JointLimits {
-            velocity_max,
-            acceleration_max,
-            ..
-        } = self.limits;
         if (target - self.position).abs() > LOST_DISTANCE_RAD {
             self.brake(dt_s, Mode::Refused);
             return;
         }
-        let fastest = velocity_max * SPEED_SHARE;
+        let acceleration_max = self.limits.acceleration_max;
         // Seen from the target, which has moved since the last sample.
         let behind = target - speed * dt_s - self.position;
         let wanted = speed + closing_speed(behind, APPROACH_SHARE * acceleration_max, dt_s);
         let change = acceleration_max * dt_s;
+        let [lowest, highest] = self.speeds(dt_s);
         let velocity = wanted
-            .clamp(-fastest, fastest)
+            .clamp(lowest, highest)
             .clamp(self.velocity - change, self.velocity + change);
         self.position += velocity * dt_s;
         let arrived = (target - self.position).abs() <= ARRIVED_RAD;
@@ -247,30 +271,35 @@ fn closing_speed(distance: f64, acceleration: f64, dt_s: f64) -> f64 {
     speed.copysign(distance)
 }
 
+/// The speed for the next step from which braking ends within `distance`: v·dt + v²/2a is that far. Unlike the closing
+/// speed it holds whatever the lengths of the steps to come, for what is left always suffices to stop.
+fn stopping_speed(distance: f64, acceleration: f64, dt_s: f64) -> f64 {
+    // Without a difference of what is nearly equal.
+    2.0 * distance / (dt_s + (dt_s * dt_s + 2.0 * distance / acceleration).sqrt())
+}
+
 /// Position and speed of the set-points at a time: linear between two of them, and on beyond the
 /// last, where the speed of the last two is kept. Before the first of them it is that one, with the speed behind it.
 fn interpolate(set_points: &JointSetPoints, at: Nanos) -> (f64, f64) {
     let points = &set_points.points[..set_points.count.clamp(1, set_points.points.len())];
-    let Some(pair) = points.windows(2).find(|pair| pair[1].time <= at) else {
+    let mut pairs = points.windows(2);
+    let Some(pair) = pairs.find(|pair| pair[1].time <= at) else {
         // A single set-point, or a run of them that begins later than `at`, and already moves.
         let first = points[points.len() - 1];
-        let speed = points.windows(2).last().map_or(0.0, |pair| {
-            let span_s = seconds(pair[0].time - pair[1].time);
-            if span_s > 0.0 {
-                (pair[0].position - pair[1].position) / span_s
-            } else {
-                0.0
-            }
-        });
-        return (first.position, speed);
+        return (first.position, points.windows(2).last().map_or(0.0, slope));
     };
-    let (later, earlier) = (pair[0], pair[1]);
-    let span_s = seconds(later.time - earlier.time);
-    if span_s <= 0.0 {
-        return (later.position, 0.0);
+    let (later, speed) = (pair[0], slope(pair));
+    (later.position + speed * seconds(at - later.time), speed)
+}
+
+/// Speed from the second of two set-points to the first; zero if no time lies between.
+fn slope(pair: &[SetPoint]) -> f64 {
+    let span_s = seconds(pair[0].time - pair[1].time);
+    if span_s > 0.0 {
+        (pair[0].position - pair[1].position) / span_s
+    } else {
+        0.0
     }
-    let speed = (later.position - earlier.position) / span_s;
-    (earlier.position + speed * seconds(at - earlier.time), speed)
 }
 
 #[expect(

@@ -6,8 +6,10 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use takt_net::JointState;
+use takt_fri::diagnosis::Measurement;
+use takt_fri::guard::Violation;
 use takt_net::device::{Interfaces, JointError, Layout};
+use takt_net::{JointLimits, JointState};
 use takt_rt::Nanos;
 use takt_rt::latest::{LatestReader, LatestWriter};
 use takt_rt::servo::Estimate;
@@ -41,8 +43,16 @@ pub(super) struct Driver<P> {
     pub(super) session: P,
     /// Whose measurements count, while the session lasts.
     peer: Option<SocketAddr>,
+    /// The newest measurement and its quality, until it is judged.
+    heard: Option<(Measurement, i32)>,
     clock: DatagramClock,
     pub(super) joints: Vec<Joint>,
+    /// Limits of the arm, by which it brakes whatever its joints went by.
+    limits: Vec<JointLimits>,
+    /// Where the joints are by the last answers, rad, and how fast, rad/s.
+    sent: [Joints; 2],
+    /// What a guard refused in the last answer.
+    withheld: Option<Violation>,
     last: Published,
     /// The newest command.
     taken: DeviceCommand,
@@ -59,6 +69,8 @@ pub(super) struct Driver<P> {
     has_fallen: bool,
     /// Whether the thread is to end: nothing is followed any more.
     is_stopping: bool,
+    /// Whether an answer left since then: nothing is added any more.
+    has_let_go: bool,
     state: LatestWriter<DeviceState>,
     command: LatestReader<DeviceCommand>,
     shared: Arc<Shared>,
@@ -81,8 +93,12 @@ impl<P: Protocol> Driver<P> {
         Self {
             session,
             peer: None,
+            heard: None,
             clock: DatagramClock::default(),
             joints: description.limits.iter().copied().map(Joint::new).collect(),
+            limits: description.limits.clone(),
+            sent: [[0.0; AXES]; 2],
+            withheld: None,
             last: Published {
                 state: DeviceState::new(layout.signals),
                 ..Published::default()
@@ -95,6 +111,7 @@ impl<P: Protocol> Driver<P> {
             was_commanding: false,
             has_fallen: false,
             is_stopping: false,
+            has_let_go: false,
             state: end.state,
             command: end.command,
             shared,
@@ -115,10 +132,10 @@ impl<P: Protocol> Driver<P> {
         self.is_stopping = true;
     }
 
-    /// Whether nothing that it commands moves.
+    /// Whether nothing that it commands moves, and the robot was told that nothing is added.
     pub(super) fn is_at_rest(&self) -> bool {
         let is_resting = |joint: &Joint| joint.motion().1.abs() < f64::EPSILON;
-        !self.is_commanding() || self.joints.iter().all(is_resting)
+        !self.is_commanding() || (self.has_let_go && self.joints.iter().all(is_resting))
     }
 
     /// To whom answers go.
@@ -142,9 +159,12 @@ impl<P: Protocol> Driver<P> {
         self.publish_clock();
         let is_gone = self.session.hear_nothing(now);
         self.take_orders(now);
+        self.note_heard();
         if is_gone {
             self.was_commanding = false;
             self.herald.tell(News::Gone, now);
+            self.herald.begin_anew();
+            self.herald.publish();
             self.publish(now.into());
         } else {
             self.tell();
@@ -170,10 +190,13 @@ impl<P: Protocol> Driver<P> {
                 return false;
             }
         };
-        if let Some(measurement) = self.session.measurement(at) {
-            let quality = self.session.quality_code();
-            self.herald.note_measurement(measurement, quality, at);
+        self.note_heard();
+        if heard.is_first {
+            self.herald.begin_anew();
         }
+        let quality = self.session.quality_code();
+        let measurement = self.session.measurement(at);
+        self.heard = measurement.map(|measurement| (measurement, quality));
         if !heard.is_new {
             return false;
         }
@@ -185,9 +208,6 @@ impl<P: Protocol> Driver<P> {
         self.was_commanding &= !heard.is_first && self.is_commanding();
         let period = self.session.cycle().unwrap_or(Duration::from_millis(1));
         self.clock.tick(at.into(), period.into(), heard.lost);
-        self.publish_clock();
-        let arrival = Nanos::from(at);
-        self.phase_error.record((arrival - self.clock.now()).abs());
         self.cycles += 1 + i64::from(heard.lost);
         true
     }
@@ -200,14 +220,33 @@ impl<P: Protocol> Driver<P> {
         self.take_orders(Duration::from_nanos(at.0.unsigned_abs()));
         let joints = self.next_positions();
         let len = self.session.reply(&joints, buffer)?;
+        self.has_let_go = self.is_stopping;
         if self.is_commanding() {
             self.take_back(&joints);
         }
         Some(len)
     }
 
-    /// A guard holds what it refuses, at once. Whoever asked for it is refused until it ends: else the joint would
-    /// run away from where the robot is held.
+    /// What may be sent of these positions, `dt_s` after the last ones. If a guard refuses them, all joints brake from what
+    /// was sent last, whatever brought them there, and whoever asked for them is refused until it ends.
+    fn admit(&mut self, wanted: Joints, dt_s: f64) -> Joints {
+        self.withheld = self.session.check(&wanted).err();
+        let mut positions = wanted;
+        let [sent, speeds] = self.sent;
+        if self.withheld.is_some() {
+            for (axis, joint) in self.joints.iter_mut().enumerate().take(AXES) {
+                *joint = Joint::refused(self.limits[axis], sent[axis], speeds[axis]);
+                let set_points = &self.taken.joints[axis];
+                positions[axis] = joint.sample(set_points, true, Nanos(0), dt_s);
+            }
+        }
+        let speeds = std::array::from_fn(|axis| (positions[axis] - sent[axis]) / dt_s);
+        self.sent = [positions, speeds];
+        positions
+    }
+
+    /// The session's own guard holds what it refuses, at once. Whoever asked for it is refused until it ends: else the joint
+    /// would run away from where the robot is held.
     fn take_back(&mut self, wanted: &Joints) {
         let sent = self.session.rest();
         if sent.map(f64::to_bits) != wanted.map(f64::to_bits) {
@@ -216,6 +255,7 @@ impl<P: Protocol> Driver<P> {
     }
 
     fn rest(&mut self, positions: &Joints) {
+        self.sent = [*positions, [0.0; AXES]];
         let joints = self.joints.iter_mut().zip(positions);
         for ((joint, position), set_points) in joints.zip(&self.taken.joints) {
             joint.rest_at(*position, set_points);
@@ -225,6 +265,7 @@ impl<P: Protocol> Driver<P> {
     /// The answer to the measurement that came `at` left at `now`.
     pub(super) fn handle_sent(&mut self, at: Nanos, now: Nanos) {
         self.answer_time.record(now - at);
+        self.note_heard();
         let sequence = self.session.sent_sequence();
         self.herald.note_answer(now, sequence);
         let moving = self.taken.joints.iter().find(|joint| joint.active);
@@ -234,9 +275,19 @@ impl<P: Protocol> Driver<P> {
         }
     }
 
+    /// Has the newest measurement judged: nothing that its answer waits for.
+    fn note_heard(&mut self) {
+        if let Some((measurement, quality)) = self.heard.take() {
+            self.herald.note_measurement(measurement, quality);
+        }
+    }
+
     /// Tells what the measurement that came `at` says, after its answer.
     pub(super) fn finish(&mut self, at: Nanos) {
-        let violation = self.session.violation();
+        self.note_heard();
+        self.publish_clock();
+        self.phase_error.record((at - self.clock.now()).abs());
+        let violation = self.withheld.take().or_else(|| self.session.violation());
         if self.herald.note_violation(violation)
             && let Some(violation) = violation
         {
@@ -256,6 +307,7 @@ impl<P: Protocol> Driver<P> {
             words: &self.taken.words,
             cycle: self.taken.cycle,
             is_fresh: self.is_fresh(),
+            follows: self.is_commanding() && self.was_commanding,
             moves: self.joints.iter().any(moves),
             now,
         };
@@ -297,7 +349,7 @@ impl<P: Protocol> Driver<P> {
             let play = self.clock.now() - delay(set_points);
             *position = joint.sample(set_points, fresh, play, dt_s);
         }
-        positions
+        self.admit(positions, dt_s)
     }
 
     /// Tells nets how the arm is.

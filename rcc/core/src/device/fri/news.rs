@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use takt_fri::diagnosis::{Measurement, Observer, Verdict};
 use takt_fri::error::DecodeError;
-use takt_fri::guard::Violation;
+use takt_fri::guard::{Breach, Violation};
 use takt_rt::Nanos;
 use takt_rt::latest::{LatestReader, LatestWriter, latest};
 use takt_rt::ring::{Consumer, Producer, ring};
@@ -56,7 +56,8 @@ impl News {
             }
             Self::Refused(error) => format!("a datagram was refused: {error}"),
             Self::Withheld(violation) => format!(
-                "a command was withheld, the robot is held: {violation}; look for a slip in the net, or in the limits of the cell"
+                "a command was withheld, {}: {violation}; look for a slip in the net, or in the limits of the cell",
+                consequence(violation.breach)
             ),
             Self::Foreign(from) => format!(
                 "measurements of a second controller at {from} are ignored: give each robot a port of its own"
@@ -65,6 +66,18 @@ impl News {
                 "the controller fell silent: does its program run, is the cable in, is it set to this address?".to_owned()
             }
         }
+    }
+}
+
+/// What becomes of a robot for which this was commanded.
+const fn consequence(breach: Breach) -> &'static str {
+    match breach {
+        Breach::Position { .. }
+        | Breach::Step { .. }
+        | Breach::Speed { .. }
+        | Breach::Stop { .. } => "the robot brakes and is held",
+        Breach::Torque { .. } | Breach::Wrench { .. } => "nothing is added",
+        Breach::NotFinite => "nothing of it was sent",
     }
 }
 
@@ -159,45 +172,43 @@ impl Listener {
 }
 
 impl Herald {
-    /// Tells it, unless its kind was told a moment ago.
-    pub(super) fn tell(&mut self, news: News, now: Duration) {
+    /// Tells it, unless its kind was told a moment ago; whether it did.
+    pub(super) fn tell(&mut self, news: News, now: Duration) -> bool {
         let Some(spoke) = self.spoke.get_mut(news.kind()) else {
-            return;
+            return false;
         };
-        if spoke.is_none_or(|at| now.saturating_sub(at) >= PAUSE) {
+        let is_told = spoke.is_none_or(|at| now.saturating_sub(at) >= PAUSE);
+        if is_told {
             *spoke = Some(now);
             // If nobody listens, it is lost.
             let _full = self.news.push(news);
         }
+        is_told
     }
 
-    pub(super) fn note_measurement(
-        &mut self,
-        measurement: Measurement,
-        quality: i32,
-        at: Duration,
-    ) {
+    /// The controller is gone, or began anew: what was seen before says nothing of it.
+    pub(super) fn begin_anew(&mut self) {
+        (self.older, self.newer) = (self.fresh.clone(), self.fresh.clone());
+        (self.count, self.quality) = (0, i32::MIN);
+    }
+
+    pub(super) fn note_measurement(&mut self, measurement: Measurement, quality: i32) {
         self.older.handle_measurement(measurement);
         self.newer.handle_measurement(measurement);
-        self.told.verdict = self.older.verdict();
-        if quality < self.quality {
-            let why = self.told.verdict;
-            let from = self.quality;
-            self.tell(
-                News::Quality {
-                    from,
-                    to: quality,
-                    why,
-                },
-                at,
-            );
+        // A fall that is not told now is when the pause is over, if it lasts.
+        if quality >= self.quality || self.tell_fall(quality, measurement.at) {
+            self.quality = quality;
         }
-        self.quality = quality;
         self.count += 1;
         if self.count >= WINDOW {
             self.count = 0;
             self.older = std::mem::replace(&mut self.newer, self.fresh.clone());
         }
+    }
+
+    fn tell_fall(&mut self, to: i32, at: Duration) -> bool {
+        let (from, why) = (self.quality, self.older.verdict());
+        self.tell(News::Quality { from, to, why }, at)
     }
 
     pub(super) fn note_answer(&mut self, now: Nanos, sequence: u32) {
@@ -224,6 +235,7 @@ impl Herald {
 
     /// Hands over what is known.
     pub(super) fn publish(&mut self) {
+        self.told.verdict = self.older.verdict();
         self.out.write(self.told);
     }
 }

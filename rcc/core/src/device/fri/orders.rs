@@ -33,6 +33,8 @@ pub struct Orders<'a> {
     pub cycle: u64,
     /// Whether the net thread that hands them over is alive.
     pub is_fresh: bool,
+    /// Whether the robot follows, and did so already at the last answer.
+    pub follows: bool,
     /// Whether a joint is commanded to move now.
     pub moves: bool,
     /// Time since some instant, as the session counts it.
@@ -60,19 +62,14 @@ impl Gate {
         is_wanted && !self.is_shut
     }
 
-    /// What of these values is added, and why not all: [`error::RANGE`] if one is no number or larger than `max`,
+    /// What of these values is added, and why not all: [`error::RANGE`] if one does not fit, by a guard,
     /// [`error::NOT_NOW`] if they are to be asked for anew; then nothing is added.
     pub(in crate::device) fn pass<const N: usize>(
         &mut self,
         wanted: [f64; N],
-        max: &[f64; N],
+        fits: bool,
         follows: bool,
     ) -> ([f64; N], i32) {
-        // What is no number is not less than anything.
-        let fits = wanted
-            .iter()
-            .zip(max)
-            .all(|(value, max)| value.abs() <= *max);
         let is_wanted = fits && wanted.iter().any(|value| value.abs() > 0.0);
         let passes = self.admits(is_wanted, follows);
         let added = if passes { wanted } else { [0.0; N] };
@@ -139,6 +136,7 @@ mod tests {
             words: &[],
             cycle: 8,
             is_fresh: true,
+            follows: true,
             moves: false,
             now: Duration::ZERO,
         };

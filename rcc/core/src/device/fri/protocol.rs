@@ -77,6 +77,12 @@ pub trait Protocol: fmt::Debug + Send + 'static {
     /// The counter of the answer written last.
     fn sent_sequence(&self) -> u32;
 
+    /// Whether these positions may be in the next answer, rad.
+    ///
+    /// # Errors
+    /// With the joint and the limit that they are beyond; an answer would hold the robot at once.
+    fn check(&self, joints: &Joints) -> Result<(), Violation>;
+
     /// Why the last answer held the robot, or added nothing; `None` if it said what was asked for.
     fn violation(&self) -> Option<Violation>;
 

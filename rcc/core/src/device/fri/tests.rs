@@ -7,9 +7,10 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use takt_fri::lwr::emulator::{Faults, Krc, KrcConfig, LineFaults, Script};
-use takt_fri::lwr::wire::{Msr, State};
+use takt_fri::lwr::wire::{Control, Msr, Quality, State};
 use takt_fri::sunrise::emulator::{self as sunrise, Cabinet, CabinetConfig};
 use takt_fri::sunrise::wire::{Dialect, SessionState};
+use takt_net::device::{JointImpedance, Words};
 use takt_rt::Nanos;
 use takt_rt::latest::{LatestReader, LatestWriter, latest};
 
@@ -20,7 +21,7 @@ use crate::device::config::{IiwaIo, IiwaModel};
 use crate::device::driver::DeviceEnd;
 use crate::device::setpoint::{Joint, Mode};
 use crate::device::{
-    DeviceCommand, DeviceState, DeviceStatus, JointSetPoints, SetPoint, iiwa, lwr,
+    DeviceCommand, DeviceState, DeviceStatus, JointSetPoints, Part, SetPoint, iiwa, lwr,
 };
 
 const MS: Duration = Duration::from_millis(1);
@@ -48,6 +49,8 @@ trait Controller {
     fn follows(&self) -> bool;
     /// Whether quality is the best there is, and whether it suffices.
     fn judges(&self) -> [bool; 2];
+    /// Command periods without an answer in time, and datagrams lost both ways.
+    fn losses(&self) -> [u64; 2];
     /// Why it left command mode, oldest first.
     fn reasons(&self) -> Vec<String>;
 }
@@ -74,6 +77,10 @@ impl Controller for Krc {
     }
     fn judges(&self) -> [bool; 2] {
         [3, 2].map(|rank| self.quality().code() >= rank)
+    }
+    fn losses(&self) -> [u64; 2] {
+        let counters = self.counters();
+        [counters.missed.into(), counters.dropped]
     }
     fn reasons(&self) -> Vec<String> {
         self.log().map(|left| left.reason.to_string()).collect()
@@ -103,6 +110,10 @@ impl Controller for Cabinet {
     fn judges(&self) -> [bool; 2] {
         [3, 2].map(|rank| self.quality().code() >= rank)
     }
+    fn losses(&self) -> [u64; 2] {
+        let counters = self.counters();
+        [counters.missed.into(), counters.dropped]
+    }
     fn reasons(&self) -> Vec<String> {
         self.log().map(|left| left.reason.to_string()).collect()
     }
@@ -128,6 +139,8 @@ struct Rig<C, P> {
     path: Vec<f64>,
     /// Quality in each of these cycles.
     judged: Vec<[bool; 2]>,
+    /// Answers missed up to each of these cycles.
+    missed: Vec<u64>,
     /// What was sent for the joint, and in which of the robot's milliseconds.
     sent: Vec<(f64, f64)>,
 }
@@ -171,6 +184,7 @@ impl<C: Controller, P: Protocol> Rig<C, P> {
             state: told,
             path: Vec::new(),
             judged: Vec::new(),
+            missed: Vec::new(),
             sent: Vec::new(),
         }
     }
@@ -202,6 +216,7 @@ impl<C: Controller, P: Protocol> Rig<C, P> {
         }
         self.path.push(self.controller.set_point()[JOINT]);
         self.judged.push(self.controller.judges());
+        self.missed.push(self.controller.losses()[0]);
     }
 
     fn hear(&mut self, from: SocketAddr, datagram: &[u8]) {
@@ -241,6 +256,7 @@ impl<C: Controller, P: Protocol> Rig<C, P> {
             if self.status() == DeviceStatus::Operational && self.controller.follows() {
                 self.path.clear();
                 self.judged.clear();
+                self.missed.clear();
                 return;
             }
         }
@@ -249,6 +265,23 @@ impl<C: Controller, P: Protocol> Rig<C, P> {
 
     fn begin(&mut self, net: Net) {
         self.net = Some((self.now, net));
+    }
+
+    /// A net asks for a torque to be added at the joint, from now on without end. `parts` are the arm's.
+    fn add_torque(&mut self, parts: &[Part], torque: f64) {
+        let is_it = |part: &Part| matches!(part, Part::JointImpedance);
+        let before = &parts[..parts.iter().position(is_it).unwrap()];
+        let mut layout = takt_net::device::Layout::default();
+        let _places = crate::device::parts::lay(before, AXES, &mut layout);
+        // A stamp of three words, then the value, joint by joint.
+        let at = layout.commands + JOINT * (3 + JointImpedance::LEN);
+        let cycle = self.wanted.cycle;
+        self.wanted.words[at..at + 3].copy_from_slice(&[cycle, cycle, 1_000_000]);
+        let order = JointImpedance {
+            torque: Some(torque),
+            ..JointImpedance::default()
+        };
+        order.put_words(|i, word| self.wanted.words[at + 3 + i] = word);
     }
 
     fn mode(&self) -> Mode {
@@ -313,13 +346,9 @@ fn patient() -> takt_fri::lwr::emulator::Timing {
     }
 }
 
-/// Swings by 0.2 rad either way, at 1.2 rad/s² at most.
+/// Swings between 0 and 0.4 rad, at up to 0.4 rad/s and 0.8 rad/s².
 fn swing(t: f64) -> f64 {
     0.2 * (1.0 - (2.0 * t).cos())
-}
-
-fn stay(_: f64) -> f64 {
-    0.0
 }
 
 // ------------------------------------------------------------------------------------------ entering and re-entering
@@ -340,6 +369,11 @@ fn after_a_silence<C: Controller, P: Protocol>(rig: &mut Rig<C, P>, silence: u32
         rig.driver.handle_silence(rig.now);
     }
     assert_eq!(rig.status(), DeviceStatus::Offline);
+    assert_eq!(
+        rig.listener.told().verdict,
+        Verdict::Silent,
+        "what was is over"
+    );
     rig.path.clear();
     rig.run(300);
     assert!(rig.controller.follows(), "{:?}", rig.controller.reasons());
@@ -380,31 +414,48 @@ fn what_ran_before_a_silence_does_not_go_on_when_the_robot_comes_back_in_command
 fn a_controller_that_starts_again_in_command_mode_ends_what_ran() {
     let mut rig = krc(KrcConfig {
         timing: patient(),
+        control: Control::JointImpedance,
         ..KrcConfig::default()
     });
+    // Chooses the field.
+    rig.step();
+    rig.add_torque(lwr::PARTS, 0.0);
     rig.follow();
     rig.begin(swing);
     rig.run(400);
+    rig.add_torque(lwr::PARTS, 5.0);
     let faults = rig.faults();
     // Another counter from one measurement to the next, and the arm somewhere else.
     let elsewhere = 0.35;
     let mut measurement = [0; Msr::LEN];
+    let mut added = Vec::new();
     for i in 0..20_u16 {
         rig.now = rig.controller.due();
         rig.think();
         rig.controller.transmit(rig.now, &mut measurement).unwrap();
         let mut msr = Msr::decode(&measurement).unwrap();
-        msr.header.sequence = 40_000 + i;
-        msr.commanded_joints[JOINT] = elsewhere;
-        msr.joint_offset[JOINT] = 0.0;
+        if i > 2 {
+            msr.header.sequence = 40_000 + i;
+            msr.commanded_joints[JOINT] = elsewhere;
+            msr.joint_offset[JOINT] = 0.0;
+        }
         msr.encode(&mut measurement).unwrap();
         assert!(rig.driver.accept(at_port(1), &measurement, rig.now));
         let mut answer = [0; ROOM];
         let len = rig.driver.answer(rig.now.into(), &mut answer).unwrap();
         let cmd = takt_fri::lwr::wire::Cmd::decode(&answer[..len]).unwrap();
-        assert!((cmd.joints[JOINT] - elsewhere).abs() < 1e-6, "{cmd}");
+        added.push(cmd.joint_torque[JOINT]);
+        assert!(
+            i <= 2 || (cmd.joints[JOINT] - elsewhere).abs() < 1e-6,
+            "{cmd}"
+        );
         rig.driver.finish(rig.now.into());
     }
+    assert_eq!(
+        added[2..],
+        [&[5.0][..], &[0.0; 17]].concat(),
+        "nobody asked anew"
+    );
     assert_eq!((rig.mode(), rig.faults()), (Mode::Refused, faults + 1));
     assert_eq!(rig.status(), DeviceStatus::Operational);
 }
@@ -477,40 +528,113 @@ fn what_is_refused_is_told_with_the_reason() {
 
 // ---------------------------------------------------------------------------------------------------------- guards
 
-fn guards_hold<C: Controller, P: Protocol>(rig: &mut Rig<C, P>, name: &str) {
+/// From rest to 1.2 rad/s within 0.6 s, and on at that speed.
+fn run_up(t: f64) -> f64 {
+    if t < 0.6 {
+        t * t
+    } else {
+        0.36 + 1.2 * (t - 0.6)
+    }
+}
+
+/// A joint that has lost its mind, its own limits are none, goes where a net wants it; until then it goes as it should.
+fn lets_go<C: Controller, P: Protocol>(rig: &mut Rig<C, P>, net: Net, name: &str, told: &str) {
     rig.follow();
-    rig.begin(stay);
-    rig.run(20);
-    // A joint that has lost its mind: its own limits are none.
     let wild = JointLimits {
         position_min: -1e9,
         position_max: 1e9,
         velocity_max: 1e9,
         acceleration_max: 1e12,
     };
-    let mut joint = Joint::new(wild);
-    joint.rest_at(POSTURE[JOINT], &JointSetPoints::default());
-    rig.driver.joints[JOINT] = joint;
-    rig.net = None;
-    rig.run(5);
-    rig.begin(|t| if t < 0.1 { 0.0 } else { 0.015 });
-    rig.path.clear();
-    rig.run(200);
+    rig.driver.joints[JOINT] = Joint::new(wild);
+    rig.driver.joints[JOINT].rest_at(POSTURE[JOINT], &JointSetPoints::default());
+    rig.begin(net);
+    let mut cycles = 0;
+    while rig.mode() != Mode::Refused {
+        rig.step();
+        cycles += 1;
+        assert!(cycles < 4_000, "no guard bites");
+    }
+    let speed = rig.driver.joints[JOINT].motion().1;
+    assert!((speed - 1.2).abs() < 0.01, "{speed} rad/s are left");
+    rig.run(500);
     assert_eq!(rig.controller.reasons(), Vec::<String>::new());
-    let moved = rig.path.iter().map(|at| (at - POSTURE[JOINT]).abs());
-    assert!(moved.fold(0.0, f64::max) < 1e-6, "nothing moved");
-    assert_eq!(rig.mode(), Mode::Refused);
+    // On the wire, by differences: it brakes at the joint's limit, then it is held, and no controller complains of its range.
+    let [fastest, hardest] = rig.worst(MS);
+    assert!(
+        fastest < 1.21 && hardest <= 4.0 * 1.01 + 0.3,
+        "{fastest}, {hardest}"
+    );
+    let [.., a, b] = rig.path[..] else { panic!() };
+    assert!((a - b).abs() < 1e-9, "still moves");
     let violation = rig.listener.told().violation.unwrap().to_string();
-    assert!(violation.starts_with(name), "{violation}");
-    assert!(violation.contains("rad/s, limit "), "{violation}");
+    assert!(
+        violation.starts_with(name) && violation.contains(told),
+        "{violation}"
+    );
+    let wanted = format!("the robot brakes and is held: {violation}; look for a slip");
     let news = rig.news();
-    assert!(news.iter().any(|it| it.contains(&violation)), "{news:?}");
+    assert!(news.iter().any(|it| it.contains(&wanted)), "{news:?}");
+    // The net goes on and on, and is not followed.
+    assert_eq!(
+        (rig.mode(), rig.status()),
+        (Mode::Refused, DeviceStatus::Operational)
+    );
 }
 
 #[test]
-fn a_guard_holds_what_is_too_fast_and_names_joint_and_limit() {
-    guards_hold(&mut krc(KrcConfig::default()), "A6 commanded");
-    guards_hold(&mut cabinet(CabinetConfig::default()), "A7 commanded");
+fn a_guard_that_bites_brakes_the_arm_at_its_limit_and_names_joint_limit_and_value() {
+    let cases: [(Net, &str); 4] = [
+        (
+            |t| run_up(t) + if t < 0.75 { 0.0 } else { 30.0 * (t - 0.75) },
+            " rad/s, limit ",
+        ),
+        (
+            |t| run_up(t) + if t < 0.75 { 0.0 } else { 1.9 },
+            "a step of ",
+        ),
+        (
+            |t| run_up(t) + if t < 0.75 { 0.0 } else { 9.0 },
+            " rad, range ",
+        ),
+        (run_up, " rad/s, too fast to stop in the range "),
+    ];
+    for (net, told) in cases {
+        lets_go(&mut krc(KrcConfig::default()), net, "A6 commanded", told);
+        lets_go(
+            &mut cabinet(CabinetConfig::default()),
+            net,
+            "A7 commanded",
+            told,
+        );
+    }
+}
+
+/// Mid-swing, a torque is asked for that no joint has.
+fn adds_nothing<C: Controller, P: Protocol>(rig: &mut Rig<C, P>, parts: &[Part], name: &str) {
+    rig.follow();
+    rig.begin(swing);
+    rig.run(400);
+    rig.add_torque(parts, 500.0);
+    rig.run(400);
+    assert_eq!(rig.controller.reasons(), Vec::<String>::new());
+    let [_, hardest] = rig.worst(MS);
+    assert!(hardest <= 1.5, "{hardest} rad/s²");
+    assert_eq!(rig.mode(), Mode::Follow, "the motion goes on");
+    let wanted = format!("nothing is added: {name} commanded 500.00 Nm, limit ");
+    let news = rig.news();
+    assert!(news.iter().any(|it| it.contains(&wanted)), "{news:?}");
+}
+
+#[test]
+fn a_torque_beyond_its_guard_is_not_added_and_told_with_joint_limit_and_value() {
+    let mut rig = krc(KrcConfig {
+        control: Control::JointImpedance,
+        ..KrcConfig::default()
+    });
+    adds_nothing(&mut rig, lwr::PARTS, "A6");
+    let parts = iiwa::parts(&IiwaIo::default());
+    adds_nothing(&mut cabinet(CabinetConfig::default()), &parts, "A7");
 }
 
 #[test]
@@ -601,10 +725,35 @@ fn line(drop: f64) -> LineFaults {
     }
 }
 
-/// Shares of best and of sufficient quality, and speed and acceleration of what was commanded, in five seconds of a net.
-fn lossy<C: Controller, P: Protocol>(rig: &mut Rig<C, P>) -> ([f64; 2], [f64; 2]) {
+/// At nine tenths of the speed of the slowest of these arms, and at six tenths of its acceleration: what the clock by which
+/// set-points are played wanders under such jitter comes on top.
+fn race(t: f64) -> f64 {
+    1.277 * (1.0 - (1.37 * t).cos())
+}
+
+/// Quality by the only rule that anyone published for such a controller, that of the LWR of RCPRG's simulation: a counter up
+/// to 20, one up for an answer and one down for a miss, PERFECT above 15.
+fn is_always_perfect(missed: &[u64]) -> bool {
+    let mut credit = 20;
+    missed.windows(2).all(|pair| {
+        credit = if pair[1] > pair[0] {
+            credit - 1
+        } else {
+            (credit + 1).min(20)
+        };
+        credit > 15
+    })
+}
+
+/// Five seconds of a net on such a line. A loss costs one answer, and nothing else happens.
+fn lossy<C: Controller, P: Protocol>(
+    rig: &mut Rig<C, P>,
+    (net, speed_max): (Net, f64),
+    best_from: f64,
+) {
     rig.follow();
-    rig.begin(swing);
+    rig.begin(net);
+    let before = rig.controller.losses();
     let until = rig.now + MS * 5_000;
     rig.sent.clear();
     while rig.now < until {
@@ -612,47 +761,48 @@ fn lossy<C: Controller, P: Protocol>(rig: &mut Rig<C, P>) -> ([f64; 2], [f64; 2]
     }
     assert!(rig.controller.follows(), "{:?}", rig.controller.reasons());
     assert_eq!(rig.controller.reasons(), Vec::<String>::new());
+    let [missed, dropped] = rig.controller.losses();
+    let [missed, dropped] = [missed - before[0], dropped - before[1]];
+    assert!(
+        dropped > 20 && missed <= dropped,
+        "{missed} missed, {dropped} lost"
+    );
     #[expect(clippy::cast_precision_loss, reason = "some thousands")]
     let share = |which: usize| {
         let good = rig.judged.iter().filter(|judged| judged[which]).count();
         good as f64 / rig.judged.len() as f64
     };
+    assert!(share(0) >= best_from, "{}", share(0));
+    assert!(share(1) >= 1.0, "{}", share(1));
+    assert!(is_always_perfect(&rig.missed));
     // By time of the robot, in which a lost measurement is a longer step.
     let rates = |values: &[(f64, f64)]| -> Vec<(f64, f64)> {
-        let pairs = values.windows(2);
+        let pairs = values.windows(2).map(|pair| (pair[0], pair[1]));
         pairs
-            .map(|pair| {
-                (
-                    pair[1].0,
-                    (pair[1].1 - pair[0].1) / (pair[1].0 - pair[0].0) * 1e3,
-                )
-            })
+            .map(|(from, to)| (to.0, (to.1 - from.1) / (to.0 - from.0) * 1e3))
             .collect()
     };
-    let worst = |rates: &[(f64, f64)]| {
-        rates
-            .iter()
-            .fold(0.0_f64, |worst, it| worst.max(it.1.abs()))
-    };
+    let worst = |rates: &[(f64, f64)]| rates.iter().map(|it| it.1.abs()).fold(0.0, f64::max);
     let speeds = rates(&rig.sent);
-    (
-        [share(0), share(1)],
-        [worst(&speeds), worst(&rates(&speeds))],
-    )
+    let [fastest, hardest] = [worst(&speeds), worst(&rates(&speeds))];
+    assert!(
+        fastest <= speed_max && hardest <= 4.0,
+        "{fastest} rad/s, {hardest} rad/s²"
+    );
+    assert_eq!(
+        (rig.mode(), rig.listener.told().violation),
+        (Mode::Follow, None)
+    );
 }
 
-fn check_lossy(told: ([f64; 2], [f64; 2]), best_from: f64, speed_max: f64) {
-    let ([best, sufficient], [speed, acceleration]) = told;
-    assert!(best >= best_from, "{best}");
-    assert!(sufficient >= 1.0, "{sufficient}");
-    assert!(speed <= speed_max, "{speed}");
-    assert!(acceleration <= 4.0, "{acceleration}");
-}
-
+/// What is left of best quality is what chance leaves: three of a hundred exchanges may be lost, of which one is on
+/// average, or two. With one that is 98 % of the time, with two 86 %; the bounds leave room for five seconds of chance.
 #[test]
 fn one_per_cent_of_loss_and_jitter_leave_quality_good_and_motion_within_limits() {
     // By exchange, and in each direction.
-    for (drop, best_from) in [(0.005, 0.95), (0.01, 0.85)] {
+    let cases: [(f64, (Net, f64), f64); 2] =
+        [(0.005, (swing, 0.42), 0.95), (0.01, (race, 1.77), 0.8)];
+    for (drop, net, best_from) in cases {
         let mut rig = krc(KrcConfig {
             faults: Faults {
                 to_client: line(drop),
@@ -661,7 +811,7 @@ fn one_per_cent_of_loss_and_jitter_leave_quality_good_and_motion_within_limits()
             },
             ..KrcConfig::default()
         });
-        check_lossy(lossy(&mut rig), best_from, 112.5_f64.to_radians());
+        lossy(&mut rig, net, best_from);
         let mut rig = cabinet(CabinetConfig {
             faults: sunrise::Faults {
                 to_client: line(drop),
@@ -670,7 +820,7 @@ fn one_per_cent_of_loss_and_jitter_leave_quality_good_and_motion_within_limits()
             },
             ..CabinetConfig::default()
         });
-        check_lossy(lossy(&mut rig), best_from, 135.0_f64.to_radians());
+        lossy(&mut rig, net, best_from);
     }
 }
 
@@ -719,4 +869,42 @@ fn a_fall_of_quality_is_told_with_who_is_to_blame() {
     let news = rig.news();
     let fall = "quality fell from Perfect to Ok: the network loses answers";
     assert!(news.iter().any(|it| it.starts_with(fall)), "{news:?}");
+}
+
+#[test]
+fn a_fall_within_the_pause_is_told_after_it_and_a_controller_that_begins_anew_does_not_fall() {
+    let mut rig = krc(KrcConfig::default());
+    rig.follow();
+    let forced = |rig: &mut Rig<Krc, lwr::End>, quality: Option<Quality>| {
+        rig.controller.faults_mut().quality = quality;
+        rig.run(300);
+        rig.news()
+    };
+    rig.run(1_000);
+    rig.news();
+    assert_eq!(forced(&mut rig, Some(Quality::Ok)).len(), 1);
+    assert_eq!(forced(&mut rig, Some(Quality::Bad)), Vec::<String>::new());
+    rig.run(500);
+    let news = rig.news();
+    assert!(
+        news[0].starts_with("quality fell from Ok to Bad"),
+        "{news:?}"
+    );
+    // Silence, and one that begins at the worst quality there is.
+    forced(&mut rig, None);
+    rig.run(1_000);
+    rig.now += MS * 200;
+    rig.driver.handle_silence(rig.now);
+    let config = KrcConfig {
+        period: MS,
+        joints: POSTURE,
+        ..KrcConfig::default()
+    };
+    rig.controller = Krc::new(config, rig.now);
+    rig.run(2_000);
+    let news = rig.news();
+    assert!(
+        !news.iter().any(|it| it.contains("quality fell")),
+        "{news:?}"
+    );
 }

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use takt_fri::diagnosis::{Measurement, Observer};
 use takt_fri::error::DecodeError;
-use takt_fri::guard::Violation;
+use takt_fri::guard::{Guard, Violation};
 use takt_fri::sunrise::wire::{CommandMode, ControlMode, MonitorData, Quality};
 use takt_fri::sunrise::{
     AXES, Demand, IoLevel, JOINT_NAMES, Phase, Session, SessionConfig, Withheld,
@@ -22,11 +22,11 @@ use crate::device::fri::{Heard, Joints, Orders, Protocol, Totals, guard};
 #[derive(Debug)]
 pub struct End {
     session: Session,
+    guard: Guard,
     /// Why the last answer held the robot.
     violation: Option<Violation>,
-    torque_max: Joints,
-    /// In the wire's order, N and Nm.
-    wrench_max: [f64; 6],
+    /// What nets ask to add beyond a guard.
+    beyond: Option<Violation>,
     /// What goes on top of the springs, Nm.
     torque: Joints,
     torque_gates: [Gate; AXES],
@@ -51,15 +51,16 @@ impl End {
     pub fn new(model: IiwaModel, io: IiwaIo) -> Self {
         let (torque_max, wrench_max) = (super::torque_max(model), super::wrench_max(model));
         let limits = super::describe("", model).limits;
+        let guard = guard(JOINT_NAMES, &limits, torque_max, wrench_max);
         let config = SessionConfig {
-            guard: guard(JOINT_NAMES, &limits, torque_max, wrench_max),
+            guard,
             ..SessionConfig::default()
         };
         Self {
             session: Session::new(config),
+            guard,
             violation: None,
-            torque_max,
-            wrench_max,
+            beyond: None,
             torque: [0.0; AXES],
             torque_gates: [Gate::default(); AXES],
             wrench: [0.0; 6],
@@ -73,8 +74,10 @@ impl End {
         self.session.message()?.monitor.as_ref()
     }
 
-    fn follows(&self) -> bool {
-        self.status() == DeviceStatus::Operational
+    /// Notes what is beyond a guard.
+    fn admits(&mut self, verdict: Result<(), Violation>) -> bool {
+        self.beyond = self.beyond.or_else(|| verdict.err());
+        verdict.is_ok()
     }
 
     /// Whether the overlay takes what only one command mode carries.
@@ -112,10 +115,15 @@ impl End {
         }
     }
 
-    fn take_joint(&mut self, axis: usize, wanted: &JointImpedance, stands: bool) -> i32 {
+    fn take_joint(
+        &mut self,
+        axis: usize,
+        wanted: &JointImpedance,
+        (stands, follows): (bool, bool),
+    ) -> i32 {
         let torque = wanted.torque.filter(|_| stands).unwrap_or(0.0);
-        let (max, follows) = ([self.torque_max[axis]], self.follows());
-        let ([torque], refused) = self.torque_gates[axis].pass([torque], &max, follows);
+        let fits = self.admits(self.guard.check_torque_of(axis, torque));
+        let ([torque], refused) = self.torque_gates[axis].pass([torque], fits, follows);
         self.torque[axis] = torque;
         let is_fixed = wanted.stiffness.is_some()
             || wanted.damping.is_some()
@@ -127,10 +135,14 @@ impl End {
         verdict(refused, is_fixed, needed)
     }
 
-    fn take_cartesian(&mut self, wanted: &CartesianImpedance, stands: bool) -> i32 {
+    fn take_cartesian(
+        &mut self,
+        wanted: &CartesianImpedance,
+        (stands, follows): (bool, bool),
+    ) -> i32 {
         let wrench = to_wire(&wanted.wrench.filter(|_| stands).unwrap_or_default());
-        let follows = self.follows();
-        let (added, refused) = self.wrench_gate.pass(wrench, &self.wrench_max, follows);
+        let fits = self.admits(self.guard.check_wrench(&wrench));
+        let (added, refused) = self.wrench_gate.pass(wrench, fits, follows);
         self.wrench = added;
         let is_fixed = wanted.stiffness.is_some() || wanted.damping.is_some();
         let needed = match wanted.wrench {
@@ -258,13 +270,15 @@ impl Protocol for End {
     }
 
     fn sent_sequence(&self) -> u32 {
-        #[expect(clippy::cast_possible_truncation, reason = "a counter that wraps")]
-        let answered = self.session.counters().answered as u32;
-        answered.wrapping_sub(1)
+        self.session.sent_sequence()
+    }
+
+    fn check(&self, joints: &Joints) -> Result<(), Violation> {
+        self.session.check_joints(joints)
     }
 
     fn violation(&self) -> Option<Violation> {
-        self.violation
+        self.violation.or(self.beyond)
     }
 
     fn hear_nothing(&mut self, now: Duration) -> bool {
@@ -276,6 +290,7 @@ impl Protocol for End {
     }
 
     fn obey(&mut self, has: &Interfaces, orders: &Orders<'_>) {
+        self.beyond = None;
         // Answered anew each time: it is the robot program that switches.
         if let Some(given) = has.strategy.and_then(|it| it.command.read(orders.words)) {
             self.answers.strategy = answer(given.cycle, self.take_strategy(given.value));
@@ -283,7 +298,8 @@ impl Protocol for End {
         let joints = has.joint_impedance.iter().flat_map(|joints| joints.iter());
         for (axis, order) in joints.take(AXES).enumerate() {
             if let Some(given) = order.command.read(orders.words) {
-                let error = self.take_joint(axis, &given.value, orders.stands(&given));
+                let error =
+                    self.take_joint(axis, &given.value, (orders.stands(&given), orders.follows));
                 self.answers.joints[axis] = answer(given.cycle, error);
             }
         }
@@ -291,7 +307,7 @@ impl Protocol for End {
             .cartesian_impedance
             .and_then(|it| it.command.read(orders.words))
         {
-            let error = self.take_cartesian(&given.value, orders.stands(&given));
+            let error = self.take_cartesian(&given.value, (orders.stands(&given), orders.follows));
             self.answers.cartesian = answer(given.cycle, error);
         }
         if let Some(io) = &has.io {
@@ -413,7 +429,7 @@ mod tests {
                 wrench: Some(wrench),
                 ..CartesianImpedance::default()
             };
-            let told = end.take_cartesian(&wanted, true);
+            let told = end.take_cartesian(&wanted, (true, true));
             assert_eq!(told == error::RANGE, is_refused, "{force} N, {torque} Nm");
         }
     }

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use takt_fri::diagnosis::{Measurement, Observer};
 use takt_fri::error::DecodeError;
-use takt_fri::guard::Violation;
+use takt_fri::guard::{Guard, Violation};
 use takt_fri::lwr::wire::{Control, Krl, Msr, Quality};
 use takt_fri::lwr::{JOINT_NAMES, Phase, Session, SessionConfig};
 use takt_net::device::{Interfaces, Io};
@@ -22,10 +22,9 @@ use crate::device::fri::{Heard, Joints, Orders, Protocol, Totals, guard};
 #[derive(Debug)]
 pub struct End {
     session: Session,
-    /// Counter of the first answer.
-    first_sequence: u16,
     program: Program,
     impedance: Impedance,
+    guard: Guard,
     /// User data as it goes out.
     krl: Krl,
 }
@@ -35,15 +34,16 @@ impl End {
     #[must_use]
     pub fn new(handshake: Option<takt_fri::lwr::Protocol>) -> Self {
         let limits = super::describe("").limits;
+        let guard = guard(JOINT_NAMES, &limits, TORQUE_MAX, WRENCH_MAX);
         let config = SessionConfig {
-            guard: guard(JOINT_NAMES, &limits, TORQUE_MAX, WRENCH_MAX),
+            guard,
             ..SessionConfig::default()
         };
         Self {
             session: Session::new(config),
-            first_sequence: config.first_sequence,
             program: Program::new(handshake),
             impedance: Impedance::default(),
+            guard,
             krl: Krl::default(),
         }
     }
@@ -117,14 +117,17 @@ impl Protocol for End {
     }
 
     fn sent_sequence(&self) -> u32 {
-        #[expect(clippy::cast_possible_truncation, reason = "a counter that wraps")]
-        let answered = self.session.counters().answered as u16;
-        let next = self.first_sequence.wrapping_add(answered);
-        next.wrapping_sub(1).into()
+        self.session.sent_sequence().into()
+    }
+
+    fn check(&self, joints: &Joints) -> Result<(), Violation> {
+        self.session.check_joints(joints)
     }
 
     fn violation(&self) -> Option<Violation> {
-        self.session.violation()
+        self.session
+            .violation()
+            .or_else(|| self.impedance.violation())
     }
 
     fn hear_nothing(&mut self, now: Duration) -> bool {
@@ -147,8 +150,8 @@ impl Protocol for End {
         self.program.turn(has, orders, heard, &mut self.krl);
         *self.session.krl_mut() = self.krl;
         let standing = self.standing();
-        let fields = self.session.fields_mut();
-        self.impedance.obey(has, orders, &standing, fields);
+        let taken = (self.session.fields_mut(), &self.guard);
+        self.impedance.obey(has, orders, &standing, taken);
         // Refused in command mode: then the answers keep the fields with which it was entered.
         let _in_command = self.session.choose(self.impedance.chosen());
     }

@@ -1,12 +1,12 @@
 //! Stiffness, damping and what is added to the springs, as nets order them for joints and for the tool. Which
 //! strategy is in force is the KRL program's affair.
 
+use takt_fri::guard::{Guard, Violation};
 use takt_fri::lwr::wire::{CmdFlags, Control};
 use takt_fri::lwr::{Fields, Phase};
 use takt_net::device::{Answer, CartesianImpedance, Interfaces, JointImpedance};
 use takt_net::value::Wrench;
 
-use super::{TORQUE_MAX, WRENCH_MAX};
 use crate::device::fri::orders::{Gate, answer, error, first, to_wire};
 use crate::device::fri::{AXES, Orders};
 
@@ -25,10 +25,6 @@ pub(super) struct Standing {
 }
 
 impl Standing {
-    fn follows(&self) -> bool {
-        self.phase == Phase::Command
-    }
-
     /// Whether these fields reach the robot.
     fn verdict(&self, fields: CmdFlags) -> i32 {
         match self.phase {
@@ -55,6 +51,8 @@ pub(super) struct Impedance {
     joint_gates: [Gate; AXES],
     cartesian: Option<Answer>,
     cartesian_gate: Gate,
+    /// What nets ask to add beyond a guard.
+    violation: Option<Violation>,
 }
 
 impl Default for Impedance {
@@ -65,6 +63,7 @@ impl Default for Impedance {
             joint_gates: [Gate::default(); AXES],
             cartesian: None,
             cartesian_gate: Gate::default(),
+            violation: None,
         }
     }
 }
@@ -75,19 +74,25 @@ impl Impedance {
         self.chosen
     }
 
-    /// Takes what nets order into the fields of the answers.
+    /// Which guard refuses what nets ask to add now.
+    pub(super) const fn violation(&self) -> Option<Violation> {
+        self.violation
+    }
+
+    /// Takes what nets order into the fields of the answers, as far as the guard lets it.
     pub(super) fn obey(
         &mut self,
         has: &Interfaces,
         orders: &Orders<'_>,
         standing: &Standing,
-        fields: &mut Fields,
+        (fields, guard): (&mut Fields, &Guard),
     ) {
+        self.violation = None;
         let joints = has.joint_impedance.iter().flat_map(|joints| joints.iter());
         for (axis, order) in joints.take(AXES).enumerate() {
             if let Some(given) = order.command.read(orders.words) {
-                let stands = orders.stands(&given);
-                let error = self.take_joint(axis, &given.value, stands, standing, fields);
+                let wish = (orders.stands(&given), orders.follows);
+                let error = self.take_joint(axis, &given.value, wish, standing, (fields, guard));
                 self.joints[axis] = answer(given.cycle, error);
             }
         }
@@ -95,8 +100,8 @@ impl Impedance {
             .cartesian_impedance
             .and_then(|order| order.command.read(orders.words))
         {
-            let stands = orders.stands(&given);
-            let error = self.take_cartesian(&given.value, stands, standing, fields);
+            let wish = (orders.stands(&given), orders.follows);
+            let error = self.take_cartesian(&given.value, wish, standing, (fields, guard));
             self.cartesian = answer(given.cycle, error);
         }
     }
@@ -105,13 +110,15 @@ impl Impedance {
         &mut self,
         axis: usize,
         wanted: &JointImpedance,
-        stands: bool,
+        (stands, follows): (bool, bool),
         standing: &Standing,
-        fields: &mut Fields,
+        (fields, guard): (&mut Fields, &Guard),
     ) -> i32 {
         let torque = wanted.torque.filter(|_| stands).unwrap_or(0.0);
+        let beyond = guard.check_torque_of(axis, torque).err();
+        self.violation = self.violation.or(beyond);
         let gate = &mut self.joint_gates[axis];
-        let ([torque], refused) = gate.pass([torque], &[TORQUE_MAX[axis]], standing.follows());
+        let ([torque], refused) = gate.pass([torque], beyond.is_none(), follows);
         fields.joint_torque[axis] = torque;
         let is_soft = in_range(wanted.stiffness, JOINT_STIFFNESS_MAX);
         let is_damped = in_range(wanted.damping, 1.0);
@@ -143,13 +150,15 @@ impl Impedance {
     fn take_cartesian(
         &mut self,
         wanted: &CartesianImpedance,
-        stands: bool,
+        (stands, follows): (bool, bool),
         standing: &Standing,
-        fields: &mut Fields,
+        (fields, guard): (&mut Fields, &Guard),
     ) -> i32 {
-        let wrench = wanted.wrench.filter(|_| stands).unwrap_or_default();
+        let wrench = to_wire(&wanted.wrench.filter(|_| stands).unwrap_or_default());
+        let beyond = guard.check_wrench(&wrench).err();
+        self.violation = self.violation.or(beyond);
         let gate = &mut self.cartesian_gate;
-        let (added, refused) = gate.pass(to_wire(&wrench), &WRENCH_MAX, standing.follows());
+        let (added, refused) = gate.pass(wrench, beyond.is_none(), follows);
         fields.wrench = added;
         let values = |wrench: Wrench| to_wire(&wrench);
         let stiffness = wanted.stiffness.map(values);
@@ -213,13 +222,19 @@ mod tests {
             (f64::NAN, 0.0, true),
         ] {
             let mut impedance = Impedance::default();
+            let guard = Guard {
+                wrench: super::super::WRENCH_MAX,
+                ..Guard::open(takt_fri::lwr::JOINT_NAMES)
+            };
             let mut fields = Fields::default();
             let wrench = [force, 0.0, 0.0, 0.0, torque, 0.0];
             let wanted = CartesianImpedance {
                 wrench: Some(from_wire(wrench)),
                 ..CartesianImpedance::default()
             };
-            let told = impedance.take_cartesian(&wanted, true, &standing, &mut fields);
+            let told =
+                impedance.take_cartesian(&wanted, (true, true), &standing, (&mut fields, &guard));
+            assert_eq!(impedance.violation().is_some(), is_refused);
             assert_eq!(told == error::RANGE, is_refused, "{force} N, {torque} Nm");
             let sent = if is_refused { [0.0; 6] } else { wrench };
             assert_eq!(fields.wrench.map(f64::to_bits), sent.map(f64::to_bits));
