@@ -58,7 +58,7 @@ pub fn real_time_allocations() -> u64 {
 /// Marks the calling thread as real-time until the scope is dropped. Scopes nest.
 ///
 /// Its page faults are counted from here on too. The outermost scope locks and allocates for that, before it
-/// begins and after it ends.
+/// begins and after it ends: once per thread, or for each long stretch of one, not once per cycle.
 pub fn enter_real_time() -> RealTimeScope {
     if SCOPES.get() == 0 {
         faults::begin();

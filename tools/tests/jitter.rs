@@ -1,9 +1,6 @@
 //! `takt jitter` as its users run it: exit status, interruption, break, load, comparison, files read
 //! back. How late this host is, is not asked.
-#![expect(
-    clippy::unwrap_used,
-    reason = "a test that cannot go on ends"
-)]
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
 mod common;
 

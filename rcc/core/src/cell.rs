@@ -39,9 +39,9 @@ use serde::Deserialize;
 
 pub use crate::device::config::{
     AnalogueChannel, CanopenConfig, DriveArm, DriveJoint, EthercatClocks, EthercatConfig,
-    EthercatIo, EthercatSlave, IiwaConfig, IiwaIo, IiwaModel, LinkLoss, LwrConfig, RmpConfig,
-    SlaveGoal, SlavePdo, StartupObject, StartupValue, UnlockedPolicy, YouBotArm, YouBotBase,
-    YouBotControl,
+    EthercatIo, EthercatSlave, IiwaConfig, IiwaIo, IiwaModel, LinkLoss, LostPolicy, LwrConfig,
+    RmpConfig, SlaveGoal, SlavePdo, StartupObject, StartupValue, UnlockedPolicy, YouBotArm,
+    YouBotBase, YouBotControl,
 };
 use crate::device::{canopen, ethercat, iiwa, rmp};
 use crate::error::Error;
@@ -108,6 +108,8 @@ pub struct ControllerConfig {
     /// File with what primitives cost on this host, from the folder of the cell's own file; `None`
     /// for what they declare.
     pub costs: Option<PathBuf>,
+    /// Memory that all nets take together, MiB, 1 to 65536; their texts take a sixteenth of it beside.
+    pub nets_memory_mib: u32,
 }
 
 /// What becomes of the nets of a session when the connection that opened it is lost.
@@ -157,6 +159,7 @@ impl Default for ControllerConfig {
             threads: Vec::new(),
             log: None,
             costs: None,
+            nets_memory_mib: 1024,
         }
     }
 }
@@ -298,6 +301,12 @@ impl CellConfig {
         if periods.len() > THREADS_MAX {
             let (found, bound) = (periods.len(), THREADS_MAX);
             return Err(format!("{found} net threads; at most {bound} are possible"));
+        }
+        let memory = self.controller.nets_memory_mib;
+        if !(1..=65536).contains(&memory) {
+            return Err(format!(
+                "controller.nets_memory_mib is {memory}; it must be 1 to 65536"
+            ));
         }
         for (i, period) in periods.iter().enumerate() {
             let key = if i == 0 {

@@ -12,6 +12,9 @@ mod events;
 mod figures;
 mod inter;
 mod load;
+mod net;
+mod news;
+mod outlook;
 mod reload;
 mod rules;
 mod share;
@@ -31,7 +34,9 @@ use crate::executor::stop::EmergencyStop;
 use crate::executor::thread::Command;
 use crate::record::{Recorder, Tap};
 use clock::FollowedClock;
-use desk::{Desk, Net, Session};
+use desk::{Desk, Session};
+use net::Net;
+use share::Room;
 
 pub use crate::executor::figures::NetCounts;
 pub use crate::executor::rules::RuleState;
@@ -43,7 +48,6 @@ pub use figures::{NetFigures, ThreadInfo};
 pub use inter::{LOOK_LASTS, LOOKS_MAX, TapRecord, Taps};
 pub use load::LoadRequest;
 pub use rules::{RuleId, RuleInfo, RuleRequest};
-pub use share::{NETS_MEMORY_MAX, NETS_TEXT_MAX};
 
 /// Nets that may be loaded at once.
 pub const NETS_MAX: usize = 1024;
@@ -206,7 +210,8 @@ impl Controller {
         let clock = FollowedClock::of(cell);
         let stop = Arc::new(EmergencyStop::new(cell.controller.need_estop));
         let threads = threads::start(cell, clock.as_ref(), &stop, tap)?;
-        let mut desk = Desk::new(threads, clock, stop, recorder);
+        let room = Room::of_mib(cell.controller.nets_memory_mib);
+        let mut desk = Desk::new(threads, clock, stop, recorder, room);
         for device in &cell.devices {
             desk.add_of_cell(device)?;
         }
@@ -358,10 +363,7 @@ impl Controller {
                 return Ok(());
             }
             NetState::Ready | NetState::Scheduled => {
-                let away = desk.net(id)?.is_away();
-                desk.withdraw(id)?;
-                if !away {
-                    desk.net(id)?.end(NEVER_RAN.to_owned());
+                if desk.give_up(id)? {
                     self.inner.announce(&desk);
                     return Ok(());
                 }
@@ -535,15 +537,18 @@ const SUPERVISION: Duration = Duration::from_millis(2);
 /// Carries what the net threads tell to the desk, and notes changes of devices.
 fn supervise(inner: &Inner) {
     while !inner.stop.load(Ordering::Relaxed) {
-        {
-            let mut desk = inner.lock();
-            desk.forget_departed();
-            desk.drain_taps();
-            let told = std::mem::take(&mut desk.unannounced);
-            let moved = desk.look_at_devices();
-            if told || moved {
-                inner.announce(&desk);
-            }
+        let mut desk = inner.lock();
+        desk.forget_departed();
+        desk.drain_taps();
+        let told = std::mem::take(&mut desk.unannounced);
+        let moved = desk.look_at_devices();
+        if told || moved {
+            inner.announce(&desk);
+        }
+        let news = desk.take_news(std::time::Instant::now());
+        drop(desk);
+        for (driver, news) in news {
+            tracing::info!(driver, "{news}");
         }
         std::thread::sleep(SUPERVISION);
     }

@@ -26,6 +26,11 @@ use takt_rt::Nanos;
 pub use parts::Part;
 pub use table::{Device, DevicePorts, DeviceTable};
 
+/// Least and most of what is to be above zero, such as a joint's speed: beyond these, products with the cycle would
+/// be zero or infinite.
+const LEAST: f64 = 1e-6;
+const MOST: f64 = 1e9;
+
 /// Most joints of one robot arm.
 pub const ARM_JOINTS_MAX: usize = 8;
 

@@ -74,27 +74,29 @@ pub enum Error {
     },
     /// A net would take the time that scheduled nets need.
     #[error(
-        "net {net} costs up to {cost:?} a cycle, which leaves too little of the {budget:?} that nets of its \
-         thread may cost together for what rule {rule} is to start: {kept_for}; abort those first"
+        "net {net} costs up to {cost:?} a cycle: with what rules may start beside it, nets of its thread would \
+         come to {most:?} together, and may cost {budget:?}; abort one of those that wait first: {waiting}"
     )]
     OverloadKept {
         net: NetId,
         cost: std::time::Duration,
+        most: std::time::Duration,
         budget: std::time::Duration,
-        rule: u32,
-        kept_for: String,
+        waiting: String,
     },
     /// Nets that a rule is to start would cost too much beside those that run on.
     #[error(
-        "the nets to be started cost up to {started:?} a cycle, and {running:?} of the {budget:?} that nets \
-         of their thread may cost together stay taken by nets that the rule does not follow: {heaviest}; \
-         let it stop one of them or wait for its end, or make them smaller"
+        "the nets to be started cost up to {started:?} a cycle: with what runs beside them or may be started \
+         by other rules, nets of their thread would come to {most:?} together, and may cost {budget:?}. \
+         Running beside them: {running}; waiting for rules: {waiting}. Let the rule stop a net that runs or wait for its end \
+         (`net.terminated`), abort one that waits, or make them smaller"
     )]
     RuleOverload {
         started: std::time::Duration,
-        running: std::time::Duration,
+        most: std::time::Duration,
         budget: std::time::Duration,
-        heaviest: String,
+        running: String,
+        waiting: String,
     },
     /// A rule's condition is wrong.
     #[error("condition: {what}")]

@@ -4,6 +4,7 @@
 
 pub mod figures;
 pub mod links;
+mod resources;
 pub mod rules;
 pub mod serve;
 pub mod stop;
@@ -22,41 +23,14 @@ use takt_rt::latest::{LatestReader, LatestWriter};
 use crate::device::{DeviceStatus, Place};
 use figures::{NetCounters, RUNAWAY_AFTER};
 
+pub use resources::ResourceSet;
+
 /// Most nets that run in one thread.
 pub const RUNNING_MAX: usize = 256;
+/// Places of running nets: those that end leave theirs only after those that follow them have come.
+const PLACES: usize = 2 * RUNNING_MAX;
 /// Most devices that one thread serves.
 pub const DEVICES_MAX: usize = 64;
-
-/// A set of resources, by their number.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct ResourceSet([u64; 32]);
-
-impl ResourceSet {
-    /// How many resources there can be.
-    pub const MAX: usize = 32 * 64;
-
-    /// Adds the resource of that number, which is below [`Self::MAX`].
-    pub const fn insert(&mut self, number: usize) {
-        self.0[number / 64] |= 1 << (number % 64);
-    }
-
-    /// The lowest number in both sets.
-    #[must_use]
-    pub fn common(&self, other: &Self) -> Option<usize> {
-        let both = self.0.iter().zip(&other.0).map(|(a, b)| a & b);
-        both.enumerate()
-            .find(|(_, word)| *word != 0)
-            .map(|(i, word)| i * 64 + word.trailing_zeros() as usize)
-    }
-
-    fn add(&mut self, other: &Self) {
-        self.0.iter_mut().zip(&other.0).for_each(|(a, b)| *a |= b);
-    }
-
-    fn remove(&mut self, other: &Self) {
-        self.0.iter_mut().zip(&other.0).for_each(|(a, b)| *a &= !b);
-    }
-}
 
 /// A device as nets' life depends on it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -84,7 +58,7 @@ pub enum End {
     Aborted,
     /// A synchronization rule stopped it.
     Stopped,
-    /// Its evaluation took longer than its period, [`RUNAWAY_AFTER`] times in a row.
+    /// Its evaluation took longer than a period of its thread, [`RUNAWAY_AFTER`] times in a row.
     Runaway,
     /// A device that it commands, by its number, ceased to follow commands.
     DeviceFault(usize),
@@ -104,13 +78,6 @@ pub enum Refusal {
         /// What those cost that run.
         running: Nanos,
         /// What all may cost.
-        budget: Nanos,
-    },
-    /// It would leave too little of a cycle for the nets that this rule starts.
-    OverloadKept {
-        /// The rule's number.
-        rule: u32,
-        /// What all nets may cost.
         budget: Nanos,
     },
     /// Too many nets run.
@@ -142,7 +109,7 @@ pub struct Running {
     /// Devices it commands, with the faults they had when it started.
     pub devices: Vec<(usize, u64)>,
     /// It is evaluated in every so many cycles of its thread.
-    pub every: u64,
+    every: u64,
     /// What a cycle of it costs at most by what its primitives declare.
     pub cost: Nanos,
     /// Whether it was asked to cancel.
@@ -162,6 +129,7 @@ pub struct Running {
     /// The group of `every` cycles in which it was last looked at.
     last_group: Option<u64>,
     counters: Arc<NetCounters>,
+    /// The period of its thread, and what an evaluation may take of it.
     period: Nanos,
     budget: Nanos,
     /// Evaluations in a row that took longer than `period`.
@@ -211,13 +179,19 @@ impl Running {
         }
     }
 
+    /// Has it evaluated in every so many cycles of its thread, whose own period bounds what each may take.
+    pub fn set_every(&mut self, every: u64) {
+        self.every = every.max(1);
+        let thread = self.plan.period() / u32::try_from(self.every).unwrap_or(u32::MAX);
+        (self.period, self.budget) = (thread.into(), figures::budget(thread).into());
+    }
+
     /// Whether it is to be evaluated in this cycle: in the first of each group of `every`, or the
     /// first of it that the thread did not miss.
     fn is_due(&mut self, cycle: u64) -> bool {
-        let every = self.every.max(1);
-        let group = cycle / every;
+        let group = cycle / self.every;
         match self.last_group.replace(group) {
-            None => cycle.is_multiple_of(every),
+            None => cycle.is_multiple_of(self.every),
             Some(last) => last != group,
         }
     }
@@ -299,7 +273,7 @@ impl Default for Executor {
         Self {
             image: Image::default(),
             devices: Vec::with_capacity(DEVICES_MAX),
-            running: Vec::with_capacity(RUNNING_MAX),
+            running: Vec::with_capacity(PLACES),
             rules: rules::Rules::new(),
             budget: Nanos::MAX,
             joints: 0,
@@ -331,7 +305,7 @@ impl Executor {
     /// # Errors
     /// If it cannot run now; the net comes back with the reason.
     pub fn start(&mut self, mut net: Box<Running>) -> Result<(), (Box<Running>, Refusal)> {
-        if self.running.len() == RUNNING_MAX {
+        if !self.has_places(self.going_on().count(), 1) {
             return Err((net, Refusal::TooMany));
         }
         if let Some(refusal) = self.blocked(&net) {
@@ -426,6 +400,17 @@ impl Executor {
             net.end = Some(End::Aborted);
             true
         })
+    }
+
+    /// The running nets that do not end in this cycle.
+    fn going_on(&self) -> impl Iterator<Item = &Running> {
+        let nets = self.running.iter().map(|net| &**net);
+        nets.filter(|net| net.end.is_none())
+    }
+
+    /// Whether so many nets more may run where so many go on.
+    fn has_places(&self, going_on: usize, more: usize) -> bool {
+        going_on + more <= RUNNING_MAX && self.running.len() + more <= PLACES
     }
 
     /// What running nets hold.

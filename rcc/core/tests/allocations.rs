@@ -18,6 +18,7 @@ use takt_core::record::Recorder;
 use takt_core::{CellConfig, Controller, NetId};
 use takt_net::{Cycle, Definition, Image, Limits, LoadContext, Moment, NoDevices, Primitive, load};
 use takt_rt::alloc::{CountingAllocator, enter_real_time, real_time_allocations};
+use takt_tests::steady;
 
 #[global_allocator]
 static ALLOCATOR: CountingAllocator = CountingAllocator;
@@ -53,24 +54,28 @@ fn move_an_arm(cell: &Cell) {
 
 #[test]
 fn a_running_cell_allocates_nothing_in_real_time() {
-    let count = allocations(|| move_an_arm(&Cell::new(&["left"])));
-    assert_eq!(count, 0);
+    steady(|| {
+        let count = allocations(|| move_an_arm(&Cell::new(&["left"])));
+        assert_eq!(count, 0);
+    });
 }
 
 #[test]
 fn nor_does_one_that_is_recorded() {
-    let path = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("allocations.mcap");
-    let count = allocations(|| {
-        let cell = Cell::recorded(&["left"], Some(Recorder::start(&path).unwrap()));
-        move_an_arm(&cell);
-        cell.controller.finish_recording().unwrap();
-        // And goes on when nobody takes the cycles any more.
-        let cycles = cell.controller.stats().cycles;
-        cell.wait("cycles without a recording", |c| {
-            c.stats().cycles > cycles + 600
+    steady(|| {
+        let path = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("allocations.mcap");
+        let count = allocations(|| {
+            let cell = Cell::recorded(&["left"], Some(Recorder::start(&path).unwrap()));
+            move_an_arm(&cell);
+            cell.controller.finish_recording().unwrap();
+            // And goes on when nobody takes the cycles any more.
+            let cycles = cell.controller.stats().cycles;
+            cell.wait("cycles without a recording", |c| {
+                c.stats().cycles > cycles + 600
+            });
         });
+        assert_eq!(count, 0);
     });
-    assert_eq!(count, 0);
 }
 
 /// Ends after so many seconds.
@@ -84,52 +89,54 @@ fn lasting(seconds: f64) -> String {
 
 #[test]
 fn nor_do_two_threads_with_rules_between_them() {
-    let slow = Duration::from_millis(4);
-    let anywhere = std::net::SocketAddr::from(([127, 0, 0, 1], 0));
-    let mut cell = CellConfig::default();
-    cell.controller.threads = vec![NetThreadSettings::new(slow)];
-    let arm = |name: &str, thread| {
-        let lwr = LwrConfig::new(name, anywhere);
-        DeviceConfig::Lwr(LwrConfig { thread, ..lwr })
-    };
-    cell.devices = vec![arm("left", None), arm("right", Some(slow))];
-    let count = allocations(|| {
-        let cell = Cell::of(&cell, None);
-        let first = cell.controller.stats().cycles;
-        let mut angle = 0.0;
-        while cell.controller.stats().cycles < first + CYCLES {
-            let [left, right] = ["left", "right"].map(|arm| cell.load(&swing(arm, 0.9)));
-            let periods = [Duration::from_millis(1), slow];
-            let [fast, late] = periods.map(|period| cell.load_every(&lasting(0.1), period));
-            // Started by what happens in the other thread.
-            let request = |condition: String, start| RuleRequest {
-                condition,
-                start: vec![start],
-                ..RuleRequest::default()
-            };
-            let controller = &cell.controller;
-            controller
-                .schedule(request(format!("{late}.outdone"), left))
-                .unwrap();
-            controller
-                .schedule(request(format!("{fast}.terminated"), right))
-                .unwrap();
-            controller.start_net(fast).unwrap();
-            controller.start_net(late).unwrap();
-            for net in [left, right] {
-                assert_eq!(cell.wait_for_end(net).end, None);
+    steady(|| {
+        let slow = Duration::from_millis(4);
+        let anywhere = std::net::SocketAddr::from(([127, 0, 0, 1], 0));
+        let mut cell = CellConfig::default();
+        cell.controller.threads = vec![NetThreadSettings::new(slow)];
+        let arm = |name: &str, thread| {
+            let lwr = LwrConfig::new(name, anywhere);
+            DeviceConfig::Lwr(LwrConfig { thread, ..lwr })
+        };
+        cell.devices = vec![arm("left", None), arm("right", Some(slow))];
+        let count = allocations(|| {
+            let cell = Cell::of(&cell, None);
+            let first = cell.controller.stats().cycles;
+            let mut angle = 0.0;
+            while cell.controller.stats().cycles < first + CYCLES {
+                let [left, right] = ["left", "right"].map(|arm| cell.load(&swing(arm, 0.9)));
+                let periods = [Duration::from_millis(1), slow];
+                let [fast, late] = periods.map(|period| cell.load_every(&lasting(0.1), period));
+                // Started by what happens in the other thread.
+                let request = |condition: String, start| RuleRequest {
+                    condition,
+                    start: vec![start],
+                    ..RuleRequest::default()
+                };
+                let controller = &cell.controller;
+                controller
+                    .schedule(request(format!("{late}.outdone"), left))
+                    .unwrap();
+                controller
+                    .schedule(request(format!("{fast}.terminated"), right))
+                    .unwrap();
+                controller.start_net(fast).unwrap();
+                controller.start_net(late).unwrap();
+                for net in [left, right] {
+                    assert_eq!(cell.wait_for_end(net).end, None);
+                }
+                angle += 0.5;
+                assert!(angle < 2.5, "the joints come to their end");
             }
-            angle += 0.5;
-            assert!(angle < 2.5, "the joints come to their end");
-        }
-        let threads = cell.controller.threads();
-        assert!(
-            threads
-                .iter()
-                .all(|thread| thread.stats.cycles > CYCLES / 8)
-        );
+            let threads = cell.controller.threads();
+            assert!(
+                threads
+                    .iter()
+                    .all(|thread| thread.stats.cycles > CYCLES / 8)
+            );
+        });
+        assert_eq!(count, 0);
     });
-    assert_eq!(count, 0);
 }
 
 /// Counts its cycles in `count` and never ends.

@@ -8,8 +8,10 @@
 mod common;
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
+use std::fs::File;
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use takt_core::controller::{LoadRequest, NetState, RuleRequest};
@@ -95,11 +97,9 @@ impl DeviceDriver for Rolling {
     }
 }
 
-#[test]
-fn a_base_of_the_cell_is_not_removed_while_it_moves() {
-    let cell = cell();
-    let rolls = Arc::new(AtomicBool::new(true));
-    let told = Arc::clone(&rolls);
+/// Adds a base that rolls down a slope, whatever is commanded, for as long as `rolls` says so.
+fn add_rolling_base(cell: &Cell, rolls: &Arc<AtomicBool>) {
+    let told = Arc::clone(rolls);
     let base = DeviceDescription {
         name: "base".to_owned(),
         kind: "test",
@@ -107,38 +107,58 @@ fn a_base_of_the_cell_is_not_removed_while_it_moves() {
         model: "".into(),
         parts: vec![BASE],
     };
-    let added = cell
-        .controller
-        .add_driver("base", vec![base], None, |ends| {
-            let (mut end, clock) = ends.only("base")?;
-            let thread = DriverThread::start("base", None, &[], move |stopping| {
-                let mut layout = Layout::default();
-                let base = parts::lay(&[BASE], 0, &mut layout).base.unwrap();
-                let mut state = DeviceState::new(layout.signals);
-                state.status = DeviceStatus::Operational;
-                while !stopping.load(Ordering::Relaxed) {
-                    let mut velocity = Twist::default();
-                    velocity.vel.x = if told.load(Ordering::Relaxed) {
-                        0.1
-                    } else {
-                        0.0
-                    };
-                    // Nothing commands it: it rolls down a slope.
-                    base.velocity.tell(&mut state.signals, Some(velocity));
-                    end.state.write_with(|slot| slot.copy_from(&state));
-                    std::thread::sleep(Duration::from_millis(1));
-                }
-                clock
-            });
-            Ok(Box::new(Rolling(thread?)))
+    let controller = &cell.controller;
+    let added = controller.add_driver("base", vec![base], None, |ends| {
+        let (mut end, clock) = ends.only("base")?;
+        let thread = DriverThread::start("base", None, &[], move |stopping| {
+            let mut layout = Layout::default();
+            let base = parts::lay(&[BASE], 0, &mut layout).base.unwrap();
+            let mut state = DeviceState::new(layout.signals);
+            state.status = DeviceStatus::Operational;
+            while !stopping.load(Ordering::Relaxed) {
+                let mut velocity = Twist::default();
+                let rolls = told.load(Ordering::Relaxed);
+                velocity.vel.x = if rolls { 0.1 } else { 0.0 };
+                base.velocity.tell(&mut state.signals, Some(velocity));
+                end.state.write_with(|slot| slot.copy_from(&state));
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            clock
         });
+        Ok(Box::new(Rolling(thread?)))
+    });
     added.unwrap();
     cell.wait("the base in motion", |controller| !controller.is_at_rest());
+}
+
+#[test]
+fn a_base_of_the_cell_is_not_removed_while_it_moves() {
+    let cell = cell();
+    let rolls = Arc::new(AtomicBool::new(true));
+    add_rolling_base(&cell, &rolls);
     let refused = cell.controller.remove_cell_device("base").unwrap_err();
     assert!(refused.to_string().contains("it still moves"), "{refused}");
     rolls.store(false, Ordering::Relaxed);
     cell.wait("the base at rest", Controller::is_at_rest);
     cell.controller.remove_cell_device("base").unwrap();
+}
+
+#[test]
+fn a_controller_ends_though_a_device_never_rests_and_says_which() {
+    let cell = cell();
+    add_rolling_base(&cell, &Arc::new(AtomicBool::new(true)));
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("closing.log");
+    let file = Mutex::new(File::create(&path).unwrap());
+    let log = tracing_subscriber::fmt().with_ansi(false);
+    let log = log.with_writer(file).finish();
+    tracing::subscriber::with_default(log, || drop(cell));
+    let told = std::fs::read_to_string(&path).unwrap();
+    let of_base = told.lines().find(|line| line.contains("still moves"));
+    let of_base = of_base.unwrap_or_else(|| panic!("{told}"));
+    assert!(
+        of_base.contains("WARN") && of_base.contains("device=\"base\""),
+        "{of_base}"
+    );
 }
 
 #[test]

@@ -78,6 +78,8 @@ struct Rig<P, C> {
     end: P,
     robot: C,
     answer: Vec<u8>,
+    /// Whether the robot followed at the last answer.
+    followed: bool,
     nets: u32,
 }
 
@@ -96,6 +98,7 @@ impl<P: Protocol, C: Controller> Rig<P, C> {
             end,
             robot,
             answer: Vec::new(),
+            followed: false,
             nets: 0,
         }
     }
@@ -112,14 +115,17 @@ impl<P: Protocol, C: Controller> Rig<P, C> {
             if !self.end.is_due() {
                 continue;
             }
+            let follows = self.end.status() == DeviceStatus::Operational;
             let orders = Orders {
                 words: &self.taken.words,
                 cycle: self.taken.cycle,
                 is_fresh: true,
+                follows: follows && self.followed,
                 moves: false,
                 now,
             };
             self.end.obey(&self.has, &orders);
+            self.followed = follows;
             let rest = self.end.rest();
             let len = self.end.reply(&rest, &mut buffer).unwrap();
             self.answer = buffer[..len].to_vec();

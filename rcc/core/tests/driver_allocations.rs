@@ -35,6 +35,7 @@ use takt_fri::sunrise::emulator::{
 };
 use takt_fri::sunrise::wire::{CommandMode, Dialect, Quality};
 use takt_rt::alloc::{CountingAllocator, real_time_allocations};
+use takt_tests::steady;
 
 #[global_allocator]
 static ALLOCATOR: CountingAllocator = CountingAllocator;
@@ -125,80 +126,85 @@ fn orders() -> String {
 
 #[test]
 fn the_driver_of_an_lwr_allocates_nothing_whatever_nets_order() {
-    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
-    let anywhere = SocketAddr::from(([127, 0, 0, 1], 0));
-    let arm = LwrConfig {
-        handshake: Some(takt_fri::lwr::Protocol::Rcc),
-        ..LwrConfig::new("arm", anywhere)
-    };
-    let config = CellConfig {
-        devices: vec![DeviceConfig::Lwr(arm)],
-        ..CellConfig::default()
-    };
-    let mut cell = Cell {
-        controller: Controller::start(&config).unwrap(),
-        robots: Vec::new(),
-    };
-    let address = cell.controller.with_drivers(lwr::Lwr::address)[0];
-    cell.robots.push(Robot::start(address));
-    let io = "{t=Core::BooleanValue(Value='true'),out=IO::OutBool(inIO=t.outValue,DeviceID='arm',
+    steady(|| {
+        let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
+        let anywhere = SocketAddr::from(([127, 0, 0, 1], 0));
+        let arm = LwrConfig {
+            handshake: Some(takt_fri::lwr::Protocol::Rcc),
+            ..LwrConfig::new("arm", anywhere)
+        };
+        let config = CellConfig {
+            devices: vec![DeviceConfig::Lwr(arm)],
+            ..CellConfig::default()
+        };
+        let mut cell = Cell {
+            controller: Controller::start(&config).unwrap(),
+            robots: Vec::new(),
+        };
+        let address = cell.controller.with_drivers(lwr::Lwr::address)[0];
+        cell.robots.push(Robot::start(address));
+        let io =
+            "{t=Core::BooleanValue(Value='true'),out=IO::OutBool(inIO=t.outValue,DeviceID='arm',
         Port='3'),in=IO::InReal(DeviceID='arm',Port='2'),clock=Core::Clock(),
         late=Core::DoubleGreater(inFirst=clock.outValue,Second='0.5'),outTerminate=late.outValue}";
-    let [first, second] = swings("arm");
-    let nets = [first, orders(), io.to_owned(), second];
-    assert_eq!(allocations(&cell, "arm", &nets), 0);
-    let figures = cell.controller.with_drivers(lwr::Lwr::figures)[0];
-    assert!(figures.datagrams > 50, "{figures:?}");
+        let [first, second] = swings("arm");
+        let nets = [first, orders(), io.to_owned(), second];
+        assert_eq!(allocations(&cell, "arm", &nets), 0);
+        let figures = cell.controller.with_drivers(lwr::Lwr::figures)[0];
+        assert!(figures.datagrams > 50, "{figures:?}");
+    });
 }
 
 #[test]
 fn the_driver_of_an_iiwa_allocates_nothing_whatever_nets_order() {
-    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
-    let anywhere = SocketAddr::from(([127, 0, 0, 1], 0));
-    let config = CellConfig {
-        devices: vec![DeviceConfig::Iiwa(IiwaConfig::new("arm", anywhere))],
-        ..CellConfig::default()
-    };
-    let cell = Cell {
-        controller: Controller::start(&config).unwrap(),
-        robots: Vec::new(),
-    };
-    let address = cell.controller.with_drivers(Iiwa::address)[0];
-    let springs = Control::JointImpedance {
-        stiffness: [2000.0; 7],
-        damping: [0.7; 7],
-    };
-    let overlay = Overlay {
-        control: springs,
-        command: CommandMode::Torque,
-    };
-    let restart = Some(Duration::from_millis(100));
-    let config = CabinetConfig {
-        dialect: Dialect::V3,
-        program: Program::Auto { overlay, restart },
-        timing: Timing {
-            misses_max: 100,
-            bad_from: 0.0,
-            ..Timing::default()
-        },
-        faults: Faults {
-            quality: Some(Quality::Excellent),
-            ..Faults::default()
-        },
-        ..CabinetConfig::default()
-    };
-    let _cabinet = Emulated::start(move |stop| {
-        let local = SocketAddr::from(([127, 0, 0, 1], 0));
-        let mut link = takt_fri::linux::UdpLink::connect(local, address).unwrap();
-        let mut cabinet = Cabinet::new(config, takt_fri::linux::monotonic().unwrap());
-        let status = CabinetStatus::new();
-        takt_fri::sunrise::emulator::serve(&mut cabinet, &mut link, &status, stop).unwrap();
+    steady(|| {
+        let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
+        let anywhere = SocketAddr::from(([127, 0, 0, 1], 0));
+        let config = CellConfig {
+            devices: vec![DeviceConfig::Iiwa(IiwaConfig::new("arm", anywhere))],
+            ..CellConfig::default()
+        };
+        let cell = Cell {
+            controller: Controller::start(&config).unwrap(),
+            robots: Vec::new(),
+        };
+        let address = cell.controller.with_drivers(Iiwa::address)[0];
+        let springs = Control::JointImpedance {
+            stiffness: [2000.0; 7],
+            damping: [0.7; 7],
+        };
+        let overlay = Overlay {
+            control: springs,
+            command: CommandMode::Torque,
+        };
+        let restart = Some(Duration::from_millis(100));
+        let config = CabinetConfig {
+            dialect: Dialect::V3,
+            program: Program::Auto { overlay, restart },
+            timing: Timing {
+                misses_max: 100,
+                bad_from: 0.0,
+                ..Timing::default()
+            },
+            faults: Faults {
+                quality: Some(Quality::Excellent),
+                ..Faults::default()
+            },
+            ..CabinetConfig::default()
+        };
+        let _cabinet = Emulated::start(move |stop| {
+            let local = SocketAddr::from(([127, 0, 0, 1], 0));
+            let mut link = takt_fri::linux::UdpLink::connect(local, address).unwrap();
+            let mut cabinet = Cabinet::new(config, takt_fri::linux::monotonic().unwrap());
+            let status = CabinetStatus::new();
+            takt_fri::sunrise::emulator::serve(&mut cabinet, &mut link, &status, stop).unwrap();
+        });
+        let [first, second] = swings("arm");
+        let nets = [first, orders(), second];
+        assert_eq!(allocations(&cell, "arm", &nets), 0);
+        let figures = cell.controller.with_drivers(Iiwa::figures)[0];
+        assert!(figures.datagrams > 50, "{figures:?}");
     });
-    let [first, second] = swings("arm");
-    let nets = [first, orders(), second];
-    assert_eq!(allocations(&cell, "arm", &nets), 0);
-    let figures = cell.controller.with_drivers(Iiwa::figures)[0];
-    assert!(figures.datagrams > 50, "{figures:?}");
 }
 
 /// The joint of a drive in `cell.toml`.
@@ -211,130 +217,140 @@ fn joint(of: &str, drive: &str, axis: usize) -> String {
 
 #[test]
 fn the_driver_of_a_canopen_network_allocates_nothing() {
-    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
-    let joints: String = ["1", "2"].map(|drive| joint("canopen", drive, 0)).concat();
-    let config = toml(&format!(
-        "[[canopen]]\nname = \"network\"\ninterface = \"none\"\ncycle = \"4ms\"\n\
+    steady(|| {
+        let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
+        let joints: String = ["1", "2"].map(|drive| joint("canopen", drive, 0)).concat();
+        let config = toml(&format!(
+            "[[canopen]]\nname = \"network\"\ninterface = \"none\"\ncycle = \"4ms\"\n\
          [[canopen.arm]]\nname = \"arm\"\n{joints}"
-    ));
-    let config = &config.canopen[0];
-    let ours = LivePort::first_of(Bus::new(Config::default()));
-    let mut ports = [ours.attach(), ours.attach()];
-    let _drives = Emulated::start(move |stop| {
-        let node = |raw| {
-            let mut config = DriveNodeConfig::new(NodeId::new(raw).unwrap());
-            // A host without PREEMPT_RT misses SYNC now and then.
-            config.axes[0].quirks.missing_set_points = None;
-            DriveNode::power_on(config, takt_can::linux::monotonic()).unwrap()
-        };
-        let mut drives = [node(1), node(2)];
-        while !stop.load(Ordering::Relaxed) {
-            // The second waits for nothing.
-            let mut wait = Duration::from_micros(300);
-            for (port, drive) in ports.iter_mut().zip(&mut drives) {
-                while let Some(received) = port.receive(wait).unwrap() {
+        ));
+        let config = &config.canopen[0];
+        let ours = LivePort::first_of(Bus::new(Config::default()));
+        let mut ports = [ours.attach(), ours.attach()];
+        let _drives = Emulated::start(move |stop| {
+            let node = |raw| {
+                let mut config = DriveNodeConfig::new(NodeId::new(raw).unwrap());
+                // A host without PREEMPT_RT misses SYNC now and then.
+                config.axes[0].quirks.missing_set_points = None;
+                DriveNode::power_on(config, takt_can::linux::monotonic()).unwrap()
+            };
+            let mut drives = [node(1), node(2)];
+            while !stop.load(Ordering::Relaxed) {
+                // The second waits for nothing.
+                let mut wait = Duration::from_micros(300);
+                for (port, drive) in ports.iter_mut().zip(&mut drives) {
+                    while let Some(received) = port.receive(wait).unwrap() {
+                        wait = Duration::ZERO;
+                        if let Some(frame) = received.frame.classic() {
+                            drive.handle_frame(frame, takt_can::linux::monotonic());
+                        }
+                    }
                     wait = Duration::ZERO;
-                    if let Some(frame) = received.frame.classic() {
-                        drive.handle_frame(frame, takt_can::linux::monotonic());
+                    while let Some(frame) = drive.poll_transmit(takt_can::linux::monotonic()) {
+                        let _queue_full = port.send(&frame.into());
                     }
                 }
-                wait = Duration::ZERO;
-                while let Some(frame) = drive.poll_transmit(takt_can::linux::monotonic()) {
-                    let _queue_full = port.send(&frame.into());
-                }
             }
-        }
-    });
-    let cell = controller();
-    let devices = canopen::describe(config);
-    let added = cell
-        .controller
-        .add_driver("network", devices, None, |ends| {
-            Ok(Box::new(Canopen::start(config, Box::new(ours), ends)?))
         });
-    added.unwrap();
-    assert_eq!(allocations(&cell, "arm", &swings("arm")), 0);
+        let cell = controller();
+        let devices = canopen::describe(config);
+        let added = cell
+            .controller
+            .add_driver("network", devices, None, |ends| {
+                Ok(Box::new(Canopen::start(config, Box::new(ours), ends)?))
+            });
+        added.unwrap();
+        assert_eq!(allocations(&cell, "arm", &swings("arm")), 0);
+    });
 }
 
 #[test]
 fn the_driver_of_an_ethercat_segment_allocates_nothing() {
-    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
-    let joints = (0..6).map(|axis| joint("ethercat", "\"drives\"", axis));
-    let joints: String = joints.collect();
-    let config = toml(&format!(
-        "[[ethercat]]\nname = \"segment\"\ninterface = \"none\"\ncycle = \"2ms\"\n\
+    steady(|| {
+        let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
+        let joints = (0..6).map(|axis| joint("ethercat", "\"drives\"", axis));
+        let joints: String = joints.collect();
+        let config = toml(&format!(
+            "[[ethercat]]\nname = \"segment\"\ninterface = \"none\"\ncycle = \"2ms\"\n\
          [[ethercat.slave]]\nname = \"coupler\"\nposition = 0\n\
          [[ethercat.slave]]\nname = \"drives\"\nposition = 1\naxes = 6\nsync0 = true\n\
          [[ethercat.arm]]\nname = \"arm\"\n{joints}"
-    ));
-    let config = &config.ethercat[0];
-    let mut tx90 = ServoConfig::tx90();
-    // A host without PREEMPT_RT misses SYNC0 now and then.
-    for axis in &mut tx90.axes {
-        axis.quirks.missing_set_points = None;
-    }
-    let (drives, _servo) = ServoDrive::slave(tx90).unwrap();
-    let segment = SharedSegment::new(Segment::line([Coupler::slave(), drives]));
-    let (near, far) = takt_ethercat::linux::cable();
-    let _segment = Emulated::start(move |stop| {
-        let mut server = Server::new(segment, far);
-        while !stop.load(Ordering::Relaxed) {
-            let wait = Duration::from_millis(5);
-            server
-                .turn(wait, &mut takt_ethercat::linux::monotonic)
-                .unwrap();
+        ));
+        let config = &config.ethercat[0];
+        let mut tx90 = ServoConfig::tx90();
+        // A host without PREEMPT_RT misses SYNC0 now and then.
+        for axis in &mut tx90.axes {
+            axis.quirks.missing_set_points = None;
         }
-    });
-    let wire = ethercat::Wire {
-        link: Box::new(near),
-        source: [2, 0, 0, 0, 0, 1],
-    };
-    let cell = controller();
-    let devices = ethercat::describe(config);
-    let added = cell
-        .controller
-        .add_driver("segment", devices, None, |ends| {
-            Ok(Box::new(Ethercat::start(config, wire, ends)?))
+        let (drives, _servo) = ServoDrive::slave(tx90).unwrap();
+        let segment = SharedSegment::new(Segment::line([Coupler::slave(), drives]));
+        let (near, far) = takt_ethercat::linux::cable();
+        let _segment = Emulated::start(move |stop| {
+            let mut server = Server::new(segment, far);
+            while !stop.load(Ordering::Relaxed) {
+                let wait = Duration::from_millis(5);
+                server
+                    .turn(wait, &mut takt_ethercat::linux::monotonic)
+                    .unwrap();
+            }
         });
-    added.unwrap();
-    assert_eq!(allocations(&cell, "arm", &swings("arm")), 0);
-    let figures = cell.controller.with_drivers(Ethercat::figures);
-    assert!(figures[0].cycles > 50, "{figures:?}");
+        let wire = ethercat::Wire {
+            link: Box::new(near),
+            source: [2, 0, 0, 0, 0, 1],
+        };
+        let cell = controller();
+        let devices = ethercat::describe(config);
+        let added = cell
+            .controller
+            .add_driver("segment", devices, None, |ends| {
+                Ok(Box::new(Ethercat::start(config, wire, ends)?))
+            });
+        added.unwrap();
+        assert_eq!(allocations(&cell, "arm", &swings("arm")), 0);
+        let figures = cell.controller.with_drivers(Ethercat::figures);
+        assert!(figures[0].cycles > 50, "{figures:?}");
+    });
 }
 
 #[test]
 fn the_driver_of_a_segway_allocates_nothing() {
-    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
-    let config = RmpConfig {
-        model: Model::Rmp200.name().to_owned(),
-        ..RmpConfig::new("base", &["can0"])
-    };
-    let bus = Config {
-        rates: takt_can::bits::Rates::classic(500_000),
-        ..Config::default()
-    };
-    let ours = LivePort::first_of(Bus::new(bus));
-    let mut theirs = ours.attach();
-    let _base = Emulated::start(move |stop| {
-        let mut powerbase = Powerbase::new(PowerbaseConfig {
-            model: Model::Rmp200,
-            start: takt_can::linux::monotonic(),
-            ..PowerbaseConfig::default()
-        });
-        while !stop.load(Ordering::Relaxed) {
-            takt_can::rmp::emulator::serve(&mut powerbase, &mut theirs, takt_can::linux::monotonic)
+    steady(|| {
+        let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
+        let config = RmpConfig {
+            model: Model::Rmp200.name().to_owned(),
+            ..RmpConfig::new("base", &["can0"])
+        };
+        let bus = Config {
+            rates: takt_can::bits::Rates::classic(500_000),
+            ..Config::default()
+        };
+        let ours = LivePort::first_of(Bus::new(bus));
+        let mut theirs = ours.attach();
+        let _base = Emulated::start(move |stop| {
+            let mut powerbase = Powerbase::new(PowerbaseConfig {
+                model: Model::Rmp200,
+                start: takt_can::linux::monotonic(),
+                ..PowerbaseConfig::default()
+            });
+            while !stop.load(Ordering::Relaxed) {
+                takt_can::rmp::emulator::serve(
+                    &mut powerbase,
+                    &mut theirs,
+                    takt_can::linux::monotonic,
+                )
                 .unwrap();
-        }
-    });
-    let cell = controller();
-    let devices = vec![rmp::describe(&config)];
-    let wires = vec![rmp::Wire::Can(Box::new(ours))];
-    let added = cell.controller.add_driver("base", devices, None, |ends| {
-        Ok(Box::new(Rmp::start(&config, wires, ends)?))
-    });
-    added.unwrap();
-    let net = "{v=World::TwistValue(Value='{vel:{x:0.3}}'),
+            }
+        });
+        let cell = controller();
+        let devices = vec![rmp::describe(&config)];
+        let wires = vec![rmp::Wire::Can(Box::new(ours))];
+        let added = cell.controller.add_driver("base", devices, None, |ends| {
+            Ok(Box::new(Rmp::start(&config, wires, ends)?))
+        });
+        added.unwrap();
+        let net = "{v=World::TwistValue(Value='{vel:{x:0.3}}'),
         move=RobotBase::BaseVelocity(inVel=v.outValue,Robot='base'),clock=Core::Clock(),
         done=Core::DoubleGreater(inFirst=clock.outValue,Second='1.5'),outTerminate=done.outValue}";
-    assert_eq!(allocations(&cell, "base", &[net.to_owned()]), 0);
+        assert_eq!(allocations(&cell, "base", &[net.to_owned()]), 0);
+    });
 }

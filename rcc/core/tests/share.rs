@@ -6,7 +6,9 @@
     reason = "a test may fail anywhere, its helpers too"
 )]
 
-use takt_core::controller::{LoadRequest, NETS_TEXT_MAX, NetState, RuleRequest};
+use std::time::Duration;
+
+use takt_core::controller::{LoadRequest, NetState, RuleRequest, RuleState};
 use takt_core::{CellConfig, Controller, NetId, SessionId};
 
 /// Never ends, and costs about 50 us a cycle for each of `tracks` by what it declares.
@@ -19,14 +21,17 @@ fn costly(tracks: usize) -> String {
     text + "never=Core::BooleanValue(),outTerminate=never.outValue}"
 }
 
-fn load(controller: &Controller, text: String) -> Result<NetId, String> {
-    let request = LoadRequest {
+fn request(text: String) -> LoadRequest {
+    LoadRequest {
         text,
         session: SessionId::NONE,
         description: String::new(),
         period: None,
-    };
-    controller.load(request).map_err(|e| e.to_string())
+    }
+}
+
+fn load(controller: &Controller, text: String) -> Result<NetId, String> {
+    controller.load(request(text)).map_err(|e| e.to_string())
 }
 
 fn ready(controller: &Controller, tracks: usize) -> NetId {
@@ -51,6 +56,31 @@ fn a_start_that_overloads_its_thread_is_refused_and_names_the_heaviest() {
 }
 
 #[test]
+fn a_net_that_is_evaluated_now_and_then_has_to_fit_into_one_cycle_of_its_thread() {
+    let controller = Controller::start(&CellConfig::default()).unwrap();
+    let every_tenth = |tracks: usize| {
+        let request = LoadRequest {
+            period: Some(Duration::from_millis(10)),
+            ..request(costly(tracks))
+        };
+        let net = controller.load(request).unwrap();
+        controller.net(net).unwrap()
+    };
+    let rejected = every_tenth(20);
+    assert_eq!(rejected.state(), NetState::Rejected);
+    let why = rejected.rejection.unwrap().to_string();
+    for part in [
+        "may cost 800µs",
+        "net thread of 1ms",
+        "one of 10",
+        "net thread of 10ms",
+    ] {
+        assert!(why.contains(part), "{why}");
+    }
+    controller.start_net(every_tenth(10).id).unwrap();
+}
+
+#[test]
 fn a_switch_between_two_nets_that_fit_only_one_by_one_is_possible() {
     let controller = Controller::start(&CellConfig::default()).unwrap();
     let [first, second, third, fourth] = [10, 9, 8, 1].map(|tracks| ready(&controller, tracks));
@@ -64,7 +94,7 @@ fn a_switch_between_two_nets_that_fit_only_one_by_one_is_possible() {
     let beside = rule(format!("{fourth}.terminated"), vec![], third);
     let why = controller.schedule(beside).unwrap_err().to_string();
     assert!(
-        why.contains("stay taken by nets that the rule does not follow"),
+        why.contains(&format!("Running beside them: net {first} with ")),
         "{why}"
     );
     let instead = rule(format!("{first}.terminated"), vec![first], second);
@@ -72,10 +102,17 @@ fn a_switch_between_two_nets_that_fit_only_one_by_one_is_possible() {
     assert_eq!(controller.net(second).unwrap().state(), NetState::Scheduled);
 }
 
+/// A controller whose nets may take so many MiB, and their texts a sixteenth of that.
+fn narrow(mib: u32) -> Controller {
+    let mut cell = CellConfig::default();
+    cell.controller.nets_memory_mib = mib;
+    Controller::start(&cell).unwrap()
+}
+
 #[test]
 fn texts_of_all_nets_together_are_bounded() {
-    let controller = Controller::start(&CellConfig::default()).unwrap();
-    let large = NETS_TEXT_MAX / 4;
+    let controller = narrow(16);
+    let large = (1 << 20) / 4;
     let text = |bytes: usize| {
         let net = costly(1);
         format!("{net}{}", " ".repeat(bytes - net.len()))
@@ -86,13 +123,115 @@ fn texts_of_all_nets_together_are_bounded() {
     let most = load(&controller, text(large)).unwrap();
     let why = load(&controller, text(1000)).unwrap_err();
     assert!(
-        why.contains("bytes of the texts of all nets: at most 67108864"),
+        why.contains("bytes of the texts of all nets: at most 1048576"),
         "{why}"
     );
     controller.unload(most).unwrap();
     load(&controller, text(1000)).unwrap();
-    // One that is over makes room.
+    // One that is over makes room, but goes for nothing that has no room even then.
     controller.abort(kept[0]).unwrap();
+    load(&controller, text(2 * large + 1)).unwrap_err();
+    assert!(controller.net(kept[0]).is_some());
     load(&controller, text(large)).unwrap();
     assert!(controller.net(kept[0]).is_none());
+}
+
+/// Remembers 50 s of a value: 400 kB.
+const MINDFUL: &str =
+    "{clock=Core::Clock(),mean=Core::DoubleAverage(inValue=clock.outValue,Duration='50'),
+    never=Core::BooleanValue(),outTerminate=never.outValue}";
+
+#[test]
+fn memory_of_all_nets_together_is_bounded() {
+    let controller = narrow(1);
+    let state = |net| controller.net(net).unwrap().state();
+    let [first, second, third] = [(); 3].map(|()| load(&controller, MINDFUL.to_owned()).unwrap());
+    assert_eq!([state(first), state(second)], [NetState::Ready; 2]);
+    assert_eq!(state(third), NetState::Rejected);
+    let why = controller.net(third).unwrap().rejection.unwrap();
+    assert!(
+        why.to_string().contains("bytes of arrays and histories"),
+        "{why}"
+    );
+    // A net that is over or was rejected takes none.
+    controller.abort(first).unwrap();
+    let again = load(&controller, MINDFUL.to_owned()).unwrap();
+    assert_eq!(state(again), NetState::Ready);
+}
+
+#[test]
+fn nets_that_are_loaded_at_once_do_not_take_more() {
+    let controller = narrow(1);
+    let loads: Vec<_> = (0..8)
+        .map(|_| {
+            let controller = controller.clone();
+            std::thread::spawn(move || load(&controller, MINDFUL.to_owned()).unwrap())
+        })
+        .collect();
+    let nets: Vec<_> = loads.into_iter().map(|load| load.join().unwrap()).collect();
+    let ready = |net: &&NetId| controller.net(**net).unwrap().state() == NetState::Ready;
+    assert_eq!(nets.iter().filter(ready).count(), 2);
+}
+
+/// Ends when its own value says so.
+fn told(tracks: usize) -> String {
+    costly(tracks).replace("never=Core::BooleanValue()", "never=Core::BooleanNetcommIn(Key='end'),
+        good=Core::BooleanNetcommIn(Key='in'),out=Core::BooleanNetcommOut(inValue=good.outValue,Key='good')")
+}
+
+#[test]
+fn a_second_rule_that_fits_only_without_the_first_is_refused_with_the_figures() {
+    let controller = Controller::start(&CellConfig::default()).unwrap();
+    let first = load(&controller, told(8)).unwrap();
+    let [second, third] = [10, 9].map(|tracks| ready(&controller, tracks));
+    controller.start_net(first).unwrap();
+    let rule = |condition: String, start: NetId| {
+        let request = RuleRequest {
+            condition,
+            start: vec![start],
+            ..RuleRequest::default()
+        };
+        controller.schedule(request).map_err(|e| e.to_string())
+    };
+    rule(format!("{first}.terminated & {first}.outgood"), second).unwrap();
+    let why = rule(format!("{first}.terminated"), third).unwrap_err();
+    for part in [
+        "the nets to be started cost up to ",
+        "would come to ",
+        "may cost 800µs",
+    ] {
+        assert!(why.contains(part), "{why}");
+    }
+    assert!(
+        why.contains(&format!("waiting for rules: net {second} with ")),
+        "{why}"
+    );
+    assert!(!why.contains(&format!("net {first}")), "it ends: {why}");
+    assert_eq!(controller.net(third).unwrap().state(), NetState::Ready);
+    // One or the other may come to run, never both.
+    rule(format!("{first}.terminated & !{first}.outgood"), third).unwrap();
+}
+
+#[test]
+fn time_of_the_cycle_is_kept_for_scheduled_nets() {
+    let controller = Controller::start(&CellConfig::default()).unwrap();
+    let [first, second, small, beside] = [8, 10, 2, 5].map(|tracks| ready(&controller, tracks));
+    controller.start_net(first).unwrap();
+    let follow = RuleRequest {
+        condition: format!("{first}.terminated"),
+        start: vec![second],
+        ..RuleRequest::default()
+    };
+    let rule = controller.schedule(follow).unwrap();
+    controller.start_net(small).unwrap();
+    // There is room for it beside the nets that run, and not beside the one that follows.
+    let why = controller.start_net(beside).unwrap_err().to_string();
+    assert!(why.contains("with what rules may start beside it"), "{why}");
+    assert!(why.contains(&format!("net {second} with ")), "{why}");
+    // An abort is no end by itself: nothing is kept any more.
+    controller.abort(first).unwrap();
+    while controller.rule(rule).unwrap().state == RuleState::Active {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    controller.start_net(beside).unwrap();
 }

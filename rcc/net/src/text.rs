@@ -254,6 +254,19 @@ impl<'a> Parser<'a, '_> {
         Recorded
     }
 
+    /// A value where a text should be, the commonest slip of those who write nets by hand.
+    fn unquoted(&mut self, value: Name<'a>) -> Recorded {
+        if self.faults.len() < FAULTS_MAX {
+            let text = value.text;
+            let expected = format!("a text in quotes, `'{text}'`,");
+            let found = format!("`{text}`");
+            let at = value.start..value.start + text.len();
+            let kind = FaultKind::Syntax { expected, found };
+            self.faults.push(Fault::new(kind, at));
+        }
+        Recorded
+    }
+
     fn ident(&mut self, expected: &str) -> Parse<Name<'a>> {
         if self.token != Some(Token::Ident) {
             return Err(self.expected(expected));
@@ -400,7 +413,10 @@ impl<'a> Parser<'a, '_> {
                 args.push(p.arg()?);
                 Ok(())
             });
-        } else if matches!(body, Body::Primitive(_)) {
+        } else if let Body::Primitive(name) = &body {
+            if name.text.parse::<f64>().is_ok() || matches!(name.text, "true" | "false") {
+                return Err(self.unquoted(*name));
+            }
             return Err(self.expected("`(…)` after a primitive's type or `.port` after a child"));
         }
         let node = Node {
@@ -509,6 +525,17 @@ mod tests {
                 "1:32: `(…)` after a primitive's type or `.port` after a child is expected here, not `,`",
                 "1:46: `,` or `)` is expected here, not `inY`",
                 "1:58: `=` is expected here, not `g`",
+            ]
+        );
+    }
+
+    #[test]
+    fn a_value_without_quotes_is_told_with_them() {
+        assert_eq!(
+            faults_of("{a=P(X=3, Y=true), outT=a.o}"),
+            [
+                "1:8: a text in quotes, `'3'`, is expected here, not `3`",
+                "1:13: a text in quotes, `'true'`, is expected here, not `true`",
             ]
         );
     }

@@ -76,6 +76,8 @@ struct Line {
     loose: Vec<String>,
     /// Messages that come once, in whatever order with what else is expected.
     awaited: Vec<String>,
+    /// Messages that may come, once and likewise.
+    possible: Vec<String>,
     /// A message that was read and not expected yet.
     held: VecDeque<(u8, String)>,
 }
@@ -90,6 +92,7 @@ impl Line {
             frames,
             loose: Vec::new(),
             awaited: Vec::new(),
+            possible: Vec::new(),
             held: VecDeque::new(),
         }
     }
@@ -149,10 +152,8 @@ impl Line {
     fn message(&mut self) -> (u8, String) {
         loop {
             let (first, text) = self.read().expect("the server closed the connection");
-            let awaited = self.awaited.iter().position(|one| fits(one, &text));
-            if let Some(at) = awaited {
-                self.awaited.remove(at);
-            } else if !self.loose.iter().any(|pattern| fits(pattern, &text)) {
+            let is_once = once(&mut self.awaited, &text) || once(&mut self.possible, &text);
+            if !is_once && !self.loose.iter().any(|pattern| fits(pattern, &text)) {
                 return (first, text);
             }
         }
@@ -175,6 +176,12 @@ impl Line {
         }
         self.stream.write_all(&bytes).unwrap();
     }
+}
+
+/// Whether one of `patterns` is for a text; it is for no other then.
+fn once(patterns: &mut Vec<String>, text: &str) -> bool {
+    let at = patterns.iter().position(|pattern| fits(pattern, text));
+    at.map(|at| patterns.remove(at)).is_some()
 }
 
 /// A replay of one file.
@@ -299,13 +306,19 @@ fn converse(line: &mut Line, verb: &str, rest: &str, optional: bool) -> Result<(
         "<&" if rest.is_empty() => {
             while !line.awaited.is_empty() {
                 let (_, text) = line.read().ok_or("the server closed the connection")?;
-                let at = line.awaited.iter().position(|one| fits(one, &text));
-                line.awaited.remove(at.ok_or(text)?);
+                if !once(&mut line.awaited, &text) && !once(&mut line.possible, &text) {
+                    return Err(text);
+                }
             }
+            line.possible.clear();
             Ok(())
         }
         "<&" => {
             line.awaited.push(rest.to_owned());
+            Ok(())
+        }
+        "<&?" => {
+            line.possible.push(rest.to_owned());
             Ok(())
         }
         ">close" => {
@@ -345,6 +358,13 @@ fn replay(file: &str, text: &str, way: Way, token: Option<&str>) {
         if let Err(told) = replay.step(line) {
             panic!("{file}:{}: {line}\nbut the server said: {told}", number + 1);
         }
+    }
+    for (name, line) in &replay.lines {
+        assert!(
+            line.awaited.is_empty(),
+            "{file}: {name}: {:?}",
+            line.awaited
+        );
     }
     assert!(steps > 10, "{file} says next to nothing");
 }

@@ -3,7 +3,7 @@
 //!
 //! It cannot say what was touched; `perf trace -F all` can.
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use super::usage::thread_usage;
 
@@ -17,6 +17,8 @@ pub struct PageFaults {
 }
 
 impl PageFaults {
+    const NONE: Self = Self { minor: 0, major: 0 };
+
     /// Of both kinds.
     #[must_use]
     pub const fn all(self) -> u64 {
@@ -27,6 +29,13 @@ impl PageFaults {
         Self {
             minor: self.minor + other.minor,
             major: self.major + other.major,
+        }
+    }
+
+    fn at_least(self, other: Self) -> Self {
+        Self {
+            minor: self.minor.max(other.minor),
+            major: self.major.max(other.major),
         }
     }
 
@@ -68,18 +77,29 @@ fn in_stat(stat: &str) -> Option<PageFaults> {
 struct Table {
     running: Vec<(u32, PageFaults)>,
     over: PageFaults,
+    /// What was told last. A thread that ends while it is asked for its faults is missed that time.
+    told: PageFaults,
 }
 
-static TABLE: Mutex<Table> = Mutex::new(Table {
-    running: Vec::new(),
-    over: PageFaults { minor: 0, major: 0 },
-});
+impl Table {
+    const NEW: Self = Self {
+        running: Vec::new(),
+        over: PageFaults::NONE,
+        told: PageFaults::NONE,
+    };
+}
+
+static TABLE: Mutex<Table> = Mutex::new(Table::NEW);
+
+fn table() -> MutexGuard<'static, Table> {
+    TABLE.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
 /// Counts the calling thread's faults from now on. Allocates and locks: for the set-up.
 pub(crate) fn begin() {
-    let mut table = TABLE.lock().unwrap_or_else(PoisonError::into_inner);
-    table.running.reserve(1);
     let thread = nix::unistd::gettid().as_raw().unsigned_abs();
+    let mut table = table();
+    table.running.reserve(1);
     table.running.push((thread, PageFaults::of_this_thread()));
 }
 
@@ -87,7 +107,7 @@ pub(crate) fn begin() {
 pub(crate) fn end() {
     let now = PageFaults::of_this_thread();
     let thread = nix::unistd::gettid().as_raw().unsigned_abs();
-    let mut table = TABLE.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut table = table();
     let Some(at) = table.running.iter().position(|(id, _)| *id == thread) else {
         return;
     };
@@ -96,14 +116,20 @@ pub(crate) fn end() {
 }
 
 /// Page faults of all threads of this process while they were real-time, up to now. Reads a file for each
-/// that is; not for the real-time path.
+/// that is, while none of them has to wait for it; not for the real-time path.
 pub fn real_time_page_faults() -> PageFaults {
-    let table = TABLE.lock().unwrap_or_else(PoisonError::into_inner);
-    let of_running = table.running.iter().map(|(id, before)| {
+    let (running, over) = {
+        let table = table();
+        (table.running.clone(), table.over)
+    };
+    let of_running = running.iter().map(|(id, before)| {
         let now = PageFaults::of_thread(*id).unwrap_or(*before);
         now.since(*before)
     });
-    of_running.fold(table.over, PageFaults::plus)
+    let sum = of_running.fold(over, PageFaults::plus);
+    let mut table = table();
+    table.told = table.told.at_least(sum);
+    table.told
 }
 
 #[cfg(test)]

@@ -30,8 +30,10 @@ impl Primitives {
         } else if let [one] = *found {
             say(text(one).trim_end())?;
         } else {
+            let names = found.iter().map(|definition| definition.name.len());
+            let width = names.max().unwrap_or_default();
             for definition in &found {
-                say(&line(definition))?;
+                say(&line(definition, width))?;
             }
         }
         if !found.is_empty() {
@@ -95,11 +97,11 @@ fn as_json(definition: &Definition) -> serde_json::Value {
     })
 }
 
-/// A primitive among many.
-fn line(definition: &Definition) -> String {
+/// A primitive among many, whose names are up to so wide.
+fn line(definition: &Definition, width: usize) -> String {
     let sentence = definition.doc.split_inclusive(". ").next();
     let sentence = sentence.unwrap_or_default().trim_end();
-    format!("{:<32} {sentence}", definition.name)
+    format!("{:<width$} {sentence}", definition.name)
 }
 
 /// All that is known of a primitive, for people.

@@ -13,7 +13,7 @@ use crate::output::{complain, say};
 /// Each line is a net: its period, the period of the thread that evaluates it, the cycles it was
 /// evaluated in, how many of these ended too late (LATE) or took the net longer than its budget (OVER),
 /// the mean and longest time it took, and what its primitives declare to take at most (COST).
-/// A net that takes longer than its period ten times in a row is ended.
+/// A net that takes longer than a period of its thread ten times in a row is ended.
 #[derive(Debug, Args)]
 pub(crate) struct Stats {
     /// One net, such as rpinet0; all without it.

@@ -3,7 +3,8 @@
 
 use std::time::{Duration, Instant};
 
-use crate::controller::desk::{Desk, Net};
+use crate::controller::desk::Desk;
+use crate::controller::net::Net;
 use crate::controller::{Controller, NEVER_RAN, NetId, NetState};
 use crate::error::Error;
 use crate::executor::thread::{Command, NetThread};
@@ -37,14 +38,17 @@ impl Controller {
     }
 }
 
-const fn is_over(state: NetState) -> bool {
-    match state {
-        NetState::Rejected | NetState::Terminated | NetState::Unloaded => true,
-        NetState::Loading
-        | NetState::Ready
-        | NetState::Scheduled
-        | NetState::Running
-        | NetState::Cancelling => false,
+impl Net {
+    /// Whether it will never run any more.
+    pub(super) fn is_over(&self) -> bool {
+        match self.state() {
+            NetState::Rejected | NetState::Terminated | NetState::Unloaded => true,
+            NetState::Loading
+            | NetState::Ready
+            | NetState::Scheduled
+            | NetState::Running
+            | NetState::Cancelling => false,
+        }
     }
 }
 
@@ -63,7 +67,7 @@ impl Desk {
 
     fn are_over(&self, nets: &[NetId]) -> bool {
         let mut known = nets.iter().filter_map(|id| self.nets.get(id));
-        known.all(|net| is_over(net.state()))
+        known.all(Net::is_over)
     }
 
     /// Ends nets, those that run by a cancel unless it is to be at once. What a net thread has no room for now is
@@ -87,14 +91,16 @@ impl Desk {
         }
     }
 
-    /// Ends a net that does not run, unless its thread has it: then it is asked for.
-    fn give_up(&mut self, id: NetId) -> Result<(), Error> {
+    /// Ends a net that does not run, unless its thread has it: then it is asked for. Returns whether it is
+    /// over.
+    pub(super) fn give_up(&mut self, id: NetId) -> Result<bool, Error> {
         self.withdraw(id)?;
         let net = self.net(id)?;
-        if !net.is_away() {
+        let is_here = !net.is_away();
+        if is_here {
             net.end(NEVER_RAN.to_owned());
         }
-        Ok(())
+        Ok(is_here)
     }
 
     /// Ends all threads. Nets end and devices come to rest while they still run; drivers go last.
@@ -124,10 +130,32 @@ impl Desk {
             self.end_nets(&nets, true);
             // The nets of a thread that is dead never end.
             let over = self.are_over(&nets) || self.threads.iter().any(NetThread::is_dead);
-            if (over && self.is_at_rest()) || Instant::now() >= until {
+            if over && self.is_at_rest() {
+                return;
+            }
+            if Instant::now() >= until {
+                self.tell_restless();
                 return;
             }
             std::thread::sleep(LOOK);
+        }
+    }
+}
+
+impl Desk {
+    /// Says what nobody waits for any longer.
+    fn tell_restless(&self) {
+        let moving = self
+            .devices
+            .all()
+            .filter(|(_, device)| !device.is_at_rest());
+        for (_, device) in moving {
+            let (name, status) = (&device.name, device.status());
+            tracing::warn!(device = name, %status, "still moves after {REST_WITHIN:?}; its driver is to brake it");
+        }
+        let running = self.nets.iter().filter(|(_, net)| !net.is_over());
+        for (id, net) in running {
+            tracing::warn!(net = %id, state = %net.state(), "did not end within {REST_WITHIN:?}");
         }
     }
 }

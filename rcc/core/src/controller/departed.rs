@@ -3,7 +3,8 @@
 
 use std::time::{Duration, Instant};
 
-use crate::controller::desk::{Desk, Net};
+use crate::controller::desk::Desk;
+use crate::controller::net::Net;
 use crate::controller::{Controller, NETS_MAX, NetId, NetState};
 
 /// How long an unloaded net is remembered.
@@ -42,19 +43,14 @@ impl Desk {
     }
 
     /// Unloads the oldest net that is over, if there is one: known clients never do it.
-    pub(super) fn forget_oldest(&mut self) -> bool {
-        let over = |net: &Net| matches!(net.state(), NetState::Terminated | NetState::Rejected);
-        let oldest = self.nets.iter().find(|(_, net)| over(net));
-        let Some(id) = oldest.map(|(id, _)| *id) else {
-            return false;
-        };
-        if self.withdraw(id).is_err() {
-            return false;
-        }
-        if let Some(mut net) = self.nets.remove(&id) {
-            self.remember(id, &mut net);
-        }
-        true
+    pub(super) fn forget_oldest(&mut self) -> Option<Net> {
+        let mut nets = self.nets.iter();
+        let (id, _) = nets.find(|(_, net)| net.is_over())?;
+        let id = *id;
+        self.withdraw(id).ok()?;
+        let mut net = self.nets.remove(&id)?;
+        self.remember(id, &mut net);
+        Some(net)
     }
 
     /// Forgets the nets that were unloaded long ago.

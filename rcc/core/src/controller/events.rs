@@ -1,6 +1,7 @@
 //! What net threads tell, put down at the desk in the order of each thread.
 
-use crate::controller::desk::{Desk, Net};
+use crate::controller::desk::Desk;
+use crate::controller::net::Net;
 use crate::controller::threads::busy;
 use crate::device::{Device, DeviceStatus};
 use crate::error::Error;
@@ -95,8 +96,11 @@ impl Desk {
                     status: self.status_text(arm.map(|arm| &**arm)),
                 }
             }
-            Refusal::Overload { running, budget } => self.overload(net, running, budget),
-            Refusal::OverloadKept { rule, budget } => self.overload_kept(net, rule, budget),
+            Refusal::Overload { running, budget } => {
+                let [running, budget] =
+                    [running, budget].map(|time| time.try_into().unwrap_or_default());
+                self.overload(net, running, budget)
+            }
         };
         self.with(running.id, |net| net.take_back(running, Some(error)));
     }
@@ -108,10 +112,12 @@ impl Desk {
             End::Aborted => Some("aborted".to_owned()),
             End::Stopped => Some("stopped by a rule".to_owned()),
             End::Runaway => {
-                let (period, longest) = (net.plan.period(), net.counters().read().max);
+                let longest = net.counters().read().max;
+                let thread = self.threads.get(self.thread_of(net.id));
+                let period = thread.map_or_else(|| net.plan.period(), |thread| thread.period);
                 Some(format!(
-                    "took longer than its period of {period:?} in {RUNAWAY_AFTER} cycles one after \
-                     the other, up to {longest:?}; give it a longer period or make it smaller"
+                    "took longer than the {period:?} between two cycles of its thread, {RUNAWAY_AFTER} times \
+                     in a row, up to {longest:?}; make it smaller or load it for a slower net thread"
                 ))
             }
             End::DeviceFault(number) => {

@@ -125,10 +125,11 @@ impl Desk {
     fn net_figures(&self, id: NetId) -> Option<NetFigures> {
         let net = self.nets.get(&id)?;
         let counted = net.counted()?;
+        let thread_period = self.threads.get(net.thread)?.period;
         Some(NetFigures {
             period: counted.period,
-            thread_period: self.threads.get(net.thread)?.period,
-            budget: budget(counted.period),
+            thread_period,
+            budget: budget(thread_period),
             cost: counted.cost,
             primitives: counted.primitives,
             counts: counted.counters.read(),

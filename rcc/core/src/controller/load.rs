@@ -7,8 +7,8 @@ use std::time::Duration;
 use takt_net::{Limits, LoadContext, Plan, Rejection, load};
 use takt_rt::latest::latest;
 
-use crate::controller::desk::{Net, Prepared};
 use crate::controller::inter::Surroundings;
+use crate::controller::net::{Net, Prepared};
 use crate::controller::threads::Place;
 use crate::controller::{Controller, NETS_MAX, limits_for};
 use crate::device::DeviceTable;
@@ -38,43 +38,73 @@ impl Controller {
     /// # Errors
     /// If there are too many nets, or no such session.
     pub fn load(&self, request: LoadRequest) -> Result<NetId, Error> {
+        let period = request.period;
+        let (id, text) = self.accept(request)?;
+        let memory = self.keep_memory(id)?;
+        let prepared = self.prepare(id, &text, period, memory);
+        let mut desk = self.inner.lock();
+        desk.release_memory(id);
+        let taken = match &prepared {
+            Ok(prepared) => desk.check_memory(&prepared.running.plan),
+            Err(rejection) => Err(rejection.clone()),
+        };
+        // A net that is refused may be large: it is freed behind the lock.
+        let mut refused = None;
+        if let Some(net) = desk.nets.get_mut(&id) {
+            match (prepared, taken) {
+                (Ok(prepared), Ok(())) => net.make_ready(prepared),
+                (prepared, taken) => {
+                    refused = prepared.ok();
+                    taken.err().into_iter().for_each(|why| net.reject(why));
+                }
+            }
+        }
+        self.inner.announce(&desk);
+        drop(desk);
+        drop(refused);
+        Ok(id)
+    }
+
+    /// Takes a net in, by its text.
+    fn accept(&self, request: LoadRequest) -> Result<(NetId, Arc<str>), Error> {
         let LoadRequest {
             text,
             session,
             description,
-            period,
+            ..
         } = request;
         let text: Arc<str> = text.into();
-        let id = {
-            let mut desk = self.inner.lock();
-            desk.refuse_if_closing()?;
-            if session != SessionId::NONE && !desk.sessions.contains_key(&session) {
-                return Err(Error::NoSuchSession(session.to_string()));
-            }
-            if desk.nets.len() >= NETS_MAX && !desk.forget_oldest() {
-                return Err(Error::TooMany {
-                    what: "loaded nets",
-                    bound: NETS_MAX,
-                });
-            }
-            desk.take_text(text.len())?;
-            let id = desk.next_net();
-            let net = Net::new(session, description, Arc::clone(&text));
-            desk.nets.insert(id, net);
-            self.inner.announce(&desk);
-            id
-        };
-        let prepared = self.prepare(id, &text, period);
         let mut desk = self.inner.lock();
-        let prepared = prepared.and_then(|prepared| desk.take_memory(prepared));
-        if let Some(net) = desk.nets.get_mut(&id) {
-            match prepared {
-                Ok(prepared) => net.make_ready(prepared),
-                Err(rejection) => net.reject(rejection),
-            }
+        desk.refuse_if_closing()?;
+        if session != SessionId::NONE && !desk.sessions.contains_key(&session) {
+            return Err(Error::NoSuchSession(session.to_string()));
         }
+        desk.take_text(text.len())?;
+        if desk.nets.len() >= NETS_MAX && desk.forget_oldest().is_none() {
+            return Err(Error::TooMany {
+                what: "loaded nets",
+                bound: NETS_MAX,
+            });
+        }
+        let id = desk.next_net();
+        let net = Net::new(session, description, Arc::clone(&text));
+        desk.nets.insert(id, net);
         self.inner.announce(&desk);
-        Ok(id)
+        Ok((id, text))
+    }
+
+    /// Keeps memory for a net that is to be loaded, for which it may have to wait for others.
+    fn keep_memory(&self, id: NetId) -> Result<usize, Error> {
+        let most = Limits::default().memory_bytes;
+        let desk = self.inner.lock();
+        let kept = self.inner.wait_for(desk, |desk| desk.keep_memory(id, most));
+        kept.map_err(|_| {
+            self.inner.lock().nets.remove(&id);
+            Error::TooMany {
+                what: "bytes of nets that are loaded at once",
+                bound: most,
+            }
+        })
     }
 
     /// Checks a net and makes it ready, without the desk but for a copy of the devices.
@@ -83,9 +113,11 @@ impl Controller {
         id: NetId,
         text: &Arc<str>,
         period: Option<Duration>,
+        memory: usize,
     ) -> Result<Prepared, Rejection> {
         let devices = self.inner.lock().devices.clone();
-        let (plan, place) = self.plan(text, period, &devices)?;
+        let (plan, place) = self.plan(text, period, &devices, memory)?;
+        place.check_cost(plan.cost())?;
         let mut desk = self.inner.lock();
         let mut resources = ResourceSet::default();
         for name in plan.resources() {
@@ -111,7 +143,7 @@ impl Controller {
         let mut running = Box::new(Running::new(id.0, plan, out, inbox));
         running.resources = resources;
         running.devices = numbers;
-        running.every = place.every;
+        running.set_every(place.every);
         running.links = links;
         Ok(Prepared {
             thread: place.thread,
@@ -132,7 +164,12 @@ impl Controller {
         text: &str,
         period: Option<Duration>,
         devices: &DeviceTable,
+        memory_bytes: usize,
     ) -> Result<(Plan, Place), Rejection> {
+        let limits_for = |period| Limits {
+            memory_bytes,
+            ..limits_for(period)
+        };
         let place = |devices: &[String]| self.inner.lock().place(period, devices);
         let before = place(&[])?;
         let limits = limits_for(before.period);

@@ -3,7 +3,8 @@
 
 use crate::cell::DeviceConfig;
 use crate::controller::clock::FollowedClock;
-use crate::controller::desk::{Desk, Net};
+use crate::controller::desk::Desk;
+use crate::controller::net::Net;
 use crate::controller::{Controller, NetState};
 use crate::error::Error;
 use crate::executor::thread::Command;

@@ -8,13 +8,15 @@ use std::sync::Arc;
 
 use takt_net::{Element, Type};
 
-use crate::controller::condition::{Condition, Parser};
+use crate::controller::condition::Parser;
 use crate::controller::desk::Desk;
+use crate::controller::net::Net;
+use crate::controller::outlook::Succession;
 use crate::controller::threads::busy;
 use crate::controller::{Controller, NetId, NetState};
 use crate::error::Error;
 use crate::executor::rules::shared::{Part, Shared};
-use crate::executor::rules::{Literal, Orders, Question, Rule, RuleRefusal, RuleState};
+use crate::executor::rules::{Literal, Orders, Question, Rule, RuleRefusal, RuleState, Step};
 use crate::executor::thread::Command;
 
 /// Longest condition, bytes.
@@ -86,6 +88,8 @@ pub(super) struct RuleEntry {
     /// What its condition asks: nets and keys.
     asked: Vec<(NetId, String)>,
     pub(super) state: RuleState,
+    /// What it does as a succession of nets.
+    pub(super) succession: Succession,
     /// Set while net threads have not answered, and then to their answer.
     adding: Option<Option<Result<(), Error>>>,
     /// Net threads that have not answered yet.
@@ -172,11 +176,46 @@ impl Desk {
         }
         self.check_nets(&request)?;
         let threads = self.threads_of(&request, &literals);
+        let RuleRequest { stop, start, .. } = &request;
+        let whole = Rule::new(
+            0,
+            literals.clone(),
+            condition.steps.clone(),
+            Orders::default(),
+        );
+        let succession = Succession::of(&whole, stop, start, threads.len() == 1);
+        self.keep_for_rule(&succession, start)?;
+        let id = self.give_to_threads(&request, &literals, &condition.steps, &threads)?;
+        let asked = condition.literals.into_iter();
+        let asked = asked.filter_map(|(net, key)| Some((net.parse().ok()?, key)));
+        let entry = RuleEntry {
+            request,
+            asked: asked.collect(),
+            state: RuleState::Active,
+            succession,
+            adding: Some(None),
+            unanswered: threads.len(),
+            waiting: threads.len(),
+            outcome: RuleState::Fired,
+        };
+        self.rules.insert(id, entry);
+        self.forget_old_rules();
+        Ok(id)
+    }
+
+    /// Gives a rule to the threads that it concerns, and the nets that it starts to theirs.
+    fn give_to_threads(
+        &mut self,
+        request: &RuleRequest,
+        literals: &[Literal],
+        steps: &[Step],
+        threads: &[usize],
+    ) -> Result<RuleId, Error> {
         // What is given away below must arrive, or a net would be lost.
         self.has_room(request.start.len() + 1)?;
         let id = self.next_rule();
-        let shared = (threads.len() > 1)
-            .then(|| Arc::new(self.share(&threads, &literals, !request.start.is_empty())));
+        let starts = !request.start.is_empty();
+        let shared = (threads.len() > 1).then(|| Arc::new(self.share(threads, literals, starts)));
         for net in &request.start {
             if let Some(running) = self.net(*net)?.hand_to_rules() {
                 self.command(Command::Schedule(running))?;
@@ -187,31 +226,16 @@ impl Desk {
                 let nets = nets.iter().map(|net| net.0);
                 nets.filter(|net| self.thread_of(*net) == *thread).collect()
             };
-            let Condition { steps, .. } = &condition;
             let orders = Orders {
                 stop: of_thread(&request.stop),
                 cancel: of_thread(&request.cancel),
                 start: of_thread(&request.start),
             };
-            let rule = Rule::new(id.0, literals.clone(), steps.clone(), orders);
-            let mut rule = Box::new(rule);
+            let mut rule = Box::new(Rule::new(id.0, literals.to_vec(), steps.to_vec(), orders));
             rule.part = shared.clone().map(|shared| Part::new(shared, number));
             self.send(*thread, Command::AddRule(rule))
                 .map_err(|_| busy())?;
         }
-        let asked = condition.literals.into_iter();
-        let asked = asked.filter_map(|(net, key)| Some((net.parse().ok()?, key)));
-        let entry = RuleEntry {
-            request,
-            asked: asked.collect(),
-            state: RuleState::Active,
-            adding: Some(None),
-            unanswered: threads.len(),
-            waiting: threads.len(),
-            outcome: RuleState::Fired,
-        };
-        self.rules.insert(id, entry);
-        self.forget_old_rules();
         Ok(id)
     }
 
@@ -405,11 +429,12 @@ impl Desk {
                     resource: self.resource_name(n),
                 }
             }
-            RuleRefusal::Overload {
-                running,
-                started,
-                budget,
-            } => self.rule_overload(rule, running, started, budget),
+            RuleRefusal::NotWaiting(net) => {
+                let net = NetId(net);
+                let state = self.nets.get(&net).map_or(NetState::Unloaded, Net::state);
+                let what = "it was started or taken away while the rule was installed";
+                Error::WrongState { net, state, what }
+            }
         };
         if let Some(entry) = self.rules.get_mut(&RuleId(rule.id)) {
             entry.unanswered = entry.unanswered.saturating_sub(1);

@@ -1,26 +1,45 @@
-//! What nets take together: time of a cycle of their thread, memory, and text. The time is counted where
-//! nets start, in the executor; here are the bounds of the rest, and the texts of all refusals.
+//! What nets take together: time of a cycle of their thread and places in it, memory, and text, each with its bound
+//! and the texts of refusals. What rules may yet start counts as [`outlook`](super::outlook) says.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use takt_net::fault::{Fault, FaultKind};
 use takt_net::{Plan, Rejection};
-use takt_rt::Nanos;
 
 use crate::controller::NetState;
-use crate::controller::desk::{Desk, Net, Prepared};
-use crate::controller::rules::RuleId;
+use crate::controller::desk::Desk;
+use crate::controller::net::{Counted, Net};
+use crate::controller::outlook::{Candidate, Succession, most_together};
+use crate::controller::threads::busy;
 use crate::error::Error;
+use crate::executor::RUNNING_MAX;
+use crate::executor::figures::budget;
 use crate::executor::links::OUT_READERS;
-use crate::executor::rules::Rule;
+use crate::executor::rules::RuleState;
 use crate::ids::NetId;
 
-/// Bytes that all nets that can run take together. Those being loaded do not count yet.
-pub const NETS_MEMORY_MAX: usize = 1 << 30;
-/// Bytes of the texts of all nets together.
-pub const NETS_TEXT_MAX: usize = 64 << 20;
 /// Running nets that a refusal names.
 const HEAVIEST: usize = 3;
+
+/// What all nets take together at most, bytes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Room {
+    /// Those that can run, and those being loaded.
+    memory: usize,
+    /// The texts of all.
+    text: usize,
+}
+
+impl Room {
+    pub(super) const fn of_mib(mib: u32) -> Self {
+        let memory = (mib as usize) << 20;
+        Self {
+            memory,
+            text: memory / 16,
+        }
+    }
+}
 
 /// Bytes that a net takes with the boxes by which programs and other nets see it.
 pub(super) fn memory(plan: &Plan) -> usize {
@@ -34,84 +53,197 @@ impl Desk {
     /// # Errors
     /// If the texts of the others leave none.
     pub(super) fn take_text(&mut self, bytes: usize) -> Result<(), Error> {
-        loop {
-            let taken: usize = self.nets.values().map(|net| net.text().len()).sum();
-            if taken + bytes <= NETS_TEXT_MAX {
-                return Ok(());
-            }
-            if !self.forget_oldest() {
-                return Err(Error::TooMany {
-                    what: "bytes of the texts of all nets",
-                    bound: NETS_TEXT_MAX,
-                });
-            }
+        let bound = self.room.text;
+        let text = |net: &Net| net.text().len();
+        let kept = self.nets.values().filter(|net| !net.is_over());
+        if kept.map(text).sum::<usize>() + bytes > bound {
+            let what = "bytes of the texts of all nets";
+            return Err(Error::TooMany { what, bound });
+        }
+        let mut taken: usize = self.nets.values().map(text).sum();
+        while taken + bytes > bound {
+            let Some(gone) = self.forget_oldest() else {
+                return Err(busy());
+            };
+            taken -= text(&gone);
+        }
+        Ok(())
+    }
+
+    /// Keeps memory for a net while it is loaded: `most`, or all that is left if no other is being loaded.
+    /// Returns how much; `None` if it has to wait for others.
+    pub(super) fn keep_memory(&mut self, id: NetId, most: usize) -> Option<usize> {
+        let free = self.room.memory.saturating_sub(self.memory_taken());
+        let is_alone = self.nets.values().all(|net| net.reserved == 0);
+        let kept = most.min(free);
+        if kept < most && !is_alone {
+            return None;
+        }
+        if let Some(net) = self.nets.get_mut(&id) {
+            net.reserved = kept;
+        }
+        Some(kept)
+    }
+
+    fn memory_taken(&self) -> usize {
+        self.nets.values().map(Net::memory).sum()
+    }
+
+    /// Keeps none any more for a net that was loaded.
+    pub(super) fn release_memory(&mut self, id: NetId) {
+        if let Some(net) = self.nets.get_mut(&id) {
+            net.reserved = 0;
         }
     }
 
-    /// Lets a net have its memory.
+    /// Whether one more net can have its memory.
     ///
     /// # Errors
     /// If the other nets leave too little.
-    pub(super) fn take_memory(&self, prepared: Prepared) -> Result<Prepared, Rejection> {
-        let taken: usize = self.nets.values().filter_map(Net::memory).sum();
-        let found = taken + memory(&prepared.running.plan);
-        if found <= NETS_MEMORY_MAX {
-            return Ok(prepared);
+    pub(super) fn check_memory(&self, plan: &Plan) -> Result<(), Rejection> {
+        let found = self.memory_taken() + memory(plan);
+        let bound = self.room.memory;
+        if found <= bound {
+            return Ok(());
         }
-        let kind = FaultKind::Bound {
-            what: "bytes of all nets that can run",
-            found,
-            bound: NETS_MEMORY_MAX,
-        };
+        let what = "bytes together with all other nets (controller.nets_memory_mib)";
+        let kind = FaultKind::Bound { what, found, bound };
         Err(Rejection {
             faults: vec![Fault::new(kind, 0..0)],
         })
     }
 
     /// Why a net cannot start beside those that run.
-    pub(super) fn overload(&self, net: NetId, running: Nanos, budget: Nanos) -> Error {
+    pub(super) fn overload(&self, net: NetId, running: Duration, budget: Duration) -> Error {
         Error::Overload {
             net,
             cost: self.cost_of(net),
-            running: duration(running),
-            budget: duration(budget),
-            heaviest: self.heaviest(self.thread_of(net.0)),
+            running,
+            budget,
+            heaviest: self.heaviest(self.thread_of(net.0), |_, net| net.runs()),
         }
     }
 
-    /// Why a net cannot start beside those that a rule is to start.
-    pub(super) fn overload_kept(&self, net: NetId, rule: u32, budget: Nanos) -> Error {
-        let kept_for = self.rules.get(&RuleId(rule));
-        let kept_for = kept_for.map_or(&[][..], |entry| &entry.request.start);
-        let kept_for = kept_for.iter().map(|id| self.priced(*id));
-        Error::OverloadKept {
-            net,
-            cost: self.cost_of(net),
-            budget: duration(budget),
-            rule,
-            kept_for: kept_for.collect::<Vec<_>>().join(", "),
+    /// Whether a net can start and leave what rules need that wait: time of its thread's cycle, and places.
+    ///
+    /// # Errors
+    /// If not.
+    pub(super) fn keep_for_start(&self, id: NetId) -> Result<(), Error> {
+        let thread = self.thread_of(id.0);
+        let (budget, most) = self.most_cost(thread, Some(id), None);
+        if most <= budget {
+            return self.keep_places(thread, Some(id), None);
         }
+        let (cost, running) = (self.cost_of(id), self.running_cost(thread));
+        if running + cost > budget {
+            return Err(self.overload(id, running, budget));
+        }
+        Err(Error::OverloadKept {
+            net: id,
+            cost,
+            most,
+            budget,
+            waiting: self.heaviest(thread, |_, net| net.waits_for_rules()),
+        })
     }
 
-    /// Why a rule cannot start its nets beside those that run on.
-    pub(super) fn rule_overload(
+    /// Whether the nets that a new rule starts can be sure of time of their threads' cycles and of places.
+    ///
+    /// # Errors
+    /// If not.
+    pub(super) fn keep_for_rule(&self, new: &Succession, start: &[NetId]) -> Result<(), Error> {
+        let threads: BTreeSet<_> = start.iter().map(|net| self.thread_of(net.0)).collect();
+        for thread in threads {
+            let (budget, most) = self.most_cost(thread, None, Some(new));
+            if most > budget {
+                let of_thread = start.iter().filter(|net| self.thread_of(net.0) == thread);
+                return Err(Error::RuleOverload {
+                    started: of_thread.map(|net| self.cost_of(*net)).sum(),
+                    most,
+                    budget,
+                    running: self.heaviest(thread, |id, net| net.runs() && !new.names(id)),
+                    waiting: self
+                        .heaviest(thread, |id, net| net.waits_for_rules() && !new.names(id)),
+                });
+            }
+            self.keep_places(thread, None, Some(new))?;
+        }
+        Ok(())
+    }
+
+    fn keep_places(
         &self,
-        rule: &Rule,
-        running: Nanos,
-        started: Nanos,
-        budget: Nanos,
-    ) -> Error {
-        let thread = rule
-            .orders()
-            .start
-            .first()
-            .map_or(0, |net| self.thread_of(*net));
-        Error::RuleOverload {
-            started: duration(started),
-            running: duration(running),
-            budget: duration(budget),
-            heaviest: self.heaviest(thread),
+        thread: usize,
+        starting: Option<NetId>,
+        new: Option<&Succession>,
+    ) -> Result<(), Error> {
+        let nets = self.candidates(thread, starting, |_| 1);
+        if most_together(&nets, self.successions(new), RUNNING_MAX as u64) <= RUNNING_MAX as u64 {
+            return Ok(());
         }
+        Err(Error::TooMany {
+            what: "nets of one thread that run or that rules may start beside them",
+            bound: RUNNING_MAX,
+        })
+    }
+
+    /// What the nets of a thread may cost together, and what they can come to with one more to run now, or
+    /// one more rule.
+    fn most_cost(
+        &self,
+        thread: usize,
+        starting: Option<NetId>,
+        new: Option<&Succession>,
+    ) -> (Duration, Duration) {
+        let period = self.threads.get(thread).map(|thread| thread.period);
+        let budget = budget(period.unwrap_or_default());
+        let nets = self.candidates(thread, starting, |net| nanos(net.cost));
+        let most = most_together(&nets, self.successions(new), nanos(budget));
+        (budget, Duration::from_nanos(most))
+    }
+
+    fn running_cost(&self, thread: usize) -> Duration {
+        let nets = self.candidates(thread, None, |net| nanos(net.cost));
+        let running = nets.values().filter(|net| net.runs);
+        Duration::from_nanos(running.map(|net| net.weight).sum())
+    }
+
+    fn successions<'a>(&'a self, new: Option<&'a Succession>) -> Vec<&'a Succession> {
+        let rules = self.rules.values();
+        let waiting = rules.filter(|rule| rule.state == RuleState::Active);
+        waiting.map(|rule| &rule.succession).chain(new).collect()
+    }
+
+    /// All nets that can run, as a thread sees them: those of others weigh nothing.
+    fn candidates(
+        &self,
+        thread: usize,
+        starting: Option<NetId>,
+        weight: impl Fn(&Counted) -> u64,
+    ) -> BTreeMap<NetId, Candidate> {
+        let candidate = |(id, net): (&NetId, &Net)| {
+            let counted = net.counted()?;
+            let runs = match net.state() {
+                NetState::Running | NetState::Cancelling => true,
+                NetState::Ready | NetState::Scheduled => net.is_to_start() || starting == Some(*id),
+                NetState::Loading
+                | NetState::Rejected
+                | NetState::Terminated
+                | NetState::Unloaded => return None,
+            };
+            let weight = if net.thread == thread {
+                weight(counted)
+            } else {
+                0
+            };
+            let candidate = Candidate {
+                weight,
+                runs,
+                resources: counted.resources,
+            };
+            Some((*id, candidate))
+        };
+        self.nets.iter().filter_map(candidate).collect()
     }
 
     fn cost_of(&self, net: NetId) -> Duration {
@@ -123,11 +255,10 @@ impl Desk {
         format!("net {net} with {:?}", self.cost_of(net))
     }
 
-    /// The running nets of a thread that cost most.
-    fn heaviest(&self, thread: usize) -> String {
-        let runs = |net: &Net| matches!(net.state(), NetState::Running | NetState::Cancelling);
+    /// The nets of a thread that cost most, of those that are meant.
+    fn heaviest(&self, thread: usize, is_meant: impl Fn(NetId, &Net) -> bool) -> String {
         let nets = self.nets.iter();
-        let nets = nets.filter(|(_, net)| net.thread == thread && runs(net));
+        let nets = nets.filter(|(id, net)| net.thread == thread && is_meant(**id, net));
         let mut nets: Vec<_> = nets.map(|(id, _)| (self.cost_of(*id), *id)).collect();
         nets.sort_by_key(|(cost, _)| std::cmp::Reverse(*cost));
         let others = nets.len().saturating_sub(HEAVIEST);
@@ -137,26 +268,68 @@ impl Desk {
             named.push(format!("{others} more"));
         }
         if named.is_empty() {
-            return "no net runs there".to_owned();
+            return "none".to_owned();
         }
         named.join(", ")
     }
 }
 
 impl Net {
-    /// Bytes that it takes; `None` if it cannot run any more.
-    fn memory(&self) -> Option<usize> {
+    fn runs(&self) -> bool {
+        matches!(self.state(), NetState::Running | NetState::Cancelling)
+    }
+
+    fn waits_for_rules(&self) -> bool {
+        self.state() == NetState::Scheduled
+    }
+
+    /// Bytes that it takes, or that are kept for it.
+    fn memory(&self) -> usize {
         match self.state() {
-            NetState::Loading | NetState::Rejected | NetState::Terminated | NetState::Unloaded => {
-                None
-            }
+            NetState::Loading => self.reserved,
+            NetState::Rejected | NetState::Terminated | NetState::Unloaded => 0,
             NetState::Ready | NetState::Scheduled | NetState::Running | NetState::Cancelling => {
-                Some(self.counted()?.memory)
+                self.counted().map_or(0, |counted| counted.memory)
             }
         }
     }
 }
 
-fn duration(nanos: Nanos) -> Duration {
-    Duration::from_nanos(u64::try_from(nanos.0).unwrap_or(0))
+fn nanos(duration: Duration) -> u64 {
+    u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::executor::stop::EmergencyStop;
+    use crate::ids::SessionId;
+
+    #[test]
+    fn memory_is_kept_for_nets_while_they_are_loaded() {
+        let room = Room {
+            memory: 100,
+            text: 10,
+        };
+        let stop = Arc::new(EmergencyStop::new(false));
+        let mut desk = Desk::new(Vec::new(), None, stop, None, room);
+        let [first, second] = [NetId(0), NetId(1)];
+        for id in [first, second] {
+            let net = Net::new(SessionId::NONE, String::new(), "".into());
+            desk.nets.insert(id, net);
+        }
+        assert_eq!(desk.keep_memory(first, 60), Some(60));
+        assert_eq!(desk.keep_memory(second, 60), None, "it waits for the other");
+        assert_eq!(desk.keep_memory(second, 40), Some(40));
+        for id in [first, second] {
+            desk.release_memory(id);
+        }
+        assert_eq!(desk.keep_memory(second, 200), Some(100), "all there is");
+        assert_eq!(desk.keep_memory(first, 1), None);
+        // One that is rejected keeps none.
+        desk.release_memory(second);
+        assert_eq!(desk.keep_memory(first, 1), Some(1));
+    }
 }

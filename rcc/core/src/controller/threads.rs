@@ -5,14 +5,15 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use takt_net::Rejection;
 use takt_net::fault::{Fault, FaultKind};
+use takt_net::{NetCost, Rejection};
 use takt_rt::thread::ThreadConfig;
 
 use crate::cell::{CellConfig, THREADS_MAX, listed};
 use crate::controller::clock::FollowedClock;
 use crate::controller::desk::Desk;
 use crate::error::Error;
+use crate::executor::figures::budget;
 use crate::executor::rules::Literal;
 use crate::executor::serve::{DeviceEnd, Driver};
 use crate::executor::stop::{EmergencyStop, StopPart};
@@ -32,6 +33,27 @@ pub(super) struct Place {
     pub(super) period: Duration,
     /// How many cycles of the thread that is.
     pub(super) every: u64,
+}
+
+impl Place {
+    /// Refuses a net that costs more than its thread's cycles allow, however seldom it is evaluated.
+    pub(super) fn check_cost(&self, cost: &NetCost) -> Result<(), Rejection> {
+        let Self { period, every, .. } = *self;
+        let thread = period / u32::try_from(every.max(1)).unwrap_or(u32::MAX);
+        let budget = budget(thread);
+        if cost.total <= budget {
+            return Ok(());
+        }
+        let why = format!(
+            "a cycle of the net costs up to {:?}, and may cost {budget:?}: it is evaluated within one cycle of \
+             a net thread of {thread:?}, if only in one of {every}; the heaviest are {}; use fewer of these, \
+             or load it for a net thread of {period:?} (`[[controller.thread]]`), which then serves the \
+             devices it commands too",
+            cost.total,
+            cost.heaviest(3)
+        );
+        Err(refused("cycle", why))
+    }
 }
 
 /// Starts all net threads of a cell on one time base; the first one is recorded.

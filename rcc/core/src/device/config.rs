@@ -8,7 +8,7 @@ mod youbot;
 pub use robot::{IiwaConfig, IiwaIo, IiwaModel, LwrConfig, RmpConfig};
 pub use segment::{CanopenConfig, DriveArm, DriveJoint, EthercatConfig, LinkLoss};
 pub use slave::{
-    AnalogueChannel, EthercatClocks, EthercatIo, EthercatSlave, SlaveGoal, SlavePdo, StartupObject,
-    StartupValue, UnlockedPolicy,
+    AnalogueChannel, EthercatClocks, EthercatIo, EthercatSlave, LostPolicy, SlaveGoal, SlavePdo,
+    StartupObject, StartupValue, UnlockedPolicy,
 };
 pub use youbot::{YouBotArm, YouBotBase, YouBotControl};

@@ -79,6 +79,7 @@ pub(super) struct Arm {
     /// When it was told to stop, and when its motors then stood.
     stopping: Option<Nanos>,
     stood: Option<Nanos>,
+    held: bool,
 }
 
 impl Arm {
@@ -97,6 +98,7 @@ impl Arm {
             powered: false,
             stopping: None,
             stood: None,
+            held: false,
         }
     }
 
@@ -105,6 +107,11 @@ impl Arm {
     pub(super) fn is_off(&self) -> bool {
         let mut joints = self.joints.iter();
         joints.all(|joint| joint.power() == Power::Off)
+    }
+
+    /// From now on nothing moves it, or something may again: its joints brake and keep their places.
+    pub(super) const fn hold(&mut self, held: bool) {
+        self.held = held;
     }
 
     fn follows(&self) -> bool {
@@ -124,9 +131,10 @@ impl Arm {
         let (goal, reset) = if stopping {
             (self.farewell(now), false)
         } else {
+            (self.stopping, self.stood) = (None, None);
             self.choose_goal(now)
         };
-        let may_move = self.follows() && !stopping;
+        let may_move = self.follows() && !stopping && !self.held;
         let elapsed = self.last.replace(now).map_or(Nanos(0), |last| now - last);
         let late = elapsed.0 > self.period.0 * 3 / 2;
         let when = When {
@@ -138,6 +146,13 @@ impl Arm {
         let joints = self.joints.iter_mut().zip(&self.taken.joints);
         for (number, (driven, set_points)) in joints.enumerate() {
             let target = driven.aim(set_points, may_move, &when);
+            let goal = match goal {
+                // A drive without power holds no motor whose brake were to close: it gets none now.
+                Some(Goal::SwitchedOn) if driven.power() != Power::Drives => {
+                    Some(Goal::SwitchOnDisabled)
+                }
+                goal => goal,
+            };
             let order = Order {
                 goal,
                 reset,
@@ -198,7 +213,7 @@ impl Arm {
     }
 
     fn tell(&mut self, tick: &Tick) {
-        let status = if self.follows() {
+        let status = if self.follows() && !self.held {
             DeviceStatus::Operational
         } else if self.joints.iter().all(Driven::is_online) {
             DeviceStatus::SafeOperational

@@ -11,8 +11,6 @@ mod keep;
 mod roll;
 pub mod shared;
 
-use takt_rt::Nanos;
-
 use crate::executor::{ResourceSet, Running};
 use fire::answer;
 use roll::{Roll, Slot};
@@ -23,6 +21,8 @@ pub const RULES_MAX: usize = 1024;
 /// Most that the waiting rules of one thread look at in a cycle, all together: literals, operations, and
 /// nets that they stop, cancel and start. Of a rule in several threads, literals count in each.
 pub const WORK_MAX: usize = 8192;
+/// Most nets that wait for rules to start them.
+pub const SCHEDULED_MAX: usize = 1024;
 /// Most Boolean operations of one condition.
 pub const CONDITION_MAX: usize = 256;
 
@@ -104,8 +104,6 @@ pub struct Rule {
     pub state: RuleState,
     /// What the nets that it starts need: kept for them.
     reserved: ResourceSet,
-    /// What they cost in a cycle.
-    cost: Nanos,
     /// The slots of the nets it names, while it waits: of literals, then of nets to stop, cancel, start.
     slots: Box<[Slot]>,
     /// Whether a literal changed since the condition was evaluated.
@@ -118,6 +116,19 @@ pub struct Rule {
 struct Truth {
     yes: bool,
     no: bool,
+}
+
+impl Truth {
+    /// What a literal is or may become.
+    fn ever(literal: &Literal) -> Self {
+        if literal.last {
+            return literal.value.into();
+        }
+        Self {
+            yes: true,
+            no: true,
+        }
+    }
 }
 
 impl From<Option<bool>> for Truth {
@@ -151,7 +162,6 @@ impl Rule {
             part: None,
             state: RuleState::Active,
             reserved: ResourceSet::default(),
-            cost: Nanos::ZERO,
             slots: vec![0; named].into_boxed_slice(),
             changed: true,
         }
@@ -245,18 +255,26 @@ impl Rule {
     /// Whether the condition may still become true.
     #[must_use]
     pub fn can_hold(&self) -> bool {
-        let open = Truth {
-            yes: true,
-            no: true,
+        self.evaluate(Truth::ever).yes
+    }
+
+    /// Values without which the condition cannot become true any more, by net and question.
+    #[must_use]
+    pub fn needs(&self) -> Vec<((u32, Question), bool)> {
+        let open = self.literals.iter().filter(|literal| !literal.last);
+        let asked = open.map(|literal| (literal.net, literal.question));
+        let both = asked.flat_map(|asked| [(asked, true), (asked, false)]);
+        let is_needed = |(asked, value): &((u32, Question), bool)| {
+            let otherwise = |literal: &Literal| {
+                if (literal.net, literal.question) == *asked {
+                    Some(!value).into()
+                } else {
+                    Truth::ever(literal)
+                }
+            };
+            !self.evaluate(otherwise).yes
         };
-        self.evaluate(|literal| {
-            if literal.last {
-                literal.value.into()
-            } else {
-                open
-            }
-        })
-        .yes
+        both.filter(is_needed).collect()
     }
 
     /// Whether it is to fire now.
@@ -305,16 +323,8 @@ pub enum RuleRefusal {
     ResourceInUse(usize),
     /// Two nets that it starts need this resource.
     ResourceTwice(usize),
-    /// The nets that it starts and those that run on beside them would cost more in a cycle than they
-    /// may.
-    Overload {
-        /// What those cost that run on.
-        running: Nanos,
-        /// What those cost that it starts.
-        started: Nanos,
-        /// What all may cost.
-        budget: Nanos,
-    },
+    /// A net that it starts, by its number, does not wait for that any more.
+    NotWaiting(u32),
 }
 
 /// What the executor knows of rules.
@@ -339,7 +349,7 @@ impl Rules {
     pub(super) fn new() -> Self {
         Self {
             waiting: Vec::with_capacity(RULES_MAX),
-            scheduled: Vec::with_capacity(super::RUNNING_MAX),
+            scheduled: Vec::with_capacity(SCHEDULED_MAX),
             roll: Roll::default(),
             work: 0,
             over: 0,

@@ -231,7 +231,7 @@ fn a_net_is_evaluated_in_multiples_of_its_number_of_cycles() {
     let mut bench = Bench::default();
     for every in [1, 2, 5] {
         let mut net = net(u32::try_from(every).unwrap(), ENDLESS);
-        net.every = every;
+        net.set_every(every);
         bench.start(net).unwrap();
     }
     let changed: Vec<_> = (0..6).map(|_| bench.evaluate()).collect();

@@ -108,7 +108,7 @@ fn prepare(
     let numbers = numbers.map(|number| (number, 0)).collect();
     let mut running = Box::new(Running::new(net.id, plan, out, inbox));
     running.devices = numbers;
-    running.every = net.every;
+    running.set_every(net.every);
     Ok(running)
 }
 

@@ -149,7 +149,7 @@ impl Stand {
             .collect();
         let mut running = Box::new(Running::new(id, plan, out_writer, inbox));
         (running.resources, running.devices) = (resources, devices);
-        running.every = every;
+        running.set_every(every);
         self.nets.insert(id, Seen { directory, out });
         self.executor.start(running).map_err(|(_, refusal)| refusal)
     }

@@ -320,9 +320,12 @@ mod tests {
                 let mut cycles = draw(0.0, 2.0);
                 while cycles > 0.0 {
                     profile.advance();
+                    let now = profile.now;
                     assert!(
-                        profile.now.velocity.abs() <= bounds.velocity * (1.0 + 1e-6),
-                        "{bounds:?}"
+                        now.is_finite()
+                            && now.velocity.abs() <= bounds.velocity * (1.0 + 1e-6)
+                            && now.acceleration.abs() <= bounds.acceleration * (1.0 + 1e-6),
+                        "{now:?} {bounds:?}"
                     );
                     cycles -= 1.0;
                 }

@@ -8,7 +8,7 @@
 use std::fmt::Write as _;
 use std::ops::Range;
 
-use crate::value::{Element, Frame, Nanos, Rotation, Twist, Type, Value, Vector, Wrench};
+use crate::value::{Frame, Nanos, Rotation, Twist, Type, Value, Vector, Wrench};
 
 /// Why a text is not a value of the type wanted, and where in the text.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -106,12 +106,6 @@ pub fn parse_words(ty: Type, text: &str, words: &mut [u64]) -> Result<(), ValueE
         }
     });
     Ok(())
-}
-
-/// How many words a value of `element` takes.
-#[must_use]
-pub fn words_of(element: Element) -> usize {
-    crate::slots::for_element!(element, T => T::WORDS)
 }
 
 /// The syntax of a value, before its type is known.

@@ -19,6 +19,8 @@ pub struct EthercatClocks {
     pub lock: Duration,
     /// What becomes of a slave whose clock does not lock in time.
     pub unlocked: UnlockedPolicy,
+    /// What becomes of an arm when a clock of its drives leaves the window while it runs.
+    pub lost: LostPolicy,
 }
 
 impl Default for EthercatClocks {
@@ -27,6 +29,7 @@ impl Default for EthercatClocks {
             window: Duration::from_micros(1),
             lock: Duration::from_secs(5),
             unlocked: UnlockedPolicy::Refuse,
+            lost: LostPolicy::Ignore,
         }
     }
 }
@@ -40,6 +43,20 @@ pub enum UnlockedPolicy {
     Refuse,
     /// It is started all the same; its difference is told.
     Start,
+}
+
+/// What becomes of an arm when a clock of its drives was outside of the window three times in a row. In each case that is
+/// told, and so is the clock's return.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LostPolicy {
+    /// It goes on: drives see for themselves how SYNC0 and their set-points lie, and leave OP when they cannot go on.
+    #[default]
+    Ignore,
+    /// Its joints brake within their limits and are held there, its nets end; nothing moves it until the clock is back.
+    Hold,
+    /// The same, and as soon as its motors stand they lose their power until the clock is back.
+    Stop,
 }
 
 /// How far a slave is brought.
@@ -98,7 +115,7 @@ pub struct EthercatSlave {
     /// SYNC0 behind the beginning of the cycle, ns, less than a cycle; negative is before.
     #[serde(deserialize_with = "shift")]
     pub shift: i32,
-    /// Process data watchdog; `None` leaves what the slave has.
+    /// Process data watchdog, in steps of 100 us, rounded up; zero switches it off, `None` leaves what the slave has.
     #[serde(deserialize_with = "span::text::deserialize_some")]
     pub watchdog: Option<Duration>,
     /// Whether objects may be written by complete access, where its SII says that it has it.

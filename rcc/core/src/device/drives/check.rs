@@ -3,7 +3,7 @@
 use takt_net::JointLimits;
 
 use crate::device::config::{DriveArm, DriveJoint};
-use crate::device::{ARM_JOINTS_MAX, DeviceDescription};
+use crate::device::{ARM_JOINTS_MAX, DeviceDescription, LEAST, MOST};
 
 /// The limits of a joint as nets see them.
 pub(super) fn limits_of<D>(joint: &DriveJoint<D>) -> JointLimits {
@@ -61,8 +61,7 @@ fn check_joint<D>(joint: &DriveJoint<D>) -> Result<(), String> {
         acceleration_max,
         ..
     } = joint;
-    // Beyond these, products with the cycle would be zero or infinite.
-    let above_zero = |value: &f64| (1e-6..=1e9).contains(value);
+    let above_zero = |value: &f64| (LEAST..=MOST).contains(value);
     let sound = increments_per_turn.is_normal()
         && [zero, low, high].iter().all(|value| value.is_finite())
         && low < high

@@ -326,6 +326,19 @@ fn an_arm_told_to_stop_in_mid_swing_brakes_within_its_limit_before_it_loses_powe
 }
 
 #[test]
+fn a_drive_that_is_off_gets_no_power_because_its_arm_is_to_stop() {
+    let mut bench = Bench::new(2);
+    let off = &mut bench.drives[1];
+    (off.state, off.goal) = (State::SwitchOnDisabled, Goal::SwitchOnDisabled);
+    bench.run(1, false);
+    bench.drives[1].goals.clear();
+    bench.run(1000, true);
+    assert!(bench.arm.is_off());
+    assert!(bench.drives[0].goals.contains(&Goal::SwitchedOn));
+    assert_eq!(bench.drives[1].goals, [Goal::SwitchOnDisabled]);
+}
+
+#[test]
 fn a_motor_that_does_not_come_to_rest_is_stopped_by_quick_stop() {
     let mut bench = Bench::new(2);
     bench.drives[1].runaway = 1e4;

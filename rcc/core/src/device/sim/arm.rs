@@ -19,12 +19,11 @@ use takt_rt::Nanos;
 
 use super::compliance::Compliance;
 use super::io::loop_back;
-use super::parameters::LEAST;
 use super::{Made, Parameters, Simulated, seconds};
 use crate::device::setpoint::Joint;
 use crate::device::{
-    ARM_JOINTS_MAX, ArmDescription, DeviceCommand, DeviceState, DeviceStatus, JointSetPoints, Part,
-    parts,
+    ARM_JOINTS_MAX, ArmDescription, DeviceCommand, DeviceState, DeviceStatus, JointSetPoints,
+    LEAST, Part, parts,
 };
 use crate::error::Error;
 

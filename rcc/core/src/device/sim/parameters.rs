@@ -6,12 +6,8 @@ use std::ops::RangeInclusive;
 
 use takt_net::value::text::parse_array;
 
+use crate::device::{LEAST, MOST};
 use crate::error::Error;
-
-/// Numbers above zero are not below this, and none is beyond [`MOST`]: products with the cycle would be zero or
-/// infinite.
-pub(super) const LEAST: f64 = 1e-6;
-const MOST: f64 = 1e9;
 
 /// The parameters of one device.
 pub(super) struct Parameters<'a> {

@@ -5,22 +5,25 @@ use takt_rt::Nanos;
 
 use super::{Literal, Question, RuleState, Rules, Slot};
 use crate::executor::rules::shared::Decision;
-use crate::executor::{End, Executor, RUNNING_MAX, ResourceSet, Running};
+use crate::executor::{End, Executor, ResourceSet, Running};
 
 /// What the nets hold and cost that run on.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 struct Standing {
+    nets: usize,
     held: ResourceSet,
     load: Nanos,
 }
 
 impl Standing {
     fn end(&mut self, net: &Running) {
+        self.nets -= 1;
         self.held.remove(&net.resources);
         self.load -= net.cost;
     }
 
     fn begin(&mut self, net: &Running) {
+        self.nets += 1;
         self.held.add(&net.resources);
         self.load += net.cost;
     }
@@ -103,12 +106,8 @@ impl Executor {
     }
 
     fn standing(&self) -> Standing {
-        let mut standing = Standing {
-            held: ResourceSet::default(),
-            load: Nanos::ZERO,
-        };
-        let going_on = self.running.iter().filter(|net| net.end.is_none());
-        going_on.for_each(|net| standing.begin(net));
+        let mut standing = Standing::default();
+        self.going_on().for_each(|net| standing.begin(net));
         standing
     }
 
@@ -165,7 +164,7 @@ impl Executor {
             net.resources.common(&held).is_none() && net.devices.iter().all(is_ready)
         };
         let all = rule.started().iter().all(can_start);
-        let room = self.running.len() + rule.started().len() <= RUNNING_MAX;
+        let room = self.has_places(after.nets, rule.started().len());
         all && room && after.load <= self.budget
     }
 

@@ -1,10 +1,12 @@
-//! Rules and their nets come and go: what is kept for the nets that a rule starts, in resources and in
-//! time of the cycle, and what is refused for it. Nothing fires here.
+//! Rules and their nets come and go: the resources that are kept for nets that a rule starts, and what is
+//! refused for it. Nothing fires here, and time of the cycle is kept at the desk.
 
 use takt_rt::Nanos;
 
-use super::{Literal, RULES_MAX, Rule, RuleRefusal, RuleState, Rules, Slot, WORK_MAX, answer};
-use crate::executor::{Executor, RUNNING_MAX, Refusal, ResourceSet, Running};
+use super::{
+    Literal, RULES_MAX, Rule, RuleRefusal, RuleState, Rules, SCHEDULED_MAX, Slot, WORK_MAX, answer,
+};
+use crate::executor::{Executor, Refusal, ResourceSet, Running};
 
 impl Executor {
     /// Takes a net that rules may start.
@@ -12,7 +14,7 @@ impl Executor {
     /// # Errors
     /// If there is no room for it.
     pub fn schedule(&mut self, net: Box<Running>) -> Result<(), Box<Running>> {
-        if self.rules.scheduled.len() == RUNNING_MAX {
+        if self.rules.scheduled.len() == SCHEDULED_MAX {
             return Err(net);
         }
         self.rules.scheduled.push(net);
@@ -82,8 +84,8 @@ impl Executor {
         let reserved = self.reserve(rule);
         self.rules.mark(rule.followed(), false);
         match reserved {
-            Ok((reserved, cost)) => {
-                (rule.reserved, rule.cost) = (reserved, cost);
+            Ok(reserved) => {
+                rule.reserved = reserved;
                 Ok(())
             }
             Err(refusal) => {
@@ -93,45 +95,27 @@ impl Executor {
         }
     }
 
-    /// What is to be kept for a new rule, and what its nets cost. The nets that it follows are marked.
-    fn reserve(&self, rule: &Rule) -> Result<(ResourceSet, Nanos), RuleRefusal> {
+    /// What is to be kept for a new rule. The nets that it follows are marked.
+    fn reserve(&self, rule: &Rule) -> Result<ResourceSet, RuleRefusal> {
         let rules = &self.rules;
         let mut wanted = ResourceSet::default();
-        let mut started = Nanos::ZERO;
-        for slot in rule.started() {
-            let Some(at) = rules.scheduled_at(*slot) else {
-                continue;
-            };
-            let net = &rules.scheduled[at];
+        for (slot, id) in rule.started().iter().zip(&rule.orders.start) {
+            let at = rules.scheduled_at(*slot);
+            let net = &rules.scheduled[at.ok_or(RuleRefusal::NotWaiting(*id))?];
             if let Some(twice) = wanted.common(&net.resources) {
                 return Err(RuleRefusal::ResourceTwice(twice));
             }
             wanted.add(&net.resources);
-            started += net.cost;
         }
         let claim = rules.claim(rule, wanted);
         let is_followed = |net: &Running| {
-            rules
-                .roll
-                .find(net.id)
-                .is_some_and(|s| rules.roll.is_marked(s))
+            let slot = rules.roll.find(net.id);
+            slot.is_some_and(|slot| rules.roll.is_marked(slot))
         };
-        let mut running = Nanos::ZERO;
         for net in self.running.iter().filter(|net| !is_followed(net)) {
             if let Some(held) = claim.common(&net.resources) {
                 return Err(RuleRefusal::ResourceInUse(held));
             }
-            if net.end.is_none() {
-                running += net.cost;
-            }
-        }
-        let budget = self.budget;
-        if !rule.started().is_empty() && running + started > budget {
-            return Err(RuleRefusal::Overload {
-                running,
-                started,
-                budget,
-            });
         }
         // Alternatives of one predecessor may want the same: only one of them will come to run.
         let is_stranger = |other: &Rule| !other.followed().iter().any(|s| rules.roll.is_marked(*s));
@@ -143,7 +127,7 @@ impl Executor {
                 return Err(RuleRefusal::ResourceInUse(kept));
             }
         }
-        Ok((wanted, started))
+        Ok(wanted)
     }
 
     /// Why a net cannot start now beside those that run and those that rules are to start.
@@ -161,53 +145,20 @@ impl Executor {
         }
         self.rules.seat(&self.running);
         let slot = self.rules.roll.find(net.id);
-        (0..self.rules.waiting.len()).find_map(|at| {
-            let rule = &self.rules.waiting[at];
-            // Looked at first, since it rules out most: whether they come into each other's way at all.
-            let meet = net.resources.common(&rule.reserved).is_some();
-            let crowded = rule.cost > Nanos::ZERO && running + net.cost + rule.cost > budget;
-            let concerns = |slots: &[Slot]| slot.is_some_and(|slot| slots.contains(&slot));
-            if !(meet || crowded) || concerns(rule.started()) {
-                return None;
-            }
-            let follows = concerns(rule.followed());
-            if meet && !follows {
-                let kept = self.rules.claim(rule, rule.reserved);
-                if let Some(resource) = net.resources.common(&kept) {
-                    return Some(Refusal::ResourceKept(resource));
-                }
-            }
-            let (rule, started) = (rule.id, rule.cost);
-            let beside = if follows { Nanos::ZERO } else { net.cost };
-            let running = running - self.followed_cost(at) + beside;
-            (crowded && running + started > budget)
-                .then_some(Refusal::OverloadKept { rule, budget })
+        let concerns = |slots: &[Slot]| slot.is_some_and(|slot| slots.contains(&slot));
+        let rules = self.rules.waiting.iter().map(|rule| &**rule);
+        let rules = rules.filter(|rule| net.resources.common(&rule.reserved).is_some());
+        let mut strangers = rules.filter(|r| !concerns(r.started()) && !concerns(r.followed()));
+        strangers.find_map(|rule| {
+            let kept = self.rules.claim(rule, rule.reserved);
+            let resource = net.resources.common(&kept)?;
+            Some(Refusal::ResourceKept(resource))
         })
-    }
-
-    /// What the running nets cost that a rule follows.
-    fn followed_cost(&mut self, at: usize) -> Nanos {
-        let Rules { waiting, roll, .. } = &mut self.rules;
-        let followed = waiting[at].followed();
-        let mut cost = Nanos::ZERO;
-        for slot in followed {
-            let (id, seat) = roll.running(*slot);
-            let net = self.running.get(seat).filter(|net| net.id == id);
-            // A condition may name a net more than once.
-            if let Some(net) = net.filter(|net| net.end.is_none() && roll.mark(*slot, true)) {
-                cost += net.cost;
-            }
-        }
-        followed.iter().for_each(|slot| {
-            roll.mark(*slot, false);
-        });
-        cost
     }
 
     /// What all running nets cost in a cycle in which each is evaluated.
     pub(super) fn load(&self) -> Nanos {
-        let going_on = self.running.iter().filter(|net| net.end.is_none());
-        going_on.fold(Nanos::ZERO, |sum, net| sum + net.cost)
+        self.going_on().fold(Nanos::ZERO, |sum, net| sum + net.cost)
     }
 
     /// Takes out the rules that no longer wait, as far as `take` accepts them.

@@ -138,10 +138,9 @@ impl Roll {
         slot.is_some_and(|slot| self.named[usize::from(slot)].followers > 0)
     }
 
-    /// Marks a net or takes its mark away; returns whether that is new.
-    pub(super) fn mark(&mut self, slot: Slot, marked: bool) -> bool {
-        let before = &mut self.named[usize::from(slot)].marked;
-        std::mem::replace(before, marked) != marked
+    /// Marks a net or takes its mark away.
+    pub(super) fn mark(&mut self, slot: Slot, marked: bool) {
+        self.named[usize::from(slot)].marked = marked;
     }
 
     /// Whether a net is marked.

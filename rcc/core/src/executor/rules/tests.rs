@@ -6,7 +6,7 @@ use takt_rt::Nanos;
 
 use super::*;
 use crate::executor::tests::{BRIEF, ENDLESS, holding};
-use crate::executor::{End, Executor, Refusal};
+use crate::executor::{End, Executor, RUNNING_MAX, Refusal};
 
 const ARM: usize = 3;
 
@@ -183,38 +183,9 @@ fn a_successor_costs_nothing_beside_the_net_that_it_follows() {
 }
 
 #[test]
-fn a_rule_that_would_overload_its_thread_is_refused() {
-    let mut executor = loaded();
-    executor.start(costing(3, 200)).unwrap();
-    let refused = RuleRefusal::Overload {
-        running: Nanos::from_micros(200),
-        started: Nanos::from_micros(601),
-        budget: Nanos::from_micros(800),
-    };
-    assert_eq!(successor(&mut executor, 601), Err(refused));
-    assert!(executor.take_unscheduled(2, false).is_some());
-    successor(&mut executor, 600).unwrap();
-}
-
-#[test]
-fn time_of_the_cycle_is_kept_for_scheduled_nets() {
-    let mut executor = loaded();
-    successor(&mut executor, 700).unwrap();
-    // There is room beside net 1 and not beside its successor.
-    let kept = Refusal::OverloadKept {
-        rule: 0,
-        budget: Nanos::from_micros(800),
-    };
-    assert_eq!(executor.start(costing(3, 101)).unwrap_err().1, kept);
-    executor.start(costing(3, 100)).unwrap();
-    executor.end(1, End::Terminated);
-    assert_eq!(run(&mut executor), [3, 2]);
-}
-
-#[test]
 fn a_rule_without_time_for_its_nets_fails_when_it_fires() {
     let mut executor = loaded();
-    // Waits for net 1 and does not end it, which no condition tells beforehand.
+    // The desk would refuse it: it does not end net 1.
     executor.schedule(costing(2, 400)).unwrap();
     let asked = Literal {
         net: 1,
@@ -236,6 +207,26 @@ fn a_rule_without_time_for_its_nets_fails_when_it_fires() {
         Ok(())
     });
     assert_eq!(states, [RuleState::FireFailed]);
+}
+
+#[test]
+fn a_rule_whose_net_is_gone_is_refused() {
+    let mut executor = Executor::default();
+    let refused = executor.add_rule(after(0, &[1], 2)).unwrap_err();
+    assert_eq!(refused.1, RuleRefusal::NotWaiting(2));
+}
+
+#[test]
+fn as_many_nets_as_can_run_hand_over_to_as_many_at_once() {
+    let mut executor = Executor::default();
+    let most = u32::try_from(RUNNING_MAX).unwrap();
+    for id in 0..most {
+        executor.start(holding(id, BRIEF, &[])).unwrap();
+        executor.schedule(holding(most + id, ENDLESS, &[])).unwrap();
+        executor.add_rule(after(id, &[id], most + id)).unwrap();
+    }
+    assert_eq!(run(&mut executor).len(), RUNNING_MAX);
+    assert_eq!(executor.running()[0].id, most);
 }
 
 #[test]

@@ -150,6 +150,37 @@ fn a_successor_that_ends_at_once_is_told_to_have_run() {
     assert_eq!(bench.run(), ["ended 1 Terminated"]);
 }
 
+/// Cycles until sixteen commands are obeyed.
+fn cycles_for(bench: &mut Bench, command: fn(u32) -> Command) -> usize {
+    (0..16).for_each(|id| bench.command(command(id)));
+    let mut cycles = 0;
+    while bench.commands.room() < COMMANDS {
+        bench.run();
+        cycles += 1;
+    }
+    cycles
+}
+
+#[test]
+fn commands_for_which_all_rules_are_looked_at_are_spread_over_cycles() {
+    let mut bench = Bench::new(Duration::ZERO, None);
+    assert_eq!(cycles_for(&mut bench, Command::Forget), 1);
+    let waits_for = Literal {
+        net: 99,
+        question: Question::Terminated,
+        value: None,
+        last: false,
+    };
+    let orders = Orders {
+        stop: (100..).take(WORK_MAX - 2).collect(),
+        ..Orders::default()
+    };
+    let rule = Rule::new(7, vec![waits_for], vec![Step::Literal(0)], orders);
+    bench.cycle.executor.add_rule(Box::new(rule)).unwrap();
+    assert_eq!(cycles_for(&mut bench, Command::Cancel), 1);
+    assert_eq!(cycles_for(&mut bench, Command::Forget), 16);
+}
+
 // Figures.
 
 #[test]
@@ -180,7 +211,7 @@ fn evaluations_are_measured_and_counted() {
 fn an_overrun_is_counted_with_the_nets_that_ran_and_no_other() {
     let mut bench = Bench::new(Duration::from_micros(600), None);
     let (fast, mut slow) = (net(0, ENDLESS), net(1, ENDLESS));
-    slow.every = 4;
+    slow.set_every(4);
     let counters = [&fast, &slow].map(|net| Arc::clone(net.counters()));
     bench.command(Command::Start(fast));
     bench.command(Command::Start(slow));

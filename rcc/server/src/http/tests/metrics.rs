@@ -6,6 +6,7 @@ use std::net::SocketAddr;
 use std::time::Duration;
 
 use takt_core::cell::{DeviceConfig, LwrConfig};
+use takt_core::controller::{RuleRequest, RuleState};
 use takt_core::{CellConfig, Controller};
 
 use super::resources::{body, controller, get, holds, loaded, post};
@@ -249,12 +250,66 @@ fn metrics_follow_the_text_format_and_the_conventions() {
         "takt_cycle_duration_seconds",
         "takt_cycles_missed_total",
         "takt_real_time_allocations_total",
+        "takt_real_time_page_faults_total",
         "takt_rules",
         "takt_sessions",
         "takt_clients",
         "takt_messages_total",
     ] {
         assert!(families.contains_key(name), "{name}");
+    }
+}
+
+#[test]
+fn what_is_counted_never_falls_from_one_reading_to_the_next() {
+    let controller = controller();
+    let counters = |controller| {
+        let families = parse(body(&get(controller, "/metrics"))).unwrap();
+        let samples = families.into_iter().flat_map(|(name, family)| {
+            let counts = name.ends_with("_total");
+            family.samples.into_iter().filter(move |_| counts)
+        });
+        samples.collect::<BTreeMap<_, _>>()
+    };
+    let before = counters(&controller);
+    let net = loaded(&controller, "{x=Cancel(),outTerminate=x.outCancel}");
+    controller.start_net(net).unwrap();
+    controller.abort(net).unwrap();
+    let after = counters(&controller);
+    assert!(!before.is_empty() && before.keys().eq(after.keys()));
+    for (name, count) in &before {
+        assert!(
+            after[name] >= *count,
+            "{name:?}: {count} and then {}",
+            after[name]
+        );
+    }
+}
+
+#[test]
+fn rules_are_counted_by_their_states() {
+    let controller = controller();
+    let net = loaded(&controller, "{x=Cancel(),outTerminate=x.outCancel}");
+    controller.start_net(net).unwrap();
+    let rule = |condition: String, cancel| RuleRequest {
+        condition,
+        cancel: vec![cancel],
+        ..RuleRequest::default()
+    };
+    controller
+        .schedule(rule(format!("{net}.terminated"), net))
+        .unwrap();
+    assert_eq!(controller.rule_states(), [RuleState::Active]);
+    controller.abort(net).unwrap();
+    while controller.rule_states() != [RuleState::Inactive] {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    let text = get(&controller, "/metrics");
+    for line in [
+        "takt_rules{state=\"inactive\"} 1",
+        "takt_rules{state=\"active\"} 0",
+    ] {
+        assert!(text.lines().any(|told| told == line), "{line} in {text}");
     }
 }
 

@@ -1,6 +1,7 @@
 //! Starts of a net whose answers come late or to nobody.
 
 use super::*;
+use crate::controller::threads::busy;
 
 const ID: NetId = NetId(1);
 const TEXT: &str = "{never=Core::BooleanValue(),outTerminate=never.outValue}";
@@ -14,10 +15,11 @@ fn ready() -> Net {
 }
 
 fn begin(net: &mut Net) -> Option<Box<Running>> {
-    match net.begin(ID) {
-        Ok(Command::Start(running)) => Some(running),
-        _ => None,
-    }
+    net.check_begin(ID).ok()?;
+    let Command::Start(running) = net.begin(ID) else {
+        return None;
+    };
+    Some(running)
 }
 
 #[test]

@@ -1,0 +1,256 @@
+//! What nets come to together under rules given as text, with weights in microseconds.
+
+use proptest::prelude::*;
+
+use super::*;
+use crate::controller::condition::Parser;
+use crate::executor::rules::{Literal, Orders};
+
+/// A rule as its condition, the nets that it stops and those that it starts.
+type Given<'t> = (&'t str, &'t [u32], &'t [u32]);
+
+fn succession((condition, stop, start): Given<'_>, in_one_thread: bool) -> Succession {
+    let condition = Parser::parse(condition).unwrap();
+    let literals = condition.literals.iter().map(|(net, key)| Literal {
+        net: net.trim_start_matches('n').parse().unwrap(),
+        question: match key.as_str() {
+            "terminated" => Question::Terminated,
+            key => Question::Value(key.bytes().map(usize::from).sum()),
+        },
+        value: None,
+        last: false,
+    });
+    let rule = Rule::new(0, literals.collect(), condition.steps, Orders::default());
+    let ids = |nets: &[u32]| nets.iter().copied().map(NetId).collect::<Vec<_>>();
+    Succession::of(&rule, &ids(stop), &ids(start), in_one_thread)
+}
+
+/// Nets with their weights by number, and those of them that run.
+fn nets(weights: &[u64], running: &[u32]) -> BTreeMap<NetId, Candidate> {
+    let candidate = |(id, weight): (u32, &u64)| {
+        let candidate = Candidate {
+            weight: *weight,
+            runs: running.contains(&id),
+            resources: ResourceSet::default(),
+        };
+        (NetId(id), candidate)
+    };
+    (0..).zip(weights).map(candidate).collect()
+}
+
+fn most_of(nets: &BTreeMap<NetId, Candidate>, rules: &[Given<'_>]) -> u64 {
+    let rules: Vec<_> = rules.iter().map(|rule| succession(*rule, true)).collect();
+    most_together(nets, rules.iter().collect(), 0)
+}
+
+fn most(weights: &[u64], running: &[u32], rules: &[Given<'_>]) -> u64 {
+    most_of(&nets(weights, running), rules)
+}
+
+// Successors.
+
+#[test]
+fn a_net_that_neither_runs_nor_is_to_be_started_weighs_nothing() {
+    assert_eq!(most(&[100, 30], &[0], &[]), 100);
+    assert_eq!(most(&[100, 30], &[0], &[("n1.x", &[], &[])]), 100);
+}
+
+#[test]
+fn a_successor_weighs_nothing_beside_the_net_whose_end_it_needs() {
+    assert_eq!(most(&[100, 30], &[0], &[("n0.terminated", &[], &[1])]), 100);
+    assert_eq!(most(&[30, 100], &[0], &[("n0.x", &[0], &[1])]), 100);
+    assert_eq!(
+        most(&[30, 100], &[0], &[("n0.x & n0.terminated", &[], &[1])]),
+        100
+    );
+}
+
+#[test]
+fn a_net_that_is_to_be_stopped_may_begin_later_unless_it_runs() {
+    let rules: [Given<'_>; 2] = [("n0.terminated", &[], &[1]), ("t", &[1], &[2])];
+    assert_eq!(most(&[10, 50, 20], &[0], &rules), 70);
+    assert_eq!(most(&[10, 50, 20], &[1], &rules[1..]), 50);
+}
+
+#[test]
+fn a_net_that_may_start_beside_the_other_adds_to_it() {
+    for condition in ["n0.x", "t", "n0.x | n0.terminated", "!n0.terminated"] {
+        assert_eq!(
+            most(&[100, 30], &[0], &[(condition, &[], &[1])]),
+            130,
+            "{condition}"
+        );
+    }
+}
+
+#[test]
+fn a_chain_comes_to_its_heaviest_net() {
+    let chain: [Given<'_>; 3] = [
+        ("n0.terminated", &[], &[1]),
+        ("n1.terminated", &[], &[2]),
+        ("n2.terminated", &[], &[3]),
+    ];
+    for running in [&[][..], &[0]] {
+        assert_eq!(most(&[10, 50, 20, 40], running, &chain), 50);
+    }
+    // Started by hand, a net of it runs beside the first.
+    assert_eq!(most(&[10, 50, 20, 40], &[0, 2], &chain), 90);
+}
+
+#[test]
+fn a_net_that_follows_several_takes_the_place_of_all() {
+    let joined: [Given<'_>; 1] = [("n0.terminated & n1.terminated", &[], &[2])];
+    assert_eq!(most(&[400, 400, 800], &[0, 1], &joined), 800);
+    assert_eq!(most(&[400, 400, 700], &[0, 1], &joined), 800);
+}
+
+#[test]
+fn several_that_follow_one_run_together() {
+    assert_eq!(
+        most(&[100, 60, 70], &[0], &[("n0.terminated", &[], &[1, 2])]),
+        130
+    );
+}
+
+#[test]
+fn nets_that_wait_for_each_other_count_once() {
+    let circle: [Given<'_>; 2] = [("n0.terminated", &[], &[1]), ("n1.terminated", &[], &[0])];
+    assert_eq!(most(&[10, 30], &[], &circle), 30);
+    assert_eq!(most(&[10, 30], &[0], &circle), 30);
+}
+
+// Rules that fit one by one.
+
+#[test]
+fn two_rules_that_may_both_fire_count_both() {
+    let both: [Given<'_>; 2] = [("n0.terminated", &[], &[1]), ("n0.x", &[0], &[2])];
+    assert_eq!(most(&[500, 300, 600], &[0], &both), 900);
+}
+
+#[test]
+fn of_rules_that_exclude_each_other_the_heavier_counts() {
+    let chosen: [Given<'_>; 3] = [
+        ("n0.terminated & n0.x", &[], &[1]),
+        ("n0.terminated & !n0.x & n0.y", &[], &[2]),
+        ("n0.terminated & !(n0.x | n0.y)", &[], &[3]),
+    ];
+    assert_eq!(most(&[500, 300, 700, 600], &[0], &chosen), 700);
+    let stopped: [Given<'_>; 2] = [("n0.x & !n0.y", &[0], &[1]), ("n0.y", &[0], &[2])];
+    assert_eq!(most(&[500, 300, 600], &[0], &stopped), 600);
+}
+
+#[test]
+fn values_that_may_change_between_the_rules_exclude_nothing() {
+    // Net 0 is stopped by one of them only; net 3 runs on and may say either.
+    let one_sided: [Given<'_>; 2] = [("n0.x", &[0], &[1]), ("!n0.x", &[], &[2])];
+    assert_eq!(most(&[500, 300, 600], &[0], &one_sided), 1100);
+    let foreign: [Given<'_>; 2] = [("n3.x", &[0], &[1]), ("!n3.x", &[0], &[2])];
+    assert_eq!(most(&[500, 300, 600, 0], &[0, 3], &foreign), 900);
+}
+
+#[test]
+fn over_several_threads_values_of_a_stopped_net_may_still_change() {
+    let given: [Given<'_>; 2] = [("n0.x", &[0], &[1]), ("!n0.x", &[0], &[2])];
+    let rules = given.map(|rule| succession(rule, false));
+    let nets = nets(&[500, 300, 600], &[0]);
+    assert_eq!(most_together(&nets, rules.iter().collect(), 0), 900);
+}
+
+#[test]
+fn nets_that_need_one_resource_never_run_at_once() {
+    let mut nets = nets(&[500, 300, 600, 50], &[0]);
+    for id in [1, 2] {
+        nets.get_mut(&NetId(id)).unwrap().resources.insert(7);
+    }
+    let rules: [Given<'_>; 3] = [
+        ("n0.terminated", &[], &[1]),
+        ("n0.x", &[0], &[2]),
+        ("n1.terminated", &[], &[3]),
+    ];
+    assert_eq!(most_of(&nets, &rules[..2]), 600);
+    // The successor of one of them does without it, and so runs beside the other.
+    assert_eq!(most_of(&nets, &rules), 900);
+    nets.get_mut(&NetId(3)).unwrap().resources.insert(7);
+    assert_eq!(most_of(&nets, &rules), 600);
+}
+
+#[test]
+fn a_net_that_two_rules_start_counts_once() {
+    let either: [Given<'_>; 2] = [("n0.x", &[0], &[2]), ("n1.x", &[1], &[2])];
+    assert_eq!(most(&[10, 20, 300], &[0, 1], &either), 330);
+    let same: [Given<'_>; 2] = [("n0.x", &[0], &[2]), ("n0.y", &[0], &[2])];
+    assert_eq!(most(&[10, 20, 300], &[0, 1], &same), 320);
+}
+
+#[test]
+fn a_sum_within_the_bound_is_good_enough() {
+    let rule = succession(("n0.terminated", &[], &[1]), true);
+    let nets = nets(&[100, 30], &[0]);
+    assert_eq!(most_together(&nets, vec![&rule], 130), 130);
+    assert_eq!(most_together(&nets, vec![&rule], 129), 100);
+}
+
+#[test]
+fn of_very_many_rules_some_count_that_could_be_left_out_and_none_that_could_not() {
+    let nets = nets(&[10; 1001], &[0]);
+    let conditions: Vec<_> = (1..=1000)
+        .map(|id| {
+            (
+                format!("n0.terminated & {}n0.x", if id % 2 == 0 { "!" } else { "" }),
+                [id],
+            )
+        })
+        .collect();
+    let rules: Vec<Given<'_>> = conditions
+        .iter()
+        .map(|(c, id)| (&**c, &[][..], &id[..]))
+        .collect();
+    let most = most_of(&nets, &rules);
+    assert!((5_000..=10_000).contains(&most), "{most}");
+}
+
+/// Fires rules in some order, each once, as the executor does, and tells the most that ran at once.
+fn played(weights: &[u64], rules: &[(u32, u32, bool)], order: &[usize]) -> u64 {
+    let mut waiting = vec![true; rules.len()];
+    let mut running = BTreeSet::from([0_u32]);
+    let (mut gone, mut ended_by_itself) = (BTreeSet::new(), BTreeSet::new());
+    let mut most = 0;
+    for at in order.iter().map(|at| at % rules.len()) {
+        let (after, start, stops) = rules[at];
+        if !stops && running.remove(&after) {
+            ended_by_itself.insert(after);
+            gone.insert(after);
+        }
+        let is_due = waiting[at] && (stops || ended_by_itself.contains(&after));
+        if is_due && !gone.contains(&start) && !running.contains(&start) {
+            waiting[at] = false;
+            if running.remove(&after) {
+                gone.insert(after);
+            }
+            running.insert(start);
+        }
+        let load = running.iter().map(|net| weights[*net as usize]).sum();
+        most = most.max(load);
+    }
+    most
+}
+
+proptest! {
+    #[test]
+    fn no_order_of_rules_comes_to_more(
+        weights in prop::collection::vec(1..100_u64, 6),
+        rules in prop::collection::vec((0..6_u32, 1..6_u32, any::<bool>()), 1..8),
+        order in prop::collection::vec(0..8_usize, 0..16),
+    ) {
+        let rules: Vec<_> = rules.into_iter().filter(|(after, start, _)| after != start).collect();
+        prop_assume!(!rules.is_empty());
+        let succession = |(after, start, stops): &(u32, u32, bool)| {
+            let condition = if *stops { "t".to_owned() } else { format!("n{after}.terminated") };
+            let stop = if *stops { vec![*after] } else { vec![] };
+            succession((&condition, &stop, &[*start]), true)
+        };
+        let successions: Vec<_> = rules.iter().map(succession).collect();
+        let bound = most_together(&nets(&weights, &[0]), successions.iter().collect(), 0);
+        prop_assert!(played(&weights, &rules, &order) <= bound);
+    }
+}

@@ -1,0 +1,37 @@
+//! Sets of resources: what nets need for themselves while they run. What a resource is, is the desk's to say.
+
+/// A set of resources, by their number.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ResourceSet([u64; 32]);
+
+impl ResourceSet {
+    /// How many resources there can be.
+    pub const MAX: usize = 32 * 64;
+
+    /// Adds the resource of that number, which is below [`Self::MAX`].
+    pub const fn insert(&mut self, number: usize) {
+        self.0[number / 64] |= 1 << (number % 64);
+    }
+
+    /// The lowest number in both sets.
+    #[must_use]
+    pub fn common(&self, other: &Self) -> Option<usize> {
+        let both = self.0.iter().zip(&other.0).map(|(a, b)| a & b);
+        both.enumerate()
+            .find(|(_, word)| *word != 0)
+            .map(|(i, word)| i * 64 + word.trailing_zeros() as usize)
+    }
+
+    pub(super) fn add(&mut self, other: &Self) {
+        self.0.iter_mut().zip(&other.0).for_each(|(a, b)| *a |= b);
+    }
+
+    pub(super) fn remove(&mut self, other: &Self) {
+        self.0.iter_mut().zip(&other.0).for_each(|(a, b)| *a &= !b);
+    }
+
+    /// Leaves only what is in the other set too.
+    pub(crate) fn keep(&mut self, other: &Self) {
+        self.0.iter_mut().zip(&other.0).for_each(|(a, b)| *a &= b);
+    }
+}

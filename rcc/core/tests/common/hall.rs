@@ -1,0 +1,162 @@
+//! A hall: an emulated EtherCAT segment at the end of a cable inside of this process, in a thread of its own, and a
+//! controller that leads it. What is on the segment its user says. Also what such tests log.
+
+#![allow(
+    dead_code,
+    unreachable_pub,
+    reason = "shared by test files that need different parts"
+)]
+
+use std::io::Write;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::time::Duration;
+
+use takt_core::cell::EthercatConfig;
+use takt_core::device::ethercat::{Ethercat, EthercatFigures, Wire, Wires, describe};
+use takt_core::{CellConfig, Controller};
+use takt_ethercat::emulator::{Segment, Server, SharedSegment};
+use takt_ethercat::linux::{cable, monotonic};
+use takt_rt::thread::{Thread, ThreadConfig, spawn};
+
+use crate::common::Cell;
+
+/// A segment that answers at the end of its cables.
+struct Served {
+    stop: Arc<AtomicBool>,
+    thread: Option<Thread<()>>,
+}
+
+impl Served {
+    /// By one cable, or of a ring by two.
+    fn start(segment: SharedSegment, ring: bool) -> (Self, Wires) {
+        let ((near, far), (near2, far2)) = (cable(), cable());
+        let mut server = Server::new(segment, far);
+        if ring {
+            server = server.with_second(far2);
+        }
+        let stop = Arc::new(AtomicBool::new(false));
+        let stopping = Arc::clone(&stop);
+        let config = ThreadConfig {
+            priority: Some(88),
+            ..ThreadConfig::new("segment")
+        };
+        let thread = spawn(config, move || {
+            while !stopping.load(Ordering::Relaxed) {
+                let wait = Duration::from_millis(5);
+                server.turn(wait, &mut monotonic).unwrap();
+            }
+        });
+        let wire = |link, last| Wire {
+            link: Box::new(link),
+            source: [2, 0, 0, 0, 0, last],
+        };
+        let wires = Wires {
+            first: wire(near, 1),
+            second: ring.then(|| wire(near2, 2)),
+        };
+        let thread = Some(thread.unwrap());
+        (Self { stop, thread }, wires)
+    }
+}
+
+impl Drop for Served {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            thread.join().unwrap();
+        }
+    }
+}
+
+/// A segment, and a controller that leads it; fields are dropped in this order.
+pub struct Hall {
+    cell: Option<Cell>,
+    served: Option<Served>,
+    segment: SharedSegment,
+}
+
+impl Hall {
+    /// By one cable, or by two if the cell names a second interface. Devices are not waited for.
+    pub fn start(config: &EthercatConfig, segment: Segment) -> Self {
+        let mut hall = Self {
+            cell: None,
+            served: None,
+            segment: SharedSegment::new(segment),
+        };
+        hall.lead(config);
+        hall
+    }
+
+    /// Begins to serve the segment, and a controller that leads it.
+    pub fn lead(&mut self, config: &EthercatConfig) {
+        let (served, wires) = Served::start(self.segment.clone(), config.second.is_some());
+        let controller = Controller::start(&CellConfig::default()).unwrap();
+        let added = controller.add_driver("segment", describe(config), None, |ends| {
+            Ok(Box::new(Ethercat::start(config, wires, ends)?))
+        });
+        added.unwrap();
+        let robots = Vec::new();
+        self.cell = Some(Cell { controller, robots });
+        self.served = Some(served);
+    }
+
+    /// Ends the controller, then the segment answers no more. What is on it keeps its power.
+    pub fn leave(&mut self) {
+        self.cell = None;
+        self.served = None;
+    }
+
+    /// Ends the controller; the segment goes on.
+    pub fn end_controller(&mut self) {
+        self.cell = None;
+    }
+
+    pub fn cell(&self) -> &Cell {
+        self.cell.as_ref().unwrap()
+    }
+
+    /// The segment; frames wait as long as it is held.
+    pub fn segment(&self) -> MutexGuard<'_, Segment> {
+        self.segment.lock()
+    }
+
+    pub fn figures(&self) -> EthercatFigures {
+        self.cell().controller.with_drivers(Ethercat::figures)[0]
+    }
+
+    pub fn wait_until_operational(&self) {
+        let cell = self.cell();
+        cell.wait("the segment", |_| self.figures().operational);
+    }
+}
+
+/// What is logged from [`Log::start`] on, by all tests of the process.
+#[derive(Clone, Default)]
+pub struct Log(Arc<Mutex<Vec<u8>>>);
+
+impl Log {
+    pub fn start() -> Self {
+        let log = Self::default();
+        let writer = log.clone();
+        let subscriber = tracing_subscriber::fmt().with_ansi(false);
+        let subscriber = subscriber.with_writer(move || writer.clone()).finish();
+        tracing::subscriber::set_global_default(subscriber).unwrap();
+        log
+    }
+
+    pub fn text(&self) -> String {
+        String::from_utf8_lossy(&self.0.lock().unwrap()).into_owned()
+    }
+}
+
+impl Write for Log {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.0.lock().unwrap().extend(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
