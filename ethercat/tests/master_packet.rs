@@ -64,7 +64,10 @@ fn a_segment_behind_an_interface_comes_to_op() {
         Segment::line([Coupler::slave(), terminal, drive]),
         stop.clone(),
     );
-    exchange(&near, &io);
+    exchange(PacketLink::open(&near).unwrap(), &io);
+    // The same when answers are asked for without sleeping, and sleep begins when they do not come.
+    let spinning = PacketLink::open(&near).unwrap();
+    exchange(spinning.spinning(Duration::from_millis(2)), &io);
     stop.store(true, Ordering::Relaxed);
     served.join().unwrap();
 }
@@ -88,15 +91,14 @@ fn a_segment_behind_a_tap_comes_to_op() {
     let stop = Arc::new(AtomicBool::new(false));
     let segment = Segment::line([Coupler::slave(), terminal]);
     let served = serve(tap, segment, stop.clone());
-    exchange(&name, &io);
+    exchange(PacketLink::open(&name).unwrap(), &io);
     stop.store(true, Ordering::Relaxed);
     served.join().unwrap();
 }
 
-/// Brings the segment at an interface to OP and exchanges a byte each way with its terminal at position 1.
-fn exchange(interface: &str, io: &Io) {
+/// Brings the segment at the end of a link to OP and exchanges a byte each way with its terminal at position 1.
+fn exchange(link: PacketLink, io: &Io) {
     io.set_inputs(&[0xA5]);
-    let link = PacketLink::open(interface).unwrap();
     let mac = link.mac();
     let mut port = Port::new(link, mac);
     let config = MasterConfig {

@@ -78,7 +78,7 @@ pub(crate) fn resting(period: Duration) -> KrcConfig {
 
 /// An emulated FRI controller in a thread of its own.
 #[derive(Debug)]
-pub(crate) struct Robot<C = Krc> {
+pub(crate) struct Robot<C: Served = Krc> {
     /// What it is doing.
     pub(crate) status: Arc<Status<C>>,
     thread: Thread<std::io::Result<()>>,

@@ -29,10 +29,6 @@ macro_rules! served {
                 <$code>::try_from(code).unwrap_or(<$code>::MAX).into()
             }
 
-            fn leave_of(words: [u64; 3]) -> Option<$leave> {
-                <$leave>::from_words(words)
-            }
-
             fn shown(&self) -> crate::emulator::Shown {
                 let counters = self.counters();
                 crate::emulator::Shown {
@@ -52,8 +48,8 @@ macro_rules! served {
                 }
             }
 
-            fn last_leave(&self) -> Option<[u64; 3]> {
-                self.log().next_back().map(|left| left.reason.to_words())
+            fn last_leave(&self) -> Option<$leave> {
+                self.log().next_back().map(|left| left.reason)
             }
 
             fn switch(&mut self, power: bool) {

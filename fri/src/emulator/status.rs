@@ -3,8 +3,8 @@
 use super::{AXES, Contact, LineFaults};
 use std::array;
 use std::fmt;
-use std::marker::PhantomData;
 use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU32, AtomicU64, Ordering};
+use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 /// What a controller shows of itself in one cycle.
@@ -32,7 +32,7 @@ pub trait Served {
     /// Quality, as the generation calls it.
     type Quality: fmt::Display;
     /// Why command mode was left.
-    type Leave: fmt::Display;
+    type Leave: Copy + fmt::Display + Send;
 
     /// The next datagram due, if one is.
     #[doc(hidden)]
@@ -48,12 +48,10 @@ pub trait Served {
     #[doc(hidden)]
     fn quality_of(code: i32) -> Self::Quality;
     #[doc(hidden)]
-    fn leave_of(words: [u64; 3]) -> Option<Self::Leave>;
-    #[doc(hidden)]
     fn shown(&self) -> Shown;
-    /// The last reason, as words.
+    /// The last reason.
     #[doc(hidden)]
-    fn last_leave(&self) -> Option<[u64; 3]>;
+    fn last_leave(&self) -> Option<Self::Leave>;
     #[doc(hidden)]
     fn switch(&mut self, power: bool);
     #[doc(hidden)]
@@ -64,7 +62,7 @@ pub trait Served {
 
 /// Live state of a controller while it is served, shared by an `Arc`. Each value is whole; two of them may belong to
 /// different cycles.
-pub struct Status<C> {
+pub struct Status<C: Served> {
     state: AtomicI32,
     quality: AtomicI32,
     sent: AtomicU64,
@@ -78,17 +76,17 @@ pub struct Status<C> {
     force: [AtomicU64; 3],
     power: AtomicBool,
     falls: AtomicU64,
-    reason: [AtomicU64; 3],
+    /// Written by the controller's thread only when nobody reads it: that thread never waits.
+    reason: Mutex<Option<C::Leave>>,
     power_off_wanted: AtomicBool,
     drop_ppm_wanted: AtomicU32,
     contact_gone_wanted: AtomicBool,
-    controller: PhantomData<fn() -> C>,
 }
 
 /// No drop probability was asked for: the configured one stays.
 const UNTOUCHED: u32 = 0;
 
-impl<C> Default for Status<C> {
+impl<C: Served> Default for Status<C> {
     fn default() -> Self {
         Self {
             state: AtomicI32::default(),
@@ -108,12 +106,11 @@ impl<C> Default for Status<C> {
             power_off_wanted: AtomicBool::default(),
             drop_ppm_wanted: AtomicU32::new(UNTOUCHED),
             contact_gone_wanted: AtomicBool::default(),
-            controller: PhantomData,
         }
     }
 }
 
-impl<C> fmt::Debug for Status<C> {
+impl<C: Served> fmt::Debug for Status<C> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Status")
             .field("state", &self.state)
@@ -208,11 +205,10 @@ impl<C: Served> Status<C> {
         self.falls.load(Ordering::Acquire)
     }
 
-    /// Why that happened last. Should it happen again while this is read, the numbers may be mixed.
+    /// Why that happened last.
     #[must_use]
     pub fn last_fall(&self) -> Option<C::Leave> {
-        self.falls().checked_sub(1)?;
-        C::leave_of(array::from_fn(|i| self.reason[i].load(Ordering::Relaxed)))
+        *self.reason.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Switches the drives' power from the next cycle on.
@@ -265,12 +261,10 @@ impl<C: Served> Status<C> {
         store(&self.commanded, &shown.commanded);
         store(&self.measured, &shown.measured);
         store(&self.force, &shown.force);
-        if shown.falls != self.falls.load(Ordering::Relaxed) {
-            if let Some(words) = controller.last_leave() {
-                for (to, word) in self.reason.iter().zip(words) {
-                    to.store(word, Ordering::Relaxed);
-                }
-            }
+        if shown.falls != self.falls.load(Ordering::Relaxed)
+            && let Ok(mut reason) = self.reason.try_lock()
+        {
+            *reason = controller.last_leave();
             self.falls.store(shown.falls, Ordering::Release);
         }
     }

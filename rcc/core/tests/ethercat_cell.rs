@@ -19,7 +19,7 @@ use takt_core::device::DeviceStatus;
 use takt_core::device::ethercat::master_config;
 use takt_core::{CellConfig, NetId};
 use takt_ethercat::config::{Place, Unlocked};
-use takt_ethercat::emulator::{Coupler, Io, Segment, ServoConfig, ServoDrive, Slave};
+use takt_ethercat::emulator::{Coupler, Io, PdoImage, Segment, ServoConfig, ServoDrive, Slave};
 use takt_ethercat::linux::monotonic;
 use takt_tests::steady;
 
@@ -334,4 +334,35 @@ fn an_arm_whose_clock_is_lost_goes_on_if_the_cell_says_so() {
         assert_eq!(hall.cell().status("arm"), DeviceStatus::Operational);
         assert_eq!(state(drive), State::OperationEnabled);
     });
+}
+
+#[test]
+fn an_optional_terminal_that_comes_later_is_read_by_its_objects() {
+    let entries = (0..2).map(|n| format!("[{}, 17, 16]", 0x6000 + 0x10 * n));
+    let config = config(&format!(
+        "[[ethercat.slave]]\nname = 'gate'\nposition = 0\n\
+         [[ethercat.slave]]\nname = 'volts'\nsii_name = 'TK0002 analogue'\noptional = true\n\
+         outputs = []\ninputs = [{{ pdo = 0x1A00, entries = [{}] }}]\n\
+         [[ethercat.io]]\nname = 'io'\nanalogue_in = [{{ slave = 'volts', object = [0x6010, 0x11] }}]\n",
+        entries.collect::<Vec<_>>().join(", ")
+    ));
+    let (terminal, io) = Io::terminal(
+        "TK0002 analogue".to_owned(),
+        0x4002,
+        Vec::new(),
+        vec![PdoImage {
+            index: 0x1A00,
+            sync_manager: 1,
+            name: "volts".to_owned(),
+            entries: vec![(0x6000, 17, 16, 3), (0x6010, 17, 16, 3)],
+        }],
+    );
+    let mut segment = Segment::line([Coupler::slave(), terminal]);
+    segment.set_power(1, false);
+    let hall = Hall::start(&config, segment);
+    hall.wait_until_operational();
+    assert_eq!(hall.cell().status("io"), DeviceStatus::Offline);
+    hall.segment().set_power(1, true);
+    io.set_inputs(&[0, 0, 7, 0]);
+    hall.cell().wait_for("io", DeviceStatus::Operational);
 }

@@ -108,7 +108,7 @@ fn goals_below_op_are_reached_and_held() {
 #[test]
 fn the_watchdog_is_set_as_configured() {
     let (terminal, _) = Io::digital(8, 8);
-    let watchdog = Some(Duration::from_millis(25));
+    let watchdog = Some(Duration::from_micros(24_950));
     let slaves = vec![SlaveSpec {
         watchdog,
         ..SlaveSpec::new("io", Place::Position(0))

@@ -74,93 +74,6 @@ pub enum Leave {
     },
 }
 
-impl Leave {
-    /// As three words for a shared status: code and joint, then two numbers.
-    pub(super) fn to_words(self) -> [u64; 3] {
-        let words = |code: u64, joint: usize, a: f64, b: f64| {
-            let joint = u64::try_from(joint).unwrap_or(u64::MAX >> 8);
-            [code | joint << 8, a.to_bits(), b.to_bits()]
-        };
-        match self {
-            Self::FriStop => words(1, 0, 0.0, 0.0),
-            Self::Quality { answer_rate } => words(2, 0, answer_rate, 0.0),
-            Self::Misses { cycles, span_ms } => words(3, 0, f64::from(cycles), span_ms),
-            Self::Speed {
-                joint,
-                speed,
-                limit,
-            } => words(4, joint, speed, limit),
-            Self::Position {
-                joint,
-                position,
-                limit,
-            } => words(5, joint, position, limit),
-            Self::Interpolation {
-                joint,
-                commanded,
-                expected,
-            } => words(6, joint, commanded, expected),
-            Self::NotFinite { joint } => words(7, joint, 0.0, 0.0),
-            Self::FlagsChanged { from, to } => [8, from.bits().into(), to.bits().into()],
-            Self::OutOfReach => words(9, 0, 0.0, 0.0),
-            Self::Parameter {
-                parameter,
-                index,
-                value,
-            } => words(10, index, f64::from(parameter as u8), value),
-        }
-    }
-
-    /// The reason that [`Leave::to_words`] wrote; `None` for anything else.
-    #[expect(
-        clippy::cast_possible_truncation,
-        reason = "the numbers came from these types"
-    )]
-    #[expect(clippy::cast_sign_loss, reason = "the number was unsigned")]
-    pub(super) fn from_words([head, a, b]: [u64; 3]) -> Option<Self> {
-        let joint = (head >> 8) as usize;
-        let (x, y) = (f64::from_bits(a), f64::from_bits(b));
-        Some(match head & 0xff {
-            1 => Self::FriStop,
-            2 => Self::Quality { answer_rate: x },
-            3 => Self::Misses {
-                cycles: x as u32,
-                span_ms: y,
-            },
-            4 => Self::Speed {
-                joint,
-                speed: x,
-                limit: y,
-            },
-            5 => Self::Position {
-                joint,
-                position: x,
-                limit: y,
-            },
-            6 => Self::Interpolation {
-                joint,
-                commanded: x,
-                expected: y,
-            },
-            7 => Self::NotFinite { joint },
-            8 => {
-                let flags = |bits: u64| CmdFlags::from_bits(bits as u32);
-                Self::FlagsChanged {
-                    from: flags(a),
-                    to: flags(b),
-                }
-            }
-            9 => Self::OutOfReach,
-            10 => Self::Parameter {
-                parameter: *Parameter::ALL.get(x as usize)?,
-                index: joint,
-                value: y,
-            },
-            _ => return None,
-        })
-    }
-}
-
 fn name(joint: usize) -> &'static str {
     JOINT_NAMES.get(joint).copied().unwrap_or("?")
 }
@@ -243,7 +156,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_reason_survives_the_shared_status_and_names_its_joint() {
+    fn every_reason_names_its_joint() {
         let flags = CmdFlags::JNTPOS;
         for (reason, text) in [
             (Leave::FriStop, "friStop"),
@@ -303,9 +216,7 @@ mod tests {
                 "command flags changed from JNTPOS to none in command mode",
             ),
         ] {
-            assert_eq!(Leave::from_words(reason.to_words()), Some(reason));
             assert_eq!(reason.to_string(), text);
         }
-        assert_eq!(Leave::from_words([0; 3]), None);
     }
 }

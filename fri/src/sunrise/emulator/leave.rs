@@ -103,10 +103,6 @@ pub enum Lacking {
     Pose,
 }
 
-impl Lacking {
-    const ALL: [Self; 4] = [Self::Joints, Self::Torque, Self::Wrench, Self::Pose];
-}
-
 impl fmt::Display for Lacking {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.pad(match self {
@@ -114,99 +110,6 @@ impl fmt::Display for Lacking {
             Self::Torque => "joint torques",
             Self::Wrench => "the wrench",
             Self::Pose => "the pose",
-        })
-    }
-}
-
-impl Leave {
-    /// As three words for a shared status: code and joint, then two numbers.
-    pub(super) fn to_words(self) -> [u64; 3] {
-        let words = |code: u64, joint: usize, a: f64, b: f64| {
-            let joint = u64::try_from(joint).unwrap_or(u64::MAX >> 8);
-            [code | joint << 8, a.to_bits(), b.to_bits()]
-        };
-        match self {
-            Self::Cancelled => words(1, 0, 0.0, 0.0),
-            Self::Closed => words(2, 0, 0.0, 0.0),
-            Self::Await { answer_rate } => words(3, 0, answer_rate, 0.0),
-            Self::Quality { answer_rate } => words(4, 0, answer_rate, 0.0),
-            Self::Misses { cycles, span_ms } => words(5, 0, f64::from(cycles), span_ms),
-            Self::NotSynchronised {
-                joint,
-                commanded,
-                expected,
-            } => words(6, joint, commanded, expected),
-            Self::Missing { what } => words(7, what as usize, 0.0, 0.0),
-            Self::Speed {
-                joint,
-                speed,
-                limit,
-            } => words(8, joint, speed, limit),
-            Self::Position {
-                joint,
-                position,
-                limit,
-            } => words(9, joint, position, limit),
-            Self::AxisDelta {
-                joint,
-                delta,
-                limit,
-            } => words(10, joint, delta, limit),
-            Self::NotFinite { joint } => words(11, joint, 0.0, 0.0),
-            Self::OutOfReach => words(12, 0, 0.0, 0.0),
-            Self::T1Speed { speed, limit } => words(13, 0, speed, limit),
-            Self::Power => words(14, 0, 0.0, 0.0),
-            Self::Safety(safety) => words(15, 0, f64::from(safety.code()), 0.0),
-        }
-    }
-
-    /// The reason that [`Leave::to_words`] wrote; `None` for anything else.
-    #[expect(
-        clippy::cast_possible_truncation,
-        reason = "the numbers came from these types"
-    )]
-    #[expect(clippy::cast_sign_loss, reason = "the number was unsigned")]
-    pub(super) fn from_words([head, a, b]: [u64; 3]) -> Option<Self> {
-        let joint = (head >> 8) as usize;
-        let (x, y) = (f64::from_bits(a), f64::from_bits(b));
-        Some(match head & 0xff {
-            1 => Self::Cancelled,
-            2 => Self::Closed,
-            3 => Self::Await { answer_rate: x },
-            4 => Self::Quality { answer_rate: x },
-            5 => Self::Misses {
-                cycles: x as u32,
-                span_ms: y,
-            },
-            6 => Self::NotSynchronised {
-                joint,
-                commanded: x,
-                expected: y,
-            },
-            7 => Self::Missing {
-                what: Lacking::ALL.get(joint).copied()?,
-            },
-            8 => Self::Speed {
-                joint,
-                speed: x,
-                limit: y,
-            },
-            9 => Self::Position {
-                joint,
-                position: x,
-                limit: y,
-            },
-            10 => Self::AxisDelta {
-                joint,
-                delta: x,
-                limit: y,
-            },
-            11 => Self::NotFinite { joint },
-            12 => Self::OutOfReach,
-            13 => Self::T1Speed { speed: x, limit: y },
-            14 => Self::Power,
-            15 => Self::Safety((x as i32).into()),
-            _ => return None,
         })
     }
 }
@@ -304,7 +207,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_reason_survives_the_shared_status_and_says_what_it_is() {
+    fn every_reason_says_what_it_is() {
         let awaited = "Timeout before FRI connection quality reached GOOD or EXCELLENT";
         let wrong_state = "CK_COMPOUND_RETURN_ERROR: WRONG_SESSION_STATE_MONITORING_WAIT";
         for (reason, text) in [
@@ -330,9 +233,7 @@ mod tests {
             (Leave::Power, "the drives lost their power".into()),
             (Leave::Safety(Safety::Stop1), "the safety controller asks for stop-1".into()),
         ] {
-            assert_eq!(Leave::from_words(reason.to_words()), Some(reason));
             assert_eq!(reason.to_string(), text);
         }
-        assert_eq!(Leave::from_words([0; 3]), None);
     }
 }

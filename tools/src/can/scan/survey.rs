@@ -35,9 +35,10 @@ pub(super) struct Plan {
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Found {
     pub(super) state: Option<NmtState>,
-    /// Time between its last two heartbeats.
+    /// Mean time between its heartbeats.
     pub(super) heartbeat: Option<Duration>,
-    pub(super) beat: Option<Duration>,
+    /// When the first of them was read, and how many came after it: two may be read in one go.
+    pub(super) beats: Option<(Duration, u32)>,
     /// Boot-ups that were heard.
     pub(super) boots: u32,
     /// 1000h
@@ -154,11 +155,16 @@ impl Report {
             found.boots += 1;
             // After it a node is pre-operational (CiA 301, figure 43), until it says otherwise.
             found.state = Some(NmtState::PreOperational);
+            found.beats = None;
             return;
         }
         found.state = Some(state);
-        found.heartbeat = found.beat.map(|beat| now.saturating_sub(beat));
-        found.beat = Some(now);
+        let (first, count) = found
+            .beats
+            .map_or((now, 0), |(first, count)| (first, count + 1));
+        found.beats = Some((first, count));
+        let mean = now.saturating_sub(first).checked_div(count);
+        found.heartbeat = mean.or(found.heartbeat);
     }
 }
 

@@ -67,7 +67,9 @@ fn hexadecimal(number: Option<u32>) -> String {
 }
 
 pub(super) fn table(interface: &str, report: &Report, sheets: &[Eds]) -> String {
-    let mut text = format!("{interface}: {} nodes\n", report.nodes.len());
+    let count = report.nodes.len();
+    let plural = if count == 1 { "" } else { "s" };
+    let mut text = format!("{interface}: {count} node{plural}\n");
     if !report.nodes.is_empty() {
         text.push_str("\nnode  state            heartbeat ms  device type            name\n");
     }
@@ -180,7 +182,7 @@ mod tests {
         let text = table("can0", &report(), &[]);
         assert!(text.lines().all(|line| line.len() <= 80), "{text}");
         for words in [
-            "can0: 1 nodes",
+            "can0: 1 node",
             "   5  operational               100  drive (CiA 402)        EPOS4",
             "vendor FBh maxon, product 60500000h, revision 1h, serial 4711",
         ] {
