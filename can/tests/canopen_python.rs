@@ -4,11 +4,10 @@
 #![expect(
     clippy::unwrap_used,
     clippy::panic,
-    clippy::print_stderr,
     reason = "a test that cannot go on ends"
 )]
 
-use std::io::{BufRead as _, BufReader, Write as _};
+use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::{Mutex, PoisonError};
@@ -32,32 +31,18 @@ const PATIENCE: Duration = Duration::from_secs(240);
 /// Both tests send SYNC or hear it: one after the other.
 static BUS: Mutex<()> = Mutex::new(());
 
-/// Notes for the runner that a test cannot run here.
-fn skip(test: &str, why: &str) {
-    eprintln!("skipped: {why}");
-    if let Some(path) = std::env::var_os("TAKT_SKIPS") {
-        let mut file = std::fs::OpenOptions::new().append(true).open(path).unwrap();
-        file.write_all(format!("{test}: {why}\n").as_bytes())
-            .unwrap();
-    }
-}
-
 fn python() -> String {
     std::env::var("TAKT_PYTHON").unwrap_or_else(|_| "python3".to_owned())
 }
 
 fn vcan(test: &str) -> Option<String> {
-    let name = std::env::var("TAKT_VCAN").unwrap_or_else(|_| "vcan0".to_owned());
-    if !Path::new("/sys/class/net").join(&name).exists() {
-        skip(test, "needs vcan");
-        return None;
-    }
+    let name = takt_tests::vcan(test)?;
     let probe = Command::new(python())
         .args(["-c", "import canopen, can"])
         .stderr(Stdio::null())
         .status();
     if !probe.is_ok_and(|status| status.success()) {
-        skip(test, "needs python3 with canopen (pip install canopen)");
+        takt_tests::skip(test, "needs python3 with canopen (pip install canopen)");
         return None;
     }
     Some(name)

@@ -8,8 +8,6 @@
     reason = "a test that cannot go on ends"
 )]
 
-use std::io::Write as _;
-use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
@@ -24,6 +22,7 @@ use takt_can::linux::{Filter, Options, SocketCan, monotonic};
 use takt_can::{Frame, Id};
 use takt_cia402::Goal;
 use takt_cia402::dictionary::Address;
+use takt_tests::vcan;
 
 const CSP: i8 = 8;
 const MS: Duration = Duration::from_millis(1);
@@ -37,20 +36,6 @@ const NODES: std::ops::RangeInclusive<u8> = 101..=106;
 const CYCLES: i32 = 500;
 /// Bytes that are transferred meanwhile.
 const LEN: usize = 3_000;
-
-fn vcan(test: &str) -> Option<String> {
-    let name = std::env::var("TAKT_VCAN").unwrap_or_else(|_| "vcan0".to_owned());
-    if Path::new("/sys/class/net").join(&name).exists() {
-        return Some(name);
-    }
-    eprintln!("skipped: needs vcan");
-    if let Some(path) = std::env::var_os("TAKT_SKIPS") {
-        let mut file = std::fs::OpenOptions::new().append(true).open(path).unwrap();
-        file.write_all(format!("{test}: needs vcan\n").as_bytes())
-            .unwrap();
-    }
-    None
-}
 
 fn node(raw: u8) -> NodeId {
     NodeId::new(raw).unwrap()

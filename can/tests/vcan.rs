@@ -5,13 +5,11 @@
 #![expect(
     clippy::unwrap_used,
     clippy::panic,
-    clippy::print_stderr,
     clippy::disallowed_methods,
     reason = "a test that cannot go on ends"
 )]
 
-use std::io::{BufRead as _, BufReader, Read as _, Write as _};
-use std::path::Path;
+use std::io::{BufRead as _, BufReader, Read as _};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
@@ -22,31 +20,9 @@ use takt_can::linux::{
 };
 use takt_can::log::{LogLine, parse_frame};
 use takt_can::{AnyFrame, BusState, ErrorFrame, FdFrame, Frame, Id};
+use takt_tests::{skip, vcan};
 
 const PATIENCE: Duration = Duration::from_secs(20);
-
-/// Notes for the runner that a test cannot run here.
-fn skip(test: &str, why: &str) {
-    eprintln!("skipped: {why}");
-    if let Some(path) = std::env::var_os("TAKT_SKIPS") {
-        let mut file = std::fs::OpenOptions::new().append(true).open(path).unwrap();
-        file.write_all(format!("{test}: {why}\n").as_bytes())
-            .unwrap();
-    }
-}
-
-fn exists(interface: &str) -> bool {
-    Path::new("/sys/class/net").join(interface).exists()
-}
-
-fn vcan(test: &str) -> Option<String> {
-    let name = std::env::var("TAKT_VCAN").unwrap_or_else(|_| "vcan0".to_owned());
-    if exists(&name) {
-        return Some(name);
-    }
-    skip(test, "needs vcan");
-    None
-}
 
 fn has(program: &str) -> bool {
     let paths = std::env::var_os("PATH").unwrap_or_default();

@@ -132,7 +132,7 @@ fn exposure_is_as_stated() {
         .output();
     fs::remove_dir_all(unit.parent().unwrap()).unwrap();
     let Ok(output) = output else {
-        skip("exposure_is_as_stated", "needs systemd-analyze").unwrap();
+        skip("exposure_is_as_stated", "needs systemd-analyze");
         return;
     };
     let said = String::from_utf8_lossy(&output.stdout);
@@ -265,7 +265,7 @@ fn systemd_accepts_the_unit() {
         .output();
     fs::remove_dir_all(path.parent().unwrap()).unwrap();
     let Ok(output) = output else {
-        skip("systemd_accepts_the_unit", "needs systemd-analyze").unwrap();
+        skip("systemd_accepts_the_unit", "needs systemd-analyze");
         return;
     };
     // It speaks of other units of the host, too.

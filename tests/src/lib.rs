@@ -4,5 +4,5 @@
 mod skip;
 mod steady;
 
-pub use skip::skip;
+pub use skip::{skip, vcan};
 pub use steady::steady;

@@ -1,18 +1,36 @@
 //! Tests that cannot run on this machine say so. Which those are, each decides itself.
 
+#![expect(
+    clippy::unwrap_used,
+    clippy::print_stderr,
+    reason = "a part of tests, which may fail anywhere and say so"
+)]
+
 use std::fs::OpenOptions;
 use std::io::Write as _;
+use std::path::Path;
 
 /// Notes that `test` cannot run here; `why` begins with "needs". The test returns after it.
 ///
-/// # Errors
+/// # Panics
 /// If the runner asked for such notes and its file cannot be written: then nobody would know.
-pub fn skip(test: &str, why: &str) -> std::io::Result<()> {
-    writeln!(std::io::stderr(), "skipped: {why}")?;
-    match std::env::var_os("TAKT_SKIPS") {
-        Some(path) => note(&path, test, why),
-        None => Ok(()),
+pub fn skip(test: &str, why: &str) {
+    eprintln!("skipped: {why}");
+    if let Some(path) = std::env::var_os("TAKT_SKIPS") {
+        note(&path, test, why).unwrap();
     }
+}
+
+/// The virtual CAN interface of this host, `vcan0` if `TAKT_VCAN` names no other. `None` if there is none, which is
+/// noted for `test`.
+#[must_use]
+pub fn vcan(test: &str) -> Option<String> {
+    let name = std::env::var("TAKT_VCAN").unwrap_or_else(|_| "vcan0".to_owned());
+    if Path::new("/sys/class/net").join(&name).exists() {
+        return Some(name);
+    }
+    skip(test, "needs vcan");
+    None
 }
 
 fn note(path: &std::ffi::OsStr, test: &str, why: &str) -> std::io::Result<()> {

@@ -5,6 +5,7 @@ mod common;
 
 use common::{Process, complaint, expect_status, run};
 use serde_json::Value;
+use takt_tests::steady;
 
 /// A recording beside this test.
 fn kept(name: &str) -> String {
@@ -226,30 +227,32 @@ fn what_the_command_line_says_wrongly_is_told() {
 /// The power base at a pseudo-terminal, as at the serial port of its USB chip.
 #[test]
 fn a_power_base_at_a_serial_port_is_seen_and_driven() {
-    let mut powerbase = Process::start(&["emulate", "rmp"]);
-    let line = powerbase.wait_for("power base at ");
-    let port = line.rsplit(' ').next().unwrap();
-    let seen = run(&["can", "rmp", "--serial", port, "--duration", "1s", "--json"]);
-    let seen: Value = serde_json::from_str(&expect_status(&seen, 0)).unwrap();
-    assert_eq!(
-        (&seen["model"], &seen["measured"]["mode"]),
-        (&"rmp200".into(), &"disabled".into())
-    );
-    let refused = run(&["can", "rmp", "--serial", port, "--jog", "0.2"]);
-    expect_status(&refused, 2);
-    assert!(
-        complaint(&refused).contains("--confirm-motion"),
-        "{}",
-        complaint(&refused)
-    );
-    let driven = run(&[
-        "can", "rmp", "--serial", port, "--jog", "0.2", "--for", "1s", "--yes",
-    ]);
-    let told = expect_status(&driven, 0);
-    assert!(told.contains("ok, drove and stands"), "{told}");
-    powerbase.terminate();
-    let (lines, _) = powerbase.end();
-    let last = lines.last().unwrap();
-    let way: f64 = last.split([' ', ',']).nth(2).unwrap().parse().unwrap();
-    assert!(way > 0.05, "{last}");
+    steady(|| {
+        let mut powerbase = Process::start(&["emulate", "rmp"]);
+        let line = powerbase.wait_for("power base at ");
+        let port = line.rsplit(' ').next().unwrap();
+        let seen = run(&["can", "rmp", "--serial", port, "--duration", "1s", "--json"]);
+        let seen: Value = serde_json::from_str(&expect_status(&seen, 0)).unwrap();
+        assert_eq!(
+            (&seen["model"], &seen["measured"]["mode"]),
+            (&"rmp200".into(), &"disabled".into())
+        );
+        let refused = run(&["can", "rmp", "--serial", port, "--jog", "0.2"]);
+        expect_status(&refused, 2);
+        assert!(
+            complaint(&refused).contains("--confirm-motion"),
+            "{}",
+            complaint(&refused)
+        );
+        let driven = run(&[
+            "can", "rmp", "--serial", port, "--jog", "0.2", "--for", "1s", "--yes",
+        ]);
+        let told = expect_status(&driven, 0);
+        assert!(told.contains("ok, drove and stands"), "{told}");
+        powerbase.terminate();
+        let (lines, _) = powerbase.end();
+        let last = lines.last().unwrap();
+        let way: f64 = last.split([' ', ',']).nth(2).unwrap().parse().unwrap();
+        assert!(way > 0.05, "{last}");
+    });
 }

@@ -1,15 +1,8 @@
 //! `takt can` on a virtual interface: `TAKT_VCAN`, or `vcan0` if there is one; else each test notes that it
 //! was skipped.
-#![expect(
-    clippy::unwrap_used,
-    clippy::print_stderr,
-    reason = "a test that cannot go on ends"
-)]
 
 mod common;
 
-use std::io::Write as _;
-use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -17,25 +10,7 @@ use common::{Process, expect_status, run};
 use serde_json::Value;
 use takt_can::link::Link as _;
 use takt_can::linux::{Options, SocketCan};
-
-fn vcan(test: &str) -> Option<String> {
-    let name = std::env::var("TAKT_VCAN").unwrap_or_else(|_| "vcan0".to_owned());
-    if Path::new("/sys/class/net").join(&name).exists() {
-        return Some(name);
-    }
-    skip(test, "needs vcan")
-}
-
-/// Notes for the runner that a test cannot run here.
-fn skip<T>(test: &str, why: &str) -> Option<T> {
-    eprintln!("skipped: {why}");
-    if let Some(path) = std::env::var_os("TAKT_SKIPS") {
-        let mut file = std::fs::OpenOptions::new().append(true).open(path).unwrap();
-        file.write_all(format!("{test}: {why}\n").as_bytes())
-            .unwrap();
-    }
-    None
-}
+use takt_tests::{skip, vcan};
 
 #[test]
 fn dump_shows_what_send_sends() {
@@ -119,10 +94,11 @@ fn does(program: &str, arguments: &str) -> bool {
 impl Own {
     fn create(test: &str, name: &'static str) -> Option<Self> {
         if !does("ip", &format!("link add {name} type vcan")) {
-            return skip(
+            skip(
                 test,
                 "needs ip of iproute2 and to create a virtual interface",
             );
+            return None;
         }
         let own = Self(name);
         assert!(does("ip", &format!("link set {name} up")));
@@ -135,7 +111,8 @@ impl Own {
         let shaper =
             format!("qdisc replace dev {name} root tbf rate 100kbit burst 1600 limit 1600");
         if !does("tc", &shaper) {
-            return skip(test, "needs tc of iproute2 and the module sch_tbf");
+            skip(test, "needs tc of iproute2 and the module sch_tbf");
+            return None;
         }
         Some(own)
     }
@@ -156,8 +133,7 @@ fn reports_of_a_controller_are_judged_by_stat() {
         return;
     }
     if !has("cansend") {
-        let _: Option<()> = skip(test, "needs cansend of can-utils");
-        return;
+        return skip(test, "needs cansend of can-utils");
     }
     let Some(own) = Own::create(test, "taktvcan3") else {
         return;

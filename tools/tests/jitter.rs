@@ -300,7 +300,7 @@ fn the_real_cyclictest_is_understood() {
     let is_refused = complaint(&output).contains("cyclictest ended with");
     if !found || is_refused {
         let test = "the_real_cyclictest_is_understood";
-        return skip(test, "needs cyclictest (rt-tests)").unwrap();
+        return skip(test, "needs cyclictest (rt-tests)");
     }
     let report = json(&output, 0);
     assert!(report["ratio"]["p50"].as_f64().unwrap() > 0.0, "{report}");

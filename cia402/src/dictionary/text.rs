@@ -171,6 +171,9 @@ fn octets(bytes: &[u8]) -> String {
 
 fn read_octets(text: &str) -> Option<Vec<u8>> {
     let digits: Vec<u8> = text.bytes().filter(|b| !b.is_ascii_whitespace()).collect();
+    if digits.is_empty() {
+        return None;
+    }
     let digit = |digit: u8| char::from(digit).to_digit(16);
     let pair = |pair: &[u8]| match *pair {
         [high, low] => u8::try_from(digit(high)? << 4 | digit(low)?).ok(),
@@ -193,13 +196,17 @@ mod tests {
             ("f32", "1.5", &[0, 0, 0xC0, 0x3F], "1.5"),
             ("f64", "-1", &[0, 0, 0, 0, 0, 0, 0xF0, 0xBF], "-1"),
             ("string", "abc", b"abc", "\"abc\""),
+            ("string", "a\"b", b"a\"b", r#""a\"b""#),
             ("bytes", "0A 1b", &[0x0A, 0x1B], "0A 1B"),
+            ("u24", "65536", &[0, 0, 1], "65536 (010000h)"),
+            ("i8", "-128", &[0x80], "-128 (80h)"),
         ] {
             let kind = DataType::named(name).unwrap();
             assert_eq!(kind.read(text).unwrap(), bytes, "{name} {text}");
             assert_eq!(kind.show(bytes), shown, "{name} {text}");
         }
         assert_eq!(DataType::Unsigned32.show(&[1, 2]), "01 02");
+        assert_eq!(DataType::VisibleString.show(b"a\0"), "\"a\"");
     }
 
     #[test]
@@ -211,12 +218,16 @@ mod tests {
             (DataType::Integer16, "1.5", "write a number"),
             (DataType::Boolean, "yes", "write true or false"),
             (DataType::OctetString, "0A1", "write bytes"),
+            (DataType::OctetString, " ", "write bytes"),
+            (DataType::Integer8, "--1", "write a number"),
+            (DataType::Unsigned32, "x", "write a number"),
             (DataType::Domain, "xy", "write bytes"),
             (DataType::Real32, "one", "write a number"),
         ] {
             let told = kind.read(text).unwrap_err().to_string();
             assert!(told.contains(why), "{told}");
         }
-        assert!(DataType::named("word").is_err());
+        let told = DataType::named("word").unwrap_err().to_string();
+        assert!(told.contains("i8 to i64"), "{told}");
     }
 }

@@ -7,24 +7,22 @@
 )]
 
 mod common;
+#[path = "common/hall.rs"]
+mod hall;
 
-use std::io::Write;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use takt_core::Controller;
 use takt_core::cell::{DriveArm, DriveJoint, EthercatConfig, EthercatIo, EthercatSlave};
 use takt_core::device::DeviceStatus;
-use takt_core::device::ethercat::{Ethercat, Wire, describe};
-use takt_core::{CellConfig, Controller};
-use takt_ethercat::emulator::{
-    Coupler, Io, Segment, Server, ServoConfig, ServoDrive, SharedSegment,
-};
-use takt_ethercat::linux::{cable, monotonic};
-use takt_rt::thread::{Thread, ThreadConfig, spawn};
+use takt_ethercat::emulator::{Coupler, Io, Segment, ServoConfig, ServoDrive};
+use takt_rt::thread::{ThreadConfig, spawn};
 use takt_tests::steady;
 
 use common::Cell;
+use hall::Log;
 
 /// One turn of a joint, increments.
 const TURN: f64 = 4096.0 * 50.0;
@@ -77,14 +75,11 @@ fn config() -> EthercatConfig {
     }
 }
 
-/// A segment in a thread of its own, and a controller that leads it.
+/// A hall with a coupler, a terminal and the drives of the arm.
 struct Hall {
-    cell: Option<Cell>,
-    segment: SharedSegment,
+    hall: hall::Hall,
     drives: ServoDrive,
     io: Io,
-    stop: Arc<AtomicBool>,
-    thread: Option<Thread<()>>,
 }
 
 impl Hall {
@@ -102,82 +97,20 @@ impl Hall {
         for axis in &mut tx90.axes {
             axis.quirks.missing_set_points = None;
         }
-        let (drives, servo) = ServoDrive::slave(tx90).unwrap();
-        let segment = SharedSegment::new(Segment::line([Coupler::slave(), terminal, drives]));
-        let (near, far) = cable();
-        let stop = Arc::new(AtomicBool::new(false));
-        let (stopping, served) = (Arc::clone(&stop), segment.clone());
-        let config_of_thread = ThreadConfig {
-            priority: Some(88),
-            ..ThreadConfig::new("segment")
-        };
-        let thread = spawn(config_of_thread, move || {
-            let mut server = Server::new(served, far);
-            while !stopping.load(Ordering::Relaxed) {
-                server
-                    .turn(Duration::from_millis(5), &mut monotonic)
-                    .unwrap();
-            }
-        });
-        let thread = thread.unwrap();
-        let controller = Controller::start(&CellConfig::default()).unwrap();
-        let wire = Wire {
-            link: Box::new(near),
-            source: [2, 0, 0, 0, 0, 1],
-        };
-        let added = controller.add_driver("segment", describe(config), None, |ends| {
-            Ok(Box::new(Ethercat::start(config, wire, ends)?))
-        });
-        added.unwrap();
-        let robots = Vec::new();
-        let cell = Cell { controller, robots };
-        Self {
-            cell: Some(cell),
-            segment,
-            drives: servo,
-            io,
-            stop,
-            thread: Some(thread),
-        }
+        let (slave, drives) = ServoDrive::slave(tx90).unwrap();
+        let segment = Segment::line([Coupler::slave(), terminal, slave]);
+        let hall = hall::Hall::start(config, segment);
+        Self { hall, drives, io }
     }
 
     fn cell(&self) -> &Cell {
-        self.cell.as_ref().unwrap()
-    }
-}
-
-impl Drop for Hall {
-    fn drop(&mut self) {
-        self.cell = None;
-        self.stop.store(true, Ordering::Relaxed);
-        if let Some(thread) = self.thread.take() {
-            thread.join().unwrap();
-        }
-    }
-}
-
-/// What is logged.
-#[derive(Clone, Default)]
-struct Log(Arc<Mutex<Vec<u8>>>);
-
-impl Write for Log {
-    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        self.0.lock().unwrap().extend(bytes);
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> std::io::Result<()> {
-        Ok(())
+        self.hall.cell()
     }
 }
 
 #[test]
 fn what_differs_from_the_configuration_is_told_slave_by_slave() {
-    let log = Log::default();
-    let writer = log.clone();
-    let subscriber = tracing_subscriber::fmt().with_ansi(false);
-    let subscriber = subscriber.with_writer(move || writer.clone()).finish();
-    tracing::subscriber::set_global_default(subscriber).unwrap();
+    let log = Log::start();
     let mut config = config();
     config.slaves[1].product = Some(0xBAD);
     config.slaves.remove(0);
@@ -186,9 +119,7 @@ fn what_differs_from_the_configuration_is_told_slave_by_slave() {
         "\"terminal\" should have product 00000BADh",
         "is not in the configuration",
     ] {
-        hall.cell().wait(told, |_| {
-            String::from_utf8_lossy(&log.0.lock().unwrap()).contains(told)
-        });
+        hall.cell().wait(told, |_| log.text().contains(told));
     }
     assert_eq!(hall.cell().status("tx90"), DeviceStatus::Offline);
 }
@@ -199,11 +130,8 @@ fn a_net_moves_a_tx90_over_ethercat() {
         let hall = Hall::new();
         let moved = hall.cell().swung("tx90", 3);
         assert!((moved - 0.5).abs() < 0.01, "moved {moved} rad");
-        let figures = hall.cell().controller.with_drivers(Ethercat::figures);
-        assert!(
-            figures[0].operational && figures[0].cycles > 100,
-            "{figures:?}"
-        );
+        let figures = hall.hall.figures();
+        assert!(figures.operational && figures.cycles > 100, "{figures:?}");
     });
 }
 
@@ -249,9 +177,9 @@ fn a_drive_that_faults_ends_the_net_and_the_arm_comes_back_at_rest() {
 #[test]
 fn a_cut_cable_takes_the_arm_offline_and_a_mended_one_brings_it_back() {
     let hall = Hall::new();
-    hall.segment.lock().set_link(2, false);
+    hall.hall.segment().set_link(2, false);
     hall.cell().wait_for("tx90", DeviceStatus::Offline);
-    hall.segment.lock().set_link(2, true);
+    hall.hall.segment().set_link(2, true);
     hall.cell().wait_for("tx90", DeviceStatus::Operational);
 }
 
@@ -313,7 +241,7 @@ fn a_controller_that_ends_in_mid_swing_takes_no_power_from_a_motor_that_turns() 
             to.lock().unwrap().push(look(&drives, 3));
         }
     });
-    hall.cell = None;
+    hall.hall.end_controller();
     ended.store(true, Ordering::Relaxed);
     watch.unwrap().join().unwrap();
     let seen = seen.lock().unwrap();
