@@ -133,8 +133,10 @@ pub fn judge(observed: &Observed) -> Verdict {
         let strange = share(observed.strange, measurements);
         return Verdict::SecondClient { strange };
     }
+    let is_hither = worse(lost, measurements + lost) || worse(disordered, measurements);
     // Of a measurement that is overtaken at once the host cannot help the lateness.
-    if worse(observed.late, measurements) && observed.late >= lost + disordered {
+    let is_theirs = is_hither && lost + disordered > observed.late;
+    if worse(observed.late, measurements) && !is_theirs {
         let late = share(observed.late, measurements);
         let worst = observed.answer_time_max;
         return Verdict::Host { late, worst };
@@ -145,7 +147,7 @@ pub fn judge(observed: &Observed) -> Verdict {
     if let Some(jitter) = observed.stamp_jitter.filter(|it| *it > irregular) {
         return Verdict::Controller { jitter };
     }
-    if worse(lost, measurements + lost) || worse(disordered, measurements) {
+    if is_hither {
         let lost = share(lost, measurements + lost);
         return Verdict::NetworkHither { lost, disordered };
     }

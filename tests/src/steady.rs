@@ -71,17 +71,23 @@ impl Stalls {
         }
     }
 
-    fn longest(&self) -> Duration {
+    /// Watchers that are still held up are waited for.
+    fn longest(mut self) -> Duration {
+        self.end();
         Duration::from_nanos(self.longest.load(Ordering::Relaxed))
+    }
+
+    fn end(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        for thread in self.threads.drain(..) {
+            thread.join().unwrap();
+        }
     }
 }
 
 impl Drop for Stalls {
     fn drop(&mut self) {
-        self.stop.store(true, Ordering::Relaxed);
-        for thread in self.threads.drain(..) {
-            thread.join().unwrap();
-        }
+        self.end();
     }
 }
 

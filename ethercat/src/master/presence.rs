@@ -323,12 +323,15 @@ impl Master {
         let Some(unit) = self.units.get(slave) else {
             return false;
         };
-        let kind = |unit: &Unit| (unit.info.identity.vendor, unit.info.identity.product);
         let told =
             alias != 0 && (unit.spec.place == Place::Alias(alias) || unit.info.alias == alias);
         let missing = || self.units.iter().filter(|unit| !unit.is_present());
         let alike = missing().filter(|other| kind(other) == kind(unit)).count();
-        let all_back = usize::from(self.presence.counted) >= self.units.len();
+        // Those of another kind that were never there are not waited for.
+        let never = missing()
+            .filter(|other| other.spec.optional && !other.known && kind(other) != kind(unit))
+            .count();
+        let all_back = usize::from(self.presence.counted) + never >= self.units.len();
         let is_line = || {
             (1..self.topology.len())
                 .all(|number| self.topology.parent(number) == Some((number - 1, 1)))
@@ -540,5 +543,15 @@ impl Master {
     #[must_use]
     pub const fn strangers(&self) -> u16 {
         self.presence.strangers
+    }
+}
+
+/// What a slave is; if its SII was never read, whom the cell expects there.
+fn kind(unit: &Unit) -> (u32, u32, Option<&Place>) {
+    let read = &unit.info.identity;
+    if unit.known {
+        (read.vendor, read.product, None)
+    } else {
+        (0, 0, Some(&unit.spec.place))
     }
 }

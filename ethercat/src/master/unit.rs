@@ -184,7 +184,7 @@ pub(super) struct Unit {
     /// It was brought to its goal, and its set-up is in it.
     set_up: bool,
     /// Its SII was read.
-    known: bool,
+    pub(super) known: bool,
     /// Good answers in a row.
     streak: u8,
     pub(super) clock: UnitClock,

@@ -167,20 +167,30 @@ impl Inner {
         }
     }
 
-    /// Waits until `done` says so or the time is up.
+    /// Waits for a thread's answer.
     fn wait_for<T>(
         &self,
+        desk: MutexGuard<'_, Desk>,
+        done: impl FnMut(&mut Desk) -> Option<T>,
+    ) -> Result<T, Error> {
+        self.wait_within(desk, ANSWER_WITHIN, done)
+    }
+
+    /// Waits until `done` says so or the time is up.
+    fn wait_within<T>(
+        &self,
         mut desk: MutexGuard<'_, Desk>,
+        within: Duration,
         mut done: impl FnMut(&mut Desk) -> Option<T>,
     ) -> Result<T, Error> {
-        let until = std::time::Instant::now() + ANSWER_WITHIN;
+        let until = std::time::Instant::now() + within;
         loop {
             if let Some(result) = done(&mut desk) {
                 return Ok(result);
             }
             let left = until.saturating_duration_since(std::time::Instant::now());
             if left.is_zero() {
-                return Err(Error::NoAnswer(ANSWER_WITHIN));
+                return Err(Error::NoAnswer(within));
             }
             let waited = self.changed.wait_timeout(desk, left);
             desk = waited.unwrap_or_else(PoisonError::into_inner).0;

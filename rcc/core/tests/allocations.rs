@@ -54,17 +54,15 @@ fn move_an_arm(cell: &Cell) {
 
 #[test]
 fn a_running_cell_allocates_nothing_in_real_time() {
-    steady(|| {
-        let count = allocations(|| move_an_arm(&Cell::new(&["left"])));
-        assert_eq!(count, 0);
-    });
+    let count = steady(|| allocations(|| move_an_arm(&Cell::new(&["left"]))));
+    assert_eq!(count, 0);
 }
 
 #[test]
 fn nor_does_one_that_is_recorded() {
-    steady(|| {
+    let count = steady(|| {
         let path = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("allocations.mcap");
-        let count = allocations(|| {
+        allocations(|| {
             let cell = Cell::recorded(&["left"], Some(Recorder::start(&path).unwrap()));
             move_an_arm(&cell);
             cell.controller.finish_recording().unwrap();
@@ -73,9 +71,9 @@ fn nor_does_one_that_is_recorded() {
             cell.wait("cycles without a recording", |c| {
                 c.stats().cycles > cycles + 600
             });
-        });
-        assert_eq!(count, 0);
+        })
     });
+    assert_eq!(count, 0);
 }
 
 /// Ends after so many seconds.
@@ -89,7 +87,7 @@ fn lasting(seconds: f64) -> String {
 
 #[test]
 fn nor_do_two_threads_with_rules_between_them() {
-    steady(|| {
+    let count = steady(|| {
         let slow = Duration::from_millis(4);
         let anywhere = std::net::SocketAddr::from(([127, 0, 0, 1], 0));
         let mut cell = CellConfig::default();
@@ -99,7 +97,7 @@ fn nor_do_two_threads_with_rules_between_them() {
             DeviceConfig::Lwr(LwrConfig { thread, ..lwr })
         };
         cell.devices = vec![arm("left", None), arm("right", Some(slow))];
-        let count = allocations(|| {
+        allocations(|| {
             let cell = Cell::of(&cell, None);
             let first = cell.controller.stats().cycles;
             let mut angle = 0.0;
@@ -134,9 +132,9 @@ fn nor_do_two_threads_with_rules_between_them() {
                     .iter()
                     .all(|thread| thread.stats.cycles > CYCLES / 8)
             );
-        });
-        assert_eq!(count, 0);
+        })
     });
+    assert_eq!(count, 0);
 }
 
 /// Counts its cycles in `count` and never ends.

@@ -359,7 +359,9 @@ fn six_axes_of_one_drive_are_an_arm() {
         assert!((moved - 0.5).abs() < 0.01, "joint {joint} moved {moved}");
     }
     for joint in 1..5 {
-        assert!(hall.cell().position("arm", joint).abs() < 1e-3, "{joint}");
+        let stayed = || hall.cell().position("arm", joint).abs() < 1e-3;
+        hall.cell()
+            .wait("what nobody moved at its place", |_| stayed());
     }
 }
 
@@ -380,8 +382,8 @@ fn a_fault_of_one_axis_leaves_the_other_arm_of_its_drives_alone() {
         cell.wait("the other arm to move on", |_| {
             (cell.position("right", 1) - place).abs() > 0.01 || cell.is_over(right)
         });
-        let undisturbed = !cell.is_over(right) && faults("right") == before;
         let its_axes = [(0, 1), (1, 0)].map(|(at, axis)| hall.axis(at, axis, |d| d.state()));
+        let undisturbed = !cell.is_over(right) && faults("right") == before;
         let _ = cell.controller.abort(right);
         cell.wait_for_end(right);
         hall.axis(0, 0, Drive::mend);

@@ -413,10 +413,7 @@ impl<'a> Parser<'a, '_> {
                 args.push(p.arg()?);
                 Ok(())
             });
-        } else if let Body::Primitive(name) = &body {
-            if name.text.parse::<f64>().is_ok() || matches!(name.text, "true" | "false") {
-                return Err(self.unquoted(*name));
-            }
+        } else if matches!(body, Body::Primitive(_)) {
             return Err(self.expected("`(…)` after a primitive's type or `.port` after a child"));
         }
         let node = Node {
@@ -441,6 +438,14 @@ impl<'a> Parser<'a, '_> {
             return Err(self.expected("`=`"));
         }
         let starts_link = matches!(self.token, Some(Token::Ident | Token::OpenFragment));
+        let word = self.text.get(self.span()).unwrap_or_default();
+        let is_value = word.parse::<f64>().is_ok() || matches!(word, "true" | "false");
+        let next = self.lexer.clone().next();
+        let leads_on = matches!(next, Some(Ok(Token::Dot | Token::OpenArgs)));
+        if self.token == Some(Token::Ident) && is_value && !leads_on {
+            let value = self.ident("a value")?;
+            return Err(self.unquoted(value));
+        }
         let value = if self.token == Some(Token::Text) {
             let span = self.span();
             self.advance();

@@ -118,16 +118,16 @@ pub(crate) fn end() {
 /// Page faults of all threads of this process while they were real-time, up to now. Reads a file for each
 /// that is, while none of them has to wait for it; not for the real-time path.
 pub fn real_time_page_faults() -> PageFaults {
-    let (running, over) = {
-        let table = table();
-        (table.running.clone(), table.over)
+    let running = table().running.clone();
+    let since = |(id, before): &(u32, PageFaults)| {
+        PageFaults::of_thread(*id).unwrap_or(*before).since(*before)
     };
-    let of_running = running.iter().map(|(id, before)| {
-        let now = PageFaults::of_thread(*id).unwrap_or(*before);
-        now.since(*before)
-    });
-    let sum = of_running.fold(over, PageFaults::plus);
+    let read: Vec<_> = running.iter().map(since).collect();
     let mut table = table();
+    // One that ended meanwhile is counted in `over` by now.
+    let still = running.iter().zip(read);
+    let still = still.filter(|(entry, _)| table.running.contains(entry));
+    let sum = still.fold(table.over, |sum, (_, faults)| sum.plus(faults));
     table.told = table.told.at_least(sum);
     table.told
 }

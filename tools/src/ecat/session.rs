@@ -263,15 +263,18 @@ impl<W: Wire> Session<W> {
             left
         };
         let ends = std::iter::once(&mut self.port).chain(&mut self.second);
+        let (mut alive, mut failed) = (false, None);
         for (number, port) in ends.enumerate() {
-            if let Some((bytes, at)) = port.receive(wait)?
-                && self.master.handle_frame(number, bytes, at)
-            {
-                self.round_trips.push(at.saturating_sub(self.sent_at));
-                return Ok(true);
+            match port.receive(wait) {
+                Ok(Some((bytes, at))) if self.master.handle_frame(number, bytes, at) => {
+                    self.round_trips.push(at.saturating_sub(self.sent_at));
+                    return Ok(true);
+                }
+                Ok(_) => alive = true,
+                Err(error) => failed = Some(error),
             }
         }
-        Ok(false)
+        failed.filter(|_| !alive).map_or(Ok(false), Err)
     }
 
     /// Moves the end of the cycle a little towards the middle between two SYNC0.

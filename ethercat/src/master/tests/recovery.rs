@@ -453,6 +453,12 @@ fn broken_frames_point_to_the_cable() {
 
 #[test]
 fn what_comes_is_tried_for_each_that_is_missing() {
+    for redundant in [false, true] {
+        one_of_two_tools_comes(redundant);
+    }
+}
+
+fn one_of_two_tools_comes(redundant: bool) {
     let (gate, _) = Io::digital(8, 8);
     let (tool, _) = ServoDrive::slave(ServoConfig::default()).unwrap();
     let named = |name: &str, order: &str| SlaveSpec {
@@ -469,13 +475,14 @@ fn what_comes_is_tried_for_each_that_is_missing() {
     let mut rig = Rig::new(
         MasterConfig {
             slaves,
+            redundant,
             ..MasterConfig::default()
         },
         Segment::line([gate, tool]),
     );
-    rig.segment.set_link(1, false);
+    rig.segment.set_power(1, false);
     rig.until(3000, Master::is_operational);
-    rig.segment.set_link(1, true);
+    rig.segment.set_power(1, true);
     rig.until(3000, |master| master.slave(2).unwrap().position().is_some());
     rig.cycles(300);
     assert_eq!(rig.master.slave(1).unwrap().position(), None);

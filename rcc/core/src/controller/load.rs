@@ -31,6 +31,9 @@ pub struct LoadRequest {
     pub period: Option<Duration>,
 }
 
+/// How long a load may wait for others: less than clients wait for a reply.
+const LOADS_WITHIN: Duration = Duration::from_secs(20);
+
 impl Controller {
     /// Loads a net. A net that is rejected gets an identifier too; its state tells. If there are
     /// as many nets as there may be, the oldest that is over is unloaded.
@@ -97,14 +100,18 @@ impl Controller {
     fn keep_memory(&self, id: NetId) -> Result<usize, Error> {
         let most = Limits::default().memory_bytes;
         let desk = self.inner.lock();
-        let kept = self.inner.wait_for(desk, |desk| desk.keep_memory(id, most));
-        kept.map_err(|_| {
-            self.inner.lock().nets.remove(&id);
-            Error::TooMany {
-                what: "bytes of nets that are loaded at once",
-                bound: most,
-            }
-        })
+        let keep = |desk: &mut super::Desk| desk.keep_memory(id, most);
+        self.inner
+            .wait_within(desk, LOADS_WITHIN, keep)
+            .map_err(|_| {
+                let mut desk = self.inner.lock();
+                desk.nets.remove(&id);
+                self.inner.announce(&desk);
+                Error::TooMany {
+                    what: "bytes of nets that are loaded at once; load them one after the other",
+                    bound: desk.room.memory,
+                }
+            })
     }
 
     /// Checks a net and makes it ready, without the desk but for a copy of the devices.

@@ -100,6 +100,9 @@ pub(super) struct RuleEntry {
     outcome: RuleState,
 }
 
+/// Why a rule lost a net on its way to the thread.
+const CROSSED: &str = "it was started or taken away while the rule was installed";
+
 impl Controller {
     /// Installs a synchronization rule. The nets that it starts become `Scheduled`, and what they
     /// need is kept for them. It fires at most once, between two cycles.
@@ -108,6 +111,22 @@ impl Controller {
     /// If the condition is wrong, a net is not in a state for it, or what a net needs cannot be
     /// kept.
     pub fn schedule(&self, request: RuleRequest) -> Result<RuleId, Error> {
+        let first = self.install(request.clone());
+        let Err(Error::WrongState {
+            state: NetState::Ready | NetState::Scheduled,
+            what: CROSSED,
+            ..
+        }) = first
+        else {
+            return first;
+        };
+        // A net that an earlier rule gave up was on its way back: two cycles later it is here.
+        let slowest = self.threads().iter().map(|thread| thread.period).max();
+        std::thread::sleep(2 * slowest.unwrap_or_default());
+        self.install(request)
+    }
+
+    fn install(&self, request: RuleRequest) -> Result<RuleId, Error> {
         let mut desk = self.inner.lock();
         let id = desk.install(request)?;
         self.inner.announce(&desk);
@@ -432,7 +451,7 @@ impl Desk {
             RuleRefusal::NotWaiting(net) => {
                 let net = NetId(net);
                 let state = self.nets.get(&net).map_or(NetState::Unloaded, Net::state);
-                let what = "it was started or taken away while the rule was installed";
+                let what = CROSSED;
                 Error::WrongState { net, state, what }
             }
         };

@@ -26,7 +26,7 @@ const HEAVIEST: usize = 3;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Room {
     /// Those that can run, and those being loaded.
-    memory: usize,
+    pub(super) memory: usize,
     /// The texts of all.
     text: usize,
 }

@@ -18,7 +18,8 @@
 //! are, by what a stream within the joint's acceleration may look like: set-points lie a period of their net apart,
 //! fall anywhere into the joint's cycles, and the clock by which they are played wanders. A stream beyond that, or a
 //! clock that is set anew, is approached. Before the end of its range a joint brakes in time, whatever its set-points
-//! want: it never moves faster than it can still stop, so that it comes to the very end within its acceleration.
+//! want: it never moves faster than it can still stop, so that it comes to the very end within its acceleration, or
+//! gives up on set-points that get too far ahead of it meanwhile (5).
 
 use takt_net::JointLimits;
 use takt_net::device::JointError;

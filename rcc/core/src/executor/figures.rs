@@ -6,10 +6,10 @@ use std::time::Duration;
 
 use takt_rt::Nanos;
 
-/// Evaluations in a row, each longer than the net's period, after which the net is ended.
+/// Evaluations in a row, each longer than the period of the net's thread, after which the net is ended.
 pub const RUNAWAY_AFTER: u32 = 10;
 
-/// The share of its period that a net may take: four fifths.
+/// What nets may take of a thread's cycle of that period: four fifths.
 #[must_use]
 pub fn budget(period: Duration) -> Duration {
     period * 4 / 5

@@ -123,8 +123,8 @@ impl SlavePlan {
             Kind::Analogue => terminal(Io::analogue(self.outputs, self.inputs), stand),
             Kind::Mixed => {
                 let [outputs, inputs] = self.channels.clone();
-                let rx = pdo(0x1600, 0, outputs);
-                let tx = pdo(0x1A00, 1, inputs);
+                let rx = pdos(0x1600, 0, &outputs);
+                let tx = pdos(0x1A00, 1, &inputs);
                 terminal(
                     Io::terminal("TKMIX terminal".to_owned(), 0x6000, rx, tx),
                     stand,
@@ -291,7 +291,7 @@ fn channels(config: &EthercatConfig, slave: &str, outputs: bool) -> Vec<(u16, u8
     });
     let digital = u16::try_from(digital.max().unwrap_or(0)).unwrap_or(u16::MAX);
     let mut entries: Vec<_> = (0..digital)
-        .map(|n| (first.wrapping_add(0x10 * n), 1, 1, BOOL))
+        .map(|n| (first.wrapping_add(0x10_u16.wrapping_mul(n)), 1, 1, BOOL))
         .collect();
     let analogue = config.ios.iter().flat_map(|io| {
         if outputs {
@@ -312,23 +312,25 @@ fn channels(config: &EthercatConfig, slave: &str, outputs: bool) -> Vec<(u16, u8
             entries.push((0, 0, gap, 0));
             bits += usize::from(gap);
         }
-        let (index, sub) = channel.object.unwrap_or((first + 0x800 + 0x10 * n, 0x11));
+        let by_number = first
+            .wrapping_add(0x800)
+            .wrapping_add(0x10_u16.wrapping_mul(n));
+        let (index, sub) = channel.object.unwrap_or((by_number, 0x11));
         entries.push((index, sub, channel.bits, INTEGER16));
         bits += usize::from(channel.bits);
     }
     entries
 }
 
-fn pdo(index: u16, sync_manager: u8, entries: Vec<(u16, u8, u8, u8)>) -> Vec<PdoImage> {
-    if entries.is_empty() {
-        return Vec::new();
-    }
-    vec![PdoImage {
+/// As many PDOs as it takes: one has at most 255 entries.
+fn pdos(first: u16, sync_manager: u8, entries: &[(u16, u8, u8, u8)]) -> Vec<PdoImage> {
+    let image = |(entries, index): (&[_], u16)| PdoImage {
         index,
         sync_manager,
         name: "channels".to_owned(),
-        entries,
-    }]
+        entries: entries.to_vec(),
+    };
+    entries.chunks(255).zip(first..).map(image).collect()
 }
 
 #[cfg(test)]

@@ -208,6 +208,8 @@ impl<P: Protocol> Driver<P> {
         self.was_commanding &= !heard.is_first && self.is_commanding();
         let period = self.session.cycle().unwrap_or(Duration::from_millis(1));
         self.clock.tick(at.into(), period.into(), heard.lost);
+        self.phase_error
+            .record((Nanos::from(at) - self.clock.now()).abs());
         self.cycles += 1 + i64::from(heard.lost);
         true
     }
@@ -286,9 +288,10 @@ impl<P: Protocol> Driver<P> {
     pub(super) fn finish(&mut self, at: Nanos) {
         self.note_heard();
         self.publish_clock();
-        self.phase_error.record((at - self.clock.now()).abs());
-        let violation = self.withheld.take().or_else(|| self.session.violation());
-        if self.herald.note_violation(violation)
+        let braked = self.withheld.take();
+        let violation = braked.or_else(|| self.session.violation());
+        // That the arm brakes is told also while something else is withheld in every cycle.
+        if (self.herald.note_violation(violation) || braked.is_some())
             && let Some(violation) = violation
         {
             let at = Duration::from_nanos(at.0.unsigned_abs());

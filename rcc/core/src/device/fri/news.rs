@@ -19,7 +19,7 @@ const WAITING: usize = 64;
 /// The same kind of news is told no more often than this.
 const PAUSE: Duration = Duration::from_secs(1);
 /// Kinds of [`News`].
-const KINDS: usize = 5;
+const KINDS: usize = 6;
 
 /// Something that happened.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,7 +41,14 @@ impl News {
         match self {
             Self::Quality { .. } => 0,
             Self::Refused(_) => 1,
-            Self::Withheld(_) => 2,
+            Self::Withheld(violation) => match violation.breach {
+                Breach::Torque { .. } | Breach::Wrench { .. } => 5,
+                Breach::NotFinite
+                | Breach::Position { .. }
+                | Breach::Step { .. }
+                | Breach::Speed { .. }
+                | Breach::Stop { .. } => 2,
+            },
             Self::Foreign(_) => 3,
             Self::Gone => 4,
         }
