@@ -18,8 +18,8 @@ use takt_rt::thread::{Thread, ThreadConfig, spawn};
 /// How often a test is begun again because the host stalled.
 const ATTEMPTS: u32 = 10;
 
-/// Stalls a cell lives through: the shortest loss any of its devices forgives is some cycles of a millisecond.
-const FORGIVEN: Duration = Duration::from_millis(4);
+/// Stalls a cell lives through: longer ones lose a frame or two, and some in a row a device.
+const FORGIVEN: Duration = Duration::from_millis(1);
 
 /// Runs a test, and again if it failed while the host stood still for longer than a robot forgives, ten times
 /// at most. A failure on a host that did not is a failure.
