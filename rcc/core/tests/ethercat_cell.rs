@@ -73,7 +73,7 @@ fn a_slave_is_found_by_its_name_and_set_up_by_objects() {
 #[test]
 fn all_that_a_file_says_of_a_slave_reaches_the_master() {
     let config = config(
-        "second = 'far'\nclocks = { window = '3us', lock = '8s', unlocked = 'start' }\n\
+        "second = 'far'\nspin = '200us'\nclocks = { window = '3us', lock = '8s', unlocked = 'start' }\n\
          [[ethercat.slave]]\nname = 'tool'\nalias = 7\nrevision = 0x10000\noptional = true\ngroup = 2\ngoal = 'SAFE-OP'\n\
          outputs = [{ pdo = 0x1600, entries = [[0x6040, 0, 16], [0, 0, 8], [0x607A, 0, 32]] }]\n\
          inputs = [{ pdo = 0x1A00 }]\ncomplete_access = false\nwatchdog = '50ms'\n\
@@ -81,6 +81,7 @@ fn all_that_a_file_says_of_a_slave_reaches_the_master() {
     );
     let master = master_config(&config);
     assert!(master.redundant);
+    assert_eq!(config.spin, Duration::from_micros(200));
     assert_eq!(
         (master.clocks.window_ns, master.clocks.unlocked),
         (3000, Unlocked::Start)
@@ -142,6 +143,10 @@ fn what_cannot_be_is_refused_with_its_slave() {
         (
             refused("second = 'near'\n"),
             "`second` is near, as `interface` is",
+        ),
+        (
+            refused("spin = '1ms'\n"),
+            "`spin` is 1ms; it must be at most half a cycle",
         ),
         (
             refused("clocks = { window = '2s' }\n"),

@@ -97,7 +97,7 @@ pub fn open(config: &EthercatConfig) -> Result<Wires, Error> {
         })?;
         let source = link.mac();
         Ok(Wire {
-            link: Box::new(link),
+            link: Box::new(link.spinning(config.spin)),
             source,
         })
     };

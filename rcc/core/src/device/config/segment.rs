@@ -29,6 +29,10 @@ pub struct EthercatConfig {
     /// How long after SYNC0 frames are sent; `None` for half a cycle.
     #[serde(default, deserialize_with = "span::text::deserialize_some")]
     pub phase: Option<Duration>,
+    /// How long the driver asks for a frame's answer again and again before it sleeps, at most half a cycle: takes the
+    /// system's wake-up out of the round trip, and keeps a processor busy meanwhile. Zero sleeps at once.
+    #[serde(default, deserialize_with = "span::text::deserialize")]
+    pub spin: Duration,
     /// `SCHED_FIFO` priority of its driver thread, 1 to 98; `None` for an ordinary thread.
     #[serde(default = "EthercatConfig::default_priority")]
     pub priority: Option<u8>,
@@ -67,6 +71,7 @@ impl Default for EthercatConfig {
             second: None,
             cycle: Self::default_cycle(),
             phase: None,
+            spin: Duration::ZERO,
             priority: Self::default_priority(),
             cpus: Vec::new(),
             thread: None,

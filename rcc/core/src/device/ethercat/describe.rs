@@ -202,6 +202,13 @@ fn check_segment(config: &EthercatConfig) -> Result<(), String> {
             config.interface
         ));
     }
+    if config.spin > config.cycle / 2 {
+        let half = config.cycle / 2;
+        return Err(format!(
+            "`spin` is {:?}; it must be at most half a cycle, {half:?}",
+            config.spin
+        ));
+    }
     if config.clocks.window > CLOCK_MAX {
         let window = config.clocks.window;
         return Err(format!(
