@@ -33,7 +33,7 @@ fn config() -> EthercatConfig {
         [[ethercat]]
         name = "segment"
         interface = "none"
-        cycle = "2ms"
+        cycle = "4ms"
         [[ethercat.youbot_base]]
         name = "base"
         [[ethercat.youbot_arm]]
