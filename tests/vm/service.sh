@@ -219,11 +219,11 @@ kill_stops_the_robot_and_the_next_start_tells() {
     from=$(position)
     sleep 2
     differ "$from" "$(position)" 0.001
-    arm_is Cmd
+    arm_is CMD
     # Time to look at the robot in between.
     override 'RestartSec=15'
     kill -9 "$(property MainPID)"
-    wait_for 12 arm_is Mon
+    wait_for 12 arm_is MON
     tail -n 3 "$arm_log"
     is SubState auto-restart
     override ''
