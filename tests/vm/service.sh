@@ -245,7 +245,7 @@ watchdog_bites_when_the_net_thread_hangs() {
     # of the program goes on.
     sysctl -q kernel.sched_rt_runtime_us=-1
     # Who is to end it must be on the other processor.
-    taskset -c 0 timeout -s KILL 28 taskset -c 1 chrt -f 90 sh -c 'while :; do :; done' || true
+    taskset -c 0 timeout -s KILL 40 taskset -c 1 chrt -f 90 sh -c 'while :; do :; done' || true
     wait_for 60 journal_says 'Watchdog timeout'
     wait_for 60 is ActiveState active
     [ "$(property NRestarts)" -gt "$restarts" ]
