@@ -28,6 +28,7 @@ use takt_core::{CellConfig, Controller};
 use takt_rt::latest::latest;
 use takt_rt::servo::Estimate;
 use takt_rt::thread::{Thread, ThreadConfig, spawn};
+use takt_tests::steady;
 
 use common::Cell;
 
@@ -202,63 +203,71 @@ impl Drop for Hall {
 
 #[test]
 fn a_net_moves_an_arm_over_canopen() {
-    let hall = Hall::new();
-    let moved = hall.cell().swung("arm", 1);
-    assert!((moved - 0.5).abs() < 0.01, "moved {moved} rad");
-    assert!(
-        hall.cell().position("arm", 0).abs() < 1e-3,
-        "nobody moved it"
-    );
-    for drive in hall.drives.lock().unwrap().iter() {
-        let bytes = |index, sub| drive.dictionary().bytes(Address::new(index, sub)).unwrap();
-        assert_eq!(bytes(0x60C2, 1), [4], "SYNC every 4");
-        assert_eq!(bytes(0x60C2, 2), (-3_i8).to_le_bytes(), "ms");
-        assert_eq!(bytes(0x6007, 0), 3_i16.to_le_bytes(), "quick stop");
-        // Five cycles between its heartbeats, and two and a half of those to be patient.
-        let watched = 50_u32 | 127 << 16;
-        assert_eq!(bytes(0x1016, 1), watched.to_le_bytes(), "the master");
-    }
+    steady(|| {
+        let hall = Hall::new();
+        let moved = hall.cell().swung("arm", 1);
+        assert!((moved - 0.5).abs() < 0.01, "moved {moved} rad");
+        assert!(
+            hall.cell().position("arm", 0).abs() < 1e-3,
+            "nobody moved it"
+        );
+        for drive in hall.drives.lock().unwrap().iter() {
+            let bytes = |index, sub| drive.dictionary().bytes(Address::new(index, sub)).unwrap();
+            assert_eq!(bytes(0x60C2, 1), [4], "SYNC every 4");
+            assert_eq!(bytes(0x60C2, 2), (-3_i8).to_le_bytes(), "ms");
+            assert_eq!(bytes(0x6007, 0), 3_i16.to_le_bytes(), "quick stop");
+            // Five cycles between its heartbeats, and two and a half of those to be patient.
+            let watched = 50_u32 | 127 << 16;
+            assert_eq!(bytes(0x1016, 1), watched.to_le_bytes(), "the master");
+        }
+    });
 }
 
 #[test]
 fn a_drive_that_faults_ends_the_net_and_the_arm_comes_back_at_rest() {
-    let hall = Hall::new();
-    let net = hall.cell().swinging("arm", 0);
-    hall.axis(2, 0, |drive| drive.fault(FaultCode::TEMPERATURE));
-    hall.cell().wait_for_end(net);
-    hall.axis(2, 0, Drive::mend);
-    hall.cell().wait_for("arm", DeviceStatus::Operational);
-    let rest = hall.cell().position("arm", 0);
-    std::thread::sleep(Duration::from_millis(300));
-    assert!((hall.cell().position("arm", 0) - rest).abs() < 1e-3);
+    steady(|| {
+        let hall = Hall::new();
+        let net = hall.cell().swinging("arm", 0);
+        hall.axis(2, 0, |drive| drive.fault(FaultCode::TEMPERATURE));
+        hall.cell().wait_for_end(net);
+        hall.axis(2, 0, Drive::mend);
+        hall.cell().wait_for("arm", DeviceStatus::Operational);
+        let rest = hall.cell().position("arm", 0);
+        std::thread::sleep(Duration::from_millis(300));
+        assert!((hall.cell().position("arm", 0) - rest).abs() < 1e-3);
+    });
 }
 
 /// A cable that shakes: the node itself is well and goes on running.
 #[test]
 fn an_arm_whose_process_data_were_gone_for_a_while_comes_back() {
-    let hall = Hall::new();
-    for _ in 0..2 {
-        hall.muted.store(0x182, Ordering::Relaxed);
-        hall.cell().wait_for("arm", DeviceStatus::Offline);
-        hall.muted.store(u32::MAX, Ordering::Relaxed);
-        hall.cell().wait_for("arm", DeviceStatus::Operational);
-    }
+    steady(|| {
+        let hall = Hall::new();
+        for _ in 0..2 {
+            hall.muted.store(0x182, Ordering::Relaxed);
+            hall.cell().wait_for("arm", DeviceStatus::Offline);
+            hall.muted.store(u32::MAX, Ordering::Relaxed);
+            hall.cell().wait_for("arm", DeviceStatus::Operational);
+        }
+    });
 }
 
 /// These drives do not mind missing set-points: only the heartbeat tells them.
 #[test]
 fn drives_stop_when_the_thread_of_their_master_hangs_and_follow_it_again() {
-    let hall = Hall::new();
-    let net = hall.cell().swinging("arm", 0);
-    hall.held.store(true, Ordering::Relaxed);
-    hall.cell().wait("drives that stop by themselves", |_| {
-        hall.all(|drive| {
-            drive.state() != State::OperationEnabled && drive.motor().velocity.abs() < 0.01
-        })
+    steady(|| {
+        let hall = Hall::new();
+        let net = hall.cell().swinging("arm", 0);
+        hall.held.store(true, Ordering::Relaxed);
+        hall.cell().wait("drives that stop by themselves", |_| {
+            hall.all(|drive| {
+                drive.state() != State::OperationEnabled && drive.motor().velocity.abs() < 0.01
+            })
+        });
+        hall.held.store(false, Ordering::Relaxed);
+        hall.cell().wait_for_end(net);
+        hall.cell().wait_for("arm", DeviceStatus::Operational);
     });
-    hall.held.store(false, Ordering::Relaxed);
-    hall.cell().wait_for_end(net);
-    hall.cell().wait_for("arm", DeviceStatus::Operational);
 }
 
 /// A controller is not needed for that; what a driver tells is what its log then says.
@@ -336,33 +345,37 @@ fn cell_of(arms: &[(&str, &[(u8, u8)])]) -> CanopenConfig {
 /// Joint 1 is axis 2, and axis 0 has no joint: places in the arm and numbers in the drive differ.
 #[test]
 fn axes_of_one_drive_are_joints_of_one_arm() {
-    let config = cell_of(&[("arm", &[(9, 1), (9, 2), (9, 3)])]);
-    let hall = Hall::of(&config, vec![drive(9, 4)]);
-    let turned = |axis| hall.axis(0, axis, |drive| drive.motor().position);
-    let before = [0, 1, 2, 3].map(turned);
-    let moved = hall.cell().swung("arm", 1);
-    assert!((moved - 0.5).abs() < 0.01, "moved {moved} rad");
-    for (axis, before) in before.into_iter().enumerate() {
-        let turned = (turned(axis) - before).abs() > 1.0;
-        assert_eq!(turned, axis == 2, "axis {axis}");
-    }
-    let unasked = hall.axis(0, 0, |drive| drive.state());
-    assert_ne!(unasked, State::OperationEnabled, "nobody asked it");
+    steady(|| {
+        let config = cell_of(&[("arm", &[(9, 1), (9, 2), (9, 3)])]);
+        let hall = Hall::of(&config, vec![drive(9, 4)]);
+        let turned = |axis| hall.axis(0, axis, |drive| drive.motor().position);
+        let before = [0, 1, 2, 3].map(turned);
+        let moved = hall.cell().swung("arm", 1);
+        assert!((moved - 0.5).abs() < 0.01, "moved {moved} rad");
+        for (axis, before) in before.into_iter().enumerate() {
+            let turned = (turned(axis) - before).abs() > 1.0;
+            assert_eq!(turned, axis == 2, "axis {axis}");
+        }
+        let unasked = hall.axis(0, 0, |drive| drive.state());
+        assert_ne!(unasked, State::OperationEnabled, "nobody asked it");
+    });
 }
 
 #[test]
 fn six_axes_of_one_drive_are_an_arm() {
-    let config = cell_of(&[("arm", &[(9, 0), (9, 1), (9, 2), (9, 3), (9, 4), (9, 5)])]);
-    let hall = Hall::of(&config, vec![drive(9, 6)]);
-    for joint in [0, 5] {
-        let moved = hall.cell().swung("arm", joint);
-        assert!((moved - 0.5).abs() < 0.01, "joint {joint} moved {moved}");
-    }
-    for joint in 1..5 {
-        let stayed = || hall.cell().position("arm", joint).abs() < 1e-3;
-        hall.cell()
-            .wait("what nobody moved at its place", |_| stayed());
-    }
+    steady(|| {
+        let config = cell_of(&[("arm", &[(9, 0), (9, 1), (9, 2), (9, 3), (9, 4), (9, 5)])]);
+        let hall = Hall::of(&config, vec![drive(9, 6)]);
+        for joint in [0, 5] {
+            let moved = hall.cell().swung("arm", joint);
+            assert!((moved - 0.5).abs() < 0.01, "joint {joint} moved {moved}");
+        }
+        for joint in 1..5 {
+            let stayed = || hall.cell().position("arm", joint).abs() < 1e-3;
+            hall.cell()
+                .wait("what nobody moved at its place", |_| stayed());
+        }
+    });
 }
 
 /// Both arms have an axis in each of two drives. That is begun again if the host stalls and the other arm is

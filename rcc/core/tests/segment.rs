@@ -176,11 +176,13 @@ fn a_drive_that_faults_ends_the_net_and_the_arm_comes_back_at_rest() {
 
 #[test]
 fn a_cut_cable_takes_the_arm_offline_and_a_mended_one_brings_it_back() {
-    let hall = Hall::new();
-    hall.hall.segment().set_link(2, false);
-    hall.cell().wait_for("tx90", DeviceStatus::Offline);
-    hall.hall.segment().set_link(2, true);
-    hall.cell().wait_for("tx90", DeviceStatus::Operational);
+    steady(|| {
+        let hall = Hall::new();
+        hall.hall.segment().set_link(2, false);
+        hall.cell().wait_for("tx90", DeviceStatus::Offline);
+        hall.hall.segment().set_link(2, true);
+        hall.cell().wait_for("tx90", DeviceStatus::Operational);
+    });
 }
 
 #[test]
@@ -216,38 +218,40 @@ fn look(drives: &ServoDrive, axis: usize) -> Seen {
 
 #[test]
 fn a_controller_that_ends_in_mid_swing_takes_no_power_from_a_motor_that_turns() {
-    use takt_can::cia402::State;
-    let mut hall = Hall::new();
-    // Faster than 0.2 rad/s at the joint; again if the host stalled meanwhile.
-    let turns = |hall: &Hall| look(&hall.drives, 3).1 > 10.0;
-    while !turns(&hall) {
-        hall.cell().wait_for("tx90", DeviceStatus::Operational);
-        let net = hall.cell().load(&common::swing_joint("tx90", 3, 2.0));
-        if hall.cell().controller.start_net(net).is_ok() {
-            let moves = |_: &Controller| turns(&hall) || hall.cell().is_over(net);
-            hall.cell().wait("the motor turning", moves);
+    steady(|| {
+        use takt_can::cia402::State;
+        let mut hall = Hall::new();
+        // Faster than 0.2 rad/s at the joint; again if the host stalled meanwhile.
+        let turns = |hall: &Hall| look(&hall.drives, 3).1 > 10.0;
+        while !turns(&hall) {
+            hall.cell().wait_for("tx90", DeviceStatus::Operational);
+            let net = hall.cell().load(&common::swing_joint("tx90", 3, 2.0));
+            if hall.cell().controller.start_net(net).is_ok() {
+                let moves = |_: &Controller| turns(&hall) || hall.cell().is_over(net);
+                hall.cell().wait("the motor turning", moves);
+            }
         }
-    }
-    let seen = Arc::new(Mutex::new(vec![look(&hall.drives, 3)]));
-    let ended = Arc::new(AtomicBool::new(false));
-    let (drives, until, to) = (hall.drives.clone(), Arc::clone(&ended), Arc::clone(&seen));
-    let config = ThreadConfig {
-        priority: Some(87),
-        ..ThreadConfig::new("watch")
-    };
-    let watch = spawn(config, move || {
-        while !until.load(Ordering::Relaxed) {
-            std::thread::sleep(Duration::from_micros(500));
-            to.lock().unwrap().push(look(&drives, 3));
-        }
+        let seen = Arc::new(Mutex::new(vec![look(&hall.drives, 3)]));
+        let ended = Arc::new(AtomicBool::new(false));
+        let (drives, until, to) = (hall.drives.clone(), Arc::clone(&ended), Arc::clone(&seen));
+        let config = ThreadConfig {
+            priority: Some(87),
+            ..ThreadConfig::new("watch")
+        };
+        let watch = spawn(config, move || {
+            while !until.load(Ordering::Relaxed) {
+                std::thread::sleep(Duration::from_micros(500));
+                to.lock().unwrap().push(look(&drives, 3));
+            }
+        });
+        hall.hall.end_controller();
+        ended.store(true, Ordering::Relaxed);
+        watch.unwrap().join().unwrap();
+        let seen = seen.lock().unwrap();
+        assert!(seen[0].1 > 5.0, "it turned: {:?}", seen[0]);
+        let enabled = seen.iter().take_while(|s| s.0 == State::OperationEnabled);
+        let (_, last) = enabled.last().unwrap();
+        assert!(last.abs() < 0.5, "{last} rad/s when power went off");
+        assert_eq!(seen[seen.len() - 1].0, State::SwitchOnDisabled);
     });
-    hall.hall.end_controller();
-    ended.store(true, Ordering::Relaxed);
-    watch.unwrap().join().unwrap();
-    let seen = seen.lock().unwrap();
-    assert!(seen[0].1 > 5.0, "it turned: {:?}", seen[0]);
-    let enabled = seen.iter().take_while(|s| s.0 == State::OperationEnabled);
-    let (_, last) = enabled.last().unwrap();
-    assert!(last.abs() < 0.5, "{last} rad/s when power went off");
-    assert_eq!(seen[seen.len() - 1].0, State::SwitchOnDisabled);
 }
