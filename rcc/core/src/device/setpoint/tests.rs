@@ -716,6 +716,8 @@ impl Play {
                 assert_eq!((self.rig.joint.mode(), self.rig.last.1), (Mode::Held, 0.0));
                 self.position = self.rig.last.0 + distance;
                 self.speed = 0.0;
+                // The joint may have braked beyond the end of the stream's range.
+                self.range = self.range.max(self.position.abs());
             }
             Phase::Loss(datagrams) => {
                 for _ in 0..datagrams {
