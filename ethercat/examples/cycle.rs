@@ -18,15 +18,17 @@
     reason = "an example: it prints, and the segment's end of the cable is a thread of its own"
 )]
 
+mod host;
+
 use std::error::Error;
-use std::fs::{File, OpenOptions};
-use std::io::{self, Write as _};
+use std::io;
 use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
+use host::awake;
 use nix::sched::{CpuSet, sched_getcpu, sched_setaffinity};
 use nix::sys::mman::{MlockAllFlags, mlockall};
 use nix::time::{ClockId, ClockNanosleepFlags, clock_nanosleep};
@@ -164,15 +166,6 @@ fn shared(
         stalls.iter().any(|(from, to)| *from < end && begin < *to)
     };
     cycles.iter().filter(met).count()
-}
-
-/// Keeps processors out of deep sleep as long as it is open.
-fn awake() -> io::Result<File> {
-    let mut file = OpenOptions::new()
-        .write(true)
-        .open("/dev/cpu_dma_latency")?;
-    file.write_all(&0_i32.to_ne_bytes())?;
-    Ok(file)
 }
 
 /// One cycle that was to begin at `due`.

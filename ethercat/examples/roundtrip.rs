@@ -21,9 +21,9 @@
 
 #[path = "../tests/peers/crab.rs"]
 mod crab;
+mod host;
 
 use std::error::Error;
-use std::fs::{File, OpenOptions};
 use std::io::{self, BufRead, BufReader, Write};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::sync::Arc;
@@ -34,6 +34,7 @@ use std::time::Duration;
 use ethercrab::std::ethercat_now;
 use ethercrab::subdevice_group::{NoDc, Op};
 use ethercrab::{DefaultLock, MainDevice, MainDeviceConfig, SubDeviceGroup};
+use host::awake;
 use nix::sched::{CpuSet, sched_setaffinity};
 use nix::unistd::Pid;
 use takt_cia402::emulator::DriveConfig;
@@ -332,15 +333,6 @@ fn measure(cycles: usize, spin: Duration, served: &[Served]) -> Anything<()> {
     }
     println!("ours: {:?}", ours.master.frames());
     Ok(())
-}
-
-/// Keeps processors out of deep sleep as long as it is open.
-fn awake() -> io::Result<File> {
-    let mut file = OpenOptions::new()
-        .write(true)
-        .open("/dev/cpu_dma_latency")?;
-    file.write_all(&0_i32.to_ne_bytes())?;
-    Ok(file)
 }
 
 fn main() -> Anything<()> {
