@@ -424,7 +424,7 @@ impl Slave {
             self.heard = Some(arrival.at);
             self.fresh = true;
         }
-        if events.repeat {
+        if events.repeat && !self.faults.no_repeat {
             self.memory.repeat(1);
         }
         self.clock_written(&events, arrival);

@@ -55,6 +55,12 @@ impl Master {
         whole
     }
 
+    /// Whether a frame is under way whose answer can still come.
+    #[must_use]
+    pub const fn awaits_frame(&self) -> bool {
+        self.exchange.is_open()
+    }
+
     /// When to call [`Self::poll_transmit`] next.
     #[must_use]
     pub fn poll_timeout(&self) -> Duration {

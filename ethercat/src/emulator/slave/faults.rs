@@ -14,6 +14,9 @@ pub struct SlaveFaults {
     pub lose_answers: u32,
     /// So many answers of the mailbox are sent twice, with the same counter.
     pub repeat_answers: u32,
+    /// The last message of the mailbox is not repeated when the master asks for it: its repeat bit is never
+    /// acknowledged.
+    pub no_repeat: bool,
     /// So many requests are answered by a mailbox error with this code.
     pub mailbox_errors: Option<(u32, u16)>,
     /// The firmware holds the SII: commands of the master are refused.

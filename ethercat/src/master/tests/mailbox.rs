@@ -202,7 +202,7 @@ fn whatever_frame_is_lost_a_transfer_is_done_once() {
 #[test]
 fn a_mailbox_that_does_not_answer_times_out_and_works_again() {
     let (mut rig, _) = running();
-    rig.segment.slave(0).unwrap().faults().lose_answers = 1;
+    rig.segment.slave(0).unwrap().faults().lose_answers = 3;
     let (result, _) = rig.upload(0x1018, 2, 4);
     assert_eq!(result, Err(JobError::Timeout(Duration::from_secs(4))));
     assert_eq!(rig.upload(0x1018, 2, 4).0, Ok(()));
@@ -333,5 +333,66 @@ fn one_datagram_at_a_time_goes_beside_the_process_data() {
         assert!(count <= 4, "{}", Frame::decode(&frame[..len]).unwrap());
         rig.exchange(&frame[..len]);
         rig.now += Duration::from_millis(1);
+    }
+}
+
+#[test]
+fn sdo_upload_without_mailbox_repeat_is_requested_again() {
+    for lost in 0..24 {
+        let (mut rig, _) = running();
+        rig.segment.slave(0).unwrap().faults().no_repeat = true;
+        let kind = JobKind::Upload {
+            address: Address::new(0x1008, 0),
+            whole: Whole::Entry,
+        };
+        let data = Vec::with_capacity(64);
+        let job = Job {
+            slave: 0,
+            kind,
+            data,
+            token: 7,
+        };
+        rig.master.submit(job).unwrap();
+        rig.cycles(lost);
+        rig.segment.faults.lose_returned = 1;
+        let mut reply = None;
+        for _ in 0..400 {
+            rig.cycle();
+            reply = reply.or_else(|| rig.master.poll_reply());
+        }
+        let reply = reply.unwrap_or_else(|| panic!("frame {lost}"));
+        assert_eq!((reply.result, reply.job.data.len()), (Ok(()), 12));
+    }
+}
+
+#[test]
+fn sdo_answers_never_sent_are_requested_three_times() {
+    let (mut rig, _) = running();
+    for (lost, result) in [
+        (2, Ok(())),
+        (3, Err(JobError::Timeout(Duration::from_secs(4)))),
+    ] {
+        rig.segment.slave(0).unwrap().faults().lose_answers = lost;
+        let begin = rig.now;
+        assert_eq!(rig.upload(0x1018, 2, 4).0, result);
+        assert!(rig.now - begin < Duration::from_millis(4100));
+    }
+    // A command of a program is never given twice.
+    rig.segment.slave(0).unwrap().faults().lose_answers = 1;
+    assert_eq!(
+        rig.download(0x6065, 0, &[1, 2, 3, 0]),
+        Err(JobError::Timeout(Duration::from_secs(4)))
+    );
+}
+
+#[test]
+fn start_up_without_mailbox_repeat_survives_any_lost_frame() {
+    for lost in (0..120).step_by(3) {
+        let (mut slave, _) = ServoDrive::slave(ServoConfig::default()).unwrap();
+        slave.faults().no_repeat = true;
+        let mut rig = Rig::new(MasterConfig::default(), Segment::line([slave]));
+        rig.cycles(lost);
+        rig.segment.faults.lose_returned = 1;
+        rig.until(2000, Master::is_operational);
     }
 }

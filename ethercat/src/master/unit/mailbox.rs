@@ -7,7 +7,13 @@
 //!   ^                                  ^ 7 there again       | 5 lost
 //!   | 8 time-out, from any             |                     v         6 read already
 //!                              RepeatWait <---- RepeatAsk <---- RepeatCheck --(still full)--> Fetch
+//!                                  | 9 never there again
+//!                                  v
+//!                                 Send (a request that may be made twice)
 //! ```
+//!
+//! Slaves must repeat a message that was lost on its way (ETG.1000.4, clause 8.4.3), and not all do. A request that
+//! may be made twice is then made once more, as it is if no answer comes at all.
 
 use std::time::Duration;
 
@@ -21,6 +27,11 @@ use crate::{CoeService, Emergency, MailboxError, MailboxHeader, MailboxKind, Syn
 
 /// Longest mailbox that is used, bytes: what one datagram holds.
 const LEN_MAX: usize = 1486;
+/// A lost message that its slave was asked to repeat and that is not there after this long will not come: firmware has
+/// its answers ready within 40 ms.
+const REPEAT_TIMEOUT: Duration = Duration::from_millis(150);
+/// How often a request that may be made twice is made.
+const ATTEMPTS: u8 = 3;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
@@ -58,10 +69,14 @@ pub(super) struct Mailbox {
     repeat: bool,
     transfer: Option<Transfer>,
     since: Duration,
+    /// When the slave was asked to repeat its last message.
+    repeat_since: Duration,
+    /// How often the transfer has been begun.
+    attempts: u8,
     patience: Patience,
     /// Messages that belonged to nothing.
     pub(super) ignored: u32,
-    /// Messages that were asked for again.
+    /// Messages that were asked for again, and requests that were made again.
     pub(super) repeated: u32,
 }
 
@@ -76,6 +91,8 @@ impl Mailbox {
             repeat: false,
             transfer: None,
             since: Duration::ZERO,
+            repeat_since: Duration::ZERO,
+            attempts: 0,
             patience,
             ignored: 0,
             repeated: 0,
@@ -170,6 +187,7 @@ impl Mailbox {
         }
         let raw = transfer.is_raw();
         self.transfer = Some(transfer);
+        self.attempts = 1;
         let output = self.send(now);
         if raw && output.is_none() {
             self.phase = Phase::Clear;
@@ -225,21 +243,46 @@ impl Mailbox {
             .map(|transfer| Output::Done(transfer, result))
     }
 
-    /// Ends what takes too long.
+    /// Ends what takes too long, or makes its request again.
     pub(super) fn check(&mut self, now: Duration) -> Option<Output> {
-        let patience = if self.is_raw() {
+        if self.phase == Phase::Idle {
+            return None;
+        }
+        let timeout = if self.is_raw() {
             self.patience.raw
         } else {
             self.patience.mailbox
         };
-        if self.phase == Phase::Idle || now.saturating_sub(self.since) <= patience {
+        let again = self.attempts < ATTEMPTS && self.may_restart();
+        // All attempts together take no longer than one that cannot be made again.
+        let share = if again || self.attempts > 1 {
+            timeout / u32::from(ATTEMPTS)
+        } else {
+            timeout
+        };
+        let waited = now.saturating_sub(self.since);
+        let unrepeated = self.phase == Phase::RepeatWait
+            && now.saturating_sub(self.repeat_since) > REPEAT_TIMEOUT;
+        if waited <= share && !(again && unrepeated) {
             return None;
         }
         if self.transfer.is_none() {
             self.phase = Phase::Idle;
             return None;
         }
-        self.end(Err(JobError::Timeout(patience)))
+        if !again {
+            return self.end(Err(JobError::Timeout(timeout)));
+        }
+        self.attempts += 1;
+        self.repeated += 1;
+        if let Some(transfer) = &mut self.transfer {
+            transfer.restart();
+        }
+        self.send(now)
+    }
+
+    fn may_restart(&self) -> bool {
+        self.transfer.as_ref().is_some_and(Transfer::may_restart)
     }
 
     /// The datagram that is due.
@@ -315,7 +358,7 @@ impl Mailbox {
             Phase::RepeatAsk => {
                 if done {
                     self.repeated += 1;
-                    self.phase = Phase::RepeatWait;
+                    (self.phase, self.repeat_since) = (Phase::RepeatWait, now);
                 }
                 None
             }

@@ -5,6 +5,7 @@ use takt_cia402::dictionary::{AbortCode, Address};
 
 use super::super::event::JobError;
 use super::super::job::{Job, JobKind};
+use super::OWN;
 use crate::coe::{Information, SDO_LEN, Sdo};
 use crate::{CoeService, MailboxKind};
 
@@ -58,6 +59,34 @@ impl Transfer {
 
     pub(in crate::master) fn into_job(self) -> Job {
         self.job
+    }
+
+    /// Whether its request may be made twice: what reads changes nothing, and what a slave is set up with has the same
+    /// effect again. Objects that programs write may be commands.
+    pub(super) fn may_restart(&self) -> bool {
+        match self.job.kind {
+            JobKind::Upload { .. } => !matches!(self.phase, Phase::Abort(..)),
+            JobKind::Download { .. } => {
+                self.job.slave == OWN && !matches!(self.phase, Phase::Abort(..))
+            }
+            // Fragments of two lists could not be told apart.
+            JobKind::List(_) | JobKind::DescribeObject(_) | JobKind::DescribeEntry(_) => {
+                self.count == 0
+            }
+            JobKind::RawMailbox
+            | JobKind::ReadRegister { .. }
+            | JobKind::WriteRegister { .. }
+            | JobKind::ReadSii { .. }
+            | JobKind::WriteSii { .. } => false,
+        }
+    }
+
+    /// Begins again with its first message.
+    pub(super) fn restart(&mut self) {
+        if !matches!(self.job.kind, JobKind::Download { .. }) {
+            self.job.data.clear();
+        }
+        (self.phase, self.count, self.part) = (Phase::Begin, 0, 0);
     }
 
     pub(super) const fn is_raw(&self) -> bool {

@@ -438,17 +438,19 @@ impl Driver {
         self.news.push(news).ok();
     }
 
-    /// Sends a frame and waits for its answer; false if there was none to send or no time for more.
+    /// Sends the frame that is due and waits for its answer, or for that of a frame that is under way still; false if
+    /// there is neither or no time for more.
     fn exchange(&mut self, until: Nanos) -> bool {
         let now = since_start(monotonic());
-        let Some(len) = self.master.poll_transmit(now, &mut self.buffer) else {
-            return false;
-        };
-        let mut sent = false;
-        for port in &mut self.ports {
-            sent |= port.send(&self.buffer[..len]).is_ok();
+        if let Some(len) = self.master.poll_transmit(now, &mut self.buffer) {
+            let mut sent = false;
+            for port in &mut self.ports {
+                sent |= port.send(&self.buffer[..len]).is_ok();
+            }
+            return sent && self.answered(until);
         }
-        sent && self.answered(until)
+        // The last frame of a burst comes back after the burst: unread, it would count as lost and be sent again.
+        self.master.awaits_frame() && self.answered(until)
     }
 
     /// Waits for the answer, of a ring by both of its ends in turn; false if it did not come, or no time is left.
