@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use super::job::Reply;
 use crate::{AlState, AlStatus, AlStatusCode, Emergency, MailboxError};
-use takt_cia402::dictionary::{AbortCode, Address};
+use takt_cia402::dictionary::{AbortCode, Address, Mapped};
 
 /// Why a slave is not where it is wanted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,6 +51,24 @@ pub enum Fault {
         address: Address,
         /// Why.
         code: AbortCode,
+    },
+    /// An object was refused as an entry of a PDO.
+    Entry {
+        /// The entry: 1600h or 1A00h and following, with its number.
+        address: Address,
+        /// What was to be mapped there.
+        entry: Mapped,
+        /// Why.
+        code: AbortCode,
+    },
+    /// A PDO does not carry what was mapped into it.
+    Mapped {
+        /// The entry: 1600h or 1A00h and following, with its number.
+        address: Address,
+        /// What was mapped there; `None` if nothing was.
+        wanted: Option<Mapped>,
+        /// What is there; `None` if nothing is.
+        found: Option<Mapped>,
     },
     /// Its mailbox did not answer.
     Mailbox {
@@ -128,6 +146,21 @@ impl fmt::Display for Fault {
             Self::Abort { address, code } => {
                 write!(f, "object {address} refused: {code}; compare the set-up with its manual")
             }
+            Self::Entry { address, entry, code } => write!(
+                f,
+                "{} refused as entry {} of PDO {:04X}h: {code}; map an object that the drive's manual lists for it",
+                MappedText(Some(*entry)),
+                address.sub,
+                address.index
+            ),
+            Self::Mapped { address, wanted, found } => write!(
+                f,
+                "entry {} of PDO {:04X}h is {}, {} was mapped; the PDO is fixed or the slave keeps another mapping",
+                address.sub,
+                address.index,
+                MappedText(*found),
+                MappedText(*wanted)
+            ),
             Self::Mailbox { address, error } => write!(f, "object {address}: {error}"),
             Self::Mapping { sync_manager, bytes, room } => write!(
                 f,
@@ -163,6 +196,18 @@ impl fmt::Display for Fault {
             Self::NoRoom => f.write_str(
                 "it has no place in the process image; give its outputs and inputs in the configuration",
             ),
+        }
+    }
+}
+
+/// An entry of a PDO as texts name it.
+struct MappedText(Option<Mapped>);
+
+impl fmt::Display for MappedText {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.0 {
+            Some(Mapped { address, bits }) => write!(f, "{address} ({bits} bits)"),
+            None => f.write_str("nothing"),
         }
     }
 }

@@ -90,6 +90,26 @@ impl Channel {
         self.unnamed = 0;
     }
 
+    /// What of PDOs that a slave has is not as wanted: another PDO, another entry where entries are wanted, or else
+    /// another length than was known before.
+    pub(super) fn difference(&self, wanted: &[PdoSpec], found: &[Pdo]) -> Option<Fault> {
+        let lengths = Fault::Assignment {
+            sync_manager: self.number,
+            wanted: self.bits(),
+            found: found.iter().map(Pdo::bits).sum(),
+        };
+        let indices = |pdos: &[Pdo]| pdos.iter().map(|pdo| pdo.index).collect::<Vec<_>>();
+        if indices(&self.pdos) != indices(found) {
+            return Some(lengths);
+        }
+        let mut pairs = wanted.iter().zip(found);
+        if let Some(fault) = pairs.find_map(|(wanted, found)| mapping_difference(wanted, found)) {
+            return Some(fault);
+        }
+        let known = self.pdos.iter().all(|pdo| !pdo.entries.is_empty());
+        (known && self.bits() != found.iter().map(Pdo::bits).sum()).then_some(lengths)
+    }
+
     /// The register block that sets it up.
     pub(super) fn sync_manager(&self) -> SyncManager {
         SyncManager {
@@ -137,6 +157,15 @@ pub(super) struct Assignment {
 }
 
 impl Assignment {
+    /// The object that it maps into a PDO; `None` if it writes a count or a list.
+    pub(super) const fn entry(&self) -> Option<Mapped> {
+        if self.len == 4 && self.address.sub > 0 {
+            Some(Mapped::from_raw(self.value))
+        } else {
+            None
+        }
+    }
+
     pub(super) fn bytes(&self, to: &mut Vec<u8>) {
         to.extend(self.value.to_le_bytes().into_iter().take(self.len.into()));
     }
@@ -302,6 +331,20 @@ impl ProcessData {
         }
         all
     }
+}
+
+/// The first entry of a PDO that is not the one that was written there.
+fn mapping_difference(wanted: &PdoSpec, found: &Pdo) -> Option<Fault> {
+    let longest = wanted.entries.len().max(found.entries.len());
+    let written = !wanted.entries.is_empty();
+    let at = (0..longest)
+        .filter(|_| written)
+        .find(|at| wanted.entries.get(*at) != found.entries.get(*at))?;
+    Some(Fault::Mapped {
+        address: Address::new(wanted.index, u8::try_from(at + 1).unwrap_or(u8::MAX)),
+        wanted: wanted.entries.get(at).copied(),
+        found: found.entries.get(at).copied(),
+    })
 }
 
 /// The list is emptied, each PDO is emptied and filled, the list is filled: the order that slaves insist on.

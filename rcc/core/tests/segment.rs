@@ -125,6 +125,22 @@ fn what_differs_from_the_configuration_is_told_slave_by_slave() {
 }
 
 #[test]
+fn start_up_burst_reads_its_last_answer() {
+    steady(|| {
+        // An answer takes longer than what a cycle of start-up leaves after the one before.
+        let (terminal, _) = Io::digital(8, 8);
+        let segment = Segment::line([Coupler::slave(), terminal]);
+        let mut config = config();
+        config.slaves.truncate(2);
+        config.arms.clear();
+        let hall = hall::Hall::start_late(&config, segment, Duration::from_micros(800));
+        hall.wait_until_operational();
+        let figures = hall.figures();
+        assert!(figures.lost < 10, "{figures:?}");
+    });
+}
+
+#[test]
 fn a_net_moves_a_tx90_over_ethercat() {
     steady(|| {
         let hall = Hall::new();

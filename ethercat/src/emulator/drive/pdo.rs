@@ -101,10 +101,16 @@ pub(super) fn check_download(
     }
     let count = d.bytes(Address::new(at.index, 0)).unwrap_or_default();
     if at.sub > 0 {
-        return if count == [0] {
-            Ok(())
-        } else {
-            Err(AbortCode::UnsupportedAccess)
+        if count != [0] {
+            return Err(AbortCode::UnsupportedAccess);
+        }
+        // An object that cannot be mapped is refused here already (CiA 301, clause 7.5.2.36).
+        return match data.first_chunk().filter(|_| maps) {
+            Some(raw) => {
+                let entry = Mapped::from_raw(u32::from_le_bytes(*raw));
+                Mapping::new(d, &[entry], at.index < 0x1A00, BITS_MAX).map(|_| ())
+            }
+            None => Ok(()),
         };
     }
     check_count(d, at.index, data.first().copied().unwrap_or(0))

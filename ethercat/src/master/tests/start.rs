@@ -241,3 +241,78 @@ fn lost_frames_on_the_way_up_are_sent_again() {
     assert!(rig.master.is_operational(), "{:?}", rig.events);
     assert!(rig.master.frames().lost > 20, "{:?}", rig.master.frames());
 }
+
+#[test]
+fn pdo_entry_refused_is_named_at_every_attempt() {
+    // A statusword can be mapped into no PDO that the drive receives.
+    let mut spec = drive_spec();
+    let outputs = spec.outputs.as_mut().unwrap();
+    outputs[0].entries.insert(1, mapped(0x6041, 16));
+    let (slave, _) = ServoDrive::slave(ServoConfig::default()).unwrap();
+    let config = MasterConfig {
+        slaves: vec![spec],
+        ..MasterConfig::default()
+    };
+    let mut rig = Rig::new(config, Segment::line([slave]));
+    // Five attempts and more.
+    for _ in 0..8000 {
+        rig.cycle();
+        assert!(!rig.master.is_operational());
+        let fault = rig.master.slave(0).and_then(|slave| slave.fault());
+        if let Some(fault) = fault {
+            let text = fault.to_string();
+            assert!(
+                text.starts_with("6041h:00 (16 bits) refused as entry 2 of PDO 1600h: "),
+                "{text}"
+            );
+        }
+    }
+    let is_refused = |event: &Event| matches!(event, Event::Fault { .. });
+    assert!(rig.events.iter().any(is_refused), "{:?}", rig.events);
+}
+
+#[test]
+fn pdo_of_equal_length_with_other_entries_differs() {
+    let wanted = drive_spec().outputs.unwrap();
+    let spec = SlaveSpec {
+        inputs: Some(Vec::new()),
+        ..drive_spec()
+    };
+    let planned = ProcessData::from_spec(&spec).unwrap();
+    let channel = &planned.channels[0];
+    let swapped = [mapped(0x607A, 32), mapped(0x6040, 16), mapped(0x6060, 8)];
+    let found = |entries: &[Mapped]| {
+        vec![Pdo {
+            index: 0x1600,
+            entries: entries.to_vec(),
+        }]
+    };
+    assert_eq!(
+        channel.difference(&wanted, &found(&wanted[0].entries)),
+        None
+    );
+    let fault = channel.difference(&wanted, &found(&swapped)).unwrap();
+    assert_eq!(
+        fault.to_string(),
+        "entry 1 of PDO 1600h is 607Ah:00 (32 bits), 6040h:00 (16 bits) was mapped; the PDO is fixed or the slave \
+         keeps another mapping"
+    );
+    let fault = channel.difference(&wanted, &found(&swapped[..0])).unwrap();
+    assert!(
+        fault
+            .to_string()
+            .starts_with("entry 1 of PDO 1600h is nothing")
+    );
+    let list = channel.difference(&wanted, &[]).unwrap();
+    assert!(
+        matches!(
+            list,
+            Fault::Assignment {
+                wanted: 56,
+                found: 0,
+                ..
+            }
+        ),
+        "{list:?}"
+    );
+}

@@ -1,6 +1,6 @@
 //! The steps that go through the mailbox: start-up objects, PDO assignment, and reading back what the slave made of it.
 
-use takt_cia402::dictionary::Address;
+use takt_cia402::dictionary::{AbortCode, Address};
 
 use super::super::event::{Fault, JobError, Outbox};
 use super::super::job::{Job, JobKind};
@@ -45,6 +45,25 @@ impl Unit {
         })
     }
 
+    /// A write of the PDO set-up was refused: of a mapping or a list the object that was to go in is named too.
+    fn refused_write(&self, at: usize, code: AbortCode) -> Fault {
+        let Some(assignment) = self.assignments.get(at) else {
+            return Fault::Abort {
+                address: Address::default(),
+                code,
+            };
+        };
+        let address = assignment.address;
+        match assignment.entry() {
+            Some(entry) => Fault::Entry {
+                address,
+                entry,
+                code,
+            },
+            None => Fault::Abort { address, code },
+        }
+    }
+
     /// Asks which PDOs a SyncManager has; a slave without CoE has those of its SII, and one that comes back those
     /// that it had.
     pub(super) fn ask(&mut self, at: usize) -> Prepared {
@@ -75,12 +94,10 @@ impl Unit {
         cx: &Context<'_>,
         out: &mut Outbox,
     ) {
-        let fault = result.err().map(|error| {
-            if let JobError::Abort(code) = error {
-                Fault::Abort { address, code }
-            } else {
-                Fault::Mailbox { address, error }
-            }
+        let fault = result.err().map(|error| match (error, self.step) {
+            (JobError::Abort(code), Step::Assign(at)) => self.refused_write(at.into(), code),
+            (JobError::Abort(code), _) => Fault::Abort { address, code },
+            (error, _) => Fault::Mailbox { address, error },
         });
         match (self.step, fault) {
             (Step::Learn(at), None) => self.learnt(at.into(), cx, out),
@@ -92,7 +109,9 @@ impl Unit {
                 self.enter(self.following(self.step), cx, out);
             }
             // It may have what is wanted all the same; that is seen when it is read back.
-            (Step::Assign(_), Some(fault @ Fault::Abort { .. })) if self.accepts_refusal() => {
+            (Step::Assign(_), Some(fault @ (Fault::Abort { .. } | Fault::Entry { .. })))
+                if self.accepts_refusal() =>
+            {
                 self.refused = Some(fault);
                 self.enter(Step::Learn(0), cx, out);
             }
@@ -135,23 +154,14 @@ impl Unit {
         } else {
             &self.spec.inputs
         };
-        let (number, before) = (channel.number, channel.bits());
-        let same = channel
-            .pdos
-            .iter()
-            .map(|pdo| pdo.index)
-            .eq(pdos.iter().map(|pdo| pdo.index));
-        let known = channel.pdos.iter().all(|pdo| !pdo.entries.is_empty());
-        channel.set_pdos(pdos);
-        let found = channel.bits();
-        if wanted.is_some() && (!same || (known && before != found)) {
-            let differs = Fault::Assignment {
-                sync_manager: number,
-                wanted: before,
-                found,
-            };
-            return self.fail(self.refused.unwrap_or(differs), cx, out);
+        // What is wanted stays as it is until the slave has it: the next attempt compares with it again.
+        if let Some(wanted) = wanted
+            && let Some(difference) = channel.difference(wanted, &pdos)
+        {
+            let fault = self.refused.take().unwrap_or(difference);
+            return self.fail(fault, cx, out);
         }
+        channel.set_pdos(pdos);
         self.enter(self.following(self.step), cx, out);
     }
 
@@ -171,7 +181,10 @@ impl Unit {
             .as_ref()
             .is_some_and(|pdos| pdos.iter().any(|pdo| !pdo.entries.is_empty()));
         match self.refused.filter(|_| changes) {
-            Some(fault) => self.fail(fault, cx, out),
+            Some(fault) => {
+                self.refused = None;
+                self.fail(fault, cx, out);
+            }
             None => self.enter(self.following(self.step), cx, out),
         }
     }

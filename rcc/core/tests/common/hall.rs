@@ -16,10 +16,34 @@ use takt_core::cell::EthercatConfig;
 use takt_core::device::ethercat::{Ethercat, EthercatFigures, Wire, Wires, describe};
 use takt_core::{CellConfig, Controller};
 use takt_ethercat::emulator::{Segment, Server, SharedSegment};
+use takt_ethercat::link::Link;
 use takt_ethercat::linux::{cable, monotonic};
 use takt_rt::thread::{Thread, ThreadConfig, spawn};
 
 use crate::common::Cell;
+
+/// A link whose frames come in so much later than they were sent.
+#[derive(Debug)]
+struct Delayed<L> {
+    link: L,
+    latency: Duration,
+}
+
+impl<L: Link> Link for Delayed<L> {
+    fn send(&mut self, frame: &[u8]) -> std::io::Result<()> {
+        self.link.send(frame)
+    }
+
+    fn receive(
+        &mut self,
+        buf: &mut [u8],
+        timeout: Duration,
+    ) -> std::io::Result<Option<(usize, Duration)>> {
+        let wait = timeout.min(self.latency);
+        std::thread::sleep(wait);
+        self.link.receive(buf, timeout - wait)
+    }
+}
 
 /// A segment that answers at the end of its cables.
 struct Served {
@@ -28,8 +52,8 @@ struct Served {
 }
 
 impl Served {
-    /// By one cable, or of a ring by two.
-    fn start(segment: SharedSegment, ring: bool) -> (Self, Wires) {
+    /// By one cable, or of a ring by two; every answer comes back so much later.
+    fn start(segment: SharedSegment, ring: bool, latency: Duration) -> (Self, Wires) {
         let ((near, far), (near2, far2)) = (cable(), cable());
         let mut server = Server::new(segment, far);
         if ring {
@@ -48,7 +72,7 @@ impl Served {
             }
         });
         let wire = |link, last| Wire {
-            link: Box::new(link),
+            link: Box::new(Delayed { link, latency }),
             source: [2, 0, 0, 0, 0, last],
         };
         let wires = Wires {
@@ -74,15 +98,22 @@ pub struct Hall {
     cell: Option<Cell>,
     served: Option<Served>,
     segment: SharedSegment,
+    latency: Duration,
 }
 
 impl Hall {
     /// By one cable, or by two if the cell names a second interface. Devices are not waited for.
     pub fn start(config: &EthercatConfig, segment: Segment) -> Self {
+        Self::start_late(config, segment, Duration::ZERO)
+    }
+
+    /// The same with a cable by which every answer comes back so much later.
+    pub fn start_late(config: &EthercatConfig, segment: Segment, latency: Duration) -> Self {
         let mut hall = Self {
             cell: None,
             served: None,
             segment: SharedSegment::new(segment),
+            latency,
         };
         hall.lead(config);
         hall
@@ -90,7 +121,7 @@ impl Hall {
 
     /// Begins to serve the segment, and a controller that leads it.
     pub fn lead(&mut self, config: &EthercatConfig) {
-        let (served, wires) = Served::start(self.segment.clone(), config.second.is_some());
+        let (served, wires) = Served::start(self.segment.clone(), config.second.is_some(), self.latency);
         let controller = Controller::start(&CellConfig::default()).unwrap();
         let added = controller.add_driver("segment", describe(config), None, |ends| {
             Ok(Box::new(Ethercat::start(config, wires, ends)?))
