@@ -269,7 +269,7 @@ impl Image {
     }
 
     /// All of a group is there: with the working counter that its slaves should give (least and most, slave by
-    /// slave), their inputs are taken; else those before are kept. Returns whether it was as expected.
+    /// slave), their inputs are taken; else those before are kept. Returns whether all of its slaves took part.
     pub(super) fn settle(
         &mut self,
         number: u8,
@@ -308,7 +308,7 @@ impl Image {
                 place.age = 0;
             }
         }
-        true
+        all
     }
 }
 
@@ -372,7 +372,8 @@ mod tests {
             ((&[0][..], u32::MAX), 1)
         );
         // It is known to be gone: the other one goes on.
-        assert!(image.settle(0, |slave, _| if slave == 0 { (3, 3) } else { (0, 0) }));
+        let all = image.settle(0, |slave, _| if slave == 0 { (3, 3) } else { (0, 3) });
+        assert!(!all);
         assert_eq!(
             (image.inputs(0), image.inputs(1).0),
             ((&[7][..], 0), &[0][..])

@@ -18,6 +18,8 @@ pub(crate) struct Rig {
     pub(crate) now: Duration,
     /// Events, as they are told.
     pub(crate) events: Vec<Event>,
+    /// Most cycles that passed without inputs of slave 0.
+    pub(crate) oldest: u32,
     redundant: bool,
 }
 
@@ -29,6 +31,7 @@ impl Rig {
             segment,
             now: Duration::from_secs(1),
             events: Vec::new(),
+            oldest: 0,
         }
     }
 
@@ -42,6 +45,7 @@ impl Rig {
         while let Some(event) = self.master.poll_event() {
             self.events.push(event);
         }
+        self.oldest = self.oldest.max(self.master.inputs(0).1);
         self.now = begin + self.master.config().cycle;
     }
 

@@ -182,7 +182,7 @@ impl Master {
             };
             match sent.owner {
                 Owner::Clock => {}
-                Owner::Process(group) => self.take_process(group, &sent),
+                Owner::Process(group) => self.take_process(group, &sent, now),
                 Owner::Census => {
                     let (data, counter) = self.exchange.answer(&sent);
                     let states = data.first().copied().unwrap_or(0);
@@ -298,7 +298,7 @@ impl Master {
         }
     }
 
-    fn take_process(&mut self, group: u8, sent: &Sent) {
+    fn take_process(&mut self, group: u8, sent: &Sent, now: Duration) {
         let Self {
             exchange,
             image,
@@ -306,12 +306,18 @@ impl Master {
             ..
         } = self;
         let (data, counter) = exchange.answer(sent);
-        if image.receive(group, sent.command, data, counter) {
-            image.settle(group, |slave, lrw| {
-                units
-                    .get(slave)
-                    .map_or((0, 0), |unit| unit.contribution(lrw))
-            });
+        if !image.receive(group, sent.command, data, counter) {
+            return;
+        }
+        let whole = image.settle(group, |slave, lrw| {
+            units
+                .get(slave)
+                .map_or((0, 0), |unit| unit.contribution(lrw, now))
+        });
+        if whole {
+            for unit in units.iter_mut().filter(|unit| unit.spec.group == group) {
+                unit.take_part();
+            }
         }
     }
 

@@ -135,6 +135,8 @@ impl UnitClock {
 
 /// Differences beyond the window in a row after which a clock is told to be lost.
 const OUTSIDE: u8 = 3;
+/// Firmware that shows OP may still switch its SyncManagers on; after this long it must take part.
+const COUNT_GRACE: Duration = Duration::from_millis(100);
 /// Jobs that may wait for one slave.
 const JOBS_MAX: usize = 16;
 /// Longest write to registers, bytes.
@@ -181,6 +183,8 @@ pub(super) struct Unit {
     again: Duration,
     /// When it last reached its goal.
     reached_at: Duration,
+    /// The working counter was complete since then.
+    counted: bool,
     /// It was brought to its goal, and its set-up is in it.
     set_up: bool,
     /// Its SII was read.
@@ -230,6 +234,7 @@ impl Unit {
             failures: 0,
             again: Duration::ZERO,
             reached_at: Duration::ZERO,
+            counted: false,
             set_up: false,
             known: false,
             streak: 0,
@@ -286,7 +291,7 @@ impl Unit {
     }
 
     /// What its process data adds to the working counter of LRW, as far as its state tells: least and most.
-    pub(super) fn contribution(&self, lrw: bool) -> (u16, u16) {
+    pub(super) fn contribution(&self, lrw: bool, now: Duration) -> (u16, u16) {
         let out = if self.process.outputs_len() == 0 {
             0
         } else if lrw {
@@ -295,21 +300,20 @@ impl Unit {
             1
         };
         let most = out + u16::from(self.process.inputs_len() > 0);
-        let exchanging = matches!(self.al.state, AlState::SafeOp | AlState::Op);
-        let steady = self.is_running() && self.al.state == AlState::Op && !self.al.error;
-        match (self.is_present(), exchanging, steady) {
-            (true, _, true) => (most, most),
-            // On its way up or down, a slave switches its SyncManagers when it likes.
-            (true, ..) if self.is_moving() || exchanging => (0, most),
-            (true | false, ..) => (0, 0),
+        let settled = self.counted || now.saturating_sub(self.reached_at) > COUNT_GRACE;
+        let is_up = self.is_running() && self.al.state == AlState::Op && !self.al.error;
+        if self.is_present() && is_up && settled {
+            (most, most)
+        } else {
+            // On its way up or down a slave switches its SyncManagers when it likes, and one that is not reached may
+            // still take part with the FMMUs that it has. Nobody else is to suffer from that.
+            (0, most)
         }
     }
 
-    const fn is_moving(&self) -> bool {
-        matches!(
-            self.step,
-            Step::SafeOp | Step::Op | Step::Look | Step::Fallback
-        )
+    /// Its whole group counted: from now on it is missed if it does not.
+    pub(super) const fn take_part(&mut self) {
+        self.counted = self.is_running();
     }
 
     /// Takes a job; a full queue gives it back.

@@ -19,6 +19,8 @@ pub struct SlaveFaults {
     pub no_repeat: bool,
     /// So many requests are answered by a mailbox error with this code.
     pub mailbox_errors: Option<(u32, u16)>,
+    /// So many logical writes are not taken once it shows OP: its firmware switches the SyncManager on late.
+    pub late_outputs: u32,
     /// The firmware holds the SII: commands of the master are refused.
     pub sii_held: bool,
 }

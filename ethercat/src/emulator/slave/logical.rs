@@ -2,10 +2,11 @@
 //! (ETG.1000.4, FMMU). Guards and buffers are the memory's.
 
 use crate::register;
-use crate::{Fmmu, register::Register};
+use crate::{AlState, Fmmu, register::Register};
 
 use super::super::memory::FMMUS;
 use super::Slave;
+use super::faults::happens;
 
 /// The part of a datagram that an FMMU maps: where it begins in the datagram, in the FMMU, and how
 /// many bytes it has.
@@ -29,6 +30,8 @@ impl Slave {
     /// Acts on a logical datagram; returns what its working counter gains: once per direction.
     pub(super) fn logical(&mut self, at: u32, data: &mut [u8], reads: bool, writes: bool) -> u16 {
         let (mut read, mut written) = (false, false);
+        let writes =
+            writes && !(self.state == AlState::Op && happens(&mut self.faults.late_outputs));
         // Outputs are taken from what came in, before any inputs are merged.
         for (direction, wanted) in [(false, writes), (true, reads)] {
             for number in 0..FMMUS {

@@ -526,3 +526,76 @@ fn another_slave_in_the_place_of_one_is_not_taken_for_it() {
     rig.segment.set_power(1, true);
     rig.until(3000, Master::is_operational);
 }
+
+/// What can happen to a slave, by name.
+type Disturbance = (&'static str, fn(&mut Rig));
+
+/// Every change of state of one slave, and back.
+const DISTURBANCES: [Disturbance; 10] = [
+    ("falls to SAFE-OP", |rig| fall(rig, AlState::SafeOp)),
+    ("falls to PRE-OP", |rig| fall(rig, AlState::PreOp)),
+    ("falls to INIT", |rig| fall(rig, AlState::Init)),
+    ("has no power for a while", |rig| {
+        rig.segment.set_power(1, false);
+        rig.cycles(300);
+        rig.segment.set_power(1, true);
+    }),
+    ("has no cable for a while", |rig| {
+        rig.segment.set_link(1, false);
+        rig.cycles(300);
+        rig.segment.set_link(1, true);
+    }),
+    ("has no cable for a moment", |rig| {
+        rig.segment.set_link(1, false);
+        rig.cycles(2);
+        rig.segment.set_link(1, true);
+    }),
+    ("refuses SAFE-OP for a while", |rig| {
+        refuse(rig, AlState::SafeOp)
+    }),
+    ("refuses OP for a while", |rig| refuse(rig, AlState::Op)),
+    ("takes outputs late in OP", |rig| {
+        rig.segment.slave(1).unwrap().faults().late_outputs = 40;
+        fall(rig, AlState::SafeOp);
+    }),
+    ("hangs for a while", |rig| {
+        rig.segment.slave(1).unwrap().faults().hung = true;
+        rig.cycles(300);
+        rig.segment.slave(1).unwrap().faults().hung = false;
+    }),
+];
+
+fn fall(rig: &mut Rig, state: AlState) {
+    let slave = rig.segment.slave(1).unwrap();
+    slave.fall(state, AlStatusCode(0x001B));
+}
+
+fn refuse(rig: &mut Rig, state: AlState) {
+    let code = AlStatusCode(0x001E);
+    rig.segment.slave(1).unwrap().refuse(Some((state, code)));
+    fall(rig, AlState::PreOp);
+    rig.cycles(600);
+    rig.segment.slave(1).unwrap().refuse(None);
+}
+
+#[test]
+fn running_slave_beside_one_that_changes_state_is_undisturbed() {
+    for (name, disturb) in DISTURBANCES {
+        let (terminal, _) = Io::digital(8, 8);
+        let (drive, _) = ServoDrive::slave(ServoConfig::default()).unwrap();
+        let mut rig = Rig::new(MasterConfig::default(), Segment::line([terminal, drive]));
+        rig.until(5000, Master::is_operational);
+        rig.cycles(20);
+        rig.oldest = 0;
+        disturb(&mut rig);
+        rig.cycles(20);
+        rig.until(5000, Master::is_operational);
+        rig.cycles(200);
+        assert!(
+            rig.oldest <= 4,
+            "one that {name}: {} cycles without inputs",
+            rig.oldest
+        );
+        assert_eq!(rig.master.inputs(1).1, 0, "one that {name} is back");
+    }
+}

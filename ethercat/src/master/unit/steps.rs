@@ -261,6 +261,7 @@ impl Unit {
 
     fn run(&mut self, cx: &Context<'_>, out: &mut Outbox) -> Prepared {
         (self.step, self.reached_at, self.set_up) = (Step::Run, cx.now, true);
+        self.counted = false;
         self.fault = None;
         out.event(Event::Reached {
             slave: self.number,
