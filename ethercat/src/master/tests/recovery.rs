@@ -551,7 +551,7 @@ const DISTURBANCES: [Disturbance; 10] = [
         rig.segment.set_link(1, true);
     }),
     ("refuses SAFE-OP for a while", |rig| {
-        refuse(rig, AlState::SafeOp)
+        refuse(rig, AlState::SafeOp);
     }),
     ("refuses OP for a while", |rig| refuse(rig, AlState::Op)),
     ("takes outputs late in OP", |rig| {

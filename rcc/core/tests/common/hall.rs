@@ -121,7 +121,8 @@ impl Hall {
 
     /// Begins to serve the segment, and a controller that leads it.
     pub fn lead(&mut self, config: &EthercatConfig) {
-        let (served, wires) = Served::start(self.segment.clone(), config.second.is_some(), self.latency);
+        let (served, wires) =
+            Served::start(self.segment.clone(), config.second.is_some(), self.latency);
         let controller = Controller::start(&CellConfig::default()).unwrap();
         let added = controller.add_driver("segment", describe(config), None, |ends| {
             Ok(Box::new(Ethercat::start(config, wires, ends)?))
