@@ -18,13 +18,14 @@ use takt_core::device::DeviceStatus;
 use takt_core::device::driver::DeviceDriver as _;
 use takt_core::device::ethercat::Ethercat;
 use takt_core::record::Recorder;
+use takt_core::stop_channel::StopSwitch;
 use takt_rt::host::{HostConfig, prepare};
 use takt_server::LogBook;
 
 use crate::Verdict;
 use crate::client::Client;
 use crate::output::{complain, is_terminal, say, share, span};
-use crate::run::{Server, tell_grants};
+use crate::run::{Server, stop_channel, tell_grants};
 use cell::{Arm, Kind, Machines};
 use report::Report;
 
@@ -117,17 +118,19 @@ impl Demo {
         if let Some(recording) = &self.replay {
             return replay(recording);
         }
+        let (cell, segments) = self.cell.config()?;
         let host = prepare(&HostConfig::default());
+        let switch = StopSwitch::default();
+        let channel = stop_channel(&cell, None, &switch)?;
         if self.guard {
             takt_rt::alloc::set_guard(takt_rt::alloc::Guard::Abort);
         }
         let recording = self.record.as_deref().map(Recorder::start).transpose()?;
-        let (cell, segments) = self.cell.config()?;
-        let controller = Controller::start_recording(&cell, recording)?;
+        let controller = Controller::start_under(&cell, recording, switch)?;
         if !self.json {
             tell_grants(&host, &controller);
         }
-        let server = Server::start(&cell, &controller, None, LogBook::default())?;
+        let server = Server::start(&cell, &controller, None, LogBook::default(), Some(&channel))?;
         let machines = Machines::start(&controller, &segments, self.drop)?;
         self.wait_until_ready(&controller)?;
         let address = server.tcp().context("the server does not listen")?;

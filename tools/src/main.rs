@@ -14,6 +14,7 @@ mod manual;
 mod net;
 mod output;
 mod run;
+mod stop;
 mod token;
 
 use std::process::ExitCode;
@@ -58,6 +59,7 @@ enum Command {
     /// Check, load and control primitive nets.
     #[command(subcommand)]
     Net(net::Net),
+    Stop(stop::Stop),
     /// Write manual pages and shell completions, for packages.
     #[command(hide = true)]
     Manual(manual::Manual),
@@ -83,6 +85,7 @@ fn main() -> ExitCode {
         Command::Fri(fri) => fri.run(),
         Command::Jitter(jitter) => jitter.run(),
         Command::Net(net) => net.run(),
+        Command::Stop(stop) => stop.run(),
         Command::Manual(manual) => manual.run(),
     };
     match result {

@@ -17,6 +17,9 @@ use anyhow::Context as _;
 use clap::Args;
 use takt_core::device::driver::DeviceDriver as _;
 use takt_core::record::Recorder;
+use takt_core::stop_channel::{
+    PRIORITY, StopChannel, StopChannelConfig, StopSwitch, default_socket,
+};
 use takt_core::{CellConfig, Controller};
 use takt_rt::host::{HostConfig, prepare};
 use takt_server::{LogBook, Token};
@@ -49,16 +52,30 @@ impl Run {
         let cell = read_cell(&self.config).map_err(WrongCell)?;
         let book = LogBook::default();
         let logging = Logging::start(cell.controller.log.as_deref(), &book)?;
+        let token = token::of_controller(cell.controller.token_file.as_deref())?;
         let host = prepare(&HostConfig::default());
+        // Before all other threads, so that nothing keeps a stop away, and after memory is locked.
+        let switch = StopSwitch::default();
+        let channel = stop_channel(&cell, token.as_ref(), &switch)?;
         if self.guard {
             takt_rt::alloc::set_guard(takt_rt::alloc::Guard::Abort);
         }
         let recording = self.record.as_deref().map(Recorder::start).transpose()?;
-        let controller = Controller::start_recording(&cell, recording).map_err(judged)?;
+        let controller = Controller::start_under(&cell, recording, switch).map_err(judged)?;
         tell_grants(&host, &controller);
-        let token = token::of_controller(cell.controller.token_file.as_deref())?;
-        let server = Server::start(&cell, &controller, token, book)?;
-        for address in server.addresses() {
+        channel
+            .grants()
+            .iter()
+            .filter(|grant| grant.is_refused())
+            .for_each(|grant| {
+                complain(&format!("warning: the stop channel: {grant}"));
+            });
+        let server = Server::start(&cell, &controller, token, book, Some(&channel))?;
+        for address in server
+            .addresses()
+            .into_iter()
+            .chain(stop_addresses(&channel))
+        {
             say(&address)?;
         }
         for (name, address) in controller.with_arms(|a| (a.name().to_owned(), a.address())) {
@@ -71,6 +88,52 @@ impl Run {
         }
         Ok(Verdict::Good)
     }
+}
+
+/// Starts the stop channel of a cell. Without a path in the cell its socket is where `takt stop` looks.
+pub(crate) fn stop_channel(
+    cell: &CellConfig,
+    token: Option<&Token>,
+    switch: &StopSwitch,
+) -> anyhow::Result<StopChannel> {
+    let socket = match cell
+        .controller
+        .stop_socket
+        .clone()
+        .map_or_else(default_socket, Ok)
+    {
+        Ok(socket) => Some(socket),
+        Err(error) => {
+            complain(&format!(
+                "warning: no folder for the stop socket: {error}\nhint: set stop_socket under [controller]; until then \
+                 `takt stop` needs --connect and the token"
+            ));
+            None
+        }
+    };
+    let config = StopChannelConfig {
+        socket,
+        tcp: cell.controller.stop_address(),
+        token: token.map(|token| token.text().to_owned()),
+        priority: Some(PRIORITY),
+    };
+    if config.tcp.is_some_and(|at| !at.ip().is_loopback()) && token.is_none() {
+        anyhow::bail!(
+            "the stop channel is to listen beyond loopback without a token\nhint: set token_file under [controller]"
+        );
+    }
+    Ok(StopChannel::start(config, switch.clone())?)
+}
+
+/// Where it can be stopped, for people.
+pub(crate) fn stop_addresses(channel: &StopChannel) -> Vec<String> {
+    let socket = channel
+        .socket()
+        .map(|path| format!("stop at unix {}", path.display()));
+    let tcp = channel
+        .tcp_address()
+        .map(|at| format!("stop at http://{at}/stop"));
+    socket.into_iter().chain(tcp).collect()
 }
 
 /// A cell that cannot be read or makes no sense: to start again is no remedy.
@@ -138,6 +201,7 @@ impl Server {
         controller: &Controller,
         token: Option<Token>,
         log: LogBook,
+        channel: Option<&StopChannel>,
     ) -> anyhow::Result<Self> {
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(2)
@@ -151,6 +215,10 @@ impl Server {
             on_loss: cell.controller.on_loss,
             token,
             log,
+            stop: channel.and_then(|channel| {
+                let port = channel.tcp_address()?.port();
+                Some(takt_server::StopPort::new(port, channel.key()))
+            }),
         };
         let server = runtime.block_on(takt_server::Server::bind(config))?;
         let (http, tcp) = (server.http_address(), server.tcp_address());

@@ -7,6 +7,8 @@
 //! cpus = [1]               # processors of the net thread; leave out for any
 //! websocket = "127.0.0.1:8080"
 //! tcp = "127.0.0.1:8081"
+//! stop = "127.0.0.1:8082"  # the port of the stop channel; two above that of websocket if left out
+//! stop_socket = "/run/takt/stop-left.sock" # its Unix socket; one that `takt stop` finds if left out
 //! token_file = "/etc/takt/token" # clients must give what is in it; needed beyond loopback
 //! follow = "left"          # net threads keep phase with this device's clock; leave out for the host's
 //! phase = "300us"          # cycles begin so long after the device's own; leave out for at once
@@ -88,6 +90,10 @@ pub struct ControllerConfig {
     pub websocket: Option<SocketAddr>,
     /// Where DirectIO over plain TCP listens.
     pub tcp: Option<SocketAddr>,
+    /// Where the stop channel takes TCP connections; `None` for two ports above that of `websocket`.
+    pub stop: Option<SocketAddr>,
+    /// Its Unix socket; `None` for one that `takt stop` finds.
+    pub stop_socket: Option<PathBuf>,
     /// File with the token that clients must give; needed beyond loopback.
     pub token_file: Option<PathBuf>,
     /// Device whose clock the net threads keep phase with; `None` for the host's own clock.
@@ -143,6 +149,26 @@ impl OnLoss {
     }
 }
 
+/// Ports that the stop channel's is above that of HTTP, unless the cell says another.
+const STOP_PORTS_ABOVE: u16 = 2;
+
+impl ControllerConfig {
+    /// Where the stop channel takes TCP connections; `None` if neither it nor HTTP is configured.
+    #[must_use]
+    pub fn stop_address(&self) -> Option<SocketAddr> {
+        if self.stop.is_some() {
+            return self.stop;
+        }
+        let mut address = self.websocket?;
+        if address.port() != 0 {
+            let taken = self.tcp.map(|tcp| tcp.port());
+            let ports = (STOP_PORTS_ABOVE..).map_while(|above| address.port().checked_add(above));
+            address.set_port(ports.into_iter().find(|port| Some(*port) != taken)?);
+        }
+        Some(address)
+    }
+}
+
 impl Default for ControllerConfig {
     fn default() -> Self {
         Self {
@@ -151,6 +177,8 @@ impl Default for ControllerConfig {
             cpus: Vec::new(),
             websocket: Some(SocketAddr::from(([127, 0, 0, 1], 8080))),
             tcp: Some(SocketAddr::from(([127, 0, 0, 1], 8081))),
+            stop: None,
+            stop_socket: None,
             token_file: None,
             follow: None,
             phase: None,

@@ -33,6 +33,7 @@ use crate::error::Error;
 use crate::executor::stop::EmergencyStop;
 use crate::executor::thread::Command;
 use crate::record::{Recorder, Tap};
+use crate::stop_channel::StopSwitch;
 use clock::FollowedClock;
 use desk::{Desk, Session};
 use net::Net;
@@ -215,10 +216,22 @@ impl Controller {
         cell: &CellConfig,
         recording: Option<(Recorder, Tap)>,
     ) -> Result<Self, Error> {
+        Self::start_under(cell, recording, StopSwitch::default())
+    }
+
+    /// The same under a switch that is there before: a stop channel serves it whatever happens here.
+    ///
+    /// # Errors
+    /// If the cell makes no sense, a device cannot be opened or a thread not be started.
+    pub fn start_under(
+        cell: &CellConfig,
+        recording: Option<(Recorder, Tap)>,
+        switch: StopSwitch,
+    ) -> Result<Self, Error> {
         cell.check().map_err(Error::Cell)?;
         let (recorder, tap) = recording.unzip();
         let clock = FollowedClock::of(cell);
-        let stop = Arc::new(EmergencyStop::new(cell.controller.need_estop));
+        let stop = Arc::new(EmergencyStop::under(cell.controller.need_estop, switch));
         let threads = threads::start(cell, clock.as_ref(), &stop, tap)?;
         let room = Room::of_mib(cell.controller.nets_memory_mib);
         let mut desk = Desk::new(threads, clock, stop, recorder, room);
@@ -514,6 +527,12 @@ impl Controller {
             inner: Arc::clone(&self.inner),
             number,
         }
+    }
+
+    /// The switch that stops and releases the whole controller.
+    #[must_use]
+    pub fn stop_switch(&self) -> StopSwitch {
+        self.inner.lock().stop.switch().clone()
     }
 
     /// Time from one cycle of the first net thread to the next.

@@ -121,6 +121,19 @@ pub enum Error {
     /// The net thread did not take a command.
     #[error("the net thread did not answer within {0:?}; it hangs or starves (see `takt jitter`)")]
     NoAnswer(std::time::Duration),
+    /// A stop is latched.
+    #[error(
+        "the controller is stopped, by {by}; release it with `takt stop --release`, then request again"
+    )]
+    Stopped { by: String },
+    /// The stop channel cannot be had.
+    #[error(
+        "cannot open the stop channel at {what}: {source}; choose another `stop` or `stop_socket` under [controller]"
+    )]
+    StopChannel {
+        what: String,
+        source: std::io::Error,
+    },
     /// Nothing begins any more.
     #[error("the controller is stopping")]
     Closing,

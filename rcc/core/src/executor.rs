@@ -21,6 +21,7 @@ use takt_rt::Nanos;
 use takt_rt::latest::{LatestReader, LatestWriter};
 
 use crate::device::{DeviceStatus, Place};
+use crate::stop_channel::Generation;
 use figures::{NetCounters, RUNAWAY_AFTER};
 
 pub use resources::ResourceSet;
@@ -56,6 +57,8 @@ pub enum End {
     Terminated,
     /// It was aborted.
     Aborted,
+    /// The whole controller was stopped.
+    Halted,
     /// A synchronization rule stopped it.
     Stopped,
     /// Its evaluation took longer than a period of its thread, [`RUNAWAY_AFTER`] times in a row.
@@ -82,6 +85,8 @@ pub enum Refusal {
     },
     /// Too many nets run.
     TooMany,
+    /// The controller is stopped, or was after this was requested.
+    Halted,
 }
 
 /// What happened to a net in a cycle that neither the net nor the controller did.
@@ -112,6 +117,8 @@ pub struct Running {
     every: u64,
     /// What a cycle of it costs at most by what its primitives declare.
     pub cost: Nanos,
+    /// Under which stop of the controller its start was requested.
+    pub requested: Generation,
     /// Whether it was asked to cancel.
     pub cancel: bool,
     /// Whether a successor waits for it.
@@ -165,6 +172,7 @@ impl Running {
             devices: Vec::new(),
             every: 1,
             cost,
+            requested: Generation::default(),
             cancel: false,
             takeover: false,
             fresh: false,
@@ -400,6 +408,16 @@ impl Executor {
             net.end = Some(End::Aborted);
             true
         })
+    }
+
+    /// Ends all nets before the next cycle, and the wait of all rules; calls `ended` with each net that ran. Scheduled
+    /// nets are given back when they are asked for.
+    pub fn halt(&mut self, mut ended: impl FnMut(u32)) {
+        for net in self.running.iter_mut().filter(|net| net.end.is_none()) {
+            net.end = Some(End::Halted);
+            ended(net.id);
+        }
+        self.rules.halt();
     }
 
     /// The running nets that do not end in this cycle.

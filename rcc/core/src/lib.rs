@@ -11,6 +11,7 @@ pub mod ids;
 mod primitives;
 pub mod record;
 pub mod span;
+pub mod stop_channel;
 
 pub use cell::{CellConfig, OnLoss};
 pub use controller::Controller;

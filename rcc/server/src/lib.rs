@@ -21,4 +21,5 @@ pub use http::fuzz as fuzz_http;
 pub use http::fuzz_head as fuzz_http_head;
 pub use log::LogBook;
 pub use server::{OnLoss, Server, ServerConfig};
+pub use site::StopPort;
 pub use wire::{Message, Value};

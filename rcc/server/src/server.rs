@@ -18,7 +18,7 @@ use crate::access::Token;
 use crate::error::Error;
 use crate::http::DEBUG_STREAMS_MAX;
 use crate::log::LogBook;
-use crate::site::{Counters, Site};
+use crate::site::{Counters, Site, StopPort};
 
 /// Most connections at once, of both kinds together.
 pub const CONNECTIONS_MAX: usize = 64;
@@ -47,6 +47,8 @@ pub struct ServerConfig {
     pub token: Option<Token>,
     /// The log that is shown.
     pub log: LogBook,
+    /// The port of the stop channel, for the page.
+    pub stop: Option<StopPort>,
 }
 
 /// A server that listens but does not answer yet.
@@ -57,6 +59,7 @@ pub struct Server {
     on_loss: OnLoss,
     token: Option<Token>,
     log: LogBook,
+    stop: Option<StopPort>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -89,6 +92,7 @@ impl Server {
             on_loss,
             token,
             log,
+            stop,
         } = config;
         Ok(Self {
             http: listen(http, token.is_some()).await?,
@@ -96,6 +100,7 @@ impl Server {
             on_loss,
             token,
             log,
+            stop,
         })
     }
 
@@ -116,7 +121,7 @@ impl Server {
         let places = Arc::new(Semaphore::new(CONNECTIONS_MAX));
         let streams = Arc::new(Semaphore::new(DEBUG_STREAMS_MAX));
         let evaluations = Arc::new(Semaphore::new(EVALUATIONS_MAX));
-        let site = Site::new(controller, self.token, self.on_loss, self.log);
+        let site = Site::new(controller, self.token, self.on_loss, self.log).with_stop(self.stop);
         let begin = Instant::now();
         let (close, closing) = watch::channel(false);
         let mut visits = JoinSet::new();

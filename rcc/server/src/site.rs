@@ -18,6 +18,29 @@ pub(crate) struct Site {
     pub(crate) on_loss: OnLoss,
     pub(crate) log: LogBook,
     pub(crate) counters: Arc<Counters>,
+    pub(crate) stop: Option<Arc<StopPort>>,
+}
+
+/// The port of the stop channel and the key by which the page, which only admitted clients get, may use it.
+#[derive(Clone)]
+pub struct StopPort {
+    pub(crate) port: u16,
+    pub(crate) key: String,
+}
+
+impl StopPort {
+    /// A channel at that port of this host, with that key.
+    #[must_use]
+    pub fn new(port: u16, key: &str) -> Self {
+        let key = key.to_owned();
+        Self { port, key }
+    }
+}
+
+impl std::fmt::Debug for StopPort {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "StopPort({})", self.port)
+    }
 }
 
 impl Site {
@@ -33,7 +56,14 @@ impl Site {
             on_loss,
             log,
             counters: Arc::default(),
+            stop: None,
         }
+    }
+
+    /// The same, with the stop channel that the page may use.
+    pub(crate) fn with_stop(mut self, stop: Option<StopPort>) -> Self {
+        self.stop = stop.map(Arc::new);
+        self
     }
 }
 

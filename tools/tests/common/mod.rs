@@ -151,7 +151,12 @@ impl Process {
 
     /// Asks it to end, as a service manager does.
     pub(crate) fn terminate(&self) {
-        let kill = format!("kill -TERM {}", self.child.id());
+        self.signal("TERM");
+    }
+
+    /// Sends it a signal, such as STOP.
+    pub(crate) fn signal(&self, name: &str) {
+        let kill = format!("kill -{name} {}", self.child.id());
         let status = Command::new("sh").args(["-c", &kill]).status().unwrap();
         assert!(status.success());
     }
@@ -217,8 +222,12 @@ pub(crate) struct Cell {
     pub(crate) process: Process,
     /// Where it takes DirectIO lines.
     pub(crate) tcp: String,
+    /// Where it takes HTTP.
+    pub(crate) http: String,
     /// Where the arm's datagrams are to go.
     pub(crate) udp: String,
+    /// The socket of its stop channel.
+    pub(crate) stop: String,
     _folder: Folder,
 }
 
@@ -226,23 +235,28 @@ impl Cell {
     /// Starts it; the system chooses all ports.
     pub(crate) fn start() -> Self {
         let folder = Folder::new();
-        let config = folder.write(
-            "cell.toml",
-            "[controller]\nwebsocket = \"127.0.0.1:0\"\ntcp = \"127.0.0.1:0\"\n\
-             [[device]]\nname = \"left\"\ntype = \"kuka_lwr_fri\"\nlisten = \"127.0.0.1:0\"\n",
+        let stop = folder.file("stop.sock");
+        let config = format!(
+            "[controller]\nwebsocket = \"127.0.0.1:0\"\ntcp = \"127.0.0.1:0\"\nstop_socket = \"{stop}\"\n\
+             [[device]]\nname = \"left\"\ntype = \"kuka_lwr_fri\"\nlisten = \"127.0.0.1:0\"\n"
         );
+        let config = folder.write("cell.toml", &config);
         let mut process = Process::start(&["run", "--config", &config]);
         let address = |line: String, before: &str| {
             line.rsplit_once(before)
                 .map(|(_, address)| address.to_owned())
                 .unwrap()
         };
+        let http = address(process.wait_for("DirectIO at ws"), "ws://");
+        let http = http.trim_end_matches("/DirectIO/").to_owned();
         let tcp = address(process.wait_for("lines at tcp"), "tcp ");
         let udp = address(process.wait_for("waits for its robot"), "udp ");
         Self {
             process,
+            http,
             tcp,
             udp,
+            stop,
             _folder: folder,
         }
     }

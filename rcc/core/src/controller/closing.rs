@@ -61,6 +61,21 @@ impl Desk {
         Ok(())
     }
 
+    /// An error if the controller is stopped.
+    pub(super) fn refuse_if_stopped(&self) -> Result<(), Error> {
+        if self.stop.switch().is_stopped() {
+            return Err(self.stopped());
+        }
+        Ok(())
+    }
+
+    /// That the controller is stopped, or was, and by whom.
+    pub(super) fn stopped(&self) -> Error {
+        let by = self.stop.switch().last_stop();
+        let by = by.map_or_else(|| "its stop channel".to_owned(), |(by, _)| by.to_string());
+        Error::Stopped { by }
+    }
+
     pub(super) fn is_at_rest(&self) -> bool {
         self.devices.all().all(|(_, device)| device.is_at_rest())
     }
@@ -115,6 +130,7 @@ impl Desk {
         for thread in self.threads.drain(..) {
             thread.stop();
         }
+        self.stop.switch().dismiss();
         self.drivers.iter().for_each(|driver| driver.ask_to_stop());
         for driver in self.drivers.drain(..) {
             drop(driver.stop());

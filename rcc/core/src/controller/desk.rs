@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, HashMap};
 use std::fmt;
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use takt_net::Rejection;
 use takt_net::fault::{Fault, FaultKind};
@@ -25,9 +25,12 @@ use crate::executor::ResourceSet;
 use crate::executor::stop::EmergencyStop;
 use crate::executor::thread::{Command, NetThread};
 use crate::record::Recorder;
+use crate::stop_channel::Generation;
 
 /// Things that a driver may tell before others are looked at.
 const NEWS_AT_ONCE: usize = 32;
+/// How often requests that the stop channel refused are reported.
+const REFUSED_EVERY: Duration = Duration::from_secs(10);
 
 /// An open session.
 #[derive(Debug)]
@@ -47,6 +50,8 @@ pub(super) struct Desk {
     pub(super) room: Room,
     /// Whether that was on when devices were last looked at.
     is_stopped: bool,
+    /// What was reported of the stop channel: its generation, refused requests, and when.
+    stop_told: (Generation, u64, Option<Instant>),
     pub(super) nets: BTreeMap<NetId, Net>,
     pub(super) departed: BTreeMap<NetId, Departed>,
     pub(super) sessions: BTreeMap<SessionId, Session>,
@@ -94,6 +99,7 @@ impl Desk {
             stop,
             room,
             is_stopped: false,
+            stop_told: (Generation::default(), 0, None),
             nets: BTreeMap::new(),
             departed: BTreeMap::new(),
             sessions: BTreeMap::new(),
@@ -163,10 +169,12 @@ impl Desk {
     /// Sends a net off to run.
     pub(super) fn begin(&mut self, id: NetId) -> Result<(), Error> {
         self.refuse_if_closing()?;
+        self.refuse_if_stopped()?;
         self.net(id)?.check_begin(id)?;
         self.keep_for_start(id)?;
+        let requested = self.stop.switch().generation();
         let net = self.net(id)?;
-        let (thread, command) = (net.thread, net.begin(id));
+        let (thread, command) = (net.thread, net.begin(id, requested));
         self.next_rule();
         self.send(thread, command).map_err(|command| {
             if let (Command::Start(running), Ok(net)) = (command, self.net(id)) {
@@ -216,9 +224,12 @@ impl Desk {
             .all()
             .map(|(_, device)| (device.name.clone(), device.status().under(is_stopped)))
             .collect();
+        let is_switched = self.report_switch();
         if is_stopped != self.is_stopped {
             self.is_stopped = is_stopped;
-            if is_stopped {
+            if self.stop.switch().is_stopped() || (is_switched && !is_stopped) {
+                // That was reported.
+            } else if is_stopped {
                 tracing::warn!(
                     "emergency stop: all devices stop, and the nets that command them end"
                 );
@@ -226,7 +237,7 @@ impl Desk {
                 tracing::info!("the emergency stop is over");
             }
         } else if statuses == self.statuses {
-            return false;
+            return is_switched;
         }
         for (name, status) in &statuses {
             let before = self.statuses.get(name).copied().unwrap_or_default();
@@ -237,6 +248,39 @@ impl Desk {
             }
         }
         self.statuses = statuses;
+        true
+    }
+
+    /// Reports what the stop channel did; returns whether it did anything. Requests that it refused are reported at
+    /// most every [`REFUSED_EVERY`], with their number.
+    fn report_switch(&mut self) -> bool {
+        let switch = self.stop.switch();
+        let (generation, refused) = (switch.generation(), switch.refused());
+        let (before, told, at) = self.stop_told;
+        let is_due = at.is_none_or(|at| at.elapsed() > REFUSED_EVERY);
+        if refused != told && is_due {
+            let count = refused - told;
+            tracing::warn!(
+                count,
+                "the stop channel refused requests: a wrong token, or a user who may not stop"
+            );
+            self.stop_told = (before, refused, Some(Instant::now()));
+        }
+        if generation == before {
+            return false;
+        }
+        self.stop_told.0 = generation;
+        if generation.stops() != before.stops() {
+            let by = switch.last_stop().map(|(by, _)| by.to_string());
+            let by = by.unwrap_or_default();
+            tracing::warn!(
+                by,
+                "stopped: all nets end, all devices stop, nothing starts; release it with `takt stop --release`"
+            );
+        }
+        if !generation.is_stopped() {
+            tracing::info!("the stop is released; programs may request their nets again");
+        }
         true
     }
 

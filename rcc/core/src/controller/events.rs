@@ -76,6 +76,7 @@ impl Desk {
     fn refused(&mut self, running: Box<Running>, refusal: Refusal) {
         let net = NetId(running.id);
         let error = match refusal {
+            Refusal::Halted => self.stopped(),
             Refusal::TooMany => Error::TooMany {
                 what: "running nets",
                 bound: crate::executor::RUNNING_MAX,
@@ -110,6 +111,11 @@ impl Desk {
         match end {
             End::Terminated => None,
             End::Aborted => Some("aborted".to_owned()),
+            End::Halted => {
+                let by = self.stop.switch().last_stop();
+                let by = by.map(|(by, _)| format!(" by {by}"));
+                Some(format!("stopped{}: takt stop", by.unwrap_or_default()))
+            }
             End::Stopped => Some("stopped by a rule".to_owned()),
             End::Runaway => {
                 let longest = net.counters().read().max;
@@ -135,6 +141,9 @@ impl Desk {
         let status = device.map_or(DeviceStatus::Offline, Device::status);
         if self.stop.is_on(takt_rt::monotonic()) {
             let status = status.under(true);
+            if self.stop.switch().is_stopped() {
+                return format!("{status}: {}", self.stopped());
+            }
             format!("{status}: the emergency stop is on")
         } else {
             status.to_string()

@@ -15,6 +15,7 @@ use crate::error::Error;
 use crate::executor::figures::NetCounters;
 use crate::executor::thread::Command;
 use crate::executor::{ResourceSet, Running};
+use crate::stop_channel::Generation;
 
 /// A net made ready, with the program's ends of its values.
 #[derive(Debug)]
@@ -159,10 +160,13 @@ impl Net {
     }
 
     /// Gives the net away to be started.
-    pub(super) fn begin(&mut self, id: NetId) -> Command {
+    pub(super) fn begin(&mut self, id: NetId, requested: Generation) -> Command {
         // An outcome that nobody waited for any more is that of an earlier start.
         self.starting = Some(None);
-        let running = self.running.take();
+        let running = self.running.take().map(|mut running| {
+            running.requested = requested;
+            running
+        });
         running.map_or(Command::StartScheduled(id.0), Command::Start)
     }
 
@@ -246,8 +250,9 @@ impl Net {
     }
 
     /// Gives the net away for rules to start, unless they have it already.
-    pub(super) fn hand_to_rules(&mut self) -> Option<Box<Running>> {
-        let running = self.running.take()?;
+    pub(super) fn hand_to_rules(&mut self, requested: Generation) -> Option<Box<Running>> {
+        let mut running = self.running.take()?;
+        running.requested = requested;
         self.with_rules = true;
         Some(running)
     }

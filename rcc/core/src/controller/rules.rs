@@ -180,6 +180,7 @@ impl Controller {
 impl Desk {
     pub(super) fn install(&mut self, mut request: RuleRequest) -> Result<RuleId, Error> {
         self.refuse_if_closing()?;
+        self.refuse_if_stopped()?;
         if request.condition.len() > CONDITION_BYTES {
             let (what, bound) = ("bytes of a condition", CONDITION_BYTES);
             return Err(Error::TooMany { what, bound });
@@ -234,9 +235,10 @@ impl Desk {
         self.has_room(request.start.len() + 1)?;
         let id = self.next_rule();
         let starts = !request.start.is_empty();
+        let requested = self.stop.switch().generation();
         let shared = (threads.len() > 1).then(|| Arc::new(self.share(threads, literals, starts)));
         for net in &request.start {
-            if let Some(running) = self.net(*net)?.hand_to_rules() {
+            if let Some(running) = self.net(*net)?.hand_to_rules(requested) {
                 self.command(Command::Schedule(running))?;
             }
         }
@@ -251,6 +253,7 @@ impl Desk {
                 start: of_thread(&request.start),
             };
             let mut rule = Box::new(Rule::new(id.0, literals.to_vec(), steps.to_vec(), orders));
+            rule.requested = requested;
             rule.part = shared.clone().map(|shared| Part::new(shared, number));
             self.send(*thread, Command::AddRule(rule))
                 .map_err(|_| busy())?;
@@ -439,6 +442,7 @@ impl Desk {
                     bound,
                 }
             }
+            RuleRefusal::Halted => self.stopped(),
             RuleRefusal::TooLong => Error::TooMany {
                 what: "literals, operations and nets of all waiting rules",
                 bound: crate::executor::rules::WORK_MAX,

@@ -85,6 +85,7 @@ pub(super) fn start(
             stop: StopPart::new(Arc::clone(stop), threads.len()),
             thread,
         };
+        stop.switch().enlist(threads.len(), period.into());
         threads.push(NetThread::start(config, tap.take())?);
     }
     Ok(threads)

@@ -12,6 +12,7 @@ mod roll;
 pub mod shared;
 
 use crate::executor::{ResourceSet, Running};
+use crate::stop_channel::Generation;
 use fire::answer;
 use roll::{Roll, Slot};
 use shared::{Decision, Part};
@@ -100,6 +101,8 @@ pub struct Rule {
     orders: Orders,
     /// What joins it to its parts in other threads; `None` if it is whole.
     pub part: Option<Part>,
+    /// Under which stop of the controller it was requested.
+    pub requested: Generation,
     /// What became of it.
     pub state: RuleState,
     /// What the nets that it starts need: kept for them.
@@ -160,6 +163,7 @@ impl Rule {
             steps,
             orders,
             part: None,
+            requested: Generation::default(),
             state: RuleState::Active,
             reserved: ResourceSet::default(),
             slots: vec![0; named].into_boxed_slice(),
@@ -286,7 +290,7 @@ impl Rule {
     }
 
     /// Ends the wait for good without firing, in all threads; says what becomes of this part.
-    fn give_up(&self) -> RuleState {
+    pub(super) fn give_up(&self) -> RuleState {
         let decided = self
             .part
             .as_ref()
@@ -325,6 +329,15 @@ pub enum RuleRefusal {
     ResourceTwice(usize),
     /// A net that it starts, by its number, does not wait for that any more.
     NotWaiting(u32),
+    /// The controller is stopped, or was after the rule was requested.
+    Halted,
+}
+
+/// A rule that no thread takes: its parts in others do nothing any more.
+#[must_use]
+pub fn refused(mut rule: Box<Rule>) -> Box<Rule> {
+    rule.state = rule.give_up();
+    rule
 }
 
 /// What the executor knows of rules.
@@ -391,6 +404,16 @@ impl Rules {
             self.roll.seat_scheduled(moved.id, at);
         }
         net
+    }
+
+    /// Ends the wait of all rules: none of them fires any more, in no thread.
+    pub(super) fn halt(&mut self) {
+        for at in 0..self.waiting.len() {
+            if self.waiting[at].state == RuleState::Active {
+                self.waiting[at].give_up();
+                self.retire(at, RuleState::FireFailed);
+            }
+        }
     }
 
     /// Ends the wait of a rule.

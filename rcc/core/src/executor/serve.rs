@@ -102,6 +102,11 @@ impl Served {
         self.stop.look(now);
     }
 
+    /// The thread's part of the emergency stop.
+    pub const fn stop(&mut self) -> &mut StopPart {
+        &mut self.stop
+    }
+
     /// Serves a device from now on.
     pub fn add(&mut self, end: Box<DeviceEnd>, executor: &mut Executor) {
         if let Some(slot) = self.ends.get_mut(end.number) {

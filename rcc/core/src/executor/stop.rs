@@ -10,6 +10,7 @@ use std::sync::atomic::{AtomicI64, AtomicU8, Ordering};
 use takt_rt::Nanos;
 
 use crate::cell::THREADS_MAX;
+use crate::stop_channel::{Generation, StopSwitch};
 
 /// A controller that needs to hear of the emergency stop is stopped when it has not for so long.
 pub const SILENCE_MAX: Nanos = Nanos::from_millis(20);
@@ -32,12 +33,19 @@ struct Word {
 pub struct EmergencyStop {
     is_needed: bool,
     words: [Word; THREADS_MAX],
+    switch: StopSwitch,
 }
 
 impl EmergencyStop {
     /// Nothing was said yet. `is_needed` is whether silence stops.
     #[must_use]
     pub fn new(is_needed: bool) -> Self {
+        Self::under(is_needed, StopSwitch::default())
+    }
+
+    /// The same, under a switch that others may turn too.
+    #[must_use]
+    pub fn under(is_needed: bool, switch: StopSwitch) -> Self {
         let word = || Word {
             bits: AtomicU8::new(0),
             at: AtomicI64::new(i64::MIN),
@@ -45,7 +53,14 @@ impl EmergencyStop {
         Self {
             is_needed,
             words: std::array::from_fn(|_| word()),
+            switch,
         }
+    }
+
+    /// The switch of the stop channel.
+    #[must_use]
+    pub const fn switch(&self) -> &StopSwitch {
+        &self.switch
     }
 
     /// Whether all devices are to stop at `now`.
@@ -61,7 +76,10 @@ impl EmergencyStop {
             let last = Nanos(spoken.max().unwrap_or(i64::MIN));
             now.0.saturating_sub(last.0) > SILENCE_MAX.0
         };
-        stop > 0 || (left > 0 && go == 0) || (self.is_needed && is_silent())
+        self.switch.is_stopped()
+            || stop > 0
+            || (left > 0 && go == 0)
+            || (self.is_needed && is_silent())
     }
 }
 
@@ -72,6 +90,12 @@ pub struct StopPart {
     thread: usize,
     is_on: bool,
     count: u64,
+    /// Of the switch, as of the present cycle.
+    generation: Generation,
+    /// Whether all nets are to end in this cycle.
+    ends_nets: bool,
+    /// Whether the switch waits for an answer.
+    is_asked: bool,
 }
 
 impl Default for StopPart {
@@ -84,12 +108,15 @@ impl Default for StopPart {
 impl StopPart {
     /// The part of the thread of that number, below [`THREADS_MAX`].
     #[must_use]
-    pub const fn new(shared: Arc<EmergencyStop>, thread: usize) -> Self {
+    pub fn new(shared: Arc<EmergencyStop>, thread: usize) -> Self {
         Self {
             shared,
             thread,
             is_on: false,
             count: 0,
+            generation: Generation::default(),
+            ends_nets: false,
+            is_asked: false,
         }
     }
 
@@ -103,9 +130,34 @@ impl StopPart {
                 own.bits.store(0, Ordering::Release);
             }
         }
+        let generation = self.shared.switch.generation();
+        self.ends_nets = generation.stops() != self.generation.stops();
+        self.is_asked |= generation != self.generation;
+        self.generation = generation;
         let is_on = self.shared.is_on(now);
-        self.count += u64::from(is_on && !self.is_on);
+        // Also a stop that was released before this thread saw it is one.
+        self.count += u64::from((is_on && !self.is_on) || self.ends_nets);
         self.is_on = is_on;
+    }
+
+    /// Whether all nets are to end in this cycle, and nothing that was requested before is to begin.
+    #[must_use]
+    pub const fn ends_nets(&self) -> bool {
+        self.ends_nets
+    }
+
+    /// Whether what was requested under that generation may begin.
+    #[must_use]
+    pub fn permits(&self, requested: Generation) -> bool {
+        !self.generation.is_stopped() && requested == self.generation
+    }
+
+    /// After commands were handed over: answers the switch, if it waits for that.
+    pub fn answer(&mut self, ended: u32, now: impl FnOnce() -> Nanos) {
+        if std::mem::take(&mut self.is_asked) {
+            let switch = &self.shared.switch;
+            switch.answer(self.thread, self.generation, ended, now());
+        }
     }
 
     /// Whether all devices are to stop in this cycle.

@@ -265,6 +265,7 @@ impl Cycle {
         let moment = slot.moment;
         self.served.look(slot.begin);
         self.served.read(&mut self.executor);
+        let halted = self.halt();
         self.obey_commands();
         for net in self.executor.running() {
             let received = net.receive();
@@ -286,6 +287,7 @@ impl Cycle {
         }
         self.executor.cycle_timed(moment, self.clock);
         self.served.write(&mut self.executor, moment, slot.begin);
+        self.served.stop().answer(halted, self.clock);
         let tap = &mut self.tap;
         self.executor.publish(|net| {
             if let Some(tap) = tap {
@@ -302,6 +304,21 @@ impl Cycle {
         if let Some(tap) = &mut self.tap {
             tap.outputs(moment, &self.executor);
         }
+    }
+
+    /// Ends all nets if the controller is stopped; returns how many.
+    fn halt(&mut self) -> u32 {
+        let mut count = 0;
+        if self.served.stop().ends_nets() {
+            let tap = &mut self.tap;
+            self.executor.halt(|id| {
+                count += 1;
+                if let Some(tap) = tap {
+                    tap.aborted(id);
+                }
+            });
+        }
+        count
     }
 
     /// Obeys the commands of this cycle: fewer where rules that wait make each of them dearer.
@@ -357,6 +374,9 @@ impl Cycle {
 
     fn start(&mut self, net: Box<Running>) {
         let id = net.id;
+        if !self.served.stop().permits(net.requested) {
+            return self.tell(Event::Refused(net, Refusal::Halted));
+        }
         match self.executor.start(net) {
             Ok(()) => {
                 if let Some(tap) = &mut self.tap {
@@ -377,6 +397,10 @@ impl Cycle {
             }
             Command::AddRule(rule) => {
                 let id = rule.id;
+                if !self.served.stop().permits(rule.requested) {
+                    let rule = crate::executor::rules::refused(rule);
+                    return self.tell(Event::RuleRefused(rule, RuleRefusal::Halted));
+                }
                 match self.executor.add_rule(rule) {
                     Ok(()) => self.tell(Event::RuleAdded(id)),
                     Err((rule, why)) => self.tell(Event::RuleRefused(rule, why)),

@@ -125,7 +125,8 @@ impl Words {
     pub(super) fn ended(&mut self, id: u32, end: End) {
         let (code, device) = match end {
             End::Terminated => (0, 0),
-            End::Aborted => (1, 0),
+            // To nets the same.
+            End::Aborted | End::Halted => (1, 0),
             End::DeviceFault(device) => (2, device as u64),
             End::Stopped => (3, 0),
             End::Runaway => (4, 0),

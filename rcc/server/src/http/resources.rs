@@ -9,6 +9,7 @@ mod modules;
 mod nets;
 mod sessions;
 mod status;
+mod stop;
 
 use takt_core::Controller;
 use takt_core::net::{Limits, xml};
@@ -19,7 +20,7 @@ use crate::site::Site;
 
 /// What there is, for those who ask for something else.
 const MAP: &str = "There are / /status/ /metrics /stats/ /nets/ /eval/ /sessions/ /types/ \
-    /modules/ /modulesdetails/ /devices/ /extensions/ /log/ and, for WebSocket, /DirectIO/.";
+    /modules/ /modulesdetails/ /devices/ /extensions/ /log/ /stop/ and, for WebSocket, /DirectIO/.";
 
 /// A response, or one that says why there is none.
 type Outcome = Result<Response, Response>;
@@ -46,7 +47,10 @@ impl Ask<'_> {
         let path: Vec<_> = self.request.path.iter().map(String::as_str).collect();
         let (first, rest) = path.split_first().unwrap_or((&"", &[]));
         match (*first, rest, self.request.post) {
-            ("", [], false) => Ok(Response::page(super::page::PAGE)),
+            ("", [], false) => Ok(self.page()),
+            ("stop", [], false) => Ok(self.stop_state()),
+            ("stop", [], true) => Ok(self.stop_all()),
+            ("stop", ["release"], true) => Ok(self.release_stop()),
             ("status", [], false) => Ok(self.status()),
             ("metrics", [], false) => Ok(self.metrics()),
             ("stats", [], false) => Ok(self.all_stats()),

@@ -90,13 +90,16 @@ impl Response {
     }
 
     /// The page for people, which takes nothing from elsewhere.
-    pub(super) fn page(body: &str) -> Self {
+    /// But for the port of the stop channel.
+    pub(super) fn page(body: &str, stop: Option<u16>) -> Self {
+        let stop = stop.map_or_else(String::new, |port| format!(" http://*:{port}"));
         Self {
             kind: "text/html; charset=utf-8",
-            extra: "Content-Security-Policy: default-src 'none'; style-src 'unsafe-inline'; \
-                    script-src 'unsafe-inline'; connect-src 'self'; img-src data:; \
-                    frame-ancestors 'none'\r\n"
-                .to_owned(),
+            extra: format!(
+                "Content-Security-Policy: default-src 'none'; style-src 'unsafe-inline'; \
+                 script-src 'unsafe-inline'; connect-src 'self'{stop}; img-src data:; \
+                 frame-ancestors 'none'\r\n"
+            ),
             ..Self::text("200 OK", body)
         }
     }

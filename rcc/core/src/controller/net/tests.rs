@@ -16,7 +16,7 @@ fn ready() -> Net {
 
 fn begin(net: &mut Net) -> Option<Box<Running>> {
     net.check_begin(ID).ok()?;
-    let Command::Start(running) = net.begin(ID) else {
+    let Command::Start(running) = net.begin(ID, Generation::default()) else {
         return None;
     };
     Some(running)

@@ -14,8 +14,10 @@ use crate::device::{DeviceCommand, DeviceTable, lwr};
 use crate::executor::figures::RUNAWAY_AFTER;
 use crate::executor::rules::{Literal, Orders, Question, Step};
 use crate::executor::serve::Driver;
+use crate::executor::stop::EmergencyStop;
 use crate::executor::tests::net;
 use crate::record::replay;
+use crate::stop_channel::{Origin, StopSwitch};
 
 const PERIOD: takt_rt::Nanos = takt_rt::Nanos::from_millis(1);
 
@@ -63,6 +65,15 @@ impl Bench {
             events,
             number: 0,
         }
+    }
+
+    /// Puts the thread under a switch, and gives that.
+    fn switch(&mut self) -> StopSwitch {
+        let switch = StopSwitch::default();
+        switch.enlist(0, PERIOD);
+        let stop = Arc::new(EmergencyStop::under(false, switch.clone()));
+        self.cycle.served = Served::new(PERIOD, Recorder::new()).under(StopPart::new(stop, 0));
+        switch
     }
 
     fn command(&mut self, command: Command) {
@@ -362,4 +373,70 @@ fn cycles_keep_phase_with_a_robot_whose_clock_drifts() {
         gained < -1_000_000,
         "the host's clock was followed: {gained}"
     );
+}
+
+// The stop of the whole controller.
+
+#[test]
+fn stop_ends_all_nets_in_one_cycle() {
+    let mut bench = Bench::new(Duration::ZERO, None);
+    let switch = bench.switch();
+    bench.command(Command::Start(net(0, ENDLESS)));
+    bench.command(Command::Start(net(1, ENDLESS)));
+    bench.run();
+    switch.stop(Origin::Program);
+    assert!(switch.answers().all(|answer| !answer.is_applied));
+    assert_eq!(bench.run(), ["ended 0 Halted", "ended 1 Halted"]);
+    let answers: Vec<_> = switch.answers().collect();
+    assert!(answers[0].is_applied && answers[0].nets == 2, "{answers:?}");
+    // Once more changes nothing.
+    switch.stop(Origin::Program);
+    assert_eq!(bench.run(), [""; 0]);
+}
+
+#[test]
+fn stopped_rules_never_fire() {
+    let mut bench = Bench::new(Duration::ZERO, None);
+    let switch = bench.switch();
+    bench.follow(0, net(1, ENDLESS));
+    bench.run();
+    switch.stop(Origin::Program);
+    assert_eq!(bench.run(), ["rule 7 FireFailed"]);
+    let _ = switch.release();
+    let mut first = net(0, BRIEF);
+    first.requested = switch.generation();
+    bench.run();
+    bench.command(Command::Start(first));
+    assert_eq!(bench.run(), ["started 0", "ended 0 Terminated"]);
+    assert_eq!(bench.run(), [""; 0]);
+    // Its net is given back when it is asked for.
+    bench.command(Command::Unschedule {
+        net: 1,
+        always: false,
+    });
+    assert_eq!(bench.run(), ["unscheduled 1"]);
+}
+
+#[test]
+fn request_from_before_a_stop_is_refused_after_it() {
+    let mut bench = Bench::new(Duration::ZERO, None);
+    let switch = bench.switch();
+    bench.run();
+    // Both are under way while the stop comes and goes.
+    bench.command(Command::Start(net(0, ENDLESS)));
+    bench.follow(0, net(1, ENDLESS));
+    switch.stop(Origin::Program);
+    let _ = switch.release();
+    assert_eq!(bench.run(), ["refused 0 Halted", "rule 7 Halted"]);
+    bench.command(Command::StartScheduled(1));
+    assert_eq!(bench.run(), ["refused 1 Halted"]);
+    let mut again = net(2, ENDLESS);
+    again.requested = switch.generation();
+    bench.command(Command::Start(again));
+    assert_eq!(bench.run(), ["started 2"]);
+    switch.stop(Origin::Program);
+    let mut late = net(3, ENDLESS);
+    late.requested = switch.generation();
+    bench.command(Command::Start(late));
+    assert_eq!(bench.run(), ["refused 3 Halted", "ended 2 Halted"]);
 }

@@ -1,0 +1,40 @@
+//! `/stop/`: the stop channel as the page finds it, and the page's second way to stop, through this server. The first
+//! way is the channel's own port, which gets through when this server does not.
+
+use takt_core::stop_channel::Origin;
+
+use super::super::Response;
+use super::super::element::Element;
+use super::super::page::PAGE;
+use super::Ask;
+
+impl Ask<'_> {
+    /// The page for people.
+    pub(super) fn page(&self) -> Response {
+        Response::page(PAGE, self.site.stop.as_ref().map(|stop| stop.port))
+    }
+
+    /// Whether all is stopped and by whom, and where the page may stop.
+    pub(super) fn stop_state(&self) -> Response {
+        let switch = self.controller.stop_switch();
+        let mut element = Element::new("stop").with("stopped", switch.is_stopped());
+        if let Some((origin, _)) = switch.last_stop().filter(|_| switch.is_stopped()) {
+            element = element.with("by", origin);
+        }
+        if let Some(stop) = &self.site.stop {
+            element = element.with("port", stop.port).with("key", &stop.key);
+        }
+        self.show(&element)
+    }
+
+    pub(super) fn stop_all(&self) -> Response {
+        self.controller.stop_switch().stop(Origin::Server);
+        self.stop_state()
+    }
+
+    pub(super) fn release_stop(&self) -> Response {
+        // It may have been released by somebody else.
+        let _ = self.controller.stop_switch().release();
+        self.stop_state()
+    }
+}
