@@ -64,10 +64,7 @@ fn stand(axes: u8, cycle: Duration) -> Result<(Segment, MasterConfig), Box<dyn E
         let mut axis = DriveConfig::default();
         // Hosts that stall are counted, not punished.
         axis.quirks.missing_set_points = None;
-        let (slave, _) = ServoDrive::slave(ServoConfig {
-            axes: vec![axis; count.into()],
-            ..ServoConfig::default()
-        })?;
+        let (slave, _) = ServoDrive::slave(ServoConfig::with_axes(vec![axis; count.into()]))?;
         let (outputs, inputs) = axis::pdos(count);
         let place = Place::Position(u16::try_from(slaves.len())?);
         specs.push(SlaveSpec {

@@ -67,10 +67,7 @@ fn ip(arguments: &str) -> io::Result<()> {
 /// A coupler, terminals, and a drive of six axes.
 fn segment() -> Anything<Segment> {
     let axes = vec![DriveConfig::default(); 6];
-    let (drive, _) = ServoDrive::slave(ServoConfig {
-        axes,
-        ..ServoConfig::default()
-    })?;
+    let (drive, _) = ServoDrive::slave(ServoConfig::with_axes(axes))?;
     Ok(Segment::line([
         Coupler::slave(),
         Io::digital(8, 8).0,

@@ -64,6 +64,19 @@ impl Default for ServoConfig {
 }
 
 impl ServoConfig {
+    /// One with these axes. Drives with other PDOs are other products, as a master tells them by their product code.
+    #[must_use]
+    pub fn with_axes(axes: Vec<DriveConfig>) -> Self {
+        let more = u32::try_from(axes.len().saturating_sub(1)).unwrap_or(0);
+        let product = 0x4021 + 0x100 * more;
+        Self {
+            name: format!("TK{product:04X} servo"),
+            product,
+            axes,
+            ..Self::default()
+        }
+    }
+
     /// A Stäubli TX90 with the drives of its uniVAL controller as one slave of six axes. The
     /// ranges are those of the arm; gears are taken as 50 to 1, and one turn of a motor has
     /// 4096 increments.
@@ -208,6 +221,13 @@ impl Firmware {
         Ok(())
     }
 
+    /// The next master may come without SYNC0: what the one before had is not kept beyond INIT.
+    fn forget_sync0(&mut self) {
+        for sync_type in self.keys.sync_type {
+            self.dictionary.set(sync_type, objects::SYNC_BY_OUTPUTS);
+        }
+    }
+
     fn step(&mut self, cycle: &Cycle<'_>, inputs: &mut [u8]) {
         if let Some(outputs) = cycle.outputs {
             self.pdos.unpack(&mut self.dictionary, outputs);
@@ -315,6 +335,7 @@ impl Application for ServoDrive {
         };
         if to == AlState::Init {
             firmware.coe.reset();
+            firmware.forget_sync0();
         }
     }
 

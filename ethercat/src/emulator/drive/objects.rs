@@ -9,6 +9,9 @@ use super::ServoConfig;
 use super::pdo::{self, ASSIGNED, ENTRIES};
 use crate::emulator::terminal::VENDOR;
 
+/// 1C32h:01 from the factory: cycles run with new outputs.
+pub(super) const SYNC_BY_OUTPUTS: u16 = 1;
+
 /// All objects.
 pub(super) fn objects(config: &ServoConfig) -> Vec<Object> {
     let axes = config.axes.len();
@@ -121,7 +124,7 @@ fn synchronisation(index: u16, name: &'static str) -> Object {
     let count = |name| Entry::number(name, Access::ReadOnly, 0_u16);
     let flag = Entry::of("sync error", DataType::Boolean, Access::ReadOnly, vec![0]);
     let highest = Entry::number("highest sub-index", Access::Const, 0x20_u8);
-    let sync_type = Entry::number("sync type", Access::ReadWrite, 1_u16).within(0, 2);
+    let sync_type = Entry::number("sync type", Access::ReadWrite, SYNC_BY_OUTPUTS).within(0, 2);
     // Free run, SM event, SYNC0.
     let supported = Entry::number("supported sync types", Access::ReadOnly, 0x0007_u16);
     let entries = vec![

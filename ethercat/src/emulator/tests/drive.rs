@@ -419,6 +419,30 @@ fn it_runs_by_outputs_alone_too() {
 }
 
 #[test]
+fn drive_after_init_without_sync0_runs_by_outputs() {
+    let mut rig = Rig::new(ServoConfig::default());
+    rig.operate();
+    assert_eq!(rig.upload(0x1C32, 1), 2);
+    rig.bench.request(STATION, AlState::Init, false);
+    rig.bench.write(STATION, register::DC_ACTIVATION, &[0]);
+    rig.bench.request(STATION, AlState::PreOp, false);
+    rig.map(14, 16);
+    assert_eq!(rig.upload(0x1C32, 1), 1);
+    let safe = rig.bench.request(STATION, AlState::SafeOp, false);
+    assert_eq!(safe, (AlState::SafeOp, false, 0));
+}
+
+#[test]
+fn drives_with_other_pdos_have_other_products() {
+    let products = (1..=8).map(|axes| {
+        ServoConfig::with_axes(vec![takt_cia402::emulator::DriveConfig::default(); axes])
+    });
+    let products: Vec<_> = products.map(|config| config.product).collect();
+    assert_eq!(products[0], ServoConfig::default().product);
+    assert!(products.is_sorted_by(|a, b| a < b), "{products:X?}");
+}
+
+#[test]
 fn outputs_that_miss_sync0_end_op() {
     let mut rig = Rig::new(ServoConfig::default());
     rig.operate();

@@ -139,14 +139,7 @@ impl SlavePlan {
                 );
                 let axis = ServoConfig::default().axes;
                 let axes = axis.into_iter().cycle().take(self.axes.into()).collect();
-                drive(
-                    ServoConfig {
-                        axes,
-                        ..ServoConfig::default()
-                    },
-                    strict,
-                    stand,
-                )?
+                drive(ServoConfig::with_axes(axes), strict, stand)?
             }
         };
         self.name(&mut slave);
