@@ -129,7 +129,7 @@ impl fmt::Display for Obstacle {
             Self::Mode { wanted, shown } => write!(
                 f,
                 "6061h shows mode {shown}, not {wanted}; check 6502h, and whether the drive \
-                 changes mode only with halt low or only when enabled"
+                 changes mode only with halt low, or only when enabled (quirk mode_after_enable)"
             ),
             Self::Stuck {
                 state,
@@ -144,8 +144,8 @@ impl fmt::Display for Obstacle {
                 "a quick stop is held (605Ah is 5 to 8); ask for Switch on disabled to leave it",
             ),
             Self::NotFollowing => f.write_str(
-                "enabled, but bit 12 of 6041h says that the target is ignored; check the mode \
-                 and that set-points come in every cycle",
+                "enabled, but bit 12 of 6041h says that the target is ignored; check the mode and that set-points \
+                 come in every cycle, or set the quirk no_follow_bit if its manual gives bit 12 no meaning",
             ),
         }
     }

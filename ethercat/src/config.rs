@@ -169,6 +169,8 @@ pub struct SlaveSpec {
     pub watchdog: Option<Duration>,
     /// Allows complete access where the SII says that the slave has it.
     pub complete_access: bool,
+    /// How long this slave is waited for; `None` as all others are.
+    pub patience: Option<Patience>,
 }
 
 impl SlaveSpec {
@@ -190,6 +192,7 @@ impl SlaveSpec {
             sync: None,
             watchdog: None,
             complete_access: true,
+            patience: None,
         }
     }
 }

@@ -541,6 +541,7 @@ impl Drive {
         let following = motion == Motion::Follow;
         let outside = self.guards.is_outside() && self.modes.mode != super::modes::HM;
         let (low, high) = DC_LINK;
+        let hides_follow = self.quirks.no_follow_bit && (8..=11).contains(&self.modes.mode);
         for (bit, so) in [
             (4, (low..=high).contains(&self.dc_link)),
             (7, self.motor.heat > WARM),
@@ -550,7 +551,7 @@ impl Drive {
                 (said.reached && following) || self.stands_after_stop(motion),
             ),
             (11, said.limited || self.servo.limited),
-            (12, said.bit_12 && following),
+            (12, said.bit_12 && following && !hides_follow),
             (13, (said.bit_13 || outside) && following),
         ] {
             word |= u16::from(so) << bit;

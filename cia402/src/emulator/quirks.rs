@@ -23,6 +23,8 @@ pub struct Quirks {
     pub mode_delay: Duration,
     /// Cyclic modes follow only while controlword bits 4 to 6 are high.
     pub cyclic_needs_bits_4_to_6: bool,
+    /// Bit 12 of the statusword stays low in cyclic modes.
+    pub no_follow_bit: bool,
     /// Homing ends without target reached.
     pub homing_without_target_reached: bool,
     /// 6098h does not take 0.
@@ -48,6 +50,7 @@ impl Default for Quirks {
             mode_needs_no_halt: false,
             mode_delay: Duration::ZERO,
             cyclic_needs_bits_4_to_6: false,
+            no_follow_bit: false,
             homing_without_target_reached: false,
             no_homing_method_0: false,
             home_offset_positive: false,

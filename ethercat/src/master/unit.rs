@@ -20,7 +20,7 @@ use super::event::{EmergencyReport, Event, Fault, JobError, Outbox};
 use super::image::Image;
 use super::job::{Job, JobKind, Reply};
 use super::process::{Assignment, ProcessData};
-use crate::config::{MasterConfig, SlaveSpec};
+use crate::config::{MasterConfig, Patience, SlaveSpec};
 use crate::{AlState, AlStatus, AlStatusCode};
 
 pub use info::{Port as PortState, SlaveInfo};
@@ -207,7 +207,6 @@ impl Unit {
             number,
             station,
             position: None,
-            spec,
             info: SlaveInfo::default(),
             process: ProcessData::default(),
             mapped: false,
@@ -225,7 +224,7 @@ impl Unit {
             refused: None,
             learn: learn::Learn::default(),
             scratch: Vec::with_capacity(longest.max(16)),
-            mailbox: Mailbox::new(config.patience),
+            mailbox: Mailbox::new(spec.patience.unwrap_or(config.patience)),
             jobs: VecDeque::with_capacity(JOBS_MAX),
             job: None,
             al: AlStatus::default(),
@@ -240,7 +239,13 @@ impl Unit {
             streak: 0,
             clock: UnitClock::default(),
             watch: watch::Watch::default(),
+            spec,
         }
+    }
+
+    /// How long it is waited for.
+    fn patience(&self, config: &MasterConfig) -> Patience {
+        self.spec.patience.unwrap_or(config.patience)
     }
 
     /// Gives a slave that was found its place in the configuration.
@@ -252,6 +257,9 @@ impl Unit {
             .max()
             .unwrap_or(0);
         self.scratch = Vec::with_capacity(longest.max(16));
+        if let Some(patience) = spec.patience {
+            self.mailbox.set_patience(patience);
+        }
         (self.number, self.spec) = (number, spec);
     }
 
@@ -401,7 +409,7 @@ impl Unit {
         {
             self.failures = 0;
         }
-        let wait = cx.config.patience.again * (1 << self.failures.min(5));
+        let wait = self.patience(cx.config).again * (1 << self.failures.min(5));
         self.failures = self.failures.saturating_add(1);
         self.again = cx.now + wait;
         // What comes back once more is told once.

@@ -42,8 +42,8 @@ use serde::Deserialize;
 pub use crate::device::config::{
     AnalogueChannel, CanopenConfig, DriveArm, DriveJoint, EthercatClocks, EthercatConfig,
     EthercatIo, EthercatSlave, IiwaConfig, IiwaIo, IiwaModel, LinkLoss, LostPolicy, LwrConfig,
-    RmpConfig, SlaveGoal, SlavePdo, StartupObject, StartupValue, UnlockedPolicy, YouBotArm,
-    YouBotBase, YouBotControl,
+    RmpConfig, SlaveGoal, SlavePdo, SlaveTimeouts, StartupObject, StartupValue, UnlockedPolicy,
+    YouBotArm, YouBotBase, YouBotControl,
 };
 use crate::device::{canopen, ethercat, iiwa, rmp};
 use crate::error::Error;

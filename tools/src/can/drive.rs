@@ -13,6 +13,7 @@ use std::time::Duration;
 
 use clap::Args;
 use takt_can::canopen::NodeId;
+use takt_cia402::{Patience, Quirk};
 
 use super::confirm;
 use super::wire::Live;
@@ -62,6 +63,9 @@ pub(crate) struct Drive {
     /// Jog although the drive cannot watch the heartbeat of this program.
     #[arg(long, requires = "jog")]
     unguarded: bool,
+    /// A quirk of the drive: no_follow_bit, sod_as_0020 or mode_after_enable; may be repeated.
+    #[arg(long = "quirk", value_name = "QUIRK")]
+    quirks: Vec<Quirk>,
     /// Print one JSON object at the end.
     #[arg(long)]
     json: bool,
@@ -121,6 +125,7 @@ impl Drive {
                 time: self.time,
                 unguarded: self.unguarded,
             }),
+            profile: Patience::default().with_quirks(&self.quirks),
         };
         let mut show = |step: &Step| match self.json {
             true => Ok(()),

@@ -13,7 +13,7 @@ use std::time::Duration;
 use anyhow::Context as _;
 use clap::Args;
 use takt_cia402::emulator::FaultCode;
-use takt_cia402::{ControlWord, Goal, Obstacle, Patience, State, StatusWord};
+use takt_cia402::{ControlWord, Goal, Obstacle, Patience, Quirk, State, StatusWord};
 use takt_ethercat::AlState;
 use takt_ethercat::axis::{Axis, AxisState, Target};
 
@@ -59,6 +59,9 @@ pub(crate) struct Drive {
     /// How long the move takes; from rest to rest.
     #[arg(long = "for", value_name = "TIME", default_value = "2s", value_parser = span)]
     time: Duration,
+    /// A quirk of the drive: no_follow_bit, sod_as_0020 or mode_after_enable; may be repeated.
+    #[arg(long = "quirk", value_name = "QUIRK")]
+    quirks: Vec<Quirk>,
     /// Do not ask whether what moves is safe.
     #[arg(long, visible_alias = "yes")]
     confirm_motion: bool,
@@ -80,6 +83,7 @@ impl Drive {
             hold: self.hold,
             jog: self.jog.map(|increments| (increments, self.time)),
             patience: self.target.patience,
+            profile: Patience::default().with_quirks(&self.quirks),
         };
         let done = perform(&mut session, &order, &stop, &mut |line| say(line));
         let left = session.leave();
@@ -133,6 +137,8 @@ pub(super) struct Order {
     /// Increments, and how long they take.
     jog: Option<(i32, Duration)>,
     patience: Duration,
+    /// How the drive keeps to its profile.
+    profile: Patience,
 }
 
 /// What came of it.
@@ -200,7 +206,7 @@ pub(super) fn perform<W: Wire>(
         .slave(order.slave)
         .map(|slave| slave.process());
     let process = process.context("the slave went away")?;
-    let axis = match Axis::new(order.slave, process, order.axis, Patience::default()) {
+    let axis = match Axis::new(order.slave, process, order.axis, order.profile) {
         Ok(axis) => axis,
         Err(missing) => return Ok(Outcome::Slave(missing.to_string())),
     };

@@ -99,6 +99,11 @@ impl Mailbox {
         }
     }
 
+    /// How long answers are waited for from now on.
+    pub(super) const fn set_patience(&mut self, patience: Patience) {
+        self.patience = patience;
+    }
+
     /// Where it is, and what it speaks.
     pub(super) const fn place(&mut self, areas: MailboxAreas, protocols: u16) {
         (self.areas, self.protocols) = (areas, protocols);

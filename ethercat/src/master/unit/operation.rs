@@ -322,7 +322,7 @@ impl Unit {
 
     /// Ends an operation that takes too long; each has its own patience.
     pub(super) fn check_deadline(&mut self, cx: &Context<'_>, out: &mut Outbox) {
-        let patience = cx.config.patience;
+        let patience = self.patience(cx.config);
         let waited = cx.now.saturating_sub(self.since);
         match self.op {
             Op::State { wanted, phase } => {

@@ -9,6 +9,6 @@ pub use robot::{IiwaConfig, IiwaIo, IiwaModel, LwrConfig, RmpConfig};
 pub use segment::{CanopenConfig, DriveArm, DriveJoint, EthercatConfig, LinkLoss};
 pub use slave::{
     AnalogueChannel, EthercatClocks, EthercatIo, EthercatSlave, LostPolicy, SlaveGoal, SlavePdo,
-    StartupObject, StartupValue, UnlockedPolicy,
+    SlaveTimeouts, StartupObject, StartupValue, UnlockedPolicy,
 };
 pub use youbot::{YouBotArm, YouBotBase, YouBotControl};

@@ -48,6 +48,8 @@ pub(super) struct Plan {
     /// Time in Operation enabled.
     pub(super) hold: Duration,
     pub(super) jog: Option<Jog>,
+    /// How the drive keeps to its profile.
+    pub(super) profile: Patience,
 }
 
 /// How to turn it.
@@ -142,9 +144,9 @@ impl<'s, W: Wire> Session<'s, W> {
         Self {
             wire: Overheard::new(wire, plan.node),
             asker: Asker::new(plan.node, PATIENCE),
+            master: Master::new(plan.profile),
             plan,
             show,
-            master: Master::new(Patience::default()),
             begun,
             steps: Vec::new(),
             control: None,

@@ -50,8 +50,7 @@ pub(super) fn config<W: Wire>(
     if let Some(fault) = slave.fault() {
         return Ok(Err(format!("slave {number}: {fault}")));
     }
-    let patience = takt_cia402::Patience::default();
-    let mapped = Axis::new(number, slave.process(), order.axis, patience).is_ok();
+    let mapped = Axis::new(number, slave.process(), order.axis, order.profile).is_ok();
     let count = axes(session, number)?;
     if order.axis >= count {
         return Ok(Err(match count {

@@ -26,6 +26,7 @@ fn order() -> Order {
         hold: Duration::from_millis(500),
         jog: None,
         patience: Duration::from_secs(10),
+        profile: takt_cia402::Patience::default(),
     }
 }
 
@@ -180,4 +181,26 @@ fn what_is_no_drive_or_has_no_such_axis_is_told() {
         let told = outcome.to_string();
         assert!(told.contains(why), "{told}");
     }
+}
+
+#[test]
+fn drive_without_bit_12_needs_its_quirk() {
+    let mut config = ServoConfig::default();
+    config.axes[0].quirks.no_follow_bit = true;
+    let (segment, _) = line(config.clone());
+    let (outcome, lines) = done(segment, &order(), None);
+    let Outcome::Axis(why) = outcome else {
+        panic!("{outcome:?}, {lines:#?}");
+    };
+    assert!(why.contains("quirk no_follow_bit"), "{why}");
+    let (segment, _) = line(config);
+    let quirky = Order {
+        profile: takt_cia402::Patience::default().with_quirks(&[takt_cia402::Quirk::NoFollowBit]),
+        ..order()
+    };
+    let (outcome, lines) = done(segment, &quirky, None);
+    assert!(
+        matches!(outcome, Outcome::Done(_)),
+        "{outcome:?}, {lines:#?}"
+    );
 }

@@ -4,6 +4,7 @@
 use std::time::Duration;
 
 use serde::{Deserialize, Deserializer};
+use takt_ethercat::config::Patience;
 
 use crate::span;
 
@@ -120,6 +121,82 @@ pub struct EthercatSlave {
     pub watchdog: Option<Duration>,
     /// Whether objects may be written by complete access, where its SII says that it has it.
     pub complete_access: bool,
+    /// How long it may take where that is longer than usual.
+    pub timeouts: SlaveTimeouts,
+}
+
+/// How long a slave may take before it counts as failed, 1 ms to 10 min each.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SlaveTimeouts {
+    /// From a request of INIT or PRE-OP to the state; 3 s.
+    #[serde(deserialize_with = "span::text::deserialize")]
+    pub pre_op: Duration,
+    /// From a request of SAFE-OP or OP to the state; 10 s.
+    #[serde(deserialize_with = "span::text::deserialize")]
+    pub op: Duration,
+    /// For an answer in its mailbox, all attempts together; 4 s.
+    #[serde(deserialize_with = "span::text::deserialize")]
+    pub mailbox: Duration,
+    /// For its EEPROM; 500 ms.
+    #[serde(deserialize_with = "span::text::deserialize")]
+    pub sii: Duration,
+}
+
+impl Default for SlaveTimeouts {
+    fn default() -> Self {
+        let Patience {
+            pre_op,
+            op,
+            mailbox,
+            sii,
+            ..
+        } = Patience::default();
+        Self {
+            pre_op,
+            op,
+            mailbox,
+            sii,
+        }
+    }
+}
+
+impl SlaveTimeouts {
+    /// The key of the first that is out of range.
+    pub(crate) fn out_of_range(&self) -> Option<&'static str> {
+        let range = Duration::from_millis(1)..=Duration::from_mins(10);
+        let Self {
+            pre_op,
+            op,
+            mailbox,
+            sii,
+        } = self;
+        let all = [
+            ("pre_op", pre_op),
+            ("op", op),
+            ("mailbox", mailbox),
+            ("sii", sii),
+        ];
+        let found = all.into_iter().find(|(_, time)| !range.contains(time));
+        found.map(|(key, _)| key)
+    }
+
+    /// As a master takes them.
+    pub(crate) fn patience(self) -> Patience {
+        let Self {
+            pre_op,
+            op,
+            mailbox,
+            sii,
+        } = self;
+        Patience {
+            pre_op,
+            op,
+            mailbox,
+            sii,
+            ..Patience::default()
+        }
+    }
 }
 
 impl Default for EthercatSlave {
@@ -145,6 +222,7 @@ impl Default for EthercatSlave {
             shift: 0,
             watchdog: None,
             complete_access: true,
+            timeouts: SlaveTimeouts::default(),
         }
     }
 }

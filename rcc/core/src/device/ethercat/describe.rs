@@ -14,7 +14,7 @@ use takt_ethercat::master::Master;
 use super::youbot;
 use crate::device::config::{
     AnalogueChannel, DriveJoint, EthercatConfig, EthercatIo, EthercatSlave, SlaveGoal, SlavePdo,
-    StartupObject, UnlockedPolicy,
+    SlaveTimeouts, StartupObject, UnlockedPolicy,
 };
 use crate::device::{DeviceDescription, Part, drives};
 
@@ -112,6 +112,7 @@ fn spec(slave: &EthercatSlave, cycle: Duration) -> SlaveSpec {
         complete_access: slave.complete_access,
         startup: slave.startup.iter().map(startup).collect(),
         sync: slave.sync0.then(|| sync(slave, cycle)),
+        patience: (slave.timeouts != SlaveTimeouts::default()).then(|| slave.timeouts.patience()),
         ..SlaveSpec::new(slave.name.clone(), place(slave))
     };
     if slave.axes > 0 {
@@ -250,6 +251,9 @@ fn check_slave(slave: &EthercatSlave, cycle: Duration) -> Result<(), String> {
     }
     if slave.watchdog.is_some_and(|time| time > WATCHDOG_MAX) {
         return Err(format!("`watchdog` must be at most {WATCHDOG_MAX:?}"));
+    }
+    if let Some(key) = slave.timeouts.out_of_range() {
+        return Err(format!("`timeouts.{key}` must be from 1ms to 10min"));
     }
     check_axes(slave)
 }
