@@ -73,6 +73,17 @@ pub enum LogError {
         /// Its name.
         what: &'static str,
     },
+    /// It is none of the kinds of recordings that are read.
+    #[error(
+        "no recording of a CAN bus: candump log or text, ASC, BLF, TRC, pcap and pcapng are read"
+    )]
+    Unknown,
+    /// A pcap file of something else than CAN.
+    #[error("link type {link}; those of CAN (227) and of the \"any\" device (113, 276) are read")]
+    LinkType {
+        /// As the file says.
+        link: u32,
+    },
     /// Well written, and no frame.
     #[error(transparent)]
     Frame(#[from] FrameError),

@@ -1,9 +1,13 @@
-//! Recordings of buses: candump logs are read and written, ASC and BLF files read. What a file holds that
-//! is no frame is counted and told, never guessed. Opens no file; it is given their bytes.
+//! Recordings of buses: candump logs are read and written; candump's text, ASC, BLF, TRC, pcap and pcapng files are
+//! read. What a file holds that is no frame is counted and reported, never guessed. Opens no file; it is given their
+//! bytes.
 
 mod asc;
 mod blf;
 mod candump;
+mod pcap;
+mod plain;
+mod trc;
 
 use std::fmt;
 use std::time::Duration;
@@ -132,18 +136,60 @@ pub enum Format {
     Asc,
     /// Binary log of Vector's tools.
     Blf,
+    /// What candump prints on a terminal, with or without time stamps.
+    Plain,
+    /// Text of PEAK's tools.
+    Trc,
+    /// Recording of tcpdump, with the link type of CAN or of the "any" device.
+    Pcap,
+    /// The newer kind of it, as Wireshark writes it.
+    PcapNg,
+    /// None of these.
+    Unknown,
 }
 
+/// Bytes in which the kind of a text is looked for.
+const HEAD_MAX: usize = 64 << 10;
+
 impl Format {
-    /// The kind of a file by how it begins. Text that is neither is taken for a candump log.
+    /// The kind of a file by its content. An empty one is a candump log.
     #[must_use]
     pub fn of(bytes: &[u8]) -> Self {
         if bytes.starts_with(blf::MAGIC) {
             Self::Blf
         } else if asc::is_asc(bytes) {
             Self::Asc
+        } else if trc::is_trc(bytes) {
+            Self::Trc
+        } else if pcap::is_pcap(bytes) {
+            Self::Pcap
+        } else if pcap::is_pcapng(bytes) {
+            Self::PcapNg
         } else {
-            Self::Candump
+            Self::of_text(bytes.get(..HEAD_MAX).unwrap_or(bytes))
+        }
+    }
+
+    /// A text is what its first line with a frame is, even a damaged one.
+    fn of_text(bytes: &[u8]) -> Self {
+        let mut lines = lines(bytes).filter(|(_, line)| !line.trim().is_empty());
+        let first = lines.clone().next();
+        let known = lines.find_map(|(_, line)| match line.trim() {
+            line if line.starts_with('(') && line.contains('#') => Some(Self::Candump),
+            line => plain::is_line(line).then_some(Self::Plain),
+        });
+        match first {
+            Some(_) => known.unwrap_or(Self::Unknown),
+            None => Self::Candump,
+        }
+    }
+
+    /// What a place in such a file is: see [`LeftOut::place`].
+    #[must_use]
+    pub const fn place(self) -> &'static str {
+        match self {
+            Self::Candump | Self::Asc | Self::Plain | Self::Trc => "line",
+            Self::Blf | Self::Pcap | Self::PcapNg | Self::Unknown => "byte",
         }
     }
 }
@@ -154,6 +200,11 @@ impl fmt::Display for Format {
             Self::Candump => "candump log",
             Self::Asc => "ASC file",
             Self::Blf => "BLF file",
+            Self::Plain => "candump text",
+            Self::Trc => "TRC file",
+            Self::Pcap => "pcap file",
+            Self::PcapNg => "pcapng file",
+            Self::Unknown => "unknown file",
         })
     }
 }
@@ -190,6 +241,11 @@ impl Log {
             Format::Candump => candump::read(bytes, &mut log),
             Format::Asc => asc::read(bytes, &mut log),
             Format::Blf => blf::read(bytes, &mut log),
+            Format::Plain => plain::read(bytes, &mut log),
+            Format::Trc => trc::read(bytes, &mut log),
+            Format::Pcap => pcap::read(bytes, &mut log),
+            Format::PcapNg => pcap::read_ng(bytes, &mut log),
+            Format::Unknown => log.leave_out(0, LogError::Unknown),
         }
         log
     }
@@ -210,7 +266,7 @@ impl Log {
 }
 
 /// Lines of a text that need not be UTF-8 throughout, with their numbers from 1.
-fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, std::borrow::Cow<'_, str>)> {
+fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, std::borrow::Cow<'_, str>)> + Clone {
     bytes
         .split(|byte| *byte == b'\n')
         .enumerate()
@@ -267,6 +323,16 @@ mod tests {
         assert_eq!(Format::of(b"LOGG...."), Format::Blf);
         assert_eq!(Format::of(b"\n date Tue Nov 14\n"), Format::Asc);
         assert_eq!(Format::of(b"(1.000000) can0 123#"), Format::Candump);
+        assert_eq!(Format::of(b"x\n  can0  701   [1]  00\n"), Format::Plain);
+        assert_eq!(Format::of(b";$FILEVERSION=2.1\n"), Format::Trc);
+        assert_eq!(Format::of(b"\xD4\xC3\xB2\xA1...."), Format::Pcap);
+        assert_eq!(Format::of(b"\n\r\r\n...."), Format::PcapNg);
+        assert_eq!(Format::of(b"\x7FELF"), Format::Unknown);
+        let log = Log::read(b"a letter\nof two lines\n");
+        assert_eq!(
+            (log.left_out_count, log.left_out[0].why),
+            (1, LogError::Unknown)
+        );
         assert_eq!(Format::of(b""), Format::Candump);
     }
 }

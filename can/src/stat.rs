@@ -2,23 +2,33 @@
 //! heartbeats, losses; and from that, what is wrong and what to do ([`Report::findings`]). It listens only,
 //! live or to a recording, and reads no clock. Memory is bounded; it allocates, so it is not for cycles.
 
+mod emergency;
 mod finding;
+mod heartbeat;
 mod interval;
+mod sdo;
 
 use std::collections::BTreeMap;
 use std::time::Duration;
 
+pub use emergency::{CODES_MAX, Emergencies, EmergencyStat};
 pub use finding::{Finding, Limits, Severity};
+pub use heartbeat::Heartbeat;
 pub use interval::Intervals;
+pub use sdo::{Aborts, SdoStat};
 
 use crate::bits::{Bits, Rates, bounds};
-use crate::canopen::{Message, NmtState, NodeId, SYNC};
+use crate::canopen::{Message, NmtCommand, NmtState, NodeId, SYNC};
+use crate::cia402::dictionary::Address;
 use crate::fault::{class, controller};
 use crate::link::{Origin, Received};
 use crate::{AnyFrame, BusState, ErrorFrame, Id};
 
 /// Identifiers that are kept apart, at most; frames of further ones are counted together.
 pub const IDS_MAX: usize = 4096;
+
+/// 1017h.
+const PRODUCER_HEARTBEAT: Address = Address::new(0x1017, 0);
 
 /// Length of the windows in which the highest load is looked for.
 const WINDOW: Duration = Duration::from_millis(100);
@@ -34,39 +44,6 @@ pub struct IdStat {
     pub busy: Duration,
     /// Times from one frame to the next.
     pub intervals: Intervals,
-}
-
-/// What is known of one node's heartbeat.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Heartbeat {
-    /// As it told last.
-    pub state: NmtState,
-    /// Times from one to the next; those in which some were missing are not among them.
-    pub intervals: Intervals,
-    /// How often it came too late.
-    pub gaps: u32,
-    /// How often the node started.
-    pub boots: u32,
-    /// How often it started while it had been at work.
-    pub reboots: u32,
-}
-
-impl Heartbeat {
-    const fn new() -> Self {
-        Self {
-            state: NmtState::BootUp,
-            intervals: Intervals::new(),
-            gaps: 0,
-            boots: 0,
-            reboots: 0,
-        }
-    }
-
-    /// Longest silence that is not one: twice the usual time, as soon as two intervals were seen.
-    #[must_use]
-    pub fn patience(&self) -> Option<Duration> {
-        (self.intervals.count() >= 2).then(|| self.intervals.mean().saturating_mul(2))
-    }
 }
 
 /// What was told by error frames.
@@ -123,8 +100,12 @@ pub struct Report {
     pub heartbeats: BTreeMap<NodeId, Heartbeat>,
     /// Nodes whose heartbeat is missing at the end, and for how long.
     pub silent: Vec<(NodeId, Duration)>,
-    /// Emergencies that are not withdrawn: code and node.
-    pub emergencies: BTreeMap<NodeId, u16>,
+    /// The emergencies of each node.
+    pub emergencies: BTreeMap<NodeId, Emergencies>,
+    /// The SDO dialogues of each node.
+    pub sdos: BTreeMap<NodeId, SdoStat>,
+    /// Frames that only a CANopen bus has: heartbeats, commands of network management.
+    pub canopen: u64,
     /// Frames that this host lost: its sockets and its interface.
     pub dropped: u64,
     /// Frames that this host could not send.
@@ -228,6 +209,10 @@ impl Meter {
     pub fn report(&self) -> Report {
         let mut report = self.report.clone();
         report.silent = self.silent();
+        report
+            .sdos
+            .values_mut()
+            .for_each(|sdo| *sdo = sdo.at(self.now));
         report.dropped += self.lost;
         report.peak_load = self.peak(self.window.1);
         report
@@ -303,46 +288,64 @@ impl Meter {
     }
 
     fn message(&mut self, message: &Message, at: Duration) {
+        let report = &mut self.report;
         match message {
             Message::Heartbeat(node, state, _) => self.heartbeat(*node, *state, at),
-            Message::Emergency(node, emergency) => match emergency.code {
-                0 => drop(self.report.emergencies.remove(node)),
-                code => drop(self.report.emergencies.insert(*node, code)),
-            },
-            Message::Nmt(..)
-            | Message::Sync(_)
+            Message::Emergency(node, emergency) => {
+                let emergencies = report.emergencies.entry(*node).or_default();
+                emergencies.handle(emergency, at);
+            }
+            Message::SdoRequest(node, message) => {
+                let sdo = report.sdos.entry(*node).or_default();
+                sdo.handle_request(message, at);
+            }
+            Message::SdoResponse(node, message) => {
+                let sdo = report.sdos.entry(*node).or_default();
+                if let Some((PRODUCER_HEARTBEAT, [low, high, ..])) =
+                    sdo.handle_response(message, at)
+                {
+                    let period = Duration::from_millis(u16::from_le_bytes([low, high]).into());
+                    self.beat(*node).write(period, at);
+                }
+            }
+            Message::Nmt(command, node) => self.nmt(*command, *node, at),
+            Message::Sync(_)
             | Message::Time(..)
             | Message::Tpdo(..)
             | Message::Rpdo(..)
-            | Message::SdoResponse(..)
-            | Message::SdoRequest(..)
             | Message::Guard(_)
             | Message::Lss(..)
             | Message::Unknown => {}
         }
     }
 
+    fn beat(&mut self, node: NodeId) -> &mut Heartbeat {
+        let beats = &mut self.report.heartbeats;
+        beats.entry(node).or_insert(Heartbeat::new())
+    }
+
     fn heartbeat(&mut self, node: NodeId, state: NmtState, at: Duration) {
-        let beat = self
-            .report
-            .heartbeats
-            .entry(node)
-            .or_insert(Heartbeat::new());
-        if state == NmtState::BootUp {
-            let was_at_work = beat.intervals.last().is_some() && beat.state != NmtState::BootUp;
-            beat.reboots += u32::from(was_at_work);
-            beat.boots += 1;
-            beat.intervals.restart(at);
-        } else {
-            let silence = beat.intervals.last().map(|last| at.saturating_sub(last));
-            if silence.is_some_and(|silence| beat.patience().is_some_and(|p| silence > p)) {
-                beat.gaps += 1;
-                beat.intervals.restart(at);
-            } else {
-                beat.intervals.record(at);
-            }
+        let is_known = !matches!(state, NmtState::Other(_));
+        self.report.canopen += u64::from(is_known);
+        self.beat(node).handle(state, at);
+        if state == NmtState::BootUp
+            && let Some(emergencies) = self.report.emergencies.get_mut(&node)
+        {
+            emergencies.forget();
         }
-        beat.state = state;
+    }
+
+    /// A reset of nodes that were seen explains that they start.
+    fn nmt(&mut self, command: NmtCommand, node: Option<NodeId>, at: Duration) {
+        self.report.canopen += u64::from(!matches!(command, NmtCommand::Other(_)));
+        if matches!(
+            command,
+            NmtCommand::ResetNode | NmtCommand::ResetCommunication
+        ) {
+            let beats = self.report.heartbeats.iter_mut();
+            let meant = beats.filter(|(number, _)| node.is_none_or(|node| node == **number));
+            meant.for_each(|(_, beat)| beat.command(command, at));
+        }
     }
 
     fn error(&mut self, frame: &ErrorFrame) {

@@ -7,59 +7,10 @@ use std::time::Duration;
 use takt_can::canopen::NodeId;
 use takt_can::canopen::emulator::{DriveNode, DriveNodeConfig};
 use takt_can::{Frame, Id, fuzz};
+use takt_tests::fuzz::{Random, feed, feed_files};
 
-/// Inputs for each target, and the longest.
-const INPUTS: u32 = 5_000;
-const BYTES_MAX: usize = 600;
-
-/// A xorshift generator: the same inputs on every machine.
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> u64 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        self.0
-    }
-
-    fn below(&mut self, bound: usize) -> usize {
-        let bound = u64::try_from(bound).unwrap();
-        usize::try_from(self.next() % bound).unwrap()
-    }
-
-    fn byte(&mut self) -> u8 {
-        self.next().to_le_bytes()[3]
-    }
-
-    /// Half of the inputs are bytes; the other half are words of the format, which get further, with a few bytes
-    /// replaced.
-    fn input(&mut self, words: &[&[u8]]) -> Vec<u8> {
-        let len = self.below(BYTES_MAX);
-        let mut input = Vec::new();
-        if self.next().is_multiple_of(2) {
-            input.resize_with(len, || self.byte());
-            return input;
-        }
-        while input.len() < len {
-            input.extend_from_slice(words[self.below(words.len())]);
-        }
-        for _ in 0..self.below(4) {
-            let at = self.below(input.len().max(1));
-            if let Some(byte) = input.get_mut(at) {
-                *byte = self.byte();
-            }
-        }
-        input
-    }
-}
-
-fn feed(target: fn(&[u8]), words: &[&[u8]]) {
-    let mut random = Random(0x5eed_0f7a_c700_0001);
-    for _ in 0..INPUTS {
-        target(&random.input(words));
-    }
-}
+/// Inputs for each target.
+const INPUTS: u64 = 5_000;
 
 /// A standard frame of eight bytes as the targets take it.
 fn frame((id, data): (u16, [u8; 8])) -> [u8; 12] {
@@ -87,7 +38,7 @@ fn canopen_stands_random_input() {
     ]
     .map(frame);
     let words: Vec<&[u8]> = frames.iter().map(<[u8; 12]>::as_slice).collect();
-    feed(fuzz::canopen, &words);
+    feed("canopen", fuzz::canopen, &words, INPUTS);
 }
 
 #[test]
@@ -98,32 +49,43 @@ fn eds_stands_random_input() {
                  AccessType=const\n DefaultValue=0x12\n DefaultValue=$NODEID+0x180\n ParameterValue=-1\n LowLimit=5\n \
                  HighLimit=0xFFFFFFFF\n PDOMapping=1\n SubNumber=3\n ;x\n = ] [ \" 0x";
     let words: Vec<&[u8]> = words.split(' ').map(str::as_bytes).collect();
-    feed(fuzz::eds, &words);
+    feed("eds", fuzz::eds, &words, INPUTS);
 }
 
 #[test]
 fn logs_stand_random_input() {
     let lines = "(1.000000) can0 123#DEADBEEF\n|(1.0) 1 18FEF100##1AA T\n|(9.9) can0 20000080#0000000000000000\n|123#R8\n|\
-                 date Mon Jan 1 00:00:00 2024\n|base hex timestamps absolute\n|   0.100000 1  123x Rx d 8 1 2 3\n|\
+                   can0  TX - -  705   [8]  |00 01 02 03 04 05 06 07 |remote request\n|;$FILEVERSION=2.1\n|;$COLUMNS=N,O,T,B,I,d,R,l,D\n|\
+                 1 1.000 FB 1 0300 Rx - 9 |1) 1.0 Rx 0300 8 |date Mon Jan 1 00:00:00 2024\n|base hex timestamps absolute\n|   0.100000 1  123x Rx d 8 1 2 3\n|\
                  0.2 CANFD 1 Rx 123 1 0 d 32 1\n|0.1 1 ErrorFrame\n|#|_E\n|LOBJ\u{10}\0\u{1}\0\u{20}\0\0\0|LOGG\u{90}\0\0\0";
     let words: Vec<&[u8]> = lines.split('|').map(str::as_bytes).collect();
-    feed(fuzz::log, &words);
-    // Behind a whole head of a BLF file.
-    let file = std::fs::read(concat!(
-        env!("CARGO_MANIFEST_DIR"),
-        "/tests/captures/python_can.blf"
-    ))
-    .unwrap();
-    let mut random = Random(7);
-    for _ in 0..INPUTS {
-        let mut damaged = file.clone();
-        for _ in 0..=random.below(4) {
-            let at = random.below(damaged.len());
-            damaged[at] = random.byte();
-        }
-        damaged.truncate(random.below(file.len()) + 1);
-        fuzz::log(&damaged);
+    feed("can_log", fuzz::log, &words, INPUTS);
+}
+
+fn capture(name: &str) -> Vec<u8> {
+    let path = format!("{}/tests/captures/{name}", env!("CARGO_MANIFEST_DIR"));
+    std::fs::read(path).unwrap()
+}
+
+/// Whole files of every kind, damaged.
+#[test]
+fn log_files_stand_damage() {
+    let names = [
+        "python_can.log",
+        "python_can.asc",
+        "python_can.blf",
+        "python_can.trc",
+        "made.txt",
+        "made.pcap",
+        "made.pcapng",
+    ];
+    let files = names.map(capture);
+    for (name, file) in names.iter().zip(&files) {
+        let log = takt_can::log::Log::read(file);
+        assert!(!log.records.is_empty() && log.left_out_count == 0, "{name}");
     }
+    let files: Vec<&[u8]> = files.iter().map(Vec::as_slice).collect();
+    feed_files("can_log_files", fuzz::log, &files, INPUTS);
 }
 
 #[test]
@@ -143,13 +105,13 @@ fn rmp_stands_random_input() {
     words.push(&[
         0xF0, 0x55, 0xAA, 0, 4, 0, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 0x11,
     ]);
-    feed(fuzz::rmp, &words);
+    feed("rmp", fuzz::rmp, &words, INPUTS);
 }
 
 /// A whole emulated drive, with whatever a bus can bring: node, SDO server, PDOs, LSS, its motor.
 #[test]
 fn a_drive_stands_random_frames() {
-    let mut random = Random(0x5eed_0f7a_c700_0003);
+    let mut random = Random::new(3);
     let id = NodeId::new(5).unwrap();
     let ids = [
         0x000, 0x080, 0x100, 0x205, 0x305, 0x605, 0x705, 0x7E5, 0x701,

@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
+mod codes;
 pub mod dictionary;
 #[cfg(feature = "emulator")]
 pub mod emulator;
@@ -14,6 +15,7 @@ mod state;
 mod transition;
 mod words;
 
+pub use codes::error_text;
 pub use error::DecodeError;
 pub use goal::{Goal, next_control_word};
 pub use homing::{HOMING_MODE, HOMING_START, Homing, HomingError, HomingStatus};

@@ -60,7 +60,12 @@ pub struct Patience {
     pub mode: Duration,
     /// How often a fault reset is tried.
     pub resets: u8,
+    /// After so many enablings in a row that ended in a fault no further fault is reset.
+    pub enablings: u8,
 }
+
+/// A drive that stayed enabled for so long was enabled well: a later fault has another cause.
+const ENABLED_WELL: Duration = Duration::from_millis(500);
 
 impl Default for Patience {
     fn default() -> Self {
@@ -72,6 +77,7 @@ impl Default for Patience {
             enable: Duration::from_secs(3),
             mode: Duration::from_secs(1),
             resets: 3,
+            enablings: 3,
         }
     }
 }
@@ -85,6 +91,8 @@ pub enum Obstacle {
     Fault,
     /// The fault stayed after so many resets.
     ResetRefused(u8),
+    /// So many enablings in a row ended in a fault; it is not reset again.
+    EnablingFails(u8),
     /// Bit 9 is low: the drive obeys somebody else.
     NotRemote,
     /// Bit 4 is low: the power stage has no voltage.
@@ -119,6 +127,11 @@ impl fmt::Display for Obstacle {
             Self::ResetRefused(tries) => write!(
                 f,
                 "the fault stayed after {tries} resets: its cause is still there; see 603Fh"
+            ),
+            Self::EnablingFails(times) => write!(
+                f,
+                "{times} enablings in a row ended in a fault: find its cause by the EMCY or 603Fh; it is reset no \
+                 more until another goal is set, the drive leaves the fault by other means or its node starts again"
             ),
             Self::NotRemote => f.write_str(
                 "bit 9 of 6041h is low: the drive is controlled locally; close its service tool",
@@ -175,6 +188,10 @@ pub struct Master {
     /// Since when the mode has been wanted.
     mode_since: Option<Duration>,
     obstacle: Option<Obstacle>,
+    /// The state of the last cycle and since when, whatever was wanted.
+    last: Option<(State, Duration)>,
+    /// Enablings in a row that ended in a fault.
+    failures: u8,
 }
 
 impl Master {
@@ -190,6 +207,8 @@ impl Master {
             seen: None,
             mode_since: None,
             obstacle: None,
+            last: None,
+            failures: 0,
         }
     }
 
@@ -198,6 +217,9 @@ impl Master {
         if goal != self.goal {
             self.goal = goal;
             self.seen = None;
+            if goal != Goal::OperationEnabled {
+                self.failures = 0;
+            }
         }
     }
 
@@ -265,6 +287,33 @@ impl Master {
         if self.seen.is_none_or(|(seen, _)| seen != state) {
             self.seen = Some((state, now));
         }
+        let (last, since) = *self.last.get_or_insert((state, now));
+        let well = now.saturating_sub(since) >= ENABLED_WELL;
+        if last == State::OperationEnabled && well {
+            self.failures = 0;
+        }
+        if last != state {
+            self.last = Some((state, now));
+            self.count_failure(last, state, well);
+        }
+    }
+
+    /// A fault on the way to Operation enabled, or soon behind it, is an enabling that failed. A fault that somebody
+    /// else reset counts no more.
+    fn count_failure(&mut self, before: State, state: State, well: bool) {
+        let in_fault = |state| matches!(state, State::Fault | State::FaultReactionActive);
+        let on_its_way = matches!(before, State::ReadyToSwitchOn | State::SwitchedOn)
+            || before == State::OperationEnabled && !well;
+        if in_fault(state) && on_its_way && self.goal == Goal::OperationEnabled {
+            self.failures = self.failures.saturating_add(1);
+        } else if in_fault(before) && !in_fault(state) && self.reset == Reset::Idle {
+            self.failures = 0;
+        }
+    }
+
+    /// Whether a fault may be reset once more.
+    const fn may_reset(&self) -> bool {
+        self.failures < self.patience.enablings
     }
 
     fn control(&mut self, state: State, feedback: &Feedback, now: Duration) -> ControlWord {
@@ -332,6 +381,11 @@ impl Master {
 
     /// In Fault: bit 7 low unless a reset was asked for, then an edge.
     fn reset(&mut self) -> ControlWord {
+        if !self.may_reset() {
+            self.reset = Reset::Idle;
+            self.obstacle = Some(Obstacle::EnablingFails(self.failures));
+            return ControlWord::DISABLE_VOLTAGE;
+        }
         self.obstacle = Some(if self.tries >= self.patience.resets {
             Obstacle::ResetRefused(self.tries)
         } else {

@@ -132,6 +132,35 @@ mod tests {
         }
     }
 
+    /// Words recorded from drives of five makers; bits 4 and 7 to 15 are as they were.
+    #[test]
+    fn statusword_of_recorded_drives_shows_its_state() {
+        for (raw, state) in [
+            (0x0218, State::Fault),
+            (0x0638, State::Fault),
+            (0x4238, State::Fault),
+            (0x0670, State::SwitchOnDisabled),
+            (0x0631, State::ReadyToSwitchOn),
+            (0x0633, State::SwitchedOn),
+            (0x0637, State::OperationEnabled),
+            (0x1037, State::OperationEnabled),
+            (0x0740, State::SwitchOnDisabled),
+            (0x0721, State::ReadyToSwitchOn),
+            (0x0723, State::SwitchedOn),
+            (0x0737, State::OperationEnabled),
+            (0x12B7, State::OperationEnabled),
+            (0x0A50, State::SwitchOnDisabled),
+            (0x1A50, State::SwitchOnDisabled),
+            (0x1637, State::OperationEnabled),
+            (0x1A37, State::OperationEnabled),
+        ] {
+            assert_eq!(StatusWord::new(raw).state(), Ok(state), "{raw:04X}h");
+        }
+        let (enabled, fault) = (StatusWord::new(0x1037), StatusWord::new(0x0638));
+        assert!(!enabled.remote() && fault.target_reached() && fault.remote());
+        assert!(StatusWord::new(0x12B7).warning());
+    }
+
     #[test]
     fn status_bits_decode_to_their_state() {
         for state in State::ALL {

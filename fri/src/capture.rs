@@ -19,7 +19,7 @@ mod packet;
 #[cfg(test)]
 mod tests;
 
-pub use fuzz::fuzz;
+pub use fuzz::{files, fuzz, fuzz_file};
 
 /// First bytes of a pcapng file, whatever its byte order.
 const PCAPNG: [u8; 4] = [0x0a, 0x0d, 0x0d, 0x0a];

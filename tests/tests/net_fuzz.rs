@@ -1,60 +1,10 @@
 //! Every format that comes from outside, fed with bytes from a seeded generator: what `cargo fuzz`
 //! does for hours, for a moment in every run. The functions panic if one of their promises is broken.
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+
+use takt_tests::fuzz::{feed, feed_files, words as split};
 
 /// Inputs for each target.
-const INPUTS: u32 = 10_000;
-/// Longest input.
-const BYTES_MAX: u64 = 1000;
-
-/// A xorshift generator: the same inputs on every machine.
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> u64 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        self.0
-    }
-
-    fn below(&mut self, bound: u64) -> usize {
-        usize::try_from(self.next() % bound).unwrap()
-    }
-
-    fn byte(&mut self) -> u8 {
-        self.next().to_le_bytes()[3]
-    }
-
-    /// Half of the inputs are bytes; the other half are words of the format, which get further, with
-    /// a few bytes replaced.
-    fn input(&mut self, words: &[&[u8]]) -> Vec<u8> {
-        let length = self.below(BYTES_MAX);
-        let mut input = Vec::new();
-        if self.next().is_multiple_of(2) {
-            input.resize_with(length, || self.byte());
-            return input;
-        }
-        while input.len() < length {
-            let word = self.below(u64::try_from(words.len()).unwrap());
-            input.extend_from_slice(words[word]);
-        }
-        for _ in 0..self.below(4) {
-            let at = self.below(u64::try_from(input.len()).unwrap().max(1));
-            if let Some(byte) = input.get_mut(at) {
-                *byte = self.next().to_le_bytes()[5];
-            }
-        }
-        input
-    }
-}
-
-fn feed(target: fn(&[u8]), words: &[&[u8]]) {
-    let mut random = Random(0x5eed_0f7a_c700_0001);
-    for _ in 0..INPUTS {
-        target(&random.input(words));
-    }
-}
+const INPUTS: u64 = 10_000;
 
 #[test]
 fn net_text_stands_random_input() {
@@ -62,20 +12,25 @@ fn net_text_stands_random_input() {
                  outValue outTerminate Value Key Core::Clock() Core::DoubleAdd Core::DoublePre Core::BooleanValue \
                  a=Core::Clock(), b=Core::DoubleAdd(inFirst=a.outValue), b=Core::DoubleAdd(inFirst[2.0]=a.outValue), \
                  Core::DoubleInterNetcommIn(RemoteNet='rpinet0') b.outValue";
-    feed(takt_net::fuzz::net_text, &split(words));
+    feed("net_text", takt_net::fuzz::net_text, &split(words), INPUTS);
 }
 
 #[test]
 fn value_text_stands_random_input() {
     let words = "true false null 1 -2 0.5 1e308 1e-320 NaN inf { } , ; {1,2,3} {1,2,3,0,0,0} 9223372036854775807 ' \"";
-    feed(takt_net::fuzz::value_text, &split(words));
+    feed(
+        "value_text",
+        takt_net::fuzz::value_text,
+        &split(words),
+        INPUTS,
+    );
 }
 
 #[test]
 fn directio_stands_random_input() {
     let words = "a = ( ) , [ ] { } : ver nse nene nesc snc ok err \"2.0\" \" \\ 1 2147483648 1.5 a=ver(\"2.0\") \n \r\n {a:\"b\"} \
                  \u{1} \u{81}";
-    feed(takt_server::wire::fuzz, &split(words));
+    feed("directio", takt_server::wire::fuzz, &split(words), INPUTS);
 }
 
 #[test]
@@ -83,7 +38,7 @@ fn net_xml_stands_random_input() {
     let words = "<rpinet> </rpinet> <module <fragment <parameter <inport <outport id='a' type='Core::Clock' name='inX' \
                  frommodule='a' fromport='outValue' debug='2' debug='x' value='1' > /> </module> </fragment> &lt; &#x0; &amp; \" \
                  <?xml?> <!-- --> <![CDATA[ ]]> parent ROOT";
-    feed(takt_net::fuzz::net_xml, &split(words));
+    feed("net_xml", takt_net::fuzz::net_xml, &split(words), INPUTS);
 }
 
 #[test]
@@ -108,7 +63,7 @@ fn http_requests_stand_random_input() {
         b"GET /?token=0123456789abcdef HTTP/1.1\r\n\r\n",
     ];
     words.extend(lines);
-    feed(takt_server::fuzz_http_head, &words);
+    feed("http", takt_server::fuzz_http_head, &words, INPUTS);
 }
 
 #[test]
@@ -129,13 +84,21 @@ fn fri_stands_random_input() {
         }
     }
     let words: [&[u8]; 4] = [&[0; 4], &[1, 0], &[0, 0, 0xc0, 0x7f], &[0, 0, 0x80, 0x3f]];
-    feed(target, &words);
+    feed("fri", target, &words, INPUTS);
 }
 
-fn split(words: &str) -> Vec<&[u8]> {
-    words
-        .split(' ')
-        .filter(|word| !word.is_empty())
-        .map(str::as_bytes)
-        .collect()
+/// pcap and pcapng files with FRI datagrams, damaged.
+#[test]
+fn fri_recordings_stand_damage() {
+    let files = takt_fri::capture::files();
+    let files: Vec<&[u8]> = files.iter().map(Vec::as_slice).collect();
+    feed_files("fri_files", takt_fri::capture::fuzz_file, &files, INPUTS);
+}
+
+/// MCAP files of a controller, damaged.
+#[test]
+fn recordings_of_a_controller_stand_damage() {
+    let files = takt_core::record::files();
+    let files: Vec<&[u8]> = files.iter().map(Vec::as_slice).collect();
+    feed_files("mcap", takt_core::record::fuzz, &files, INPUTS);
 }

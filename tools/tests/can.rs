@@ -69,6 +69,105 @@ fn dump_writes_logs_without_loss() {
     assert_eq!(of_asc.len(), 7);
 }
 
+/// What a terminal, tcpdump, Wireshark and PEAK's tools leave behind.
+#[test]
+fn dump_of_every_kind_of_recording_shows_frames() {
+    let captures = format!("{}/../can/tests/captures", env!("CARGO_MANIFEST_DIR"));
+    for (name, frames, line) in [
+        ("made.txt", 6, "node 1 SDO < 6041h:00 = 18 02 (fault)"),
+        (
+            "made.pcap",
+            5,
+            "705  [ 0]  remote                   node 5 guard",
+        ),
+        ("made.pcapng", 5, "vcan0          321  [12]"),
+        ("python_can.trc", 3, "123  [ 4]  DE AD BE EF"),
+    ] {
+        let shown = lines(&["can", "dump", "--from", &format!("{captures}/{name}")]);
+        assert_eq!(shown.len(), 1 + frames, "{name}");
+        let has = shown.iter().any(|shown| shown.contains(line));
+        assert!(has, "{name}: {shown:#?}");
+    }
+}
+
+/// The period changes by 1017h, the node is reset by a command, and a fault comes and goes.
+#[test]
+fn stat_of_a_start_by_its_master_explains_it() {
+    let file = std::env::temp_dir().join(format!("takt-stat-{}.log", std::process::id()));
+    let mut log = Vec::new();
+    let mut at = 0;
+    let mut frames = |ms: u32, times: usize, frame: &str| {
+        for _ in 0..times {
+            at += ms;
+            log.push(format!(
+                "({}.{:03}000) can0 {frame}",
+                1_700_000_000 + at / 1_000,
+                at % 1_000
+            ));
+        }
+    };
+    frames(100, 20, "701#05");
+    frames(10, 1, "000#8201");
+    frames(14, 1, "701#00");
+    frames(100, 10, "701#7F");
+    frames(5, 1, "601#2B171000E8030000");
+    frames(4, 1, "581#6017100000000000");
+    frames(1_000, 6, "701#05");
+    frames(5, 1, "081#0152800000007008");
+    frames(900, 1, "081#0000000000000000");
+    std::fs::write(&file, log.join("\n")).unwrap();
+    let path = file.to_str().unwrap();
+    let shown = expect_status(&run(&["can", "stat", "--from", path]), 0);
+    let report = expect_status(&run(&["can", "stat", "--from", path, "--json"]), 0);
+    std::fs::remove_file(&file).unwrap();
+    assert!(
+        shown.contains("every 100 ms before  1 by NMT reset communication"),
+        "{shown}"
+    );
+    let warned = "WARN  node 1: emergency 5201h control hardware, 1 times, withdrawn since";
+    assert!(shown.contains(warned), "{shown}");
+    assert!(
+        !shown.contains("late") || shown.matches("WARN").count() == 1,
+        "{shown}"
+    );
+    let report: Value = serde_json::from_str(&report).unwrap();
+    let node = &report["nodes"][0];
+    assert_eq!(
+        (&node["late"], &node["reboots"], &node["resets"]),
+        (&0.into(), &0.into(), &1.into())
+    );
+    assert_eq!(node["mean_us"], 1e6);
+    assert_eq!(
+        (
+            &report["sdos"][0]["requests"],
+            &report["sdos"][0]["answered"]
+        ),
+        (&1.into(), &1.into())
+    );
+    assert_eq!(
+        (
+            &report["emergencies"][0]["code"],
+            &report["emergencies"][0]["present"]
+        ),
+        (&0x5201.into(), &false.into())
+    );
+}
+
+#[test]
+fn stat_of_requests_without_answer_fails() {
+    let file = std::env::temp_dir().join(format!("takt-mute-{}.txt", std::process::id()));
+    let turn =
+        "  can0  601   [8]  40 00 10 00 00 00 00 00\n  can0  601   [8]  80 00 10 00 00 00 04 05\n";
+    std::fs::write(&file, turn.repeat(8)).unwrap();
+    let output = run(&["can", "stat", "--from", file.to_str().unwrap(), "--quiet"]);
+    std::fs::remove_file(&file).unwrap();
+    let shown = expect_status(&output, 1);
+    assert!(
+        shown.contains("FAIL  node 1: no answer to 8 SDO requests, last 1000h:00"),
+        "{shown}"
+    );
+}
+
 #[test]
 fn dump_gives_objects() {
     let shown = lines(&["can", "dump", "--from", &kept("fault.log"), "--json"]);
@@ -108,7 +207,7 @@ fn what_a_recording_does_not_hold_is_told() {
         "{told}"
     );
     expect_status(&empty, 2);
-    assert!(complaint(&empty).contains("no frame in it; it was read as candump log"));
+    assert!(complaint(&empty).contains("no recording of a CAN bus: candump log or text, ASC"));
 }
 
 #[test]

@@ -15,7 +15,7 @@ use std::time::Duration;
 use takt_cia402::dictionary::{Address, Dictionary, DictionaryError, Object};
 
 use super::network::{Download, NodePlan, Supervision};
-use super::node::NodeConfig;
+use super::node::{NodeConfig, NodeQuirks};
 use super::pdo::{Direction, PDOS_MAX, Parameters};
 use super::{NodeId, NodeIdError};
 
@@ -153,6 +153,7 @@ impl Eds {
             relative: self.relative.clone(),
             sdo_len_max: 4096,
             sdo_timeout: Duration::from_secs(1),
+            quirks: NodeQuirks::default(),
         })
     }
 

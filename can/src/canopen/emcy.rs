@@ -39,6 +39,8 @@ pub enum Source {
     Communication,
     /// The device behind it, by number: an axis of a drive.
     Device(u8),
+    /// The node itself, by a quirk: news of its maker that nothing withdraws but a reset.
+    Node,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

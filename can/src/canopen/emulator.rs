@@ -9,13 +9,15 @@ use std::time::Duration;
 use takt_cia402::dictionary::{
     AbortCode, Access, Address, DataType, Dictionary, DictionaryError, Entry, Mapped, Object,
 };
-use takt_cia402::emulator::{Drive, DriveConfig, FaultCode, Step};
+use takt_cia402::emulator::{Drive, DriveConfig, FaultCode, Quirks, Step};
 
 use super::eds::Eds;
 use super::emcy::Source;
 use super::lss::Identity;
 use super::nmt::{Reset, State};
-use super::node::{Application, Communication, Context, Event, Node, NodeConfig, NodeError};
+use super::node::{
+    Application, Communication, Context, Event, Node, NodeConfig, NodeError, NodeQuirks,
+};
 use super::pdo::{Direction, Parameters, PdoCob, Transmission, number_at};
 use super::{NodeId, RPDO1, TPDO1};
 
@@ -50,6 +52,8 @@ pub struct DriveNodeConfig {
     /// How long its SDO server waits for a client. In a block upload that is the time in which the
     /// client takes 127 segments.
     pub sdo_timeout: Duration,
+    /// How its node departs from the standard; how its axes depart from the profile, each of them says.
+    pub quirks: NodeQuirks,
 }
 
 impl DriveNodeConfig {
@@ -69,8 +73,34 @@ impl DriveNodeConfig {
             domain_len: 0,
             stored_eds: false,
             sdo_timeout: Duration::from_secs(2),
+            quirks: NodeQuirks::default(),
         }
     }
+
+    /// Adds a quirk by its name: of the node ([`NodeQuirks::NAMES`]), of its axes ([`Quirks::NAMES`], which replaces
+    /// theirs), or one of [`Self::QUIRKS`]. Returns whether there is one of that name.
+    pub fn add_quirk(&mut self, name: &str) -> bool {
+        if let Some(quirks) = NodeQuirks::named(name) {
+            self.quirks = std::mem::take(&mut self.quirks).and(quirks);
+        } else if let Some(quirks) = Quirks::named(name) {
+            self.axes
+                .iter_mut()
+                .for_each(|axis| axis.quirks = quirks.clone());
+        } else {
+            match name {
+                "serial-1" => self.identity.serial = 1,
+                "faults-on-enable" => self
+                    .axes
+                    .iter_mut()
+                    .for_each(|axis| axis.quirks.faults_on_enable = u32::MAX),
+                _ => return false,
+            }
+        }
+        true
+    }
+
+    /// Quirks that [`Self::add_quirk`] knows beside those of nodes and axes.
+    pub const QUIRKS: [&'static str; 2] = ["serial-1", "faults-on-enable"];
 
     /// The communication objects: four PDOs each way per axis, mapped as CiA 402-3 has it; of the
     /// first axis the first of them is on.
@@ -189,6 +219,7 @@ impl DriveNode {
             relative: communication.relative(),
             sdo_len_max: config.domain_len.max(256).max(sheet),
             sdo_timeout: config.sdo_timeout,
+            quirks: config.quirks,
             dictionary,
         };
         let drives = Drives::new(config.axes, &node.dictionary, now)?;

@@ -2,9 +2,13 @@
 //! connection set). A network that moved its PDOs elsewhere is decoded by whoever knows its
 //! mapping, not here.
 
+mod words;
+
 use std::fmt;
 
 use crate::{Frame, Id};
+
+use takt_cia402::error_text;
 
 use super::sdo;
 
@@ -375,22 +379,37 @@ impl fmt::Display for Message {
             Self::Time(ms, days) => write!(f, "TIME day {days} + {ms} ms"),
             Self::Emergency(node, emergency) => {
                 let Emergency { code, register, .. } = emergency;
-                write!(f, "node {node} EMCY {code:04X}h register {register:02X}h")
+                let text = error_text(*code);
+                write!(
+                    f,
+                    "node {node} EMCY {code:04X}h {text}, register {register:02X}h"
+                )
             }
             Self::Tpdo(node, number) => write!(f, "node {node} TPDO{number}"),
             Self::Rpdo(node, number) => write!(f, "node {node} RPDO{number}"),
             Self::SdoResponse(node, message) => match sdo::Response::decode(message) {
-                Some(response) => write!(f, "node {node} SDO < {response}"),
+                Some(response) => {
+                    write!(f, "node {node} SDO < {response}")?;
+                    words::of_response(f, &response)
+                }
                 None => write!(f, "node {node} SDO < unknown command {:02X}h", message[0]),
             },
             Self::SdoRequest(node, message) => match sdo::Request::decode(message) {
-                Some(request) => write!(f, "node {node} SDO > {request}"),
+                Some(request) => {
+                    write!(f, "node {node} SDO > {request}")?;
+                    words::of_request(f, &request)
+                }
                 None => write!(f, "node {node} SDO > unknown command {:02X}h", message[0]),
             },
             Self::Heartbeat(node, state, _) => write!(f, "node {node} {state}"),
             Self::Guard(node) => write!(f, "node {node} guard"),
-            Self::Lss(true, [command, ..]) => write!(f, "LSS > command {command}"),
-            Self::Lss(false, [command, ..]) => write!(f, "LSS < command {command}"),
+            Self::Lss(master, [command, ..]) => {
+                let way = if *master { '>' } else { '<' };
+                match words::of_lss(*command) {
+                    Some(name) => write!(f, "LSS {way} {name}"),
+                    None => write!(f, "LSS {way} command {command}"),
+                }
+            }
             Self::Unknown => f.write_str("-"),
         }
     }
@@ -410,7 +429,10 @@ mod tests {
             ("000#8205", "NMT reset communication, node 5"),
             ("080#", "SYNC"),
             ("080#07", "SYNC 7"),
-            ("085#1186210102030405", "node 5 EMCY 8611h register 21h"),
+            (
+                "085#1186210102030405",
+                "node 5 EMCY 8611h following error, register 21h",
+            ),
             ("100#010000000200", "TIME day 2 + 1 ms"),
             ("185#3706", "node 5 TPDO1"),
             ("485#3706", "node 5 TPDO4"),
@@ -419,15 +441,40 @@ mod tests {
             ("605#4041600000000000", "node 5 SDO > read 6041h:00"),
             (
                 "605#2B40600006000000",
-                "node 5 SDO > write 6040h:00 = 06 00",
+                "node 5 SDO > write 6040h:00 = 06 00 (shutdown)",
             ),
-            ("585#4B41600037020000", "node 5 SDO < 6041h:00 = 37 02"),
+            (
+                "585#4B41600037020000",
+                "node 5 SDO < 6041h:00 = 37 02 (operation enabled)",
+            ),
+            (
+                "585#4B41680018020000",
+                "node 5 SDO < 6841h:00 = 18 02 (fault)",
+            ),
+            (
+                "585#4B40600006008FAF",
+                "node 5 SDO < 6040h:00 = 06 00 (shutdown)",
+            ),
+            (
+                "585#4B3F600011860000",
+                "node 5 SDO < 603Fh:00 = 11 86 (following error)",
+            ),
+            ("585#4B41600001000000", "node 5 SDO < 6041h:00 = 01 00"),
             ("585#FF41600037020000", "node 5 SDO < unknown command FFh"),
             ("705#00", "node 5 boot-up"),
             ("705#7F", "node 5 pre-operational"),
             ("705#05", "node 5 operational"),
             ("705#R", "node 5 guard"),
-            ("7E5#0401000000000000", "LSS > command 4"),
+            ("7E5#0401000000000000", "LSS > switch all to a mode"),
+            (
+                "7E5#4C00000000000000",
+                "LSS > identify those without a node number",
+            ),
+            (
+                "7E4#5000000000000000",
+                "LSS < identified, without a node number",
+            ),
+            ("7E5#0300000000000000", "LSS > command 3"),
             ("700#05", "-"),
             ("605#40", "-"),
             ("00000605#4041600000000000", "-"),

@@ -309,7 +309,10 @@ impl Network {
                 if let Some(bytes) = data.first_chunk() {
                     let emergency = Emergency::decode(bytes);
                     self.of(at, |member| {
-                        member.emergency = Some(emergency);
+                        // Two may come before one is taken: a fault is not hidden by its end.
+                        if emergency.code != 0 || member.news.emergencies == 0 {
+                            member.emergency = Some(emergency);
+                        }
                         member.news.emergencies = member.news.emergencies.saturating_add(1);
                     });
                 }

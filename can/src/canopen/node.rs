@@ -13,6 +13,7 @@
 mod configure;
 mod hooks;
 mod objects;
+mod quirks;
 mod receive;
 #[cfg(test)]
 mod tests;
@@ -23,16 +24,19 @@ use std::time::Duration;
 use takt_cia402::dictionary::{AbortCode, Address, Dictionary, DictionaryError, Key};
 
 use super::emcy;
+use super::emcy::Source;
 use super::message::{LSS_MASTER, NMT, frame};
 use super::nmt::{Consumer, ErrorBehaviour, Input, Reset, Slave, State};
 use super::pdo::{Rpdo, Tpdo};
 use super::store::{Group, Store};
 use super::sync;
-use super::{NmtState, NodeId, TimeOfDay, lss, sdo};
+use super::{Emergency, NmtState, NodeId, TimeOfDay, lss, sdo};
 use crate::{Frame, Id};
 
 pub(super) use configure::add_node_id;
 pub use objects::Communication;
+use quirks::Manners;
+pub use quirks::NodeQuirks;
 
 /// Most frames that wait to be sent; further ones are counted and dropped.
 pub const QUEUE_MAX: usize = 64;
@@ -159,6 +163,8 @@ pub struct NodeConfig {
     pub sdo_len_max: usize,
     /// How long its SDO server waits for a client.
     pub sdo_timeout: Duration,
+    /// How it departs from the standard.
+    pub quirks: NodeQuirks,
 }
 
 /// A CANopen slave.
@@ -182,6 +188,7 @@ pub struct Node<A> {
     errors: emcy::Producer,
     queue: VecDeque<Frame>,
     dropped: u32,
+    manners: Manners,
 }
 
 impl<A: Application> Node<A> {
@@ -214,6 +221,7 @@ impl<A: Application> Node<A> {
             errors: emcy::Producer::default(),
             queue: VecDeque::with_capacity(QUEUE_MAX),
             dropped: 0,
+            manners: Manners::new(config.quirks, id_or_any),
         };
         node.begin(Reset::Node, now);
         Ok(node)
@@ -315,9 +323,28 @@ impl<A: Application> Node<A> {
         self.store.apply(&mut self.dictionary, group);
         self.configure_all(now);
         self.tell(Event::Reset(reset), now);
-        if self.lss.pending().is_some() {
+        if self.lss.pending().is_some() && self.manners.begin(now) {
             self.slave.handle(Input::Initialised);
             self.entered(now);
+        }
+    }
+
+    /// The time of its quirks: a boot-up message that was late, what was requested before it, and emergencies.
+    fn run_manners(&mut self, now: Duration) {
+        if self.manners.take_boot_up(now) {
+            self.slave.handle(Input::Initialised);
+            self.entered(now);
+            while let Some(request) = self.manners.take_early() {
+                self.handle_sdo(&request, now);
+            }
+        }
+        while let Some(emergency) = self.manners.take_emergency(now) {
+            let Emergency {
+                code,
+                register,
+                data,
+            } = emergency;
+            self.errors.raise(Source::Node, code, register, data);
         }
     }
 
@@ -355,6 +382,8 @@ impl<A: Application> Node<A> {
             self.handle_nmt(frame, now);
         } else if id == LSS_MASTER {
             self.handle_lss(data, now);
+        } else if self.slave.state() == State::Initialising && id == self.settings.request {
+            self.manners.keep(data);
         } else if !self.slave.state().communicates() {
             self.handle_heartbeat(frame, now);
         } else if id == self.settings.sync {
@@ -404,6 +433,12 @@ impl<A: Application> Node<A> {
                 return Some(frame);
             }
         }
+        if let Some(answer) = self.manners.take_late(now) {
+            return Some(answer);
+        }
+        if self.manners.has_late() {
+            return None;
+        }
         let answer = self.server.poll(now)?;
         Some(frame(self.settings.response, &answer))
     }
@@ -429,6 +464,7 @@ impl<A: Application> Node<A> {
             self.slave.poll_timeout(),
             self.server.poll_timeout(),
             self.application.poll_timeout(),
+            self.manners.poll_timeout(),
             self.sync_producer
                 .as_ref()
                 .map(sync::Producer::poll_timeout),

@@ -90,6 +90,8 @@ pub struct PdoCob(u32);
 impl PdoCob {
     const INVALID: u32 = 1 << 31;
     const NO_REMOTE: u32 = 1 << 30;
+    /// Bits 28 to 30 are the device's own: real ones read `F000_0181h`, or clear bit 30 whatever was written.
+    const COMPARED: u32 = 0x8FFF_FFFF;
 
     /// From the number in the dictionary.
     #[must_use]
@@ -107,6 +109,13 @@ impl PdoCob {
     #[must_use]
     pub const fn raw(self) -> u32 {
         self.0
+    }
+
+    /// Whether both are the same PDO: their identifiers and bit 31 agree. Devices set and clear bits 28 to 30 as they
+    /// like, so a value that was read back is never compared as a whole.
+    #[must_use]
+    pub const fn is_same(self, other: Self) -> bool {
+        (self.0 ^ other.0) & Self::COMPARED == 0
     }
 
     /// The same PDO switched off.
@@ -137,7 +146,8 @@ impl PdoCob {
     /// services (clause 7.3.5, table of restricted identifiers).
     #[must_use]
     pub fn identifier(self) -> Option<Id> {
-        let raw = u16::try_from(self.0 & 0x3FFF_FFFF).ok()?;
+        // Bit 28 belongs to identifiers of 29 bits alone; some devices show it all the same.
+        let raw = u16::try_from(self.0 & 0x2FFF_FFFF).ok()?;
         let restricted = matches!(
             raw,
             0x000..=0x080 | 0x101..=0x180 | 0x581..=0x5FF | 0x601..=0x67F | 0x6E0..=0x6FF | 0x701..

@@ -159,7 +159,8 @@ impl Reader {
         let flags = rest
             .get(len + 2)
             .and_then(|word| u32::from_str_radix(word, 16).ok());
-        if flags.is_some_and(|flags| flags & 0x1000 == 0) {
+        // Some writers leave the flags 0; more than eight bytes are CAN FD all the same.
+        if len <= 8 && flags.is_some_and(|flags| flags & 0x1000 == 0) {
             let remote = flags.is_some_and(|flags| flags & 0x10 != 0);
             let frame = match remote {
                 true => Frame::remote(id, usize::from(code)).ok()?,
@@ -323,7 +324,8 @@ mod tests {
             1.0 CANFD 3 Tx 10 Name_1 1 1 2 2 AA BB 0 0 3000 0 0 0 0 0\n\
             1.0 CANFD 3 Tx 10 0 0 2 2 AA BB\n\
             1.0 CANFD 3 Rx 10 0 0 2 2 AA BB 0 0 0 0 0 0 0 0\n\
-            1.0 CANFD 3 Rx 10 0 0 2 0 0 0 10 0 0 0 0 0\n";
+            1.0 CANFD 3 Rx 10 0 0 2 0 0 0 10 0 0 0 0 0\n\
+            1.0 CANFD 3 Rx 10 0 0 9 12 1 2 3 4 5 6 7 8 9 A B C 1331984 11 0 0 0 0 0 0\n";
         assert_eq!(
             printed(text),
             [
@@ -331,6 +333,7 @@ mod tests {
                 "(0000000001.000000) 3 010##0AABB T",
                 "(0000000001.000000) 3 010#AABB R",
                 "(0000000001.000000) 3 010#R2 R",
+                "(0000000001.000000) 3 010##00102030405060708090A0B0C R",
             ]
         );
     }

@@ -296,12 +296,19 @@ fn fd_message(content: &[u8]) -> Option<Found> {
 /// | 4 to 7 | identifier |
 /// | 12 to 15 | bit 4 remote, bit 12 CAN FD, bit 13 bit rate switch, bit 14 sender is passive |
 /// | 34 | 1: sent |
-/// | 40 ... | data |
+/// | 40 ... | data; what is missing of it is 0 |
 fn fd_message_64(content: &[u8]) -> Option<Found> {
     let id = id(u32_at(content, 4)?)?;
     let flags = u32_at(content, 12)?;
     let len = usize::from(u8_at(content, 2)?);
-    let data = content.get(40..40 + len)?;
+    // Loggers cut bytes off at the end of the object that are 0.
+    let mut data = [0; 64];
+    let data = data.get_mut(..len)?;
+    let present = content.get(40..)?;
+    data.iter_mut()
+        .zip(present)
+        .for_each(|(to, from)| *to = *from);
+    let data = &*data;
     let frame: AnyFrame = if flags & 0x1000 != 0 {
         let mut frame = FdFrame::new(id, data).ok()?;
         frame.bit_rate_switch = flags & 0x2000 != 0;

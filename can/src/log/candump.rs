@@ -62,7 +62,7 @@ pub(super) fn read(bytes: &[u8], log: &mut Log) {
 }
 
 /// Microseconds, or nanoseconds as newer candumps write when asked.
-fn stamp(word: &str) -> Option<Duration> {
+pub(super) fn stamp(word: &str) -> Option<Duration> {
     let (seconds, fraction) = word.strip_prefix('(')?.strip_suffix(')')?.split_once('.')?;
     let digits = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());
     if !digits(fraction) || !digits(seconds) {
@@ -115,13 +115,14 @@ pub(super) fn frame(word: &str) -> Result<AnyFrame, LogError> {
     Ok(frame.into())
 }
 
-enum Identifier {
+/// What stands before the data.
+pub(super) enum Identifier {
     Frame(Id),
     Error(u32),
 }
 
 /// Up to three digits are 11 bits, eight are 29, and bit 29 of eight marks an error frame.
-fn identifier(digits: &str) -> Result<Identifier, LogError> {
+pub(super) fn identifier(digits: &str) -> Result<Identifier, LogError> {
     if !digits.bytes().all(|byte| byte.is_ascii_hexdigit()) {
         return Err(LogError::Id);
     }
@@ -366,7 +367,7 @@ mod tests {
             (4, LogError::Data)
         );
         assert_eq!(log.left_out[1].place, 5);
-        let bad = Log::read("x\n".repeat(100).as_bytes());
+        let bad = Log::read("(x) can0 1#\n".repeat(100).as_bytes());
         assert_eq!((bad.left_out.len(), bad.left_out_count), (16, 100));
     }
 

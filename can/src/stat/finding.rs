@@ -1,11 +1,16 @@
 //! From figures to what is wrong and what to do about it: pure functions, so that each can be tested by its
 //! cause. Nothing is measured here.
 
+mod dialogues;
+mod remedy;
+
 use std::fmt;
 use std::time::Duration;
 
 use super::Report;
 use crate::canopen::NodeId;
+use crate::cia402::dictionary::{AbortCode, Address};
+use crate::cia402::error_text;
 use crate::{BusState, Id};
 
 /// From when on a figure is wrong.
@@ -117,7 +122,7 @@ pub enum Finding {
         /// How often.
         times: u32,
     },
-    /// A node started anew while it was at work.
+    /// A node started again while it was at work, and no reset of it was seen.
     Rebooted {
         /// The node.
         node: NodeId,
@@ -130,6 +135,67 @@ pub enum Finding {
         node: NodeId,
         /// Its code.
         code: u16,
+        /// How often it came.
+        times: u32,
+    },
+    /// A node's emergency that it withdrew, or that ended with its start.
+    EmergencyEnded {
+        /// The node.
+        node: NodeId,
+        /// Its code.
+        code: u16,
+        /// How often it came.
+        times: u32,
+    },
+    /// A node does not answer SDO requests.
+    SdoUnanswered {
+        /// The node.
+        node: NodeId,
+        /// How many.
+        times: u32,
+        /// The last one of them.
+        address: Option<Address>,
+        /// It answered none, or some.
+        severity: Severity,
+    },
+    /// Nodes that were asked by SDO and never showed themselves: a scan of the bus.
+    SdoAbsent {
+        /// How many.
+        nodes: usize,
+        /// The lowest of them.
+        first: NodeId,
+    },
+    /// A node refused SDO requests.
+    SdoRefused {
+        /// The node.
+        node: NodeId,
+        /// How many.
+        times: u32,
+        /// The last one.
+        last: (Address, AbortCode),
+    },
+    /// A client gave SDO transfers of a node up, for another reason than silence.
+    SdoGivenUp {
+        /// The node.
+        node: NodeId,
+        /// How many.
+        times: u32,
+        /// The last one.
+        last: (Address, AbortCode),
+    },
+    /// A client repeats requests before they are answered.
+    SdoRepeated {
+        /// The node.
+        node: NodeId,
+        /// How often.
+        times: u32,
+    },
+    /// A node sends SDO answers that nobody asked for.
+    SdoUnasked {
+        /// The node.
+        node: NodeId,
+        /// How many.
+        times: u32,
     },
     /// SYNC does not come regularly.
     SyncJitter {
@@ -169,13 +235,19 @@ impl Finding {
             | Self::Dropped { .. }
             | Self::ControllerOverflow { .. }
             | Self::Refused { .. } => Severity::Failure,
-            Self::Load { severity, .. } => *severity,
+            Self::Load { severity, .. } | Self::SdoUnanswered { severity, .. } => *severity,
             Self::BusOff { still: false, .. }
             | Self::Disturbed { .. }
             | Self::Weak { .. }
             | Self::HeartbeatLate { .. }
             | Self::Rebooted { .. }
             | Self::Emergency { .. }
+            | Self::EmergencyEnded { .. }
+            | Self::SdoAbsent { .. }
+            | Self::SdoRefused { .. }
+            | Self::SdoGivenUp { .. }
+            | Self::SdoRepeated { .. }
+            | Self::SdoUnasked { .. }
             | Self::SyncJitter { .. } => Severity::Warning,
         }
     }
@@ -196,83 +268,23 @@ impl Finding {
             Self::HeartbeatLate { .. } => "heartbeat-late",
             Self::Rebooted { .. } => "rebooted",
             Self::Emergency { .. } => "emergency",
+            Self::EmergencyEnded { .. } => "emergency-withdrawn",
+            Self::SdoUnanswered { .. } => "sdo-unanswered",
+            Self::SdoAbsent { .. } => "sdo-absent",
+            Self::SdoRefused { .. } => "sdo-refused",
+            Self::SdoGivenUp { .. } => "sdo-given-up",
+            Self::SdoRepeated { .. } => "sdo-repeated",
+            Self::SdoUnasked { .. } => "sdo-unasked",
             Self::SyncJitter { .. } => "sync-jitter",
             Self::Dropped { .. } => "dropped",
             Self::ControllerOverflow { .. } => "controller-overflow",
             Self::Refused { .. } => "refused",
         }
     }
-
-    /// What to do.
-    #[must_use]
-    pub const fn remedy(&self) -> &'static str {
-        match self {
-            Self::BusOff { still: true, .. } => {
-                "find the cause (bit rates, wires, two nodes of one number), then ip link set IFACE type can \
-                 restart; with restart-ms 100 it comes back by itself"
-            }
-            Self::BusOff { still: false, .. } => {
-                "it came back; compare bit rates and sample points of all nodes, and look for two nodes of one \
-                 number"
-            }
-            Self::Alone { .. } => {
-                "no other node is on the wire or none has this bit rate: look at power, plug, bit rate, and \
-                 whether the others only listen"
-            }
-            Self::NothingButErrors { .. } => {
-                "the bit rates differ: set this interface to that of the nodes (takt can up IFACE --bitrate \
-                 RATE); if they agree, CAN_H and CAN_L are swapped or a terminating resistor is missing"
-            }
-            Self::Nothing { .. } => {
-                "are the nodes powered, and is this the right interface? Nodes that are set up for it tell \
-                 themselves by a boot-up message when switched on"
-            }
-            Self::Disturbed { .. } => {
-                "measure 60 ohms between CAN_H and CAN_L with all switched off (two resistors of 120), then \
-                 look at stubs, shield and sample points"
-            }
-            Self::Wires { .. } => "look for a cut or short of CAN_H and CAN_L at this host's plug",
-            Self::Weak { .. } => {
-                "many frames were destroyed: see the errors in takt can dump; a controller that stays passive is \
-                 the next to go off the bus"
-            }
-            Self::Load { .. } => {
-                "send less often what takes most (longer SYNC period, inhibit times, event-driven PDOs), or \
-                 raise the bit rate"
-            }
-            Self::HeartbeatMissing { .. } => {
-                "the node is off, reset, or unplugged; if others are silent from the same moment on, look at \
-                 the wire between them"
-            }
-            Self::HeartbeatLate { .. } => {
-                "the bus was blocked by lower identifiers, or the node is overloaded: compare with the load"
-            }
-            Self::Rebooted { .. } => {
-                "look at the node's supply and watchdog, and for somebody who sends NMT reset (takt can dump \
-                 --filter 000)"
-            }
-            Self::Emergency { .. } => "read the node's error history, object 1003h, and its manual",
-            Self::SyncJitter { .. } => {
-                "drives that interpolate need SYNC within a few percent: send it from a real-time thread, not \
-                 by the kernel's broadcast manager; see takt jitter"
-            }
-            Self::Dropped { .. } => {
-                "what reads the socket is too slow: give it a larger buffer (sysctl net.core.rmem_max), \
-                 filters, or a higher priority"
-            }
-            Self::ControllerOverflow { .. } => {
-                "the interrupt comes too late: raise the priority of the adapter's interrupt thread; see takt \
-                 doctor"
-            }
-            Self::Refused { .. } => {
-                "make the queue longer if bursts are longer than it (ip link set IFACE txqueuelen 1000); a \
-                 queue that never empties means that the bus is overloaded or nobody acknowledges"
-            }
-        }
-    }
 }
 
 impl fmt::Display for Finding {
+    #[expect(clippy::too_many_lines, reason = "a table of texts")]
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let ms = |span: &Duration| span.as_secs_f64() * 1e3;
         match self {
@@ -320,8 +332,64 @@ impl fmt::Display for Finding {
             Self::HeartbeatLate { node, times } => {
                 write!(f, "node {node}: heartbeat late {times} times")
             }
-            Self::Rebooted { node, times } => write!(f, "node {node}: started anew {times} times"),
-            Self::Emergency { node, code } => write!(f, "node {node}: emergency {code:04X}h"),
+            Self::Rebooted { node, times } => {
+                write!(f, "node {node}: started again {times} times")
+            }
+            Self::Emergency { node, code, times } => {
+                let text = error_text(*code);
+                write!(
+                    f,
+                    "node {node}: emergency {code:04X}h {text}, {times} times"
+                )
+            }
+            Self::EmergencyEnded { node, code, times } => {
+                let text = error_text(*code);
+                write!(
+                    f,
+                    "node {node}: emergency {code:04X}h {text}, {times} times, withdrawn since"
+                )
+            }
+            Self::SdoUnanswered {
+                node,
+                times,
+                address,
+                ..
+            } => {
+                write!(f, "node {node}: no answer to {times} SDO requests")?;
+                address.map_or(Ok(()), |address| write!(f, ", last {address}"))
+            }
+            Self::SdoAbsent { nodes, first } => {
+                write!(
+                    f,
+                    "{nodes} nodes from {first} on were asked by SDO and are not there"
+                )
+            }
+            Self::SdoRefused {
+                node,
+                times,
+                last: (address, code),
+            } => write!(
+                f,
+                "node {node}: refused {times} SDO requests, last {address}: {code}"
+            ),
+            Self::SdoGivenUp {
+                node,
+                times,
+                last: (address, code),
+            } => write!(
+                f,
+                "node {node}: a client gave up {times} SDO transfers, last {address}: {code}"
+            ),
+            Self::SdoRepeated { node, times } => write!(
+                f,
+                "node {node}: {times} SDO requests repeated before their answer"
+            ),
+            Self::SdoUnasked { node, times } => {
+                write!(
+                    f,
+                    "node {node}: {times} SDO answers that belong to no request"
+                )
+            }
             Self::SyncJitter { jitter, period } => {
                 let (jitter, period) = (jitter * 1e2, ms(period));
                 write!(f, "SYNC jitters by {jitter:.1} % of its {period:.3} ms")
@@ -417,7 +485,7 @@ fn nodes(report: &Report, limits: &Limits, found: &mut Vec<Finding>) {
         found.push(Finding::HeartbeatMissing {
             node: *node,
             silence: *silence,
-            period: beat.map(|beat| beat.intervals.mean()).unwrap_or_default(),
+            period: beat.map(super::Heartbeat::period).unwrap_or_default(),
         });
     }
     for (node, beat) in &report.heartbeats {
@@ -431,10 +499,8 @@ fn nodes(report: &Report, limits: &Limits, found: &mut Vec<Finding>) {
             found.push(Finding::Rebooted { node, times });
         }
     }
-    for (node, code) in &report.emergencies {
-        let (node, code) = (*node, *code);
-        found.push(Finding::Emergency { node, code });
-    }
+    dialogues::emergencies(report, found);
+    dialogues::sdos(report, found);
     if let Some(jitter) = report.sync_jitter().filter(|j| *j > limits.sync_jitter) {
         let sync = report.ids.get(&crate::canopen::SYNC);
         let period = sync.map(|stat| stat.intervals.mean()).unwrap_or_default();

@@ -3,6 +3,7 @@
 use super::*;
 use crate::bus::{Bus, Config, Counters, Fault, PortId};
 use crate::canopen::{Emergency, emergency, heartbeat, sync};
+use crate::cia402::dictionary::Address;
 use crate::fault::violation;
 use crate::{Frame, FrameError};
 
@@ -305,11 +306,281 @@ fn emergency_until_it_is_withdrawn() {
         bench.findings(),
         [Finding::Emergency {
             node: node(3),
-            code: 0x8611
+            code: 0x8611,
+            times: 1
         }]
     );
     bench.traffic(told(0), MS, 1);
-    assert_eq!(bench.names(), [""; 0]);
+    assert_eq!(bench.names(), ["emergency-withdrawn"]);
+}
+
+/// The findings of a recording, frames with the time between them: `ms id#data`.
+fn findings_of(frames: impl IntoIterator<Item = (u32, String)>) -> (Report, Vec<Finding>) {
+    let mut meter = Meter::new(Some(Rates::classic(1_000_000)));
+    let mut at = Duration::from_secs(100);
+    for (ms, text) in frames {
+        at += ms * MS;
+        meter.handle_frame(&Received {
+            frame: crate::log::parse_frame(&text).unwrap(),
+            at,
+            hardware: None,
+            origin: Origin::Bus,
+            dropped: 0,
+        });
+    }
+    let report = meter.report();
+    let findings = report.findings(&Limits::default());
+    (report, findings)
+}
+
+/// `times` frames of that text, each so many ms behind the one before.
+fn every(ms: u32, times: usize, text: &str) -> impl Iterator<Item = (u32, String)> + use<> {
+    std::iter::repeat_n((ms, text.to_owned()), times)
+}
+
+fn once(ms: u32, text: &str) -> impl Iterator<Item = (u32, String)> + use<> {
+    every(ms, 1, text)
+}
+
+fn names_of(findings: &[Finding]) -> Vec<&'static str> {
+    findings.iter().map(Finding::name).collect()
+}
+
+#[test]
+fn heartbeat_period_written_by_sdo_is_learned() {
+    let frames = every(100, 10, "701#7F")
+        .chain(once(5, "601#2B171000E8030000"))
+        .chain(once(4, "581#6017100000000000"))
+        .chain(every(1_000, 6, "701#05"));
+    let (report, findings) = findings_of(frames);
+    assert_eq!(findings, []);
+    let beat = report.heartbeats[&node(1)];
+    assert_eq!((beat.gaps, beat.period()), (0, 1_000 * MS));
+    assert_eq!(
+        (beat.earlier, beat.written),
+        (Some(100 * MS), Some(1_000 * MS))
+    );
+    // Switched off it is missed by nobody, and one that is written is missed even if it never comes.
+    let to = |ms: u16| format!("601#2B171000{:04X}0000", ms.swap_bytes());
+    for (ms, expected) in [(0, vec![]), (50, vec!["heartbeat-missing"])] {
+        let frames = every(100, 10, "701#7F")
+            .chain(once(5, &to(ms)))
+            .chain(once(4, "581#6017100000000000"))
+            .chain(every(100, 20, "080#"));
+        assert_eq!(names_of(&findings_of(frames).1), expected, "{ms}");
+    }
+}
+
+#[test]
+fn heartbeat_period_that_changes_unseen_is_learned() {
+    for (before, after) in [(100, 1_000), (1_000, 100)] {
+        let frames = every(before, 10, "701#05").chain(every(after, 6, "701#05"));
+        let (report, findings) = findings_of(frames);
+        assert_eq!(findings, [], "{before} {after}");
+        let beat = report.heartbeats[&node(1)];
+        assert_eq!(beat.period(), after * MS);
+        assert_eq!(beat.earlier, Some(before * MS));
+    }
+    // One long interval is a gap, and so are two of different lengths.
+    for gaps in [vec![1_000_u32], vec![1_000, 400], vec![500, 100, 500]] {
+        let mut frames: Vec<_> = every(100, 10, "701#05").collect();
+        for gap in &gaps {
+            frames.extend(once(*gap, "701#05"));
+        }
+        frames.extend(every(100, 10, "701#05"));
+        let (report, findings) = findings_of(frames);
+        assert_eq!(names_of(&findings), ["heartbeat-late"], "{gaps:?}");
+        let late = gaps.iter().filter(|gap| **gap > 200).count();
+        assert_eq!(report.heartbeats[&node(1)].gaps as usize, late, "{gaps:?}");
+    }
+}
+
+#[test]
+fn boot_up_after_recorded_reset_is_explained() {
+    for (reset, explained) in [
+        ("000#8201", true),
+        ("000#8200", true),
+        ("000#8101", true),
+        ("000#8202", false),
+        ("000#0101", false),
+    ] {
+        let frames = every(100, 20, "701#05")
+            .chain(once(10, reset))
+            .chain(once(14, "701#00"))
+            .chain(every(100, 20, "701#05"));
+        let (report, findings) = findings_of(frames);
+        let expected = if explained { vec![] } else { vec!["rebooted"] };
+        assert_eq!(names_of(&findings), expected, "{reset}");
+        let beat = report.heartbeats[&node(1)];
+        assert_eq!((beat.resets.0 > 0, beat.boots), (explained, 1), "{reset}");
+    }
+}
+
+#[test]
+fn emergencies_withdrawn_and_several_are_all_shown() {
+    let frames = every(100, 5, "701#05")
+        .chain(once(10, "081#0152800000007008"))
+        .chain(every(100, 9, "701#05"))
+        .chain(once(100, "081#0000000000000000"));
+    let (_, findings) = findings_of(frames);
+    assert_eq!(names_of(&findings), ["emergency-withdrawn"]);
+    let text = findings[0].to_string();
+    assert_eq!(
+        text,
+        "node 1: emergency 5201h control hardware, 1 times, withdrawn since"
+    );
+    let frames = every(100, 5, "701#05")
+        .chain(once(2, "081#B081010000000000"))
+        .chain(once(2, "081#A081010000000000"))
+        .chain(every(2, 2, "081#1186210000000000"))
+        // One of them is gone, others are left.
+        .chain(once(2, "081#0000010000000000"));
+    let codes: Vec<_> = findings_of(frames)
+        .1
+        .iter()
+        .map(|finding| match finding {
+            Finding::Emergency { code, times, .. } => (*code, *times, true),
+            Finding::EmergencyEnded { code, times, .. } => (*code, *times, false),
+            other => panic!("{other}"),
+        })
+        .collect();
+    assert_eq!(
+        codes,
+        [(0x81B0, 1, true), (0x81A0, 1, true), (0x8611, 2, false)]
+    );
+}
+
+#[test]
+fn sdo_requests_without_answer_fail() {
+    let asked = |node: u8| {
+        (0..8).flat_map(move |_| {
+            let request = once(
+                500,
+                &format!("{:03X}#4000100000000000", 0x600 + u16::from(node)),
+            );
+            let abort = format!("{:03X}#8000100000000405", 0x600 + u16::from(node));
+            request.chain(once(500, &abort)).collect::<Vec<_>>()
+        })
+    };
+    let (report, findings) = findings_of(asked(1));
+    assert_eq!(names_of(&findings), ["sdo-unanswered"]);
+    assert_eq!(findings[0].severity(), Severity::Failure);
+    assert_eq!(
+        findings[0].to_string(),
+        "node 1: no answer to 8 SDO requests, last 1000h:00"
+    );
+    assert_eq!(report.sdos[&node(1)].given_up, (0, None));
+    // A scan asks for nodes that are not there.
+    let (_, findings) = findings_of((1..=20).flat_map(asked));
+    assert_eq!(names_of(&findings), ["sdo-absent"]);
+    assert_eq!(findings[0].severity(), Severity::Warning);
+    // What was asked just now may still be answered.
+    let (_, findings) = findings_of(once(0, "601#4000100000000000"));
+    assert_eq!(findings, []);
+}
+
+#[test]
+fn sdo_aborts_repeats_and_unasked_answers_are_shown() {
+    let read = || once(10, "601#4000100000000000");
+    let answer = || once(3, "581#4300100092010200");
+    let (report, findings) = findings_of(read().chain(answer()));
+    assert_eq!(findings, []);
+    let sdo = report.sdos[&node(1)];
+    assert_eq!((sdo.requests, sdo.answered, sdo.longest), (1, 1, 3 * MS));
+    let refused = once(10, "601#4002650000000000").chain(once(3, "581#8002650000000206"));
+    let given_up = read()
+        .chain(once(3, "581#0020000000000000"))
+        .chain(once(1, "601#8000100001000405"));
+    for (more, expected) in [
+        (refused.collect::<Vec<_>>(), &["sdo-refused"][..]),
+        (given_up.collect(), &["sdo-given-up", "sdo-unasked"]),
+        (
+            read().chain(read()).chain(answer()).collect(),
+            &["sdo-unanswered", "sdo-repeated"],
+        ),
+        (answer().chain(answer()).collect(), &["sdo-unasked"]),
+    ] {
+        let (_, findings) = findings_of(read().chain(answer()).chain(more));
+        assert_eq!(names_of(&findings), expected);
+        assert!(findings.iter().all(|f| f.severity() == Severity::Warning));
+    }
+}
+
+/// Transfers of every kind, of our own client and server, have no finding.
+#[test]
+fn sdo_transfers_of_every_kind_are_followed() {
+    use crate::canopen::emulator::{DriveNode, DriveNodeConfig};
+    use crate::canopen::sdo::Client;
+    let mut config = DriveNodeConfig::new(node(1));
+    config.domain_len = 2_000;
+    let mut server = DriveNode::power_on(config, Duration::ZERO).unwrap();
+    let mut client = Client::new(2_000, Duration::from_secs(1));
+    let mut meter = Meter::new(None);
+    let mut now = Duration::ZERO;
+    let mut see = |frame: Frame, at| {
+        meter.handle_frame(&Received {
+            frame: frame.into(),
+            at,
+            hardware: None,
+            origin: Origin::Bus,
+            dropped: 0,
+        });
+    };
+    let (domain, status) = (Address::new(0x2000, 0), Address::new(0x6041, 0));
+    let value = [0xA1; 1_500];
+    for turn in 0..6 {
+        let (blocks, write) = (turn % 2 == 1, turn < 2);
+        let address = if turn < 4 { domain } else { status };
+        let mut message = Some(if write {
+            client.write(address, &value, blocks, now).unwrap()
+        } else {
+            client.read(address, blocks, now)
+        });
+        while !client.is_idle() || message.is_some() {
+            now += MS;
+            if let Some(message) = message.take() {
+                let frame = Frame::new(node(1).cob(0x600), &message).unwrap();
+                see(frame, now);
+                server.handle_frame(&frame, now);
+            }
+            while let Some(frame) = server.poll_transmit(now) {
+                see(frame, now);
+                if frame.id() == node(1).cob(0x580) {
+                    message = client.handle(frame.data().first_chunk().unwrap(), now).send;
+                }
+            }
+            while let Some(more) = client.poll(now).send {
+                let frame = Frame::new(node(1).cob(0x600), &more).unwrap();
+                see(frame, now);
+                server.handle_frame(&frame, now);
+            }
+        }
+    }
+    let report = meter.report();
+    let sdo = report.sdos[&node(1)];
+    assert_eq!(
+        (sdo.requests, sdo.answered, sdo.strange),
+        (6, 6, 0),
+        "{sdo:?}"
+    );
+    assert_eq!(report.findings(&Limits::default()), []);
+}
+
+/// Cars send their data cyclically under the identifiers of emergencies and SDOs.
+#[test]
+fn frames_of_a_car_are_no_dialogues() {
+    let frames = (0..200_u64).flat_map(|turn| {
+        let data = turn.wrapping_mul(0x9E37_79B9_7F4A_7C15);
+        [0x0A1, 0x5A0, 0x601, 0x621, 0x581].map(|id: u16| (2, format!("{id:03X}#{data:016X}")))
+    });
+    assert_eq!(findings_of(frames).1, []);
+}
+
+/// 702h 00: it has no heartbeat, and starts once.
+#[test]
+fn boot_up_of_a_master_is_no_finding() {
+    let frames = once(0, "702#00").chain(every(100, 20, "701#05"));
+    assert_eq!(findings_of(frames).1, []);
 }
 
 #[test]

@@ -63,6 +63,8 @@ pub(crate) struct Bus {
     /// RPDOs that were not through before the next period began.
     pub(crate) rpdos_late: u32,
     pub(crate) frames: u64,
+    /// SDO aborts of the master.
+    pub(crate) aborts: u32,
     queues: Vec<VecDeque<Frame>>,
     sending: Option<(Frame, usize, Duration)>,
     begun: Duration,
@@ -94,12 +96,17 @@ impl Bus {
             rpdo_latest: Duration::ZERO,
             rpdos_late: 0,
             frames: 0,
+            aborts: 0,
             sending: None,
             begun: now,
         }
     }
 
     /// Plain drives 1 to `count`, all running, and their master.
+    #[allow(
+        dead_code,
+        reason = "some of the tests that share this bus start it themselves"
+    )]
     pub(crate) fn running(count: u8, change: impl Fn(&mut NodePlan)) -> Self {
         let numbers = 1..=count;
         let plans = numbers.clone().map(|raw| {
@@ -147,7 +154,7 @@ impl Bus {
                 self.master.trouble(n)
             );
         }
-        panic!("it did not come within {longest:?}");
+        panic!("it did not come within {longest:?}, {} aborts", self.aborts);
     }
 
     pub(crate) fn run(&mut self, time: Duration) {
@@ -182,6 +189,8 @@ impl Bus {
 
     fn deliver(&mut self, frame: &Frame, port: usize) {
         self.frames += 1;
+        let request = frame.id().raw() & 0x780 == 0x600;
+        self.aborts += u32::from(port == 0 && request && frame.data().first() == Some(&0x80));
         if is_rpdo(frame) && port == 0 {
             self.rpdo_latest = self.rpdo_latest.max(self.now - self.begun);
         }

@@ -107,6 +107,8 @@ pub struct Drive {
     pub interlock: bool,
     /// The controlword that was obeyed last.
     obeyed: ControlWord,
+    /// Enablings that still end in a fault.
+    faults_on_enable: u32,
 }
 
 impl Drive {
@@ -125,6 +127,7 @@ impl Drive {
             axis,
             power: Power::new(config.motor.brake_release),
             motor: Motor::new(config.motor, config.position),
+            faults_on_enable: config.quirks.faults_on_enable,
             quirks: config.quirks,
             modes: Modes::default(),
             servo: Servo::default(),
@@ -318,6 +321,14 @@ impl Drive {
         let before = self.power.state;
         let motion = self.power.step(word, &seen, &options, &self.quirks);
         let after = self.power.state;
+        let enabled = before != after && after == State::OperationEnabled;
+        if enabled && self.faults_on_enable > 0 {
+            // Counted down unless it is for ever. The statusword shows Operation enabled once.
+            if self.faults_on_enable < u32::MAX {
+                self.faults_on_enable -= 1;
+            }
+            self.new_fault = self.new_fault.or(Some(FaultCode::POWER_STAGE));
+        }
         let code = if after == State::FaultReactionActive && before != after {
             self.new_fault.take().unwrap_or(FaultCode(0x1000))
         } else if before == State::Fault && after != before {
@@ -545,10 +556,12 @@ impl Drive {
         for (bit, so) in [
             (4, (low..=high).contains(&self.dc_link)),
             (7, self.motor.heat > WARM),
-            (9, !self.local),
+            (9, !self.local && !self.quirks.never_remote),
             (
                 10,
-                (said.reached && following) || self.stands_after_stop(motion),
+                (said.reached && following)
+                    || self.stands_after_stop(motion)
+                    || (self.quirks.reached_in_fault && state == State::Fault),
             ),
             (11, said.limited || self.servo.limited),
             (12, said.bit_12 && following && !hides_follow),

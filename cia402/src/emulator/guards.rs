@@ -3,6 +3,8 @@
 
 use std::fmt;
 
+use crate::error_text;
+
 /// An error code as object 603Fh and the emergency message carry it (CiA 402-1, IEC 61800-7-201).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[doc(alias = "603Fh")]
@@ -17,6 +19,8 @@ impl FaultCode {
     pub const OVER_VOLTAGE: Self = Self(0x3210);
     /// The DC link has too little voltage.
     pub const UNDER_VOLTAGE: Self = Self(0x3220);
+    /// The control of the power stage failed; drives with a weak supply show it while they are enabled.
+    pub const POWER_STAGE: Self = Self(0x5201);
     /// Drive or motor is too hot.
     pub const TEMPERATURE: Self = Self(0x4310);
     /// The incremental encoder failed.
@@ -48,43 +52,9 @@ impl FaultCode {
     }
 }
 
-/// Code and text of those met most.
-const TEXTS: [(u16, &str); 28] = [
-    (0x0000, "no error"),
-    (0x1000, "generic error"),
-    (0x2220, "continuous over-current"),
-    (0x2310, "continuous over-current at the output"),
-    (0x2320, "short circuit or earth leakage at the motor"),
-    (0x2350, "load level (I2t) fault"),
-    (0x3110, "mains over-voltage"),
-    (0x3120, "mains under-voltage"),
-    (0x3130, "mains phase missing"),
-    (0x3210, "DC link over-voltage"),
-    (0x3220, "DC link under-voltage"),
-    (0x4210, "device too hot"),
-    (0x4310, "drive or motor too hot"),
-    (0x5441, "enabling contact open"),
-    (0x5530, "parameter memory failed"),
-    (0x6010, "watchdog of the software"),
-    (0x6320, "parameter error"),
-    (0x7121, "motor blocked"),
-    (0x7122, "motor or commutation error"),
-    (0x7305, "incremental encoder 1 failed"),
-    (0x8110, "CAN overrun: messages lost"),
-    (0x8120, "CAN in error passive mode"),
-    (0x8130, "heartbeat or guarding of the master stopped"),
-    (0x8140, "recovered from bus-off"),
-    (0x8210, "PDO not processed: too short"),
-    (0x8250, "PDO did not come in time"),
-    (0x8611, "following error"),
-    (0x8700, "synchronisation: a set-point is missing"),
-];
-
 impl fmt::Display for FaultCode {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let text = TEXTS.iter().find(|(code, _)| *code == self.0);
-        let text = text.map_or("an error of the device's own", |(_, text)| text);
-        write!(f, "{text} ({:04X}h)", self.0)
+        write!(f, "{} ({:04X}h)", error_text(self.0), self.0)
     }
 }
 

@@ -37,6 +37,12 @@ pub struct Quirks {
     pub supported_modes: u32,
     /// 605Ah, 6007h and 6065h after a reset.
     pub defaults: (i16, i16, u32),
+    /// Bit 9 of 6041h is low although the drive follows 6040h.
+    pub never_remote: bool,
+    /// Bit 10 of 6041h is high in a fault (0638h).
+    pub reached_in_fault: bool,
+    /// So many enablings end in a fault (5201h) right behind Operation enabled; `u32::MAX` is all of them.
+    pub faults_on_enable: u32,
 }
 
 impl Default for Quirks {
@@ -58,6 +64,9 @@ impl Default for Quirks {
             // PP VL PV TQ HM IP CSP CSV CST.
             supported_modes: 0x3EF,
             defaults: (2, 1, 20_000),
+            never_remote: false,
+            reached_in_fault: false,
+            faults_on_enable: 0,
         }
     }
 }
@@ -104,12 +113,20 @@ impl Quirks {
                 cyclic_needs_bits_4_to_6: true,
                 ..plain
             },
+            "never-remote" => Self {
+                never_remote: true,
+                ..plain
+            },
+            "reached-in-fault" => Self {
+                reached_in_fault: true,
+                ..plain
+            },
             _ => return None,
         })
     }
 
     /// Names that [`Self::named`] knows.
-    pub const NAMES: [&'static str; 8] = [
+    pub const NAMES: [&'static str; 10] = [
         "profile",
         "epos4",
         "ax8000",
@@ -118,5 +135,7 @@ impl Quirks {
         "halt-before-mode",
         "mis",
         "dm556ec",
+        "never-remote",
+        "reached-in-fault",
     ];
 }

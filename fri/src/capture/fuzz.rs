@@ -1,7 +1,8 @@
 //! What must hold for any packets of a recording, in one function for tests and fuzzers. It makes no input of its own.
 
-use super::{Datagram, Decoded};
+use super::{DataLink, Datagram, Decoded, PcapHeader, PcapPacket, PcapWriter, Reader, Writer};
 use crate::diagnosis::Observer;
+use std::net::{Ipv4Addr, SocketAddrV4};
 use std::time::Duration;
 
 /// Longest packet taken out of the input, bytes.
@@ -29,6 +30,74 @@ pub fn fuzz(bytes: &[u8]) {
     }
 }
 
+/// Takes `bytes` for a file, pcap or pcapng, and reads its datagrams up to the first error.
+pub fn fuzz_file(bytes: &[u8]) {
+    let Ok(reader) = Reader::new(bytes) else {
+        return;
+    };
+    for datagram in reader.map_while(Result::ok) {
+        let _line = datagram.to_string();
+    }
+}
+
+/// Small files for [`fuzz_file`] to be damaged: raw IP as we write it, and Ethernet.
+#[must_use]
+pub fn files() -> Vec<Vec<u8>> {
+    let address = |port| SocketAddrV4::new(Ipv4Addr::new(192, 168, 0, 2), port);
+    let datagram = Datagram {
+        at: Duration::from_secs(1_700_000_000),
+        from: address(49_152),
+        to: address(49_153),
+        bytes: vec![0x5A; 40],
+    };
+    let ours = Writer::new(Vec::new()).and_then(|mut writer| {
+        writer.write(&datagram)?;
+        writer.write(&datagram)?;
+        Ok(writer.into_inner())
+    });
+    let header = PcapHeader {
+        datalink: DataLink::ETHERNET,
+        ..PcapHeader::default()
+    };
+    let ethernet = PcapWriter::with_header(Vec::new(), header).and_then(|mut writer| {
+        let mut frame = vec![2; 12];
+        frame.extend([8, 0]);
+        frame.extend(datagram.to_packet());
+        let len = u32::try_from(frame.len()).unwrap_or(u32::MAX);
+        writer.write_packet(&PcapPacket::new(datagram.at, len, &frame))?;
+        Ok(writer.into_writer())
+    });
+    let files = [ours.ok(), ethernet.ok()].into_iter().flatten();
+    files.chain([ng(&datagram.to_packet())]).collect()
+}
+
+/// A pcapng file: a section, an interface for raw IP, a packet.
+fn ng(packet: &[u8]) -> Vec<u8> {
+    let block = |kind: u32, body: &[u8]| {
+        let mut body = body.to_vec();
+        body.resize(body.len().next_multiple_of(4), 0);
+        let len = u32::try_from(body.len() + 12)
+            .unwrap_or(u32::MAX)
+            .to_le_bytes();
+        [&kind.to_le_bytes()[..], &len, &body, &len].concat()
+    };
+    let len = u32::try_from(packet.len())
+        .unwrap_or(u32::MAX)
+        .to_le_bytes();
+    let head = [
+        0x4D, 0x3C, 0x2B, 0x1A, 1, 0, 0, 0, 255, 255, 255, 255, 255, 255, 255, 255,
+    ];
+    // Link type 101, no limit, resolution of 10^-9 s.
+    let interface = [101, 0, 0, 0, 0, 0, 0, 0, 9, 0, 1, 0, 9, 0, 0, 0, 0, 0, 0, 0];
+    let data = [&[0; 12][..], &len, &len, packet].concat();
+    [
+        block(0x0A0D_0D0A, &head),
+        block(1, &interface),
+        block(6, &data),
+    ]
+    .concat()
+}
+
 fn next(bytes: &[u8]) -> Option<(Duration, &[u8], &[u8])> {
     let (at, rest) = bytes.split_first_chunk()?;
     let (len, rest) = rest.split_first_chunk()?;
@@ -39,4 +108,18 @@ fn next(bytes: &[u8]) -> Option<(Duration, &[u8], &[u8])> {
         packet,
         behind,
     ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_for_fuzzing_are_read() {
+        let counts = files().into_iter().map(|file| {
+            let reader = Reader::new(file.as_slice()).unwrap();
+            reader.map(Result::unwrap).count()
+        });
+        assert_eq!(counts.collect::<Vec<_>>(), [2, 1, 1]);
+    }
 }

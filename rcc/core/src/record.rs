@@ -2,6 +2,7 @@
 //! replay. A replay runs the same [`Executor`] on the recorded inputs and must give the same words.
 
 mod file;
+mod fuzz;
 mod replay;
 mod words;
 
@@ -20,6 +21,8 @@ use crate::executor::{End, Executor, Running};
 use file::Writer;
 use words::Words;
 
+#[doc(hidden)]
+pub use fuzz::{files, fuzz};
 pub use replay::{Replay, replay};
 
 /// Buffers between the net thread and the file; each holds one cycle.

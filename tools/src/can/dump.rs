@@ -28,7 +28,7 @@ pub(crate) struct Dump {
     /// CAN interfaces, or any.
     #[arg(required_unless_present = "from", conflicts_with = "from")]
     interfaces: Vec<String>,
-    /// Read a recording instead: candump log, ASC or BLF.
+    /// Read a recording instead: candump log or text, ASC, BLF, TRC, pcap or pcapng.
     #[arg(long, value_name = "FILE")]
     from: Option<PathBuf>,
     /// Show only these frames.

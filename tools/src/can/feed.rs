@@ -8,10 +8,10 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
-use takt_can::Direction;
 use takt_can::link::{Link as _, Origin, Received};
 use takt_can::linux::{Clock, Options, SocketCan, interfaces};
 use takt_can::log::{Format, Log, Record};
+use takt_can::{Direction, LogError};
 use tokio::signal::unix::{SignalKind, signal};
 
 use crate::output::complain;
@@ -132,11 +132,13 @@ pub(super) fn cannot_open(name: &str) -> String {
 pub(super) fn read_log(path: &Path) -> anyhow::Result<Log> {
     let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
     let (log, format) = (Log::read(&bytes), Format::of(&bytes));
-    let place = if format == Format::Blf {
-        "byte"
-    } else {
-        "line"
-    };
+    anyhow::ensure!(
+        format != Format::Unknown,
+        "{}: {}",
+        path.display(),
+        LogError::Unknown
+    );
+    let place = format.place();
     for left_out in &log.left_out {
         let (path, at) = (path.display(), left_out.place);
         complain(&format!("{path}: {place} {at}: {}", left_out.why));

@@ -17,7 +17,7 @@ use super::send::sleep_until;
 use crate::Verdict;
 use crate::output::{complain, say, span};
 
-/// Send a recording: candump log, ASC or BLF.
+/// Send a recording: candump log or text, ASC, BLF, TRC, pcap or pcapng.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   takt can replay fault.log vcan0

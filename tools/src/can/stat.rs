@@ -29,7 +29,7 @@ pub(crate) struct Stat {
     /// The CAN interface.
     #[arg(required_unless_present = "from", conflicts_with = "from")]
     interface: Option<String>,
-    /// Read a recording instead: candump log, ASC or BLF.
+    /// Read a recording instead: candump log or text, ASC, BLF, TRC, pcap or pcapng.
     #[arg(long, value_name = "FILE")]
     from: Option<PathBuf>,
     /// Only this interface or channel of the recording; without it the first frame's.

@@ -7,9 +7,10 @@ use anyhow::Context as _;
 use clap::Args;
 use takt_can::canopen::NodeId;
 use takt_can::canopen::emulator::{DriveNode, DriveNodeConfig};
+use takt_can::canopen::node::NodeQuirks;
 use takt_can::link::{Link as _, LinkError};
 use takt_can::linux::{Options, SocketCan, monotonic};
-use takt_cia402::emulator::DriveConfig;
+use takt_cia402::emulator::{DriveConfig, Quirks};
 
 use super::service::Service;
 use crate::Verdict;
@@ -34,6 +35,13 @@ pub(crate) struct DriveArgs {
     /// Time between heartbeats; none without it.
     #[arg(long, value_name = "TIME", value_parser = span)]
     heartbeat: Option<Duration>,
+    /// Let it behave as real nodes were seen to; may be given several times.
+    ///
+    /// Of the node: late-boot-up, slow-boot-up, slow-sdo, stale-answers, noise, cob-bits-set, cob-bits-clear, no-6502h,
+    /// repeated-answers, serial-1. Of its axes: epos4, ax8000, ssc-5.11, el7411, halt-before-mode, mis, dm556ec,
+    /// never-remote, reached-in-fault, faults-on-enable.
+    #[arg(long, value_name = "NAME", value_parser = quirk)]
+    quirk: Vec<String>,
     /// Write its data sheet and end.
     #[arg(long, value_name = "FILE.eds")]
     eds: Option<PathBuf>,
@@ -46,11 +54,14 @@ impl DriveArgs {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
         let id = NodeId::new(self.node).context("a node number is 1 to 127")?;
         let heartbeat = self.heartbeat.unwrap_or_default().as_millis();
-        let config = DriveNodeConfig {
+        let mut config = DriveNodeConfig {
             axes: vec![DriveConfig::default(); self.axes.into()],
             heartbeat_ms: u16::try_from(heartbeat).context("a heartbeat is at most 65s apart")?,
             ..DriveNodeConfig::new(id)
         };
+        for name in &self.quirk {
+            config.add_quirk(name);
+        }
         if let Some(path) = &self.eds {
             std::fs::write(path, config.eds().print())
                 .with_context(|| format!("cannot write {}", path.display()))?;
@@ -70,6 +81,20 @@ impl DriveArgs {
     }
 }
 
+/// Reads the name of a quirk of the command line.
+fn quirk(name: &str) -> Result<String, String> {
+    let known = DriveNodeConfig::new(NodeId::LAST).add_quirk(name);
+    let all = [
+        &NodeQuirks::NAMES[1..],
+        &DriveNodeConfig::QUIRKS,
+        &Quirks::NAMES[1..],
+    ];
+    let all = || all.concat().join(", ");
+    known
+        .then(|| name.to_owned())
+        .ok_or_else(|| format!("`{name}` is no quirk; those are {}", all()))
+}
+
 fn turn(node: &mut DriveNode, socket: &mut SocketCan) -> Result<(), LinkError> {
     if let Some(received) = socket.receive(WAIT)?
         && let Some(frame) = received.frame.classic()
@@ -83,4 +108,26 @@ fn turn(node: &mut DriveNode, socket: &mut SocketCan) -> Result<(), LinkError> {
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Args as _;
+
+    use super::*;
+
+    #[test]
+    fn quirk_names_are_all_in_the_help() {
+        let mut command = DriveArgs::augment_args(clap::Command::new("drive"));
+        let help = command.render_long_help().to_string().replace('\n', " ");
+        for name in NodeQuirks::NAMES.into_iter().chain(Quirks::NAMES) {
+            let plain = matches!(name, "none" | "profile");
+            assert!(plain || help.contains(name), "{name}");
+            assert!(quirk(name).is_ok());
+        }
+        for name in DriveNodeConfig::QUIRKS {
+            assert!(help.contains(name) && quirk(name).is_ok(), "{name}");
+        }
+        assert!(quirk("nonsense").unwrap_err().contains("late-boot-up"));
+    }
 }

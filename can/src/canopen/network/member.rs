@@ -1,12 +1,16 @@
 //! One node of a network as its master has it: its start, its watch, its process image, its SDO
 //! client. It shares nothing with the others, so that what goes wrong here stays here.
 
+mod babble;
+
 use std::collections::VecDeque;
 use std::time::Duration;
 
 use takt_cia402::dictionary::{
     AbortCode, Access, Address, DataType, Dictionary, Entry, Mapped, Mapping, Object, PdoUse,
 };
+
+use babble::Babble;
 
 use super::plan::{NodePlan, Supervision};
 use super::startup::{Action, Answer, Phase, Startup};
@@ -70,8 +74,10 @@ pub(super) struct Member {
     seen: Phase,
     /// Periods in which its drives are still told to stop, before it is told so itself.
     parting: u32,
-    /// Until then an SDO answer may be to what was asked before the node booted up.
+    /// Until then an SDO answer may be to what was asked before the node booted up, or one of several to the same
+    /// request.
     settled: Duration,
+    babble: Babble,
 }
 
 /// How long a node that booted up may still answer what it was asked before: who powers up while the master starts
@@ -134,6 +140,7 @@ impl Member {
             seen: Phase::Off,
             parting: 0,
             settled: Duration::ZERO,
+            babble: Babble::default(),
             plan,
         })
     }
@@ -173,6 +180,7 @@ impl Member {
             Phase::Running => self.trouble = None,
             Phase::Resetting | Phase::Failed | Phase::Off => {
                 (self.guarding, self.wanted) = (None, Action::None);
+                self.babble = Babble::default();
                 if matches!(self.owner, Owner::Startup) {
                     self.drop_transfer(AbortCode::General);
                 }
@@ -330,7 +338,11 @@ impl Member {
         if self.command.is_some() || self.question.is_some() {
             return Some(Duration::ZERO);
         }
-        let asks = self.has_sdo().then_some(self.settled);
+        let asks = if self.message.is_some() {
+            Some(Duration::ZERO)
+        } else {
+            self.has_sdo().then_some(self.settled)
+        };
         let heartbeat = self.consumer.poll_timeout().filter(|_| self.is_running());
         let guarding = self.guarding.as_ref().map(Guarding::poll_timeout);
         let client = self.client.poll_timeout();
@@ -378,11 +390,12 @@ impl Member {
 
     /// The next SDO message to its server.
     pub(super) fn poll_sdo(&mut self, now: Duration) -> Option<sdo::Message> {
-        if now < self.settled {
-            return None;
-        }
+        // An abort does not wait: the server is to know at once.
         if let Some(message) = self.message.take() {
             return Some(message);
+        }
+        if now < self.settled {
+            return None;
         }
         if self.client.is_idle() {
             self.next_transfer(now);
@@ -441,6 +454,8 @@ impl Member {
         if !self.client.is_idle() {
             let progress = self.client.handle(message, now);
             self.progress(progress, now);
+        } else if now < self.babble.end {
+            self.settled = (now + SETTLING).min(self.babble.end);
         }
     }
 
@@ -456,6 +471,7 @@ impl Member {
     fn finish(&mut self, outcome: Outcome, now: Duration) {
         match std::mem::replace(&mut self.owner, Owner::Nobody) {
             Owner::Nobody => {}
+            Owner::Startup if self.ask_again(outcome, now) => {}
             Owner::Startup => {
                 let answer = match outcome {
                     Outcome::Read => Answer::Value(self.client.value()),

@@ -49,6 +49,22 @@ impl Download {
             ..self
         }
     }
+
+    /// Whether a device that shows these bytes took the value. Of the COB-ID of a PDO or of emergencies only the
+    /// identifier and bit 31 count; all else is compared byte by byte.
+    #[must_use]
+    pub fn is_taken(&self, bytes: &[u8]) -> bool {
+        let cob = |bytes: &[u8]| {
+            let four = <[u8; 4]>::try_from(bytes).ok()?;
+            Some(PdoCob::from_raw(u32::from_le_bytes(four)))
+        };
+        let pdo = Direction::of(self.address.index).is_some_and(|(.., mapping)| !mapping);
+        let is_cob = pdo && self.address.sub == 1 || self.address == Address::new(0x1014, 0);
+        match (cob(&self.data), cob(bytes)) {
+            (Some(written), Some(read)) if is_cob => written.is_same(read),
+            _ => bytes == self.data.as_slice(),
+        }
+    }
 }
 
 /// How the master notices that a node is gone.

@@ -239,6 +239,22 @@ impl Startup {
         }
     }
 
+    /// What it waits for by SDO, to be requested again: reads and writes of a start-up may be repeated.
+    #[must_use]
+    pub fn pending(&self) -> Action {
+        match self.phase {
+            Phase::Checking(at) => Action::Read(Self::checked(at)),
+            Phase::Configuring { at, reading: false } => Action::Write(at),
+            Phase::Configuring { at, reading: true } => {
+                let download = self.downloads.get(at);
+                download.map_or(Action::None, |d| Action::Read(d.address))
+            }
+            Phase::Off | Phase::Resetting | Phase::Starting | Phase::Running | Phase::Failed => {
+                Action::None
+            }
+        }
+    }
+
     /// Whether what was written has to be read back.
     fn configured(&self, at: usize, reading: bool, answer: Answer<'_>) -> Result<bool, Trouble> {
         let Some(download) = self.downloads.get(at) else {
@@ -250,7 +266,7 @@ impl Startup {
             Answer::Refused(code) => Err(Trouble::Refused { address, code }),
             Answer::Silent => Err(Trouble::Silent(address)),
             Answer::Written => Ok(download.verify && !reading),
-            Answer::Value(bytes) if bytes == download.data.as_slice() => Ok(false),
+            Answer::Value(bytes) if download.is_taken(bytes) => Ok(false),
             Answer::Value(_) => Err(Trouble::NotTaken(address)),
         }
     }

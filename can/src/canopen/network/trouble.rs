@@ -32,6 +32,13 @@ pub enum Trouble {
     },
     /// It did not answer a read or a write of its configuration.
     Silent(Address),
+    /// It answered a read or a write of its configuration with what is no answer to it; it is asked again.
+    Garbled {
+        /// About what it was asked.
+        address: Address,
+        /// What was wrong with the answer.
+        code: AbortCode,
+    },
     /// It took a value and shows another.
     NotTaken(Address),
     /// It was started and says another state.
@@ -76,6 +83,7 @@ const fn lacks(address: Address) -> &'static str {
 }
 
 impl fmt::Display for Trouble {
+    #[expect(clippy::too_many_lines, reason = "a table of texts")]
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::NoBootUp(after) => write!(
@@ -97,6 +105,11 @@ impl fmt::Display for Trouble {
                 f,
                 "no SDO answer about {address}: is the node stopped, or its SDO server busy with \
                  another master?"
+            ),
+            Self::Garbled { address, code } => write!(
+                f,
+                "an SDO answer that belongs to no request, when {address} was asked ({code}): two nodes of one \
+                 number, another master, or a node that repeats its answers; it is asked again when it is quiet"
             ),
             Self::NotTaken(address) => write!(
                 f,

@@ -9,7 +9,7 @@ use crate::canopen::emcy::{Source, code, register};
 use crate::canopen::message::{LSS_SLAVE, frame};
 use crate::canopen::nmt::{Consumer, Heard, Input, Reset, State, Watch};
 use crate::canopen::pdo::Received;
-use crate::canopen::{HEARTBEAT, Message, NmtCommand, NodeId, lss};
+use crate::canopen::{HEARTBEAT, Message, NmtCommand, NodeId, lss, sdo};
 use crate::{Frame, Id};
 
 impl<A: Application> Node<A> {
@@ -108,6 +108,9 @@ impl<A: Application> Node<A> {
         let Some(message) = data.first_chunk() else {
             return;
         };
+        if let Some(refusal) = self.manners.refusal(message) {
+            return self.answer(message, refusal, now);
+        }
         let mut hooks = NodeHooks::new(&mut self.application);
         let answer = self
             .server
@@ -117,7 +120,17 @@ impl<A: Application> Node<A> {
             self.configure(address, now);
         }
         if let Some(answer) = answer {
-            self.push(frame(self.settings.response, &answer));
+            self.answer(message, answer, now);
+        }
+    }
+
+    fn answer(&mut self, request: &sdo::Message, answer: sdo::Message, now: Duration) {
+        let answer = self.manners.shape(request, answer);
+        let answer = frame(self.settings.response, &answer);
+        if self.manners.delays() {
+            self.manners.delay(answer, now);
+        } else {
+            self.push(answer);
         }
     }
 
@@ -191,6 +204,7 @@ impl<A: Application> Node<A> {
 
     /// Time passed: what is late, lost or due.
     pub(super) fn run_timers(&mut self, now: Duration) {
+        self.run_manners(now);
         self.run_application(now);
         for at in 0..self.consumers.len() {
             let (node, consumer) = &mut self.consumers[at];

@@ -64,6 +64,7 @@ impl Rig {
             relative: communication.relative(),
             sdo_len_max: 100,
             sdo_timeout: 500 * MS,
+            quirks: NodeQuirks::default(),
         };
         let node = Node::new(config, Recorder::default(), Duration::ZERO).unwrap();
         let now = Duration::ZERO;

@@ -112,6 +112,25 @@ fn fd_message_of_64() {
     );
 }
 
+/// Loggers leave zeros at the end out: 64 bytes are counted, 48 are there.
+#[test]
+fn fd_message_of_64_cut_by_its_logger_is_padded() {
+    let mut content = vec![1, 15, 64, 0];
+    content.extend(0x123_u32.to_le_bytes());
+    content.extend([0; 4]);
+    content.extend(0x1000_u32.to_le_bytes());
+    content.resize(40, 0);
+    content.extend([0xAB; 48]);
+    let cut = object(101, 2, &content);
+    let expected = format!(
+        "(0000000000.000000) 1 123##0{}{} R",
+        "AB".repeat(48),
+        "00".repeat(16)
+    );
+    let log = Log::read(&file(&cut));
+    assert_eq!((printed(&log), log.left_out_count), (vec![expected], 0));
+}
+
 #[test]
 fn error_code_of_a_controller_becomes_place_and_kind() {
     let mut content = vec![1, 0, 0, 0, 0, 0, 0, 0, 0x80 | 0x19];

@@ -17,9 +17,9 @@ use crate::device::{DeviceDescription, Part, Place};
 use crate::error::Error;
 use crate::record::Note;
 
-const CYCLES: &str = "/takt/cycles";
-const DEVICES: &str = "/takt/devices";
-const NETS: &str = "/takt/nets";
+pub(super) const CYCLES: &str = "/takt/cycles";
+pub(super) const DEVICES: &str = "/takt/devices";
+pub(super) const NETS: &str = "/takt/nets";
 
 /// A device of the recorded cell.
 #[derive(Debug, Serialize, Deserialize)]
@@ -263,6 +263,11 @@ impl Recording {
             path: path.to_owned(),
             source,
         })?;
+        Self::parse(&bytes, path)
+    }
+
+    /// What the bytes of that file hold.
+    pub(super) fn parse(bytes: &[u8], path: &Path) -> Result<Self, Error> {
         let cut = |e: &mcap::McapError| wrong(path, format!("no whole MCAP file: {e}"));
         let mut recording = Self::default();
         let mut topics = HashMap::new();
@@ -273,7 +278,7 @@ impl Recording {
             .with_validate_data_section_crc(true)
             .with_record_length_limit(bytes.len());
         let mut reader = LinearReader::new_with_options(options);
-        let mut rest = bytes.as_slice();
+        let mut rest = bytes;
         while let Some(event) = reader.next_event() {
             match event.map_err(|e| cut(&e))? {
                 LinearReadEvent::ReadRequest(wanted) => {

@@ -61,6 +61,7 @@ impl Cause {
             Self::Drive(Obstacle::Undefined(_)) => "undefined-state",
             Self::Drive(Obstacle::Fault) => "fault",
             Self::Drive(Obstacle::ResetRefused(_)) => "reset-refused",
+            Self::Drive(Obstacle::EnablingFails(_)) => "enabling-fails",
             Self::Drive(Obstacle::NotRemote) => "not-remote",
             Self::Drive(Obstacle::NoVoltage) => "no-voltage",
             Self::Drive(Obstacle::Mode { .. }) => "mode",

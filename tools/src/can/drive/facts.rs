@@ -67,7 +67,9 @@ pub(super) fn modes(word: u32) -> String {
 /// Which objects explain it.
 fn about(obstacle: Option<Obstacle>) -> &'static [u16] {
     match obstacle {
-        Some(Obstacle::Fault | Obstacle::ResetRefused(_)) => &[0x603F, 0x1001, 0x1003],
+        Some(Obstacle::Fault | Obstacle::ResetRefused(_) | Obstacle::EnablingFails(_)) => {
+            &[0x603F, 0x1001, 0x1003]
+        }
         Some(Obstacle::NoVoltage) => &[0x6079, 0x60FD],
         Some(Obstacle::Mode { .. }) => &[0x6502, 0x6040],
         Some(Obstacle::Stuck { .. }) => &[0x6040, 0x60FD, 0x603F, 0x1001],

@@ -6,6 +6,7 @@ use std::fmt::Write as _;
 use serde_json::{Value, json};
 use takt_can::canopen::NodeId;
 use takt_can::canopen::eds::Eds;
+use takt_can::canopen::network::Download;
 use takt_cia402::dictionary::{AbortCode, Access, Address, DataType, Dictionary, Entry};
 
 use super::line;
@@ -148,7 +149,8 @@ pub(super) fn compare<W: Wire>(
         {
             return Ok(Err(refusal));
         }
-        if actual.as_ref() != Ok(&expected) {
+        let wanted = Download::new(address.index, address.sub, &expected);
+        if !actual.as_ref().is_ok_and(|bytes| wanted.is_taken(bytes)) {
             compared.differences.push(Difference {
                 address,
                 expected,

@@ -7,6 +7,7 @@ use serde_json::{Value, json};
 use takt_can::canopen::Message;
 use takt_can::stat::{Finding, IdStat, Report, Severity};
 use takt_can::{Frame, Id};
+use takt_cia402::error_text;
 
 /// Identifiers that are listed, those with the most time on the wire first.
 const LISTED: usize = 40;
@@ -28,6 +29,7 @@ pub(super) fn table(name: &str, report: &Report) -> String {
     let mut text = head(name, report);
     ids(&mut text, report);
     nodes(&mut text, report);
+    sdos(&mut text, report);
     text.trim_end().to_owned()
 }
 
@@ -165,15 +167,41 @@ fn nodes(text: &mut String, report: &Report) {
     text.push_str("\n    node  state            heartbeat ms  late  started\n");
     for (node, beat) in &report.heartbeats {
         let silent = report.silent.iter().any(|(silent, _)| silent == node);
-        let note = if silent { "  SILENT" } else { "" };
+        let mut note = if silent { "  SILENT" } else { "" }.to_owned();
+        if let Some(earlier) = beat.earlier {
+            let _ = write!(note, "  every {:.0} ms before", ms(earlier));
+        }
+        if let (times, Some(command)) = beat.resets {
+            let _ = write!(note, "  {times} by NMT {command}");
+        }
         let _ = writeln!(
             text,
             "{:>8}  {:<16} {:>12.0} {:>5} {:>8}{note}",
             node.raw(),
             beat.state.to_string(),
-            ms(beat.intervals.mean()),
+            ms(beat.period()),
             beat.gaps,
             beat.boots,
+        );
+    }
+}
+
+fn sdos(text: &mut String, report: &Report) {
+    let dialogues = || report.sdos.iter().filter(|(_, sdo)| sdo.is_sdo());
+    if dialogues().next().is_none() {
+        return;
+    }
+    text.push_str("\n    node  SDO requests  answered  no answer  aborts  longest ms\n");
+    for (node, sdo) in dialogues() {
+        let _ = writeln!(
+            text,
+            "{:>8}  {:>12}  {:>8}  {:>9}  {:>6}  {:>10.1}",
+            node.raw(),
+            sdo.requests,
+            sdo.answered,
+            sdo.unanswered,
+            sdo.refused.0.saturating_add(sdo.given_up.0),
+            ms(sdo.longest),
         );
     }
 }
@@ -229,8 +257,25 @@ pub(super) fn json(name: &str, report: &Report, findings: &[Finding]) -> Value {
         let silence = report.silent.iter().find(|(silent, _)| silent == node);
         json!({
             "node": node.raw(), "state": beat.state.to_string(), "boots": beat.boots,
-            "reboots": beat.reboots, "late": beat.gaps, "mean_us": us(beat.intervals.mean()),
+            "reboots": beat.reboots, "resets": beat.resets.0, "late": beat.gaps,
+            "mean_us": us(beat.period()), "earlier_us": beat.earlier.map(us),
             "silent_us": silence.map(|(_, silence)| us(*silence)),
+        })
+    });
+    let sdos = report.sdos.iter().filter(|(_, sdo)| sdo.is_sdo());
+    let sdos = sdos.map(|(node, sdo)| {
+        json!({
+            "node": node.raw(), "requests": sdo.requests, "answered": sdo.answered,
+            "unanswered": sdo.unanswered, "refused": sdo.refused.0, "given_up": sdo.given_up.0,
+            "repeats": sdo.repeats, "unasked": sdo.unasked, "longest_us": us(sdo.longest),
+        })
+    });
+    let emergencies = report.emergencies.iter().flat_map(|(node, emergencies)| {
+        emergencies.codes().iter().map(|seen| {
+            json!({
+                "node": node.raw(), "code": seen.code, "text": error_text(seen.code),
+                "register": seen.register, "times": seen.times, "present": seen.is_present,
+            })
         })
     });
     let found = findings.iter().map(|finding| {
@@ -255,6 +300,7 @@ pub(super) fn json(name: &str, report: &Report, findings: &[Finding]) -> Value {
         "dropped": report.dropped, "refused": report.refused,
         "sync_jitter": report.sync_jitter(),
         "ids": ids.collect::<Vec<_>>(), "nodes": nodes.collect::<Vec<_>>(),
+        "sdos": sdos.collect::<Vec<_>>(), "emergencies": emergencies.collect::<Vec<_>>(),
         "findings": found.collect::<Vec<_>>(),
     })
 }

@@ -1,0 +1,101 @@
+//! What is wrong with emergencies and SDO dialogues. Frames with their identifiers on a bus that is no CANopen bus are
+//! judged by nobody.
+
+use super::{Finding, Severity};
+use crate::canopen::NodeId;
+use crate::stat::{Report, SdoStat};
+
+/// Emergencies of a node on a bus without any sign of CANopen that still are taken for some. Cars and power bases send
+/// their data cyclically under these identifiers.
+const EMERGENCIES_MAX: u64 = 16;
+/// Requests in a row without an answer from which on a node is taken for dead.
+const DEAD: u32 = 3;
+/// Nodes that were asked and are not there, from which on it is a scan.
+const SCAN: usize = 4;
+
+/// Whether something shows that this is a CANopen bus.
+fn is_canopen(report: &Report) -> bool {
+    report.canopen > 0
+        || report
+            .sdos
+            .values()
+            .any(|sdo| sdo.answered > 0 && sdo.is_sdo())
+}
+
+pub(super) fn emergencies(report: &Report, found: &mut Vec<Finding>) {
+    for (node, emergencies) in &report.emergencies {
+        if !is_canopen(report) && emergencies.frames > EMERGENCIES_MAX {
+            continue;
+        }
+        let node = *node;
+        found.extend(emergencies.codes().iter().map(|seen| {
+            let (code, times) = (seen.code, seen.times);
+            if seen.is_present {
+                Finding::Emergency { node, code, times }
+            } else {
+                Finding::EmergencyEnded { node, code, times }
+            }
+        }));
+    }
+}
+
+pub(super) fn sdos(report: &Report, found: &mut Vec<Finding>) {
+    // Of a node that shows itself in no other way, not one answer came.
+    let is_absent = |node: &NodeId, sdo: &SdoStat| {
+        sdo.answered == 0 && sdo.unasked == 0 && !report.heartbeats.contains_key(node)
+    };
+    let sdos = || report.sdos.iter().filter(|(_, sdo)| sdo.is_sdo());
+    let mut absent = sdos().filter(|(node, sdo)| is_absent(node, sdo) && sdo.unanswered > 0);
+    let count = absent.clone().count();
+    let scan = absent.next().filter(|_| count >= SCAN);
+    if let Some((first, _)) = scan {
+        let (nodes, first) = (count, *first);
+        found.push(Finding::SdoAbsent { nodes, first });
+    }
+    for (node, sdo) in sdos() {
+        if scan.is_none() || !is_absent(node, sdo) {
+            of_node(*node, sdo, found);
+        }
+    }
+    let without = report
+        .sdos
+        .iter()
+        .filter(|(_, sdo)| !sdo.is_sdo() && sdo.requests == 0);
+    for (node, sdo) in without.filter(|(node, _)| report.heartbeats.contains_key(node)) {
+        unasked(*node, sdo, found);
+    }
+}
+
+fn of_node(node: NodeId, sdo: &SdoStat, found: &mut Vec<Finding>) {
+    if sdo.unanswered > 0 {
+        let is_dead = sdo.answered == 0 && sdo.unanswered >= DEAD;
+        found.push(Finding::SdoUnanswered {
+            node,
+            times: sdo.unanswered,
+            address: sdo.unanswered_last,
+            severity: if is_dead {
+                Severity::Failure
+            } else {
+                Severity::Warning
+            },
+        });
+    }
+    if let (times, Some(last)) = sdo.refused {
+        found.push(Finding::SdoRefused { node, times, last });
+    }
+    if let (times, Some(last)) = sdo.given_up {
+        found.push(Finding::SdoGivenUp { node, times, last });
+    }
+    if sdo.repeats > 0 {
+        let times = sdo.repeats;
+        found.push(Finding::SdoRepeated { node, times });
+    }
+    unasked(node, sdo, found);
+}
+
+fn unasked(node: NodeId, sdo: &SdoStat, found: &mut Vec<Finding>) {
+    if sdo.unasked > 0 {
+        let times = sdo.unasked;
+        found.push(Finding::SdoUnasked { node, times });
+    }
+}

@@ -1,0 +1,195 @@
+//! Error codes in words: object 603Fh and the first two bytes of an emergency (CiA 301, clause 7.2.7; CiA 402-1 and IEC
+//! 61800-7-201 for drives). What a maker means by codes of its own, its manual says.
+
+/// Code and text of the profiles.
+const CODES: [(u16, &str); 106] = [
+    (0x0000, "no error"),
+    (0x1000, "generic error"),
+    (0x2110, "short circuit or earth leakage at the input"),
+    (0x2120, "earth leakage at the input"),
+    (0x2130, "short circuit at the input"),
+    (0x2211, "current inside the device, no. 1"),
+    (0x2212, "current inside the device, no. 2"),
+    (0x2213, "over-current in the ramp"),
+    (0x2214, "over-current in the sequence"),
+    (0x2220, "continuous over-current"),
+    (0x2230, "short circuit or earth leakage inside the device"),
+    (0x2240, "earth leakage inside the device"),
+    (0x2250, "short circuit inside the device"),
+    (0x2310, "continuous over-current at the output"),
+    (0x2320, "short circuit or earth leakage at the motor"),
+    (0x2330, "earth leakage at the motor"),
+    (0x2340, "short circuit at the motor"),
+    (0x2350, "load level (I2t) fault"),
+    (0x2360, "load level (I2t) warning"),
+    (0x3110, "mains over-voltage"),
+    (0x3120, "mains under-voltage"),
+    (0x3130, "mains phase missing"),
+    (0x3134, "mains phase sequence"),
+    (0x3140, "mains frequency"),
+    (0x3210, "DC link over-voltage"),
+    (0x3220, "DC link under-voltage"),
+    (0x3230, "load error"),
+    (0x3310, "output over-voltage"),
+    (0x3320, "armature circuit"),
+    (0x3330, "field circuit"),
+    (0x4110, "ambient temperature too high"),
+    (0x4120, "ambient temperature too low"),
+    (0x4210, "device too hot"),
+    (0x4220, "device too cold"),
+    (0x4310, "drive or motor too hot"),
+    (0x4320, "drive or motor too cold"),
+    (0x4410, "supply too hot"),
+    (0x4420, "supply too cold"),
+    (0x5100, "supply"),
+    (0x5200, "control"),
+    (0x5210, "measurement circuit"),
+    (0x5220, "computing circuit"),
+    (0x5300, "operating unit"),
+    (0x5400, "power section"),
+    (0x5410, "output stage"),
+    (0x5420, "chopper"),
+    (0x5430, "input stage"),
+    (0x5440, "contacts"),
+    (0x5441, "enabling contact open"),
+    (0x5450, "fuses"),
+    (0x5500, "hardware memory"),
+    (0x5510, "RAM"),
+    (0x5520, "program memory"),
+    (0x5530, "parameter memory failed"),
+    (0x6010, "watchdog of the software"),
+    (0x6310, "parameters lost"),
+    (0x6320, "parameter error"),
+    (0x7110, "brake chopper"),
+    (0x7120, "motor"),
+    (0x7121, "motor blocked"),
+    (0x7122, "motor or commutation error"),
+    (0x7123, "motor tilted"),
+    (0x7200, "measurement circuit"),
+    (0x7300, "sensor"),
+    (0x7301, "tacho failed"),
+    (0x7302, "tacho polarity"),
+    (0x7303, "resolver 1 failed"),
+    (0x7304, "resolver 2 failed"),
+    (0x7305, "incremental encoder 1 failed"),
+    (0x7306, "incremental encoder 2 failed"),
+    (0x7307, "incremental encoder 3 failed"),
+    (0x7310, "speed"),
+    (0x7320, "position"),
+    (0x7400, "computing circuit"),
+    (0x7500, "communication with a module"),
+    (0x7510, "serial interface 1"),
+    (0x7520, "serial interface 2"),
+    (0x7600, "external memory"),
+    (0x8110, "CAN overrun: messages lost"),
+    (0x8120, "CAN in error passive mode"),
+    (0x8130, "heartbeat or guarding of the master stopped"),
+    (0x8140, "recovered from bus-off"),
+    (0x8150, "collision of CAN identifiers"),
+    (0x8210, "PDO not processed: too short"),
+    (0x8220, "PDO longer than its mapping"),
+    (0x8230, "multiplexed PDO not processed"),
+    (0x8240, "SYNC of unexpected length"),
+    (0x8250, "PDO did not come in time"),
+    (0x8311, "torque too high"),
+    (0x8312, "difficult start-up"),
+    (0x8313, "standstill torque"),
+    (0x8321, "torque too low"),
+    (0x8331, "torque fault"),
+    (0x8400, "velocity controller"),
+    (0x8500, "position controller"),
+    (0x8600, "positioning controller"),
+    (0x8611, "following error"),
+    (0x8612, "reference limit"),
+    (0x8700, "synchronisation: a set-point is missing"),
+    (0x8800, "winding controller"),
+    (0x8900, "process data monitoring"),
+    (0x8A00, "control monitoring"),
+    (0xF001, "deceleration"),
+    (0xF002, "sub-synchronous run"),
+    (0xF003, "stroke operation"),
+    (0xF004, "control function"),
+];
+
+/// High byte and text of groups of codes.
+const GROUPS: [(u8, &str); 45] = [
+    (0x10, "generic error"),
+    (0x20, "current"),
+    (0x21, "current at the input"),
+    (0x22, "current inside the device"),
+    (0x23, "current at the output"),
+    (0x30, "voltage"),
+    (0x31, "mains voltage"),
+    (0x32, "voltage inside the device"),
+    (0x33, "output voltage"),
+    (0x40, "temperature"),
+    (0x41, "ambient temperature"),
+    (0x42, "device temperature"),
+    (0x43, "drive temperature"),
+    (0x44, "supply temperature"),
+    (0x50, "device hardware"),
+    (0x51, "supply"),
+    (0x52, "control hardware"),
+    (0x53, "operating unit"),
+    (0x54, "power section"),
+    (0x55, "hardware memory"),
+    (0x60, "device software"),
+    (0x61, "internal software"),
+    (0x62, "user software"),
+    (0x63, "data set"),
+    (0x70, "additional modules"),
+    (0x71, "power of a module"),
+    (0x72, "measurement circuit"),
+    (0x73, "sensor"),
+    (0x74, "computing circuit"),
+    (0x75, "communication with a module"),
+    (0x76, "external memory"),
+    (0x80, "monitoring"),
+    (0x81, "communication"),
+    (0x82, "protocol error"),
+    (0x83, "torque controller"),
+    (0x84, "velocity controller"),
+    (0x85, "position controller"),
+    (0x86, "positioning controller"),
+    (0x87, "synchronisation"),
+    (0x88, "winding controller"),
+    (0x89, "process data monitoring"),
+    (0x8A, "control monitoring"),
+    (0x90, "external error"),
+    (0xF0, "additional functions"),
+    (0xFF, "device specific"),
+];
+
+/// An error code in words: the profile's, else those of its group.
+#[must_use]
+#[doc(alias = "603Fh")]
+pub fn error_text(code: u16) -> &'static str {
+    let [group, _] = code.to_be_bytes();
+    let exact = CODES.iter().find(|(known, _)| *known == code);
+    let of_group = || GROUPS.iter().find(|(known, _)| *known == group);
+    let exact = exact.map(|(_, text)| *text);
+    exact
+        .or_else(|| of_group().map(|(_, text)| *text))
+        .unwrap_or("an error of the device's own")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn error_code_unknown_has_words_of_its_group() {
+        for (code, text) in [
+            (0x0000, "no error"),
+            (0x8611, "following error"),
+            (0x5201, "control hardware"),
+            (0x81B0, "communication"),
+            (0xFF42, "device specific"),
+            (0x0001, "an error of the device's own"),
+        ] {
+            assert_eq!(error_text(code), text, "{code:04X}h");
+        }
+        assert!(CODES.is_sorted_by_key(|(code, _)| *code), "each code once");
+        assert!(GROUPS.is_sorted_by_key(|(group, _)| *group));
+    }
+}

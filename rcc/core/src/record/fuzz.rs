@@ -1,0 +1,75 @@
+//! What must hold for any bytes of a recording: they are read or refused, and nothing panics. Replays nothing.
+
+use std::collections::BTreeMap;
+use std::io::Cursor;
+use std::path::Path;
+
+use mcap::records::MessageHeader;
+
+use super::file::{CYCLES, DEVICES, NETS, Recording};
+
+/// Reads the bytes of an MCAP file as a recording.
+///
+/// # Panics
+/// If what was read holds no cycle, which reading promises.
+pub fn fuzz(bytes: &[u8]) {
+    if let Ok(recording) = Recording::parse(bytes, Path::new("fuzz.mcap")) {
+        assert!(!recording.cycles.is_empty());
+    }
+}
+
+/// Small recordings for [`fuzz()`] to be damaged: with chunks and their check sums, and without, so that damage gets
+/// through to the records.
+///
+/// # Panics
+/// If they cannot be written into memory.
+#[must_use]
+pub fn files() -> Vec<Vec<u8>> {
+    [true, false]
+        .map(|chunks| file(chunks).unwrap_or_default())
+        .to_vec()
+}
+
+fn file(chunks: bool) -> mcap::McapResult<Vec<u8>> {
+    let mut writer = mcap::WriteOptions::new()
+        .compression(None)
+        .use_chunks(chunks)
+        .calculate_chunk_crcs(chunks)
+        .calculate_data_section_crc(chunks)
+        .profile("takt")
+        .library("takt")
+        .create(Cursor::new(Vec::new()))?;
+    let net = "id = 1\nevery = 2\nperiod_ns = 1000000\ntext = \"{a=Core::Clock()}\"\n";
+    let gone = "[went]\nname = \"left\"\n";
+    let cycle = [7, 0, 0, 0, 0, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8];
+    let metadata = BTreeMap::new();
+    for (topic, data) in [
+        (NETS, net.as_bytes()),
+        (DEVICES, gone.as_bytes()),
+        (CYCLES, &cycle),
+    ] {
+        let channel_id = writer.add_channel(0, topic, "takt", &metadata)?;
+        let header = MessageHeader {
+            channel_id,
+            sequence: 1,
+            log_time: 5,
+            publish_time: 5,
+        };
+        writer.write_to_known_channel(&header, data)?;
+    }
+    writer.finish()?;
+    Ok(writer.into_inner().into_inner())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn recordings_for_fuzzing_are_read() {
+        for file in files() {
+            let recording = Recording::parse(&file, Path::new("x")).unwrap();
+            assert_eq!((recording.notes.len(), recording.cycles.len()), (2, 1));
+        }
+    }
+}

@@ -1,0 +1,207 @@
+//! Inputs for the functions that fuzzers call, from a seeded generator: words of a format, or whole files that are
+//! damaged. What must hold for any input stands with those functions.
+
+#![expect(
+    clippy::print_stdout,
+    reason = "a part of tests, which say how they went"
+)]
+
+use std::fmt::Write as _;
+use std::time::Instant;
+
+/// Longest input that is put together from bytes or words. Longer ones find no more and cost more.
+const BYTES_MAX: usize = 600;
+/// Bytes of a failing input that are shown.
+const SHOWN_MAX: usize = 4_096;
+
+/// How many inputs, if the environment says nothing; and the variable that does (`cargo xtask fuzz --count`).
+pub const COUNT: &str = "TAKT_FUZZ_COUNT";
+/// Another seed gives other inputs (`cargo xtask fuzz --seed`).
+pub const SEED: &str = "TAKT_FUZZ_SEED";
+
+/// A xorshift generator: the same inputs on every machine.
+#[derive(Clone, Debug)]
+pub struct Random(u64);
+
+impl Random {
+    /// With that seed.
+    #[must_use]
+    pub const fn new(seed: u64) -> Self {
+        Self(0x5eed_0f7a_c700_0001 ^ seed.wrapping_mul(0x9E37_79B9_7F4A_7C15))
+    }
+
+    /// The next number.
+    pub const fn next(&mut self) -> u64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        self.0
+    }
+
+    /// One below that bound; 0 for a bound of 0.
+    pub fn below(&mut self, bound: usize) -> usize {
+        let bound = u64::try_from(bound.max(1)).unwrap_or(u64::MAX);
+        usize::try_from(self.next() % bound).unwrap_or(0)
+    }
+
+    /// A byte.
+    pub const fn byte(&mut self) -> u8 {
+        self.next().to_le_bytes()[3]
+    }
+
+    /// Half of the inputs are bytes; the other half are words of the format, which get further, with a few bytes
+    /// replaced. Short ones are the most frequent: they are the quickest.
+    fn of_words(&mut self, words: &[&[u8]], input: &mut Vec<u8>) {
+        input.clear();
+        let longest = BYTES_MAX >> self.below(6);
+        let len = self.below(longest);
+        if words.is_empty() || self.next().is_multiple_of(2) {
+            input.resize_with(len, || self.byte());
+            return;
+        }
+        while input.len() < len {
+            input.extend_from_slice(words[self.below(words.len())]);
+        }
+        self.damage(input);
+    }
+
+    /// A file with bytes replaced, removed, doubled, or cut off.
+    fn of_files(&mut self, files: &[&[u8]], input: &mut Vec<u8>) {
+        input.clear();
+        if files.is_empty() {
+            return;
+        }
+        input.extend_from_slice(files[self.below(files.len())]);
+        for _ in 0..=self.below(3) {
+            let at = self.below(input.len());
+            let end = (at + self.below(64)).min(input.len());
+            match self.below(6) {
+                0 => input.truncate(at),
+                1 => drop(input.drain(at..end)),
+                2 if input.len() < BYTES_MAX * 16 => input.extend_from_within(at..end),
+                3 => {
+                    // Counts and lengths at their limits.
+                    let limits = [0, 1, 0x7F, 0x80, 0xFF];
+                    let limit = limits[self.below(limits.len())];
+                    let end = end.min(at + 4);
+                    input[at..end].fill(limit);
+                }
+                _ => self.damage(input),
+            }
+        }
+    }
+
+    fn damage(&mut self, input: &mut [u8]) {
+        for _ in 0..self.below(4) {
+            let at = self.below(input.len());
+            let byte = self.byte();
+            if let Some(place) = input.get_mut(at) {
+                *place = byte;
+            }
+        }
+    }
+}
+
+/// Shows the input with which a function panicked.
+struct Shown<'a> {
+    name: &'a str,
+    turn: u64,
+    input: Vec<u8>,
+}
+
+impl Drop for Shown<'_> {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            let mut hex = String::new();
+            for byte in self.input.iter().take(SHOWN_MAX) {
+                let _ = write!(hex, "{byte:02x}");
+            }
+            let (name, turn) = (self.name, self.turn);
+            println!("{name}: input {turn}, {} bytes: {hex}", self.input.len());
+        }
+    }
+}
+
+fn number(name: &str) -> Option<u64> {
+    std::env::var(name).ok()?.parse().ok()
+}
+
+/// Feeds a function with inputs from words of its format, `usual` of them unless [`COUNT`] says another number, and
+/// prints how fast it took them.
+pub fn feed(name: &str, target: impl FnMut(&[u8]), words: &[&[u8]], usual: u64) {
+    run(name, target, usual, |random, input| {
+        random.of_words(words, input);
+    });
+}
+
+/// The same with whole files that are damaged.
+pub fn feed_files(name: &str, target: impl FnMut(&[u8]), files: &[&[u8]], usual: u64) {
+    run(name, target, usual, |random, input| {
+        random.of_files(files, input);
+    });
+}
+
+fn run(
+    name: &str,
+    mut target: impl FnMut(&[u8]),
+    usual: u64,
+    mut make: impl FnMut(&mut Random, &mut Vec<u8>),
+) {
+    let count = number(COUNT).unwrap_or(usual);
+    let mut random = Random::new(number(SEED).unwrap_or(0));
+    let mut shown = Shown {
+        name,
+        turn: 0,
+        input: Vec::new(),
+    };
+    let begin = Instant::now();
+    for turn in 0..count {
+        shown.turn = turn;
+        make(&mut random, &mut shown.input);
+        target(&shown.input);
+    }
+    let seconds = begin.elapsed().as_secs_f64();
+    #[expect(clippy::cast_precision_loss, reason = "shown with few digits")]
+    let rate = count as f64 / seconds.max(1e-9);
+    println!("fuzzed {name}: {count} inputs in {seconds:.1} s, {rate:.0}/s");
+}
+
+/// The words of a text, at its blanks.
+#[must_use]
+pub fn words(text: &str) -> Vec<&[u8]> {
+    let words = text.split(' ').filter(|word| !word.is_empty());
+    words.map(str::as_bytes).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn inputs_of_a_seed_are_the_same_again() {
+        let inputs = |seed| {
+            let mut random = Random::new(seed);
+            let mut made = Vec::new();
+            for turn in 0..200 {
+                let mut input = Vec::new();
+                if turn % 2 == 0 {
+                    random.of_words(&[b"ab", b"c"], &mut input);
+                } else {
+                    random.of_files(&[b"0123456789", b""], &mut input);
+                }
+                made.push(input);
+            }
+            made
+        };
+        assert_eq!(inputs(1), inputs(1));
+        assert_ne!(inputs(1), inputs(2));
+        assert!(inputs(1).iter().any(|input| input.len() > 10));
+    }
+
+    #[test]
+    fn inputs_count_is_that_which_was_asked_for() {
+        let mut seen = 0;
+        feed("nothing", |_| seen += 1, &[], 37);
+        assert_eq!(seen, number(COUNT).unwrap_or(37));
+    }
+}
