@@ -38,6 +38,14 @@ pub fn start_time(system_ns: u64, lead: Duration, period: Duration, shift_ns: i3
     earliest.saturating_add(left)
 }
 
+/// The time whose lower 32 bits a clock of 32 bits shows, nearest to one that is known to within two seconds, ns.
+#[must_use]
+pub fn extended(low: u32, near_ns: u64) -> u64 {
+    let [a, b, c, d, ..] = near_ns.to_le_bytes();
+    let ahead = low.wrapping_sub(u32::from_le_bytes([a, b, c, d]));
+    near_ns.wrapping_add_signed(ahead.cast_signed().into())
+}
+
 /// The order in which frames leave by the ports of a slave, after having come in by port 0.
 pub(crate) const ORDER: [usize; 3] = [3, 1, 2];
 
@@ -229,6 +237,18 @@ mod tests {
         assert_eq!(delays(&line, &times), [0, 0, 1501 / 2]);
         let times = [None, Some([0, 1600, 0, 0]), Some([77, 9, 9, 9])];
         assert_eq!(delays(&line, &times), [0, 0, 800]);
+    }
+
+    #[test]
+    fn a_clock_of_32_bits_is_extended_over_its_wraps() {
+        let wrap = 1_u64 << 32;
+        for near in [0, 5, wrap - 3, wrap + 2, 7 * wrap - 1, u64::MAX - 1] {
+            for away in [-2_000_000_000_i64, -5, 0, 5, 2_000_000_000] {
+                let time = near.wrapping_add_signed(away);
+                let low = u32::try_from(time & (wrap - 1)).unwrap();
+                assert_eq!(extended(low, near), time, "{near} {away}");
+            }
+        }
     }
 
     #[test]

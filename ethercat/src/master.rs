@@ -320,7 +320,7 @@ impl Master {
             .map(|number| {
                 self.units
                     .get(*number)
-                    .filter(|unit| unit.info.has_clock())
+                    .filter(|unit| unit.clock.latched)
                     .map(|unit| unit.clock.times)
             })
             .collect();
@@ -329,7 +329,11 @@ impl Master {
             let unit = self.units.get(*number);
             unit.is_some_and(|unit| unit.can_lead(&self.config))
         };
-        let known = || times.iter().position(Option::is_some);
+        let has_clock = |number: &usize| {
+            let unit = self.units.get(*number);
+            unit.is_some_and(|unit| unit.info.has_clock())
+        };
+        let known = || self.ring.iter().position(has_clock);
         let first = self.ring.iter().position(leads).or_else(known);
         let base = first.and_then(|at| delays.get(at)).copied().unwrap_or(0);
         for (number, delay) in self.ring.iter().zip(&delays) {

@@ -37,6 +37,7 @@ pub struct CoeServer {
     /// Bytes of a mailbox behind mailbox header and CoE header.
     room: usize,
     complete_access: bool,
+    information: bool,
 }
 
 /// Longest value that is transferred, bytes.
@@ -52,7 +53,15 @@ impl CoeServer {
             pending: VecDeque::new(),
             room: usize::from(mailbox_len).saturating_sub(headers).max(16),
             complete_access,
+            information: true,
         }
+    }
+
+    /// The same with or without the information service.
+    #[must_use]
+    pub const fn with_information(mut self, information: bool) -> Self {
+        self.information = information;
+        self
     }
 
     /// Drops what is under way, as INIT does.
@@ -108,6 +117,11 @@ impl CoeServer {
                     true
                 }
             },
+            CoeService::SdoInformation if !self.information => {
+                let code = AbortCode::UnsupportedAccess.raw().to_le_bytes();
+                inform(reply, Information::ERROR, 0, &code);
+                true
+            }
             CoeService::SdoInformation => self.information(inside, reply, dictionary),
             CoeService::Emergency
             | CoeService::SdoResponse

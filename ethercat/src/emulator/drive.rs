@@ -5,6 +5,9 @@
 mod objects;
 mod pdo;
 
+pub(super) use objects::counted;
+pub(super) use pdo::{check_download as assignable, four as four_pdos};
+
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -18,7 +21,7 @@ use crate::{AlState, AlStatusCode, Emergency};
 use super::application::{Application, Cycle, Setup};
 use super::coe::CoeServer;
 use super::image::SiiImage;
-use super::slave::{Slave, SlaveConfig};
+use super::slave::{ClockUnit, Slave, SlaveConfig};
 use super::terminal::VENDOR;
 
 use pdo::Pdos;
@@ -27,6 +30,9 @@ use pdo::Pdos;
 const MAILBOX: u16 = 128;
 /// CoE details: SDO, information, PDO assignment and configuration, complete access.
 const COE: u8 = 0x2F;
+/// Those of information and of complete access.
+const INFORMATION: u8 = 0x02;
+const COMPLETE: u8 = 0x20;
 /// Cycle times are whole multiples of this, ns.
 const CYCLE_STEP: u32 = 125_000;
 /// Bytes that a mapping may have beyond the default one, for each axis.
@@ -45,8 +51,27 @@ pub struct ServoConfig {
     pub needs_sync0: bool,
     /// Its clock: what it shows at power-on, ns, and its drift, ppb.
     pub clock: (u64, i64),
+    /// How much of a clock that is.
+    pub clock_unit: ClockUnit,
     /// Length of each of its two mailboxes, bytes.
     pub mailbox: u16,
+    /// Who made it and what it is, unless it is the emulated servo of that product code.
+    pub identity: Option<Identity>,
+    /// CoE details: bit 0 SDO, 1 information, 2 PDO assignment, 3 PDO configuration, 5 complete access.
+    pub coe: u8,
+    /// Which PDOs it has.
+    pub pdos: PdoSet,
+}
+
+/// The PDOs of a drive.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum PdoSet {
+    /// One each way for each axis.
+    #[default]
+    One,
+    /// Four each way for one axis, all assigned. An object may not be mapped twice, and by default some are: so it
+    /// refuses SAFE-OP (001Dh) until other PDOs are assigned, though their lengths are right.
+    Four,
 }
 
 impl Default for ServoConfig {
@@ -58,7 +83,11 @@ impl Default for ServoConfig {
             axes: vec![DriveConfig::default()],
             needs_sync0: false,
             clock: (0, 0),
+            clock_unit: ClockUnit::Bits64,
             mailbox: MAILBOX,
+            identity: None,
+            coe: COE,
+            pdos: PdoSet::One,
         }
     }
 }
@@ -75,6 +104,16 @@ impl ServoConfig {
             axes,
             ..Self::default()
         }
+    }
+
+    /// Who made it and what it is.
+    fn identity(&self) -> Identity {
+        self.identity.unwrap_or(Identity {
+            vendor: VENDOR,
+            product: self.product,
+            revision: 0x0001_0000,
+            serial: 1,
+        })
     }
 
     /// A Stäubli TX90 with the drives of its uniVAL controller as one slave of six axes. The
@@ -187,7 +226,8 @@ impl Firmware {
             axes,
             keys: Keys::new(&dictionary)?,
             dictionary,
-            coe: CoeServer::new(config.mailbox, true),
+            coe: CoeServer::new(config.mailbox, config.coe & COMPLETE != 0)
+                .with_information(config.coe & INFORMATION != 0),
             config,
             pdos: Pdos::default(),
             state: AlState::Init,
@@ -198,6 +238,9 @@ impl Firmware {
     /// What the master has set up for the way to SAFE-OP.
     fn check(&mut self, setup: &Setup) -> Result<(), AlStatusCode> {
         self.pdos = Pdos::new(&self.dictionary)?;
+        if self.config.pdos == PdoSet::Four {
+            pdo::check_twice(&self.dictionary)?;
+        }
         if self.pdos.outputs() != usize::from(setup.outputs) {
             return Err(AlStatusCode(0x001D));
         }
@@ -292,7 +335,16 @@ impl ServoDrive {
     pub fn slave(config: ServoConfig) -> Result<(Slave, Self), DictionaryError> {
         let mut slave = SlaveConfig::new(sii(&config));
         slave.clock = Some(super::Clock::new(config.clock.0, config.clock.1));
+        slave.chip.clock = config.clock_unit;
         slave.needs_sync0 = config.needs_sync0;
+        Self::with_controller(config, slave)
+    }
+
+    /// The same with a controller, an SII and times of another kind.
+    pub(super) fn with_controller(
+        config: ServoConfig,
+        slave: SlaveConfig,
+    ) -> Result<(Slave, Self), DictionaryError> {
         let handle = Self(Arc::new(Mutex::new(Firmware::new(config)?)));
         Ok((Slave::new(slave, Box::new(handle.clone())), handle))
     }
@@ -375,16 +427,11 @@ impl Application for ServoDrive {
 fn sii(config: &ServoConfig) -> SiiImage {
     let axes = config.axes.len();
     SiiImage {
-        identity: Identity {
-            vendor: VENDOR,
-            product: config.product,
-            revision: 0x0001_0000,
-            serial: 1,
-        },
+        identity: config.identity(),
         order: config.name.split(' ').next().unwrap_or_default().to_owned(),
         name: config.name.clone(),
         mailbox_len: config.mailbox,
-        coe: COE,
+        coe: config.coe,
         clock: true,
         rx_pdos: (0..axes).map(|axis| pdo::image(axis, true)).collect(),
         tx_pdos: (0..axes).map(|axis| pdo::image(axis, false)).collect(),

@@ -1,7 +1,7 @@
 //! Builds SII images (ETG.2010) for emulated slaves. Reading one is in [`crate::sii`].
 
 use crate::register::SyncManager;
-use crate::sii::{self, Category, General, Identity, SiiClock, SiiSyncManager};
+use crate::sii::{self, Category, General, Identity, MailboxAreas, SiiClock, SiiSyncManager};
 
 /// A PDO as the SII lists it: index, name, entries of index, sub-index, bits and data type.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -48,6 +48,8 @@ pub struct SiiImage {
     pub unwatched: bool,
     /// Whether it has a distributed clock with SYNC outputs; their pulses are 1 µs long.
     pub clock: bool,
+    /// Its controller answers AL control by itself (word 0, bit 8), as there is no firmware.
+    pub device_emulation: bool,
     /// Current taken from the E-bus; negative is given, mA.
     pub ebus_ma: i16,
     /// PDOs that it receives.
@@ -56,6 +58,25 @@ pub struct SiiImage {
     pub tx_pdos: Vec<PdoImage>,
     /// Bytes to leave for outputs and inputs beyond those of the PDOs above.
     pub spare: u16,
+    /// Where everything lies and what is listed, instead of what follows from the above.
+    pub layout: Option<SiiLayout>,
+}
+
+/// What an SII says of a chip that was laid out by somebody else.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct SiiLayout {
+    /// Word 0: PDI control, and in its high byte the ESC configuration.
+    pub configuration: u16,
+    /// Both mailboxes; zeros for none.
+    pub mailbox: MailboxAreas,
+    /// Protocols of the mailbox.
+    pub protocols: u16,
+    /// What each FMMU is for.
+    pub fmmus: Vec<u8>,
+    /// The SyncManagers; a length of zero is the sum of the PDOs.
+    pub sync_managers: Vec<SiiSyncManager>,
+    /// Other categories, by number, with their data.
+    pub others: Vec<(u16, Vec<u8>)>,
 }
 
 /// Where mailboxes and process data begin.
@@ -65,6 +86,9 @@ impl SiiImage {
     /// The SyncManagers: mailboxes if there are, outputs and inputs.
     #[must_use]
     pub fn sync_managers(&self) -> Vec<SiiSyncManager> {
+        if let Some(layout) = &self.layout {
+            return layout.sync_managers.clone();
+        }
         let mut all = Vec::new();
         let mut at = MAILBOX;
         let mut add = |len: u16, room: u16, control, enable, kind| {
@@ -120,13 +144,7 @@ impl SiiImage {
             let at = 2 * usize::from(at);
             image[at..at + 2].copy_from_slice(&value.to_le_bytes());
         };
-        // A microcontroller behind the mailbox, digital I/O without.
-        let (pdi, clock) = if self.mailbox_len > 0 {
-            (0x0008, 0x0C00)
-        } else {
-            (0x0004, 0)
-        };
-        put(0, pdi | if self.clock { clock } else { 0 });
+        put(0, self.configuration());
         put(2, if self.clock { 100 } else { 0 });
         put(sii::word::ALIAS, self.alias);
         let Identity {
@@ -141,20 +159,12 @@ impl SiiImage {
             put(sii::word::IDENTITY + 2 * i + 1, u16::from_le_bytes([c, d]));
         }
         if self.mailbox_len > 0 {
-            let areas = [
-                MAILBOX,
-                self.mailbox_len,
-                MAILBOX + self.mailbox_len,
-                self.mailbox_len,
-            ];
+            let (areas, protocols) = self.mailboxes();
             for (i, value) in (0..).zip(areas) {
                 put(sii::word::MAILBOX + i, value);
                 put(sii::word::BOOT_MAILBOX + i, value);
             }
-            put(
-                sii::word::MAILBOX + 4,
-                if self.coe > 0 { 0x0004 } else { 0 },
-            );
+            put(sii::word::MAILBOX + 4, protocols);
         }
         put(sii::word::SIZE, 15);
         put(sii::word::SIZE + 1, 1);
@@ -173,9 +183,14 @@ impl SiiImage {
         let clocks = self.clocks(&mut strings);
         category(&mut image, Category::Strings, &strings.encode());
         category(&mut image, Category::General, &general);
+        let layout = self.layout.as_ref();
+        for (number, data) in layout.map(|layout| &layout.others[..]).unwrap_or_default() {
+            category(&mut image, Category::Other(*number), data);
+        }
         let has_data = self.rx_pdos.len() + self.tx_pdos.len() > 0;
         if has_data || self.mailbox_len > 0 {
-            category(&mut image, Category::Fmmu, &[1, 2, 3, 0]);
+            let fmmus = layout.map_or(&[1, 2, 3, 0][..], |layout| &layout.fmmus);
+            category(&mut image, Category::Fmmu, fmmus);
             let sms: Vec<u8> = self.sync_managers().iter().flat_map(encode_sm).collect();
             category(&mut image, Category::SyncManager, &sms);
         }
@@ -184,6 +199,43 @@ impl SiiImage {
         category(&mut image, Category::Dc, &clocks);
         image.resize(image.len().max(2048), 0xFF);
         image
+    }
+
+    /// Word 0.
+    fn configuration(&self) -> u16 {
+        if let Some(layout) = &self.layout {
+            let emulation = u16::from(self.device_emulation) << 8;
+            return layout.configuration | emulation;
+        }
+        // A microcontroller behind the mailbox, digital I/O without.
+        let (pdi, clock) = if self.mailbox_len > 0 {
+            (0x0008, 0x0C00)
+        } else {
+            (0x0004, 0)
+        };
+        pdi | u16::from(self.device_emulation) << 8 | if self.clock { clock } else { 0 }
+    }
+
+    /// The four words of both mailboxes, and their protocols.
+    fn mailboxes(&self) -> ([u16; 4], u16) {
+        match &self.layout {
+            Some(SiiLayout {
+                mailbox, protocols, ..
+            }) => (
+                [
+                    mailbox.receive,
+                    mailbox.receive_len,
+                    mailbox.send,
+                    mailbox.send_len,
+                ],
+                *protocols,
+            ),
+            None => {
+                let len = self.mailbox_len;
+                let protocols = if self.coe > 0 { 0x0004 } else { 0 };
+                ([MAILBOX, len, MAILBOX + len, len], protocols)
+            }
+        }
     }
 
     /// With a clock it runs by its outputs or by SYNC0.

@@ -8,12 +8,11 @@ use crate::SyncManager;
 use crate::register;
 use crate::register::Register;
 
+use super::slave::Chip;
 use buffers::Channel;
 
-/// SyncManagers of an emulated controller.
+/// SyncManagers of an emulated controller, at most.
 pub(super) const SYNC_MANAGERS: usize = 8;
-/// FMMUs of an emulated controller.
-pub(super) const FMMUS: usize = 8;
 /// Bytes of registers and process data memory.
 const SIZE: usize = 0x1000 + 0x2000;
 /// Registers of the distributed clock.
@@ -69,7 +68,13 @@ pub(super) struct Memory {
     channels: [Channel; SYNC_MANAGERS],
     /// What was last sent from the mailbox, for a repeat.
     last_sent: Vec<u8>,
-    has_clock: bool,
+    chip: Chip,
+    /// AL control cannot be written again before the firmware has read it.
+    locks: bool,
+    /// It has not read it yet.
+    pub(super) al_locked: bool,
+    /// What lies behind a message in a mailbox is what was there before.
+    dirty: bool,
     ecat_events: u16,
     al_events: u32,
     pub(super) events: Events,
@@ -92,13 +97,22 @@ const READ_ONLY: [(Register, Register); 13] = [
     (0x0998, 0x099F),
 ];
 
+/// Whether a write is one to the system time difference alone, which is answered by no working counter.
+const fn is_read_only(at: usize, end: usize) -> bool {
+    let register = register::DC_DIFFERENCE as usize;
+    at >= register && end <= register + 4
+}
+
 impl Memory {
-    pub(super) fn new(has_clock: bool) -> Self {
+    pub(super) fn new(chip: Chip, locks: bool, dirty: bool) -> Self {
         Self {
             bytes: vec![0; SIZE],
             channels: std::array::from_fn(|_| Channel::default()),
             last_sent: Vec::new(),
-            has_clock,
+            chip,
+            locks,
+            al_locked: false,
+            dirty,
             ecat_events: 0,
             al_events: 0,
             events: Events::default(),
@@ -168,9 +182,17 @@ impl Memory {
         self.al_events | u32::from(self.channel_events(0x20, true)) << 8
     }
 
+    /// Whether anything answers at these addresses.
+    fn is_there(&self, at: u16, len: usize) -> bool {
+        let at = usize::from(at);
+        let clock = usize::from(CLOCK.start)..usize::from(CLOCK.end);
+        let answers = !clock.contains(&at) || self.chip.clock.answers(at, len);
+        answers && at + len <= self.chip.end()
+    }
+
     /// The master reads. Returns whether the access took place; else `to` is as it was.
     pub(super) fn read(&mut self, at: u16, to: &mut [u8]) -> bool {
-        if !self.has_clock && CLOCK.contains(&at) {
+        if !self.is_there(at, to.len()) {
             return false;
         }
         let mut done = false;
@@ -215,7 +237,10 @@ impl Memory {
 
     /// The master writes. Returns whether the access took place.
     pub(super) fn write(&mut self, at: u16, from: &[u8]) -> bool {
-        if !self.has_clock && CLOCK.contains(&at) {
+        let end = usize::from(at) + from.len();
+        let al_control = usize::from(register::AL_CONTROL)..usize::from(register::AL_CONTROL) + 2;
+        let locked = self.al_locked && al_control.contains(&usize::from(at));
+        if locked || !self.is_there(at, from.len()) || is_read_only(usize::from(at), end) {
             return false;
         }
         let mut done = false;
@@ -257,6 +282,15 @@ impl Memory {
                 return;
             }
         }
+        let missing = |first: Register, size: u16, count: u8| {
+            let offset = at.checked_sub(first).filter(|offset| *offset < 16 * size);
+            offset.is_some_and(|offset| offset / size >= count.into())
+        };
+        if missing(register::FMMU, 16, self.chip.fmmus)
+            || missing(register::SYNC_MANAGER, 8, self.chip.sync_managers)
+        {
+            return;
+        }
         if let Some(to) = self.bytes.get_mut(usize::from(at)) {
             *to = byte;
         }
@@ -286,6 +320,7 @@ impl Memory {
         }
         if touches(register::AL_CONTROL, 2) {
             self.raise(al_event::AL_CONTROL);
+            self.al_locked = self.locks;
         }
         let events = &mut self.events;
         events.al_control |= touches(register::AL_CONTROL, 2);

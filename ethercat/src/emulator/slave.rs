@@ -2,11 +2,13 @@
 //! its mailboxes, its watchdog and its SYNC0. What it is for is its [`Application`].
 
 mod al;
+mod chip;
 mod eeprom;
 mod faults;
 mod logical;
 mod mailbox;
 mod sync;
+mod times;
 
 use crate::register;
 use crate::{Address, AlState, AlStatusCode, Command};
@@ -14,11 +16,14 @@ use crate::{Address, AlState, AlStatusCode, Command};
 use super::application::Application;
 use super::clock::Clock;
 use super::image::SiiImage;
-use super::memory::{FMMUS, Memory, SYNC_MANAGERS, ecat_event};
+use super::memory::{Memory, ecat_event};
 
+pub use chip::{Chip, ClockUnit};
 use eeprom::Eeprom;
 pub use faults::SlaveFaults;
 use mailbox::Post;
+use times::Chance;
+pub use times::{Span, Times};
 
 /// When a frame passed the ports of a slave, segment time, ns.
 #[derive(Clone, Copy, Debug, Default)]
@@ -34,16 +39,21 @@ pub(super) struct Arrival {
 pub struct SlaveConfig {
     /// What its EEPROM says.
     pub sii: SiiImage,
+    /// Its chip.
+    pub chip: Chip,
     /// Its clock; `None` for a slave without distributed clock.
     pub clock: Option<Clock>,
-    /// From AL control to AL status, ns.
-    pub al_delay: u64,
+    /// How long it takes for what.
+    pub times: Times,
     /// How long it waits for outputs on the way to OP before it refuses, ns.
     pub op_wait: u64,
-    /// From a request in the mailbox to its answer, ns.
-    pub mailbox_delay: u64,
-    /// How long the SII interface is busy with a read, ns; a write takes a hundred times that.
-    pub sii_delay: u64,
+    /// Behind a message in its mailbox lies what was there before, rather than zeros.
+    pub dirty_mailbox: bool,
+    /// The counter of an answer in the mailbox is that of its request; what is sent unasked goes on from there.
+    pub counters_follow: bool,
+    /// How often it sends an Ethernet frame by its mailbox (EoE) once a master has given it an address, ns; `None` for
+    /// a slave without EoE.
+    pub eoe: Option<u64>,
     /// From a frame's arrival to its leaving by the next port, ns.
     pub forwarding: u64,
     /// After so many SYNC0 in a row without new outputs it leaves OP.
@@ -57,29 +67,80 @@ pub struct SlaveConfig {
 impl SlaveConfig {
     /// A slave with usual times, and a clock that begins at zero if the SII has one.
     #[must_use]
-    pub const fn new(sii: SiiImage) -> Self {
+    pub fn new(sii: SiiImage) -> Self {
         Self {
-            clock: if sii.clock {
-                Some(Clock::new(0, 0))
-            } else {
-                None
+            chip: Chip {
+                clock: if sii.clock {
+                    ClockUnit::Bits64
+                } else {
+                    ClockUnit::Absent
+                },
+                ..Chip::default()
             },
+            clock: sii.clock.then(|| Clock::new(0, 0)),
             sii,
-            al_delay: 100_000,
+            times: Times::default(),
             op_wait: 200_000_000,
-            mailbox_delay: 0,
-            sii_delay: 20_000,
+            dirty_mailbox: false,
+            counters_follow: false,
+            eoe: None,
             forwarding: 300,
             sync_errors: 4,
             needs_sync0: false,
             sync0_min: 50_000,
         }
     }
+
+    fn memory(&self) -> Memory {
+        let chip = match self.clock {
+            Some(_) => self.chip,
+            None => Chip {
+                clock: ClockUnit::Absent,
+                ..self.chip
+            },
+        };
+        Memory::new(chip, self.times.al_read.is_some(), self.dirty_mailbox)
+    }
+}
+
+/// Which SyncManagers carry process data, by their kind in the SII.
+#[derive(Clone, Copy, Debug)]
+struct Channels {
+    kinds: [u8; 8],
+}
+
+impl Channels {
+    fn new(sii: &SiiImage) -> Self {
+        let mut kinds = [0; 8];
+        for (kind, sm) in kinds.iter_mut().zip(sii.sync_managers()) {
+            *kind = sm.kind;
+        }
+        Self { kinds }
+    }
+
+    fn of(self, wanted: u8) -> impl Iterator<Item = usize> {
+        let kinds = self.kinds.into_iter().enumerate();
+        kinds.filter_map(move |(number, kind)| (kind == wanted).then_some(number))
+    }
+
+    fn outputs(self) -> impl Iterator<Item = usize> {
+        self.of(3)
+    }
+
+    fn inputs(self) -> impl Iterator<Item = usize> {
+        self.of(4)
+    }
+
+    fn all(self) -> impl Iterator<Item = usize> {
+        self.outputs().chain(self.inputs())
+    }
 }
 
 /// A request in AL control that is being worked on, times in ns.
 #[derive(Clone, Copy, Debug)]
 struct Request {
+    /// When the firmware reads it, so that AL control takes the next.
+    read: u64,
     due: u64,
     expires: u64,
 }
@@ -96,8 +157,12 @@ pub struct Slave {
     request: Option<Request>,
     faults: SlaveFaults,
     post: Post,
+    chance: Chance,
+    channels: Channels,
     /// When outputs last came; `None` before the first.
     heard: Option<u64>,
+    /// The watchdog of the process data has expired.
+    expired: bool,
     /// When the application last ran.
     ran: u64,
     fresh: bool,
@@ -117,7 +182,10 @@ impl Slave {
     pub fn new(config: SlaveConfig, application: Box<dyn Application>) -> Self {
         let mut slave = Self {
             eeprom: Eeprom::new(config.sii.encode()),
-            memory: Memory::new(config.clock.is_some()),
+            memory: config.memory(),
+            chance: Chance(u64::from(config.sii.identity.product)),
+            channels: Channels::new(&config.sii),
+            expired: false,
             clock: config.clock.clone(),
             config,
             application,
@@ -140,17 +208,17 @@ impl Slave {
 
     /// Power goes off and on: all registers are as from the factory, the clock begins anew.
     pub fn power_on(&mut self, now: u64) {
-        self.memory = Memory::new(self.config.clock.is_some());
+        self.memory = self.config.memory();
         self.clock.clone_from(&self.config.clock);
         if let Some(clock) = &mut self.clock {
             clock.restart(now);
         }
         self.state = AlState::Init;
         self.request = None;
-        self.post.reset();
+        self.post.restart();
         self.eeprom.reset();
         (self.fresh, self.missed, self.activation) = (false, 0, 0);
-        (self.heard, self.ran) = (None, now);
+        (self.heard, self.ran, self.expired) = (None, now, false);
         self.application.reset();
         self.set_registers();
         self.leave(AlState::Init);
@@ -159,20 +227,31 @@ impl Slave {
 
     /// Registers as the factory and the SII say.
     fn set_registers(&mut self) {
+        let chip = &self.config.chip;
         let dc = self.config.clock.is_some();
-        let features: u16 = if dc { 0x01CC } else { 0x0040 };
-        let [low, high] = features.to_le_bytes();
-        let lrw = u8::from(self.has_no_lrw()) << 1;
-        let counts = (u8::try_from(FMMUS), u8::try_from(SYNC_MANAGERS));
-        let (fmmus, sms) = (counts.0.unwrap_or(0), counts.1.unwrap_or(0));
-        let information = [0x11, 0, 1, 0, fmmus, sms, 8, 0x0F, low, high | lrw];
+        let [low, high] = chip.feature_bits(!self.has_no_lrw()).to_le_bytes();
+        let [build, build_high] = chip.build.to_le_bytes();
+        let information = [
+            chip.kind,
+            chip.revision,
+            build,
+            build_high,
+            chip.fmmus,
+            chip.sync_managers,
+            chip.ram_kib,
+            chip.ports.unwrap_or(0x0F),
+            low,
+            high,
+        ];
         self.memory.set(register::INFORMATION, &information);
+        for (port, unused) in (0..).zip(chip.unused_times.chunks(1).cycle().take(16)) {
+            self.memory.set(register::DC_RECEIVE_TIMES + port, unused);
+        }
         let words = [
             (register::WATCHDOG_DIVIDER, 0x09C2_u16),
             (0x0410, 1000),
             (register::WATCHDOG_PROCESS_DATA, 1000),
             (register::WATCHDOG_STATUS, 1),
-            (register::SII_CONTROL, 0x0040),
         ];
         for (at, word) in words {
             self.memory.set(at, &word.to_le_bytes());
@@ -230,6 +309,19 @@ impl Slave {
         self.eeprom.bytes_mut()
     }
 
+    /// The same with firmware of its own, that checks what is asked of it and answers AL control; couplers and terminals
+    /// have none unless they get it.
+    #[must_use]
+    pub fn with_firmware(mut self) -> Self {
+        self.config.sii.device_emulation = false;
+        if let Some(layout) = &mut self.config.sii.layout {
+            layout.configuration &= !0x0100;
+        }
+        *self.eeprom.bytes_mut() = self.config.sii.encode();
+        self.power_on(0);
+        self
+    }
+
     /// Gives it another name, whose first word is its order code. Its EEPROM is as new; the change holds from the next
     /// power-on on.
     pub fn rename(&mut self, name: &str) {
@@ -245,7 +337,11 @@ impl Slave {
     /// Makes it fall back to a state with a code, as an error of its own does.
     pub fn fall(&mut self, state: AlState, code: AlStatusCode) {
         self.leave(state);
-        self.memory.disable(self.output_channel(), true);
+        if !self.mirrors() {
+            for channel in self.channels.outputs() {
+                self.memory.disable(channel, true);
+            }
+        }
         self.state = state;
         self.tell_state(code, true);
     }
@@ -262,7 +358,7 @@ impl Slave {
 
     /// Says which ports have a link, and which loops are closed; all others have nothing.
     pub(super) fn set_links(&mut self, links: [bool; 4]) {
-        let mut status = 0x0003_u16;
+        let mut status = u16::from(self.config.chip.dl_status);
         for (port, link) in links.into_iter().enumerate() {
             status |= u16::from(link) << (4 + port);
             let closed = 8 + 2 * port;
@@ -279,6 +375,7 @@ impl Slave {
 
     /// Says which ports there are, as types: 3 MII, 2 E-bus, 0 none.
     pub(super) fn set_ports(&mut self, ports: u8) {
+        let ports = self.config.chip.ports.unwrap_or(ports);
         self.memory.set(0x0007, &[ports]);
     }
 
@@ -411,11 +508,7 @@ impl Slave {
     fn act(&mut self, arrival: &Arrival) {
         let events = std::mem::take(&mut self.memory.events);
         if events.al_control {
-            // Firmware looks once a while: it then takes what is there.
-            let now = arrival.at;
-            let due = self.request.map_or(now + self.config.al_delay, |r| r.due);
-            let expires = now + self.config.al_delay + self.config.op_wait;
-            self.request = Some(Request { due, expires });
+            self.al_control_written(arrival.at);
         }
         if events.sii {
             self.begin_sii(arrival.at);
@@ -432,9 +525,7 @@ impl Slave {
 
     /// What the firmware does between frames. To be called before each frame.
     pub(super) fn poll(&mut self, now: u64) {
-        if let Some(request) = self.request.filter(|r| now >= r.due) {
-            self.poll_state(&request, now);
-        }
+        self.poll_al_control(now);
         self.poll_sii(now);
         if matches!(self.state, AlState::PreOp | AlState::SafeOp | AlState::Op) {
             self.poll_mailbox(now);
@@ -442,15 +533,6 @@ impl Slave {
         match self.state {
             AlState::SafeOp | AlState::Op => self.poll_process_data(now),
             AlState::Init | AlState::PreOp | AlState::Boot | AlState::Other(_) => self.idle(now),
-        }
-    }
-
-    /// The SyncManager of the outputs: behind the mailboxes, if there are.
-    const fn output_channel(&self) -> usize {
-        if self.config.sii.mailbox_len > 0 {
-            2
-        } else {
-            0
         }
     }
 }

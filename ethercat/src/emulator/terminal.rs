@@ -32,6 +32,7 @@ impl Coupler {
             name: "TK1100 coupler".to_owned(),
             ebus_ma: -2000,
             clock: true,
+            device_emulation: true,
             ..SiiImage::default()
         };
         Slave::new(SlaveConfig::new(sii), Box::new(Plain))
@@ -117,6 +118,7 @@ impl Io {
             ebus_ma: 100,
             rx_pdos: rx,
             tx_pdos: tx,
+            device_emulation: true,
             ..SiiImage::default()
         };
         let io = Self::default();

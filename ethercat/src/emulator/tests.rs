@@ -8,6 +8,7 @@ mod events;
 mod faults;
 mod fuzz;
 mod logical;
+mod profiles;
 mod serve;
 mod sii;
 mod sync_managers;
@@ -46,10 +47,10 @@ impl Bench {
         }
     }
 
-    /// Two couplers and a terminal of 8 outputs and 8 inputs.
+    /// Two couplers and a terminal of 8 outputs and 8 inputs, each with firmware.
     fn small() -> (Self, Io) {
         let (terminal, io) = Io::digital(8, 8);
-        let slaves = [Coupler::slave(), Coupler::slave(), terminal];
+        let slaves = [Coupler::slave(), Coupler::slave(), terminal].map(Slave::with_firmware);
         let mut bench = Self::new(slaves);
         bench.address();
         (bench, io)

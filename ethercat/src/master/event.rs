@@ -38,6 +38,15 @@ pub enum Fault {
         /// For how long.
         waited: Duration,
     },
+    /// Its AL control takes no request, as its firmware has not read the one before.
+    Unread {
+        /// What was to be asked for.
+        wanted: AlState,
+        /// What it shows.
+        status: AlStatus,
+        /// For how long.
+        waited: Duration,
+    },
     /// Its SII does not answer, or says that there is none.
     Sii {
         /// Word address.
@@ -137,6 +146,11 @@ impl fmt::Display for Fault {
             Self::Slow { wanted, status, waited } => write!(
                 f,
                 "{wanted} wanted, {status} shown for {waited:?} without a code; is its controller running?"
+            ),
+            Self::Unread { wanted, status, waited } => write!(
+                f,
+                "{wanted} wanted, {status} shown, and its firmware has not read AL control for {waited:?}; it hangs or \
+                 is missing: switch its power off and on"
             ),
             Self::Sii { word, status } => write!(
                 f,

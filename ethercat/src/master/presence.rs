@@ -19,7 +19,7 @@ use super::transmit::context;
 use super::unit::{Step, Unit};
 use crate::config::Place;
 use crate::register;
-use crate::{Address, AlStatus, AlStatusCode, Command};
+use crate::{Address, AlStatusCode, Command};
 
 /// Slaves that are asked in one frame.
 const ASKED: usize = 16;
@@ -181,9 +181,8 @@ impl Master {
         let present = || self.units.iter().filter(|unit| unit.is_present());
         let strangers = self.presence.strangers;
         let known = present().count() + usize::from(strangers);
-        let state = |unit: &Unit| u8::try_from(unit.al.raw() & 0x1F).unwrap_or(0);
         let expected = present()
-            .map(state)
+            .map(|unit| unit.shown)
             .fold(u8::from(strangers > 0), |or, state| or | state);
         if usize::from(count) == known && states & 0x1F == expected {
             self.presence.pause = 0;
@@ -259,10 +258,9 @@ impl Master {
         if counter > 0 {
             *silent = 0;
             let [a, b, _, _, c, d] = bytes;
-            let al = AlStatus::from_raw(u16::from_le_bytes([a, b]));
             let code = AlStatusCode(u16::from_le_bytes([c, d]));
             if unit.is_present() {
-                unit.seen(al, code, &cx, out);
+                unit.seen(u16::from_le_bytes([a, b]), code, &cx, out);
             } else if let Some(home) = presence.homes.get(slave).copied().flatten() {
                 presence.is_back(slave);
                 unit.returned(home, &cx, out);

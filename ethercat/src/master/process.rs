@@ -41,9 +41,14 @@ pub struct Channel {
     pub control: u8,
     /// What it carries, in order.
     pub pdos: Vec<Pdo>,
+    /// It is to be switched on in OP only.
+    op_only: bool,
     /// Bits of a slave that names no PDOs.
     unnamed: usize,
 }
+
+/// Bit of a SyncManager's enable byte in the SII: on in OP only.
+const OP_ONLY: u8 = 0x08;
 
 impl Channel {
     fn new(sm: &SiiSyncManager, number: u8) -> Self {
@@ -53,6 +58,7 @@ impl Channel {
             start: sm.start,
             control: sm.control,
             pdos: Vec::new(),
+            op_only: sm.enable & OP_ONLY != 0,
             unnamed: 8 * usize::from(sm.len),
         }
     }
@@ -116,9 +122,14 @@ impl Channel {
             start: self.start,
             len: u16::try_from(self.len()).unwrap_or(u16::MAX),
             control: self.control,
-            activate: u8::from(!self.is_empty()),
+            activate: u8::from(!self.is_empty() && !self.op_only),
             ..SyncManager::default()
         }
+    }
+
+    /// Whether it is to be switched on as the last thing before OP.
+    pub(super) fn waits_for_op(&self) -> bool {
+        self.op_only && !self.is_empty()
     }
 
     /// The FMMU that maps it to a logical address.
@@ -203,18 +214,30 @@ impl ProcessData {
             let Some(wanted) = wanted else {
                 continue;
             };
-            let mut channels = self
+            let mut channels: Vec<&mut Channel> = self
                 .channels
                 .iter_mut()
-                .filter(|channel| channel.outputs == outputs);
-            let Some(first) = channels.next() else {
-                if wanted.is_empty() {
-                    continue;
-                }
+                .filter(|channel| channel.outputs == outputs)
+                .collect();
+            if channels.is_empty() && !wanted.is_empty() {
                 return Err(Fault::NoChannel { outputs });
+            }
+            // A slave with several has each PDO in that which its SII says, and the first takes all others.
+            let numbers: Vec<u8> = channels.iter().map(|channel| channel.number).collect();
+            let place = |pdo: &PdoSpec| {
+                let mut listed = sii_pdos(sii, outputs);
+                let listed = listed.find(|(listed, _)| listed.index == pdo.index);
+                let listed = listed.map(|(_, number)| number);
+                listed
+                    .filter(|number| numbers.contains(number))
+                    .or(numbers.first().copied())
             };
-            first.set_pdos(wanted.iter().map(|pdo| known(pdo, sii, outputs)).collect());
-            channels.for_each(|channel| channel.set_pdos(Vec::new()));
+            for channel in &mut channels {
+                let here = wanted
+                    .iter()
+                    .filter(|pdo| place(pdo) == Some(channel.number));
+                channel.set_pdos(here.map(|pdo| known(pdo, sii, outputs)).collect());
+            }
         }
         self.check()
     }
@@ -238,6 +261,7 @@ impl ProcessData {
                     entries: pdo.entries.clone(),
                 })
                 .collect(),
+            op_only: false,
             unnamed: 0,
         };
         Some(Self {
@@ -245,9 +269,11 @@ impl ProcessData {
         })
     }
 
-    /// Three buffers of each SyncManager must fit before the next one begins.
+    /// Three buffers of each SyncManager must fit before the next one begins. The output registers of digital
+    /// terminals (0F00h to 0F03h) are no buffered memory: there one byte lies beside the other.
     pub(super) fn check(&self) -> Result<(), Fault> {
-        for channel in &self.channels {
+        let buffered = |channel: &&Channel| channel.start >= crate::register::PROCESS_DATA;
+        for channel in self.channels.iter().filter(buffered) {
             let after = self
                 .channels
                 .iter()
@@ -324,9 +350,10 @@ impl ProcessData {
                 .channels
                 .iter()
                 .filter(|channel| channel.outputs == outputs);
-            for (number, channel) in channels.enumerate() {
-                let pdos = if number == 0 { &wanted[..] } else { &[] };
-                assign(channel.assignment(), pdos, &mut all);
+            for channel in channels {
+                let has = |pdo: &&PdoSpec| channel.pdos.iter().any(|had| had.index == pdo.index);
+                let pdos: Vec<&PdoSpec> = wanted.iter().filter(has).collect();
+                assign(channel.assignment(), &pdos, &mut all);
             }
         }
         all
@@ -348,7 +375,7 @@ fn mapping_difference(wanted: &PdoSpec, found: &Pdo) -> Option<Fault> {
 }
 
 /// The list is emptied, each PDO is emptied and filled, the list is filled: the order that slaves insist on.
-fn assign(list: u16, pdos: &[PdoSpec], all: &mut Vec<Assignment>) {
+fn assign(list: u16, pdos: &[&PdoSpec], all: &mut Vec<Assignment>) {
     let mut write = |index: u16, sub: usize, value: u32, len: u8| {
         let sub = u8::try_from(sub).unwrap_or(u8::MAX);
         all.push(Assignment {
@@ -452,9 +479,10 @@ mod tests {
 
     #[test]
     fn lists_are_emptied_before_they_are_filled() {
-        let data = ProcessData {
+        let mut data = ProcessData {
             channels: vec![channel(2, 0x1100), channel(3, 0x1200)],
         };
+        data.want(&spec(), &Sii::new(&[])).unwrap();
         let writes: Vec<_> = data
             .assignments(&spec())
             .iter()

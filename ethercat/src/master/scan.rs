@@ -2,9 +2,9 @@
 //! are expected, where they hang, and the process image. From then on each slave goes its own way.
 //!
 //! ```text
-//!        1 counted thrice alike     2 all answered      3 all addressed      4 all known, as expected
+//!        1 counted thrice alike     2 all there still   3 all addressed      4 all known, as expected
 //! Count ----------------------> Quiet ----------> Address ----------> Identify ----------> Latch
-//!   ^                             | not all answered |                   | 5 they differ      |
+//!   ^                             | not all there    |                   | 5 they differ      |
 //!   +-----------------------------+------------------+                   v                    v
 //!                                                                     Refused              Process -> Running
 //! ```
@@ -58,6 +58,8 @@ pub(super) struct Scan {
     pub(super) phase: Phase,
     count: u16,
     alike: u8,
+    /// INIT was asked for, and what follows is whether all are there still.
+    asked: bool,
     /// Slaves that have an address.
     addressed: u16,
     /// The last slave of a whole ring of two ports. Its loop is closed while receive times are latched: in a whole
@@ -86,6 +88,7 @@ impl Scan {
             phase: Phase::Count,
             count: 0,
             alike: 0,
+            asked: false,
             addressed: 0,
             tail: None,
             latch: Latch::Now,
@@ -121,15 +124,15 @@ impl Scan {
         let mut push =
             |command, address, data: &[u8]| batch.push(Owner::Scan, command, address, data);
         match self.phase {
-            Phase::Count => {
-                push(Command::Brd, Self::position(0, register::INFORMATION), &[0]);
-            }
-            Phase::Quiet => {
+            Phase::Quiet if !self.asked => {
                 push(
                     Command::Bwr,
                     Self::position(0, register::AL_CONTROL),
                     &[0x11, 0],
                 );
+            }
+            Phase::Count | Phase::Quiet => {
+                push(Command::Brd, Self::position(0, register::INFORMATION), &[0]);
             }
             Phase::Address => {
                 let end = self.count.min(self.addressed.saturating_add(ADDRESSES));
@@ -159,6 +162,9 @@ impl Scan {
     pub(super) fn handle(&mut self, counter: u16) -> Scanned {
         match self.phase {
             Phase::Count => self.counted(counter),
+            // A firmware that has not read AL control yet takes no other request. Its own machine asks it again, and
+            // says so if that is in vain; here it holds up nobody.
+            Phase::Quiet if !self.asked => self.asked = true,
             Phase::Quiet if counter == self.count => {
                 (self.phase, self.addressed) = (Phase::Address, 0);
             }
@@ -241,9 +247,17 @@ mod tests {
     }
 
     #[test]
+    fn quiet_slow_firmware_holds_up_nobody() {
+        let mut scan = at(Phase::Quiet, 3);
+        assert_eq!((scan.handle(2), scan.phase), (Scanned::On, Phase::Quiet));
+        assert_eq!((scan.handle(3), scan.phase), (Scanned::On, Phase::Address));
+    }
+
+    #[test]
     fn whoever_comes_or_goes_meanwhile_makes_it_begin_anew() {
         for phase in [Phase::Quiet, Phase::Address] {
             let mut scan = at(phase, 3);
+            scan.asked = true;
             assert_eq!(scan.handle(2), Scanned::On);
             assert_eq!(scan.phase, Phase::Count);
         }

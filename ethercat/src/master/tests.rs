@@ -7,6 +7,8 @@ mod clocks;
 mod fuzz;
 mod mailbox;
 mod more;
+mod profiles;
+mod real;
 mod recovery;
 mod start;
 mod stuck;

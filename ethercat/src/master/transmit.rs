@@ -7,8 +7,8 @@ use super::exchange::{Heard, Owner, Sent};
 use super::scan::{Phase, Scanned};
 use super::unit::{Answer, Context, Request};
 use super::{Exchange, Master, REFERENCE_SILENT, Sample, Unit};
-use crate::register;
 use crate::{Address, Command};
+use crate::{dc, register};
 
 /// Bytes that a slave's machine reads at most at once: a whole mailbox.
 static ZEROS: [u8; 1486] = [0; 1486];
@@ -111,7 +111,10 @@ impl Master {
                 adp: unit.station,
                 ado: register::DC_SYSTEM_TIME,
             };
-            batch.push(Owner::Clock, Command::Frmw, address, &predicted);
+            // A reference of 32 bits has no higher half to give: none goes to those who would compare it.
+            let len = usize::from(unit.info.clock_bits() / 8);
+            let predicted = predicted.get(..len).unwrap_or_default();
+            batch.push(Owner::Clock, Command::Frmw, address, predicted);
         }
         if cyclic {
             image.send(&mut batch);
@@ -236,9 +239,19 @@ impl Master {
             return None;
         }
         self.clock.silent = 0;
-        let system_ns = u64::from_le_bytes(*data.first_chunk()?);
+        let sent_at = self.exchange.sent_at();
+        let system_ns = if let Some(eight) = data.first_chunk() {
+            u64::from_le_bytes(*eight)
+        } else {
+            // What it was set up to show, until there is a sample.
+            let epoch = self.config.clocks.epoch_ns;
+            let sent = u64::try_from(sent_at.as_nanos()).unwrap_or(u64::MAX);
+            let near = self.clock.predict(sent_at);
+            let near = near.unwrap_or_else(|| epoch.wrapping_add(sent));
+            dc::extended(u32::from_le_bytes(*data.first_chunk()?), near)
+        };
         self.clock.last = Some(Sample {
-            sent: self.exchange.sent_at(),
+            sent: sent_at,
             received: now,
             system_ns,
         });

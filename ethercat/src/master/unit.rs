@@ -5,6 +5,7 @@
 mod clock;
 mod identity;
 mod info;
+mod jobs;
 mod learn;
 mod mailbox;
 mod objects;
@@ -16,15 +17,16 @@ mod watch;
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use super::event::{EmergencyReport, Event, Fault, JobError, Outbox};
+use super::event::{Event, Fault, JobError, Outbox};
 use super::image::Image;
-use super::job::{Job, JobKind, Reply};
+use super::job::{Job, JobKind};
 use super::process::{Assignment, ProcessData};
 use crate::config::{MasterConfig, Patience, SlaveSpec};
 use crate::{AlState, AlStatus, AlStatusCode};
 
 pub use info::{Port as PortState, SlaveInfo};
-use mailbox::{Mailbox, Output};
+use jobs::{JOBS_MAX, OWN};
+use mailbox::Mailbox;
 use operation::Op;
 pub(super) use steps::Step;
 pub use watch::PortCounters;
@@ -110,6 +112,8 @@ pub(super) enum Gate {
 pub(super) struct UnitClock {
     /// Receive times of its ports, as latched at start, ns of local time.
     pub(super) times: [u32; 4],
+    /// They were read.
+    pub(super) latched: bool,
     /// Propagation delay from the reference, ns.
     pub(super) delay_ns: u32,
     /// What is added to its local time, ns.
@@ -137,8 +141,6 @@ impl UnitClock {
 const OUTSIDE: u8 = 3;
 /// Firmware that shows OP may still switch its SyncManagers on; after this long it must take part.
 const COUNT_GRACE: Duration = Duration::from_millis(100);
-/// Jobs that may wait for one slave.
-const JOBS_MAX: usize = 16;
 /// Longest write to registers, bytes.
 const WRITE_MAX: usize = 256;
 
@@ -176,8 +178,13 @@ pub(super) struct Unit {
     jobs: VecDeque<Job>,
     /// A job that is about registers, while its operation runs.
     job: Option<Job>,
+    /// AL status by its meaning, and its code.
     pub(super) al: AlStatus,
     pub(super) code: AlStatusCode,
+    /// The lower five bits of AL status as they were read, for the census.
+    pub(super) shown: u8,
+    /// SII status as last read.
+    sii_status: u16,
     pub(super) fault: Option<Fault>,
     failures: u8,
     again: Duration,
@@ -229,6 +236,8 @@ impl Unit {
             job: None,
             al: AlStatus::default(),
             code: AlStatusCode::default(),
+            shown: 0,
+            sii_status: 0,
             fault: None,
             failures: 0,
             again: Duration::ZERO,
@@ -324,22 +333,6 @@ impl Unit {
         self.counted = self.is_running();
     }
 
-    /// Takes a job; a full queue gives it back.
-    pub(super) fn submit(&mut self, job: Job) -> Result<(), Reply> {
-        let error = if self.jobs.len() == JOBS_MAX {
-            JobError::Busy(JOBS_MAX)
-        } else if !self.is_present() {
-            JobError::Absent
-        } else {
-            self.jobs.push_back(job);
-            return Ok(());
-        };
-        Err(Reply {
-            job,
-            result: Err(error),
-        })
-    }
-
     /// A slave is there and begins from INIT.
     pub(super) fn begin(&mut self, cx: &Context<'_>, out: &mut Outbox) {
         self.fault = None;
@@ -356,10 +349,7 @@ impl Unit {
     /// It is gone.
     pub(super) fn lose(&mut self, out: &mut Outbox) {
         self.position = None;
-        self.al = AlStatus {
-            state: AlState::Other(0),
-            error: false,
-        };
+        self.show(0, AlStatusCode::default());
         (self.clock.locked, self.clock.outside) = (false, 0);
         (self.step, self.op, self.waiting) = (Step::Absent, Op::Rest, Asked::Nothing);
         self.fault = Some(Fault::Lost);
@@ -373,33 +363,8 @@ impl Unit {
     /// What came is another one.
     pub(super) fn release(&mut self) {
         self.position = None;
-        self.al = AlStatus {
-            state: AlState::Other(0),
-            error: false,
-        };
+        self.show(0, AlStatusCode::default());
         (self.step, self.op, self.waiting) = (Step::Absent, Op::Rest, Asked::Nothing);
-    }
-
-    /// All jobs end.
-    pub(super) fn abandon(&mut self, out: &mut Outbox) {
-        if let Some(transfer) = self.mailbox.reset() {
-            self.give_back(transfer.into_job(), Err(JobError::Absent), out);
-        }
-        if let Some(job) = self.job.take() {
-            self.give_back(job, Err(JobError::Absent), out);
-        }
-        while let Some(job) = self.jobs.pop_front() {
-            self.give_back(job, Err(JobError::Absent), out);
-        }
-    }
-
-    /// The reply to a job; what a step's own transfer needed is kept for the next.
-    fn give_back(&mut self, job: Job, result: Result<(), JobError>, out: &mut Outbox) {
-        if job.slave == OWN {
-            self.scratch = job.data;
-        } else {
-            out.reply(Reply { job, result });
-        }
     }
 
     /// It is not where it is wanted.
@@ -430,12 +395,13 @@ impl Unit {
     /// What the census or an inspection saw of its state.
     pub(super) fn seen(
         &mut self,
-        al: AlStatus,
+        status: u16,
         code: AlStatusCode,
         cx: &Context<'_>,
         out: &mut Outbox,
     ) {
-        (self.al, self.code) = (al, code);
+        self.show(status, code);
+        let al = self.al;
         let wanted = self.goal(cx.config);
         if self.is_running() && (al.error || al.state != wanted) {
             self.fail(
@@ -474,29 +440,6 @@ impl Unit {
             self.step,
             Step::Run | Step::Failed | Step::Identified | Step::Configured
         ) && self.op == Op::Rest
-    }
-
-    fn begin_job(&mut self, cx: &Context<'_>, out: &mut Outbox) {
-        let mailbox = self.jobs.front().map(|job| job.kind.is_mailbox());
-        if mailbox.is_none_or(|mailbox| mailbox && !self.mailbox.is_free()) {
-            return;
-        }
-        let Some(job) = self.jobs.pop_front() else {
-            return;
-        };
-        if mailbox == Some(true) {
-            let kind = job.kind;
-            if let Some(output) = self.mailbox.begin(
-                transfer::Transfer::new(job),
-                kind,
-                cx.mailbox_room(),
-                cx.now,
-            ) {
-                self.handle_mailbox(output, cx, out);
-            }
-            return;
-        }
-        self.begin_register_job(job, cx, out);
     }
 
     /// Whether something waits to be sent that is not mere watching.
@@ -581,32 +524,4 @@ impl Unit {
             }
         }
     }
-
-    fn handle_mailbox(&mut self, output: Output, cx: &Context<'_>, out: &mut Outbox) {
-        match output {
-            Output::Emergency(emergency) => out.emergency(EmergencyReport {
-                slave: self.number,
-                emergency,
-                at: cx.now,
-            }),
-            Output::Done(transfer, result) => {
-                let address = transfer.address();
-                let job = transfer.into_job();
-                if job.slave == OWN {
-                    self.scratch = job.data;
-                    self.transfer_done(address, result, cx, out);
-                } else {
-                    out.reply(Reply { job, result });
-                }
-            }
-        }
-    }
-
-    /// Messages of the mailbox that belonged to nothing, and that were asked for again.
-    pub(super) const fn mailbox_counters(&self) -> (u32, u32) {
-        (self.mailbox.ignored, self.mailbox.repeated)
-    }
 }
-
-/// Marks the transfers that the steps make.
-const OWN: usize = usize::MAX;

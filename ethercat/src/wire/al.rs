@@ -178,12 +178,12 @@ const CODES: [(u16, &str, &str); 42] = [
     (
         0x001D,
         "invalid output configuration",
-        "length of SyncManager 2 and the sum of 1C12h differ",
+        "length of SyncManager 2 and the sum of 1C12h differ, or 1C12h lists PDOs that may not be assigned together",
     ),
     (
         0x001E,
         "invalid input configuration",
-        "length of SyncManager 3 and the sum of 1C13h differ",
+        "length of SyncManager 3 and the sum of 1C13h differ, or 1C13h lists PDOs that may not be assigned together",
     ),
     (
         0x001F,

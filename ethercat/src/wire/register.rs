@@ -23,6 +23,11 @@ pub const AL_CONTROL: Register = 0x0120;
 pub const AL_STATUS: Register = 0x0130;
 /// AL status code, 2 bytes.
 pub const AL_STATUS_CODE: Register = 0x0134;
+/// PDI control, 1 byte: what the slave's own side of the controller is.
+pub const PDI_CONTROL: Register = 0x0140;
+/// ESC configuration, 1 byte, from SII word 0: bit 0 AL status is AL control (device emulation), 2 SYNC outputs,
+/// 3 latch inputs of the clock.
+pub const ESC_CONFIGURATION: Register = 0x0141;
 /// ECAT event mask, 2 bytes.
 pub const ECAT_EVENT_MASK: Register = 0x0200;
 /// ECAT event request, 2 bytes.
@@ -76,6 +81,8 @@ pub const DC_START_TIME: Register = 0x0990;
 pub const DC_SYNC0_CYCLE: Register = 0x09A0;
 /// SYNC1 cycle time, 4 bytes, ns.
 pub const DC_SYNC1_CYCLE: Register = 0x09A4;
+/// Output registers of digital terminals, 4 bytes; SyncManagers may lie over them.
+pub const OUTPUT_REGISTERS: Register = 0x0F00;
 /// Begin of the process data memory.
 pub const PROCESS_DATA: Register = 0x1000;
 

@@ -12,6 +12,7 @@
 
 mod crab;
 mod ours;
+mod profiles;
 mod wire;
 
 use std::io::Read;
@@ -22,9 +23,10 @@ use std::time::{Duration, Instant};
 
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
+use takt_ethercat::emulator::Profile;
 use takt_rt::thread::{ThreadConfig, spawn};
 use takt_tests::{skip, steady};
-use wire::{Cable, Capture};
+use wire::{Bench, Cable, Capture};
 
 /// A Python that has that module: the one the runner names, or that of `ethercat/tests/peers/install.sh`.
 fn python(module: &str) -> Option<PathBuf> {
@@ -42,7 +44,7 @@ fn python(module: &str) -> Option<PathBuf> {
 }
 
 /// Runs a peer of `ethercat/tests/peers` to its end.
-fn run(test: &str, script: &str, module: &str) {
+fn run(test: &str, script: &str, module: &str, bench: impl Fn() -> Bench) {
     let Some(python) = python(module) else {
         // The runner looks for the word veth, and runs the test once more where it has installed the peers.
         let why = format!("needs a veth pair and a Python with {module} (TAKT_PYTHON)");
@@ -53,15 +55,15 @@ fn run(test: &str, script: &str, module: &str) {
         .join("../ethercat/tests/peers")
         .join(script);
     // These masters give up when the host stands still for longer than they wait for an answer.
-    steady(|| once(test, &python, &script));
+    steady(|| once(test, &python, &script, bench()));
 }
 
-fn once(test: &str, python: &Path, script: &Path) {
+fn once(test: &str, python: &Path, script: &Path, bench: Bench) {
     let Some(cable) = Cable::lay(test) else {
         return;
     };
     let capture = Capture::begin();
-    let served = wire::serve(wire::segment());
+    let served = wire::serve(bench);
     let mut command = Command::new(python);
     command
         // Lines come as they are printed, and an abort shows where it stood.
@@ -141,6 +143,7 @@ fn soem_scans_configures_and_moves_two_drives_by_sync0() {
         "soem_scans_configures_and_moves_two_drives_by_sync0",
         "pysoem_peer.py",
         "pysoem",
+        wire::segment,
     );
 }
 
@@ -150,6 +153,7 @@ fn kickcat_scans_configures_and_moves_two_drives() {
         "kickcat_scans_configures_and_moves_two_drives",
         "kickcat_peer.py",
         "kickcat",
+        wire::segment,
     );
 }
 
@@ -186,4 +190,58 @@ fn our_master_asks_moves_two_drives_by_sync0_and_names_a_cut_cable() {
         served.end();
         check(test, capture);
     });
+}
+
+#[test]
+fn soem_brings_profiles_of_devices_to_op() {
+    run(
+        "soem_brings_profiles_of_devices_to_op",
+        "pysoem_profiles_peer.py",
+        "pysoem",
+        || wire::profiles(&Profile::LINE, 1),
+    );
+}
+
+#[test]
+fn kickcat_brings_profiles_of_devices_to_op() {
+    run(
+        "kickcat_brings_profiles_of_devices_to_op",
+        "kickcat_profiles_peer.py",
+        "kickcat",
+        || wire::profiles(&profiles::KICKCAT, 1),
+    );
+}
+
+#[test]
+fn ethercrab_brings_profiles_of_devices_to_op() {
+    let test = "ethercrab_brings_profiles_of_devices_to_op";
+    let Some(cable) = Cable::lay(test) else {
+        return;
+    };
+    let capture = Capture::begin();
+    let served = wire::serve(wire::profiles(&Profile::LINE, 1));
+    profiles::crab(cable.master());
+    served.end();
+    check(test, capture);
+}
+
+#[test]
+fn our_master_brings_profiles_of_devices_to_op() {
+    let test = "our_master_brings_profiles_of_devices_to_op";
+    for times in [1, 2] {
+        steady(|| {
+            let Some(cable) = Cable::lay(test) else {
+                return;
+            };
+            let served = wire::serve(wire::profiles(&Profile::LINE, times));
+            let interface = cable.master();
+            let config = ThreadConfig {
+                priority: Some(50),
+                ..ThreadConfig::new("master")
+            };
+            let master = spawn(config, move || profiles::ours(interface)).unwrap();
+            master.join().unwrap();
+            served.end();
+        });
+    }
 }

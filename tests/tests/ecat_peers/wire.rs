@@ -12,7 +12,7 @@ use nix::sched::{CloneFlags, unshare};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use takt_ethercat::emulator::{
-    Coupler, Io, Segment, Server, ServoConfig, ServoDrive, SharedSegment,
+    Coupler, Io, Profile, Segment, Server, ServoConfig, ServoDrive, SharedSegment,
 };
 use takt_ethercat::linux::{PacketLink, monotonic};
 use takt_rt::thread::{Thread, ThreadConfig, spawn};
@@ -105,6 +105,15 @@ pub(crate) fn segment() -> Bench {
     Bench {
         segment: Segment::line(slaves),
         loops: vec![first, second],
+    }
+}
+
+/// Slaves that answer as real devices do, with times so often as long.
+pub(crate) fn profiles(devices: &[Profile], times: u64) -> Bench {
+    let (segment, _) = Profile::line(devices, times).unwrap();
+    Bench {
+        segment,
+        loops: Vec::new(),
     }
 }
 

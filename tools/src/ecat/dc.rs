@@ -194,10 +194,12 @@ fn kind(master: &Master, slave: SlaveView<'_>) -> &'static str {
     let info = slave.info();
     if master.reference() == Some(slave.number()) {
         "reference"
-    } else if info.has_sync() {
+    } else if info.has_clock() && info.clock_bits() == 64 {
         "64 bit"
     } else if info.has_clock() {
         "32 bit"
+    } else if info.announces_clock() {
+        "latch only"
     } else {
         "none"
     }

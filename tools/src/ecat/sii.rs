@@ -142,8 +142,6 @@ fn told(slave: usize, what: Result<String, String>) -> anyhow::Result<Verdict> {
 
 /// Words that are read by one job.
 const CHUNK: u16 = 64;
-/// An EEPROM is busy for a while after a write and does not answer meanwhile; so often it is asked again.
-const TRIES: u32 = 20;
 
 /// The whole EEPROM, as far as word 3Eh says that it goes; 2 KiB where that cannot be.
 pub(super) fn read<W: Wire>(
@@ -174,15 +172,9 @@ fn asked<W: Wire>(
     kind: JobKind,
     data: &[u8],
 ) -> anyhow::Result<Result<Vec<u8>, JobError>> {
-    let mut tries = 0;
-    loop {
-        let mut memory = Vec::with_capacity(2 * usize::from(CHUNK));
-        memory.extend_from_slice(data);
-        match session.ask(slave, kind, memory)? {
-            Err(JobError::Protocol(_)) if tries < TRIES => tries += 1,
-            answer => return Ok(answer),
-        }
-    }
+    let mut memory = Vec::with_capacity(2 * usize::from(CHUNK));
+    memory.extend_from_slice(data);
+    session.ask(slave, kind, memory)
 }
 
 /// What is to become of an EEPROM.

@@ -28,21 +28,25 @@ use plan::{Plan, Stand};
 #[command(after_help = "Examples:
   ip link add near type veth peer name far && ip link set near up && ip link set far up
   takt ecat sim near --segment tx90
+  takt ecat sim near --segment ek1100,el1004,el2004,el2889,el3004,akd --slower 2
   takt ecat sim tap:ecat0 --segment cell/line.toml --strict
   takt ecat sim near --cell /etc/takt/cell.toml --name cell1
   echo 'cut 2' | takt ecat sim near --segment youbot --duration 1min
 
-A file has one [[slave]] for each slave: kind = coupler, digital, analogue, drive or tx90; outputs, inputs, looped
-(terminals); axes (drive); behind = [slave, port]; alias, vendor, product, name, drift_ppm.")]
+A file has one [[slave]] for each slave: kind = coupler, digital, analogue, drive, tx90 or a device; outputs, inputs,
+looped (terminals); axes (drive); behind = [slave, port]; alias, vendor, product, name, drift_ppm.
+
+Devices answer on the wire as real ones were recorded to do, with their registers, EEPROMs and times: ek1100, el1004,
+el2004, el2828, el2889, el3004, ek1914, lan9252, akd.")]
 pub(crate) struct Sim {
     /// The network interface; the master is at the other end of its cable. Or `tap:NAME`: an interface of that name is
     /// made, and the master works on it.
     #[arg(value_name = "IFACE")]
     interface: String,
-    /// What is on it: tx90, youbot, or a file.
+    /// What is on it: tx90, youbot, devices in their order, or a file.
     #[arg(
         long,
-        value_name = "FILE|tx90|youbot",
+        value_name = "FILE|tx90|youbot|DEVICE,...",
         required_unless_present = "cell"
     )]
     segment: Option<String>,
@@ -52,6 +56,9 @@ pub(crate) struct Sim {
     /// Which segment of the cell; needed if it has several.
     #[arg(long, value_name = "NAME", requires = "cell")]
     name: Option<String>,
+    /// Devices take so many times as long for states, mailboxes and EEPROMs as the real ones, 1 to 100.
+    #[arg(long, value_name = "N", default_value = "1", value_parser = clap::value_parser!(u64).range(1..=100))]
+    slower: u64,
     /// Axes fault after three cycles without a set-point, as real ones do; for masters on real-time hosts.
     #[arg(long)]
     strict: bool,
@@ -94,11 +101,14 @@ impl Sim {
                 Ok(Stand::plain(segment))
             }
             path => {
+                if let Some(devices) = Plan::of_devices(path) {
+                    return devices.build(self.strict, self.slower);
+                }
                 let text = std::fs::read_to_string(path).with_context(|| {
-                    format!("cannot read {path}; known without a file: tx90, youbot")
+                    format!("cannot read {path}; known without a file: tx90, youbot, and devices by name")
                 })?;
                 let plan: Plan = toml::from_str(&text).with_context(|| path.to_owned())?;
-                plan.build(self.strict)
+                plan.build(self.strict, self.slower)
                     .with_context(|| format!("{path} makes no segment"))
             }
         }

@@ -7,7 +7,7 @@ use takt_cia402::dictionary::{
 
 use super::ServoConfig;
 use super::pdo::{self, ASSIGNED, ENTRIES};
-use crate::emulator::terminal::VENDOR;
+use crate::emulator::image::PdoImage;
 
 /// 1C32h:01 from the factory: cycles run with new outputs.
 pub(super) const SYNC_BY_OUTPUTS: u16 = 1;
@@ -16,12 +16,12 @@ pub(super) const SYNC_BY_OUTPUTS: u16 = 1;
 pub(super) fn objects(config: &ServoConfig) -> Vec<Object> {
     let axes = config.axes.len();
     let mut all = identity(config);
-    for axis in 0..axes {
-        all.extend([mapping(axis, true), mapping(axis, false)]);
-    }
+    let received = pdo::images(config.pdos, axes, true);
+    let transmitted = pdo::images(config.pdos, axes, false);
+    all.extend(received.iter().chain(&transmitted).map(mapping));
     all.extend([
-        assignment(axes, true),
-        assignment(axes, false),
+        assignment(0x1C12, "RxPDO assign", &received),
+        assignment(0x1C13, "TxPDO assign", &transmitted),
         synchronisation(0x1C32, "output sync manager parameter"),
         synchronisation(0x1C33, "input sync manager parameter"),
     ]);
@@ -31,6 +31,7 @@ pub(super) fn objects(config: &ServoConfig) -> Vec<Object> {
 }
 
 fn identity(config: &ServoConfig) -> Vec<Object> {
+    let own = config.identity();
     let number = |name, value: u32| Entry::number(name, Access::Const, value);
     let channel = |name, value: u8| Entry::number(name, Access::ReadOnly, value);
     vec![
@@ -49,10 +50,10 @@ fn identity(config: &ServoConfig) -> Vec<Object> {
             0x1018,
             "identity",
             vec![
-                number("vendor", VENDOR),
-                number("product code", config.product),
-                number("revision", 0x0001_0000),
-                number("serial number", 1),
+                number("vendor", own.vendor),
+                number("product code", own.product),
+                number("revision", own.revision),
+                number("serial number", own.serial),
             ],
         ),
         Object::record(
@@ -77,12 +78,19 @@ fn identity(config: &ServoConfig) -> Vec<Object> {
 }
 
 /// An object whose sub-index 0 says how many of the entries behind it count.
-fn counted<T: Number>(index: u16, name: &str, values: &[T], room: u8, zero: T) -> Object {
+pub(in crate::emulator) fn counted<T: Number>(
+    index: u16,
+    name: &str,
+    values: &[T],
+    room: u8,
+    zero: T,
+    access: Access,
+) -> Object {
     let count = u8::try_from(values.len()).unwrap_or(u8::MAX);
-    let count = Entry::number("number of entries", Access::ReadWrite, count).within(0, room);
+    let count = Entry::number("number of entries", access, count).within(0, room);
     let entries = (1..=room).map(|sub| {
         let value = values.get(usize::from(sub) - 1).copied().unwrap_or(zero);
-        (sub, Entry::number("entry", Access::ReadWrite, value))
+        (sub, Entry::number("entry", access, value))
     });
     Object {
         index,
@@ -92,8 +100,7 @@ fn counted<T: Number>(index: u16, name: &str, values: &[T], room: u8, zero: T) -
     }
 }
 
-fn mapping(axis: usize, received: bool) -> Object {
-    let image = pdo::image(axis, received);
+fn mapping(image: &PdoImage) -> Object {
     let raw = |(index, sub, bits, _): &(u16, u8, u8, u8)| {
         let address = Address::new(*index, *sub);
         Mapped {
@@ -103,19 +110,13 @@ fn mapping(axis: usize, received: bool) -> Object {
         .raw()
     };
     let values: Vec<u32> = image.entries.iter().map(raw).collect();
-    counted(image.index, &image.name, &values, ENTRIES, 0)
+    let (index, name) = (image.index, &image.name);
+    counted(index, name, &values, ENTRIES, 0, Access::ReadWrite)
 }
 
-fn assignment(axes: usize, received: bool) -> Object {
-    let (index, name) = if received {
-        (0x1C12, "RxPDO assign")
-    } else {
-        (0x1C13, "TxPDO assign")
-    };
-    let pdos: Vec<u16> = (0..axes)
-        .map(|axis| pdo::image(axis, received).index)
-        .collect();
-    counted(index, name, &pdos, ASSIGNED, 0)
+fn assignment(index: u16, name: &str, images: &[PdoImage]) -> Object {
+    let pdos: Vec<u16> = images.iter().map(|image| image.index).collect();
+    counted(index, name, &pdos, ASSIGNED, 0, Access::ReadWrite)
 }
 
 /// 1C32h and 1C33h: their sub-indices have gaps.

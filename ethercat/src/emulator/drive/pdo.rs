@@ -3,6 +3,7 @@
 
 use takt_cia402::dictionary::{AbortCode, Address, Dictionary, Mapped, Mapping};
 
+use super::PdoSet;
 use crate::emulator::image::PdoImage;
 use crate::{AlState, AlStatusCode};
 
@@ -58,6 +59,59 @@ pub(super) fn image(axis: usize, received: bool) -> PdoImage {
     }
 }
 
+/// All PDOs of a drive one way, by default.
+pub(super) fn images(set: PdoSet, axes: usize, received: bool) -> Vec<PdoImage> {
+    match set {
+        PdoSet::One => (0..axes).map(|axis| image(axis, received)).collect(),
+        PdoSet::Four => four(received),
+    }
+}
+
+/// Four PDOs of one axis, together 17 bytes: the last maps objects of the first once more.
+pub(in crate::emulator) fn four(received: bool) -> Vec<PdoImage> {
+    let PdoImage {
+        index,
+        sync_manager,
+        entries,
+        ..
+    } = image(0, received);
+    let [word, mode, gap, position, velocity, torque, ..] = entries[..] else {
+        return Vec::new();
+    };
+    let parts = [
+        vec![word, mode, gap],
+        vec![position],
+        vec![velocity],
+        vec![torque, word, mode],
+    ];
+    (index..)
+        .zip(parts)
+        .map(|(index, entries)| PdoImage {
+            index,
+            sync_manager,
+            name: format!("PDO {}", index & 0x0F),
+            entries,
+        })
+        .collect()
+}
+
+/// Whether an object is mapped twice among what is assigned.
+pub(super) fn check_twice(d: &Dictionary) -> Result<(), AlStatusCode> {
+    for (list_at, code) in [(0x1C12, 0x001D), (0x1C13, 0x001E)] {
+        let pdos = list(d, list_at).unwrap_or_default();
+        let pdos = pdos.into_iter().map(u16::from_le_bytes);
+        let all: Vec<Mapped> = pdos.filter_map(|pdo| mapped(d, pdo)).flatten().collect();
+        let twice = |(n, entry): (usize, &Mapped)| {
+            let before = all.iter().take(n);
+            !entry.is_gap() && before.clone().any(|other| other.address == entry.address)
+        };
+        if all.iter().enumerate().any(twice) {
+            return Err(AlStatusCode(code));
+        }
+    }
+    Ok(())
+}
+
 /// The numbers in an object of which sub-index 0 says how many there are.
 fn list<const N: usize>(d: &Dictionary, index: u16) -> Option<Vec<[u8; N]>> {
     let count = *d.bytes(Address::new(index, 0))?.first()?;
@@ -84,7 +138,7 @@ fn mapping(d: &Dictionary, pdo: u16, received: bool) -> Result<Mapping, AbortCod
 }
 
 /// Whether a write from the bus may change what PDOs are.
-pub(super) fn check_download(
+pub(in crate::emulator) fn check_download(
     d: &Dictionary,
     at: Address,
     data: &[u8],

@@ -83,7 +83,7 @@ impl Memory {
     /// Which switched-on SyncManager an address belongs to, and how many of `len` bytes from there
     /// belong to the same.
     pub(super) fn piece(&self, at: usize, len: usize) -> (Option<usize>, usize) {
-        if at + len <= usize::from(register::PROCESS_DATA) {
+        if at + len <= usize::from(register::OUTPUT_REGISTERS) {
             return (None, len);
         }
         let mut room = len;
@@ -197,8 +197,11 @@ impl Memory {
     /// Whatever was in its buffers is gone.
     fn empty(&mut self, number: usize) {
         self.channels[number] = Channel::default();
-        let all = status::WRITTEN | status::READ | status::FULL;
-        self.set_sm_status(number, status::LAST, all);
+        let all = status::WRITTEN | status::READ | status::FULL | status::LAST;
+        // A mailbox has no buffers to number.
+        let mailbox = self.sync_manager(number).is_mailbox();
+        let set = if mailbox { 0 } else { status::LAST };
+        self.set_sm_status(number, set, all);
     }
 
     /// The byte that a write of single bits to an address changes.
@@ -244,7 +247,9 @@ impl Memory {
     fn fill_mailbox(&mut self, number: usize, sm: &SyncManager) {
         let start = usize::from(sm.start);
         if let Some(area) = self.bytes.get_mut(start..start + usize::from(sm.len)) {
-            area.fill(0);
+            if !self.dirty {
+                area.fill(0);
+            }
             copy(area, &self.last_sent);
         }
         self.channels[number].open = false;

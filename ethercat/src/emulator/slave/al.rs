@@ -16,7 +16,92 @@ use super::super::application::Setup;
 use super::super::memory::{al_event, ecat_event};
 use super::{Request, Slave};
 
+/// Bits of AL control that a controller without firmware copies to AL status: state, acknowledgement, identification.
+const MIRRORED: u16 = 0x003F;
+
 impl Slave {
+    /// Whether its controller answers AL control by itself (device emulation: 0141h bit 0, from SII word 0 bit 8), as
+    /// those of couplers and simple terminals do. It checks nothing and refuses nothing.
+    pub(super) fn mirrors(&self) -> bool {
+        let [configuration] = self.memory.get(register::ESC_CONFIGURATION);
+        configuration & 0x01 != 0
+    }
+
+    /// Has AL control written as another master may have done before.
+    pub fn set_al_control(&mut self, control: u16) {
+        if self
+            .memory
+            .write(register::AL_CONTROL, &control.to_le_bytes())
+        {
+            self.memory.events.al_control = false;
+            self.al_control_written(self.ran);
+        }
+    }
+
+    /// AL status as a master reads it.
+    #[must_use]
+    pub fn al_status(&self) -> u16 {
+        self.memory.word(register::AL_STATUS)
+    }
+
+    /// The master wrote AL control.
+    pub(super) fn al_control_written(&mut self, now: u64) {
+        let control = self.memory.word(register::AL_CONTROL);
+        let wanted = AlStatus::from_raw(control).state;
+        if self.mirrors() {
+            let refused = self.faults.refused.filter(|(state, _)| *state == wanted);
+            return match refused {
+                Some((_, code)) => self.tell_state(code, true),
+                None => self.mirror(control),
+            };
+        }
+        let times = self.config.times;
+        let read = times.al_read.map_or(0, |span| self.chance.draw(span));
+        let delay = self.chance.draw(match wanted {
+            AlState::SafeOp => times.to_safe_op,
+            AlState::Op => times.to_op,
+            AlState::Init | AlState::PreOp | AlState::Boot | AlState::Other(_) => times.to_pre_op,
+        });
+        let delay = delay.max(read);
+        // Firmware looks once a while: it then takes what is there.
+        let due = self.request.filter(|_| times.al_read.is_none());
+        let due = due.map_or(now + delay, |request| request.due);
+        self.request = Some(Request {
+            read: now + read,
+            due,
+            expires: now + delay + self.config.op_wait,
+        });
+    }
+
+    /// What was written to AL control becomes AL status as it is, with code 0000h.
+    fn mirror(&mut self, control: u16) {
+        let wanted = AlStatus::from_raw(control).state;
+        if self.state != wanted {
+            self.application.leave(self.state, wanted);
+        }
+        if matches!(wanted, AlState::Init | AlState::PreOp) {
+            self.heard = None;
+        }
+        self.state = wanted;
+        self.memory.set(register::AL_STATUS_CODE, &[0, 0]);
+        let event = ecat_event::AL_STATUS;
+        self.memory
+            .set_told(register::AL_STATUS, control & MIRRORED, event);
+    }
+
+    /// Firmware reads AL control, and later answers it.
+    pub(super) fn poll_al_control(&mut self, now: u64) {
+        let Some(request) = self.request.filter(|_| !self.faults.hung) else {
+            return;
+        };
+        if now >= request.read {
+            self.memory.al_locked = false;
+        }
+        if now >= request.due {
+            self.poll_state(&request, now);
+        }
+    }
+
     pub(super) fn tell_state(&mut self, code: AlStatusCode, error: bool) {
         let state = self.state;
         self.memory
@@ -27,10 +112,7 @@ impl Slave {
     }
 
     /// A request in AL control is due.
-    pub(super) fn poll_state(&mut self, request: &Request, now: u64) {
-        if self.faults.hung {
-            return;
-        }
+    fn poll_state(&mut self, request: &Request, now: u64) {
         let control = self.memory.word(register::AL_CONTROL);
         let wanted = AlStatus::from_raw(control).state;
         let to_op = wanted == AlState::Op && self.state == AlState::SafeOp;
@@ -54,9 +136,7 @@ impl Slave {
                 self.leave(wanted.state);
                 self.state = wanted.state;
                 if matches!(self.state, AlState::SafeOp | AlState::Op) {
-                    let channel = self.output_channel();
-                    self.open(channel);
-                    self.open(channel + 1);
+                    self.channels.all().for_each(|channel| self.open(channel));
                 }
                 self.tell_state(AlStatusCode(0), false);
             }
@@ -107,7 +187,6 @@ impl Slave {
 
     /// What the master has set up.
     fn setup(&self) -> Setup {
-        let channel = self.output_channel();
         let len = |number: usize| {
             let sm = self.memory.sync_manager(number);
             if sm.activate & 1 == 1 { sm.len } else { 0 }
@@ -115,8 +194,8 @@ impl Slave {
         let cycle = u32::from_le_bytes(self.memory.get(register::DC_SYNC0_CYCLE));
         let active = |bits: u8| self.clock.is_some() && self.activation & bits == bits;
         Setup {
-            outputs: len(channel),
-            inputs: len(channel + 1),
+            outputs: self.channels.outputs().map(len).sum(),
+            inputs: self.channels.inputs().map(len).sum(),
             sync0: active(0x03).then_some(cycle),
             sync1: active(0x05),
         }
@@ -143,9 +222,10 @@ impl Slave {
     }
 
     fn check_process_data(&self) -> Result<(), AlStatusCode> {
-        let channel = self.output_channel();
         let own = self.config.sii.sync_managers();
-        for (number, code) in [(channel, 0x001D), (channel + 1, 0x001E)] {
+        let outputs = self.channels.outputs().map(|number| (number, 0x001D));
+        let inputs = self.channels.inputs().map(|number| (number, 0x001E));
+        for (number, code) in outputs.chain(inputs) {
             let set = self.memory.sync_manager(number);
             let Some(own) = own.get(number) else {
                 continue;
@@ -175,9 +255,10 @@ impl Slave {
     }
 
     fn lacks_outputs(&self) -> bool {
-        let channel = self.output_channel();
-        let outputs = self.memory.sync_manager(channel);
-        outputs.is_enabled() && self.memory.outputs(channel).is_none()
+        self.channels.outputs().any(|channel| {
+            let outputs = self.memory.sync_manager(channel);
+            outputs.is_enabled() && self.memory.outputs(channel).is_none()
+        })
     }
 
     /// Outputs must have come, and SYNC0 must be on its way.
@@ -194,10 +275,10 @@ impl Slave {
 
     /// What ends with the present state.
     pub(super) fn leave(&mut self, to: AlState) {
-        if matches!(to, AlState::Init | AlState::PreOp) {
-            let channel = self.output_channel();
-            self.memory.disable(channel, true);
-            self.memory.disable(channel + 1, true);
+        if matches!(to, AlState::Init | AlState::PreOp) && !self.mirrors() {
+            for channel in self.channels.all() {
+                self.memory.disable(channel, true);
+            }
             self.heard = None;
         }
         if to == AlState::Init {

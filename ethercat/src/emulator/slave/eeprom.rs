@@ -9,8 +9,10 @@ use super::Slave;
 /// Bits of SII control and status.
 mod bit {
     pub(super) const WRITE_ENABLE: u16 = 0x0001;
-    /// Eight bytes are read at once.
+    /// Eight bytes are read at once, rather than four.
     pub(super) const EIGHT_BYTES: u16 = 0x0040;
+    /// Those that say what the interface is like.
+    pub(super) const KIND: u16 = 0x00F0;
     pub(super) const CHECKSUM: u16 = 0x0800;
     pub(super) const COMMAND_ERROR: u16 = 0x2000;
     pub(super) const WRITE_ERROR: u16 = 0x4000;
@@ -23,6 +25,8 @@ pub(super) struct Eeprom {
     bytes: Vec<u8>,
     /// SII control as written, and when the command is done, ns.
     pending: Option<(u16, u64)>,
+    /// Until when it stores what was written and acknowledges nothing, ns.
+    stores: u64,
 }
 
 impl Eeprom {
@@ -30,11 +34,12 @@ impl Eeprom {
         Self {
             bytes,
             pending: None,
+            stores: 0,
         }
     }
 
     pub(super) const fn reset(&mut self) {
-        self.pending = None;
+        (self.pending, self.stores) = (None, 0);
     }
 
     pub(super) fn bytes(&self) -> &[u8] {
@@ -61,7 +66,7 @@ impl Eeprom {
 impl Slave {
     /// Loads what the controller itself takes from the EEPROM: at power-on and by command.
     pub(super) fn load_configuration(&mut self) {
-        let status = bit::EIGHT_BYTES
+        let status = self.sii_kind()
             | if self.eeprom.is_sound() {
                 0
             } else {
@@ -72,7 +77,7 @@ impl Slave {
         if !self.eeprom.is_sound() {
             return;
         }
-        self.memory.set(0x0140, &self.eeprom.word(0));
+        self.memory.set(register::PDI_CONTROL, &self.eeprom.word(0));
         self.memory.set(0x0150, &self.eeprom.word(1));
         self.memory
             .set(register::STATION_ALIAS, &self.eeprom.word(sii::word::ALIAS));
@@ -95,11 +100,19 @@ impl Slave {
             self.tell_sii(bit::COMMAND_ERROR);
             return;
         }
+        if matches!(command, 1 | 2) && now < self.eeprom.stores {
+            self.tell_sii(control & 0x0700 | bit::COMMAND_ERROR);
+            return;
+        }
+        let times = self.config.times;
         let busy = match command {
-            2 => 100 * self.config.sii_delay,
-            _ => self.config.sii_delay,
+            2 => self.chance.draw(times.sii_write),
+            _ => self.chance.draw(times.sii_read),
         };
-        let told = control & 0x0700 | bit::EIGHT_BYTES | bit::BUSY;
+        if command == 2 {
+            self.eeprom.stores = now + busy + self.chance.draw(times.sii_store);
+        }
+        let told = control & 0x0700 | self.sii_kind() | bit::BUSY;
         self.memory.set(register::SII_CONTROL, &told.to_le_bytes());
         self.eeprom.pending = Some((control, now + busy));
         if command == 0 {
@@ -115,8 +128,12 @@ impl Slave {
         }
     }
 
+    const fn sii_kind(&self) -> u16 {
+        self.config.chip.sii_status & bit::KIND
+    }
+
     fn tell_sii(&mut self, errors: u16) {
-        let status = errors | bit::EIGHT_BYTES;
+        let status = errors | self.sii_kind();
         self.memory
             .set(register::SII_CONTROL, &status.to_le_bytes());
     }
@@ -135,7 +152,10 @@ impl Slave {
                 for (to, from) in data.iter_mut().zip(bytes) {
                     *to = *from;
                 }
-                self.memory.set(register::SII_DATA, &data);
+                let eight = self.sii_kind() & bit::EIGHT_BYTES != 0;
+                let len = if eight { 8 } else { 4 };
+                self.memory
+                    .set(register::SII_DATA, data.get(..len).unwrap_or_default());
             }
             2 if control & bit::WRITE_ENABLE == 0 => errors = bit::WRITE_ERROR,
             2 => {

@@ -4,7 +4,6 @@
 use crate::register;
 use crate::{AlState, Fmmu, register::Register};
 
-use super::super::memory::FMMUS;
 use super::Slave;
 use super::faults::happens;
 
@@ -34,7 +33,7 @@ impl Slave {
             writes && !(self.state == AlState::Op && happens(&mut self.faults.late_outputs));
         // Outputs are taken from what came in, before any inputs are merged.
         for (direction, wanted) in [(false, writes), (true, reads)] {
-            for number in 0..FMMUS {
+            for number in 0..usize::from(self.config.chip.fmmus.min(8)) {
                 let fmmu = self.fmmu(number);
                 let matches = if direction { fmmu.reads } else { fmmu.writes };
                 if !wanted || !fmmu.active || !matches {

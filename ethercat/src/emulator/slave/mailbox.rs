@@ -20,9 +20,39 @@ pub(super) struct Post {
     due: Option<u64>,
     /// Counter of the last mailbox received, and of the last sent.
     counters: (u8, u8),
+    /// When the next Ethernet frame goes out by EoE, ns; `None` before it has an address.
+    ethernet: Option<u64>,
 }
 
+/// Frame types of EoE (ETG.1000.6, clause 5.9): a fragment that is a whole frame, the request for an address, its
+/// answer.
+mod eoe {
+    pub(super) const FRAGMENT: [u8; 4] = [0x00, 0x01, 0x00, 0x00];
+    pub(super) const SET_ADDRESS: u8 = 0x02;
+    pub(super) const ADDRESS_SET: [u8; 4] = [0x03, 0x00, 0x00, 0x00];
+}
+
+/// The Ethernet frame that a slave sends unasked: an ARP probe, padded.
+const ETHERNET: [u8; 60] = {
+    let mut frame = [0; 60];
+    let mut at = 0;
+    while at < 6 {
+        frame[at] = 0xFF;
+        frame[6 + at] = [0x02, 0, 0, 0, 0, 1][at];
+        at += 1;
+    }
+    (frame[12], frame[13]) = (0x08, 0x06);
+    (frame[15], frame[16], frame[18], frame[19], frame[21]) = (1, 0x08, 6, 4, 1);
+    frame
+};
+
 impl Post {
+    /// Power comes on.
+    pub(super) fn restart(&mut self) {
+        self.reset();
+        self.ethernet = None;
+    }
+
     pub(super) fn reset(&mut self) {
         self.replies.clear();
         self.due = None;
@@ -31,23 +61,40 @@ impl Post {
 }
 
 impl Slave {
+    /// Has it send an Ethernet frame by its mailbox each so many ns, as if a master had given it an address before; `None`
+    /// ends that.
+    pub fn set_ethernet(&mut self, period: Option<u64>) {
+        self.config.eoe = period;
+        self.post.ethernet = period.map(|_| self.ran);
+    }
+
     pub(super) fn poll_mailbox(&mut self, now: u64) {
         if self.faults.hung {
             return;
         }
         let post = &mut self.post;
         if post.due.is_none() && self.memory.take_mailbox(0, &mut post.request) {
-            post.due = Some(now + self.config.mailbox_delay);
+            post.due = Some(now + self.chance.draw(self.config.times.mailbox));
         }
         if post.due.is_some_and(|due| now >= due) {
             post.due = None;
             let request = std::mem::take(&mut post.request);
-            self.answer(&request);
+            self.answer(&request, now);
             self.post.request = request;
         }
         let mut unasked = Vec::new();
         while self.post.replies.len() < REPLIES_MAX && self.application.unasked(&mut unasked) {
             self.queue(MailboxKind::Coe, &unasked);
+        }
+        if let (Some(period), Some(due)) = (self.config.eoe, self.post.ethernet)
+            && now >= due
+            && self.post.replies.is_empty()
+        {
+            self.post.ethernet = Some(now + period);
+            self.queue(
+                MailboxKind::Eoe,
+                &[&eoe::FRAGMENT[..], &ETHERNET[..]].concat(),
+            );
         }
         if let Some(reply) = self.post.replies.front()
             && self.memory.put_mailbox(1, reply)
@@ -56,7 +103,7 @@ impl Slave {
         }
     }
 
-    fn answer(&mut self, mailbox: &[u8]) {
+    fn answer(&mut self, mailbox: &[u8], now: u64) {
         let mut reply = Vec::new();
         if self.application.has_raw_mailbox() {
             if self.application.mailbox(mailbox, &mut reply) {
@@ -73,6 +120,17 @@ impl Slave {
             return;
         }
         self.post.counters.0 = header.counter;
+        if self.config.counters_follow && header.counter != 0 {
+            // That of the answer, which counts one on, is that of the request.
+            self.post.counters.1 = header.counter.wrapping_sub(1);
+        }
+        if header.kind == MailboxKind::Eoe && self.config.eoe.is_some() {
+            if inside.first().map(|first| first & 0x0F) == Some(eoe::SET_ADDRESS) {
+                self.post.ethernet = Some(now);
+                self.queue(MailboxKind::Eoe, &eoe::ADDRESS_SET);
+            }
+            return;
+        }
         if let Some((left, code)) = &mut self.faults.mailbox_errors
             && happens(left)
         {

@@ -7,10 +7,16 @@ use crate::{AlState, AlStatusCode};
 
 use super::super::application::Cycle;
 use super::super::memory::{Events, al_event};
-use super::{Arrival, Slave};
+use super::{Arrival, ClockUnit, Slave};
 
 /// Without SYNC0 and without outputs the application runs this often, ns.
 const IDLE: u64 = 1_000_000;
+/// The next system time whose lower 32 bits are those of a start: one that has passed comes with the next wrap.
+const fn next_like(start: u64, system: u64) -> u64 {
+    let ahead = (start.wrapping_sub(system)) & u32::MAX as u64;
+    system.wrapping_add(if ahead == 0 { 1 << 32 } else { ahead })
+}
+
 /// Pulses of SYNC0 that are made up for when nobody looked for long.
 const PULSES_MAX: u64 = 64;
 
@@ -28,8 +34,10 @@ impl Slave {
         if end <= 0x0910 || first >= 0x09A0 {
             return;
         }
-        let system = clock.local(arrival.at).wrapping_add(self.offset());
+        let mask = self.config.chip.clock.mask();
+        let system = clock.local(arrival.at).wrapping_add(self.offset()) & mask;
         let (sync0, sync1) = (clock.next_sync0(), clock.next_sync1());
+        let (sync0, sync1) = (sync0.map(|at| at & mask), sync1.map(|at| at & mask));
         let speed = clock.speed_difference();
         let set = |memory: &mut super::Memory, at, value: u64| memory.set(at, &value.to_le_bytes());
         set(&mut self.memory, register::DC_SYSTEM_TIME, system);
@@ -57,8 +65,9 @@ impl Slave {
                     self.memory.set(place, &[a, b, c, d]);
                 }
             }
-            let local = clock.local(arrival.at).to_le_bytes();
-            self.memory.set(register::DC_RECEIVE_TIME_ECAT, &local);
+            let local = clock.local(arrival.at) & self.config.chip.clock.mask();
+            self.memory
+                .set(register::DC_RECEIVE_TIME_ECAT, &local.to_le_bytes());
         }
         if events.filters {
             clock.reset_loop();
@@ -82,7 +91,7 @@ impl Slave {
         let [depth, _] = self.memory.get(register::DC_FILTERS);
         let copy = clock.local(now).wrapping_add(offset);
         let copy = copy.wrapping_sub(delay.into());
-        let difference = if len < 8 {
+        let difference = if len < 8 || self.config.chip.clock == ClockUnit::Bits32 {
             // Only the low half is compared.
             let [low, _] = [copy.wrapping_sub(received), 0];
             let [a, b, c, d, ..] = low.to_le_bytes();
@@ -113,6 +122,10 @@ impl Slave {
             let sync1 = u32::from_le_bytes(self.memory.get(register::DC_SYNC1_CYCLE));
             let sync1 = (activation & 0x04 != 0).then_some(sync1.into());
             let system = clock.local(now).wrapping_add(offset);
+            let start = match self.config.chip.clock {
+                ClockUnit::Bits32 => next_like(start, system),
+                ClockUnit::Absent | ClockUnit::ReceiveTimes | ClockUnit::Bits64 => start,
+            };
             clock.arm(start, period.into(), sync1, system);
         }
     }
@@ -180,16 +193,20 @@ impl Slave {
 
     /// The watchdog of the process data; returns whether the slave goes on in its state.
     fn watch(&mut self, now: u64) -> bool {
-        let output = self.memory.sync_manager(self.output_channel());
+        let triggers = |channel: usize| {
+            let output = self.memory.sync_manager(channel);
+            output.is_enabled() && output.control & 0x40 != 0
+        };
         let divider = u64::from(self.memory.word(register::WATCHDOG_DIVIDER)) + 2;
         let time = u64::from(self.memory.word(register::WATCHDOG_PROCESS_DATA));
         let limit = divider * 40 * time;
-        let watched = output.is_enabled() && output.control & 0x40 != 0 && limit > 0;
+        let watched = limit > 0 && self.channels.outputs().any(triggers);
         let late = self.heard.is_some_and(|heard| now > heard + limit);
         let expired = watched && late;
         let [was_well] = self.memory.get(register::WATCHDOG_STATUS);
         self.memory
             .set(register::WATCHDOG_STATUS, &[u8::from(!expired)]);
+        self.expired = expired;
         if !expired {
             return true;
         }
@@ -197,7 +214,8 @@ impl Slave {
             self.memory.count(0x0442);
             self.memory.raise(al_event::WATCHDOG);
         }
-        if self.state == AlState::Op {
+        // Without firmware nobody leaves the state: the controller itself keeps its outputs safe.
+        if self.state == AlState::Op && !self.mirrors() {
             self.fall(AlState::SafeOp, AlStatusCode(0x001B));
             return false;
         }
@@ -206,17 +224,29 @@ impl Slave {
 
     /// One cycle of the application.
     fn run(&mut self, now: u64, synchronous: bool) {
-        let output = self.output_channel();
         self.outputs.clear();
-        let outputs = self.memory.outputs(output);
-        let some = outputs.is_some() && self.state == AlState::Op;
-        self.outputs.extend_from_slice(outputs.unwrap_or_default());
-        self.memory.outputs_read(output);
+        let mut whole = true;
+        for channel in self.channels.outputs() {
+            let outputs = self.memory.outputs(channel);
+            // One that is switched off has none to give, and is not waited for.
+            whole &= outputs.is_some() || !self.memory.sync_manager(channel).is_enabled();
+            self.outputs.extend_from_slice(outputs.unwrap_or_default());
+            self.memory.outputs_read(channel);
+        }
+        let some = whole && !self.outputs.is_empty();
+        let some = some && self.state == AlState::Op && !self.expired;
         self.memory.acknowledge(al_event::SYNC0 | al_event::SYNC1);
-        let input = self.memory.sync_manager(output + 1);
-        let len = if input.is_enabled() { input.len } else { 0 };
+        let memory = &self.memory;
+        let len = |channel: usize| {
+            let input = memory.sync_manager(channel);
+            if input.is_enabled() {
+                usize::from(input.len)
+            } else {
+                0
+            }
+        };
         self.inputs.clear();
-        self.inputs.resize(len.into(), 0);
+        self.inputs.resize(self.channels.inputs().map(len).sum(), 0);
         let cycle = Cycle {
             outputs: some.then_some(&self.outputs),
             fresh: std::mem::take(&mut self.fresh),
@@ -225,6 +255,12 @@ impl Slave {
             synchronous,
         };
         self.application.cycle(&cycle, &mut self.inputs);
-        self.memory.set_inputs(output + 1, &self.inputs);
+        let mut rest = &self.inputs[..];
+        for channel in self.channels.inputs() {
+            let len = usize::from(self.memory.sync_manager(channel).len);
+            let (part, after) = rest.split_at(len.min(rest.len()));
+            self.memory.set_inputs(channel, part);
+            rest = after;
+        }
     }
 }

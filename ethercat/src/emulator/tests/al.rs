@@ -2,13 +2,13 @@
 
 use super::*;
 use crate::AlStatusCode;
-use crate::emulator::{Plain, SiiImage, SlaveConfig};
+use crate::emulator::{Plain, SiiImage, SlaveConfig, Span, Times};
 
 const STATES: [AlState; 4] = [AlState::Init, AlState::PreOp, AlState::SafeOp, AlState::Op];
 
 /// A slave without process data, brought to a state step by step.
 fn in_state(state: AlState) -> Bench {
-    let mut bench = Bench::new([Coupler::slave()]);
+    let mut bench = Bench::new([Coupler::slave().with_firmware()]);
     bench.address();
     for step in STATES
         .into_iter()
@@ -203,4 +203,99 @@ fn outputs_are_zero_outside_of_op() {
     bench.now += MS;
     bench.segment.poll(bench.now);
     assert_eq!(io.outputs(), [0]);
+}
+
+/// A coupler and a terminal of 8 outputs and 8 inputs, whose controllers answer AL control by themselves.
+fn emulated() -> (Bench, Io) {
+    let (terminal, io) = Io::digital(8, 8);
+    let mut bench = Bench::new([Coupler::slave(), Coupler::slave(), terminal]);
+    bench.address();
+    (bench, io)
+}
+
+#[test]
+fn device_emulation_shows_al_control_as_it_is() {
+    let (mut bench, _) = emulated();
+    assert_eq!(
+        bench.read::<2>(0x1002, register::PDI_CONTROL),
+        [4, 1],
+        "digital I/O, device emulation"
+    );
+    for control in [0x11_u16, 0x12, 0x01, 0x02, 0x14, 0x08, 0x03, 0x31] {
+        bench.write(0x1002, register::AL_CONTROL, &control.to_le_bytes());
+        for _ in 0..3 {
+            let shown = bench.read::<6>(0x1002, register::AL_STATUS);
+            let [low, high] = control.to_le_bytes();
+            assert_eq!(shown, [low, high, 0, 0, 0, 0], "{control:04X}h, for good");
+            bench.now += 500 * MS;
+        }
+    }
+}
+
+#[test]
+fn device_emulation_exchanges_in_any_state_and_outputs_work_in_op() {
+    let (mut bench, io) = emulated();
+    bench.map_terminal();
+    bench.segment.poll(bench.now + 2 * MS);
+    assert_eq!(
+        bench.logical(Command::Lrw, 0, &[0x55, 0]).counter,
+        3,
+        "in INIT"
+    );
+    bench.segment.poll(bench.now + 2 * MS);
+    assert!(io.outputs().iter().all(|byte| *byte == 0));
+    bench.write(0x1002, register::AL_CONTROL, &[8, 0]);
+    bench.logical(Command::Lrw, 0, &[0x55, 0]);
+    bench.now += 2 * MS;
+    bench.segment.poll(bench.now);
+    assert_eq!(io.outputs(), [0x55]);
+}
+
+#[test]
+fn device_emulation_watchdog_clears_outputs_and_stays_in_op() {
+    let (mut bench, io) = emulated();
+    bench.map_terminal();
+    bench.write(0x1002, register::AL_CONTROL, &[8, 0]);
+    bench.logical(Command::Lrw, 0, &[0x55, 0]);
+    bench.now += 2 * MS;
+    bench.segment.poll(bench.now);
+    assert_eq!(io.outputs(), [0x55]);
+    bench.now += 200 * MS;
+    bench.segment.poll(bench.now);
+    assert_eq!(bench.al(0x1002), (AlState::Op, false, 0));
+    assert_eq!(bench.read::<1>(0x1002, register::WATCHDOG_STATUS), [0]);
+    assert_eq!(
+        (bench.read::<1>(0x1002, 0x0442), io.outputs()),
+        ([1], vec![0])
+    );
+    bench.logical(Command::Lrw, 0, &[0x55, 0]);
+    bench.now += 2 * MS;
+    bench.segment.poll(bench.now);
+    assert_eq!(io.outputs(), [0x55], "as soon as outputs come again");
+}
+
+#[test]
+fn al_control_unread_by_firmware_takes_no_write() {
+    let sii = SiiImage {
+        mailbox_len: 128,
+        coe: 0x01,
+        ..SiiImage::default()
+    };
+    let config = SlaveConfig {
+        times: Times {
+            al_read: Some(Span::exactly(7 * MS)),
+            ..Times::default()
+        },
+        ..SlaveConfig::new(sii)
+    };
+    let mut bench = Bench::new([Slave::new(config, Box::new(Plain))]);
+    bench.address();
+    bench.write(0x1000, register::AL_CONTROL, &[0x11, 0]);
+    for command in [Command::Fpwr, Command::Bwr] {
+        let answer = bench.device(command, 0x1000, register::AL_CONTROL, &[2, 0]);
+        assert_eq!(answer.counter, 0, "{command:?}");
+    }
+    assert_eq!(bench.al(0x1000).0, AlState::Init, "its state can be read");
+    bench.now += 7 * MS;
+    bench.write(0x1000, register::AL_CONTROL, &[0x11, 0]);
 }

@@ -103,15 +103,12 @@ fn what_is_not_there_reads_zero_and_what_is_constant_stays() {
     assert_eq!(bench.read::<1>(0x1000, 0x0000), [0x11]);
     bench.write(0x1000, 0x0000, &[0x99]);
     assert_eq!(bench.read::<1>(0x1000, 0x0000), [0x11]);
-    // The end of the address space.
-    assert_eq!(
-        bench.device(Command::Fprd, 0x1000, 0xFFFF, &[1, 1]).data,
-        [0, 0]
-    );
-    assert_eq!(
-        bench.device(Command::Fpwr, 0x1000, 0xFFFF, &[1, 1]).counter,
-        1
-    );
+    // Behind its memory, and at the end of the address space.
+    for at in [0x2FFF, 0x3000, 0xFFFF] {
+        for command in [Command::Fprd, Command::Fpwr] {
+            assert_eq!(bench.device(command, 0x1000, at, &[1, 1]).counter, 0);
+        }
+    }
 }
 
 #[test]

@@ -107,7 +107,7 @@ fn goals_below_op_are_reached_and_held() {
 
 #[test]
 fn the_watchdog_is_set_as_configured() {
-    let (terminal, _) = Io::digital(8, 8);
+    let terminal = Io::digital(8, 8).0.with_firmware();
     let watchdog = Some(Duration::from_micros(24_950));
     let slaves = vec![SlaveSpec {
         watchdog,

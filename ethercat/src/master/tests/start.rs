@@ -198,7 +198,7 @@ fn a_refused_state_is_told_with_its_code_and_tried_again() {
     assert_eq!(
         fault.to_string(),
         "SAFE-OP wanted, PRE-OP + error shown: invalid input configuration (001Eh): length of SyncManager 3 and the \
-         sum of 1C13h differ"
+         sum of 1C13h differ, or 1C13h lists PDOs that may not be assigned together"
     );
     // The others go on.
     rig.until(1000, |master| {

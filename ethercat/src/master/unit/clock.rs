@@ -27,7 +27,7 @@ impl Unit {
 
     /// All but the reference wait for the reference.
     pub(super) fn clock_wait(&self, cx: &Context<'_>) -> Prepared {
-        if self.spec.sync.is_some() && !self.info.has_sync() {
+        if self.spec.sync.is_some() && !self.info.has_clock() {
             return Prepared::Fail(Fault::NoClock);
         }
         let first = cx.reference == Some(self.number) || cx.reference_ns.is_some();
@@ -118,6 +118,7 @@ impl Unit {
                 .first_chunk()
                 .map_or(0, |four| u32::from_le_bytes(*four));
         }
+        self.clock.latched = !data.is_empty();
         true
     }
 
@@ -126,6 +127,8 @@ impl Unit {
         let local = data
             .first_chunk()
             .map_or(0, |eight| u64::from_le_bytes(*eight));
+        // What lies beyond the bits of a clock is not part of its time.
+        let local = local & u64::MAX >> (64 - self.info.clock_bits());
         let wanted = if cx.reference == Some(self.number) {
             let sent = u64::try_from(cx.sent_at.as_nanos()).unwrap_or(u64::MAX);
             cx.config.clocks.epoch_ns.wrapping_add(sent)

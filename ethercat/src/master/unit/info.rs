@@ -21,6 +21,12 @@ pub struct SlaveInfo {
     pub sync_managers: u8,
     /// Features, register 0008h.
     pub features: u16,
+    /// What the slave's own side of the controller is, register 0140h.
+    pub pdi: u8,
+    /// ESC configuration, register 0141h: bit 0 AL status is AL control.
+    pub configuration: u8,
+    /// Whether the system time (0910h) answers: chips announce a clock in 0008h whose unit is off.
+    pub system_time: bool,
     /// DL status, register 0110h.
     pub dl_status: u16,
     /// Mailboxes; lengths of zero if it has none.
@@ -57,16 +63,28 @@ impl SlaveInfo {
         })
     }
 
-    /// Whether it has a distributed clock.
+    /// Whether it announces a distributed clock (0008h bit 2). One whose unit is off latches receive times still.
     #[must_use]
-    pub const fn has_clock(&self) -> bool {
+    pub const fn announces_clock(&self) -> bool {
         self.features & 0x0004 != 0
     }
 
-    /// Whether it can give SYNC signals: a clock of 64 bits.
+    /// Whether it has a distributed clock: it announces one, and that answers.
     #[must_use]
-    pub const fn has_sync(&self) -> bool {
-        self.has_clock() && self.features & 0x0008 != 0
+    pub const fn has_clock(&self) -> bool {
+        self.announces_clock() && self.system_time
+    }
+
+    /// Bits of its clock: 64, or 32 (0008h bit 3).
+    #[must_use]
+    pub const fn clock_bits(&self) -> u8 {
+        if self.features & 0x0008 == 0 { 32 } else { 64 }
+    }
+
+    /// Whether its controller copies AL control to AL status by itself (device emulation), with the acknowledgement.
+    #[must_use]
+    pub const fn mirrors(&self) -> bool {
+        self.configuration & 0x01 != 0
     }
 
     /// Whether LRW is to be avoided with it.
@@ -79,6 +97,14 @@ impl SlaveInfo {
         let status = bytes.first_chunk().map(|two| u16::from_le_bytes(*two));
         self.dl_status = status.unwrap_or(self.dl_status);
         status.is_some()
+    }
+
+    pub(super) fn take_configuration(&mut self, bytes: &[u8]) -> bool {
+        let Some([pdi, configuration]) = bytes.first_chunk() else {
+            return false;
+        };
+        (self.pdi, self.configuration) = (*pdi, *configuration);
+        true
     }
 
     pub(super) fn take_registers(&mut self, bytes: &[u8]) -> bool {

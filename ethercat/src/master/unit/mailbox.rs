@@ -65,6 +65,8 @@ pub(super) struct Mailbox {
     message: Box<[u8; LEN_MAX]>,
     /// Counter of what was last sent, and of what was last received.
     counters: (u8, u8),
+    /// A digest of what was last received, by which a message that is fetched twice is known.
+    received: u64,
     /// The repeat bit as it is to be.
     repeat: bool,
     transfer: Option<Transfer>,
@@ -88,6 +90,7 @@ impl Mailbox {
             phase: Phase::Idle,
             message: Box::new([0; LEN_MAX]),
             counters: (0, 0),
+            received: 0,
             repeat: false,
             transfer: None,
             since: Duration::ZERO,
@@ -427,11 +430,14 @@ impl Mailbox {
             self.ignored += 1;
             return None;
         };
-        if header.counter != 0 && header.counter == self.counters.1 {
+        // Firmware that counts answers by their requests gives another message the counter of the one before.
+        let digest = digest(mailbox.get(..MailboxHeader::LEN + usize::from(header.len)));
+        let twice = header.counter == self.counters.1 && digest == self.received;
+        if header.counter != 0 && twice {
             // Fetched twice: it was there again after all.
             return None;
         }
-        self.counters.1 = header.counter;
+        (self.counters.1, self.received) = (header.counter, digest);
         match header.kind {
             MailboxKind::Coe => self.received_coe(inside, now),
             MailboxKind::Error => match MailboxError::decode(inside) {
@@ -482,4 +488,12 @@ impl Mailbox {
             Progress::Done(result) => self.end(result),
         }
     }
+}
+
+/// FNV-1a over a message.
+fn digest(message: Option<&[u8]>) -> u64 {
+    let bytes = message.unwrap_or_default().iter();
+    bytes.fold(0xCBF2_9CE4_8422_2325, |digest, byte| {
+        (digest ^ u64::from(*byte)).wrapping_mul(0x0000_0100_0000_01B3)
+    })
 }

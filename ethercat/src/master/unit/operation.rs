@@ -16,6 +16,8 @@ pub(super) enum Op {
     Rest,
     /// Read registers.
     Read { at: u16, len: u16 },
+    /// Read registers that may not be there: none that answer are an answer.
+    Probe { at: u16, len: u16 },
     /// Write what is in the write buffer to registers.
     Write { at: u16 },
     /// Come to a state.
@@ -36,18 +38,37 @@ pub(super) enum Op {
 pub(super) enum StatePhase {
     /// An error is acknowledged.
     Acknowledge,
+    /// AL control does not take the acknowledgement: see whether the slave is there, then acknowledge again.
+    AcknowledgeBusy,
     /// Wait until it is gone.
     Acknowledged,
     /// The state is asked for.
     Ask,
+    /// AL control does not take the request, as firmware has not read the one before: see what it shows, then again.
+    AskBusy,
     /// Wait until it is there.
     Wait,
 }
 
+impl StatePhase {
+    /// What follows when a write to AL control is not taken; `None` of a phase that reads.
+    const fn busy(self) -> Option<Self> {
+        match self {
+            Self::Acknowledge => Some(Self::AcknowledgeBusy),
+            Self::Ask => Some(Self::AskBusy),
+            Self::AcknowledgeBusy | Self::Acknowledged | Self::AskBusy | Self::Wait => None,
+        }
+    }
+}
+
 /// Working counters of zero in a row before a register counts as silent.
 const MISSES: u8 = 10;
-/// Bits of the SII status that say that a command failed: checksum, not loaded, no acknowledge, not enabled.
-const SII_FAILED: u16 = 0x6000;
+/// Working counters of zero in a row after which a register that may be missing is.
+const PROBES: u8 = 3;
+/// Bits of the SII status: the EEPROM did not acknowledge the command, as while it stores what was written before; a
+/// write was not enabled.
+const SII_NO_ACKNOWLEDGE: u16 = 0x2000;
+const SII_NOT_ENABLED: u16 = 0x4000;
 const SII_BUSY: u16 = 0x8000;
 /// How long a slave has to take an error acknowledgement.
 const ACKNOWLEDGE: Duration = Duration::from_secs(1);
@@ -77,7 +98,7 @@ impl Unit {
     pub(super) fn operation_request(&mut self) -> Option<Request<'_>> {
         Some(match self.op {
             Op::Rest | Op::Mailbox => return None,
-            Op::Read { at, len } => Request::read(at, len),
+            Op::Read { at, len } | Op::Probe { at, len } => Request::read(at, len),
             Op::Write { at } => Request::write(at, self.write.get(..self.write_len)?),
             Op::State { wanted, phase } => self.state_request(wanted, phase),
             Op::Sii { polls: true, .. } => Request::read(register::SII_CONTROL, 14),
@@ -92,7 +113,10 @@ impl Unit {
 
     fn state_request(&mut self, wanted: AlState, phase: StatePhase) -> Request<'_> {
         let control = match phase {
-            StatePhase::Acknowledged | StatePhase::Wait => {
+            StatePhase::Acknowledged
+            | StatePhase::Wait
+            | StatePhase::AcknowledgeBusy
+            | StatePhase::AskBusy => {
                 return Request::read(register::AL_STATUS, 6);
             }
             StatePhase::Acknowledge => AlStatus {
@@ -138,7 +162,7 @@ impl Unit {
         self.misses = 0;
         match self.op {
             Op::Rest | Op::Mailbox => {}
-            Op::Read { .. } | Op::Write { .. } => self.done(data, cx, out),
+            Op::Read { .. } | Op::Probe { .. } | Op::Write { .. } => self.done(data, cx, out),
             Op::State { wanted, phase } => self.state_answer(wanted, phase, data, cx, out),
             Op::Sii {
                 polls: false,
@@ -162,14 +186,33 @@ impl Unit {
         }
     }
 
+    /// Nobody answered. A write to AL control that is not taken is no silence as long as the slave shows its state: it
+    /// is written again for as long as the slave has for the state.
     fn missed(&mut self, cx: &Context<'_>, out: &mut Outbox) {
+        let busy = match self.op {
+            Op::State { wanted, phase } => phase.busy().map(|phase| Op::State { wanted, phase }),
+            Op::Rest
+            | Op::Read { .. }
+            | Op::Probe { .. }
+            | Op::Write { .. }
+            | Op::Sii { .. }
+            | Op::Mailbox => None,
+        };
+        if let Some(op) = busy {
+            self.op = op;
+            return;
+        }
         self.misses += 1;
+        if matches!(self.op, Op::Probe { .. }) && self.misses >= PROBES {
+            self.misses = 0;
+            return self.done(&[], cx, out);
+        }
         if self.misses < MISSES {
             return;
         }
         self.misses = 0;
         let register = match self.op {
-            Op::Read { at, .. } | Op::Write { at } => at,
+            Op::Read { at, .. } | Op::Probe { at, .. } | Op::Write { at } => at,
             Op::State { .. } => register::AL_STATUS,
             Op::Sii { .. } => register::SII_CONTROL,
             Op::Rest | Op::Mailbox => 0,
@@ -199,7 +242,11 @@ impl Unit {
         let next = match phase {
             StatePhase::Acknowledge => StatePhase::Acknowledged,
             StatePhase::Ask => StatePhase::Wait,
-            StatePhase::Acknowledged | StatePhase::Wait => {
+            StatePhase::AcknowledgeBusy => {
+                self.take_status(data);
+                StatePhase::Acknowledge
+            }
+            StatePhase::Acknowledged | StatePhase::Wait | StatePhase::AskBusy => {
                 self.take_status(data);
                 let reached = self.al.state == wanted && !self.al.error;
                 let (waits, error) = (phase == StatePhase::Wait, self.al.error);
@@ -207,7 +254,8 @@ impl Unit {
                     return self.done(&[], cx, out);
                 }
                 // In INIT an error that is on its way out may show for a moment.
-                if waits && error && wanted != AlState::Init {
+                let refuses = waits || phase == StatePhase::AskBusy;
+                if refuses && error && wanted != AlState::Init {
                     let (status, code) = (self.al, self.code);
                     return self.fail(
                         Fault::State {
@@ -219,7 +267,8 @@ impl Unit {
                         out,
                     );
                 }
-                if waits || error {
+                let goes_on = phase == StatePhase::AskBusy || !error;
+                if waits || !goes_on {
                     phase
                 } else {
                     StatePhase::Ask
@@ -234,9 +283,19 @@ impl Unit {
 
     pub(super) fn take_status(&mut self, data: &[u8]) {
         if let Some([a, b, _, _, c, d]) = data.first_chunk() {
-            self.al = AlStatus::from_raw(u16::from_le_bytes([*a, *b]));
-            self.code = AlStatusCode(u16::from_le_bytes([*c, *d]));
+            let code = AlStatusCode(u16::from_le_bytes([*c, *d]));
+            self.show(u16::from_le_bytes([*a, *b]), code);
         }
+    }
+
+    /// AL status as it was read. The bit that says error is no error without a code where the controller copies AL
+    /// control, as the acknowledgement has the same bit; nor in INIT, which a slave enters with its errors acknowledged.
+    pub(super) fn show(&mut self, status: u16, code: AlStatusCode) {
+        let mut al = AlStatus::from_raw(status);
+        let acknowledgement = self.info.mirrors() || al.state == AlState::Init;
+        al.error &= !(acknowledgement && code == AlStatusCode(0));
+        self.shown = status.to_le_bytes()[0] & 0x1F;
+        (self.al, self.code) = (al, code);
     }
 
     fn sii_answer(
@@ -255,7 +314,18 @@ impl Unit {
         if status & SII_BUSY != 0 {
             return;
         }
-        if status & SII_FAILED != 0 {
+        self.sii_status = status;
+        if status & SII_NO_ACKNOWLEDGE != 0 {
+            // It stores still, or a firmware reads: the command once more, as long as the SII may take.
+            self.op = Op::Sii {
+                polls: false,
+                word,
+                end,
+                writes,
+            };
+            return;
+        }
+        if status & SII_NOT_ENABLED != 0 {
             return self.failed(
                 Fault::Sii { word, status },
                 JobError::Protocol("SII access (0502h)"),
@@ -326,8 +396,14 @@ impl Unit {
         let waited = cx.now.saturating_sub(self.since);
         match self.op {
             Op::State { wanted, phase } => {
-                let limit = match (phase, wanted) {
-                    (StatePhase::Acknowledge | StatePhase::Acknowledged, _) => ACKNOWLEDGE,
+                let acknowledges = matches!(
+                    phase,
+                    StatePhase::Acknowledge
+                        | StatePhase::AcknowledgeBusy
+                        | StatePhase::Acknowledged
+                );
+                let limit = match (acknowledges, wanted) {
+                    (true, _) => ACKNOWLEDGE,
                     (_, AlState::SafeOp | AlState::Op) => patience.op,
                     (_, AlState::Init | AlState::PreOp | AlState::Boot | AlState::Other(_)) => {
                         patience.pre_op
@@ -337,7 +413,17 @@ impl Unit {
                     return;
                 }
                 let (status, code) = (self.al, self.code);
-                let fault = if status.error {
+                let unread = matches!(
+                    phase,
+                    StatePhase::Ask | StatePhase::AskBusy | StatePhase::AcknowledgeBusy
+                );
+                let fault = if unread {
+                    Fault::Unread {
+                        wanted,
+                        status,
+                        waited: limit,
+                    }
+                } else if status.error {
                     Fault::State {
                         wanted,
                         status,
@@ -353,13 +439,21 @@ impl Unit {
                 self.fail(fault, cx, out);
             }
             Op::Sii { word, .. } if waited > patience.sii => {
-                let fault = Fault::Sii {
-                    word,
-                    status: SII_BUSY,
+                let refused = self.sii_status & SII_NO_ACKNOWLEDGE != 0;
+                let (status, error) = if refused {
+                    let error = JobError::Protocol("SII access (0502h)");
+                    (self.sii_status, error)
+                } else {
+                    (SII_BUSY, JobError::Timeout(patience.sii))
                 };
-                self.failed(fault, JobError::Timeout(patience.sii), cx, out);
+                self.failed(Fault::Sii { word, status }, error, cx, out);
             }
-            Op::Rest | Op::Read { .. } | Op::Write { .. } | Op::Mailbox | Op::Sii { .. } => {}
+            Op::Rest
+            | Op::Read { .. }
+            | Op::Probe { .. }
+            | Op::Write { .. }
+            | Op::Mailbox
+            | Op::Sii { .. } => {}
         }
     }
 
@@ -410,6 +504,7 @@ impl Unit {
             }
         };
         (self.op, self.job, self.misses) = (op, Some(job), 0);
+        self.sii_status = 0;
         self.since = cx.now;
     }
 }

@@ -27,7 +27,9 @@ pub(in crate::master) enum Step {
     Absent,
     Init,
     Information,
+    Configuration,
     Links,
+    ClockUnit,
     SiiForce,
     SiiTake,
     SiiRead,
@@ -56,6 +58,7 @@ pub(in crate::master) enum Step {
     SyncCycle,
     SyncOn,
     SafeOp,
+    Open(u8),
     Op,
     Run,
     Failed,
@@ -134,8 +137,10 @@ impl Unit {
         let more = |at: usize, len: usize| at + 1 < len;
         match step {
             Step::Init => Step::Information,
-            Step::Information => Step::Links,
-            Step::Links => Step::SiiForce,
+            Step::Information => Step::Configuration,
+            Step::Configuration => Step::Links,
+            Step::Links => Step::ClockUnit,
+            Step::ClockUnit => Step::SiiForce,
             Step::SiiForce => Step::SiiTake,
             Step::SiiTake => Step::SiiRead,
             Step::SiiRead => Step::Identified,
@@ -170,7 +175,9 @@ impl Unit {
             Step::SyncStart => Step::SyncCycle,
             Step::SyncCycle => Step::SyncOn,
             Step::SyncOn => Step::SafeOp,
-            Step::SafeOp => Step::Op,
+            Step::SafeOp => Step::Open(0),
+            Step::Open(at) if more(at.into(), self.process.channels.len()) => Step::Open(at + 1),
+            Step::Open(_) => Step::Op,
             Step::Op | Step::Run => Step::Run,
             Step::Look => Step::Init,
             Step::Absent => Step::Absent,
@@ -195,17 +202,26 @@ impl Unit {
                 at: register::INFORMATION,
                 len: 10,
             }),
+            Step::Configuration => Do(Op::Read {
+                at: register::PDI_CONTROL,
+                len: 2,
+            }),
             Step::Links => Do(Op::Read {
                 at: register::DL_STATUS,
                 len: 2,
             }),
+            Step::ClockUnit if self.info.announces_clock() => Do(Op::Probe {
+                at: register::DC_SYSTEM_TIME,
+                len: 8,
+            }),
+            Step::ClockUnit => Skip,
             Step::SiiForce => Do(self.write(register::SII_ACCESS, &[2])),
             Step::SiiTake => Do(self.write(register::SII_ACCESS, &[0])),
             Step::SiiRead => Do(self.read_sii()),
             Step::Identified if self.gate == Gate::Identity => Wait,
             Step::Identified => Skip,
-            Step::ReceiveTimes if self.mapped || !self.info.has_clock() => Skip,
-            Step::ReceiveTimes => Do(Op::Read {
+            Step::ReceiveTimes if self.mapped || !self.info.announces_clock() => Skip,
+            Step::ReceiveTimes => Do(Op::Probe {
                 at: register::DC_RECEIVE_TIMES,
                 len: 16,
             }),
@@ -249,6 +265,7 @@ impl Unit {
             Step::SyncStart => self.sync_start(cx),
             Step::SyncCycle | Step::SyncOn => self.sync(step),
             Step::SafeOp => Do(self.change_state(AlState::SafeOp)),
+            Step::Open(at) => self.open(at.into(), cx),
             Step::Op if self.goal(cx.config) == AlState::SafeOp => self.run(cx, out),
             Step::Op => Do(self.change_state(AlState::Op)),
             Step::Run => self.run(cx, out),
@@ -316,6 +333,17 @@ impl Unit {
         Prepared::Do(self.write(at, &block))
     }
 
+    /// Outputs that are to be on in OP only are switched on when OP is next.
+    fn open(&mut self, at: usize, cx: &Context<'_>) -> Prepared {
+        let opens = self.goal(cx.config) == AlState::Op;
+        let channel = self.process.channels.get(at);
+        let Some(channel) = channel.filter(|channel| opens && channel.waits_for_op()) else {
+            return Prepared::Skip;
+        };
+        let at = register::SYNC_MANAGER + 8 * u16::from(channel.number) + 6;
+        Prepared::Do(self.write(at, &[1]))
+    }
+
     fn map(&mut self, at: usize, cx: &Context<'_>) -> Prepared {
         let Some(channel) = self
             .process
@@ -348,7 +376,12 @@ impl Unit {
     pub(super) fn advance(&mut self, data: &[u8], cx: &Context<'_>, out: &mut Outbox) {
         let goes_on = match self.step {
             Step::Information => self.info.take_registers(data),
+            Step::Configuration => self.info.take_configuration(data),
             Step::Links => self.info.take_links(data),
+            Step::ClockUnit => {
+                self.info.system_time = !data.is_empty();
+                true
+            }
             Step::SiiRead => return self.sii_read(cx, out),
             Step::ReceiveTimes => self.take_times(data),
             Step::ClockRead => self.take_offset(data, cx),

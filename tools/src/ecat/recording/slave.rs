@@ -70,7 +70,10 @@ impl Seen {
                 [_, _, c, d, ..] => AlStatusCode(u16::from_le_bytes([*c, *d])),
                 _ => AlStatusCode::default(),
             };
-            self.take_state(at, AlStatus::from_raw(u16::from_le_bytes([*a, *b])), code);
+            let mut al = AlStatus::from_raw(u16::from_le_bytes([*a, *b]));
+            // Without a code the bit is the acknowledgement, which controllers without firmware mirror.
+            al.error &= rest.len() < 4 || code != AlStatusCode::default();
+            self.take_state(at, al, code);
         }
         if reads && let Some([a, b, ..]) = from(register::DL_STATUS) {
             self.dl_status = Some(u16::from_le_bytes([*a, *b]));

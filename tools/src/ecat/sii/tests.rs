@@ -1,6 +1,7 @@
 //! EEPROMs of emulated slaves, read, decoded and written in virtual time.
 
 use takt_ethercat::AlState;
+use takt_ethercat::emulator::Profile;
 use takt_ethercat::sii::{Sii, checksum};
 
 use super::{Change, read, text, write};
@@ -54,6 +55,22 @@ fn every_category_of_an_sii_is_told() {
         image == kept,
         "make it anew by `takt ecat sii IFACE SLAVE --raw`"
     );
+}
+
+#[test]
+fn alias_of_a_storing_eeprom_is_written_and_read_back() {
+    // Both chips refuse commands while they store: one reads eight bytes at once, the other four.
+    for device in [Profile::El3004, Profile::Akd] {
+        let (segment, _) = Profile::line(&[Profile::Ek1100, device], 2).unwrap();
+        let mut session = up(segment, AlState::PreOp);
+        let after = changed(&mut session, &Change::Alias(0x1234));
+        let sii = Sii::new(&after);
+        assert_eq!(
+            (sii.word(4), sii.is_checked()),
+            (Some(0x1234), true),
+            "{device}"
+        );
+    }
 }
 
 #[test]

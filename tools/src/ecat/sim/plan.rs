@@ -5,7 +5,9 @@ use anyhow::{Context as _, ensure};
 use serde::Deserialize;
 use takt_core::CellConfig;
 use takt_core::cell::{AnalogueChannel, EthercatConfig, EthercatSlave};
-use takt_ethercat::emulator::{Coupler, Io, PdoImage, Segment, ServoConfig, ServoDrive, Slave};
+use takt_ethercat::emulator::{
+    Coupler, Io, PdoImage, Profile, Profiled, Segment, ServoConfig, ServoDrive, Slave,
+};
 use takt_ethercat::sii;
 
 use crate::ecat::cell;
@@ -40,7 +42,7 @@ pub(super) struct Plan {
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[serde(try_from = "String")]
 enum Kind {
     #[default]
     Coupler,
@@ -49,8 +51,27 @@ enum Kind {
     Drive,
     Tx90,
     /// A terminal with the channels that a cell names.
-    #[serde(skip)]
     Mixed,
+    /// One that answers as a real device does.
+    Profile(Profile),
+}
+
+impl TryFrom<String> for Kind {
+    type Error = String;
+
+    fn try_from(name: String) -> Result<Self, String> {
+        Ok(match name.as_str() {
+            "coupler" => Self::Coupler,
+            "digital" => Self::Digital,
+            "analogue" => Self::Analogue,
+            "drive" => Self::Drive,
+            "tx90" => Self::Tx90,
+            _ => {
+                let known = |error| format!("{error}, and coupler, digital, analogue, drive, tx90");
+                Self::Profile(name.parse().map_err(known)?)
+            }
+        })
+    }
 }
 
 /// A slave of a file.
@@ -110,7 +131,7 @@ impl SlavePlan {
         }
     }
 
-    fn build(&self, strict: bool, stand: &mut Stand) -> anyhow::Result<Slave> {
+    fn build(&self, strict: bool, times: u64, stand: &mut Stand) -> anyhow::Result<Slave> {
         let terminal = |(slave, io): (Slave, Io), stand: &mut Stand| {
             if self.looped {
                 stand.loops.push(io);
@@ -129,6 +150,13 @@ impl SlavePlan {
                     Io::terminal("TKMIX terminal".to_owned(), 0x6000, rx, tx),
                     stand,
                 )
+            }
+            Kind::Profile(profile) => {
+                let made = profile.slave(times).context("a drive makes no sense")?;
+                let Profiled { slave, io, drive } = made;
+                stand.loops.extend(io.filter(|_| self.looped));
+                stand.drives.extend(drive);
+                slave
             }
             Kind::Tx90 => drive(ServoConfig::tx90(), strict, stand)?,
             Kind::Drive => {
@@ -191,14 +219,22 @@ fn drive(mut config: ServoConfig, strict: bool, stand: &mut Stand) -> anyhow::Re
 }
 
 impl Plan {
+    /// Devices by name, in a line: `ek1100,el1004`; `None` if that is none of them but a file.
+    pub(super) fn of_devices(text: &str) -> Option<Self> {
+        let named = |name: &str| name.trim().parse().ok().map(Kind::Profile);
+        let kinds: Option<Vec<Kind>> = text.split(',').map(named).collect();
+        let slaves = kinds?.into_iter().map(SlavePlan::new).collect();
+        Some(Self { slaves })
+    }
+
     /// The slaves, in a line but where a slave says otherwise.
-    pub(super) fn build(&self, strict: bool) -> anyhow::Result<Stand> {
+    pub(super) fn build(&self, strict: bool, times: u64) -> anyhow::Result<Stand> {
         ensure!(!self.slaves.is_empty(), "it has no [[slave]]");
         let mut stand = Stand::plain(Segment::default());
         let mut taken: Vec<(usize, usize)> = Vec::new();
         for (number, plan) in self.slaves.iter().enumerate() {
             let slave = plan
-                .build(strict, &mut stand)
+                .build(strict, times, &mut stand)
                 .with_context(|| format!("slave {number}"))?;
             let before = number.checked_sub(1).map(|last| (last, 1));
             let parent = plan.behind.or(before);
@@ -241,7 +277,7 @@ pub(super) fn of_cell(
             config.name
         );
     }
-    Plan { slaves }.build(strict)
+    Plan { slaves }.build(strict, 1)
 }
 
 fn expected(config: &EthercatConfig, slave: &EthercatSlave) -> SlavePlan {
@@ -402,12 +438,54 @@ mod tests {
             [[slave]]\nkind = 'drive'\naxes = 2\nbehind = [0, 1]\nvendor = 9\nproduct = 0xAB\nalias = 7\n\
             [[slave]]\nkind = 'tx90'\ndrift_ppm = 50.0\n";
         let plan: Plan = toml::from_str(text).unwrap();
-        let stand = plan.build(true).unwrap();
+        let stand = plan.build(true, 1).unwrap();
         assert_eq!((stand.drives.len(), stand.loops.len()), (2, 1));
         let text = scanned(stand);
         for part in ["| o TK0402", "0:3", "00000009  000000AB", "TKTX90"] {
             assert!(text.contains(part), "{part}\n{text}");
         }
+    }
+
+    #[test]
+    fn usual_devices_are_found_within_three_seconds() {
+        for times in [1, 2] {
+            let plan = Plan::of_devices("ek1100,el1004,el2004,el2889,el3004,akd").unwrap();
+            let segment = plan.build(true, times).unwrap().segment;
+            let mut session = session(segment, AlState::PreOp);
+            session.bring_up(Duration::from_secs(3)).unwrap();
+            let text = scan::text(&session);
+            assert_eq!(
+                scan::verdict(session.master()),
+                crate::Verdict::Good,
+                "{text}"
+            );
+        }
+    }
+
+    #[test]
+    fn devices_by_name_make_a_line_of_their_profiles() {
+        let plan = Plan::of_devices("ek1100, el1004,akd").unwrap();
+        let text = scanned(plan.build(true, 2).unwrap());
+        for part in [
+            "   0  o EK1100 EtherCAT coupler",
+            "   1  o EL1004 4 digital inputs",
+            "   2  o AKD servo drive",
+            "00000002  044C2C52",
+            "0000006A  00414B44",
+        ] {
+            assert!(text.contains(part), "{part}\n{text}");
+        }
+        assert!(!text.contains('!'), "{text}");
+        assert!(Plan::of_devices("ek1100,line.toml").is_none());
+        let text = "[[slave]]\nkind = 'el2889'\nlooped = true\n";
+        let plan: Plan = toml::from_str(text).unwrap();
+        assert_eq!(plan.build(true, 1).unwrap().loops.len(), 1);
+        let unknown = toml::from_str::<Plan>("[[slave]]\nkind = 'el9999'\n");
+        let told = unknown.unwrap_err().to_string();
+        assert!(
+            told.contains("`el9999` is no device; known are ek1100"),
+            "{told}"
+        );
     }
 
     #[test]
@@ -424,7 +502,7 @@ mod tests {
             ),
         ] {
             let plan: Plan = toml::from_str(text).unwrap();
-            let told = format!("{:#}", plan.build(false).unwrap_err());
+            let told = format!("{:#}", plan.build(false, 1).unwrap_err());
             assert!(told.contains(why), "{told}");
         }
         assert!(toml::from_str::<Plan>("[[slave]]\nkind = 'robot'\n").is_err());

@@ -1,0 +1,110 @@
+//! How long a slave takes for what its firmware and its EEPROM do. Each span is drawn from anew, the same way in each
+//! run: what always takes equally long hides what a master must wait for.
+
+/// From the shortest to the longest time that something takes, ns.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Span {
+    /// The shortest.
+    pub least: u64,
+    /// The longest.
+    pub most: u64,
+}
+
+impl Span {
+    /// From one time to another, microseconds.
+    #[must_use]
+    pub const fn micros(least: u64, most: u64) -> Self {
+        Self {
+            least: 1000 * least,
+            most: 1000 * most,
+        }
+    }
+
+    /// Always the same time, ns.
+    #[must_use]
+    pub const fn exactly(ns: u64) -> Self {
+        Self {
+            least: ns,
+            most: ns,
+        }
+    }
+
+    const fn scaled(self, factor: u64) -> Self {
+        Self {
+            least: self.least.saturating_mul(factor),
+            most: self.most.saturating_mul(factor),
+        }
+    }
+}
+
+/// The times of a slave.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Times {
+    /// Until the firmware reads AL control, which until then cannot be written again; `None` for a controller that
+    /// takes each write.
+    pub al_read: Option<Span>,
+    /// From AL control to INIT or PRE-OP.
+    pub to_pre_op: Span,
+    /// From AL control to SAFE-OP.
+    pub to_safe_op: Span,
+    /// From AL control to OP.
+    pub to_op: Span,
+    /// From a request in the mailbox to its answer.
+    pub mailbox: Span,
+    /// How long the SII interface is busy with a read.
+    pub sii_read: Span,
+    /// How long it is busy with a write.
+    pub sii_write: Span,
+    /// How long the EEPROM stores behind a write, while the interface refuses commands with "no acknowledge".
+    pub sii_store: Span,
+}
+
+impl Default for Times {
+    /// States in 0.1 ms, mailboxes at once, the SII in 20 us and its writes in 2 ms.
+    fn default() -> Self {
+        let state = Span::exactly(100_000);
+        Self {
+            al_read: None,
+            to_pre_op: state,
+            to_safe_op: state,
+            to_op: state,
+            mailbox: Span::default(),
+            sii_read: Span::exactly(20_000),
+            sii_write: Span::exactly(2_000_000),
+            sii_store: Span::default(),
+        }
+    }
+}
+
+impl Times {
+    /// All times so often as long.
+    #[must_use]
+    pub fn scaled(self, factor: u64) -> Self {
+        Self {
+            al_read: self.al_read.map(|span| span.scaled(factor)),
+            to_pre_op: self.to_pre_op.scaled(factor),
+            to_safe_op: self.to_safe_op.scaled(factor),
+            to_op: self.to_op.scaled(factor),
+            mailbox: self.mailbox.scaled(factor),
+            sii_read: self.sii_read.scaled(factor),
+            sii_write: self.sii_write.scaled(factor),
+            sii_store: self.sii_store.scaled(factor),
+        }
+    }
+}
+
+/// Numbers that look like chance and are the same in each run.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Chance(pub(super) u64);
+
+impl Chance {
+    /// A time of a span, ns.
+    pub(super) const fn draw(&mut self, span: Span) -> u64 {
+        self.0 = self
+            .0
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        let width = span.most.saturating_sub(span.least).saturating_add(1);
+        span.least + (self.0 >> 16) % width
+    }
+}
