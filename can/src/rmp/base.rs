@@ -182,9 +182,21 @@ impl Base {
         self.driver.poll_transmit(now)
     }
 
+    /// To what share of a velocity forward, m/s, and a rotation, rad/s, the power base can drive it: 1, or less.
+    #[must_use]
+    pub fn reach(&self, velocity: [f64; 2]) -> f64 {
+        let [ahead, turn] = self.exact_counts(velocity).map(f64::abs);
+        let most = (ahead / f64::from(VELOCITY_MAX)).max(turn / f64::from(TURN_MAX));
+        1.0 / most.max(1.0)
+    }
+
+    fn exact_counts(&self, [ahead, turn]: [f64; 2]) -> [f64; 2] {
+        let velocity = ahead * self.config.model.scales().velocity;
+        [velocity, -turn.to_degrees() * COUNTS_PER_DEGREE]
+    }
+
     fn counts(&self) -> [i16; 2] {
-        let velocity = self.velocity[0] * self.config.model.scales().velocity;
-        let turn = -self.velocity[1].to_degrees() * COUNTS_PER_DEGREE;
+        let [velocity, turn] = self.exact_counts(self.velocity);
         [counts(velocity, VELOCITY_MAX), counts(turn, TURN_MAX)]
     }
 }

@@ -301,10 +301,16 @@ impl Omni {
         }
     }
 
-    /// Velocity and turn of each power base.
-    fn counts(&self) -> [[i16; 2]; 2] {
+    /// To what share of a velocity its power bases can drive it: 1, or less where it is beyond the power of a wheel.
+    #[must_use]
+    pub fn reach(&self, velocity: [f64; 3]) -> f64 {
+        1.0 / most(&self.motions(velocity))
+    }
+
+    /// Velocity and turn of each power base for a velocity, counts.
+    fn motions(&self, velocity: [f64; 3]) -> [[f64; 2]; 2] {
         let config = &self.config;
-        let wheels = config.geometry.wheels(self.velocity);
+        let wheels = config.geometry.wheels(velocity);
         let mut motions = [[0.0; 2]; 2];
         for (part, motion) in motions.iter_mut().enumerate() {
             let mut sides = [0.0; 2];
@@ -317,12 +323,13 @@ impl Omni {
                 (left - right) / 2.0 / config.turn_gain,
             ];
         }
-        let limits = [f64::from(VELOCITY_MAX), f64::from(TURN_MAX)];
-        let most = motions
-            .iter()
-            .flat_map(|motion| motion.iter().zip(&limits))
-            .map(|(counts, limit)| counts.abs() / limit)
-            .fold(1.0, f64::max);
+        motions
+    }
+
+    /// The same for its velocity now, scaled to what wheels can do.
+    fn counts(&self) -> [[i16; 2]; 2] {
+        let motions = self.motions(self.velocity);
+        let most = most(&motions);
         motions.map(|[velocity, turn]| {
             [
                 counts(velocity / most, VELOCITY_MAX),
@@ -330,6 +337,16 @@ impl Omni {
             ]
         })
     }
+}
+
+/// How many times too much these counts are for the power base that has to do most; at least 1.
+fn most(motions: &[[f64; 2]; 2]) -> f64 {
+    let limits = [f64::from(VELOCITY_MAX), f64::from(TURN_MAX)];
+    motions
+        .iter()
+        .flat_map(|motion| motion.iter().zip(&limits))
+        .map(|(counts, limit)| counts.abs() / limit)
+        .fold(1.0, f64::max)
 }
 
 /// The wheels of a power base: which of the four, on which of its own sides, and in which direction it

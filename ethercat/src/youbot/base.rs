@@ -54,17 +54,30 @@ impl Mecanum {
     /// Motor speeds, rpm. If one would be too fast, all are slower by the same factor: the way stays the same.
     #[must_use]
     pub fn rpm(&self, velocity: [f64; 3]) -> [i32; 4] {
-        let rpm = self
-            .rates(velocity)
-            .map(|rate| rate * self.gear * 60.0 / TAU);
-        let fastest = rpm
-            .iter()
-            .fold(self.rpm_max, |most, one| most.max(one.abs()));
+        let rpm = self.exact_rpm(velocity);
+        let fastest = self.fastest(rpm);
         #[expect(
             clippy::cast_possible_truncation,
             reason = "within rpm_max, or saturated"
         )]
         rpm.map(|one| (one * self.rpm_max / fastest).round() as i32)
+    }
+
+    /// To what share of a velocity the motors can drive it: 1, or less where one would be too fast.
+    #[must_use]
+    pub fn reach(&self, velocity: [f64; 3]) -> f64 {
+        self.rpm_max / self.fastest(self.exact_rpm(velocity))
+    }
+
+    fn exact_rpm(&self, velocity: [f64; 3]) -> [f64; 4] {
+        let rates = self.rates(velocity);
+        rates.map(|rate| rate * self.gear * 60.0 / TAU)
+    }
+
+    /// The speed of the fastest motor, at least the largest that one has.
+    fn fastest(&self, rpm: [f64; 4]) -> f64 {
+        rpm.iter()
+            .fold(self.rpm_max, |most, one| most.max(one.abs()))
     }
 
     /// Rate of a wheel at a motor speed, rad/s.

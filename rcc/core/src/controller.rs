@@ -11,6 +11,7 @@ mod eval;
 mod events;
 mod figures;
 mod inter;
+mod limited;
 mod load;
 mod net;
 mod news;
@@ -47,6 +48,7 @@ pub use departed::Departed;
 pub use eval::{EVAL_COST_MAX, EVAL_PRIMITIVES_MAX};
 pub use figures::{NetFigures, ThreadInfo};
 pub use inter::{LOOK_LASTS, LOOKS_MAX, TapRecord, Taps};
+pub use limited::LimitedInfo;
 pub use load::LoadRequest;
 pub use rules::{RuleId, RuleInfo, RuleRequest};
 

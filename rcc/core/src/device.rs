@@ -8,6 +8,7 @@ mod drives;
 pub mod ethercat;
 pub mod fri;
 pub mod iiwa;
+pub mod last_stage;
 pub mod lwr;
 pub mod parts;
 pub mod rmp;
@@ -23,6 +24,7 @@ use takt_net::device::Base;
 use takt_net::{Image, JointLimits, JointState, Twist};
 use takt_rt::Nanos;
 
+use last_stage::Limited;
 pub use parts::Part;
 pub use table::{Device, DevicePorts, DeviceTable};
 
@@ -95,6 +97,8 @@ pub struct DeviceState {
     pub faults: u64,
     /// Its joints.
     pub joints: [JointState; ARM_JOINTS_MAX],
+    /// What the last stages of its driver held back: by joint, or of a base along the floor and turning.
+    pub limited: [Limited; ARM_JOINTS_MAX],
     /// What else it tells, in the places of its interfaces.
     pub signals: Box<[u64]>,
 }
@@ -148,7 +152,7 @@ impl DeviceState {
     /// Becomes like another of the same device, in the memory it has.
     pub fn copy_from(&mut self, other: &Self) {
         (self.stamp, self.status, self.faults) = (other.stamp, other.status, other.faults);
-        self.joints = other.joints;
+        (self.joints, self.limited) = (other.joints, other.limited);
         for (word, told) in self.signals.iter_mut().zip(&other.signals) {
             *word = *told;
         }

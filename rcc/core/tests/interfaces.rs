@@ -917,11 +917,13 @@ fn a_gripper_opens_at_its_speed_and_tells_when_it_is_open() {
     );
     stand.start(1, &text);
     stand.steps(501);
-    assert!((stand.number(1, "at") - 0.01).abs() < 1e-9);
+    // A hundredth in half a second, less what it takes to get up to speed at 1 m/s².
+    let at = stand.number(1, "at");
+    assert!((at - 0.0098).abs() < 3e-5, "{at}");
     assert_eq!(stand.out(1, "done"), "false");
     stand.until(1, "done", "true");
     assert_eq!(stand.out(1, "at"), "0.02");
-    assert!((1000..1005).contains(&stand.cycle), "{}", stand.cycle);
+    assert!((1010..1050).contains(&stand.cycle), "{}", stand.cycle);
     let second = stand.try_start(2, &endless("g=KUKA::youBot::Gripper(Robot='hand')"), 1);
     assert!(
         matches!(second, Err(Refusal::ResourceInUse(_))),

@@ -12,6 +12,7 @@ use takt_net::fault::{Fault, FaultKind};
 use crate::cell::OnLoss;
 use crate::controller::clock::FollowedClock;
 use crate::controller::departed::Departed;
+use crate::controller::limited::Reported;
 use crate::controller::net::Net;
 use crate::controller::news::News;
 use crate::controller::rules::{RuleEntry, RuleId};
@@ -69,6 +70,8 @@ pub(super) struct Desk {
     last_net: Option<u32>,
     resources: HashMap<String, usize>,
     statuses: BTreeMap<String, DeviceStatus>,
+    /// What was reported of devices' last stages.
+    pub(super) reported: Reported,
     pub(super) threads: Vec<NetThread>,
     /// Threads of devices, by their name; the first for those that are not here.
     pub(super) serving: BTreeMap<String, usize>,
@@ -116,6 +119,7 @@ impl Desk {
             last_net: None,
             resources: HashMap::new(),
             statuses: BTreeMap::new(),
+            reported: Reported::new(),
             threads,
             serving: BTreeMap::new(),
             unannounced: false,
@@ -212,6 +216,10 @@ impl Desk {
             let news = std::iter::from_fn(|| driver.news()).take(NEWS_AT_ONCE);
             let news = self.news.take(driver.name(), news, now).into_iter();
             lines.extend(news.map(|line| (driver.name().to_owned(), line)));
+        }
+        for (device, line) in self.look_at_limits() {
+            let news = self.news.take(&device, std::iter::once(line), now);
+            lines.extend(news.into_iter().map(|line| (device.clone(), line)));
         }
         lines
     }

@@ -136,11 +136,14 @@ impl Arm {
         };
         let may_move = self.follows() && !stopping && !self.held;
         let elapsed = self.last.replace(now).map_or(Nanos(0), |last| now - last);
-        let late = elapsed.0 > self.period.0 * 3 / 2;
         let when = When {
             now,
             elapsed_s: seconds(elapsed),
-            dt_s: seconds(if late { self.period } else { elapsed }),
+            dt_s: if elapsed > Nanos(0) {
+                seconds(self.period)
+            } else {
+                0.0
+            },
             fresh: now - self.taken.time <= Nanos(self.period.0 * STALE_AFTER) + self.net_period,
         };
         let joints = self.joints.iter_mut().zip(&self.taken.joints);
@@ -232,6 +235,9 @@ impl Arm {
                 measured_acceleration: None,
                 error: driven.error(status) as i32,
             };
+        }
+        for (limited, driven) in self.told.limited.iter_mut().zip(&self.joints) {
+            *limited = *driven.joint.limited();
         }
         let told = &self.told;
         self.state.write_with(|state| state.copy_from(told));

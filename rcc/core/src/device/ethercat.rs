@@ -559,3 +559,6 @@ impl Driver {
 fn since_start(time: Nanos) -> Duration {
     Duration::from_nanos(u64::try_from(time.0).unwrap_or_default())
 }
+
+#[cfg(test)]
+mod wire_tests;

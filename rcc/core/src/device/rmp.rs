@@ -1,13 +1,14 @@
 //! The driver of a mobile base on Segway RMP power bases: a thread that hears what they tell and sends
 //! what nets want, every period. The protocol, the ramps and the odometry are in `takt_can::rmp`.
 
+mod platform;
 mod wire;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use takt_can::rmp::{self, Channel, DriverConfig, Model, Motion, Omni, OmniConfig, State};
+use takt_can::rmp::{self, Model, Motion, State};
 use takt_net::device::{Base, Interfaces, Layout};
 use takt_net::value::{Frame, Rotation, Twist, Vector};
 use takt_rt::latest::{LatestReader, LatestWriter};
@@ -16,14 +17,17 @@ use crate::device::config::RmpConfig;
 use crate::device::driver::{DeviceDriver, DriverEnds, DriverThread};
 use crate::device::{DeviceCommand, DeviceDescription, DeviceState, DeviceStatus, Part, parts};
 use crate::error::Error;
+use platform::Led;
 pub use wire::{CanLink, Wire};
 
 /// Largest speed that nets may command, m/s.
 const VELOCITY_MAX: f64 = 1.8;
 /// Largest rotation that nets may command, rad/s.
 const ROTATION_MAX: f64 = 2.0;
-/// Change of velocity, m/s² and rad/s².
+/// Change of velocity, m/s² and rad/s². No manual of a power base states one; this is what its riders take for gentle.
 const ACCELERATION: [f64; 2] = [1.0, 1.5];
+/// Longest time that a base gets to come to rest when its driver ends: from full speed it needs half of that.
+const REST_WITHIN: Duration = Duration::from_millis(3_600);
 /// Longest sleep of the thread: a tenth of the power bases' cycle would be a waste, a whole one late.
 const WAIT: Duration = Duration::from_millis(2);
 /// Commands of nets older than this are none.
@@ -129,7 +133,8 @@ impl Rmp {
         let shared = Arc::new(Shared::default());
         let mut driver = Box::new(Driver {
             wires,
-            platform: Platform::of(config),
+            platform: Led::new(config),
+            is_stopping: false,
             interfaces,
             told: DeviceState::new(layout.signals),
             taken: DeviceCommand::new(layout.commands),
@@ -150,7 +155,7 @@ impl Rmp {
             while !stopping.load(Ordering::Relaxed) {
                 driver.serve();
             }
-            driver.rest();
+            driver.bring_to_rest();
             drop(scope);
             clock
         })?;
@@ -216,111 +221,11 @@ fn word(state: &AtomicU64) -> &'static str {
     WORDS.get(index).copied().unwrap_or_default()
 }
 
-/// One power base or two.
-#[derive(Debug)]
-enum Platform {
-    One(Box<rmp::Base>),
-    Two(Box<Omni>),
-}
-
-impl Platform {
-    fn of(config: &RmpConfig) -> Self {
-        let [linear, angular] = ACCELERATION;
-        let driver = DriverConfig {
-            model: Model::named(&config.model).unwrap_or_default(),
-            period: config.period,
-            ..DriverConfig::default()
-        };
-        if config.links.len() == 2 {
-            Self::Two(Box::new(Omni::new(OmniConfig {
-                driver,
-                acceleration: linear,
-                angular_acceleration: angular,
-                ..OmniConfig::default()
-            })))
-        } else {
-            Self::One(Box::new(rmp::Base::new(driver, linear, angular)))
-        }
-    }
-
-    fn handle(&mut self, part: usize, channel: Channel, frame: &takt_can::Frame, now: Duration) {
-        match self {
-            Self::One(base) => base.handle_frame(channel, frame, now),
-            Self::Two(omni) => omni.handle_frame(part, channel, frame, now),
-        };
-    }
-
-    fn transmit(
-        &mut self,
-        wanted: Option<[f64; 3]>,
-        now: Duration,
-    ) -> [Option<takt_can::Frame>; 2] {
-        match self {
-            Self::One(base) => {
-                let wanted = wanted.map(|[ahead, _, turn]| [ahead, turn]);
-                [base.poll_transmit(wanted, now), None]
-            }
-            Self::Two(omni) => omni.poll_transmit(wanted, now),
-        }
-    }
-
-    fn motion(&self) -> &Motion {
-        match self {
-            Self::One(base) => base.motion(),
-            Self::Two(omni) => omni.motion(),
-        }
-    }
-
-    fn follows(&self) -> bool {
-        match self {
-            Self::One(base) => base.driver().follows(),
-            Self::Two(omni) => omni.follows(),
-        }
-    }
-
-    fn states(&self) -> [Option<State>; 2] {
-        match self {
-            Self::One(base) => [Some(base.driver().state()), None],
-            Self::Two(omni) => omni.drivers().each_ref().map(|driver| Some(driver.state())),
-        }
-    }
-
-    fn status(&self) -> DeviceStatus {
-        if self
-            .states()
-            .into_iter()
-            .flatten()
-            .all(|state| state == State::Ready)
-        {
-            return DeviceStatus::Operational;
-        }
-        let absent = |state| matches!(state, State::Silent | State::PoweredOff);
-        if self.states().into_iter().flatten().any(absent) {
-            DeviceStatus::Offline
-        } else {
-            DeviceStatus::SafeOperational
-        }
-    }
-
-    fn jumps(&self) -> u64 {
-        match self {
-            Self::One(base) => base.jumps(),
-            Self::Two(omni) => omni.jumps(),
-        }
-    }
-
-    /// Angle and rate of each wheel, rad and rad/s.
-    fn wheels(&self) -> ([f64; 4], [f64; 4]) {
-        match self {
-            Self::One(base) => base.wheels(),
-            Self::Two(omni) => (*omni.wheels(), *omni.rates()),
-        }
-    }
-}
-
 struct Driver {
     wires: Vec<Wire>,
-    platform: Platform,
+    platform: Led,
+    /// Whether the thread is to end: nothing is followed any more.
+    is_stopping: bool,
     interfaces: Interfaces,
     told: DeviceState,
     taken: DeviceCommand,
@@ -351,8 +256,8 @@ impl Driver {
             }
         }
         let now = takt_can::linux::monotonic();
-        let wanted = self.wanted(now);
-        let frames = self.platform.transmit(wanted, now);
+        let wanted = self.wanted(now).filter(|_| !self.is_stopping);
+        let frames = self.platform.command(wanted, now);
         for (frame, wire) in frames.iter().zip(&mut self.wires) {
             if let Some(frame) = frame
                 && !wire.send(frame)
@@ -383,6 +288,9 @@ impl Driver {
             self.told.faults += 1;
         }
         self.followed = status == DeviceStatus::Operational;
+        for (limited, held_back) in self.told.limited.iter_mut().zip(self.platform.limited()) {
+            *limited = *held_back;
+        }
         self.told.status = status;
         let motion = *self.platform.motion();
         self.told.stamp = takt_rt::Nanos::from(motion.stamp);
@@ -405,8 +313,16 @@ impl Driver {
         }
     }
 
-    /// Has the base rest before the thread ends; the power bases would stop by themselves only later.
-    fn rest(&mut self) {
+    /// Brakes the base as when nets cease, then has it rest: the power bases would stop by themselves only later.
+    fn bring_to_rest(&mut self) {
+        self.is_stopping = true;
+        let until = takt_can::linux::monotonic() + REST_WITHIN;
+        while self.platform.follows() && !self.platform.rests() {
+            if takt_can::linux::monotonic() >= until {
+                break;
+            }
+            self.serve();
+        }
         let frame = rmp::Command::default().frame();
         for wire in &mut self.wires {
             wire.send(&frame);
@@ -445,3 +361,6 @@ fn tell_base(
     base.velocity.tell(signals, Some(twist(motion.velocity)));
     base.pose.tell(signals, Some(place));
 }
+
+#[cfg(test)]
+mod tests;

@@ -74,6 +74,9 @@ const fn seconds(span: Nanos) -> f64 {
 }
 
 #[cfg(test)]
+mod limit_tests;
+
+#[cfg(test)]
 mod tests {
     use super::*;
 

@@ -10,6 +10,7 @@ use takt_net::device::{
 use takt_net::{ArmBinding, Devices, JointLimits};
 use takt_rt::latest::{LatestReader, LatestWriter, latest};
 
+use crate::device::last_stage::Limited;
 use crate::device::{
     ARM_JOINTS_MAX, ArmDescription, DeviceCommand, DeviceDescription, DeviceState, DeviceStatus,
     Place, parts,
@@ -54,6 +55,11 @@ impl Device {
     /// Whether it can be used.
     pub fn status(&self) -> DeviceStatus {
         self.read(|state| state.status)
+    }
+
+    /// What the last stages of its driver held back.
+    pub fn limited(&self) -> [Limited; ARM_JOINTS_MAX] {
+        self.read(|state| state.limited)
     }
 
     fn read<R>(&self, read: impl FnOnce(&DeviceState) -> R) -> R {

@@ -122,9 +122,7 @@ impl Driven {
         }
         let none = JointSetPoints::default();
         let followed = if self.refused { &none } else { set_points };
-        // Half a period more than one, so that the two around that instant are there even if the net
-        // is half of it late.
-        let play = when.now - Nanos(followed.period.0 * 3 / 2);
+        let play = when.now - self.joint.delay(followed);
         let position = self.joint.sample(followed, when.fresh, play, when.dt_s);
         self.target = self.increments(position).or(self.target);
         self.target
@@ -177,7 +175,8 @@ pub(super) struct When {
     pub(super) now: Nanos,
     /// Since the last one, s.
     pub(super) elapsed_s: f64,
-    /// For how long the target is, s: a drive takes one for a cycle, however long the host was away before.
+    /// For how long the target is, s: a drive takes one for a cycle of its own, however long the host was away before
+    /// and whatever phase the host's cycles are on the way to.
     pub(super) dt_s: f64,
     /// Whether set-points still come.
     pub(super) fresh: bool,

@@ -271,6 +271,49 @@ fn a_motor_does_not_jump_when_the_bus_stood_still_for_a_while() {
     assert!(behind < 0.01, "{behind} rad behind");
 }
 
+/// Set-points on a triangle, one in so many cycles, with what upsets them: the bus stands still, another drive has a fault
+/// and comes back, the net stops for a while.
+#[test]
+fn triangles_of_any_period_leave_within_limits() {
+    let limit = 300_f64.to_radians();
+    for every in [1_u32, 4, 20, 100, 1000] {
+        let mut bench = Bench::new(2);
+        bench.drives[0].targets.clear();
+        let start = bench.drives[0].position / PER_RAD;
+        let mut worst = 0.0_f64;
+        for n in 0..16_000_u32 {
+            let t = f64::from(n / every * every) * CYCLE.as_secs_f64();
+            let phase = t % 4.0;
+            let wanted = start + 0.7 * if phase < 2.0 { phase } else { 4.0 - phase };
+            let is_silent = (9_000..9_300).contains(&n);
+            if is_silent {
+                bench.want(0, None);
+            } else if n % every == 0 {
+                bench.want(0, Some(wanted));
+                bench.given.joints[0].period = Nanos(Nanos::from(CYCLE).0 * i64::from(every));
+            }
+            if n == 5_300 {
+                bench.tick += 6;
+            }
+            bench.drives[1].has_fault = (12_100..12_200).contains(&n);
+            bench.cycle(false);
+            let targets = bench.drives[0].targets.len();
+            if targets > 2 {
+                worst = worst.max(bench.drives[0].acceleration(3));
+            }
+        }
+        // Of targets in whole increments.
+        let coarse = 2.0 / PER_RAD / CYCLE.as_secs_f64().powi(2);
+        assert!(worst <= limit + coarse, "every {every}: {worst} rad/s²");
+        assert!(worst > 1.0, "every {every}: it moves");
+        let limited = bench.state.read_with(|state| state.limited[0]);
+        assert!(
+            every > 100 || limited.onsets > 0,
+            "every {every}: {limited:?}"
+        );
+    }
+}
+
 #[test]
 fn set_points_of_the_time_in_which_the_arm_did_not_follow_are_refused_until_they_end() {
     let mut bench = Bench::new(2);

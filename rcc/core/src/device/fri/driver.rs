@@ -21,9 +21,7 @@ use super::news::{Herald, News};
 use super::{AXES, Joints, Orders, Protocol, Shared};
 use crate::device::driver::DeviceEnd;
 use crate::device::setpoint::Joint;
-use crate::device::{
-    DeviceCommand, DeviceDescription, DeviceState, DeviceStatus, JointSetPoints, parts,
-};
+use crate::device::{DeviceCommand, DeviceDescription, DeviceState, DeviceStatus, parts};
 
 /// Set-points older than this many cycles of the driver are no longer followed.
 const STALE_AFTER: i64 = 10;
@@ -237,7 +235,7 @@ impl<P: Protocol> Driver<P> {
         let [sent, speeds] = self.sent;
         if self.withheld.is_some() {
             for (axis, joint) in self.joints.iter_mut().enumerate().take(AXES) {
-                *joint = Joint::refused(self.limits[axis], sent[axis], speeds[axis]);
+                *joint = joint.refused(self.limits[axis], sent[axis], speeds[axis]);
                 let set_points = &self.taken.joints[axis];
                 positions[axis] = joint.sample(set_points, true, Nanos(0), dt_s);
             }
@@ -270,9 +268,10 @@ impl<P: Protocol> Driver<P> {
         self.note_heard();
         let sequence = self.session.sent_sequence();
         self.herald.note_answer(now, sequence);
-        let moving = self.taken.joints.iter().find(|joint| joint.active);
-        if let Some(set_points) = moving.filter(|_| self.is_commanding()) {
-            let played = self.clock.now() - delay(set_points);
+        let mut joints = self.joints.iter().zip(&self.taken.joints);
+        let moving = joints.find(|(_, set_points)| set_points.active);
+        if let Some((joint, set_points)) = moving.filter(|_| self.is_commanding()) {
+            let played = self.clock.now() - joint.delay(set_points);
             self.set_point_age.record(now - played);
         }
     }
@@ -349,7 +348,7 @@ impl<P: Protocol> Driver<P> {
             .zip(&mut positions)
             .zip(&self.taken.joints)
         {
-            let play = self.clock.now() - delay(set_points);
+            let play = self.clock.now() - joint.delay(set_points);
             *position = joint.sample(set_points, fresh, play, dt_s);
         }
         self.admit(positions, dt_s)
@@ -369,6 +368,7 @@ impl<P: Protocol> Driver<P> {
         (self.last.positions, self.last.velocities) = (measured, velocities);
         for (i, told) in state.joints.iter_mut().enumerate().take(AXES) {
             let (position, velocity, acceleration) = self.joints[i].motion();
+            state.limited[i] = *self.joints[i].limited();
             let error = match status {
                 DeviceStatus::Offline => JointError::Offline,
                 DeviceStatus::SafeOperational => JointError::NotEnabled,
@@ -450,12 +450,6 @@ impl<P: Protocol> Driver<P> {
             bits.store(worst.to_bits(), Ordering::Relaxed);
         }
     }
-}
-
-/// How far behind the robot's clock set-points are played: one and a half times what lies between
-/// two of them, so that the two around that instant are there even if the net is half of it late.
-const fn delay(set_points: &JointSetPoints) -> Nanos {
-    Nanos(set_points.period.0 * 3 / 2)
 }
 
 /// Change of each value per second; `None` while there is no earlier value or no time has passed.

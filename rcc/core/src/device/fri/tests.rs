@@ -132,6 +132,8 @@ struct Rig<C, P> {
     command: LatestWriter<DeviceCommand>,
     /// What nets command, and the time of their last cycle.
     wanted: DeviceCommand,
+    /// In how many cycles of the net thread the net gives a set-point.
+    every: u64,
     /// Where a net wants the joint, by the time since it began; `None` while none runs.
     net: Option<(Duration, Net)>,
     state: LatestReader<DeviceState>,
@@ -180,6 +182,7 @@ impl<C: Controller, P: Protocol> Rig<C, P> {
             now: Duration::ZERO,
             command,
             wanted,
+            every: 1,
             net: None,
             state: told,
             path: Vec::new(),
@@ -195,6 +198,13 @@ impl<C: Controller, P: Protocol> Rig<C, P> {
             self.wanted.time += NET;
             self.wanted.cycle += 1;
             let time = self.wanted.time;
+            if let Some((began, _)) = self.net {
+                // The cycle in which it begins is over already.
+                let cycles = (time - Nanos::from(began) - Nanos(1)).0 / NET.0;
+                if cycles.cast_unsigned() % self.every != 0 {
+                    continue;
+                }
+            }
             let position = self.net.map(|(began, net)| {
                 let since = span(time).saturating_sub(began).as_secs_f64();
                 POSTURE[JOINT] + net(since)
@@ -607,6 +617,44 @@ fn a_guard_that_bites_brakes_the_arm_at_its_limit_and_names_joint_limit_and_valu
             "A7 commanded",
             told,
         );
+    }
+}
+
+/// Up and down, two seconds each.
+fn triangle(t: f64) -> f64 {
+    let phase = t % 4.0;
+    0.6 * if phase < 2.0 { phase } else { 4.0 - phase }
+}
+
+/// Set-points on a triangle leave within the limits.
+fn turns_at_corners<C: Controller, P: Protocol>(rig: &mut Rig<C, P>, every: u64, limit: f64) {
+    rig.follow();
+    rig.every = every;
+    rig.wanted.joints[JOINT].period = Nanos(NET.0 * every.cast_signed());
+    rig.begin(triangle);
+    rig.run(6_500);
+    let [fastest, hardest] = rig.worst(MS);
+    // Of positions in single precision.
+    assert!(
+        fastest < 1.3 && hardest <= limit * 1.001 + 0.3,
+        "every {every}: {fastest} rad/s, {hardest} rad/s²"
+    );
+    assert!(hardest > 0.5, "every {every}: it moves");
+    assert_eq!(rig.controller.reasons(), Vec::<String>::new());
+    let limited = rig.state.read_with(|state| state.limited[JOINT]);
+    assert_eq!(
+        limited.onsets > 0,
+        1.2 * 1e3 > limit * every as f64,
+        "{limited:?}"
+    );
+}
+
+#[test]
+fn triangles_of_any_period_leave_within_limits() {
+    let iiwa = iiwa::describe("arm", IiwaModel::Iiwa14).limits[JOINT].acceleration_max;
+    for every in [1, 4, 20, 100, 1000] {
+        turns_at_corners(&mut krc(KrcConfig::default()), every, 4.0);
+        turns_at_corners(&mut cabinet(CabinetConfig::default()), every, iiwa);
     }
 }
 

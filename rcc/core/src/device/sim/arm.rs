@@ -267,8 +267,16 @@ impl Simulated for SimulatedArm {
         let compliant = self.strategy == self.strategies.joint_impedance;
         for (i, joint) in self.joints.iter_mut().enumerate() {
             let set_points = &command.joints[i];
-            // Between two set-points of a slower net it is on the line between them.
-            let behind = (set_points.period - dt).max(Nanos::ZERO);
+            // Between two set-points of a slower net it is on the way between them, without a corner at either: that
+            // needs half a period more. This thread is never late for itself.
+            let period = set_points.period;
+            let more = if joint.is_sparse(period) {
+                period.0 / 2
+            } else {
+                0
+            };
+            let behind = Nanos(period.0 + more) - dt;
+            let behind = behind.max(Nanos::ZERO);
             let position = joint.sample(set_points, true, command.time - behind, dt_s);
             let compliance = &mut self.compliance[i];
             if compliant {
@@ -380,6 +388,9 @@ impl SimulatedArm {
                 measured_acceleration: Some(measured.acceleration),
                 error: joint.error() as i32,
             };
+        }
+        for (limited, joint) in self.state.limited.iter_mut().zip(&self.joints) {
+            *limited = *joint.limited();
         }
         let has = &self.interfaces;
         let signals = &mut self.state.signals;

@@ -1,5 +1,5 @@
-//! A simulated base on four mecanum wheels. It follows velocities within its speed and
-//! acceleration, or poses within its speed, and measures exactly what it does: wheels do not slip. When
+//! A simulated base on four mecanum wheels. It follows velocities or poses within its speed and
+//! acceleration, and measures exactly what it does: wheels do not slip. When
 //! commands stop it brakes to rest at its acceleration.
 //!
 //! Parameters: `max_vel` (m/s, 0.8), `max_rot_vel` (rad/s, 0.8), `max_acc` (m/s², 1.6) and
@@ -10,6 +10,7 @@ use takt_net::value::{Frame, Rotation, Twist, Vector};
 use takt_rt::Nanos;
 
 use super::{Made, Parameters, Simulated, seconds};
+use crate::device::last_stage::{PlanarLimits, PlanarStage};
 use crate::device::{DeviceCommand, DeviceDescription, DeviceState, DeviceStatus, Part, parts};
 use crate::error::Error;
 
@@ -20,24 +21,25 @@ const RADIUS: f64 = 0.0475;
 const LEVER: f64 = (0.47 + 0.30) / 2.0;
 /// Farther from the base than this a first pose is refused, m and rad.
 const START_DISTANCE: f64 = 0.02;
-/// What rounding may add to a speed, as a factor.
-const SPEED_SLACK: f64 = 1.001;
+/// Farther behind its poses than this it gives up, m and rad.
+const LOST_DISTANCE: f64 = 0.2;
 
 pub(super) fn youbot(parameters: &Parameters<'_>, kind: &'static str) -> Result<Made, Error> {
-    let limits = Limits {
-        velocity: Planar {
-            translation: parameters.positive("max_vel", 0.8)?,
-            rotation: parameters.positive("max_rot_vel", 0.8)?,
-        },
-        acceleration: Planar {
-            translation: parameters.positive("max_acc", 1.6)?,
-            rotation: parameters.positive("max_rot_acc", 1.6)?,
-        },
+    let limits = PlanarLimits {
+        velocity: [
+            parameters.positive("max_vel", 0.8)?,
+            parameters.positive("max_rot_vel", 0.8)?,
+        ],
+        acceleration: [
+            parameters.positive("max_acc", 1.6)?,
+            parameters.positive("max_rot_acc", 1.6)?,
+        ],
     };
+    let [velocity_max, rotation_max] = limits.velocity;
     let base = Part::Base {
         wheels: WHEELS,
-        velocity_max: limits.velocity.translation,
-        rotation_max: limits.velocity.rotation,
+        velocity_max,
+        rotation_max,
     };
     let description = DeviceDescription {
         name: parameters.name.to_owned(),
@@ -51,29 +53,16 @@ pub(super) fn youbot(parameters: &Parameters<'_>, kind: &'static str) -> Result<
     let mut state = DeviceState::new(layout.signals);
     state.status = DeviceStatus::Operational;
     let mut mecanum = Mecanum {
-        limits,
+        stage: PlanarStage::new(limits),
         interfaces,
         mode: Mode::Resting,
+        goal: None,
         pose: [0.0; 3],
-        velocity: [0.0; 3],
         wheels: [0.0; WHEELS],
         state,
     };
     mecanum.tell();
     Ok((description, Box::new(mecanum)))
-}
-
-/// One bound for the plane and one for the rotation in it.
-#[derive(Clone, Copy, Debug)]
-struct Planar {
-    translation: f64,
-    rotation: f64,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Limits {
-    velocity: Planar,
-    acceleration: Planar,
 }
 
 /// What moves it.
@@ -89,15 +78,25 @@ enum Mode {
     Refused,
 }
 
+/// A pose that a net wants.
+#[derive(Clone, Copy, Debug)]
+struct Goal {
+    /// The cycle in which it was given.
+    cycle: u64,
+    pose: [f64; 3],
+    /// Of the poses, for each second.
+    speed: [f64; 3],
+}
+
 #[derive(Debug)]
 struct Mecanum {
-    limits: Limits,
+    stage: PlanarStage,
     interfaces: Interfaces,
     mode: Mode,
     /// x and y, m, and heading, rad, in the frame in which it started.
     pose: [f64; 3],
-    /// In its own frame.
-    velocity: [f64; 3],
+    /// Where a net wants it.
+    goal: Option<Goal>,
     /// Angles of the motors' shafts behind the gear, rad.
     wheels: [f64; WHEELS],
     state: DeviceState,
@@ -121,19 +120,21 @@ impl Simulated for Mecanum {
             .filter(|given| given.stands(command.cycle))
             .map(|given| {
                 let age = command.cycle.saturating_sub(given.cycle);
-                let left = given.every.max(1).saturating_sub(age);
-                (flat(&given.value), left)
+                let left = given.every.max(1).saturating_sub(age).max(1);
+                (given.cycle, flat(&given.value), left)
             });
+        if pose.is_none() {
+            self.goal = None;
+        }
         match (velocity, pose) {
             (Some(velocity), _) => {
                 self.mode = Mode::Velocity;
-                self.accelerate(velocity, dt_s);
+                self.stage.step(Some(velocity), |_| 1.0, dt_s);
             }
-            #[expect(clippy::cast_precision_loss, reason = "a count of a few cycles")]
-            (None, Some((pose, left))) => self.follow(pose, dt_s, left.max(1) as f64),
+            (None, Some((cycle, pose, left))) => self.follow(cycle, pose, left, dt_s),
             (None, None) => {
                 self.mode = Mode::Resting;
-                self.accelerate([0.0; 3], dt_s);
+                self.stage.step(None, |_| 1.0, dt_s);
             }
         }
         self.advance(dt_s);
@@ -146,78 +147,72 @@ impl Simulated for Mecanum {
 }
 
 impl Mecanum {
-    /// Changes the velocity towards this one.
-    fn accelerate(&mut self, wanted: [f64; 3], dt_s: f64) {
-        let Planar {
-            translation,
-            rotation,
-        } = self.limits.acceleration;
-        let change = [0, 1, 2].map(|i| wanted[i] - self.velocity[i]);
-        let planar = (translation * dt_s / change[0].hypot(change[1])).min(1.0);
-        let turn = (rotation * dt_s / change[2].abs()).min(1.0);
-        for (i, share) in [planar, planar, turn].into_iter().enumerate() {
-            // No change at all makes the share no number or more than one.
-            if share < 1.0 {
-                self.velocity[i] += share * change[i];
-            } else {
-                self.velocity[i] = wanted[i];
-            }
-        }
-    }
-
-    /// Takes the speed that leads to a pose in the cycles left until the next one comes; refuses one
+    /// Goes to a pose on the straight way on which it is there when the next one comes, in so many cycles; refuses one
     /// that is too far away.
-    fn follow(&mut self, pose: [f64; 3], dt_s: f64, left: f64) {
-        let [x, y] = [pose[0] - self.pose[0], pose[1] - self.pose[1]];
-        let turn = nearest_turn(pose[2] - self.pose[2]);
-        let first = self.mode != Mode::Pose;
-        let far = x.hypot(y) > START_DISTANCE || turn.abs() > START_DISTANCE;
-        let span_s = dt_s * left;
-        let Planar {
-            translation,
-            rotation,
-        } = self.limits.velocity;
-        let fast = x.hypot(y) > translation * span_s * SPEED_SLACK
-            || turn.abs() > rotation * span_s * SPEED_SLACK;
-        if self.mode == Mode::Refused || (far && (first || fast)) {
+    #[expect(clippy::cast_precision_loss, reason = "a count of a few cycles")]
+    fn follow(&mut self, cycle: u64, pose: [f64; 3], left: u64, dt_s: f64) {
+        let goal = match self.goal {
+            Some(last) if last.cycle == cycle => last,
+            Some(last) => {
+                let span_s = cycle.saturating_sub(last.cycle).max(1) as f64 * dt_s;
+                let speed = way(last.pose, pose).map(|way| way / span_s);
+                Goal { cycle, pose, speed }
+            }
+            None => Goal {
+                cycle,
+                pose,
+                // From where it is.
+                speed: way(self.pose, pose).map(|way| way / (left as f64 * dt_s)),
+            },
+        };
+        let first = self.goal.replace(goal).is_none();
+        let ahead_s = (left - 1) as f64 * dt_s;
+        let target: [f64; 3] = std::array::from_fn(|i| pose[i] - goal.speed[i] * ahead_s);
+        let most = if first { START_DISTANCE } else { LOST_DISTANCE };
+        let [x, y, turn] = way(self.pose, if first { pose } else { target });
+        let near = x.hypot(y) <= most && turn.abs() <= most;
+        if self.mode == Mode::Refused || !near {
             self.mode = Mode::Refused;
-            self.accelerate([0.0; 3], dt_s);
+            self.stage.step(None, |_| 1.0, dt_s);
             return;
         }
         self.mode = Mode::Pose;
+        let way = way(self.pose, target);
         // In the frame that the base has half-way, as it is moved on.
-        let (sin, cos) = (self.pose[2] + turn / 2.0).sin_cos();
-        let share = (translation * span_s / x.hypot(y)).min(1.0);
-        let share = if share.is_nan() { 1.0 } else { share };
-        self.velocity = [
-            share * (cos * x + sin * y) / span_s,
-            share * (cos * y - sin * x) / span_s,
-            turn.clamp(-rotation * span_s, rotation * span_s) / span_s,
-        ];
+        let (sin, cos) = (self.pose[2] + way[2] / 2.0).sin_cos();
+        let own = |[x, y, turn]: [f64; 3]| [cos * x + sin * y, cos * y - sin * x, turn];
+        self.stage.track(own(way), own(goal.speed), dt_s);
     }
 
     /// Moves on at its velocity, the heading taken in the middle of the step.
     fn advance(&mut self, dt_s: f64) {
-        let [x, y, turn] = self.velocity;
+        let [x, y, turn] = self.stage.velocity();
         let (sin, cos) = (self.pose[2] + turn * dt_s / 2.0).sin_cos();
         self.pose[0] += (cos * x - sin * y) * dt_s;
         self.pose[1] += (sin * x + cos * y) * dt_s;
         self.pose[2] += turn * dt_s;
-        for (angle, rate) in self.wheels.iter_mut().zip(wheel_rates(self.velocity)) {
+        for (angle, rate) in self
+            .wheels
+            .iter_mut()
+            .zip(wheel_rates(self.stage.velocity()))
+        {
             *angle += rate * dt_s;
         }
     }
 
     fn tell(&mut self) {
+        for (limited, held_back) in self.state.limited.iter_mut().zip(self.stage.limited()) {
+            *limited = *held_back;
+        }
         let signals = &mut self.state.signals;
+        let [x, y, turn] = self.stage.velocity();
         let velocity = Twist {
-            vel: Vector::new(self.velocity[0], self.velocity[1], 0.0),
-            rot: Vector::new(0.0, 0.0, self.velocity[2]),
+            vel: Vector::new(x, y, 0.0),
+            rot: Vector::new(0.0, 0.0, turn),
         };
         let rotation = Rotation::from_axis_angle(&Vector::z_axis(), self.pose[2]);
         let pose = Frame::from_parts([self.pose[0], self.pose[1], 0.0].into(), rotation);
         let (sin, cos) = self.pose[2].sin_cos();
-        let [x, y, _] = self.velocity;
         let in_place = Twist {
             vel: Vector::new(cos * x - sin * y, sin * x + cos * y, 0.0),
             rot: velocity.rot,
@@ -232,7 +227,7 @@ impl Mecanum {
                 .wheels
                 .iter()
                 .zip(self.wheels)
-                .zip(wheel_rates(self.velocity))
+                .zip(wheel_rates(self.stage.velocity()))
             {
                 wheel.position.tell(signals, Some(angle));
                 wheel.velocity.tell(signals, Some(rate));
@@ -282,6 +277,15 @@ fn flat(pose: &Frame) -> [f64; 3] {
     let position = pose.translation.vector;
     let ahead = pose.rotation * Vector::x();
     [position.x, position.y, ahead.y.atan2(ahead.x)]
+}
+
+/// From one pose to another, the shorter turn.
+fn way(from: [f64; 3], to: [f64; 3]) -> [f64; 3] {
+    [
+        to[0] - from[0],
+        to[1] - from[1],
+        nearest_turn(to[2] - from[2]),
+    ]
 }
 
 fn nearest_turn(angle: f64) -> f64 {

@@ -1,19 +1,25 @@
-//! A simulated gripper: its fingers move to the ordered distance at a constant speed. They grip
+//! A simulated gripper: its fingers move to the ordered distance within their speed and acceleration. They grip
 //! nothing, so nothing stops them on the way.
 //!
-//! Parameters: `max_distance` (m, 0.023) and `max_vel` (m/s, 0.01), both of the distance between
-//! the fingers.
+//! Parameters: `max_distance` (m, 0.023), `max_vel` (m/s, 0.01) and `max_acc` (m/s², 1), all of the distance
+//! between the fingers.
 
+use takt_net::JointLimits;
 use takt_net::device::{Answer, Gripper, Layout};
 use takt_rt::Nanos;
 
 use super::{Made, Parameters, Simulated, seconds};
+use crate::device::last_stage::LastStage;
 use crate::device::{DeviceCommand, DeviceDescription, DeviceState, DeviceStatus, Part};
 use crate::error::Error;
 
 /// Two bars that move 11.5 mm each.
 const DISTANCE_MAX: f64 = 0.023;
 const VELOCITY_MAX: f64 = 0.01;
+/// Nobody states one for the real fingers.
+const ACCELERATION_MAX: f64 = 1.0;
+/// Nearer than this they are where they were ordered, m.
+const ARRIVED: f64 = 1e-9;
 
 /// Values of the answer's error.
 mod error {
@@ -24,6 +30,12 @@ mod error {
 pub(super) fn youbot(parameters: &Parameters<'_>, kind: &'static str) -> Result<Made, Error> {
     let distance_max = parameters.positive("max_distance", DISTANCE_MAX)?;
     let velocity_max = parameters.positive("max_vel", VELOCITY_MAX)?;
+    let limits = JointLimits {
+        position_min: 0.0,
+        position_max: distance_max,
+        velocity_max,
+        acceleration_max: parameters.positive("max_acc", ACCELERATION_MAX)?,
+    };
     let description = DeviceDescription {
         name: parameters.name.to_owned(),
         kind,
@@ -38,8 +50,8 @@ pub(super) fn youbot(parameters: &Parameters<'_>, kind: &'static str) -> Result<
     gripper.distance.tell(&mut state.signals, Some(0.0));
     let fingers = Fingers {
         gripper,
-        velocity_max,
-        distance: 0.0,
+        stage: LastStage::new(limits),
+        order: 0,
         state,
     };
     Ok((description, Box::new(fingers)))
@@ -48,8 +60,9 @@ pub(super) fn youbot(parameters: &Parameters<'_>, kind: &'static str) -> Result<
 #[derive(Debug)]
 struct Fingers {
     gripper: Gripper,
-    velocity_max: f64,
-    distance: f64,
+    stage: LastStage,
+    /// The order that is under way.
+    order: u64,
     state: DeviceState,
 }
 
@@ -57,26 +70,30 @@ impl Simulated for Fingers {
     fn step(&mut self, command: &DeviceCommand, dt: Nanos) {
         self.state.stamp = command.time;
         let Some(order) = self.gripper.order.command.read(&command.words) else {
+            self.stage.brake(seconds(dt));
             return;
         };
         let possible = (0.0..=self.gripper.distance_max).contains(&order.value);
+        if self.order != order.cycle {
+            self.order = order.cycle;
+            // Fingers take their time: an order is no set-point that they fall behind.
+            self.stage.begin_quietly(self.gripper.distance_max);
+        }
         let mut arrived = false;
         if possible {
-            let way = order.value - self.distance;
-            let step = self.velocity_max * seconds(dt);
-            arrived = way.abs() <= step;
-            self.distance = if arrived {
-                order.value
-            } else {
-                self.distance + step.copysign(way)
-            };
+            let distance = self.stage.track(order.value, 0.0, seconds(dt));
+            arrived = (distance - order.value).abs() <= ARRIVED;
+        } else {
+            self.stage.brake(seconds(dt));
         }
+        self.state.limited[0] = *self.stage.limited();
+        let (distance, ..) = self.stage.motion();
         let answer = (arrived || !possible).then_some(Answer {
             order: order.cycle,
             error: if possible { 0 } else { error::RANGE },
         });
         let signals = &mut self.state.signals;
-        self.gripper.distance.tell(signals, Some(self.distance));
+        self.gripper.distance.tell(signals, Some(distance));
         // An earlier answer is no answer to a new order; its number tells.
         if answer.is_some() {
             self.gripper.order.answer.tell(signals, answer);

@@ -4,7 +4,7 @@
 use std::fmt::{self, Write as _};
 use std::time::Duration;
 
-use takt_core::controller::{ClockInfo, NetState, RuleState};
+use takt_core::controller::{ClockInfo, LimitedInfo, NetState, RuleState};
 use takt_core::{Controller, Snapshot, Summary};
 
 use super::super::Response;
@@ -303,6 +303,38 @@ impl Ask<'_> {
                 out.sample(name, &labels, is);
             }
         }
+        self.of_last_stages(out);
+    }
+
+    /// What was held back before it left for devices; nothing if none of them moves.
+    fn of_last_stages(&self, out: &mut Exposition) {
+        let devices = self.controller.devices().into_iter();
+        let limited: Vec<_> = devices
+            .flat_map(|device| {
+                let parts = self.controller.limited(&device.name).into_iter();
+                parts.map(move |part| (device.name.clone(), part))
+            })
+            .collect();
+        if limited.is_empty() {
+            return;
+        }
+        let mut family = |name: &str, help: &str, value: fn(&LimitedInfo) -> u64| {
+            out.family(name, "counter", help);
+            for (device, info) in &limited {
+                let labels = [("device", device.as_str()), ("part", info.part.as_str())];
+                out.sample(name, &labels, value(info));
+            }
+        };
+        family(
+            "takt_device_limited_total",
+            "Times that commands for a part of a device began to exceed its limits and were held back.",
+            |info| info.limited.onsets,
+        );
+        family(
+            "takt_device_limited_cycles_total",
+            "Cycles of a device's driver in which less left for a part of it than was commanded.",
+            |info| info.limited.cycles,
+        );
     }
 
     fn of_server(&self, out: &mut Exposition) {

@@ -20,6 +20,7 @@ use super::tool::Motions;
 use super::{Wait, Waiting, is_fresh, lead, now, seconds};
 use crate::device::config::{YouBotArm, YouBotControl};
 use crate::device::driver::DeviceEnd;
+use crate::device::last_stage::LastStage;
 use crate::device::setpoint::Joint;
 use crate::device::{DeviceCommand, DeviceState, DeviceStatus, parts};
 
@@ -36,6 +37,8 @@ pub(super) struct Arm {
     pub(super) drives: [Drive; 5],
     homing: [Homing; 5],
     joints: [Joint; 5],
+    /// What bounds the velocities that leave for drives that are moved by those.
+    speeds: [LastStage; 5],
     /// Smallest and largest position of each, rad.
     ends: [(f64, f64); 5],
     control: YouBotControl,
@@ -88,6 +91,7 @@ impl Arm {
             drives: std::array::from_fn(drive),
             homing: std::array::from_fn(homing),
             joints: limits(arm).map(Joint::new),
+            speeds: limits(arm).map(LastStage::new),
             ends: limits(arm).map(|limits| (limits.position_min, limits.position_max)),
             control: arm.control,
             may_home: arm.homing,
@@ -174,8 +178,10 @@ impl Arm {
     pub(super) fn cycle(&mut self, master: &mut Master, tick: &Tick, stopping: bool) {
         let taken = &mut self.taken;
         self.command.read_with(|command| taken.copy_from(command));
-        let elapsed = self.last.replace(tick.scheduled);
-        let dt = elapsed.map_or(0.0, |last| seconds(tick.scheduled - last));
+        // A drive takes a command for a cycle, however long the host was away before.
+        let is_later = |last| tick.scheduled > last;
+        let passed = self.last.replace(tick.scheduled).is_some_and(is_later);
+        let dt = if passed { seconds(self.cycle) } else { 0.0 };
         let commanded = self.taken.joints.iter().any(|joint| joint.active);
         let may_move = self.may_home && !commanded && !stopping;
         let ready = self.is_ready();
@@ -193,6 +199,7 @@ impl Arm {
                 // Behind homing: a joint whose stop is known since just now rests where it is before it follows.
                 if let Some([position, _]) = self.measured(n) {
                     self.joints[n].rest_at(position, &self.taken.joints[n]);
+                    self.speeds[n].rest_at(position);
                 }
                 order
             };
@@ -238,9 +245,7 @@ impl Arm {
         let mut commanded = [[0.0; 2]; 5];
         for (n, commanded) in commanded.iter_mut().enumerate() {
             let set_points = &self.taken.joints[n];
-            // Half a period more than one, so that the two around that instant are there even if the net is half of
-            // it late.
-            let play = tick.scheduled - Nanos(set_points.period.0 * 3 / 2);
+            let play = tick.scheduled - self.joints[n].delay(set_points);
             let position = self.joints[n].sample(set_points, fresh, play, dt);
             *commanded = [position, self.joints[n].motion().1];
         }
@@ -248,12 +253,17 @@ impl Arm {
         let torques = self.springs.torques(&commanded, &measured, &self.ends);
         std::array::from_fn(|n| {
             let (geometry, [position, velocity]) = (ARM[n], commanded[n]);
+            let ([at, _], stage) = (measured[n], &mut self.speeds[n]);
             match (torques, self.control) {
-                (Some(torques), _) => Command::current(geometry.current_ma(torques[n])),
+                (Some(torques), _) => {
+                    stage.rest_at(at);
+                    Command::current(geometry.current_ma(torques[n]))
+                }
                 (None, YouBotControl::Position) => Command::position(geometry.ticks(position)),
                 (None, YouBotControl::Velocity) => {
-                    let correction = CORRECTION * (position - measured[n][0]);
-                    Command::velocity(geometry.rpm(velocity + correction))
+                    let correction = CORRECTION * (position - at);
+                    let speed = stage.steer(at, velocity + correction, dt);
+                    Command::velocity(geometry.rpm(speed))
                 }
             }
         })
@@ -273,6 +283,7 @@ impl Arm {
             let measured = self.measured(n);
             let joint = &self.joints[n];
             let (position, velocity, acceleration) = joint.motion();
+            self.told.limited[n] = *joint.limited();
             let error = match status {
                 DeviceStatus::Offline => JointError::Offline,
                 DeviceStatus::SafeOperational => JointError::NotEnabled,

@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use takt_ethercat::master::Master;
-use takt_ethercat::youbot::{Command, Drive, DriveConfig, DriveState, Mecanum, Odometry, Ramp};
+use takt_ethercat::youbot::{Command, Drive, DriveConfig, DriveState, Mecanum, Odometry};
 use takt_net::device::{Given, Interfaces, JointError, Layout};
 use takt_net::value::{Frame, Rotation, Twist, Vector};
 use takt_rt::Nanos;
@@ -16,17 +16,15 @@ use super::describe::base_parts;
 use super::{is_fresh, lead, seconds};
 use crate::device::config::YouBotBase;
 use crate::device::driver::DeviceEnd;
+use crate::device::last_stage::{PlanarLimits, PlanarStage};
 use crate::device::{DeviceCommand, DeviceState, DeviceStatus, parts};
-
-/// Longest time that a step of the ramp makes up for, s.
-const STEP_MAX: f64 = 0.1;
 
 /// The base.
 #[derive(Debug)]
 pub(super) struct Base {
     pub(super) drives: [Drive; 4],
     mecanum: Mecanum,
-    ramp: Ramp,
+    stage: PlanarStage,
     odometry: Odometry,
     course: Course,
     /// Largest speed (m/s) and rotational speed (rad/s) towards a pose.
@@ -65,7 +63,10 @@ impl Base {
         Self {
             drives: slaves.map(|slave| Drive::new(slave, config)),
             mecanum: Mecanum::default(),
-            ramp: Ramp::new(base.acceleration_max, base.rotation_acceleration_max),
+            stage: PlanarStage::new(PlanarLimits {
+                velocity: [base.velocity_max, base.rotation_max],
+                acceleration: [base.acceleration_max, base.rotation_acceleration_max],
+            }),
             odometry: Odometry::default(),
             course: Course::default(),
             speed_max: (base.velocity_max, base.rotation_max),
@@ -83,7 +84,7 @@ impl Base {
     }
 
     pub(super) fn rests(&self) -> bool {
-        self.ramp.velocity().iter().all(|v| v.abs() < 1e-9)
+        self.stage.rests()
     }
 
     fn follows(&self) -> bool {
@@ -93,10 +94,10 @@ impl Base {
     pub(super) fn cycle(&mut self, master: &mut Master, tick: &Tick, stopping: bool) {
         let taken = &mut self.taken;
         self.command.read_with(|command| taken.copy_from(command));
-        let elapsed = self.last.replace(tick.scheduled);
-        let dt = elapsed
-            .map_or(0.0, |last| seconds(tick.scheduled - last))
-            .min(STEP_MAX);
+        // Drives take a command for a cycle, however long the host was away before.
+        let is_later = |last| tick.scheduled > last;
+        let passed = self.last.replace(tick.scheduled).is_some_and(is_later);
+        let dt = if passed { seconds(self.cycle) } else { 0.0 };
         let fresh = is_fresh(self.taken.time, tick, self.cycle, self.net_period);
         let (velocity, pose) = (self.velocity(fresh), self.pose(fresh));
         let commanded = velocity.is_some() || pose.is_some();
@@ -110,11 +111,12 @@ impl Base {
         let (speed_max, rotation_max) = self.speed_max;
         let wanted = velocity.or_else(|| Some(within(led?, speed_max, rotation_max)));
         if follows {
-            self.ramp.step(wanted.unwrap_or_default(), dt);
+            let mecanum = &self.mecanum;
+            self.stage.step(wanted, |twist| mecanum.reach(twist), dt);
         } else {
-            self.ramp.rest();
+            self.stage.rest();
         }
-        let rpm = self.mecanum.rpm(self.ramp.velocity());
+        let rpm = self.mecanum.rpm(self.stage.velocity());
         let may_move = self.may_commutate && !commanded && !stopping;
         for (drive, rpm) in self.drives.iter_mut().zip(rpm) {
             // All turn or none: a base with three wheels goes where nobody wants it.
@@ -162,6 +164,9 @@ impl Base {
             DeviceStatus::SafeOperational
         };
         self.told.enter(status, tick.scheduled);
+        for (limited, held_back) in self.told.limited.iter_mut().zip(self.stage.limited()) {
+            *limited = *held_back;
+        }
         self.tell_base(status, wanted);
         let signals = &mut self.told.signals;
         let flags = self
@@ -201,7 +206,7 @@ impl Base {
         let signals = &mut self.told.signals;
         base.error.tell(signals, Some(error as i32));
         base.commanded
-            .tell(signals, wanted.map(|_| twist(self.ramp.velocity())));
+            .tell(signals, wanted.map(|_| twist(self.stage.velocity())));
         base.velocity.tell(signals, velocity.map(twist));
         base.pose.tell(signals, velocity.map(|_| pose));
         let wheels = base.wheels.iter().zip(rates).zip(self.odometry.wheels());
@@ -215,7 +220,7 @@ impl Base {
             let error = if refused { JointError::Refused } else { error };
             let goal = self.course.goal().unwrap_or_else(|| self.odometry.pose());
             let known = velocity.map(|velocity| twist(in_place(velocity, heading)));
-            let ramped = twist(in_place(self.ramp.velocity(), heading));
+            let ramped = twist(in_place(self.stage.velocity(), heading));
             cartesian.error.tell(signals, Some(error as i32));
             cartesian
                 .commanded_position

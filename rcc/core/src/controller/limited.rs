@@ -1,0 +1,128 @@
+//! What the last stages of devices held back: counters by name, and one line for the log at each onset. It bounds
+//! nothing; that is done in the drivers, cycle by cycle.
+
+use std::collections::BTreeMap;
+
+use crate::controller::Controller;
+use crate::controller::desk::Desk;
+use crate::device::last_stage::{Limited, Unit};
+use crate::device::{ARM_JOINTS_MAX, Device};
+
+/// What the last stage of a part of a device held back.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LimitedInfo {
+    /// `joint 3`, `floor` or `turning` of a base, `fingers` of a gripper.
+    pub part: String,
+    /// How often and what.
+    pub limited: Limited,
+    /// The unit of its position.
+    pub unit: Unit,
+}
+
+/// How many onsets were reported, by device and part.
+pub(super) type Reported = BTreeMap<String, [u64; ARM_JOINTS_MAX]>;
+
+/// The parts of a device with a last stage each, in the order of `DeviceState::limited`.
+fn parts(device: &Device) -> Vec<(String, Unit)> {
+    let joint = |n| (format!("joint {n}"), Unit::Angle);
+    if !device.limits.is_empty() {
+        (0..device.limits.len()).map(joint).collect()
+    } else if device.interfaces.base.is_some() {
+        vec![
+            ("floor".to_owned(), Unit::Length),
+            ("turning".to_owned(), Unit::Angle),
+        ]
+    } else if device.interfaces.gripper.is_some() {
+        vec![("fingers".to_owned(), Unit::Length)]
+    } else {
+        Vec::new()
+    }
+}
+
+/// The line for the log.
+fn line(part: &str, unit: Unit, limited: &Limited, onsets: u64) -> String {
+    let why = limited.last.map(|excess| excess.text(unit));
+    let times = if onsets > 1 {
+        format!(" ({onsets} times since the last line)")
+    } else {
+        String::new()
+    };
+    format!(
+        "{part} was limited by its last stage: {}{times}; slow the motion, or give set-points that change less at once",
+        why.unwrap_or_default()
+    )
+}
+
+impl Controller {
+    /// What the last stages of a device held back, part by part; nothing if there is no such device or nothing of it
+    /// moves.
+    #[must_use]
+    pub fn limited(&self, name: &str) -> Vec<LimitedInfo> {
+        let device = self.inner.lock().devices.find(name).cloned();
+        let Some(device) = device else {
+            return Vec::new();
+        };
+        let limited = device.limited();
+        let parts = parts(&device).into_iter().zip(limited);
+        let info = |((part, unit), limited)| LimitedInfo {
+            part,
+            limited,
+            unit,
+        };
+        parts.map(info).collect()
+    }
+}
+
+impl Desk {
+    /// The lines on what was limited since the last call, with the devices' names.
+    pub(super) fn look_at_limits(&mut self) -> Vec<(String, String)> {
+        let mut lines = Vec::new();
+        self.reported
+            .retain(|name, _| self.devices.find(name).is_some());
+        for (_, device) in self.devices.all() {
+            let limited = device.limited();
+            if limited.iter().all(|limited| limited.onsets == 0) {
+                // Also one that was made anew under the name of another.
+                self.reported.remove(&device.name);
+                continue;
+            }
+            let reported = self.reported.entry(device.name.clone()).or_default();
+            for (n, (part, unit)) in parts(device).into_iter().enumerate() {
+                let (Some(limited), Some(reported)) = (limited.get(n), reported.get_mut(n)) else {
+                    continue;
+                };
+                let onsets = limited.onsets.saturating_sub(*reported);
+                *reported = limited.onsets;
+                if onsets > 0 {
+                    lines.push((device.name.clone(), line(&part, unit, limited, onsets)));
+                }
+            }
+        }
+        lines
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use takt_net::JointLimits;
+
+    use super::*;
+    use crate::device::last_stage::LastStage;
+
+    #[test]
+    fn line_names_part_excess_and_remedy() {
+        let mut stage = LastStage::new(JointLimits {
+            position_min: -1.0,
+            position_max: 1.0,
+            velocity_max: 2.0,
+            acceleration_max: 4.0,
+        });
+        stage.track(0.001, 0.0, 1e-3);
+        let text = line("joint 3", Unit::Angle, stage.limited(), 2);
+        assert_eq!(
+            text,
+            "joint 3 was limited by its last stage: acceleration 1000.0000 rad/s² commanded, limit 4.0000 rad/s² \
+             (2 times since the last line); slow the motion, or give set-points that change less at once"
+        );
+    }
+}
