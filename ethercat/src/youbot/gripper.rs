@@ -11,6 +11,7 @@
 //!                      |                                   ^---------8 order--------+
 //!                      +-- 12 lost, 2 s later -- Failed(why) <--10 refused, or too long on the way to the stops-- any
 //! ```
+//! An order that is withdrawn on its way leads from Order over Stop, bar by bar, to Ready ([`Gripper::stop`]).
 //! 1 and 12 in [`Gripper::start`], 8 in [`Gripper::order`], 11 in [`Gripper::forget`], the others in [`Gripper::cycle`].
 //! Bars that did not reach their stops are not sent there again by themselves: what is in their way may be a hand.
 
@@ -70,6 +71,8 @@ pub enum GripperState {
     Order,
     /// Something is in its way: it presses, short of where it was told.
     Short,
+    /// A bar is stopped where it is.
+    Stop(u8),
     /// It cannot be used, since then.
     Failed(GripperError, Duration),
 }
@@ -130,7 +133,10 @@ impl Gripper {
     #[must_use]
     pub const fn is_ready(&self) -> bool {
         match self.state {
-            GripperState::Ready | GripperState::Order | GripperState::Short => true,
+            GripperState::Ready
+            | GripperState::Order
+            | GripperState::Short
+            | GripperState::Stop(_) => true,
             GripperState::Idle
             | GripperState::Setup(_)
             | GripperState::Ask
@@ -183,7 +189,8 @@ impl Gripper {
             | GripperState::Mark
             | GripperState::Ready
             | GripperState::Order
-            | GripperState::Short => {}
+            | GripperState::Short
+            | GripperState::Stop(_) => {}
         }
     }
 
@@ -202,6 +209,13 @@ impl Gripper {
         let steps = (distance / self.distance_max() * f64::from(self.config.steps)).round() as i32;
         self.go([-steps; 2], GripperState::Order, now);
         true
+    }
+
+    /// Stops the fingers where they are, if they are on their way because of an order.
+    pub fn stop(&mut self) {
+        if self.state == GripperState::Order {
+            self.state = GripperState::Stop(0);
+        }
     }
 
     fn go(&mut self, targets: [i32; 2], state: GripperState, now: Duration) {
@@ -272,6 +286,17 @@ impl Gripper {
             GripperState::Order => {
                 if self.travel(mailbox, now) {
                     self.state = GripperState::Ready;
+                }
+            }
+            GripperState::Stop(bar) => {
+                if self.call(mailbox, Request::stop_bar(bar), now).is_some() {
+                    // Where they came to rest is read again.
+                    self.counts = [None; 2];
+                    self.state = if bar == 0 {
+                        GripperState::Stop(1)
+                    } else {
+                        GripperState::Ready
+                    };
                 }
             }
         }

@@ -9,6 +9,7 @@ const DRIVE: u8 = 0;
 /// The gripper behind the last joint.
 const GRIPPER: u8 = 1;
 
+const MST: u8 = 3;
 const MVP: u8 = 4;
 const SAP: u8 = 5;
 const GAP: u8 = 6;
@@ -106,6 +107,12 @@ impl Request {
         Self::new(GRIPPER, MVP, 0, bar, steps)
     }
 
+    /// Stops a bar of the gripper where it is (MST).
+    #[must_use]
+    pub const fn stop_bar(bar: u8) -> Self {
+        Self::new(GRIPPER, MST, 0, bar, 0)
+    }
+
     /// Its bytes.
     #[must_use]
     pub const fn encode(self) -> [u8; Self::LEN] {
@@ -128,7 +135,7 @@ impl Request {
         }
         let [_, module, status, command, a, b, c, d] = *eight;
         let value = i32::from_be_bytes([a, b, c, d]);
-        let writes = matches!(self.command, SAP | SGP | MVP);
+        let writes = matches!(self.command, SAP | SGP | MVP | MST);
         if module != self.module || command != self.command {
             return Err(Refusal::Foreign);
         }

@@ -4,15 +4,16 @@
 
 pub mod figures;
 pub mod links;
+mod place;
 mod resources;
 pub mod rules;
 pub mod serve;
 pub mod stop;
 pub mod thread;
+mod withdraw;
 
 use std::sync::Arc;
 
-use std::cell::Cell;
 use std::ops::Range;
 
 use takt_net::device::Layout;
@@ -20,7 +21,7 @@ use takt_net::{Image, Moment, Plan};
 use takt_rt::Nanos;
 use takt_rt::latest::{LatestReader, LatestWriter};
 
-use crate::device::{DeviceStatus, Place};
+use crate::device::DeviceStatus;
 use crate::stop_channel::Generation;
 use figures::{NetCounters, RUNAWAY_AFTER};
 
@@ -111,7 +112,7 @@ pub struct Running {
     pub plan: Plan,
     /// What it needs for itself.
     pub resources: ResourceSet,
-    /// Devices it commands, with the faults they had when it started.
+    /// Devices it commands, with the faults they had when it started; until then, with their epoch when it was scheduled.
     pub devices: Vec<(usize, u64)>,
     /// It is evaluated in every so many cycles of its thread.
     every: u64,
@@ -129,8 +130,12 @@ pub struct Running {
     untold: bool,
     /// Whether a rule asked it to cancel, and nobody was told yet.
     fresh_cancel: bool,
+    /// Whether a rule started it in place of another, and it was not evaluated yet.
+    succeeds: bool,
     /// Whether it ends after this cycle, and why.
     end: Option<End>,
+    /// Whether what it commanded is withdrawn, or about to be.
+    leaves: bool,
     /// Whether it was evaluated in this cycle.
     evaluated: bool,
     /// The group of `every` cycles in which it was last looked at.
@@ -178,7 +183,9 @@ impl Running {
             fresh: false,
             untold: false,
             fresh_cancel: false,
+            succeeds: false,
             end: None,
+            leaves: false,
             evaluated: false,
             last_group: None,
             out,
@@ -266,6 +273,10 @@ pub struct Executor {
     pub devices: Vec<DeviceView>,
     running: Vec<Box<Running>>,
     rules: rules::Rules,
+    /// By device: how often its faults changed, or it began to follow commands.
+    epochs: Vec<u64>,
+    /// Whether an epoch changed since scheduled nets were checked.
+    epochs_changed: bool,
     /// What the nets that run may cost together in a cycle, by what they declare.
     budget: Nanos,
     /// How many joints of the image belong to a device.
@@ -274,6 +285,7 @@ pub struct Executor {
     used: Layout,
     /// Commands of devices that came into use before this cycle, to be recorded.
     fresh: Vec<Range<usize>>,
+    leaving: withdraw::Leaving,
 }
 
 impl Default for Executor {
@@ -283,10 +295,13 @@ impl Default for Executor {
             devices: Vec::with_capacity(DEVICES_MAX),
             running: Vec::with_capacity(PLACES),
             rules: rules::Rules::new(),
+            epochs: vec![0; DEVICES_MAX],
+            epochs_changed: false,
             budget: Nanos::MAX,
             joints: 0,
             used: Layout::default(),
             fresh: Vec::with_capacity(DEVICES_MAX),
+            leaving: withdraw::Leaving::default(),
         }
     }
 }
@@ -329,69 +344,6 @@ impl Executor {
         }
         self.running.push(net);
         Ok(())
-    }
-
-    /// Puts the first so many joints of the image into use.
-    pub fn use_joints(&mut self, joints: usize) {
-        self.joints = self.joints.max(joints).min(self.image.joints.len());
-    }
-
-    /// Puts the place of a device into use; what lay there of another device is gone.
-    pub fn use_place(&mut self, place: &Place) {
-        self.use_joints(place.first_joint + place.joints);
-        self.use_words(place.signals.end, place.commands.end);
-        let signals = self.image.signals.get(place.signals.clone());
-        signals.into_iter().flatten().for_each(|word| word.set(0));
-        self.use_commands(place.commands.clone());
-    }
-
-    /// Puts the first so many words of the image into use.
-    pub(crate) fn use_words(&mut self, signals: usize, commands: usize) {
-        self.used.signals = self.used.signals.max(signals);
-        self.used.commands = self.used.commands.max(commands);
-    }
-
-    /// Forgets what was commanded in these words.
-    pub(crate) fn use_commands(&mut self, commands: Range<usize>) {
-        let words = self.image.commands.get(commands.clone());
-        words.into_iter().flatten().for_each(|word| word.set(0));
-        // There are never more than devices in one cycle; a push would allocate beyond that.
-        if self.fresh.len() < self.fresh.capacity() {
-            self.fresh.push(commands);
-        }
-    }
-
-    /// Says how a device is.
-    pub fn set_device(&mut self, number: usize, view: DeviceView) {
-        while self.devices.len() <= number && self.devices.len() < DEVICES_MAX {
-            self.devices.push(DeviceView::default());
-        }
-        if let Some(device) = self.devices.get_mut(number) {
-            *device = view;
-        }
-    }
-
-    /// The joints in use.
-    #[must_use]
-    pub fn joints(&self) -> &[takt_net::device::Joint] {
-        &self.image.joints[..self.joints]
-    }
-
-    /// The words in use of what drivers report beside joints.
-    pub(crate) fn signals(&self) -> &[Cell<u64>] {
-        let signals = &self.image.signals;
-        &signals[..self.used.signals.min(signals.len())]
-    }
-
-    /// The words in use of what nets command beside joints.
-    pub(crate) fn commands(&self) -> &[Cell<u64>] {
-        let commands = &self.image.commands;
-        &commands[..self.used.commands.min(commands.len())]
-    }
-
-    /// Commands of devices that came into use since the last cycle.
-    pub(crate) fn fresh(&self) -> &[Range<usize>] {
-        &self.fresh
     }
 
     /// Asks a net to cancel; the next cycle tells it. Returns whether it runs.
@@ -440,8 +392,15 @@ impl Executor {
         held
     }
 
-    /// Takes in a net whose right to run was checked before.
+    /// Takes in a net whose right to run was checked before. Until its first cycle it keeps up what nets commanded
+    /// that end as it starts.
     pub fn start_by_rule(&mut self, mut net: Box<Running>) {
+        net.succeeds = true;
+        self.start_checked(net);
+    }
+
+    /// Takes in a net whose right to run was checked before, and that takes nothing over.
+    pub fn start_checked(&mut self, mut net: Box<Running>) {
         for device in &mut net.devices {
             device.1 = self.devices.get(device.0).map_or(0, |view| view.faults);
         }
@@ -479,7 +438,8 @@ impl Executor {
         &mut self.running
     }
 
-    /// Evaluates one cycle of all nets. What they command is then in the image.
+    /// Evaluates one cycle of all nets. What they command is then in the image; what nets commanded that ended before
+    /// this cycle is not, unless others command it.
     pub fn cycle(&mut self, moment: Moment) {
         self.cycle_timed(moment, || Nanos::ZERO);
     }
@@ -503,17 +463,20 @@ impl Executor {
                     every: net.every,
                     cancel: net.cancel,
                     takeover: net.takeover,
+                    net: net.id,
                     ..moment
                 };
                 if net.plan.evaluate(&self.image, moment) {
                     net.end = Some(End::Terminated);
                 }
+                net.take_over(&self.image, moment.cycle);
                 net.links.record(&net.plan, moment.time);
                 let after = clock();
                 net.account(after - before);
                 before = after;
             }
         }
+        self.withdraw_ended();
     }
 
     /// Notes, with the nets that were evaluated, that the cycle ended too late.
@@ -569,7 +532,8 @@ impl Executor {
         let Some(at) = self.running.iter().position(|net| net.end.is_some()) else {
             return false;
         };
-        let net = self.running.remove(at);
+        let mut net = self.running.remove(at);
+        self.leaving.note(&mut net);
         let end = net.end.unwrap_or(End::Aborted);
         match take(net, end) {
             Ok(()) => true,

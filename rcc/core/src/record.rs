@@ -58,6 +58,13 @@ impl Tap {
         }
     }
 
+    /// A rule has a net run from the next cycle on, in place of those that end.
+    pub fn succeeded(&mut self, id: u32) {
+        if let Some(words) = self.words() {
+            words.succeeded(id);
+        }
+    }
+
     /// A net is asked to cancel.
     pub fn cancelled(&mut self, id: u32) {
         if let Some(words) = self.words() {
@@ -121,11 +128,15 @@ impl Tap {
         }
     }
 
-    /// What the cycle commands; ends its entry.
+    /// What the cycle commands.
     pub fn outputs(&mut self, moment: Moment, executor: &Executor) {
         if let Some(words) = self.words() {
             words.outputs(moment, executor);
         }
+    }
+
+    /// Ends the cycle's entry.
+    pub fn finish(&mut self) {
         self.skips = false;
         // A buffer is never dropped here: freeing it would not be real time.
         let spare = match self.current.take().map(Words::finish) {

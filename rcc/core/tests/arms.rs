@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use common::{Cell, Robot, swing};
 use takt_core::cell::{ControllerConfig, DeviceConfig, LwrConfig, NetThreadSettings};
-use takt_core::controller::{ClockInfo, NetState};
+use takt_core::controller::{ClockInfo, NetState, RuleRequest};
 use takt_core::device::DeviceStatus;
 use takt_core::{CellConfig, Controller};
 use takt_rt::servo::State;
@@ -64,6 +64,44 @@ fn a_robot_that_vanishes_ends_its_net_and_no_other() {
         assert!(ended.contains("left ceased to follow commands"), "{ended}");
         assert_eq!(cell.wait_for_end(right).end, None);
     });
+}
+
+/// How a slow net is ended.
+#[derive(Clone, Copy, Debug)]
+enum Ending {
+    Abort,
+    Rule,
+}
+
+#[test]
+fn slow_net_ends_lwr_brakes_at_once() {
+    for ending in [Ending::Abort, Ending::Rule] {
+        steady(|| {
+            let cell = Cell::new(&["left"]);
+            let before = cell.position("left", 6);
+            // At its fastest 0.04 rad/s, with a set-point each second.
+            let net = cell.load_every(&swing("left", 20.0), Duration::from_secs(1));
+            cell.controller.start_net(net).unwrap();
+            cell.wait("the arm well under way", |_| {
+                (cell.position("left", 6) - before).abs() > 0.03 || cell.is_over(net)
+            });
+            match ending {
+                Ending::Abort => cell.controller.abort(net).unwrap(),
+                Ending::Rule => {
+                    let request = RuleRequest {
+                        condition: "t".to_owned(),
+                        stop: vec![net],
+                        ..RuleRequest::default()
+                    };
+                    cell.controller.schedule(request).unwrap();
+                }
+            }
+            let _ended = cell.wait_for_end(net);
+            let ended = cell.position("left", 6);
+            let rest = cell.at_rest("left", 6);
+            assert!((rest - ended).abs() < 0.01, "{ending:?}: {ended} to {rest}");
+        });
+    }
 }
 
 #[test]

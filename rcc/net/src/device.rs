@@ -2,6 +2,7 @@
 //! after each cycle by the thread that evaluates nets. No driver and no wire is known here.
 
 pub mod interface;
+mod owner;
 mod signal;
 
 use std::cell::Cell;
@@ -15,7 +16,10 @@ pub use interface::{
     Answer, Base, CartesianImpedance, CartesianPosition, Gripper, Interfaces, Io, JointImpedance,
     JointTorque, Order, Output, Tool, Wheel,
 };
-pub use signal::{COMMAND_WORDS_MAX, Command, Given, Layout, SIGNAL_WORDS_MAX, Signal, Words};
+pub use owner::Target;
+pub use signal::{
+    COMMAND_WORDS_MAX, Command, Given, Layout, SIGNAL_WORDS_MAX, Signal, Words, standing, withhold,
+};
 
 /// Most joints in the image; the sum over all robot arms.
 pub const JOINTS_MAX: usize = 512;
@@ -58,10 +62,20 @@ pub enum JointError {
 pub struct JointCommand {
     /// The cycle it was given in, as in `Moment::cycle`; 0 is "never".
     pub cycle: u64,
-    /// In how many cycles of the thread its net gives one; it stands until then.
+    /// In how many cycles of the thread its net gives one; it stands until then. 0 once it was withdrawn.
     pub every: u64,
     /// Position, rad.
     pub position: f64,
+    /// The net that gave it; `None` for none that runs.
+    pub net: Option<u32>,
+}
+
+impl JointCommand {
+    /// Whether it holds in this cycle: it was given in it, or the next of its net is not due yet.
+    #[must_use]
+    pub const fn stands(&self, cycle: u64) -> bool {
+        cycle.saturating_sub(self.cycle) < self.every
+    }
 }
 
 /// One joint in the image.
@@ -117,6 +131,8 @@ pub struct Image {
     pub signals: Box<[Cell<u64>]>,
     /// What else nets command, in the places of [`Command`]s.
     pub commands: Box<[Cell<u64>]>,
+    /// By the first word of each command, the net that gave it.
+    pub owners: Box<[Cell<Option<u32>>]>,
     /// What nets say of the emergency stop.
     pub stop: Cell<StopVote>,
 }
@@ -127,6 +143,7 @@ impl Default for Image {
             joints: (0..JOINTS_MAX).map(|_| Joint::default()).collect(),
             signals: (0..SIGNAL_WORDS_MAX).map(|_| Cell::new(0)).collect(),
             commands: (0..COMMAND_WORDS_MAX).map(|_| Cell::new(0)).collect(),
+            owners: (0..COMMAND_WORDS_MAX).map(|_| Cell::new(None)).collect(),
             stop: Cell::default(),
         }
     }

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use crate::cost::NetCost;
 use crate::definition::Primitive;
-use crate::device::Image;
+use crate::device::{Image, Target};
 use crate::netcomm::{Directory, Inter, Mailbox};
 use crate::slots::{In, SlotRef, Slots};
 use crate::taps::Taps;
@@ -28,6 +28,8 @@ pub struct Moment {
     pub cancel: bool,
     /// Whether a successor is scheduled.
     pub takeover: bool,
+    /// The number of the net that is evaluated: what it commands is its own, and ends with it.
+    pub net: u32,
 }
 
 /// What a primitive sees while it steps.
@@ -100,6 +102,7 @@ pub struct Plan {
     pub(crate) inter_outs: Box<[Inter]>,
     pub(crate) taps: Taps,
     pub(crate) resources: Box<[String]>,
+    pub(crate) commands: Box<[Target]>,
     pub(crate) period: Duration,
     pub(crate) primitives: usize,
     /// Cycles evaluated so far.
@@ -201,6 +204,12 @@ impl Plan {
     #[must_use]
     pub fn resources(&self) -> &[String] {
         &self.resources
+    }
+
+    /// What the net may command.
+    #[must_use]
+    pub fn commands(&self) -> &[Target] {
+        &self.commands
     }
 
     /// Devices that the net commands.

@@ -81,6 +81,30 @@ fn fingers_on_a_thing_press_and_take_the_next_order() {
 }
 
 #[test]
+fn gripper_stopped_on_its_way_stays_there() {
+    let mut lead = Lead::ready(Firmware::V200);
+    lead.gripper.start(lead.rig.now);
+    lead.until(12_000, |lead| lead.gripper.is_ready());
+    let before = truth(&lead);
+    assert!(lead.gripper.order(0.02, lead.rig.now));
+    lead.until(4000, |lead| truth(lead) > before + 0.002);
+    lead.gripper.stop();
+    lead.until(100, |lead| lead.gripper.state() == GripperState::Ready);
+    let rest = truth(&lead);
+    assert!(rest < 0.015, "{rest}");
+    lead.cycles(2000);
+    assert!((truth(&lead) - rest).abs() < 1e-9, "it moves on");
+    let distance = lead.gripper.distance().unwrap();
+    assert!((distance - rest).abs() < 1e-3, "{distance} is not {rest}");
+    assert!(
+        lead.gripper.order(0.02, lead.rig.now),
+        "it takes the next one"
+    );
+    lead.until(4000, |lead| lead.gripper.state() == GripperState::Ready);
+    assert!((truth(&lead) - 0.02).abs() < 1e-3);
+}
+
+#[test]
 fn only_a_mailbox_that_failed_is_tried_again_after_two_seconds() {
     let now = Duration::from_secs(100);
     let lost = CallError::Lost(JobError::Timeout(Duration::from_secs(1)));

@@ -16,7 +16,9 @@ use crate::controller::threads::busy;
 use crate::controller::{Controller, NetId, NetState};
 use crate::error::Error;
 use crate::executor::rules::shared::{Part, Shared};
-use crate::executor::rules::{Literal, Orders, Question, Rule, RuleRefusal, RuleState, Step};
+use crate::executor::rules::{
+    Failure, Literal, Orders, Question, Rule, RuleRefusal, RuleState, Step,
+};
 use crate::executor::thread::Command;
 
 /// Longest condition, bytes.
@@ -79,6 +81,8 @@ pub struct RuleInfo {
     pub request: RuleRequest,
     /// What became of it.
     pub state: RuleState,
+    /// Why it failed to fire, and what to do.
+    pub why: Option<String>,
 }
 
 /// A rule at the desk.
@@ -88,6 +92,7 @@ pub(super) struct RuleEntry {
     /// What its condition asks: nets and keys.
     asked: Vec<(NetId, String)>,
     pub(super) state: RuleState,
+    why: Option<String>,
     /// What it does as a succession of nets.
     pub(super) succession: Succession,
     /// Set while net threads have not answered, and then to their answer.
@@ -143,6 +148,7 @@ impl Controller {
             id,
             request: entry.request.clone(),
             state: entry.state,
+            why: entry.why.clone(),
         })
     }
 
@@ -165,6 +171,7 @@ impl Controller {
             id: *id,
             request: entry.request.clone(),
             state: entry.state,
+            why: entry.why.clone(),
         };
         entries.map(info).collect()
     }
@@ -212,6 +219,7 @@ impl Desk {
             request,
             asked: asked.collect(),
             state: RuleState::Active,
+            why: None,
             succession,
             adding: Some(None),
             unanswered: threads.len(),
@@ -475,9 +483,11 @@ impl Desk {
         if state != RuleState::Fired {
             self.release(rule);
         }
+        let why = rule.failure.map(|failure| self.failure(failure));
         let Some(entry) = self.rules.get_mut(&RuleId(rule.id)) else {
             return;
         };
+        entry.why = entry.why.take().or(why);
         entry.outcome = worse(entry.outcome, state);
         entry.waiting = entry.waiting.saturating_sub(1);
         if entry.waiting > 0 {
@@ -485,7 +495,37 @@ impl Desk {
         }
         entry.state = entry.outcome;
         if entry.state == RuleState::FireFailed {
-            tracing::warn!(rule = rule.id, "rule could not start its nets");
+            let why = entry
+                .why
+                .as_deref()
+                .unwrap_or("a net of another thread could not start");
+            tracing::warn!(rule = rule.id, why, "rule could not start its nets");
+        }
+    }
+
+    /// Why a rule did not start its nets, for people.
+    fn failure(&self, failure: Failure) -> String {
+        let device = |number: usize| {
+            let device = self.devices.get(number);
+            device.map_or_else(|| number.to_string(), |device| device.name.clone())
+        };
+        match failure {
+            Failure::DeviceChanged(number) => format!(
+                "device `{}` had a fault or an emergency stop, or began to follow commands, after the net was scheduled; \
+                 schedule it again",
+                device(number)
+            ),
+            Failure::DeviceNotReady(number) => {
+                format!("device `{}` does not follow commands", device(number))
+            }
+            Failure::ResourceInUse(number) => {
+                format!("another net holds `{}`", self.resource_name(number))
+            }
+            Failure::NotWaiting(net) => format!("{} was started or taken away before", NetId(net)),
+            Failure::TooMany => "too many nets run".to_owned(),
+            Failure::Overload => {
+                "all nets together would cost more in a cycle than nets may".to_owned()
+            }
         }
     }
 

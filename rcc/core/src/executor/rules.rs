@@ -77,6 +77,23 @@ pub enum RuleState {
     Inactive,
 }
 
+/// Why a rule whose condition became true, or could become so, did not start its nets.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Failure {
+    /// This device had a fault or an emergency stop, or began to follow commands, after the net was scheduled.
+    DeviceChanged(usize),
+    /// This device does not follow commands.
+    DeviceNotReady(usize),
+    /// Another running net holds this resource.
+    ResourceInUse(usize),
+    /// This net does not wait for it any more.
+    NotWaiting(u32),
+    /// Too many nets run.
+    TooMany,
+    /// All nets together would cost more in a cycle than nets may.
+    Overload,
+}
+
 /// What a rule does to nets of one thread.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Orders {
@@ -105,6 +122,8 @@ pub struct Rule {
     pub requested: Generation,
     /// What became of it.
     pub state: RuleState,
+    /// Why it failed, if the reason lies in this thread.
+    pub failure: Option<Failure>,
     /// What the nets that it starts need: kept for them.
     reserved: ResourceSet,
     /// The slots of the nets it names, while it waits: of literals, then of nets to stop, cancel, start.
@@ -165,6 +184,7 @@ impl Rule {
             part: None,
             requested: Generation::default(),
             state: RuleState::Active,
+            failure: None,
             reserved: ResourceSet::default(),
             slots: vec![0; named].into_boxed_slice(),
             changed: true,
@@ -395,6 +415,19 @@ impl Rules {
         for (at, net) in self.scheduled.iter().enumerate() {
             self.roll.seat_scheduled(net.id, at);
         }
+    }
+
+    /// Whether a rule that is decided in several threads may still start a net here in place of this one.
+    pub(super) fn may_still_succeed(&self, id: u32) -> bool {
+        let Some(slot) = self.roll.find(id) else {
+            return false;
+        };
+        self.waiting.iter().any(|rule| {
+            rule.state == RuleState::Active
+                && rule.part.is_some()
+                && !rule.orders.start.is_empty()
+                && rule.followed().contains(&slot)
+        })
     }
 
     /// Takes a scheduled net out of its place.

@@ -1,6 +1,8 @@
 //! The devices that one net thread serves: what drivers told goes into the image before a cycle,
 //! what nets commanded goes to drivers after it. It starts no driver and decides nothing.
 
+mod gate;
+
 use takt_net::Moment;
 use takt_net::device::JointError;
 use takt_rt::Nanos;
@@ -9,6 +11,7 @@ use takt_rt::stats::Recorder;
 
 use crate::device::sim::Simulated;
 use crate::device::{DeviceCommand, DeviceState, Place, SetPoint};
+use crate::executor::serve::gate::Gate;
 use crate::executor::stop::StopPart;
 use crate::executor::{DEVICES_MAX, DeviceView, Executor};
 
@@ -20,6 +23,7 @@ pub struct DeviceEnd {
     driver: Driver,
     /// What nets command to it.
     command: DeviceCommand,
+    gate: Gate,
 }
 
 impl DeviceEnd {
@@ -27,11 +31,13 @@ impl DeviceEnd {
     #[must_use]
     pub fn new(number: usize, place: Place, driver: Driver) -> Self {
         let command = DeviceCommand::new(place.commands.len());
+        let gate = Gate::new(place.commands.len());
         Self {
             number,
             place,
             driver,
             command,
+            gate,
         }
     }
 
@@ -150,6 +156,13 @@ impl Served {
                 continue;
             }
             let commanded = collect(&mut end.command, &end.place, executor, at, self.period);
+            let DeviceEnd {
+                command,
+                place,
+                gate,
+                ..
+            } = &mut **end;
+            gate.pass(command, place, &executor.image, self.stop.is_on());
             let given = &end.command;
             match &mut end.driver {
                 Driver::Cells { command, .. } => command.write_with(|slot| slot.copy_from(given)),
@@ -168,6 +181,46 @@ impl Served {
             self.hand_over.record(last - first);
         }
     }
+
+    /// Hands over, after [`Self::write`] in the same cycle, that commands were withdrawn.
+    pub fn retract(&mut self, executor: &Executor) {
+        for end in self.ends.iter_mut().flatten() {
+            if matches!(end.driver, Driver::Seen { .. })
+                || !retract(&mut end.command, &end.place, executor)
+            {
+                continue;
+            }
+            let DeviceEnd {
+                command,
+                place,
+                gate,
+                ..
+            } = &mut **end;
+            gate.pass(command, place, &executor.image, self.stop.is_on());
+            if let Driver::Cells { command, .. } = &mut end.driver {
+                let given = &end.command;
+                command.write_with(|slot| slot.copy_from(given));
+            }
+        }
+    }
+}
+
+/// Takes what was withdrawn since [`collect`] out of what nets command to a device; returns whether there was anything.
+fn retract(command: &mut DeviceCommand, place: &Place, executor: &Executor) -> bool {
+    let mut changed = false;
+    let joints = &executor.image.joints[place.first_joint..][..place.joints];
+    for (joint, set_points) in joints.iter().zip(&mut command.joints) {
+        if set_points.active && joint.command.get().every == 0 {
+            set_points.advance(None);
+            changed = true;
+        }
+    }
+    let cells = &executor.image.commands[place.commands.clone()];
+    for (word, cell) in command.words.iter_mut().zip(cells) {
+        changed |= *word != cell.get();
+        *word = cell.get();
+    }
+    changed
 }
 
 /// Puts a device's state into the image.
@@ -210,10 +263,10 @@ fn collect(
     let joints = &executor.image.joints[place.first_joint..][..place.joints];
     for (joint, set_points) in joints.iter().zip(&mut command.joints) {
         let wanted = joint.command.get();
-        let given = wanted.cycle == cycle;
+        let given = wanted.cycle == cycle && wanted.every > 0;
         commanded |= given;
-        // A set-point of a slower net stands until that net gives the next.
-        if given || cycle - wanted.cycle >= wanted.every {
+        // A set-point of a slower net stands until that net gives the next, or ends.
+        if given || !wanted.stands(cycle) {
             let position = wanted.position;
             set_points.advance(given.then_some(SetPoint { time, position }));
             set_points.period = Nanos(period.0 * wanted.every.max(1).cast_signed());

@@ -299,10 +299,17 @@ impl Cycle {
         if !self.executor.running().is_empty() && (self.clock)() >= slot.end {
             self.executor.overran();
         }
+        if let Some(tap) = &mut self.tap {
+            tap.outputs(moment, &self.executor);
+        }
+        // Before anyone learns that a net has ended, and after it was seen who follows it.
+        if self.executor.withdraw() {
+            self.served.retract(&self.executor);
+        }
         self.hand_back();
         self.tell_rules();
         if let Some(tap) = &mut self.tap {
-            tap.outputs(moment, &self.executor);
+            tap.finish();
         }
     }
 
@@ -437,7 +444,7 @@ impl Cycle {
                     Effect::RanAway => tap.ran_away(id),
                     Effect::Stopped => tap.stopped(id),
                     Effect::Cancelled => tap.cancelled(id),
-                    Effect::Started => tap.started(id),
+                    Effect::Started => tap.succeeded(id),
                 }
             }
             if effect == Effect::Cancelled {

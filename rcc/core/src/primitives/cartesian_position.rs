@@ -60,6 +60,7 @@ fn position(b: &mut Build<'_, '_>) -> Result<Position, Fault> {
     if interfaces.is_some_and(|has| has.base.is_some()) {
         b.claim(&robot, format!("{robot}_Base"));
     }
+    b.commands(device.command.target());
     Ok(Position {
         position: b.input("inPosition")?,
         device,

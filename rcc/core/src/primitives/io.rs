@@ -60,6 +60,7 @@ fn write<T: TextValue + Words>(
     let device = b.text("DeviceID").to_owned();
     let port: i32 = b.value("Port")?;
     b.claim(&device, format!("{device}_{resource}_{port}"));
+    b.commands(output.command.target());
     Ok(Write {
         value: b.input("inIO")?,
         output,

@@ -45,6 +45,7 @@ pub(super) fn strategy(b: &mut Build<'_, '_>) -> Result<Standing<i32>, Fault> {
     let order: Order<i32> = b.interface("Robot", kind, |has| has.strategy)?;
     let robot = b.text("Robot").to_owned();
     b.hold(format!("{robot}_ControlStrategy"));
+    b.commands(order.command.target());
     Ok(Standing::new(order))
 }
 
@@ -90,6 +91,7 @@ pub(super) fn joint_impedance(
     let axis = b.number(axis, 0..=orders.len().saturating_sub(1))?;
     let robot = b.text("Robot").to_owned();
     b.hold(format!("{robot}_JointImp_{axis}"));
+    b.commands(orders[axis].command.target());
     Ok(Standing::new(orders[axis]))
 }
 
@@ -131,6 +133,7 @@ fn cart_imp_parameters(b: &mut Build<'_, '_>) -> Result<CartImpParameters, Fault
     let order = b.interface("Robot", kind, |has| has.cartesian_impedance)?;
     let robot = b.text("Robot").to_owned();
     b.hold(format!("{robot}_CartImp"));
+    b.commands(order.command.target());
     Ok(CartImpParameters {
         stiffness: b.input("inStiffness")?,
         damping: b.input("inDamping")?,

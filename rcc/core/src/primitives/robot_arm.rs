@@ -1,7 +1,7 @@
 //! `RobotArm::*`: joints of any robot arm.
 
 use takt_net::definition::port;
-use takt_net::device::{JointCommand, JointLimits, JointState, Order, Tool};
+use takt_net::device::{JointCommand, JointLimits, JointState, Order, Target, Tool};
 use takt_net::{
     ArmBinding, Build, Cycle, Definition, Fault, Frame, In, NullRule, Out, Primitive, Vector,
 };
@@ -44,6 +44,7 @@ impl Primitive for JointPosition {
                 cycle: cycle.moment.cycle,
                 every: cycle.moment.every.max(1),
                 position,
+                net: Some(cycle.moment.net),
             });
         }
         self.error.set(cycle, error);
@@ -65,6 +66,7 @@ fn joint_position(b: &mut Build<'_, '_>) -> Result<JointPosition, Fault> {
     let robot = b.text("Robot").to_owned();
     b.claim(&robot, format!("{robot}_Joint_{axis}"));
     b.claim(&robot, format!("{robot}_ToolParam_{axis}"));
+    b.commands(Target::Joint(arm.first_joint + axis));
     Ok(JointPosition {
         position: b.input("inPosition")?,
         joint: arm.first_joint + axis,
@@ -198,6 +200,7 @@ pub(super) fn tell_tool<C: CentreOfMass + takt_net::value::text::TextValue>(
     let joints = b.arm(robot)?.limits.len();
     let name = b.text(robot).to_owned();
     b.hold(format!("{name}_ToolParam_{}", joints.saturating_sub(1)));
+    b.commands(order.command.target());
     Ok(TellTool {
         mass: b.input("inMass")?,
         com: b.input("inCOM")?,

@@ -59,6 +59,7 @@ fn base_velocity(b: &mut Build<'_, '_>) -> Result<BaseVelocity, Fault> {
     let base = base(b)?;
     let robot = b.text("Robot").to_owned();
     b.claim(&robot, format!("{robot}_Base"));
+    b.commands(base.command.target());
     Ok(BaseVelocity {
         velocity: b.input("inVel")?,
         base,

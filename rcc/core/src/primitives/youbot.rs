@@ -95,6 +95,7 @@ fn gripper(b: &mut Build<'_, '_>) -> Result<Gripper, Fault> {
     }
     let robot = b.text("Robot").to_owned();
     b.claim(&robot, format!("{robot}_Gripper"));
+    b.commands(device.order.command.target());
     Ok(Gripper {
         distance,
         order: Standing::new(device.order),

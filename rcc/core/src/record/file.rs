@@ -135,7 +135,7 @@ impl Writer {
             .map_err(failed)?;
         let metadata = BTreeMap::new();
         let words = mcap
-            .add_schema("takt.words.2", "takt", b"")
+            .add_schema("takt.words.3", "takt", b"")
             .map_err(failed)?;
         let cycles = mcap
             .add_channel(words, CYCLES, "takt", &metadata)

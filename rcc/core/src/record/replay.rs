@@ -181,24 +181,34 @@ impl<'r> Stage<'r> {
             self.enter(entry, &mut words)?;
         }
         let moment = moment.ok_or_else(|| self.broken("a cycle has no inputs"))?;
+        words.outputs(moment, &self.executor);
         while self.executor.take_ended(|net, end| {
             words.ended(net.id, end);
             Ok(())
         }) {}
-        words.outputs(moment, &self.executor);
         words
             .finish()
             .map_err(|_| self.broken("a cycle is too large"))
+    }
+
+    /// A net that starts now.
+    fn net(&mut self, id: u32) -> Result<Box<Running>, Error> {
+        let net = self.nets.remove(&id);
+        net.ok_or_else(|| self.broken("a net starts that is not in it"))
     }
 
     /// Does what an entry says and writes it anew.
     fn enter(&mut self, entry: Entry<'_>, words: &mut Words) -> Result<(), Error> {
         match entry {
             Entry::Started(id) => {
-                let net = self.nets.remove(&id);
-                let net = net.ok_or_else(|| self.broken("a net starts that is not in it"))?;
-                self.executor.start_by_rule(net);
+                let net = self.net(id)?;
+                self.executor.start_checked(net);
                 words.started(id);
+            }
+            Entry::Succeeded(id) => {
+                let net = self.net(id)?;
+                self.executor.start_by_rule(net);
+                words.succeeded(id);
             }
             Entry::Cancelled(id) => {
                 self.executor.cancel(id);

@@ -18,6 +18,7 @@ mod kind {
     pub(super) const STOPPED: u64 = 9;
     pub(super) const TAKEOVER: u64 = 10;
     pub(super) const RAN_AWAY: u64 = 11;
+    pub(super) const SUCCEEDED: u64 = 12;
 }
 
 /// A cycle being written into a buffer whose capacity is its bound.
@@ -60,6 +61,10 @@ impl Words {
 
     pub(super) fn started(&mut self, id: u32) {
         self.entry([kind::STARTED, id.into()]);
+    }
+
+    pub(super) fn succeeded(&mut self, id: u32) {
+        self.entry([kind::SUCCEEDED, id.into()]);
     }
 
     pub(super) fn cancelled(&mut self, id: u32) {
@@ -169,6 +174,7 @@ const fn status_word(status: DeviceStatus) -> u64 {
 #[derive(Debug)]
 pub(super) enum Entry<'w> {
     Started(u32),
+    Succeeded(u32),
     Cancelled(u32),
     Aborted(u32),
     Stopped(u32),
@@ -257,6 +263,7 @@ impl<'w> Reader<'w> {
     fn entry(&mut self, kind: u64) -> Option<Entry<'w>> {
         Some(match kind {
             kind::STARTED => Entry::Started(self.id()?),
+            kind::SUCCEEDED => Entry::Succeeded(self.id()?),
             kind::CANCELLED => Entry::Cancelled(self.id()?),
             kind::ABORTED => Entry::Aborted(self.id()?),
             kind::STOPPED => Entry::Stopped(self.id()?),
@@ -298,6 +305,7 @@ impl<'w> Reader<'w> {
             every: 1,
             cancel: false,
             takeover: false,
+            net: 0,
         };
         let devices = self.body(devices.checked_mul(2)?)?;
         let joints = self.body(joints.checked_mul(JOINT_WORDS as u64)?)?;

@@ -186,7 +186,7 @@ impl Cell {
     }
 
     /// Where a joint is once it has not moved for a quarter of a second, rad.
-    fn at_rest(&self, arm: &str, joint: usize) -> f64 {
+    pub fn at_rest(&self, arm: &str, joint: usize) -> f64 {
         let mut rest = (self.position(arm, joint), Instant::now());
         let until = rest.1 + Duration::from_secs(5);
         while rest.1.elapsed() < Duration::from_millis(250) && Instant::now() < until {

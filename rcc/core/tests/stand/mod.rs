@@ -12,7 +12,9 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use takt_core::device::{DeviceDescription, DevicePorts, DeviceState, DeviceTable, sim};
+use takt_core::executor::rules::{Failure, Literal, Orders, Question, Rule, RuleState, Step};
 use takt_core::executor::serve::{DeviceEnd, Driver, Served};
+use takt_core::executor::stop::{EmergencyStop, StopPart};
 use takt_core::executor::{End, Executor, Refusal, ResourceSet, Running};
 use takt_net::netcomm::{Directory, OutStatus};
 use takt_net::{Limits, LoadContext, Moment, Nanos, Registry, Rejection, load};
@@ -36,19 +38,27 @@ pub struct Stand {
     resources: BTreeMap<String, usize>,
     nets: BTreeMap<u32, Seen>,
     pub ended: BTreeMap<u32, End>,
+    /// Rules that no longer wait: what became of them, and why.
+    pub rules: BTreeMap<u32, (RuleState, Option<Failure>)>,
+    /// The part of another thread in the emergency stop.
+    stop: StopPart,
 }
 
 impl Default for Stand {
     fn default() -> Self {
+        let stop = std::sync::Arc::new(EmergencyStop::new(false));
+        let own = StopPart::new(std::sync::Arc::clone(&stop), 0);
         Self {
             table: DeviceTable::default(),
             executor: Executor::default(),
-            served: Served::new(PERIOD.into(), Recorder::new()),
+            served: Served::new(PERIOD.into(), Recorder::new()).under(own),
             cycle: 0,
             registry: takt_core::registry(),
             resources: BTreeMap::new(),
             nets: BTreeMap::new(),
             ended: BTreeMap::new(),
+            rules: BTreeMap::new(),
+            stop: StopPart::new(stop, 1),
         }
     }
 }
@@ -131,6 +141,11 @@ impl Stand {
 
     /// Starts a net that is evaluated in every so many cycles.
     pub fn try_start(&mut self, id: u32, text: &str, every: u64) -> Result<(), Refusal> {
+        let running = self.make(id, text, every);
+        self.executor.start(running).map_err(|(_, refusal)| refusal)
+    }
+
+    fn make(&mut self, id: u32, text: &str, every: u64) -> Box<Running> {
         let plan = self
             .load(text)
             .unwrap_or_else(|r| panic!("{}", r.render("net", text)));
@@ -151,7 +166,55 @@ impl Stand {
         (running.resources, running.devices) = (resources, devices);
         running.set_every(every);
         self.nets.insert(id, Seen { directory, out });
-        self.executor.start(running).map_err(|(_, refusal)| refusal)
+        running
+    }
+
+    /// Has a rule start a net when another one has ended by itself, or now if there is none.
+    pub fn start_after(&mut self, predecessor: Option<u32>, id: u32, text: &str, every: u64) {
+        let running = self.make(id, text, every);
+        self.executor.schedule(running).unwrap();
+        let asked = |net| Literal {
+            net,
+            question: Question::Terminated,
+            value: None,
+            last: false,
+        };
+        let literals: Vec<_> = predecessor.map(asked).into_iter().collect();
+        let step = predecessor.map_or(Step::Constant(true), |_| Step::Literal(0));
+        let orders = Orders {
+            start: vec![id],
+            ..Orders::default()
+        };
+        self.add_rule(id, literals, step, orders);
+    }
+
+    /// Has a rule stop a net after the next cycle and start others.
+    pub fn stop_by_rule(&mut self, rule: u32, net: u32, start: &[u32]) {
+        let orders = Orders {
+            stop: vec![net],
+            start: start.to_vec(),
+            ..Orders::default()
+        };
+        self.add_rule(rule, Vec::new(), Step::Constant(true), orders);
+    }
+
+    fn add_rule(&mut self, id: u32, literals: Vec<Literal>, step: Step, orders: Orders) {
+        let rule = Box::new(Rule::new(id, literals, vec![step], orders));
+        self.executor
+            .add_rule(rule)
+            .map_err(|(_, why)| why)
+            .unwrap();
+    }
+
+    /// Schedules a net for a rule that is added later.
+    pub fn schedule(&mut self, id: u32, text: &str, every: u64) {
+        let running = self.make(id, text, every);
+        self.executor.schedule(running).unwrap();
+    }
+
+    /// Another thread demands an emergency stop, or says that there is none any more.
+    pub fn set_stop(&mut self, is_on: bool) {
+        self.stop.say(Some(is_on), takt_rt::Nanos(0));
     }
 
     /// Starts a net made of these children, which ends when told to cancel.
@@ -170,11 +233,23 @@ impl Stand {
             wall: time,
             ..Moment::default()
         };
+        let begin = takt_rt::Nanos(time.0);
+        self.served.look(begin);
         self.served.read(&mut self.executor);
+        self.executor.announce_takeovers(|_, _| ());
         self.executor.cycle(moment);
-        self.served
-            .write(&mut self.executor, moment, takt_rt::Nanos(time.0));
+        self.served.write(&mut self.executor, moment, begin);
         self.executor.publish(|_| ());
+        self.executor.fire_rules();
+        self.executor.effects(|_, _| ());
+        if self.executor.withdraw() {
+            self.served.retract(&self.executor);
+        }
+        let rules = &mut self.rules;
+        self.executor.take_rules(|rule| {
+            rules.insert(rule.id, (rule.state, rule.failure));
+            Ok(())
+        });
         while self.executor.take_ended(|net, end| {
             self.ended.insert(net.id, end);
             Ok(())

@@ -186,7 +186,8 @@ impl CartesianPosition {
 /// Something a device is ordered to be or to have, and what became of it.
 #[derive(Clone, Copy, Debug)]
 pub struct Order<T> {
-    /// What is wanted; it stays when its net ends.
+    /// What is wanted. When its net ends it is withdrawn, see [`super::Given::is_withdrawn`]: what is in force stays,
+    /// what moves stops, what was not begun is not begun.
     pub command: Command<T>,
     /// What became of the last order; null before any.
     pub answer: Signal<Answer>,

@@ -4,7 +4,7 @@
 use std::fmt;
 use std::marker::PhantomData;
 
-use crate::device::Image;
+use crate::device::{Image, Target};
 use crate::plan::Cycle;
 use crate::value::Value;
 
@@ -129,31 +129,53 @@ impl<T: Words> Signal<T> {
     }
 }
 
-/// Where nets leave a command. It stays there when its net has ended; its stamp tells.
+/// Where nets leave a command. It stays there when its net has ended; its stamp tells, see [`Given`].
 #[derive(Clone, Copy, Debug)]
 pub struct Command<T>(usize, PhantomData<fn() -> T>);
 
 /// Words before the value of a command: the cycle in which a primitive last held it, that in which
 /// it was given, and in how many cycles the next comes.
 const STAMP: usize = 3;
+/// The last of them.
+pub(super) const EVERY: usize = 2;
 
 /// A command as its driver sees it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Given<T> {
     /// The cycle it was given in, as in `Moment::cycle`; from 1.
     pub cycle: u64,
-    /// In how many cycles of the thread its net gives the next.
+    /// In how many cycles of the thread its net gives the next; 0 once it was withdrawn.
     pub every: u64,
     /// What is wanted.
     pub value: T,
 }
 
 impl<T> Given<T> {
-    /// Whether its net still commands in this cycle: for commands that end with their net.
+    /// Whether its net still commands in this cycle: for what is given again and again as long as it holds.
     #[must_use]
     pub const fn stands(&self, cycle: u64) -> bool {
-        let every = if self.every == 0 { 1 } else { self.every };
-        cycle.saturating_sub(self.cycle) < every
+        cycle.saturating_sub(self.cycle) < self.every
+    }
+
+    /// Whether its net has ended: for orders, which are given once. What moves because of one stops; one that was
+    /// not begun is not begun any more.
+    #[must_use]
+    pub const fn is_withdrawn(&self) -> bool {
+        self.every == 0
+    }
+}
+
+/// Whether the command whose first word is that of number `at` among copied words stands in `cycle`.
+#[must_use]
+pub fn standing(words: &[u64], at: usize, cycle: u64) -> bool {
+    let word = |i: usize| words.get(at + i).copied().unwrap_or(0);
+    cycle.saturating_sub(word(1)) < word(EVERY)
+}
+
+/// Withdraws the command whose first word is that of number `at` among copied words.
+pub fn withhold(words: &mut [u64], at: usize) {
+    if let Some(every) = words.get_mut(at + EVERY) {
+        *every = 0;
     }
 }
 
@@ -174,8 +196,15 @@ impl<T: Words> Command<T> {
         self.hold(cycle);
         let cells = &cycle.image.commands;
         cells[self.0 + 1].set(cycle.moment.cycle);
-        cells[self.0 + 2].set(cycle.moment.every.max(1));
+        cells[self.0 + EVERY].set(cycle.moment.every.max(1));
+        cycle.image.owners[self.0].set(Some(cycle.moment.net));
         value.put_words(|i, word| cells[self.0 + STAMP + i].set(word));
+    }
+
+    /// Where it lies, for [`crate::Build::commands`].
+    #[must_use]
+    pub const fn target(self) -> Target {
+        Target::Words(self.0)
     }
 
     /// The command among words laid out by the same steps; `None` if it was never given.
@@ -184,7 +213,7 @@ impl<T: Words> Command<T> {
         let word = |i: usize| words.get(self.0 + i).copied().unwrap_or(0);
         (word(1) != 0).then(|| Given {
             cycle: word(1),
-            every: word(2),
+            every: word(EVERY),
             value: T::take_words(|i| word(STAMP + i)),
         })
     }
@@ -276,7 +305,7 @@ mod tests {
         };
         assert!(given(1).stands(8) && !given(1).stands(9));
         assert!(given(4).stands(11) && !given(4).stands(12));
-        assert!(given(0).stands(8) && !given(0).stands(9));
+        assert!(!given(0).stands(8) && given(0).is_withdrawn());
     }
 
     #[test]

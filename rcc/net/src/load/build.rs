@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use crate::cost::NetCost;
 use crate::definition::Primitive;
+use crate::device::Target;
 use crate::fault::{Fault, FaultKind};
 use crate::load::builder::Build;
 use crate::load::graph::Unit;
@@ -43,6 +44,7 @@ pub(super) fn build(
         slots_before,
         states: HashMap::new(),
         resources: Vec::new(),
+        commands: Vec::new(),
         devices: Vec::new(),
         uses: Vec::new(),
         inbox: Directory::default(),
@@ -125,6 +127,7 @@ pub(super) struct Parts {
     /// Slots that the two steps of one primitive share.
     pub(super) states: HashMap<(u32, usize), u32>,
     pub(super) resources: Vec<String>,
+    pub(super) commands: Vec<Target>,
     pub(super) devices: Vec<String>,
     /// Devices that the net reads or commands.
     pub(super) uses: Vec<String>,
@@ -219,6 +222,8 @@ impl Parts {
         let out_words = vec![0; self.outbox.words()];
         self.resources.sort();
         self.resources.dedup();
+        self.commands.sort_unstable();
+        self.commands.dedup();
         self.devices.sort();
         self.devices.dedup();
         self.uses.sort();
@@ -236,6 +241,7 @@ impl Parts {
             inter_outs: self.inter_outs.into_boxed_slice(),
             taps,
             resources: self.resources.into_boxed_slice(),
+            commands: self.commands.into_boxed_slice(),
             period,
             primitives: resolved.nodes.len(),
             count: 0,

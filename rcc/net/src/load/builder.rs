@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::definition::ParameterType;
-use crate::device::{ArmBinding, Devices, Interfaces, Kinematics};
+use crate::device::{ArmBinding, Devices, Interfaces, Kinematics, Target};
 use crate::fault::{Fault, FaultKind};
 use crate::limits::Limits;
 use crate::load::LoadContext;
@@ -112,6 +112,12 @@ impl Build<'_, '_> {
     /// Claims something for this net alone that it may use whether the device follows commands or not.
     pub fn hold(&mut self, resource: String) {
         self.parts.resources.push(resource);
+    }
+
+    /// Says that the primitive may give this command. If a rule starts this net in place of another that gave it, it
+    /// stands until this net's first cycle; what is not said here ends with the net before it.
+    pub fn commands(&mut self, target: Target) {
+        self.parts.commands.push(target);
     }
 
     /// Whether an in port is connected.

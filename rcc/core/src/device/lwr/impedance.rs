@@ -92,8 +92,17 @@ impl Impedance {
         for (axis, order) in joints.take(AXES).enumerate() {
             if let Some(given) = order.command.read(orders.words) {
                 let wish = (orders.stands(&given), orders.follows);
-                let error = self.take_joint(axis, &given.value, wish, standing, (fields, guard));
-                self.joints[axis] = answer(given.cycle, error);
+                // Of a net that ended nothing is taken any more; what is in force stays.
+                let none = JointImpedance::default();
+                let wanted = if given.is_withdrawn() {
+                    &none
+                } else {
+                    &given.value
+                };
+                let error = self.take_joint(axis, wanted, wish, standing, (fields, guard));
+                if !given.is_withdrawn() {
+                    self.joints[axis] = answer(given.cycle, error);
+                }
             }
         }
         if let Some(given) = has
@@ -101,8 +110,16 @@ impl Impedance {
             .and_then(|order| order.command.read(orders.words))
         {
             let wish = (orders.stands(&given), orders.follows);
-            let error = self.take_cartesian(&given.value, wish, standing, (fields, guard));
-            self.cartesian = answer(given.cycle, error);
+            let none = CartesianImpedance::default();
+            let wanted = if given.is_withdrawn() {
+                &none
+            } else {
+                &given.value
+            };
+            let error = self.take_cartesian(wanted, wish, standing, (fields, guard));
+            if !given.is_withdrawn() {
+                self.cartesian = answer(given.cycle, error);
+            }
         }
     }
 

@@ -200,13 +200,16 @@ impl Program {
     }
 }
 
-/// The order, unless it was answered already.
+/// The order, unless it was answered already, or its net ended before it was begun.
 fn newer<T: takt_net::device::Words>(
     order: Option<&Order<T>>,
     orders: &Orders<'_>,
     last: Option<Answer>,
 ) -> Option<Given<T>> {
     let given = order?.command.read(orders.words)?;
+    if given.is_withdrawn() {
+        return None;
+    }
     last.is_none_or(|last| last.order != given.cycle)
         .then_some(given)
 }

@@ -42,6 +42,8 @@ mod error {
     pub(super) const RANGE: i32 = 1;
     /// A joint moves, or is not where it is commanded.
     pub(super) const MOVES: i32 = 3;
+    /// Its net ended before it was begun.
+    pub(super) const WITHDRAWN: i32 = 7;
 }
 
 /// What is special about a type of arm.
@@ -431,9 +433,15 @@ fn answer<T: takt_net::device::Words>(
     if let Some(given) = order.command.read(words)
         && last.is_none_or(|last| last.order != given.cycle)
     {
+        // What was not begun when its net ended is not begun any more.
+        let error = if given.is_withdrawn() {
+            error::WITHDRAWN
+        } else {
+            decide(given.value)
+        };
         *last = Some(Answer {
             order: given.cycle,
-            error: decide(given.value),
+            error,
         });
     }
 }

@@ -17,6 +17,8 @@ const DAMPER_MIN: f64 = 0.1;
 mod error {
     /// Stiffness or damping is out of range or no number.
     pub(super) const RANGE: i32 = 1;
+    /// Its net ended before it was begun.
+    pub(super) const WITHDRAWN: i32 = 7;
 }
 
 /// The compliance of one joint.
@@ -61,7 +63,9 @@ impl Compliance {
         let current = given.filter(|given| given.stands(cycle));
         if let Some(given) = given.filter(|given| given.cycle != self.order) {
             self.order = given.cycle;
-            let error = if self.take(&given.value) {
+            let error = if given.is_withdrawn() {
+                error::WITHDRAWN
+            } else if self.take(&given.value) {
                 0
             } else {
                 error::RANGE

@@ -1,5 +1,5 @@
 //! A simulated gripper: its fingers move to the ordered distance within their speed and acceleration. They grip
-//! nothing, so nothing stops them on the way.
+//! nothing, so nothing stops them on the way but an order that is withdrawn.
 //!
 //! Parameters: `max_distance` (m, 0.023), `max_vel` (m/s, 0.01) and `max_acc` (m/s², 1), all of the distance
 //! between the fingers.
@@ -25,6 +25,8 @@ const ARRIVED: f64 = 1e-9;
 mod error {
     /// The distance is out of range or no number.
     pub(super) const RANGE: i32 = 1;
+    /// Its net ended before it was carried out.
+    pub(super) const WITHDRAWN: i32 = 3;
 }
 
 pub(super) fn youbot(parameters: &Parameters<'_>, kind: &'static str) -> Result<Made, Error> {
@@ -80,7 +82,8 @@ impl Simulated for Fingers {
             self.stage.begin_quietly(self.gripper.distance_max);
         }
         let mut arrived = false;
-        if possible {
+        // Without its net, the fingers brake.
+        if possible && !order.is_withdrawn() {
             let distance = self.stage.track(order.value, 0.0, seconds(dt));
             arrived = (distance - order.value).abs() <= ARRIVED;
         } else {
@@ -88,9 +91,15 @@ impl Simulated for Fingers {
         }
         self.state.limited[0] = *self.stage.limited();
         let (distance, ..) = self.stage.motion();
-        let answer = (arrived || !possible).then_some(Answer {
+        let is_there = (distance - order.value).abs() <= ARRIVED;
+        let error = match (possible, order.is_withdrawn()) {
+            (false, _) => Some(error::RANGE),
+            (true, true) => (!is_there).then_some(error::WITHDRAWN),
+            (true, false) => arrived.then_some(0),
+        };
+        let answer = error.map(|error| Answer {
             order: order.cycle,
-            error: if possible { 0 } else { error::RANGE },
+            error,
         });
         let signals = &mut self.state.signals;
         self.gripper.distance.tell(signals, Some(distance));

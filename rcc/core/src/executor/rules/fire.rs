@@ -3,9 +3,9 @@
 
 use takt_rt::Nanos;
 
-use super::{Literal, Question, RuleState, Rules, Slot};
+use super::{Failure, Literal, Question, RuleState, Rules};
 use crate::executor::rules::shared::Decision;
-use crate::executor::{End, Executor, ResourceSet, Running};
+use crate::executor::{DeviceView, End, Executor, ResourceSet, Running};
 
 /// What the nets hold and cost that run on.
 #[derive(Clone, Copy, Default)]
@@ -45,10 +45,14 @@ impl Executor {
     /// before nets that ended are taken out: what they held passes to their successors, which are
     /// evaluated from the next cycle on.
     pub fn fire_rules(&mut self) {
+        let changed = std::mem::take(&mut self.epochs_changed);
         if self.rules.waiting.is_empty() {
             return;
         }
         self.rules.seat(&self.running);
+        if changed {
+            self.give_back_changed();
+        }
         self.answer_literals();
         let mut standing = self.standing();
         self.consult(&standing);
@@ -118,12 +122,12 @@ impl Executor {
             if rule.part.is_none() || rule.state != RuleState::Active {
                 continue;
             }
-            let able = self.is_able(at, standing);
+            let obstacle = self.obstacle(at, standing);
             let rule = &mut *self.rules.waiting[at];
             let Some(part) = &rule.part else {
                 continue;
             };
-            part.exchange(&mut rule.literals, able);
+            part.exchange(&mut rule.literals, obstacle.is_none());
             if part.is_to_decide() {
                 if rule.holds() {
                     part.decide_to_fire();
@@ -133,17 +137,20 @@ impl Executor {
             }
             match part.shared().decision() {
                 Decision::Open | Decision::Fire => {}
-                Decision::Fail => self.rules.retire(at, RuleState::FireFailed),
+                Decision::Fail => {
+                    rule.failure = obstacle;
+                    self.rules.retire(at, RuleState::FireFailed);
+                }
                 Decision::Never => self.rules.retire(at, RuleState::Inactive),
             }
         }
     }
 
-    /// Whether the nets that a rule starts here could start now.
-    fn is_able(&self, at: usize, standing: &Standing) -> bool {
+    /// Why the nets that a rule starts here could not start now, if that is so.
+    fn obstacle(&self, at: usize, standing: &Standing) -> Option<Failure> {
         let rule = &self.rules.waiting[at];
         if rule.started().is_empty() {
-            return true;
+            return None;
         }
         let mut after = *standing;
         for slot in rule.stopped() {
@@ -154,23 +161,65 @@ impl Executor {
             }
         }
         let held = after.held;
-        let can_start = |slot: &Slot| {
+        for (slot, id) in rule.started().iter().zip(&rule.orders.start) {
             let net = self.rules.scheduled_at(*slot);
             let Some(net) = net.and_then(|at| self.rules.scheduled.get(at)) else {
-                return false;
+                return Some(Failure::NotWaiting(*id));
             };
-            let is_ready = |d: &(usize, u64)| self.devices.get(d.0).is_some_and(|v| v.is_ready());
+            if let Some(device) = self.changed_device(net) {
+                return Some(Failure::DeviceChanged(device));
+            }
+            if let Some(held) = net.resources.common(&held) {
+                return Some(Failure::ResourceInUse(held));
+            }
+            let is_ready = |number| self.devices.get(number).is_some_and(DeviceView::is_ready);
+            if let Some((device, _)) = net.devices.iter().find(|d| !is_ready(d.0)) {
+                return Some(Failure::DeviceNotReady(*device));
+            }
             after.load += net.cost;
-            net.resources.common(&held).is_none() && net.devices.iter().all(is_ready)
-        };
-        let all = rule.started().iter().all(can_start);
-        let room = self.has_places(after.nets, rule.started().len());
-        all && room && after.load <= self.budget
+        }
+        if !self.has_places(after.nets, rule.started().len()) {
+            return Some(Failure::TooMany);
+        }
+        (after.load > self.budget).then_some(Failure::Overload)
+    }
+
+    /// A device of a scheduled net that did not go on as it was when the net was scheduled.
+    fn changed_device(&self, net: &Running) -> Option<usize> {
+        let mut devices = net.devices.iter();
+        let changed = devices.find(|(number, epoch)| self.epoch(*number) != *epoch);
+        changed.map(|(number, _)| *number)
+    }
+
+    /// Gives up the rules that start nets of devices which had a fault, or began to follow commands, since those nets
+    /// were scheduled: what was asked for before is not done after.
+    fn give_back_changed(&mut self) {
+        for at in 0..self.rules.waiting.len() {
+            let rule = &self.rules.waiting[at];
+            if rule.state != RuleState::Active {
+                continue;
+            }
+            let nets = rule.started().iter();
+            let nets =
+                nets.filter_map(|slot| self.rules.scheduled.get(self.rules.scheduled_at(*slot)?));
+            let Some(device) = nets.into_iter().find_map(|net| self.changed_device(net)) else {
+                continue;
+            };
+            if let Some(part) = &rule.part {
+                part.shared().decide(Decision::Fail);
+            }
+            self.fail(at, Failure::DeviceChanged(device));
+        }
+    }
+
+    fn fail(&mut self, at: usize, why: Failure) {
+        self.rules.waiting[at].failure = Some(why);
+        self.rules.retire(at, RuleState::FireFailed);
     }
 
     fn fire(&mut self, at: usize, standing: &mut Standing) {
-        if !self.is_able(at, standing) {
-            self.rules.retire(at, RuleState::FireFailed);
+        if let Some(why) = self.obstacle(at, standing) {
+            self.fail(at, why);
             return;
         }
         self.rules.retire(at, RuleState::Fired);

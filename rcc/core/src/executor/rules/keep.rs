@@ -9,13 +9,16 @@ use super::{
 use crate::executor::{Executor, Refusal, ResourceSet, Running};
 
 impl Executor {
-    /// Takes a net that rules may start.
+    /// Takes a net that rules may start, as long as the devices that it commands go on as they are now.
     ///
     /// # Errors
     /// If there is no room for it.
-    pub fn schedule(&mut self, net: Box<Running>) -> Result<(), Box<Running>> {
+    pub fn schedule(&mut self, mut net: Box<Running>) -> Result<(), Box<Running>> {
         if self.rules.scheduled.len() == SCHEDULED_MAX {
             return Err(net);
+        }
+        for device in &mut net.devices {
+            device.1 = self.epoch(device.0);
         }
         self.rules.scheduled.push(net);
         Ok(())

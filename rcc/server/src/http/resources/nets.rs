@@ -240,11 +240,16 @@ fn rule(rule: &RuleInfo) -> Element {
         nets.iter().map(net).collect()
     };
     let request = &rule.request;
-    Element::new("rule")
+    let element = Element::new("rule")
         .with("id", rule.id)
         .with("condition", &request.condition)
         .with("state", rule.state.word())
-        .with("desc", &request.description)
+        .with("desc", &request.description);
+    let element = match &rule.why {
+        Some(why) => element.with("why", why),
+        None => element,
+    };
+    element
         .containing(nets("stop", &request.stop))
         .containing(nets("start", &request.start))
         .containing(nets("cancel", &request.cancel))

@@ -206,7 +206,7 @@ impl Arm {
             lead(&mut self.drives[n], master, order, may_move, tick);
         }
         if let (Some(gripper), [.., last]) = (&mut self.gripper, &mut self.drives) {
-            gripper.cycle(last, self.may_home && !stopping, tick);
+            gripper.cycle(last, self.may_home && !stopping, fresh && !stopping, tick);
         }
         self.tell(tick);
     }

@@ -16,6 +16,8 @@ mod error {
     pub(super) const RANGE: i32 = 1;
     /// The gripper is not there, or something is in the way of its fingers.
     pub(super) const FAILED: i32 = 2;
+    /// Its net ended before it was carried out.
+    pub(super) const WITHDRAWN: i32 = 3;
 }
 
 /// The gripper.
@@ -52,8 +54,9 @@ impl Gripper {
         }
     }
 
-    /// One cycle behind this drive. The fingers look for their stops only if they `may_move`.
-    pub(super) fn cycle(&mut self, drive: &mut Drive, may_move: bool, tick: &Tick) {
+    /// One cycle behind this drive. The fingers look for their stops only if they `may_move`. `fresh` is whether the net
+    /// thread is alive: orders end with it.
+    pub(super) fn cycle(&mut self, drive: &mut Drive, may_move: bool, fresh: bool, tick: &Tick) {
         let taken = &mut self.taken;
         self.command.read_with(|command| taken.copy_from(command));
         let is_there = drive.feedback().is_some();
@@ -73,7 +76,7 @@ impl Gripper {
         } else {
             self.fingers.forget();
         }
-        self.obey(tick);
+        self.obey(fresh, tick);
         self.tell(is_there, tick);
     }
 
@@ -92,22 +95,30 @@ impl Gripper {
             | GripperState::Mark
             | GripperState::Ready
             | GripperState::Order
+            | GripperState::Stop(_)
             | GripperState::Short => None,
         }
     }
 
-    fn obey(&mut self, tick: &Tick) {
+    fn obey(&mut self, fresh: bool, tick: &Tick) {
         let given = self.gripper.order.command.read(&self.taken.words);
+        let stands = fresh && given.is_some_and(|given| !given.is_withdrawn());
         if let Some(given) = given.filter(|given| given.cycle != self.order) {
             self.order = given.cycle;
-            self.under_way = self.fingers.order(given.value, now(tick));
-            if !self.under_way {
+            self.under_way = stands && self.fingers.order(given.value, now(tick));
+            if !self.under_way && stands {
                 let error = if self.fingers.is_ready() {
                     error::RANGE
                 } else {
                     error::FAILED
                 };
                 self.end(error);
+            }
+        }
+        if !stands {
+            self.fingers.stop();
+            if self.under_way {
+                self.end(error::WITHDRAWN);
             }
         }
         if !self.under_way {
@@ -125,6 +136,7 @@ impl Gripper {
             | GripperState::Preset(_)
             | GripperState::Mark
             | GripperState::Short
+            | GripperState::Stop(_)
             | GripperState::Failed(..) => self.end(error::FAILED),
         }
     }

@@ -85,7 +85,9 @@ impl Springs {
             if fresh && given.stands(*cycle) {
                 law.added = addition(&given.value);
             }
-            answer(last, given.cycle, || take(law, &given.value));
+            if !given.is_withdrawn() {
+                answer(last, given.cycle, || take(law, &given.value));
+            }
         }
         let order = has.cartesian_impedance.as_ref();
         if let Some(given) = order.and_then(|order| order.command.read(words)) {
@@ -94,16 +96,18 @@ impl Springs {
                 self.tool.added = force(&given.value);
             }
             let tool = &mut self.tool;
-            answer(&mut self.tool_answer, given.cycle, || {
-                take_tool(tool, &given.value)
-            });
+            if !given.is_withdrawn() {
+                answer(&mut self.tool_answer, given.cycle, || {
+                    take_tool(tool, &given.value)
+                });
+            }
         }
     }
 
     fn obey_strategy(&mut self, has: &Interfaces, words: &[u64], rests: Option<bool>) {
         let order = has.strategy.as_ref();
         let given = order.and_then(|order| order.command.read(words));
-        if let Some(given) = given
+        if let Some(given) = given.filter(|given| !given.is_withdrawn())
             && self.switched.is_none_or(|last| last.order != given.cycle)
         {
             let order = given.cycle;

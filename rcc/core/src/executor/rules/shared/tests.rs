@@ -6,9 +6,10 @@ use std::sync::Arc;
 use takt_net::Moment;
 
 use super::*;
+use crate::device::DeviceStatus;
 use crate::executor::rules::{Orders, Question, Rule, RuleRefusal, RuleState, Step};
 use crate::executor::tests::net;
-use crate::executor::{Effect, End, Executor, Running};
+use crate::executor::{DeviceView, Effect, End, Executor, Running};
 
 /// Never ends by itself.
 const ENDLESS: &str = "{never=Core::BooleanValue(),outTerminate=never.outValue}";
@@ -288,4 +289,39 @@ fn the_first_decision_stands() {
         rule
     };
     assert_eq!(rule(1).give_up(), RuleState::Inactive);
+}
+
+#[test]
+fn fault_in_one_thread_fails_rule_in_all() {
+    let mut threads = threads();
+    let mut view = DeviceView {
+        status: DeviceStatus::Operational,
+        faults: 0,
+    };
+    let mut arm = net(13, ENDLESS);
+    arm.devices.push((0, 0));
+    let [first, second] = &mut threads;
+    second.executor.set_device(0, view);
+    second.executor.schedule(arm).unwrap();
+    let [one, other] = parts_that_start(false, &[1]);
+    let orders = Orders {
+        start: vec![13],
+        ..Orders::default()
+    };
+    let mut slow = Rule::new(5, vec![terminated(0)], vec![Step::Literal(0)], orders);
+    slow.part = other.part;
+    first.executor.add_rule(one).unwrap();
+    second.executor.add_rule(Box::new(slow)).unwrap();
+    first.run();
+    second.run();
+    // It fails and comes back: no condition holds yet, and none will do it any more.
+    view.faults = 1;
+    second.executor.set_device(0, view);
+    assert_eq!(second.run(), (texts(&["rule FireFailed"]), vec![11]));
+    first.start(net(0, BRIEF));
+    let (told, runs) = first.run();
+    assert!(told.contains(&"rule FireFailed".to_owned()), "{told:?}");
+    assert!(runs.is_empty(), "{runs:?}");
+    second.run();
+    assert_eq!(second.run().1, [11]);
 }

@@ -1,0 +1,92 @@
+//! Devices come into an executor's image and go: which joints and words are in use, and how devices are as nets'
+//! lives depend on them. What lies there is read and written elsewhere.
+
+use std::cell::Cell;
+use std::ops::Range;
+
+use takt_net::device::JointCommand;
+
+use super::{DEVICES_MAX, DeviceView, Executor};
+use crate::device::Place;
+
+impl Executor {
+    /// Puts the first so many joints of the image into use.
+    pub fn use_joints(&mut self, joints: usize) {
+        self.joints = self.joints.max(joints).min(self.image.joints.len());
+    }
+
+    /// Puts the place of a device into use; what lay there of another device is gone.
+    pub fn use_place(&mut self, place: &Place) {
+        self.use_joints(place.first_joint + place.joints);
+        let joints = self.image.joints.iter().skip(place.first_joint);
+        for joint in joints.take(place.joints) {
+            joint.command.set(JointCommand::default());
+        }
+        self.use_words(place.signals.end, place.commands.end);
+        let signals = self.image.signals.get(place.signals.clone());
+        signals.into_iter().flatten().for_each(|word| word.set(0));
+        self.use_commands(place.commands.clone());
+    }
+
+    /// Puts the first so many words of the image into use.
+    pub(crate) fn use_words(&mut self, signals: usize, commands: usize) {
+        self.used.signals = self.used.signals.max(signals);
+        self.used.commands = self.used.commands.max(commands);
+    }
+
+    /// Forgets what was commanded in these words.
+    pub(crate) fn use_commands(&mut self, commands: Range<usize>) {
+        let words = self.image.commands.get(commands.clone());
+        words.into_iter().flatten().for_each(|word| word.set(0));
+        self.image.forget_owners(commands.clone());
+        // There are never more than devices in one cycle; a push would allocate beyond that.
+        if self.fresh.len() < self.fresh.capacity() {
+            self.fresh.push(commands);
+        }
+    }
+
+    /// Says how a device is.
+    pub fn set_device(&mut self, number: usize, view: DeviceView) {
+        while self.devices.len() <= number && self.devices.len() < DEVICES_MAX {
+            self.devices.push(DeviceView::default());
+        }
+        let device = self.devices.get_mut(number);
+        if let Some((device, epoch)) = device.zip(self.epochs.get_mut(number)) {
+            let begins = view.is_ready() && !device.is_ready();
+            if begins || view.faults != device.faults {
+                *epoch += 1;
+                self.epochs_changed = true;
+            }
+            *device = view;
+        }
+    }
+
+    /// What changes with each fault of a device, and with each time it begins to follow commands: then it may be
+    /// elsewhere than it was.
+    pub(super) fn epoch(&self, number: usize) -> u64 {
+        self.epochs.get(number).copied().unwrap_or(0)
+    }
+
+    /// The joints in use.
+    #[must_use]
+    pub fn joints(&self) -> &[takt_net::device::Joint] {
+        &self.image.joints[..self.joints]
+    }
+
+    /// The words in use of what drivers report beside joints.
+    pub(crate) fn signals(&self) -> &[Cell<u64>] {
+        let signals = &self.image.signals;
+        &signals[..self.used.signals.min(signals.len())]
+    }
+
+    /// The words in use of what nets command beside joints.
+    pub(crate) fn commands(&self) -> &[Cell<u64>] {
+        let commands = &self.image.commands;
+        &commands[..self.used.commands.min(commands.len())]
+    }
+
+    /// Commands of devices that came into use since the last cycle.
+    pub(crate) fn fresh(&self) -> &[Range<usize>] {
+        &self.fresh
+    }
+}

@@ -1,0 +1,657 @@
+//! What a net commanded ends with it: every way of ending, every kind of command, every period, in virtual time. What
+//! drivers see is looked at where it is handed to them; simulated devices also for where they come to rest.
+
+#![expect(
+    clippy::float_cmp,
+    clippy::unwrap_used,
+    reason = "what rests does so to the bit; a test may fail anywhere, its helpers too"
+)]
+
+mod stand;
+
+use stand::{Driven, Stand, arm_parameters, parameters};
+use takt_core::device::{DeviceDescription, DeviceState, DeviceStatus, Part, parts};
+use takt_core::executor::End;
+use takt_core::executor::rules::{Failure, RuleState};
+use takt_net::device::{Devices, Interfaces, JointLimits, Layout, Target, standing};
+
+/// Periods, in cycles of the thread.
+const PERIODS: [u64; 3] = [1, 10, 1000];
+/// The net that ends.
+const NET: u32 = 1;
+
+/// How a net ends. Clients that are lost, nets that are unloaded and a controller that shuts down cancel and abort.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Ending {
+    Itself,
+    Cancel,
+    Abort,
+    Rule,
+    Runaway,
+    DeviceFault,
+    DeviceLost,
+    EmergencyStop,
+}
+
+const ENDINGS: [Ending; 8] = [
+    Ending::Itself,
+    Ending::Cancel,
+    Ending::Abort,
+    Ending::Rule,
+    Ending::Runaway,
+    Ending::DeviceFault,
+    Ending::DeviceLost,
+    Ending::EmergencyStop,
+];
+
+/// A kind of command.
+#[derive(Clone, Copy)]
+struct Kind {
+    name: &'static str,
+    joints: usize,
+    parts: &'static [Part],
+    /// Whether its net claims the device, and so ends with it; else it only holds something of it.
+    claims: bool,
+    /// Children that command it; `STEP` is by how much a clock moves on in an evaluation, times 1000.
+    children: &'static str,
+}
+
+const BASE: Part = Part::Base {
+    wheels: 4,
+    velocity_max: 1.0,
+    rotation_max: 2.0,
+};
+const IO: Part = Part::Io {
+    bool_in: 0,
+    bool_out: 1,
+    real_in: 0,
+    real_out: 1,
+};
+const ARM: &str = "clock=Core::Clock(Increment='STEP'),
+    j=RobotArm::JointPosition(inPosition=clock.outValue,Robot='x',Axis='1')";
+const VELOCITY: &str = "v=World::TwistValue(Value='{vel:{x:0.5}}'),
+    j=RobotBase::BaseVelocity(inVel=v.outValue,Robot='x')";
+const POSE: &str = "v=World::FrameValue(Value='{pos:{x:0.015}}'),
+    j=CartesianPosition::CartesianPosition(inPosition=v.outValue,Robot='x')";
+const GRIPPER: &str = "j=KUKA::youBot::Gripper(Distance='0.02',Robot='x')";
+
+/// Kinds of commands by the devices that take them. Joints are those of LWR, iiwa, CiA 402 drives and youBot arms, which
+/// all follow [`takt_core::device::JointSetPoints`]; velocities those of a Segway RMP and a youBot's base.
+const KINDS: [Kind; 9] = [
+    kind("joints", 7, &[], true, ARM),
+    kind("velocity", 0, &[BASE], true, VELOCITY),
+    kind(
+        "pose of a base",
+        0,
+        &[BASE, Part::CartesianPosition],
+        true,
+        POSE,
+    ),
+    kind("tool position", 0, &[Part::CartesianPosition], true, POSE),
+    kind(
+        "gripper",
+        0,
+        &[Part::Gripper {
+            distance_max: 0.023,
+        }],
+        true,
+        GRIPPER,
+    ),
+    kind(
+        "outputs",
+        0,
+        &[IO],
+        true,
+        "b=IO::OutBool(IO='true',DeviceID='x'),r=IO::OutReal(IO='2',DeviceID='x')",
+    ),
+    kind(
+        "joint torque",
+        7,
+        &[Part::JointImpedance],
+        false,
+        "t=Core::DoubleValue(Value='3'),
+         j=KUKA::LWR::JointImpParameters(inAddTorque=t.outValue,Robot='x',Axis='1')",
+    ),
+    kind(
+        "wrench",
+        7,
+        &[Part::CartesianImpedance],
+        false,
+        "t=World::WrenchValue(Value='{force:{x:3}}'),
+         j=KUKA::LWR::CartImpParameters(inAddTorque=t.outValue,Robot='x')",
+    ),
+    kind(
+        "strategy and tool",
+        7,
+        &[Part::Strategy, Part::Tool],
+        false,
+        "v=Core::IntValue(Value='3'),s=KUKA::LWR::ControlStrategy(inStrategy=v.outValue,Robot='x'),
+         t=RobotArm::ToolParameters(Mass='1',Robot='x',Axis='6')",
+    ),
+];
+
+const fn kind(
+    name: &'static str,
+    joints: usize,
+    parts: &'static [Part],
+    claims: bool,
+    children: &'static str,
+) -> Kind {
+    Kind {
+        name,
+        joints,
+        parts,
+        claims,
+        children,
+    }
+}
+
+/// A net of these children that ends when told to cancel, or after so many evaluations.
+fn net(children: &str, every: u64, ends_after: Option<u32>) -> String {
+    let children = children.replace(
+        "STEP",
+        &format!("{}", 0.015 * f64::from(u32::try_from(every).unwrap())),
+    );
+    let last = ends_after.map_or(1e9, |count| f64::from(count) / 1000.0 - 0.0005);
+    format!(
+        "{{{children},age=Core::Clock(Increment='1'),
+        over=Core::DoubleGreater(inFirst=age.outValue,Second='{last}'),
+        cancel=Cancel(),end=Core::BooleanOr(inFirst=cancel.outCancel,inSecond=over.outValue),
+        outTerminate=end.outValue}}"
+    )
+}
+
+/// Runs a net for a few evaluations and a part of a period, then has it end. Returns after the cycle of its end; with
+/// `fail`, which changes the state of its device.
+fn end(
+    stand: &mut Stand,
+    ending: Ending,
+    every: u64,
+    fail: impl FnOnce(&mut Stand),
+) -> Option<End> {
+    let period = usize::try_from(every).unwrap();
+    stand.steps(period + period / 3 + 2);
+    if ending != Ending::Itself {
+        assert_eq!(stand.ended.get(&NET), None);
+    }
+    match ending {
+        Ending::Itself => {}
+        Ending::Cancel => assert!(stand.executor.cancel(NET)),
+        Ending::Abort => assert!(stand.executor.abort(NET)),
+        Ending::Rule => stand.stop_by_rule(9, NET, &[]),
+        Ending::Runaway => stand.executor.end_runaway(NET),
+        Ending::DeviceFault | Ending::DeviceLost => fail(stand),
+        Ending::EmergencyStop => stand.set_stop(true),
+    }
+    // By itself and on request it ends when it is evaluated next; else in this cycle.
+    let most = match ending {
+        Ending::Itself | Ending::Cancel => 5 * period,
+        Ending::Abort
+        | Ending::Rule
+        | Ending::Runaway
+        | Ending::DeviceFault
+        | Ending::DeviceLost
+        | Ending::EmergencyStop => 1,
+    };
+    for _ in 0..most {
+        stand.step();
+        if stand.ended.contains_key(&NET) {
+            break;
+        }
+    }
+    stand.ended.get(&NET).copied()
+}
+
+/// Where the commands of a device lie among its words.
+fn targets(has: &Interfaces) -> Vec<usize> {
+    let base = has.base.iter().map(|base| base.command.target());
+    let io = has.io.iter().flat_map(|io| {
+        let bools = io.bool_out.iter().map(|output| output.command.target());
+        let reals = io.real_out.iter().map(|output| output.command.target());
+        bools.chain(reals).collect::<Vec<_>>()
+    });
+    let cartesian = has.cartesian.iter().map(|it| it.command.target());
+    let gripper = has.gripper.iter().map(|it| it.order.command.target());
+    let tool = has.tool.iter().map(|it| it.command.target());
+    let strategy = has.strategy.iter().map(|it| it.command.target());
+    let joints = has.joint_impedance.iter().flat_map(|joints| joints.iter());
+    let joints = joints.map(|it| it.command.target());
+    let wrench = has.cartesian_impedance.iter().map(|it| it.command.target());
+    let all = base.chain(io).chain(cartesian).chain(gripper).chain(tool);
+    let all = all.chain(strategy).chain(joints).chain(wrench);
+    all.filter_map(|target| match target {
+        Target::Words(at) => Some(at),
+        Target::Joint(_) => None,
+    })
+    .collect()
+}
+
+/// A device of a kind whose driver the test is.
+struct Bench {
+    stand: Stand,
+    driven: Driven,
+    state: DeviceState,
+    commands: Vec<usize>,
+}
+
+impl Bench {
+    fn new(kind: &Kind) -> Self {
+        let limits = JointLimits {
+            position_min: -2.0,
+            position_max: 2.0,
+            velocity_max: 2.0,
+            acceleration_max: 4.0,
+        };
+        let mut stand = Stand::default();
+        let driven = stand.add_driven(DeviceDescription {
+            name: "x".to_owned(),
+            kind: "test",
+            limits: vec![limits; kind.joints],
+            model: "".into(),
+            parts: kind.parts.to_vec(),
+        });
+        let mut layout = Layout::default();
+        let has = parts::lay(kind.parts, kind.joints, &mut layout);
+        let mut state = DeviceState::new(layout.signals);
+        state.status = DeviceStatus::Operational;
+        if let Some(base) = &has.base {
+            base.error.tell(&mut state.signals, Some(0));
+        }
+        if let Some(cartesian) = &has.cartesian {
+            cartesian.error.tell(&mut state.signals, Some(0));
+        }
+        let mut bench = Self {
+            stand,
+            driven,
+            state,
+            commands: targets(&has),
+        };
+        bench.tell();
+        bench.stand.step();
+        bench
+    }
+
+    fn tell(&mut self) {
+        let state = &self.state;
+        self.driven.state.write_with(|slot| slot.copy_from(state));
+    }
+
+    /// The device ceases to follow commands.
+    fn fail(&mut self, status: DeviceStatus) {
+        self.state.enter(status, takt_rt::Nanos(0));
+        self.tell();
+    }
+
+    /// How many commands its driver has to follow now: set-points, and orders that were not withdrawn.
+    fn commanded(&mut self) -> usize {
+        let commands = &self.commands;
+        self.driven.command.read_with(|command| {
+            let joints = command.joints.iter().filter(|joint| joint.active).count();
+            let of = |at: &&usize| command.words[**at + 1] != 0 && command.words[**at + 2] != 0;
+            let words = commands.iter().filter(of).count();
+            let late = commands.iter().any(|at| {
+                standing(&command.words, *at, command.cycle) && command.words[*at + 2] == 0
+            });
+            assert!(!late, "what is withdrawn does not stand");
+            joints + words
+        })
+    }
+}
+
+/// The product of all of it, up to the driver.
+#[test]
+fn commands_are_withdrawn_in_the_cycle_their_net_ends() {
+    for kind in &KINDS {
+        for every in PERIODS {
+            for ending in ENDINGS {
+                let what = format!("{}, {ending:?}, every {every}", kind.name);
+                let fails = matches!(ending, Ending::DeviceFault | Ending::DeviceLost);
+                if fails && !kind.claims {
+                    continue;
+                }
+                let mut bench = Bench::new(kind);
+                let text = net(
+                    kind.children,
+                    every,
+                    (ending == Ending::Itself).then_some(5),
+                );
+                bench.stand.try_start(NET, &text, every).unwrap();
+                let period = usize::try_from(every).unwrap();
+                bench.stand.steps(period + 1);
+                assert!(bench.commanded() > 0, "{what}: nothing is commanded");
+                let Bench {
+                    stand,
+                    driven,
+                    state,
+                    ..
+                } = &mut bench;
+                let fail = |_: &mut Stand| {
+                    let status = if ending == Ending::DeviceLost {
+                        DeviceStatus::Offline
+                    } else {
+                        DeviceStatus::SafeOperational
+                    };
+                    state.enter(status, takt_rt::Nanos(0));
+                    driven.state.write_with(|slot| slot.copy_from(state));
+                };
+                let ended = end(stand, ending, every, fail);
+                let outlives = ending == Ending::EmergencyStop && !kind.claims;
+                assert_eq!(ended.is_some(), !outlives, "{what}: {ended:?}");
+                assert_eq!(bench.commanded(), 0, "{what}");
+                for _ in 0..period + 3 {
+                    bench.stand.step();
+                    assert_eq!(bench.commanded(), 0, "{what}");
+                }
+            }
+        }
+    }
+}
+
+/// What a stopped net adds comes back with no release of the stop: only when it paused, or another net asks.
+#[test]
+fn additions_under_an_emergency_stop_do_not_return_by_themselves() {
+    for kind in KINDS
+        .iter()
+        .filter(|kind| kind.name == "joint torque" || kind.name == "wrench")
+    {
+        for every in PERIODS {
+            let mut bench = Bench::new(kind);
+            let text = net(kind.children, every, None);
+            bench.stand.try_start(NET, &text, every).unwrap();
+            let period = usize::try_from(every).unwrap();
+            bench.stand.steps(2 * period);
+            assert!(bench.commanded() > 0, "{}", kind.name);
+            bench.stand.set_stop(true);
+            bench.stand.steps(period + 2);
+            assert_eq!(bench.commanded(), 0, "{}", kind.name);
+            bench.stand.set_stop(false);
+            bench.stand.steps(2 * period + 2);
+            assert_eq!(bench.commanded(), 0, "{}", kind.name);
+            bench.stand.end(NET);
+            bench.stand.steps(2);
+            bench.stand.try_start(2, &text, every).unwrap();
+            bench.stand.steps(period + 1);
+            assert!(bench.commanded() > 0, "{}: a new net may", kind.name);
+        }
+    }
+}
+
+/// A simulated device, what moves it, and where it is.
+struct Sim {
+    kind: &'static str,
+    children: &'static str,
+    place: fn(&Stand) -> f64,
+    /// Speed and acceleration, in the unit of `place`.
+    speed: f64,
+    acceleration: f64,
+}
+
+fn joint(stand: &Stand) -> f64 {
+    stand.executor.joints()[1]
+        .state
+        .get()
+        .measured_position
+        .unwrap()
+}
+
+fn along_x(stand: &Stand) -> f64 {
+    let base = stand.table.interfaces("x").unwrap().base.unwrap();
+    base.pose
+        .get(&stand.executor.image)
+        .unwrap()
+        .translation
+        .vector
+        .x
+}
+
+fn distance(stand: &Stand) -> f64 {
+    let gripper = stand.table.interfaces("x").unwrap().gripper.unwrap();
+    gripper.distance.get(&stand.executor.image).unwrap()
+}
+
+const SIMULATED: [Sim; 6] = [
+    sim("kuka_lwr_sim", ARM, joint, 2.0, 4.0),
+    sim("kuka_iiwa_sim", ARM, joint, 2.0, 4.0),
+    sim("kuka_youbot_arm_sim", ARM, joint, 2.0, 4.0),
+    sim("kuka_youbot_base_sim", VELOCITY, along_x, 0.5, 1.0),
+    sim("kuka_youbot_base_sim", POSE, along_x, 1.0, 1.0),
+    sim(
+        "kuka_youbot_gripper_sim",
+        GRIPPER,
+        distance,
+        0.01,
+        f64::INFINITY,
+    ),
+];
+
+const fn sim(
+    kind: &'static str,
+    children: &'static str,
+    place: fn(&Stand) -> f64,
+    speed: f64,
+    acceleration: f64,
+) -> Sim {
+    Sim {
+        kind,
+        children,
+        place,
+        speed,
+        acceleration,
+    }
+}
+
+#[test]
+fn simulated_devices_rest_within_their_stopping_distance() {
+    for device in &SIMULATED {
+        for every in PERIODS {
+            for ending in ENDINGS {
+                if matches!(ending, Ending::DeviceFault | Ending::DeviceLost) {
+                    // They have none.
+                    continue;
+                }
+                let what = format!("{}, {ending:?}, every {every}", device.kind);
+                let joints = if device.kind == "kuka_youbot_arm_sim" {
+                    5
+                } else {
+                    7
+                };
+                let of_base = [
+                    ("max_acc", "1"),
+                    ("max_rot_acc", "1"),
+                    ("max_vel", "1"),
+                    ("max_rot_vel", "1"),
+                ];
+                let parameters = match device.kind {
+                    "kuka_youbot_base_sim" => parameters(&of_base),
+                    "kuka_youbot_gripper_sim" => parameters(&[]),
+                    _ => arm_parameters(joints, &[]),
+                };
+                let mut stand = Stand::default();
+                stand.add("x", device.kind, &parameters);
+                let text = net(
+                    device.children,
+                    every,
+                    (ending == Ending::Itself).then_some(5),
+                );
+                stand.try_start(NET, &text, every).unwrap();
+                let began = (device.place)(&stand);
+                assert!(end(&mut stand, ending, every, |_| ()).is_some(), "{what}");
+                let ended = (device.place)(&stand);
+                assert!(ended != began, "{what}: it never moved");
+                let mut last = ended;
+                // One cycle until it is seen, one in which its speed is still that of before.
+                let way = device.speed * (device.speed / device.acceleration / 2.0 + 0.002);
+                #[expect(
+                    clippy::cast_possible_truncation,
+                    clippy::cast_sign_loss,
+                    reason = "some hundred cycles"
+                )]
+                let stopping = (device.speed / device.acceleration * 1000.0) as usize + 3;
+                for cycle in 0..stopping + usize::try_from(every).unwrap() {
+                    stand.step();
+                    let now = (device.place)(&stand);
+                    assert!((now - ended).abs() <= way, "{what}: {now} after {ended}");
+                    assert!(cycle < stopping || now == last, "{what}: moves on at {now}");
+                    last = now;
+                }
+            }
+        }
+    }
+}
+
+/// Outputs are held when their net ends, also when it set them only in its last cycle.
+#[test]
+fn outputs_keep_their_values_after_their_net() {
+    for ending in ENDINGS {
+        if matches!(ending, Ending::DeviceFault | Ending::DeviceLost) {
+            continue;
+        }
+        let mut stand = Stand::default();
+        stand.add("x", "io_sim", &parameters(&[]));
+        let children = KINDS
+            .iter()
+            .find(|kind| kind.name == "outputs")
+            .unwrap()
+            .children;
+        let text = net(children, 10, (ending == Ending::Itself).then_some(5));
+        stand.try_start(NET, &text, 10).unwrap();
+        assert!(end(&mut stand, ending, 10, |_| ()).is_some(), "{ending:?}");
+        stand.steps(100);
+        let io = stand.table.interfaces("x").unwrap().io.unwrap();
+        let image = &stand.executor.image;
+        assert_eq!(io.bool_out[0].state.get(image), Some(true), "{ending:?}");
+        assert_eq!(io.real_out[0].state.get(image), Some(2.0), "{ending:?}");
+    }
+}
+
+/// A successor that commands the same takes it over without a gap, whatever the period; one that does not, not.
+#[test]
+fn successor_by_rule_keeps_commands_until_its_first_cycle() {
+    let other = "j=RobotArm::JointPosition(Robot='x',Axis='2')";
+    for every in PERIODS {
+        for (children, keeps) in [(ARM, true), (other, false)] {
+            for stops in [false, true] {
+                let mut bench = Bench::new(&KINDS[0]);
+                let stand = &mut bench.stand;
+                let first = net(ARM, every, (!stops).then_some(5));
+                stand.try_start(NET, &first, every).unwrap();
+                let second = net(children, every, None);
+                let period = usize::try_from(every).unwrap();
+                if stops {
+                    stand.steps(3 * period + period / 3);
+                    stand.schedule(2, &second, every);
+                    stand.stop_by_rule(2, NET, &[2]);
+                } else {
+                    stand.start_after(Some(NET), 2, &second, every);
+                }
+                let what = format!("every {every}, stopped {stops}, keeps {keeps}");
+                for _ in 0..6 * period {
+                    bench.stand.step();
+                    if bench.stand.ended.contains_key(&NET) {
+                        break;
+                    }
+                }
+                assert!(bench.stand.ended.contains_key(&NET), "{what}");
+                for _ in 0..3 * period {
+                    assert_eq!(bench.commanded() > 0, keeps, "{what}");
+                    bench.stand.step();
+                }
+            }
+        }
+    }
+}
+
+/// A successor that commands the same, but not in its first cycle, does not prolong it.
+#[test]
+fn successor_that_commands_nothing_lets_commands_end() {
+    // A position out of range is none.
+    let silent = "far=Core::DoubleValue(Value='99'),
+        j=RobotArm::JointPosition(inPosition=far.outValue,Robot='x',Axis='1')";
+    let mut bench = Bench::new(&KINDS[0]);
+    bench
+        .stand
+        .try_start(NET, &net(ARM, 1000, None), 1000)
+        .unwrap();
+    bench.stand.steps(3400);
+    bench.stand.schedule(2, &net(silent, 10, None), 10);
+    bench.stand.stop_by_rule(2, NET, &[2]);
+    bench.stand.steps(12);
+    assert!(bench.stand.ended.contains_key(&NET));
+    assert_eq!(bench.commanded(), 0);
+}
+
+/// What a device goes through between a net being scheduled and its rule firing.
+#[derive(Clone, Copy, Debug)]
+enum Between {
+    Nothing,
+    Fault,
+    Lost,
+    Stop,
+    /// It did not follow commands when the net was scheduled.
+    Comes,
+}
+
+#[test]
+fn scheduled_nets_of_a_device_that_failed_are_given_back() {
+    use Between::{Comes, Fault, Lost, Nothing, Stop};
+    for kind in KINDS.iter().filter(|kind| kind.claims) {
+        for between in [Nothing, Fault, Lost, Stop, Comes] {
+            let what = format!("{}, {between:?}", kind.name);
+            let mut bench = Bench::new(kind);
+            if matches!(between, Comes) {
+                bench.fail(DeviceStatus::SafeOperational);
+                bench.stand.step();
+            }
+            // It waits for a net that has nothing to do with the device.
+            bench
+                .stand
+                .try_start(
+                    NET,
+                    "{no=Core::BooleanValue(),c=Cancel(),outTerminate=c.outCancel}",
+                    1,
+                )
+                .unwrap();
+            bench
+                .stand
+                .start_after(Some(NET), 2, &net(kind.children, 1, None), 1);
+            bench.stand.steps(3);
+            match between {
+                Nothing | Comes => {}
+                Fault => bench.fail(DeviceStatus::SafeOperational),
+                Lost => bench.fail(DeviceStatus::Offline),
+                Stop => bench.stand.set_stop(true),
+            }
+            bench.stand.steps(3);
+            bench.fail(DeviceStatus::Operational);
+            bench.stand.set_stop(false);
+            bench.stand.steps(3);
+            let told = bench.stand.rules.get(&2).copied();
+            let fails = Some((RuleState::FireFailed, Some(Failure::DeviceChanged(0))));
+            let expected = if matches!(between, Nothing) {
+                None
+            } else {
+                fails
+            };
+            assert_eq!(told, expected, "{what}: before its condition holds");
+            assert!(bench.stand.executor.cancel(NET));
+            bench.stand.steps(5);
+            let fires = matches!(between, Nothing);
+            assert_eq!(bench.commanded() > 0, fires, "{what}");
+            if fires {
+                continue;
+            }
+            // Asked for again, it runs.
+            assert!(
+                bench.stand.executor.take_unscheduled(2, false).is_some(),
+                "{what}"
+            );
+            bench.stand.rules.clear();
+            bench
+                .stand
+                .start_after(None, 3, &net(kind.children, 1, None), 1);
+            bench.stand.steps(3);
+            assert_eq!(bench.stand.rules[&3].0, RuleState::Fired, "{what}");
+            assert!(bench.commanded() > 0, "{what}");
+        }
+    }
+}
