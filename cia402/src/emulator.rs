@@ -10,6 +10,7 @@
 //!
 //! Time is what [`Drive::step`] is told; nothing happens between two steps.
 
+mod distortion;
 mod drive;
 mod guards;
 mod homing;
@@ -23,6 +24,7 @@ mod servo;
 #[cfg(test)]
 mod tests;
 
+pub use distortion::{Distortion, ProcessDataFaults};
 pub use drive::{Drive, DriveConfig, Step, Stepped};
 pub use guards::FaultCode;
 pub use homing::Method;

@@ -15,6 +15,7 @@
 use std::fmt;
 use std::time::Duration;
 
+use crate::proof::ProofFault;
 use crate::{ControlWord, DecodeError, Goal, State, StatusWord, next_control_word};
 
 /// What a master hears of an axis in a cycle.
@@ -117,6 +118,8 @@ pub enum Obstacle {
     QuickStopHeld,
     /// Enabled, but bit 12 says that it does not follow its target.
     NotFollowing,
+    /// Its process data are not proven: it gets no power.
+    NotProven(ProofFault),
 }
 
 impl fmt::Display for Obstacle {
@@ -160,6 +163,7 @@ impl fmt::Display for Obstacle {
                 "enabled, but bit 12 of 6041h says that the target is ignored; check the mode and that set-points \
                  come in every cycle, or set the quirk no_follow_bit if its manual gives bit 12 no meaning",
             ),
+            Self::NotProven(fault) => fault.fmt(f),
         }
     }
 }
@@ -180,6 +184,8 @@ enum Reset {
 pub struct Master {
     patience: Patience,
     goal: Goal,
+    /// How far it may be brought on the way to its goal.
+    ceiling: Goal,
     mode: i8,
     reset: Reset,
     tries: u8,
@@ -201,6 +207,7 @@ impl Master {
         Self {
             patience,
             goal: Goal::SwitchOnDisabled,
+            ceiling: Goal::OperationEnabled,
             mode: 0,
             reset: Reset::Idle,
             tries: 0,
@@ -221,6 +228,41 @@ impl Master {
                 self.failures = 0;
             }
         }
+    }
+
+    /// How far the axis may be brought for the time being; its goal stays as it is. A quick stop knows no ceiling.
+    pub fn set_ceiling(&mut self, ceiling: Goal) {
+        if ceiling != self.ceiling {
+            self.ceiling = ceiling;
+            self.seen = None;
+        }
+    }
+
+    /// Where it is wanted, as far as it may.
+    fn allowed(&self) -> Goal {
+        let rank = |goal| match goal {
+            Goal::SwitchOnDisabled => 0,
+            Goal::ReadyToSwitchOn => 1,
+            Goal::SwitchedOn => 2,
+            Goal::OperationEnabled | Goal::QuickStop => 3,
+        };
+        if self.goal != Goal::QuickStop && rank(self.ceiling) < rank(self.goal) {
+            self.ceiling
+        } else {
+            self.goal
+        }
+    }
+
+    /// Where it is wanted.
+    #[must_use]
+    pub const fn goal(&self) -> Goal {
+        self.goal
+    }
+
+    /// Which mode of operation is wanted.
+    #[must_use]
+    pub const fn mode(&self) -> i8 {
+        self.mode
     }
 
     /// Says which mode of operation is wanted (6060h).
@@ -250,7 +292,7 @@ impl Master {
                 self.note(state, now);
                 let control = self.control(state, feedback, now);
                 let enabled = state == State::OperationEnabled;
-                let wanted = self.goal == Goal::OperationEnabled;
+                let wanted = self.allowed() == Goal::OperationEnabled;
                 let mode = feedback.mode.is_none_or(|mode| mode == self.mode);
                 (
                     control,
@@ -270,7 +312,11 @@ impl Master {
         }
     }
 
-    fn state(&self, status: StatusWord) -> Result<State, DecodeError> {
+    /// The state that a statusword shows, by the drive's own way of showing it.
+    ///
+    /// # Errors
+    /// If it shows none.
+    pub fn state(&self, status: StatusWord) -> Result<State, DecodeError> {
         if self.patience.sod_as_0020 && status.raw() & 0x6F == 0x20 {
             return Ok(State::SwitchOnDisabled);
         }
@@ -321,18 +367,22 @@ impl Master {
             return self.reset();
         }
         self.reset = Reset::Idle;
-        let mode_first = !self.patience.mode_after_enable && self.goal == Goal::OperationEnabled;
+        let allowed = self.allowed();
+        let mode_first = !self.patience.mode_after_enable && allowed == Goal::OperationEnabled;
         let shown = feedback.mode.unwrap_or(self.mode);
+        if allowed != Goal::OperationEnabled {
+            self.mode_since = None;
+        }
         let since = *self.mode_since.get_or_insert(now);
         let late = now.saturating_sub(since) > self.patience.mode;
-        let wrong = shown != self.mode && self.goal == Goal::OperationEnabled;
+        let wrong = shown != self.mode && allowed == Goal::OperationEnabled;
         let mode = (wrong && late).then_some(Obstacle::Mode {
             wanted: self.mode,
             shown,
         });
         // With the wrong mode the drive comes up to Switched on and waits there.
         let enables = state == State::SwitchedOn && wrong && mode_first;
-        let goal = if enables { Goal::SwitchedOn } else { self.goal };
+        let goal = if enables { Goal::SwitchedOn } else { allowed };
         let control = next_control_word(state, goal);
         self.obstacle = mode.or_else(|| self.judge(state, feedback.status, control, now));
         control
@@ -354,7 +404,7 @@ impl Master {
             self.patience.state
         };
         let late = waited > patience;
-        if self.goal.is_reached(state) {
+        if self.allowed().is_reached(state) {
             let ignored = self.goal == Goal::OperationEnabled && !self.is_followed(status);
             return (ignored && late).then_some(Obstacle::NotFollowing);
         }
@@ -392,6 +442,8 @@ impl Master {
             Obstacle::Fault
         });
         match self.reset {
+            // What would be its edge does not get to the drive now.
+            _ if self.ceiling == Goal::SwitchOnDisabled => ControlWord::DISABLE_VOLTAGE,
             Reset::Idle => ControlWord::DISABLE_VOLTAGE,
             Reset::Low(0) if self.tries >= self.patience.resets => {
                 self.reset = Reset::Idle;

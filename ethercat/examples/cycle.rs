@@ -226,6 +226,13 @@ fn lead(
 ) -> (usize, u64, Option<AxisState>) {
     let period = master.config().cycle;
     let (mut following, mut losses, mut last) = (0, 0, None);
+    while let Some(reply) = master.poll_reply() {
+        // Nobody else asks for anything here.
+        let mut axes = all.iter_mut();
+        axes.try_fold(reply, |reply, (axis, _)| {
+            axis.handle_reply(reply, due).err()
+        });
+    }
     for (axis, start) in all {
         let target = start.map_or(Target::Hold, |(at, since)| {
             Target::Position(at + sine(n - since, period))

@@ -6,12 +6,18 @@ use std::fmt;
 use std::time::Duration;
 
 use takt_cia402::dictionary::{Address, Mapped};
+use takt_cia402::proof::{Objects, Proof, Values};
 use takt_cia402::{
     ControlWord, Feedback, Goal, Master as Profile, Obstacle, Orders, Patience, State, StatusWord,
 };
 
 use crate::config::{PdoSpec, StartupSdo};
-use crate::master::{Master, ProcessData};
+use crate::master::{Master, ProcessData, Reply};
+use places::Places;
+use prover::Prover;
+
+mod places;
+mod prover;
 
 /// Modes of operation (6060h) that an axis is led in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -114,47 +120,6 @@ pub struct NotMapped {
     pub address: Address,
 }
 
-/// Bits of an object in the process data.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Bits {
-    first: usize,
-    count: usize,
-}
-
-impl Bits {
-    fn find(process: &ProcessData, index: u16, axis: u8, outputs: bool) -> Option<Self> {
-        let address = Address::new(index, 0).on_axis(axis)?;
-        let place = process.locate(address, outputs)?;
-        Some(Self {
-            first: place.bit,
-            count: usize::from(place.bits).min(32),
-        })
-    }
-
-    fn read(self, bytes: &[u8]) -> u32 {
-        let bit = |n: usize| {
-            let at = self.first + n;
-            let byte = bytes.get(at / 8).copied().unwrap_or(0);
-            u32::from(byte >> (at % 8) & 1) << n
-        };
-        (0..self.count).map(bit).sum()
-    }
-
-    fn write(self, bytes: &mut [u8], value: u32) {
-        for n in 0..self.count {
-            let at = self.first + n;
-            if let Some(byte) = bytes.get_mut(at / 8) {
-                let mask = 1 << (at % 8);
-                *byte = if value >> n & 1 == 0 {
-                    *byte & !mask
-                } else {
-                    *byte | mask
-                };
-            }
-        }
-    }
-}
-
 fn signed(value: u32) -> i32 {
     value.cast_signed()
 }
@@ -164,87 +129,80 @@ fn short(value: u32) -> u16 {
     u16::from_le_bytes([a, b])
 }
 
-/// Where the objects of an axis lie.
-#[derive(Clone, Copy, Debug)]
-struct Places {
-    control: Bits,
-    mode: Option<Bits>,
-    target_position: Option<Bits>,
-    target_velocity: Option<Bits>,
-    target_torque: Option<Bits>,
-    status: Bits,
-    shown: Option<Bits>,
-    position: Bits,
-    velocity: Option<Bits>,
-    torque: Option<Bits>,
-    error_code: Option<Bits>,
-}
-
-impl Places {
-    fn find(process: &ProcessData, axis: u8) -> Result<Self, NotMapped> {
-        let out = |index| Bits::find(process, index, axis, true);
-        let back = |index| Bits::find(process, index, axis, false);
-        let missing = |index| {
-            let plain = Address::new(index, 0);
-            NotMapped {
-                address: plain.on_axis(axis).unwrap_or(plain),
-            }
-        };
-        Ok(Self {
-            control: out(0x6040).ok_or_else(|| missing(0x6040))?,
-            mode: out(0x6060),
-            target_position: out(0x607A),
-            target_velocity: out(0x60FF),
-            target_torque: out(0x6071),
-            status: back(0x6041).ok_or_else(|| missing(0x6041))?,
-            shown: back(0x6061),
-            position: back(0x6064).ok_or_else(|| missing(0x6064))?,
-            velocity: back(0x606C),
-            torque: back(0x6077),
-            error_code: back(0x603F),
-        })
-    }
-}
-
 /// Cycles without inputs after which an axis counts as gone.
 const GONE: u32 = 4;
 /// Bit 4 of 6040h: in homing, begin.
 const HOMING_START: u16 = 0x0010;
 
 /// An axis.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct Axis {
     slave: usize,
     places: Places,
     profile: Profile,
+    prover: Prover,
     target: Target,
+    /// Where it is held while it is enabled and has no position to go to. The actual position of every cycle would give
+    /// way to any load.
+    held: Option<i32>,
+    /// What was sent last.
+    sent: Values,
     /// Homing was begun by bit 4 so many cycles ago.
     begun: Option<u32>,
     online: bool,
 }
 
 impl Axis {
-    /// An axis (0 to 7) of a slave whose process data is known; without power until [`Self::set_goal`].
+    /// An axis (0 to 7) of a slave whose process data is known; without power until [`Self::set_goal`], and until its
+    /// process data are proven. The owner of the master gives replies to [`Self::handle_reply`], or no axis gets power.
     pub fn new(
         slave: usize,
         process: &ProcessData,
         axis: u8,
         patience: Patience,
     ) -> Result<Self, NotMapped> {
+        let places = Places::find(process, axis)?;
         Ok(Self {
             slave,
-            places: Places::find(process, axis)?,
+            places,
             profile: Profile::new(patience),
+            prover: Prover::new(slave, axis, places.carried(), Objects::default()),
             target: Target::Hold,
+            held: None,
+            sent: Values::default(),
             begun: None,
             online: false,
         })
+    }
+
+    /// The same, of a drive whose SDO server does not show these objects as its PDOs carry them: they are taken on trust.
+    #[must_use]
+    pub fn not_mirrored(self, objects: Objects) -> Self {
+        let (carried, number) = (self.places.carried(), self.prover.axis());
+        Self {
+            prover: Prover::new(self.slave, number, carried, objects),
+            ..self
+        }
     }
 
     /// The slave that it is in.
     #[must_use]
     pub const fn slave(&self) -> usize {
         self.slave
+    }
+
+    /// The proof of its process data.
+    #[must_use]
+    pub const fn proof(&self) -> &Proof {
+        self.prover.proof()
+    }
+
+    /// Takes the reply to an upload of its own; gives back what is another's.
+    ///
+    /// # Errors
+    /// A reply that is not to this axis.
+    pub fn handle_reply(&mut self, reply: Reply, now: Duration) -> Result<(), Reply> {
+        self.prover.handle_reply(reply, now)
     }
 
     /// Where it is wanted. An axis that was gone is wanted without power from then on: what comes back does not move
@@ -261,14 +219,12 @@ impl Axis {
     /// One cycle: inputs of the last frame in, outputs of the next out.
     pub fn cycle(&mut self, master: &mut Master, target: Target, now: Duration) -> AxisState {
         let (inputs, age) = master.inputs(self.slave);
-        let read = |bits: Bits| bits.read(inputs);
-        let places = self.places;
+        let received = self.places.read(inputs);
+        let mapped = |index| self.places.has(index).then(|| received.at(index));
         let feedback = Feedback {
-            status: StatusWord::new(short(read(places.status))),
-            mode: places
-                .shown
-                .map(|bits| read(bits).to_le_bytes()[0].cast_signed()),
-            position: signed(read(places.position)),
+            status: StatusWord::new(short(received.at(0x6041))),
+            mode: mapped(0x6061).map(|raw| raw.to_le_bytes()[0].cast_signed()),
+            position: signed(received.at(0x6064)),
         };
         let mut state = AxisState {
             online: age <= GONE,
@@ -278,30 +234,55 @@ impl Axis {
             obstacle: None,
             follows: false,
             position: feedback.position,
-            velocity: places.velocity.map(|bits| signed(read(bits))),
-            torque: places.torque.map(|bits| short(read(bits)).cast_signed()),
-            error_code: places.error_code.map(|bits| short(read(bits))),
+            velocity: mapped(0x606C).map(signed),
+            torque: mapped(0x6077).map(|raw| short(raw).cast_signed()),
+            error_code: mapped(0x603F).map(short),
             homing: Homing::Idle,
         };
-        let orders = self.lead(&feedback, target, state.online, now);
+        if self.online && !state.online {
+            self.profile.set_goal(Goal::SwitchOnDisabled);
+        }
+        self.online = state.online;
+        self.prover
+            .cycle(master, &mut self.profile, &received, &self.sent, age, now);
+        let orders = self.lead(&feedback, target, now);
         (state.follows, state.control) = (orders.follows, orders.control);
-        state.obstacle = self.profile.obstacle().filter(|_| state.online);
+        let refused = self.prover.proof().fault().map(Obstacle::NotProven);
+        let obstacle = refused.or_else(|| self.profile.obstacle());
+        state.obstacle = obstacle.filter(|_| state.online);
         state.homing = self.homing(&feedback, &orders);
-        self.write(master.outputs_mut(self.slave), &orders);
+        self.hold(&orders, state.state);
+        self.sent = self.outputs(&orders);
+        if let Some(instead) = self.prover.proof().instead() {
+            self.sent = *instead;
+            state.control = ControlWord::new(short(instead.at(0x6040)));
+        }
+        self.places
+            .write(master.outputs_mut(self.slave), &self.sent);
         state
     }
 
-    fn lead(&mut self, feedback: &Feedback, target: Target, online: bool, now: Duration) -> Orders {
-        if self.online && !online {
-            self.profile.set_goal(Goal::SwitchOnDisabled);
-        }
-        self.online = online;
+    fn lead(&mut self, feedback: &Feedback, target: Target, now: Duration) -> Orders {
         if target.mode() != self.target.mode() {
             self.begun = None;
         }
         self.target = target;
         self.profile.set_mode(target.mode().raw());
         self.profile.step(feedback, now)
+    }
+
+    /// The first target that an enabled drive has is where it is.
+    fn hold(&mut self, orders: &Orders, state: Option<State>) {
+        let enabled = state == Some(State::OperationEnabled);
+        self.held = match self.target {
+            Target::Position(position) if enabled && orders.follows => Some(position),
+            Target::Position(_) | Target::Hold if enabled => self.held.or(Some(orders.hold)),
+            Target::Position(_)
+            | Target::Hold
+            | Target::Velocity(_)
+            | Target::Torque(_)
+            | Target::Home => None,
+        };
     }
 
     /// Homing begins by the edge of bit 4 once the drive is enabled in that mode.
@@ -322,30 +303,11 @@ impl Axis {
         }
     }
 
-    fn write(&self, outputs: &mut [u8], orders: &Orders) {
-        let Places {
-            control,
-            mode,
-            target_position,
-            target_velocity,
-            target_torque,
-            ..
-        } = self.places;
+    fn outputs(&self, orders: &Orders) -> Values {
         // Low for two cycles first, so that there is an edge.
         let begins = self.begun.is_some_and(|cycles| cycles >= 2);
         let word = orders.control.raw() | if begins { HOMING_START } else { 0 };
-        control.write(outputs, word.into());
-        if let Some(bits) = mode {
-            bits.write(outputs, u32::from(orders.mode.cast_unsigned()));
-        }
-        let position = match self.target {
-            Target::Position(position) if orders.follows => position,
-            Target::Position(_)
-            | Target::Hold
-            | Target::Velocity(_)
-            | Target::Torque(_)
-            | Target::Home => orders.hold,
-        };
+        let position = self.held.unwrap_or(orders.hold);
         let (mut velocity, mut torque) = (0, 0);
         if let Target::Velocity(wanted) = self.target
             && orders.follows
@@ -357,16 +319,13 @@ impl Axis {
         {
             torque = wanted;
         }
-        let all = [
-            (target_position, position.cast_unsigned()),
-            (target_velocity, velocity.cast_unsigned()),
-            (target_torque, u32::from(torque.cast_unsigned())),
-        ];
-        for (bits, value) in all {
-            if let Some(bits) = bits {
-                bits.write(outputs, value);
-            }
-        }
+        let mut values = Values::default();
+        values.put(0x6040, word.into());
+        values.put(0x6060, orders.mode.cast_unsigned().into());
+        values.put(0x607A, position.cast_unsigned());
+        values.put(0x60FF, velocity.cast_unsigned());
+        values.put(0x6071, torque.cast_unsigned().into());
+        values
     }
 }
 

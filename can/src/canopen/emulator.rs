@@ -329,6 +329,13 @@ impl Drives {
 }
 
 impl Application for Drives {
+    fn before_upload(&mut self, d: &mut Dictionary, address: Address) -> Result<(), AbortCode> {
+        for drive in &self.axes {
+            drive.before_upload(d, address)?;
+        }
+        Ok(())
+    }
+
     fn check_download(
         &mut self,
         dictionary: &Dictionary,

@@ -8,6 +8,7 @@ use takt_can::Frame;
 use takt_can::canopen::NodeId;
 use takt_can::canopen::emulator::{DriveNode, DriveNodeConfig};
 use takt_can::canopen::network::{AxisPlan, Event, Network, NetworkConfig, NodePlan, Phase};
+use takt_cia402::emulator::Distortion;
 
 pub(crate) const MS: Duration = Duration::from_millis(1);
 const TICK: Duration = Duration::from_micros(500);
@@ -43,7 +44,30 @@ impl Dice {
     }
 }
 
+/// What becomes of the data of an identifier between the bus and the objects of the device.
+pub(crate) struct Tamper {
+    pub(crate) id: u32,
+    /// Lengths of the mapped objects.
+    pub(crate) lens: &'static [usize],
+    /// The device receives it.
+    pub(crate) receives: bool,
+    pub(crate) distortion: Distortion,
+}
+
+impl Tamper {
+    fn apply(&mut self, frame: &Frame) -> Frame {
+        let mut data = frame.data().to_vec();
+        if self.receives {
+            self.distortion.receive(self.lens, &mut data);
+        } else {
+            self.distortion.transmit(self.lens, &mut data);
+        }
+        Frame::new(frame.id(), &data).unwrap()
+    }
+}
+
 pub(crate) struct Bus {
+    pub(crate) tamper: Vec<Tamper>,
     pub(crate) now: Duration,
     pub(crate) master: Network,
     pub(crate) drives: Vec<Option<DriveNode>>,
@@ -82,6 +106,7 @@ impl Bus {
             .map(|config| Some(DriveNode::power_on(config, now).unwrap()))
             .collect();
         Self {
+            tamper: Vec::new(),
             now,
             master: Network::new(config, plans).unwrap(),
             queues: vec![VecDeque::new(); drives.len() + 2],
@@ -188,6 +213,9 @@ impl Bus {
     }
 
     fn deliver(&mut self, frame: &Frame, port: usize) {
+        let id = frame.id().raw();
+        let tamper = self.tamper.iter_mut().find(|tamper| tamper.id == id);
+        let frame = &tamper.map_or(*frame, |tamper| tamper.apply(frame));
         self.frames += 1;
         let request = frame.id().raw() & 0x780 == 0x600;
         self.aborts += u32::from(port == 0 && request && frame.data().first() == Some(&0x80));

@@ -6,6 +6,7 @@ use std::time::Duration;
 use crate::dictionary::{AbortCode, Address, Dictionary, DictionaryError, Key, Object};
 use crate::{ControlWord, State};
 
+use super::distortion::ProcessDataFaults;
 use super::guards::{DC_LINK, FaultCode, Guards, WARM, Watched};
 use super::homing::Method;
 use super::modes::{Follow, Modes, Said, View, is_supported, shown, wrap};
@@ -109,6 +110,8 @@ pub struct Drive {
     obeyed: ControlWord,
     /// Enablings that still end in a fault.
     faults_on_enable: u32,
+    /// What it makes of its process data; its node asks.
+    pub process_data: ProcessDataFaults,
 }
 
 impl Drive {
@@ -143,6 +146,7 @@ impl Drive {
             local: false,
             interlock: false,
             obeyed: ControlWord::DISABLE_VOLTAGE,
+            process_data: ProcessDataFaults::default(),
         })
     }
 
@@ -211,6 +215,16 @@ impl Drive {
         } else {
             Err(AbortCode::Value)
         }
+    }
+
+    /// What the drive says to a read from the bus.
+    ///
+    /// # Errors
+    /// If SDO does not read that object.
+    pub fn before_upload(&self, d: &mut Dictionary, address: Address) -> Result<(), AbortCode> {
+        let enabled = self.power.state == State::OperationEnabled;
+        self.process_data
+            .before_upload(self.axis, enabled, d, address)
     }
 
     /// Lets time pass: reads what the master wrote, moves the motor, and writes what the master

@@ -1,10 +1,13 @@
 //! Axes against the emulated drive on the emulated segment, in virtual time.
 
+use super::places::Bits;
 use super::*;
 use crate::config::{MasterConfig, Place, SlaveSpec, SyncSpec};
 use crate::emulator::{Segment, ServoConfig, ServoDrive, Slave};
 use crate::master::tests::Rig;
 use takt_cia402::emulator::FaultCode;
+
+mod proof;
 
 const OVERCURRENT: FaultCode = FaultCode(0x2310);
 
@@ -62,6 +65,12 @@ impl Stand {
             self.states.push(state);
         }
         self.rig.cycle();
+        while let Some(reply) = self.rig.master.poll_reply() {
+            let mut axes = self.axes.iter_mut();
+            let now = self.rig.now;
+            let other = axes.try_fold(reply, |reply, axis| axis.handle_reply(reply, now).err());
+            assert_eq!(other, None);
+        }
     }
 
     #[track_caller]
@@ -73,7 +82,8 @@ impl Stand {
             }
         }
         let told: Vec<_> = self.states.iter().map(ToString::to_string).collect();
-        panic!("{told:?} {:?}", self.rig.events);
+        let proofs: Vec<_> = self.axes.iter().map(Axis::proof).collect();
+        panic!("{told:?} {:?} {proofs:?}", self.rig.events);
     }
 
     #[track_caller]

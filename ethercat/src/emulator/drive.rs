@@ -61,6 +61,9 @@ pub struct ServoConfig {
     pub coe: u8,
     /// Which PDOs it has.
     pub pdos: PdoSet,
+    /// It acknowledges a new mapping of the same length, and goes on using the first one that it had since its power
+    /// came on.
+    pub keeps_mapping: bool,
 }
 
 /// The PDOs of a drive.
@@ -88,6 +91,7 @@ impl Default for ServoConfig {
             identity: None,
             coe: COE,
             pdos: PdoSet::One,
+            keeps_mapping: false,
         }
     }
 }
@@ -190,6 +194,8 @@ struct Firmware {
     keys: Keys,
     coe: CoeServer,
     pdos: Pdos,
+    /// The first ones since power came on.
+    kept: Option<Pdos>,
     state: AlState,
     /// OP was left while an axis had power.
     link_lost: bool,
@@ -202,6 +208,13 @@ struct Rules<'a> {
 }
 
 impl Hooks for Rules<'_> {
+    fn before_upload(&mut self, d: &mut Dictionary, at: Address) -> Result<(), AbortCode> {
+        for axis in self.axes {
+            axis.before_upload(d, at)?;
+        }
+        Ok(())
+    }
+
     fn before_download(
         &mut self,
         d: &Dictionary,
@@ -230,6 +243,7 @@ impl Firmware {
                 .with_information(config.coe & INFORMATION != 0),
             config,
             pdos: Pdos::default(),
+            kept: None,
             state: AlState::Init,
             link_lost: false,
         })
@@ -246,6 +260,11 @@ impl Firmware {
         }
         if self.pdos.inputs() != usize::from(setup.inputs) {
             return Err(AlStatusCode(0x001E));
+        }
+        let kept = self.kept.get_or_insert_with(|| self.pdos.clone());
+        let as_long = (kept.outputs(), kept.inputs()) == (self.pdos.outputs(), self.pdos.inputs());
+        if self.config.keeps_mapping && as_long {
+            self.pdos = kept.clone();
         }
         let k = self.keys;
         for (sync_type, cycle_time) in k.sync_type.into_iter().zip(k.cycle_time) {
@@ -273,7 +292,8 @@ impl Firmware {
 
     fn step(&mut self, cycle: &Cycle<'_>, inputs: &mut [u8]) {
         if let Some(outputs) = cycle.outputs {
-            self.pdos.unpack(&mut self.dictionary, outputs);
+            self.pdos
+                .unpack(&mut self.dictionary, &mut self.axes, outputs);
         }
         let k = self.keys;
         if cycle.synchronous && cycle.state == AlState::Op {
@@ -293,7 +313,7 @@ impl Firmware {
                 self.tell(number, code);
             }
         }
-        self.pdos.pack(&self.dictionary, inputs);
+        self.pdos.pack(&self.dictionary, &mut self.axes, inputs);
     }
 
     /// Sends an emergency of an axis; its number is in the first byte of the manufacturer.

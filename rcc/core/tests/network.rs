@@ -43,6 +43,8 @@ fn config() -> CanopenConfig {
         range: [-170.0, 170.0],
         velocity_max: 100.0,
         acceleration_max: 300.0,
+        following_error_max: None,
+        not_mirrored: Vec::new(),
     };
     CanopenConfig {
         name: "network".to_owned(),

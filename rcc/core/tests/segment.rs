@@ -50,6 +50,8 @@ fn config() -> EthercatConfig {
         range,
         velocity_max: 300.0,
         acceleration_max: 1000.0,
+        following_error_max: None,
+        not_mirrored: Vec::new(),
     };
     EthercatConfig {
         name: "segment".to_owned(),

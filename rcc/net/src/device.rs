@@ -55,6 +55,12 @@ pub enum JointError {
     NotEnabled = 2,
     /// The driver refused the set-points and holds the joint: a step or speed beyond the limit.
     Refused = 3,
+    /// Its drive gets no power: its process data by PDO are not those by SDO.
+    NotProven = 4,
+    /// Its motor went where it was not told to go, and lost its power.
+    Runaway = 5,
+    /// It stands out of its range: set-points that begin where it stands move it back, slowly.
+    OutOfRange = 6,
 }
 
 /// A set-point for a joint.

@@ -12,7 +12,9 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use clap::Args;
+use takt_cia402::dictionary::Address;
 use takt_cia402::emulator::FaultCode;
+use takt_cia402::proof::{Object, Objects};
 use takt_cia402::{ControlWord, Goal, Obstacle, Patience, Quirk, State, StatusWord};
 use takt_ethercat::AlState;
 use takt_ethercat::axis::{Axis, AxisState, Target};
@@ -26,8 +28,9 @@ use way::Way;
 /// Bring an axis of a CiA 402 drive up, see its words as named bits, learn why it does not come, and jog it.
 ///
 /// The segment is brought to OP, the axis to Operation enabled in cyclic synchronous position (CSP), held there or
-/// moved, and switched off again; then all slaves are left in INIT. Ctrl-C brakes first. Exit status: 0 it came up
-/// and did as asked; 1 it did not, with the reason; 2 it could not be tried.
+/// moved, and switched off again; then all slaves are left in INIT. Before it gets power, what PDOs carry is compared
+/// with SDO uploads in both directions; a drive that does not use the mapping it acknowledged gets none. Ctrl-C brakes
+/// first. Exit status: 0 it came up and did as asked; 1 it did not, with the reason; 2 it could not be tried.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   takt ecat drive enp2s0 3
@@ -62,9 +65,19 @@ pub(crate) struct Drive {
     /// A quirk of the drive: no_follow_bit, sod_as_0020 or mode_after_enable; may be repeated.
     #[arg(long = "quirk", value_name = "QUIRK")]
     quirks: Vec<Quirk>,
+    /// Objects that SDO does not show as PDOs carry them, by the drive's manual, such as 607A,60FF: not compared.
+    #[arg(long, value_name = "INDEX", value_delimiter = ',', value_parser = mirrored)]
+    not_mirrored: Vec<Object>,
     /// Do not ask whether what moves is safe.
     #[arg(long, visible_alias = "yes")]
     confirm_motion: bool,
+}
+
+/// An object that leads an axis, by its index on the first axis.
+fn mirrored(text: &str) -> Result<Object, String> {
+    let address = text.parse::<Address>().map_err(|error| error.to_string())?;
+    Object::of(address.index)
+        .ok_or_else(|| format!("{address} leads no axis; write 607A or another mapped object"))
 }
 
 impl Drive {
@@ -84,6 +97,13 @@ impl Drive {
             jog: self.jog.map(|increments| (increments, self.time)),
             patience: self.target.patience,
             profile: Patience::default().with_quirks(&self.quirks),
+            not_mirrored: {
+                let mut all = Objects::default();
+                self.not_mirrored
+                    .iter()
+                    .for_each(|object| all.insert(*object));
+                all
+            },
         };
         let done = perform(&mut session, &order, &stop, &mut |line| say(line));
         let left = session.leave();
@@ -139,6 +159,8 @@ pub(super) struct Order {
     patience: Duration,
     /// How the drive keeps to its profile.
     profile: Patience,
+    /// Objects that are not compared before it gets power.
+    not_mirrored: Objects,
 }
 
 /// What came of it.
@@ -207,7 +229,7 @@ pub(super) fn perform<W: Wire>(
         .map(|slave| slave.process());
     let process = process.context("the slave went away")?;
     let axis = match Axis::new(order.slave, process, order.axis, order.profile) {
-        Ok(axis) => axis,
+        Ok(axis) => axis.not_mirrored(order.not_mirrored),
         Err(missing) => return Ok(Outcome::Slave(missing.to_string())),
     };
     let begin = session.now()?;
@@ -219,6 +241,7 @@ pub(super) fn perform<W: Wire>(
         tell,
         begin,
         told: None,
+        proven: None,
     };
     let outcome = bench.run()?;
     bench.switch_off()?;
@@ -235,6 +258,8 @@ struct Bench<'a, W: Wire> {
     begin: Duration,
     /// Words that were told last.
     told: Option<(ControlWord, StatusWord)>,
+    /// How long the proof of its process data took.
+    proven: Option<Duration>,
 }
 
 impl<W: Wire> Bench<'_, W> {
@@ -242,7 +267,12 @@ impl<W: Wire> Bench<'_, W> {
     fn cycle(&mut self, target: Target) -> anyhow::Result<AxisState> {
         self.session.cycle()?;
         let now = self.session.now()?;
+        while let Some(reply) = self.session.master_mut().poll_reply() {
+            // Of nobody else is anything asked while the axis is led.
+            let _ = self.axis.handle_reply(reply, now);
+        }
         let state = self.axis.cycle(self.session.master_mut(), target, now);
+        self.tell_proof()?;
         let words = (state.control, state.status);
         if self.told != Some(words) {
             self.told = Some(words);
@@ -255,6 +285,25 @@ impl<W: Wire> Bench<'_, W> {
             (self.tell)(&format!("            6040h {}", state.control))?;
         }
         Ok(state)
+    }
+
+    /// That its process data are proven, once.
+    fn tell_proof(&mut self) -> anyhow::Result<()> {
+        let took = self.axis.proof().took();
+        if took == std::mem::replace(&mut self.proven, took) {
+            return Ok(());
+        }
+        let Some(took) = took else {
+            return Ok(());
+        };
+        let trusted = self.axis.proof().taken_on_trust();
+        let but = if trusted.is_empty() {
+            String::new()
+        } else {
+            format!(", but for {trusted}, taken on trust")
+        };
+        let ms = took.as_millis();
+        (self.tell)(&format!("            process data proven in {ms} ms{but}"))
     }
 
     fn is_stopped(&self) -> bool {

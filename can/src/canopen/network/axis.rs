@@ -4,9 +4,10 @@
 use std::time::Duration;
 
 use takt_cia402::dictionary::{Address, Dictionary, Key, Number};
+use takt_cia402::proof::{Denied, Exchanged, Object, Objects, Proof, Values};
 use takt_cia402::{
-    ControlWord, Feedback, Goal, HOMING_MODE, HOMING_START, HandShake, Homing, Master, Orders,
-    SetPoint, SetPointError, State, StatusWord,
+    ControlWord, Feedback, Goal, HOMING_MODE, HOMING_START, HandShake, Homing, Master, Obstacle,
+    Orders, SetPoint, SetPointError, State, StatusWord,
 };
 
 use super::AxisTrouble;
@@ -112,10 +113,86 @@ impl Keys {
     }
 }
 
+fn get<T: Number>(image: &Dictionary, key: Option<Key<T>>) -> Option<T> {
+    key.map(|key| image.get(key))
+}
+
 fn set<T: Number>(image: &mut Dictionary, key: Option<Key<T>>, value: T) {
     if let Some(key) = key {
         image.set(key, value);
     }
+}
+
+/// The process image as the proof sees it.
+impl Keys {
+    /// Each object that is there, with its value.
+    fn each(&self, image: &Dictionary) -> [(u16, Option<u32>); 14] {
+        let word = |key: Option<Key<u16>>| get(image, key).map(u32::from);
+        let long = |key: Option<Key<i32>>| get(image, key).map(i32::cast_unsigned);
+        let short = |key: Option<Key<i16>>| {
+            let value = get(image, key).map(i16::cast_unsigned);
+            value.map(u32::from)
+        };
+        let byte = |key: Option<Key<i8>>| {
+            let value = get(image, key).map(i8::cast_unsigned);
+            value.map(u32::from)
+        };
+        [
+            (0x6040, word(self.control)),
+            (0x6060, byte(self.mode)),
+            (0x607A, long(self.position)),
+            (0x60FF, long(self.velocity)),
+            (0x6071, short(self.torque)),
+            (0x60B0, long(self.position_offset)),
+            (0x60B1, long(self.velocity_offset)),
+            (0x60B2, short(self.torque_offset)),
+            (0x6041, word(self.status)),
+            (0x6061, byte(self.shown)),
+            (0x6064, long(self.position_actual)),
+            (0x606C, long(self.velocity_actual)),
+            (0x6077, short(self.torque_actual)),
+            (0x60FD, get(image, self.inputs)),
+        ]
+    }
+
+    /// The objects that are there.
+    fn carried(&self, image: &Dictionary) -> Objects {
+        let mut carried = Objects::default();
+        for (index, value) in self.each(image) {
+            if let (Some(object), Some(_)) = (Object::of(index), value) {
+                carried.insert(object);
+            }
+        }
+        carried
+    }
+
+    fn values(&self, image: &Dictionary) -> Values {
+        let mut values = Values::default();
+        for (index, value) in self.each(image) {
+            values.put(index, value.unwrap_or(0));
+        }
+        values
+    }
+
+    /// Writes what is sent.
+    fn put(&self, image: &mut Dictionary, values: &Values) {
+        let long = |index| values.at(index).cast_signed();
+        let short = |index| low_word(values.at(index)).cast_signed();
+        set(image, self.control, low_word(values.at(0x6040)));
+        let [mode, ..] = values.at(0x6060).to_le_bytes();
+        set(image, self.mode, mode.cast_signed());
+        set(image, self.position, long(0x607A));
+        set(image, self.velocity, long(0x60FF));
+        set(image, self.torque, short(0x6071));
+        set(image, self.position_offset, long(0x60B0));
+        set(image, self.velocity_offset, long(0x60B1));
+        set(image, self.torque_offset, short(0x60B2));
+    }
+}
+
+const fn low_word(raw: u32) -> u16 {
+    let [a, b, ..] = raw.to_le_bytes();
+    u16::from_le_bytes([a, b])
 }
 
 /// The master's side of one axis.
@@ -124,6 +201,9 @@ pub struct Axis {
     plan: AxisPlan,
     keys: Keys,
     master: Master,
+    proof: Proof,
+    /// 60C1h:01 while the process data are not proven: a record that stands still.
+    parked: Option<i32>,
     command: AxisCommand,
     state: AxisState,
     goal: Goal,
@@ -149,9 +229,12 @@ pub struct Axis {
 
 impl Axis {
     pub(super) fn new(plan: AxisPlan, image: &Dictionary) -> Self {
+        let keys = Keys::new(image, plan.axis);
         Self {
             plan,
-            keys: Keys::new(image, plan.axis),
+            keys,
+            proof: Proof::new(plan.axis, keys.carried(image), plan.not_mirrored),
+            parked: None,
             master: Master::new(plan.patience),
             command: AxisCommand::default(),
             state: AxisState::default(),
@@ -260,15 +343,42 @@ impl Axis {
         self.trouble
     }
 
+    /// The proof of its process data.
+    #[must_use]
+    pub const fn proof(&self) -> &Proof {
+        &self.proof
+    }
+
+    /// The next object that its proof uploads.
+    pub(super) fn poll_upload(&mut self) -> Option<Address> {
+        self.proof.poll_upload()
+    }
+
+    pub(super) fn handle_upload(&mut self, answer: Result<&[u8], Denied>, now: Duration) {
+        self.proof.handle_upload(answer, now);
+    }
+
+    fn prove(&mut self, image: &Dictionary, fresh: bool, now: Duration) {
+        let powers = !matches!(self.goal, Goal::SwitchOnDisabled | Goal::QuickStop);
+        let values = self.keys.values(image);
+        let exchanged = Exchanged {
+            received: values,
+            sent: values,
+            fresh,
+            state: self.master.state(self.state.status).ok(),
+            wanted: powers,
+            mode: self.master.mode(),
+        };
+        self.proof.step(&exchanged, now);
+        self.master.set_ceiling(self.proof.ceiling());
+    }
+
     /// The TPDO with its statusword came.
     pub(super) const fn received(&mut self) {
         (self.fresh, self.heard) = (true, true);
     }
 
     fn read(&mut self, image: &Dictionary) {
-        fn get<T: Number>(image: &Dictionary, key: Option<Key<T>>) -> Option<T> {
-            key.map(|key| image.get(key))
-        }
         let (k, state) = (&self.keys, &mut self.state);
         state.status = StatusWord::new(get(image, k.status).unwrap_or(0));
         state.mode = get(image, k.shown);
@@ -286,6 +396,8 @@ impl Axis {
         self.homing = None;
         self.forget_set_points();
         self.goal = Goal::SwitchOnDisabled;
+        self.proof.restart();
+        self.parked = None;
         self.master = Master::new(self.plan.patience);
         self.master.set_mode(self.mode);
         self.aligned = false;
@@ -306,6 +418,7 @@ impl Axis {
             return false;
         }
         self.read(image);
+        self.parked = self.parked.or(Some(self.state.position));
         let fresh = std::mem::take(&mut self.fresh);
         self.state.missing = if fresh {
             0
@@ -319,6 +432,7 @@ impl Axis {
             self.homing = None;
             self.master.set_goal(Goal::QuickStop);
         }
+        self.prove(image, fresh, now);
         let orders = self.orders(now);
         self.latch(orders.follows);
         self.write(image, orders.control, orders.follows);
@@ -332,7 +446,9 @@ impl Axis {
             position: self.state.position,
         };
         let mut orders = self.master.step(&feedback, now);
-        self.trouble = self.master.obstacle().map(AxisTrouble::Drive);
+        let refused = self.proof.fault().map(Obstacle::NotProven);
+        let obstacle = refused.or_else(|| self.master.obstacle());
+        self.trouble = obstacle.map(AxisTrouble::Drive);
         // In the cycle in which a run ends the targets still are of before it.
         let homing = self.homing.is_some();
         let start = self.run_homing(&orders, now);
@@ -425,6 +541,11 @@ impl Axis {
     }
 
     fn write(&self, image: &mut Dictionary, control: ControlWord, follows: bool) {
+        if let Some(instead) = self.proof.instead() {
+            self.keys.put(image, instead);
+            set(image, self.keys.record, self.parked.unwrap_or(0));
+            return;
+        }
         let (k, c) = (&self.keys, &self.command);
         let mode = if self.homing.is_some() {
             HOMING_MODE

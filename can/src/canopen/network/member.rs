@@ -9,6 +9,7 @@ use std::time::Duration;
 use takt_cia402::dictionary::{
     AbortCode, Access, Address, DataType, Dictionary, Entry, Mapped, Mapping, Object, PdoUse,
 };
+use takt_cia402::proof::Denied;
 
 use babble::Babble;
 
@@ -45,6 +46,8 @@ struct Received {
 enum Owner {
     Nobody,
     Startup,
+    /// The proof of that axis.
+    Axis(usize),
     User(Transfer),
 }
 
@@ -375,7 +378,8 @@ impl Member {
 
     fn has_sdo(&self) -> bool {
         let ready = self.may_transfer() && !self.waiting.is_empty();
-        let next = self.client.is_idle() && (ready || self.wanted != Action::None);
+        let proves = self.is_running() && self.axes.iter().any(|axis| axis.proof().has_upload());
+        let next = self.client.is_idle() && (ready || proves || self.wanted != Action::None);
         self.message.is_some() || next
     }
 
@@ -425,8 +429,24 @@ impl Member {
                     Err(code) => self.finish(Outcome::GaveUp(code), now),
                 }
             }
-            Action::None | Action::Command(_) => self.next_of_user(now),
+            Action::None | Action::Command(_) => {
+                if !self.next_of_axes(now) {
+                    self.next_of_user(now);
+                }
+            }
         }
+    }
+
+    fn next_of_axes(&mut self, now: Duration) -> bool {
+        let running = self.is_running();
+        let mut axes = self.axes.iter_mut().enumerate().filter(|_| running);
+        let next = axes.find_map(|(at, axis)| Some((at, axis.poll_upload()?)));
+        let Some((at, address)) = next else {
+            return false;
+        };
+        self.owner = Owner::Axis(at);
+        self.message = Some(self.client.read(address, false, now));
+        true
     }
 
     fn next_of_user(&mut self, now: Duration) {
@@ -482,6 +502,16 @@ impl Member {
                 };
                 let action = self.startup.answered(answer, now);
                 self.act(action, now);
+            }
+            Owner::Axis(at) => {
+                let answer = match outcome {
+                    Outcome::Read => Ok(self.client.value()),
+                    Outcome::Refused(code) => Err(Denied::Abort(code)),
+                    Outcome::Written | Outcome::GaveUp(_) => Err(Denied::Silent),
+                };
+                if let Some(axis) = self.axes.get_mut(at) {
+                    axis.handle_upload(answer, now);
+                }
             }
             Owner::User(mut transfer) => {
                 if outcome == Outcome::Read {

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use takt_cia402::Patience;
 use takt_cia402::dictionary::{Address, Mapped};
+use takt_cia402::proof::Objects;
 
 use crate::canopen::NodeId;
 use crate::canopen::pdo::{Direction, Parameters, PdoCob, Transmission};
@@ -102,6 +103,8 @@ pub struct AxisPlan {
     /// 60C4h: interpolated position goes through a queue of so many data records, which evens out when they come;
     /// `None` leaves what the drive has.
     pub records: Option<u8>,
+    /// Objects whose SDO server does not show what PDOs carry: they are not compared before it gets power.
+    pub not_mirrored: Objects,
 }
 
 impl AxisPlan {
@@ -171,6 +174,7 @@ impl Default for AxisPlan {
             on_link_loss: None,
             jerk_max: None,
             records: None,
+            not_mirrored: Objects::default(),
         }
     }
 }

@@ -2,6 +2,7 @@
 //! The rules for changing them are those of the standard: in PRE-OP, and with their count at zero.
 
 use takt_cia402::dictionary::{AbortCode, Address, Dictionary, Mapped, Mapping};
+use takt_cia402::emulator::Drive;
 
 use super::PdoSet;
 use crate::emulator::image::PdoImage;
@@ -194,8 +195,31 @@ fn check_count(d: &Dictionary, index: u16, count: u8) -> Result<(), AbortCode> {
 /// The process data of a drive as assigned and mapped.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Pdos {
-    received: Vec<Mapping>,
-    transmitted: Vec<Mapping>,
+    received: Vec<Pdo>,
+    transmitted: Vec<Pdo>,
+}
+
+/// A PDO and the axis that it is of.
+#[derive(Clone, Debug)]
+struct Pdo {
+    axis: usize,
+    mapping: Mapping,
+    /// Lengths of its entries, bytes.
+    lens: Vec<usize>,
+}
+
+impl Pdo {
+    fn new(d: &Dictionary, pdo: u16, received: bool) -> Result<Self, AbortCode> {
+        let mapping = mapping(d, pdo, received)?;
+        let first = if received { 0x1600 } else { 0x1A00 };
+        let axis = pdo.saturating_sub(first) / PDO_STEP;
+        let bytes = |entry: Mapped| usize::from(entry.bits.div_ceil(8));
+        Ok(Self {
+            axis: axis.into(),
+            lens: mapping.entries().map(bytes).collect(),
+            mapping,
+        })
+    }
 }
 
 impl Pdos {
@@ -203,7 +227,7 @@ impl Pdos {
         let all = |assignment, received, code| {
             let pdos = list(d, assignment).unwrap_or_default();
             pdos.into_iter()
-                .map(|pdo| mapping(d, u16::from_le_bytes(pdo), received))
+                .map(|pdo| Pdo::new(d, u16::from_le_bytes(pdo), received))
                 .collect::<Result<Vec<_>, _>>()
                 .map_err(|_| AlStatusCode(code))
         };
@@ -215,30 +239,55 @@ impl Pdos {
 
     /// Length of the outputs, bytes.
     pub(super) fn outputs(&self) -> usize {
-        self.received.iter().map(Mapping::len).sum()
+        self.received.iter().map(|pdo| pdo.mapping.len()).sum()
     }
 
     /// Length of the inputs, bytes.
     pub(super) fn inputs(&self) -> usize {
-        self.transmitted.iter().map(Mapping::len).sum()
+        self.transmitted.iter().map(|pdo| pdo.mapping.len()).sum()
     }
 
-    pub(super) fn unpack(&self, d: &mut Dictionary, mut outputs: &[u8]) {
-        for mapping in &self.received {
+    pub(super) fn unpack(&self, d: &mut Dictionary, axes: &mut [Drive], mut outputs: &[u8]) {
+        for Pdo {
+            axis,
+            mapping,
+            lens,
+        } in &self.received
+        {
             let Some((pdo, rest)) = outputs.split_at_checked(mapping.len()) else {
                 return;
             };
-            mapping.unpack(d, pdo);
+            let faults = axes
+                .get_mut(*axis)
+                .map(|axis| &mut axis.process_data.outputs);
+            if let Some(faults) = faults.filter(|faults| !faults.is_none()) {
+                let mut own = pdo.to_vec();
+                faults.receive(lens, &mut own);
+                mapping.unpack(d, &own);
+            } else {
+                mapping.unpack(d, pdo);
+            }
             outputs = rest;
         }
     }
 
-    pub(super) fn pack(&self, d: &Dictionary, mut inputs: &mut [u8]) {
-        for mapping in &self.transmitted {
+    pub(super) fn pack(&self, d: &Dictionary, axes: &mut [Drive], mut inputs: &mut [u8]) {
+        for Pdo {
+            axis,
+            mapping,
+            lens,
+        } in &self.transmitted
+        {
             let Some((pdo, rest)) = inputs.split_at_mut_checked(mapping.len()) else {
                 return;
             };
             mapping.pack(d, pdo);
+            if let Some(axis) = axes.get_mut(*axis) {
+                let faults = &mut axis.process_data.inputs;
+                if !faults.is_none() {
+                    faults.transmit(lens, pdo);
+                }
+            }
             inputs = rest;
         }
     }

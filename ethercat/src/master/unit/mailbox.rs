@@ -159,7 +159,9 @@ impl Mailbox {
     /// Forgets all, as the slave does in INIT; gives back the transfer that was under way.
     pub(super) fn reset(&mut self) -> Option<Transfer> {
         self.phase = Phase::Idle;
-        self.counters = (0, 0);
+        // A slave that was lost by its cable alone still knows the counter of the last message, and takes one of the same
+        // for a repetition.
+        self.counters.1 = 0;
         self.repeat = false;
         self.transfer.take()
     }

@@ -14,6 +14,7 @@ use takt_can::canopen::network::{
 };
 use takt_can::canopen::{Emergency, NodeId};
 use takt_can::cia402::Obstacle;
+use takt_can::cia402::proof::Objects;
 use takt_can::linux::{Options, SocketCan};
 use takt_rt::alloc::enter_real_time;
 use takt_rt::cycle::{Cycles, Tick};
@@ -24,7 +25,7 @@ use takt_rt::{Nanos, monotonic};
 use crate::device::DeviceDescription;
 use crate::device::config::{CanopenConfig, DriveJoint, LinkLoss};
 use crate::device::driver::{DeviceDriver, DriverEnds, DriverThread, FAREWELL};
-use crate::device::drives::{self, Arm, Feedback};
+use crate::device::drives::{self, Arm, Feedback, JointNews};
 use crate::device::rmp::CanLink;
 use crate::error::Error;
 
@@ -86,6 +87,7 @@ fn network(config: &CanopenConfig) -> Result<Network, String> {
             axis: joint.axis,
             set_point_period: Some(config.cycle),
             on_link_loss: on_link_loss(config.on_link_loss),
+            not_mirrored: Objects::of(&joint.not_mirrored).unwrap_or_default(),
             ..AxisPlan::default()
         };
         match nodes.iter_mut().find(|(node, _)| *node == id) {
@@ -166,6 +168,10 @@ enum News {
     Emergency(NodeId, Emergency, u32),
     /// Of the axis of that number in its drive.
     Axis(NodeId, u8, AxisTrouble),
+    /// The process data of an axis are proven, but for these.
+    Proven(NodeId, u8, Duration, Objects),
+    /// Of a joint of an arm, in their order.
+    Joint(usize, usize, JointNews),
 }
 
 impl fmt::Display for News {
@@ -182,6 +188,11 @@ impl fmt::Display for News {
                 Trouble::Emergency(*emergency)
             ),
             Self::Axis(node, axis, trouble) => write!(f, "node {node}, axis {axis}: {trouble}"),
+            Self::Proven(node, axis, took, trusted) => {
+                let proven = drives::proven(*took, *trusted);
+                write!(f, "node {node}, axis {axis}: {proven}")
+            }
+            Self::Joint(arm, joint, news) => write!(f, "arm {arm}, joint {joint}: {news}"),
         }
     }
 }
@@ -192,6 +203,7 @@ struct Shared {
     received: AtomicU64,
     refused: AtomicU64,
     troubles: AtomicU64,
+    unproven: AtomicU64,
 }
 
 /// A running driver.
@@ -280,11 +292,15 @@ impl DeviceDriver for Canopen {
 
     fn figures(&self) -> Vec<(&'static str, String)> {
         let number = |figure: &AtomicU64| figure.load(Ordering::Relaxed).to_string();
-        vec![
+        let mut figures = vec![
             ("received", number(&self.shared.received)),
             ("refused", number(&self.shared.refused)),
             ("troubles", number(&self.shared.troubles)),
-        ]
+        ];
+        if self.shared.unproven.load(Ordering::Relaxed) > 0 {
+            figures.push(("axes not proven", number(&self.shared.unproven)));
+        }
+        figures
     }
 
     fn news(&self) -> Option<String> {
@@ -318,6 +334,8 @@ struct Reached {
     axis: u8,
     /// What was told of it last.
     told: Option<Kind>,
+    /// How long the proof took that was reported last.
+    proven: Option<Duration>,
 }
 
 impl Reached {
@@ -331,7 +349,18 @@ impl Reached {
             place,
             axis,
             told: None,
+            proven: None,
         })
+    }
+
+    /// That its process data are proven, once each time.
+    fn proof(&mut self, network: &Network) -> Option<News> {
+        let proof = network.axis(self.node, self.place)?.proof();
+        let took = proof.took();
+        let newly = took != std::mem::replace(&mut self.proven, took);
+        let trusted = proof.taken_on_trust();
+        let took = took.filter(|_| newly)?;
+        Some(News::Proven(self.node, self.axis, took, trusted))
     }
 
     /// What is to be told of it, once each time that it comes to be so.
@@ -376,12 +405,23 @@ impl Driver {
         while let Some(event) = self.network.poll_event() {
             self.tell(event);
         }
-        for (arm, axes) in &mut self.arms {
+        let mut unproven = 0;
+        for (number, (arm, axes)) in self.arms.iter_mut().enumerate() {
             let network = &mut self.network;
             arm.cycle(tick, stopping, |joint, order| {
                 lead(network, axes.get(joint)?, order)
             });
+            while let Some((joint, news)) = arm.poll_news() {
+                self.news.push(News::Joint(number, joint, news)).ok();
+            }
+            for axis in axes {
+                if let Some(news) = axis.proof(network) {
+                    self.news.push(news).ok();
+                }
+                unproven += u64::from(axis.proven.is_none());
+            }
         }
+        self.shared.unproven.store(unproven, Ordering::Relaxed);
         self.end(tick, stopping)
     }
 
@@ -470,7 +510,9 @@ fn lead(network: &mut Network, reached: &Reached, order: drives::Order) -> Optio
             ..AxisCommand::default()
         });
     }
+    let refused = axis.proof().fault().is_some();
     Some(Feedback {
+        refused,
         online: running && state.missing <= MISSING_MAX && state.status != Default::default(),
         follows: state.follows,
         state: state.status.state().ok(),

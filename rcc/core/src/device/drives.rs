@@ -13,9 +13,11 @@
 mod check;
 mod driven;
 
+use std::fmt;
 use std::time::Duration;
 
-use takt_can::cia402::{Goal, State};
+use takt_can::cia402::proof::Objects;
+use takt_can::cia402::{Goal, Runaway, State};
 use takt_net::JointState;
 use takt_rt::Nanos;
 use takt_rt::cycle::Tick;
@@ -49,6 +51,38 @@ pub(super) struct Feedback {
     pub(super) state: Option<State>,
     /// 6064h.
     pub(super) increments: i32,
+    /// It gets no power, for its process data are not proven.
+    pub(super) refused: bool,
+}
+
+/// What is reported of a joint, once each time that it comes to be so.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum JointNews {
+    /// It went where it was not told to go.
+    Runaway(Runaway),
+    /// It stands out of its range.
+    OutOfRange {
+        /// Where, degrees.
+        position: f64,
+        /// Its range, degrees.
+        range: [f64; 2],
+    },
+}
+
+impl fmt::Display for JointNews {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Runaway(runaway) => runaway.fmt(f),
+            Self::OutOfRange {
+                position,
+                range: [low, high],
+            } => write!(
+                f,
+                "it stands at {position:.2} degrees, out of its range {low:.2} to {high:.2}\nhint: move it back by set-points \
+                 that begin where it stands, which it follows slowly, or correct `zero` and `range`"
+            ),
+        }
+    }
 }
 
 /// What an axis is to do in this cycle.
@@ -114,6 +148,12 @@ impl Arm {
         self.held = held;
     }
 
+    /// A joint and what is to be reported of it; each once.
+    pub(super) fn poll_news(&mut self) -> Option<(usize, JointNews)> {
+        let mut joints = self.joints.iter_mut().enumerate();
+        joints.find_map(|(number, joint)| Some((number, joint.poll_news()?)))
+    }
+
     fn follows(&self) -> bool {
         self.joints.iter().all(Driven::follows)
     }
@@ -154,6 +194,8 @@ impl Arm {
                 Some(Goal::SwitchedOn) if driven.power() != Power::Drives => {
                     Some(Goal::SwitchOnDisabled)
                 }
+                // One that runs away has no targets to brake by.
+                _ if driven.has_run_away() => Some(Goal::SwitchOnDisabled),
                 goal => goal,
             };
             let order = Order {
@@ -161,7 +203,7 @@ impl Arm {
                 reset,
                 target,
             };
-            driven.take(axis(number, order), target.is_some(), &when);
+            driven.take(axis(number, order), target, &when);
         }
         self.tell(tick);
     }
@@ -176,6 +218,9 @@ impl Arm {
         // What comes back does not move by itself.
         self.powered &= online;
         let rested = now - self.commanded >= Nanos::from(REST);
+        if self.joints.iter().any(Driven::has_run_away) {
+            return (None, false);
+        }
         if online && !self.powered && !commanded {
             self.powered = true;
             return (Some(Goal::OperationEnabled), false);
@@ -241,6 +286,18 @@ impl Arm {
         }
         let told = &self.told;
         self.state.write_with(|state| state.copy_from(told));
+    }
+}
+
+/// What is reported of an axis whose process data are proven.
+pub(super) fn proven(took: Duration, trusted: Objects) -> String {
+    let took = took.as_millis();
+    if trusted.is_empty() {
+        format!("its process data are proven, in {took} ms")
+    } else {
+        format!(
+            "its process data are proven, in {took} ms, but for {trusted}, taken on trust (`not_mirrored`)"
+        )
     }
 }
 

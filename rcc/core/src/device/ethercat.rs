@@ -17,7 +17,6 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use takt_ethercat::axis::NotMapped;
 use takt_ethercat::config::IMAGE_MAX;
 use takt_ethercat::link::{Link, Port};
 use takt_ethercat::linux::PacketLink;
@@ -32,8 +31,9 @@ use takt_rt::{Nanos, monotonic};
 
 use crate::device::config::EthercatConfig;
 use crate::device::driver::{DeviceDriver, DriverEnds, DriverThread, FAREWELL};
+use crate::device::drives::{self, JointNews};
 use crate::error::Error;
-use arm::Arm;
+use arm::{Arm, AxisNews};
 pub use describe::{check, describe, master_config};
 use io::{InOut, Lack};
 pub use youbot::{Wait, YouBotFigures};
@@ -118,8 +118,10 @@ enum News {
     /// Bytes of a process image that fits no frame.
     TooLarge(usize),
     Lack(Lack),
-    /// An axis of a slave that no arm can lead.
-    Axis(usize, u8, NotMapped),
+    /// Of an axis of a slave.
+    Axis(usize, u8, AxisNews),
+    /// Of a joint of an arm, in their order.
+    Joint(usize, usize, JointNews),
 }
 
 impl fmt::Display for News {
@@ -142,9 +144,20 @@ impl fmt::Display for News {
                  two segments of it"
             ),
             Self::Lack(lack) => lack.fmt(f),
-            Self::Axis(slave, axis, lack) => {
+            Self::Axis(slave, axis, AxisNews::Lack(lack)) => {
                 write!(f, "slave {slave}: axis {axis} cannot be led: {lack}")
             }
+            Self::Axis(slave, axis, AxisNews::Obstacle(obstacle)) => {
+                write!(f, "slave {slave}, axis {axis}: {obstacle}")
+            }
+            Self::Axis(slave, axis, AxisNews::Proven(took, trusted)) => {
+                write!(
+                    f,
+                    "slave {slave}, axis {axis}: {}",
+                    drives::proven(*took, *trusted)
+                )
+            }
+            Self::Joint(arm, joint, news) => write!(f, "arm {arm}, joint {joint}: {news}"),
         }
     }
 }
@@ -156,6 +169,7 @@ struct Shared {
     lost: AtomicU64,
     events: AtomicU64,
     operational: AtomicBool,
+    unproven: AtomicU64,
     /// In the order of the fields of [`YouBotFigures`].
     youbots: [AtomicU64; 4],
 }
@@ -294,6 +308,7 @@ impl Ethercat {
             events,
             operational,
             youbots,
+            ..
         } = &*self.shared;
         let [timeouts, i2t, clamped, repeats] = youbots
             .each_ref()
@@ -334,6 +349,10 @@ impl DeviceDriver for Ethercat {
             ("lost", figures.lost.to_string()),
             ("events", figures.events.to_string()),
         ];
+        let unproven = self.shared.unproven.load(Ordering::Relaxed);
+        if unproven > 0 {
+            told.push(("axes not proven", unproven.to_string()));
+        }
         let YouBotFigures { timeouts, i2t, .. } = figures.youbots;
         if timeouts + i2t > 0 {
             told.push(("youbot timeouts", timeouts.to_string()));
@@ -492,17 +511,26 @@ impl Driver {
         while let Some(emergency) = self.master.poll_emergency() {
             self.news.push(News::Emergency(emergency)).ok();
         }
-        for arm in &mut self.arms {
+        for (number, arm) in self.arms.iter_mut().enumerate() {
             arm.cycle(&mut self.master, tick, stopping);
-            while let Some((slave, axis, lack)) = arm.poll_lack() {
-                self.news.push(News::Axis(slave, axis, lack)).ok();
+            while let Some((slave, axis, news)) = arm.poll_news() {
+                self.news.push(News::Axis(slave, axis, news)).ok();
+            }
+            while let Some((joint, news)) = arm.poll_joint() {
+                self.news.push(News::Joint(number, joint, news)).ok();
             }
         }
+        let unproven = self.arms.iter().map(Arm::unproven).sum();
+        self.shared.unproven.store(unproven, Ordering::Relaxed);
         for io in &mut self.ios {
             io.cycle(&mut self.master, tick);
         }
         while let Some(reply) = self.master.poll_reply() {
-            self.youbots.handle_reply(reply, tick);
+            let mut arms = self.arms.iter_mut();
+            let other = arms.try_fold(reply, |reply, arm| arm.handle_reply(reply, tick).err());
+            if let Some(reply) = other {
+                self.youbots.handle_reply(reply, tick);
+            }
         }
         self.youbots.cycle(&mut self.master, tick, stopping);
         let frames = self.master.frames();

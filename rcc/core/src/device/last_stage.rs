@@ -23,6 +23,8 @@ pub use planar::{PlanarLimits, PlanarStage, Twist3};
 /// Share of a joint's acceleration that catching up uses by itself; the rest is for following
 /// set-points that accelerate meanwhile.
 const APPROACH_SHARE: f64 = 0.5;
+/// Share of its largest speed at which a joint that stands beyond its range is moved back.
+const RETURN_SHARE: f64 = 0.1;
 /// What rounding may add to an admissible velocity, as a share of its change in a cycle.
 const ROUNDING_SHARE: f64 = 1e-9;
 /// What rounding adds to a position, as a share of it.
@@ -217,13 +219,7 @@ impl LastStage {
         if dt_s <= 0.0 {
             return self.position;
         }
-        // One that stands beyond its range is let back to its end.
-        let JointLimits {
-            position_min,
-            position_max,
-            ..
-        } = self.limits;
-        let within = target.max(position_min).min(position_max);
+        let within = self.within(target);
         let speed = if (within - target).abs() > 0.0 {
             0.0
         } else {
@@ -340,7 +336,16 @@ impl LastStage {
         ]
     }
 
+    /// The nearest to a target in the range, or on the way back to it from where the joint is: one that stands beyond its
+    /// range is moved back only by targets that lead there.
+    #[must_use]
+    pub fn within(&self, target: f64) -> f64 {
+        let [low, high] = self.range();
+        target.max(low).min(high)
+    }
+
     /// Lowest and highest velocity of the next cycle: within the joint's, and such that it can still stop in its range.
+    /// One that stands beyond it moves nowhere but back, and slowly.
     fn speeds(&self, dt_s: f64) -> [f64; 2] {
         let JointLimits {
             position_min,
@@ -350,6 +355,13 @@ impl LastStage {
         } = self.limits;
         let before =
             |room: f64| stopping_speed(room.max(0.0), acceleration_max, dt_s).min(velocity_max);
+        let back = velocity_max * RETURN_SHARE;
+        if self.position > position_max {
+            return [-back, 0.0];
+        }
+        if self.position < position_min {
+            return [0.0, back];
+        }
         [
             -before(self.position - position_min),
             before(position_max - self.position),

@@ -198,16 +198,21 @@ impl Joint {
         };
     }
 
-    /// The nearest to `position` in the range.
-    const fn in_range(&self, position: f64) -> f64 {
-        let limits = self.stage.limits();
-        position.max(limits.position_min).min(limits.position_max)
+    /// The nearest to `position` in the range, or nearer to it than where the joint stands.
+    fn in_range(&self, position: f64) -> f64 {
+        self.stage.within(position)
     }
 
     /// One step of braking at the joint's limit.
     fn brake(&mut self, dt_s: f64, mode: Mode) {
         self.stage.brake(dt_s);
         self.mode = mode;
+    }
+
+    /// Its limits.
+    #[must_use]
+    pub const fn limits(&self) -> JointLimits {
+        *self.stage.limits()
     }
 
     /// What it does.

@@ -3,7 +3,8 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use takt_cia402::emulator::FaultCode;
+use takt_cia402::emulator::{Distortion, FaultCode};
+use takt_cia402::proof::Objects;
 use takt_ethercat::AlState;
 use takt_ethercat::emulator::{Coupler, Segment, ServoConfig, ServoDrive};
 
@@ -27,6 +28,7 @@ fn order() -> Order {
         jog: None,
         patience: Duration::from_secs(10),
         profile: takt_cia402::Patience::default(),
+        not_mirrored: Objects::default(),
     }
 }
 
@@ -115,6 +117,50 @@ fn a_jog_that_is_stopped_brakes_before_the_power_goes() {
     let turns = (after - before) / std::f64::consts::TAU;
     assert!((0.1..9.0).contains(&turns), "{turns}");
     assert!(speed.abs() < 0.01, "{speed}");
+}
+
+#[test]
+fn drive_with_a_stale_mapping_gets_no_power_and_is_reported() {
+    let (segment, drive) = line(ServoConfig::default());
+    drive
+        .axis(0, |axis| {
+            axis.process_data.outputs = Distortion::order([0, 2, 1, 3, 4])
+        })
+        .unwrap();
+    let (outcome, lines) = done(segment, &order(), None);
+    let told = outcome.to_string();
+    assert!(
+        told.starts_with("FAIL  axis 0: 6060h by PDO 8, by SDO "),
+        "{told}"
+    );
+    assert!(
+        told.contains(": the slave does not use the mapping it acknowledged"),
+        "{told}"
+    );
+    assert!(told.contains("hint: power-cycle it"), "{told}");
+    let enabled = lines.iter().any(|line| line.contains("switched on"));
+    assert!(!enabled, "{lines:#?}");
+}
+
+#[test]
+fn drive_with_an_unreadable_object_needs_the_option() {
+    let unreadable = |segment, asked: &Order| done(segment, asked, None);
+    let deaf = || {
+        let (segment, drive) = line(ServoConfig::default());
+        drive.axis(0, |axis| axis.process_data.unreadable = vec![0x6071]);
+        segment
+    };
+    let (outcome, _) = unreadable(deaf(), &order());
+    let told = outcome.to_string();
+    assert!(told.contains("6071h cannot be read by SDO"), "{told}");
+    let trusting = Order {
+        not_mirrored: Objects::of(&[0x6071]).unwrap(),
+        ..order()
+    };
+    let (outcome, lines) = unreadable(deaf(), &trusting);
+    assert_eq!(outcome, Outcome::Done(None), "{lines:#?}");
+    let proven = |line: &&String| line.contains("but for 6071h, taken on trust");
+    assert_eq!(lines.iter().filter(proven).count(), 1, "{lines:#?}");
 }
 
 #[test]

@@ -200,4 +200,25 @@ pub struct DriveJoint<D> {
     pub velocity_max: f64,
     /// Largest acceleration, degrees per second squared.
     pub acceleration_max: f64,
+    /// Farthest that its motor may be from its target, degrees of the joint, before its power is taken, whatever the
+    /// drive's own 6065h says; `None` for a tenth of a second at its largest speed, but not less than one degree.
+    #[serde(default)]
+    pub following_error_max: Option<f64>,
+    /// Objects, by their index on the first axis, whose SDO upload does not show what PDOs carry, by the drive's manual.
+    /// They are not compared before the drive gets power; without them every mapped object of the axis is.
+    #[serde(default)]
+    pub not_mirrored: Vec<u16>,
 }
+
+impl<D> DriveJoint<D> {
+    /// Farthest that its motor may be from its target, degrees of the joint.
+    #[must_use]
+    pub fn following_error(&self) -> f64 {
+        let usual = (self.velocity_max * FOLLOWING_TIME_S).max(FOLLOWING_MIN);
+        self.following_error_max.unwrap_or(usual)
+    }
+}
+
+/// A motor may lag by what it goes in this time at its largest speed, s, but by a degree at least.
+const FOLLOWING_TIME_S: f64 = 0.1;
+const FOLLOWING_MIN: f64 = 1.0;

@@ -1,5 +1,6 @@
 //! An arm of drives as its cell describes it: what nets see of it, and what of it makes no sense. No drive is asked.
 
+use takt_can::cia402::proof::Objects;
 use takt_net::JointLimits;
 
 use crate::device::config::{DriveArm, DriveJoint};
@@ -59,6 +60,8 @@ fn check_joint<D>(joint: &DriveJoint<D>) -> Result<(), String> {
         range: [low, high],
         velocity_max,
         acceleration_max,
+        following_error_max,
+        not_mirrored,
         ..
     } = joint;
     let above_zero = |value: &f64| (LEAST..=MOST).contains(value);
@@ -73,6 +76,14 @@ fn check_joint<D>(joint: &DriveJoint<D>) -> Result<(), String> {
              from 1e-6 to 1e9, and all of them and zero must be finite"
                 .to_owned(),
         );
+    }
+    if following_error_max.is_some_and(|most| !above_zero(&most)) {
+        return Err("following_error_max must be from 1e-6 to 1e9".to_owned());
+    }
+    if let Err(index) = Objects::of(not_mirrored) {
+        return Err(format!(
+            "not_mirrored: {index:04X}h leads no axis; name objects of the first axis that PDOs carry, such as 607Ah"
+        ));
     }
     for end in [low, high] {
         let increments = end / 360.0 * increments_per_turn + zero;

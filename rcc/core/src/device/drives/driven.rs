@@ -3,12 +3,12 @@
 
 use std::time::Duration;
 
-use takt_can::cia402::State;
+use takt_can::cia402::{Monitor, Runaway, RunawayLimits, State};
 use takt_net::device::JointError;
 use takt_rt::Nanos;
 
-use super::Feedback;
 use super::check::limits_of;
+use super::{Feedback, JointNews};
 use crate::device::config::DriveJoint;
 use crate::device::setpoint::Joint;
 use crate::device::{DeviceStatus, JointSetPoints};
@@ -16,6 +16,13 @@ use crate::device::{DeviceStatus, JointSetPoints};
 /// A motor that moved by no more than this, rad at its joint, for [`STANDS_FOR`] stands: slower than 0.01 rad/s.
 const STANDS_WITHIN_RAD: f64 = 5e-4;
 const STANDS_FOR: Duration = Duration::from_millis(50);
+
+/// A motor is faster than its joint can be commanded from this share of its largest speed on: it may overshoot.
+const SPEED_SHARE: f64 = 1.5;
+/// A joint is out of its range from here on, and in it again half of that before its end, rad.
+const OUT_OF_RANGE_RAD: f64 = 2e-3;
+/// A drive that was away for so long had its power cycled, as far as can be told.
+const POWER_CYCLED: Duration = Duration::from_secs(1);
 
 /// What the power stage of a drive does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -58,6 +65,13 @@ pub(super) struct Driven {
     pub(super) measured: Option<[f64; 2]>,
     /// Where the motor last came from, 6064h, and when it was seen away from there.
     stood: (i32, Nanos),
+    monitor: Monitor,
+    /// It ran away, until its drive was away for [`POWER_CYCLED`].
+    runaway: Option<Runaway>,
+    away_since: Option<Nanos>,
+    /// It stands out of its range.
+    outside: bool,
+    news: Option<JointNews>,
 }
 
 impl Driven {
@@ -71,6 +85,58 @@ impl Driven {
             refused: false,
             measured: None,
             stood: (0, Nanos(0)),
+            monitor: Monitor::new(runaway_limits(joint)),
+            runaway: None,
+            away_since: None,
+            outside: false,
+            news: None,
+        }
+    }
+
+    /// Whether it went where it was not told to go, and must not have power.
+    pub(super) const fn has_run_away(&self) -> bool {
+        self.runaway.is_some()
+    }
+
+    /// What is to be reported of it, once.
+    pub(super) const fn poll_news(&mut self) -> Option<JointNews> {
+        self.news.take()
+    }
+
+    /// Whether its motor goes where it is told: each cycle, with the target of this one and the position of the last.
+    fn supervise(&mut self, target: Option<i32>, now: Nanos) {
+        let Some(axis) = self.axis.filter(|axis| axis.online) else {
+            self.monitor.step(None, 0, Duration::ZERO);
+            let since = *self.away_since.get_or_insert(now);
+            if now - since >= Nanos::from(POWER_CYCLED) {
+                self.runaway = None;
+            }
+            return;
+        };
+        self.away_since = None;
+        let target = target.filter(|_| axis.follows && self.runaway.is_none());
+        let time = Duration::from_nanos(now.0.unsigned_abs());
+        if let Some(runaway) = self.monitor.step(target, axis.increments, time) {
+            self.runaway = Some(runaway);
+            self.news = Some(JointNews::Runaway(runaway));
+        }
+    }
+
+    /// Notes whether it stands out of its range.
+    fn mark_range(&mut self) {
+        let Some([position, _]) = self.measured else {
+            return;
+        };
+        let limits = self.joint.limits();
+        let out = (limits.position_min - position).max(position - limits.position_max);
+        let before = self.outside;
+        let play = if before { 0.5 } else { 1.0 };
+        self.outside = out > OUT_OF_RANGE_RAD * play;
+        if self.outside && !before {
+            self.news = self.news.or(Some(JointNews::OutOfRange {
+                position: position.to_degrees(),
+                range: [limits.position_min, limits.position_max].map(f64::to_degrees),
+            }));
         }
     }
 
@@ -129,7 +195,7 @@ impl Driven {
     }
 
     /// What its axis says to an order. One without a target rests where its drive holds it.
-    pub(super) fn take(&mut self, axis: Option<Feedback>, aimed: bool, when: &When) {
+    pub(super) fn take(&mut self, axis: Option<Feedback>, target: Option<i32>, when: &When) {
         self.axis = axis;
         let online = axis.filter(|axis| axis.online);
         self.measured = online.map(|axis| {
@@ -141,7 +207,9 @@ impl Driven {
         if let Some(axis) = online {
             self.watch(axis.increments, when.now);
         }
-        if !aimed {
+        self.supervise(target, when.now);
+        self.mark_range();
+        if target.is_none() {
             let (commanded, ..) = self.joint.motion();
             let position = self.measured.map_or(commanded, |[position, _]| position);
             self.joint.rest_at(position, &JointSetPoints::default());
@@ -162,10 +230,21 @@ impl Driven {
     pub(super) fn error(&self, status: DeviceStatus) -> JointError {
         match status {
             DeviceStatus::Offline => JointError::Offline,
+            _ if self.runaway.is_some() => JointError::Runaway,
+            _ if self.axis.is_some_and(|axis| axis.refused) => JointError::NotProven,
             DeviceStatus::SafeOperational => JointError::NotEnabled,
             DeviceStatus::Operational if self.refused => JointError::Refused,
+            DeviceStatus::Operational if self.outside => JointError::OutOfRange,
             DeviceStatus::Operational => self.joint.error(),
         }
+    }
+}
+
+fn runaway_limits<D>(joint: &DriveJoint<D>) -> RunawayLimits {
+    let per_degree = (joint.increments_per_turn / 360.0).abs();
+    RunawayLimits {
+        following: joint.following_error() * per_degree,
+        speed: joint.velocity_max * SPEED_SHARE * per_degree,
     }
 }
 

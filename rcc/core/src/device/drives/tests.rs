@@ -29,6 +29,8 @@ fn config(joints: u8) -> DriveArm<u8> {
         range: [-170.0, 170.0],
         velocity_max: 100.0,
         acceleration_max: 300.0,
+        following_error_max: None,
+        not_mirrored: Vec::new(),
     };
     DriveArm {
         name: "arm".to_owned(),
@@ -109,6 +111,7 @@ impl Drive {
             follows,
             state: Some(self.state),
             increments: rounded(self.position),
+            refused: false,
         })
     }
 
@@ -384,7 +387,7 @@ fn a_drive_that_is_off_gets_no_power_because_its_arm_is_to_stop() {
 #[test]
 fn a_motor_that_does_not_come_to_rest_is_stopped_by_quick_stop() {
     let mut bench = Bench::new(2);
-    bench.drives[1].runaway = 1e4;
+    bench.drives[1].runaway = 2e3;
     bench.run(100, false);
     let before = bench.drives[0].goals.len();
     let patience = BRAKE_WITHIN.as_millis();
@@ -395,6 +398,86 @@ fn a_motor_that_does_not_come_to_rest_is_stopped_by_quick_stop() {
     assert_eq!(bench.drives[1].goals[before], Goal::QuickStop);
     assert_eq!(bench.drives[1].cut, None);
     assert!(bench.arm.is_off());
+}
+
+#[test]
+fn joint_that_runs_away_loses_power_at_once_and_keeps_none() {
+    let mut bench = Bench::new(2);
+    // 360 degrees in a second, of a joint that can be commanded 100.
+    bench.drives[1].runaway = 5e5;
+    let start = bench.drives[1].position;
+    let powered = |bench: &Bench| bench.drives[1].state == State::OperationEnabled;
+    let cycles = (0..100).take_while(|_| {
+        bench.run(1, false);
+        powered(&bench)
+    });
+    let cycles = cycles.count();
+    assert!(cycles <= 10, "{cycles} cycles");
+    let way = (bench.drives[1].position - start) / TURN * 360.0;
+    assert!(way < 4.0, "it went {way} degrees");
+    bench.drives[1].runaway = 0.0;
+    bench.run(5000, false);
+    assert_eq!(bench.drives[1].state, State::SwitchOnDisabled);
+    assert_eq!(bench.drives[0].state, State::OperationEnabled, "it holds");
+    assert_eq!(bench.error(1), JointError::Runaway as i32);
+    assert_eq!(bench.status(), DeviceStatus::SafeOperational);
+    let (joint, news) = bench.arm.poll_news().unwrap();
+    assert!(
+        matches!((joint, news), (1, JointNews::Runaway(_))),
+        "{news}"
+    );
+    assert!(bench.arm.poll_news().is_none(), "reported once");
+    // Its power is cycled.
+    bench.drives[1].is_online = false;
+    bench.run(1200, false);
+    bench.drives[1].is_online = true;
+    bench.run(2000, false);
+    assert_eq!(bench.status(), DeviceStatus::Operational);
+}
+
+#[test]
+fn joint_that_lags_by_more_than_its_limit_loses_power() {
+    let mut bench = Bench::new(1);
+    // 14 degrees, of 10 that it may lag.
+    bench.drives[0].load = 2e7;
+    bench.run(100, false);
+    assert_eq!(bench.error(0), JointError::Runaway as i32);
+    assert_eq!(bench.drives[0].state, State::SwitchOnDisabled);
+}
+
+#[test]
+fn joint_out_of_range_is_reported_and_moved_back_slowly_on_request() {
+    let degrees = TURN / 360.0;
+    let mut bench = Bench::new(1);
+    bench.drives[0].is_online = false;
+    bench.run(2, false);
+    bench.drives[0].position = 175.0 * degrees;
+    bench.drives[0].is_online = true;
+    bench.run(2000, false);
+    assert_eq!(bench.status(), DeviceStatus::Operational);
+    assert_eq!(bench.error(0), JointError::OutOfRange as i32);
+    let (_, news) = bench.arm.poll_news().unwrap();
+    let text = news.to_string();
+    assert!(
+        text.starts_with("it stands at 175.00 degrees, out of its range -170.00 to 170.00"),
+        "{text}"
+    );
+    let stayed = bench.drives[0].position / degrees;
+    assert!((stayed - 175.0).abs() < 1e-3, "{stayed}");
+    // Set-points that begin where it stands, at 30 degrees in a second.
+    let mut fastest = 0.0_f64;
+    for n in 0..900 {
+        let wanted = 175.0 - 0.03 * f64::from(n).min(300.0);
+        bench.want(0, Some(wanted.to_radians()));
+        bench.cycle(false);
+        if bench.drives[0].position > 170.0 * degrees {
+            fastest = fastest.max(bench.drives[0].velocity.abs() / degrees / CYCLE.as_secs_f64());
+        }
+    }
+    assert!((1.0..10.5).contains(&fastest), "{fastest} degrees/s");
+    let there = bench.drives[0].position / degrees;
+    assert!(there < 170.0, "{there}");
+    assert_eq!(bench.error(0), JointError::None as i32);
 }
 
 #[test]

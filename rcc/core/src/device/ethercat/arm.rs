@@ -3,15 +3,18 @@
 
 use std::time::Duration;
 
-use takt_can::cia402::Patience;
+use std::mem::{Discriminant, discriminant};
+
+use takt_can::cia402::proof::Objects;
+use takt_can::cia402::{Obstacle, Patience};
 use takt_ethercat::axis::{Axis, NotMapped, Target};
-use takt_ethercat::master::Master;
+use takt_ethercat::master::{Master, Reply};
 use takt_rt::cycle::Tick;
 
 use super::describe::slave;
 use crate::device::config::{DriveArm, EthercatConfig, LostPolicy};
 use crate::device::driver::DeviceEnd;
-use crate::device::drives::{self, Feedback};
+use crate::device::drives::{self, Feedback, JointNews};
 
 /// An axis of a slave.
 #[derive(Debug)]
@@ -21,6 +24,24 @@ struct Place {
     axis: Option<Axis>,
     /// Why it cannot be led, as its slave is set up, and whether that is still to be told.
     lack: Option<(NotMapped, bool)>,
+    /// Objects that are taken on trust.
+    not_mirrored: Objects,
+    /// Why it is not where it is wanted, as reported last, and what is still to be reported.
+    hindered: Option<Discriminant<Obstacle>>,
+    obstacle: Option<Obstacle>,
+    /// How long the proof of its process data took, and whether that is still to be reported.
+    proven: Option<(Duration, bool)>,
+}
+
+/// What is reported of an axis, once each time that it comes to be so.
+#[derive(Debug)]
+pub(super) enum AxisNews {
+    /// It cannot be led.
+    Lack(NotMapped),
+    /// It is not where it is wanted.
+    Obstacle(Obstacle),
+    /// Its process data are proven, but for these.
+    Proven(Duration, Objects),
 }
 
 /// An arm and its axes, by joint.
@@ -38,6 +59,10 @@ impl Arm {
             number: joint.axis,
             axis: None,
             lack: None,
+            not_mirrored: Objects::of(&joint.not_mirrored).unwrap_or_default(),
+            hindered: None,
+            obstacle: None,
+            proven: None,
         };
         Self {
             arm: drives::Arm::new(arm, config.cycle, end),
@@ -46,12 +71,36 @@ impl Arm {
         }
     }
 
-    /// A slave and an axis of it that cannot be led, and why; each once.
-    pub(super) fn poll_lack(&mut self) -> Option<(usize, u8, NotMapped)> {
-        self.places.iter_mut().find_map(|place| {
-            let (lack, news) = place.lack.as_mut()?;
-            std::mem::take(news).then_some((place.slave, place.number, *lack))
-        })
+    /// A slave, an axis of it, and what is to be reported of that; each once.
+    pub(super) fn poll_news(&mut self) -> Option<(usize, u8, AxisNews)> {
+        let mut places = self.places.iter_mut();
+        places.find_map(|place| Some((place.slave, place.number, place.poll_news()?)))
+    }
+
+    /// A joint and what is to be reported of it; each once.
+    pub(super) fn poll_joint(&mut self) -> Option<(usize, JointNews)> {
+        self.arm.poll_news()
+    }
+
+    /// Takes the reply to an upload of its axes; gives back what is another's.
+    pub(super) fn handle_reply(&mut self, reply: Reply, tick: &Tick) -> Result<(), Reply> {
+        let now = time(tick);
+        let axes = self.places.iter_mut();
+        let mut axes = axes.filter_map(|place| place.axis.as_mut());
+        match axes.try_fold(reply, |reply, axis| axis.handle_reply(reply, now).err()) {
+            Some(reply) => Err(reply),
+            None => Ok(()),
+        }
+    }
+
+    /// Axes whose process data are not proven.
+    pub(super) fn unproven(&self) -> u64 {
+        let proven = |place: &&Place| {
+            let axis = place.axis.as_ref();
+            axis.is_some_and(|axis| axis.proof().is_proven())
+        };
+        let count = self.places.len() - self.places.iter().filter(proven).count();
+        count as u64
     }
 
     /// Whether no drive of it has power.
@@ -69,7 +118,7 @@ impl Arm {
 
     /// Leads its drives through one cycle.
     pub(super) fn cycle(&mut self, master: &mut Master, tick: &Tick, stopping: bool) {
-        let now = Duration::from_nanos(tick.scheduled.0.unsigned_abs());
+        let now = time(tick);
         let (hold, stop) = match self.lost {
             LostPolicy::Ignore => (false, false),
             LostPolicy::Hold => (self.has_lost_clock(master), false),
@@ -90,7 +139,10 @@ impl Arm {
             }
             let target = order.target.map_or(Target::Hold, Target::Position);
             let state = axis.cycle(master, target, now);
+            let (took, refused) = (axis.proof().took(), axis.proof().fault().is_some());
+            place.note(state.obstacle, took);
             Some(Feedback {
+                refused,
                 online: state.online,
                 follows: state.follows,
                 state: state.state,
@@ -100,7 +152,36 @@ impl Arm {
     }
 }
 
+fn time(tick: &Tick) -> Duration {
+    Duration::from_nanos(tick.scheduled.0.unsigned_abs())
+}
+
 impl Place {
+    fn note(&mut self, obstacle: Option<Obstacle>, took: Option<Duration>) {
+        let kind = obstacle.as_ref().map(discriminant);
+        if kind != std::mem::replace(&mut self.hindered, kind) {
+            self.obstacle = obstacle;
+        }
+        self.proven = match (self.proven, took) {
+            (Some((before, due)), Some(took)) if before == took => Some((before, due)),
+            (_, took) => took.map(|took| (took, true)),
+        };
+    }
+
+    fn poll_news(&mut self) -> Option<AxisNews> {
+        if let Some((lack, due)) = &mut self.lack
+            && std::mem::take(due)
+        {
+            return Some(AxisNews::Lack(*lack));
+        }
+        if let Some(obstacle) = self.obstacle.take() {
+            return Some(AxisNews::Obstacle(obstacle));
+        }
+        let (took, due) = self.proven.as_mut()?;
+        let trusted = self.axis.as_ref()?.proof().taken_on_trust();
+        std::mem::take(due).then_some(AxisNews::Proven(*took, trusted))
+    }
+
     fn find(&mut self, master: &Master) {
         if !master.is_exchanging() {
             // It may be set up in another way when it runs again.
@@ -111,7 +192,7 @@ impl Place {
         {
             let patience = Patience::default();
             match Axis::new(self.slave, slave.process(), self.number, patience) {
-                Ok(axis) => self.axis = Some(axis),
+                Ok(axis) => self.axis = Some(axis.not_mirrored(self.not_mirrored)),
                 Err(lack) => self.lack = Some((lack, true)),
             }
         }
