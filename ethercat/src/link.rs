@@ -5,12 +5,12 @@ use std::io;
 use std::time::Duration;
 
 mod pair;
-mod pcap;
 mod port;
+mod replay;
 
 pub use pair::{Memory, pair};
-pub use pcap::{PcapError, PcapReader, PcapRecord, PcapWriter, Replay};
 pub use port::Port;
+pub use replay::Replay;
 
 /// Ethernet type of EtherCAT.
 pub const ETHER_TYPE: u16 = 0x88A4;

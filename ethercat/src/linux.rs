@@ -2,10 +2,12 @@
 //! makes no thread.
 
 mod cable;
+mod lock;
 mod packet;
 mod tap;
 mod wait;
 
 pub use cable::{CableEnd, cable};
+pub use lock::{Holder, InterfaceLock};
 pub use packet::{PacketLink, monotonic};
 pub use tap::TapLink;

@@ -5,14 +5,11 @@ use crate::error::DecodeError;
 use crate::generation::Kind;
 use crate::lwr::wire::{Cmd, Msr};
 use crate::sunrise::wire::{Command, Monitoring, unframe};
-use pcap_file::pcap::{PcapHeader, PcapPacket, PcapReader, PcapWriter};
-use pcap_file::pcapng::blocks::interface_description::InterfaceDescriptionOption;
-use pcap_file::pcapng::{Block, PcapNgReader};
-use pcap_file::{DataLink, PcapError, TsResolution};
 use std::fmt;
-use std::io::{Cursor, Read, Write};
+use std::io::{Read, Write};
 use std::net::SocketAddrV4;
 use std::time::Duration;
+use takt_link::capture::{Cut, LinkType};
 
 mod fuzz;
 mod packet;
@@ -20,9 +17,7 @@ mod packet;
 mod tests;
 
 pub use fuzz::{files, fuzz, fuzz_file};
-
-/// First bytes of a pcapng file, whatever its byte order.
-const PCAPNG: [u8; 4] = [0x0a, 0x0d, 0x0d, 0x0a];
+pub use takt_link::capture::CaptureError;
 
 /// A UDP datagram of a recording.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -58,176 +53,96 @@ impl Datagram {
     }
 }
 
-/// Why a recording could not be read or written.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum CaptureError {
-    /// The file could not be read or written.
-    #[error("recording: {0}")]
-    Io(#[from] std::io::Error),
-    /// It is neither pcap nor pcapng, or damaged.
-    #[error("recording is no sound pcap or pcapng file: {0}")]
-    Format(PcapError),
-    /// Its link layer is none of those known here.
-    #[error(
-        "recording of link type {0:?}: record with tcpdump on an Ethernet interface, on `any`, or as raw IP"
-    )]
-    LinkType(DataLink),
-}
-
-impl From<PcapError> for CaptureError {
-    fn from(error: PcapError) -> Self {
-        if let PcapError::IoError(error) = error {
-            Self::Io(error)
-        } else {
-            Self::Format(error)
-        }
-    }
-}
-
 /// Writes datagrams as pcap of raw IPv4 with nanoseconds; Wireshark reads it.
-pub struct Writer<W: Write>(PcapWriter<W>);
+#[derive(Debug)]
+pub struct Writer<W>(takt_link::capture::Writer<W>);
 
 impl<W: Write> Writer<W> {
     /// Writes the header of the file.
+    ///
+    /// # Errors
+    /// If it cannot be written.
     pub fn new(to: W) -> Result<Self, CaptureError> {
-        let header = PcapHeader {
-            datalink: DataLink::RAW,
-            ts_resolution: TsResolution::NanoSecond,
-            ..PcapHeader::default()
-        };
-        Ok(Self(PcapWriter::with_header(to, header)?))
+        let writer = takt_link::capture::Writer::new(to, LinkType::RAW)?;
+        Ok(Self(writer))
     }
 
     /// Appends a datagram.
+    ///
+    /// # Errors
+    /// If it cannot be written, or one before could not.
     pub fn write(&mut self, datagram: &Datagram) -> Result<(), CaptureError> {
-        let packet = datagram.to_packet();
-        let len = u32::try_from(packet.len()).unwrap_or(u32::MAX);
-        self.0
-            .write_packet(&PcapPacket::new(datagram.at, len, &packet))?;
-        Ok(())
+        Ok(self.0.write(datagram.at, &datagram.to_packet())?)
     }
 
     /// Gives back what was written to.
     #[must_use]
     pub fn into_inner(self) -> W {
-        self.0.into_writer()
+        self.0.into_inner()
     }
 }
 
-impl<W: Write> fmt::Debug for Writer<W> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Writer").finish_non_exhaustive()
-    }
-}
-
-/// Time, link layer and frame.
-type Packet = (Duration, DataLink, Vec<u8>);
-type Source<R> = std::io::Chain<Cursor<[u8; 4]>, R>;
-
-enum Format<R: Read> {
-    Pcap(PcapReader<Source<R>>),
-    PcapNg(PcapNgReader<Source<R>>),
-}
-
-/// Reads the UDP datagrams of a recording, one by one; an iterator.
+/// Reads the UDP datagrams of a recording, one by one; an iterator that ends after an error.
 ///
 /// Other protocols and fragments of datagrams are skipped and counted.
-pub struct Reader<R: Read> {
-    format: Format<R>,
+#[derive(Debug)]
+pub struct Reader<R> {
+    packets: takt_link::capture::Reader<R>,
     skipped: u64,
+    is_ended: bool,
 }
 
 impl<R: Read> Reader<R> {
     /// Reads the header of the file.
-    pub fn new(mut from: R) -> Result<Self, CaptureError> {
-        let mut head = [0; 4];
-        from.read_exact(&mut head)?;
-        let source = Cursor::new(head).chain(from);
-        let format = if head == PCAPNG {
-            Format::PcapNg(PcapNgReader::new(source)?)
-        } else {
-            Format::Pcap(PcapReader::new(source)?)
-        };
-        Ok(Self { format, skipped: 0 })
+    ///
+    /// # Errors
+    /// If it cannot be read or begins like no recording.
+    pub fn new(from: R) -> Result<Self, CaptureError> {
+        Ok(Self {
+            packets: takt_link::capture::Reader::new(from)?,
+            skipped: 0,
+            is_ended: false,
+        })
     }
 
     /// Packets passed over because they hold no whole UDP datagram.
     #[must_use]
-    pub fn skipped(&self) -> u64 {
+    pub const fn skipped(&self) -> u64 {
         self.skipped
     }
 
-    fn packet(&mut self) -> Option<Result<Packet, CaptureError>> {
-        match &mut self.format {
-            Format::Pcap(reader) => {
-                let link = reader.header().datalink;
-                let packet = reader.next_packet()?;
-                let packet = packet.map(|it| (it.timestamp, link, it.data.into_owned()));
-                Some(packet.map_err(CaptureError::from))
+    /// Where the recording is cut off; known when the reading has ended.
+    #[must_use]
+    pub const fn cut(&self) -> Option<Cut> {
+        self.packets.cut()
+    }
+
+    /// The next datagram; `None` at the end.
+    fn read(&mut self) -> Result<Option<Datagram>, CaptureError> {
+        for packet in self.packets.by_ref() {
+            let packet = packet?;
+            let Some(network) = packet::network(packet.link, &packet.data) else {
+                return Err(CaptureError::LinkType(packet.link));
+            };
+            match network.and_then(|bytes| Datagram::in_packet(packet.at, bytes)) {
+                Some(datagram) => return Ok(Some(datagram)),
+                None => self.skipped += 1,
             }
-            Format::PcapNg(reader) => next_of_pcapng(reader),
         }
+        Ok(None)
     }
-}
-
-fn next_of_pcapng<R: Read>(reader: &mut PcapNgReader<R>) -> Option<Result<Packet, CaptureError>> {
-    loop {
-        let packet = match reader.next_block()? {
-            Ok(Block::EnhancedPacket(packet)) => packet.into_owned(),
-            Ok(_) => continue,
-            Err(error) => return Some(Err(error.into())),
-        };
-        let interface = reader.packet_interface(&packet)?;
-        let mut options = interface.options.iter();
-        let resolution = options.find_map(|option| {
-            if let InterfaceDescriptionOption::IfTsResol(resolution) = option {
-                Some(*resolution)
-            } else {
-                None
-            }
-        });
-        // The library takes the number in the file for nanoseconds whatever the interface says.
-        let ticks = u64::try_from(packet.timestamp.as_nanos()).unwrap_or(u64::MAX);
-        let at = time(ticks, resolution.unwrap_or(6));
-        return Some(Ok((at, interface.linktype, packet.data.into_owned())));
-    }
-}
-
-/// Ticks of an interface as a time: 10^-n s, or 2^-n s with the highest bit set.
-fn time(ticks: u64, resolution: u8) -> Duration {
-    let exponent = u32::from(resolution & 0x7f);
-    let base: u128 = if resolution & 0x80 == 0 { 10 } else { 2 };
-    let per_second = base.checked_pow(exponent).unwrap_or(u128::MAX);
-    let nanos = u128::from(ticks).saturating_mul(1_000_000_000) / per_second;
-    Duration::from_nanos(u64::try_from(nanos).unwrap_or(u64::MAX))
 }
 
 impl<R: Read> Iterator for Reader<R> {
     type Item = Result<Datagram, CaptureError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        loop {
-            let (at, link, data) = match self.packet()? {
-                Ok(packet) => packet,
-                Err(error) => return Some(Err(error)),
-            };
-            let Some(network) = packet::network(link, &data) else {
-                return Some(Err(CaptureError::LinkType(link)));
-            };
-            match network.and_then(|packet| Datagram::in_packet(at, packet)) {
-                Some(datagram) => return Some(Ok(datagram)),
-                None => self.skipped += 1,
-            }
+        if self.is_ended {
+            return None;
         }
-    }
-}
-
-impl<R: Read> fmt::Debug for Reader<R> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Reader")
-            .field("skipped", &self.skipped)
-            .finish_non_exhaustive()
+        let item = self.read().transpose();
+        self.is_ended = !matches!(item, Some(Ok(_)));
+        item
     }
 }
 

@@ -135,20 +135,26 @@ impl Demo {
         self.wait_until_ready(&controller)?;
         let address = server.tcp().context("the server does not listen")?;
         let ended = self.drive(&controller, &machines, address, &nets);
-        let recorded = controller.finish_recording()?;
+        let recorded = controller.finish_recording();
         let (samples, faults) = ended?;
         let arms = self.cell.moved();
         let moved: Vec<_> = arms.iter().copied().zip(samples.moved()).collect();
         let followed = cell.controller.follow.unwrap_or_default();
         let krcs = &machines.krcs;
         let report = Report::collect(&controller, &host, krcs, &moved, &followed, faults);
-        plot::draw(&self.svg, arms, &samples, &controller.stats())
-            .with_context(|| format!("cannot write {}", self.svg.display()))?;
+        let drawn = plot::draw(&self.svg, arms, &samples, &controller.stats());
         server.stop();
         // Before its robots, so that it is not seen to lose them.
         drop(controller);
         machines.stop()?;
-        self.tell(&report, recorded)
+        // The report is worth reading though its recording or picture failed.
+        let (cycles, failed) = match recorded {
+            Ok(cycles) => (cycles, None),
+            Err(error) => (None, Some(error)),
+        };
+        let verdict = self.tell(&report, cycles, drawn.is_ok())?;
+        drawn?;
+        failed.map_or(Ok(verdict), |error| Err(error.into()))
     }
 
     /// Sends the nets, starts them, and follows them to their end. Returns why they ended if not by themselves.
@@ -269,12 +275,19 @@ impl Demo {
             .unwrap_or(bar)
     }
 
-    fn tell(&self, report: &Report, recorded: Option<u64>) -> anyhow::Result<Verdict> {
+    fn tell(
+        &self,
+        report: &Report,
+        recorded: Option<u64>,
+        is_drawn: bool,
+    ) -> anyhow::Result<Verdict> {
         if self.json {
             say(&serde_json::to_string(report)?)?;
         } else {
             say(report.text().trim_end())?;
-            say(&format!("plot       {}", self.svg.display()))?;
+            if is_drawn {
+                say(&format!("plot       {}", self.svg.display()))?;
+            }
             if let (Some(cycles), Some(path)) = (recorded, &self.record) {
                 say(&format!("recording  {}, {cycles} cycles", path.display()))?;
             }
@@ -302,6 +315,12 @@ fn replay(path: &Path) -> anyhow::Result<Verdict> {
             path.display()
         ));
         return Ok(Verdict::Failed);
+    }
+    if outcome.is_cut {
+        complain(&format!(
+            "note: {}: the recording is cut off; what is whole in it is replayed",
+            path.display()
+        ));
     }
     say(&format!(
         "{}: {} cycles, {} bytes: every byte as recorded",

@@ -5,6 +5,7 @@ mod cell;
 mod dc;
 mod drive;
 mod dump;
+mod frames;
 mod pdos;
 mod recording;
 mod scan;
@@ -15,6 +16,7 @@ mod sim;
 mod stat;
 #[cfg(test)]
 mod tests;
+mod trips;
 mod ways;
 mod youbot;
 
@@ -89,7 +91,7 @@ struct Source {
     /// The interface at the other end of a ring; with `--config` that of the cell, if it has a link.
     #[arg(long, value_name = "IFACE", conflicts_with = "from")]
     second: Option<String>,
-    /// Judge this recording (pcap) instead, as far as its master asked.
+    /// Judge this recording (pcap, pcapng, ERF) instead, as far as its master asked.
     #[arg(long, value_name = "FILE", conflicts_with = "interface")]
     from: Option<PathBuf>,
     /// Expect the slaves that a segment of this cell expects, with their PDOs and SYNC0.
@@ -142,7 +144,7 @@ impl Target {
     }
 
     fn open(&self, config: MasterConfig) -> anyhow::Result<Session<PacketLink>> {
-        let link = PacketLink::open(&self.interface)?;
+        let link = PacketLink::open_locked(&self.interface)?;
         let mac = link.mac();
         let has_sync = config.slaves.iter().any(|slave| slave.sync.is_some());
         let config = MasterConfig {
@@ -155,7 +157,7 @@ impl Target {
                 *second != self.interface,
                 "{second} is named as both ends; a ring ends at two interfaces"
             );
-            let link = PacketLink::open(second)?;
+            let link = PacketLink::open_locked(second)?;
             let mac = link.mac();
             session = session.with_second(link, mac);
         }

@@ -24,7 +24,7 @@ use anyhow::Context as _;
 use clap::{Args, ValueEnum};
 
 use crate::Verdict;
-use crate::output::{say, span};
+use crate::output::{save, say, span};
 use measure::Plan;
 use report::{Judgement, Report};
 
@@ -124,11 +124,11 @@ impl Jitter {
         );
         let stored = report.budget_ns.map(Duration::from_nanos);
         report.judge(self.budget.or(stored));
-        if let Some(path) = &self.svg {
-            std::fs::write(path, svg::picture(&report))
-                .with_context(|| format!("cannot write {}", path.display()))?;
-        }
+        let picture = self.svg.as_ref();
+        let drawn = picture.map_or(Ok(()), |path| save(path, svg::picture(&report)));
         self.tell(&report)?;
+        // What was measured is printed though its picture cannot be written.
+        drawn?;
         Ok(match report.verdict {
             Judgement::Fail => Verdict::Failed,
             Judgement::Pass | Judgement::None => Verdict::Good,

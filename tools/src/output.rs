@@ -1,8 +1,12 @@
 //! What subcommands say: text to standard output, complaints to standard error. A reader that has
 //! seen enough and closes the pipe is no failure.
 
+use std::fs::{self, File};
 use std::io::{self, IsTerminal as _, Write as _};
+use std::path::Path;
 use std::time::Duration;
+
+use anyhow::Context as _;
 
 /// Writes a line to standard output.
 pub(crate) fn say(line: &str) -> anyhow::Result<()> {
@@ -15,6 +19,58 @@ pub(crate) fn say(line: &str) -> anyhow::Result<()> {
 /// Writes a line to standard error; there is nobody to tell if that fails.
 pub(crate) fn complain(line: &str) {
     let _ = writeln!(io::stderr().lock(), "{line}");
+}
+
+/// Writes a file whole or not at all: beside its place first, so that on a full disk what was there before is kept. What is
+/// no plain file, as a terminal, is written as it is.
+pub(crate) fn save(path: &Path, bytes: impl AsRef<[u8]>) -> anyhow::Result<()> {
+    let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    let result = write_whole(&target, bytes.as_ref());
+    result
+        .map_err(hinted)
+        .with_context(|| format!("cannot write {}", path.display()))
+}
+
+fn write_whole(target: &Path, bytes: &[u8]) -> io::Result<()> {
+    let before = fs::metadata(target).ok();
+    let (true, Some(name)) = (
+        before.as_ref().is_none_or(fs::Metadata::is_file),
+        target.file_name(),
+    ) else {
+        return fs::write(target, bytes);
+    };
+    let beside = target.with_file_name(format!(".{}.{}.new", name.display(), std::process::id()));
+    let mut file = match File::create_new(&beside) {
+        Ok(file) => file,
+        // A folder in which nothing may be made, with a file that may be changed.
+        Err(error) if error.kind() == io::ErrorKind::PermissionDenied && before.is_some() => {
+            return fs::write(target, bytes);
+        }
+        Err(error) => return Err(error),
+    };
+    let written = file
+        .write_all(bytes)
+        .and_then(|()| file.sync_all())
+        .and_then(|()| before.map_or(Ok(()), |before| file.set_permissions(before.permissions())))
+        .and_then(|()| fs::rename(&beside, target));
+    if written.is_err() {
+        // The error of the writing says more than one of this.
+        let _ = fs::remove_file(&beside);
+    }
+    written
+}
+
+/// An error of a file, with the remedy where there is one.
+fn hinted(error: io::Error) -> anyhow::Error {
+    let is_full = matches!(
+        error.kind(),
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded
+    );
+    if is_full {
+        anyhow::anyhow!("{error}\nhint: make room on that disk (`df -h`), or write elsewhere")
+    } else {
+        error.into()
+    }
 }
 
 /// Whether progress may be shown.
@@ -81,7 +137,36 @@ pub(crate) fn time(ns: i64) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::{chain, share, time};
+    use std::fs;
+
+    use super::{chain, save, share, time};
+
+    #[test]
+    fn saved_file_replaces_the_one_before() {
+        let folder = std::env::temp_dir().join(format!("takt-save-{}", std::process::id()));
+        fs::create_dir(&folder).unwrap();
+        let path = folder.join("plot.svg");
+        for text in ["one", "another"] {
+            save(&path, text).unwrap();
+            assert_eq!(fs::read_to_string(&path).unwrap(), text);
+        }
+        assert_eq!(fs::read_dir(&folder).unwrap().count(), 1);
+        fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[test]
+    fn full_disk_is_reported_with_its_remedy() {
+        let error = save("/dev/full".as_ref(), "text").unwrap_err();
+        let text = chain(&error);
+        assert!(
+            text.starts_with("cannot write /dev/full: No space left"),
+            "{text}"
+        );
+        assert!(
+            text.ends_with("hint: make room on that disk (`df -h`), or write elsewhere"),
+            "{text}"
+        );
+    }
 
     #[test]
     fn causes_are_told_once() {

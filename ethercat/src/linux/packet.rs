@@ -9,6 +9,7 @@ use std::time::Duration;
 
 use nix::time::{ClockId, clock_gettime};
 
+use super::InterfaceLock;
 use super::wait::readable;
 use crate::link::{ETHER_TYPE, Link};
 
@@ -25,6 +26,8 @@ pub struct PacketLink {
     mac: [u8; 6],
     /// How long a wait asks again and again before it sleeps.
     spin: Duration,
+    /// Keeps others away; of one that only listens, or whose caller knows better, there is none.
+    _lock: Option<InterfaceLock>,
 }
 
 impl PacketLink {
@@ -36,6 +39,33 @@ impl PacketLink {
     pub const fn spinning(mut self, spin: Duration) -> Self {
         self.spin = spin;
         self
+    }
+
+    /// Opens an interface as [`Self::open`] does, and keeps other programs of Takt from it: what masters and emulated segments do.
+    ///
+    /// # Errors
+    /// If it cannot be opened, or another program has it.
+    pub fn open_locked(interface: &str) -> io::Result<Self> {
+        let link = Self::open(interface)?;
+        Ok(Self {
+            _lock: Some(InterfaceLock::take(interface)?),
+            ..link
+        })
+    }
+
+    /// Listens before the first frame goes out.
+    ///
+    /// # Errors
+    /// If a frame comes in that time (`AddrInUse`): another master sends on that segment. Nothing was sent then.
+    pub fn listen_first(&mut self, interface: &str, time: Duration) -> io::Result<()> {
+        let mut frame = [0; crate::link::FRAME_MAX];
+        if self.receive(&mut frame, time)?.is_none() {
+            return Ok(());
+        }
+        let text = format!(
+            "{interface}: frames of another master came, nothing was sent\nhint: stop what sends on this segment first"
+        );
+        Err(io::Error::new(io::ErrorKind::AddrInUse, text))
     }
 
     /// Opens an interface, promiscuous, for EtherCAT frames. Needs CAP_NET_RAW.
@@ -71,7 +101,12 @@ impl PacketLink {
         set(&socket, libc::PACKET_ADD_MEMBERSHIP, &member)?;
         let mac = mac_of(interface).unwrap_or([0x02, 0, 0, 0, 0, 1]);
         let spin = Duration::ZERO;
-        Ok(Self { socket, mac, spin })
+        Ok(Self {
+            socket,
+            mac,
+            spin,
+            _lock: None,
+        })
     }
 
     /// MAC address of the interface; a locally administered one if it has none.

@@ -1,9 +1,10 @@
 //! What must hold for any packets of a recording, in one function for tests and fuzzers. It makes no input of its own.
 
-use super::{DataLink, Datagram, Decoded, PcapHeader, PcapPacket, PcapWriter, Reader, Writer};
+use super::{Datagram, Decoded, Reader, Writer};
 use crate::diagnosis::Observer;
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::time::Duration;
+use takt_link::capture::LinkType;
 
 /// Longest packet taken out of the input, bytes.
 const PACKET_MAX: usize = 2048;
@@ -55,17 +56,13 @@ pub fn files() -> Vec<Vec<u8>> {
         writer.write(&datagram)?;
         Ok(writer.into_inner())
     });
-    let header = PcapHeader {
-        datalink: DataLink::ETHERNET,
-        ..PcapHeader::default()
-    };
-    let ethernet = PcapWriter::with_header(Vec::new(), header).and_then(|mut writer| {
+    let ethernet = takt_link::capture::Writer::new(Vec::new(), LinkType::ETHERNET);
+    let ethernet = ethernet.and_then(|mut writer| {
         let mut frame = vec![2; 12];
         frame.extend([8, 0]);
         frame.extend(datagram.to_packet());
-        let len = u32::try_from(frame.len()).unwrap_or(u32::MAX);
-        writer.write_packet(&PcapPacket::new(datagram.at, len, &frame))?;
-        Ok(writer.into_writer())
+        writer.write(datagram.at, &frame)?;
+        Ok(writer.into_inner())
     });
     let files = [ours.ok(), ethernet.ok()].into_iter().flatten();
     files.chain([ng(&datagram.to_packet())]).collect()

@@ -3,8 +3,8 @@
 #![warn(clippy::indexing_slicing)]
 
 use super::Datagram;
-use pcap_file::DataLink;
 use std::net::{Ipv4Addr, SocketAddrV4};
+use takt_link::capture::LinkType;
 
 const IPV4: u16 = 0x0800;
 const VLAN: u16 = 0x8100;
@@ -14,15 +14,14 @@ const IP_LEN: usize = 20;
 const UDP_LEN: usize = 8;
 
 /// The IPv4 packet in a frame, `Some(None)` if it holds none; `None` if the link layer is unknown.
-pub(super) fn network(link: DataLink, frame: &[u8]) -> Option<Option<&[u8]>> {
-    #[expect(clippy::wildcard_enum_match_arm, reason = "some 180 other link layers")]
+pub(super) fn network(link: LinkType, frame: &[u8]) -> Option<Option<&[u8]>> {
     let packet = match link {
-        DataLink::ETHERNET => ethernet(frame),
-        DataLink::RAW | DataLink::IPV4 => Some(frame),
-        DataLink::LINUX_SLL => typed(frame, 14, 16),
-        DataLink::LINUX_SLL2 => typed(frame, 0, 20),
+        LinkType::ETHERNET => ethernet(frame),
+        LinkType::RAW | LinkType::IPV4 => Some(frame),
+        LinkType::LINUX_SLL => typed(frame, 14, 16),
+        LinkType::LINUX_SLL2 => typed(frame, 0, 20),
         // BSD loopback: the family is not needed, an IPv4 header tells itself.
-        DataLink::NULL => frame.get(4..),
+        LinkType::NULL => frame.get(4..),
         _ => return None,
     };
     Some(packet)

@@ -33,7 +33,7 @@ use crate::device::DeviceStatus;
 use crate::error::Error;
 use crate::executor::stop::EmergencyStop;
 use crate::executor::thread::Command;
-use crate::record::{Recorder, Tap};
+use crate::record::{Recorder, RecordingEvent, Tap};
 use crate::stop_channel::StopSwitch;
 use clock::FollowedClock;
 use desk::{Desk, Session};
@@ -576,8 +576,21 @@ fn supervise(inner: &Inner) {
         if told || moved {
             inner.announce(&desk);
         }
-        let news = desk.take_news(std::time::Instant::now());
+        let now = std::time::Instant::now();
+        let recording = desk.recorder.as_mut().and_then(|it| it.poll_event(now));
+        let news = desk.take_news(now);
         drop(desk);
+        match recording {
+            Some(RecordingEvent::Failed(what)) => {
+                tracing::error!("{what}");
+            }
+            Some(RecordingEvent::CyclesLost(lost)) => tracing::warn!(
+                lost,
+                "cycles are missing in the recording: the disk is too slow or a cycle too large\nhint: record to a \
+                 faster disk, or to memory (/dev/shm)"
+            ),
+            None => {}
+        }
         for (driver, news) in news {
             tracing::info!(driver, "{news}");
         }

@@ -4,13 +4,16 @@
 mod file;
 mod fuzz;
 mod replay;
+#[cfg(test)]
+mod tests;
 mod words;
 
+use std::io::{Seek, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use takt_net::Moment;
 use takt_rt::ring::{Consumer, Producer, ring};
@@ -171,12 +174,28 @@ enum Note {
     },
 }
 
+/// What is to be reported of a recording under way, once for each onset.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum RecordingEvent {
+    /// It ended by an error; the controller goes on.
+    Failed(String),
+    /// So many cycles are missing in it so far.
+    CyclesLost(u64),
+}
+
+/// Cycles that are lost again after this long without are a new onset.
+const LOSS_QUIET: Duration = Duration::from_secs(10);
+
 /// A recording under way; dropped, it is finished.
 #[derive(Debug)]
 pub struct Recorder {
     notes: mpsc::Sender<Note>,
     stop: Arc<AtomicBool>,
     lost: Arc<AtomicU64>,
+    failures: mpsc::Receiver<String>,
+    has_failed: bool,
+    /// Lost cycles when last looked at, and when they grew.
+    seen_lost: (u64, Option<Instant>),
     thread: Option<std::thread::JoinHandle<Result<u64, Error>>>,
     path: PathBuf,
 }
@@ -187,7 +206,15 @@ impl Recorder {
     /// # Errors
     /// If the file cannot be made.
     pub fn start(path: &Path) -> Result<(Self, Tap), Error> {
-        let writer = Writer::create(path)?;
+        Self::begin(Writer::create(path)?, path)
+    }
+
+    /// Starts the thread that writes.
+    fn begin<W: Write + Seek + Send + 'static>(
+        writer: Writer<W>,
+        path: &Path,
+    ) -> Result<(Self, Tap), Error> {
+        let (failed, failures) = mpsc::channel();
         let (free_in, free) = ring(BUFFERS);
         let (full, full_out) = ring(BUFFERS);
         let (notes, notes_out) = mpsc::channel();
@@ -206,7 +233,13 @@ impl Recorder {
         }
         let thread = std::thread::Builder::new()
             .name("takt-record".to_owned())
-            .spawn(move || desk.run())
+            .spawn(move || {
+                let result = desk.run();
+                if let Err(error) = &result {
+                    let _ = failed.send(error.to_string());
+                }
+                result
+            })
             .map_err(|source| Error::Thread {
                 name: "takt-record".to_owned(),
                 source,
@@ -224,6 +257,9 @@ impl Recorder {
                 notes,
                 stop,
                 lost,
+                failures,
+                has_failed: false,
+                seen_lost: (0, None),
                 thread: Some(thread),
                 path,
             },
@@ -254,6 +290,23 @@ impl Recorder {
             period,
             text: Arc::clone(text),
         });
+    }
+
+    /// What is to be reported since last asked.
+    pub(crate) fn poll_event(&mut self, now: Instant) -> Option<RecordingEvent> {
+        if let Ok(what) = self.failures.try_recv() {
+            self.has_failed = true;
+            return Some(RecordingEvent::Failed(what));
+        }
+        let (before, grew) = self.seen_lost;
+        let lost = self.lost.load(Ordering::Relaxed);
+        // Behind a failure all cycles are missing.
+        if lost == before || self.has_failed {
+            return None;
+        }
+        self.seen_lost = (lost, Some(now));
+        let is_onset = grew.is_none_or(|grew| now.saturating_duration_since(grew) >= LOSS_QUIET);
+        is_onset.then_some(RecordingEvent::CyclesLost(lost))
     }
 
     /// Ends the recording; returns how many cycles it holds.
@@ -291,17 +344,18 @@ impl Drop for Recorder {
 }
 
 /// Between the net thread and the file.
-struct Desk {
-    writer: Writer,
+struct Desk<W: Write + Seek> {
+    writer: Writer<W>,
     free: Producer<Vec<u64>>,
     full: Consumer<Vec<u64>>,
     notes: mpsc::Receiver<Note>,
     stop: Arc<AtomicBool>,
 }
 
-impl Desk {
+impl<W: Write + Seek> Desk<W> {
     fn run(&mut self) -> Result<u64, Error> {
         let mut cycles = 0;
+        let mut is_dirty = true;
         loop {
             // Looked at first, so that what came before the stop is still written.
             let stop = self.stop.load(Ordering::Relaxed);
@@ -324,6 +378,11 @@ impl Desk {
                 self.writer.finish()?;
                 return Ok(cycles);
             }
+            if idle && is_dirty {
+                // A crash later takes nothing of what is known by now.
+                self.writer.flush()?;
+            }
+            is_dirty = !idle;
             if idle {
                 std::thread::sleep(Duration::from_millis(5));
             }

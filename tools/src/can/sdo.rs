@@ -20,7 +20,7 @@ use super::confirm;
 use super::sheet::Sheet;
 use super::wire::{Live, Wire};
 use crate::Verdict;
-use crate::output::{complain, say, span};
+use crate::output::{complain, save, say, span};
 
 /// Read, write, dump and compare the objects of a node.
 ///
@@ -317,7 +317,7 @@ fn dump<W: Wire>(
     };
     if let Some(path) = dcf {
         let text = dump.configuration(&mut sheet.eds, node, kbit);
-        std::fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))?;
+        save(path, text)?;
     }
     let text = match (json, dcf) {
         (true, _) => dump.json(&sheet, node).to_string(),
@@ -344,7 +344,7 @@ fn upload<W: Wire>(
         Err(refusal) => return Ok(Err(refusal)),
     };
     if let Some(path) = out {
-        std::fs::write(path, &bytes).with_context(|| format!("cannot write {}", path.display()))?;
+        save(path, &bytes)?;
     }
     let (shown, name) = (sheet.show(address, data_type, &bytes), sheet.name(address));
     let text = if json {

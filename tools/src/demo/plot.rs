@@ -9,7 +9,7 @@ use takt_rt::stats::Snapshot;
 
 use super::cell::Arm;
 use crate::demo::Samples;
-use crate::output::time;
+use crate::output::{save, time};
 
 type Drawn = Result<(), Box<dyn std::error::Error + Send + Sync>>;
 type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
@@ -53,7 +53,7 @@ pub(super) fn draw(
     .map_err(|e| anyhow::anyhow!("{e}"))?;
     let fine = format!("width=\"{fine_width}\" height=\"{fine_height}\"");
     let shown = format!("width=\"{width}\" height=\"{height}\"");
-    Ok(std::fs::write(path, svg.replacen(&fine, &shown, 1))?)
+    save(path, svg.replacen(&fine, &shown, 1))
 }
 
 fn draw_parts(backend: SVGBackend<'_>, arms: &[Arm], samples: &Samples, stats: &Snapshot) -> Drawn {

@@ -6,20 +6,20 @@ mod meaning;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use anyhow::{Context as _, ensure};
+use anyhow::ensure;
 use clap::Args;
-use takt_ethercat::Frame;
-use takt_ethercat::link::{PcapReader, PcapRecord};
 
-use super::ways::{Way, Ways, body};
+use super::frames::{Capture, Taken, datagrams};
+use super::ways::{Way, ways};
 use crate::Verdict;
 use crate::output::{complain, say};
 use meaning::Meanings;
 
 /// Show a recording as text, one line for each datagram, with what it means.
 ///
-/// Reads pcap files as `tcpdump -w` and Wireshark write them (pcapng by `tshark -F pcap`). Frames of other
-/// protocols are left out. Exit status: 0 read to its end; 1 a frame in it is broken; 2 it is no such file.
+/// Reads pcap and pcapng files as `tcpdump -w` and Wireshark write them, and those of capture probes (ERF, ET2000). Frames
+/// of other protocols are left out. A file that is cut off is shown up to the cut. Exit status: 0 read to its end; 1 a frame
+/// in it is broken; 2 it is no such file.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   tcpdump -i enp2s0 -w fault.pcap ether proto 0x88a4
@@ -50,17 +50,21 @@ fn station(text: &str) -> Result<u16, String> {
 impl Dump {
     pub(super) fn run(self) -> anyhow::Result<Verdict> {
         let name = self.from.display();
-        let bytes = std::fs::read(&self.from).with_context(|| format!("cannot read {name}"))?;
-        let mut decoder = Decoder::new(&bytes).with_context(|| name.to_string())?;
+        let capture = Capture::read(&self.from)?;
+        ensure!(
+            !capture.frames.is_empty() || capture.cut.is_some(),
+            "{name}: no EtherCAT frame in it ({} others); was it recorded at the right interface?",
+            capture.others
+        );
+        let mut decoder = Decoder::default();
         let filter = Filter {
             returned: self.returned,
             station: self.station,
         };
         let mut left = self.count;
         say(HEADER)?;
-        for record in PcapReader::new(&bytes).with_context(|| name.to_string())? {
-            let record = record.with_context(|| name.to_string())?;
-            for line in decoder.lines(&record, filter) {
+        for (taken, way) in capture.frames.iter().zip(ways(&capture.frames)) {
+            for line in decoder.lines(taken, way, filter) {
                 if left == 0 {
                     return Ok(decoder.verdict());
                 }
@@ -68,11 +72,9 @@ impl Dump {
                 say(&line)?;
             }
         }
-        ensure!(
-            decoder.frames > 0,
-            "{name}: no EtherCAT frame in it ({} others); was it recorded at the right interface?",
-            decoder.others
-        );
+        for note in capture.notes() {
+            complain(&format!("note: {name}: {note}"));
+        }
         if decoder.broken > 0 {
             complain(&format!("{name}: {} broken frames", decoder.broken));
         }
@@ -89,31 +91,16 @@ pub(super) struct Filter {
     pub(super) station: Option<u16>,
 }
 
-/// Turns records into lines.
-#[derive(Debug)]
+/// Turns frames into lines.
+#[derive(Debug, Default)]
 pub(super) struct Decoder {
-    ways: Ways,
     meanings: Meanings,
     /// What time counts from.
     begin: Option<Duration>,
-    pub(super) frames: u64,
-    others: u64,
     broken: u64,
 }
 
 impl Decoder {
-    /// Looks through a recording for what tells frames out from frames back.
-    pub(super) fn new(bytes: &[u8]) -> anyhow::Result<Self> {
-        Ok(Self {
-            ways: Ways::new(bytes)?,
-            meanings: Meanings::default(),
-            begin: None,
-            frames: 0,
-            others: 0,
-            broken: 0,
-        })
-    }
-
     /// Whether all frames could be read.
     pub(super) const fn verdict(&self) -> Verdict {
         if self.broken == 0 {
@@ -123,26 +110,20 @@ impl Decoder {
         }
     }
 
-    /// The lines of one record.
-    pub(super) fn lines(&mut self, record: &PcapRecord<'_>, filter: Filter) -> Vec<String> {
-        let Some(body) = body(record.frame) else {
-            self.others += 1;
-            return Vec::new();
-        };
-        self.frames += 1;
-        let begin = *self.begin.get_or_insert(record.at);
-        let time = record.at.saturating_sub(begin);
+    /// The lines of one frame.
+    pub(super) fn lines(&mut self, taken: &Taken, way: Way, filter: Filter) -> Vec<String> {
+        let begin = *self.begin.get_or_insert(taken.at);
+        let time = taken.at.saturating_sub(begin);
         let time = format!("{:>4}.{:06}", time.as_secs(), time.subsec_micros());
-        let frame = match Frame::decode(body) {
+        let frame = match taken.frame() {
             Ok(frame) => frame,
             Err(error) => {
                 self.broken += 1;
                 return vec![format!("{time}  ! {error}")];
             }
         };
-        let way = self.ways.of(record, &frame);
         let mut lines = Vec::new();
-        for datagram in frame.datagrams() {
+        for datagram in datagrams(&frame) {
             match datagram {
                 Ok(datagram) => {
                     let back = way == Way::Back;

@@ -2,21 +2,26 @@
 //! clocks, as far as its master asked for them. What that means together is judged by `stat` and `dc`.
 
 mod clocks;
+mod cycle;
+#[cfg(test)]
+mod patterns;
 mod report;
 mod slave;
 #[cfg(test)]
 mod tests;
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::time::Duration;
 
-use anyhow::{Context as _, ensure};
-use takt_ethercat::link::PcapReader;
+use anyhow::ensure;
 use takt_ethercat::master::FrameCounters;
 use takt_ethercat::{Address, Command, Datagram, Frame, register};
 
-use super::ways::{Shape, UNDER_WAY, Way, Ways, body, shape};
+use super::frames::{Capture, Taken, datagrams};
+use super::trips::{Trip, Trips};
+use super::ways::{Sender, UNDER_WAY, Way, sender, shape, ways};
+use cycle::Cycle;
 use slave::Seen;
 
 pub(super) use clocks::dc;
@@ -63,18 +68,35 @@ impl Counted {
     }
 }
 
+/// Answers to frames that were not recorded going out.
+#[derive(Clone, Copy, Debug, Default)]
+struct Unseen {
+    /// Broadcasts of senders of which nothing else is there: their search for slaves.
+    searches: u64,
+    /// Of senders of which nothing that went out is there.
+    answers: u64,
+    /// At the beginning: sent before.
+    early: u64,
+}
+
 /// What was seen.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Recording {
     name: String,
     begin: Duration,
     end: Duration,
     frames: FrameCounters,
+    /// Frames that had gone out when the recording ended.
+    open: u64,
+    unseen: Unseen,
     broken: u64,
-    pending: VecDeque<(Duration, Shape)>,
-    /// When frames with process data or the clock went out.
-    cyclic: Vec<Duration>,
-    trips: Vec<(Duration, Duration)>,
+    /// What is to be known of how it was made.
+    notes: Vec<String>,
+    /// Frames whose check sum a probe found wrong.
+    corrupt: u64,
+    /// The usual time from one cyclic frame to the next.
+    cycle: Option<Duration>,
+    trips: Vec<Trip>,
     groups: BTreeMap<Group, Counted>,
     slaves: BTreeMap<u16, Seen>,
     /// When all slaves were last asked for another state at once.
@@ -84,95 +106,103 @@ pub(super) struct Recording {
     clock: clocks::Reference,
 }
 
+/// What is known only while a recording is gone through.
+#[derive(Debug, Default)]
+struct Pass {
+    trips: Trips,
+    cycle: Cycle,
+    /// Those of whom something that went out is there.
+    senders: BTreeSet<Sender>,
+}
+
 impl Recording {
     /// Reads a file.
     pub(super) fn read(path: &Path) -> anyhow::Result<Self> {
-        let name = path.display().to_string();
-        let bytes = std::fs::read(path).with_context(|| format!("cannot read {name}"))?;
-        Self::of(&name, &bytes)
+        Self::of(&path.display().to_string(), &Capture::read(path)?)
     }
 
     /// Goes through a recording.
-    pub(super) fn of(name: &str, bytes: &[u8]) -> anyhow::Result<Self> {
+    pub(super) fn of(name: &str, capture: &Capture) -> anyhow::Result<Self> {
+        let frames = &capture.frames;
+        let (Some(first), Some(last)) = (frames.first(), frames.iter().map(|it| it.at).max())
+        else {
+            ensure!(
+                capture.cut.is_none(),
+                "{name}: no EtherCAT frame in it: it is cut off before the first\nhint: a full disk? record it again"
+            );
+            anyhow::bail!(
+                "{name}: no EtherCAT frame in it ({} others); was it recorded at the right interface?",
+                capture.others
+            );
+        };
         let mut all = Self {
             name: name.to_owned(),
-            begin: Duration::ZERO,
-            end: Duration::ZERO,
-            frames: FrameCounters::default(),
-            broken: 0,
-            pending: VecDeque::new(),
-            cyclic: Vec::new(),
-            trips: Vec::new(),
-            groups: BTreeMap::new(),
-            slaves: BTreeMap::new(),
-            down: None,
-            answering: 0,
-            clock: clocks::Reference::default(),
+            begin: first.at,
+            end: last.max(first.at),
+            notes: capture.notes(),
+            corrupt: capture.corrupt,
+            ..Self::default()
         };
-        let mut ways = Ways::new(bytes).with_context(|| name.to_owned())?;
-        let mut first = None;
-        for record in PcapReader::new(bytes).with_context(|| name.to_owned())? {
-            let record = record.with_context(|| name.to_owned())?;
-            let Some(body) = body(record.frame) else {
-                continue;
-            };
-            let begin = *first.get_or_insert(record.at);
-            (all.begin, all.end) = (begin, record.at.max(begin));
-            match Frame::decode(body) {
-                Ok(frame) => all.take(record.at, ways.of(&record, &frame), &frame),
+        let ways = ways(frames);
+        let outgoing = frames
+            .iter()
+            .zip(&ways)
+            .filter(|(_, way)| **way == Way::Out);
+        let mut pass = Pass {
+            senders: outgoing.map(|(taken, _)| sender(taken)).collect(),
+            ..Pass::default()
+        };
+        for (taken, way) in frames.iter().zip(ways) {
+            match taken.frame() {
+                Ok(frame) => all.take(&mut pass, taken, way, &frame),
                 Err(_) => all.broken += 1,
             }
         }
-        ensure!(
-            first.is_some(),
-            "{name}: no EtherCAT frame in it; was it recorded at the right interface?"
-        );
-        all.finish();
+        all.finish(pass);
         Ok(all)
     }
 
-    fn take(&mut self, at: Duration, way: Way, frame: &Frame<'_>) {
+    fn take(&mut self, pass: &mut Pass, taken: &Taken, way: Way, frame: &Frame<'_>) {
+        let (at, shape) = (taken.at, shape(frame));
         match way {
             Way::Out => {
                 self.frames.sent += 1;
-                self.pending.push_back((at, shape(frame)));
-                self.forget(at);
+                let is_cyclic = pass.cycle.take(at, frame);
+                pass.trips.sent(shape, at, is_cyclic);
                 self.sent(at, frame);
             }
             Way::Back => {
-                let shape = shape(frame);
-                let of = self.pending.iter().position(|(_, other)| *other == shape);
-                match of.and_then(|of| self.pending.remove(of)) {
-                    Some((sent, _)) => self.trips.push((sent, at.saturating_sub(sent))),
-                    None => self.frames.foreign += 1,
+                if !pass.trips.answered(&shape, at) {
+                    let is_known = pass.senders.contains(&sender(taken));
+                    self.unmatched(at, is_known, frame);
                 }
                 self.returned(at, frame);
             }
         }
     }
 
-    /// What has been under way for too long is lost.
-    fn forget(&mut self, now: Duration) {
-        while let Some((sent, _)) = self.pending.front()
-            && now.saturating_sub(*sent) >= UNDER_WAY
-        {
-            self.pending.pop_front();
-            self.frames.lost += 1;
+    /// An answer to nothing that went out.
+    fn unmatched(&mut self, at: Duration, is_known: bool, frame: &Frame<'_>) {
+        let is_broadcast = |datagram: Datagram<'_>| {
+            matches!(
+                datagram.header.command,
+                Command::Bwr | Command::Brd | Command::Brw
+            )
+        };
+        let is_early = at.saturating_sub(self.begin) < UNDER_WAY;
+        if !is_known && datagrams(frame).flatten().all(is_broadcast) {
+            self.unseen.searches += 1;
+        } else if !is_known {
+            self.unseen.answers += 1;
+        } else if is_early {
+            self.unseen.early += 1;
+        } else {
+            self.frames.foreign += 1;
         }
     }
 
     fn sent(&mut self, at: Duration, frame: &Frame<'_>) {
-        let datagrams = || frame.datagrams().flatten();
-        let is_cyclic = |datagram: Datagram<'_>| {
-            matches!(
-                datagram.header.command,
-                Command::Lrw | Command::Lrd | Command::Lwr | Command::Frmw
-            )
-        };
-        if datagrams().any(is_cyclic) {
-            self.cyclic.push(at);
-        }
-        for datagram in datagrams() {
+        for datagram in datagrams(frame).flatten() {
             if let (
                 Command::Bwr,
                 Address::Device {
@@ -182,13 +212,16 @@ impl Recording {
             ) = (datagram.header.command, datagram.header.address)
             {
                 self.down = Some(at);
+                for seen in self.slaves.values_mut() {
+                    seen.take_control(datagram.data);
+                }
             }
         }
     }
 
     fn returned(&mut self, at: Duration, frame: &Frame<'_>) {
         self.frames.answered += 1;
-        for datagram in frame.datagrams().flatten() {
+        for datagram in datagrams(frame).flatten() {
             let header = datagram.header;
             let counter = datagram.working_counter.raw();
             match (header.command, header.address) {
@@ -209,9 +242,22 @@ impl Recording {
                 ) => {
                     self.addressed(adp, counter, datagram.data);
                 }
+                (
+                    Command::Armw,
+                    Address::Device {
+                        adp,
+                        ado: register::DC_SYSTEM_TIME,
+                    },
+                ) => {
+                    // Counted up by each slave, the address is back at the number of slaves less the position.
+                    let position = (self.answering > 0).then(|| self.answering.wrapping_sub(adp));
+                    let who = clocks::Who::Position(position);
+                    self.clock.take(at, who, counter, datagram.data);
+                }
                 (Command::Fprd | Command::Fpwr | Command::Frmw, Address::Device { adp, ado }) => {
                     if header.command == Command::Frmw && ado == register::DC_SYSTEM_TIME {
-                        self.clock.take(at, adp, counter, datagram.data);
+                        let who = clocks::Who::Station(adp);
+                        self.clock.take(at, who, counter, datagram.data);
                     }
                     let seen = self.slaves.entry(adp).or_default();
                     seen.take(at, header.command, ado, counter, datagram.data);
@@ -234,28 +280,37 @@ impl Recording {
     }
 
     /// What is still under way when the recording ends is none of its losses, but for what is long over.
-    fn finish(&mut self) {
-        self.forget(self.end);
-        let cycle = self.cycle();
-        if let Some(cycle) = cycle {
-            let late = self.trips.iter().filter(|(_, trip)| *trip > cycle);
-            self.frames.stale = u64::try_from(late.count()).unwrap_or(u64::MAX);
+    fn finish(&mut self, pass: Pass) {
+        let outcome = pass.trips.finish(self.end);
+        (self.frames.lost, self.open) = (outcome.lost, outcome.open);
+        self.trips = outcome.trips;
+        self.cycle = pass.cycle.judged(&self.trips);
+        if let Some(cycle) = self.cycle {
+            let is_late = |trip: &&Trip| trip.is_cyclic && trip.took > cycle;
+            let late = self.trips.iter().filter(is_late).count();
+            self.frames.stale = u64::try_from(late).unwrap_or(u64::MAX);
         }
         // Slaves that never answered are addresses that somebody tried.
         self.slaves
             .retain(|_, seen| seen.answered > 0 || seen.position.is_some());
+        for seen in self.slaves.values_mut() {
+            seen.finish();
+        }
     }
 
-    /// The usual time from one cyclic frame to the next.
-    fn cycle(&self) -> Option<Duration> {
-        let mut steps: Vec<Duration> = self
-            .cyclic
-            .iter()
-            .zip(self.cyclic.iter().skip(1))
-            .map(|(one, next)| next.saturating_sub(*one))
-            .collect();
-        steps.sort_unstable();
-        steps.get(steps.len() / 2).copied()
+    /// Answers that are of no frame of this master, though both directions were recorded.
+    const fn foreign(&self) -> u64 {
+        let unseen = if self.frames.sent == 0 {
+            0
+        } else {
+            self.unseen.answers
+        };
+        self.frames.foreign + unseen
+    }
+
+    /// How many slaves there are, as far as the recording tells.
+    fn slave_count(&self) -> usize {
+        self.slaves.len().max(self.answering.into())
     }
 
     /// Stations in the order of the ring, as far as the recording tells; else in the order of their addresses.

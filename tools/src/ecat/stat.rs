@@ -230,12 +230,32 @@ pub(super) enum Finding {
     Foreign(u64),
     /// What a recording shows, or how the segment differs from its cell.
     Seen(String),
+    /// What a recording leaves open, to be known beside the verdict.
+    Note(String),
 }
 
 impl Finding {
     /// Late frames are the host's, which a tool without real time does not judge.
     pub(super) const fn is_failure(&self) -> bool {
-        !matches!(self, Self::Late(_))
+        !matches!(self, Self::Late(_) | Self::Note(_))
+    }
+}
+
+impl Finding {
+    /// What a program reads.
+    pub(super) fn object(&self) -> Value {
+        let grade = self.grade().to_lowercase();
+        json!({ "failure": self.is_failure(), "grade": grade, "text": self.to_string() })
+    }
+
+    const fn grade(&self) -> &'static str {
+        if self.is_failure() {
+            "FAIL"
+        } else if matches!(self, Self::Note(_)) {
+            "note"
+        } else {
+            "WARN"
+        }
     }
 }
 
@@ -276,7 +296,7 @@ impl fmt::Display for Finding {
                 "{late} frames came back after the end of their cycle; the host is late: see `takt jitter`, \
                  `ethtool -c` (rx-usecs 0), or take a longer --cycle"
             ),
-            Self::Seen(text) => f.write_str(text),
+            Self::Seen(text) | Self::Note(text) => f.write_str(text),
             Self::Foreign(foreign) => write!(
                 f,
                 "{foreign} frames that were not sent here; another master on this segment, or a switch in it"
@@ -398,17 +418,16 @@ fn at_port(counters: &PortCounters, port: usize) -> [u64; 4] {
 pub(super) fn verdict(name: &str, findings: &[Finding]) -> String {
     let mut text = String::new();
     for finding in findings {
-        let grade = if finding.is_failure() { "FAIL" } else { "WARN" };
-        let _ = writeln!(text, "{grade}  {finding}");
+        let _ = writeln!(text, "{:<4}  {finding}", finding.grade());
     }
-    let failures = findings
-        .iter()
-        .filter(|finding| finding.is_failure())
-        .count();
-    let _ = match (failures, findings.len()) {
+    let graded = |grade: &str| {
+        let of = findings.iter().filter(|finding| finding.grade() == grade);
+        of.count()
+    };
+    let _ = match (graded("FAIL"), graded("WARN")) {
         (0, 0) => writeln!(text, "{name}: good"),
         (0, warnings) => writeln!(text, "{name}: good, {warnings} WARN"),
-        (_, all) => writeln!(text, "{name}: {failures} FAIL, {} WARN", all - failures),
+        (failures, warnings) => writeln!(text, "{name}: {failures} FAIL, {warnings} WARN"),
     };
     text
 }
@@ -422,10 +441,7 @@ pub(super) fn object<W: Wire>(
     let master = session.master();
     let frames = measured.frames;
     let slaves: Vec<Value> = slaves(master).map(slave_object).collect();
-    let findings: Vec<Value> = findings
-        .iter()
-        .map(|finding| json!({ "failure": finding.is_failure(), "text": finding.to_string() }))
-        .collect();
+    let findings: Vec<Value> = findings.iter().map(Finding::object).collect();
     let trip = measured.round_trip.map(|trips| {
         let [p50, p99, most] = trips.map(nanos);
         json!({ "p50_ns": p50, "p99_ns": p99, "max_ns": most })

@@ -9,10 +9,11 @@ use takt_ethercat::config::MasterConfig;
 use takt_ethercat::emulator::{
     Corrupt, Coupler, Entry, Faults, Io, Segment, ServoConfig, ServoDrive,
 };
-use takt_ethercat::link::{FRAME_MAX, Link, PcapReader, PcapWriter};
+use takt_ethercat::link::{FRAME_MAX, Link};
+use takt_link::capture::{LinkType, Writer};
 
 use super::session::{Session, Wire};
-use super::{dc, dump, pdos, scan, sdo, stat};
+use super::{dc, dump, frames, pdos, recording, scan, sdo, stat, ways};
 use crate::Verdict;
 
 mod ring;
@@ -412,10 +413,10 @@ fn watched_with(difference: i32) -> dc::Watched {
 }
 
 /// What was seen on the wire, as a recording.
-pub(super) fn recording(session: &mut Session<Emulated>) -> Vec<u8> {
+pub(super) fn recorded(session: &mut Session<Emulated>) -> Vec<u8> {
     let mut seen = std::mem::take(&mut session.wire().seen);
     seen.sort_by_key(|(at, _)| *at);
-    let mut writer = PcapWriter::new(Vec::new()).unwrap();
+    let mut writer = Writer::new(Vec::new(), LinkType::ETHERNET).unwrap();
     for (at, frame) in seen {
         writer.write(at, &frame).unwrap();
     }
@@ -423,10 +424,11 @@ pub(super) fn recording(session: &mut Session<Emulated>) -> Vec<u8> {
 }
 
 fn decoded(bytes: &[u8], filter: dump::Filter) -> (Vec<String>, Verdict) {
-    let mut decoder = dump::Decoder::new(bytes).unwrap();
+    let capture = frames::Capture::of(bytes).unwrap();
+    let mut decoder = dump::Decoder::default();
     let mut lines = Vec::new();
-    for record in PcapReader::new(bytes).unwrap() {
-        lines.extend(decoder.lines(&record.unwrap(), filter));
+    for (taken, way) in capture.frames.iter().zip(ways::ways(&capture.frames)) {
+        lines.extend(decoder.lines(taken, way, filter));
     }
     (lines, decoder.verdict())
 }
@@ -436,7 +438,7 @@ fn a_recording_is_told_datagram_by_datagram() {
     let mut session = up(tree(), AlState::SafeOp);
     session.wire().seen.clear();
     asked(&mut session, &upload("1018:01", false)).unwrap();
-    let bytes = recording(&mut session);
+    let bytes = recorded(&mut session);
     let (lines, verdict) = decoded(&bytes, dump::Filter::default());
     assert_eq!(verdict, Verdict::Good);
     let told = |text: &str| {
@@ -467,17 +469,21 @@ fn a_recording_is_told_datagram_by_datagram() {
 #[test]
 fn any_frame_is_told_or_left_out() {
     let mut session = up(tree(), AlState::PreOp);
-    let bytes = recording(&mut session);
+    let bytes = recorded(&mut session);
     let begin: Vec<u8> = bytes.iter().copied().take(2000).collect();
     let mut broken = 0;
     for at in (24..begin.len()).step_by(7) {
         let mut bytes = begin.clone();
         bytes[at] ^= 0x5A;
-        let Ok(mut decoder) = dump::Decoder::new(&bytes) else {
+        let Ok(capture) = frames::Capture::of(&bytes[..]) else {
             continue;
         };
-        for record in PcapReader::new(&bytes).unwrap().flatten() {
-            decoder.lines(&record, dump::Filter::default());
+        let mut decoder = dump::Decoder::default();
+        for (taken, way) in capture.frames.iter().zip(ways::ways(&capture.frames)) {
+            decoder.lines(taken, way, dump::Filter::default());
+        }
+        if let Ok(read) = recording::Recording::of("flipped", &capture) {
+            let _reports = (recording::stat(&read), recording::dc(&read, CYCLE));
         }
         broken += u32::from(decoder.verdict() == Verdict::Failed);
     }

@@ -1,10 +1,11 @@
-//! Which way a recorded frame goes: out to the slaves, or back from them. What is in it is not looked at here.
+//! Which way recorded frames go: out to the slaves, or back from them. What the datagrams mean is not looked at here.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
-use takt_ethercat::link::{ETHER_TYPE, HEADER_LEN, PcapError, PcapReader, PcapRecord};
-use takt_ethercat::{Command, Datagram, Frame};
+use takt_ethercat::{Address, Datagram, Frame};
+
+use super::frames::{Taken, datagrams};
 
 /// Which way a frame goes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -13,78 +14,122 @@ pub(super) enum Way {
     Back,
 }
 
-/// A frame on its way, by what slaves do not change.
-pub(super) type Shape = Vec<(Command, u8, u16)>;
+/// What slaves do not change of a frame, by datagram: command, index, length, and the address without what is counted up.
+pub(super) type Shape = Vec<(u8, u8, u16, u32)>;
 
 /// A frame that has not come back by then is lost.
 pub(super) const UNDER_WAY: Duration = Duration::from_millis(100);
-/// Frames under way that are remembered.
+/// Frames under way that are remembered of a sender whose answers bear no mark.
 const UNDER_WAY_MAX: usize = 64;
 /// The bit of the source address that the first slave sets (locally administered).
 const PASSED: u8 = 0x02;
 
-/// Tells the ways of frames, in their order.
-#[derive(Debug)]
-pub(super) struct Ways {
-    /// The first slave marks the source address of what it passes, and this master's was not marked before.
-    marked: bool,
-    under_way: VecDeque<(Duration, Shape)>,
-}
+/// A sender: its address without the mark.
+pub(super) type Sender = [u8; 6];
 
-/// What is behind the Ethernet header of an EtherCAT frame.
-pub(super) fn body(frame: &[u8]) -> Option<&[u8]> {
-    let kind = frame.get(12..HEADER_LEN)?;
-    (kind == ETHER_TYPE.to_be_bytes()).then(|| frame.get(HEADER_LEN..))?
+/// Who sent a frame.
+pub(super) fn sender(frame: &Taken) -> Sender {
+    let mut source = frame.source();
+    source[0] &= !PASSED;
+    source
 }
 
 /// What tells a frame from others.
 pub(super) fn shape(frame: &Frame<'_>) -> Shape {
     let of = |datagram: Datagram<'_>| {
         let header = datagram.header;
-        (header.command, header.index, header.len)
+        let address = match header.address {
+            Address::Logical(address) => address,
+            Address::Device { ado, .. } if header.command.is_positional() => ado.into(),
+            Address::Device { adp, ado } => u32::from(adp) << 16 | u32::from(ado),
+        };
+        (u8::from(header.command), header.index, header.len, address)
     };
-    frame.datagrams().flatten().map(of).collect()
+    datagrams(frame).flatten().map(of).collect()
 }
 
-impl Ways {
-    /// Looks through a recording for what tells frames out from frames back.
-    pub(super) fn new(bytes: &[u8]) -> Result<Self, PcapError> {
-        let is_unmarked = |record: &PcapRecord<'_>| {
-            body(record.frame).is_some()
-                && record.frame.get(6).is_some_and(|byte| byte & PASSED == 0)
-        };
-        let marked = PcapReader::new(bytes)?
-            .flatten()
-            .any(|record| is_unmarked(&record));
-        Ok(Self {
-            marked,
-            under_way: VecDeque::new(),
-        })
+/// Whether a slave has counted: masters send working counters of 0.
+fn is_counted(frame: &Frame<'_>) -> bool {
+    let counters = datagrams(frame)
+        .flatten()
+        .map(|datagram| datagram.working_counter.raw());
+    counters.into_iter().any(|counter| counter > 0)
+}
+
+/// A sender whose frames bear no mark on their way back, or all of them: its own address has the bit, the slaves do not set it,
+/// or only one direction was recorded. Then what slaves counted tells the way, and what was seen shortly before.
+#[derive(Debug, Default)]
+struct Unmarked {
+    under_way: VecDeque<(Duration, Shape)>,
+    /// Frames that slaves have counted in.
+    counted: usize,
+    /// Answers to frames that were seen.
+    paired: usize,
+    /// Places of its frames in the recording, and what each is taken for.
+    frames: Vec<(usize, Way)>,
+}
+
+impl Unmarked {
+    fn take(&mut self, at: Duration, number: usize, frame: &Frame<'_>) {
+        let (shape, is_counted) = (shape(frame), is_counted(frame));
+        self.under_way
+            .retain(|(sent, _)| at.saturating_sub(*sent) < UNDER_WAY);
+        let pending = self.under_way.iter().position(|(_, other)| *other == shape);
+        if let Some(pending) = pending {
+            self.under_way.remove(pending);
+            self.paired += 1;
+        }
+        self.counted += usize::from(is_counted);
+        let is_back = is_counted || pending.is_some();
+        if !is_back {
+            if self.under_way.len() == UNDER_WAY_MAX {
+                self.under_way.pop_front();
+            }
+            self.under_way.push_back((at, shape));
+        }
+        let way = if is_back { Way::Back } else { Way::Out };
+        self.frames.push((number, way));
     }
 
-    /// The way of a frame.
-    pub(super) fn of(&mut self, record: &PcapRecord<'_>, frame: &Frame<'_>) -> Way {
-        if self.marked {
-            let source = record.frame.get(6).copied().unwrap_or(0);
-            return if source & PASSED == 0 {
-                Way::Out
-            } else {
-                Way::Back
-            };
-        }
-        // The master's own address has the bit: what was seen shortly before is back now.
-        let shape = shape(frame);
-        self.under_way
-            .retain(|(at, _)| record.at.saturating_sub(*at) < UNDER_WAY);
-        let seen = self.under_way.iter().position(|(_, other)| *other == shape);
-        if let Some(seen) = seen {
-            self.under_way.remove(seen);
-            return Way::Back;
-        }
-        if self.under_way.len() == UNDER_WAY_MAX {
-            self.under_way.pop_front();
-        }
-        self.under_way.push_back((record.at, shape));
-        Way::Out
+    /// The ways of its frames, now that all are known.
+    fn finish(self) -> impl Iterator<Item = (usize, Way)> {
+        let all = match (self.counted, self.paired) {
+            // No slave ever counted: nothing came back, and what looks alike was sent again.
+            (0, _) => Some(Way::Out),
+            // Slaves counted, but nothing that was sent is there.
+            (_, 0) => Some(Way::Back),
+            _ => None,
+        };
+        let ways = self.frames.into_iter();
+        ways.map(move |(number, way)| (number, all.unwrap_or(way)))
     }
+}
+
+/// The ways of all frames of a recording, in their order. One that cannot be read goes out.
+pub(super) fn ways(frames: &[Taken]) -> Vec<Way> {
+    let sources: BTreeSet<Sender> = frames.iter().map(Taken::source).collect();
+    let is_marked = |sender: Sender| {
+        let mut passed = sender;
+        passed[0] |= PASSED;
+        sources.contains(&sender) && sources.contains(&passed)
+    };
+    let mut ways = vec![Way::Out; frames.len()];
+    let mut unmarked: BTreeMap<Sender, Unmarked> = BTreeMap::new();
+    for ((number, taken), way) in frames.iter().enumerate().zip(&mut ways) {
+        let sender = sender(taken);
+        if is_marked(sender) {
+            if taken.source() != sender {
+                *way = Way::Back;
+            }
+        } else if let Ok(frame) = taken.frame() {
+            let of = unmarked.entry(sender).or_default();
+            of.take(taken.at, number, &frame);
+        }
+    }
+    for (number, known) in unmarked.into_values().flat_map(Unmarked::finish) {
+        if let Some(way) = ways.get_mut(number) {
+            *way = known;
+        }
+    }
+    ways
 }

@@ -14,7 +14,7 @@ use takt_cia402::emulator::{DriveConfig, Quirks};
 
 use super::service::Service;
 use crate::Verdict;
-use crate::output::{say, span};
+use crate::output::{save, say, span};
 use crate::run::until_stopped;
 
 /// Longest wait for a frame: the motor's step.
@@ -63,8 +63,7 @@ impl DriveArgs {
             config.add_quirk(name);
         }
         if let Some(path) = &self.eds {
-            std::fs::write(path, config.eds().print())
-                .with_context(|| format!("cannot write {}", path.display()))?;
+            save(path, config.eds().print())?;
             return Ok(Verdict::Good);
         }
         let mut socket = SocketCan::open(&self.interface, &Options::default())

@@ -65,7 +65,7 @@ pub(crate) fn serve(
 ) -> anyhow::Result<Verdict> {
     let link: Box<dyn Link + Send> = match interface.strip_prefix("tap:") {
         Some(name) => Box::new(TapLink::open(name)?),
-        None => Box::new(PacketLink::open(interface)?),
+        None => Box::new(PacketLink::open_locked(interface)?),
     };
     let slaves = segment.lock().len();
     let server = Server::new(segment.clone(), link);

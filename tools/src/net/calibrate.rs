@@ -16,7 +16,7 @@ use takt_core::costs::CostTable;
 use takt_net::{Cost, Registry};
 
 use crate::Verdict;
-use crate::output::{complain, is_terminal, say, time};
+use crate::output::{complain, is_terminal, save, say, time};
 use measure::Measured;
 
 /// `SCHED_FIFO` priority of the measuring thread: above what is ordinary, below any controller.
@@ -73,8 +73,7 @@ impl Calibrate {
         });
         let table = CostTable::of_this_host(today(), costs);
         if let Some(path) = &self.output {
-            std::fs::write(path, table.text())
-                .with_context(|| format!("cannot write {}", path.display()))?;
+            save(path, table.text())?;
         }
         if self.json {
             return say(&json(&table, measured).to_string());

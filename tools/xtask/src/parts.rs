@@ -16,6 +16,7 @@ const fn part(name: &'static str, packages: &'static [&'static str]) -> Part {
 const PARTS: &[Part] = &[
     part("all", &[]),
     part("rt", &["takt-rt"]),
+    part("link", &["takt-link"]),
     part("host", &["takt-rt", "takt-tools", "takt-deploy"]),
     part("cia402", &["takt-cia402"]),
     part(

@@ -84,13 +84,20 @@ impl From<Wire> for Wires {
     }
 }
 
-/// Opens the network interfaces of a segment.
+/// Listened for another master before the first frame: longer than any usual cycle.
+const LISTEN: Duration = Duration::from_millis(60);
+
+/// Opens the network interfaces of a segment, for this process alone.
 ///
 /// # Errors
-/// If there is no such interface or no right to open it.
+/// If there is no such interface or no right to open it, another program of Takt has it, or frames of another master come.
 pub fn open(config: &EthercatConfig) -> Result<Wires, Error> {
     let open = |interface: &String| {
-        let link = PacketLink::open(interface).map_err(|source| Error::Device {
+        let link = PacketLink::open_locked(interface).and_then(|mut link| {
+            link.listen_first(interface, LISTEN)?;
+            Ok(link)
+        });
+        let link = link.map_err(|source| Error::Device {
             name: config.name.clone(),
             what: format!("open {interface}"),
             source,

@@ -3,7 +3,7 @@
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
-use std::io::BufWriter;
+use std::io::{self, BufWriter, Seek, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -110,14 +110,20 @@ impl NetNote {
     }
 }
 
-pub(super) struct Writer {
-    mcap: mcap::Writer<BufWriter<File>>,
+/// Last bytes of a file that was ended; one without them is cut off.
+const END: [u8; 8] = *b"\x89MCAP0\r\n";
+
+/// Writes the file record by record, without chunks: what a full disk or a crash leaves is whole up to its last record. That the
+/// file has no index for that costs viewers one pass over it.
+pub(super) struct Writer<W: Write + Seek = File> {
+    /// `None` after an error: nothing follows half a record.
+    mcap: Option<mcap::Writer<BufWriter<W>>>,
     path: PathBuf,
-    cycles: u16,
-    devices: u16,
-    nets: u16,
+    channels: [u16; 3],
     bytes: Vec<u8>,
     sequence: u32,
+    /// Cycles given to the file.
+    written: u64,
 }
 
 impl Writer {
@@ -126,53 +132,80 @@ impl Writer {
             path: path.to_owned(),
             source,
         })?;
-        let failed = |e: mcap::McapError| broken(path, &e);
+        Self::on(file, path)
+    }
+}
+
+impl<W: Write + Seek> Writer<W> {
+    /// Begins the file.
+    pub(super) fn on(to: W, path: &Path) -> Result<Self, Error> {
+        let failed = |e: mcap::McapError| broken(path, 0, &e);
         let mut mcap = mcap::WriteOptions::new()
             .compression(None)
+            .use_chunks(false)
             .profile("takt")
             .library("takt")
-            .create(BufWriter::new(file))
+            .create(BufWriter::new(to))
             .map_err(failed)?;
         let metadata = BTreeMap::new();
         let words = mcap
             .add_schema("takt.words.3", "takt", b"")
             .map_err(failed)?;
-        let cycles = mcap
-            .add_channel(words, CYCLES, "takt", &metadata)
-            .map_err(failed)?;
-        let devices = mcap
-            .add_channel(0, DEVICES, "toml", &metadata)
-            .map_err(failed)?;
-        let nets = mcap
-            .add_channel(0, NETS, "toml", &metadata)
-            .map_err(failed)?;
-        let path = path.to_owned();
+        let mut channels = [0; 3];
+        let kinds = [
+            (words, CYCLES, "takt"),
+            (0, DEVICES, "toml"),
+            (0, NETS, "toml"),
+        ];
+        for (channel, (schema, topic, encoding)) in channels.iter_mut().zip(kinds) {
+            *channel = mcap
+                .add_channel(schema, topic, encoding, &metadata)
+                .map_err(failed)?;
+        }
         Ok(Self {
-            mcap,
-            path,
-            cycles,
-            devices,
-            nets,
+            mcap: Some(mcap),
+            path: path.to_owned(),
+            channels,
             bytes: Vec::new(),
             sequence: 0,
+            written: 0,
+        })
+    }
+
+    /// Does something with the file; after an error it is left as it is.
+    fn try_with<T>(
+        &mut self,
+        act: impl FnOnce(&mut mcap::Writer<BufWriter<W>>) -> Result<T, mcap::McapError>,
+    ) -> Result<T, Error> {
+        let ended = || wrong(&self.path, "the recording has ended before".to_owned());
+        let mcap = self.mcap.as_mut().ok_or_else(ended)?;
+        act(mcap).map_err(|error| {
+            // Dropped as they are, both would write on behind half a record.
+            if let Some(mcap) = self.mcap.take() {
+                let _left = mcap.into_inner().into_parts();
+            }
+            broken(&self.path, self.written, &error)
         })
     }
 
     fn message(&mut self, channel_id: u16, data: &[u8], time: u64) -> Result<(), Error> {
         self.sequence = self.sequence.wrapping_add(1);
-        let sequence = self.sequence;
         let header = MessageHeader {
             channel_id,
-            sequence,
+            sequence: self.sequence,
             log_time: time,
             publish_time: time,
         };
-        self.mcap
-            .write_to_known_channel(&header, data)
-            .map_err(|e| broken(&self.path, &e))
+        self.try_with(|mcap| mcap.write_to_known_channel(&header, data))
+    }
+
+    /// Gives what is buffered to the file.
+    pub(super) fn flush(&mut self) -> Result<(), Error> {
+        self.try_with(mcap::Writer::flush)
     }
 
     pub(super) fn note(&mut self, note: &Note) -> Result<(), Error> {
+        let [_, devices, nets] = self.channels;
         let (channel, text) = match note {
             Note::Device {
                 number,
@@ -180,11 +213,11 @@ impl Writer {
                 description,
             } => {
                 let note = DeviceNote::new(*number, place, description);
-                (self.devices, toml::to_string(&DeviceEvent::Came(note)))
+                (devices, toml::to_string(&DeviceEvent::Came(note)))
             }
             Note::Gone(name) => {
                 let name = name.clone();
-                (self.devices, toml::to_string(&DeviceEvent::Went { name }))
+                (devices, toml::to_string(&DeviceEvent::Went { name }))
             }
             Note::Net {
                 id,
@@ -200,7 +233,7 @@ impl Writer {
                     period_ns,
                     text,
                 };
-                (self.nets, toml::to_string(&note))
+                (nets, toml::to_string(&note))
             }
         };
         let text = text.map_err(|e| Error::Recording {
@@ -214,16 +247,22 @@ impl Writer {
         let mut bytes = std::mem::take(&mut self.bytes);
         bytes.clear();
         bytes.extend(words.iter().flat_map(|w| w.to_le_bytes()));
-        let result = self.message(self.cycles, &bytes, 0);
+        let [cycles, ..] = self.channels;
+        self.written += 1;
+        let result = self.message(cycles, &bytes, 0);
         self.bytes = bytes;
         result
     }
 
     pub(super) fn finish(&mut self) -> Result<(), Error> {
-        self.mcap
-            .finish()
-            .map(drop)
-            .map_err(|e| broken(&self.path, &e))
+        self.try_with(|mcap| mcap.finish().map(drop))?;
+        let mut buffer = self.mcap.take().map(mcap::Writer::into_inner);
+        let flushed = buffer.as_mut().map_or(Ok(()), Write::flush);
+        if let Some(buffer) = buffer {
+            // Dropped as it is, it would write again.
+            let _left = buffer.into_parts();
+        }
+        flushed.map_err(|error| broken(&self.path, self.written, &error.into()))
     }
 }
 
@@ -238,8 +277,30 @@ fn wrong(path: &Path, what: String) -> Error {
     }
 }
 
-fn broken(path: &Path, error: &mcap::McapError) -> Error {
-    wrong(path, format!("cannot write it: {error}"))
+/// Why the file could not be written, at which cycle, and what to do.
+fn broken(path: &Path, cycle: u64, error: &mcap::McapError) -> Error {
+    let io = if let mcap::McapError::Io(error) = error {
+        Some(error)
+    } else {
+        None
+    };
+    let is_full = |error: &io::Error| {
+        use io::ErrorKind as E;
+        matches!(
+            error.kind(),
+            E::StorageFull | E::QuotaExceeded | E::FileTooLarge
+        )
+    };
+    let cause = io.map_or_else(|| error.to_string(), ToString::to_string);
+    let hint = if io.is_some_and(is_full) {
+        "\nhint: make room on that disk (`df -h`) and record again; what was written stays readable"
+    } else {
+        "\nhint: see the disk (`dmesg`); what was written stays readable"
+    };
+    wrong(
+        path,
+        format!("the recording ended at cycle {cycle}: {cause}{hint}"),
+    )
 }
 
 /// What a recording tells besides cycles.
@@ -255,6 +316,8 @@ pub(super) struct Recording {
     /// Devices and nets as they came.
     pub(super) notes: Vec<Told>,
     pub(super) cycles: Vec<Vec<u64>>,
+    /// It was not ended: a full disk or a crash; it holds what is whole.
+    pub(super) is_cut: bool,
 }
 
 impl Recording {
@@ -278,8 +341,14 @@ impl Recording {
             .with_validate_data_section_crc(true)
             .with_record_length_limit(bytes.len());
         let mut reader = LinearReader::new_with_options(options);
+        let is_ended = bytes.ends_with(&END);
         let mut rest = bytes;
         while let Some(event) = reader.next_event() {
+            // With its end there, a record that goes beyond it is damage.
+            if matches!(event, Err(mcap::McapError::UnexpectedEof)) && !is_ended {
+                recording.is_cut = true;
+                break;
+            }
             match event.map_err(|e| cut(&e))? {
                 LinearReadEvent::ReadRequest(wanted) => {
                     let (next, left) = rest.split_at(wanted.min(rest.len()));
@@ -303,6 +372,10 @@ impl Recording {
                 }
                 LinearReadEvent::Record { .. } => {}
             }
+        }
+        if recording.cycles.is_empty() && recording.is_cut {
+            let what = "cut off before its first cycle: a full disk?";
+            return Err(wrong(path, what.to_owned()));
         }
         if recording.cycles.is_empty() {
             return Err(wrong(

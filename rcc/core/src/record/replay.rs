@@ -26,6 +26,8 @@ pub struct Replay {
     pub bytes: u64,
     /// The first cycle, counted from 0, whose words differ.
     pub differs: Option<u64>,
+    /// The recording was not ended, by a full disk or a crash: the cycles are those that are whole in it.
+    pub is_cut: bool,
 }
 
 /// Replays a recording.
@@ -39,6 +41,7 @@ pub fn replay(path: &Path) -> Result<Replay, Error> {
         cycles: 0,
         bytes: 0,
         differs: None,
+        is_cut: recording.is_cut,
     };
     for recorded in &recording.cycles {
         let replayed = stage.cycle(recorded)?;

@@ -3,7 +3,6 @@
 
 use std::path::Path;
 
-use anyhow::Context as _;
 use takt_can::canopen::eds::Eds;
 use takt_cia402::dictionary::{AbortCode, Address};
 
@@ -11,6 +10,7 @@ use super::Told;
 use crate::can::ask::{Answer, Asker, Refusal, number};
 use crate::can::sheet::name_of;
 use crate::can::wire::Wire;
+use crate::output::save;
 
 const SHEET: Address = Address::new(0x1021, 0);
 const FORMAT: Address = Address::new(0x1022, 0);
@@ -37,7 +37,7 @@ pub(super) fn fetch<W: Wire>(wire: &mut W, asker: &mut Asker, out: &Path) -> Ans
         Ok(bytes) => bytes,
         Err(refusal) => return Ok(Err(refusal)),
     };
-    std::fs::write(out, &bytes).with_context(|| format!("cannot write {}", out.display()))?;
+    save(out, &bytes)?;
     let (len, out) = (bytes.len(), out.display());
     let told = match Eds::parse(&String::from_utf8_lossy(&bytes)) {
         Ok(eds) => Told {

@@ -1,18 +1,18 @@
 //! What a datagram means: the name of its register, states and codes in clear text, what is in a mailbox. What it
 //! does not know it shows as bytes.
 
-use std::collections::HashSet;
+use std::collections::HashMap;
 use std::fmt::Write as _;
 
 use takt_cia402::dictionary::DataType;
-use takt_ethercat::coe::{Information, Sdo};
+use takt_ethercat::coe::{Information, Sdo, Whole};
 use takt_ethercat::{
     Address, AlStatus, AlStatusCode, CoeService, Command, Datagram, Emergency, MailboxError,
     MailboxHeader, MailboxKind, SyncManager, register,
 };
 
 /// Registers by their first address, how many bytes they have, what they are.
-const REGISTERS: [(u16, u16, &str); 36] = [
+const REGISTERS: [(u16, u16, &str); 37] = [
     (register::INFORMATION, 10, "controller information"),
     (register::STATION_ADDRESS, 2, "station address"),
     (register::STATION_ALIAS, 2, "station alias"),
@@ -21,6 +21,7 @@ const REGISTERS: [(u16, u16, &str); 36] = [
     (register::AL_CONTROL, 2, "AL control"),
     (register::AL_STATUS, 4, "AL status"),
     (register::AL_STATUS_CODE, 2, "AL status code"),
+    (PDI_CONTROL, 2, "PDI control"),
     (register::ECAT_EVENT_MASK, 2, "event mask"),
     (register::ECAT_EVENT, 2, "event request"),
     (register::ERROR_COUNTERS, 16, "error counters"),
@@ -51,14 +52,17 @@ const REGISTERS: [(u16, u16, &str); 36] = [
     (register::PROCESS_DATA, 0xF000, "memory"),
 ];
 
+/// What the slave's controller is connected to (0140h), and what it has (0141h).
+const PDI_CONTROL: u16 = 0x0140;
+
 /// Bytes that are shown of what is not known.
 const SHOWN: usize = 16;
 
 /// What was learnt so far of the slaves.
 #[derive(Debug, Default)]
 pub(super) struct Meanings {
-    /// Station and start of mailboxes, as their SyncManagers were set up.
-    mailboxes: HashSet<(u16, u16)>,
+    /// Stations and starts of mailboxes with their lengths, as their SyncManagers were set up.
+    mailboxes: HashMap<(u16, u16), u16>,
 }
 
 /// The station that a datagram is addressed to by its configured address.
@@ -112,18 +116,7 @@ impl Meanings {
     fn of_memory(&mut self, datagram: &Datagram<'_>, ado: u16, has_data: bool) -> String {
         let station = station(datagram);
         if ado >= register::PROCESS_DATA {
-            let is_mailbox =
-                station.is_some_and(|station| self.mailboxes.contains(&(station, ado)));
-            let content = mailbox(datagram.data, is_mailbox).filter(|_| has_data);
-            if let (Some(station), Some(_)) = (station, &content) {
-                self.mailboxes.insert((station, ado));
-            }
-            return match (content, is_mailbox, has_data) {
-                (Some(content), ..) => content,
-                (None, _, true) => format!("memory {}", bytes(datagram.data)),
-                (None, true, false) => "mailbox".to_owned(),
-                (None, false, false) => "memory".to_owned(),
-            };
+            return self.of_process_memory(datagram, station, ado, has_data);
         }
         if let (Some(station), true) = (station, writes(datagram.header.command)) {
             self.learn(station, ado, datagram.data);
@@ -150,6 +143,42 @@ impl Meanings {
         }
     }
 
+    /// Mailboxes, whole or in part, and what is none.
+    fn of_process_memory(
+        &mut self,
+        datagram: &Datagram<'_>,
+        station: Option<u16>,
+        ado: u16,
+        has_data: bool,
+    ) -> String {
+        let known = station.and_then(|station| self.mailbox_at(station, ado));
+        let (data, begins) = (datagram.data, known.is_none_or(|(start, _)| start == ado));
+        let content = mailbox(data, known.is_some()).filter(|_| has_data && begins);
+        if let (Some(station), Some(_)) = (station, &content) {
+            let len = datagram.header.len;
+            let known = self.mailboxes.entry((station, ado)).or_insert(len);
+            *known = len.max(*known);
+        }
+        let part = known.and_then(|(start, len)| part(ado - start, datagram.header.len, len));
+        let part = part.map_or_else(String::new, |part| format!(" ({part})"));
+        match (content, known, has_data) {
+            (Some(content), ..) => format!("{content}{part}"),
+            (None, Some(_), true) => format!("mailbox{part} {}", bytes(data)),
+            (None, Some(_), false) => format!("mailbox{part}"),
+            (None, None, true) => format!("memory {}", bytes(data)),
+            (None, None, false) => "memory".to_owned(),
+        }
+    }
+
+    /// Start and length of the mailbox of a station that an address lies in.
+    fn mailbox_at(&self, station: u16, ado: u16) -> Option<(u16, u16)> {
+        let mailboxes = self.mailboxes.iter();
+        let mut of = mailboxes.filter(|((other, start), len)| {
+            *other == station && (*start..start.saturating_add(**len)).contains(&ado)
+        });
+        of.next().map(|((_, start), len)| (*start, *len))
+    }
+
     /// Mailboxes, from SyncManagers that are set up.
     fn learn(&mut self, station: u16, ado: u16, data: &[u8]) {
         let is_first = |at: u16| (at - register::SYNC_MANAGER).is_multiple_of(8);
@@ -163,9 +192,25 @@ impl Meanings {
             };
             let sync_manager = SyncManager::decode(block);
             if sync_manager.is_mailbox() && sync_manager.is_enabled() {
-                self.mailboxes.insert((station, sync_manager.start));
+                self.mailboxes
+                    .insert((station, sync_manager.start), sync_manager.len);
             }
         }
+    }
+}
+
+/// Which part of a mailbox is written or read; `None` for all of it. It is full or empty when its last byte was.
+fn part(from: u16, len: u16, whole: u16) -> Option<String> {
+    let to = from.saturating_add(len);
+    match (from, to) {
+        (0, to) if to >= whole => None,
+        (from, to) if to >= whole && len == 1 => Some(format!("its last byte, {from}")),
+        (_, to) if to >= whole => Some(format!("its last {len} bytes")),
+        (0, _) => Some(format!("first {len} of {whole} bytes")),
+        (from, to) => Some(format!(
+            "bytes {from} to {} of {whole}",
+            to.saturating_sub(1)
+        )),
     }
 }
 
@@ -218,8 +263,66 @@ fn contents(ado: u16, data: &[u8]) -> String {
             format!("{sign}{} ns", raw & 0x7FFF_FFFF)
         }
         (register::ERROR_COUNTERS, Some(_)) if data.len() >= 20 => errors(data),
+        (register::SII_CONTROL, Some(raw)) => sii_control(raw),
+        (PDI_CONTROL, Some(raw)) => pdi_control(raw),
         _ => bytes(data),
     }
+}
+
+/// Names of the bits that are set, or what is said if none is.
+fn bits(raw: u16, names: &[(u16, &'static str)], none: &'static str) -> String {
+    let set = names.iter().filter(|(bit, _)| raw & bit != 0);
+    let set: Vec<&str> = set.map(|(_, name)| *name).collect();
+    if set.is_empty() {
+        none.to_owned()
+    } else {
+        set.join(", ")
+    }
+}
+
+/// Access to the EEPROM (0502h, ETG.1000.4 clause 6.4): what is asked for, how it goes, how the chip is read.
+fn sii_control(raw: u16) -> String {
+    const BITS: [(u16, &str); 12] = [
+        (0x8000, "busy"),
+        (0x0100, "read"),
+        (0x0200, "write"),
+        (0x0400, "reload"),
+        (0x0800, "checksum wrong"),
+        (0x1000, "not loaded"),
+        (0x2000, "no acknowledge"),
+        (0x4000, "write not enabled"),
+        (0x0001, "write enabled"),
+        (0x0020, "emulated by firmware"),
+        (0x0040, "8 bytes a read"),
+        (0x0080, "2 address bytes"),
+    ];
+    format!("{raw:04X}h: {}", bits(raw, &BITS, "idle"))
+}
+
+/// What firmware is connected by (0140h), and how the controller is made (0141h).
+fn pdi_control(raw: u16) -> String {
+    const BITS: [(u16, &str); 4] = [
+        (0x0100, "device emulation"),
+        (0x0200, "enhanced link detection"),
+        (0x0400, "DC SYNC unit"),
+        (0x0800, "DC latch unit"),
+    ];
+    let kind = match raw & 0xFF {
+        0x00 => "none",
+        0x01 => "4 digital inputs",
+        0x02 => "4 digital outputs",
+        0x03 => "2 digital inputs, 2 outputs",
+        0x04 => "digital I/O",
+        0x05 => "SPI",
+        0x07 => "EtherCAT bridge",
+        0x08 => "16 bit microcontroller, asynchronous",
+        0x09 => "8 bit microcontroller, asynchronous",
+        0x0A => "16 bit microcontroller, synchronous",
+        0x0B => "8 bit microcontroller, synchronous",
+        0x80 => "on-chip bus",
+        _ => "other",
+    };
+    format!("{raw:04X}h: {kind}; {}", bits(raw, &BITS, "nothing more"))
 }
 
 /// Error counters that are not zero, port by port.
@@ -273,11 +376,11 @@ fn coe(rest: &[u8]) -> Option<String> {
     Some(match service {
         CoeService::SdoRequest => {
             let sdo = Sdo::decode_request(rest)?;
-            format!("SDO {sdo}{}", data_of(&sdo))
+            format!("SDO {sdo}{}{}", access(&sdo), data_of(&sdo))
         }
         CoeService::SdoResponse => {
             let sdo = Sdo::decode_response(rest)?;
-            format!("SDO {sdo}{}", data_of(&sdo))
+            format!("SDO {sdo}{}{}", access(&sdo), data_of(&sdo))
         }
         CoeService::Emergency => {
             let Emergency {
@@ -295,6 +398,24 @@ fn coe(rest: &[u8]) -> Option<String> {
         CoeService::Pdo(number) => format!("PDO by mailbox ({number}) {}", bytes(rest)),
         CoeService::Other(_) => return None,
     })
+}
+
+/// Whether all entries of an object are meant.
+const fn access(sdo: &Sdo<'_>) -> &'static str {
+    match sdo {
+        Sdo::Download { whole, .. }
+        | Sdo::Upload { whole, .. }
+        | Sdo::Downloaded { whole, .. }
+        | Sdo::Uploaded { whole, .. } => match whole {
+            Whole::Entry => "",
+            Whole::Object => " (complete access)",
+        },
+        Sdo::DownloadSegment { .. }
+        | Sdo::UploadSegment { .. }
+        | Sdo::DownloadedSegment { .. }
+        | Sdo::UploadedSegment { .. }
+        | Sdo::Abort { .. } => "",
+    }
 }
 
 /// The data of an SDO message that carries some.

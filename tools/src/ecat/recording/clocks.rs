@@ -12,24 +12,59 @@ use super::report::Report;
 use crate::ecat::stat::{Finding, nanos};
 use crate::output::time;
 
+/// Whose clock it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Who {
+    /// By station address (FRMW).
+    Station(u16),
+    /// By position (ARMW), if the number of slaves is known.
+    Position(Option<u16>),
+}
+
 /// The reference clock as frames passed it.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Reference {
-    station: Option<u16>,
+    who: Option<Who>,
+    /// Bytes of it that are read: all 8, or 4 of a 32 bit clock.
+    bytes: usize,
     /// When a frame was recorded, and the system time that it brought back, ns.
     samples: Vec<(Duration, u64)>,
 }
 
 impl Reference {
-    pub(super) fn take(&mut self, at: Duration, station: u16, counter: u16, data: &[u8]) {
+    pub(super) fn take(&mut self, at: Duration, who: Who, counter: u16, data: &[u8]) {
         if counter == 0 {
             return;
         }
-        if self.station != Some(station) {
-            (self.station, self.samples) = (Some(station), Vec::new());
+        let bytes = if data.len() >= 8 { 8 } else { 4 };
+        if (self.who, self.bytes) != (Some(who), bytes) {
+            (self.who, self.bytes, self.samples) = (Some(who), bytes, Vec::new());
         }
-        if let Some(eight) = data.first_chunk() {
-            self.samples.push((at, u64::from_le_bytes(*eight)));
+        let four = || data.first_chunk().map(|four| u32::from_le_bytes(*four));
+        let eight = data.first_chunk().map(|eight| u64::from_le_bytes(*eight));
+        if let Some(time) = eight.or_else(|| Some(self.unwrapped(at, four()?))) {
+            self.samples.push((at, time));
+        }
+    }
+
+    /// A time of 32 bits, which begins again each 4.295 s, as one that goes on: the nearest to what the host's clock tells.
+    fn unwrapped(&self, at: Duration, raw: u32) -> u64 {
+        let Some((then, last)) = self.samples.last() else {
+            return raw.into();
+        };
+        let host = u64::try_from(at.saturating_sub(*then).as_nanos()).unwrap_or(u64::MAX);
+        let expected = last.wrapping_add(host);
+        let low = u32::try_from(expected & u64::from(u32::MAX)).unwrap_or(0);
+        let ahead = raw.wrapping_sub(low).cast_signed();
+        expected.wrapping_add_signed(ahead.into())
+    }
+
+    /// Whether that slave's.
+    fn is_of(&self, number: usize, station: u16) -> bool {
+        match self.who {
+            Some(Who::Station(of)) => of == station,
+            Some(Who::Position(of)) => of.map(usize::from) == Some(number),
+            None => false,
         }
     }
 
@@ -74,23 +109,22 @@ impl Reference {
     }
 }
 
-/// What a recording says of clocks; differences beyond the window fail.
-pub(in crate::ecat) fn dc(recording: &Recording, window: Duration) -> Report {
-    let ring = recording.ring();
-    let clock = &recording.clock;
-    let drift = clock.drift_ppm();
-    let mut findings = Vec::new();
-    if clock.station.is_none() {
-        let text = "no frame tells the time (FRMW 0910h): its master runs without distributed clocks, or the \
-                    recording ends before";
-        findings.push(Finding::Seen(text.to_owned()));
-    }
+/// What is said before the table, and its head.
+fn head(recording: &Recording) -> String {
+    let (clock, drift) = (&recording.clock, recording.clock.drift_ppm());
     let mut text = format!(
         "{}: {} slaves, {}\n",
         recording.name,
-        ring.len(),
+        recording.slave_count(),
         time(nanos(recording.end.saturating_sub(recording.begin)))
     );
+    if clock.who.is_some() {
+        let (count, bits) = (clock.samples.len(), 8 * clock.bytes);
+        let _ = writeln!(
+            text,
+            "{count} frames bring the time of the reference, {bits} bits"
+        );
+    }
     if let Some(ppm) = drift {
         let _ = writeln!(
             text,
@@ -98,9 +132,24 @@ pub(in crate::ecat) fn dc(recording: &Recording, window: Duration) -> Report {
         );
     }
     text.push_str("\n slave  station  clock      delay ns  difference ns: min      max     last\n");
+    text
+}
+
+/// What a recording says of clocks; differences beyond the window fail.
+pub(in crate::ecat) fn dc(recording: &Recording, window: Duration) -> Report {
+    let ring = recording.ring();
+    let clock = &recording.clock;
+    let drift = clock.drift_ppm();
+    let mut findings: Vec<Finding> = recording.notes.iter().cloned().map(Finding::Note).collect();
+    if clock.who.is_none() {
+        let text = "no frame tells the time (FRMW or ARMW 0910h): its master runs without distributed clocks, or the \
+                    recording ends before";
+        findings.push(Finding::Seen(text.to_owned()));
+    }
+    let mut text = head(recording);
     let mut slaves = Vec::new();
     for (number, (station, seen)) in ring.iter().enumerate() {
-        let is_reference = clock.station == Some(*station);
+        let is_reference = clock.is_of(number, *station);
         let range = seen.difference.filter(|_| !is_reference);
         let kind = match (is_reference, range) {
             (true, _) => "reference",
@@ -140,6 +189,7 @@ pub(in crate::ecat) fn dc(recording: &Recording, window: Duration) -> Report {
             "version": 1,
             "recording": recording.name,
             "drift_ppm": drift,
+            "time_frames": clock.samples.len(),
             "slaves": slaves,
             "sync0": phases,
         }),

@@ -28,11 +28,7 @@ impl Report {
     /// Says it.
     pub(in crate::ecat) fn say(mut self, json: bool, quiet: bool) -> anyhow::Result<Verdict> {
         if json {
-            let findings: Vec<Value> = self
-                .findings
-                .iter()
-                .map(|finding| json!({ "failure": finding.is_failure(), "text": finding.to_string() }))
-                .collect();
+            let findings: Vec<Value> = self.findings.iter().map(Finding::object).collect();
             if let Value::Object(object) = &mut self.object {
                 object.insert("findings".to_owned(), findings.into());
             }
@@ -149,7 +145,8 @@ fn findings(recording: &Recording) -> Vec<Finding> {
         }
     }
     let frames = recording.frames;
-    if frames.lost > 0 {
+    all.extend(silence(recording));
+    if frames.lost > 0 && frames.answered > 0 {
         all.push(Finding::Lost {
             lost: frames.lost,
             sent: frames.sent,
@@ -164,8 +161,9 @@ fn findings(recording: &Recording) -> Vec<Finding> {
     if frames.stale > 0 {
         all.push(Finding::Late(frames.stale));
     }
-    if frames.foreign > 0 {
-        all.push(Finding::Foreign(frames.foreign));
+    let foreign = recording.foreign();
+    if foreign > 0 {
+        all.push(Finding::Foreign(foreign));
     }
     if recording.broken > 0 {
         let broken = recording.broken;
@@ -173,7 +171,65 @@ fn findings(recording: &Recording) -> Vec<Finding> {
             "{broken} frames in it cannot be read"
         )));
     }
+    if recording.corrupt > 0 {
+        all.push(Finding::Seen(format!(
+            "{} frames had a wrong check sum at the probe; see the cable before it",
+            recording.corrupt
+        )));
+    }
+    all.extend(notes(recording).into_iter().map(Finding::Note));
     all
+}
+
+/// What is said where nothing came back.
+fn silence(recording: &Recording) -> Option<Finding> {
+    let frames = recording.frames;
+    if frames.answered > 0 || frames.sent == 0 {
+        return None;
+    }
+    let lasts = since(recording, recording.end);
+    Some(if frames.lost > 0 {
+        Finding::Seen(format!(
+            "nothing comes back: none of {} frames in {lasts}; see the cable to slave 0, its IN port and its supply, or \
+             whether both directions were recorded",
+            frames.sent
+        ))
+    } else {
+        Finding::Note(format!(
+            "the recording ends {lasts} after its first frame, before anything came back"
+        ))
+    })
+}
+
+/// What the recording leaves open.
+fn notes(recording: &Recording) -> Vec<String> {
+    let mut notes = recording.notes.clone();
+    let unseen = recording.unseen;
+    if unseen.searches > 0 {
+        notes.push(format!(
+            "{} answers to search frames (broadcasts) of a sender of which nothing else is there: a master that looks at \
+             its interfaces, or one that was recorded from later on",
+            unseen.searches
+        ));
+    }
+    if recording.frames.sent == 0 {
+        notes.push(
+            "only answers were recorded: what was lost is not known; record both directions at the master".to_owned(),
+        );
+    }
+    if unseen.early > 0 {
+        notes.push(format!(
+            "{} answers at the beginning are to frames that were sent before",
+            unseen.early
+        ));
+    }
+    if recording.open > 0 && recording.frames.answered > 0 {
+        notes.push(format!(
+            "{} frames were still under way when the recording ended",
+            recording.open
+        ));
+    }
+    notes
 }
 
 /// A time from the beginning of the recording.
@@ -181,23 +237,28 @@ fn since(recording: &Recording, at: Duration) -> String {
     time(nanos(at.saturating_sub(recording.begin)))
 }
 
+fn slaves(count: usize) -> String {
+    let ending = if count == 1 { "" } else { "s" };
+    format!("{count} slave{ending}")
+}
+
 fn table(recording: &Recording) -> String {
     let ring = recording.ring();
     let frames = recording.frames;
-    let cycle = recording.cycle().map_or_else(String::new, |cycle| {
+    let cycle = recording.cycle.map_or_else(String::new, |cycle| {
         format!(" at a cycle of {}", time(nanos(cycle)))
     });
     let mut text = format!(
-        "{}: {} slaves, {}{cycle}\nframes      {} sent, {} lost, {} late, {} foreign\n",
+        "{}: {}, {}{cycle}\nframes      {} sent, {} lost, {} late, {} foreign\n",
         recording.name,
-        ring.len(),
+        slaves(recording.slave_count()),
         since(recording, recording.end),
         frames.sent,
         frames.lost,
         frames.stale,
-        frames.foreign
+        recording.foreign()
     );
-    let trips: Vec<Duration> = recording.trips.iter().map(|(_, trip)| *trip).collect();
+    let trips: Vec<Duration> = recording.trips.iter().map(|trip| trip.took).collect();
     if let Some(trips) = percentiles(&trips) {
         let [p50, p99, most] = trips.map(|trip| time(nanos(trip)));
         let _ = writeln!(text, "round trip  p50 {p50}, p99 {p99}, max {most}");
@@ -212,7 +273,10 @@ fn table(recording: &Recording) -> String {
             counted.counters.len()
         );
     }
-    if !ring.is_empty() && !topology(&ring).1 {
+    if ring.is_empty() {
+        return text;
+    }
+    if !topology(&ring).1 {
         text.push_str("tree        not in the recording: slaves are taken for a line\n");
     }
     let misses = misses(recording);
@@ -276,7 +340,7 @@ fn object(recording: &Recording) -> Value {
             })
         })
         .collect();
-    let trips: Vec<Duration> = recording.trips.iter().map(|(_, trip)| *trip).collect();
+    let trips: Vec<Duration> = recording.trips.iter().map(|trip| trip.took).collect();
     let trip = percentiles(&trips).map(|trips| {
         let [p50, p99, most] = trips.map(nanos);
         json!({ "p50_ns": p50, "p99_ns": p99, "max_ns": most })
@@ -285,13 +349,15 @@ fn object(recording: &Recording) -> Value {
         "version": 1,
         "recording": recording.name,
         "duration_ns": nanos(recording.end.saturating_sub(recording.begin)),
-        "cycle_ns": recording.cycle().map(nanos),
+        "cycle_ns": recording.cycle.map(nanos),
         "frames": {
             "sent": frames.sent,
             "answered": frames.answered,
             "lost": frames.lost,
             "late": frames.stale,
-            "foreign": frames.foreign,
+            "foreign": recording.foreign(),
+            "open": recording.open,
+            "unseen": recording.unseen.searches + recording.unseen.answers + recording.unseen.early,
         },
         "round_trip": trip,
         "working_counter_misses": misses.len(),

@@ -20,6 +20,10 @@ pub(super) struct Seen {
     pub(super) silent: Vec<Duration>,
     /// Its state as last read, and the code.
     pub(super) al: Option<(AlStatus, AlStatusCode)>,
+    /// AL control (0120h) as last written.
+    control: Option<u16>,
+    /// It showed an error whose code was not read yet.
+    doubt: Option<(Duration, AlStatus)>,
     /// When it was seen in another state than before.
     states: Vec<(Duration, AlStatus)>,
     /// When it fell out of a state, and why.
@@ -39,6 +43,13 @@ pub(super) struct Seen {
     pub(super) sync0_cycle_ns: Option<u32>,
 }
 
+/// Whether each slave answers that at any time. An empty or full mailbox, a clock that is not there and AL control that its
+/// firmware has not read yet do not count.
+const fn always_answers(command: Command, ado: u16) -> bool {
+    let is_control = matches!(command, Command::Fpwr) && ado == register::AL_CONTROL;
+    ado < register::DC_RECEIVE_TIMES && !is_control
+}
+
 fn u32_at(data: &[u8], at: usize) -> Option<u32> {
     let four = data.get(at..)?.first_chunk()?;
     Some(u32::from_le_bytes(*four))
@@ -55,7 +66,9 @@ impl Seen {
         data: &[u8],
     ) {
         if counter == 0 {
-            self.silent.push(at);
+            if always_answers(command, ado) {
+                self.silent.push(at);
+            }
             return;
         }
         self.answered += 1;
@@ -65,15 +78,17 @@ impl Seen {
             data.get(skip..).filter(|rest| !rest.is_empty())
         };
         let reads = command == Command::Fprd;
+        if command == Command::Fpwr && ado == register::AL_CONTROL {
+            self.take_control(data);
+        }
         if reads && let Some([a, b, rest @ ..]) = from(register::AL_STATUS) {
             let code = match rest {
-                [_, _, c, d, ..] => AlStatusCode(u16::from_le_bytes([*c, *d])),
-                _ => AlStatusCode::default(),
+                [_, _, c, d, ..] => Some(AlStatusCode(u16::from_le_bytes([*c, *d]))),
+                _ => None,
             };
-            let mut al = AlStatus::from_raw(u16::from_le_bytes([*a, *b]));
-            // Without a code the bit is the acknowledgement, which controllers without firmware mirror.
-            al.error &= rest.len() < 4 || code != AlStatusCode::default();
-            self.take_state(at, al, code);
+            self.take_state(at, u16::from_le_bytes([*a, *b]), code);
+        } else if reads && let Some([a, b, ..]) = from(register::AL_STATUS_CODE) {
+            self.take_code(AlStatusCode(u16::from_le_bytes([*a, *b])));
         }
         if reads && let Some([a, b, ..]) = from(register::DL_STATUS) {
             self.dl_status = Some(u16::from_le_bytes([*a, *b]));
@@ -100,14 +115,54 @@ impl Seen {
         }
     }
 
-    fn take_state(&mut self, at: Duration, al: AlStatus, code: AlStatusCode) {
-        let before = self.al.replace((al, code)).map(|(before, _)| before);
+    /// AL control was written.
+    pub(super) fn take_control(&mut self, data: &[u8]) {
+        if let Some(two) = data.first_chunk() {
+            self.control = Some(u16::from_le_bytes(*two));
+        }
+    }
+
+    /// Its state was read, with the code or without. A slave that emulates its device (0141h bit 0) shows what was last
+    /// written to it, the acknowledgement included: no error. Nor is one with code 0.
+    fn take_state(&mut self, at: Duration, raw: u16, code: Option<AlStatusCode>) {
+        const STATE_AND_ERROR: u16 = 0x1F;
+        let mut al = AlStatus::from_raw(raw);
+        let is_mirrored = self
+            .control
+            .is_some_and(|control| (control ^ raw) & STATE_AND_ERROR == 0);
+        al.error &= code.map_or(!is_mirrored, |code| code != AlStatusCode::default());
+        let before = self.al.map(|(before, _)| before);
         if before != Some(al) {
             self.states.push((at, al));
         }
         let fell = al.error && before.is_none_or(|before| !before.error);
-        if fell {
+        match code {
+            Some(code) if fell => self.falls.push((at, al, code)),
+            None if fell => self.doubt = Some((at, al)),
+            Some(_) | None => {}
+        }
+        self.al = Some((al, code.unwrap_or_default()));
+    }
+
+    /// The code was read by itself, which tells what an error seen before was.
+    fn take_code(&mut self, code: AlStatusCode) {
+        let Some((at, al)) = self.doubt.take() else {
+            return;
+        };
+        if code != AlStatusCode::default() {
             self.falls.push((at, al, code));
+            return;
+        }
+        self.states.retain(|(since, _)| *since != at);
+        if let Some((al, _)) = &mut self.al {
+            al.error = false;
+        }
+    }
+
+    /// An error whose code nobody read stays one.
+    pub(super) fn finish(&mut self) {
+        if let Some((at, al)) = self.doubt.take() {
+            self.falls.push((at, al, AlStatusCode::default()));
         }
     }
 

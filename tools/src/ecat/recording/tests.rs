@@ -8,8 +8,14 @@ use takt_ethercat::emulator::{Corrupt, Faults};
 
 use super::{Recording, dc, stat};
 use crate::Verdict;
+use crate::ecat::frames::Capture;
 use crate::ecat::stat::{judged, verdict};
-use crate::ecat::tests::{CYCLE, recording, session, tree, up};
+use crate::ecat::tests::{CYCLE, recorded, session, tree, up};
+
+/// Reads a file in memory.
+fn read(name: &str, bytes: &[u8]) -> Recording {
+    Recording::of(name, &Capture::of(bytes).unwrap()).unwrap()
+}
 
 const MS: Duration = Duration::from_millis(1);
 
@@ -24,7 +30,7 @@ fn a_good_run_has_nothing_to_be_told() {
     let mut session = up(tree(), AlState::Op);
     session.run_for(500 * MS).unwrap();
     session.leave().unwrap();
-    let read = Recording::of("good", &recording(&mut session)).unwrap();
+    let read = read("good", &recorded(&mut session));
     let (table, text, good) = texts(&read);
     assert_eq!(
         (good, text.as_str()),
@@ -63,8 +69,7 @@ fn lost_and_late_frames_and_the_bad_cable_are_found_in_a_recording() {
     };
     session.wire().put_in(Duration::ZERO, late);
     session.run_for(150 * MS).unwrap();
-    let bytes = recording(&mut session);
-    let read = Recording::of("bad", &bytes).unwrap();
+    let read = read("bad", &recorded(&mut session));
     let (table, text, judged) = texts(&read);
     assert_eq!(judged, Verdict::Failed);
     for part in [
@@ -76,7 +81,7 @@ fn lost_and_late_frames_and_the_bad_cable_are_found_in_a_recording() {
     }
     // What the file beside the tests of the commands was made from.
     let kept = include_bytes!("../../../tests/ecat/cable.pcap");
-    assert_eq!(texts(&Recording::of("kept", kept).unwrap()).1, text);
+    assert_eq!(texts(&self::read("kept", kept)).1, text);
     let object = stat(&read).object;
     assert_eq!(object["frames"]["lost"], 4);
     assert_eq!(object["slaves"][1]["invalid"][0], 4);
@@ -90,7 +95,7 @@ fn missed_working_counters_are_put_to_the_slave_that_fell() {
     let drive = segment.slave(2).unwrap();
     drive.fall(AlState::SafeOp, takt_ethercat::AlStatusCode(0x001B));
     session.run_for(300 * MS).unwrap();
-    let read = Recording::of("fell", &recording(&mut session)).unwrap();
+    let read = read("fell", &recorded(&mut session));
     let (table, text, judged) = texts(&read);
     assert_eq!(judged, Verdict::Failed, "{table}");
     assert!(text.contains("slave 1: SAFE-OP + error at "), "{text}");
@@ -119,7 +124,7 @@ fn clocks_and_the_phase_of_frames_to_sync0_are_found_in_a_recording() {
     session.bring_up(Duration::from_secs(10)).unwrap();
     session.run_for(Duration::from_secs(2)).unwrap();
     session.wire().seen.retain(|(at, _)| *at > Duration::ZERO);
-    let read = Recording::of("clocks", &recording(&mut session)).unwrap();
+    let read = read("clocks", &recorded(&mut session));
     let report = dc(&read, Duration::from_secs(1));
     let text = &report.table;
     assert!(text.contains("the reference runs +0.0 ppm"), "{text}");

@@ -12,10 +12,11 @@ const ALL: &[&str] = &["*"];
 /// these arrows, as tests are wired across layers that code is not, and to what all tests share.
 const ALLOWED: &[(&str, &[&str])] = &[
     ("takt-rt", &[]),
+    ("takt-link", &[]),
     ("takt-cia402", &[]),
-    ("takt-can", &["takt-cia402"]),
-    ("takt-ethercat", &["takt-cia402"]),
-    ("takt-fri", &[]),
+    ("takt-can", &["takt-cia402", "takt-link"]),
+    ("takt-ethercat", &["takt-cia402", "takt-link"]),
+    ("takt-fri", &["takt-link"]),
     ("takt-net", &[]),
     ("takt-motion", &["takt-net"]),
     (

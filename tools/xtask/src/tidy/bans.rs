@@ -7,6 +7,7 @@ use crate::tree::{File, Tree};
 
 /// Crates whose machines get time as an argument.
 const SANS_IO: &[&str] = &[
+    "takt-link",
     "takt-cia402",
     "takt-can",
     "takt-ethercat",

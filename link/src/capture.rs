@@ -1,0 +1,260 @@
+//! Packets in recordings: the containers pcap and pcapng as a stream of packets, and a writer of pcap. It does not look into
+//! packets; what a probe wrote around Ethernet frames is taken off by [`Frames`].
+
+use std::fmt;
+use std::io::{self, Read};
+use std::time::Duration;
+
+use pcap_file::PcapError;
+use pcap_file::pcap::PcapParser;
+use pcap_file::pcapng::PcapNgParser;
+
+mod ethernet;
+mod fuzz;
+mod input;
+mod pcap;
+mod pcapng;
+#[cfg(test)]
+mod tests;
+mod writer;
+
+pub use ethernet::{EthernetFrame, Frames};
+pub use fuzz::fuzz;
+use input::Input;
+pub use writer::Writer;
+
+/// Longest packet that is read, bytes; a longer one is damage.
+pub const PACKET_MAX: u32 = 1 << 20;
+/// Longest block of pcapng that is read, bytes: a packet and its options.
+const BLOCK_MAX: u32 = PACKET_MAX + (1 << 16);
+/// First bytes of a pcapng file, whatever its byte order.
+const PCAPNG: [u8; 4] = [0x0A, 0x0D, 0x0D, 0x0A];
+/// First bytes of a file packed by gzip.
+const GZIP: [u8; 2] = [0x1F, 0x8B];
+
+/// What a packet begins with, by the number that tcpdump.org registers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct LinkType(pub u32);
+
+impl LinkType {
+    /// BSD loopback.
+    pub const NULL: Self = Self(0);
+    /// Ethernet frames without check sequence.
+    pub const ETHERNET: Self = Self(1);
+    /// IPv4 or IPv6 packets.
+    pub const RAW: Self = Self(101);
+    /// `tcpdump -i any`, older.
+    pub const LINUX_SLL: Self = Self(113);
+    /// Endace's Extensible Record Format, one record for each packet.
+    pub const ERF: Self = Self(197);
+    /// SocketCAN frames.
+    pub const CAN_SOCKETCAN: Self = Self(227);
+    /// IPv4 packets.
+    pub const IPV4: Self = Self(228);
+    /// `tcpdump -i any`.
+    pub const LINUX_SLL2: Self = Self(276);
+}
+
+impl fmt::Display for LinkType {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let name = match *self {
+            Self::NULL => "loopback",
+            Self::ETHERNET => "Ethernet",
+            Self::RAW => "raw IP",
+            Self::LINUX_SLL | Self::LINUX_SLL2 => "interface `any`",
+            Self::ERF => "ERF",
+            Self::CAN_SOCKETCAN => "SocketCAN",
+            Self::IPV4 => "IPv4",
+            Self(other) => return write!(f, "{other}"),
+        };
+        write!(f, "{} ({name})", self.0)
+    }
+}
+
+/// A packet of a recording.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Packet {
+    /// When it was recorded, since 1970 unless the recording counts otherwise.
+    pub at: Duration,
+    /// What it begins with.
+    pub link: LinkType,
+    /// The interface it was recorded on, by its place in the file; 0 where there is but one.
+    pub interface: u32,
+    /// Its length on the wire, bytes; more than `data` if it was recorded in part.
+    pub original_len: u32,
+    /// What was recorded of it.
+    pub data: Vec<u8>,
+}
+
+/// Why a recording cannot be read further.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum CaptureError {
+    /// The file cannot be read.
+    #[error("cannot read the recording: {0}")]
+    Io(#[from] io::Error),
+    /// It is shorter than its header.
+    #[error("the recording is cut off in its header: {0} bytes are there")]
+    Short(usize),
+    /// It begins with something else.
+    #[error(
+        "not a recording: a pcap or pcapng file does not begin with {0:08X}h\nhint: `tshark -r FILE -w OTHER.pcapng` converts what Wireshark reads"
+    )]
+    Unknown(u32),
+    /// It is packed.
+    #[error("the recording is compressed\nhint: unpack it by `gunzip`")]
+    Compressed,
+    /// What it says of itself cannot be.
+    #[error("the recording is damaged at byte {offset}: {what}")]
+    Damaged {
+        /// From the beginning of the file.
+        offset: u64,
+        /// As the container's parser says.
+        what: String,
+    },
+    /// It was recorded on something else than wanted.
+    #[error("the recording is of link type {0}\nhint: record on the interface itself")]
+    LinkType(LinkType),
+}
+
+/// Where a recording is cut off: a full disk, or a capture that was killed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Cut {
+    /// Whole packets before.
+    pub packets: u64,
+    /// Bytes behind the last whole record.
+    pub left: u64,
+}
+
+impl fmt::Display for Cut {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "the recording is cut off after {} packets ({} bytes of another are left); it is read up to there",
+            self.packets, self.left
+        )
+    }
+}
+
+enum Format {
+    Pcap(PcapParser),
+    PcapNg(PcapNgParser),
+}
+
+/// Reads the packets of a recording; an iterator that ends after an error.
+pub struct Reader<R> {
+    input: Input<R>,
+    format: Format,
+    packets: u64,
+    is_ended: bool,
+    cut: Option<Cut>,
+    /// When the packet before was recorded; a simple packet block has no time.
+    last: Duration,
+}
+
+impl<R: Read> Reader<R> {
+    /// Reads the header of the file.
+    ///
+    /// # Errors
+    /// If it cannot be read or begins like no recording.
+    pub fn new(from: R) -> Result<Self, CaptureError> {
+        let mut input = Input::new(from);
+        let magic = input.fill(4)?;
+        if magic.starts_with(&GZIP) {
+            return Err(CaptureError::Compressed);
+        }
+        let Some(magic) = magic.first_chunk::<4>().copied() else {
+            return Err(CaptureError::Short(magic.len()));
+        };
+        let format = if magic == PCAPNG {
+            Format::PcapNg(pcapng::begin(&mut input)?)
+        } else {
+            Format::Pcap(pcap::begin(&mut input)?)
+        };
+        Ok(Self {
+            input,
+            format,
+            packets: 0,
+            is_ended: false,
+            cut: None,
+            last: Duration::ZERO,
+        })
+    }
+
+    /// Where the recording is cut off; known when the reading has ended.
+    #[must_use]
+    pub const fn cut(&self) -> Option<Cut> {
+        self.cut
+    }
+
+    /// The next packet; `None` at the end and where the recording is cut off.
+    fn read(&mut self) -> Result<Option<Packet>, CaptureError> {
+        let step = match &mut self.format {
+            Format::Pcap(parser) => pcap::next(&mut self.input, parser)?,
+            Format::PcapNg(parser) => pcapng::next(&mut self.input, parser, self.last)?,
+        };
+        Ok(match step {
+            Step::Packet(packet) => Some(packet),
+            Step::End => None,
+            Step::Cut(left) => {
+                let packets = self.packets;
+                self.cut = Some(Cut { packets, left });
+                None
+            }
+        })
+    }
+}
+
+impl<R: Read> Iterator for Reader<R> {
+    type Item = Result<Packet, CaptureError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.is_ended {
+            return None;
+        }
+        let item = self.read().transpose();
+        if let Some(Ok(packet)) = &item {
+            self.packets += 1;
+            self.last = packet.at;
+        } else {
+            self.is_ended = true;
+        }
+        item
+    }
+}
+
+impl<R> fmt::Debug for Reader<R> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Reader")
+            .field("packets", &self.packets)
+            .field("cut", &self.cut)
+            .finish_non_exhaustive()
+    }
+}
+
+/// What comes next in a file.
+enum Step {
+    Packet(Packet),
+    End,
+    /// So many bytes are left of a record.
+    Cut(u64),
+}
+
+/// A parser's complaint about bytes that are all there.
+fn damaged(offset: u64, error: &PcapError) -> CaptureError {
+    let what = match error {
+        PcapError::IncompleteBuffer => "a field reaches beyond its record".to_owned(),
+        PcapError::IoError(_)
+        | PcapError::InvalidField(_)
+        | PcapError::Utf8Error(_)
+        | PcapError::FromUtf8Error(_)
+        | PcapError::InvalidInterfaceId(_) => error.to_string(),
+    };
+    CaptureError::Damaged { offset, what }
+}
+
+/// A record that says it is longer than any.
+fn too_long(offset: u64, len: u32, bound: u32) -> CaptureError {
+    let what = format!("a record announces {len} bytes, at most {bound} are read");
+    CaptureError::Damaged { offset, what }
+}

@@ -1,0 +1,170 @@
+//! Recordings on disks that are full, and files that are cut off.
+
+use std::io::{self, SeekFrom};
+use std::sync::Mutex;
+
+use takt_net::Nanos;
+
+use super::file::{Recording, Writer};
+use super::*;
+
+/// A disk with room for so many bytes, and what is on it.
+#[derive(Clone, Debug)]
+struct Disk {
+    room: usize,
+    bytes: Arc<Mutex<Vec<u8>>>,
+}
+
+impl Disk {
+    fn new(room: usize) -> Self {
+        let bytes = Arc::default();
+        Self { room, bytes }
+    }
+
+    fn bytes(&self) -> Vec<u8> {
+        self.bytes.lock().unwrap().clone()
+    }
+}
+
+impl Write for Disk {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let mut on_disk = self.bytes.lock().unwrap();
+        let len = bytes.len().min(self.room - on_disk.len());
+        on_disk.extend(&bytes[..len]);
+        if len == 0 && !bytes.is_empty() {
+            return Err(io::ErrorKind::StorageFull.into());
+        }
+        Ok(len)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl Seek for Disk {
+    fn seek(&mut self, _: SeekFrom) -> io::Result<u64> {
+        // Nothing of a recording is written out of order.
+        Ok(self.bytes.lock().unwrap().len() as u64)
+    }
+}
+
+const PATH: &str = "/data/run.mcap";
+
+/// Writes cycles until the disk is full; the error, and how many were given to the file.
+fn fill(disk: &Disk) -> (Option<Error>, usize) {
+    let mut writer = match Writer::on(disk.clone(), Path::new(PATH)) {
+        Ok(writer) => writer,
+        Err(error) => return (Some(error), 0),
+    };
+    for cycle in 0..50 {
+        let result = writer.cycle(&[cycle; 40]).and_then(|()| writer.flush());
+        if let Err(error) = result {
+            // Nothing more gets into the file, whatever is tried.
+            let len = disk.bytes().len();
+            assert!(writer.cycle(&[0; 40]).is_err() && writer.finish().is_err());
+            drop(writer);
+            assert_eq!(disk.bytes().len(), len);
+            return (Some(error), usize::try_from(cycle).unwrap());
+        }
+    }
+    let error = writer.finish().err();
+    (error, 50)
+}
+
+#[test]
+fn full_disk_leaves_each_whole_cycle_readable() {
+    let whole = Disk::new(usize::MAX);
+    assert!(fill(&whole).0.is_none());
+    let all = Recording::parse(&whole.bytes(), Path::new(PATH)).unwrap();
+    assert_eq!((all.cycles.len(), all.is_cut), (50, false));
+    for room in (0..whole.bytes().len()).step_by(61) {
+        let disk = Disk::new(room);
+        let (error, written) = fill(&disk);
+        let error = error.unwrap().to_string();
+        for part in [
+            PATH,
+            "the recording ended at cycle ",
+            "\nhint: make room on that disk",
+        ] {
+            assert!(error.contains(part), "{room}: {error}");
+        }
+        match Recording::parse(&disk.bytes(), Path::new(PATH)) {
+            Ok(read) => {
+                assert!(read.is_cut, "{room}");
+                assert_eq!(read.cycles, all.cycles[..written], "{room}");
+            }
+            Err(error) => {
+                assert_eq!(written, 0, "{room}: {error}");
+                assert!(error.to_string().contains(PATH), "{error}");
+            }
+        }
+    }
+}
+
+fn moment(cycle: u64) -> Moment {
+    Moment {
+        cycle,
+        time: Nanos(0),
+        wall: Nanos(0),
+        every: 1,
+        cancel: false,
+        takeover: false,
+    }
+}
+
+#[test]
+fn full_disk_is_reported_once_when_it_happens() {
+    let disk = Disk::new(100_000);
+    let writer = Writer::on(disk.clone(), Path::new(PATH)).unwrap();
+    let (mut recorder, mut tap) = Recorder::begin(writer, Path::new(PATH)).unwrap();
+    let executor = Executor::default();
+    let mut event = None;
+    // The net thread goes on whatever becomes of the file.
+    for cycle in 0..1_000_000 {
+        tap.inputs(moment(cycle), &executor);
+        tap.outputs(moment(cycle), &executor);
+        match recorder.poll_event(Instant::now()) {
+            Some(RecordingEvent::Failed(what)) => {
+                event = Some(what);
+                break;
+            }
+            // The writing thread had no turn.
+            Some(RecordingEvent::CyclesLost(_)) | None => std::thread::yield_now(),
+        }
+    }
+    let event = event.unwrap();
+    assert!(
+        event.starts_with("/data/run.mcap: the recording ended at cycle "),
+        "{event}"
+    );
+    for cycle in 0..2_000 {
+        tap.inputs(moment(cycle), &executor);
+        tap.outputs(moment(cycle), &executor);
+        assert_eq!(recorder.poll_event(Instant::now()), None);
+    }
+    assert_eq!(recorder.finish().unwrap_err().to_string(), event);
+    let read = Recording::parse(&disk.bytes(), Path::new(PATH)).unwrap();
+    assert!(
+        read.is_cut && read.cycles.len() > 100,
+        "{}",
+        read.cycles.len()
+    );
+}
+
+#[test]
+fn lost_cycles_are_reported_once_for_each_onset() {
+    let writer = Writer::on(Disk::new(usize::MAX), Path::new(PATH)).unwrap();
+    let (mut recorder, _tap) = Recorder::begin(writer, Path::new(PATH)).unwrap();
+    let begin = Instant::now();
+    let lost = Arc::clone(&recorder.lost);
+    let mut at = |seconds: u64, more: u64| {
+        lost.fetch_add(more, Ordering::Relaxed);
+        recorder.poll_event(begin + Duration::from_secs(seconds))
+    };
+    assert_eq!(at(1, 0), None);
+    assert_eq!(at(2, 3), Some(RecordingEvent::CyclesLost(3)));
+    assert_eq!(at(3, 1), None);
+    assert_eq!(at(11, 1), None);
+    assert_eq!(at(21, 4), Some(RecordingEvent::CyclesLost(9)));
+}

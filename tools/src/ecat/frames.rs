@@ -1,0 +1,146 @@
+//! The EtherCAT frames of a recording, without what else is in it: other protocols, frames that were recorded twice, other
+//! lines of a probe. What is in frames is not looked at here.
+
+use std::io::Read;
+use std::path::Path;
+use std::time::Duration;
+
+use anyhow::Context as _;
+use takt_ethercat::link::{ETHER_TYPE, HEADER_LEN};
+use takt_ethercat::{Datagram, DecodeError, Frame};
+use takt_link::capture::{Cut, EthernetFrame, Frames};
+
+/// The same frame again within this was recorded twice; on the wire none follows itself so soon.
+const TWICE: Duration = Duration::from_micros(5);
+/// Fewer bytes behind the last datagram than any datagram has: the length in the frame's header was rounded up.
+const PADDING_MAX: usize = 11;
+
+/// An EtherCAT frame of a recording.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Taken {
+    pub(super) at: Duration,
+    /// From its destination on.
+    bytes: Vec<u8>,
+}
+
+impl Taken {
+    /// Who sent it; the first slave marks what it passes.
+    pub(super) fn source(&self) -> [u8; 6] {
+        let six = self.bytes.get(6..).and_then(|rest| rest.first_chunk());
+        six.copied().unwrap_or_default()
+    }
+
+    /// What is behind its Ethernet header.
+    pub(super) fn frame(&self) -> Result<Frame<'_>, DecodeError> {
+        Frame::decode(self.bytes.get(HEADER_LEN..).unwrap_or_default())
+    }
+}
+
+/// The datagrams of a frame. Bytes behind the last that are too few for another are padding.
+pub(super) fn datagrams<'a>(
+    frame: &Frame<'a>,
+) -> impl Iterator<Item = Result<Datagram<'a>, DecodeError>> {
+    let is_padding = |error: &DecodeError| matches!(error, DecodeError::TrailingBytes { count } if *count <= PADDING_MAX);
+    frame
+        .datagrams()
+        .filter(move |datagram| !datagram.as_ref().is_err_and(is_padding))
+}
+
+/// What a recording holds of EtherCAT.
+#[derive(Debug, Default)]
+pub(super) struct Capture {
+    pub(super) frames: Vec<Taken>,
+    /// Frames of other protocols.
+    pub(super) others: u64,
+    /// Frames whose check sum the probe found wrong.
+    pub(super) corrupt: u64,
+    /// Each frame was recorded twice; the second ones are left out.
+    pub(super) is_doubled: bool,
+    /// Lines of the probe that are left out.
+    pub(super) other_lines: u64,
+    pub(super) cut: Option<Cut>,
+}
+
+impl Capture {
+    /// Reads a file.
+    pub(super) fn read(path: &Path) -> anyhow::Result<Self> {
+        let name = path.display().to_string();
+        let file = std::fs::File::open(path).with_context(|| format!("cannot read {name}"))?;
+        Self::of(file).context(name)
+    }
+
+    /// Goes through a recording.
+    pub(super) fn of(from: impl Read) -> anyhow::Result<Self> {
+        let mut all = Self::default();
+        let mut frames = Frames::new(from)?;
+        let mut lined = Vec::new();
+        for frame in frames.by_ref() {
+            let EthernetFrame {
+                at,
+                port,
+                is_corrupt,
+                bytes,
+                ..
+            } = frame?;
+            if bytes.get(12..HEADER_LEN) != Some(&ETHER_TYPE.to_be_bytes()) {
+                all.others += 1;
+                continue;
+            }
+            all.corrupt += u64::from(is_corrupt);
+            lined.push((port.map(|port| port / 2), Taken { at, bytes }));
+        }
+        all.cut = frames.cut();
+        // Each line of a probe is another place of a segment, or another segment.
+        let first = lined.iter().find_map(|(line, _)| *line);
+        let of_first = |line: &Option<u8>| line.is_none() || *line == first;
+        let mut other_lines: Vec<u8> = lined.iter().filter_map(|(line, _)| *line).collect();
+        other_lines.sort_unstable();
+        other_lines.dedup();
+        all.other_lines = u64::try_from(other_lines.len().saturating_sub(1)).unwrap_or(0);
+        let kept = lined.into_iter().filter(|(line, _)| of_first(line));
+        all.frames = kept.map(|(_, frame)| frame).collect();
+        all.undouble();
+        Ok(all)
+    }
+
+    /// Leaves out the second of each pair if the whole recording is made of pairs, as one of a bridge or of `any` is. Pairs
+    /// among others are frames that a master sent again.
+    fn undouble(&mut self) {
+        let is_pair =
+            |one: &Taken, next: &Taken| one.bytes == next.bytes && next.at.abs_diff(one.at) < TWICE;
+        let mut seconds = Vec::new();
+        let mut at = 1;
+        while let (Some(one), Some(next)) = (self.frames.get(at - 1), self.frames.get(at)) {
+            if is_pair(one, next) {
+                seconds.push(at);
+                at += 1;
+            }
+            at += 1;
+        }
+        // Of 2 frames nothing is known.
+        self.is_doubled = self.frames.len() > 2 && seconds.len() * 20 >= self.frames.len() * 9;
+        if self.is_doubled {
+            let mut number = 0;
+            self.frames.retain(|_| {
+                let is_second = seconds.binary_search(&number).is_ok();
+                number += 1;
+                !is_second
+            });
+        }
+    }
+
+    /// What is to be known of how it was made, each a sentence.
+    pub(super) fn notes(&self) -> Vec<String> {
+        let mut notes: Vec<String> = self.cut.iter().map(ToString::to_string).collect();
+        if self.is_doubled {
+            notes.push("each frame was recorded twice; one of each is judged".to_owned());
+        }
+        if self.other_lines > 0 {
+            let lines = self.other_lines;
+            notes.push(format!(
+                "the probe recorded {lines} other lines; the first one is judged\n  hint: `tshark -Y esl.port==N` keeps another"
+            ));
+        }
+        notes
+    }
+}
