@@ -64,11 +64,11 @@ impl Prover {
         let slave = master.slave(self.slave);
         let in_op =
             slave.is_some_and(|slave| slave.is_running() && slave.al().0.state == AlState::Op);
-        let running = in_op && age <= super::GONE;
-        if self.running && !running {
+        // Frames that are lost for some cycles change no mapping.
+        if self.running && !in_op {
             self.proof.restart();
         }
-        self.running = running;
+        self.running = in_op;
         let powers = !matches!(profile.goal(), Goal::SwitchOnDisabled | Goal::QuickStop);
         let exchanged = Exchanged {
             received: *received,
@@ -77,7 +77,7 @@ impl Prover {
             state: profile
                 .state(StatusWord::new(short(received.at(0x6041))))
                 .ok(),
-            wanted: running && (powers || self.proof.is_proven()),
+            wanted: in_op && powers,
             mode: profile.mode(),
         };
         self.proof.step(&exchanged, now);

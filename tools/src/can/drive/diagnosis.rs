@@ -68,6 +68,7 @@ impl Cause {
             Self::Drive(Obstacle::Stuck { .. }) => "stuck",
             Self::Drive(Obstacle::QuickStopHeld) => "quick-stop-held",
             Self::Drive(Obstacle::NotFollowing) => "not-following",
+            Self::Drive(Obstacle::NotProven(_)) => "not-proven",
             Self::Overwritten { .. } => "overwritten",
             Self::Rebooted => "rebooted",
             Self::Left(_) => "left-operational",

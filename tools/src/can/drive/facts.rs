@@ -75,7 +75,7 @@ fn about(obstacle: Option<Obstacle>) -> &'static [u16] {
         Some(Obstacle::Stuck { .. }) => &[0x6040, 0x60FD, 0x603F, 0x1001],
         Some(Obstacle::QuickStopHeld) => &[0x605A],
         Some(Obstacle::NotFollowing) => &[0x6061, 0x60C2, 0x60FD],
-        Some(Obstacle::Undefined(_) | Obstacle::NotRemote) => &[0x1001],
+        Some(Obstacle::Undefined(_) | Obstacle::NotRemote | Obstacle::NotProven(_)) => &[0x1001],
         // It is enabled and does not turn.
         None => &[0x60FD, 0x6072, 0x60E0, 0x60E1, 0x607F, 0x6080, 0x6077],
     }
