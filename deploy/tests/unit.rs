@@ -11,7 +11,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use takt_deploy::{FILES, LIMITS, SERVICE, SYSCTL, SYSUSERS, UDEV_RULES};
+use takt_deploy::{CELL, FILES, LIMITS, SERVICE, SYSCTL, SYSUSERS, UDEV_RULES};
 use takt_tests::skip;
 
 fn settings(text: &str) -> impl Iterator<Item = &str> {
@@ -275,4 +275,25 @@ fn systemd_accepts_the_unit() {
         .filter(|line| line.contains("takt.service"))
         .collect();
     assert!(ours.is_empty(), "{ours:#?}");
+}
+
+#[test]
+fn memory_limit_leaves_room_for_nets() {
+    let limit = SERVICE.lines().find_map(|line| {
+        let mib: u32 = line
+            .strip_prefix("MemoryMax=")?
+            .strip_suffix('G')?
+            .parse()
+            .ok()?;
+        Some(mib * 1024)
+    });
+    let nets = 1024;
+    assert!(
+        limit.is_some_and(|limit| limit >= nets + nets / 2),
+        "{limit:?}"
+    );
+    assert!(
+        CELL.lines()
+            .all(|line| !line.starts_with("nets_memory_mib"))
+    );
 }

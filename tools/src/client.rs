@@ -14,10 +14,14 @@ pub(crate) struct Client {
 }
 
 impl Client {
-    /// Connects to `host:port`, giving the token if there is one.
-    pub(crate) fn connect(address: &str, token: Option<&Token>) -> anyhow::Result<Self> {
+    /// Connects to an address or Unix socket, or to the controller of this host, giving the token if there is
+    /// one.
+    pub(crate) fn connect(address: Option<&str>, token: Option<&Token>) -> anyhow::Result<Self> {
         Ok(Self {
-            inner: takt_server::Client::connect_with(address, token)?,
+            inner: match address {
+                Some(address) => takt_server::Client::connect_with(address, token)?,
+                None => takt_server::Client::connect_here(token)?,
+            },
             session: "s0".to_owned(),
         })
     }

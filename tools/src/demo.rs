@@ -25,7 +25,7 @@ use takt_server::LogBook;
 use crate::Verdict;
 use crate::client::Client;
 use crate::output::{complain, is_terminal, say, share, span};
-use crate::run::{Server, stop_channel, tell_grants};
+use crate::run::{Access, Server, stop_channel, tell_grants};
 use cell::{Arm, Kind, Machines};
 use report::Report;
 
@@ -130,7 +130,13 @@ impl Demo {
         if !self.json {
             tell_grants(&host, &controller);
         }
-        let server = Server::start(&cell, &controller, None, LogBook::default(), Some(&channel))?;
+        let server = Server::start(
+            &cell,
+            &controller,
+            Access::default(),
+            LogBook::default(),
+            Some(&channel),
+        )?;
         let machines = Machines::start(&controller, &segments, self.drop)?;
         self.wait_until_ready(&controller)?;
         let address = server.tcp().context("the server does not listen")?;
@@ -165,7 +171,7 @@ impl Demo {
         address: SocketAddr,
         nets: &[String],
     ) -> anyhow::Result<(Samples, Vec<String>)> {
-        let mut client = Client::connect(&address.to_string(), None)?;
+        let mut client = Client::connect(Some(&address.to_string()), None)?;
         client.open_session("takt demo")?;
         let mut ids = Vec::new();
         for net in nets {

@@ -195,7 +195,8 @@ impl Jitter {
 /// Reads a report back, ours or cyclictest's.
 fn read(path: &Path) -> anyhow::Result<Report> {
     let name = path.display();
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {name}"))?;
+    let text = takt_core::files::read_text(path, takt_core::files::TEXT_BYTES_MAX)
+        .with_context(|| format!("cannot read {name}"))?;
     let report = if cyclictest::is_output(&text) {
         cyclictest::import(&text)
     } else {

@@ -1,4 +1,4 @@
-//! `takt net`: check nets here, and load and control them in a running controller over its plain
+//! `takt net`: check nets here, and load and control them in a running controller over its Unix socket or plain
 //! TCP lines. Nothing here evaluates a net.
 
 mod calibrate;
@@ -70,12 +70,16 @@ impl Net {
     }
 }
 
+/// Most bytes of a net's text: more than any controller takes in one message.
+const NET_BYTES_MAX: u64 = 64 << 20;
+
 /// Where the controller listens.
 #[derive(Debug, Args)]
 struct Server {
-    /// Where the controller takes plain TCP connections.
-    #[arg(long, value_name = "HOST:PORT", default_value = "127.0.0.1:8081")]
-    server: String,
+    /// Where the controller listens: an address, or the path of its Unix socket; else the Unix socket of this
+    /// account or of the service, else 127.0.0.1:8081.
+    #[arg(long, value_name = "HOST:PORT")]
+    server: Option<String>,
     /// File with the token that the controller asks for; else TAKT_TOKEN_FILE or TAKT_TOKEN.
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
@@ -83,17 +87,19 @@ struct Server {
 
 impl Server {
     fn connect(&self) -> anyhow::Result<Client> {
-        let token = token::of_client(self.token_file.as_deref())?;
-        Client::connect(&self.server, token.as_ref())
+        let token = token::of_client(self.token_file.as_deref(), self.server.as_deref())?;
+        Client::connect(self.server.as_deref(), token.as_ref())
     }
 }
 
 /// The text of a net, from a file or standard input.
 fn read(file: &Path) -> anyhow::Result<String> {
     if file == Path::new("-") {
-        return std::io::read_to_string(std::io::stdin()).context("cannot read standard input");
+        let text = takt_core::files::text_of(std::io::stdin().lock(), NET_BYTES_MAX);
+        return text.context("cannot read standard input");
     }
-    std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))
+    takt_core::files::read_text(file, NET_BYTES_MAX)
+        .with_context(|| format!("cannot read {}", file.display()))
 }
 
 /// Tells all faults of a net, with their places.

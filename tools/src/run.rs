@@ -1,6 +1,7 @@
 //! `takt run`: the controller in the foreground, as a service runs it. What a cell is made of
 //! stands in its `cell.toml`; how the service manager is told stands in `service`.
 
+mod access;
 mod logging;
 mod reload;
 mod rest;
@@ -24,10 +25,11 @@ use takt_core::{CellConfig, Controller};
 use takt_rt::host::{HostConfig, prepare};
 use takt_server::{LogBook, Token};
 
+pub(crate) use self::access::Access;
 use self::logging::Logging;
 use self::service::Service;
+use crate::Verdict;
 use crate::output::{complain, say};
-use crate::{Verdict, token};
 
 /// Run the controller.
 ///
@@ -52,13 +54,16 @@ impl Run {
         let cell = read_cell(&self.config).map_err(WrongCell)?;
         let book = LogBook::default();
         let logging = Logging::start(cell.controller.log.as_deref(), &book)?;
-        let token = token::of_controller(cell.controller.token_file.as_deref())?;
+        let access = Access::of_cell(&cell)?;
         let host = prepare(&HostConfig::default());
         // Before all other threads, so that nothing keeps a stop away, and after memory is locked.
         let switch = StopSwitch::default();
-        let channel = stop_channel(&cell, token.as_ref(), &switch)?;
+        let channel = stop_channel(&cell, access.token(), &switch)?;
         if self.guard {
             takt_rt::alloc::set_guard(takt_rt::alloc::Guard::Abort);
+        }
+        if let Some(shortage) = takt_core::memory::shortage(cell.controller.nets_memory_mib) {
+            complain(&format!("warning: {shortage}"));
         }
         let recording = self.record.as_deref().map(Recorder::start).transpose()?;
         let controller = Controller::start_under(&cell, recording, switch).map_err(judged)?;
@@ -70,7 +75,7 @@ impl Run {
             .for_each(|grant| {
                 complain(&format!("warning: the stop channel: {grant}"));
             });
-        let server = Server::start(&cell, &controller, token, book, Some(&channel))?;
+        let server = Server::start(&cell, &controller, access, book, Some(&channel))?;
         for address in server
             .addresses()
             .into_iter()
@@ -192,6 +197,7 @@ pub(crate) struct Server {
     stop: tokio::sync::oneshot::Sender<()>,
     http: Option<SocketAddr>,
     tcp: Option<SocketAddr>,
+    local: Option<PathBuf>,
 }
 
 impl Server {
@@ -199,7 +205,7 @@ impl Server {
     pub(crate) fn start(
         cell: &CellConfig,
         controller: &Controller,
-        token: Option<Token>,
+        access: Access,
         log: LogBook,
         channel: Option<&StopChannel>,
     ) -> anyhow::Result<Self> {
@@ -213,14 +219,15 @@ impl Server {
             http: cell.controller.websocket,
             tcp: cell.controller.tcp,
             on_loss: cell.controller.on_loss,
-            token,
             log,
             stop: channel.and_then(|channel| {
                 let port = channel.tcp_address()?.port();
                 Some(takt_server::StopPort::new(port, channel.key()))
             }),
+            ..takt_server::ServerConfig::default()
         };
-        let server = runtime.block_on(takt_server::Server::bind(config))?;
+        let server = runtime.block_on(access.bind(config))?;
+        let local = server.local_path().map(Path::to_owned);
         let (http, tcp) = (server.http_address(), server.tcp_address());
         let (stop, stopped) = tokio::sync::oneshot::channel();
         let shutdown = async {
@@ -234,6 +241,7 @@ impl Server {
             stop,
             http,
             tcp,
+            local,
         })
     }
 
@@ -243,7 +251,9 @@ impl Server {
             .http
             .map(|at| format!("DirectIO at ws://{at}/DirectIO/"));
         let tcp = self.tcp.map(|at| format!("DirectIO lines at tcp {at}"));
-        http.into_iter().chain(tcp).collect()
+        let local = self.local.as_ref();
+        let local = local.map(|path| format!("DirectIO lines at unix {}", path.display()));
+        http.into_iter().chain(tcp).chain(local).collect()
     }
 
     /// Where it takes plain lines.

@@ -131,7 +131,7 @@ impl Stop {
 
     fn targets(&self) -> anyhow::Result<Vec<Target>> {
         if let Some(address) = &self.connect {
-            let token = token::of_client(self.token_file.as_deref())?;
+            let token = token::of_client(self.token_file.as_deref(), Some(address))?;
             return Ok(vec![Target::Port(address.clone(), token)]);
         }
         if let Some(socket) = &self.socket {

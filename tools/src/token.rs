@@ -5,7 +5,7 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use takt_server::Token;
+use takt_server::{Loopback, Token};
 
 /// The token itself.
 const TOKEN: &str = "TAKT_TOKEN";
@@ -15,15 +15,65 @@ const TOKEN_FILE: &str = "TAKT_TOKEN_FILE";
 const CREDENTIALS: &str = "CREDENTIALS_DIRECTORY";
 const CREDENTIAL: &str = "takt-token";
 
+/// Name of the token file that a controller makes, in its state directory.
+const MADE: &str = "token";
+
 /// The token that a controller asks for: of the cell's file, else of the file that the environment
-/// names, the systemd credential, or the environment itself.
-pub(crate) fn of_controller(cell: Option<&Path>) -> anyhow::Result<Option<Token>> {
-    find(cell, true, &|name| std::env::var_os(name))
+/// names, the systemd credential, or the environment itself. If there is none and loopback needs one, of a
+/// file in the state directory, which is made once.
+pub(crate) fn of_controller(
+    cell: Option<&Path>,
+    loopback: Option<Loopback>,
+) -> anyhow::Result<Option<Token>> {
+    let environment = |name: &str| std::env::var_os(name);
+    let found = find(cell, true, &environment)?;
+    if found.is_some() || loopback != Some(Loopback::Token) {
+        return Ok(found);
+    }
+    let path = made_path(&environment).context(
+        "loopback = \"token\", but there is no token and no state directory to make one in\n\
+         hint: name a file as token_file under [controller] of cell.toml",
+    )?;
+    if let Some(directory) = path.parent() {
+        std::fs::create_dir_all(directory)
+            .with_context(|| format!("cannot make {}", directory.display()))?;
+    }
+    Ok(Some(Token::read_or_make(&path)?))
 }
 
-/// The token that a tool gives: of the file of its option, else of the environment.
-pub(crate) fn of_client(option: Option<&Path>) -> anyhow::Result<Option<Token>> {
-    find(option, false, &|name| std::env::var_os(name))
+/// The token that a tool gives: of the file of its option, else of the environment, else, to a controller of
+/// this host, of the file that such a one made.
+pub(crate) fn of_client(
+    option: Option<&Path>,
+    server: Option<&str>,
+) -> anyhow::Result<Option<Token>> {
+    let environment = |name: &str| std::env::var_os(name);
+    let found = find(option, false, &environment)?;
+    // Another host is not given the token of this one.
+    let is_here = server.is_none_or(|s| {
+        let host = s.rsplit_once(':').map_or(s, |(host, _)| host);
+        host == "localhost" || host == "[::1]" || host.starts_with("127.")
+    });
+    if found.is_some() || !is_here {
+        return Ok(found);
+    }
+    let made = made_path(&environment).and_then(|path| Token::read(&path).ok());
+    Ok(made)
+}
+
+/// Where a controller makes its token file: in the directory that the service manager gave it, else in that of
+/// the account's programs.
+fn made_path(environment: &dyn Fn(&str) -> Option<OsString>) -> Option<PathBuf> {
+    let named = |name| environment(name).filter(|value| !value.is_empty());
+    if let Some(directory) = named("STATE_DIRECTORY") {
+        return Some(Path::new(&directory).join(MADE));
+    }
+    let state = match (named("XDG_STATE_HOME"), named("HOME")) {
+        (Some(state), _) => PathBuf::from(state),
+        (None, Some(home)) => Path::new(&home).join(".local/state"),
+        (None, None) => return None,
+    };
+    Some(state.join("takt").join(MADE))
 }
 
 fn find(
@@ -86,6 +136,25 @@ mod tests {
         assert_eq!(look(None, false, &without_file), text("of-the-environment"));
         assert_eq!(look(None, true, &[]), None);
         std::fs::remove_dir_all(&directory).unwrap();
+    }
+
+    #[test]
+    fn made_token_file_stands_in_the_state_directory() {
+        let path = |known: &[(&str, &str)]| {
+            let environment = |name: &str| {
+                let found = known.iter().find(|(n, _)| *n == name);
+                found.map(|(_, value)| OsString::from(*value))
+            };
+            made_path(&environment).map(|path| path.display().to_string())
+        };
+        let text = |text: &str| Some(text.to_owned());
+        let home = ("HOME", "/home/a");
+        let service = ("STATE_DIRECTORY", "/var/lib/takt");
+        assert_eq!(path(&[home, service]), text("/var/lib/takt/token"));
+        let state = ("XDG_STATE_HOME", "/state");
+        assert_eq!(path(&[home, state]), text("/state/takt/token"));
+        assert_eq!(path(&[home]), text("/home/a/.local/state/takt/token"));
+        assert_eq!(path(&[]), None);
     }
 
     #[test]

@@ -9,11 +9,16 @@
 //! tcp = "127.0.0.1:8081"
 //! stop = "127.0.0.1:8082"  # the port of the stop channel; two above that of websocket if left out
 //! stop_socket = "/run/takt/stop-left.sock" # its Unix socket; one that `takt stop` finds if left out
+//! socket = "/run/takt/takt.sock" # Unix socket of the tools; "" for none
+//! socket_group = "takt"    # accounts admitted there beside the controller's own and root
 //! token_file = "/etc/takt/token" # clients must give what is in it; needed beyond loopback
+//! loopback = "open"        # clients of this host need no token; "token": they do
+//! hosts = ["robot"]        # names of this host that pages may be opened by without a token
+//! origins = ["http://localhost:3000"] # pages of other servers that may reach this one
 //! follow = "left"          # net threads keep phase with this device's clock; leave out for the host's
 //! phase = "300us"          # cycles begin so long after the device's own; leave out for at once
 //! need_estop = false       # true: devices stop unless a net with an EStop primitive runs
-//! on_loss = "keep"         # nets of a lost client run on; "end": they are cancelled, then aborted
+//! on_loss = "end"          # nets of a lost client are cancelled, then aborted; "keep": they run on
 //! log = "info"             # or debug, warn, error; also by part: "warn,takt_core=debug"
 //! costs = "costs.toml"     # what primitives cost here, by `takt net calibrate`; beside this file
 //!
@@ -31,6 +36,7 @@
 //! thread = "4ms"           # the net thread that commands it; leave out for the first
 //! ```
 
+mod access;
 mod device;
 
 use std::net::SocketAddr;
@@ -47,7 +53,8 @@ pub use crate::device::config::{
 };
 use crate::device::{canopen, ethercat, iiwa, rmp};
 use crate::error::Error;
-use crate::span;
+use crate::{files, span};
+pub use access::{Loopback, OnLoss};
 pub use device::DeviceConfig;
 
 /// Net threads that a controller may have.
@@ -94,8 +101,20 @@ pub struct ControllerConfig {
     pub stop: Option<SocketAddr>,
     /// Its Unix socket; `None` for one that `takt stop` finds.
     pub stop_socket: Option<PathBuf>,
+    /// Unix socket for tools of this host, empty for none; `None` for `takt/takt.sock` in the runtime
+    /// directory.
+    pub socket: Option<PathBuf>,
+    /// Group whose accounts are admitted at the Unix socket, beside the controller's own account and root.
+    pub socket_group: Option<String>,
     /// File with the token that clients must give; needed beyond loopback.
     pub token_file: Option<PathBuf>,
+    /// What clients on loopback need; `None` for the token if `token_file` is named, else nothing.
+    pub loopback: Option<Loopback>,
+    /// Names of this host, with or without a port, that requests without a token may be addressed to, beside
+    /// `localhost` and addresses of loopback.
+    pub hosts: Vec<String>,
+    /// Origins of web pages of other servers that may send requests, such as `http://localhost:3000`.
+    pub origins: Vec<String>,
     /// Device whose clock the net threads keep phase with; `None` for the host's own clock.
     pub follow: Option<String>,
     /// How long after the instants of that clock a cycle begins, less than its period; `None` for 0.
@@ -104,8 +123,9 @@ pub struct ControllerConfig {
     pub phase: Option<Duration>,
     /// Whether all devices stop while no `EStop` primitive was evaluated for 20 ms.
     pub need_estop: bool,
-    /// What becomes of the nets of a session whose client is lost, unless the session says otherwise.
-    pub on_loss: OnLoss,
+    /// What becomes of the nets of a session whose client is lost, unless the session says otherwise. `None`:
+    /// they end, but for clients whose WebSocket handshake has no version, which rely on their being kept.
+    pub on_loss: Option<OnLoss>,
     /// Net threads beside the first, each with a period of its own.
     #[serde(rename = "thread")]
     pub threads: Vec<NetThreadSettings>,
@@ -116,37 +136,6 @@ pub struct ControllerConfig {
     pub costs: Option<PathBuf>,
     /// Memory that all nets take together, MiB, 1 to 65536; their texts take a sixteenth of it beside.
     pub nets_memory_mib: u32,
-}
-
-/// What becomes of the nets of a session when the connection that opened it is lost.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum OnLoss {
-    /// Nothing: they run on, and the session stays for the next connection. Existing clients
-    /// count on this when they connect anew.
-    #[default]
-    Keep,
-    /// They are cancelled; after 2 s those that still run are aborted, and the session ends.
-    End,
-}
-
-impl OnLoss {
-    /// The word for it in configurations and messages.
-    #[must_use]
-    pub const fn word(self) -> &'static str {
-        match self {
-            Self::Keep => "keep",
-            Self::End => "end",
-        }
-    }
-
-    /// What a word stands for.
-    #[must_use]
-    pub fn of_word(word: &str) -> Option<Self> {
-        [Self::Keep, Self::End]
-            .into_iter()
-            .find(|p| p.word() == word)
-    }
 }
 
 /// Ports that the stop channel's is above that of HTTP, unless the cell says another.
@@ -179,11 +168,16 @@ impl Default for ControllerConfig {
             tcp: Some(SocketAddr::from(([127, 0, 0, 1], 8081))),
             stop: None,
             stop_socket: None,
+            socket: None,
+            socket_group: None,
             token_file: None,
+            loopback: None,
+            hosts: Vec::new(),
+            origins: Vec::new(),
             follow: None,
             phase: None,
             need_estop: false,
-            on_loss: OnLoss::Keep,
+            on_loss: None,
             threads: Vec::new(),
             log: None,
             costs: None,
@@ -237,7 +231,7 @@ impl CellConfig {
     /// # Errors
     /// If it cannot be read, is no TOML, names what does not exist, or a value is out of range.
     pub fn read(path: &Path) -> Result<Self, Error> {
-        let text = std::fs::read_to_string(path).map_err(|source| Error::File {
+        let text = files::read_text(path, files::TEXT_BYTES_MAX).map_err(|source| Error::File {
             path: path.to_owned(),
             source,
         })?;
@@ -367,6 +361,7 @@ impl CellConfig {
 
     /// Whether it makes sense; the first thing that does not.
     pub(crate) fn check(&self) -> Result<(), String> {
+        access::check(&self.controller)?;
         self.check_threads()?;
         self.check_clock()?;
         self.check_devices()?;

@@ -20,6 +20,7 @@ use serde::{Deserialize, Serialize};
 use takt_net::{Cost, Registry};
 
 use crate::error::Error;
+use crate::files;
 
 /// Version of the format that is written, and the only one that is read.
 const VERSION: u32 = 1;
@@ -79,7 +80,7 @@ impl CostTable {
     /// # Errors
     /// If it cannot be read, is no such table or of another version, or a figure is none.
     pub fn read(path: &Path) -> Result<Self, Error> {
-        let text = read_to_string(path).map_err(|source| Error::File {
+        let text = files::read_text(path, files::TEXT_BYTES_MAX).map_err(|source| Error::File {
             path: path.to_owned(),
             source,
         })?;

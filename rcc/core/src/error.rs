@@ -150,6 +150,12 @@ pub enum Error {
         what: String,
         source: std::io::Error,
     },
+    /// The limits of this process leave too little memory for one more net.
+    #[error(
+        "not enough memory: the limits of this process leave {free_mib} MiB for nets\n\
+         hint: unload nets, or raise ulimit -v or the memory limit of the service (MemoryMax)"
+    )]
+    HostMemory { free_mib: u64 },
     /// A file could not be read or written.
     #[error("{path}: {source}")]
     File {

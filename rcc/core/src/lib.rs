@@ -7,13 +7,15 @@ pub mod costs;
 pub mod device;
 pub mod error;
 pub mod executor;
+pub mod files;
 pub mod ids;
+pub mod memory;
 mod primitives;
 pub mod record;
 pub mod span;
 pub mod stop_channel;
 
-pub use cell::{CellConfig, OnLoss};
+pub use cell::{CellConfig, Loopback, OnLoss};
 pub use controller::Controller;
 pub use error::Error;
 pub use ids::{NetId, SessionId};

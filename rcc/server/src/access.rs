@@ -1,17 +1,21 @@
-//! Who may come in: the token that clients give, compared in constant time, and how often one address
-//! may give a wrong one. Where a token stands in a request is not known here, and it encrypts nothing:
-//! who can listen to the network can read the token.
+//! Who is admitted: the token that clients give, compared in constant time, which clients need one, and what
+//! becomes of an address that gives wrong ones. Where a token stands in a request is not known here, and it
+//! encrypts nothing: who can listen to the network can read the token.
+
+pub(crate) mod origin;
 
 use std::collections::BTreeMap;
 use std::fmt;
-use std::io;
+use std::fs::{File, OpenOptions};
+use std::io::{self, Read as _, Write as _};
 use std::net::IpAddr;
-use std::os::unix::fs::PermissionsExt;
+use std::os::unix::fs::{OpenOptionsExt as _, PermissionsExt as _};
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use constant_time_eq::constant_time_eq;
+use takt_core::Loopback;
 
 /// Least characters of a token.
 pub const TOKEN_CHARS_MIN: usize = 16;
@@ -19,12 +23,20 @@ pub const TOKEN_CHARS_MIN: usize = 16;
 /// Most characters of a token.
 pub const TOKEN_CHARS_MAX: usize = 256;
 
-/// Wrong tokens that one address may give within [`WRONG_WITHIN`]; then none of its tokens is looked
-/// at until that time is over.
+/// Wrong tokens that one address may give within [`WRONG_WITHIN`] and be answered at once; further ones
+/// are answered after [`WRONG_PAUSE`]. The right token is admitted at any time: what other programs or pages
+/// of the same host do must not lock its holder out.
 pub const WRONG_MAX: u32 = 5;
 
 /// See [`WRONG_MAX`].
 pub const WRONG_WITHIN: Duration = Duration::from_secs(60);
+
+/// How long an address that gave too many wrong tokens waits for each further answer. With tokens of at least
+/// [`TOKEN_CHARS_MIN`] characters and a bounded number of connections this leaves guessing without hope.
+pub const WRONG_PAUSE: Duration = Duration::from_secs(1);
+
+/// Most bytes of a token file: a token and blanks around it.
+const TOKEN_FILE_BYTES_MAX: u64 = 4096;
 
 /// Addresses whose wrong tokens are remembered; the one that gave its first longest ago makes room.
 const ADDRESSES_MAX: usize = 1024;
@@ -47,6 +59,11 @@ pub enum TokenError {
     /// The file cannot be read.
     #[error("cannot read the token file {path}: {source}")]
     File { path: String, source: io::Error },
+    /// There is no such file, and none can be made.
+    #[error(
+        "cannot make the token file {path}: {source}\nhint: name another one as token_file under [controller] of cell.toml"
+    )]
+    Make { path: String, source: io::Error },
     /// Others of the host could read it.
     #[error("the token file {path} can be read by everybody (mode {mode:o}): chmod 600 {path}")]
     Readable { path: String, mode: u32 },
@@ -88,7 +105,41 @@ impl Token {
         if mode & 0o004 != 0 {
             return Err(TokenError::Readable { path: name(), mode });
         }
-        Self::new(&std::fs::read_to_string(path).map_err(file)?)
+        let mut text = String::new();
+        let opened = File::open(path).map_err(file)?;
+        let read = opened
+            .take(TOKEN_FILE_BYTES_MAX)
+            .read_to_string(&mut text)
+            .map_err(file)?;
+        if read as u64 == TOKEN_FILE_BYTES_MAX {
+            return Err(TokenError::Text);
+        }
+        Self::new(&text)
+    }
+
+    /// Reads the token of a file, or makes a random one and the file (mode 600) if there is none.
+    ///
+    /// # Errors
+    /// If the file cannot be made or read, or holds no token.
+    pub fn read_or_make(path: &Path) -> Result<Self, TokenError> {
+        let file = |source| TokenError::Make {
+            path: path.display().to_string(),
+            source,
+        };
+        let mut options = OpenOptions::new();
+        match options.write(true).create_new(true).mode(0o600).open(path) {
+            Ok(mut made) => {
+                let mut random = [0; 32];
+                File::open("/dev/urandom")
+                    .and_then(|mut source| source.read_exact(&mut random))
+                    .map_err(file)?;
+                let text: String = random.iter().map(|byte| format!("{byte:02x}")).collect();
+                made.write_all(text.as_bytes()).map_err(file)?;
+                Self::new(&text)
+            }
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Self::read(path),
+            Err(error) => Err(file(error)),
+        }
     }
 
     /// The text, to be sent to a server.
@@ -107,19 +158,40 @@ impl Token {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Admission {
     /// It is.
-    Admitted,
+    Admitted(Credential),
     /// It gave no token.
     Missing,
     /// It gave another one.
     Wrong,
-    /// Its address gave too many wrong ones; this one was not looked at.
+    /// It gave another one, and its address too many before; it is answered after [`WRONG_PAUSE`].
     TooMany,
+}
+
+/// How a client reached the server.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Peer {
+    /// By the Unix socket; the kernel said which account it is, and that one is admitted.
+    Local,
+    /// By the network, loopback included.
+    Address(IpAddr),
+}
+
+/// What a client was admitted for. Each has places of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Credential {
+    /// None: it reached loopback, and loopback is open.
+    Loopback,
+    /// The right token.
+    Token,
+    /// Its account, over the Unix socket.
+    Account,
 }
 
 /// Lets clients in, or not.
 #[derive(Debug)]
 pub struct Gate {
     token: Option<Token>,
+    loopback: Loopback,
     wrong: Mutex<BTreeMap<IpAddr, Wrong>>,
 }
 
@@ -130,37 +202,56 @@ struct Wrong {
 }
 
 impl Gate {
-    /// A gate that asks for a token, or is open.
+    /// A gate with that token, if any. `loopback` says whether clients of this host that reach it by the
+    /// network need one; without a token they do not.
     #[must_use]
-    pub const fn new(token: Option<Token>) -> Self {
+    pub fn new(token: Option<Token>, loopback: Option<Loopback>) -> Self {
+        let unless_said = if token.is_some() {
+            Loopback::Token
+        } else {
+            Loopback::Open
+        };
         Self {
             token,
+            loopback: loopback.unwrap_or(unless_said),
             wrong: Mutex::new(BTreeMap::new()),
         }
     }
 
-    /// Whether nobody needs a token.
+    /// What a client is admitted for without a token; `None` if it needs one.
     #[must_use]
-    pub const fn is_open(&self) -> bool {
-        self.token.is_none()
+    pub fn without_token(&self, peer: Peer) -> Option<Credential> {
+        match peer {
+            Peer::Local => Some(Credential::Account),
+            Peer::Address(address) => (address.to_canonical().is_loopback()
+                && self.loopback == Loopback::Open)
+                .then_some(Credential::Loopback),
+        }
     }
 
-    /// Looks at what a client of that address gave; times count from the same moment.
-    pub fn check(&self, address: IpAddr, given: Option<&str>, now: Duration) -> Admission {
-        let Some(token) = &self.token else {
-            return Admission::Admitted;
-        };
-        let Some(given) = given else {
-            return Admission::Missing;
+    /// Looks at what a client gave; times count from the same moment. The right token is admitted at any
+    /// time, also where none is needed.
+    pub fn check(&self, peer: Peer, given: Option<&str>, now: Duration) -> Admission {
+        let right = |given: &str| self.token.as_ref().is_some_and(|token| token.is(given));
+        match given {
+            Some(given) if right(given) => Admission::Admitted(Credential::Token),
+            None => match self.without_token(peer) {
+                Some(credential) => Admission::Admitted(credential),
+                None => Admission::Missing,
+            },
+            Some(_) => match self.without_token(peer) {
+                Some(credential) => Admission::Admitted(credential),
+                None => self.count_wrong(peer, now),
+            },
+        }
+    }
+
+    fn count_wrong(&self, peer: Peer, now: Duration) -> Admission {
+        let Peer::Address(address) = peer else {
+            return Admission::Wrong;
         };
         let mut wrong = self.wrong.lock().unwrap_or_else(PoisonError::into_inner);
         wrong.retain(|_, w| now < w.since.saturating_add(WRONG_WITHIN));
-        if wrong.get(&address).is_some_and(|w| w.count >= WRONG_MAX) {
-            return Admission::TooMany;
-        }
-        if token.is(given) {
-            return Admission::Admitted;
-        }
         if wrong.len() >= ADDRESSES_MAX && !wrong.contains_key(&address) {
             let first = wrong.iter().min_by_key(|(_, w)| w.since);
             if let Some(first) = first.map(|(address, _)| *address) {
@@ -171,8 +262,12 @@ impl Gate {
             count: 0,
             since: now,
         });
-        entry.count += 1;
-        Admission::Wrong
+        entry.count = entry.count.saturating_add(1);
+        if entry.count > WRONG_MAX {
+            Admission::TooMany
+        } else {
+            Admission::Wrong
+        }
     }
 }
 
@@ -182,40 +277,59 @@ mod tests {
     use std::net::Ipv4Addr;
 
     const TOKEN: &str = "0123456789abcdef";
-    const HERE: IpAddr = IpAddr::V4(Ipv4Addr::new(192, 0, 2, 1));
-    const THERE: IpAddr = IpAddr::V4(Ipv4Addr::new(192, 0, 2, 2));
+    const HERE: Peer = Peer::Address(IpAddr::V4(Ipv4Addr::new(192, 0, 2, 1)));
+    const LOOPBACK: Peer = Peer::Address(IpAddr::V4(Ipv4Addr::LOCALHOST));
 
     fn gate() -> Gate {
-        Gate::new(Some(Token::new(TOKEN).unwrap()))
+        Gate::new(Some(Token::new(TOKEN).unwrap()), None)
     }
 
     #[test]
     fn only_the_whole_token_is_right() {
         let gate = gate();
         let check = |given| gate.check(HERE, given, Duration::ZERO);
-        assert_eq!(check(Some(TOKEN)), Admission::Admitted);
+        assert_eq!(check(Some(TOKEN)), Admission::Admitted(Credential::Token));
         assert_eq!(check(None), Admission::Missing);
         for wrong in ["", "0", "0123456789abcdeF", "0123456789abcdef0"] {
             assert_eq!(check(Some(wrong)), Admission::Wrong, "{wrong}");
         }
-        let open = Gate::new(None);
-        assert_eq!(open.check(HERE, None, Duration::ZERO), Admission::Admitted);
+        let open = Gate::new(None, None);
+        let check = |peer| open.check(peer, None, Duration::ZERO);
+        let anyone = Admission::Admitted(Credential::Loopback);
+        assert_eq!(check(LOOPBACK), anyone);
+        assert_eq!(check(HERE), Admission::Missing, "not of this host");
     }
 
     #[test]
-    fn an_address_that_guesses_is_not_listened_to_for_a_while() {
+    fn right_token_after_many_wrong_ones_is_admitted() {
         let gate = gate();
+        let guess = || gate.check(HERE, Some("guess"), Duration::ZERO);
         for _ in 0..WRONG_MAX {
-            let answer = gate.check(HERE, Some("guess"), Duration::ZERO);
-            assert_eq!(answer, Admission::Wrong);
+            assert_eq!(guess(), Admission::Wrong);
         }
-        let late = WRONG_WITHIN - Duration::from_nanos(1);
-        assert_eq!(gate.check(HERE, Some(TOKEN), late), Admission::TooMany);
-        assert_eq!(gate.check(THERE, Some(TOKEN), late), Admission::Admitted);
-        assert_eq!(
-            gate.check(HERE, Some(TOKEN), WRONG_WITHIN),
-            Admission::Admitted
-        );
+        assert_eq!(guess(), Admission::TooMany);
+        let right = gate.check(HERE, Some(TOKEN), Duration::ZERO);
+        assert_eq!(right, Admission::Admitted(Credential::Token));
+        let later = gate.check(HERE, Some("guess"), WRONG_WITHIN);
+        assert_eq!(later, Admission::Wrong);
+    }
+
+    #[test]
+    fn loopback_needs_the_token_unless_it_is_open() {
+        let token = || Some(Token::new(TOKEN).unwrap());
+        let needs = |token, loopback| {
+            let gate = Gate::new(token, loopback);
+            gate.without_token(LOOPBACK).is_none()
+        };
+        assert!(needs(token(), None));
+        assert!(!needs(token(), Some(Loopback::Open)));
+        assert!(!needs(None, None));
+        assert!(needs(None, Some(Loopback::Token)));
+        let mapped = Peer::Address("::ffff:127.0.0.1".parse().unwrap());
+        let open = Gate::new(token(), Some(Loopback::Open));
+        assert_eq!(open.without_token(mapped), Some(Credential::Loopback));
+        assert_eq!(open.without_token(HERE), None);
+        assert_eq!(open.without_token(Peer::Local), Some(Credential::Account));
     }
 
     #[test]
@@ -223,7 +337,8 @@ mod tests {
         let gate = gate();
         for number in 0..5_000_u32 {
             let address = IpAddr::V4(Ipv4Addr::from(number));
-            gate.check(address, Some("guess"), Duration::from_millis(number.into()));
+            let now = Duration::from_millis(number.into());
+            gate.check(Peer::Address(address), Some("guess"), now);
         }
         assert_eq!(gate.wrong.lock().unwrap().len(), ADDRESSES_MAX);
     }
@@ -262,5 +377,23 @@ mod tests {
         std::fs::remove_file(&path).unwrap();
         let error = Token::read(&path).unwrap_err().to_string();
         assert!(error.starts_with("cannot read the token file"), "{error}");
+        let made = Token::read_or_make(&path).unwrap();
+        assert_eq!(Token::read_or_make(&path).unwrap(), made);
+        let made_mode = std::fs::metadata(&path).unwrap().permissions().mode();
+        assert_eq!((made.text().len(), made_mode & 0o777), (64, 0o600));
+        std::fs::remove_file(&path).unwrap();
+    }
+
+    #[test]
+    fn endless_token_file_is_refused() {
+        let error = Token::read(Path::new("/dev/zero")).unwrap_err();
+        // It can be read by everybody, which is found first.
+        assert!(matches!(error, TokenError::Readable { .. }), "{error}");
+        let path = std::env::temp_dir().join(format!("takt-long-token-{}", std::process::id()));
+        std::fs::write(&path, "a".repeat(5000)).unwrap();
+        std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o600)).unwrap();
+        let error = Token::read(&path).unwrap_err();
+        std::fs::remove_file(&path).unwrap();
+        assert!(matches!(error, TokenError::Text), "{error}");
     }
 }

@@ -1,9 +1,10 @@
-//! The other end, for tools and tests: a blocking connection over plain TCP. It interprets no
+//! The other end, for tools and tests: a blocking connection over a Unix socket or plain TCP. It interprets no
 //! pushes; they wait until they are asked for.
 
 use std::collections::VecDeque;
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
+use std::os::unix::net::UnixStream;
 use std::time::{Duration, Instant};
 
 use crate::access::Token;
@@ -34,10 +35,54 @@ impl Reply {
     }
 }
 
+/// Where plain lines are taken on this host unless it is configured otherwise.
+pub const TCP_ADDRESS: &str = "127.0.0.1:8081";
+
+/// Bytes of either kind of connection.
+#[derive(Debug)]
+enum Stream {
+    Tcp(TcpStream),
+    Unix(UnixStream),
+}
+
+impl Stream {
+    fn set_read_timeout(&self, timeout: Option<Duration>) -> io::Result<()> {
+        match self {
+            Self::Tcp(stream) => stream.set_read_timeout(timeout),
+            Self::Unix(stream) => stream.set_read_timeout(timeout),
+        }
+    }
+}
+
+impl Read for Stream {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        match self {
+            Self::Tcp(stream) => stream.read(bytes),
+            Self::Unix(stream) => stream.read(bytes),
+        }
+    }
+}
+
+impl Write for Stream {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match self {
+            Self::Tcp(stream) => stream.write(bytes),
+            Self::Unix(stream) => stream.write(bytes),
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        match self {
+            Self::Tcp(stream) => stream.flush(),
+            Self::Unix(stream) => stream.flush(),
+        }
+    }
+}
+
 /// A connection to a controller.
 #[derive(Debug)]
 pub struct Client {
-    stream: TcpStream,
+    stream: Stream,
     address: String,
     reader: LineReader,
     pushes: VecDeque<Message>,
@@ -47,7 +92,22 @@ pub struct Client {
 }
 
 impl Client {
-    /// Connects to `host:port` and shakes hands.
+    /// Connects to the controller of this host: at the Unix socket of this account's session or of the
+    /// service, else at [`TCP_ADDRESS`].
+    ///
+    /// # Errors
+    /// If no controller listens there, or the account is not admitted.
+    pub fn connect_here(token: Option<&Token>) -> Result<Self, Error> {
+        for path in crate::local::client_paths() {
+            if let Ok(stream) = UnixStream::connect(&path) {
+                let address = path.display().to_string();
+                return Self::begin(Stream::Unix(stream), address, token);
+            }
+        }
+        Self::connect_with(TCP_ADDRESS, token)
+    }
+
+    /// Connects to `host:port`, or to the Unix socket of an absolute path, and shakes hands.
     ///
     /// # Errors
     /// If nobody listens there, or it is no controller.
@@ -55,15 +115,19 @@ impl Client {
         Self::connect_with(address, None)
     }
 
-    /// Connects to `host:port`, gives the token, and shakes hands.
+    /// The same, giving the token first.
     ///
     /// # Errors
     /// If nobody listens there, it is no controller, or the token is wrong.
     pub fn connect_with(address: &str, token: Option<&Token>) -> Result<Self, Error> {
         let stream = open(address).map_err(|e| cannot_connect(address, e))?;
+        Self::begin(stream, address.to_owned(), token)
+    }
+
+    fn begin(stream: Stream, address: String, token: Option<&Token>) -> Result<Self, Error> {
         let mut client = Self {
             stream,
-            address: address.to_owned(),
+            address,
             reader: LineReader::default(),
             pushes: VecDeque::new(),
             commands: 0,
@@ -167,12 +231,18 @@ impl Client {
     }
 }
 
-/// Connects to the first of the host's addresses that answers.
-fn open(address: &str) -> io::Result<TcpStream> {
+/// Connects to a Unix socket, or to the first of the host's addresses that answers.
+fn open(address: &str) -> io::Result<Stream> {
+    if address.starts_with('/') {
+        return UnixStream::connect(address).map(Stream::Unix);
+    }
     let mut failure = io::Error::new(ErrorKind::NotFound, "the host has no address");
     for candidate in address.to_socket_addrs()? {
         match TcpStream::connect_timeout(&candidate, CONNECT_WITHIN) {
-            Ok(stream) => return stream.set_nodelay(true).map(|()| stream),
+            Ok(stream) => {
+                stream.set_nodelay(true)?;
+                return Ok(Stream::Tcp(stream));
+            }
             Err(error) => failure = error,
         }
     }

@@ -4,7 +4,7 @@
 use tungstenite::protocol::frame::coding::{Control, Data, OpCode};
 
 use crate::error::Error;
-use crate::wire::lines::LineReader;
+use crate::wire::lines::{LineReader, may_begin};
 use crate::wire::websocket::{Event, FrameReader, write_frame};
 
 /// How the lines of one connection travel.
@@ -38,8 +38,17 @@ impl Codec {
 
     /// Takes messages of full length from now on.
     pub(crate) const fn unbind(&mut self) {
-        if let Self::Plain(reader) = self {
-            reader.unbind();
+        match self {
+            Self::Plain(reader) => reader.unbind(),
+            Self::WebSocket(reader) => reader.unbind(),
+        }
+    }
+
+    /// Whether what has come can be the first line of a client. Of frames it is not known here.
+    pub(crate) fn may_begin(&self) -> bool {
+        match self {
+            Self::Plain(reader) => may_begin(reader.pending()),
+            Self::WebSocket(_) => true,
         }
     }
 

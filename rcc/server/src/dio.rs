@@ -15,14 +15,14 @@ mod tests;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use std::net::IpAddr;
 use std::sync::Arc;
 
 use takt_core::controller::{DeviceInfo, RuleId};
 use takt_core::device::DeviceStatus;
 use takt_core::{Controller, NetId, OnLoss, SessionId};
 
-use crate::access::{Admission, Gate};
+use crate::access::{Admission, Credential, Gate, Peer};
+use crate::sessions::Sessions;
 use crate::wire::{Message, Value};
 pub(crate) use commands::DESCRIPTION_BYTES_MAX;
 use devices::DeviceWatch;
@@ -60,24 +60,34 @@ pub struct Connection {
     changed: bool,
     /// What becomes of sessions that do not say otherwise.
     on_loss: OnLoss,
-    /// Where a token must be given first; `None` once it was.
+    /// Where a token is given.
     door: Option<Door>,
-    /// Whether the client gave a wrong token.
+    /// Whether it must be given first.
+    needs_token: bool,
+    /// What the client was admitted for.
+    credential: Credential,
+    /// Whether the connection is to end.
     refused: bool,
+    /// Whether the first line that is not as it should be ends the connection.
+    strict: bool,
+    /// Whether the answer is to be sent after [`WRONG_PAUSE`](crate::access::WRONG_PAUSE).
+    slowed: bool,
+    /// What all connections of a server opened, and the beginning of this one on its time line.
+    all_sessions: Option<(Sessions, Duration)>,
 }
 
 /// A gate, and who stands before it.
 #[derive(Debug)]
 struct Door {
     gate: Arc<Gate>,
-    address: IpAddr,
+    peer: Peer,
     /// When the connection began, on the time line of the gate.
     begin: Duration,
 }
 
 impl Door {
     fn check(&self, given: Option<&str>, now: Duration) -> Admission {
-        self.gate.check(self.address, given, self.begin + now)
+        self.gate.check(self.peer, given, self.begin + now)
     }
 }
 
@@ -103,9 +113,14 @@ impl Connection {
             devices: None,
             opened: Vec::new(),
             changed: false,
-            on_loss: OnLoss::Keep,
+            on_loss: OnLoss::End,
             door: None,
+            needs_token: false,
+            credential: Credential::Loopback,
             refused: false,
+            strict: false,
+            slowed: false,
+            all_sessions: None,
         }
     }
 
@@ -116,30 +131,78 @@ impl Connection {
         self
     }
 
-    /// The same, but before anything else the client must give a token; the connection begins at
-    /// `begin` on the gate's time line.
+    /// The same, behind a gate, where it may have to give a token before anything else; the connection begins
+    /// at `begin` on the gate's time line.
     #[must_use]
-    pub fn behind(mut self, gate: &Arc<Gate>, address: IpAddr, begin: Duration) -> Self {
+    pub fn behind(mut self, gate: &Arc<Gate>, peer: Peer, begin: Duration) -> Self {
+        let without = gate.without_token(peer);
+        self.credential = without.unwrap_or(Credential::Token);
+        // With or without need of one, a right token has places of its own.
         let gate = Arc::clone(gate);
-        let door = Door {
-            gate,
-            address,
-            begin,
-        };
-        self.door = (!door.gate.is_open()).then_some(door);
+        self.needs_token = without.is_none();
+        self.door = Some(Door { gate, peer, begin });
+        self
+    }
+
+    /// The same, of a client that was admitted already.
+    #[must_use]
+    pub const fn admitted_for(mut self, credential: Credential) -> Self {
+        self.credential = credential;
+        self
+    }
+
+    /// The same, but the first line that is neither token nor handshake, or a wrong one, ends it.
+    #[must_use]
+    pub const fn strict(mut self) -> Self {
+        self.strict = true;
+        self
+    }
+
+    /// The same, with the sessions of all connections, whose time line it begins on at `begin`.
+    pub(crate) fn with_sessions(mut self, sessions: &Sessions, begin: Duration) -> Self {
+        self.all_sessions = Some((sessions.clone(), begin));
         self
     }
 
     /// Whether the client may say anything.
     #[must_use]
     pub const fn is_admitted(&self) -> bool {
-        self.door.is_none()
+        !self.needs_token
     }
 
-    /// Whether the client gave a wrong token, after which the connection is to end.
+    /// Whether the client has shaken hands.
+    #[must_use]
+    pub const fn is_greeted(&self) -> bool {
+        self.greeted
+    }
+
+    /// What the client was admitted for.
+    #[must_use]
+    pub const fn credential(&self) -> Credential {
+        self.credential
+    }
+
+    /// Whether the client gave a wrong token, or what is no handshake, after which the connection is to end.
     #[must_use]
     pub const fn is_refused(&self) -> bool {
         self.refused
+    }
+
+    /// Whether the client is to wait for its answer.
+    #[must_use]
+    pub const fn is_slowed(&self) -> bool {
+        self.slowed
+    }
+
+    /// Whether the client waits for nothing and has no session, so that nothing is lost with it.
+    #[must_use]
+    pub fn is_idle(&self) -> bool {
+        self.subscriptions() == 0 && self.opened.is_empty()
+    }
+
+    fn subscriptions(&self) -> usize {
+        let devices = usize::from(self.devices.is_some());
+        self.nets.len() + self.sessions.len() + self.rules.len() + devices
     }
 
     /// Does what the line says and returns what to send: pushes caused by it, then its reply.
@@ -148,6 +211,7 @@ impl Connection {
             Ok(message) => message,
             Err(error) => {
                 tracing::debug!(%error, "a client sent what is no message");
+                self.refused |= self.strict && !self.greeted;
                 return vec![Refusal::InvalidSyntax.reply("none").to_string()];
             }
         };
@@ -159,7 +223,10 @@ impl Connection {
                 args: values,
                 ..Message::new(message.tag, "ok")
             },
-            Err(refusal) => refusal.reply(&message.tag),
+            Err(refusal) => {
+                self.refused |= self.strict && !self.greeted;
+                refusal.reply(&message.tag)
+            }
         });
         self.changed = true;
         out.iter().map(Message::to_string).collect()

@@ -28,6 +28,19 @@ pub enum Error {
         address: SocketAddr,
         source: io::Error,
     },
+    /// The Unix socket cannot be made.
+    #[error(
+        "cannot listen at {path}: {source}\nhint: name another path as socket under [controller] of cell.toml, or \"\" for none"
+    )]
+    Local { path: String, source: io::Error },
+    /// As many connections as there may be of the kind.
+    #[error("too many connections: at most {bound}; close one first")]
+    Full { bound: usize },
+    /// Another connection needed the place.
+    #[error(
+        "closed: another connection needed this one's place; shake hands soon, and do not stay idle"
+    )]
+    Displaced,
     /// No controller runs there.
     #[error("nobody listens at {address}: start `takt run`")]
     NobodyListens { address: String },

@@ -15,7 +15,10 @@ use httparse::{EMPTY_HEADER, Status};
 use percent_encoding::percent_decode_str;
 use tungstenite::handshake::derive_accept_key;
 
-use crate::access::{Admission, WRONG_MAX, WRONG_WITHIN};
+use std::net::IpAddr;
+
+use crate::access::origin::{Origins, Sender};
+use crate::access::{Admission, Credential, WRONG_MAX, WRONG_WITHIN};
 use crate::site::Site;
 use crate::wire::MESSAGE_BYTES_MAX;
 pub(crate) use resources::debug::{DEBUG_STREAMS_MAX, DebugStream};
@@ -43,19 +46,46 @@ type Form = Vec<(String, String)>;
 /// What to do with a connection.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Answer {
-    /// Send this and go on with WebSocket frames.
-    Upgrade(String),
-    /// Send this, which asks for the body, and read on.
-    Continue(&'static str),
+    /// Go on with WebSocket frames.
+    Upgrade(Upgrade),
+    /// The head is that of a client which is admitted: send this, which asks for the body, and read on.
+    Body {
+        credential: Credential,
+        ask: &'static str,
+    },
     /// Do what the request says, send the response, and close.
     Serve(Request),
     /// Send this and close.
     Refuse(Response),
 }
 
+/// A WebSocket handshake.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) struct Upgrade {
+    /// What to send.
+    pub(crate) response: String,
+    /// What the client was admitted for.
+    pub(crate) credential: Credential,
+    /// Whether it named a version, as RFC 6455 wants it and the known client does not.
+    pub(crate) is_versioned: bool,
+}
+
+/// Who is admitted.
+#[derive(Clone, Copy)]
+pub(crate) struct Guard<'a> {
+    /// Looks at a token, or at there being none.
+    pub(crate) token: &'a dyn Fn(Option<&str>) -> Admission,
+    /// Pages and names of this host that are accepted.
+    pub(crate) origins: &'a Origins,
+    /// The address that the connection came to.
+    pub(crate) reached: Option<IpAddr>,
+}
+
 /// A request for a resource.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) struct Request {
+    /// What the client was admitted for.
+    pub(crate) credential: Credential,
     /// Whether it is to change something.
     pub(crate) post: bool,
     /// The parts of the path between its slashes, decoded.
@@ -68,19 +98,20 @@ pub(crate) struct Request {
     pub(crate) json: bool,
 }
 
-/// Looks at what was received so far; `continued` says whether the body was asked for, `admit` whether
-/// the token that the request carries lets it in. `None`: the request is not whole yet; otherwise how
-/// many bytes it has, and the answer.
+/// Looks at what was received so far; `continued` says whether [`Answer::Body`] was answered before. `None`: the
+/// request is not whole yet; otherwise how many bytes it has, and the answer.
 pub(crate) fn answer(
     received: &[u8],
     continued: bool,
-    admit: &dyn Fn(Option<&str>) -> Admission,
+    guard: Guard<'_>,
 ) -> Option<(usize, Answer)> {
     let mut headers = [EMPTY_HEADER; HEADERS_MAX];
     let mut head = httparse::Request::new(&mut headers);
     let all = received.len();
-    let (length, read) = match head.parse(received) {
-        Ok(Status::Complete(length)) => (length, Head::admitted(&head, admit)),
+    // What is longer is not looked at, however much of it came at once.
+    let bounded = received.get(..HEAD_BYTES_MAX).unwrap_or(received);
+    let (length, read) = match head.parse(bounded) {
+        Ok(Status::Complete(length)) => (length, Head::admitted(&head, guard)),
         Ok(Status::Partial) if all <= HEAD_BYTES_MAX => return None,
         Ok(Status::Partial) => {
             let text = format!("The head of a request has at most {HEAD_BYTES_MAX} bytes.\n");
@@ -96,8 +127,14 @@ pub(crate) fn answer(
     };
     match received.get(length..length + head.body_bytes) {
         Some(body) => Some((length + head.body_bytes, Answer::Serve(head.request(body)))),
-        None if head.expects_continue && !continued => {
-            Some((0, Answer::Continue("HTTP/1.1 100 Continue\r\n\r\n")))
+        None if !continued => {
+            let ask = if head.expects_continue {
+                "HTTP/1.1 100 Continue\r\n\r\n"
+            } else {
+                ""
+            };
+            let credential = head.credential;
+            Some((0, Answer::Body { credential, ask }))
         }
         None => None,
     }
@@ -106,7 +143,7 @@ pub(crate) fn answer(
 /// That a request does not carry the token it needs.
 fn denied(admission: Admission) -> Option<Response> {
     let why = match admission {
-        Admission::Admitted => return None,
+        Admission::Admitted(_) => return None,
         Admission::Missing => {
             "A token is needed: `Authorization: Bearer …`, `?token=…` or the cookie takt_token.\n"
         }
@@ -114,7 +151,7 @@ fn denied(admission: Admission) -> Option<Response> {
         Admission::TooMany => {
             let seconds = WRONG_WITHIN.as_secs();
             let text = format!(
-                "Too many wrong tokens: at most {WRONG_MAX} within {seconds} s from one address; wait that long.\n"
+                "The token is wrong; more than {WRONG_MAX} wrong ones within {seconds} s from one address are answered late.\n"
             );
             return Some(Response::text("429 Too Many Requests", text));
         }
@@ -124,12 +161,13 @@ fn denied(admission: Admission) -> Option<Response> {
 
 /// That there are as many connections as the server takes.
 pub(crate) fn too_many_connections(bound: usize) -> Response {
-    let text = format!("This server takes at most {bound} connections; close one first.\n");
+    let text = format!("This server takes at most {bound} such connections; close one first.\n");
     Response::text("503 Service Unavailable", text)
 }
 
 /// The head of a request that can be served.
 struct Head {
+    credential: Credential,
     post: bool,
     path: Vec<String>,
     query: Form,
@@ -138,14 +176,22 @@ struct Head {
     expects_continue: bool,
     /// The key of a WebSocket handshake.
     websocket: Option<String>,
+    is_versioned: bool,
 }
 
 impl Head {
-    /// Reads the head of a request that is let in.
-    fn admitted(
-        request: &httparse::Request<'_, '_>,
-        admit: &dyn Fn(Option<&str>) -> Admission,
-    ) -> Result<Self, Response> {
+    /// Reads the head of a request that is let in. Pages are refused before their tokens are looked at, so that
+    /// none of them can have this host's tokens counted as wrong.
+    fn admitted(request: &httparse::Request<'_, '_>, guard: Guard<'_>) -> Result<Self, Response> {
+        if headers(request, "Host").nth(1).is_some() {
+            return Err(Response::bad_request("Host is given twice"));
+        }
+        let sender = sender(request);
+        if !guard.origins.admit_page(&sender) {
+            let text = "Web pages of other origins may not reach a robot through your browser.\n\
+                hint: list the page's origin as origins under [controller] of cell.toml.\n";
+            return Err(Response::text("403 Forbidden", text));
+        }
         let target = request.path.unwrap_or_default();
         let (path, query) = target.split_once('?').unwrap_or((target, ""));
         let mut query = form::decode(query.as_bytes());
@@ -154,37 +200,34 @@ impl Head {
         let token = bearer(request)
             .or(asked.as_deref())
             .or_else(|| cookie(request));
-        let open = admit(None) == Admission::Admitted;
-        if let Some(refusal) = denied(if open {
-            Admission::Admitted
-        } else {
-            admit(token)
-        }) {
-            return Err(refusal);
+        let admission = (guard.token)(token);
+        let Admission::Admitted(credential) = admission else {
+            return Err(denied(admission).unwrap_or_else(|| Response::unauthorized("")));
+        };
+        let head = Self::read(request, segments(path), query, credential)?;
+        // With the token it is its holder, by whatever name. No browser makes a handshake without a version.
+        let is_browser = head.websocket.is_none() || head.is_versioned;
+        if credential != Credential::Token
+            && is_browser
+            && !guard.origins.admit_host(sender.host, guard.reached)
+        {
+            let text = "This server is not known by that name.\n\
+                hint: use http://localhost or an address, or list the name as hosts under [controller] of \
+                cell.toml.\n";
+            return Err(Response::text("421 Misdirected Request", text));
         }
-        let path = segments(path);
-        if let (false, Some(token), true) = (open, &asked, path.is_empty()) {
+        if let (Credential::Token, Some(token), true) = (credential, &asked, head.path.is_empty()) {
             return Err(Response::with_cookie(COOKIE, token));
         }
-        Self::read(request, path, query, open)
+        Ok(head)
     }
 
     fn read(
         request: &httparse::Request<'_, '_>,
         path: Vec<String>,
         query: Form,
-        open: bool,
+        credential: Credential,
     ) -> Result<Self, Response> {
-        // With a token, pages of this very server are let in by whatever name it has.
-        let own = |origin: &str| {
-            let host = header(request, "Host").filter(|_| !open);
-            let rest = origin.split_once("://").map(|(_, rest)| rest);
-            rest.is_some_and(|rest| Some(rest) == host)
-        };
-        if !header(request, "Origin").is_none_or(|origin| is_local_page(origin) || own(origin)) {
-            let text = "Web pages of other hosts may not reach a robot through your browser.\n";
-            return Err(Response::text("403 Forbidden", text));
-        }
         let post = match request.method {
             Some("GET") => false,
             Some("POST") => true,
@@ -206,6 +249,7 @@ impl Head {
         let key = header(request, "Sec-WebSocket-Key").filter(|_| upgrades);
         let expect = header(request, "Expect").unwrap_or_default();
         Ok(Self {
+            credential,
             post,
             path,
             query,
@@ -213,6 +257,7 @@ impl Head {
             body_bytes: if post { body_bytes(request)? } else { 0 },
             expects_continue: expect.eq_ignore_ascii_case("100-continue"),
             websocket: key.map(str::to_owned),
+            is_versioned: header(request, "Sec-WebSocket-Version").is_some(),
         })
     }
 
@@ -221,15 +266,21 @@ impl Head {
             return Answer::Refuse(Response::upgrade_required());
         };
         // The known client compares the accept line byte by byte.
-        Answer::Upgrade(format!(
+        let response = format!(
             "HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n\
              Sec-WebSocket-Accept: {}\r\n\r\n",
             derive_accept_key(key.as_bytes())
-        ))
+        );
+        Answer::Upgrade(Upgrade {
+            response,
+            credential: self.credential,
+            is_versioned: self.is_versioned,
+        })
     }
 
     fn request(self, body: &[u8]) -> Request {
         let Self {
+            credential,
             post,
             path,
             query,
@@ -237,6 +288,7 @@ impl Head {
             ..
         } = self;
         Request {
+            credential,
             post,
             path,
             query,
@@ -308,16 +360,17 @@ fn cookie<'a>(request: &httparse::Request<'_, 'a>) -> Option<&'a str> {
     })
 }
 
-/// Whether a browser says that the page which connects came from this host. Browsers let any
-/// page open a WebSocket to any host, and send forms to it, also to this one.
-fn is_local_page(origin: &str) -> bool {
-    let host = origin.split_once("://").map_or("", |(_, rest)| rest);
-    let host = if host.starts_with('[') {
-        host.split_inclusive(']').next().unwrap_or_default()
-    } else {
-        host.split(':').next().unwrap_or_default()
-    };
-    matches!(host, "localhost" | "127.0.0.1" | "[::1]")
+/// What the request says about where it comes from.
+fn sender<'a>(request: &httparse::Request<'_, 'a>) -> Sender<'a> {
+    let says = |name, value: &str| header(request, name).is_some_and(|v| v == value);
+    Sender {
+        host: header(request, "Host"),
+        origin: header(request, "Origin"),
+        site: header(request, "Sec-Fetch-Site"),
+        navigates: request.method == Some("GET")
+            && says("Sec-Fetch-Mode", "navigate")
+            && says("Sec-Fetch-Dest", "document"),
+    }
 }
 
 /// Feeds any bytes to the reader of requests, behind a gate and without one.
@@ -327,19 +380,26 @@ fn is_local_page(origin: &str) -> bool {
 #[doc(hidden)]
 pub fn fuzz_head(data: &[u8]) {
     const TOKEN: &str = "0123456789abcdef";
+    let origins = Origins::default();
     let guarded = |given: Option<&str>| match given {
-        Some(TOKEN) => Admission::Admitted,
+        Some(TOKEN) => Admission::Admitted(Credential::Token),
         Some(_) => Admission::Wrong,
         None => Admission::Missing,
     };
+    let guard = |token| Guard {
+        token,
+        origins: &origins,
+        reached: None,
+    };
     let holds_token = data.windows(TOKEN.len()).any(|w| w == TOKEN.as_bytes());
     let encoded = data.contains(&b'%');
-    if let Some((length, answer)) = answer(data, false, &guarded) {
+    if let Some((length, answer)) = answer(data, false, guard(&guarded)) {
         assert!(length <= data.len());
-        let inside = matches!(answer, Answer::Upgrade(_) | Answer::Serve(_));
+        let inside = !matches!(answer, Answer::Refuse(_));
         assert!(!inside || holds_token || encoded, "let in without a token");
     }
-    if let Some((length, _)) = answer(data, true, &|_| Admission::Admitted) {
+    let anyone = |_: Option<&str>| Admission::Admitted(Credential::Loopback);
+    if let Some((length, _)) = answer(data, true, guard(&anyone)) {
         assert!(length <= data.len());
     }
 }
@@ -350,9 +410,14 @@ pub fn fuzz_head(data: &[u8]) {
 /// If the answer is no response.
 #[doc(hidden)]
 pub fn fuzz(controller: &takt_core::Controller, data: &[u8]) {
-    if let Some((_, Answer::Serve(request))) = answer(data, false, &|_| Admission::Admitted) {
-        let (keep, log) = (takt_core::OnLoss::Keep, crate::LogBook::default());
-        let site = Site::new(controller.clone(), None, keep, log);
+    let guard = Guard {
+        token: &|_| Admission::Admitted(Credential::Token),
+        origins: &Origins::default(),
+        reached: None,
+    };
+    if let Some((_, Answer::Serve(request))) = answer(data, false, guard) {
+        let gate = crate::access::Gate::new(None, None);
+        let site = Site::new(controller.clone(), gate, crate::LogBook::default());
         let response = respond(&site, &request);
         assert!(response.to_string().starts_with("HTTP/1.1 "), "{request:?}");
     }

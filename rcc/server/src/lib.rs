@@ -9,6 +9,7 @@ pub mod error;
 mod http;
 pub mod log;
 pub mod server;
+mod sessions;
 mod site;
 pub mod wire;
 
@@ -20,6 +21,7 @@ pub use http::fuzz as fuzz_http;
 #[doc(hidden)]
 pub use http::fuzz_head as fuzz_http_head;
 pub use log::LogBook;
-pub use server::{OnLoss, Server, ServerConfig};
+pub use server::local::{self, LocalSocket};
+pub use server::{Loopback, OnLoss, Server, ServerConfig};
 pub use site::StopPort;
 pub use wire::{Message, Value};

@@ -1,9 +1,10 @@
-//! The last lines of the log, for those who ask over HTTP. It makes no lines and filters none when
-//! they come; whoever sets up logging feeds it.
+//! The last lines of the log, for those who ask over HTTP, and a limit for lines that clients cause. The log
+//! makes no lines and filters none when they come; the program that sets up logging feeds it.
 
 use std::collections::VecDeque;
 use std::io;
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 
 /// Lines that are kept; the oldest make room.
 pub const LOG_LINES_MAX: usize = 4096;
@@ -66,10 +67,66 @@ impl io::Write for LogBook {
     }
 }
 
+/// Lines of one kind that are logged within [`LIMIT_WITHIN`].
+const LIMIT_LINES: u32 = 5;
+
+/// See [`LIMIT_LINES`].
+const LIMIT_WITHIN: Duration = Duration::from_secs(10);
+
+/// Limits lines of one kind that clients can cause as often as they like, and counts those left out.
+#[derive(Debug, Default)]
+pub(crate) struct LineLimit(Mutex<Limited>);
+
+#[derive(Debug, Default)]
+struct Limited {
+    since: Duration,
+    lines: u32,
+    left_out: u64,
+}
+
+impl LineLimit {
+    /// Whether a line may be logged now; if so, how many were left out since the last one.
+    pub(crate) fn admit(&self, now: Duration) -> Option<u64> {
+        let mut limited = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if now.saturating_sub(limited.since) >= LIMIT_WITHIN {
+            (limited.since, limited.lines) = (now, 0);
+        }
+        if limited.lines >= LIMIT_LINES {
+            limited.left_out += 1;
+            return None;
+        }
+        limited.lines += 1;
+        Some(std::mem::take(&mut limited.left_out))
+    }
+
+    /// How many lines were left out, once their time is over, so that the last ones are reported too.
+    pub(crate) fn flush(&self, now: Duration) -> Option<u64> {
+        let mut limited = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let over = now.saturating_sub(limited.since) >= LIMIT_WITHIN;
+        (over && limited.left_out > 0).then(|| std::mem::take(&mut limited.left_out))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use std::io::Write as _;
+
+    #[test]
+    fn lines_beyond_the_limit_are_counted() {
+        let limit = LineLimit::default();
+        let at = Duration::from_secs;
+        for _ in 0..LIMIT_LINES {
+            assert_eq!(limit.admit(at(1)), Some(0));
+        }
+        assert_eq!([limit.admit(at(2)), limit.admit(at(9))], [None, None]);
+        assert_eq!(limit.flush(at(9)), None);
+        assert_eq!(limit.admit(at(10)), Some(2));
+        for _ in 0..LIMIT_LINES {
+            limit.admit(at(10));
+        }
+        assert_eq!((limit.flush(at(20)), limit.flush(at(21))), (Some(1), None));
+    }
 
     #[test]
     fn lines_keep_their_numbers_while_old_ones_go() {

@@ -138,7 +138,8 @@ fn a_long_line_before_the_token_ends_the_connection() {
     });
     let mut stream = TcpStream::connect(server.tcp).unwrap();
     stream.set_read_timeout(Some(PATIENCE)).unwrap();
-    stream.write_all(&[b'a'; 513]).unwrap();
+    let line = format!("t=tok(\"{}", "a".repeat(513 - 7));
+    stream.write_all(line.as_bytes()).unwrap();
     let mut answer = String::new();
     stream.read_to_string(&mut answer).unwrap();
     assert!(answer.contains("more than 512 bytes"), "{answer}");

@@ -339,7 +339,7 @@ fn converse(line: &mut Line, verb: &str, rest: &str, optional: bool) -> Result<(
 
 fn replay(file: &str, text: &str, way: Way, token: Option<&str>) {
     let server = Running::start_with(ServerConfig {
-        on_loss: OnLoss::Keep,
+        on_loss: Some(OnLoss::Keep),
         token: token.map(|token| Token::new(token).unwrap()),
         ..ServerConfig::default()
     });

@@ -130,7 +130,8 @@ pub(super) fn cannot_open(name: &str) -> String {
 
 /// Reads a recording; what is not understood is told.
 pub(super) fn read_log(path: &Path) -> anyhow::Result<Log> {
-    let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let bytes = takt_core::files::read(path, takt_core::files::RECORDING_BYTES_MAX)
+        .with_context(|| format!("cannot read {}", path.display()))?;
     let (log, format) = (Log::read(&bytes), Format::of(&bytes));
     anyhow::ensure!(
         format != Format::Unknown,

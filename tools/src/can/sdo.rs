@@ -391,9 +391,8 @@ fn download<W: Wire>(
     let address = sheet.find(object)?;
     let kind = data_type.or_else(|| sheet.data_type(address));
     let bytes = match value {
-        Source::File(path) => {
-            std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?
-        }
+        Source::File(path) => takt_core::files::read(path, takt_core::files::TEXT_BYTES_MAX)
+            .with_context(|| format!("cannot read {}", path.display()))?,
         Source::Text(text) => {
             let kind = kind.with_context(|| {
                 format!("the type of {address} is not known: give it by --type, or the data sheet by --eds")

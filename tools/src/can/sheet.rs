@@ -18,7 +18,8 @@ const REMARKS: usize = 5;
 
 /// Reads a data sheet or a configuration; what of it is not understood is told.
 pub(super) fn read(path: &Path) -> anyhow::Result<Eds> {
-    let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let bytes = takt_core::files::read(path, takt_core::files::TEXT_BYTES_MAX)
+        .with_context(|| format!("cannot read {}", path.display()))?;
     let text = String::from_utf8_lossy(&bytes);
     let eds = Eds::parse(&text).with_context(|| path.display().to_string())?;
     for remark in eds.remarks.iter().take(REMARKS) {

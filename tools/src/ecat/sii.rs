@@ -99,7 +99,8 @@ impl Sii {
 }
 
 fn file(path: &Path) -> anyhow::Result<Vec<u8>> {
-    std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))
+    takt_core::files::read(path, takt_core::files::TEXT_BYTES_MAX)
+        .with_context(|| format!("cannot read {}", path.display()))
 }
 
 /// A checksum that is wrong is a fault of the slave.

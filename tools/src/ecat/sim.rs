@@ -5,7 +5,7 @@ mod fault;
 mod plan;
 
 use std::io::BufRead as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::mpsc::{self, Receiver};
 use std::time::Duration;
 
@@ -104,9 +104,11 @@ impl Sim {
                 if let Some(devices) = Plan::of_devices(path) {
                     return devices.build(self.strict, self.slower);
                 }
-                let text = std::fs::read_to_string(path).with_context(|| {
-                    format!("cannot read {path}; known without a file: tx90, youbot, and devices by name")
-                })?;
+                let text =
+                    takt_core::files::read_text(Path::new(path), takt_core::files::TEXT_BYTES_MAX)
+                        .with_context(|| {
+                            format!("cannot read {path}; known without a file: tx90, youbot, and devices by name")
+                        })?;
                 let plan: Plan = toml::from_str(&text).with_context(|| path.to_owned())?;
                 plan.build(self.strict, self.slower)
                     .with_context(|| format!("{path} makes no segment"))

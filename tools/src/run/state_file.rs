@@ -88,7 +88,9 @@ impl StateFile {
     /// Takes the directory that the service manager made, and what it holds of the run before.
     pub(super) fn open(directory: Option<&Path>) -> (Self, Option<LastState>) {
         let path = directory.map(|directory| directory.join(NAME));
-        let before = path.as_deref().and_then(|path| std::fs::read(path).ok());
+        let before = path
+            .as_deref()
+            .and_then(|path| takt_core::files::read(path, takt_core::files::TEXT_BYTES_MAX).ok());
         // What cannot be read is of no use; it is written anew anyway.
         let before = before.and_then(|bytes| serde_json::from_slice(&bytes).ok());
         let written = None;

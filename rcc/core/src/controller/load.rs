@@ -31,6 +31,24 @@ pub struct LoadRequest {
     pub period: Option<Duration>,
 }
 
+/// What the host's limits leave for a net, bytes: half of what is free, as loading takes more than what is kept.
+///
+/// # Errors
+/// If they leave too little even to read its text.
+fn free_for(text: &str) -> Result<usize, Error> {
+    /// Bytes that reading a text takes for each of its own, at most.
+    const BYTES_PER_BYTE: u64 = 32;
+    let Some(free) = crate::memory::free() else {
+        return Ok(usize::MAX);
+    };
+    if free / 2 < text.len() as u64 * BYTES_PER_BYTE || free == 0 {
+        return Err(Error::HostMemory {
+            free_mib: free >> 20,
+        });
+    }
+    Ok(usize::try_from(free / 2).unwrap_or(usize::MAX))
+}
+
 /// How long a load may wait for others: less than clients wait for a reply.
 const LOADS_WITHIN: Duration = Duration::from_secs(20);
 
@@ -42,8 +60,9 @@ impl Controller {
     /// If there are too many nets, or no such session.
     pub fn load(&self, request: LoadRequest) -> Result<NetId, Error> {
         let period = request.period;
+        let free = free_for(&request.text)?;
         let (id, text) = self.accept(request)?;
-        let memory = self.keep_memory(id)?;
+        let memory = self.keep_memory(id)?.min(free);
         let prepared = self.prepare(id, &text, period, memory);
         let mut desk = self.inner.lock();
         desk.release_memory(id);

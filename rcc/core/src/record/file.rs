@@ -15,6 +15,7 @@ use takt_net::JointLimits;
 
 use crate::device::{DeviceDescription, Part, Place};
 use crate::error::Error;
+use crate::files;
 use crate::record::Note;
 
 pub(super) const CYCLES: &str = "/takt/cycles";
@@ -322,7 +323,8 @@ pub(super) struct Recording {
 
 impl Recording {
     pub(super) fn read(path: &Path) -> Result<Self, Error> {
-        let bytes = std::fs::read(path).map_err(|source| Error::File {
+        let read = files::read(path, files::RECORDING_BYTES_MAX);
+        let bytes = read.map_err(|source| Error::File {
             path: path.to_owned(),
             source,
         })?;

@@ -26,6 +26,9 @@ const SYNTAX_FAULT: u32 = 12;
 /// Most bytes of the description of a session or a net.
 pub(crate) const DESCRIPTION_BYTES_MAX: usize = 4096;
 
+/// Most sessions that one connection has at once.
+pub(crate) const SESSIONS_PER_CONNECTION: usize = 64;
+
 /// Most faults of one net that are told.
 const FAULTS_MAX: usize = 20;
 
@@ -48,10 +51,10 @@ impl Connection {
         match message.command.as_str() {
             "quit" => Ok(vec!["quitting".into()]),
             "tok" => self.admit(args, now),
-            _ if self.door.is_some() => Err(Refusal::TokenMissing),
+            _ if self.needs_token => Err(Refusal::TokenMissing),
             "ver" if !self.greeted => self.greet(args),
             _ if !self.greeted => Err(Refusal::BadHandshake),
-            "nse" => self.open_session(args),
+            "nse" => self.open_session(args, now),
             "ase" => self.end_session(args, now, out),
             "gse" => self.watch_session(args, tag()),
             "gde" => self.watch_devices(tag()),
@@ -75,16 +78,17 @@ impl Connection {
         let given = args.text(0)?;
         let admission = match &self.door {
             Some(door) => door.check(Some(given), now),
-            None => Admission::Admitted,
+            None => Admission::Admitted(self.credential),
         };
         match admission {
-            Admission::Admitted => {
-                self.door = None;
+            Admission::Admitted(credential) => {
+                self.needs_token = false;
+                self.credential = credential;
                 return Ok(vec!["token ok".into()]);
             }
             Admission::Missing | Admission::Wrong => self.refused = true,
             Admission::TooMany => {
-                self.refused = true;
+                (self.refused, self.slowed) = (true, true);
                 return Err(Refusal::TooManyTokens);
             }
         }
@@ -100,13 +104,34 @@ impl Connection {
         }
     }
 
-    fn open_session(&mut self, args: Args<'_>) -> Outcome {
+    fn open_session(&mut self, args: Args<'_>, now: Duration) -> Outcome {
         let on_loss = match args.optional(1, Args::text)? {
             None => self.on_loss,
             Some(word) => OnLoss::of_word(word).ok_or(Refusal::OnLoss)?,
         };
         let description = args.description(0)?;
-        let session = self.controller.open_session_with(description, on_loss)?;
+        if self.opened.len() >= SESSIONS_PER_CONNECTION {
+            return Err(Refusal::TooManySessions);
+        }
+        let open = || self.controller.open_session_with(description, on_loss);
+        let by = self.credential;
+        let Some((sessions, begin)) = &self.all_sessions else {
+            let session = open()?;
+            self.opened.push(session);
+            return Ok(vec![session.to_string().into()]);
+        };
+        let make_room = || {
+            let now = *begin + now;
+            sessions.end_left(&self.controller, now, Duration::ZERO, 1) > 0
+        };
+        if sessions.is_full_for(by) && !make_room() {
+            return Err(Refusal::TooManyOpenSessions);
+        }
+        let session = match open() {
+            Err(Error::TooMany { .. }) if make_room() => open(),
+            opened => opened,
+        }?;
+        sessions.add(session, by);
         self.opened.push(session);
         Ok(vec![session.to_string().into()])
     }
@@ -125,6 +150,7 @@ impl Connection {
 
     fn watch_session(&mut self, args: Args<'_>, tag: String) -> Outcome {
         let session = self.session(args)?;
+        self.adopt(session);
         self.check_room(self.sessions.contains_key(&session))?;
         self.sessions.insert(session, SessionWatch::new(tag));
         Ok(Vec::new())
@@ -138,10 +164,11 @@ impl Connection {
     }
 
     /// A net that is rejected has a name, too; only its text must follow the grammar.
-    fn load(&self, args: Args<'_>) -> Outcome {
+    fn load(&mut self, args: Args<'_>) -> Outcome {
         let session = args
             .optional(1, Args::text)?
             .and_then(|s| self.known_session(s));
+        session.into_iter().for_each(|session| self.adopt(session));
         let period = args.optional(3, Args::seconds)?.filter(|p| !p.is_zero());
         // Whether the net is real time is not asked for any more: all nets are.
         args.optional(4, Args::integer)?;
@@ -284,14 +311,18 @@ impl Connection {
     }
 
     fn check_room(&self, replaces: bool) -> Result<(), Refusal> {
-        let used = self.nets.len()
-            + self.sessions.len()
-            + self.rules.len()
-            + usize::from(self.devices.is_some());
-        if replaces || used < SUBSCRIPTIONS_MAX {
+        if replaces || self.subscriptions() < SUBSCRIPTIONS_MAX {
             Ok(())
         } else {
             Err(Refusal::TooManySubscriptions)
+        }
+    }
+
+    /// A client that connects again goes on with a session that its lost connection opened.
+    fn adopt(&mut self, session: SessionId) {
+        let all = self.all_sessions.as_ref();
+        if all.is_some_and(|(sessions, _)| sessions.adopt(session)) {
+            self.opened.push(session);
         }
     }
 

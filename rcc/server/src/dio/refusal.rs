@@ -2,8 +2,9 @@
 //! reason, where there is one, follows as a second value. No command is executed here.
 
 use super::SUBSCRIPTIONS_MAX;
-use super::commands::DESCRIPTION_BYTES_MAX;
+use super::commands::{DESCRIPTION_BYTES_MAX, SESSIONS_PER_CONNECTION};
 use crate::access::{WRONG_MAX, WRONG_WITHIN};
+use crate::sessions::OPEN_SESSIONS_MAX;
 use crate::wire::Message;
 
 /// Why a command was not done.
@@ -59,12 +60,22 @@ pub(super) enum Refusal {
     /// It is another one.
     #[error("wrong token")]
     WrongToken,
-    /// The bound on guesses.
+    /// The bound on guesses that are answered at once.
     #[error(
-        "too many wrong tokens: at most {WRONG_MAX} within {} s from one address; wait that long",
+        "wrong token: more than {WRONG_MAX} within {} s from one address are answered late",
         WRONG_WITHIN.as_secs()
     )]
     TooManyTokens,
+    /// The bound on sessions of a connection.
+    #[error(
+        "too many sessions: a connection has at most {SESSIONS_PER_CONNECTION}; end one with ase first"
+    )]
+    TooManySessions,
+    /// The bound on sessions of clients without a credential.
+    #[error(
+        "too many sessions: clients without token have at most {OPEN_SESSIONS_MAX} together; end one with ase first"
+    )]
+    TooManyOpenSessions,
     /// What becomes of a session whose client is lost.
     #[error("on loss: \"keep\" or \"end\" is expected")]
     OnLoss,
@@ -98,6 +109,8 @@ impl Refusal {
             | Self::TokenMissing
             | Self::WrongToken
             | Self::TooManyTokens
+            | Self::TooManySessions
+            | Self::TooManyOpenSessions
             | Self::OnLoss
             | Self::DescriptionTooLong { .. }
             | Self::Controller(_) => reply,

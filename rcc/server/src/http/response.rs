@@ -64,6 +64,18 @@ impl Response {
         Self::text("409 Conflict", format!("{why}\n"))
     }
 
+    /// The status line.
+    pub(crate) const fn status(&self) -> &'static str {
+        self.status
+    }
+
+    /// Whether it refuses the client, rather than what it asks for.
+    pub(crate) fn is_denial(&self) -> bool {
+        ["401", "403", "421", "429"]
+            .iter()
+            .any(|code| self.status.starts_with(code))
+    }
+
     /// There is no such resource.
     pub(super) fn not_found(why: impl fmt::Display) -> Self {
         Self::text("404 Not Found", format!("{why}\n"))

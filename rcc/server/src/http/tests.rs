@@ -11,15 +11,24 @@ mod resources;
 
 /// What a server that asks for no token answers.
 fn answer(received: &[u8], continued: bool) -> Option<(usize, Answer)> {
-    super::answer(received, continued, &|_| Admission::Admitted)
+    let origins = Origins {
+        hosts: vec!["h".to_owned()],
+        origins: vec!["http://listed:3000".to_owned()],
+    };
+    let guard = Guard {
+        token: &|_| Admission::Admitted(Credential::Loopback),
+        origins: &origins,
+        reached: None,
+    };
+    super::answer(received, continued, guard)
 }
 
 /// The first line of what a request is answered.
 fn status(request: &str) -> String {
     let (_, answer) = answer(request.as_bytes(), false).unwrap();
     let text = match answer {
-        Answer::Upgrade(text) => text,
-        Answer::Continue(text) => text.to_owned(),
+        Answer::Upgrade(upgrade) => upgrade.response,
+        Answer::Body { ask, .. } => ask.to_owned(),
         Answer::Refuse(response) => response.to_string(),
         Answer::Serve(request) => format!("{:?}", request.path),
     };
@@ -33,7 +42,12 @@ fn known_client_is_answered_in_the_letters_it_compares() {
     assert_eq!(length, request.len());
     let expected = "HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\n\
         Connection: Upgrade\r\nSec-WebSocket-Accept: s3pPLMBiTxaQ9kYGzzhZRbK+xOo=\r\n\r\n";
-    assert_eq!(answer, Answer::Upgrade(expected.to_owned()));
+    let upgrade = Upgrade {
+        response: expected.to_owned(),
+        credential: Credential::Loopback,
+        is_versioned: false,
+    };
+    assert_eq!(answer, Answer::Upgrade(upgrade));
 }
 
 #[test]
@@ -80,22 +94,48 @@ fn doubled_slashes_are_one() {
 }
 
 #[test]
-fn pages_of_other_hosts_are_kept_out() {
+fn websocket_of_page_of_other_origin_is_refused() {
     let with = |origin: &str| status(&format!("{KNOWN_CLIENT}Origin: {origin}\r\n\r\n"));
-    for origin in [
-        "http://localhost:8080",
-        "http://127.0.0.1",
-        "http://[::1]:8080",
-    ] {
+    for origin in ["http://h", "http://listed:3000"] {
         assert_eq!(with(origin), "HTTP/1.1 101 Switching Protocols", "{origin}");
     }
     for origin in [
         "null",
         "http://example.org",
         "http://localhost.example.org",
+        "http://localhost:8080",
+        "http://h:3000",
         "",
     ] {
         assert_eq!(with(origin), "HTTP/1.1 403 Forbidden", "{origin}");
+    }
+}
+
+#[test]
+fn request_to_foreign_host_is_refused() {
+    let get = |host: &str| status(&format!("GET /log/ HTTP/1.1\r\nHost: {host}\r\n\r\n"));
+    for host in ["h", "h:8080", "localhost:8080", "127.0.0.1:8080", "[::1]"] {
+        assert_eq!(get(host), r#"["log"]"#, "{host}");
+    }
+    for host in ["rebound.example:8080", "192.0.2.1", ""] {
+        assert_eq!(get(host), "HTTP/1.1 421 Misdirected Request", "{host}");
+    }
+    assert_eq!(get("h\r\nHost: h"), "HTTP/1.1 400 Bad Request");
+    // A browser's handshake has a version; the known client's has none and may name any host.
+    let handshake = KNOWN_CLIENT.replace("Host: h", "Host: rebound.example");
+    assert!(is_upgrade(&format!("{handshake}\r\n")));
+    let versioned = format!("{handshake}Sec-WebSocket-Version: 13\r\n\r\n");
+    assert_eq!(status(&versioned), "HTTP/1.1 421 Misdirected Request");
+}
+
+#[test]
+fn head_beyond_its_bound_is_refused_when_it_comes_at_once() {
+    let head = |bytes: usize| format!("GET /log/ HTTP/1.1\r\nX: {}\r\n\r\n", "x".repeat(bytes));
+    let most = HEAD_BYTES_MAX - head(0).len();
+    assert_eq!(status(&head(most)), r#"["log"]"#);
+    for bytes in [most + 1, 40_000] {
+        let refused = status(&head(bytes));
+        assert_eq!(refused, "HTTP/1.1 431 Request Header Fields Too Large");
     }
 }
 
@@ -107,9 +147,10 @@ fn post(headers: &str, body: &str) -> String {
 fn body_is_read_to_its_length() {
     let request = post("content-length: 7\r\n", "desc=ab");
     for end in 0..request.len() {
-        assert_eq!(answer(&request.as_bytes()[..end], false), None, "{end}");
+        assert_eq!(answer(&request.as_bytes()[..end], true), None, "{end}");
     }
     let expected = Request {
+        credential: Credential::Loopback,
         post: true,
         path: vec!["nets".to_owned()],
         query: Vec::new(),

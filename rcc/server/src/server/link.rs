@@ -2,24 +2,24 @@
 //! in threads that may block. It opens and ends no session.
 
 use std::io;
-use std::net::{IpAddr, Ipv4Addr};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use takt_core::SessionId;
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
-use tokio::net::TcpStream;
+use takt_core::{OnLoss, SessionId};
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio::sync::{Notify, watch};
 use tokio::task::JoinError;
 use tokio::time::{Instant, timeout};
 
-use super::{CONNECTIONS_MAX, Kind, Visit};
-use crate::access::{Admission, TOKEN_CHARS_MAX};
+use super::places::{Full, Pool};
+use super::{Kind, Visit};
+use crate::access::{Admission, TOKEN_CHARS_MAX, WRONG_PAUSE};
 use crate::codec::{Codec, Received};
 use crate::dio::Connection;
 use crate::error::Error;
 use crate::http::{self, DebugStream};
-use crate::site::Counters;
+use crate::site::{Counters, Limits};
 use crate::wire::Message;
 use crate::wire::lines::LineReader;
 use crate::wire::websocket::FrameReader;
@@ -27,10 +27,13 @@ use crate::wire::websocket::FrameReader;
 /// Bytes read at once.
 const READ_BYTES: usize = 64 << 10;
 
-/// How long a client may take to send its request.
+/// The same while it is not known who the client is.
+const WAITING_READ_BYTES: usize = 4 << 10;
+
+/// How long a client may take to send its request, and again to shake hands.
 const REQUEST_WITHIN: Duration = Duration::from_secs(10);
 
-/// Most bytes of a line before the token was given.
+/// Most bytes of a line before the handshake.
 const TOKEN_LINE_BYTES_MAX: usize = 2 * TOKEN_CHARS_MAX;
 
 /// How often a debug stream sends.
@@ -42,6 +45,14 @@ const CLOSE_WITHIN: Duration = Duration::from_secs(1);
 /// How long a client may take to read what is sent before it counts as lost.
 const WRITE_WITHIN: Duration = Duration::from_secs(10);
 
+/// How long a client that waits for nothing and has no session may be silent.
+const IDLE_WITHIN: Duration = Duration::from_secs(600);
+
+/// Bytes of any kind of stream.
+pub(super) trait Bytes: AsyncRead + AsyncWrite + Unpin + Send {}
+
+impl<T: AsyncRead + AsyncWrite + Unpin + Send> Bytes for T {}
+
 /// A connection that did not end by itself.
 pub(super) struct Failure {
     /// Why.
@@ -52,15 +63,24 @@ pub(super) struct Failure {
 
 /// Serves one client to its end; returns the sessions that it opened and did not end.
 pub(super) async fn serve(
-    stream: TcpStream,
+    stream: Box<dyn Bytes>,
     kind: Kind,
     visit: &Visit,
 ) -> Result<Vec<SessionId>, Failure> {
     let mut link = Link::new(stream, kind, visit);
-    let ended = match kind {
-        Kind::Tcp => link.serve_lines(visit).await,
-        Kind::Http => link.serve_http(visit).await,
+    let work = async {
+        match kind {
+            Kind::Lines => link.serve_lines(visit).await,
+            Kind::Http => link.serve_http(visit).await,
+        }
     };
+    let ended = tokio::select! {
+        ended = work => ended,
+        () = visit.place.displaced() => Err(Error::Displaced),
+    };
+    if let Err(error @ (Error::Displaced | Error::Full { .. })) = &ended {
+        link.say_farewell(kind, error).await;
+    }
     let opened = link.opened;
     match ended {
         Ok(()) => Ok(opened),
@@ -68,24 +88,9 @@ pub(super) async fn serve(
     }
 }
 
-/// Tells a client that there is no room for it, without waiting for it to listen.
-pub(super) fn refuse(stream: TcpStream, kind: Kind) {
-    let text = match kind {
-        Kind::Http => http::too_many_connections(CONNECTIONS_MAX).to_string(),
-        Kind::Tcp => {
-            let why = format!("too many connections: at most {CONNECTIONS_MAX}; close one first");
-            format!("{}\n", Message::new("none", "err").with(why))
-        }
-    };
-    tracing::warn!("refusing a connection: there are {CONNECTIONS_MAX} already");
-    // Whether it arrives is not our concern any more.
-    let _ = stream.try_write(text.as_bytes());
-}
-
 struct Link {
-    stream: TcpStream,
+    stream: Box<dyn Bytes>,
     peer: String,
-    address: IpAddr,
     counters: Arc<Counters>,
     codec: Codec,
     /// Away only while a blocking thread has it; lost if that thread panics.
@@ -93,48 +98,75 @@ struct Link {
     /// Sessions that it opened and did not end, as of the last work that it finished.
     opened: Vec<SessionId>,
     begin: Instant,
+    /// When the client last sent something.
+    received_at: Instant,
 }
 
 impl Link {
-    fn new(stream: TcpStream, kind: Kind, visit: &Visit) -> Self {
-        let peer = stream
-            .peer_addr()
-            .map_or_else(|e| e.to_string(), |a| a.to_string());
+    fn new(stream: Box<dyn Bytes>, kind: Kind, visit: &Visit) -> Self {
         let codec = match kind {
-            Kind::Tcp if visit.site.gate.is_open() => Codec::Plain(LineReader::default()),
-            Kind::Tcp => Codec::Plain(LineReader::bounded(TOKEN_LINE_BYTES_MAX)),
-            Kind::Http => Codec::WebSocket(FrameReader::default()),
+            Kind::Lines => Codec::Plain(LineReader::bounded(TOKEN_LINE_BYTES_MAX)),
+            Kind::Http => Codec::WebSocket(FrameReader::bounded(TOKEN_LINE_BYTES_MAX)),
         };
-        let address = stream.peer_addr().map(|a| a.ip());
-        let address = address.unwrap_or(IpAddr::V4(Ipv4Addr::UNSPECIFIED));
         let site = &visit.site;
-        let connection = Connection::new(site.controller.clone()).with_on_loss(site.on_loss);
+        let now = Instant::now();
+        let begin = now.duration_since(site.begin);
+        let connection = Connection::new(site.controller.clone())
+            .with_on_loss(site.on_loss.unwrap_or_default())
+            .with_sessions(&site.sessions, begin);
         let connection = match kind {
-            Kind::Tcp => connection.behind(&site.gate, address, visit.begin.elapsed()),
+            Kind::Lines => connection.behind(&site.gate, visit.peer, begin).strict(),
             // Its request carries the token.
             Kind::Http => connection,
         };
         Self {
             stream,
-            peer,
-            address,
+            peer: visit.name.clone(),
             counters: Arc::clone(&site.counters),
             codec,
             connection: Some(connection),
             opened: Vec::new(),
-            begin: Instant::now(),
+            begin: now,
+            received_at: now,
         }
+    }
+
+    /// Says why the connection ends, if the client listens.
+    async fn say_farewell(&mut self, kind: Kind, error: &Error) {
+        let text = match (kind, &self.codec, error) {
+            (Kind::Http, _, Error::Full { bound }) => {
+                http::too_many_connections(*bound).to_string().into_bytes()
+            }
+            _ => self.encode(&[Message::new("none", "err")
+                .with(error.to_string())
+                .to_string()]),
+        };
+        let farewell = async {
+            self.stream.write_all(&text).await?;
+            self.stream.shutdown().await
+        };
+        let _ = timeout(CLOSE_WITHIN, farewell).await;
     }
 
     async fn serve_http(&mut self, visit: &Visit) -> Result<(), Error> {
         let request = timeout(REQUEST_WITHIN, self.read_request(visit)).await;
         let response = match request {
-            Ok(Ok(Some(http::Answer::Upgrade(text)))) => {
-                self.send(text.as_bytes()).await?;
+            Ok(Ok(Some(http::Answer::Upgrade(upgrade)))) => {
+                self.send(upgrade.response.as_bytes()).await?;
+                let on_loss = visit.site.on_loss.unwrap_or(if upgrade.is_versioned {
+                    OnLoss::End
+                } else {
+                    // The known client, which connects again and expects its nets to run.
+                    OnLoss::Keep
+                });
+                let connection = self.connection.take();
+                let admitted = |c: Connection| c.admitted_for(upgrade.credential);
+                self.connection = connection.map(|c| admitted(c).with_on_loss(on_loss));
                 return self.serve_lines(visit).await;
             }
             Ok(Ok(Some(http::Answer::Serve(request)))) => {
                 Counters::add(&self.counters.requests, 1);
+                admit(visit, Pool::Request(request.credential))?;
                 match DebugStream::asked_for(&visit.site.controller, &request) {
                     None => self.respond(request, visit).await?,
                     Some(Err(refusal)) => refusal,
@@ -145,7 +177,7 @@ impl Link {
                 }
             }
             Ok(Ok(Some(http::Answer::Refuse(response)))) => response,
-            Ok(Ok(Some(http::Answer::Continue(_)) | None)) => return Ok(()),
+            Ok(Ok(Some(http::Answer::Body { .. }) | None)) => return Ok(()),
             Ok(Err(error)) => return Err(error),
             Err(_) => return Err(self.broken(io::ErrorKind::TimedOut.into())),
         };
@@ -154,11 +186,10 @@ impl Link {
     }
 
     async fn respond(
-        &self,
+        &mut self,
         request: http::Request,
         visit: &Visit,
     ) -> Result<http::Response, Error> {
-        let broken = |e: JoinError| self.broken(io::Error::other(e));
         let _place = match request.path.first().map(String::as_str) {
             // The semaphore is never closed.
             Some("eval") => visit.evaluations.acquire().await.ok(),
@@ -166,7 +197,8 @@ impl Link {
         };
         let site = visit.site.clone();
         let work = move || http::respond(&site, &request);
-        tokio::task::spawn_blocking(work).await.map_err(broken)
+        let worked = tokio::task::spawn_blocking(work).await;
+        worked.map_err(|e: JoinError| self.broken(io::Error::other(e)))
     }
 
     /// Sends what the debug taps of a net record, until the net ends or the client is gone.
@@ -192,7 +224,7 @@ impl Link {
             tokio::select! {
                 () = closed(&mut closing) => return Ok(()),
                 // A client that closes, or sends what nobody asked for, has seen enough.
-                _ = read(&mut self.stream, &mut received) => return Ok(()),
+                _ = read(&mut self.stream, &mut received, WAITING_READ_BYTES) => return Ok(()),
                 () = tokio::time::sleep(STREAM_EVERY) => {}
             }
         }
@@ -200,23 +232,38 @@ impl Link {
 
     /// Reads a request; what follows its head belongs to the frames if it asks for WebSocket.
     async fn read_request(&mut self, visit: &Visit) -> Result<Option<http::Answer>, Error> {
-        let (gate, counters) = (Arc::clone(&visit.site.gate), Arc::clone(&self.counters));
-        let address = self.address;
-        let admit = |given: Option<&str>| {
-            let admission = gate.check(address, given, visit.begin.elapsed());
-            let denied = given.is_some() && admission != Admission::Admitted;
-            Counters::add(&counters.denied, denied.into());
+        let site = &visit.site;
+        let slowed = AtomicBool::new(false);
+        let admission = |given: Option<&str>| {
+            let admission = site.gate.check(visit.peer, given, site.now());
+            let admitted = matches!(admission, Admission::Admitted(_));
+            Counters::add(&site.counters.denied, (given.is_some() && !admitted).into());
+            slowed.store(admission == Admission::TooMany, Ordering::Relaxed);
             admission
         };
         let (mut received, mut continued) = (Vec::new(), false);
-        while self.read(&mut received).await? {
-            match http::answer(&received, continued, &admit) {
-                Some((_, http::Answer::Continue(text))) => {
+        while self.read(&mut received, visit).await? {
+            let guard = http::Guard {
+                token: &admission,
+                origins: &site.origins,
+                reached: visit.reached,
+            };
+            match http::answer(&received, continued, guard) {
+                Some((_, http::Answer::Body { credential, ask })) => {
                     continued = true;
-                    self.send(text.as_bytes()).await?;
+                    admit(visit, Pool::Request(credential))?;
+                    self.send(ask.as_bytes()).await?;
                 }
                 Some((length, answer)) => {
                     self.codec.push(received.get(length..).unwrap_or_default());
+                    if let http::Answer::Refuse(response) = &answer
+                        && response.is_denial()
+                    {
+                        self.log_denial(visit, response.status());
+                    }
+                    if slowed.load(Ordering::Relaxed) {
+                        tokio::time::sleep(WRONG_PAUSE).await;
+                    }
                     return Ok(Some(answer));
                 }
                 None => {}
@@ -225,13 +272,19 @@ impl Link {
         Ok(None)
     }
 
+    fn log_denial(&self, visit: &Visit, why: &str) {
+        let line = format!("a client at {} is refused: {why}", self.peer);
+        visit.site.warn(|limits: &Limits| &limits.denials, &line);
+    }
+
     /// Closes this side and lets the client close its own: what it still sends, such as the rest
     /// of a body that is too long, would otherwise make its system throw the response away.
     async fn finish(&mut self) -> Result<(), Error> {
         self.stream.shutdown().await.map_err(|e| self.broken(e))?;
         let rest = async {
             let mut bytes = Vec::new();
-            while self.read(&mut bytes).await.is_ok_and(|more| more) {
+            let more = |read: io::Result<bool>| read.is_ok_and(|more| more);
+            while more(read(&mut self.stream, &mut bytes, READ_BYTES).await) {
                 bytes.clear();
             }
         };
@@ -241,60 +294,67 @@ impl Link {
     }
 
     async fn serve_lines(&mut self, visit: &Visit) -> Result<(), Error> {
-        // Delayed small packets would delay replies by tens of milliseconds.
-        self.stream.set_nodelay(true).map_err(|e| self.broken(e))?;
         let changed = Arc::new(Notify::new());
         let wake = Arc::clone(&changed);
         let _watch = visit.site.controller.on_change(move || wake.notify_one());
         let mut closing = visit.closing.clone();
-        let mut received = Vec::with_capacity(READ_BYTES);
-        let admitted_by = Instant::now() + REQUEST_WITHIN;
+        let mut received = Vec::new();
+        let greeted_by = Instant::now() + REQUEST_WITHIN;
         loop {
-            if !self.handle_received().await? {
+            if !self.handle_received(visit).await? {
                 return Ok(());
             }
             let next = self.connection.as_ref().and_then(Connection::poll_timeout);
             let next = next.map(|at| self.begin + at);
+            let waits = visit.place.waits();
+            let at_once = if waits {
+                WAITING_READ_BYTES
+            } else {
+                READ_BYTES
+            };
+            let is_idle = self.connection.as_ref().is_some_and(Connection::is_idle);
             tokio::select! {
                 biased;
                 () = closed(&mut closing) => return Ok(()),
                 // Before what comes: a client that is never silent is ended too.
-                () = tokio::time::sleep_until(admitted_by), if !self.is_admitted() => {
+                () = tokio::time::sleep_until(greeted_by), if waits => {
                     return Err(self.broken(io::ErrorKind::TimedOut.into()));
                 }
-                alive = read(&mut self.stream, &mut received) => {
+                alive = read(&mut self.stream, &mut received, at_once) => {
                     if !alive.map_err(|e| self.broken(e))? {
                         return Ok(());
                     }
+                    self.received_at = Instant::now();
+                    visit.place.touch(visit.site.now());
                     self.codec.push(&received);
                     received.clear();
                 }
                 () = changed.notified() => self.push(true).await?,
                 () = sleep_until(next) => self.push(false).await?,
+                () = tokio::time::sleep_until(self.received_at + IDLE_WITHIN), if is_idle => {
+                    let text = format!("closed: nothing came for {} s", IDLE_WITHIN.as_secs());
+                    return self.send_lines(&[Message::new("none", "err").with(text).to_string()]).await;
+                }
             }
         }
     }
 
     /// Handles all lines that have come whole; returns whether the connection goes on.
-    async fn handle_received(&mut self) -> Result<bool, Error> {
+    async fn handle_received(&mut self, visit: &Visit) -> Result<bool, Error> {
         loop {
+            if visit.place.waits() && !self.codec.may_begin() {
+                Counters::add(&self.counters.denied, 1);
+                self.log_denial(visit, "what it sends is no handshake of DirectIO lines");
+                let text = "this port takes lines that begin with tag=ver(\"2.0\") or tag=tok(…); HTTP has a port of its own";
+                self.send_lines(&[Message::new("none", "err").with(text).to_string()])
+                    .await?;
+                return Ok(false);
+            }
             match self.codec.poll() {
                 Ok(None) => return Ok(true),
                 Ok(Some(Received::Line(line))) => {
-                    Counters::add(&self.counters.received, 1);
-                    let before = self.is_admitted();
-                    self.with_connection(move |c, now| {
-                        let mut out = c.handle_line(&line, now);
-                        out.extend(c.poll_pushes(now));
-                        out
-                    })
-                    .await?;
-                    if self.connection.as_ref().is_some_and(Connection::is_refused) {
-                        Counters::add(&self.counters.denied, 1);
+                    if !self.handle_line(line, visit).await? {
                         return Ok(false);
-                    }
-                    if !before && self.is_admitted() {
-                        self.codec.unbind();
                     }
                 }
                 Ok(Some(Received::Answer(bytes))) => self.send(&bytes).await?,
@@ -313,29 +373,55 @@ impl Link {
         }
     }
 
-    /// Whether the client gave the token it needs.
-    fn is_admitted(&self) -> bool {
-        self.connection.as_ref().is_none_or(Connection::is_admitted)
+    /// Handles one line; returns whether the connection goes on.
+    async fn handle_line(&mut self, line: String, visit: &Visit) -> Result<bool, Error> {
+        Counters::add(&self.counters.received, 1);
+        let lines = self
+            .with_connection(move |c, now| {
+                let mut out = c.handle_line(&line, now);
+                out.extend(c.poll_pushes(now));
+                out
+            })
+            .await?;
+        if self.connection.as_ref().is_some_and(Connection::is_slowed) {
+            tokio::time::sleep(WRONG_PAUSE).await;
+        }
+        let greeted = self.connection.as_ref().filter(|c| c.is_greeted());
+        if let Some(credential) = greeted.map(Connection::credential)
+            && visit.place.waits()
+        {
+            // Before the answer: one that was told it is in is in.
+            admit(visit, Pool::Messages(credential))?;
+            self.codec.unbind();
+        }
+        self.send_lines(&lines).await?;
+        if self.connection.as_ref().is_some_and(Connection::is_refused) {
+            Counters::add(&self.counters.denied, 1);
+            self.log_denial(visit, "its token or handshake is wrong");
+            return Ok(false);
+        }
+        Ok(true)
     }
 
     async fn push(&mut self, changed: bool) -> Result<(), Error> {
-        self.with_connection(move |c, now| {
+        let lines = self.with_connection(move |c, now| {
             if changed {
                 c.handle_change();
             }
             c.poll_pushes(now)
-        })
-        .await
+        });
+        let lines = lines.await?;
+        self.send_lines(&lines).await
     }
 
-    /// Lets the connection work in a thread that may block, and sends what it says.
+    /// Lets the connection work in a thread that may block; returns what is to be sent.
     async fn with_connection(
         &mut self,
         work: impl FnOnce(&mut Connection, Duration) -> Vec<String> + Send + 'static,
-    ) -> Result<(), Error> {
+    ) -> Result<Vec<String>, Error> {
         let now = self.begin.elapsed();
         let Some(mut connection) = self.connection.take() else {
-            return Ok(());
+            return Ok(Vec::new());
         };
         let worked = tokio::task::spawn_blocking(move || {
             let lines = work(&mut connection, now);
@@ -344,16 +430,20 @@ impl Link {
         let (connection, lines) = worked.await.map_err(|e| self.broken(io::Error::other(e)))?;
         self.opened = connection.opened_sessions().to_vec();
         self.connection = Some(connection);
-        self.send_lines(&lines).await
+        Ok(lines)
     }
 
     async fn send_lines(&mut self, lines: &[String]) -> Result<(), Error> {
         Counters::add(&self.counters.sent, lines.len() as u64);
+        self.send(&self.encode(lines)).await
+    }
+
+    fn encode(&self, lines: &[String]) -> Vec<u8> {
         let mut bytes = Vec::new();
         for line in lines {
             self.codec.write(line, &mut bytes);
         }
-        self.send(&bytes).await
+        bytes
     }
 
     async fn send(&mut self, bytes: &[u8]) -> Result<(), Error> {
@@ -362,8 +452,13 @@ impl Link {
             .map_err(|e| self.broken(e))
     }
 
-    async fn read(&mut self, into: &mut Vec<u8>) -> Result<bool, Error> {
-        read(&mut self.stream, into)
+    async fn read(&mut self, into: &mut Vec<u8>, visit: &Visit) -> Result<bool, Error> {
+        let at_once = if visit.place.waits() {
+            WAITING_READ_BYTES
+        } else {
+            READ_BYTES
+        };
+        read(&mut self.stream, into, at_once)
             .await
             .map_err(|e| self.broken(e))
     }
@@ -376,11 +471,22 @@ impl Link {
     }
 }
 
-/// Appends what comes next; returns whether anything can still come. Nothing is lost if this is
-/// dropped while it waits.
-async fn read(stream: &mut TcpStream, into: &mut Vec<u8>) -> io::Result<bool> {
-    into.reserve(READ_BYTES);
-    Ok(stream.read_buf(into).await? > 0)
+/// Gives a connection the place of a client that is admitted.
+fn admit(visit: &Visit, pool: Pool) -> Result<(), Error> {
+    match visit.place.admit(pool, visit.site.now()) {
+        Ok(displaces) => {
+            visit.count_displaced(displaces);
+            Ok(())
+        }
+        Err(Full { bound }) => Err(Error::Full { bound }),
+    }
+}
+
+/// Appends what comes next, so many bytes at most; returns whether anything can still come. Nothing is lost if
+/// this is dropped while it waits.
+async fn read(stream: &mut Box<dyn Bytes>, into: &mut Vec<u8>, at_once: usize) -> io::Result<bool> {
+    into.reserve(at_once);
+    Ok(stream.take(at_once as u64).read_buf(into).await? > 0)
 }
 
 /// Waits until the server is shut down or gone.

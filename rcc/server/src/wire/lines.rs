@@ -39,7 +39,50 @@ pub struct LineTooLong {
     pub bound: usize,
 }
 
+/// Whether bytes can be the beginning of a first line, `tag=ver(…` or `tag=tok(…`. What speaks another
+/// protocol, as a browser does or a TLS library, is known by its first bytes, before any of its lines is read.
+#[must_use]
+pub fn may_begin(bytes: &[u8]) -> bool {
+    let skip_blanks = |bytes: &[u8]| bytes.iter().take_while(|b| **b == b' ').count();
+    let after_blanks = |at: usize| bytes.get(at..).map_or(at, |rest| at + skip_blanks(rest));
+    let is_name = |b: &u8| b.is_ascii_alphanumeric() || *b == b'_';
+    let tag = after_blanks(0);
+    let tag_bytes = bytes.get(tag..).unwrap_or_default();
+    let length = tag_bytes.iter().take_while(|b| is_name(b)).count();
+    if tag_bytes.first().is_some_and(u8::is_ascii_digit) || length > FIRST_TAG_BYTES_MAX {
+        return false;
+    }
+    let equals = after_blanks(tag + length);
+    match bytes.get(equals) {
+        None => return true,
+        Some(b'=') if length > 0 => {}
+        Some(_) => return false,
+    }
+    let command = after_blanks(equals + 1);
+    let rest = bytes.get(command..).unwrap_or_default();
+    let Some((name, after)) = rest.split_at_checked(FIRST_COMMAND_BYTES) else {
+        return FIRST_COMMANDS.iter().any(|c| c.starts_with(rest));
+    };
+    let parenthesis = after.get(skip_blanks(after));
+    FIRST_COMMANDS.contains(&name) && parenthesis.is_none_or(|b| *b == b'(')
+}
+
+/// Most bytes of the tag of a first line.
+const FIRST_TAG_BYTES_MAX: usize = 64;
+
+/// Commands that a first line may have.
+const FIRST_COMMANDS: [&[u8]; 2] = [b"ver", b"tok"];
+
+/// Bytes of each of them.
+const FIRST_COMMAND_BYTES: usize = 3;
+
 impl LineReader {
+    /// The bytes of the message in progress.
+    #[must_use]
+    pub fn pending(&self) -> &[u8] {
+        self.bytes.get(self.start..).unwrap_or_default()
+    }
+
     /// Cuts a stream into messages of at most so many bytes.
     #[must_use]
     pub fn bounded(bound: usize) -> Self {
@@ -102,5 +145,41 @@ impl LineReader {
             };
         }
         None
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn first_bytes_of_other_protocols_are_known() {
+        for line in [
+            "c0=ver(\"2.0\")",
+            "t0=tok(\"0123\")\n",
+            " a_1 = ver ( \"2.0\" )",
+        ] {
+            for end in 0..=line.len() {
+                assert!(may_begin(&line.as_bytes()[..end]), "{line} {end}");
+            }
+        }
+        let long = format!("{}=ver(", "a".repeat(65));
+        let others: [&[u8]; 12] = [
+            b"GET /",
+            b"POST /nets/ HTTP/1.1\r\n",
+            b"OPTIONS *",
+            b"PRI * HTTP/2.0",
+            b"\x16\x03\x01\x02\x00\x01",
+            b"\r\n",
+            b"c0=nene(",
+            b"c0=very(",
+            b"c0=ver\"2.0\"",
+            b"=ver(",
+            b"0=ver(",
+            long.as_bytes(),
+        ];
+        for other in others {
+            assert!(!may_begin(other), "{}", String::from_utf8_lossy(other));
+        }
     }
 }

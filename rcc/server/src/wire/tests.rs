@@ -393,12 +393,12 @@ fn frames_are_bounded() {
     };
     // The length alone is enough: nothing of that size is waited for.
     let long = [0x81, 127, 0, 0, 0, 0, 0, 0x80, 0, 1];
-    assert!(matches!(error(&long), Err(FrameError::TooLong)));
+    assert!(matches!(error(&long), Err(FrameError::TooLong { .. })));
     let longest = [0x81, 127, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff];
-    assert!(matches!(error(&longest), Err(FrameError::TooLong)));
+    assert!(matches!(error(&longest), Err(FrameError::TooLong { .. })));
     let half = vec![b'x'; MESSAGE_BYTES_MAX / 2 + 1];
     let halves = client_frame(TEXT, false, None, &half).repeat(2);
-    assert!(matches!(error(&halves), Err(FrameError::TooLong)));
+    assert!(matches!(error(&halves), Err(FrameError::TooLong { .. })));
     let ping = client_frame(OpCode::Control(Control::Ping), true, None, &[0; 126]);
     assert!(matches!(error(&ping), Err(FrameError::Control)));
     let part = client_frame(OpCode::Control(Control::Ping), false, None, b"");

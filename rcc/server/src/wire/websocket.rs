@@ -29,8 +29,11 @@ pub enum Event {
 #[non_exhaustive]
 pub enum FrameError {
     /// The bound on length, of a frame or of a message made of several.
-    #[error("a message has more than {MESSAGE_BYTES_MAX} bytes")]
-    TooLong,
+    #[error("a message has more than {bound} bytes")]
+    TooLong {
+        /// The bound.
+        bound: usize,
+    },
     /// A control frame that clause 5.5 forbids.
     #[error("a control frame is fragmented or has more than {CONTROL_BYTES_MAX} bytes")]
     Control,
@@ -43,8 +46,9 @@ pub enum FrameError {
 }
 
 /// Puts a client's frames together.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct FrameReader {
+    bound: usize,
     bytes: Vec<u8>,
     /// First byte of the frame in progress.
     start: usize,
@@ -52,7 +56,29 @@ pub struct FrameReader {
     message: Vec<u8>,
 }
 
+impl Default for FrameReader {
+    fn default() -> Self {
+        Self::bounded(MESSAGE_BYTES_MAX)
+    }
+}
+
 impl FrameReader {
+    /// Takes messages of at most so many bytes.
+    #[must_use]
+    pub fn bounded(bound: usize) -> Self {
+        Self {
+            bound: bound.min(MESSAGE_BYTES_MAX),
+            bytes: Vec::new(),
+            start: 0,
+            message: Vec::new(),
+        }
+    }
+
+    /// Takes messages of at most [`MESSAGE_BYTES_MAX`] bytes from now on.
+    pub const fn unbind(&mut self) {
+        self.bound = MESSAGE_BYTES_MAX;
+    }
+
     /// Adds received bytes.
     pub fn push(&mut self, bytes: &[u8]) {
         self.bytes.drain(..self.start);
@@ -81,8 +107,9 @@ impl FrameReader {
 
     /// Any data frame continues the message in progress: the known peers number them loosely.
     fn handle_data(&mut self, last: bool, payload: &[u8]) -> Result<Option<Event>, FrameError> {
-        if self.message.len() + payload.len() > MESSAGE_BYTES_MAX {
-            return Err(FrameError::TooLong);
+        let bound = self.bound;
+        if self.message.len() + payload.len() > bound {
+            return Err(FrameError::TooLong { bound });
         }
         self.message.extend_from_slice(payload);
         if !last {
@@ -100,8 +127,9 @@ impl FrameReader {
         let Some((header, length)) = FrameHeader::parse(&mut cursor)? else {
             return Ok(None);
         };
-        let length = usize::try_from(length).map_err(|_| FrameError::TooLong)?;
-        check(&header, length)?;
+        let bound = self.bound;
+        let length = usize::try_from(length).map_err(|_| FrameError::TooLong { bound })?;
+        check(&header, length, bound)?;
         let begin = usize::try_from(cursor.position()).unwrap_or(received.len());
         let Some(payload) = received.get(begin..begin + length) else {
             return Ok(None);
@@ -112,7 +140,7 @@ impl FrameReader {
     }
 }
 
-fn check(header: &FrameHeader, length: usize) -> Result<(), FrameError> {
+fn check(header: &FrameHeader, length: usize, bound: usize) -> Result<(), FrameError> {
     if header.rsv1 || header.rsv2 || header.rsv3 {
         return Err(FrameError::Reserved);
     }
@@ -120,8 +148,8 @@ fn check(header: &FrameHeader, length: usize) -> Result<(), FrameError> {
     if control && (!header.is_final || length > CONTROL_BYTES_MAX) {
         return Err(FrameError::Control);
     }
-    if length > MESSAGE_BYTES_MAX {
-        Err(FrameError::TooLong)
+    if length > bound {
+        Err(FrameError::TooLong { bound })
     } else {
         Ok(())
     }

@@ -21,7 +21,7 @@ pub(crate) struct Running {
 impl Running {
     pub(crate) fn start(on_loss: OnLoss) -> Self {
         Self::start_with(ServerConfig {
-            on_loss,
+            on_loss: Some(on_loss),
             ..ServerConfig::default()
         })
     }

@@ -1,11 +1,14 @@
 //! `/sessions/`: sessions listed, opened, ended, and nets loaded into them.
 
+use std::time::Duration;
+
 use takt_core::{OnLoss, SessionId};
 
 use super::super::Response;
 use super::super::element::Element;
 use super::nets::summary;
 use super::{Ask, Outcome};
+use crate::sessions::OPEN_SESSIONS_MAX;
 
 impl Ask<'_> {
     pub(super) fn sessions(&self) -> Response {
@@ -22,8 +25,24 @@ impl Ask<'_> {
             let text = "onloss: a session that is opened here has no connection to lose";
             return Err(Response::bad_request(text));
         }
-        let opened = self.controller.open_session(&self.description()?);
-        let session = opened.map_err(Response::conflict)?;
+        let description = self.description()?;
+        let open = || self.controller.open_session(&description);
+        let (sessions, by) = (&self.site.sessions, self.request.credential);
+        let now = self.site.now();
+        let make_room = || sessions.end_left(self.controller, now, Duration::ZERO, 1) > 0;
+        if sessions.is_full_for(by) && !make_room() {
+            return Err(Response::conflict(format!(
+                "too many sessions: clients without token have at most {OPEN_SESSIONS_MAX} together"
+            )));
+        }
+        let session = match open() {
+            Err(takt_core::Error::TooMany { .. }) if make_room() => open(),
+            opened => opened,
+        };
+        let session = session.map_err(Response::conflict)?;
+        // No connection has it: it goes when it stays empty.
+        sessions.add(session, by);
+        sessions.leave(session, now);
         Ok(Response::redirect(
             "302 Found",
             &format!("/sessions/{session}/"),
@@ -46,7 +65,11 @@ impl Ask<'_> {
     pub(super) fn control_session(&self, name: &str) -> Outcome {
         let (id, _) = self.find_session(name)?;
         match self.field("action") {
-            Some("LOADNET" | "LOADNETPARAM") => self.load(id),
+            Some("LOADNET" | "LOADNETPARAM") => {
+                // It was used just now.
+                self.site.sessions.touch(id, self.site.now());
+                self.load(id)
+            }
             Some("TERMINATE") => {
                 self.controller
                     .end_session(id)

@@ -8,7 +8,7 @@ use super::super::element::Element;
 use super::Ask;
 use super::nets::ms;
 use crate::dio::all_devices;
-use crate::server::CONNECTIONS_MAX;
+use crate::server::PLACES_MAX;
 use crate::site::Counters;
 
 /// Upper bounds of what a histogram tells, ns; what is longer stands with the whole count.
@@ -55,7 +55,7 @@ impl Ask<'_> {
             .containing([
                 of("nets", controller.nets().len(), NETS_MAX),
                 of("sessions", controller.sessions().len(), SESSIONS_MAX),
-                of("clients", clients, CONNECTIONS_MAX),
+                of("clients", clients, PLACES_MAX),
             ])
             .containing(self.threads())
             .containing(all_devices(controller).iter().map(|device| {

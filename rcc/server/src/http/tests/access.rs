@@ -1,7 +1,7 @@
 //! Requests at a server that asks for a token.
 
 use super::super::*;
-use super::{KNOWN_CLIENT, is_upgrade};
+use super::KNOWN_CLIENT;
 
 const TOKEN: &str = "0123456789abcdef";
 
@@ -9,11 +9,16 @@ const TOKEN: &str = "0123456789abcdef";
 fn response(request: &str) -> String {
     let admit = |given: Option<&str>| match given {
         None => Admission::Missing,
-        Some(TOKEN) => Admission::Admitted,
+        Some(TOKEN) => Admission::Admitted(Credential::Token),
         Some("often") => Admission::TooMany,
         Some(_) => Admission::Wrong,
     };
-    match answer(request.as_bytes(), false, &admit) {
+    let guard = Guard {
+        token: &admit,
+        origins: &Origins::default(),
+        reached: None,
+    };
+    match answer(request.as_bytes(), false, guard) {
         Some((_, Answer::Refuse(response))) => response.to_string(),
         Some((_, Answer::Serve(_) | Answer::Upgrade(_))) => String::new(),
         other => panic!("{other:?}"),
@@ -63,7 +68,10 @@ fn without_the_token_nothing_is_told() {
     }
     let often = get("/nets/", "Authorization: Bearer often\r\n");
     assert!(often.starts_with("HTTP/1.1 429 "), "{often}");
-    assert!(often.contains("at most 5 within 60 s"), "{often}");
+    assert!(
+        often.contains("more than 5 wrong ones within 60 s"),
+        "{often}"
+    );
 }
 
 #[test]
@@ -86,9 +94,34 @@ fn pages_of_this_server_are_let_in_by_its_name_if_they_have_the_token() {
     assert!(page("http://elsewhere:8080").starts_with("HTTP/1.1 403 "));
     // Without tokens, a name could be anybody's who made it lead here.
     let open = "GET /nets/ HTTP/1.1\r\nHost: robot:8080\r\nOrigin: http://robot:8080\r\n\r\n";
-    assert!(!is_upgrade(open));
     let (_, answer) = super::answer(open.as_bytes(), false).unwrap();
     assert!(matches!(answer, Answer::Refuse(_)), "{answer:?}");
+}
+
+#[test]
+fn page_is_refused_before_its_token_is_looked_at() {
+    let looked_at = std::cell::Cell::new(0);
+    let admit = |_: Option<&str>| {
+        looked_at.set(looked_at.get() + 1);
+        Admission::Wrong
+    };
+    let guard = Guard {
+        token: &admit,
+        origins: &Origins::default(),
+        reached: None,
+    };
+    let image = "GET /?token=guess HTTP/1.1\r\nHost: robot\r\nSec-Fetch-Site: cross-site\r\n\
+        Sec-Fetch-Mode: no-cors\r\nSec-Fetch-Dest: image\r\n\r\n";
+    let form = "POST /?token=guess HTTP/1.1\r\nHost: robot\r\nOrigin: http://evil.example\r\n\
+        Content-Length: 0\r\n\r\n";
+    for request in [image, form] {
+        let (_, answer) = answer(request.as_bytes(), false, guard).unwrap();
+        let Answer::Refuse(response) = answer else {
+            panic!("{answer:?}");
+        };
+        assert!(response.status().starts_with("403 "));
+    }
+    assert_eq!(looked_at.get(), 0);
 }
 
 #[test]

@@ -1,0 +1,113 @@
+//! What clients need to be admitted, and what becomes of the nets of those that are lost. The server acts on
+//! it; nothing is listened for here.
+
+use serde::Deserialize;
+
+use super::ControllerConfig;
+
+/// Names and origins that a cell may list, each.
+const NAMES_MAX: usize = 64;
+
+/// What becomes of the nets of a session when the connection that opened it is lost.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum OnLoss {
+    /// Nothing: they run on, and the session stays for the next connection.
+    Keep,
+    /// They are cancelled; after 2 s those that still run are aborted, and the session ends.
+    #[default]
+    End,
+}
+
+impl OnLoss {
+    /// The word for it in configurations and messages.
+    #[must_use]
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Keep => "keep",
+            Self::End => "end",
+        }
+    }
+
+    /// What a word stands for.
+    #[must_use]
+    pub fn of_word(word: &str) -> Option<Self> {
+        [Self::Keep, Self::End]
+            .into_iter()
+            .find(|p| p.word() == word)
+    }
+}
+
+/// What a client of this host needs that reaches the server by the network (127.0.0.1, ::1).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Loopback {
+    /// Nothing: clients that know no token are admitted, and so is every account of this host.
+    Open,
+    /// The token.
+    Token,
+}
+
+/// Whether names and origins are such as a browser sends.
+pub(super) fn check(controller: &ControllerConfig) -> Result<(), String> {
+    let lists = [
+        ("hosts", &controller.hosts),
+        ("origins", &controller.origins),
+    ];
+    for (key, names) in lists {
+        if names.len() > NAMES_MAX {
+            let found = names.len();
+            return Err(format!(
+                "controller.{key} has {found} entries; at most {NAMES_MAX} are taken"
+            ));
+        }
+    }
+    let blank = |name: &str| name.is_empty() || name.contains(|c: char| c.is_whitespace());
+    if let Some(host) = controller
+        .hosts
+        .iter()
+        .find(|h| blank(h) || h.contains('/'))
+    {
+        return Err(format!(
+            "controller.hosts: `{host}` is no host\nhint: write a name or address as in the address line of a \
+             browser, such as \"robot\" or \"robot:8080\""
+        ));
+    }
+    let is_origin = |origin: &str| {
+        let host = origin.split_once("://").map_or("", |(_, host)| host);
+        !blank(origin) && !host.is_empty() && !host.contains('/')
+    };
+    match controller.origins.iter().find(|o| !is_origin(o)) {
+        None => Ok(()),
+        Some(origin) => Err(format!(
+            "controller.origins: `{origin}` is no origin\nhint: write scheme and host of the page, such as \
+             \"http://localhost:3000\""
+        )),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::cell::CellConfig;
+
+    #[test]
+    fn hosts_and_origins_of_other_shape_are_refused() {
+        let parse = |line: &str| CellConfig::parse(&format!("[controller]\n{line}"));
+        let good = "hosts = [\"robot\", \"robot:8080\"]\norigins = [\"http://localhost:3000\"]\n\
+            loopback = \"token\"\nsocket = \"\"\nsocket_group = \"takt\"\non_loss = \"keep\"";
+        assert!(parse(good).is_ok(), "{:?}", parse(good));
+        for (line, said) in [
+            ("hosts = [\"http://robot\"]", "`http://robot` is no host"),
+            ("hosts = [\"\"]", "`` is no host"),
+            ("origins = [\"robot\"]", "`robot` is no origin"),
+            ("origins = [\"http://a/b\"]", "`http://a/b` is no origin"),
+            ("loopback = \"maybe\"", "unknown variant `maybe`"),
+        ] {
+            let error = parse(line).unwrap_err().to_string();
+            assert!(error.contains(said), "{line}: {error}");
+        }
+        let many = format!("hosts = [{}]", "\"a\",".repeat(65));
+        let error = parse(&many).unwrap_err().to_string();
+        assert!(error.contains("at most 64 are taken"), "{error}");
+    }
+}
