@@ -8,7 +8,6 @@
     clippy::cast_possible_truncation,
     reason = "a test that cannot go on ends, and says where everything was"
 )]
-#![expect(dead_code, reason = "the bus is that of all tests")]
 
 #[path = "canopen/bus.rs"]
 mod bus;

@@ -110,6 +110,7 @@ fn moment(cycle: u64) -> Moment {
         every: 1,
         cancel: false,
         takeover: false,
+        net: 0,
     }
 }
 
