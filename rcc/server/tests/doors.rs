@@ -86,7 +86,7 @@ fn browser_post_to_line_port_executes_nothing() {
         assert_eq!(server.controller.nets(), [], "{text}");
     }
     // The first bytes are enough.
-    let answer = exchange(server.tcp, b"POST");
+    let answer = exchange(server.tcp, b"POST /");
     assert!(answer.contains("tag=ver("), "{answer}");
 }
 
