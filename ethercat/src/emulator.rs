@@ -29,7 +29,7 @@ pub use clock::Clock;
 pub use coe::CoeServer;
 pub use drive::{PdoSet, ServoConfig, ServoDrive};
 pub use image::{PdoImage, SiiImage, SiiLayout};
-pub use profile::{Profile, Profiled, UnknownProfile};
+pub use profile::{Handles, Profile, Profiled, UnknownProfile};
 pub use segment::{Corrupt, Entry, Faults, Returned, Segment};
 pub use serve::{Server, SharedSegment};
 pub use slave::{Chip, ClockUnit, Slave, SlaveConfig, SlaveFaults, Span, Times};

@@ -95,6 +95,19 @@ fn fri_recordings_stand_damage() {
     feed_files("fri_files", takt_fri::capture::fuzz_file, &files, INPUTS);
 }
 
+/// pcap and pcapng files, damaged.
+#[test]
+fn captures_stand_damage() {
+    let files: [&[u8]; 2] = [
+        include_bytes!("../../can/tests/captures/made.pcap"),
+        include_bytes!("../../can/tests/captures/made.pcapng"),
+    ];
+    for file in files {
+        assert!(takt_link::capture::Reader::new(file).is_ok());
+    }
+    feed_files("capture", takt_link::capture::fuzz, &files, INPUTS);
+}
+
 /// MCAP files of a controller, damaged.
 #[test]
 fn recordings_of_a_controller_stand_damage() {

@@ -51,6 +51,9 @@ pub struct Profiled {
     pub drive: Option<ServoDrive>,
 }
 
+/// The terminals and the drive of a slave, as far as it has them.
+pub type Handles = (Option<Io>, Option<ServoDrive>);
+
 /// A name that no profile has.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
@@ -143,10 +146,7 @@ impl Profile {
     ///
     /// # Errors
     /// As [`Self::slave`].
-    pub fn line(
-        profiles: &[Self],
-        times: u64,
-    ) -> Result<(Segment, Vec<(Option<Io>, Option<ServoDrive>)>), DictionaryError> {
+    pub fn line(profiles: &[Self], times: u64) -> Result<(Segment, Vec<Handles>), DictionaryError> {
         let (mut slaves, mut handles) = (Vec::new(), Vec::new());
         for profile in profiles {
             let Profiled { slave, io, drive } = profile.slave(times)?;

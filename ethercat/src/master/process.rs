@@ -230,7 +230,7 @@ impl ProcessData {
                 let listed = listed.map(|(_, number)| number);
                 listed
                     .filter(|number| numbers.contains(number))
-                    .or(numbers.first().copied())
+                    .or_else(|| numbers.first().copied())
             };
             for channel in &mut channels {
                 let here = wanted

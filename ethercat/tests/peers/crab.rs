@@ -46,6 +46,7 @@ pub(crate) fn start(
     let timeouts = Timeouts {
         pdu: Duration::from_millis(500),
         state_transition: Duration::from_secs(10),
+        eeprom: Duration::from_secs(2),
         ..Timeouts::default()
     };
     // It lives as long as the program.

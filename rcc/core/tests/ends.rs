@@ -415,13 +415,7 @@ const SIMULATED: [Sim; 6] = [
     sim("kuka_youbot_arm_sim", ARM, joint, 2.0, 4.0),
     sim("kuka_youbot_base_sim", VELOCITY, along_x, 0.5, 1.0),
     sim("kuka_youbot_base_sim", POSE, along_x, 1.0, 1.0),
-    sim(
-        "kuka_youbot_gripper_sim",
-        GRIPPER,
-        distance,
-        0.01,
-        f64::INFINITY,
-    ),
+    sim("kuka_youbot_gripper_sim", GRIPPER, distance, 0.01, 1.0),
 ];
 
 const fn sim(

@@ -5,6 +5,7 @@ use std::path::Path;
 use std::process::Command;
 
 use crate::cargo::{Cargo, note, say};
+use crate::fuzz;
 use crate::test::{self, Golden};
 use crate::tidy;
 
@@ -23,6 +24,7 @@ pub(crate) fn run(root: &Path) -> anyhow::Result<bool> {
     let clippy = "clippy --workspace --all-targets --all-features -- -D warnings";
     step("clippy", Cargo::new(clippy).succeeds(root)?);
     let mut tally = test::count(root, &[], Golden::Compare)?;
+    step("fuzz", fuzz::run(root, "stand", fuzz::COUNT, 0)?);
     let doc = Cargo::new("doc --workspace --all-features --no-deps");
     step(
         "doc",

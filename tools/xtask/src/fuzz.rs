@@ -1,4 +1,5 @@
-//! Runs the fuzz tests with more inputs than `cargo test` has time for, in code that is optimized but keeps its checks.
+//! Runs the fuzz tests with more inputs than `cargo test` has time for; many of them in code that is optimized but keeps
+//! its checks.
 //! What must hold of each format stands with the crates; the inputs are made by `takt_tests::fuzz`.
 
 use std::path::Path;
@@ -8,16 +9,17 @@ use crate::cargo::Cargo;
 /// Inputs for each target if nothing else is said.
 pub(crate) const COUNT: u64 = 100_000;
 
-/// Where the fuzz tests are: package and test target.
-const TESTS: [(&str, &str); 2] = [("takt-tests", "net_fuzz"), ("takt-can", "fuzz")];
+/// From so many on, optimized code saves more time than building it takes.
+const MANY: u64 = 1_000_000;
 
 /// Crates that the inputs go through. Those that others wrote are optimized in test builds too, so that nothing but
 /// these has to be built again.
-const OPTIMIZED: [&str; 7] = [
+const OPTIMIZED: [&str; 8] = [
     "takt-can",
     "takt-cia402",
     "takt-core",
     "takt-fri",
+    "takt-link",
     "takt-net",
     "takt-server",
     "takt-tests",
@@ -28,14 +30,14 @@ pub(crate) fn run(root: &Path, filter: &str, count: u64, seed: u64) -> anyhow::R
     line(filter, count, seed).succeeds(root)
 }
 
+/// Packages and features are those of the other tests, so that these are built already.
 fn line(filter: &str, count: u64, seed: u64) -> Cargo {
-    let line = Cargo::new("test --no-fail-fast");
-    let line = OPTIMIZED.iter().fold(line, |line, package| {
+    let line =
+        Cargo::new("test --no-fail-fast --all-features --workspace --test net_fuzz --test fuzz");
+    let optimized = OPTIMIZED.iter().filter(|_| count >= MANY);
+    let line = optimized.fold(line, |line, package| {
         let option = format!("profile.dev.package.{package}.opt-level=1");
         line.arg("--config").arg(&option)
-    });
-    let line = TESTS.iter().fold(line, |line, (package, target)| {
-        line.args(["-p", package, "--test", target])
     });
     line.args([filter, "--", "--nocapture"])
         .env("TAKT_FUZZ_COUNT", &count.to_string())
@@ -48,12 +50,17 @@ mod tests {
 
     #[test]
     fn fuzz_line_names_targets_count_and_seed() {
-        let line = line("eds", 7, 3).to_string();
-        let begin = "TAKT_FUZZ_COUNT=7 TAKT_FUZZ_SEED=3 cargo test --no-fail-fast --config \
-                     profile.dev.package.takt-can.opt-level=1 ";
-        assert!(line.starts_with(begin), "{line}");
-        let end = "-p takt-tests --test net_fuzz -p takt-can --test fuzz eds -- --nocapture";
-        assert!(line.ends_with(end), "{line}");
+        let begin = |count| {
+            format!(
+                "TAKT_FUZZ_COUNT={count} TAKT_FUZZ_SEED=3 cargo test --no-fail-fast --all-features --workspace \
+                 --test net_fuzz --test fuzz "
+            )
+        };
+        let few = line("eds", 7, 3).to_string();
+        assert_eq!(few, begin(7) + "eds -- --nocapture");
+        let many = line("eds", MANY, 3).to_string();
+        let optimized = begin(MANY) + "--config profile.dev.package.takt-can.opt-level=1 ";
+        assert!(many.starts_with(&optimized), "{many}");
     }
 
     #[test]

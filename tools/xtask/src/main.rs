@@ -49,10 +49,10 @@ enum Task {
         #[arg(long)]
         json: bool,
     },
-    /// Feed every format that comes from outside with seeded inputs, in optimized code
+    /// Feed every format that comes from outside with seeded inputs
     ///
-    /// The same functions and inputs as in `cargo xtask test`, but more of them. Prints how many a second each took;
-    /// what fails shows its input.
+    /// The same functions as in `cargo xtask test`, but more inputs; from a million on in optimized code. Prints how
+    /// many a second each took; what fails shows its input.
     Fuzz {
         /// Only the tests whose names contain this
         #[arg(default_value = "stand")]

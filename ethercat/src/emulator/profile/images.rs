@@ -216,7 +216,6 @@ pub(super) fn el3004() -> SiiImage {
                 sm(0x1180, 16, 0x20, ON, INPUTS),
             ],
             others: vec![foreign(43)],
-            ..SiiLayout::default()
         }),
         ..terminal("EL3004 4 analogue inputs", 0x0BBC_3052)
     }

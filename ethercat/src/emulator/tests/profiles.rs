@@ -1,12 +1,10 @@
 //! What the recordings of real devices show, device by device: registers, clocks, SII, mailboxes, states.
 
 use super::*;
-use crate::emulator::{Profile, ServoDrive};
+use crate::emulator::{Handles, Profile};
 use crate::sii::{Category, MailboxAreas, Sii, word};
 
-type Handles = Vec<(Option<Io>, Option<ServoDrive>)>;
-
-fn line(profiles: &[Profile]) -> (Bench, Handles) {
+fn line(profiles: &[Profile]) -> (Bench, Vec<Handles>) {
     let (segment, handles) = Profile::line(profiles, 1).unwrap();
     let mut bench = Bench {
         segment,
@@ -225,11 +223,18 @@ fn eeprom_that_stores_refuses_three_commands_running() {
 /// Start, length, control, enable and kind of each SyncManager.
 type Rows = &'static [(u16, u16, u8, u8, u8)];
 
+/// Protocols, CoE details, uses of FMMUs, SyncManagers, other categories.
+type Row = (Profile, u16, u8, &'static [u8], Rows, &'static [u16]);
+
 #[test]
+#[expect(
+    clippy::too_many_lines,
+    reason = "a table, and what is compared with it"
+)]
 fn eeproms_say_what_those_of_the_devices_say() {
     const MAILBOX: [(u16, u16, u8, u8, u8); 2] =
         [(0x1000, 128, 0x26, 1, 1), (0x1080, 128, 0x22, 1, 2)];
-    let table: [(Profile, u16, u8, &[u8], Rows, &[u16]); 9] = [
+    let table: [Row; 9] = [
         (Profile::Ek1100, 0, 0, &[], &[], &[]),
         (Profile::El1004, 0, 0, &[2], &[(0x1000, 1, 0, 1, 4)], &[43]),
         (

@@ -5,7 +5,7 @@ use takt_cia402::dictionary::{Address, Mapped};
 
 use super::*;
 use crate::config::{PdoSpec, SyncSpec};
-use crate::emulator::{Profile, ServoDrive};
+use crate::emulator::{Handles, Profile};
 
 /// The state of a segment is to be reached in this time.
 const SOON: Duration = Duration::from_secs(3);
@@ -35,9 +35,7 @@ fn spec(position: u16, profile: Profile, cycle: Duration) -> SlaveSpec {
     }
 }
 
-type Handles = Vec<(Option<Io>, Option<ServoDrive>)>;
-
-fn rig(profiles: &[Profile], times: u64, cycle: Duration) -> (Rig, Handles) {
+fn rig(profiles: &[Profile], times: u64, cycle: Duration) -> (Rig, Vec<Handles>) {
     let (segment, handles) = Profile::line(profiles, times).unwrap();
     let specs = (0..).zip(profiles);
     let config = MasterConfig {
@@ -92,9 +90,9 @@ fn all_devices_in_a_line_exchange_with_right_counters() {
         Some(0),
         "the only first with a clock"
     );
-    for n in 0..Profile::ALL.len() {
+    for (n, (io, _)) in handles.iter().enumerate() {
         let bytes = [0x11, 0x22, 0x33, 0x44, 0x55, 0x66, 0x77, 0x88];
-        if let Some(io) = &handles[n].0 {
+        if let Some(io) = io {
             io.set_inputs(&bytes);
             for (to, from) in rig.master.outputs_mut(n).iter_mut().zip(bytes) {
                 *to = from;

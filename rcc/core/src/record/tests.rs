@@ -125,6 +125,7 @@ fn full_disk_is_reported_once_when_it_happens() {
     for cycle in 0..1_000_000 {
         tap.inputs(moment(cycle), &executor);
         tap.outputs(moment(cycle), &executor);
+        tap.finish();
         match recorder.poll_event(Instant::now()) {
             Some(RecordingEvent::Failed(what)) => {
                 event = Some(what);
@@ -142,6 +143,7 @@ fn full_disk_is_reported_once_when_it_happens() {
     for cycle in 0..2_000 {
         tap.inputs(moment(cycle), &executor);
         tap.outputs(moment(cycle), &executor);
+        tap.finish();
         assert_eq!(recorder.poll_event(Instant::now()), None);
     }
     assert_eq!(recorder.finish().unwrap_err().to_string(), event);
