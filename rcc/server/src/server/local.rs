@@ -55,6 +55,8 @@ pub fn client_paths() -> Vec<PathBuf> {
 pub(super) struct Local {
     listener: UnixListener,
     path: PathBuf,
+    /// Number of the socket's file, to know it from another controller's.
+    inode: u64,
     /// Account of this process.
     uid: u32,
     /// Whether the socket's mode lets a group in, which the kernel checks when a client connects.
@@ -80,13 +82,14 @@ impl Local {
         let fresh = PathBuf::from(fresh);
         let _ = std::fs::remove_file(&fresh);
         let listener = UnixListener::bind(&fresh).map_err(failed)?;
-        let uid = prepare(&fresh, path, gid).map_err(|error| {
+        let (uid, inode) = prepare(&fresh, path, gid).map_err(|error| {
             let _ = std::fs::remove_file(&fresh);
             failed(error)
         })?;
         Ok(Self {
             listener,
             path: path.clone(),
+            inode,
             uid,
             has_group: gid.is_some(),
         })
@@ -109,21 +112,24 @@ impl Local {
 
 impl Drop for Local {
     fn drop(&mut self) {
-        // Another controller may have its own there meanwhile only if this file was removed by hand.
-        let _ = std::fs::remove_file(&self.path);
+        // Another controller that began at the same moment may have its own there.
+        let found = std::fs::symlink_metadata(&self.path);
+        if found.is_ok_and(|found| found.ino() == self.inode) {
+            let _ = std::fs::remove_file(&self.path);
+        }
     }
 }
 
-/// Gives the socket its mode, owner and name; returns the account that it belongs to.
-fn prepare(fresh: &Path, path: &Path, gid: Option<u32>) -> io::Result<u32> {
+/// Gives the socket its mode, owner and name; returns the account that it belongs to, and its file's number.
+fn prepare(fresh: &Path, path: &Path, gid: Option<u32>) -> io::Result<(u32, u64)> {
     let mode = if gid.is_some() { 0o660 } else { 0o600 };
     std::fs::set_permissions(fresh, std::fs::Permissions::from_mode(mode))?;
     if gid.is_some() {
         std::os::unix::fs::chown(fresh, None, gid)?;
     }
-    let uid = std::fs::metadata(fresh)?.uid();
+    let made = std::fs::metadata(fresh)?;
     std::fs::rename(fresh, path)?;
-    Ok(uid)
+    Ok((made.uid(), made.ino()))
 }
 
 /// Makes the directory of the socket, for this account and the group alone, if there is none.
