@@ -130,7 +130,11 @@ impl Bench {
                 .write_with(|command| command.copy_from(given));
         }
         while let Some(reply) = self.master.poll_reply() {
-            self.youbots.handle_reply(reply, &tick);
+            let mut arms = self.arms.iter_mut();
+            let other = arms.try_fold(reply, |reply, arm| arm.handle_reply(reply, &tick).err());
+            if let Some(reply) = other {
+                self.youbots.handle_reply(reply, &tick);
+            }
         }
         for arm in &mut self.arms {
             arm.cycle(&mut self.master, &tick, false);
