@@ -482,7 +482,7 @@ impl Proof {
                 let mut raw = [0; 4];
                 raw.iter_mut()
                     .zip(bytes)
-                    .take(object.len())
+                    .take(object.bytes())
                     .for_each(|(to, from)| *to = *from);
                 let after = if object.is_sent() { 0 } else { AFTER };
                 self.upload = Upload::Brought(u32::from_le_bytes(raw), after);

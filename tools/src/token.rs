@@ -148,12 +148,12 @@ mod tests {
             made_path(&environment).map(|path| path.display().to_string())
         };
         let text = |text: &str| Some(text.to_owned());
-        let home = ("HOME", "/home/a");
+        let home = ("HOME", "/of/a");
         let service = ("STATE_DIRECTORY", "/var/lib/takt");
         assert_eq!(path(&[home, service]), text("/var/lib/takt/token"));
         let state = ("XDG_STATE_HOME", "/state");
         assert_eq!(path(&[home, state]), text("/state/takt/token"));
-        assert_eq!(path(&[home]), text("/home/a/.local/state/takt/token"));
+        assert_eq!(path(&[home]), text("/of/a/.local/state/takt/token"));
         assert_eq!(path(&[]), None);
     }
 

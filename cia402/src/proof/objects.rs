@@ -119,7 +119,7 @@ impl Object {
 
     /// Its length, bytes.
     #[must_use]
-    pub const fn len(self) -> usize {
+    pub const fn bytes(self) -> usize {
         self.row().bytes as usize
     }
 
@@ -136,7 +136,7 @@ impl Object {
     /// The number of its bytes, with its sign.
     pub(super) fn number(self, raw: u32) -> i64 {
         let [a, b, ..] = raw.to_le_bytes();
-        match (self.kind(), self.len()) {
+        match (self.kind(), self.bytes()) {
             (Kind::Bits, _) => raw.into(),
             (_, 1) => a.cast_signed().into(),
             (_, 2) => i16::from_le_bytes([a, b]).into(),
@@ -146,7 +146,7 @@ impl Object {
 
     pub(super) fn show(self, raw: u32, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.kind() {
-            Kind::Bits => write!(f, "{raw:0width$X}h", width = 2 * self.len()),
+            Kind::Bits => write!(f, "{raw:0width$X}h", width = 2 * self.bytes()),
             Kind::Exact | Kind::Measured(_) => write!(f, "{}", self.number(raw)),
         }
     }
@@ -230,7 +230,7 @@ impl Values {
 
     /// Sets the value of an object: as many of its low bytes as the object has.
     pub fn set(&mut self, object: Object, raw: u32) {
-        let bits = 8 * u32::try_from(object.len()).unwrap_or(4);
+        let bits = 8 * u32::try_from(object.bytes()).unwrap_or(4);
         if let Some(value) = self.0.get_mut(usize::from(object.0)) {
             *value = raw & (u32::MAX >> (32 - bits));
         }

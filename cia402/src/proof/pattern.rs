@@ -52,7 +52,7 @@ pub(super) fn pattern(carried: Objects, mode: i8, seed: u32) -> Values {
             _ => {
                 let mut raw = [0; 4];
                 raw.iter_mut()
-                    .take(object.len())
+                    .take(object.bytes())
                     .for_each(|byte| *byte = bytes.next().unwrap_or(0));
                 u32::from_le_bytes(raw)
             }
@@ -76,7 +76,7 @@ mod tests {
     /// The bytes that go out, object by object.
     fn bytes(values: &Values) -> Vec<u8> {
         let sent = Object::all().filter(|object| object.is_sent());
-        sent.flat_map(|object| values.get(object).to_le_bytes()[..object.len()].to_vec())
+        sent.flat_map(|object| values.get(object).to_le_bytes()[..object.bytes()].to_vec())
             .collect()
     }
 

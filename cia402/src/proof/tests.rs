@@ -28,14 +28,14 @@ impl Dice {
 }
 
 fn lens(indices: &[u16]) -> Vec<usize> {
-    let len = |index: &u16| Object::of(*index).unwrap().len();
+    let len = |index: &u16| Object::of(*index).unwrap().bytes();
     indices.iter().map(len).collect()
 }
 
 fn pack(indices: &[u16], values: &Values) -> Vec<u8> {
     let bytes = |index: &u16| {
         let object = Object::of(*index).unwrap();
-        values.get(object).to_le_bytes()[..object.len()].to_vec()
+        values.get(object).to_le_bytes()[..object.bytes()].to_vec()
     };
     indices.iter().flat_map(bytes).collect()
 }
@@ -45,9 +45,9 @@ fn unpack(indices: &[u16], bytes: &[u8], values: &mut Values) {
     for index in indices {
         let object = Object::of(*index).unwrap();
         let mut raw = [0; 4];
-        raw[..object.len()].copy_from_slice(&bytes[at..at + object.len()]);
+        raw[..object.bytes()].copy_from_slice(&bytes[at..at + object.bytes()]);
         values.set(object, u32::from_le_bytes(raw));
-        at += object.len();
+        at += object.bytes();
     }
 }
 
@@ -202,7 +202,7 @@ impl Bench {
                 let object = Object::of(address.index).unwrap();
                 let value = self.model.objects.get(object).to_le_bytes();
                 let denied = self.denied.filter(|(index, _)| *index == address.index);
-                let answer = denied.map_or(Ok(&value[..object.len()]), |(_, denied)| Err(denied));
+                let answer = denied.map_or(Ok(&value[..object.bytes()]), |(_, denied)| Err(denied));
                 self.proof.handle_upload(answer, self.now);
                 self.upload = None;
             }

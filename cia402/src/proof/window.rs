@@ -47,7 +47,7 @@ impl Window {
 /// From one value to another, the short way around.
 fn difference(object: Object, to: u32, from: u32) -> i64 {
     let difference = object.number(to) - object.number(from);
-    let span = 1_i64 << (8 * object.len());
+    let span = 1_i64 << (8 * object.bytes());
     let half = span / 2;
     (difference + half).rem_euclid(span) - half
 }

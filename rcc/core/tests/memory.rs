@@ -1,10 +1,5 @@
 //! What a controller does that the host gives little memory: alone in its process, as the limit holds for all of it.
 
-#![expect(
-    clippy::unwrap_used,
-    reason = "a test and its helpers fail by panicking"
-)]
-
 use nix::sys::resource::{Resource, setrlimit};
 use takt_core::controller::{LoadRequest, NetState};
 use takt_core::{CellConfig, Controller, Error, SessionId};

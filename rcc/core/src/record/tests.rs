@@ -132,7 +132,8 @@ fn full_disk_is_reported_once_when_it_happens() {
                 break;
             }
             // The writing thread had no turn.
-            Some(RecordingEvent::CyclesLost(_)) | None => std::thread::yield_now(),
+            Some(RecordingEvent::CyclesLost(_)) => std::thread::sleep(Duration::from_millis(1)),
+            None => std::thread::yield_now(),
         }
     }
     let event = event.unwrap();
