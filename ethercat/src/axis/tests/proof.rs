@@ -173,7 +173,7 @@ fn drive_that_comes_back_with_another_mapping_is_proven_again() {
         stand.cycle(|_, _| Target::Hold);
     }
     stand.drive.axis(0, |drive| {
-        drive.process_data.outputs = Distortion::order([0, 2, 1, 3, 4])
+        drive.process_data.outputs = Distortion::order([0, 2, 1, 3, 4]);
     });
     stand.rig.segment.set_link(0, true);
     stand.until(6000, Target::Hold, |state| state.online);

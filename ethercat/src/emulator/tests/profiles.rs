@@ -227,10 +227,7 @@ type Rows = &'static [(u16, u16, u8, u8, u8)];
 type Row = (Profile, u16, u8, &'static [u8], Rows, &'static [u16]);
 
 #[test]
-#[expect(
-    clippy::too_many_lines,
-    reason = "a table, and what is compared with it"
-)]
+#[expect(clippy::too_many_lines, reason = "a table and its comparison")]
 fn eeproms_say_what_those_of_the_devices_say() {
     const MAILBOX: [(u16, u16, u8, u8, u8); 2] =
         [(0x1000, 128, 0x26, 1, 1), (0x1080, 128, 0x22, 1, 2)];

@@ -133,10 +133,10 @@ impl Driven {
         let play = if before { 0.5 } else { 1.0 };
         self.outside = out > OUT_OF_RANGE_RAD * play;
         if self.outside && !before {
-            self.news = self.news.or(Some(JointNews::OutOfRange {
+            self.news.get_or_insert_with(|| JointNews::OutOfRange {
                 position: position.to_degrees(),
                 range: [limits.position_min, limits.position_max].map(f64::to_degrees),
-            }));
+            });
         }
     }
 
