@@ -9,7 +9,7 @@ use crate::fault::ERROR_FLAG;
 use crate::{AnyFrame, ErrorFrame, FdFrame, Frame, FrameError, Id, LogError};
 
 /// Longest name the kernel gives an interface.
-const INTERFACE_LEN_MAX: usize = 15;
+pub(super) const INTERFACE_LEN_MAX: usize = 15;
 
 /// What a line says.
 pub(super) struct Line<'a> {

@@ -48,7 +48,10 @@ fn parse(line: &str) -> Option<Record> {
     let (id, head) = head.split_last()?;
     let (interface, flags) = match head {
         [] => (NAMELESS, &[][..]),
-        [interface, flags @ ..] => (*interface, flags),
+        [interface, flags @ ..] if interface.len() <= candump::INTERFACE_LEN_MAX => {
+            (*interface, flags)
+        }
+        _ => return None,
     };
     let direction = match flags {
         [] => None,
@@ -190,6 +193,7 @@ mod tests {
             "  can0  701   [9]  00",
             "  can0  801   [1]  00",
             "  can0  701   [x]  00",
+            "  sixteen-letters!  701   [1]  00",
             "  can0  XX - -  701   [1]  00",
             "(1.5)  can0  701   [1]  00",
             "(2023-11-14 10:13)  can0  701   [1]  00",

@@ -113,7 +113,8 @@ impl Reader {
             match column {
                 'O' => row.offset = millis(word),
                 'T' => row.kind = word,
-                'B' => row.bus = word,
+                // A number, as candump logs hold it.
+                'B' if word.parse::<u16>().is_ok() => row.bus = word,
                 'I' => row.id = word,
                 'd' => row.way = word,
                 'l' => row.code = word.parse().ok(),
@@ -385,6 +386,8 @@ mod tests {
             let log = Log::read(text.as_bytes());
             assert_eq!((log.records.len(), log.left_out_count), (0, 1), "{line}");
         }
+        let text = ";$FILEVERSION=1.3\n1) 1.0 no-bus-at-all Rx 0300 - 0\n";
+        assert_eq!(printed(text), ["(0000000000.001000) 1 300# R"]);
         let log = Log::read(b";$FILEVERSION=9.9\n1) 1.0\n2) 1.0\n");
         assert_eq!((log.left_out_count, log.left_out[0].why), (1, COLUMNS));
     }
