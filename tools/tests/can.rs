@@ -74,7 +74,7 @@ fn dump_writes_logs_without_loss() {
 fn dump_of_every_kind_of_recording_shows_frames() {
     let captures = format!("{}/../can/tests/captures", env!("CARGO_MANIFEST_DIR"));
     for (name, frames, line) in [
-        ("made.txt", 6, "node 1 SDO < 6041h:00 = 18 02 (fault)"),
+        ("made.txt", 6, "node 5 SDO < 6041h:00 = 18 02 (fault)"),
         (
             "made.pcap",
             5,

@@ -390,7 +390,7 @@ mod tests {
         let text = scanned(stand);
         for part in [
             "   0  o TKMIX terminal",
-            "   1  o TK4021",
+            "   1  o TK4121",
             "00007A87  00000005",
         ] {
             assert!(text.contains(part), "{part}\n{text}");
