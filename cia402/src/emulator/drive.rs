@@ -17,6 +17,7 @@ use super::objects::{Keys, objects};
 use super::power::{Motion, Options, Power, Seen};
 use super::quirks::Quirks;
 use super::servo::{Demand, Limits, Servo};
+use report::milli;
 
 /// The drive computes in steps of at most this, s.
 pub(super) const TICK: f64 = 250e-6;

@@ -7,15 +7,13 @@ mod transfers;
 use std::collections::VecDeque;
 use std::time::Duration;
 
+use babble::Babble;
 use takt_cia402::dictionary::{
     AbortCode, Access, Address, DataType, Dictionary, Entry, Mapped, Mapping, Object, PdoUse,
 };
-use takt_cia402::proof::Denied;
-
-use babble::Babble;
 
 use super::plan::{NodePlan, Supervision};
-use super::startup::{Action, Answer, Phase, Startup};
+use super::startup::{Action, Phase, Startup};
 use super::{Axis, NetworkConfig, NetworkError, Outcome, TRANSFERS_MAX, Transfer, Trouble};
 use crate::canopen::nmt::{Consumer, Guarded, Guarding};
 use crate::canopen::pdo::Parameters;

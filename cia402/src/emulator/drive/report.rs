@@ -50,7 +50,7 @@ impl Drive {
             word = 0x0020;
         }
         let following = motion == Motion::Follow;
-        let outside = self.guards.is_outside() && self.modes.mode != super::modes::HM;
+        let outside = self.guards.is_outside() && self.modes.mode != crate::emulator::modes::HM;
         let (low, high) = DC_LINK;
         let hides_follow = self.quirks.no_follow_bit && (8..=11).contains(&self.modes.mode);
         for (bit, so) in [
@@ -79,7 +79,7 @@ impl Drive {
 }
 
 /// Thousandths of a positive number.
-fn milli(value: f64) -> u32 {
+pub(super) fn milli(value: f64) -> u32 {
     #[expect(
         clippy::cast_possible_truncation,
         clippy::cast_sign_loss,

@@ -3,8 +3,9 @@
 use std::time::Duration;
 
 use takt_cia402::dictionary::AbortCode;
+use takt_cia402::proof::Denied;
 
-use super::{Member, Owner};
+use super::{Member, Owner, SETTLING};
 use crate::canopen::network::startup::{Action, Answer, Phase};
 use crate::canopen::network::{Outcome, TRANSFERS_MAX, Transfer};
 use crate::canopen::sdo;
