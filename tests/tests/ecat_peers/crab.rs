@@ -1,7 +1,7 @@
 //! What ethercrab does to the segment: scan, SDOs, clocks, OP, two drives that follow positions.
 
 #[path = "../../../ethercat/tests/peers/crab.rs"]
-mod client;
+pub(super) mod client;
 
 use std::time::Duration;
 

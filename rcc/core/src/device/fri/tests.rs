@@ -201,7 +201,7 @@ impl<C: Controller, P: Protocol> Rig<C, P> {
             if let Some((began, _)) = self.net {
                 // The cycle in which it begins is over already.
                 let cycles = (time - Nanos::from(began) - Nanos(1)).0 / NET.0;
-                if cycles.cast_unsigned() % self.every != 0 {
+                if !cycles.cast_unsigned().is_multiple_of(self.every) {
                     continue;
                 }
             }

@@ -325,7 +325,8 @@ fn sparse_set_points_within_limits_need_no_limiting() {
         }
         let mut followed = 0;
         for i in 0..positions.len() as i64 * every {
-            rig.sparse_cycle(positions[(i / every) as usize], i);
+            let at = usize::try_from(i / every).unwrap();
+            rig.sparse_cycle(positions[at], i);
             if i % step == 0 {
                 let seen = rig.sample(Nanos(PERIOD.0 * step), Nanos(0));
                 seen.check();
