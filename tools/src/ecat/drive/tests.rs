@@ -124,7 +124,7 @@ fn drive_with_a_stale_mapping_gets_no_power_and_is_reported() {
     let (segment, drive) = line(ServoConfig::default());
     drive
         .axis(0, |axis| {
-            axis.process_data.outputs = Distortion::order([0, 2, 1, 3, 4])
+            axis.process_data.outputs = Distortion::order([0, 2, 1, 3, 4]);
         })
         .unwrap();
     let (outcome, lines) = done(segment, &order(), None);
