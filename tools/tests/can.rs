@@ -80,7 +80,7 @@ fn dump_of_every_kind_of_recording_shows_frames() {
             5,
             "705  [ 0]  remote                   node 5 guard",
         ),
-        ("made.pcapng", 5, "vcan0          321  [12]"),
+        ("made.pcapng", 5, "vcan0           321  [12]"),
         ("python_can.trc", 3, "123  [ 4]  DE AD BE EF"),
     ] {
         let shown = lines(&["can", "dump", "--from", &format!("{captures}/{name}")]);

@@ -438,10 +438,14 @@ fn emergencies_withdrawn_and_several_are_all_shown() {
     let codes: Vec<_> = findings_of(frames)
         .1
         .iter()
-        .map(|finding| match finding {
-            Finding::Emergency { code, times, .. } => (*code, *times, true),
-            Finding::EmergencyEnded { code, times, .. } => (*code, *times, false),
-            other => panic!("{other}"),
+        .map(|finding| {
+            if let Finding::Emergency { code, times, .. } = finding {
+                (*code, *times, true)
+            } else if let Finding::EmergencyEnded { code, times, .. } = finding {
+                (*code, *times, false)
+            } else {
+                panic!("{finding}")
+            }
         })
         .collect();
     assert_eq!(
