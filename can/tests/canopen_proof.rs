@@ -5,7 +5,6 @@
     clippy::unwrap_used,
     clippy::panic,
     clippy::print_stdout,
-    clippy::cast_possible_truncation,
     reason = "a test that cannot go on ends, and says where everything was"
 )]
 

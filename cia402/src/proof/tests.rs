@@ -202,7 +202,8 @@ impl Bench {
                 let object = Object::of(address.index).unwrap();
                 let value = self.model.objects.get(object).to_le_bytes();
                 let denied = self.denied.filter(|(index, _)| *index == address.index);
-                let answer = denied.map_or(Ok(&value[..object.bytes()]), |(_, denied)| Err(denied));
+                let answer =
+                    denied.map_or_else(|| Ok(&value[..object.bytes()]), |(_, denied)| Err(denied));
                 self.proof.handle_upload(answer, self.now);
                 self.upload = None;
             }
@@ -341,7 +342,11 @@ fn proof_refuses_frozen_process_data_of_either_direction() {
             // Frozen at the very end the last value is right; then the drive never comes up.
             let decided = (0..400).find_map(|_| {
                 bench.cycle();
-                bench.proof.fault().map(Err).or(bench.proof.took().map(Ok))
+                bench
+                    .proof
+                    .fault()
+                    .map(Err)
+                    .or_else(|| bench.proof.took().map(Ok))
             });
             for _ in 0..100 {
                 bench.cycle();
