@@ -116,7 +116,13 @@ class Follower:
                 # From another thread, or the answer would be sent from within a callback.
                 threading.Timer(0.05, self.boot).start()
 
+    def mirror(self, **objects):
+        """What PDOs carry is what SDO reads, as in a drive."""
+        for index, value in objects.items():
+            self.node.data_store.setdefault(int(index[1:], 16), {})[0] = bytes(value)
+
     def command(self, _id, data, _time):
+        self.mirror(x6040=data[0:2], x6060=data[2:3], x607A=data[3:7])
         word = int.from_bytes(data[0:2], "little")
         self.mode = int.from_bytes(data[2:3], "little", signed=True)
         target = int.from_bytes(data[3:7], "little", signed=True)
@@ -152,6 +158,7 @@ class Follower:
             status = self.status().to_bytes(2, "little")
             mode = self.mode.to_bytes(1, "little", signed=True)
             position = self.position.to_bytes(4, "little", signed=True)
+            self.mirror(x6041=status, x6061=mode, x6064=position)
             self.network.send_message(0x180 + NUMBER, status + mode + position)
 
 
