@@ -178,7 +178,7 @@ impl Row<'_> {
 
     fn frame(&self, data: &[&str]) -> Option<AnyFrame> {
         if self.kind == "ER" || self.way == "Error" {
-            // What it was is told in a way of the maker's own.
+            // What it was has a vendor-specific encoding.
             return Some(ErrorFrame::new(class::BUS_ERROR, [0; 8]).into());
         }
         let id = id(self.id)?;

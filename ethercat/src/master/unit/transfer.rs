@@ -69,7 +69,7 @@ impl Transfer {
             JobKind::Download { .. } => {
                 self.job.slave == OWN && !matches!(self.phase, Phase::Abort(..))
             }
-            // Fragments of two lists could not be told apart.
+            // Fragments of two lists could not be distinguished.
             JobKind::List(_) | JobKind::DescribeObject(_) | JobKind::DescribeEntry(_) => {
                 self.count == 0
             }

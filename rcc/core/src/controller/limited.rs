@@ -82,7 +82,7 @@ impl Desk {
         for (_, device) in self.devices.all() {
             let limited = device.limited();
             if limited.iter().all(|limited| limited.onsets == 0) {
-                // Also one that was made anew under the name of another.
+                // Also one that was created again under the name of another.
                 self.reported.remove(&device.name);
                 continue;
             }

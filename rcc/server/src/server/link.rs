@@ -390,7 +390,7 @@ impl Link {
         if let Some(credential) = greeted.map(Connection::credential)
             && visit.place.waits()
         {
-            // Before the answer: one that was told it is in is in.
+            // Before the answer: a client that reads it is admitted.
             admit(visit, Pool::Messages(credential))?;
             self.codec.unbind();
         }

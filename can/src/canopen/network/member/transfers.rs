@@ -181,7 +181,7 @@ impl Member {
     pub(super) fn drop_transfer(&mut self, code: AbortCode) {
         let owner = std::mem::replace(&mut self.owner, Owner::Nobody);
         if !self.client.is_idle() {
-            // The server began anew or is gone: nobody is told.
+            // The server restarted or is offline: no one receives a report.
             let _ = self.client.give_up(code);
             self.message = None;
         }
