@@ -12,7 +12,7 @@ use std::time::Duration;
 use ethercrab::std::tx_rx_task;
 use ethercrab::{MainDevice, MainDeviceConfig, PduStorage, Timeouts};
 
-static STORAGE: PduStorage<16, { PduStorage::element_size(1100) }> = PduStorage::new();
+type Storage = PduStorage<16, { PduStorage::element_size(1100) }>;
 
 /// Wakes a thread.
 struct Unpark(Thread);
@@ -36,12 +36,14 @@ pub(crate) fn block_on<F: Future>(future: F) -> F::Output {
     }
 }
 
-/// A main device at an interface, once in a program, with time-outs for a busy host.
+/// A main device at an interface, with time-outs for a busy host. It and its frames live as long as the program, as
+/// ethercrab asks for, so that the tests of one process may each start one.
 pub(crate) fn start(
     interface: &str,
     config: MainDeviceConfig,
 ) -> io::Result<&'static MainDevice<'static>> {
-    let split = STORAGE.try_split();
+    let storage: &'static Storage = Box::leak(Box::new(Storage::new()));
+    let split = storage.try_split();
     let (tx, rx, pdus) = split.map_err(|()| io::Error::other("its storage is taken"))?;
     let timeouts = Timeouts {
         pdu: Duration::from_millis(500),
@@ -49,7 +51,6 @@ pub(crate) fn start(
         eeprom: Duration::from_secs(2),
         ..Timeouts::default()
     };
-    // It lives as long as the program.
     let main = Box::leak(Box::new(MainDevice::new(pdus, timeouts, config)));
     let task = tx_rx_task(interface, tx, rx)?;
     thread::spawn(move || block_on(task).map(|_| ()));
