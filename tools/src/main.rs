@@ -13,6 +13,7 @@ mod jitter;
 mod manual;
 mod net;
 mod output;
+mod page;
 mod run;
 mod stop;
 mod token;
@@ -59,6 +60,7 @@ enum Command {
     /// Check, load and control primitive nets.
     #[command(subcommand)]
     Net(net::Net),
+    Page(page::Page),
     Stop(stop::Stop),
     /// Write manual pages and shell completions, for packages.
     #[command(hide = true)]
@@ -85,6 +87,7 @@ fn main() -> ExitCode {
         Command::Fri(fri) => fri.run(),
         Command::Jitter(jitter) => jitter.run(),
         Command::Net(net) => net.run(),
+        Command::Page(page) => page.run(),
         Command::Stop(stop) => stop.run(),
         Command::Manual(manual) => manual.run(),
     };

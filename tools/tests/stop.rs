@@ -4,6 +4,8 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
 mod common;
+#[path = "common/flood.rs"]
+mod flood;
 
 use std::io::{Read as _, Write as _};
 use std::net::TcpStream;
@@ -15,6 +17,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use common::{Cell, Folder, Process, alone, complaint, expect_status, net, run, takt};
+use flood::Flood;
 use serde_json::Value;
 use takt_rt::thread::{ThreadConfig, spawn};
 use takt_tests::{skip, steady};
@@ -90,46 +93,6 @@ fn stop_ends_a_motion_and_release_starts_nothing() {
         assert_eq!(status, Some(0), "{lines:#?}");
         assert!(!end_of(&cell, &successor).contains("RUNNING"));
     });
-}
-
-/// Fills all places of the server and goes on knocking until it is dropped.
-struct Flood {
-    ending: Arc<AtomicBool>,
-    threads: Vec<std::thread::JoinHandle<()>>,
-    _silent: Vec<TcpStream>,
-}
-
-impl Flood {
-    fn start(addresses: &[String]) -> Self {
-        let connect = |i: usize| TcpStream::connect(&addresses[i % addresses.len()]).unwrap();
-        let silent: Vec<_> = (0..80).map(connect).collect();
-        let ending = Arc::new(AtomicBool::new(false));
-        let knock = |address: &String| {
-            let (address, ending) = (address.clone(), Arc::clone(&ending));
-            std::thread::spawn(move || {
-                while !ending.load(Ordering::Relaxed) {
-                    let stream = TcpStream::connect(&address);
-                    // The server may have closed it already.
-                    let _ = stream.and_then(|mut stream| stream.write_all(&[b'x'; 4096]));
-                }
-            })
-        };
-        let threads = addresses.iter().cycle().take(4).map(knock).collect();
-        Self {
-            ending,
-            threads,
-            _silent: silent,
-        }
-    }
-}
-
-impl Drop for Flood {
-    fn drop(&mut self) {
-        self.ending.store(true, Ordering::Relaxed);
-        for thread in self.threads.drain(..) {
-            thread.join().unwrap();
-        }
-    }
 }
 
 #[test]

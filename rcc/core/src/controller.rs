@@ -38,7 +38,7 @@ use crate::stop_channel::StopSwitch;
 use clock::FollowedClock;
 use desk::{Desk, Session};
 use net::Net;
-use share::Room;
+use share::{MemoryReturn, Room};
 
 pub use crate::executor::figures::NetCounts;
 pub use crate::executor::rules::RuleState;
@@ -567,6 +567,7 @@ const SUPERVISION: Duration = Duration::from_millis(2);
 
 /// Carries what the net threads tell to the desk, and notes changes of devices.
 fn supervise(inner: &Inner) {
+    let mut memory_return = MemoryReturn::default();
     while !inner.stop.load(Ordering::Relaxed) {
         let mut desk = inner.lock();
         desk.forget_departed();
@@ -579,7 +580,11 @@ fn supervise(inner: &Inner) {
         let now = std::time::Instant::now();
         let recording = desk.recorder.as_mut().and_then(|it| it.poll_event(now));
         let news = desk.take_news(now);
+        let returns = memory_return.is_due(now) && memory_return.check(desk.memory_taken());
         drop(desk);
+        if returns {
+            takt_rt::host::return_memory();
+        }
         match recording {
             Some(RecordingEvent::Failed(what)) => {
                 tracing::error!("{what}");

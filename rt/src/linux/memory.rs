@@ -3,7 +3,12 @@
 //! It does not keep anybody from allocating; [`alloc`](crate::alloc) shows who does.
 #![expect(unsafe_code, reason = "mmap, munmap and mallopt have no safe form")]
 
-use std::{hint::black_box, num::NonZeroUsize, ptr};
+use std::{
+    hint::black_box,
+    num::NonZeroUsize,
+    ptr,
+    sync::atomic::{AtomicBool, Ordering},
+};
 
 use nix::{
     errno::Errno,
@@ -14,6 +19,9 @@ use nix::{
 };
 
 const PAGE: usize = 4096;
+
+/// Whether all pages of this process are locked.
+static IS_LOCKED: AtomicBool = AtomicBool::new(false);
 
 /// Why memory could not be locked.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -31,7 +39,10 @@ pub(crate) enum LockError {
 pub(crate) fn lock_all() -> Result<(), LockError> {
     mlockall(MlockAllFlags::MCL_CURRENT | MlockAllFlags::MCL_FUTURE).map_err(LockError::Refused)?;
     match limit_in_force() {
-        None => Ok(()),
+        None => {
+            IS_LOCKED.store(true, Ordering::Relaxed);
+            Ok(())
+        }
         Some(limit) => {
             munlockall().map_err(LockError::Refused)?;
             Err(LockError::Limited(limit))
@@ -60,10 +71,10 @@ fn limit_in_force() -> Option<u64> {
     unmapped.err().map(|_| limit)
 }
 
-/// Touches `bytes` of heap and keeps the allocator from giving them back. False if this allocator
-/// cannot be told to.
+/// Touches `bytes` of heap and keeps the allocator from returning them to the kernel. False if this allocator
+/// has no such setting.
 pub(crate) fn prefault_heap(bytes: usize) -> bool {
-    if !keep_freed_memory() {
+    if !keep_freed_memory(bytes) {
         return false;
     }
     let mut block = vec![0_u8; bytes];
@@ -74,17 +85,84 @@ pub(crate) fn prefault_heap(bytes: usize) -> bool {
     true
 }
 
+/// Blocks of at least this size have a mapping of their own, which goes back to the kernel when they are freed.
 #[cfg(target_env = "gnu")]
-fn keep_freed_memory() -> bool {
+const MAPPED_BYTES_MIN: libc::c_int = 1 << 20;
+
+/// How much free memory at the end of a heap stays for the next allocations, bytes, beside what was touched at start.
+/// More goes back to the kernel, so that the memory of nets that are unloaded does.
+#[cfg(target_env = "gnu")]
+const KEPT_BYTES_MAX: usize = 16 << 20;
+
+/// Keeps the touched bytes, and lets the allocator return what large nets have taken beyond. Real-time threads neither
+/// allocate nor free; with locked memory the kernel populates what an allocation maps before it returns, so a return of
+/// memory causes no page fault in a cycle.
+#[cfg(target_env = "gnu")]
+fn keep_freed_memory(touched: usize) -> bool {
+    let number = |bytes: usize| libc::c_int::try_from(bytes).unwrap_or(libc::c_int::MAX);
+    let settings = [
+        // One heap: the threads of connections come and go, and each heap would keep its own share.
+        (libc::M_ARENA_MAX, 1),
+        (libc::M_TOP_PAD, number(touched)),
+        (
+            libc::M_TRIM_THRESHOLD,
+            number(touched.saturating_add(KEPT_BYTES_MAX)),
+        ),
+        (libc::M_MMAP_THRESHOLD, MAPPED_BYTES_MIN),
+    ];
     // SAFETY: no pointer is involved; the allocator takes its lock itself.
-    let no_trim = unsafe { libc::mallopt(libc::M_TRIM_THRESHOLD, -1) };
-    // SAFETY: as above.
-    let no_mmap = unsafe { libc::mallopt(libc::M_MMAP_MAX, 0) };
-    no_trim == 1 && no_mmap == 1
+    let set = |(parameter, value)| unsafe { libc::mallopt(parameter, value) } == 1;
+    settings.into_iter().all(set)
+}
+
+/// Returns free pages of the heap to the kernel, also between those in use.
+///
+/// The kernel discards no locked page, so the heap is unlocked meanwhile, its pages staying where they are; then it is
+/// locked again as far as it is present. Threads that do not allocate see none of this.
+#[cfg(target_env = "gnu")]
+pub(crate) fn return_free() {
+    let locked = IS_LOCKED.load(Ordering::Relaxed);
+    if let Some((start, length)) = heap().filter(|_| locked) {
+        // SAFETY: a range of this process; unlocking changes no content.
+        let _ = unsafe { libc::munlock(ptr::without_provenance(start), length) };
+    }
+    // SAFETY: no pointer is involved; the allocator takes its lock itself.
+    unsafe { libc::malloc_trim(KEPT_BYTES_MAX) };
+    // It may be shorter now.
+    if let Some((start, length)) = heap().filter(|_| locked) {
+        // SAFETY: as above; locking changes no content either.
+        let _ =
+            unsafe { libc::mlock2(ptr::without_provenance(start), length, libc::MLOCK_ONFAULT) };
+    }
 }
 
 #[cfg(not(target_env = "gnu"))]
-fn keep_freed_memory() -> bool {
+pub(crate) fn return_free() {}
+
+/// Start and length of the main heap in bytes.
+#[cfg(target_env = "gnu")]
+fn heap() -> Option<(usize, usize)> {
+    heap_of(&std::fs::read_to_string("/proc/self/maps").ok()?)
+}
+
+/// The kernel lists parts that are locked differently line by line.
+#[cfg(target_env = "gnu")]
+fn heap_of(maps: &str) -> Option<(usize, usize)> {
+    let range = |line: &str| {
+        let (start, rest) = line.split_once('-')?;
+        let (end, _) = rest.split_once(' ')?;
+        let number = |text| usize::from_str_radix(text, 16).ok();
+        Some((number(start)?, number(end)?))
+    };
+    let lines = maps.lines().filter(|line| line.ends_with("[heap]"));
+    let mut parts = lines.filter_map(range);
+    let (start, first_end) = parts.next()?;
+    let end = parts.last().map_or(first_end, |(_, end)| end);
+    Some((start, end.checked_sub(start)?))
+}
+
+#[cfg(not(target_env = "gnu"))]
+fn keep_freed_memory(_touched: usize) -> bool {
     false
 }
 
@@ -113,6 +191,17 @@ fn touch_stack(down_to: usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[cfg(target_env = "gnu")]
+    #[test]
+    fn heap_range_spans_parts() {
+        let maps = "00400000-00500000 r-xp 0 fe:00 1 /bin/takt\n\
+                    01000000-01200000 rw-p 0 00:00 0     [heap]\n\
+                    01200000-01300000 rw-p 0 00:00 0     [heap]\n\
+                    7f000000-7f100000 rw-p 0 00:00 0\n";
+        assert_eq!(heap_of(maps), Some((0x0100_0000, 0x0030_0000)));
+        assert_eq!(heap_of(""), None);
+    }
 
     #[test]
     fn a_small_stack_is_touched_without_overflow() {

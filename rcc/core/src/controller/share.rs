@@ -2,7 +2,7 @@
 //! and the texts of refusals. What rules may yet start counts as [`outlook`](super::outlook) says.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use takt_net::fault::{Fault, FaultKind};
 use takt_net::{Plan, Rejection};
@@ -47,6 +47,39 @@ pub(super) fn memory(plan: &Plan) -> usize {
     plan.memory() + boxes * size_of::<u64>()
 }
 
+/// Unloaded nets that took at least this are worth the time of returning memory to the host, bytes.
+const RETURN_BYTES_MIN: usize = 16 << 20;
+/// How often that is checked.
+const RETURN_EVERY: Duration = Duration::from_secs(1);
+
+/// When memory of nets that are no longer there goes back to the host.
+#[derive(Debug, Default)]
+pub(super) struct MemoryReturn {
+    /// What nets took together at most since the last return, bytes.
+    peak: usize,
+    checked: Option<Instant>,
+}
+
+impl MemoryReturn {
+    /// Whether a check is due.
+    pub(super) fn is_due(&mut self, now: Instant) -> bool {
+        let due = self
+            .checked
+            .is_none_or(|at| now.duration_since(at) >= RETURN_EVERY);
+        if due {
+            self.checked = Some(now);
+        }
+        due
+    }
+
+    /// Whether so much was unloaded that memory is to be returned, when nets take `taken` bytes now.
+    pub(super) fn check(&mut self, taken: usize) -> bool {
+        let returns = self.peak >= taken.saturating_add(RETURN_BYTES_MIN);
+        self.peak = if returns { taken } else { self.peak.max(taken) };
+        returns
+    }
+}
+
 impl Desk {
     /// Makes room for the text of one more net, for which nets that are over may have to go.
     ///
@@ -85,7 +118,7 @@ impl Desk {
         Some(kept)
     }
 
-    fn memory_taken(&self) -> usize {
+    pub(super) fn memory_taken(&self) -> usize {
         self.nets.values().map(Net::memory).sum()
     }
 
@@ -301,6 +334,19 @@ fn nanos(duration: Duration) -> u64 {
 
 #[cfg(test)]
 mod tests {
+    #[test]
+    fn memory_return_follows_large_unloads() {
+        let mut returns = super::MemoryReturn::default();
+        let mib = 1 << 20;
+        assert!(!returns.check(0));
+        assert!(!returns.check(100 * mib));
+        assert!(!returns.check(90 * mib), "too little");
+        assert!(returns.check(84 * mib));
+        assert!(!returns.check(84 * mib), "once");
+        assert!(!returns.check(70 * mib));
+        assert!(returns.check(68 * mib), "in small steps too");
+    }
+
     use std::sync::Arc;
 
     use super::*;
