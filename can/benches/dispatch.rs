@@ -1,11 +1,10 @@
-//! What a frame costs from the socket to its meaning: received one by one or 32 by one system call, decoded
-//! as CANopen and counted, against loops that only receive: by `read`, by `recv`, and by a `recvmsg` that asks
-//! the kernel for the same (stamp, losses). On `TAKT_VCAN` or `vcan0` if there is one;
-//! without, the sockets are replaced by the in-process bus, and the loop that only receives by taking frames
-//! out of it. `cargo bench -p takt-can`.
+//! Cost of a frame from the socket to its decoded message: received one by one or 32 per system call, decoded as
+//! CANopen and counted, compared with bare receive loops: `read`, `recv`, and `recvmsg` with the same control messages
+//! (time stamp, losses). Runs on `TAKT_VCAN` or `vcan0`; without an interface the in-process bus replaces the sockets.
+//! `cargo bench -p takt-can`.
 //!
-//! Ratios count; the absolute figures are those of one machine at one moment. Rounds alternate and medians
-//! are compared. One second of a fully loaded bus of 1 Mbit/s is about 8,000 frames.
+//! Compare the ratios; absolute figures depend on the machine. Rounds alternate and medians are compared. One second of
+//! a fully loaded 1 Mbit/s bus is about 8,000 frames.
 #![expect(clippy::print_stdout, reason = "a benchmark prints its result")]
 
 use std::hint::black_box;
@@ -50,7 +49,7 @@ fn traffic() -> Vec<AnyFrame> {
     frames
 }
 
-/// What is done with a frame.
+/// Processing of a frame.
 #[derive(Clone, Copy, PartialEq)]
 enum Work {
     Receive,
@@ -87,7 +86,7 @@ impl Worker {
     }
 }
 
-/// How a loop receives that does nothing with what it gets.
+/// System call of a bare receive loop.
 #[derive(Clone, Copy)]
 enum Bare {
     Read,
@@ -95,7 +94,7 @@ enum Bare {
     RecvMsg,
 }
 
-/// One system call per frame with nothing behind it.
+/// One system call per frame without processing.
 fn bare(fd: BorrowedFd<'_>, call: Bare) -> usize {
     use nix::sys::socket::{MsgFlags, recv, recvmsg};
     let mut bytes = [0_u8; 72];
@@ -132,11 +131,11 @@ fn drain(link: &mut SocketCan, worker: &mut Worker) -> usize {
     count
 }
 
-/// What is measured on a socket.
+/// A measured case.
 #[derive(Clone, Copy)]
 enum Case {
     Bare(Bare),
-    /// Frames by one call at most, and what is done with them.
+    /// Maximum frames per call, and their processing.
     Link(usize, Work),
 }
 
@@ -199,7 +198,7 @@ fn sockets(interface: &str) -> [f64; CASES.len()] {
     rounds.map(median)
 }
 
-/// A bus with all frames arrived at the second port.
+/// A bus after delivery of all frames to the second port.
 fn loaded(frames: &[AnyFrame]) -> (Bus, PortId) {
     let mut bus = Bus::new(Config {
         send_queue: FRAMES,
@@ -209,7 +208,7 @@ fn loaded(frames: &[AnyFrame]) -> (Bus, PortId) {
     let (from, to) = (bus.attach(), bus.attach());
     for frame in frames {
         bus.send(from, frame, Duration::ZERO)
-            .expect("there is room");
+            .expect("the queue has capacity");
     }
     bus.advance(Duration::from_secs(1));
     (bus, to)
@@ -243,7 +242,7 @@ fn median(mut values: Vec<f64>) -> f64 {
     values[values.len() / 2]
 }
 
-/// Share of a processor that a full bus of 1 Mbit/s takes, %.
+/// CPU load of a full 1 Mbit/s bus, %.
 fn full_load(ns: f64) -> f64 {
     ns * 8_000.0 / 1e7
 }

@@ -1,5 +1,5 @@
-//! Whatever a CAN interface can give: classic frame, CAN FD frame, or a report of an error. CAN XL is
-//! not among them; no kernel that Takt supports gives it.
+//! A frame of any kind that a CAN interface delivers: classic frame, CAN FD frame or error frame. CAN XL is not
+//! supported.
 
 use std::fmt;
 
@@ -12,7 +12,7 @@ pub enum AnyFrame {
     Classic(Frame),
     /// A CAN FD frame.
     Fd(FdFrame),
-    /// A report of the interface's controller.
+    /// An error frame from the interface's controller.
     Error(ErrorFrame),
 }
 
@@ -27,7 +27,7 @@ impl AnyFrame {
         }
     }
 
-    /// The bytes carried; of an error frame its details.
+    /// The payload; for an error frame, its details.
     #[must_use]
     pub fn data(&self) -> &[u8] {
         match self {

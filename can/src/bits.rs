@@ -1,5 +1,5 @@
-//! How many bits a frame occupies on the wire, with the stuff bits that its content brings about and
-//! the intermission behind it (ISO 11898-1:2015, clause 10). Errors and retries are not in it.
+//! Number of bits that a frame occupies on the wire, including its stuff bits and the intermission (ISO 11898-1:2015,
+//! clause 10). Error frames and retransmissions are not included.
 
 use std::time::Duration;
 
@@ -10,12 +10,12 @@ use crate::{AnyFrame, FdFrame, Frame, Id};
 pub struct Rates {
     /// Nominal bit rate in bit/s, not 0.
     pub nominal: u32,
-    /// Bit rate of the data of CAN FD frames with bit rate switch, in bit/s, not 0.
+    /// Data bit rate of CAN FD frames with bit rate switch, in bit/s, not 0.
     pub data: u32,
 }
 
 impl Rates {
-    /// A classic bus.
+    /// Rates of a bus without CAN FD.
     #[must_use]
     pub const fn classic(bitrate: u32) -> Self {
         Self {
@@ -30,13 +30,12 @@ impl Rates {
 pub struct Bits {
     /// At the nominal bit rate.
     pub nominal: u32,
-    /// At the bit rate of data; 0 without bit rate switch.
+    /// At the data bit rate; 0 without bit rate switch.
     pub data: u32,
 }
 
 impl Bits {
-    /// Bits of the frame as it is on the wire. An error frame's place is not known; the kernel's report
-    /// of it occupies none.
+    /// Bits of the frame on the wire. An error frame is a report of the kernel and counts 0 bits.
     #[must_use]
     pub fn of(frame: &AnyFrame) -> Self {
         match frame {
@@ -49,7 +48,7 @@ impl Bits {
         }
     }
 
-    /// How long they take. A bit rate of 0 counts as 1 bit/s.
+    /// Transmission time of these bits. A bit rate of 0 counts as 1 bit/s.
     #[must_use]
     pub fn time(self, rates: Rates) -> Duration {
         let part = |bits: u32, rate: u32| {
@@ -59,7 +58,7 @@ impl Bits {
     }
 }
 
-/// Fewest and most bits that a classic frame of this kind and length can have, whatever its content.
+/// Minimum and maximum bits of a classic frame of this kind and length, over all contents.
 #[must_use]
 pub fn bounds(frame: &Frame) -> (u32, u32) {
     let stuffable = header(frame.id()) + data_bits(frame.data()) + CRC_LEN;
@@ -85,14 +84,14 @@ fn data_bits(data: &[u8]) -> u32 {
 #[derive(Clone, Copy, Debug, Default)]
 struct Wire {
     bits: u32,
-    /// The bit sent last and how often in a row.
+    /// The last bit, and how often it was sent in a row.
     last: bool,
     run: u32,
     crc: u16,
 }
 
 impl Wire {
-    /// Sends one bit, after a stuff bit if five equal ones went before.
+    /// Sends one bit, preceded by a stuff bit after five equal bits.
     fn bit(&mut self, bit: bool) {
         self.stuff();
         self.run = if self.run > 0 && bit == self.last {
@@ -113,15 +112,14 @@ impl Wire {
         }
     }
 
-    /// Sends the lowest `len` bits, the highest of them first.
+    /// Sends the lowest `len` bits, most significant bit first.
     fn field(&mut self, value: u32, len: u32) {
-        for place in (0..len).rev() {
-            self.bit(value >> place & 1 != 0);
+        for n in (0..len).rev() {
+            self.bit(value >> n & 1 != 0);
         }
     }
 
-    /// Start of frame and identifier, up to the bit that tells data from remote frames, and the one
-    /// for the kind of identifier.
+    /// Start of frame and identifier, up to the RTR and IDE bits.
     fn arbitration(&mut self, id: Id, remote: bool) {
         let remote = u32::from(remote);
         self.field(0, 1);
@@ -168,7 +166,7 @@ fn fd(frame: &FdFrame) -> Bits {
     let data = frame.data();
     let mut wire = Wire::default();
     wire.arbitration(frame.id(), false);
-    // FDF is recessive, the reserved bit behind it dominant.
+    // FDF is recessive, the reserved bit after it dominant.
     wire.field(0b10, 2);
     wire.field(u32::from(frame.bit_rate_switch), 1);
     let nominal = wire.bits;
@@ -200,18 +198,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn checksum_is_that_of_the_catalogue() {
+    fn crc15_matches_catalogue_check_value() {
         let mut crc = 0;
         for byte in b"123456789" {
-            for place in (0..8).rev() {
-                crc = crc15(crc, byte >> place & 1 != 0);
+            for n in (0..8).rev() {
+                crc = crc15(crc, byte >> n & 1 != 0);
             }
         }
         assert_eq!(crc, 0x059E);
     }
 
     #[test]
-    fn eight_bytes_have_111_to_135_bits() {
+    fn frame_of_eight_bytes_has_111_to_135_bits() {
         let frame = Frame::new(Id::standard(0x181).unwrap(), &[0; 8]).unwrap();
         assert_eq!(bounds(&frame), (111, 135));
         let long = Frame::new(Id::extended(0x181).unwrap(), &[0; 8]).unwrap();
@@ -223,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn bus_of_1_mbit_per_s_carries_about_8000_frames() {
+    fn bus_1_mbit_per_s_carries_about_8000_frames() {
         let data = [0x37, 0x06, 0x10, 0x27, 0xE8, 0x03, 0x55, 0x01];
         let frame = AnyFrame::from(Frame::new(Id::standard(0x181).unwrap(), &data).unwrap());
         let time = Bits::of(&frame).time(Rates::classic(1_000_000));
@@ -231,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn data_of_fd_go_faster() {
+    fn fd_frame_data_use_data_bit_rate() {
         let id = Id::standard(0x181).unwrap();
         let frame = FdFrame::new(id, &[0x55; 64]).unwrap();
         let slow = Bits::of(&frame.into());
@@ -248,7 +246,7 @@ mod tests {
         assert!(slow.nominal > short.nominal);
     }
 
-    /// The same by another way: all bits as text first, stuff bits after.
+    /// A second implementation: all bits as text first, then the stuff bits.
     fn by_text(frame: &Frame) -> usize {
         let id = frame.id();
         let remote = u8::from(frame.is_remote());
@@ -278,7 +276,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn stuffing_agrees_with_a_second_way_and_keeps_its_bounds(
+        fn bit_stuffing_matches_reference_within_bounds(
             raw in any::<u32>(), extended in any::<bool>(), remote in any::<bool>(),
             data in prop::collection::vec(prop_oneof![Just(0), Just(0xFF), any::<u8>()], 0..=8),
         ) {

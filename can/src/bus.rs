@@ -1,16 +1,17 @@
-//! A bus within the process, for tests, demonstrations and machines without CAN: arbitration by identifier,
-//! the time that each frame takes bit by bit, acknowledgement, error counters, bus-off and recovery as
-//! ISO 11898-1 has them. Time is an argument. It models no electrical level and no CAN XL.
+//! An in-process CAN bus for tests, demonstrations and machines without CAN hardware. It models arbitration, the bit
+//! time of each frame, acknowledgement, error counters, bus-off and recovery (ISO 11898-1), but no electrical levels
+//! and no CAN XL. Time is an argument.
 //!
-//! What happens to a frame that a port sends:
+//! Life of a frame that a port sends:
 //!
-//! 1. [`Bus::send`] puts it into the port's queue, or refuses it when that is full.
-//! 2. [`Bus::advance`] lets the queues' first frames arbitrate whenever the bus is idle; the lowest
-//!    identifier wins.
-//! 3. After its time on the wire it is received by all ports that can hear, unless something destroys it: a
-//!    fault ([`Bus::inject`]), another frame of the same identifier, a port with another bit rate, or that
-//!    nobody is there to acknowledge. Then counters rise and it is sent again.
-//! 4. A port hears of changes of its own state by error frames, as from the kernel.
+//! 1. [`Bus::send`] puts it into the port's send queue, or returns an error when the queue is
+//!    full.
+//! 2. Whenever the bus is idle, [`Bus::advance`] arbitrates between the first frames of all
+//!    queues; the lowest identifier wins.
+//! 3. After its transmission time all active ports receive it, unless it is destroyed: by a fault ([`Bus::inject`]),
+//!    by another frame with the same identifier, by a port with another bit rate, or because no port acknowledges it.
+//!    Then the error counters rise and the frame is retransmitted.
+//! 4. A port receives error frames when its own state changes, as the kernel sends them.
 
 mod port;
 mod station;
@@ -26,16 +27,17 @@ use crate::fault::{class, location, violation};
 use crate::link::{LinkError, Received};
 use crate::{AnyFrame, BusState, ErrorFrame, Id};
 
-/// How a bus is.
+/// Configuration of a bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Config {
-    /// Bit rates that a port has unless told otherwise.
+    /// Default bit rates of a port.
     pub rates: Rates,
-    /// Frames that wait at a port for sending, at most; real interfaces have 10 unless told otherwise.
+    /// Length of a port's send queue, frames; the default of real interfaces is 10.
     pub send_queue: usize,
-    /// Frames that wait at a port for being read, at most.
+    /// Length of a port's receive queue, frames.
     pub receive_queue: usize,
-    /// After this time a port that is off the bus tries again; `None`: only [`Bus::restart`] does.
+    /// Delay of the automatic restart after bus-off; `None`: only [`Bus::restart`] restarts the
+    /// port.
     pub restart: Option<Duration>,
 }
 
@@ -51,39 +53,39 @@ impl Default for Config {
     }
 }
 
-/// One participant.
+/// A port of the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct PortId(usize);
 
-/// Destroys frames on the wire.
+/// A fault that destroys frames on the wire.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Fault {
-    /// Only of this sender.
+    /// Only frames of this sender.
     pub from: Option<PortId>,
-    /// Only with this identifier.
+    /// Only frames with this identifier.
     pub id: Option<Id>,
-    /// How many; each retry counts.
+    /// Number of frames to destroy; each retransmission counts.
     pub frames: u32,
 }
 
-/// What the bus did, since it was made.
+/// Traffic counters since the bus was created.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Traffic {
     /// Frames that arrived.
     pub frames: u64,
     /// Frames that were destroyed.
     pub destroyed: u64,
-    /// Time during which the bus was not idle.
+    /// Time in which the bus was busy.
     pub busy: Duration,
 }
 
-/// Bits of an error: flags of both sides, delimiter, intermission.
+/// Bits of an error frame: error flags of both sides, delimiter, intermission.
 const ERROR_BITS: Bits = Bits {
     nominal: 6 + 6 + 8 + 3,
     data: 0,
 };
 
-/// What is on the wire.
+/// The frame on the wire.
 #[derive(Clone, Copy, Debug)]
 struct Transmission {
     from: PortId,
@@ -92,12 +94,12 @@ struct Transmission {
     outcome: Outcome,
 }
 
-/// What becomes of a frame on the wire.
+/// Outcome of a transmission.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Outcome {
     Arrives,
     Destroyed,
-    /// Another port sends the same identifier with other content.
+    /// Another port sends the same identifier with different content.
     Collides,
     Unacknowledged,
 }
@@ -114,7 +116,7 @@ pub struct Bus {
 }
 
 impl Bus {
-    /// A bus without participants, at time 0.
+    /// A bus without ports, at time 0.
     #[must_use]
     pub const fn new(config: Config) -> Self {
         Self {
@@ -131,7 +133,7 @@ impl Bus {
         }
     }
 
-    /// One more participant.
+    /// Adds a port.
     pub fn attach(&mut self) -> PortId {
         self.stations.push(Station::new(&self.config));
         PortId(self.stations.len() - 1)
@@ -141,32 +143,32 @@ impl Bus {
         self.stations.get(port.0)
     }
 
-    /// Hands a frame over for sending at time `at`. Times must not go back.
+    /// Queues a frame for transmission at time `at`. Times must not decrease.
     ///
     /// # Errors
-    /// [`LinkError::QueueFull`] when there is no room, [`LinkError::Kind`] for an error frame,
-    /// [`LinkError::Gone`] when the port is of another bus.
+    /// [`LinkError::QueueFull`] when the queue is full, [`LinkError::Kind`] for an error frame,
+    /// [`LinkError::Lost`] when the port belongs to another bus.
     pub fn send(&mut self, port: PortId, frame: &AnyFrame, at: Duration) -> Result<(), LinkError> {
         self.advance(at);
-        let station = self.stations.get_mut(port.0).ok_or(LinkError::Gone)?;
+        let station = self.stations.get_mut(port.0).ok_or(LinkError::Lost)?;
         if matches!(frame, AnyFrame::Error(_)) {
             return Err(LinkError::Kind);
         }
         station.queue(*frame)
     }
 
-    /// What a port received, the oldest first.
+    /// The oldest frame that a port received and has not read.
     pub fn receive(&mut self, port: PortId) -> Option<Received> {
         self.stations.get_mut(port.0)?.inbox.pop_front()
     }
 
-    /// How far time has gone.
+    /// The current time of the bus.
     #[must_use]
     pub const fn now(&self) -> Duration {
         self.now
     }
 
-    /// When the next thing happens that nobody has to ask for: a frame is over, or a port comes back.
+    /// Time of the next event: the end of a transmission, or the restart of a port.
     #[must_use]
     pub fn next_event(&self) -> Option<Duration> {
         let frame = match self.wire {
@@ -177,7 +179,7 @@ impl Bus {
         frame.into_iter().chain(back).min()
     }
 
-    /// Lets time go on to `to`. What is sent at that very time is still part of the next arbitration.
+    /// Advances time to `to`. Frames sent at exactly that time still take part in the next arbitration.
     pub fn advance(&mut self, to: Duration) {
         while self.now < to {
             self.begin();
@@ -185,14 +187,14 @@ impl Bus {
                 Some(at) => {
                     self.now = at.max(self.now);
                     self.end();
-                    self.come_back();
+                    self.restart_stations();
                 }
                 None => self.now = to,
             }
         }
     }
 
-    /// Those who have something to send.
+    /// Ports that have a frame to send.
     fn contenders(&self) -> impl Iterator<Item = (PortId, &AnyFrame)> {
         let may = |station: &&Station| station.counters.state() != BusState::BusOff;
         let stations = self.stations.iter().enumerate();
@@ -202,7 +204,7 @@ impl Bus {
         })
     }
 
-    /// Arbitration, if the bus is idle.
+    /// Starts a transmission by arbitration if the bus is idle.
     fn begin(&mut self) {
         if self.wire.is_some() {
             return;
@@ -243,7 +245,7 @@ impl Bus {
             let others = self.stations.iter().enumerate();
             others.filter_map(|(number, other)| (number != from.0).then_some(other))
         };
-        // An error-passive port that understands nothing does not disturb those who do.
+        // An error-passive port cannot destroy a frame that it fails to decode.
         if others().any(|other| Some(other.rates) != rates && other.may_destroy()) {
             return Outcome::Destroyed;
         }
@@ -264,7 +266,7 @@ impl Bus {
         }
     }
 
-    /// The frame on the wire is over, if it is time.
+    /// Ends the transmission when its time has passed.
     fn end(&mut self) {
         let Some(sent) = self.wire.take_if(|wire| wire.ends <= self.now) else {
             return;
@@ -297,7 +299,8 @@ impl Bus {
                 );
                 let (now, restart) = (self.now, self.config.restart);
                 if let Some(station) = self.stations.get_mut(sent.from.0) {
-                    // A lone port that is error-passive does not count on: it never goes off the bus.
+                    // A single error-passive port without acknowledgement does not count further: it never goes
+                    // bus-off.
                     let counts = station.counters.state() < BusState::ErrorPassive;
                     station.fail(if counts { 8 } else { 0 }, 0, report, now, restart);
                 }
@@ -312,12 +315,12 @@ impl Bus {
             if number == sent.from.0 {
                 station.sent(self.now);
             } else if Some(station.rates) == rates {
-                station.hear(&sent.frame, self.now);
+                station.receive(&sent.frame, self.now);
             }
         }
     }
 
-    /// All who send it count 8, all who hear it 1.
+    /// Each sender counts 8, each receiver 1.
     fn destroy(&mut self, sent: &Transmission, collision: bool) {
         self.traffic.destroyed += 1;
         let senders: Vec<usize> = match collision {
@@ -345,8 +348,8 @@ impl Bus {
         }
     }
 
-    /// Ports that waited long enough are back.
-    fn come_back(&mut self) {
+    /// Restarts the ports whose restart delay has passed.
+    fn restart_stations(&mut self) {
         let now = self.now;
         for station in &mut self.stations {
             if station.restart_at.is_some_and(|at| at <= now) {
@@ -356,36 +359,37 @@ impl Bus {
     }
 }
 
-/// What can be done to a bus, and asked of it.
+/// Fault injection and state of the ports.
 impl Bus {
-    /// Lets frames be destroyed.
+    /// Injects a fault that destroys frames.
     pub fn inject(&mut self, fault: Fault) {
         self.faults.retain(|fault| fault.frames > 0);
         self.faults.push(fault);
     }
 
-    /// Gives a port bit rates of its own; if they differ from the others', nothing gets through.
+    /// Sets the bit rates of a port; if they differ from those of the other ports, every frame is
+    /// destroyed.
     pub fn set_rates(&mut self, port: PortId, rates: Rates) {
         if let Some(station) = self.stations.get_mut(port.0) {
             station.rates = rates;
         }
     }
 
-    /// A port that only listens: it neither acknowledges nor destroys.
+    /// Switches listen-only mode: the port neither acknowledges nor destroys frames.
     pub fn set_listen_only(&mut self, port: PortId, on: bool) {
         if let Some(station) = self.stations.get_mut(port.0) {
             station.listen_only = on;
         }
     }
 
-    /// Whether a port receives its own frames when they were sent.
+    /// Whether a port receives its own frames after transmission.
     pub fn set_echo(&mut self, port: PortId, on: bool) {
         if let Some(station) = self.stations.get_mut(port.0) {
             station.echo = on;
         }
     }
 
-    /// Sets the error counters of a port; it hears of the state that follows.
+    /// Sets the error counters of a port; the port receives an error frame if its state changes.
     pub fn set_counters(&mut self, port: PortId, counters: Counters) {
         let (now, restart) = (self.now, self.config.restart);
         if let Some(station) = self.stations.get_mut(port.0) {
@@ -393,7 +397,7 @@ impl Bus {
         }
     }
 
-    /// Brings a port that is off the bus back.
+    /// Restarts a port that is bus-off.
     pub fn restart(&mut self, port: PortId) {
         let now = self.now;
         if let Some(station) = self.stations.get_mut(port.0) {
@@ -413,29 +417,29 @@ impl Bus {
         self.counters(port).state()
     }
 
-    /// Frames that wait at a port for sending.
+    /// Number of frames in the send queue of a port.
     #[must_use]
     pub fn waiting(&self, port: PortId) -> usize {
         self.station(port).map_or(0, |station| station.outbox.len())
     }
 
-    /// What went over the bus.
+    /// Traffic counters.
     #[must_use]
     pub const fn traffic(&self) -> Traffic {
         self.traffic
     }
 }
 
-/// The bits that decide, as a number: the lowest wins.
+/// The arbitration field as a number: the lowest wins.
 fn arbitration(frame: &AnyFrame) -> u32 {
     let remote = match frame {
         AnyFrame::Classic(frame) => u32::from(frame.is_remote()),
         AnyFrame::Fd(_) | AnyFrame::Error(_) => 0,
     };
     match frame.id() {
-        // 11 bits, then the bit of remote frames, then a dominant bit that says there are no more.
+        // 11 bits, RTR, dominant IDE.
         Some(id) if !id.is_extended() => id.raw() << 21 | remote << 20,
-        // 11 bits, two recessive bits, 18 bits, the bit of remote frames.
+        // 11 bits, recessive SRR and IDE, 18 bits, RTR.
         Some(id) => id.raw() >> 18 << 21 | 0b11 << 19 | (id.raw() & 0x3_FFFF) << 1 | remote,
         None => u32::MAX,
     }

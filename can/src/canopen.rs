@@ -1,5 +1,5 @@
-//! CANopen (CiA 301) without I/O: messages, and the machines of both sides of them. Frames come in
-//! and go out as values; time is an argument; nothing allocates once it is built.
+//! CANopen (CiA 301) without I/O: messages, and the state machines of master and slave. Frames are
+//! values; time is an argument; nothing allocates after construction.
 
 pub mod eds;
 pub mod emcy;

@@ -1,5 +1,5 @@
-//! What can be wrong with a frame that is built and with a line that is read. Faults of a bus are
-//! not here; they are states of the bus.
+//! Errors of frame construction and of log parsing. Bus faults are not errors but states of the bus
+//! (see [`crate::fault`]).
 
 /// Why a frame cannot be built.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -17,15 +17,17 @@ pub enum FrameError {
         /// As given.
         id: u32,
     },
-    /// Only eight bytes can be told by another length code, and only by 9 to 15.
-    #[error("length code {raw} for {len} bytes; only 9 to 15, and only for 8 bytes, are possible")]
+    /// Only eight bytes have alternative length codes, 9 to 15.
+    #[error(
+        "invalid length code {raw} for {len} bytes; only 9 to 15, and only for 8 bytes, are possible"
+    )]
     RawDlc {
         /// As given.
         raw: u8,
         /// Bytes of the frame.
         len: u8,
     },
-    /// A CAN FD frame carries certain lengths only.
+    /// Not one of the lengths of a CAN FD frame.
     #[error("{len} bytes; a CAN FD frame carries 0 to 8, 12, 16, 20, 24, 32, 48 or 64")]
     FdLength {
         /// As given.
@@ -52,39 +54,39 @@ pub enum LogError {
     /// An interface's name has 1 to 15 bytes.
     #[error("no interface name of 1 to 15 characters")]
     Interface,
-    /// There is no `#`, or before it are not 1 to 3 or 8 hexadecimal digits.
+    /// There is no `#`, or the identifier before it has not 1 to 3 or 8 hexadecimal digits.
     #[error("no identifier of 3 or 8 hexadecimal digits before `#`")]
     Id,
-    /// After the `#` stand neither byte pairs nor `R` and a length.
+    /// The text after `#` is neither byte pairs nor `R` and a length.
     #[error("data is not pairs of hexadecimal digits, nor R and a length")]
     Data,
-    /// What follows the frame is neither `R` nor `T`, or something follows that.
-    #[error("after the frame only R (received) or T (transmitted) may stand")]
+    /// The frame is followed by something other than `R` or `T`, or more text follows.
+    #[error("only R (received) or T (transmitted) may follow the frame")]
     Direction,
-    /// A kind of frame that is no classic data or remote frame.
-    #[error("{what} is not read here")]
+    /// A kind of frame that the reader does not support.
+    #[error("{what} is not supported here")]
     Unsupported {
         /// Its name.
         what: &'static str,
     },
-    /// Something that should hold a frame and does not.
-    #[error("{what} that cannot be understood")]
+    /// Damaged data where a frame is expected.
+    #[error("cannot decode {what}")]
     Event {
         /// Its name.
         what: &'static str,
     },
-    /// It is none of the kinds of recordings that are read.
+    /// Unknown file format.
     #[error(
         "no recording of a CAN bus: candump log or text, ASC, BLF, TRC, pcap and pcapng are read"
     )]
     Unknown,
-    /// A pcap file of something else than CAN.
+    /// A pcap file with a link type other than CAN.
     #[error("link type {link}; those of CAN (227) and of the \"any\" device (113, 276) are read")]
     LinkType {
-        /// As the file says.
+        /// As in the file.
         link: u32,
     },
-    /// Well written, and no frame.
+    /// Well-formed, but not a valid frame.
     #[error(transparent)]
     Frame(#[from] FrameError),
 }

@@ -1,83 +1,82 @@
-//! Error frames: what the controller of an interface tells about its bus in the form that the kernel
-//! gives it (`linux/can/error.h`), and the state of the bus that follows from it. They never were on
-//! the wire. What to do about them is judged in `stat`.
+//! Error frames: reports of an interface's controller in the kernel's format (`linux/can/error.h`), and the bus state
+//! that follows from them. They never were on the wire. Module `stat` derives findings from them.
 
 use std::fmt;
 
 use socketcan::CanErrorFrame;
 use socketcan::errors::{CanError, ErrorCause};
 
-/// Classes of causes, the bits of [`ErrorFrame::class`].
+/// Error classes, the bits of [`ErrorFrame::class`].
 pub mod class {
-    /// The driver gave a frame up.
+    /// Transmit timeout of the driver.
     pub const TX_TIMEOUT: u32 = 0x001;
-    /// Another frame won the bus.
+    /// Lost arbitration.
     pub const LOST_ARBITRATION: u32 = 0x002;
-    /// State of the controller; data byte 1.
+    /// Controller state; data byte 1.
     pub const CONTROLLER: u32 = 0x004;
-    /// A violation of the protocol; data bytes 2 and 3.
+    /// Protocol violation; data bytes 2 and 3.
     pub const PROTOCOL: u32 = 0x008;
-    /// State of the transceiver; data byte 4.
+    /// Transceiver state; data byte 4.
     pub const TRANSCEIVER: u32 = 0x010;
-    /// Nobody acknowledged.
+    /// No acknowledgement.
     pub const NO_ACK: u32 = 0x020;
-    /// The controller is off the bus.
+    /// Bus-off.
     pub const BUS_OFF: u32 = 0x040;
-    /// An error on the bus.
+    /// Bus error.
     pub const BUS_ERROR: u32 = 0x080;
-    /// The controller was restarted after it was off the bus.
+    /// The controller was restarted after bus-off.
     pub const RESTARTED: u32 = 0x100;
-    /// Data bytes 6 and 7 are the error counters.
+    /// Data bytes 6 and 7 hold the error counters.
     pub const COUNTERS: u32 = 0x200;
 }
 
 /// Bits of data byte 1 with class [`class::CONTROLLER`].
 pub mod controller {
-    /// The controller lost received frames.
+    /// Receive buffer overflow.
     pub const RX_OVERFLOW: u8 = 0x01;
-    /// The controller lost frames to send.
+    /// Transmit buffer overflow.
     pub const TX_OVERFLOW: u8 = 0x02;
-    /// The counter of receive errors is above 95.
+    /// The receive error counter is above 95.
     pub const RX_WARNING: u8 = 0x04;
-    /// The counter of transmit errors is above 95.
+    /// The transmit error counter is above 95.
     pub const TX_WARNING: u8 = 0x08;
-    /// The counter of receive errors is above 127.
+    /// The receive error counter is above 127.
     pub const RX_PASSIVE: u8 = 0x10;
-    /// The counter of transmit errors is above 127.
+    /// The transmit error counter is above 127.
     pub const TX_PASSIVE: u8 = 0x20;
-    /// Back in error-active.
+    /// Error-active again.
     pub const ACTIVE: u8 = 0x40;
 }
 
 /// Bits of data byte 2 with class [`class::PROTOCOL`].
 pub mod violation {
-    /// A single bit was not what was sent.
+    /// Bit error.
     pub const BIT: u8 = 0x01;
-    /// A field of fixed form was not of it.
+    /// Form error.
     pub const FORM: u8 = 0x02;
-    /// Six equal bits in a row.
+    /// Stuff error: six equal bits in a row.
     pub const STUFF: u8 = 0x04;
     /// A dominant bit could not be sent.
     pub const BIT0: u8 = 0x08;
     /// A recessive bit could not be sent.
     pub const BIT1: u8 = 0x10;
-    /// Too many frames at once.
+    /// Overload frame.
     pub const OVERLOAD: u8 = 0x20;
-    /// An active error was announced.
+    /// Active error flag.
     pub const ACTIVE: u8 = 0x40;
-    /// It happened while sending.
+    /// The error occurred during transmission.
     pub const TRANSMITTING: u8 = 0x80;
 }
 
-/// Place of an error in the frame: data byte 3 with class [`class::PROTOCOL`].
+/// Location of an error in the frame: data byte 3 with class [`class::PROTOCOL`].
 pub mod location {
-    /// The checksum.
+    /// CRC sequence.
     pub const CRC_SEQUENCE: u8 = 0x08;
-    /// The slot in which others acknowledge.
+    /// ACK slot.
     pub const ACK_SLOT: u8 = 0x19;
 }
 
-/// How a controller takes part in its bus (ISO 11898-1, clause 12.1).
+/// Error state of a controller (ISO 11898-1, clause 12.1).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum BusState {
     /// Both error counters are below 96.
@@ -85,16 +84,16 @@ pub enum BusState {
     ErrorActive,
     /// One of them is 96 or more.
     ErrorWarning,
-    /// One of them is 128 or more: the controller may not destroy frames any more.
+    /// One of them is 128 or more: the controller sends passive error flags only.
     ErrorPassive,
-    /// That of transmit errors reached 256: the controller neither sends nor receives.
+    /// The transmit error counter reached 256: the controller neither sends nor receives.
     BusOff,
-    /// Not started, or asleep.
+    /// Stopped or sleeping.
     Stopped,
 }
 
 impl BusState {
-    /// The state that goes with these error counters.
+    /// The state that follows from these error counters.
     #[must_use]
     pub const fn of_counters(transmit: u16, receive: u16) -> Self {
         let worst = if transmit > receive {
@@ -129,32 +128,32 @@ impl fmt::Display for BusState {
     }
 }
 
-/// One report of a controller.
+/// An error frame of a controller.
 ///
-/// | data byte | what |
+/// | data byte | content |
 /// |---|---|
 /// | 0 | bit in which arbitration was lost |
-/// | 1 | state of the controller, bits of [`controller`] |
-/// | 2 | violations of the protocol, bits of [`violation`] |
-/// | 3 | their place in the frame |
-/// | 4 | state of the transceiver |
-/// | 5 | of the driver |
-/// | 6, 7 | counters of transmit and receive errors |
+/// | 1 | controller state, bits of [`controller`] |
+/// | 2 | protocol violations, bits of [`violation`] |
+/// | 3 | location in the frame |
+/// | 4 | transceiver state |
+/// | 5 | driver-specific |
+/// | 6, 7 | transmit and receive error counters |
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct ErrorFrame {
     class: u32,
-    /// Details, by class.
+    /// Details, depending on the class.
     pub data: [u8; 8],
 }
 
-/// Bit 29 of a kernel's or log's identifier: it is an error frame.
+/// Bit 29 of an identifier in the kernel's or a log's format: error frame.
 pub(crate) const ERROR_FLAG: u32 = 0x2000_0000;
 
 impl ErrorFrame {
-    /// Bits of [`class`] that fit: 29.
+    /// Bits of [`class`]: the lower 29.
     const CLASS_MASK: u32 = 0x1FFF_FFFF;
 
-    /// A report of these classes; higher bits than 28 are ignored, as they are flags of other kinds.
+    /// An error frame of these classes; bits above 28 are ignored.
     #[must_use]
     pub const fn new(class: u32, data: [u8; 8]) -> Self {
         Self {
@@ -163,21 +162,21 @@ impl ErrorFrame {
         }
     }
 
-    /// Which causes are told, bits of [`mod@class`].
+    /// Error classes, bits of [`mod@class`].
     #[must_use]
     pub const fn class(&self) -> u32 {
         self.class
     }
 
-    /// All that is told, each as a named cause; there is always one.
+    /// All reported causes by name; there is always at least one.
     #[must_use]
     pub fn causes(&self) -> CanError {
-        // Refused are only more than 29 bits and more than 8 bytes.
+        // Only more than 29 bits or more than 8 bytes are rejected.
         CanErrorFrame::new_error(self.class, &self.data)
             .map_or_else(|_| ErrorCause::Unknown(self.class).into(), CanError::from)
     }
 
-    /// Counters of transmit and receive errors, if they are told.
+    /// Transmit and receive error counters, if reported.
     #[must_use]
     pub const fn counters(&self) -> Option<(u8, u8)> {
         let [.., transmit, receive] = self.data;
@@ -188,7 +187,7 @@ impl ErrorFrame {
         }
     }
 
-    /// The state the controller is in from now on, if this report tells.
+    /// The new state of the controller, if reported.
     #[must_use]
     pub const fn state(&self) -> Option<BusState> {
         use controller::{ACTIVE, RX_PASSIVE, RX_WARNING, TX_PASSIVE, TX_WARNING};
@@ -211,7 +210,7 @@ impl ErrorFrame {
         }
     }
 
-    /// Whether nobody acknowledged a frame that was sent: told by its class, or by the place of a
+    /// Whether a sent frame was not acknowledged, according to the class or to the location of a
     /// violation.
     #[must_use]
     pub const fn is_unacknowledged(&self) -> bool {
@@ -221,7 +220,7 @@ impl ErrorFrame {
 }
 
 impl fmt::Display for ErrorFrame {
-    /// `20000044#0030000000008205`, as candump logs it.
+    /// The format of candump logs: `20000044#0030000000008205`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{:08X}#", self.class | ERROR_FLAG)?;
         self.data
@@ -235,7 +234,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn causes_have_names() {
+    fn error_frame_causes_have_names() {
         let off = ErrorFrame::new(0x044, [0, 0x30, 0, 0, 0, 0, 0x82, 0x05]);
         assert_eq!(off.to_string(), "20000044#0030000000008205");
         assert_eq!(
@@ -243,7 +242,7 @@ mod tests {
             "controller problem: rx passive, tx passive; bus off"
         );
         assert_eq!(off.state(), Some(BusState::BusOff));
-        assert_eq!(off.counters(), None, "not told by its class");
+        assert_eq!(off.counters(), None, "not reported by its class");
         let noisy = ErrorFrame::new(0x288, [0, 0, 0x84, 0x08, 0, 0, 16, 3]);
         assert!(noisy.causes().to_string().contains("bus error"));
         assert_eq!(noisy.counters(), Some((16, 3)));
@@ -251,22 +250,22 @@ mod tests {
     }
 
     #[test]
-    fn state_follows_from_each_flag() {
+    fn error_frame_flags_set_bus_state() {
         let state = |class, flags| ErrorFrame::new(class, [0, flags, 0, 0, 0, 0, 0, 0]).state();
-        let told = class::CONTROLLER;
-        assert_eq!(state(told, 0x04), Some(BusState::ErrorWarning));
-        assert_eq!(state(told, 0x08), Some(BusState::ErrorWarning));
-        assert_eq!(state(told, 0x1C), Some(BusState::ErrorPassive));
-        assert_eq!(state(told, 0x20), Some(BusState::ErrorPassive));
-        assert_eq!(state(told, 0x40), Some(BusState::ErrorActive));
-        assert_eq!(state(told, 0x03), None);
-        assert_eq!(state(class::BUS_ERROR, 0x20), None, "flags not told");
+        let class = class::CONTROLLER;
+        assert_eq!(state(class, 0x04), Some(BusState::ErrorWarning));
+        assert_eq!(state(class, 0x08), Some(BusState::ErrorWarning));
+        assert_eq!(state(class, 0x1C), Some(BusState::ErrorPassive));
+        assert_eq!(state(class, 0x20), Some(BusState::ErrorPassive));
+        assert_eq!(state(class, 0x40), Some(BusState::ErrorActive));
+        assert_eq!(state(class, 0x03), None);
+        assert_eq!(state(class::BUS_ERROR, 0x20), None, "flags not reported");
         assert_eq!(state(class::RESTARTED, 0), Some(BusState::ErrorActive));
         assert_eq!(state(class::BUS_OFF, 0), Some(BusState::BusOff));
     }
 
     #[test]
-    fn counters_make_the_state() {
+    fn bus_state_follows_error_counters() {
         for (transmit, receive, state) in [
             (0, 0, BusState::ErrorActive),
             (95, 95, BusState::ErrorActive),
@@ -282,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn every_report_is_answered() {
+    fn error_frame_every_class_has_causes() {
         for bit in 0..32 {
             for byte in 0..=u8::MAX {
                 let frame = ErrorFrame::new(1 << bit, [byte; 8]);

@@ -1,30 +1,30 @@
-//! A CAN FD frame (ISO 11898-1:2015) as a value that cannot be wrong. CANopen FD is not spoken here;
-//! these frames are moved, logged and counted.
+//! A CAN FD frame (ISO 11898-1:2015) as a value that is always valid. CANopen FD is not supported; these frames are
+//! transferred, logged and counted.
 
 use std::fmt;
 
 use crate::{FrameError, Id};
 
-/// Lengths that a CAN FD frame can have, by its length code.
+/// Lengths of CAN FD frames, indexed by length code.
 const LENGTHS: [u8; 16] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64];
 
-/// A CAN FD data frame; there are no remote ones.
+/// A CAN FD data frame; CAN FD has no remote frames.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 pub struct FdFrame {
     id: Id,
-    /// Whether the data went at the higher bit rate (BRS).
+    /// Bit rate switch (BRS): the data were sent at the data bit rate.
     pub bit_rate_switch: bool,
-    /// Whether the sender is error-passive (ESI).
+    /// Error state indicator (ESI): the sender is error-passive.
     pub sender_is_passive: bool,
     len: u8,
     data: [u8; 64],
 }
 
 impl FdFrame {
-    /// Bytes a frame can carry.
+    /// Maximum payload, bytes.
     pub const LEN_MAX: usize = 64;
 
-    /// A frame that carries `data` at the nominal bit rate, from a sender that is error-active.
+    /// A frame with payload `data`, without BRS and ESI.
     pub fn new(id: Id, data: &[u8]) -> Result<Self, FrameError> {
         let error = FrameError::FdLength { len: data.len() };
         let len = u8::try_from(data.len()).map_err(|_| error)?;
@@ -44,7 +44,7 @@ impl FdFrame {
         Ok(frame)
     }
 
-    /// The bytes that the length code of four bits stands for.
+    /// Number of bytes of a 4-bit length code.
     #[must_use]
     pub fn len_of_code(code: u8) -> Option<usize> {
         LENGTHS.get(usize::from(code)).copied().map(usize::from)
@@ -56,7 +56,7 @@ impl FdFrame {
         self.id
     }
 
-    /// The bytes carried.
+    /// The payload.
     #[must_use]
     pub fn data(&self) -> &[u8] {
         self.data.get(..usize::from(self.len)).unwrap_or_default()
@@ -68,7 +68,7 @@ impl FdFrame {
         u8::from(self.bit_rate_switch) | u8::from(self.sender_is_passive) << 1
     }
 
-    /// Takes BRS and ESI from bits 0 and 1; the others say nothing that is not known already.
+    /// Sets BRS and ESI from bits 0 and 1; other bits are ignored.
     #[must_use]
     pub const fn with_flags(mut self, flags: u8) -> Self {
         self.bit_rate_switch = flags & 1 != 0;
@@ -84,7 +84,7 @@ impl fmt::Debug for FdFrame {
 }
 
 impl fmt::Display for FdFrame {
-    /// `123##1DEADBEEF`: after the two marks the flags, then the data.
+    /// `123##1DEADBEEF`: after `##` the flags, then the data.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}##{:X}", self.id, self.flags())?;
         self.data()
@@ -98,7 +98,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_lengths_with_a_code_are_built() {
+    fn fd_frame_invalid_lengths_are_rejected() {
         let id = Id::standard(0x123).unwrap();
         for len in 0..=80 {
             let built = FdFrame::new(id, &vec![0xA5; len]);
@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn flags_are_those_of_candump() {
+    fn fd_frame_flags_match_candump() {
         let frame = FdFrame::new(Id::extended(0x123).unwrap(), &[0xDE, 0xAD]).unwrap();
         assert_eq!(frame.to_string(), "00000123##0DEAD");
         for flags in 0..16 {

@@ -1,11 +1,11 @@
-//! A classic CAN frame as a value that cannot be wrong: every identifier fits its length, every
-//! length its frame. How it comes onto a bus is not here.
+//! A classic CAN frame as a value that is always valid: identifier and length are checked at
+//! construction. It does no I/O.
 
 use std::fmt;
 
 use crate::FrameError;
 
-/// An identifier, with the knowledge of its length: 123h in 11 bits is another one than in 29.
+/// An identifier of 11 or 29 bits; 123h in 11 bits differs from 123h in 29 bits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Id {
     raw: u32,
@@ -53,7 +53,7 @@ impl Id {
 }
 
 impl fmt::Display for Id {
-    /// 3 digits or 8, which is how logs tell the two kinds apart.
+    /// 3 or 8 digits, by which logs distinguish the two kinds.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let width = if self.extended { 8 } else { 3 };
         write!(f, "{:0width$X}", self.raw)
@@ -66,17 +66,17 @@ pub struct Frame {
     id: Id,
     remote: bool,
     dlc: u8,
-    /// 9 to 15 if the length code on the wire was that, which also means 8 bytes; else 0.
+    /// The length code on the wire if it was 9 to 15 (which also means 8 bytes); else 0.
     raw_dlc: u8,
-    /// Zero from `dlc` on, and in a remote frame throughout.
+    /// Zero from `dlc` on; all zero in a remote frame.
     data: [u8; 8],
 }
 
 impl Frame {
-    /// Bytes a frame can carry.
+    /// Maximum payload, bytes.
     pub const LEN_MAX: usize = 8;
 
-    /// A frame that carries `data`.
+    /// A data frame with payload `data`.
     #[inline]
     pub fn new(id: Id, data: &[u8]) -> Result<Self, FrameError> {
         let mut frame = Self::remote(id, data.len())?;
@@ -87,7 +87,7 @@ impl Frame {
         Ok(frame)
     }
 
-    /// A frame that carries eight bytes, which always fit.
+    /// A data frame with eight bytes.
     #[must_use]
     pub const fn full(id: Id, data: [u8; 8]) -> Self {
         Self {
@@ -99,7 +99,7 @@ impl Frame {
         }
     }
 
-    /// A frame that carries nothing.
+    /// A data frame without payload.
     #[must_use]
     pub const fn empty(id: Id) -> Self {
         Self {
@@ -111,7 +111,7 @@ impl Frame {
         }
     }
 
-    /// A frame that asks for `len` bytes of the same identifier.
+    /// A remote frame that requests `len` bytes.
     #[inline]
     pub fn remote(id: Id, len: usize) -> Result<Self, FrameError> {
         match u8::try_from(len) {
@@ -132,13 +132,13 @@ impl Frame {
         self.id
     }
 
-    /// True if the frame asks for data instead of carrying it.
+    /// Whether it is a remote frame.
     #[must_use]
     pub const fn is_remote(&self) -> bool {
         self.remote
     }
 
-    /// Bytes carried, or asked for; 0 to 8.
+    /// Length of the payload, or the requested length of a remote frame; 0 to 8.
     #[must_use]
     pub const fn dlc(&self) -> u8 {
         self.dlc
@@ -163,7 +163,7 @@ impl Frame {
         }
     }
 
-    /// The bytes carried; none in a remote frame.
+    /// The payload; empty for a remote frame.
     #[must_use]
     pub fn data(&self) -> &[u8] {
         let len = if self.remote {
@@ -176,7 +176,8 @@ impl Frame {
 }
 
 impl fmt::Display for Frame {
-    /// `123#DEADBEEF`, or `123#R4` for a remote frame; `_E` behind it for a length code above 8.
+    /// `123#DEADBEEF`, or `123#R4` for a remote frame; with the suffix `_E` for a length code above
+    /// 8.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}#", self.id)?;
         match (self.remote, self.dlc) {
@@ -196,7 +197,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn identifiers_and_lengths_are_checked() {
+    fn frame_identifiers_and_lengths_are_checked() {
         let id = Id::standard(0x7FF).unwrap();
         assert_eq!(
             Id::standard(0x800),
@@ -221,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn only_eight_bytes_have_a_raw_length_code() {
+    fn frame_raw_length_code_needs_eight_bytes() {
         let id = Id::standard(1).unwrap();
         let eight = Frame::new(id, &[0; 8]).unwrap();
         for raw in 0..=u8::MAX {
@@ -236,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn kinds_with_the_same_number_differ() {
+    fn id_standard_and_extended_of_same_number_differ() {
         assert_ne!(Id::standard(0x123).unwrap(), Id::extended(0x123).unwrap());
         let id = Id::standard(0x123).unwrap();
         let (data, remote) = (
@@ -248,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn display_is_what_cansend_takes() {
+    fn frame_display_matches_cansend_syntax() {
         let (short, long) = (Id::standard(0x1).unwrap(), Id::extended(0x1).unwrap());
         assert_eq!(
             Frame::new(short, &[0xDE, 0x0D]).unwrap().to_string(),

@@ -1,5 +1,5 @@
-//! What must hold for any bytes from outside, as functions that a fuzzer can call and that panic if it does not. No
-//! input is made here.
+//! Fuzz targets: properties that must hold for arbitrary input bytes. Each function panics if its property is violated;
+//! the fuzzer generates the input.
 
 use std::time::Duration;
 
@@ -15,10 +15,10 @@ use crate::rmp::{self, Channel, Packet, PacketReader};
 use crate::stat::{Limits, Meter};
 use crate::{Frame, Id};
 
-/// Bytes from which one frame is made: identifier, what it is like, eight bytes of data.
+/// Input bytes per frame: identifier, kind, eight bytes of data.
 const FRAME: usize = 12;
 
-/// Frames of all kinds of classic CAN.
+/// Classic CAN frames of all kinds.
 fn frames(data: &[u8]) -> impl Iterator<Item = Frame> + '_ {
     data.chunks_exact(FRAME).filter_map(|bytes| {
         let (head, data) = bytes.split_first_chunk::<4>()?;
@@ -35,11 +35,11 @@ fn frames(data: &[u8]) -> impl Iterator<Item = Frame> + '_ {
     })
 }
 
-/// Messages of CANopen have a meaning and a text; SDOs mean the same when they are encoded again; client, LSS master
-/// and LSS slave stand any of them.
+/// CANopen: every frame decodes and prints; SDO messages survive a round trip; SDO client, LSS master and LSS slave
+/// accept every message.
 ///
 /// # Panics
-/// If one of that does not hold.
+/// If a property is violated.
 pub fn canopen(data: &[u8]) {
     let mut client = Client::new(64, Duration::from_millis(10));
     let mut master = lss::Master::new(Duration::from_millis(10));
@@ -85,10 +85,11 @@ fn sdo(bytes: &[u8; 8]) {
     }
 }
 
-/// Whatever a data sheet says is left out or becomes objects, which the sheet that is printed from them has too.
+/// EDS: what a data sheet contains is skipped or becomes objects, and the printed data sheet reads back as the same
+/// objects.
 ///
 /// # Panics
-/// If the second reading finds other objects or values.
+/// If the round trip changes objects or values.
 pub fn eds(data: &[u8]) {
     let Ok(first) = Eds::parse(&String::from_utf8_lossy(data)) else {
         return;
@@ -102,11 +103,11 @@ pub fn eds(data: &[u8]) {
     assert_eq!(again.map(|again| again.node), Ok(first.node));
 }
 
-/// A recording is read, with what was left out; what is read prints as lines that read back as the same, and is
-/// measured and judged like a bus.
+/// Logs: every recording is read; the records print as candump lines that read back unchanged, and the statistics
+/// accept them.
 ///
 /// # Panics
-/// If one does not.
+/// If a property is violated.
 pub fn log(data: &[u8]) {
     let log = Log::read(data);
     assert!(log.left_out.len() <= log.left_out_count);
@@ -128,11 +129,11 @@ fn measure(log: Log) {
     assert!(findings.iter().all(|found| !found.to_string().is_empty()));
 }
 
-/// Messages and packets of a Segway RMP mean the same when they are encoded again; a driver stands any of them, and
-/// a reader of packets finds a good one behind any rubbish.
+/// Segway RMP: messages and packets survive a round trip; a driver accepts all of them, and the packet reader finds a
+/// valid packet after arbitrary bytes.
 ///
 /// # Panics
-/// If one of that does not hold.
+/// If a property is violated.
 pub fn rmp(data: &[u8]) {
     let mut base = rmp::Base::new(rmp::DriverConfig::default(), 1.0, 1.0);
     for (turn, frame) in (0_u64..).zip(frames(data)) {
@@ -159,10 +160,10 @@ pub fn rmp(data: &[u8]) {
     }
     .frame();
     let Packet(good) = Packet::from_powerbase(Channel::B, &frame);
-    // What precedes may look like the begin of a packet, whose end the first ones become.
+    // The preceding bytes may look like the start of a packet, which consumes the first valid ones.
     let found = std::iter::repeat_n(good, 3)
         .flatten()
         .filter_map(|byte| reader.push(byte))
         .any(|packet| packet.decode() == Some((Channel::B, frame)));
-    assert!(found, "a good packet is not found");
+    assert!(found, "no valid packet found");
 }

@@ -1,5 +1,5 @@
-//! The smallest thing that the owner of a protocol needs: send a frame, and receive one with its time
-//! and what is known of its way. It never retries and opens nothing.
+//! The interface between a protocol and its bus: send a frame, and receive frames with time stamp and origin. It never
+//! retries and opens nothing.
 
 use std::time::Duration;
 
@@ -9,73 +9,73 @@ mod replay;
 
 pub use replay::Replay;
 
-/// Where a frame comes from.
+/// Origin of a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Origin {
-    /// From the wire, or, an error frame, from the interface's controller.
+    /// Received from the wire; error frames: from the interface's controller.
     #[default]
     Bus,
     /// Another program of this host sent it.
     Host,
-    /// This link sent it; it was on the wire at the time that is given.
+    /// This link sent it; the time stamp is the time of its transmission.
     Own,
 }
 
-/// A frame that came in.
+/// A received frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Received {
-    /// What came.
+    /// The frame.
     pub frame: AnyFrame,
-    /// When, on the link's clock.
+    /// Time of reception, on the link's clock.
     pub at: Duration,
-    /// When, on the clock of the interface's hardware, if it has one.
+    /// Hardware time stamp, if the interface has a clock.
     pub hardware: Option<Duration>,
-    /// Where from.
+    /// Its origin.
     pub origin: Origin,
-    /// Frames that were lost because this link was not read in time: all since it was opened.
+    /// Frames lost since the link was opened because it was not read in time.
     pub dropped: u32,
 }
 
-/// Why a link does not do what it should. Small and without text, as real-time threads meet it.
+/// Errors of a link. Small and `Copy`, because real-time threads handle them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum LinkError {
-    /// There is no room for the frame. It is not sent, now or later.
+    /// The send queue is full. The frame is dropped.
     #[error(
-        "the send queue is full: the bus is overloaded, off, or nobody acknowledges; see `takt can stat`, \
+        "the send queue is full: bus overload, bus-off, or no node acknowledges; see `takt can stat`, \
          and make the queue longer if bursts are longer than it (ip link set IFACE txqueuelen 1000)"
     )]
     QueueFull,
     /// The interface is not up.
     #[error("the interface is down; see `takt can up`")]
     Down,
-    /// The interface does not exist any more.
-    #[error("the interface is gone; is the adapter unplugged?")]
-    Gone,
-    /// The interface does not carry such frames.
+    /// The interface was removed.
+    #[error("the interface was removed; is the adapter unplugged?")]
+    Lost,
+    /// The interface does not support this kind of frame.
     #[error(
-        "the interface does not carry such frames; CAN FD must be switched on (`takt can up --fd`)"
+        "the interface does not support this kind of frame; enable CAN FD (`takt can up --fd`)"
     )]
     Kind,
-    /// Anything else that the operating system says.
+    /// Any other error of the operating system.
     #[error("{}", std::io::Error::from_raw_os_error(*.0))]
     Os(
-        /// The error number.
+        /// `errno`.
         i32,
     ),
 }
 
-/// A way for frames.
+/// A connection that sends and receives frames.
 pub trait Link {
-    /// Hands one frame over for sending; never waits, unless the link was told to.
+    /// Queues one frame for transmission; does not block unless the link is configured to.
     ///
     /// # Errors
-    /// As [`LinkError`] tells; the frame is then lost.
+    /// See [`LinkError`]; the frame is then lost.
     fn send(&mut self, frame: &AnyFrame) -> Result<(), LinkError>;
 
-    /// Waits at most `timeout` for one frame; `None` when none came.
+    /// Waits at most `timeout` for one frame; `None` after the timeout.
     ///
     /// # Errors
-    /// As [`LinkError`] tells.
+    /// See [`LinkError`].
     fn receive(&mut self, timeout: Duration) -> Result<Option<Received>, LinkError>;
 }

@@ -1,5 +1,5 @@
-//! SocketCAN: sockets, cyclic sending by the kernel, interfaces; and the clocks that their time stamps are
-//! on. The only room of this crate with a clock, a system call or unsafe code.
+//! SocketCAN: sockets, cyclic transmission by the kernel, interface configuration, and the clocks of their time stamps.
+//! The only module of this crate with clocks, system calls and unsafe code.
 
 mod bcm;
 mod drain;
@@ -23,29 +23,29 @@ use nix::time::{ClockId, clock_gettime};
 
 use crate::link::LinkError;
 
-/// Time of `CLOCK_MONOTONIC`, which nobody sets.
+/// Time of `CLOCK_MONOTONIC`.
 #[must_use]
 pub fn monotonic() -> Duration {
     now(ClockId::CLOCK_MONOTONIC)
 }
 
-/// Time since 1970, of `CLOCK_REALTIME`, which ntp moves; the kernel stamps frames with it.
+/// Time since 1970 of `CLOCK_REALTIME`, which NTP may step; the kernel stamps frames with it.
 #[must_use]
 pub fn wall() -> Duration {
     now(ClockId::CLOCK_REALTIME)
 }
 
-/// Both clocks exist on every Linux, and reading them does not fail.
+/// Both clocks exist on every Linux; reading them cannot fail.
 fn now(clock: ClockId) -> Duration {
     clock_gettime(clock).map_or(Duration::ZERO, Duration::from)
 }
 
-/// What an error number of a socket means.
+/// Maps the `errno` of a socket.
 fn link_error(errno: i32) -> LinkError {
     match errno {
         libc::ENOBUFS | libc::EAGAIN => LinkError::QueueFull,
         libc::ENETDOWN => LinkError::Down,
-        libc::ENODEV | libc::ENXIO => LinkError::Gone,
+        libc::ENODEV | libc::ENXIO => LinkError::Lost,
         libc::EINVAL | libc::EMSGSIZE => LinkError::Kind,
         other => LinkError::Os(other),
     }

@@ -1,5 +1,5 @@
-//! Recordings of buses: candump logs are read and written; candump's text, ASC, BLF, TRC, pcap and pcapng files are
-//! read. What a file holds that is no frame is counted and reported, never guessed. Opens no file; it is given their
+//! Bus recordings: reads and writes candump logs; reads candump terminal text, ASC, BLF, TRC, pcap and pcapng files.
+//! Content that is not a frame is counted and reported, never guessed. It opens no files; the caller passes their
 //! bytes.
 
 mod asc;
@@ -15,12 +15,12 @@ use std::time::Duration;
 pub use crate::error::LogError;
 use crate::{AnyFrame, Frame};
 
-/// Which way a frame went, seen from the machine that logged it (`candump -x`).
+/// Direction of a frame, seen from the logging host (`candump -x`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Direction {
-    /// From the bus.
+    /// Received from the bus.
     Received,
-    /// Sent by the machine itself.
+    /// Sent by the logging host.
     Transmitted,
 }
 
@@ -33,23 +33,23 @@ impl fmt::Display for Direction {
     }
 }
 
-/// A frame of any kind, when and where it was seen.
+/// A recorded frame with time and interface.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Record {
-    /// Since 1970, or since whatever the log counts from.
+    /// Time since 1970, or since the log's own epoch.
     pub at: Duration,
-    /// Name of the interface, as `can0`; logs that count channels give their number.
+    /// Name of the interface, as `can0`; or the channel number.
     pub interface: String,
-    /// What was seen.
+    /// The frame.
     pub frame: AnyFrame,
-    /// Not every log tells.
+    /// Direction, if recorded.
     pub direction: Option<Direction>,
 }
 
-/// The year 10,000: what comes then is damage, and sums of earlier times never overflow.
+/// The year 10,000: later times are damaged, and sums of earlier times never overflow.
 const LATEST: Duration = Duration::from_secs(253_402_300_800);
 
-/// Refuses times that no recording has.
+/// Rejects times beyond the year 9999.
 fn sound(at: Duration) -> Result<Duration, LogError> {
     if at < LATEST {
         Ok(at)
@@ -59,7 +59,7 @@ fn sound(at: Duration) -> Result<Duration, LogError> {
 }
 
 impl Record {
-    /// Reads one line of a candump log, with or without its line end.
+    /// Reads one line of a candump log, with or without line ending.
     pub fn parse(line: &str) -> Result<Self, LogError> {
         let line = candump::Line::parse(line)?;
         Ok(Self {
@@ -79,22 +79,22 @@ impl fmt::Display for Record {
     }
 }
 
-/// A line of a candump log that holds a classic data or remote frame: what CANopen is made of.
-/// Lines with other frames are read by [`Record::parse`].
+/// A line of a candump log with a classic data or remote frame, as CANopen uses. [`Record::parse`]
+/// reads lines with other frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LogLine<'a> {
-    /// Since 1970, or since whatever the log counts from. Whole microseconds are printed.
+    /// Time since 1970, or since the log's own epoch. Whole microseconds are printed.
     pub at: Duration,
     /// Name of the interface, as `can0`.
     pub interface: &'a str,
-    /// What was seen.
+    /// The frame.
     pub frame: Frame,
-    /// Not every log tells.
+    /// Direction, if recorded.
     pub direction: Option<Direction>,
 }
 
 impl<'a> LogLine<'a> {
-    /// Reads one line, with or without its line end.
+    /// Reads one line, with or without line ending.
     pub fn parse(line: &'a str) -> Result<Self, LogError> {
         let line = candump::Line::parse(line)?;
         let what = match line.frame {
@@ -119,40 +119,40 @@ impl fmt::Display for LogLine<'_> {
     }
 }
 
-/// Reads a frame as it is written in a candump log and for cansend: `123#DEADBEEF`, `123#R4`, `123##1AB`.
+/// Reads a frame in the syntax of candump logs and cansend: `123#DEADBEEF`, `123#R4`, `123##1AB`.
 ///
 /// # Errors
-/// As [`LogError`] tells.
+/// See [`LogError`].
 pub fn parse_frame(text: &str) -> Result<AnyFrame, LogError> {
     candump::frame(text)
 }
 
-/// Kinds of files.
+/// File formats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
     /// Log of candump (`candump -l`, `-L`).
     Candump,
-    /// Text of Vector's tools.
+    /// Text format of Vector's tools.
     Asc,
-    /// Binary log of Vector's tools.
+    /// Binary format of Vector's tools.
     Blf,
-    /// What candump prints on a terminal, with or without time stamps.
+    /// Terminal output of candump, with or without time stamps.
     Plain,
-    /// Text of PEAK's tools.
+    /// Text format of PEAK's tools.
     Trc,
-    /// Recording of tcpdump, with the link type of CAN or of the "any" device.
+    /// pcap, with the link type of CAN or of the "any" device.
     Pcap,
-    /// The newer kind of it, as Wireshark writes it.
+    /// pcapng, as written by Wireshark.
     PcapNg,
     /// None of these.
     Unknown,
 }
 
-/// Bytes in which the kind of a text is looked for.
+/// Number of bytes searched to detect a text format.
 const HEAD_MAX: usize = 64 << 10;
 
 impl Format {
-    /// The kind of a file by its content. An empty one is a candump log.
+    /// Detects the format of a file from its content. An empty file is a candump log.
     #[must_use]
     pub fn of(bytes: &[u8]) -> Self {
         if bytes.starts_with(blf::MAGIC) {
@@ -170,7 +170,7 @@ impl Format {
         }
     }
 
-    /// A text is what its first line with a frame is, even a damaged one.
+    /// The first line with a frame, even a damaged one, determines the text format.
     fn of_text(bytes: &[u8]) -> Self {
         let mut lines = lines(bytes).filter(|(_, line)| !line.trim().is_empty());
         let first = lines.clone().next();
@@ -184,9 +184,9 @@ impl Format {
         }
     }
 
-    /// What a place in such a file is: see [`LeftOut::place`].
+    /// Unit of [`LeftOut::location`] in this format: line or byte.
     #[must_use]
-    pub const fn place(self) -> &'static str {
+    pub const fn location_unit(self) -> &'static str {
         match self {
             Self::Candump | Self::Asc | Self::Plain | Self::Trc => "line",
             Self::Blf | Self::Pcap | Self::PcapNg | Self::Unknown => "byte",
@@ -209,31 +209,31 @@ impl fmt::Display for Format {
     }
 }
 
-/// Something in a file that is no frame.
+/// Content of a file that is not a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LeftOut {
-    /// Line of a text, from 1; byte of a binary file, from 0.
-    pub place: usize,
-    /// What is wrong with it.
+    /// Line number of a text file, from 1; byte offset in a binary file.
+    pub location: usize,
+    /// Why it was skipped.
     pub why: LogError,
 }
 
-/// What a file holds.
+/// Content of a file.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Log {
     /// Frames in the order of the file.
     pub records: Vec<Record>,
-    /// The first things that are no frames, at most [`Log::LEFT_OUT_MAX`].
+    /// The first skipped items, at most [`Log::LEFT_OUT_MAX`].
     pub left_out: Vec<LeftOut>,
-    /// How many things are no frames.
+    /// Total number of skipped items.
     pub left_out_count: usize,
 }
 
 impl Log {
-    /// Reasons that are kept.
+    /// Maximum number of entries in [`Log::left_out`].
     pub const LEFT_OUT_MAX: usize = 16;
 
-    /// Reads all that can be read; the kind of file is found by how it begins.
+    /// Reads all frames of a file; detects its format from the beginning.
     #[must_use]
     pub fn read(bytes: &[u8]) -> Self {
         let mut log = Self::default();
@@ -250,22 +250,22 @@ impl Log {
         log
     }
 
-    fn leave_out(&mut self, place: usize, why: LogError) {
+    fn leave_out(&mut self, location: usize, why: LogError) {
         self.left_out_count += 1;
         if self.left_out.len() < Self::LEFT_OUT_MAX {
-            self.left_out.push(LeftOut { place, why });
+            self.left_out.push(LeftOut { location, why });
         }
     }
 
-    fn take(&mut self, place: usize, record: Result<Record, LogError>) {
+    fn take(&mut self, location: usize, record: Result<Record, LogError>) {
         match record.and_then(|record| sound(record.at).map(|_| record)) {
             Ok(record) => self.records.push(record),
-            Err(why) => self.leave_out(place, why),
+            Err(why) => self.leave_out(location, why),
         }
     }
 }
 
-/// Lines of a text that need not be UTF-8 throughout, with their numbers from 1.
+/// Lines of a text with their numbers from 1; the text need not be valid UTF-8.
 fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, std::borrow::Cow<'_, str>)> + Clone {
     bytes
         .split(|byte| *byte == b'\n')
@@ -273,7 +273,7 @@ fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, std::borrow::Cow<'_, str>
         .map(|(number, line)| (number + 1, String::from_utf8_lossy(line)))
 }
 
-/// Days from 1970-01-01 to a day of the Gregorian calendar, 1970 to 9999.
+/// Days from 1970-01-01 to a Gregorian date, 1970 to 9999.
 fn days_since_1970(year: u32, month: u32, day: u32) -> Option<u64> {
     const BEFORE: [u32; 12] = [0, 31, 59, 90, 120, 151, 181, 212, 243, 273, 304, 334];
     if !(1970..=9999).contains(&year) || !(1..=31).contains(&day) {
@@ -292,7 +292,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn days_are_those_of_the_calendar() {
+    fn log_days_follow_gregorian_calendar() {
         for (year, month, day, days) in [
             (1970, 1, 1, 0),
             (1999, 12, 31, 10_956),
@@ -319,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn kind_of_a_file_is_found_by_its_beginning() {
+    fn log_format_is_detected_from_file_start() {
         assert_eq!(Format::of(b"LOGG...."), Format::Blf);
         assert_eq!(Format::of(b"\n date Tue Nov 14\n"), Format::Asc);
         assert_eq!(Format::of(b"(1.000000) can0 123#"), Format::Candump);

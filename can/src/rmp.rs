@@ -1,9 +1,9 @@
-//! The Segway Robotic Mobility Platform on CAN and on its USB port: messages, the driver of one power
-//! base, the omnidirectional base of two, and (feature `emulator`) the power bases themselves. There is
-//! no socket and no clock here; the owner moves frames and says what time it is.
+//! The Segway Robotic Mobility Platform on CAN and on its USB port: messages, the driver of one power base, the
+//! omnidirectional base of two, and (feature `emulator`) emulated power bases. No sockets and no clock; frames and time
+//! are arguments.
 //!
-//! The manufacturer's interface guide is not public. The facts are those on which the public drivers
-//! and a recorded log agree; where they differ the difference is a parameter.
+//! The manufacturer's interface guide is not public. This module follows what the public drivers and a recorded log
+//! have in common; where they differ, the value is a parameter.
 
 mod base;
 mod command;

@@ -1,6 +1,6 @@
-//! What a bus is like, from the frames that were seen: load, rate and jitter of each identifier, errors,
-//! heartbeats, losses; and from that, what is wrong and what to do ([`Report::findings`]). It listens only,
-//! live or to a recording, and reads no clock. Memory is bounded; it allocates, so it is not for cycles.
+//! Bus statistics from received frames: load, rate and jitter of each identifier, errors, heartbeats, losses; and
+//! findings with remedies ([`Report::findings`]). Works live or on a recording, and reads no clock. Memory is bounded,
+//! but it allocates and is not for real-time cycles.
 
 mod emergency;
 mod finding;
@@ -24,16 +24,16 @@ use crate::fault::{class, controller};
 use crate::link::{Origin, Received};
 use crate::{AnyFrame, BusState, ErrorFrame, Id};
 
-/// Identifiers that are kept apart, at most; frames of further ones are counted together.
+/// Maximum identifiers with separate statistics; further ones are counted together.
 pub const IDS_MAX: usize = 4096;
 
 /// 1017h.
 const PRODUCER_HEARTBEAT: Address = Address::new(0x1017, 0);
 
-/// Length of the windows in which the highest load is looked for.
+/// Window of the peak load.
 const WINDOW: Duration = Duration::from_millis(100);
 
-/// What is known of one identifier.
+/// Statistics of one identifier.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct IdStat {
     /// Frames.
@@ -42,117 +42,117 @@ pub struct IdStat {
     pub bytes: u64,
     /// Time on the wire.
     pub busy: Duration,
-    /// Times from one frame to the next.
+    /// Intervals between frames.
     pub intervals: Intervals,
 }
 
-/// What was told by error frames.
+/// Counts from error frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Errors {
     /// Error frames in all.
     pub frames: u64,
-    /// Violations of the protocol on the wire.
+    /// Protocol violations on the wire.
     pub protocol: u64,
-    /// Frames of this host that nobody acknowledged.
+    /// Frames of this host without acknowledgement.
     pub unacknowledged: u64,
-    /// How often arbitration was lost; that is no fault.
+    /// Lost arbitrations; not an error.
     pub lost_arbitration: u64,
-    /// How often the controller lost received frames.
+    /// Receive overflows of the controller.
     pub controller_overflows: u64,
-    /// How often it went off the bus.
+    /// Number of bus-off events.
     pub bus_off: u64,
-    /// How often it was restarted.
+    /// Number of restarts.
     pub restarts: u64,
-    /// How often its driver gave a frame up.
+    /// Transmit timeouts of the driver.
     pub timeouts: u64,
-    /// Of the transceiver: wires cut or shorted.
+    /// Transceiver errors: cut or shorted wires.
     pub transceiver: u64,
 }
 
-/// All that was found out.
+/// Statistics of a bus.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Report {
-    /// Bit rates that the load is computed with.
+    /// Bit rates for the load.
     pub rates: Option<Rates>,
-    /// How long was listened.
+    /// Duration of the measurement.
     pub span: Duration,
     /// Frames, without error frames.
     pub frames: u64,
     /// Frames that this host sent.
     pub sent: u64,
-    /// Each identifier.
+    /// Statistics by identifier.
     pub ids: BTreeMap<Id, IdStat>,
     /// Frames of identifiers beyond [`IDS_MAX`].
     pub other_ids: u64,
-    /// Time on the wire, with the stuff bits that the frames had.
+    /// Time on the wire with actual stuff bits.
     pub busy: Duration,
-    /// The same if they had no stuff bit, and as many as possible.
+    /// Time on the wire without stuff bits, and with the maximum of stuff bits.
     pub busy_bounds: (Duration, Duration),
-    /// Highest share of a tenth of a second, 0 to 1.
+    /// Peak load in windows of 0.1 s, 0 to 1.
     pub peak_load: f64,
-    /// What was told of errors.
+    /// Counts from error frames.
     pub errors: Errors,
-    /// State of this host's controller, if it was told.
+    /// State of this host's controller, if reported.
     pub state: Option<BusState>,
-    /// Counters of transmit and receive errors, if they were told.
+    /// Transmit and receive error counters, if reported.
     pub counters: Option<(u16, u16)>,
-    /// Each node that sends heartbeats.
+    /// Nodes that send heartbeats.
     pub heartbeats: BTreeMap<NodeId, Heartbeat>,
-    /// Nodes whose heartbeat is missing at the end, and for how long.
+    /// Nodes whose heartbeat is missing at the end, with its age.
     pub silent: Vec<(NodeId, Duration)>,
     /// The emergencies of each node.
     pub emergencies: BTreeMap<NodeId, Emergencies>,
     /// The SDO dialogues of each node.
     pub sdos: BTreeMap<NodeId, SdoStat>,
-    /// Frames that only a CANopen bus has: heartbeats, commands of network management.
+    /// Frames typical of CANopen: heartbeats and NMT commands.
     pub canopen: u64,
-    /// Frames that this host lost: its sockets and its interface.
+    /// Frames lost by this host's sockets and interface.
     pub dropped: u64,
     /// Frames that this host could not send.
     pub refused: u64,
 }
 
 impl Report {
-    /// Mean share of time in which the bus was busy, 0 to 1; `None` without bit rate or time.
+    /// Mean bus load, 0 to 1; `None` without bit rate or time.
     #[must_use]
     pub fn load(&self) -> Option<f64> {
         self.rates?;
-        share(self.busy, self.span)
+        ratio(self.busy, self.span)
     }
 
-    /// What is wrong, the gravest first.
+    /// Findings, by descending severity.
     #[must_use]
     pub fn findings(&self, limits: &Limits) -> Vec<Finding> {
         finding::judge(self, limits)
     }
 
-    /// Jitter of SYNC: from the shortest to the longest interval, as share of the mean one.
+    /// Jitter of SYNC: range of the intervals relative to their mean.
     #[must_use]
     pub fn sync_jitter(&self) -> Option<f64> {
         let intervals = self.ids.get(&SYNC)?.intervals;
         let width = intervals.longest().saturating_sub(intervals.shortest());
-        (intervals.count() >= 10).then(|| share(width, intervals.mean()))?
+        (intervals.count() >= 10).then(|| ratio(width, intervals.mean()))?
     }
 }
 
-/// `None` for a whole of nothing.
-fn share(part: Duration, whole: Duration) -> Option<f64> {
+/// `None` if `whole` is zero.
+fn ratio(part: Duration, whole: Duration) -> Option<f64> {
     (!whole.is_zero()).then(|| part.as_secs_f64() / whole.as_secs_f64())
 }
 
-/// Listens.
+/// Collects statistics of a bus.
 #[derive(Clone, Debug)]
 pub struct Meter {
     report: Report,
     start: Option<Duration>,
     now: Duration,
     window: (Duration, Duration),
-    /// Frames that the interface lost.
+    /// Frames lost by the interface.
     lost: u64,
 }
 
 impl Meter {
-    /// One that computes load with these bit rates; without them it tells none.
+    /// A meter with these bit rates; without them it computes no load.
     #[must_use]
     pub fn new(rates: Option<Rates>) -> Self {
         Self {
@@ -167,7 +167,7 @@ impl Meter {
         }
     }
 
-    /// A frame came in.
+    /// Handles a received frame.
     pub fn handle_frame(&mut self, received: &Received) {
         self.handle_time(received.at);
         self.report.dropped = self.report.dropped.max(received.dropped.into());
@@ -177,24 +177,24 @@ impl Meter {
         }
     }
 
-    /// Time goes on; what does not come is missing only then. Times that go back are ignored.
+    /// Advances time, which detects missing frames. Decreasing times are ignored.
     pub fn handle_time(&mut self, now: Duration) {
         let start = *self.start.get_or_insert(now);
         self.now = self.now.max(now);
         self.report.span = self.now.saturating_sub(start);
     }
 
-    /// Frames that could not be sent, all so far.
+    /// Sets the total number of frames that could not be sent.
     pub const fn handle_refused(&mut self, frames: u64) {
         self.report.refused = frames;
     }
 
-    /// Frames that the interface received and lost before any socket got them, all so far.
+    /// Sets the total number of frames lost by the interface before any socket.
     pub const fn handle_lost(&mut self, frames: u64) {
         self.lost = frames;
     }
 
-    /// What the interface itself tells: state, error counters.
+    /// Sets state and error counters of the interface.
     pub const fn handle_state(&mut self, state: Option<BusState>, counters: Option<(u16, u16)>) {
         if state.is_some() {
             self.report.state = state;
@@ -204,7 +204,7 @@ impl Meter {
         }
     }
 
-    /// What is known by now.
+    /// The statistics so far.
     #[must_use]
     pub fn report(&self) -> Report {
         let mut report = self.report.clone();
@@ -223,14 +223,14 @@ impl Meter {
         nodes
             .filter_map(|(node, beat)| {
                 let silence = self.now.saturating_sub(beat.intervals.last()?);
-                (silence > beat.patience()?).then_some((*node, silence))
+                (silence > beat.timeout()?).then_some((*node, silence))
             })
             .collect()
     }
 
     fn peak(&self, window: Duration) -> f64 {
-        let load = share(window, WINDOW).unwrap_or(0.0);
-        // A frame counts where it ends, so a window can hold a little more than its length.
+        let load = ratio(window, WINDOW).unwrap_or(0.0);
+        // A frame counts at its end, so a window can slightly exceed its length.
         self.report.peak_load.max(load.min(1.0))
     }
 
@@ -272,10 +272,10 @@ impl Meter {
 
     fn identifier(&mut self, frame: &AnyFrame, busy: Duration, at: Duration) {
         let Some(id) = frame.id() else { return };
-        let room = self.report.ids.len() < IDS_MAX;
+        let may_add = self.report.ids.len() < IDS_MAX;
         let stat = match self.report.ids.get_mut(&id) {
             Some(stat) => stat,
-            None if room => self.report.ids.entry(id).or_default(),
+            None if may_add => self.report.ids.entry(id).or_default(),
             None => {
                 self.report.other_ids += 1;
                 return;
@@ -331,11 +331,11 @@ impl Meter {
         if state == NmtState::BootUp
             && let Some(emergencies) = self.report.emergencies.get_mut(&node)
         {
-            emergencies.forget();
+            emergencies.clear_all();
         }
     }
 
-    /// A reset of nodes that were seen explains that they start.
+    /// A reset command explains the boot-up of the nodes.
     fn nmt(&mut self, command: NmtCommand, node: Option<NodeId>, at: Duration) {
         self.report.canopen += u64::from(!matches!(command, NmtCommand::Other(_)));
         if matches!(

@@ -1,5 +1,5 @@
-//! Proof that neither a master nor its drives allocate in the cycle: 2,000 periods of six axes under a
-//! counting allocator, with a block transfer and emergencies beside them. How long a cycle takes is not judged.
+//! Proof that neither a master nor its drives allocate in the cycle: 2,000 periods of six axes under a counting
+//! allocator, with a block transfer and emergencies beside them. The duration of a cycle is not checked.
 #![expect(
     clippy::unwrap_used,
     reason = "a test may fail anywhere, its helpers too"
@@ -29,9 +29,9 @@ struct Counting;
 // destructor and allocates nothing.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        // Gone while a thread ends: nothing is counted then.
+        // Not available while a thread ends: nothing is counted then.
         let _gone = ALLOCATIONS.try_with(|count| count.set(count.get() + 1));
-        // SAFETY: the caller keeps the contract of `alloc`, which is the same here.
+        // SAFETY: the caller upholds the contract of `alloc`, which is the same here.
         unsafe { System.alloc(layout) }
     }
 
@@ -51,7 +51,7 @@ fn node(raw: u8) -> NodeId {
     NodeId::new(raw).unwrap()
 }
 
-/// One period on a bus without delay: all that is to be sent reaches all.
+/// One period on a bus without delay: every frame reaches every node.
 fn period(network: &mut Network, drives: &mut [DriveNode], now: Duration) {
     network.cycle(now);
     for _ in 0..20 {
@@ -70,7 +70,7 @@ fn period(network: &mut Network, drives: &mut [DriveNode], now: Duration) {
 
 #[test]
 #[expect(clippy::too_many_lines, reason = "one run from power-on to the count")]
-fn master_and_drives_never_allocate_in_the_cycle() {
+fn master_and_drives_do_not_allocate_in_cycle() {
     let numbers = 1..=6;
     let plans = numbers.clone().map(|raw| {
         let mut plan = NodePlan::drive(node(raw), AxisPlan::default());
@@ -136,7 +136,7 @@ fn master_and_drives_never_allocate_in_the_cycle() {
             match event {
                 Event::Transferred(_, transfer, outcome) => read = Some((transfer, outcome)),
                 Event::Emergency(_, _, count) => emergencies += count,
-                Event::Phase(..) | Event::Trouble(..) | Event::Homed(_) | Event::Axis(_) => {}
+                Event::Phase(..) | Event::Fault(..) | Event::Homed(_) | Event::Axis(_) => {}
             }
         }
     }

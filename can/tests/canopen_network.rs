@@ -1,5 +1,5 @@
 //! A master and emulated drives on one bus in virtual time: bring-up, motion, homing, and every
-//! fault of a node, which must stay its own.
+//! fault of a node, which must stay local.
 
 #![expect(
     clippy::unwrap_used,
@@ -7,7 +7,7 @@
     clippy::print_stdout,
     clippy::cast_possible_truncation,
     clippy::wildcard_enum_match_arm,
-    reason = "a test that cannot go on ends, and says where everything was"
+    reason = "a test that cannot continue ends and prints the state"
 )]
 
 #[path = "canopen/bus.rs"]
@@ -18,8 +18,8 @@ use std::time::Duration;
 use bus::{Bus, MS, node, plan};
 use takt_can::canopen::emulator::DriveNodeConfig;
 use takt_can::canopen::network::{
-    AxisCommand, AxisPlan, AxisTrouble, Download, Event, Network, NetworkConfig, NetworkError,
-    NodePlan, Phase, Supervision, Transfer, Trouble,
+    AxisCommand, AxisFault, AxisPlan, Download, Event, Network, NetworkConfig, NetworkError,
+    NodeFault, NodePlan, Phase, Supervision, Transfer,
 };
 use takt_can::canopen::sdo::Outcome;
 use takt_can::canopen::{Emergency, emergency};
@@ -31,7 +31,7 @@ const CSP: i8 = 8;
 const PV: i8 = 3;
 const SECOND: Duration = Duration::from_secs(1);
 
-/// Lets an axis hold where it is, and enables it.
+/// Enables an axis at its current position.
 fn enable(bus: &mut Bus, raw: u8) {
     let axis = bus.master.axis_mut(node(raw), 0).unwrap();
     let position = axis.state().position;
@@ -55,12 +55,12 @@ fn six_following() -> Bus {
     bus
 }
 
-/// Moves axes along ramps of so many units per period; each begins where it is.
+/// Moves axes along ramps of `step` units per period from their positions.
 fn ramp(bus: &mut Bus, axes: &[u8], time: Duration, step: i32) {
     ramp_and(bus, axes, time, step, |_| ());
 }
 
-/// The same, with something else done in each period.
+/// The same, with an additional action in each period.
 fn ramp_and(
     bus: &mut Bus,
     axes: &[u8],
@@ -92,14 +92,14 @@ fn position(bus: &Bus, raw: u8) -> i32 {
 }
 
 #[test]
-fn six_axes_follow_with_every_sync_of_2_ms() {
+fn six_axes_follow_sync_at_2_ms() {
     let mut bus = six_following();
     bus.frames = 0;
     ramp(&mut bus, &[1, 2, 3, 4, 5, 6], SECOND, 20);
     for raw in 1..=6 {
         let at = position(&bus, raw);
         assert!((9_500..=10_100).contains(&at), "axis {raw} is at {at}");
-        assert_eq!(bus.master.trouble(node(raw)), None);
+        assert_eq!(bus.master.fault(node(raw)), None);
         assert_eq!(bus.master.axis(node(raw), 0).unwrap().state().missing, 0);
     }
     assert_eq!(bus.rpdos_late, 0);
@@ -109,22 +109,22 @@ fn six_axes_follow_with_every_sync_of_2_ms() {
 }
 
 #[test]
-fn a_node_that_dies_stops_alone_and_comes_back_without_moving() {
+fn node_death_stops_only_itself_recovers_without_motion() {
     let mut bus = six_following();
     bus.drives[2] = None;
     ramp(&mut bus, &[1, 2, 4, 5, 6], SECOND / 2, 20);
     for raw in [1, 2, 4, 5, 6] {
         assert!(position(&bus, raw) > 4_500, "axis {raw} goes on");
-        assert_eq!(bus.master.trouble(node(raw)), None);
+        assert_eq!(bus.master.fault(node(raw)), None);
     }
-    let lost = Trouble::HeartbeatLost(250 * MS);
-    assert_eq!(bus.master.trouble(node(3)), Some(lost));
-    assert!(bus.events.contains(&Event::Trouble(node(3), lost)));
+    let lost = NodeFault::HeartbeatLost(250 * MS);
+    assert_eq!(bus.master.fault(node(3)), Some(lost));
+    assert!(bus.events.contains(&Event::Fault(node(3), lost)));
     assert_eq!(
-        bus.master.axis(node(3), 0).unwrap().trouble(),
-        Some(AxisTrouble::NodeDown)
+        bus.master.axis(node(3), 0).unwrap().fault(),
+        Some(AxisFault::NodeDown)
     );
-    // Power again: configured anew at once, but not enabled.
+    // Power restored: configured again at once, but not enabled.
     let config = DriveNodeConfig::new(node(3));
     let powered = takt_can::canopen::emulator::DriveNode::power_on(config, bus.now).unwrap();
     bus.drives[2] = Some(powered);
@@ -140,7 +140,7 @@ fn a_node_that_dies_stops_alone_and_comes_back_without_moving() {
 }
 
 #[test]
-fn a_fault_of_a_drive_stays_its_own_and_is_reset_by_an_edge() {
+fn drive_fault_stays_local_and_resets_by_edge() {
     let mut bus = six_following();
     let drive = bus.drive(4).application_mut().axis_mut(0).unwrap();
     drive.fault(FaultCode::SHORT_CIRCUIT);
@@ -151,16 +151,16 @@ fn a_fault_of_a_drive_stays_its_own_and_is_reset_by_an_edge() {
             .all(|raw| position(&bus, *raw) > 2_000)
     );
     let axis = bus.master.axis(node(4), 0).unwrap();
-    assert_eq!(axis.trouble(), Some(AxisTrouble::Drive(Obstacle::Fault)));
-    let told = |event: &Event| matches!(event, Event::Emergency(n, e, 1) if *n == node(4) && e.code == 0x2320);
-    assert!(bus.events.iter().any(told), "{:?}", bus.events);
+    assert_eq!(axis.fault(), Some(AxisFault::Drive(Obstacle::Fault)));
+    let is_reported = |event: &Event| matches!(event, Event::Emergency(n, e, 1) if *n == node(4) && e.code == 0x2320);
+    assert!(bus.events.iter().any(is_reported), "{:?}", bus.events);
     bus.drive(4).application_mut().axis_mut(0).unwrap().mend();
     bus.master.axis_mut(node(4), 0).unwrap().reset_fault();
     bus.until(5 * SECOND, all_follow);
 }
 
 #[test]
-fn a_storm_of_emergencies_disturbs_nobody() {
+fn emergency_storm_does_not_disturb_other_nodes() {
     let mut bus = six_following();
     let storm = Emergency {
         code: 0xFF00,
@@ -170,9 +170,9 @@ fn a_storm_of_emergencies_disturbs_nobody() {
     let before = bus.frames;
     bus.rpdos_late = 0;
     let mut sent = 0;
-    // Three in each period: what a bus of 1 Mbit/s has left.
+    // Three in each period: the remaining capacity of a 1 Mbit/s bus.
     ramp_and(&mut bus, &[1, 2, 3, 4, 5, 6], SECOND, 20, |bus| {
-        bus.stranger.extend([emergency(node(3), &storm); 3]);
+        bus.foreign_frames.extend([emergency(node(3), &storm); 3]);
         sent += 3;
     });
     assert!(bus.frames - before > sent);
@@ -186,7 +186,7 @@ fn a_storm_of_emergencies_disturbs_nobody() {
 }
 
 #[test]
-fn drives_stop_by_themselves_when_their_master_dies() {
+fn drives_stop_when_their_master_dies() {
     let mut bus = Bus::new(
         NetworkConfig {
             heartbeat: Some((node(127), 20 * MS)),
@@ -205,12 +205,12 @@ fn drives_stop_by_themselves_when_their_master_dies() {
     for raw in [1, 2] {
         let drive = bus.drive(raw).application().axis(0).unwrap();
         assert_ne!(drive.state(), State::OperationEnabled);
-        assert!(drive.motor().velocity.abs() < 0.1, "it stands");
+        assert!(drive.motor().velocity.abs() < 0.1, "it is at rest");
     }
 }
 
 #[test]
-fn a_megabyte_goes_in_blocks_beside_the_motion() {
+fn block_transfer_of_1_mib_does_not_disturb_motion() {
     const LEN: usize = 1 << 20;
     let plans = [1, 2].map(|raw| {
         let mut plan = plan(raw);
@@ -260,12 +260,12 @@ fn a_megabyte_goes_in_blocks_beside_the_motion() {
         .bytes(Address::new(0x2000, 0))
         .unwrap();
     assert_eq!(there, value);
-    assert_eq!((bus.rpdos_late, bus.master.trouble(node(2))), (0, None));
+    assert_eq!((bus.rpdos_late, bus.master.fault(node(2))), (0, None));
     assert!(all_follow(&mut bus).is_some());
 }
 
 #[test]
-fn one_frame_in_a_hundred_may_be_lost() {
+fn network_tolerates_one_percent_frame_loss() {
     for seed in 1..=3 {
         let config = NetworkConfig {
             retry: SECOND / 5,
@@ -305,12 +305,12 @@ fn one_frame_in_a_hundred_may_be_lost() {
 }
 
 #[test]
-fn an_axis_homes_and_then_waits_for_its_target() {
+fn axis_after_homing_waits_for_close_target() {
     let mut bus = Bus::new(
         NetworkConfig::default(),
         vec![{
             let mut plan = plan(1);
-            // Method 35 is where it stands; 607Ch moves the zero far away.
+            // Method 35 homes at the current position; 607Ch moves the zero far away.
             plan.downloads = vec![
                 Download::new(0x6098, 0, &[35]),
                 Download::new(0x607C, 0, &50_000_i32.to_le_bytes()),
@@ -336,8 +336,8 @@ fn an_axis_homes_and_then_waits_for_its_target() {
         "{:?}",
         axis.state()
     );
-    let Some(AxisTrouble::NotAligned { target, actual }) = axis.trouble() else {
-        panic!("the old target is far away: {:?}", axis.trouble());
+    let Some(AxisFault::NotAligned { target, actual }) = axis.fault() else {
+        panic!("the old target is far away: {:?}", axis.fault());
     };
     assert!((target - actual).abs() > 49_000);
     let motor = bus.drive(1).application().axis(0).unwrap().motor();
@@ -347,7 +347,7 @@ fn an_axis_homes_and_then_waits_for_its_target() {
 }
 
 #[test]
-fn a_homing_run_to_a_switch_that_is_not_there_is_told() {
+fn homing_without_switch_times_out() {
     let mut bus = Bus::running(1, |plan| {
         plan.axes[0].homing = SECOND;
         plan.downloads = vec![
@@ -360,14 +360,14 @@ fn a_homing_run_to_a_switch_that_is_not_there_is_told() {
         bus.events.contains(&Event::Homed(node(1))).then_some(())
     });
     bus.run(SECOND / 10);
-    let trouble = bus.master.axis(node(1), 0).unwrap().trouble();
-    let timed_out = AxisTrouble::Homing(HomingError::TimedOut(SECOND));
-    assert_eq!(trouble, Some(timed_out));
+    let fault = bus.master.axis(node(1), 0).unwrap().fault();
+    let timed_out = AxisFault::Homing(HomingError::TimedOut(SECOND));
+    assert_eq!(fault, Some(timed_out));
 }
 
-/// Each reason for which a node does not come up, produced by its cause.
+/// Each reason for a failed start, produced by its cause.
 #[test]
-fn what_keeps_a_node_down_is_named() {
+fn node_start_failure_names_its_cause() {
     let expect = |plan, drive: Option<DriveNodeConfig>, expected: &str| {
         let config = NetworkConfig {
             boot_up_max: SECOND / 10,
@@ -377,9 +377,9 @@ fn what_keeps_a_node_down_is_named() {
         let mut bus = Bus::new(config, vec![plan], drive.into_iter().collect());
         bus.master.start(bus.now);
         bus.run(SECOND);
-        let trouble = bus.master.trouble(node(1)).expect(expected).to_string();
-        assert!(trouble.starts_with(expected), "{trouble}");
-        assert_eq!(bus.master.phase(node(1)), Some(Phase::Failed), "{trouble}");
+        let fault = bus.master.fault(node(1)).expect(expected).to_string();
+        assert!(fault.starts_with(expected), "{fault}");
+        assert_eq!(bus.master.phase(node(1)), Some(Phase::Failed), "{fault}");
     };
     let drive = || Some(DriveNodeConfig::new(node(1)));
     expect(plan(1), None, "no boot-up message 100");
@@ -404,37 +404,37 @@ fn what_keeps_a_node_down_is_named() {
     mapped.rpdos[0].1.mapping[0].bits = 8;
     expect(mapped, drive(), "1600h:01: the object cannot be mapped");
     let mut limited = plan(1);
-    // 6041h can be mapped but is the drive's own; 1003h:00 keeps nothing but 0.
+    // 6041h can be mapped but is read-only; 1003h:00 accepts only 0.
     limited.downloads = vec![Download::new(0x1012, 0, &0x8000_0100_u32.to_le_bytes())];
     limited.supervision = Supervision::Heartbeat(Duration::ZERO);
     expect(limited, drive(), "no heartbeat 200");
 }
 
 #[test]
-fn what_goes_wrong_while_it_runs_is_named() {
+fn node_fault_while_running_is_named() {
     // A restart: the boot-up message comes while it runs.
     let mut bus = Bus::running(2, |_| ());
-    bus.stranger
+    bus.foreign_frames
         .push_back(takt_can::canopen::NmtCommand::ResetNode.frame(Some(node(1))));
     bus.run(SECOND / 100);
-    let restarted = Event::Trouble(node(1), Trouble::Restarted);
+    let restarted = Event::Fault(node(1), NodeFault::Restarted);
     assert!(bus.events.contains(&restarted), "{:?}", bus.events);
     bus.run(SECOND);
     assert_eq!(
         bus.master.phase(node(1)),
         Some(Phase::Running),
-        "configured anew"
+        "configured again"
     );
     // Another master sends it to Pre-operational.
     let pre = takt_can::canopen::NmtCommand::EnterPreOperational.frame(Some(node(2)));
-    bus.stranger.push_back(pre);
+    bus.foreign_frames.push_back(pre);
     bus.run(SECOND / 5);
-    let text = bus.master.trouble(node(2)).unwrap().to_string();
+    let text = bus.master.fault(node(2)).unwrap().to_string();
     assert!(
-        text.starts_with("it went to pre-operational without being told"),
+        text.starts_with("it went to pre-operational without a command"),
         "{text}"
     );
-    // Its TPDO is switched off behind the master's back.
+    // Its TPDO is disabled without the master.
     let mut bus = six_following();
     let off = 0xC000_0185_u32.to_le_bytes();
     let write = Transfer {
@@ -445,30 +445,27 @@ fn what_goes_wrong_while_it_runs_is_named() {
     };
     bus.master.transfer(node(5), write).unwrap();
     bus.run(SECOND / 10);
-    let text = bus.master.trouble(node(5)).unwrap().to_string();
-    assert!(
-        text.starts_with("TPDO 1 did not come for 4 SYNCs"),
-        "{text}"
-    );
+    let text = bus.master.fault(node(5)).unwrap().to_string();
+    assert!(text.starts_with("TPDO 1 missing for 4 SYNCs"), "{text}");
     let axis = bus.master.axis(node(5), 0).unwrap();
-    assert_eq!(axis.trouble(), Some(AxisTrouble::HeldBack));
+    assert_eq!(axis.fault(), Some(AxisFault::HeldBack));
 }
 
 #[test]
-fn guarding_watches_a_node_without_heartbeat() {
+fn guarding_monitors_node_without_heartbeat() {
     let mut bus = Bus::running(1, |plan| {
         plan.supervision = Supervision::Guarding(20 * MS, 3);
     });
     bus.run(SECOND);
-    assert_eq!(bus.master.trouble(node(1)), None);
+    assert_eq!(bus.master.fault(node(1)), None);
     bus.drives[0] = None;
     bus.run(SECOND / 5);
-    assert_eq!(bus.master.trouble(node(1)), Some(Trouble::GuardingLost));
+    assert_eq!(bus.master.fault(node(1)), Some(NodeFault::GuardingLost));
 }
 
-/// Its heartbeat alone is lost: it hears and would go on turning for ever.
+/// Only its heartbeat is lost: it still receives frames and would turn forever.
 #[test]
-fn a_node_that_is_given_up_stops_its_motor() {
+fn node_given_up_stops_its_motor() {
     for on_link_loss in [0, 1, 3] {
         let mut bus = Bus::running(1, |plan| {
             let drive = NodePlan::drive(plan.id, plan.axes[0]);
@@ -489,14 +486,14 @@ fn a_node_that_is_given_up_stops_its_motor() {
         bus.run(SECOND / 2);
         bus.muted = Some(0x701);
         bus.run(SECOND);
-        let lost = Trouble::HeartbeatLost(250 * MS);
-        assert!(bus.events.contains(&Event::Trouble(node(1), lost)));
+        let lost = NodeFault::HeartbeatLost(250 * MS);
+        assert!(bus.events.contains(&Event::Fault(node(1), lost)));
         let drive = bus.drive(1).application().axis(0).unwrap();
         let (state, velocity) = (drive.state(), drive.motor().velocity);
         assert_ne!(state, State::OperationEnabled, "6007h = {on_link_loss}");
         assert!(velocity.abs() < 0.01, "6007h = {on_link_loss}: {velocity}");
         assert_eq!(bus.drive(1).state(), takt_can::canopen::nmt::State::Stopped);
-        // Heard again, it comes back at rest.
+        // Its heartbeat is received again; it restarts at rest.
         bus.muted = None;
         bus.until(10 * SECOND, |bus| {
             (bus.master.phase(node(1)) == Some(Phase::Running)).then_some(())
@@ -509,21 +506,21 @@ fn a_node_that_is_given_up_stops_its_motor() {
 }
 
 #[test]
-fn a_tpdo_that_comes_back_is_no_trouble_and_its_next_loss_is_told() {
+fn tpdo_recovery_clears_fault_next_loss_is_reported() {
     let mut bus = six_following();
     for _ in 0..2 {
         bus.events.clear();
         bus.muted = Some(0x182);
         bus.run(SECOND / 20);
-        let missing = Trouble::PdoMissing {
+        let missing = NodeFault::PdoMissing {
             number: 0,
             cycles: 4,
         };
-        assert!(bus.events.contains(&Event::Trouble(node(2), missing)));
-        assert_eq!(bus.master.trouble(node(2)), Some(missing));
+        assert!(bus.events.contains(&Event::Fault(node(2), missing)));
+        assert_eq!(bus.master.fault(node(2)), Some(missing));
         bus.muted = None;
         bus.run(SECOND / 20);
-        assert_eq!(bus.master.trouble(node(2)), None);
+        assert_eq!(bus.master.fault(node(2)), None);
         assert_eq!(bus.master.phase(node(2)), Some(Phase::Running));
         enable(&mut bus, 2);
         bus.until(5 * SECOND, all_follow);
@@ -531,7 +528,7 @@ fn a_tpdo_that_comes_back_is_no_trouble_and_its_next_loss_is_told() {
 }
 
 #[test]
-fn a_drive_is_told_its_cycle_and_what_to_do_without_a_master() {
+fn drive_period_and_link_loss_reaction_are_configured() {
     for (period, value, exponent) in [(2 * MS, 2_u8, -3_i8), (MS / 4, 25, -5)] {
         let bus = Bus::running(2, |plan| {
             plan.axes[0].set_point_period = Some(period);
@@ -547,7 +544,7 @@ fn a_drive_is_told_its_cycle_and_what_to_do_without_a_master() {
 }
 
 #[test]
-fn a_drive_is_told_its_jerk_and_its_buffer_where_asked() {
+fn drive_jerk_and_buffer_are_configured_if_planned() {
     let bus = Bus::running(1, |plan| {
         plan.axes[0].jerk_max = Some(5_000_000);
         plan.axes[0].records = Some(4);
@@ -562,7 +559,7 @@ fn a_drive_is_told_its_jerk_and_its_buffer_where_asked() {
 
 /// With a buffer in the drive and without.
 #[test]
-fn interpolated_position_goes_by_data_records() {
+fn interpolated_position_is_sent_by_data_records() {
     const IP: i8 = 7;
     for records in [None, Some(4)] {
         let mut bus = Bus::running(1, |plan| {
@@ -592,7 +589,7 @@ fn interpolated_position_goes_by_data_records() {
 }
 
 #[test]
-fn the_number_of_the_master_is_its_own() {
+fn master_number_must_differ_from_nodes() {
     let config = NetworkConfig {
         heartbeat: Some((node(2), 20 * MS)),
         ..NetworkConfig::default()
@@ -602,7 +599,7 @@ fn the_number_of_the_master_is_its_own() {
 }
 
 #[test]
-fn set_points_of_profile_position_are_handed_over_one_by_one() {
+fn profile_position_set_points_are_acknowledged_in_order() {
     let mut bus = Bus::running(1, |plan| {
         plan.downloads = vec![
             Download::new(0x6081, 0, &40_000_u32.to_le_bytes()),
@@ -618,7 +615,7 @@ fn set_points_of_profile_position_are_handed_over_one_by_one() {
     let there = |bus: &mut Bus, target: i32, taken: u32| {
         bus.until(5 * SECOND, |bus| {
             let axis = bus.master.axis(node(1), 0).unwrap();
-            assert_eq!(axis.trouble(), None);
+            assert_eq!(axis.fault(), None);
             let state = axis.state();
             let arrived = (state.position - target).abs() < 10 && state.taken == taken;
             arrived.then_some(())
@@ -639,12 +636,12 @@ fn set_points_of_profile_position_are_handed_over_one_by_one() {
     offer(&mut bus, to(3_000, false, Change::AfterStop));
     offer(&mut bus, to(1_000, true, Change::AfterStop));
     there(&mut bus, 4_000, 2);
-    // Away, and back before it is there.
+    // Away, and back before it arrives.
     offer(&mut bus, to(400_000, false, Change::AfterStop));
     bus.run(SECOND / 4);
     offer(&mut bus, to(-2_000, false, Change::AtOnce));
     there(&mut bus, -2_000, 4);
-    // In fault it takes none, and says so.
+    // In fault it accepts none and reports that.
     let drive = bus.drive(1).application_mut().axis_mut(0).unwrap();
     drive.fault(FaultCode::SHORT_CIRCUIT);
     bus.run(SECOND / 10);
@@ -654,21 +651,21 @@ fn set_points_of_profile_position_are_handed_over_one_by_one() {
     drive.mend();
     bus.master.axis_mut(node(1), 0).unwrap().reset_fault();
     bus.until(5 * SECOND, all_follow);
-    let trouble = bus.master.axis(node(1), 0).unwrap().trouble();
-    let interrupted = AxisTrouble::SetPoint(SetPointError::Interrupted);
-    assert_eq!(trouble, Some(interrupted));
+    let fault = bus.master.axis(node(1), 0).unwrap().fault();
+    let interrupted = AxisFault::SetPoint(SetPointError::Interrupted);
+    assert_eq!(fault, Some(interrupted));
     assert!((position(&bus, 1) + 2_000).abs() < 20, "it stays");
 }
 
 #[test]
-fn axes_of_one_drive_have_pdos_of_their_own() {
+fn axes_of_one_drive_have_separate_pdos() {
     move_axes_of_one_drive(&[0, 1, 3], &[20, 0, -10]);
     assert!(NodePlan::drives(node(1), &[]).is_none());
     assert!(NodePlan::drives(node(1), &[AxisPlan::default(); 9]).is_none());
 }
 
 #[test]
-fn six_axes_of_one_drive_take_the_identifiers_of_the_next_node_number_too() {
+fn six_axis_drive_uses_identifiers_of_next_node() {
     move_axes_of_one_drive(&[0, 1, 2, 3, 4, 5], &[20, 0, -10, 5, 15, -20]);
     let axes = [AxisPlan::default(); 5];
     assert!(NodePlan::drives(node(127), &axes).is_none());
@@ -681,14 +678,13 @@ fn six_axes_of_one_drive_take_the_identifiers_of_the_next_node_number_too() {
     assert_eq!(refused, collision);
 }
 
-/// The PDOs of the first axis are on when the drive is switched on, and have the identifiers that the
-/// others are given.
+/// The PDOs of the first axis are enabled at power-on and use the identifiers planned for the other axes.
 #[test]
-fn an_axis_that_nobody_asked_gets_no_power() {
+fn axis_without_goal_gets_no_power() {
     move_axes_of_one_drive(&[1, 3], &[20, -10]);
 }
 
-/// Moves axes of a drive of six, each by its own step in each cycle; the others shall not even be enabled.
+/// Moves some axes of a six-axis drive, each by its own step per cycle; the others must not be enabled.
 fn move_axes_of_one_drive(axes: &[u8], steps: &[i32]) {
     let plans = axes.iter().map(|axis| AxisPlan {
         axis: *axis,
@@ -733,12 +729,12 @@ fn move_axes_of_one_drive(axes: &[u8], steps: &[i32]) {
         let enabled = drive.state() == State::OperationEnabled;
         assert_eq!(enabled, axes.contains(&axis), "axis {axis}");
     }
-    assert_eq!(bus.master.trouble(node(1)), None);
+    assert_eq!(bus.master.fault(node(1)), None);
 }
 
-/// Both boot-up messages, its own and that after the master's reset, find the master asking.
+/// Both boot-up messages, its own and the one after the master's reset, arrive during SDO requests.
 #[test]
-fn a_node_that_powers_up_with_its_master_comes_up_at_once() {
+fn node_powered_up_with_master_starts_at_once() {
     let mut plan = plan(1);
     plan.device_type = None;
     let drives = vec![DriveNodeConfig::new(node(1))];

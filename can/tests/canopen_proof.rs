@@ -1,11 +1,10 @@
-//! Power only when the process data are proven, on CANopen: drives whose PDOs carry something else than their mapping
-//! says, between the bus and their objects, in virtual time.
+//! Process data proof before power-on, on CANopen: drives whose PDOs carry other data than mapped, in virtual time.
 
 #![expect(
     clippy::unwrap_used,
     clippy::panic,
     clippy::print_stdout,
-    reason = "a test that cannot go on ends, and says where everything was"
+    reason = "a test that cannot continue ends and prints the state"
 )]
 
 #[path = "canopen/bus.rs"]
@@ -16,7 +15,7 @@ use std::time::Duration;
 use bus::{Bus, Tamper, node};
 use takt_can::canopen::emulator::DriveNodeConfig;
 use takt_can::canopen::network::{
-    AxisCommand, AxisPlan, AxisTrouble, NetworkConfig, NodePlan, Phase,
+    AxisCommand, AxisFault, AxisPlan, NetworkConfig, NodePlan, Phase,
 };
 use takt_cia402::emulator::Distortion;
 use takt_cia402::proof::Objects;
@@ -61,7 +60,7 @@ fn state(bus: &mut Bus) -> State {
     bus.drive(1).application().axis(0).unwrap().state()
 }
 
-/// Wants power until it is known whether the process data are proven; why they are not.
+/// Requests power until the proof has a result; returns its duration or the fault.
 fn prove(bus: &mut Bus) -> Result<Duration, Option<Obstacle>> {
     let axis = bus.master.axis_mut(node(1), 0).unwrap();
     let position = axis.state().position;
@@ -83,8 +82,8 @@ fn prove(bus: &mut Bus) -> Result<Duration, Option<Obstacle>> {
         }
     }
     bus.run(SECOND / 5);
-    match bus.master.axis(node(1), 0).unwrap().trouble() {
-        Some(AxisTrouble::Drive(obstacle)) => Err(Some(obstacle)),
+    match bus.master.axis(node(1), 0).unwrap().fault() {
+        Some(AxisFault::Drive(obstacle)) => Err(Some(obstacle)),
         Some(_) | None => Err(None),
     }
 }
@@ -110,7 +109,7 @@ fn faithful_node_is_proven_and_enabled() {
 }
 
 #[test]
-fn node_with_another_order_of_objects_gets_no_power() {
+fn node_with_swapped_objects_gets_no_power() {
     let three = [[0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]];
     for order in three {
         is_refused(tampered(0, RPDO[0], true, Distortion::order(order)));
@@ -135,7 +134,7 @@ fn node_that_shifts_delays_or_freezes_gets_no_power() {
 }
 
 #[test]
-fn node_says_which_object_differs() {
+fn proof_names_differing_object() {
     let why = is_refused(tampered(1, RPDO[1], true, Distortion::shifted(1)));
     assert!(why.starts_with("60FFh by PDO "), "{why}");
     assert!(
@@ -145,7 +144,7 @@ fn node_says_which_object_differs() {
 }
 
 #[test]
-fn node_whose_object_sdo_does_not_show_needs_a_quirk() {
+fn node_with_unmirrored_object_needs_quirk() {
     let faults = |bus: &mut Bus| {
         let axis = bus.drive(1).application_mut().axis_mut(0).unwrap();
         axis.process_data.unreadable = vec![0x6071];

@@ -1,6 +1,6 @@
-//! Our drive and our master against python-canopen, over the virtual interface that `TAKT_VCAN` names or
-//! `vcan0`. Needs a Python (`TAKT_PYTHON`, else `python3`) that has `canopen`; else it notes that it was
-//! skipped. Nothing here judges how fast a host is.
+//! Our drive and our master with python-canopen, over the virtual interface that `TAKT_VCAN` names or `vcan0`. Needs a
+//! Python (`TAKT_PYTHON`, else `python3`) that has `canopen`; otherwise the tests are skipped. The speed of the host is
+//! not checked.
 #![expect(
     clippy::unwrap_used,
     clippy::panic,
@@ -26,9 +26,9 @@ use takt_cia402::Goal;
 use takt_cia402::dictionary::Address;
 
 const MS: Duration = Duration::from_millis(1);
-const PATIENCE: Duration = Duration::from_secs(240);
+const TIMEOUT: Duration = Duration::from_secs(240);
 
-/// Both tests send SYNC or hear it: one after the other.
+/// Both tests use SYNC: run one after the other.
 static BUS: Mutex<()> = Mutex::new(());
 
 fn python() -> String {
@@ -72,15 +72,15 @@ fn peer(role: &str, interface: &str, raw: u8) -> (Child, PathBuf) {
 }
 
 #[test]
-fn python_canopen_brings_our_drive_up_homes_and_moves_it() {
-    let Some(interface) = vcan("python_canopen_brings_our_drive_up_homes_and_moves_it") else {
+fn python_canopen_homes_and_moves_our_drive() {
+    let Some(interface) = vcan("python_canopen_homes_and_moves_our_drive") else {
         return;
     };
     let _turn = BUS.lock().unwrap_or_else(PoisonError::into_inner);
     let mut link = SocketCan::open(&interface, &Options::default()).unwrap();
     let mut drive = DriveNode::power_on(config(41), monotonic()).unwrap();
     let (mut child, sheet) = peer("lead", &interface, 41);
-    let end = monotonic() + PATIENCE;
+    let end = monotonic() + TIMEOUT;
     let status = loop {
         if let Some(received) = link.receive(MS).unwrap()
             && let AnyFrame::Classic(frame) = received.frame
@@ -96,9 +96,9 @@ fn python_canopen_brings_our_drive_up_homes_and_moves_it() {
         assert!(monotonic() < end, "python-canopen did not end");
     };
     let lines = BufReader::new(child.stdout.take().unwrap()).lines();
-    let told: Vec<_> = lines.map(Result::unwrap).collect();
+    let printed: Vec<_> = lines.map(Result::unwrap).collect();
     std::fs::remove_file(sheet).unwrap();
-    assert!(status.success(), "{told:?}");
+    assert!(status.success(), "{printed:?}");
     let expected = [
         "ok boot-up",
         "ok segmented and block transfers",
@@ -107,10 +107,10 @@ fn python_canopen_brings_our_drive_up_homes_and_moves_it() {
         "ok motion",
         "ok down",
     ];
-    assert_eq!(told, expected);
+    assert_eq!(printed, expected);
     let axis = drive.application().axis(0).unwrap();
     assert_eq!(axis.state(), takt_cia402::State::SwitchOnDisabled);
-    // 12,000 increments of 4096 a turn.
+    // 12,000 increments at 4096 per turn.
     let turns = axis.motor().position / std::f64::consts::TAU;
     assert!((turns - 12_000.0 / 4096.0).abs() < 0.02, "{turns} turns");
 }
@@ -124,9 +124,9 @@ struct Lead {
 }
 
 impl Lead {
-    /// The master of one drive whose position goes with SYNC.
+    /// The master of one drive with cyclic synchronous position.
     fn new(link: SocketCan, node: NodeId) -> Self {
-        // A Python process needs more patience than a drive.
+        // A Python process needs longer timeouts than a drive.
         let axis = AxisPlan {
             missing_max: 1000,
             ..AxisPlan::default()
@@ -205,21 +205,21 @@ impl Lead {
         assert_eq!(self.transfer(node, write).1, Outcome::Written);
     }
 
-    fn until<T>(&mut self, what: &str, mut holds: impl FnMut(&mut Self) -> Option<T>) -> T {
-        let end = monotonic() + PATIENCE;
+    fn until<T>(&mut self, goal: &str, mut holds: impl FnMut(&mut Self) -> Option<T>) -> T {
+        let end = monotonic() + TIMEOUT;
         while monotonic() < end {
             self.step();
             if let Some(value) = holds(self) {
                 return value;
             }
         }
-        panic!("{what} did not come: {:?}", self.events);
+        panic!("timeout: {goal}: {:?}", self.events);
     }
 }
 
 #[test]
-fn our_master_leads_a_drive_made_of_python_canopen() {
-    let Some(interface) = vcan("our_master_leads_a_drive_made_of_python_canopen") else {
+fn our_master_moves_python_canopen_drive() {
+    let Some(interface) = vcan("our_master_moves_python_canopen_drive") else {
         return;
     };
     let _turn = BUS.lock().unwrap_or_else(PoisonError::into_inner);
@@ -264,7 +264,11 @@ fn our_master_leads_a_drive_made_of_python_canopen() {
         .map(|n| (n * 7 % 251).to_le_bytes()[0])
         .collect();
     lead.write(node, 0x2000, &value);
-    assert_eq!(lead.read(node, 0x2000), value, "in segments, both ways");
+    assert_eq!(
+        lead.read(node, 0x2000),
+        value,
+        "in segments, both directions"
+    );
     lead.network.axis_mut(node, 0).unwrap().home();
     lead.until("homing", |l| {
         l.events.contains(&Event::Homed(node)).then_some(())

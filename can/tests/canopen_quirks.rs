@@ -1,11 +1,11 @@
-//! A master and nodes that behave as real ones were seen to: late boot-up, emergencies without an end, slow, stale,
-//! noisy and repeated SDO answers, COB-IDs with other bits, objects that are missing, faults while they are enabled.
+//! A master and nodes with observed quirks of real ones: late boot-up, emergencies that are never cleared, slow, stale,
+//! noisy and repeated SDO responses, COB-IDs with additional bits, missing objects, faults during enabling.
 
 #![expect(
     clippy::unwrap_used,
     clippy::panic,
     clippy::print_stdout,
-    reason = "a test that cannot go on ends, and says where everything was"
+    reason = "a test that cannot continue ends and prints the state"
 )]
 
 #[path = "canopen/bus.rs"]
@@ -16,7 +16,7 @@ use std::time::Duration;
 use bus::{Bus, MS, node, plan};
 use takt_can::canopen::emulator::{DriveNode, DriveNodeConfig};
 use takt_can::canopen::network::{
-    AxisCommand, AxisTrouble, Event, NetworkConfig, Phase, Transfer, Trouble,
+    AxisCommand, AxisFault, Event, NetworkConfig, NodeFault, Phase, Transfer,
 };
 use takt_can::canopen::node::NodeQuirks;
 use takt_can::canopen::sdo::Outcome;
@@ -29,7 +29,7 @@ use takt_cia402::{Goal, Obstacle, State};
 const CSP: i8 = 8;
 const SECOND: Duration = Duration::from_secs(1);
 
-/// A master and one drive of that kind, whose start has begun.
+/// A master and one drive of that kind, being started.
 fn started(change: impl FnOnce(&mut DriveNodeConfig)) -> Bus {
     let mut config = DriveNodeConfig::new(node(1));
     change(&mut config);
@@ -50,7 +50,7 @@ fn until_running(bus: &mut Bus) {
     assert!(!bus.events.contains(&failed), "{:?}", bus.events);
 }
 
-/// Enables it where it is, and lets it follow 500 increments.
+/// Enables it at its position, and moves it by 500 increments.
 fn move_it(bus: &mut Bus) {
     let axis = bus.master.axis_mut(node(1), 0).unwrap();
     let from = axis.state().position;
@@ -71,7 +71,7 @@ fn move_it(bus: &mut Bus) {
     }
     bus.run(SECOND / 10);
     let axis = bus.master.axis(node(1), 0).unwrap();
-    assert_eq!(axis.trouble(), None);
+    assert_eq!(axis.fault(), None);
     assert!((axis.state().position - from - 500).abs() < 20);
 }
 
@@ -79,7 +79,7 @@ fn emergencies(bus: &Bus) -> Vec<u16> {
     let code = |event: &Event| match event {
         Event::Emergency(_, emergency, _) => Some(emergency.code),
         Event::Phase(..)
-        | Event::Trouble(..)
+        | Event::Fault(..)
         | Event::Homed(_)
         | Event::Axis(_)
         | Event::Transferred(..) => None,
@@ -111,44 +111,44 @@ fn node_with_all_quirks_at_once_starts() {
     move_it(&mut bus);
 }
 
-/// Sends a frame to a drive and returns what it sends in so many ms, with the time in us.
-fn told(drive: &mut DriveNode, from: Duration, frame: &str, ms: u64) -> Vec<(u64, String)> {
+/// Sends a frame to a drive and returns its frames of the next `ms`, with times in us.
+fn exchange(drive: &mut DriveNode, from: Duration, frame: &str, ms: u64) -> Vec<(u64, String)> {
     let line = format!("(1.000000) can0 {frame}");
     let frame: Frame = LogLine::parse(&line).unwrap().frame;
     drive.handle_frame(&frame, from);
-    let mut told = Vec::new();
+    let mut answers = Vec::new();
     for us in (0..=ms * 1000).step_by(100) {
         let now = from + Duration::from_micros(us);
         let sent = std::iter::from_fn(|| drive.poll_transmit(now));
-        told.extend(sent.map(|frame| (us, frame.to_string())));
+        answers.extend(sent.map(|frame| (us, frame.to_string())));
     }
-    told
+    answers
 }
 
 fn power_on(name: &str) -> DriveNode {
     let mut config = DriveNodeConfig::new(node(1));
     config.quirks = NodeQuirks::named(name).unwrap();
     let mut drive = DriveNode::power_on(config, Duration::ZERO).unwrap();
-    // Until it has booted up and said so.
-    let _ = told(&mut drive, Duration::ZERO, "7FF#", 600);
+    // Until its boot-up message.
+    let _ = exchange(&mut drive, Duration::ZERO, "7FF#", 600);
     drive
 }
 
 #[test]
 fn boot_up_late_emergencies_follow_not_withdrawn() {
     let mut drive = power_on("late-boot-up");
-    let told = told(&mut drive, SECOND, "000#8201", 3000);
+    let sent = exchange(&mut drive, SECOND, "000#8201", 3000);
     let expected = [
         (14_400, "701#00"),
         (16_900, "081#B081010000000000"),
         (19_200, "081#A081010000000000"),
     ];
     let expected = expected.map(|(at, frame)| (at, frame.to_owned()));
-    assert_eq!(told, expected);
+    assert_eq!(sent, expected);
     let mut bus = quirky("late-boot-up");
     until_running(&mut bus);
     assert_eq!(emergencies(&bus), [0x81B0, 0x81A0]);
-    assert_eq!(bus.master.trouble(node(1)), None);
+    assert_eq!(bus.master.fault(node(1)), None);
 }
 
 #[test]
@@ -157,10 +157,10 @@ fn sdo_answers_slow_stay_in_their_range() {
     let mut seen = Vec::new();
     for turn in 1..100 {
         let at = SECOND + 20 * MS * turn;
-        let told = told(&mut drive, at, "601#4000100000000000", 19);
-        assert_eq!(told.len(), 1, "{told:?}");
-        assert_eq!(told[0].1, "581#4300100092010200");
-        seen.push(told[0].0);
+        let sent = exchange(&mut drive, at, "601#4000100000000000", 19);
+        assert_eq!(sent.len(), 1, "{sent:?}");
+        assert_eq!(sent[0].1, "581#4300100092010200");
+        seen.push(sent[0].0);
     }
     let (least, most) = (seen.iter().min().unwrap(), seen.iter().max().unwrap());
     assert!((2_600..3_200).contains(least), "{least}");
@@ -170,17 +170,18 @@ fn sdo_answers_slow_stay_in_their_range() {
 #[test]
 fn answers_stale_after_boot_up_start_nothing_wrong() {
     let mut drive = power_on("stale-answers");
-    let reset = told(&mut drive, SECOND, "000#8101", 0);
+    let reset = exchange(&mut drive, SECOND, "000#8101", 0);
     assert!(reset.is_empty());
     for _ in 0..2 {
-        let early = told(&mut drive, SECOND, "601#4000100000000000", 0);
+        let early = exchange(&mut drive, SECOND, "601#4000100000000000", 0);
         assert!(early.is_empty(), "{early:?}");
     }
-    let late = told(&mut drive, SECOND, "7FF#", 600);
+    let late = exchange(&mut drive, SECOND, "7FF#", 600);
     let frames: Vec<_> = late.iter().map(|(_, frame)| frame.as_str()).collect();
     let answer = "581#4300100092010200";
     assert_eq!(frames, ["701#00", answer, answer]);
-    // Another program asked while the drive powered up; the master is answered by that too.
+    // Another program sent requests while the drive powered up; the master receives those responses
+    // too.
     let mut bus = quirky("stale-answers");
     bus.run(SECOND / 10);
     for data in [
@@ -188,7 +189,7 @@ fn answers_stale_after_boot_up_start_nothing_wrong() {
         [0x40, 0x18, 0x10, 1, 0, 0, 0, 0],
     ] {
         let request = Frame::new(node(1).cob(0x600), &data).unwrap();
-        bus.stranger.extend([request; 2]);
+        bus.foreign_frames.extend([request; 2]);
     }
     until_running(&mut bus);
     move_it(&mut bus);
@@ -197,8 +198,8 @@ fn answers_stale_after_boot_up_start_nothing_wrong() {
 #[test]
 fn unused_bytes_with_noise_change_no_value() {
     let mut drive = power_on("noise");
-    let told = told(&mut drive, SECOND, "601#4041600000000000", 1);
-    let (.., answer) = &told[0];
+    let sent = exchange(&mut drive, SECOND, "601#4041600000000000", 1);
+    let (.., answer) = &sent[0];
     assert!(answer.starts_with("581#4B4160005002") && !answer.ends_with("0000"));
     let mut bus = quirky("noise");
     until_running(&mut bus);
@@ -216,17 +217,17 @@ fn unused_bytes_with_noise_change_no_value() {
     }
 }
 
-/// `F000_0181h` while it is off; bit 30 clear whatever was written.
+/// `F000_0181h` while it is disabled; bit 30 is always clear.
 #[test]
 fn cob_id_bits_28_to_30_differ_node_starts() {
     for (name, shown) in [("cob-bits-set", 0xF0), ("cob-bits-clear", 0x80)] {
         let mut drive = power_on(name);
-        let told = told(&mut drive, SECOND, "601#4001180100000000", 1);
-        // TPDO 2 is off until it is set up.
-        let second = self::told(&mut drive, 2 * SECOND, "601#4001180100000000", 1);
-        assert_eq!(told[0].1, second[0].1);
+        let sent = exchange(&mut drive, SECOND, "601#4001180100000000", 1);
+        // TPDO 2 is disabled until it is configured.
+        let second = exchange(&mut drive, 2 * SECOND, "601#4001180100000000", 1);
+        assert_eq!(sent[0].1, second[0].1);
         assert_eq!(
-            told[0].1,
+            sent[0].1,
             format!("581#43011801810200{shown:02X}"),
             "{name}"
         );
@@ -234,19 +235,19 @@ fn cob_id_bits_28_to_30_differ_node_starts() {
     }
 }
 
-/// What makes a COB-ID another one still counts.
+/// Differences in the identifier still count.
 #[test]
 fn cob_id_of_other_identifier_is_refused() {
     for bits in [0x0000_0002, 0x8000_0000] {
         let mut bus = started(|config| config.quirks.cob_high = bits);
         bus.run(SECOND);
-        let not_taken = Trouble::NotTaken(Address::new(0x1400, 1));
-        assert_eq!(bus.master.trouble(node(1)), Some(not_taken), "{bits:08X}h");
+        let not_taken = NodeFault::NotTaken(Address::new(0x1400, 1));
+        assert_eq!(bus.master.fault(node(1)), Some(not_taken), "{bits:08X}h");
     }
 }
 
 #[test]
-fn object_6502h_absent_is_no_obstacle() {
+fn object_6502h_absent_node_starts() {
     let mut bus = quirky("no-6502h");
     until_running(&mut bus);
     let modes = Transfer {
@@ -265,12 +266,12 @@ fn object_6502h_absent_is_no_obstacle() {
 #[test]
 fn answers_repeated_and_shifted_are_aborted_once_each() {
     let mut drive = power_on("repeated-answers");
-    let answers = told(&mut drive, SECOND, "601#4000100000000000", 1);
+    let answers = exchange(&mut drive, SECOND, "601#4000100000000000", 1);
     assert_eq!(answers.len(), 10);
     assert_eq!(answers[1].1, "581#0043001000920102");
     let mut bus = quirky("repeated-answers");
     until_running(&mut bus);
-    let garbled = |event: &&Event| matches!(event, Event::Trouble(_, Trouble::Garbled { .. }));
+    let garbled = |event: &&Event| matches!(event, Event::Fault(_, NodeFault::Garbled { .. }));
     assert_eq!(
         bus.events.iter().filter(garbled).count(),
         1,
@@ -287,12 +288,13 @@ fn answers_repeated_and_shifted_are_aborted_once_each() {
 #[test]
 fn node_that_only_babbles_fails_after_a_few_requests() {
     let mut bus = started(|_| ());
-    // Its own answers are lost, and something else talks instead.
+    // Its own responses are lost, and another sender interferes.
     bus.muted = Some(0x581 + 0x100);
     bus.drives[0] = None;
-    bus.stranger.push_back(heartbeat(node(1), NmtState::BootUp));
+    bus.foreign_frames
+        .push_back(heartbeat(node(1), NmtState::BootUp));
     for _ in 0..2_000 {
-        bus.stranger
+        bus.foreign_frames
             .push_back(Frame::new(node(1).cob(0x580), &[0, 0x20, 0, 0, 0, 0, 0, 0]).unwrap());
         bus.run(MS);
     }
@@ -310,7 +312,7 @@ fn enabling_that_faults_shows_each_emergency_and_stops() {
     until_running(&mut bus);
     let axis = bus.master.axis_mut(node(1), 0).unwrap();
     axis.set_goal(Goal::OperationEnabled, CSP);
-    // A program that never gives up.
+    // A program that never stops retrying.
     for _ in 0..50 {
         bus.master.axis_mut(node(1), 0).unwrap().reset_fault();
         bus.run(SECOND / 10);
@@ -319,7 +321,7 @@ fn enabling_that_faults_shows_each_emergency_and_stops() {
     assert_eq!(faults, [0x5201, 0, 0x5201, 0, 0x5201]);
     let axis = bus.master.axis(node(1), 0).unwrap();
     let fails = Obstacle::EnablingFails(3);
-    assert_eq!(axis.trouble(), Some(AxisTrouble::Drive(fails)));
+    assert_eq!(axis.fault(), Some(AxisFault::Drive(fails)));
     assert_eq!(axis.state().status.raw() & 0x044F, 0x0408, "0638h");
     // Another goal is a new request, and its cause is repaired.
     let axis = bus.master.axis_mut(node(1), 0).unwrap();
@@ -359,7 +361,7 @@ fn remote_bit_never_set_drive_moves() {
     }
 }
 
-/// 702h 00 of a master that is no node of the plan, and of the number of our own.
+/// 702h 00 of a master that is not in the plan, and with the number of our own.
 #[test]
 fn boot_up_of_another_master_disturbs_no_node() {
     let config = NetworkConfig {
@@ -370,11 +372,11 @@ fn boot_up_of_another_master_disturbs_no_node() {
     let mut bus = Bus::new(config, vec![plan(1)], drives);
     bus.master.start(bus.now);
     let boot_ups = [2, 3, 100].map(|raw| heartbeat(node(raw), NmtState::BootUp));
-    bus.stranger.extend(boot_ups);
+    bus.foreign_frames.extend(boot_ups);
     until_running(&mut bus);
-    bus.stranger.extend(boot_ups);
+    bus.foreign_frames.extend(boot_ups);
     move_it(&mut bus);
-    assert_eq!(bus.master.trouble(node(1)), None);
+    assert_eq!(bus.master.fault(node(1)), None);
 }
 
 #[test]

@@ -1,6 +1,6 @@
-//! Six axes at a SYNC of 2 ms on the kernel's own bus, with a transfer beside them: what is told in a cycle goes out in
-//! that cycle, whatever else is sent. Runs on the virtual interface that `TAKT_VCAN` names, or `vcan0`; else it notes
-//! that it was skipped. How regular SYNC was is printed; nothing here judges how fast a host is.
+//! Six axes at a SYNC of 2 ms on the kernel's virtual bus, with a background transfer: commands of a cycle are sent in
+//! that cycle, whatever else is sent. Runs on the virtual interface `TAKT_VCAN` or `vcan0`; otherwise it is skipped.
+//! Prints the SYNC jitter; the speed of the host is not checked.
 #![expect(
     clippy::unwrap_used,
     clippy::print_stderr,
@@ -27,14 +27,14 @@ use takt_tests::vcan;
 const CSP: i8 = 8;
 const MS: Duration = Duration::from_millis(1);
 const PERIOD: Duration = Duration::from_millis(2);
-/// While drives are brought up and after that: a slow host keeps up with it.
+/// Period before and after the start of the drives, slow enough for a slow host.
 const CALM: Duration = Duration::from_millis(20);
-const PATIENCE: Duration = Duration::from_secs(120);
+const TIMEOUT: Duration = Duration::from_secs(120);
 /// Numbers that no other test on this interface uses.
 const NODES: std::ops::RangeInclusive<u8> = 101..=106;
-/// Periods that are looked at.
+/// Evaluated periods.
 const CYCLES: i32 = 500;
-/// Bytes that are transferred meanwhile.
+/// Bytes of the background transfer.
 const LEN: usize = 3_000;
 
 fn node(raw: u8) -> NodeId {
@@ -51,7 +51,7 @@ fn open(interface: &str, filters: &[Filter]) -> SocketCan {
     SocketCan::open(interface, &options).unwrap()
 }
 
-/// All drives, on one socket, until told to end.
+/// Runs all drives on one socket until `ends`.
 fn serve(interface: &str, ends: &AtomicBool) {
     let mut link = open(interface, &[]);
     let started = monotonic();
@@ -63,7 +63,7 @@ fn serve(interface: &str, ends: &AtomicBool) {
         DriveNode::power_on(config, started).unwrap()
     };
     let mut drives: Vec<_> = NODES.map(drive).collect();
-    // Of a slow host they run in slow motion: making up for lost time would cost it more of that.
+    // On a slow host they run slower: catching up would only increase the load.
     let mut now = started;
     while !ends.load(Ordering::Relaxed) {
         let mut wait = MS / 2;
@@ -124,11 +124,11 @@ impl Master {
         }
     }
 
-    /// One period, with what comes in it.
+    /// One period, with its received frames.
     fn cycle(&mut self) {
         std::thread::sleep(self.next.saturating_sub(monotonic()));
         let now = monotonic();
-        // Periods that were missed are skipped.
+        // Missed periods are skipped.
         self.next = (self.next + self.period).max(now);
         self.network.cycle(now);
         while let Some(frame) = self.network.poll_process() {
@@ -153,10 +153,10 @@ impl Master {
             .extend(std::iter::from_fn(|| network.poll_event()));
     }
 
-    fn until(&mut self, what: &str, mut holds: impl FnMut(&mut Self) -> bool) {
-        let end = monotonic() + PATIENCE;
+    fn until(&mut self, goal: &str, mut holds: impl FnMut(&mut Self) -> bool) {
+        let end = monotonic() + TIMEOUT;
         while !holds(self) {
-            assert!(monotonic() < end, "{what} did not come: {:?}", self.events);
+            assert!(monotonic() < end, "timeout: {goal}: {:?}", self.events);
             self.cycle();
         }
     }
@@ -187,7 +187,7 @@ fn target(frame: &Frame) -> i32 {
     i32::from_le_bytes(*frame.data()[3..].first_chunk().unwrap())
 }
 
-/// Looks at all SYNCs and RPDOs in their order on the bus; returns how many cycles had set-points of a cycle of its own.
+/// Checks all SYNCs and RPDOs in their order on the bus; returns the number of cycles with their own set-points.
 fn judge(frames: &[Received]) -> i32 {
     let mut frames = frames
         .iter()
@@ -209,7 +209,7 @@ fn judge(frames: &[Received]) -> i32 {
         let expected: Vec<_> = NODES.map(|raw| (0x200 + u32::from(raw), first)).collect();
         assert_eq!(
             seen, expected,
-            "all axes, each once, with what this cycle commanded"
+            "all axes, each once, with the commands of this cycle"
         );
         cycles += 1;
         assert_eq!(
@@ -228,7 +228,7 @@ fn print_jitter(frames: &[Received]) {
         .map(|pair| pair[1].saturating_sub(pair[0]).abs_diff(PERIOD))
         .collect();
     errors.sort_unstable();
-    let part = |share: usize| errors[(errors.len() - 1) * share / 1_000];
+    let part = |per_mille: usize| errors[(errors.len() - 1) * per_mille / 1_000];
     eprintln!(
         "{} intervals of SYNC at {PERIOD:?}, off by: half {:?}, 90 % {:?}, 99 % {:?}, 99.9 % {:?}, all {:?}",
         errors.len(),
@@ -245,9 +245,8 @@ fn print_jitter(frames: &[Received]) {
 }
 
 #[test]
-fn six_axes_get_what_each_cycle_commands_with_a_transfer_beside_them() {
-    let Some(interface) = vcan("six_axes_get_what_each_cycle_commands_with_a_transfer_beside_them")
-    else {
+fn six_axes_on_vcan_get_each_cycles_commands() {
+    let Some(interface) = vcan("six_axes_on_vcan_get_each_cycles_commands") else {
         return;
     };
     let ends = AtomicBool::new(false);

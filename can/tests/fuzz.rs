@@ -1,5 +1,5 @@
-//! Every format that comes over a bus, from a serial port or out of a file, fed with bytes from a seeded generator: what
-//! `cargo fuzz` does for hours, for a moment in every run. The functions panic if one of their promises is broken.
+//! Every format that comes over a bus, from a serial port or out of a file, fed with bytes from a seeded generator: a
+//! short run of what `cargo fuzz` does for hours. The targets panic if a property is violated.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
 use std::time::Duration;
@@ -12,7 +12,7 @@ use takt_tests::fuzz::{Random, feed, feed_files};
 /// Inputs for each target.
 const INPUTS: u64 = 5_000;
 
-/// A standard frame of eight bytes as the targets take it.
+/// A standard frame of eight bytes in the input format of the targets.
 fn frame((id, data): (u16, [u8; 8])) -> [u8; 12] {
     let mut bytes = [0, 0, 0, 0x50, 0, 0, 0, 0, 0, 0, 0, 0];
     bytes[..2].copy_from_slice(&id.to_le_bytes());
@@ -108,7 +108,7 @@ fn rmp_stands_random_input() {
     feed("rmp", fuzz::rmp, &words, INPUTS);
 }
 
-/// A whole emulated drive, with whatever a bus can bring: node, SDO server, PDOs, LSS, its motor.
+/// A whole emulated drive with random frames: node, SDO server, PDOs, LSS, its motor.
 #[test]
 fn a_drive_stands_random_frames() {
     let mut random = Random::new(3);
@@ -122,7 +122,7 @@ fn a_drive_stands_random_frames() {
             let now = Duration::from_micros(turn * 500);
             let frame_id = Id::standard(ids[random.below(ids.len())]).unwrap();
             let mut data = random.next().to_le_bytes();
-            // Commands of SDO and NMT about objects that there are.
+            // SDO and NMT commands for existing objects.
             if random.next().is_multiple_of(2) {
                 let index = [
                     0x1000_u16, 0x1400, 0x1600, 0x1A00, 0x1016, 0x6040, 0x6060, 0x1F80,

@@ -1,5 +1,5 @@
-//! Recordings that python-can wrote, and ours that it reads. Needs a Python (`TAKT_PYTHON`, else `python3`) that has
-//! `can`; else it notes that it was skipped. What a kind of file loses of a frame, the readers' own tests say.
+//! Recordings written by python-can, and our logs read by it. Needs a Python (`TAKT_PYTHON`, else `python3`) that has
+//! `can`; otherwise the tests are skipped. The unit tests of the readers cover what each format does not keep.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
 use std::path::{Path, PathBuf};
@@ -11,8 +11,8 @@ use takt_can::log::{Format, Log, Record};
 /// Writes the frames of candump lines into the file named, or prints those of a file as candump lines.
 const PEER: &str = r#"
 import sys, can
-what, path, log = sys.argv[1:4]
-if what == "write":
+action, path, log = sys.argv[1:4]
+if action == "write":
     with can.CanutilsLogReader(log) as frames, can.Logger(path) as logger:
         for frame in frames:
             frame.channel = 0
@@ -27,7 +27,7 @@ fn python() -> String {
     std::env::var("TAKT_PYTHON").unwrap_or_else(|_| "python3".to_owned())
 }
 
-/// Not in this folder, which Python would take for the module.
+/// Not in this folder: Python would import it as the module.
 fn peer(arguments: &[&str]) -> bool {
     let mut command = Command::new(python());
     let command = command.args(["-c"]).args(arguments).current_dir("/");
@@ -38,7 +38,7 @@ fn peer(arguments: &[&str]) -> bool {
 fn has_python_can(test: &str) -> bool {
     let has = peer(&["import can; can.Logger"]);
     if !has {
-        // It is there where the tests with a bus run.
+        // It must be present where the tests with a bus run.
         takt_tests::skip(test, "needs python-can, as where vcan is");
     }
     has
@@ -64,7 +64,7 @@ impl Drop for Folder {
     }
 }
 
-/// Frames that every kind of file keeps.
+/// Frames that every format keeps.
 const CLASSIC: &[&str] = &[
     "123#DEADBEEF R",
     "605#2B40600006000000 T",
@@ -73,7 +73,7 @@ const CLASSIC: &[&str] = &[
     "7FF# R",
 ];
 
-/// Frames that TRC files of python-can do not keep.
+/// Frames that python-can's TRC files do not keep.
 const OTHERS: &[&str] = &["705#R R", "321##1000102030405060708090A0B R", "321##0AB R"];
 
 fn lines(frames: &[&[&str]]) -> Vec<String> {
@@ -91,7 +91,7 @@ fn read(path: &str, format: Format) -> Vec<Record> {
     log.records
 }
 
-/// Frames, directions and times: some files round their beginning to whole seconds.
+/// Frames, directions and times: some formats round their start time to whole seconds.
 fn assert_same(found: &[Record], expected: &[String], path: &str) {
     assert_eq!(found.len(), expected.len(), "{path}");
     for (record, line) in found.iter().zip(expected) {
@@ -116,8 +116,8 @@ fn assert_same(found: &[Record], expected: &[String], path: &str) {
 }
 
 #[test]
-fn files_of_python_can_hold_what_was_written() {
-    if !has_python_can("files_of_python_can_hold_what_was_written") {
+fn python_can_files_contain_written_frames() {
+    if !has_python_can("python_can_files_contain_written_frames") {
         return;
     }
     let folder = Folder::new("log-write");
@@ -136,8 +136,8 @@ fn files_of_python_can_hold_what_was_written() {
 }
 
 #[test]
-fn python_can_reads_what_we_print() {
-    if !has_python_can("python_can_reads_what_we_print") {
+fn python_can_reads_our_logs() {
+    if !has_python_can("python_can_reads_our_logs") {
         return;
     }
     let folder = Folder::new("log-read");

@@ -1,7 +1,6 @@
-//! SocketCAN against the kernel itself and against the programs that everybody uses with it. Runs on the virtual
-//! interface that `TAKT_VCAN` names, or `vcan0` if there is one; else each test notes that it was skipped.
-//! What needs a controller runs on two that are wired together and named by `TAKT_CAN_PAIR` (`can0,can1`).
-//! Nothing here judges how fast a host is.
+//! SocketCAN with the kernel and with common programs (can-utils, python-can). Runs on the virtual interface
+//! `TAKT_VCAN` or `vcan0`; otherwise the tests are skipped. Tests that need controllers use two connected ones, named
+//! by `TAKT_CAN_PAIR` (`can0,can1`). The speed of the host is not checked.
 #![expect(
     clippy::unwrap_used,
     clippy::panic,
@@ -22,7 +21,7 @@ use takt_can::log::{LogLine, parse_frame};
 use takt_can::{AnyFrame, BusState, ErrorFrame, FdFrame, Frame, Id};
 use takt_tests::{skip, vcan};
 
-const PATIENCE: Duration = Duration::from_secs(20);
+const TIMEOUT: Duration = Duration::from_secs(20);
 
 fn has(program: &str) -> bool {
     let paths = std::env::var_os("PATH").unwrap_or_default();
@@ -37,7 +36,7 @@ fn data(raw: u16, data: &[u8]) -> AnyFrame {
     Frame::new(id(raw), data).unwrap().into()
 }
 
-/// Hears only this identifier, so that tests that run at the same time do not disturb each other.
+/// Receives only this identifier, so that parallel tests do not disturb each other.
 fn open(interface: &str, raw: u16) -> SocketCan {
     let filters = [Filter::exactly(id(raw))];
     let options = Options {
@@ -50,18 +49,18 @@ fn open(interface: &str, raw: u16) -> SocketCan {
 
 #[track_caller]
 fn receive(link: &mut SocketCan) -> Received {
-    let until = monotonic() + PATIENCE;
+    let until = monotonic() + TIMEOUT;
     while monotonic() < until {
         if let Some(received) = link.receive(Duration::from_millis(100)).unwrap() {
             return received;
         }
     }
-    panic!("nothing came within {PATIENCE:?}");
+    panic!("no frame within {TIMEOUT:?}");
 }
 
 #[test]
-fn own_frames_and_those_of_this_host_are_told_apart() {
-    let Some(vcan) = vcan("own_frames_and_those_of_this_host_are_told_apart") else {
+fn socket_distinguishes_own_and_host_frames() {
+    let Some(vcan) = vcan("socket_distinguishes_own_and_host_frames") else {
         return;
     };
     let filters = [Filter::exactly(id(0x101))];
@@ -74,23 +73,23 @@ fn own_frames_and_those_of_this_host_are_told_apart() {
     let mut other = open(&vcan, 0x101);
     let before = monotonic();
     sender.send(&data(0x101, &[1, 2, 3])).unwrap();
-    let (own, heard) = (receive(&mut sender), receive(&mut other));
-    assert_eq!((own.origin, heard.origin), (Origin::Own, Origin::Host));
+    let (own, foreign) = (receive(&mut sender), receive(&mut other));
+    assert_eq!((own.origin, foreign.origin), (Origin::Own, Origin::Host));
     assert_eq!(
-        (own.frame, heard.frame),
+        (own.frame, foreign.frame),
         (data(0x101, &[1, 2, 3]), data(0x101, &[1, 2, 3]))
     );
     // The two clocks are read one after the other, so allow for some slack.
     let slack = Duration::from_millis(100);
-    assert!(heard.at + slack >= before && heard.at <= monotonic() + slack);
-    assert_eq!(heard.hardware, None);
+    assert!(foreign.at + slack >= before && foreign.at <= monotonic() + slack);
+    assert_eq!(foreign.hardware, None);
     assert!(!other.has_hardware_stamps());
     assert_eq!(other.receive(Duration::ZERO), Ok(None));
 }
 
 #[test]
-fn stamps_are_of_the_clock_that_was_asked_for() {
-    let Some(vcan) = vcan("stamps_are_of_the_clock_that_was_asked_for") else {
+fn socket_time_stamps_use_requested_clock() {
+    let Some(vcan) = vcan("socket_time_stamps_use_requested_clock") else {
         return;
     };
     let options = Options {
@@ -99,18 +98,18 @@ fn stamps_are_of_the_clock_that_was_asked_for() {
     };
     let mut link = SocketCan::open(&vcan, &options).unwrap();
     open(&vcan, 0x102).send(&data(0x102, &[])).unwrap();
-    let heard = loop {
+    let received = loop {
         let received = receive(&mut link);
         if received.frame == data(0x102, &[]) {
             break received;
         }
     };
-    assert!(wall().abs_diff(heard.at) < Duration::from_secs(60));
+    assert!(wall().abs_diff(received.at) < Duration::from_secs(60));
 }
 
 #[test]
-fn filters_let_through_what_they_should() {
-    let Some(vcan) = vcan("filters_let_through_what_they_should") else {
+fn socket_filters_accept_matching_frames() {
+    let Some(vcan) = vcan("socket_filters_accept_matching_frames") else {
         return;
     };
     let long = Id::extended(0x103).unwrap();
@@ -136,8 +135,8 @@ fn filters_let_through_what_they_should() {
 }
 
 #[test]
-fn every_kind_of_frame_arrives_as_it_was_sent() {
-    let Some(vcan) = vcan("every_kind_of_frame_arrives_as_it_was_sent") else {
+fn socket_every_kind_of_frame_arrives_unchanged() {
+    let Some(vcan) = vcan("socket_every_kind_of_frame_arrives_unchanged") else {
         return;
     };
     let (mut sender, mut link) = (open(&vcan, 0x104), open(&vcan, 0x104));
@@ -153,25 +152,28 @@ fn every_kind_of_frame_arrives_as_it_was_sent() {
 }
 
 #[test]
-fn reports_of_errors_arrive_with_class_and_data() {
-    let Some(vcan) = vcan("reports_of_errors_arrive_with_class_and_data") else {
+fn socket_error_frames_arrive_with_class_and_data() {
+    let Some(vcan) = vcan("socket_error_frames_arrive_with_class_and_data") else {
         return;
     };
     let mut link = SocketCan::open(&vcan, &Options::default()).unwrap();
     let report = ErrorFrame::new(0x044, [0, 0x30, 0, 0, 0, 0, 0x82, 0x05]);
     open(&vcan, 0x7FE).send(&report.into()).unwrap();
-    let heard = loop {
-        if let AnyFrame::Error(heard) = receive(&mut link).frame {
-            break heard;
+    let received = loop {
+        if let AnyFrame::Error(received) = receive(&mut link).frame {
+            break received;
         }
     };
-    assert_eq!((heard, heard.state()), (report, Some(BusState::BusOff)));
+    assert_eq!(
+        (received, received.state()),
+        (report, Some(BusState::BusOff))
+    );
 }
 
-/// What does not fit the socket's memory is lost, and the count of it comes with the next frame that fits.
+/// Frames beyond the socket's buffer are lost; their count arrives with the next frame.
 #[test]
-fn lost_frames_are_counted() {
-    let Some(vcan) = vcan("lost_frames_are_counted") else {
+fn socket_lost_frames_are_counted() {
+    let Some(vcan) = vcan("socket_lost_frames_are_counted") else {
         return;
     };
     let filters = [Filter::exactly(id(0x105))];
@@ -198,8 +200,8 @@ fn lost_frames_are_counted() {
 }
 
 #[test]
-fn default_memory_holds_a_quarter_second_of_a_full_bus() {
-    let Some(vcan) = vcan("default_memory_holds_a_quarter_second_of_a_full_bus") else {
+fn socket_default_buffer_holds_quarter_second_of_full_bus() {
+    let Some(vcan) = vcan("socket_default_buffer_holds_quarter_second_of_full_bus") else {
         return;
     };
     let mut link = open(&vcan, 0x106);
@@ -213,7 +215,7 @@ fn default_memory_holds_a_quarter_second_of_a_full_bus() {
     assert_eq!(link.dropped(), 0);
 }
 
-/// Ends its program when a test ends.
+/// Kills its program at the end of a test.
 struct Running(Child);
 
 impl Drop for Running {
@@ -224,8 +226,8 @@ impl Drop for Running {
 }
 
 #[test]
-fn candump_hears_what_we_send() {
-    let test = "candump_hears_what_we_send";
+fn candump_receives_our_frames() {
+    let test = "candump_receives_our_frames";
     let Some(vcan) = vcan(test) else { return };
     if !has("candump") {
         return skip(test, "needs candump of can-utils");
@@ -243,7 +245,7 @@ fn candump_hears_what_we_send() {
     });
     let mut sender = open(&vcan, 0x7FB);
     let frame = data(0x107, &[0xDE, 0xAD]);
-    // It takes a while until it listens.
+    // It takes a while until it receives.
     let line = (0..200).find_map(|_| {
         sender.send(&frame).unwrap();
         receiver.recv_timeout(Duration::from_millis(100)).ok()
@@ -258,8 +260,8 @@ fn candump_hears_what_we_send() {
 }
 
 #[test]
-fn we_hear_what_cansend_sends() {
-    let test = "we_hear_what_cansend_sends";
+fn socket_receives_frames_of_cansend() {
+    let test = "socket_receives_frames_of_cansend";
     let Some(vcan) = vcan(test) else { return };
     if !has("cansend") {
         return skip(test, "needs cansend of can-utils");
@@ -289,11 +291,11 @@ for _ in range(2):
 ";
 
 #[test]
-fn python_can_answers_in_kind() {
-    let test = "python_can_answers_in_kind";
+fn python_can_echoes_every_kind_of_frame() {
+    let test = "python_can_echoes_every_kind_of_frame";
     let Some(vcan) = vcan(test) else { return };
     let python = std::env::var("TAKT_PYTHON").unwrap_or_else(|_| "python3".to_owned());
-    // Not in this folder, which Python would take for the module.
+    // Not in this folder: Python would import it as the module.
     let run = |arguments: &[&str]| {
         let mut command = Command::new(&python);
         command
@@ -326,15 +328,15 @@ fn python_can_answers_in_kind() {
 }
 
 #[test]
-fn kernel_sends_cyclically_until_told_to_end() {
-    let Some(vcan) = vcan("kernel_sends_cyclically_until_told_to_end") else {
+fn kernel_cyclic_transmission_stops_on_drop() {
+    let Some(vcan) = vcan("kernel_cyclic_transmission_stops_on_drop") else {
         return;
     };
     let mut link = open(&vcan, 0x10B);
     let frame = |byte| Frame::new(id(0x10B), &[byte]).unwrap();
     let Ok(cyclic) = Cyclic::start(&vcan, &frame(1), Duration::from_millis(10)) else {
         return skip(
-            "kernel_sends_cyclically_until_told_to_end",
+            "kernel_cyclic_transmission_stops_on_drop",
             "needs the module can-bcm",
         );
     };
@@ -349,32 +351,32 @@ fn kernel_sends_cyclically_until_told_to_end() {
 }
 
 #[test]
-fn kernel_tells_silence() {
-    let Some(vcan) = vcan("kernel_tells_silence") else {
+fn kernel_reports_receive_timeout() {
+    let Some(vcan) = vcan("kernel_reports_receive_timeout") else {
         return;
     };
     let Ok(watch) = Watch::start(&vcan, id(0x70C), Duration::from_millis(100)) else {
-        return skip("kernel_tells_silence", "needs the module can-bcm");
+        return skip("kernel_reports_receive_timeout", "needs the module can-bcm");
     };
     let beat = Frame::new(id(0x70C), &[5]).unwrap();
     let mut sender = open(&vcan, 0x7FA);
     sender.send(&beat.into()).unwrap();
-    assert_eq!(watch.wait(PATIENCE).unwrap(), Some(Watched::Changed(beat)));
+    assert_eq!(watch.wait(TIMEOUT).unwrap(), Some(Watched::Changed(beat)));
     assert_eq!(
-        watch.wait(PATIENCE).unwrap(),
+        watch.wait(TIMEOUT).unwrap(),
         Some(Watched::Silent(id(0x70C)))
     );
     sender.send(&beat.into()).unwrap();
     assert_eq!(
-        watch.wait(PATIENCE).unwrap(),
+        watch.wait(TIMEOUT).unwrap(),
         Some(Watched::Changed(beat)),
         "it is back"
     );
 }
 
 #[test]
-fn virtual_interface_tells_what_it_is_and_what_it_cannot() {
-    let test = "virtual_interface_tells_what_it_is_and_what_it_cannot";
+fn virtual_interface_reports_state_and_rejects_bit_rate() {
+    let test = "virtual_interface_reports_state_and_rejects_bit_rate";
     let Some(vcan) = vcan(test) else { return };
     let interface = Interface::open(&vcan).unwrap();
     let details = interface.details().unwrap();
@@ -390,10 +392,10 @@ fn virtual_interface_tells_what_it_is_and_what_it_cannot() {
         bitrate: Some(500_000),
         ..Setup::default()
     };
-    let refusal = interface.set_up(&bitrate).unwrap_err().to_string();
+    let error = interface.set_up(&bitrate).unwrap_err().to_string();
     assert!(
-        refusal.contains("cannot set the bit rate: it is virtual"),
-        "{refusal}"
+        error.contains("cannot set the bit rate: it is virtual"),
+        "{error}"
     );
     let queue = Setup {
         queue: Some(77),
@@ -403,10 +405,10 @@ fn virtual_interface_tells_what_it_is_and_what_it_cannot() {
     let details = interface.details().unwrap();
     assert_eq!((details.up, details.queue), (true, Some(77)));
     drop(own);
-    assert!(matches!(link.send(&data(1, &[])), Err(LinkError::Gone)));
+    assert!(matches!(link.send(&data(1, &[])), Err(LinkError::Lost)));
 }
 
-/// A virtual interface of a test's own, which it may disturb.
+/// A virtual interface for one test.
 struct Own(&'static str);
 
 impl Own {
@@ -432,10 +434,10 @@ impl Drop for Own {
     }
 }
 
-/// A shaper stands in for a slow bus.
+/// A traffic shaper emulates a slow bus.
 #[test]
-fn full_queue_is_refused_or_waited_for() {
-    let test = "full_queue_is_refused_or_waited_for";
+fn socket_full_queue_returns_error_or_blocks() {
+    let test = "socket_full_queue_returns_error_or_blocks";
     if vcan(test).is_none() {
         return;
     }
@@ -457,13 +459,13 @@ fn full_queue_is_refused_or_waited_for() {
         return skip(test, "needs the module sch_tbf");
     }
     let mut hasty = SocketCan::open(own.0, &Options::default()).unwrap();
-    // The shaper empties its queue meanwhile, as fast as a bus would: only the first refusal is certain to come,
-    // as soon as frames are sent faster than that for once.
-    let refusal = (0..1_000_000).find_map(|_| hasty.send(&data(1, &[0; 8])).err());
-    assert_eq!(refusal, Some(LinkError::QueueFull));
+    // The shaper drains its queue meanwhile, as fast as a bus would: only the first error is certain, as soon as frames
+    // are sent faster than that.
+    let error = (0..1_000_000).find_map(|_| hasty.send(&data(1, &[0; 8])).err());
+    assert_eq!(error, Some(LinkError::QueueFull));
     assert_eq!(hasty.refused(), 1);
     let options = Options {
-        queue: QueuePolicy::Wait(PATIENCE),
+        queue: QueuePolicy::Wait(TIMEOUT),
         ..Options::default()
     };
     let mut patient = SocketCan::open(own.0, &options).unwrap();
@@ -477,7 +479,7 @@ fn full_queue_is_refused_or_waited_for() {
     assert_eq!(patient.refused(), 0);
 }
 
-/// As a bus of 1 Mbit/s, and looked at.
+/// Configures a 1 Mbit/s bus and checks the state.
 fn set_up_for_a_pair(name: &str) {
     let setup = Setup {
         bitrate: Some(1_000_000),
@@ -499,10 +501,10 @@ fn set_up_for_a_pair(name: &str) {
     assert_eq!(details.queue, Some(10));
 }
 
-/// Two controllers on one wire, as QEMU has them: set up, exchange, a queue that fills, statistics.
+/// Two connected controllers, as emulated by QEMU: configuration, exchange, full queue, statistics.
 #[test]
-fn controllers_are_set_up_and_exchange() {
-    let test = "controllers_are_set_up_and_exchange";
+fn controllers_are_configured_and_exchange_frames() {
+    let test = "controllers_are_configured_and_exchange_frames";
     let Some(pair) = std::env::var("TAKT_CAN_PAIR").ok() else {
         return skip(
             test,
@@ -514,13 +516,13 @@ fn controllers_are_set_up_and_exchange() {
         bitrate: Some(7_777_777),
         ..Setup::default()
     };
-    let refusal = Interface::open(first).unwrap().set_up(&impossible);
-    let refusal = refusal.unwrap_err().to_string();
+    let error = Interface::open(first).unwrap().set_up(&impossible);
+    let error = error.unwrap_err().to_string();
     assert!(
-        refusal.contains("cannot set the bit rate: the controller's clock of 8 MHz"),
-        "{refusal}"
+        error.contains("cannot set the bit rate: the controller's clock of 8 MHz"),
+        "{error}"
     );
-    eprintln!("{refusal}");
+    eprintln!("{error}");
     [first, second].into_iter().for_each(set_up_for_a_pair);
     let options = Options {
         own: true,
@@ -529,25 +531,22 @@ fn controllers_are_set_up_and_exchange() {
     let mut a = SocketCan::open(first, &options).unwrap();
     let mut b = SocketCan::open(second, &options).unwrap();
     a.send(&data(0x181, &[1, 2, 3])).unwrap();
-    let (heard, own) = (receive(&mut b), receive(&mut a));
-    assert_eq!((heard.origin, own.origin), (Origin::Bus, Origin::Own));
-    assert_eq!(heard.frame, own.frame);
-    // Faster than 1 Mbit/s for once.
+    let (received, own) = (receive(&mut b), receive(&mut a));
+    assert_eq!((received.origin, own.origin), (Origin::Bus, Origin::Own));
+    assert_eq!(received.frame, own.frame);
+    // Faster than 1 Mbit/s.
     let sent = |number: u32| Some((number, a.send(&data(1, &[0; 8])).err()?));
-    let refusal = (0..1_000_000).find_map(sent);
-    eprintln!("frames until the queue was full, and why no more: {refusal:?}");
-    assert_eq!(
-        refusal.map(|(_, refusal)| refusal),
-        Some(LinkError::QueueFull)
-    );
+    let error = (0..1_000_000).find_map(sent);
+    eprintln!("frames until the queue was full, and the error: {error:?}");
+    assert_eq!(error.map(|(_, error)| error), Some(LinkError::QueueFull));
     assert_eq!(a.refused(), 1);
     let options = Options {
-        queue: QueuePolicy::Wait(PATIENCE),
+        queue: QueuePolicy::Wait(TIMEOUT),
         ..Options::default()
     };
     let mut patient = SocketCan::open(first, &options).unwrap();
-    // The other end may be too slow for so many; here they come back when they were on the wire. A socket keeps
-    // no more than some hundred, so they are read as they come: first those of the burst.
+    // The peer may be too slow for so many frames; the echo of each arrives after its transmission. A socket buffers
+    // only some hundred, so they are read as they arrive: first those of the burst.
     while a.receive(Duration::from_millis(200)).unwrap().is_some() {}
     for batch in 0..10_u32 {
         let mut last = None;

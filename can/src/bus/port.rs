@@ -1,6 +1,5 @@
-//! A port of the bus as a [`Link`], for owners that know links only. Time is that of the bus: waiting moves
-//! it on, and nobody else runs meanwhile. For threads that run by the host's clock there is
-//! [`crate::linux::LivePort`].
+//! A port of the bus as a [`Link`]. It runs in the virtual time of the bus: waiting advances it, and nothing else runs
+//! meanwhile. Threads that run on the host's clock use [`crate::linux::LivePort`].
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -9,7 +8,7 @@ use super::{Bus, PortId};
 use crate::AnyFrame;
 use crate::link::{Link, LinkError, Received};
 
-/// A bus that several owners use.
+/// A bus with several owners.
 #[derive(Clone, Debug)]
 pub struct Shared {
     bus: Arc<Mutex<Bus>>,
@@ -24,13 +23,13 @@ impl Shared {
         }
     }
 
-    /// The bus itself, to let time go on, to inject faults, to ask. Others wait as long as it is held.
+    /// Locks the bus, to advance time, inject faults or read its state. Other owners wait until the guard is dropped.
     pub fn lock(&self) -> MutexGuard<'_, Bus> {
-        // A thread that panicked has left the bus as it is after some frame; that is good enough to go on.
+        // The bus is consistent after each frame, also if a thread panicked.
         self.bus.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// One more participant.
+    /// Adds a port.
     #[must_use]
     pub fn attach(&self) -> Port {
         let id = self.lock().attach();
@@ -41,7 +40,7 @@ impl Shared {
     }
 }
 
-/// A participant.
+/// A port of a shared bus.
 #[derive(Clone, Debug)]
 pub struct Port {
     bus: Shared,
@@ -49,13 +48,13 @@ pub struct Port {
 }
 
 impl Port {
-    /// Which one it is.
+    /// Its number on the bus.
     #[must_use]
     pub const fn id(&self) -> PortId {
         self.id
     }
 
-    /// The bus it is on.
+    /// The bus it belongs to.
     #[must_use]
     pub const fn bus(&self) -> &Shared {
         &self.bus
@@ -80,7 +79,7 @@ impl Link for Port {
                 .next_event()
                 .filter(|at| *at <= until && bus.now() < until)
             {
-                // An arbitration that is due now ends only a little later.
+                // An arbitration that starts now ends only after a frame time.
                 Some(at) if at <= bus.now() => {
                     let soon = bus.now() + Duration::from_nanos(1);
                     bus.advance(soon);

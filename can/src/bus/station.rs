@@ -1,4 +1,4 @@
-//! One participant of the bus: its queues and its error counters. What is on the wire is decided above.
+//! A station of the bus: queues and error counters. [`super::Bus`] decides what is on the wire.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -12,21 +12,21 @@ use crate::{AnyFrame, BusState, ErrorFrame};
 /// Error counters of ISO 11898-1, clause 12.1.4.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
-    /// Of transmit errors; above 255 the port is off the bus.
+    /// Transmit error counter (TEC); above 255 the port is bus-off.
     pub transmit: u16,
-    /// Of receive errors.
+    /// Receive error counter (REC).
     pub receive: u16,
 }
 
 impl Counters {
-    /// The state that goes with them.
+    /// The bus state that follows from the counters.
     #[must_use]
     pub const fn state(self) -> BusState {
         BusState::of_counters(self.transmit, self.receive)
     }
 }
 
-/// Off the bus a port waits for 128 times 11 recessive bits before it takes part again.
+/// Bus-off recovery: 128 occurrences of 11 recessive bits.
 const RECOVERY_BITS: u32 = 128 * 11;
 
 #[derive(Debug)]
@@ -67,7 +67,7 @@ impl Station {
         Ok(())
     }
 
-    /// Whether it can tell the others that it understood nothing.
+    /// Whether it can destroy a frame by an active error flag.
     pub(super) fn may_destroy(&self) -> bool {
         !self.listen_only && self.counters.state() < BusState::ErrorPassive
     }
@@ -90,7 +90,7 @@ impl Station {
         });
     }
 
-    /// A frame of its own arrived.
+    /// Its own frame was transmitted.
     pub(super) fn sent(&mut self, at: Duration) {
         let before = self.counters.state();
         self.counters.transmit = self.counters.transmit.saturating_sub(1);
@@ -98,25 +98,25 @@ impl Station {
         if let Some(frame) = frame.filter(|_| self.echo) {
             self.push(frame, at, Origin::Own);
         }
-        self.tell(before, at);
+        self.report_state(before, at);
     }
 
-    /// A frame of another arrived.
-    pub(super) fn hear(&mut self, frame: &AnyFrame, at: Duration) {
+    /// Receives a frame of another station.
+    pub(super) fn receive(&mut self, frame: &AnyFrame, at: Duration) {
         let before = self.counters.state();
         if before == BusState::BusOff {
             return;
         }
         self.counters.receive = match self.counters.receive {
-            // Once passive, one good frame is enough to be active again.
+            // From error-passive, one good frame is enough to become error-active.
             128.. => 127,
             count => count.saturating_sub(1),
         };
         self.push(*frame, at, Origin::Bus);
-        self.tell(before, at);
+        self.report_state(before, at);
     }
 
-    /// A frame was destroyed; counters rise, and the port tells what it saw.
+    /// A frame was destroyed: raises the counters and reports the error.
     pub(super) fn fail(
         &mut self,
         transmit: u16,
@@ -132,8 +132,8 @@ impl Station {
         self.counters.transmit += transmit;
         self.counters.receive = (self.counters.receive + receive).min(255);
         self.push(self.with_counters(report).into(), at, Origin::Bus);
-        self.leave(before, at, restart);
-        self.tell(before, at);
+        self.schedule_restart(before, at, restart);
+        self.report_state(before, at);
     }
 
     pub(super) fn set_counters(
@@ -144,12 +144,12 @@ impl Station {
     ) {
         let before = self.counters.state();
         self.counters = counters;
-        self.leave(before, at, restart);
-        self.tell(before, at);
+        self.schedule_restart(before, at, restart);
+        self.report_state(before, at);
     }
 
-    /// When the port has just gone off the bus: when does it come back?
-    fn leave(&mut self, before: BusState, at: Duration, restart: Option<Duration>) {
+    /// Schedules the restart of a port that has just gone bus-off.
+    fn schedule_restart(&mut self, before: BusState, at: Duration, restart: Option<Duration>) {
         if self.counters.state() == BusState::BusOff && before != BusState::BusOff {
             let recovery = crate::bits::Bits {
                 nominal: RECOVERY_BITS,
@@ -168,8 +168,8 @@ impl Station {
         self.restart_at = None;
     }
 
-    /// Tells a change of state.
-    fn tell(&mut self, before: BusState, at: Duration) {
+    /// Reports a change of state by an error frame.
+    fn report_state(&mut self, before: BusState, at: Duration) {
         let state = self.counters.state();
         if state == before {
             return;

@@ -1,4 +1,4 @@
-//! Load and order as on a real bus, and every way in which a frame does not arrive.
+//! Load and order as on a real bus, and every cause of a lost frame.
 
 use super::*;
 use crate::link::{Link as _, Origin};
@@ -38,7 +38,7 @@ fn reports(bus: &mut Bus, port: PortId) -> Vec<ErrorFrame> {
 }
 
 #[test]
-fn lowest_identifier_goes_first_and_each_takes_its_bits() {
+fn bus_lowest_identifier_wins_with_exact_bit_times() {
     let (mut bus, ports) = bus(4);
     let (high, low) = (data(0x701, &[5]), data(0x181, &[1; 8]));
     let extended = Frame::empty(Id::extended(0x181 << 18).unwrap()).into();
@@ -49,22 +49,22 @@ fn lowest_identifier_goes_first_and_each_takes_its_bits() {
     for (port, frame) in ports.iter().zip([high, extended, remote, low]) {
         bus.send(*port, &frame, Duration::ZERO).unwrap();
     }
-    let listener = bus.attach();
+    let observer = bus.attach();
     bus.advance(MS);
-    let heard = received(&mut bus, listener);
+    let frames_received = received(&mut bus, observer);
     let mut ends = Duration::ZERO;
-    for (frame, received) in order.iter().zip(&heard) {
+    for (frame, received) in order.iter().zip(&frames_received) {
         ends += Bits::of(frame).time(Rates::classic(1_000_000));
         assert_eq!((received.frame, received.at), (*frame, ends));
         assert_eq!(received.origin, Origin::Bus);
     }
-    assert_eq!(heard.len(), 4);
+    assert_eq!(frames_received.len(), 4);
     assert_eq!((bus.traffic().frames, bus.traffic().busy), (4, ends));
     assert_eq!(bus.now(), MS);
 }
 
 #[test]
-fn a_frame_is_not_interrupted() {
+fn bus_running_transmission_is_not_interrupted() {
     let (mut bus, ports) = bus(3);
     bus.send(ports[0], &data(0x700, &[0; 8]), Duration::ZERO)
         .unwrap();
@@ -76,7 +76,7 @@ fn a_frame_is_not_interrupted() {
 }
 
 #[test]
-fn full_load_is_that_of_a_real_bus() {
+fn bus_full_load_matches_real_bus() {
     let (mut bus, ports) = bus(2);
     let second = Duration::from_secs(1);
     let mut count = 0;
@@ -90,15 +90,15 @@ fn full_load_is_that_of_a_real_bus() {
     assert!(bus.traffic().busy > Duration::from_millis(999));
 }
 
-/// Two seconds of a bus that never rests, read every 10 ms as a driver does: each frame arrives, in its order, has its
-/// meaning, and is counted.
+/// Two seconds of a fully loaded bus, read every 10 ms as by a driver: each frame arrives in order, is decoded and
+/// counted.
 #[test]
-fn a_full_bus_is_decoded_and_dispatched_without_loss() {
+fn full_bus_is_decoded_and_dispatched_without_loss() {
     use crate::canopen::Message;
     use crate::stat::{Limits, Meter};
     let (mut bus, ports) = bus(2);
     let mut meter = Meter::new(Some(Rates::classic(1_000_000)));
-    let (mut sent, mut pdos, mut heard) = (0_u32, 0_u32, 0_u32);
+    let (mut sent, mut pdos, mut frames_received) = (0_u32, 0_u32, 0_u32);
     while bus.now() < Duration::from_secs(2) {
         let cycle = bus.now() + 10 * MS;
         while bus.now() < cycle {
@@ -115,15 +115,21 @@ fn a_full_bus_is_decoded_and_dispatched_without_loss() {
             let frame = received.frame.classic().expect("a classic frame");
             pdos += u32::from(matches!(Message::decode(frame), Message::Tpdo(..)));
             let number = u64::from_be_bytes(*frame.data().first_chunk().expect("eight bytes"));
-            assert_eq!(number >> 16, u64::from(heard));
-            heard += 1;
+            assert_eq!(number >> 16, u64::from(frames_received));
+            frames_received += 1;
         }
     }
-    assert!((14_800..=18_018).contains(&heard), "{heard} frames in 2 s");
-    assert_eq!((pdos, u64::from(heard)), (heard, meter.report().frames));
     assert!(
-        sent - heard <= 11,
-        "what is not heard waits or is on the wire"
+        (14_800..=18_018).contains(&frames_received),
+        "{frames_received} frames in 2 s"
+    );
+    assert_eq!(
+        (pdos, u64::from(frames_received)),
+        (frames_received, meter.report().frames)
+    );
+    assert!(
+        sent - frames_received <= 11,
+        "frames not received are queued or on the wire"
     );
     let report = meter.report();
     assert!(
@@ -131,15 +137,15 @@ fn a_full_bus_is_decoded_and_dispatched_without_loss() {
         "{:?}",
         report.load()
     );
-    let told = report.findings(&Limits::default());
+    let findings = report.findings(&Limits::default());
     assert!(
-        told.iter().any(|finding| finding.name() == "load"),
-        "{told:?}"
+        findings.iter().any(|finding| finding.name() == "load"),
+        "{findings:?}"
     );
 }
 
 #[test]
-fn queues_are_bounded() {
+fn bus_queues_are_bounded() {
     let mut bus = Bus::new(Config {
         receive_queue: 3,
         ..Config::default()
@@ -155,25 +161,25 @@ fn queues_are_bounded() {
     );
     assert_eq!(bus.waiting(from), 10);
     bus.advance(MS);
-    let heard = received(&mut bus, to);
-    assert_eq!((heard.len(), heard[2].dropped), (3, 0));
+    let frames_received = received(&mut bus, to);
+    assert_eq!((frames_received.len(), frames_received[2].dropped), (3, 0));
     bus.send(from, &frame, MS).unwrap();
     bus.advance(2 * MS);
     assert_eq!(
         received(&mut bus, to)[0].dropped,
         7,
-        "told by the next that is received"
+        "reported with the next received frame"
     );
     let report = ErrorFrame::new(0, [0; 8]).into();
     assert_eq!(bus.send(from, &report, 2 * MS), Err(LinkError::Kind));
     assert_eq!(
         Bus::new(Config::default()).send(to, &frame, MS),
-        Err(LinkError::Gone)
+        Err(LinkError::Lost)
     );
 }
 
 #[test]
-fn own_frames_come_back_when_asked_for() {
+fn bus_echo_returns_own_frames() {
     let (mut bus, ports) = bus(2);
     bus.set_echo(ports[0], true);
     bus.send(ports[0], &data(1, &[]), Duration::ZERO).unwrap();
@@ -184,7 +190,7 @@ fn own_frames_come_back_when_asked_for() {
 }
 
 #[test]
-fn a_destroyed_frame_is_sent_again() {
+fn bus_destroyed_frame_is_retransmitted() {
     let (mut bus, ports) = bus(3);
     let id = Id::standard(0x181).unwrap();
     bus.inject(Fault {
@@ -216,19 +222,19 @@ fn a_destroyed_frame_is_sent_again() {
             receive: 0
         }
     );
-    let told = reports(&mut bus, ports[0]);
-    assert_eq!(told.len(), 2);
-    assert_eq!(told[1].counters(), Some((16, 0)));
+    let reported = reports(&mut bus, ports[0]);
+    assert_eq!(reported.len(), 2);
+    assert_eq!(reported[1].counters(), Some((16, 0)));
 }
 
 #[test]
-fn too_many_errors_lead_off_the_bus_and_back() {
+fn bus_too_many_errors_cause_bus_off_and_restart() {
     let restart = Some(100 * MS);
     let mut bus = Bus::new(Config {
         restart,
         ..Config::default()
     });
-    let (sender, listener) = (bus.attach(), bus.attach());
+    let (sender, observer) = (bus.attach(), bus.attach());
     bus.inject(Fault {
         from: Some(sender),
         id: None,
@@ -247,7 +253,7 @@ fn too_many_errors_lead_off_the_bus_and_back() {
         BusState::BusOff,
     ];
     assert_eq!(states, expected);
-    assert_eq!(frames(&mut bus, listener), []);
+    assert_eq!(frames(&mut bus, observer), []);
     bus.advance(200 * MS);
     let states: Vec<_> = reports(&mut bus, sender)
         .iter()
@@ -255,14 +261,14 @@ fn too_many_errors_lead_off_the_bus_and_back() {
         .collect();
     assert_eq!(states, [BusState::ErrorActive]);
     assert_eq!(
-        frames(&mut bus, listener),
+        frames(&mut bus, observer),
         [data(1, &[])],
         "it was only delayed"
     );
 }
 
 #[test]
-fn off_the_bus_means_deaf_until_restarted() {
+fn bus_off_port_receives_nothing_until_restart() {
     let (mut bus, ports) = bus(3);
     bus.set_counters(
         ports[0],
@@ -282,7 +288,7 @@ fn off_the_bus_means_deaf_until_restarted() {
 }
 
 #[test]
-fn a_lone_port_becomes_passive_and_its_queue_fills() {
+fn bus_single_port_becomes_passive_and_queue_fills() {
     let (mut bus, ports) = bus(1);
     bus.send(ports[0], &data(1, &[]), Duration::ZERO).unwrap();
     bus.advance(100 * MS);
@@ -290,7 +296,7 @@ fn a_lone_port_becomes_passive_and_its_queue_fills() {
     assert_eq!(
         bus.counters(ports[0]).transmit,
         128,
-        "it never goes off the bus"
+        "it never goes bus-off"
     );
     assert_eq!(bus.waiting(ports[0]), 1);
     assert!(
@@ -298,21 +304,21 @@ fn a_lone_port_becomes_passive_and_its_queue_fills() {
             .iter()
             .any(ErrorFrame::is_unacknowledged)
     );
-    let listener = bus.attach();
-    bus.set_listen_only(listener, true);
+    let observer = bus.attach();
+    bus.set_listen_only(observer, true);
     bus.advance(101 * MS);
     assert_eq!(
-        frames(&mut bus, listener),
+        frames(&mut bus, observer),
         [],
-        "a listener does not acknowledge"
+        "a listen-only port does not acknowledge"
     );
-    bus.set_listen_only(listener, false);
+    bus.set_listen_only(observer, false);
     bus.advance(102 * MS);
-    assert_eq!(frames(&mut bus, listener), [data(1, &[])]);
+    assert_eq!(frames(&mut bus, observer), [data(1, &[])]);
 }
 
 #[test]
-fn another_bit_rate_destroys_until_it_is_passive() {
+fn bus_wrong_bit_rate_destroys_frames_until_passive() {
     let (mut bus, ports) = bus(3);
     bus.set_rates(ports[2], Rates::classic(500_000));
     for _ in 0..10 {
@@ -320,12 +326,13 @@ fn another_bit_rate_destroys_until_it_is_passive() {
     }
     bus.advance(100 * MS);
     assert_eq!(frames(&mut bus, ports[2]), []);
-    // The sender counts eight for each, the wrong one counts one: the sender goes off first.
+    // The sender counts eight for each error, the wrong one counts one: the sender goes bus-off
+    // first.
     assert_eq!(bus.state(ports[0]), BusState::BusOff);
 }
 
 #[test]
-fn two_senders_of_one_identifier_throw_each_other_off_the_bus() {
+fn bus_identifier_collision_drives_both_senders_bus_off() {
     let (mut bus, ports) = bus(3);
     bus.send(ports[0], &data(0x185, &[1]), Duration::ZERO)
         .unwrap();
@@ -338,7 +345,7 @@ fn two_senders_of_one_identifier_throw_each_other_off_the_bus() {
 }
 
 #[test]
-fn ports_are_links_in_the_time_of_the_bus() {
+fn bus_ports_are_links_in_virtual_time() {
     let shared = Shared::new(Bus::new(Config::default()));
     let (mut a, mut b) = (shared.attach(), shared.attach());
     let frame = data(0x181, &[1, 2]);
@@ -357,7 +364,7 @@ fn ports_are_links_in_the_time_of_the_bus() {
 }
 
 #[test]
-fn fd_frames_go_at_both_bit_rates() {
+fn bus_fd_frames_use_both_bit_rates() {
     let rates = Rates {
         nominal: 500_000,
         data: 2_000_000,
@@ -373,7 +380,7 @@ fn fd_frames_go_at_both_bit_rates() {
         .into();
     bus.send(from, &frame, Duration::ZERO).unwrap();
     bus.advance(MS);
-    let heard = received(&mut bus, to);
-    assert_eq!(heard[0].at, Bits::of(&frame).time(rates));
-    assert!(heard[0].at < MS / 2);
+    let frames_received = received(&mut bus, to);
+    assert_eq!(frames_received[0].at, Bits::of(&frame).time(rates));
+    assert!(frames_received[0].at < MS / 2);
 }

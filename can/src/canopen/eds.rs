@@ -1,6 +1,6 @@
-//! Electronic data sheets and device configuration files (CiA 306-1): the objects of a device by
-//! name, type and default, and in a DCF the values that one device is to have. What of a file is not
-//! understood is left out and remarked, never guessed.
+//! Electronic data sheets (EDS) and device configuration files (DCF, CiA 306-1): the objects of a device with name,
+//! type and default, and in a DCF the configured values of one device. Invalid content is skipped and reported in a
+//! remark, never guessed.
 
 mod ini;
 mod read;
@@ -19,41 +19,41 @@ use super::node::{NodeConfig, NodeQuirks};
 use super::pdo::{Direction, PDOS_MAX, Parameters};
 use super::{NodeId, NodeIdError};
 
-/// Longest file that is read, bytes.
+/// Maximum file size, bytes.
 pub const FILE_MAX: usize = 16 << 20;
 
-/// Why a file is no data sheet.
+/// Why a file is not a data sheet.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum EdsError {
-    /// It is longer than any data sheet.
-    #[error("the file has {0} bytes; at most {FILE_MAX} are read")]
+    /// The file is too long.
+    #[error("the file has {0} bytes; at most {FILE_MAX} are supported")]
     TooLong(usize),
     /// A line is neither a section, nor `key=value`, nor a comment.
     #[error("line {line}: `{text}` is neither [section] nor key=value")]
     Line {
-        /// Counted from 1.
+        /// Line number, from 1.
         line: usize,
-        /// How it begins.
+        /// Start of the line.
         text: String,
     },
-    /// It has no objects.
-    #[error("there is no object in the file; is it an EDS or a DCF?")]
+    /// The file has no objects.
+    #[error("the file contains no object; is it an EDS or a DCF?")]
     Empty,
-    /// The node number of a DCF.
+    /// The node number of a DCF is invalid.
     #[error("[DeviceComissioning] NodeID: {0}")]
     Node(NodeIdError),
-    /// Its objects make no dictionary.
+    /// The objects do not form a valid dictionary.
     #[error(transparent)]
     Dictionary(#[from] DictionaryError),
 }
 
-/// What was not understood, and left out.
+/// A remark about content that was skipped.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Remark {
-    /// In which section.
+    /// The section.
     pub section: String,
-    /// What.
+    /// The remark.
     pub text: String,
 }
 
@@ -63,29 +63,29 @@ impl fmt::Display for Remark {
     }
 }
 
-/// A data sheet, or the configuration of a device.
+/// A data sheet, or a device configuration.
 #[derive(Clone, Debug, Default)]
 pub struct Eds {
-    /// Keys and values of `[FileInfo]`, `[DeviceInfo]` and other sections that are no objects, by
-    /// section, as they stand there.
+    /// Keys and values of `[FileInfo]`, `[DeviceInfo]` and other sections that are not objects,
+    /// verbatim.
     pub sections: Vec<(String, Vec<(String, String)>)>,
-    /// The objects; defaults are without the node number.
+    /// The objects; default values exclude the node number.
     pub objects: Vec<Object>,
-    /// The entries to whose default the node number is added (`$NODEID`).
+    /// The entries whose default is relative to the node number (`$NODEID`).
     pub relative: Vec<Address>,
-    /// Of a DCF: the values that entries are to have, little-endian, with the node number.
+    /// DCF: configured values, little-endian, including the node number.
     pub values: Vec<(Address, Vec<u8>)>,
-    /// Of a DCF: the number of the node.
+    /// DCF: the node number.
     pub node: Option<NodeId>,
-    /// Of a DCF: the bit rate, kbit/s.
+    /// DCF: the bit rate, kbit/s.
     pub kbit: Option<u32>,
-    /// What was left out.
+    /// Remarks about skipped content.
     pub remarks: Vec<Remark>,
 }
 
 impl Eds {
-    /// The value of a key outside of objects: `info("DeviceInfo", "ProductName")`. Letter case does
-    /// not matter.
+    /// The value of a key outside of objects: `info("DeviceInfo", "ProductName")`.
+    /// Case-insensitive.
     #[must_use]
     pub fn info(&self, section: &str, key: &str) -> Option<&str> {
         let (_, keys) = self
@@ -96,7 +96,7 @@ impl Eds {
         found.map(|(_, value)| value.as_str())
     }
 
-    /// What an entry is called: the name of its object, and behind a slash its own.
+    /// The name of an entry: the name of its object, a slash, and its own name.
     #[must_use]
     pub fn name(&self, address: Address) -> Option<String> {
         let object = self.objects.iter().find(|o| o.index == address.index)?;
@@ -108,8 +108,8 @@ impl Eds {
         })
     }
 
-    /// The entry of that name, as [`Self::name`] writes it or without the object's if only one is
-    /// called so; letter case does not matter.
+    /// Finds an entry by name, as [`Self::name`] writes it, or by its own name if that is unique.
+    /// Case-insensitive.
     #[must_use]
     pub fn find(&self, name: &str) -> Option<Address> {
         let all = || {
@@ -127,25 +127,25 @@ impl Eds {
         all().find(whole).or(only).map(|(address, _)| address)
     }
 
-    /// The objects with the values of a device of that number: its defaults, and over them those of
-    /// the DCF.
+    /// The dictionary of a device with that node number: defaults, overridden by the values of the
+    /// DCF.
     ///
     /// # Errors
-    /// If the objects make no dictionary.
+    /// If the objects do not form a valid dictionary.
     pub fn dictionary(&self, node: NodeId) -> Result<Dictionary, EdsError> {
         let mut dictionary = Dictionary::new(self.objects.clone())?;
         super::node::add_node_id(&mut dictionary, &self.relative, node);
         for (address, value) in &self.values {
-            // What does not fit was remarked when it was read.
+            // Values that do not fit were reported by the parser.
             let _ = dictionary.store(*address, value);
         }
         Ok(dictionary)
     }
 
-    /// What makes a node of this data sheet.
+    /// Configuration of a node with this data sheet.
     ///
     /// # Errors
-    /// If the objects make no dictionary.
+    /// If the objects do not form a valid dictionary.
     pub fn node_config(&self, id: Option<NodeId>) -> Result<NodeConfig, EdsError> {
         Ok(NodeConfig {
             id,
@@ -157,11 +157,11 @@ impl Eds {
         })
     }
 
-    /// How a master brings a device of this file up: its type and identity as far as they are
-    /// given, its PDOs that exist, its heartbeat, and all other values of the DCF.
+    /// The plan by which a master starts this device: type and identity as far as given, existing
+    /// PDOs, heartbeat, and all other values of the DCF.
     ///
     /// # Errors
-    /// If the objects make no dictionary.
+    /// If the objects do not form a valid dictionary.
     pub fn plan(&self, node: NodeId) -> Result<NodePlan, EdsError> {
         let dictionary = self.dictionary(node)?;
         let number = |index, sub| {

@@ -1,45 +1,45 @@
-//! Emergencies (CiA 301, clause 7.2.7): what is wrong with a device, told once each, no faster than
-//! the inhibit time. What a device does about an error is not decided here.
+//! Emergency producer (CiA 301, clause 7.2.7): reports each error of a device once, limited by the
+//! inhibit time. The reaction of the device to an error is not part of it.
 
 use std::time::Duration;
 
 use super::Emergency;
 
-/// Most errors that are present at a time; a further one takes the place of the oldest.
+/// Maximum number of active errors; a further one replaces the oldest.
 pub const ERRORS_MAX: usize = 8;
-/// Most emergencies that wait for the inhibit time; further ones are counted and dropped.
+/// Length of the queue for the inhibit time; further emergencies are counted and dropped.
 pub const QUEUE_MAX: usize = 8;
 
-/// Communication errors of CiA 301 that a node finds by itself.
+/// Communication errors of CiA 301 that a node detects.
 pub mod code {
     /// A heartbeat or the life guarding was lost.
     pub const HEARTBEAT: u16 = 0x8130;
-    /// A PDO was shorter than its mapping and was not taken.
+    /// A PDO was shorter than its mapping and was dropped.
     pub const PDO_SHORT: u16 = 0x8210;
-    /// A PDO was longer than its mapping; the rest was dropped.
+    /// A PDO was longer than its mapping; the excess was dropped.
     pub const PDO_LONG: u16 = 0x8220;
     /// A SYNC had an unexpected length.
     pub const SYNC_LENGTH: u16 = 0x8240;
-    /// An RPDO did not come in its time.
+    /// An RPDO missed its deadline.
     pub const RPDO_TIMEOUT: u16 = 0x8250;
 }
 
 /// Bits of the error register 1001h.
 pub mod register {
-    /// Some error.
+    /// Generic error.
     pub const GENERIC: u8 = 0x01;
-    /// Communication.
+    /// Communication error.
     pub const COMMUNICATION: u8 = 0x10;
 }
 
-/// Who found an error; two may find the same one, and it is gone when both say so.
+/// Source of an error. Several sources may report the same error; it ends when all have cleared it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Source {
     /// The CANopen node: heartbeats, PDOs, SYNC.
     Communication,
-    /// The device behind it, by number: an axis of a drive.
+    /// The device, by number: an axis of a drive.
     Device(u8),
-    /// The node itself, by a quirk: news of its maker that nothing withdraws but a reset.
+    /// The node itself, by a quirk: a manufacturer's emergency that only a reset clears.
     Node,
 }
 
@@ -86,13 +86,13 @@ impl Producer {
         })
     }
 
-    /// Emergencies that found no place in the queue.
+    /// Emergencies dropped because the queue was full.
     #[must_use]
     pub const fn dropped(&self) -> u32 {
         self.dropped
     }
 
-    /// An error is there. It is told unless it was there already.
+    /// Raises an error. An EMCY is sent unless the error is already active.
     pub fn raise(&mut self, source: Source, code: u16, register: u8, data: [u8; 5]) {
         let known = self.errors.iter().flatten().any(|error| error.code == code);
         let error = Present {
@@ -107,29 +107,29 @@ impl Producer {
             self.errors.rotate_left(1);
             self.errors[ERRORS_MAX - 1] = None;
         }
-        if let Some(place) = self.errors.iter_mut().find(|place| place.is_none()) {
-            *place = Some(error);
+        if let Some(slot) = self.errors.iter_mut().find(|slot| slot.is_none()) {
+            *slot = Some(error);
         }
         if !known {
-            self.tell(code, data);
+            self.enqueue(code, data);
         }
     }
 
-    /// An error is gone. "No error" is told, with the register of what is left.
+    /// Clears an error. Sends "no error" with the register of the remaining errors.
     pub fn clear(&mut self, source: Source, code: u16) {
         let mut found = false;
-        for place in &mut self.errors {
-            if place.is_some_and(|error| (error.source, error.code) == (source, code)) {
-                (*place, found) = (None, true);
+        for slot in &mut self.errors {
+            if slot.is_some_and(|error| (error.source, error.code) == (source, code)) {
+                (*slot, found) = (None, true);
             }
         }
         let left = self.errors.iter().flatten().any(|error| error.code == code);
         if found && !left {
-            self.tell(0, [0; 5]);
+            self.enqueue(0, [0; 5]);
         }
     }
 
-    /// All errors of a source are gone.
+    /// Clears all errors of a source.
     pub fn clear_all(&mut self, source: Source) {
         for at in 0..ERRORS_MAX {
             if let Some(error) = self.errors[at].filter(|error| error.source == source) {
@@ -138,7 +138,7 @@ impl Producer {
         }
     }
 
-    /// Forgets everything without a word, as a reset does.
+    /// Discards all state without sending, as a reset does.
     pub fn reset(&mut self) {
         *self = Self {
             inhibit: self.inhibit,
@@ -146,15 +146,15 @@ impl Producer {
         };
     }
 
-    fn tell(&mut self, code: u16, data: [u8; 5]) {
+    fn enqueue(&mut self, code: u16, data: [u8; 5]) {
         let emergency = Emergency {
             code,
             register: self.register(),
             data,
         };
-        match self.queue.iter_mut().find(|place| place.is_none()) {
-            Some(place) => {
-                *place = Some(Queued {
+        match self.queue.iter_mut().find(|slot| slot.is_none()) {
+            Some(slot) => {
+                *slot = Some(Queued {
                     emergency,
                     logged: false,
                 });
@@ -163,7 +163,7 @@ impl Producer {
         }
     }
 
-    /// The next code that belongs into the history 1003h and is not there yet.
+    /// The next code to append to the history 1003h.
     pub fn poll_log(&mut self) -> Option<Emergency> {
         let new = |queued: &&mut Queued| !queued.logged && queued.emergency.code != 0;
         let queued = self.queue.iter_mut().flatten().find(new)?;
@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn each_error_is_told_once_and_its_end_too() {
+    fn emcy_error_and_its_end_are_sent_once() {
         let mut producer = Producer::default();
         producer.raise(AXIS, 0x8611, 0x21, [0; 5]);
         producer.raise(AXIS, 0x8611, 0x21, [0; 5]);
@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn an_error_found_twice_is_gone_when_both_say_so() {
+    fn emcy_error_of_two_sources_ends_with_both() {
         let mut producer = Producer::default();
         producer.raise(COMMUNICATION, 0x8130, 0x11, [0; 5]);
         producer.raise(AXIS, 0x8130, 0x11, [0; 5]);
@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn inhibit_time_holds_them_apart_and_the_queue_is_bounded() {
+    fn emcy_inhibit_time_spaces_messages_queue_is_bounded() {
         let mut producer = Producer::default();
         producer.set_inhibit(10 * MS);
         for code in 1..=20 {
@@ -242,7 +242,7 @@ mod tests {
         assert_eq!(codes(&mut producer, 10 * MS), []);
         assert_eq!(codes(&mut producer, 11 * MS), [(2, 1)]);
         let logged = std::iter::from_fn(|| producer.poll_log()).count();
-        assert_eq!(logged, 6, "those that wait");
+        assert_eq!(logged, 6, "the queued ones");
         assert_eq!(producer.poll_log(), None);
     }
 }

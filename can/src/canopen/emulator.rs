@@ -1,8 +1,8 @@
-//! The other side of the wire: a CANopen drive with up to eight axes, each with its motor, after
-//! CiA 402. It moves with the time it is told; what goes wrong in it is put in from outside.
+//! Emulated CANopen drive (CiA 402) with up to eight axes, each with a motor. Time is an argument;
+//! faults are injected by the caller.
 //!
-//! A step of the motor is 1 ms, and what is left of one when SYNC comes: received set-points count
-//! from that SYNC on, and what is transmitted with it was measured then.
+//! The motor moves in steps of 1 ms, and up to each SYNC: received set-points take effect at that
+//! SYNC, and transmitted values are sampled at it.
 
 use std::time::Duration;
 
@@ -24,40 +24,39 @@ use super::{NodeId, RPDO1, TPDO1};
 #[cfg(test)]
 mod tests;
 
-/// Most axes of a drive (CiA 402-2).
+/// Maximum axes of a drive (CiA 402-2).
 pub const AXES_MAX: usize = 8;
-/// The data record of interpolated position.
+/// Data record of interpolated position.
 const RECORD: Address = Address::new(0x60C1, 1);
-/// PDOs that each axis has room for (CiA 402-3).
+/// PDO numbers per axis (CiA 402-3).
 const AXIS_PDOS: u16 = 64;
 const STEP: Duration = Duration::from_millis(1);
-/// Longest time that is made up for at once.
+/// Maximum time to catch up in one call.
 const BEHIND_MAX: Duration = Duration::from_millis(100);
 
-/// What an emulated drive is like.
+/// Configuration of an emulated drive.
 #[derive(Clone, Debug)]
 pub struct DriveNodeConfig {
-    /// Its number; without one it waits for LSS.
+    /// Node number; without one it waits for LSS.
     pub id: Option<NodeId>,
-    /// Its address for LSS, object 1018h.
+    /// LSS address, object 1018h.
     pub identity: Identity,
-    /// Its axes, at most [`AXES_MAX`].
+    /// Axes, at most [`AXES_MAX`].
     pub axes: Vec<DriveConfig>,
     /// 1017h after a reset, ms; 0 is off.
     pub heartbeat_ms: u16,
     /// Bytes of the domain 2000h, a firmware or a recording to be transferred; 0 leaves it out.
     pub domain_len: usize,
-    /// Whether it holds its own data sheet (1021h), as text (1022h is 0).
+    /// Whether it stores its own data sheet (1021h), as text (1022h is 0).
     pub stored_eds: bool,
-    /// How long its SDO server waits for a client. In a block upload that is the time in which the
-    /// client takes 127 segments.
+    /// Timeout of the SDO server. In a block upload the client must take 127 segments within it.
     pub sdo_timeout: Duration,
-    /// How its node departs from the standard; how its axes depart from the profile, each of them says.
+    /// Deviations of the node from CiA 301; each axis holds its deviations from CiA 402.
     pub quirks: NodeQuirks,
 }
 
 impl DriveNodeConfig {
-    /// A drive of one plain axis.
+    /// A drive with one axis.
     #[must_use]
     pub fn new(id: NodeId) -> Self {
         Self {
@@ -77,8 +76,8 @@ impl DriveNodeConfig {
         }
     }
 
-    /// Adds a quirk by its name: of the node ([`NodeQuirks::NAMES`]), of its axes ([`Quirks::NAMES`], which replaces
-    /// theirs), or one of [`Self::QUIRKS`]. Returns whether there is one of that name.
+    /// Adds a quirk by name: of the node ([`NodeQuirks::NAMES`]), of its axes ([`Quirks::NAMES`], replacing theirs), or
+    /// one of [`Self::QUIRKS`]. Returns whether the name is known.
     pub fn add_quirk(&mut self, name: &str) -> bool {
         if let Some(quirks) = NodeQuirks::named(name) {
             self.quirks = std::mem::take(&mut self.quirks).and(quirks);
@@ -99,11 +98,11 @@ impl DriveNodeConfig {
         true
     }
 
-    /// Quirks that [`Self::add_quirk`] knows beside those of nodes and axes.
+    /// Further quirks of [`Self::add_quirk`].
     pub const QUIRKS: [&'static str; 2] = ["serial-1", "faults-on-enable"];
 
-    /// The communication objects: four PDOs each way per axis, mapped as CiA 402-3 has it; of the
-    /// first axis the first of them is on.
+    /// The communication objects: four PDOs per axis and direction, mapped as in CiA 402-3; PDO 1
+    /// of the first axis is enabled.
     #[must_use]
     pub fn communication(&self) -> Communication {
         let count = self.axes.len().clamp(1, AXES_MAX);
@@ -155,7 +154,7 @@ impl DriveNodeConfig {
 }
 
 impl DriveNodeConfig {
-    /// The data sheet in the drive says nothing of itself.
+    /// The stored data sheet does not contain itself.
     fn eds_objects(&self) -> [Object; 2] {
         let without = Self {
             stored_eds: false,
@@ -168,7 +167,8 @@ impl DriveNodeConfig {
     }
 }
 
-/// The PDOs of an axis: the word alone; with the mode; with a position; with a velocity.
+/// The PDOs of an axis: controlword/statusword alone; with the mode; with a position; with a
+/// velocity.
 fn default_pdos(axis: u8, first: u16, [word, others @ ..]: [u16; 4]) -> Vec<(u16, Parameters)> {
     let mapped = |index: u16, bits| Mapped {
         address: Address::new(index + Address::AXIS * u16::from(axis), 0),
@@ -201,14 +201,14 @@ fn default_pdos(axis: u8, first: u16, [word, others @ ..]: [u16; 4]) -> Vec<(u16
         .collect()
 }
 
-/// A CANopen node whose device is an emulated drive.
+/// A CANopen node with an emulated drive.
 pub type DriveNode = Node<Drives>;
 
 impl DriveNode {
-    /// A drive whose power comes on now.
+    /// Powers a drive on.
     ///
     /// # Errors
-    /// If its objects make no node.
+    /// If its objects do not form a valid node.
     pub fn power_on(config: DriveNodeConfig, now: Duration) -> Result<Self, NodeError> {
         let communication = config.communication();
         let dictionary = Dictionary::new(config.objects())?;
@@ -232,11 +232,11 @@ impl DriveNode {
 pub struct Drives {
     configs: Vec<DriveConfig>,
     axes: Vec<Drive>,
-    /// Up to when the motors have moved.
+    /// Time up to which the motors have moved.
     at: Duration,
     set_point: bool,
     operational: bool,
-    /// Why the master is taken for lost.
+    /// Why the master counts as lost.
     heartbeat_lost: bool,
     left_operational: bool,
     pdo_late: bool,
@@ -264,13 +264,13 @@ impl Drives {
         })
     }
 
-    /// The axis of that number, from 0.
+    /// An axis by number, from 0.
     #[must_use]
     pub fn axis(&self, axis: usize) -> Option<&Drive> {
         self.axes.get(axis)
     }
 
-    /// The axis of that number, to push it around and to put faults in.
+    /// An axis by number, to move it and to inject faults.
     pub fn axis_mut(&mut self, axis: usize) -> Option<&mut Drive> {
         self.axes.get_mut(axis)
     }
@@ -295,7 +295,7 @@ impl Drives {
         }
     }
 
-    /// All electronics begin anew; the motors stay where they are.
+    /// Restarts the electronics; the motors keep their position.
     fn reset(&mut self, context: &Context<'_>) {
         for (axis, (drive, config)) in (0_u8..).zip(self.axes.iter_mut().zip(&self.configs)) {
             let mut config = config.clone();
@@ -306,7 +306,7 @@ impl Drives {
         }
     }
 
-    /// Data records of interpolated position that an RPDO brought.
+    /// Handles data records of interpolated position from an RPDO.
     fn take_records(&mut self, rpdo: u16, dictionary: &Dictionary) {
         for sub in 1..=8 {
             let mapping = Address::new(Direction::Receive.mapping() + rpdo, sub);
@@ -314,7 +314,7 @@ impl Drives {
             for (axis, drive) in (0_u8..).zip(&mut self.axes) {
                 let here = RECORD.on_axis(axis).filter(|here| mapped == Some(*here));
                 if let Some(record) = here.and_then(|here| number_at(dictionary, here)) {
-                    // A PDO has no answer: what does not fit is lost.
+                    // A PDO has no response: excess records are lost.
                     let _ = drive.take_record(dictionary, record.cast_signed());
                 }
             }

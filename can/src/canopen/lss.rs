@@ -1,11 +1,11 @@
-//! Layer setting services (CiA 305): give nodes their numbers over the bus itself, and find those
-//! that have none. Bit rates are only handed on: changing them is the owner's.
+//! Layer setting services (LSS, CiA 305): assign node numbers over the bus, and find nodes without
+//! a number. Bit rate changes are passed on to the owner.
 //!
 //! | byte 0 | service | | byte 0 | service |
 //! |---|---|---|---|---|
-//! | 04h | switch mode of all | | 46h to 4Bh | identify by address; answer 4Fh |
-//! | 40h to 43h | select one; answer 44h | | 4Ch | identify those without a number; answer 50h |
-//! | 11h | set the node number | | 51h | fast scan; answer 4Fh |
+//! | 04h | switch mode, global | | 46h to 4Bh | identify by address; response 4Fh |
+//! | 40h to 43h | switch mode, selective; response 44h | | 4Ch | identify unconfigured slaves; response 50h |
+//! | 11h | set the node number | | 51h | fast scan; response 4Fh |
 //! | 13h, 15h | set, activate bit timing | | 5Ah to 5Eh | inquire address, node number |
 //! | 17h | store | | | |
 
@@ -19,11 +19,11 @@ pub use slave::{Done, Slave};
 
 use std::fmt;
 
-/// The four numbers that make a device unique: object 1018h, the LSS address.
+/// The LSS address: the four numbers of object 1018h, unique for each device.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[doc(alias = "1018h")]
 pub struct Identity {
-    /// 1018h:01, given by CAN in Automation.
+    /// 1018h:01, assigned by CAN in Automation.
     pub vendor: u32,
     /// 1018h:02
     pub product: u32,
@@ -40,7 +40,7 @@ impl Identity {
         [self.vendor, self.product, self.revision, self.serial]
     }
 
-    /// From the numbers in the order of 1018h.
+    /// Creates an identity from the numbers in the order of 1018h.
     #[must_use]
     pub const fn from_numbers(numbers: [u32; 4]) -> Self {
         let [vendor, product, revision, serial] = numbers;
@@ -63,12 +63,12 @@ impl fmt::Display for Identity {
     }
 }
 
-/// The mode of a slave.
+/// LSS mode of a slave.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mode {
-    /// It waits to be selected.
+    /// Waiting for selection.
     Waiting,
-    /// It is being set.
+    /// Configuration.
     Configuration,
 }
 
@@ -92,7 +92,7 @@ const IDENTIFIED_NONE: u8 = 0x50;
 const FAST_SCAN: u8 = 0x51;
 const INQUIRE: u8 = 0x5A;
 const INQUIRE_NODE: u8 = 0x5E;
-/// Bit check value that asks whether anybody is there.
+/// Bit check value that addresses all unconfigured slaves.
 const SCAN_RESET: u8 = 0x80;
 
 const fn with_number(command: u8, number: u32) -> Message {

@@ -1,6 +1,5 @@
-//! What a CAN frame means in CANopen, by its identifier (CiA 301, clause 7.3.5, the pre-defined
-//! connection set). A network that moved its PDOs elsewhere is decoded by whoever knows its
-//! mapping, not here.
+//! CANopen messages by identifier (CiA 301, clause 7.3.5, pre-defined connection set). Networks
+//! with other PDO identifiers need a decoder that knows their mapping.
 
 mod words;
 
@@ -16,16 +15,16 @@ use super::sdo;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct NodeId(u8);
 
-/// A number that is no node.
+/// An invalid node number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0} is no node number; they are 1 to 127")]
 pub struct NodeIdError(pub u8);
 
 impl NodeId {
-    /// The last one there can be.
+    /// The highest node number.
     pub const LAST: Self = Self(127);
 
-    /// The node of that number.
+    /// Checks a node number.
     ///
     /// # Errors
     /// If it is 0 or above 127.
@@ -36,13 +35,13 @@ impl NodeId {
         Ok(Self(number))
     }
 
-    /// The number.
+    /// The number as an integer.
     #[must_use]
     pub const fn raw(self) -> u8 {
         self.0
     }
 
-    /// All of them.
+    /// All node numbers.
     pub fn all() -> impl Iterator<Item = Self> {
         (1..=127).map(Self)
     }
@@ -50,7 +49,7 @@ impl NodeId {
     /// The identifier of one of its messages in the pre-defined connection set: 080h, 180h, ...
     #[must_use]
     pub fn cob(self, function: u16) -> Id {
-        // At most 700h + 127: it always fits.
+        // At most 700h + 127: always fits.
         Id::standard((function & 0x780) + u16::from(self.0)).unwrap_or(NMT)
     }
 }
@@ -74,9 +73,9 @@ macro_rules! fixed {
 fixed! {
     /// Network management commands.
     NMT = 0x000;
-    /// SYNC, unless 1005h says otherwise.
+    /// SYNC, unless 1005h differs.
     SYNC = 0x080;
-    /// TIME, unless 1012h says otherwise.
+    /// TIME, unless 1012h differs.
     TIME = 0x100;
     /// LSS, from slaves to the master.
     LSS_SLAVE = 0x7E4;
@@ -106,11 +105,11 @@ pub enum NmtCommand {
     Stop,
     /// To Pre-operational.
     EnterPreOperational,
-    /// All of the node begins anew.
+    /// Reset the whole node.
     ResetNode,
-    /// Communication begins anew.
+    /// Reset communication.
     ResetCommunication,
-    /// Any other, as it came.
+    /// Any other code, unchanged.
     Other(u8),
 }
 
@@ -160,23 +159,23 @@ impl fmt::Display for NmtCommand {
     }
 }
 
-/// The state of a node as its heartbeat tells it.
+/// State of a node as in its heartbeat.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum NmtState {
-    /// It has just begun: the boot-up message.
+    /// The boot-up message.
     BootUp,
-    /// It does nothing but network management.
+    /// Only network management and error control are active.
     Stopped,
-    /// PDOs run.
+    /// PDOs and SDOs are active.
     Operational,
-    /// SDOs run.
+    /// SDOs are active, PDOs are not.
     PreOperational,
-    /// Any other, as it came.
+    /// Any other code, unchanged.
     Other(u8),
 }
 
 impl NmtState {
-    /// The seven bits on the wire.
+    /// The 7-bit code on the wire.
     #[must_use]
     pub const fn raw(self) -> u8 {
         match self {
@@ -188,7 +187,7 @@ impl NmtState {
         }
     }
 
-    /// From the lowest seven bits.
+    /// Decodes the lowest seven bits.
     #[must_use]
     pub const fn from_raw(raw: u8) -> Self {
         match raw & 0x7F {
@@ -215,18 +214,18 @@ impl fmt::Display for NmtState {
 
 /// An emergency (CiA 301, clause 7.2.7).
 ///
-/// | bytes | what |
+/// | bytes | content |
 /// |---|---|
 /// | 0, 1 | error code, as object 603Fh |
 /// | 2 | error register, as object 1001h |
-/// | 3 to 7 | of the manufacturer |
+/// | 3 to 7 | manufacturer-specific |
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Emergency {
-    /// Error code; 0 is "no error any more".
+    /// Error code; 0 is "error reset or no error".
     pub code: u16,
     /// Error register.
     pub register: u8,
-    /// Of the manufacturer.
+    /// Manufacturer-specific.
     pub data: [u8; 5],
 }
 
@@ -251,10 +250,10 @@ impl Emergency {
     }
 }
 
-/// What a frame means.
+/// A decoded CANopen message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Message {
-    /// A command of network management to a node, or to all.
+    /// NMT command to a node, or to all nodes.
     Nmt(NmtCommand, Option<NodeId>),
     /// SYNC, with its counter if it has one.
     Sync(Option<u8>),
@@ -262,31 +261,31 @@ pub enum Message {
     Time(u32, u16),
     /// An emergency.
     Emergency(NodeId, Emergency),
-    /// A PDO that a node sends, 1 to 4.
+    /// TPDO 1 to 4 of a node.
     Tpdo(NodeId, u8),
-    /// A PDO that a node receives, 1 to 4.
+    /// RPDO 1 to 4 of a node.
     Rpdo(NodeId, u8),
     /// From an SDO server.
     SdoResponse(NodeId, sdo::Message),
     /// To an SDO server.
     SdoRequest(NodeId, sdo::Message),
-    /// A node's state; with node guarding, the toggle bit too.
+    /// Heartbeat or guarding response: node state and toggle bit.
     Heartbeat(NodeId, NmtState, bool),
-    /// A question for a node's state (node guarding).
+    /// Node guarding request.
     Guard(NodeId),
     /// LSS; `true` from the master.
     Lss(bool, [u8; 8]),
-    /// Nothing of the pre-defined connection set, or of a wrong length.
+    /// Not in the pre-defined connection set, or of invalid length.
     Unknown,
 }
 
 pub(super) fn frame(id: Id, data: &[u8]) -> Frame {
-    // At most eight bytes everywhere in this crate; an empty remote frame cannot be built wrongly.
+    // Callers in this crate pass at most eight bytes.
     Frame::new(id, data).unwrap_or_else(|_| Frame::empty(id))
 }
 
 impl Message {
-    /// What a frame means.
+    /// A decoded CANopen message.
     #[must_use]
     pub fn decode(frame: &Frame) -> Self {
         let id = frame.id();
@@ -320,7 +319,7 @@ impl Message {
         Self::of_node(id, data).unwrap_or(Self::Unknown)
     }
 
-    /// The node of an identifier in the group of a function.
+    /// The node number of an identifier of a function code.
     fn node(id: Id, function: u16) -> Option<NodeId> {
         let raw = u16::try_from(id.raw()).ok()?;
         let [number, _] = (raw & 0x7F).to_le_bytes();
@@ -348,7 +347,7 @@ impl Message {
     }
 }
 
-/// SYNC, with a counter if 1019h asks for one.
+/// SYNC, with counter if 1019h requires one.
 #[must_use]
 pub fn sync(counter: Option<u8>) -> Frame {
     match counter {
@@ -404,10 +403,10 @@ impl fmt::Display for Message {
             Self::Heartbeat(node, state, _) => write!(f, "node {node} {state}"),
             Self::Guard(node) => write!(f, "node {node} guard"),
             Self::Lss(master, [command, ..]) => {
-                let way = if *master { '>' } else { '<' };
+                let arrow = if *master { '>' } else { '<' };
                 match words::of_lss(*command) {
-                    Some(name) => write!(f, "LSS {way} {name}"),
-                    None => write!(f, "LSS {way} command {command}"),
+                    Some(name) => write!(f, "LSS {arrow} {name}"),
+                    None => write!(f, "LSS {arrow} command {command}"),
                 }
             }
             Self::Unknown => f.write_str("-"),
@@ -420,9 +419,9 @@ mod tests {
     use super::*;
     use crate::LogLine;
 
-    /// Frames as engineers type them, and what they mean.
+    /// Frames in cansend syntax and their decoded text.
     #[test]
-    fn golden_frames() {
+    fn message_golden_frames_are_decoded() {
         for (text, meaning) in [
             ("000#0105", "NMT start, node 5"),
             ("000#8000", "NMT enter pre-operational, all nodes"),
@@ -486,7 +485,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_are_built_as_they_are_read() {
+    fn message_frames_survive_round_trip() {
         let node = NodeId::new(5).unwrap();
         let command = NmtCommand::ResetNode;
         let built = Message::decode(&command.frame(Some(node)));
@@ -501,14 +500,14 @@ mod tests {
             Message::decode(&beat),
             Message::Heartbeat(node, NmtState::Operational, false)
         );
-        let told = Emergency {
+        let sent = Emergency {
             code: 0x8130,
             register: 0x11,
             data: [1, 2, 3, 4, 5],
         };
         assert_eq!(
-            Message::decode(&emergency(node, &told)),
-            Message::Emergency(node, told)
+            Message::decode(&emergency(node, &sent)),
+            Message::Emergency(node, sent)
         );
         for raw in 0..=u8::MAX {
             assert_eq!(NmtCommand::from_raw(raw).raw(), raw);
@@ -519,7 +518,7 @@ mod tests {
     }
 
     #[test]
-    fn every_identifier_has_a_meaning_or_none() {
+    fn message_every_identifier_decodes() {
         for raw in 0..=0x7FF {
             let id = Id::standard(raw).unwrap();
             for len in 0..=8 {

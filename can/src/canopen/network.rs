@@ -1,26 +1,26 @@
-//! The master of a network (CiA 301, CiA 302-2): brings its nodes up, exchanges their process data
-//! with SYNC, leads the axes of drives, watches heartbeats, and carries SDO transfers beside all
-//! that. One thread owns it; it waits for nothing.
+//! CANopen master (CiA 301, CiA 302-2): starts the nodes, exchanges process data with SYNC,
+//! commands the axes of drives, monitors heartbeats, and runs SDO transfers in the background. One
+//! thread owns it; it never blocks.
 //!
 //! ```text
 //! each period:  cycle ------> poll_process: SYNC, then the RPDOs of all running nodes
 //! in between:   handle_frame <- TPDOs, heartbeats, EMCY, SDO answers
-//!               poll_service -> NMT, guarding, heartbeat, SDO: so many frames in a period
-//!               poll_event   -> what happened
+//!               poll_service -> NMT, guarding, heartbeat, SDO: a limited number of frames per period
+//!               poll_event   -> events
 //! ```
 //!
-//! Nodes share nothing: what one does or does not do costs the others at most its frames.
+//! Nodes are independent: a faulty node costs the others at most the bus time of its frames.
 
 mod axis;
+mod fault;
 mod member;
 mod plan;
 mod startup;
-mod trouble;
 
 pub use axis::{Axis, AxisCommand, AxisState};
+pub use fault::{AxisFault, NodeFault};
 pub use plan::{AxisPlan, Download, NodePlan, Supervision};
 pub use startup::{Action, Answer, Phase, Startup};
-pub use trouble::{AxisTrouble, Trouble};
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -33,27 +33,27 @@ use super::sdo::Outcome;
 use super::sync::Counter;
 use super::{Emergency, Message, NmtCommand, NmtState, NodeId, sync as sync_frame};
 use crate::{Frame, Id};
-use member::{Member, News};
+use member::{Member, PendingEvents};
 
-/// Most transfers of a node that wait or were not asked about.
+/// Maximum number of pending and uncollected transfers of a node.
 pub const TRANSFERS_MAX: usize = 8;
-/// Identifiers of 11 bits.
+/// Number of 11-bit identifiers.
 const IDS: usize = 0x800;
 
-/// How a network is led.
+/// Configuration of the master.
 #[derive(Clone, Debug)]
 pub struct NetworkConfig {
-    /// 1019h: SYNC counts up to this; 0 is without a counter.
+    /// Synchronous counter overflow value (1019h); 0: no counter.
     pub sync_overflow: u8,
-    /// The master's own node number and how often it sends a heartbeat; nodes watch it (1016h).
+    /// The master's node number and heartbeat period; the nodes monitor it (1016h).
     pub heartbeat: Option<(NodeId, Duration)>,
-    /// Longest time from reset to boot-up, and half of that from start to Operational.
+    /// Boot-up timeout after reset; half of the timeout from start to Operational.
     pub boot_up_max: Duration,
-    /// After which time a node that failed is tried again; zero is never.
+    /// Delay until a failed node is restarted; zero: never.
     pub retry: Duration,
-    /// Longest time for an SDO answer.
+    /// SDO response timeout.
     pub sdo_timeout: Duration,
-    /// SDO frames that are sent in a period, of all nodes together.
+    /// Maximum SDO frames per period, over all nodes.
     pub sdo_per_cycle: u32,
 }
 
@@ -70,107 +70,107 @@ impl Default for NetworkConfig {
     }
 }
 
-/// Why plans make no network.
+/// Errors of a network plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum NetworkError {
     /// A node number is planned twice.
     #[error("node {0} is planned twice")]
     Twice(NodeId),
-    /// The master has the number of a node.
-    #[error("node {0} has the master's number; give the master another one")]
+    /// The master and a node have the same number.
+    #[error("node {0} has the master's number; change one of them")]
     Master(NodeId),
-    /// Two PDOs or services have the same identifier.
-    #[error("node {node}: {id}h is used already; give its PDO another identifier")]
+    /// Two PDOs or services use the same identifier.
+    #[error("node {node}: {id}h is used already; change the identifier of its PDO")]
     Collision {
-        /// Whose.
+        /// The node.
         node: NodeId,
-        /// Which.
+        /// The identifier.
         id: Id,
     },
-    /// A PDO is off, or has an identifier that PDOs may not have.
-    #[error("node {0}: a PDO with {1} cannot be exchanged; give it an identifier of its own")]
+    /// A PDO is disabled, or its identifier is not allowed for PDOs.
+    #[error("node {0}: a PDO with {1} cannot be exchanged; assign it a free identifier")]
     Identifier(NodeId, PdoCob),
-    /// A mapping does not fit.
-    #[error("node {node}: a PDO cannot be mapped so: {why}")]
+    /// A mapping is invalid.
+    #[error("node {node}: invalid PDO mapping: {why}")]
     Mapping {
-        /// Whose.
+        /// The node.
         node: NodeId,
-        /// As a device would say.
+        /// The abort code that a device would send.
         why: AbortCode,
     },
-    /// An entry has a length that no number has.
-    #[error("node {0}: {1} is mapped with a length that no number has")]
+    /// An entry is mapped with a length that no number type has.
+    #[error("node {0}: {1} is mapped with a length that no number type has")]
     Type(NodeId, Address),
-    /// The mapped objects make no image.
+    /// The mapped objects do not form a process image.
     #[error("the process image: {0}")]
     Image(DictionaryError),
 }
 
-/// A transfer by SDO that runs beside the process data.
+/// An SDO transfer in the background of the process data.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Transfer {
-    /// Of which object.
+    /// The object.
     pub address: Address,
-    /// Whether it is written; else it is read.
+    /// Whether the object is written, else read.
     pub write: bool,
-    /// Whether by block transfer, which is for long values.
+    /// Whether to use block transfer, for long values.
     pub in_blocks: bool,
-    /// What is written, or where the value goes; with room for it nothing is allocated.
+    /// The value to write, or the buffer for the read value; sufficient capacity avoids allocation.
     pub data: Vec<u8>,
-    /// The owner's mark.
+    /// Tag of the owner.
     pub tag: u32,
 }
 
-/// What happened in a network.
+/// Events of a network.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Event {
-    /// The start of a node came to this point.
+    /// The start of a node reached this phase.
     Phase(NodeId, Phase),
-    /// Something is wrong with a node.
-    Trouble(NodeId, Trouble),
-    /// A node sent emergencies: the last one, and how many since the last event.
+    /// A node has a fault.
+    Fault(NodeId, NodeFault),
+    /// A node sent emergencies: the last one, and their number since the last event.
     Emergency(NodeId, Emergency, u32),
     /// A homing run of an axis of a node ended.
     Homed(NodeId),
-    /// What hinders an axis of a node changed.
+    /// The fault of an axis of a node changed.
     Axis(NodeId),
     /// A transfer ended.
     Transferred(NodeId, Transfer, Outcome),
 }
 
-/// Where a received identifier belongs.
+/// Receiver of an identifier.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Route {
-    Nowhere,
+    None,
     Heartbeat(u8),
     Emergency(u8),
     Sdo(u8),
     Tpdo(u8, u8),
 }
 
-/// The master of a network.
+/// A CANopen master.
 #[derive(Debug)]
 pub struct Network {
     config: NetworkConfig,
     members: Vec<Member>,
     routes: Vec<Route>,
-    /// SYNC and RPDOs of the present period.
+    /// SYNC and RPDOs of the current period.
     process: VecDeque<Frame>,
     counter: Counter,
     /// When the last period began.
     cycled: Option<Duration>,
     sdo_left: u32,
     beat_due: Option<Duration>,
-    /// Whose SDO and whose news come next.
+    /// Next node in the round robin of SDO transfers.
     turn: usize,
 }
 
 impl Network {
-    /// A network of these nodes, in which nothing happens yet.
+    /// A network of these nodes, not started.
     ///
     /// # Errors
-    /// If node numbers or identifiers collide, or a PDO cannot be.
+    /// If node numbers or identifiers collide, or a PDO is invalid.
     pub fn new(config: NetworkConfig, plans: Vec<NodePlan>) -> Result<Self, NetworkError> {
         let mut members = Vec::new();
         for plan in plans {
@@ -205,12 +205,12 @@ impl Network {
         self.members.iter().map(|member| member.plan.id)
     }
 
-    /// Brings all nodes up, each as fast as it can.
+    /// Starts all nodes in parallel.
     pub fn start(&mut self, now: Duration) {
         self.members.iter_mut().for_each(|member| member.begin(now));
     }
 
-    /// Brings one node up, anew if it runs.
+    /// Starts one node; restarts it if it runs.
     pub fn start_node(&mut self, node: NodeId, now: Duration) {
         if let Some(member) = self.member_mut(node) {
             member.begin(now);
@@ -224,23 +224,23 @@ impl Network {
         }
     }
 
-    /// Sends one command of network management, beside the start. For tools.
+    /// Sends one NMT command, outside of the start procedure. For tools.
     pub fn command(&mut self, node: NodeId, command: NmtCommand) {
         if let Some(member) = self.member_mut(node) {
             member.command = Some(command);
         }
     }
 
-    /// Where the start of a node is.
+    /// Start phase of a node.
     #[must_use]
     pub fn phase(&self, node: NodeId) -> Option<Phase> {
         self.member(node).map(|member| member.startup.phase())
     }
 
-    /// What is wrong with a node, last.
+    /// The last fault of a node.
     #[must_use]
-    pub fn trouble(&self, node: NodeId) -> Option<Trouble> {
-        self.member(node).and_then(|member| member.trouble)
+    pub fn fault(&self, node: NodeId) -> Option<NodeFault> {
+        self.member(node).and_then(|member| member.fault)
     }
 
     /// An axis of a node, in the order of its plan.
@@ -249,14 +249,14 @@ impl Network {
         self.member(node).and_then(|member| member.axes.get(axis))
     }
 
-    /// An axis of a node, to be told something.
+    /// An axis of a node, to command it.
     pub fn axis_mut(&mut self, node: NodeId, axis: usize) -> Option<&mut Axis> {
         let member = self.member_mut(node);
         member.and_then(|member| member.axes.get_mut(axis))
     }
 
-    /// The process image of a node: all objects in its PDOs. Those of its axes are written by
-    /// [`Self::cycle`].
+    /// The process image of a node: all objects in its PDOs. [`Self::cycle`] writes the objects of
+    /// its axes.
     #[must_use]
     pub fn image(&self, node: NodeId) -> Option<&Dictionary> {
         self.member(node).map(|member| &member.image)
@@ -267,10 +267,11 @@ impl Network {
         self.member_mut(node).map(|member| &mut member.image)
     }
 
-    /// Hands in a transfer; it runs when the node's SDO server is free.
+    /// Queues a transfer; it runs when the node's SDO server is free.
     ///
     /// # Errors
-    /// Gives it back if there is no such node, or [`TRANSFERS_MAX`] wait or were not asked about.
+    /// Returns the transfer if the node is unknown, or [`TRANSFERS_MAX`] are pending or
+    /// uncollected.
     pub fn transfer(&mut self, node: NodeId, transfer: Transfer) -> Result<(), Transfer> {
         match self.member_mut(node) {
             Some(member) => member.enqueue(transfer),
@@ -278,8 +279,8 @@ impl Network {
         }
     }
 
-    /// One period: SYNC, then what the running nodes receive. What was not sent of the period
-    /// before is dropped: no burst of old set-points.
+    /// Starts a period: SYNC, then the RPDOs of the running nodes. Unsent frames of the previous
+    /// period are dropped, so that no burst of stale set-points follows.
     pub fn cycle(&mut self, now: Duration) {
         self.process.clear();
         self.process.push_back(sync_frame(self.counter.advance()));
@@ -290,55 +291,57 @@ impl Network {
         self.sdo_left = self.config.sdo_per_cycle;
     }
 
-    /// Takes a frame from the bus.
+    /// Handles a received frame.
     pub fn handle_frame(&mut self, frame: &Frame, now: Duration) {
         if frame.id().is_extended() || frame.is_remote() {
             return;
         }
         let at = usize::try_from(frame.id().raw()).unwrap_or(IDS);
-        let route = self.routes.get(at).copied().unwrap_or(Route::Nowhere);
+        let route = self.routes.get(at).copied().unwrap_or(Route::None);
         let data = frame.data();
         match route {
-            Route::Nowhere => {}
+            Route::None => {}
             Route::Heartbeat(at) => {
                 if let Message::Heartbeat(_, state, toggle) = Message::decode(frame) {
-                    self.of(at, |member| member.handle_heartbeat(state, toggle, now));
+                    self.with_member(at, |member| member.handle_heartbeat(state, toggle, now));
                 }
             }
             Route::Emergency(at) => {
                 if let Some(bytes) = data.first_chunk() {
                     let emergency = Emergency::decode(bytes);
-                    self.of(at, |member| {
-                        // Two may come before one is taken: a fault is not hidden by its end.
-                        if emergency.code != 0 || member.news.emergencies == 0 {
+                    self.with_member(at, |member| {
+                        // If several arrive before a poll, "no error" must not hide the fault.
+                        if emergency.code != 0 || member.pending.emergencies == 0 {
                             member.emergency = Some(emergency);
                         }
-                        member.news.emergencies = member.news.emergencies.saturating_add(1);
+                        member.pending.emergencies = member.pending.emergencies.saturating_add(1);
                     });
                 }
             }
             Route::Sdo(at) => {
                 if let Some(message) = data.first_chunk() {
-                    self.of(at, |member| member.handle_sdo(message, now));
+                    self.with_member(at, |member| member.handle_sdo(message, now));
                 }
             }
-            Route::Tpdo(at, pdo) => self.of(at, |member| member.handle_tpdo(pdo.into(), data)),
+            Route::Tpdo(at, pdo) => {
+                self.with_member(at, |member| member.handle_tpdo(pdo.into(), data))
+            }
         }
     }
 
-    fn of(&mut self, at: u8, act: impl FnOnce(&mut Member)) {
+    fn with_member(&mut self, at: u8, act: impl FnOnce(&mut Member)) {
         if let Some(member) = self.members.get_mut(usize::from(at)) {
             act(member);
         }
     }
 
-    /// The next frame of process data. To be sent before anything else.
+    /// The next process data frame, to be sent before all others.
     pub fn poll_process(&mut self) -> Option<Frame> {
         self.process.pop_front()
     }
 
-    /// The next frame of anything else: network management, heartbeat, guarding, SDO. Of SDO there
-    /// are so many in a period; without periods, as many as there are.
+    /// The next service frame: NMT, heartbeat, guarding, SDO. The number of SDO frames per period
+    /// is limited; without periods it is not.
     pub fn poll_service(&mut self, now: Duration) -> Option<Frame> {
         for member in &mut self.members {
             member.run_timers(now);
@@ -353,8 +356,8 @@ impl Network {
             if let Some(command) = member.command.take() {
                 return Some(command.frame(Some(member.plan.id)));
             }
-            if let Some(question) = member.question.take() {
-                return Some(question);
+            if let Some(request) = member.guarding_request.take() {
+                return Some(request);
             }
         }
         self.poll_sdo(now)
@@ -381,12 +384,12 @@ impl Network {
         None
     }
 
-    /// The next frame: process data first.
+    /// The next frame, process data first.
     pub fn poll_transmit(&mut self, now: Duration) -> Option<Frame> {
         self.poll_process().or_else(|| self.poll_service(now))
     }
 
-    /// When [`Self::poll_transmit`] has something to do; the periods its owner knows.
+    /// Next time at which [`Self::poll_transmit`] has work, apart from the periods.
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Duration> {
         if !self.process.is_empty() {
@@ -396,28 +399,28 @@ impl Network {
         members.chain(self.beat_due).min()
     }
 
-    /// What happened, until there is nothing. Nothing piles up: of each kind a node has one.
+    /// The next event, if any. The queue is bounded: one event of each kind per node.
     pub fn poll_event(&mut self) -> Option<Event> {
-        self.members.iter_mut().find_map(news_of)
+        self.members.iter_mut().find_map(next_event)
     }
 }
 
-fn news_of(member: &mut Member) -> Option<Event> {
+fn next_event(member: &mut Member) -> Option<Event> {
     let node = member.plan.id;
-    let News {
+    let PendingEvents {
         phase,
-        trouble,
+        fault,
         emergencies,
         homed,
         axis,
-    } = &mut member.news;
+    } = &mut member.pending;
     if std::mem::take(phase) {
         return Some(Event::Phase(node, member.startup.phase()));
     }
-    if std::mem::take(trouble)
-        && let Some(trouble) = member.trouble
+    if std::mem::take(fault)
+        && let Some(fault) = member.fault
     {
-        return Some(Event::Trouble(node, trouble));
+        return Some(Event::Fault(node, fault));
     }
     let count = std::mem::take(emergencies);
     if count > 0
@@ -435,9 +438,9 @@ fn news_of(member: &mut Member) -> Option<Event> {
     Some(Event::Transferred(node, transfer, outcome))
 }
 
-/// Where each identifier belongs; refuses two owners.
+/// Routing table of the identifiers; two receivers are an error.
 fn routes(members: &[Member], master: Option<NodeId>) -> Result<Vec<Route>, NetworkError> {
-    let mut routes = vec![Route::Nowhere; IDS];
+    let mut routes = vec![Route::None; IDS];
     for (at, member) in (0_u8..).zip(members) {
         let node = member.plan.id;
         if members.iter().filter(|other| other.plan.id == node).count() > 1 {
@@ -447,12 +450,12 @@ fn routes(members: &[Member], master: Option<NodeId>) -> Result<Vec<Route>, Netw
             return Err(NetworkError::Master(node));
         }
         let mut add = |id: Id, route| {
-            let place = usize::try_from(id.raw())
+            let slot = usize::try_from(id.raw())
                 .ok()
                 .and_then(|raw| routes.get_mut(raw));
-            match place {
-                Some(place) if *place == Route::Nowhere => {
-                    *place = route;
+            match slot {
+                Some(slot) if *slot == Route::None => {
+                    *slot = route;
                     Ok(())
                 }
                 _ => Err(NetworkError::Collision { node, id }),

@@ -1,5 +1,5 @@
-//! A CANopen slave device (CiA 301): an object dictionary, and everything that makes it a node.
-//! What the device does, its [`Application`] says; bytes come and go as frames; time is told.
+//! A CANopen slave device (CiA 301): object dictionary, NMT, SDO server, PDOs, EMCY and LSS. The
+//! [`Application`] defines the function of the device; frames and time are arguments.
 //!
 //! ```text
 //! handle_frame --> NMT, SYNC, RPDOs, SDO server, heartbeats of others, LSS --> Dictionary
@@ -35,97 +35,97 @@ use crate::{Frame, Id};
 
 pub(super) use configure::add_node_id;
 pub use objects::Communication;
-use quirks::Manners;
+use quirks::ActiveQuirks;
 pub use quirks::NodeQuirks;
 
-/// Most frames that wait to be sent; further ones are counted and dropped.
+/// Length of the send queue; further frames are counted and dropped.
 pub const QUEUE_MAX: usize = 64;
 
-/// Why a dictionary makes no node.
+/// Errors of a node's dictionary.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum NodeError {
-    /// The objects make no dictionary.
+    /// The objects do not form a valid dictionary.
     #[error(transparent)]
     Dictionary(#[from] DictionaryError),
-    /// An object that every node has is not there, or has another type.
-    #[error("{0} is missing or of a wrong type; CiA 301 demands it")]
+    /// A mandatory object is missing or has the wrong type.
+    #[error("{0} is missing or has the wrong type; CiA 301 requires it")]
     Missing(Address),
-    /// A PDO's mapping cannot be.
-    #[error("the mapping {index:04X}h is refused: {why}")]
+    /// A PDO mapping is invalid.
+    #[error("invalid mapping {index:04X}h: {why}")]
     Mapping {
         /// Index of the mapping parameters.
         index: u16,
-        /// As a write of it would be.
+        /// The abort code that a write would get.
         why: AbortCode,
     },
 }
 
-/// What happened to a node.
+/// Events of a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Event {
-    /// SYNC: received values are in the dictionary; what is there after this is transmitted.
+    /// SYNC: received values are in the dictionary; the values after this event are transmitted.
     Sync,
-    /// The RPDO of that number (from 0) put new values into the dictionary; of one that waited for SYNC this comes
-    /// behind [`Self::Sync`].
+    /// The RPDO with that number (from 0) wrote new values into the dictionary; for a synchronous RPDO this follows
+    /// [`Self::Sync`].
     Received(u16),
-    /// The RPDO of that number is late (1400h:05).
+    /// The RPDO with that number missed its deadline (1400h:05).
     Late(u16),
-    /// The RPDO of that number came again after it was late.
+    /// The RPDO with that number was received again after a missed deadline.
     InTime(u16),
-    /// Network management brought the node here.
+    /// The NMT state changed.
     State(State),
-    /// All objects, or those of communication, have their defaults again.
+    /// All objects, or the communication objects, were reset to their defaults.
     Reset(Reset),
-    /// A heartbeat that is watched, or the guarding master, was lost.
+    /// A monitored heartbeat, or the guarding master, was lost.
     Lost,
-    /// All heartbeats that are watched are there again.
+    /// All monitored heartbeats are present again.
     Back,
     /// TIME.
     Time(TimeOfDay),
-    /// LSS asks for something that only the owner can do.
+    /// LSS requests an action of the owner.
     Lss(lss::Done),
 }
 
-/// What an application works with.
+/// Context of an application callback.
 #[derive(Debug)]
 pub struct Context<'a> {
     /// The objects.
     pub dictionary: &'a mut Dictionary,
-    /// What is wrong with the device.
+    /// The errors of the device.
     pub errors: &'a mut emcy::Producer,
-    /// The time.
+    /// The current time.
     pub now: Duration,
 }
 
-/// What a device does. `()` does nothing: a node that only has objects.
+/// The function of a device. `()` does nothing: a node with objects only.
 pub trait Application {
-    /// Before a read from the bus: bring the value up to date, or refuse.
+    /// Called before a read from the bus: updates the value, or rejects the read.
     ///
     /// # Errors
-    /// The reason is sent to who asked.
+    /// The abort code sent to the client.
     fn before_upload(&mut self, _: &mut Dictionary, _: Address) -> Result<(), AbortCode> {
         Ok(())
     }
 
-    /// Before a write from the bus that all rules allow: the last word on it.
+    /// Called before a write from the bus that passed all checks: may reject it.
     ///
     /// # Errors
-    /// The reason is sent to who asked; nothing is written.
+    /// The abort code sent to the client; nothing is written.
     fn check_download(&mut self, _: &Dictionary, _: Address, _: &[u8]) -> Result<(), AbortCode> {
         Ok(())
     }
 
-    /// After a write from the bus by SDO.
+    /// Called after a write from the bus by SDO.
     fn after_download(&mut self, _: &mut Dictionary, _: Address) {}
 
-    /// Something happened.
+    /// Handles an event.
     fn handle(&mut self, _: Event, _: &mut Context<'_>) {}
 
-    /// Time passed.
+    /// Advances time.
     fn poll(&mut self, _: &mut Context<'_>) {}
 
-    /// When it wants to be polled.
+    /// Time of the next poll.
     fn poll_timeout(&self) -> Option<Duration> {
         None
     }
@@ -133,13 +133,13 @@ pub trait Application {
 
 impl Application for () {}
 
-/// Objects that a node writes by itself, found once.
+/// Keys of the objects that a node writes, looked up once.
 #[derive(Clone, Copy, Debug)]
 struct Keys {
     error_register: Key<u8>,
 }
 
-/// What the communication objects say, read when they are written.
+/// Settings from the communication objects, updated when these are written.
 #[derive(Clone, Debug)]
 struct Settings {
     sync: Id,
@@ -150,20 +150,20 @@ struct Settings {
     behaviour: ErrorBehaviour,
 }
 
-/// What a node is made of.
+/// Configuration of a node.
 #[derive(Debug)]
 pub struct NodeConfig {
-    /// Its number; without one it waits for LSS.
+    /// Node number; without one it waits for LSS.
     pub id: Option<NodeId>,
-    /// Its objects.
+    /// Object dictionary.
     pub dictionary: Dictionary,
-    /// Numbers (COB-IDs) to whose default the node number is added.
+    /// Entries (COB-IDs) whose default is relative to the node number.
     pub relative: Vec<Address>,
-    /// Longest value that its SDO server transfers, bytes.
+    /// Maximum length of an SDO value, bytes.
     pub sdo_len_max: usize,
-    /// How long its SDO server waits for a client.
+    /// Timeout of the SDO server.
     pub sdo_timeout: Duration,
-    /// How it departs from the standard.
+    /// Deviations from the standard.
     pub quirks: NodeQuirks,
 }
 
@@ -173,7 +173,7 @@ pub struct Node<A> {
     application: A,
     dictionary: Dictionary,
     relative: Vec<Address>,
-    /// What it was told to keep (1010h).
+    /// Stored parameters (1010h).
     store: Store,
     keys: Keys,
     settings: Settings,
@@ -188,14 +188,14 @@ pub struct Node<A> {
     errors: emcy::Producer,
     queue: VecDeque<Frame>,
     dropped: u32,
-    manners: Manners,
+    quirks: ActiveQuirks,
 }
 
 impl<A: Application> Node<A> {
-    /// A node that begins now.
+    /// Powers a node on.
     ///
     /// # Errors
-    /// If its dictionary lacks what every node has, or a PDO cannot be mapped.
+    /// If a mandatory object is missing, or a PDO mapping is invalid.
     pub fn new(config: NodeConfig, application: A, now: Duration) -> Result<Self, NodeError> {
         let NodeConfig { id, dictionary, .. } = config;
         let at = Address::new(0x1001, 0);
@@ -221,58 +221,58 @@ impl<A: Application> Node<A> {
             errors: emcy::Producer::default(),
             queue: VecDeque::with_capacity(QUEUE_MAX),
             dropped: 0,
-            manners: Manners::new(config.quirks, id_or_any),
+            quirks: ActiveQuirks::new(config.quirks, id_or_any),
         };
         node.begin(Reset::Node, now);
         Ok(node)
     }
 
-    /// Its number; `None` while it waits for LSS.
+    /// Node number; `None` while it waits for LSS.
     #[must_use]
     pub fn id(&self) -> Option<NodeId> {
         (self.slave.state() != State::Initialising).then(|| self.slave.id())
     }
 
-    /// Its state.
+    /// NMT state.
     #[must_use]
     pub const fn state(&self) -> State {
         self.slave.state()
     }
 
-    /// Its objects.
+    /// Object dictionary.
     #[must_use]
     pub const fn dictionary(&self) -> &Dictionary {
         &self.dictionary
     }
 
-    /// Its objects, to be changed by the owner: no rule is asked.
+    /// Mutable object dictionary for the owner; no access checks apply.
     pub const fn dictionary_mut(&mut self) -> &mut Dictionary {
         &mut self.dictionary
     }
 
-    /// What the device does.
+    /// The application.
     #[must_use]
     pub const fn application(&self) -> &A {
         &self.application
     }
 
-    /// What the device does, to be changed by the owner.
+    /// The application, mutable.
     pub const fn application_mut(&mut self) -> &mut A {
         &mut self.application
     }
 
-    /// What is wrong with the device, to be added to by the owner.
+    /// The errors of the device, mutable.
     pub const fn errors_mut(&mut self) -> &mut emcy::Producer {
         &mut self.errors
     }
 
-    /// Frames that found no place in the queue.
+    /// Frames dropped because the send queue was full.
     #[must_use]
     pub const fn dropped(&self) -> u32 {
         self.dropped
     }
 
-    /// Asks for the TPDO of that number (from 0), whatever it carries.
+    /// Triggers the TPDO with that number (from 0).
     pub fn trigger(&mut self, number: u16) {
         let mine = self.tpdos.iter_mut().filter(|(n, _)| *n == number);
         mine.for_each(|(_, tpdo)| tpdo.trigger());
@@ -286,7 +286,7 @@ impl<A: Application> Node<A> {
         }
     }
 
-    fn tell(&mut self, event: Event, now: Duration) {
+    fn notify(&mut self, event: Event, now: Duration) {
         let mut context = Context {
             dictionary: &mut self.dictionary,
             errors: &mut self.errors,
@@ -304,7 +304,7 @@ impl<A: Application> Node<A> {
         self.application.poll(&mut context);
     }
 
-    /// Begins anew: the objects have their defaults or what was stored of them, the node its number.
+    /// Resets the node: objects get their defaults or stored values, the node its number.
     fn begin(&mut self, reset: Reset, now: Duration) {
         match reset {
             Reset::Node => self.dictionary.restore_defaults(),
@@ -322,23 +322,23 @@ impl<A: Application> Node<A> {
         };
         self.store.apply(&mut self.dictionary, group);
         self.configure_all(now);
-        self.tell(Event::Reset(reset), now);
-        if self.lss.pending().is_some() && self.manners.begin(now) {
+        self.notify(Event::Reset(reset), now);
+        if self.lss.pending().is_some() && self.quirks.begin(now) {
             self.slave.handle(Input::Initialised);
             self.entered(now);
         }
     }
 
-    /// The time of its quirks: a boot-up message that was late, what was requested before it, and emergencies.
-    fn run_manners(&mut self, now: Duration) {
-        if self.manners.take_boot_up(now) {
+    /// Runs the quirks: late boot-up message, requests received before it, and emergencies.
+    fn run_quirks(&mut self, now: Duration) {
+        if self.quirks.take_boot_up(now) {
             self.slave.handle(Input::Initialised);
             self.entered(now);
-            while let Some(request) = self.manners.take_early() {
+            while let Some(request) = self.quirks.take_early() {
                 self.handle_sdo(&request, now);
             }
         }
-        while let Some(emergency) = self.manners.take_emergency(now) {
+        while let Some(emergency) = self.quirks.take_emergency(now) {
             let Emergency {
                 code,
                 register,
@@ -348,7 +348,7 @@ impl<A: Application> Node<A> {
         }
     }
 
-    /// Network management says something.
+    /// Handles an NMT input.
     fn manage(&mut self, input: Input, now: Duration) {
         let before = self.slave.state();
         match self.slave.handle(input) {
@@ -368,10 +368,10 @@ impl<A: Application> Node<A> {
         if !state.communicates() {
             self.server.reset();
         }
-        self.tell(Event::State(state), now);
+        self.notify(Event::State(state), now);
     }
 
-    /// Takes a frame from the bus; those that are not for it are passed over.
+    /// Handles a received frame; ignores frames for others.
     pub fn handle_frame(&mut self, frame: &Frame, now: Duration) {
         self.run_timers(now);
         let id = frame.id();
@@ -383,7 +383,7 @@ impl<A: Application> Node<A> {
         } else if id == LSS_MASTER {
             self.handle_lss(data, now);
         } else if self.slave.state() == State::Initialising && id == self.settings.request {
-            self.manners.keep(data);
+            self.quirks.keep(data);
         } else if !self.slave.state().communicates() {
             self.handle_heartbeat(frame, now);
         } else if id == self.settings.sync {
@@ -392,7 +392,7 @@ impl<A: Application> Node<A> {
             self.handle_sdo(data, now);
         } else if Some(id) == self.settings.time {
             if let Some(time) = TimeOfDay::decode(data) {
-                self.tell(Event::Time(time), now);
+                self.notify(Event::Time(time), now);
             }
         } else {
             self.handle_rpdo(id, data, now);
@@ -401,7 +401,7 @@ impl<A: Application> Node<A> {
         self.write_errors();
     }
 
-    /// The error register 1001h and the history 1003h.
+    /// Updates error register 1001h and history 1003h.
     fn write_errors(&mut self) {
         let register = self.errors.register();
         self.dictionary.set(self.keys.error_register, register);
@@ -411,7 +411,7 @@ impl<A: Application> Node<A> {
         }
     }
 
-    /// The next frame to send, until there is none.
+    /// The next frame to send, if any.
     pub fn poll_transmit(&mut self, now: Duration) -> Option<Frame> {
         self.run_timers(now);
         if let Some(beat) = self.slave.poll_transmit(now) {
@@ -433,17 +433,17 @@ impl<A: Application> Node<A> {
                 return Some(frame);
             }
         }
-        if let Some(answer) = self.manners.take_late(now) {
+        if let Some(answer) = self.quirks.take_late(now) {
             return Some(answer);
         }
-        if self.manners.has_late() {
+        if self.quirks.has_late() {
             return None;
         }
         let answer = self.server.poll(now)?;
         Some(frame(self.settings.response, &answer))
     }
 
-    /// When [`Self::poll_transmit`] has something to do; not after `now` means at once.
+    /// Next time at which [`Self::poll_transmit`] has work; at or before `now`: at once.
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Duration> {
         if !self.queue.is_empty() {
@@ -464,7 +464,7 @@ impl<A: Application> Node<A> {
             self.slave.poll_timeout(),
             self.server.poll_timeout(),
             self.application.poll_timeout(),
-            self.manners.poll_timeout(),
+            self.quirks.poll_timeout(),
             self.sync_producer
                 .as_ref()
                 .map(sync::Producer::poll_timeout),
@@ -477,9 +477,9 @@ impl<A: Application> Node<A> {
         .min()
     }
 
-    /// The state as heartbeats tell it.
+    /// The state as in heartbeats.
     #[must_use]
-    pub const fn told(&self) -> NmtState {
-        self.slave.state().told()
+    pub const fn nmt_state(&self) -> NmtState {
+        self.slave.state().nmt_state()
     }
 }

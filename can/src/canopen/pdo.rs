@@ -1,5 +1,6 @@
-//! Process data objects (CiA 301, clauses 7.2.2 and 7.5.2.35 to 38): their parameters in the object
-//! dictionary, and when each is sent or taken. Which nodes exchange which PDOs, the network says.
+//! Process data objects (CiA 301, clauses 7.2.2 and 7.5.2.35 to 38): parameters in the object
+//! dictionary, transmission and reception. The network plan defines which nodes exchange which
+//! PDOs.
 
 mod parameters;
 mod receive;
@@ -16,27 +17,27 @@ use std::fmt;
 
 use crate::Id;
 
-/// When a PDO is sent or taken: sub-index 2 of its communication parameters.
+/// Transmission type: sub-index 2 of the communication parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Transmission {
-    /// 0: with the next SYNC after an event; received ones count with the next SYNC.
+    /// 0: sent with the next SYNC after an event; an RPDO takes effect with the next SYNC.
     SyncAcyclic,
-    /// 1 to 240: with every n-th SYNC; received ones count with the next SYNC.
+    /// 1 to 240: sent with every n-th SYNC; an RPDO takes effect with the next SYNC.
     Sync(u8),
-    /// 252: sampled with SYNC, sent when a remote frame asks.
+    /// 252: sampled with SYNC, sent on a remote frame.
     RemoteSync,
-    /// 253: sampled and sent when a remote frame asks.
+    /// 253: sampled and sent on a remote frame.
     Remote,
-    /// 254: on an event of the manufacturer's choice; here a change of its contents, as 255.
+    /// 254: on a manufacturer-specific event; here on a change of its content, as 255.
     EventManufacturer,
-    /// 255: on an event of the device profile: a change of its contents.
+    /// 255: on an event of the device profile: a change of its content.
     EventProfile,
     /// 241 to 251: reserved.
     Reserved(u8),
 }
 
 impl Transmission {
-    /// From the number in the dictionary.
+    /// Decodes the value in the dictionary.
     #[must_use]
     pub const fn from_raw(raw: u8) -> Self {
         match raw {
@@ -50,7 +51,7 @@ impl Transmission {
         }
     }
 
-    /// The number in the dictionary.
+    /// The value in the dictionary.
     #[must_use]
     pub const fn raw(self) -> u8 {
         match self {
@@ -63,26 +64,26 @@ impl Transmission {
         }
     }
 
-    /// Whether SYNC decides when a received PDO counts.
+    /// Whether an RPDO takes effect with SYNC.
     #[must_use]
     pub const fn is_synchronous(self) -> bool {
         matches!(self, Self::SyncAcyclic | Self::Sync(_))
     }
 
-    /// Whether events decide when it is sent.
+    /// Whether it is sent on events.
     #[must_use]
     pub const fn is_event_driven(self) -> bool {
         matches!(self, Self::EventManufacturer | Self::EventProfile)
     }
 }
 
-/// The COB-ID of a PDO as its communication parameters hold it.
+/// COB-ID of a PDO in its communication parameters.
 ///
-/// | bit | what |
+/// | bit | meaning |
 /// |---|---|
-/// | 31 | 1: the PDO does not exist |
-/// | 30 | 1: no remote frame may ask for it |
-/// | 29 | 1: the identifier has 29 bits, which is not supported here |
+/// | 31 | 1: PDO disabled |
+/// | 30 | 1: no remote frame allowed |
+/// | 29 | 1: 29-bit identifier, not supported here |
 /// | 0 to 10 | identifier |
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PdoCob(u32);
@@ -90,63 +91,63 @@ pub struct PdoCob(u32);
 impl PdoCob {
     const INVALID: u32 = 1 << 31;
     const NO_REMOTE: u32 = 1 << 30;
-    /// Bits 28 to 30 are the device's own: real ones read `F000_0181h`, or clear bit 30 whatever was written.
+    /// Bits 28 to 30 depend on the device: real ones read `F000_0181h`, or always clear bit 30.
     const COMPARED: u32 = 0x8FFF_FFFF;
 
-    /// From the number in the dictionary.
+    /// Decodes the value in the dictionary.
     #[must_use]
     pub const fn from_raw(raw: u32) -> Self {
         Self(raw)
     }
 
-    /// Of a PDO that exists, and that no remote frame may ask for.
+    /// COB-ID of an enabled PDO without remote frames.
     #[must_use]
     pub const fn new(id: Id) -> Self {
         Self(id.raw() | Self::NO_REMOTE)
     }
 
-    /// The number in the dictionary.
+    /// The value in the dictionary.
     #[must_use]
     pub const fn raw(self) -> u32 {
         self.0
     }
 
-    /// Whether both are the same PDO: their identifiers and bit 31 agree. Devices set and clear bits 28 to 30 as they
-    /// like, so a value that was read back is never compared as a whole.
+    /// Whether identifier and bit 31 are equal. Devices set and clear bits 28 to 30 on their own, so values read back
+    /// are never compared as a whole.
     #[must_use]
     pub const fn is_same(self, other: Self) -> bool {
         (self.0 ^ other.0) & Self::COMPARED == 0
     }
 
-    /// The same PDO switched off.
+    /// The same COB-ID, disabled.
     #[must_use]
     pub const fn off(self) -> Self {
         Self(self.0 | Self::INVALID)
     }
 
-    /// Whether the PDO exists.
+    /// Whether the PDO is enabled.
     #[must_use]
     pub const fn is_valid(self) -> bool {
         self.0 & Self::INVALID == 0
     }
 
-    /// Whether a remote frame may ask for it.
+    /// Whether remote frames are allowed.
     #[must_use]
     pub const fn allows_remote(self) -> bool {
         self.0 & Self::NO_REMOTE == 0
     }
 
-    /// The identifier, of a PDO that exists and has one that a PDO may have.
+    /// The identifier, if the PDO is enabled and the identifier is allowed for PDOs.
     #[must_use]
     pub fn id(self) -> Option<Id> {
         self.identifier().filter(|_| self.is_valid())
     }
 
-    /// The identifier, if it has 11 bits and is not one of those that CiA 301 keeps for other
-    /// services (clause 7.3.5, table of restricted identifiers).
+    /// The identifier, if it has 11 bits and is not reserved for other services (clause 7.3.5,
+    /// table of restricted identifiers).
     #[must_use]
     pub fn identifier(self) -> Option<Id> {
-        // Bit 28 belongs to identifiers of 29 bits alone; some devices show it all the same.
+        // Bit 28 is only used by 29-bit identifiers; some devices set it anyway.
         let raw = u16::try_from(self.0 & 0x2FFF_FFFF).ok()?;
         let restricted = matches!(
             raw,

@@ -1,7 +1,7 @@
 //! Service data objects (CiA 301, clause 7.2.4): reads and writes of the object dictionary by
-//! expedited, segmented and block transfer. Which identifiers carry them is not known here.
+//! expedited, segmented and block transfer. Independent of the identifiers.
 //!
-//! Every SDO message has 8 bytes; byte 0 says which it is (its upper three bits) and how.
+//! Every SDO message has 8 bytes; byte 0 holds the command (upper three bits) and its flags.
 //!
 //! | request | byte 0 | | response | byte 0 |
 //! |---|---|---|---|---|
@@ -28,13 +28,13 @@ pub use client::{Client, Outcome, Progress};
 pub use crc::crc;
 pub use server::Server;
 
-/// One SDO message.
+/// Data of an SDO message.
 pub type Message = [u8; 8];
 
-/// Longest value that is transferred, bytes.
+/// Maximum length of a value, bytes.
 pub const TRANSFER_MAX: usize = takt_cia402::dictionary::VALUE_MAX;
 
-/// Most segments in a block.
+/// Maximum segments in a block.
 pub const BLOCK_MAX: u8 = 127;
 
 /// Up to seven bytes of a segment, or four of an expedited transfer.
@@ -45,7 +45,7 @@ pub struct Bytes {
 }
 
 impl Bytes {
-    /// The first bytes of a slice, at most seven.
+    /// The first bytes of a slice, up to seven.
     #[must_use]
     pub fn new(from: &[u8]) -> Self {
         let mut bytes = [0; 7];
@@ -64,16 +64,16 @@ impl Bytes {
     }
 }
 
-/// How a transfer begins.
+/// Start of a transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Initiate {
-    /// All data is here.
+    /// Expedited: all data.
     Expedited(Bytes),
-    /// Segments follow, of so many bytes together if that is told.
+    /// Segments follow; total size if indicated.
     Segmented(Option<u32>),
 }
 
-/// What a client asks.
+/// Request of a client.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[expect(
     missing_docs,
@@ -98,7 +98,7 @@ pub enum Request {
         crc: bool,
         size: Option<u32>,
     },
-    /// Write in blocks, last message. `unused` bytes of the last segment carry nothing.
+    /// Write in blocks, last message. `unused` bytes of the last segment are unused.
     BlockDownloadEnd { unused: u8, crc: u16 },
     /// Read in blocks, first message.
     BlockUpload {
@@ -107,26 +107,26 @@ pub enum Request {
         block: u8,
         switch: u8,
     },
-    /// Read in blocks: go.
+    /// Read in blocks: start.
     BlockUploadStart,
-    /// Read in blocks: so far it came; the next block may have so many segments.
+    /// Read in blocks: last received segment; number of segments in the next block.
     BlockUploadAck { sequence: u8, block: u8 },
     /// Read in blocks, last message.
     BlockUploadEnd,
-    /// The client gives up.
+    /// Abort by the client.
     Abort { address: Address, code: AbortCode },
 }
 
-/// What a server answers.
+/// Response of a server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[expect(
     missing_docs,
     reason = "the fields are those of the clause, by their names"
 )]
 pub enum Response {
-    /// Written, or go on with segments.
+    /// Written, or continue with segments.
     Download { address: Address },
-    /// Segment taken.
+    /// Segment accepted.
     DownloadSegment { toggle: bool },
     /// Read, first message.
     Upload { address: Address, data: Initiate },
@@ -136,13 +136,13 @@ pub enum Response {
         last: bool,
         data: Bytes,
     },
-    /// Write in blocks: go, so many segments a block.
+    /// Write in blocks: start, with this number of segments per block.
     BlockDownload {
         address: Address,
         crc: bool,
         block: u8,
     },
-    /// Write in blocks: so far it came; the next block may have so many segments.
+    /// Write in blocks: last received segment; number of segments in the next block.
     BlockDownloadAck { sequence: u8, block: u8 },
     /// Write in blocks: done.
     BlockDownloadEnd,
@@ -152,20 +152,21 @@ pub enum Response {
         crc: bool,
         size: Option<u32>,
     },
-    /// Read in blocks, last message. `unused` bytes of the last segment carry nothing.
+    /// Read in blocks, last message. `unused` bytes of the last segment are unused.
     BlockUploadEnd { unused: u8, crc: u16 },
-    /// The server refuses.
+    /// Abort by the server.
     Abort { address: Address, code: AbortCode },
 }
 
-/// A segment of a block in either direction: it has no command, and so no place in the enums.
+/// A segment of a block in either direction; it has no command and is therefore not part of the
+/// enums.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BlockSegment {
-    /// No segment follows, in this block or another.
+    /// It is the last segment of the transfer.
     pub last: bool,
     /// 1 to 127.
     pub sequence: u8,
-    /// Seven bytes; of the last segment fewer may count.
+    /// Seven bytes; the last segment may use fewer.
     pub data: [u8; 7],
 }
 
@@ -268,7 +269,7 @@ const fn crc_of(message: &Message) -> u16 {
 }
 
 impl Request {
-    /// The request in a message; `None` for a command that there is not.
+    /// The request in a message; `None` for an unknown command.
     #[must_use]
     pub fn decode(m: &Message) -> Option<Self> {
         let (first, address) = (m[0], address(m));
@@ -348,7 +349,7 @@ impl Request {
 }
 
 impl Response {
-    /// Which object it is about; segments and acknowledgements do not say.
+    /// The object; segments and acknowledgements do not contain it.
     #[must_use]
     pub const fn address(&self) -> Option<Address> {
         match self {
@@ -365,7 +366,7 @@ impl Response {
         }
     }
 
-    /// The response in a message; `None` for a command that there is not.
+    /// The response in a message; `None` for an unknown command.
     #[must_use]
     pub fn decode(m: &Message) -> Option<Self> {
         let (first, address) = (m[0], address(m));

@@ -1,22 +1,22 @@
-//! Storing and restoring of parameters (CiA 301, clauses 7.5.2.13 and 7.5.2.14; objects 1010h and 1011h): what a master
-//! writes for it, and what a node keeps. Where it is kept while the power is off is its owner's business.
+//! Storing and restoring of parameters (CiA 301, clauses 7.5.2.13 and 7.5.2.14; objects 1010h and 1011h): commands of
+//! the master and stored values of the node. The owner provides non-volatile memory.
 
 use std::str::FromStr;
 
 use takt_cia402::dictionary::{Access, Address, Dictionary, Entry};
 
-/// The signature that stores, `save`.
+/// Signature of the store command, `save`.
 pub const SAVE: u32 = u32::from_le_bytes(*b"save");
-/// The signature that restores, `load`.
+/// Signature of the restore command, `load`.
 pub const LOAD: u32 = u32::from_le_bytes(*b"load");
 
-/// Longest value that is kept, bytes: a domain is a file, not a setting.
+/// Maximum length of a stored value, bytes; domains are not stored.
 const LEN_MAX: usize = 255;
 
-/// What is stored or restored together.
+/// Group of parameters to store or restore.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Group {
-    /// Everything.
+    /// All parameters.
     All,
     /// 1000h to 1FFFh.
     Communication,
@@ -35,7 +35,7 @@ const GROUPS: [(Group, u8, &str); 4] = [
 ];
 
 impl Group {
-    /// The group of a sub-index of 1010h and 1011h.
+    /// The group by sub-index of 1010h and 1011h.
     #[must_use]
     pub fn from_sub(sub: u8) -> Option<Self> {
         let found = GROUPS.iter().find(|(_, known, _)| *known == sub);
@@ -49,13 +49,13 @@ impl Group {
         found.map_or(1, |(_, sub, _)| *sub)
     }
 
-    /// Where to write which bytes so that a node stores its settings.
+    /// Object and bytes to write so that a node stores the group.
     #[must_use]
     pub fn store(self) -> (Address, [u8; 4]) {
         (Address::new(0x1010, self.sub()), SAVE.to_le_bytes())
     }
 
-    /// Where to write which bytes so that a node has its defaults again, after its next reset.
+    /// Object and bytes to write so that a node restores the defaults at its next reset.
     #[must_use]
     pub fn restore(self) -> (Address, [u8; 4]) {
         (Address::new(0x1011, self.sub()), LOAD.to_le_bytes())
@@ -77,18 +77,18 @@ impl FromStr for Group {
     fn from_str(text: &str) -> Result<Self, String> {
         let found = GROUPS.iter().find(|(.., name)| *name == text);
         found.map(|(group, ..)| *group).ok_or_else(|| {
-            format!("`{text}` is no group: write all, communication, application or manufacturer")
+            format!("unknown group `{text}`; use all, communication, application or manufacturer")
         })
     }
 }
 
-/// What a node has stored.
+/// Stored parameters of a node.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Store {
     values: Vec<(Address, Vec<u8>)>,
 }
 
-/// Commands of a drive, by their offset within its axis: a drive that had stored them would move when it is powered.
+/// Command objects of a drive, by offset within its axis. They are not stored: the drive would move at power-on.
 const COMMANDS: [u16; 10] = [
     0x040, 0x042, 0x071, 0x07A, 0x0B0, 0x0B1, 0x0B2, 0x0C1, 0x0FE, 0x0FF,
 ];
@@ -101,7 +101,7 @@ fn is_setting(address: Address, entry: &Entry) -> bool {
 }
 
 impl Store {
-    /// Keeps what the settings of a group are now.
+    /// Stores the current parameters of a group.
     pub(super) fn save(&mut self, d: &Dictionary, group: Group) {
         self.forget(group);
         for object in d.objects().iter().filter(|o| group.contains(o.index)) {
@@ -115,17 +115,17 @@ impl Store {
         }
     }
 
-    /// Keeps nothing of a group any more.
+    /// Deletes the stored parameters of a group.
     pub(super) fn forget(&mut self, group: Group) {
         self.values
             .retain(|(address, _)| !group.contains(address.index));
     }
 
-    /// Puts what is kept of a group back.
+    /// Restores the stored parameters of a group.
     pub(super) fn apply(&self, d: &mut Dictionary, group: Group) {
         let kept = self.values.iter();
         for (address, value) in kept.filter(|(address, _)| group.contains(address.index)) {
-            // It was there with this length.
+            // The object exists with this length.
             let _ = d.store(*address, value);
         }
     }

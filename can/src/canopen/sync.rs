@@ -1,22 +1,21 @@
-//! SYNC (CiA 301, clause 7.2.5): who sends it on a grid of time, and who listens to it with its
-//! counter and its window. Which PDOs it carries along is not known here.
+//! SYNC (CiA 301, clause 7.2.5): producer on a time grid, and consumer with counter and window.
 
 use std::time::Duration;
 
-/// Largest counter overflow value, 1019h.
+/// Maximum counter overflow value, 1019h.
 pub const OVERFLOW_MAX: u8 = 240;
 
-/// A SYNC of another length than 1019h says.
+/// A SYNC whose length does not match 1019h.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("a SYNC with {len} bytes came; 1019h asks for {expected}")]
+#[error("received a SYNC with {len} bytes; 1019h requires {expected}")]
 pub struct SyncLength {
-    /// Bytes that came.
+    /// Received bytes.
     pub len: u8,
-    /// Bytes expected: 1 with a counter, else 0.
+    /// Expected bytes: 1 with a counter, else 0.
     pub expected: u8,
 }
 
-/// The counter a SYNC carries: 1 to the overflow value, then 1 again.
+/// SYNC counter: 1 to the overflow value, then 1 again.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counter {
     overflow: u8,
@@ -24,7 +23,7 @@ pub struct Counter {
 }
 
 impl Counter {
-    /// A counter up to the overflow value (1019h), 2 to 240; anything less is no counter.
+    /// A counter up to the overflow value (1019h), 2 to 240; smaller values disable it.
     #[must_use]
     pub const fn new(overflow: u8) -> Self {
         let overflow = if overflow > OVERFLOW_MAX {
@@ -49,7 +48,7 @@ impl Counter {
     }
 }
 
-/// Who sends SYNC.
+/// SYNC producer.
 #[derive(Clone, Copy, Debug)]
 pub struct Producer {
     period: Duration,
@@ -58,7 +57,7 @@ pub struct Producer {
 }
 
 impl Producer {
-    /// Sends every `period` (1006h) from `now` on, with a counter up to `overflow` (1019h; 0: none).
+    /// Produces a SYNC every `period` (1006h) from `now` on, with a counter up to `overflow` (1019h; 0: none).
     #[must_use]
     pub fn new(period: Duration, overflow: u8, now: Duration) -> Self {
         Self {
@@ -68,8 +67,8 @@ impl Producer {
         }
     }
 
-    /// The counter of the SYNC that is due, if one is. Missed ones are skipped, never sent in a
-    /// burst; the grid is kept.
+    /// The counter of the due SYNC, if any. Missed ones are skipped without a burst; the grid is
+    /// kept.
     pub fn poll(&mut self, now: Duration) -> Option<Option<u8>> {
         if now < self.due {
             return None;
@@ -87,52 +86,52 @@ impl Producer {
     }
 }
 
-/// Who listens to SYNC.
+/// SYNC consumer.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Consumer {
     overflow: u8,
-    /// 1007h; zero is without end.
+    /// 1007h; zero: unlimited.
     window: Duration,
-    heard: Option<Duration>,
+    last_received: Option<Duration>,
 }
 
 impl Consumer {
-    /// Expects a counter if `overflow` (1019h) is not 0; PDOs count until `window` (1007h) after
-    /// SYNC, for ever if that is zero.
+    /// Expects a counter if `overflow` (1019h) is not 0; the window for synchronous PDOs is open
+    /// until `window` (1007h) after SYNC, always if that is zero.
     #[must_use]
     pub const fn new(overflow: u8, window: Duration) -> Self {
         Self {
             overflow,
             window,
-            heard: None,
+            last_received: None,
         }
     }
 
-    /// Takes a SYNC; returns its counter.
+    /// Handles a SYNC; returns its counter.
     ///
     /// # Errors
-    /// If it has not the length that is expected; it counts nevertheless only for its time.
+    /// If its length is wrong; its time still opens the window.
     pub fn handle(&mut self, data: &[u8], now: Duration) -> Result<Option<u8>, SyncLength> {
         let expected = u8::from(self.overflow > 0);
         let len = u8::try_from(data.len()).unwrap_or(u8::MAX);
         if len != expected {
             return Err(SyncLength { len, expected });
         }
-        self.heard = Some(now);
+        self.last_received = Some(now);
         Ok(data.first().copied())
     }
 
-    /// Whether synchronous PDOs count now: within the window after a SYNC.
+    /// Whether the window for synchronous PDOs is open.
     #[must_use]
     pub fn is_open(&self, now: Duration) -> bool {
-        let within = |heard| now.saturating_sub(heard) <= self.window;
-        self.window.is_zero() || self.heard.is_some_and(within)
+        let within = |at| now.saturating_sub(at) <= self.window;
+        self.window.is_zero() || self.last_received.is_some_and(within)
     }
 
-    /// When the last SYNC came.
+    /// Time of the last SYNC.
     #[must_use]
-    pub const fn heard(&self) -> Option<Duration> {
-        self.heard
+    pub const fn last_received(&self) -> Option<Duration> {
+        self.last_received
     }
 }
 
@@ -143,7 +142,7 @@ mod tests {
     const MS: Duration = Duration::from_millis(1);
 
     #[test]
-    fn grid_is_kept_and_missed_ones_are_skipped() {
+    fn sync_producer_keeps_grid_and_skips_missed() {
         let mut producer = Producer::new(2 * MS, 3, 10 * MS);
         assert_eq!(producer.poll(9 * MS), None);
         assert_eq!(producer.poll(10 * MS), Some(Some(1)));
@@ -159,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn counters_count_from_one_to_their_overflow() {
+    fn sync_counter_counts_from_one_to_overflow() {
         for overflow in 0..=u8::MAX {
             let mut counter = Counter::new(overflow);
             let counted: Vec<_> = (0..500).map(|_| counter.advance()).collect();
@@ -172,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn lengths_are_checked_and_the_window_closes() {
+    fn sync_consumer_checks_length_and_closes_window() {
         let mut plain = Consumer::new(0, MS);
         assert!(!plain.is_open(Duration::ZERO), "no SYNC yet");
         assert_eq!(plain.handle(&[], 5 * MS), Ok(None));

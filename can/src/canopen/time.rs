@@ -1,5 +1,4 @@
-//! TIME (CiA 301, clause 7.2.6): the time of day a producer spreads. Reading a clock is its
-//! owner's.
+//! TIME (CiA 301, clause 7.2.6): the time of day. The owner reads the clock.
 
 use std::time::Duration;
 
@@ -13,7 +12,7 @@ const EPOCH_DAYS: u64 = 5113;
 
 /// TIME_OF_DAY.
 ///
-/// | bytes | what |
+/// | bytes | content |
 /// |---|---|
 /// | 0 to 3 | ms since midnight, in the lowest 28 bits |
 /// | 4, 5 | days since 1984-01-01 |
@@ -26,7 +25,7 @@ pub struct TimeOfDay {
 }
 
 impl TimeOfDay {
-    /// The time of day at a time since 1970-01-01; before 1984 and after 2163 the nearest there is.
+    /// The time of day at a time since 1970-01-01; clamped to 1984 to 2163.
     #[must_use]
     pub fn from_unix(since: Duration) -> Self {
         let days = since.as_secs() / 86_400;
@@ -44,7 +43,7 @@ impl TimeOfDay {
         Duration::from_secs(days * 86_400) + Duration::from_millis(self.ms.into())
     }
 
-    /// The frame, on the usual identifier.
+    /// The frame, on the default identifier.
     #[must_use]
     pub fn frame(self) -> Frame {
         let [a, b, c, d] = (self.ms & 0x0FFF_FFFF).to_le_bytes();
@@ -68,7 +67,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn days_begin_with_1984_and_frames_read_back() {
+    fn time_of_day_starts_1984_and_reads_back() {
         // 2000-01-01 12:00 UTC is 946,728,000 s.
         let noon = TimeOfDay::from_unix(Duration::from_secs(946_728_000));
         assert_eq!((noon.days, noon.ms), (5844, 43_200_000));

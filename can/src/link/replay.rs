@@ -1,5 +1,5 @@
-//! A log as a link: what was recorded comes in again at its times, on a clock that only the log and its
-//! reader move. It answers nothing that is sent.
+//! A log as a link: recorded frames are received at their recorded times, on a virtual clock. Sent frames are recorded
+//! but have no effect.
 
 use std::time::Duration;
 
@@ -7,7 +7,7 @@ use super::{Link, LinkError, Origin, Received};
 use crate::AnyFrame;
 use crate::log::{Direction, Record};
 
-/// A recording that is received, and a place for what is sent.
+/// A link that replays a recording and records what is sent.
 #[derive(Debug)]
 pub struct Replay<I: Iterator<Item = Record>> {
     records: std::iter::Peekable<I>,
@@ -16,7 +16,7 @@ pub struct Replay<I: Iterator<Item = Record>> {
 }
 
 impl<I: Iterator<Item = Record>> Replay<I> {
-    /// A link on which these records are received, the clock standing at the first one's time.
+    /// A link that replays these records; its clock starts at the time of the first one.
     pub fn new(records: impl IntoIterator<IntoIter = I>) -> Self {
         let mut records = records.into_iter().peekable();
         let now = records.peek().map_or(Duration::ZERO, |record| record.at);
@@ -27,18 +27,18 @@ impl<I: Iterator<Item = Record>> Replay<I> {
         }
     }
 
-    /// The time on the log's clock.
+    /// The current time on the log's clock.
     #[must_use]
     pub const fn now(&self) -> Duration {
         self.now
     }
 
-    /// Whether all is received.
+    /// Whether all records were received.
     pub fn is_at_end(&mut self) -> bool {
         self.records.peek().is_none()
     }
 
-    /// What was sent and when.
+    /// Sent frames with their times.
     #[must_use]
     pub fn sent(&self) -> &[(Duration, AnyFrame)] {
         &self.sent
@@ -51,7 +51,7 @@ impl<I: Iterator<Item = Record>> Link for Replay<I> {
         Ok(())
     }
 
-    /// Time passes as far as to the frame, or by `timeout`. A log that jumps back does not move the clock.
+    /// Advances the clock to the next frame, or by `timeout`. A log that jumps back does not move the clock.
     fn receive(&mut self, timeout: Duration) -> Result<Option<Received>, LinkError> {
         let until = self.now.saturating_add(timeout);
         let Some(record) = self.records.next_if(|record| record.at <= until) else {
@@ -88,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn records_come_at_their_times() {
+    fn replay_records_arrive_at_their_times() {
         let ms = Duration::from_millis;
         let mut link = Replay::new([
             record(100, 0x80, None),

@@ -1,16 +1,16 @@
-//! The kernel's broadcast manager: frames that the kernel sends every period, and identifiers whose silence
-//! it tells. It counts each period from the moment it was late to the last one, so its periods drift; a SYNC
-//! that has to stay in phase with a cycle is sent by the cycle instead.
+//! The kernel's broadcast manager (BCM): cyclic transmission and timeout monitoring by the kernel. The kernel starts
+//! each period when the previous one actually ended, so periods drift; a SYNC that must stay in phase with a cycle is
+//! sent by the cycle instead.
 //!
-//! | bytes of a message (words of 64 bits) | what |
+//! | bytes of a message (64-bit words) | content |
 //! |---|---|
 //! | 0 to 3 | command |
 //! | 4 to 7 | flags |
-//! | 8 to 11 | count of periods of the first length; 0 here |
-//! | 16 to 31 | first period or time-out, s and µs |
+//! | 8 to 11 | number of periods of the first length; 0 here |
+//! | 16 to 31 | first period or timeout, s and µs |
 //! | 32 to 47 | second period, s and µs |
 //! | 48 to 51 | identifier |
-//! | 52 to 55 | count of frames behind it |
+//! | 52 to 55 | number of frames that follow |
 //! | 56 ... | frames |
 
 #![allow(
@@ -40,12 +40,12 @@ const SETTIMER: u32 = 0x0001;
 const STARTTIMER: u32 = 0x0002;
 const RX_ANNOUNCE_RESUME: u32 = 0x0100;
 
-/// Length of a half of a time, and multiple that the head's length is of.
+/// Size of a word: half of a time value, and the alignment of the header.
 const WORD: usize = size_of::<libc::c_long>();
-/// Command, flags and count, up to a multiple of a word.
+/// Command, flags and count, padded to a multiple of a word.
 const TIMES: usize = 12_usize.next_multiple_of(WORD);
 const ID: usize = TIMES + 4 * WORD;
-/// Frames lie at multiples of eight bytes.
+/// Frames are aligned to eight bytes.
 const HEAD: usize = (ID + 8).next_multiple_of(8);
 const LEN: usize = HEAD + CLASSIC_LEN;
 
@@ -59,8 +59,8 @@ fn message(
 ) -> ([u8; LEN], usize) {
     let mut bytes = [0; LEN];
     let mut put = |at: usize, number: &[u8]| {
-        let place = bytes.iter_mut().skip(at);
-        place.zip(number).for_each(|(to, from)| *to = *from);
+        let target = bytes.iter_mut().skip(at);
+        target.zip(number).for_each(|(to, from)| *to = *from);
     };
     put(0, &command.to_ne_bytes());
     put(4, &flags.to_ne_bytes());
@@ -88,14 +88,14 @@ fn connect(interface: &str) -> io::Result<OwnedFd> {
     if fd < 0 {
         return Err(io::Error::last_os_error());
     }
-    // SAFETY: the descriptor is new, so nobody else owns or closes it.
+    // SAFETY: the descriptor is new, so no one else owns or closes it.
     let socket = unsafe { OwnedFd::from_raw_fd(fd) };
     // SAFETY: all fields are numbers, of which 0 is a valid one.
     let mut address: libc::sockaddr_can = unsafe { std::mem::zeroed() };
     address.can_family = libc::sa_family_t::try_from(libc::AF_CAN).unwrap_or(29);
     address.can_ifindex = libc::c_int::try_from(index).unwrap_or(0);
     let len = libc::socklen_t::try_from(size_of_val(&address)).unwrap_or(0);
-    // SAFETY: the address lives until the call is over and has the length that is told.
+    // SAFETY: the address outlives the call and has the given length.
     let done = unsafe { libc::connect(fd, (&raw const address).cast(), len) };
     if done < 0 {
         return Err(io::Error::last_os_error());
@@ -123,7 +123,7 @@ fn frame_id(id: Id) -> u32 {
         }
 }
 
-/// A frame that the kernel sends again and again until this is dropped.
+/// A frame that the kernel sends cyclically until this value is dropped.
 #[derive(Debug)]
 pub struct Cyclic {
     socket: OwnedFd,
@@ -131,10 +131,10 @@ pub struct Cyclic {
 }
 
 impl Cyclic {
-    /// Begins to send a frame at once and then every period; whole microseconds count.
+    /// Sends a frame at once and then every period, in whole microseconds.
     ///
     /// # Errors
-    /// Of the operating system, for one when the kernel module `can-bcm` is missing.
+    /// Of the operating system, e.g. when the kernel module `can-bcm` is missing.
     pub fn start(interface: &str, frame: &Frame, period: Duration) -> io::Result<Self> {
         let cyclic = Self {
             socket: connect(interface)?,
@@ -144,7 +144,7 @@ impl Cyclic {
         Ok(cyclic)
     }
 
-    /// Sends this content from the next period on. The identifier must be the same.
+    /// Replaces the content from the next period on. The identifier must not change.
     ///
     /// # Errors
     /// Of the operating system.
@@ -162,16 +162,16 @@ impl Cyclic {
     }
 }
 
-/// What became of an identifier that is watched.
+/// Event of a monitored identifier.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Watched {
-    /// It came, for the first time, with other content than before, or again after silence.
+    /// Received for the first time, with changed content, or again after a timeout.
     Changed(Frame),
-    /// It was silent for too long.
+    /// Not received within the timeout.
     Silent(Id),
 }
 
-/// An identifier that the kernel watches for silence, without waking anybody as long as it comes.
+/// Timeout monitoring of an identifier by the kernel; unchanged frames wake no thread.
 #[derive(Debug)]
 pub struct Watch {
     socket: OwnedFd,
@@ -179,14 +179,14 @@ pub struct Watch {
 }
 
 impl Watch {
-    /// Watches an identifier: silent is what does not come for `timeout`. Time counts from its first frame.
+    /// Monitors an identifier with a `timeout`, which starts with its first frame.
     ///
     /// # Errors
     /// Of the operating system.
     pub fn start(interface: &str, id: Id, timeout: Duration) -> io::Result<Self> {
         let socket = connect(interface)?;
         let flags = SETTIMER | STARTTIMER | RX_ANNOUNCE_RESUME;
-        // The frame is the mask of bits whose change counts: all.
+        // The frame is the mask of compared bits: all.
         let all = Frame::new(id, &[0xFF; 8]).map_err(|_| io::ErrorKind::InvalidInput)?;
         let times = (timeout, Duration::ZERO);
         write(
@@ -196,7 +196,7 @@ impl Watch {
         Ok(Self { socket, id })
     }
 
-    /// Waits at most `timeout` for a change or for silence.
+    /// Waits at most `timeout` for a change or for a timeout of the identifier.
     ///
     /// # Errors
     /// Of the operating system.
@@ -229,7 +229,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn layout_is_that_of_the_kernel() {
+    fn bcm_layout_matches_kernel() {
         type Head = libc::bcm_msg_head;
         assert_eq!(TIMES, std::mem::offset_of!(Head, ival1));
         assert_eq!(TIMES + 2 * WORD, std::mem::offset_of!(Head, ival2));
@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn an_interface_that_is_not_there_is_named() {
+    fn bcm_missing_interface_is_named() {
         let frame = Frame::empty(Id::standard(0x80).unwrap());
         let error = Cyclic::start("nosuchcan0", &frame, Duration::from_millis(10)).unwrap_err();
         assert_eq!(error.kind(), io::ErrorKind::NotFound);

@@ -1,9 +1,9 @@
-//! One frame or up to 32 by one system call, each with what the kernel knows of it: time stamps, where it
-//! comes from, how many were lost before it. It does not wait.
+//! Receives one or up to 32 frames with one system call, each with time stamps, origin and the count of lost frames. It
+//! does not block.
 
 #![allow(
     unsafe_code,
-    reason = "recvmsg and recvmmsg take pointers, and no library offers them with these answers"
+    reason = "recvmsg and recvmmsg take pointers, and no library offers them with these control messages"
 )]
 
 use std::io;
@@ -15,19 +15,19 @@ use super::kernel;
 use crate::AnyFrame;
 use crate::link::Origin;
 
-/// Frames taken by one system call, at most.
+/// Maximum frames per system call.
 pub(super) const BATCH: usize = 32;
 
-/// Room for the two control messages: 64 bytes for three time stamps, 24 for the count of losses.
+/// Size of the two control messages: 64 bytes for three time stamps, 24 for the count of losses.
 const CONTROL_LEN: usize = 128;
 
-/// A frame and what the kernel says about it.
+/// A frame with the metadata of the kernel.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Stamped {
     pub(super) frame: Option<AnyFrame>,
-    /// Since 1970, ns.
+    /// Kernel time stamp since 1970, ns.
     pub(super) software: Option<u64>,
-    /// On the clock of the hardware, ns.
+    /// Hardware time stamp, ns.
     pub(super) hardware: Option<u64>,
     pub(super) origin: Origin,
     pub(super) dropped: Option<u32>,
@@ -37,16 +37,16 @@ pub(super) struct Stamped {
 #[repr(C, align(8))]
 struct Control([u8; CONTROL_LEN]);
 
-/// Memory that the kernel writes frames into; reused, so that receiving allocates nothing.
+/// Buffers for the kernel; reused, so that reception does not allocate.
 pub(super) struct Buffers {
     frames: [[u8; kernel::FD_LEN]; BATCH],
     controls: [Control; BATCH],
-    told: [Told; BATCH],
+    info: [MessageInfo; BATCH],
 }
 
-/// What the kernel tells of a message that it wrote.
+/// Metadata of a received message.
 #[derive(Clone, Copy, Default)]
-struct Told {
+struct MessageInfo {
     len: usize,
     control_len: usize,
     flags: i32,
@@ -63,11 +63,11 @@ impl Buffers {
         Box::new(Self {
             frames: [[0; kernel::FD_LEN]; BATCH],
             controls: [Control([0; CONTROL_LEN]); BATCH],
-            told: [Told::default(); BATCH],
+            info: [MessageInfo::default(); BATCH],
         })
     }
 
-    /// Takes what is there, at most `limit` frames; returns how many. 0 when nothing is there.
+    /// Receives up to `limit` available frames; returns their number, 0 if there are none.
     pub(super) fn fill(&mut self, socket: BorrowedFd<'_>, limit: usize) -> io::Result<usize> {
         let filled = if limit <= 1 {
             self.fill_one(socket)
@@ -80,21 +80,21 @@ impl Buffers {
         })
     }
 
-    /// One frame costs no headers for others, and the call itself less than the one for many.
+    /// For one frame `recvmsg` is cheaper than `recvmmsg`.
     #[inline]
     fn fill_one(&mut self, socket: BorrowedFd<'_>) -> io::Result<usize> {
-        let ([frame, ..], [control, ..], [told, ..]) =
-            (&mut self.frames, &mut self.controls, &mut self.told);
+        let ([frame, ..], [control, ..], [info, ..]) =
+            (&mut self.frames, &mut self.controls, &mut self.info);
         let mut vector = NOWHERE;
         // SAFETY: null pointers with lengths of 0 are valid in every field of a message header.
         let mut header: libc::msghdr = unsafe { MaybeUninit::zeroed().assume_init() };
-        point(&mut header, &mut vector, frame, control);
-        // SAFETY: the header points to one vector and to a control buffer of the length it tells, the vector to a
-        // buffer of the length it tells. All of them live until the call is over, nobody else has them, and
-        // the kernel writes within these bounds.
+        init_header(&mut header, &mut vector, frame, control);
+        // SAFETY: the header points to one vector and to a control buffer of the given length, the vector to a buffer
+        // of the given length. All of them outlive the call, are not aliased, and the kernel writes within these
+        // bounds.
         let len = unsafe { libc::recvmsg(socket.as_raw_fd(), &raw mut header, libc::MSG_DONTWAIT) };
         let len = usize::try_from(len).map_err(|_| io::Error::last_os_error())?;
-        *told = Told::by(len, &header);
+        *info = MessageInfo::by(len, &header);
         Ok(1)
     }
 
@@ -105,13 +105,12 @@ impl Buffers {
         let memory = self.frames.iter_mut().zip(&mut self.controls).take(limit);
         for ((vector, header), (frame, control)) in vectors.iter_mut().zip(&mut headers).zip(memory)
         {
-            point(&mut header.msg_hdr, vector, frame, control);
+            init_header(&mut header.msg_hdr, vector, frame, control);
         }
         let limit = libc::c_uint::try_from(limit).unwrap_or(1);
-        // SAFETY: `limit` is at most the number of headers. Each of so many headers points to one vector and to a control
-        // buffer of the length it tells; vectors point to buffers of the lengths they tell. All of them live
-        // until the call is over, nobody else has them, and the kernel writes within these bounds. A null
-        // timeout is allowed.
+        // SAFETY: `limit` is at most the number of headers. Each of so many headers points to one vector and to a
+        // control buffer of the given length; vectors point to buffers of the given lengths. All of them outlive the
+        // call, are not aliased, and the kernel writes within these bounds. A null timeout is allowed.
         let count = unsafe {
             libc::recvmmsg(
                 socket.as_raw_fd(),
@@ -122,38 +121,38 @@ impl Buffers {
             )
         };
         let count = usize::try_from(count).map_err(|_| io::Error::last_os_error())?;
-        for (told, header) in self.told.iter_mut().zip(headers.iter().take(count)) {
+        for (info, header) in self.info.iter_mut().zip(headers.iter().take(count)) {
             let len = usize::try_from(header.msg_len).unwrap_or(0);
-            *told = Told::by(len, &header.msg_hdr);
+            *info = MessageInfo::by(len, &header.msg_hdr);
         }
         Ok(count)
     }
 
-    /// The frame at a place below the last count.
+    /// The frame at an index below the last count.
     #[inline]
-    pub(super) fn get(&self, place: usize) -> Stamped {
+    pub(super) fn get(&self, at: usize) -> Stamped {
         let all = (
-            self.told.get(place),
-            self.frames.get(place),
-            self.controls.get(place),
+            self.info.get(at),
+            self.frames.get(at),
+            self.controls.get(at),
         );
-        let (Some(told), Some(frame), Some(control)) = all else {
+        let (Some(info), Some(frame), Some(control)) = all else {
             return Stamped::default();
         };
         let mut stamped = Stamped {
-            frame: frame.get(..told.len).and_then(kernel::decode),
-            origin: origin(told.flags),
+            frame: frame.get(..info.len).and_then(kernel::decode),
+            origin: origin(info.flags),
             ..Stamped::default()
         };
         read_control(
-            control.0.get(..told.control_len).unwrap_or_default(),
+            control.0.get(..info.control_len).unwrap_or_default(),
             &mut stamped,
         );
         stamped
     }
 }
 
-impl Told {
+impl MessageInfo {
     const fn by(len: usize, header: &libc::msghdr) -> Self {
         Self {
             len,
@@ -168,8 +167,8 @@ const NOWHERE: libc::iovec = libc::iovec {
     iov_len: 0,
 };
 
-/// Makes a header point to where a frame and what is said of it go.
-fn point(
+/// Points a message header to the buffers of a frame and its control messages.
+fn init_header(
     header: &mut libc::msghdr,
     vector: &mut libc::iovec,
     frame: &mut [u8; kernel::FD_LEN],
@@ -183,7 +182,7 @@ fn point(
     header.msg_controllen = CONTROL_LEN as _;
 }
 
-/// The kernel marks what a program of this host sent, and of that what this socket sent.
+/// The kernel marks frames of this host's programs, and among them those of this socket.
 const fn origin(flags: i32) -> Origin {
     if flags & libc::MSG_CONFIRM != 0 {
         Origin::Own
@@ -194,10 +193,10 @@ const fn origin(flags: i32) -> Origin {
     }
 }
 
-/// Length of the head of a control message: its length, level and kind.
+/// Length of a control message header: length, level and type.
 const HEAD: usize = size_of::<libc::cmsghdr>();
 
-/// Control messages lie one behind the other, each at a multiple of the word length.
+/// Control messages are contiguous, aligned to the word length.
 #[inline]
 fn read_control(mut rest: &[u8], stamped: &mut Stamped) {
     const WORD: usize = size_of::<usize>();
@@ -227,10 +226,10 @@ fn read_control(mut rest: &[u8], stamped: &mut Stamped) {
     }
 }
 
-/// One of three times, ns; all zero means that there is none.
+/// One of three time stamps, ns; zero means absent.
 #[inline]
-fn timespec(content: &[u8], place: usize) -> Option<u64> {
-    let bytes = content.get(place * size_of::<libc::timespec>()..)?;
+fn timespec(content: &[u8], at: usize) -> Option<u64> {
+    let bytes = content.get(at * size_of::<libc::timespec>()..)?;
     let (seconds, rest) = bytes.split_first_chunk()?;
     let seconds = u64::try_from(libc::time_t::from_ne_bytes(*seconds)).ok()?;
     let nanos = u64::try_from(libc::c_long::from_ne_bytes(*rest.first_chunk()?)).ok()?;
@@ -254,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn control_messages_are_read() {
+    fn drain_control_messages_are_decoded() {
         let times: Vec<u8> = [1_700_000_000_u64, 125_000, 0, 0, 9, 7]
             .iter()
             .flat_map(|number| number.to_ne_bytes())
@@ -273,14 +272,14 @@ mod tests {
     }
 
     #[test]
-    fn flags_tell_the_origin() {
+    fn drain_flags_map_to_origin() {
         assert_eq!(origin(0), Origin::Bus);
         assert_eq!(origin(0x4), Origin::Host);
         assert_eq!(origin(0x804), Origin::Own);
     }
 
     #[test]
-    fn nothing_there_is_no_error() {
+    fn drain_empty_socket_is_no_error() {
         let (socket, _peer) = std::os::unix::net::UnixDatagram::pair().unwrap();
         let mut buffers = Buffers::new();
         assert_eq!(
@@ -291,9 +290,9 @@ mod tests {
         );
     }
 
-    /// The system call needs no CAN: any socket of datagrams will do.
+    /// The system call works with any datagram socket.
     #[test]
-    fn one_call_takes_all_that_is_there() {
+    fn drain_one_call_receives_all_available_frames() {
         let (socket, peer) = std::os::unix::net::UnixDatagram::pair().unwrap();
         for id in 1..=5_u32 {
             let mut bytes = [0; kernel::CLASSIC_LEN];
@@ -323,7 +322,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_control_bytes_are_answered(bytes in prop::collection::vec(any::<u8>(), 0..140), len in 0..40_usize) {
+        fn drain_any_control_bytes_do_not_panic(bytes in prop::collection::vec(any::<u8>(), 0..140), len in 0..40_usize) {
             let mut bytes = bytes;
             if let Some(head) = bytes.first_chunk_mut::<8>() {
                 *head = len.to_ne_bytes();

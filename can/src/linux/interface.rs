@@ -1,5 +1,5 @@
-//! CAN interfaces by netlink: what they are, and setting them up, with the reason when the kernel refuses.
-//! It opens no socket for frames.
+//! CAN interfaces by netlink: state and configuration, with the reason when the kernel rejects a change. It opens no
+//! socket for frames.
 
 use std::fmt;
 use std::fs;
@@ -10,32 +10,33 @@ use nix::net::if_::if_nametoindex;
 use socketcan::nl::CanState;
 use socketcan::{CanCtrlMode, CanInterface};
 
-use super::netlink::{Change, Refusal, can};
+use super::netlink::{Change, KernelError, can};
 use super::qdisc;
 use crate::BusState;
 use crate::bits::Rates;
 
-/// What is to be set. What is `None` or false stays as it is.
+/// Settings to change. `None` or false leaves a setting unchanged.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Setup {
     /// Nominal bit rate in bit/s, up to 1,000,000.
     pub bitrate: Option<u32>,
-    /// Sample point in tenths of a percent; without it the kernel takes what CiA recommends.
+    /// Sample point in tenths of a percent; by default the kernel uses the value recommended by
+    /// CiA.
     pub sample_point: Option<u32>,
-    /// Bit rate of CAN FD data in bit/s; switches CAN FD on.
+    /// CAN FD data bit rate in bit/s; enables CAN FD.
     pub data_bitrate: Option<u32>,
-    /// After this time a controller that is off the bus tries again; whole milliseconds.
+    /// Delay of the automatic restart after bus-off, whole milliseconds.
     pub restart: Option<Duration>,
-    /// Frames that may wait for being sent.
+    /// Length of the send queue, frames.
     pub queue: Option<u32>,
-    /// Report each error on the bus, not only changes of state.
+    /// Report every bus error, not only state changes.
     pub report_errors: Option<bool>,
-    /// Neither send nor acknowledge.
+    /// Listen-only mode: neither send nor acknowledge.
     pub listen_only: Option<bool>,
 }
 
 impl Setup {
-    /// Whether something is asked for that a controller takes only while it is down.
+    /// Whether a requested setting can only change while the interface is down.
     #[must_use]
     pub const fn needs_down(&self) -> bool {
         self.bitrate.is_some()
@@ -46,20 +47,20 @@ impl Setup {
     }
 }
 
-/// One thing that is done while an interface is set up.
+/// A step of the interface configuration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
-    /// Asking for its state.
-    Ask,
+    /// Reading its state.
+    ReadState,
     /// Taking it down.
     Down,
     /// Setting the nominal bit rate.
     BitRate,
-    /// Setting the bit rate of CAN FD data.
+    /// Setting the CAN FD data bit rate.
     DataBitRate,
-    /// Switching modes of the controller.
+    /// Setting the controller's modes.
     Modes,
-    /// Setting the time of automatic restart.
+    /// Setting the automatic restart.
     Restart,
     /// Setting the length of the send queue.
     Queue,
@@ -70,10 +71,10 @@ pub enum Step {
 impl fmt::Display for Step {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
-            Self::Ask => "ask for the state",
+            Self::ReadState => "read the state",
             Self::Down => "take it down",
             Self::BitRate => "set the bit rate",
-            Self::DataBitRate => "set the bit rate of CAN FD data",
+            Self::DataBitRate => "set the CAN FD data bit rate",
             Self::Modes => "set the controller's modes",
             Self::Restart => "set the automatic restart",
             Self::Queue => "set the length of the send queue",
@@ -82,32 +83,32 @@ impl fmt::Display for Step {
     }
 }
 
-/// Why an interface is not as it should be.
+/// Errors of the interface configuration.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum InterfaceError {
     /// There is no such interface.
     #[error("there is no interface {name}; {present}")]
     Missing {
-        /// As asked for.
+        /// The requested name.
         name: String,
-        /// Which ones there are.
+        /// The CAN interfaces of this host.
         present: Present,
     },
-    /// It is something else.
-    #[error("{name} is no CAN interface; {present}")]
+    /// The interface is not a CAN interface.
+    #[error("{name} is not a CAN interface; {present}")]
     NotCan {
-        /// As asked for.
+        /// The requested name.
         name: String,
-        /// Which ones there are.
+        /// The CAN interfaces of this host.
         present: Present,
     },
-    /// The kernel refused a step.
+    /// The kernel rejected a step.
     #[error("{name}: cannot {step}: {reason}")]
     Refused {
         /// The interface.
         name: String,
-        /// What was refused.
+        /// The rejected step.
         step: Step,
         /// Cause and remedy.
         reason: String,
@@ -117,7 +118,7 @@ pub enum InterfaceError {
 /// Names of the CAN interfaces of this host.
 #[must_use]
 pub fn interfaces() -> Vec<String> {
-    Present::look().0
+    Present::list().0
 }
 
 /// CAN interfaces of this host.
@@ -125,7 +126,7 @@ pub fn interfaces() -> Vec<String> {
 pub struct Present(pub Vec<String>);
 
 impl Present {
-    fn look() -> Self {
+    fn list() -> Self {
         let names = fs::read_dir("/sys/class/net").into_iter().flatten();
         let names = names.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
         let mut names: Vec<String> = names.filter(|name| is_can(name)).collect();
@@ -158,7 +159,7 @@ fn is_can(name: &str) -> bool {
     sysfs(name, "type").is_some_and(|kind| kind == ARPHRD_CAN)
 }
 
-/// What an interface is and how it is.
+/// State and settings of an interface.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Details {
     /// Whether it is up.
@@ -167,38 +168,38 @@ pub struct Details {
     pub bitrate: Option<u32>,
     /// Sample point in tenths of a percent.
     pub sample_point: Option<u32>,
-    /// Bit rate of CAN FD data in bit/s.
+    /// CAN FD data bit rate in bit/s.
     pub data_bitrate: Option<u32>,
-    /// State of the controller.
+    /// Controller state.
     pub state: Option<BusState>,
-    /// Counters of transmit and receive errors.
+    /// Transmit and receive error counters.
     pub counters: Option<(u16, u16)>,
-    /// After this time a controller that is off the bus tries again; zero: never.
+    /// Delay of the automatic restart after bus-off; zero: never.
     pub restart: Option<Duration>,
-    /// Whether each error is reported.
+    /// Whether every bus error is reported.
     pub report_errors: bool,
-    /// Whether it only listens.
+    /// Whether it is in listen-only mode.
     pub listen_only: bool,
-    /// Whether CAN FD frames may be sent.
+    /// Whether CAN FD is enabled.
     pub fd: bool,
-    /// The controller's clock in Hz.
+    /// Controller clock in Hz.
     pub clock: Option<u32>,
-    /// Frames that may wait for being sent.
+    /// Length of the send queue, frames.
     pub queue: Option<u32>,
-    /// Received frames that the driver or the kernel dropped.
+    /// Received frames dropped by the driver or the kernel.
     pub receive_dropped: u64,
-    /// Frames that were to be sent and that its queue or its driver refused.
+    /// Frames to send that the queue or the driver dropped.
     pub send_dropped: u64,
 }
 
 impl Details {
-    /// Whether it has no controller that could be set up.
+    /// Whether it is virtual, without a controller.
     #[must_use]
     pub const fn is_virtual(&self) -> bool {
         self.state.is_none() && self.bitrate.is_none()
     }
 
-    /// Its bit rates, if it has any.
+    /// Its bit rates, if set.
     #[must_use]
     pub fn rates(&self) -> Option<Rates> {
         let nominal = self.bitrate.filter(|rate| *rate > 0)?;
@@ -221,20 +222,20 @@ pub struct Interface {
 }
 
 impl Interface {
-    /// The interface of that name.
+    /// Opens the interface of that name.
     ///
     /// # Errors
-    /// If there is none, or it is no CAN interface.
+    /// If it does not exist, or is not a CAN interface.
     pub fn open(name: &str) -> Result<Self, InterfaceError> {
         let missing = |_| InterfaceError::Missing {
             name: name.to_owned(),
-            present: Present::look(),
+            present: Present::list(),
         };
         let index = if_nametoindex(name).map_err(missing)?;
         if !is_can(name) {
             return Err(InterfaceError::NotCan {
                 name: name.to_owned(),
-                present: Present::look(),
+                present: Present::list(),
             });
         }
         Ok(Self {
@@ -244,39 +245,39 @@ impl Interface {
         })
     }
 
-    /// How it is at present.
+    /// Reads its current state.
     ///
     /// # Errors
-    /// If the kernel does not tell.
+    /// If the kernel rejects the request.
     pub fn details(&self) -> Result<Details, InterfaceError> {
-        let told = self.netlink.details();
-        let told = told.map_err(|error| InterfaceError::Refused {
+        let info = self.netlink.details();
+        let info = info.map_err(|error| InterfaceError::Refused {
             name: self.name.clone(),
-            step: Step::Ask,
+            step: Step::ReadState,
             reason: error.to_string(),
         })?;
-        let has = |mode| told.can.ctrl_mode.is_some_and(|modes| modes.has_mode(mode));
+        let has = |mode| info.can.ctrl_mode.is_some_and(|modes| modes.has_mode(mode));
         let number = |file| sysfs(&self.name, file)?.parse::<u64>().ok();
-        let timing = told.can.bit_timing.filter(|timing| timing.bitrate > 0);
+        let timing = info.can.bit_timing.filter(|timing| timing.bitrate > 0);
         Ok(Details {
-            up: told.is_up,
+            up: info.is_up,
             bitrate: timing.map(|timing| timing.bitrate),
             sample_point: timing.map(|timing| timing.sample_point),
-            data_bitrate: told
+            data_bitrate: info
                 .can
                 .data_bit_timing
                 .map(|t| t.bitrate)
                 .filter(|r| *r > 0),
-            state: told.can.state.map(bus_state),
-            counters: told.can.berr_counter.map(|c| (c.txerr, c.rxerr)),
-            restart: told
+            state: info.can.state.map(bus_state),
+            counters: info.can.berr_counter.map(|c| (c.txerr, c.rxerr)),
+            restart: info
                 .can
                 .restart_ms
                 .map(|ms| Duration::from_millis(ms.into())),
             report_errors: has(CanCtrlMode::BerrReporting),
             listen_only: has(CanCtrlMode::ListenOnly),
             fd: has(CanCtrlMode::Fd),
-            clock: told.can.clock.map(|clock| clock.freq),
+            clock: info.can.clock.map(|clock| clock.freq),
             queue: number("tx_queue_len").and_then(|len| len.try_into().ok()),
             receive_dropped: number("statistics/rx_dropped").unwrap_or(0)
                 + number("statistics/rx_over_errors").unwrap_or(0),
@@ -285,30 +286,30 @@ impl Interface {
         })
     }
 
-    /// Sets the interface up and brings it up; returns what had to be done.
+    /// Configures the interface and brings it up; returns the executed steps.
     ///
     /// # Errors
-    /// Names the step that was refused, the cause and the remedy. Steps before it stay done.
+    /// Names the rejected step, the cause and the remedy. Earlier steps are not undone.
     pub fn set_up(&self, setup: &Setup) -> Result<Vec<Step>, InterfaceError> {
         let details = self.details()?;
         if details.is_virtual() && setup.needs_down() {
-            // Known before anything is taken down.
-            let refusal = Refusal {
+            // Check this before the interface goes down.
+            let error = KernelError {
                 errno: libc::EOPNOTSUPP,
                 text: None,
             };
-            return Err(self.refused(Step::BitRate, &refusal, &details));
+            return Err(self.refused(Step::BitRate, &error, &details));
         }
         let mut done = Vec::new();
         for (step, change) in self.changes(setup, details.up) {
             let result = change.request();
-            result.map_err(|refusal| self.refused(step, &refusal, &details))?;
+            result.map_err(|error| self.refused(step, &error, &details))?;
             done.push(step);
         }
         Ok(done)
     }
 
-    /// What has to be done, in this order.
+    /// The necessary steps, in this order.
     fn changes(&self, setup: &Setup, is_up: bool) -> Vec<(Step, Change)> {
         let index = self.index;
         let down = is_up && setup.needs_down();
@@ -338,22 +339,22 @@ impl Interface {
         .collect()
     }
 
-    /// Brings a controller that is off the bus back at once.
+    /// Restarts a controller that is bus-off.
     ///
     /// # Errors
-    /// As [`Interface::set_up`]; also if it is not off the bus.
+    /// As [`Interface::set_up`]; also if it is not bus-off.
     pub fn restart(&self) -> Result<(), InterfaceError> {
         let details = self.details()?;
         let result = Change::can(self.index, can::RESTART, &[1]).request();
-        result.map_err(|refusal| self.refused(Step::Restart, &refusal, &details))
+        result.map_err(|error| self.refused(Step::Restart, &error, &details))
     }
 
-    fn refused(&self, step: Step, refusal: &Refusal, details: &Details) -> InterfaceError {
-        let reason = reason(step, refusal.errno, details);
+    fn refused(&self, step: Step, error: &KernelError, details: &Details) -> InterfaceError {
+        let reason = reason(step, error.errno, details);
         InterfaceError::Refused {
             name: self.name.clone(),
             step,
-            reason: match &refusal.text {
+            reason: match &error.text {
                 Some(text) => format!("{reason} (kernel: {text})"),
                 None => reason,
             },
@@ -361,12 +362,12 @@ impl Interface {
     }
 }
 
-/// Bit rate and sample point; the kernel computes the other six numbers.
+/// Bit rate and sample point; the kernel computes the other six values.
 fn timing(bitrate: u32, sample_point: Option<u32>) -> Vec<u32> {
     vec![bitrate, sample_point.unwrap_or(0), 0, 0, 0, 0, 0, 0]
 }
 
-/// Which modes to change, and which of them to switch on.
+/// Mask of the modes to change, and their new values.
 fn modes(setup: &Setup) -> Option<Vec<u32>> {
     let wanted = [
         (CanCtrlMode::Fd, setup.data_bitrate.map(|_| true)),
@@ -391,28 +392,28 @@ const fn bus_state(state: CanState) -> BusState {
     }
 }
 
-/// What a refusal means, and what to do about it.
+/// Cause and remedy of a kernel error.
 fn reason(step: Step, errno: i32, details: &Details) -> String {
     let system = io::Error::from_raw_os_error(errno);
     match (errno, step) {
         (libc::EPERM | libc::EACCES | libc::EROFS, _) => {
-            "only root may; run it with sudo, or give it the capability CAP_NET_ADMIN".to_owned()
+            "permission denied; run it with sudo, or grant the capability CAP_NET_ADMIN".to_owned()
         }
-        (libc::ENODEV | libc::ENXIO, _) => "it is gone; is the adapter unplugged?".to_owned(),
+        (libc::ENODEV | libc::ENXIO, _) => "the interface was removed; is the adapter unplugged?".to_owned(),
         (libc::EOPNOTSUPP, _) if details.is_virtual() => {
-            "it is virtual and has no controller to set; bring it up without these options"
+            "it is virtual and has no controller to configure; bring it up without these options"
                 .to_owned()
         }
         (libc::EOPNOTSUPP, Step::Modes | Step::DataBitRate) => {
-            "its controller or driver cannot do that; leave out the mode or take another adapter"
+            "its controller or driver does not support this; leave out the mode or use another adapter"
                 .to_owned()
         }
         (libc::EBUSY, _) => {
-            "it is up, and somebody brought it up meanwhile; is another program setting it up?"
+            "it is up, although it was taken down before; is another program configuring it?"
                 .to_owned()
         }
         (libc::EINVAL, Step::Up) if details.bitrate.is_none() && !details.is_virtual() => {
-            "no bit rate is set; give the one that the nodes have (--bitrate)".to_owned()
+            "no bit rate is set; set the bit rate of the nodes (--bitrate)".to_owned()
         }
         (libc::EINVAL | libc::EDOM | libc::ERANGE, Step::BitRate | Step::DataBitRate) => {
             let clock = details.clock.map_or_else(String::new, |clock| {
@@ -440,7 +441,7 @@ mod tests {
     }
 
     #[test]
-    fn a_refusal_has_its_cause_and_remedy() {
+    fn interface_rejected_step_has_cause_and_remedy() {
         for (step, errno, details, words) in [
             (Step::Down, libc::EPERM, hardware(), "sudo"),
             (Step::Queue, libc::EROFS, hardware(), "sudo"),
@@ -468,7 +469,7 @@ mod tests {
     }
 
     #[test]
-    fn an_interface_that_is_not_there_is_named_with_those_that_are() {
+    fn interface_missing_error_lists_present_ones() {
         let error = Interface::open("nosuchcan0").unwrap_err();
         assert!(
             error
@@ -476,14 +477,14 @@ mod tests {
                 .starts_with("there is no interface nosuchcan0; ")
         );
         let error = Interface::open("lo").unwrap_err();
-        assert!(error.to_string().starts_with("lo is no CAN interface; "));
+        assert!(error.to_string().starts_with("lo is not a CAN interface; "));
         assert!(Present::default().to_string().contains("modprobe vcan"));
         let two = Present(vec!["can0".to_owned(), "can1".to_owned()]);
         assert_eq!(two.to_string(), "CAN interfaces here: can0, can1");
     }
 
     #[test]
-    fn only_what_is_asked_for_is_set() {
+    fn interface_sets_only_requested_settings() {
         assert!(modes(&Setup::default()).is_none());
         assert!(!Setup::default().needs_down());
         let setup = Setup {
@@ -500,12 +501,12 @@ mod tests {
         };
         assert!(
             !queue.needs_down(),
-            "the queue can be changed while it is up"
+            "the queue length can change while it is up"
         );
     }
 
     #[test]
-    fn rates_of_data_default_to_the_nominal_ones() {
+    fn interface_data_rate_defaults_to_nominal() {
         let details = Details {
             bitrate: Some(500_000),
             ..Details::default()

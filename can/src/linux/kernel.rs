@@ -1,7 +1,7 @@
 //! Frames as the kernel lays them out in memory (`struct can_frame`, `struct canfd_frame` of
-//! `linux/can.h`), by bytes. Which system call carries them is not its business.
+//! `linux/can.h`), as bytes. It makes no system calls.
 //!
-//! | bytes | what |
+//! | bytes | content |
 //! |---|---|
 //! | 0 to 3 | identifier; bit 31: 29 bits, bit 30: remote, bit 29: error frame |
 //! | 4 | bytes of data |
@@ -19,7 +19,7 @@ pub(super) const FD_LEN: usize = 72;
 
 const EXTENDED_FLAG: u32 = 1 << 31;
 const REMOTE_FLAG: u32 = 1 << 30;
-/// Among the flags of CAN FD: it is one.
+/// Flag of CAN FD: the frame is CAN FD.
 const FDF: u8 = 4;
 
 /// A frame in the kernel's layout.
@@ -65,7 +65,7 @@ pub(super) fn encode(frame: &AnyFrame) -> Encoded {
     Encoded { bytes, len: size }
 }
 
-/// `None` for what is neither of the two lengths, or breaks the rules of its kind; no kernel gives that.
+/// `None` for any other length, or an invalid frame; the kernel delivers neither.
 #[inline]
 pub(super) fn decode(bytes: &[u8]) -> Option<AnyFrame> {
     let (head, data) = bytes.split_first_chunk::<8>()?;
@@ -108,7 +108,7 @@ mod tests {
     use crate::log::parse_frame;
 
     #[test]
-    fn layout_is_that_of_the_kernel() {
+    fn frame_layout_matches_kernel() {
         assert_eq!(CLASSIC_LEN, size_of::<libc::can_frame>());
         assert_eq!(FD_LEN, size_of::<libc::canfd_frame>());
         assert_eq!(4, std::mem::offset_of!(libc::can_frame, can_dlc));
@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn every_kind_survives() {
+    fn frame_kernel_layout_survives_round_trip() {
         for text in [
             "123#DEADBEEF",
             "1FFFFFFF#",
@@ -137,7 +137,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_bytes_are_answered(bytes in prop::collection::vec(any::<u8>(), 0..80)) {
+        fn frame_any_kernel_bytes_do_not_panic(bytes in prop::collection::vec(any::<u8>(), 0..80)) {
             let _ = decode(&bytes);
             for len in [CLASSIC_LEN, FD_LEN] {
                 if let Some(frame) = bytes.get(..len).and_then(decode) {

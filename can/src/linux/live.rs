@@ -1,5 +1,5 @@
-//! A port of the in-process bus by the host's clock, for threads that run as on a real bus. It stands in for
-//! hardware: it locks, so no promise about real time holds with it.
+//! A port of the in-process bus on the host's clock, for threads that run as on a real bus. It replaces hardware in
+//! tests; it locks, so it is not real-time capable.
 
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
@@ -12,11 +12,11 @@ use crate::link::{Link, LinkError, Received};
 #[derive(Debug)]
 struct Hub {
     bus: Mutex<Bus>,
-    /// Somebody sent, so that those who wait must find out anew when the next frame is over.
+    /// Signals a sent frame, so that waiting threads recompute when the next transmission ends.
     changed: Condvar,
 }
 
-/// A participant of a bus whose time is [`monotonic`]. A clone is the same participant.
+/// A port of a bus whose time is [`monotonic`]. A clone is the same port.
 #[derive(Clone, Debug)]
 pub struct LivePort {
     hub: Arc<Hub>,
@@ -24,7 +24,7 @@ pub struct LivePort {
 }
 
 impl LivePort {
-    /// The first participant of a bus.
+    /// Creates a bus and its first port.
     #[must_use]
     pub fn first_of(mut bus: Bus) -> Self {
         bus.advance(monotonic());
@@ -39,7 +39,7 @@ impl LivePort {
         }
     }
 
-    /// One more participant of the same bus.
+    /// Adds a port to the same bus.
     #[must_use]
     pub fn attach(&self) -> Self {
         Self {
@@ -48,13 +48,13 @@ impl LivePort {
         }
     }
 
-    /// Which one it is.
+    /// Its number on the bus.
     #[must_use]
     pub const fn id(&self) -> PortId {
         self.id
     }
 
-    /// The bus itself, brought to the present: to inject faults, to ask.
+    /// Locks the bus, advanced to the present, to inject faults or read its state.
     pub fn with_bus<R>(&self, use_it: impl FnOnce(&mut Bus) -> R) -> R {
         let mut bus = self.hub.bus.lock().unwrap_or_else(PoisonError::into_inner);
         bus.advance(monotonic());
@@ -84,7 +84,7 @@ impl Link for LivePort {
                 return Ok(received);
             }
             let next = bus.next_event().unwrap_or(until).min(until);
-            // Not shorter than the host can sleep, or this becomes a busy loop.
+            // Not shorter than the host can sleep: that would be a busy loop.
             let wait = next.saturating_sub(now).max(Duration::from_micros(50));
             let waited = self.hub.changed.wait_timeout(bus, wait);
             bus = waited.unwrap_or_else(PoisonError::into_inner).0;
@@ -98,21 +98,21 @@ mod tests {
     use crate::bus::Config;
     use crate::{Frame, Id};
 
-    const PATIENCE: Duration = Duration::from_secs(10);
+    const TIMEOUT: Duration = Duration::from_secs(10);
 
     #[test]
-    fn a_waiting_thread_gets_what_another_sends() {
+    fn live_port_waiting_thread_receives_frame() {
         let mut a = LivePort::first_of(Bus::new(Config::default()));
         let mut b = a.attach();
         let frame: AnyFrame = Frame::new(Id::standard(0x181).unwrap(), &[1])
             .unwrap()
             .into();
         std::thread::scope(|scope| {
-            let heard = scope.spawn(move || b.receive(PATIENCE).unwrap().unwrap());
+            let received = scope.spawn(move || b.receive(TIMEOUT).unwrap().unwrap());
             a.send(&frame).unwrap();
-            let heard = heard.join().unwrap();
-            assert_eq!(heard.frame, frame);
-            assert!(heard.at <= monotonic());
+            let received = received.join().unwrap();
+            assert_eq!(received.frame, frame);
+            assert!(received.at <= monotonic());
         });
         assert_eq!(a.receive(Duration::ZERO), Ok(None));
         assert_eq!(a.with_bus(|bus| bus.traffic().frames), 1);

@@ -1,19 +1,18 @@
-//! Messages to and from the kernel by rtnetlink, and changes of a network interface with what the kernel says
-//! when it refuses: the error number and, in its own words, why. The library that asks for the state of interfaces loses both when it sets
-//! something. It knows nothing about CAN but the numbers of its attributes.
+//! Changes of a network interface by rtnetlink, with the kernel's error number and error text. The library that reads
+//! the state of interfaces loses both on a change. Of CAN it knows only the attribute numbers.
 //!
-//! | bytes of a request | what |
+//! | bytes of a request | content |
 //! |---|---|
-//! | 0 to 3 | length of all |
-//! | 4, 5 | 16: set up a link |
+//! | 0 to 3 | total length |
+//! | 4, 5 | 16: `RTM_NEWLINK` |
 //! | 6, 7 | 5: request with acknowledgement |
-//! | 20 to 23 | number of the interface |
-//! | 24 to 27, 28 to 31 | flags, and which of them to change |
-//! | 32 ... | attributes: length (2 bytes), kind (2 bytes), content, each at a multiple of four |
+//! | 20 to 23 | interface index |
+//! | 24 to 27, 28 to 31 | flags, and mask of the flags to change |
+//! | 32 ... | attributes: length (2 bytes), type (2 bytes), content, each aligned to four bytes |
 
 #![allow(
     unsafe_code,
-    reason = "two options of a netlink socket are in no library that is used here"
+    reason = "no library in use offers these two options of a netlink socket"
 )]
 
 use std::io;
@@ -27,9 +26,9 @@ use nix::sys::socket::{
 const RTM_NEWLINK: u16 = 16;
 const REQUEST_AND_ACK: u16 = 1 | 4;
 pub(super) const NLMSG_ERROR: u16 = 2;
-/// Flag of an answer: attributes are behind the request.
+/// Flag of an answer: attributes follow the request.
 const ACK_TLVS: u16 = 0x200;
-/// Flag of an answer: only the head of the request is in it.
+/// Flag of an answer: it contains only the header of the request.
 const CAPPED: u16 = 0x100;
 const ERROR_TEXT: u16 = 1;
 const IFF_UP: u32 = 1;
@@ -48,15 +47,15 @@ pub(super) mod can {
     pub(in crate::linux) const DATA_BIT_TIMING: u16 = 9;
 }
 
-/// What the kernel says against a change.
+/// Error of a change, as reported by the kernel.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Refusal {
+pub(super) struct KernelError {
     pub(super) errno: i32,
-    /// In its own words; older kernels have none.
+    /// Error text; older kernels have none.
     pub(super) text: Option<String>,
 }
 
-impl From<io::Error> for Refusal {
+impl From<io::Error> for KernelError {
     fn from(error: io::Error) -> Self {
         Self {
             errno: error.raw_os_error().unwrap_or(libc::EIO),
@@ -65,7 +64,7 @@ impl From<io::Error> for Refusal {
     }
 }
 
-impl From<Errno> for Refusal {
+impl From<Errno> for KernelError {
     fn from(errno: Errno) -> Self {
         Self {
             errno: errno as i32,
@@ -87,7 +86,7 @@ impl Change {
         let mut bytes = vec![0; 4];
         bytes.extend(RTM_NEWLINK.to_ne_bytes());
         bytes.extend(REQUEST_AND_ACK.to_ne_bytes());
-        // Number of the request, number of the sender, family and kind: none.
+        // Sequence number, port, family and type: 0.
         bytes.extend([0; 12]);
         for number in [index, flags, mask] {
             bytes.extend(number.to_ne_bytes());
@@ -101,14 +100,14 @@ impl Change {
         Self::new(index, if up { IFF_UP } else { 0 }, IFF_UP)
     }
 
-    /// Frames that may wait for being sent.
+    /// Length of the send queue, frames.
     pub(super) fn queue(index: u32, frames: u32) -> Self {
         let mut change = Self::new(index, 0, 0);
         attribute(&mut change.bytes, IFLA_TXQLEN, &frames.to_ne_bytes());
         change
     }
 
-    /// An attribute of a CAN controller, of numbers of 32 bits.
+    /// An attribute of a CAN controller, made of 32-bit numbers.
     pub(super) fn can(index: u32, kind: u16, numbers: &[u32]) -> Self {
         let content: Vec<u8> = numbers
             .iter()
@@ -124,22 +123,22 @@ impl Change {
         change
     }
 
-    /// Asks the kernel for it.
-    pub(super) fn request(mut self) -> Result<(), Refusal> {
+    /// Sends the request to the kernel and waits for the answer.
+    pub(super) fn request(mut self) -> Result<(), KernelError> {
         let len = u32::try_from(self.bytes.len()).unwrap_or(0).to_ne_bytes();
         self.bytes
             .iter_mut()
             .zip(len)
             .for_each(|(to, from)| *to = from);
         let kernel = Kernel::open()?;
-        ask_for_text(&kernel.0);
+        enable_error_text(&kernel.0);
         kernel.send(&self.bytes)?;
         let mut answer = [0; 4096];
         read_answer(kernel.receive(&mut answer)?)
     }
 }
 
-/// Who answers.
+/// Address of the kernel.
 pub(super) struct Kernel(OwnedFd);
 
 impl Kernel {
@@ -154,7 +153,7 @@ impl Kernel {
         sendto(self.0.as_raw_fd(), bytes, &kernel, MsgFlags::empty()).map(drop)
     }
 
-    /// Waits for an answer. A signal does not end it.
+    /// Waits for an answer; restarts after a signal.
     pub(super) fn receive<'a>(&self, answer: &'a mut [u8]) -> nix::Result<&'a [u8]> {
         loop {
             match recv(self.0.as_raw_fd(), answer, MsgFlags::empty()) {
@@ -174,12 +173,12 @@ pub(super) fn u32_at(bytes: &[u8], at: usize) -> Option<u32> {
     Some(u32::from_ne_bytes(*bytes.get(at..)?.first_chunk()?))
 }
 
-/// The content of the first attribute of that kind.
+/// The content of the first attribute of that type.
 pub(super) fn find_attribute(mut rest: &[u8], kind: u16) -> Option<&[u8]> {
     loop {
         let len = usize::from(u16_at(rest, 0)?);
         let content = rest.get(4..len)?;
-        // The top bits tell what is in it.
+        // The top bits are flags.
         if u16_at(rest, 2)? & 0x3FFF == kind {
             return Some(content);
         }
@@ -187,7 +186,7 @@ pub(super) fn find_attribute(mut rest: &[u8], kind: u16) -> Option<&[u8]> {
     }
 }
 
-/// Adds an attribute, padded to a multiple of four.
+/// Appends an attribute, padded to four bytes.
 pub(super) fn attribute(bytes: &mut Vec<u8>, kind: u16, content: &[u8]) {
     let len = u16::try_from(4 + content.len()).unwrap_or(u16::MAX);
     bytes.extend(len.to_ne_bytes());
@@ -196,12 +195,12 @@ pub(super) fn attribute(bytes: &mut Vec<u8>, kind: u16, content: &[u8]) {
     bytes.resize(bytes.len().next_multiple_of(4), 0);
 }
 
-/// Older kernels know neither option; then there is no text.
-fn ask_for_text(socket: &OwnedFd) {
+/// Older kernels support neither option and send no text.
+fn enable_error_text(socket: &OwnedFd) {
     let on: libc::c_int = 1;
     let len = libc::socklen_t::try_from(size_of_val(&on)).unwrap_or(0);
     for option in [libc::NETLINK_EXT_ACK, libc::NETLINK_CAP_ACK] {
-        // SAFETY: the option's value lives until the call is over and has the length that is told.
+        // SAFETY: the option's value outlives the call and has the given length.
         let _ = unsafe {
             libc::setsockopt(
                 socket.as_raw_fd(),
@@ -214,16 +213,16 @@ fn ask_for_text(socket: &OwnedFd) {
     }
 }
 
-/// | bytes of an answer | what |
+/// | bytes of an answer | content |
 /// |---|---|
-/// | 0 to 3 | length of all |
-/// | 4, 5 | 2: acknowledgement or refusal |
+/// | 0 to 3 | total length |
+/// | 4, 5 | 2: `NLMSG_ERROR`, acknowledgement or error |
 /// | 6, 7 | flags |
-/// | 16 to 19 | the error number, negative; 0 if all is well |
-/// | 20 ... | the request, or its head of 16 bytes; then attributes |
-fn read_answer(bytes: &[u8]) -> Result<(), Refusal> {
+/// | 16 to 19 | negative error number; 0 for success |
+/// | 20 ... | the request, or its 16-byte header; then attributes |
+fn read_answer(bytes: &[u8]) -> Result<(), KernelError> {
     let (u16_at, u32_at) = (|at| u16_at(bytes, at), |at| u32_at(bytes, at));
-    let foreign = || Refusal {
+    let foreign = || KernelError {
         errno: libc::EBADMSG,
         text: None,
     };
@@ -241,13 +240,13 @@ fn read_answer(bytes: &[u8]) -> Result<(), Refusal> {
         u32_at(20).and_then(|len| usize::try_from(len).ok())
     };
     let tail = echoed.and_then(|len| bytes.get(20_usize.checked_add(len.next_multiple_of(4))?..));
-    Err(Refusal {
+    Err(KernelError {
         errno: error.saturating_neg(),
         text: tail.filter(|_| flags & ACK_TLVS != 0).and_then(text),
     })
 }
 
-/// The attribute that is text for readers.
+/// The error text of the attributes.
 fn text(rest: &[u8]) -> Option<String> {
     let content = find_attribute(rest, ERROR_TEXT)?;
     let end = content.split(|byte| *byte == 0).next()?;
@@ -261,7 +260,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn attributes_are_nested_and_padded() {
+    fn netlink_attributes_are_nested_and_padded() {
         let change = Change::can(7, can::RESTART_MS, &[100]);
         let rest = &change.bytes[HEAD..];
         let expected: Vec<u8> = [
@@ -293,34 +292,34 @@ mod tests {
     }
 
     #[test]
-    fn answers_are_read() {
+    fn netlink_answers_are_decoded() {
         assert_eq!(read_answer(&answer(CAPPED, 0, &[])), Ok(()));
         let mut tail = Vec::new();
         attribute(&mut tail, 2, &[0; 4]);
         attribute(&mut tail, ERROR_TEXT, b"bitrate error too high\0");
         for flags in [CAPPED | ACK_TLVS, ACK_TLVS] {
-            let refusal = read_answer(&answer(flags, -libc::EINVAL, &tail)).unwrap_err();
-            assert_eq!(refusal.errno, libc::EINVAL);
-            assert_eq!(refusal.text.as_deref(), Some("bitrate error too high"));
+            let error = read_answer(&answer(flags, -libc::EINVAL, &tail)).unwrap_err();
+            assert_eq!(error.errno, libc::EINVAL);
+            assert_eq!(error.text.as_deref(), Some("bitrate error too high"));
         }
-        let refusal = read_answer(&answer(CAPPED, -libc::EPERM, &[])).unwrap_err();
-        assert_eq!((refusal.errno, refusal.text), (libc::EPERM, None));
+        let error = read_answer(&answer(CAPPED, -libc::EPERM, &[])).unwrap_err();
+        assert_eq!((error.errno, error.text), (libc::EPERM, None));
         assert_eq!(read_answer(&[]).unwrap_err().errno, libc::EBADMSG);
     }
 
-    /// Whoever the test runs as: an interface of this number does not exist, and not all may ask.
+    /// As any user: the interface does not exist, or the user lacks permission.
     #[test]
-    fn kernel_refuses_an_interface_that_is_not_there() {
-        let refusal = Change::up(0x7FFF_FFF0, true).request().unwrap_err();
+    fn netlink_missing_interface_is_rejected() {
+        let error = Change::up(0x7FFF_FFF0, true).request().unwrap_err();
         assert!(
-            matches!(refusal.errno, libc::ENODEV | libc::EPERM),
-            "{refusal:?}"
+            matches!(error.errno, libc::ENODEV | libc::EPERM),
+            "{error:?}"
         );
     }
 
     proptest! {
         #[test]
-        fn any_answer_is_read(bytes in prop::collection::vec(any::<u8>(), 0..100), flags in any::<u16>()) {
+        fn netlink_any_answer_does_not_panic(bytes in prop::collection::vec(any::<u8>(), 0..100), flags in any::<u16>()) {
             let _ = read_answer(&bytes);
             let _ = read_answer(&answer(flags, -1, &bytes));
         }

@@ -1,13 +1,13 @@
-//! How many frames the send queues of an interface refused, by rtnetlink. The statistics in sysfs count only
-//! what the driver refused; a full queue is told by the queue alone. It changes no queue.
+//! Count of frames dropped by the send queues (qdiscs) of an interface, by rtnetlink. The statistics in sysfs count
+//! only drops of the driver. It changes no queue.
 //!
-//! | bytes of a message | what |
+//! | bytes of a message | content |
 //! |---|---|
-//! | 0 to 3 | length of all |
-//! | 4, 5 | 38: ask for queues; 36: a queue; 3: that was all; 2: refused |
-//! | 6, 7 | flags: 301h asks for all |
-//! | 20 to 23 | number of the interface |
-//! | 28 to 31 | where the queue hangs: FFFF_FFFFh at the interface itself |
+//! | 0 to 3 | total length |
+//! | 4, 5 | 38: request the queues; 36: a queue; 3: end; 2: error |
+//! | 6, 7 | flags: 301h requests all |
+//! | 20 to 23 | interface index |
+//! | 28 to 31 | parent of the queue: FFFF_FFFFh is the interface itself |
 //! | 36 ... | attributes, of which 7 holds 3, the third number of which is the count |
 
 use super::netlink::{Kernel, NLMSG_ERROR, find_attribute, u16_at, u32_at};
@@ -19,13 +19,13 @@ const NLMSG_DONE: u16 = 3;
 const TC_H_ROOT: u32 = 0xFFFF_FFFF;
 const TCA_STATS2: u16 = 7;
 const TCA_STATS_QUEUE: u16 = 3;
-/// Head of a message, and of a message about a queue.
+/// Header length of a message, and of a message about a queue.
 const HEAD: usize = 16;
 const QUEUE_HEAD: usize = 36;
-/// Most answers that are read; a host has some dozens of queues.
+/// Maximum answers to read; a host has some dozens of queues.
 const ANSWERS: usize = 256;
 
-/// Frames that the queue of an interface refused since it was made; `None` if the kernel does not tell.
+/// Frames dropped by the queue of an interface since its creation; `None` if the kernel does not report it.
 pub(super) fn refused(index: u32) -> Option<u32> {
     dump(index).ok()?.refused
 }
@@ -57,7 +57,7 @@ fn request() -> [u8; QUEUE_HEAD] {
     bytes
 }
 
-/// What one answer tells.
+/// Content of one answer.
 #[derive(Debug, Default, PartialEq, Eq)]
 struct Read {
     refused: Option<u32>,
@@ -81,7 +81,7 @@ fn read(mut bytes: &[u8], index: u32) -> Read {
     read
 }
 
-/// The count in a message about the queue that hangs at that interface.
+/// The count in a message about the root queue of that interface.
 fn of_queue(message: &[u8], index: u32) -> Option<u32> {
     if (u32_at(message, 20)?, u32_at(message, 28)?) != (index, TC_H_ROOT) {
         return None;
@@ -97,7 +97,7 @@ mod tests {
     use super::*;
     use crate::linux::netlink::attribute;
 
-    /// A queue that refused so many frames.
+    /// A message about a queue that dropped this many frames.
     fn queue(index: u32, parent: u32, refused: u32) -> Vec<u8> {
         let numbers = [0, 0, refused, 0, 0].map(u32::to_ne_bytes).concat();
         let mut statistics = Vec::new();
@@ -115,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn count_is_that_of_the_queue_at_the_interface() {
+    fn qdisc_count_is_that_of_root_queue() {
         let done = [20_u32.to_ne_bytes(), [3, 0, 2, 0], [0; 4], [0; 4], [0; 4]].concat();
         let others = [queue(6, TC_H_ROOT, 1), queue(7, 0x0001_0001, 2)].concat();
         let all = [others.clone(), queue(7, TC_H_ROOT, 3), done].concat();
@@ -130,10 +130,10 @@ mod tests {
     }
 
     #[test]
-    fn kernel_answers() {
+    fn qdisc_kernel_reports_loopback_queue() {
         let nowhere = dump(0x7FFF_FFF0).unwrap();
         assert_eq!((nowhere.refused, nowhere.ends), (None, true));
-        // Each host has a loopback, whose queue refuses nothing, and this crate's hosts tell of it once it is up.
+        // Every host has a loopback interface, whose queue drops nothing; the kernel lists it once it is up.
         let (index, state) = ("/sys/class/net/lo/ifindex", "/sys/class/net/lo/operstate");
         let of_loopback = |path| std::fs::read_to_string(path).unwrap_or_default();
         if let (Ok(index), "unknown") =
@@ -145,7 +145,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_answer_is_read(bytes in prop::collection::vec(any::<u8>(), 0..100), at in 0..120_usize, byte: u8) {
+        fn qdisc_any_answer_does_not_panic(bytes in prop::collection::vec(any::<u8>(), 0..100), at in 0..120_usize, byte: u8) {
             let _ = read(&bytes, 7);
             let mut damaged = queue(7, TC_H_ROOT, 3);
             let at = at % damaged.len();

@@ -1,5 +1,5 @@
-//! The USB port of a Segway power base as the kernel's `ftdi_sio` shows it: a serial port that carries
-//! packets. It neither finds the port nor sets the chip's latency timer (udev does that).
+//! The USB port of a Segway power base as the kernel's `ftdi_sio` shows it: a serial port that carries packets. Finding
+//! the port and setting the chip's latency timer are left to udev.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read, Write};
@@ -16,10 +16,10 @@ use super::monotonic;
 use crate::Frame;
 use crate::rmp::{Channel, Packet, PacketReader};
 
-/// Bytes taken by one system call.
+/// Bytes read per system call.
 const CHUNK: usize = 256;
 
-/// A serial port to a power base.
+/// The serial port of a power base.
 #[derive(Debug)]
 pub struct Serial {
     port: File,
@@ -30,10 +30,10 @@ pub struct Serial {
 }
 
 impl Serial {
-    /// Opens a port, such as `/dev/ttyUSB0`, with 460,800 Bd, 8N1 and nothing interpreted.
+    /// Opens a port, such as `/dev/ttyUSB0`, with 460,800 Bd, 8N1, raw mode.
     ///
     /// # Errors
-    /// If it cannot be opened or is no terminal.
+    /// If it cannot be opened or is not a terminal.
     pub fn open(path: &str) -> io::Result<Self> {
         let port = OpenOptions::new()
             .read(true)
@@ -53,10 +53,10 @@ impl Serial {
         })
     }
 
-    /// Sends a frame; never waits.
+    /// Sends a frame without blocking.
     ///
     /// # Errors
-    /// If the port does not take the whole packet.
+    /// If the port does not accept the whole packet.
     pub fn send(&mut self, frame: &Frame) -> io::Result<()> {
         let Packet(bytes) = Packet::to_powerbase(frame);
         match self.port.write(&bytes)? {
@@ -65,10 +65,11 @@ impl Serial {
         }
     }
 
-    /// Waits at most so long for a frame: the board that sent it, the frame, and when it was read.
+    /// Waits at most `timeout` for a frame; returns the channel, the frame and the time of
+    /// reception.
     ///
     /// # Errors
-    /// If the port is gone.
+    /// If the port was removed.
     pub fn receive(&mut self, timeout: Duration) -> io::Result<Option<(Channel, Frame, Duration)>> {
         let until = monotonic() + timeout;
         loop {
@@ -77,7 +78,7 @@ impl Serial {
             }
             let left = until.saturating_sub(monotonic());
             self.fill(left)?;
-            // Also if something came: noise must not keep anybody here.
+            // Also after received bytes: noise must not extend the wait.
             if left.is_zero() {
                 return Ok(self
                     .take_buffered()
@@ -100,9 +101,10 @@ impl Serial {
         None
     }
 
-    /// Reads what is there, waiting for it at most so long.
+    /// Reads available bytes; waits for them at most `timeout`.
     fn fill(&mut self, timeout: Duration) -> io::Result<()> {
-        // Not poll, whose milliseconds make a busy loop of the last one of each wait.
+        // Not `poll`: with its millisecond resolution the last millisecond of each wait becomes a
+        // busy loop.
         let wait = TimeSpec::from_duration(timeout);
         let mut polled = [PollFd::new(self.port.as_fd(), PollFlags::POLLIN)];
         match ppoll(&mut polled, Some(wait), None) {
@@ -137,7 +139,7 @@ mod tests {
     use crate::rmp::{Command, Message};
 
     #[test]
-    fn packets_go_both_ways_over_a_terminal() {
+    fn serial_port_transfers_packets_both_directions() {
         let pty = openpty(None, None).unwrap();
         let name = nix::unistd::ttyname(&pty.slave).unwrap();
         let mut serial = Serial::open(name.to_str().unwrap()).unwrap();
@@ -152,12 +154,12 @@ mod tests {
         let mut bytes = [0; Packet::LEN];
         other.read_exact(&mut bytes).unwrap();
         assert_eq!(Packet(bytes).decode_host(), Some(command));
-        let told = Message::Wheels { left: 5, right: -5 }.frame();
-        let packet = Packet::from_powerbase(Channel::B, &told).0;
+        let sent = Message::Wheels { left: 5, right: -5 }.frame();
+        let packet = Packet::from_powerbase(Channel::B, &sent).0;
         other.write_all(&packet[3..]).unwrap();
         other.write_all(&packet).unwrap();
         let (channel, frame, _) = serial.receive(Duration::from_secs(5)).unwrap().unwrap();
-        assert_eq!((channel, frame), (Channel::B, told));
+        assert_eq!((channel, frame), (Channel::B, sent));
         assert_eq!(serial.receive(Duration::ZERO).unwrap(), None);
     }
 }

@@ -1,5 +1,5 @@
-//! A raw CAN socket as a [`Link`]. One system call takes up to 32 frames; after opening nothing is
-//! allocated. It does not set the interface up; see [`super::Interface`].
+//! A raw CAN socket as a [`Link`]. One system call receives up to 32 frames; after opening it does
+//! not allocate. It does not configure the interface; see [`super::Interface`].
 
 use std::io;
 use std::os::fd::{AsFd as _, AsRawFd as _, BorrowedFd};
@@ -17,28 +17,28 @@ use super::{kernel, link_error, monotonic, wall};
 use crate::link::{Link, LinkError, Received};
 use crate::{AnyFrame, Id};
 
-/// The clock that times of arrival are on.
+/// Clock of the reception times.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Clock {
-    /// `CLOCK_MONOTONIC`: what cycles count by. Stamps of the kernel are brought over when they are read.
+    /// `CLOCK_MONOTONIC`, the clock of cycles. Kernel time stamps are converted on reception.
     #[default]
     Monotonic,
-    /// Since 1970, as the kernel stamps: what logs count by.
+    /// Time since 1970, as stamped by the kernel; the clock of logs.
     Wall,
 }
 
-/// What to do when the interface has no room for a frame.
+/// Behaviour when the send queue is full.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum QueuePolicy {
-    /// Say so at once and drop the frame: what a cycle needs, as the next one brings newer set-points.
+    /// Drop the frame and return an error at once: for cycles, because the next one brings newer set-points.
     #[default]
     Refuse,
-    /// Wait for room, at most so long: what a tool needs that has to send everything. The socket is given
-    /// a small buffer, so that it is full before the interface is and the kernel can wake the sender.
+    /// Wait until the queue accepts the frame, up to this timeout: for tools that have to send every frame. The socket
+    /// gets a small buffer, so that it fills before the interface does and the kernel can wake the sender.
     Wait(Duration),
 }
 
-/// Which frames a socket receives: those whose identifier is `id` in the bits of `mask`.
+/// Receive filter: accepts frames whose identifier equals `id` in the bits of `mask`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Filter {
     id: u32,
@@ -47,14 +47,14 @@ pub struct Filter {
 }
 
 impl Filter {
-    /// Frames with this very identifier.
+    /// Accepts exactly this identifier.
     #[must_use]
     pub const fn exactly(id: Id) -> Self {
         let mask = if id.is_extended() { 0x1FFF_FFFF } else { 0x7FF };
         Self::masked(id, mask)
     }
 
-    /// Frames whose identifier has the same length and agrees in the bits of `mask`.
+    /// Accepts identifiers of the same length that match in the bits of `mask`.
     #[must_use]
     pub const fn masked(id: Id, mask: u32) -> Self {
         let extended = if id.is_extended() {
@@ -69,7 +69,7 @@ impl Filter {
         }
     }
 
-    /// All that this filter does not let through.
+    /// Inverts the filter.
     #[must_use]
     pub const fn inverted(mut self) -> Self {
         self.inverted = !self.inverted;
@@ -77,27 +77,27 @@ impl Filter {
     }
 }
 
-/// How a socket is opened.
+/// Configuration of a socket.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Options<'a> {
-    /// The clock of times of arrival.
+    /// Clock of the reception times.
     pub clock: Clock,
-    /// Whether frames that this socket sent come back when they were on the wire.
+    /// Whether this socket receives its own frames after transmission.
     pub own: bool,
-    /// Whether reports of errors are received.
+    /// Whether error frames are received.
     pub errors: bool,
-    /// What is received; empty: everything.
+    /// Receive filters; empty: accept all frames.
     pub filters: &'a [Filter],
-    /// What to do when there is no room for a frame.
+    /// Behaviour when the send queue is full.
     pub queue: QueuePolicy,
-    /// Memory for frames that wait for being read, in bytes as the kernel counts: about 770 for each frame.
-    /// More than the host's limit needs root and is cut to the limit without.
+    /// Receive buffer in bytes as counted by the kernel: about 770 per frame. More than the host's limit needs root;
+    /// otherwise it is clamped to the limit.
     pub receive_buffer: usize,
 }
 
 impl Default for Options<'_> {
-    /// Everything but own frames, on the monotonic clock, refusing, with room for about 2700 frames: a
-    /// third of a second of a fully loaded bus of 1 Mbit/s.
+    /// All frames except its own, monotonic clock, no blocking on send, buffer for about 2700 frames: a third of a
+    /// second of a fully loaded 1 Mbit/s bus.
     fn default() -> Self {
         Self {
             clock: Clock::Monotonic,
@@ -115,11 +115,11 @@ impl Default for Options<'_> {
 pub struct SocketCan {
     socket: CanFdSocket,
     buffers: Box<Buffers>,
-    /// What of the buffers is not handed out yet.
+    /// Frames in the buffers that were not delivered yet.
     next: usize,
     filled: usize,
     batch: usize,
-    /// The last time of reading found all that there was.
+    /// The last read emptied the socket.
     drained: bool,
     clock: Clock,
     clocks: Clocks,
@@ -128,7 +128,7 @@ pub struct SocketCan {
     refused: u64,
 }
 
-/// Software and hardware stamps of received frames, as control messages.
+/// Enables software and hardware time stamps of received frames.
 const STAMPS: u32 = libc::SOF_TIMESTAMPING_RX_SOFTWARE
     | libc::SOF_TIMESTAMPING_SOFTWARE
     | libc::SOF_TIMESTAMPING_RX_HARDWARE
@@ -138,7 +138,7 @@ impl SocketCan {
     /// Opens a socket on an interface.
     ///
     /// # Errors
-    /// Of the operating system: [`io::ErrorKind::NotFound`] or `ENODEV` if there is no such interface.
+    /// Of the operating system: [`io::ErrorKind::NotFound`] or `ENODEV` if the interface does not exist.
     pub fn open(interface: &str, options: &Options<'_>) -> io::Result<Self> {
         let socket = CanFdSocket::open(interface)?;
         socket.set_nonblocking(true)?;
@@ -154,7 +154,7 @@ impl SocketCan {
         socket.set_socket_option_int(libc::SOL_SOCKET, libc::SO_RXQ_OVFL, 1)?;
         set_receive_buffer(&socket, options.receive_buffer)?;
         if options.queue != QueuePolicy::Refuse {
-            // The kernel raises this to its least.
+            // The kernel raises this to its minimum.
             socket.set_socket_option_int(libc::SOL_SOCKET, libc::SO_SNDBUF, 0)?;
         }
         Ok(Self {
@@ -172,31 +172,30 @@ impl SocketCan {
         })
     }
 
-    /// Takes at most so many frames by one system call, 1 to 32; for measurements.
+    /// Sets the maximum number of frames per system call, 1 to 32; for measurements.
     pub fn set_batch(&mut self, frames: usize) {
         self.batch = frames.clamp(1, BATCH);
     }
 
-    /// Whether the interface stamps frames by its own clock.
+    /// Whether the interface provides hardware time stamps.
     #[must_use]
     pub fn has_hardware_stamps(&self) -> bool {
         self.socket.has_hw_timestamps()
     }
 
-    /// Frames that there was no room for.
+    /// Frames dropped because the send queue was full.
     #[must_use]
     pub const fn refused(&self) -> u64 {
         self.refused
     }
 
-    /// Frames lost because this socket was not read in time, as far as the kernel has told: it tells with
-    /// the next frame that finds room.
+    /// Frames lost because this socket was not read in time. The kernel reports them with the next received frame.
     #[must_use]
     pub const fn dropped(&self) -> u32 {
         self.dropped
     }
 
-    /// The socket, for those who wait for several at once.
+    /// The socket, to wait for several at once.
     #[must_use]
     pub fn fd(&self) -> BorrowedFd<'_> {
         self.socket.as_fd()
@@ -213,8 +212,8 @@ impl SocketCan {
         wait(self.socket.as_fd(), event, timeout)
     }
 
-    fn send_patiently(&self, bytes: &[u8], patience: Duration) -> Result<(), LinkError> {
-        let until = monotonic() + patience;
+    fn send_with_timeout(&self, bytes: &[u8], timeout: Duration) -> Result<(), LinkError> {
+        let until = monotonic() + timeout;
         loop {
             match self.try_send(bytes) {
                 Err(LinkError::QueueFull) => {}
@@ -224,14 +223,14 @@ impl SocketCan {
             if left.is_zero() {
                 return Err(LinkError::QueueFull);
             }
-            // A full interface is told as "may be written" too, so never rely on that alone.
+            // A full interface is reported as writable too; do not rely on it.
             self.wait(PollFlags::POLLOUT, left.min(PAUSE))?;
             self.wait(PollFlags::empty(), left.min(PAUSE / 4))?;
         }
     }
 
     fn fill(&mut self) -> Result<(), LinkError> {
-        // What is there was taken; an error brings nothing.
+        // Available frames were read; an error returns none.
         (self.next, self.filled) = (0, 0);
         let filled = self.buffers.fill(self.socket.as_fd(), self.batch);
         self.filled = filled.map_err(|error| link_error(error.raw_os_error().unwrap_or(0)))?;
@@ -257,7 +256,7 @@ impl SocketCan {
         Some(Received {
             frame: stamped.frame?,
             at: match (self.clock, stamped.software) {
-                (Clock::Monotonic, Some(stamp)) => self.clocks.carry_over(stamp, read_clocks),
+                (Clock::Monotonic, Some(stamp)) => self.clocks.to_monotonic(stamp, read_clocks),
                 (Clock::Monotonic, None) => monotonic(),
                 (Clock::Wall, Some(stamp)) => Duration::from_nanos(stamp),
                 (Clock::Wall, None) => wall(),
@@ -269,7 +268,7 @@ impl SocketCan {
     }
 }
 
-/// Waits until a socket may be written to or read from. A signal does not end it.
+/// Waits until a socket is readable or writable; restarts after a signal.
 fn wait(socket: BorrowedFd<'_>, event: PollFlags, timeout: Duration) -> Result<(), LinkError> {
     let until = monotonic().saturating_add(timeout);
     let mut left = timeout;
@@ -283,16 +282,16 @@ fn wait(socket: BorrowedFd<'_>, event: PollFlags, timeout: Duration) -> Result<(
     }
 }
 
-/// Longest time that a frame is taken to have waited for being read, ns.
-const WAITED_MAX: u64 = 100_000_000;
-/// A reading of the clocks serves for frames that were stamped until so long after it, ns.
-const READING_LASTS: u64 = 10_000_000;
+/// Maximum age of a frame when it is read, ns; older time stamps are clamped.
+const STAMP_AGE_MAX: u64 = 100_000_000;
+/// A clock reading is reused for frames stamped up to this time after it, ns.
+const READING_VALID: u64 = 10_000_000;
 
-/// Longest time that reading both clocks may take, ns, and how often that is tried.
+/// Maximum time to read both clocks, ns, and the number of attempts.
 const READING_MAX: u64 = 50_000;
 const READINGS_MAX: u32 = 4;
 
-/// Both clocks as they were read together, ns.
+/// Both clocks, read together, ns.
 #[derive(Clone, Copy, Debug, Default)]
 struct Clocks {
     monotonic: u64,
@@ -300,27 +299,28 @@ struct Clocks {
 }
 
 impl Clocks {
-    /// A stamp of the wall clock on the monotonic one. Clocks are read anew for a stamp that is not near the
-    /// last reading: to read them for each frame costs as much as to receive it where the kernel has to be
-    /// asked.
+    /// Converts a wall clock time stamp to the monotonic clock. The clocks are only read again for a stamp that is not
+    /// close to the last reading: where clock reading is a system call, it costs as much as receiving a frame.
     ///
-    /// Whoever sets the wall clock between stamp and reading would make frames come from the future, or
-    /// heartbeats from long ago: what cannot be is not told.
+    /// If the wall clock is set between stamp and reading, frames would seem to come from the future, or heartbeats
+    /// from long ago; such stamps are clamped.
     #[inline]
-    fn carry_over(&mut self, stamp: u64, read: impl FnOnce() -> Self) -> Duration {
-        let near = self.wall.saturating_sub(WAITED_MAX)..=self.wall.saturating_add(READING_LASTS);
-        let mut latest = self.monotonic.saturating_add(READING_LASTS);
+    fn to_monotonic(&mut self, stamp: u64, read: impl FnOnce() -> Self) -> Duration {
+        let near =
+            self.wall.saturating_sub(STAMP_AGE_MAX)..=self.wall.saturating_add(READING_VALID);
+        let mut latest = self.monotonic.saturating_add(READING_VALID);
         if self.wall == 0 || !near.contains(&stamp) {
             *self = read();
             latest = self.monotonic;
         }
         let at = stamp.saturating_sub(self.wall.saturating_sub(self.monotonic));
-        let earliest = self.monotonic.saturating_sub(WAITED_MAX);
+        let earliest = self.monotonic.saturating_sub(STAMP_AGE_MAX);
         Duration::from_nanos(at.clamp(earliest, latest))
     }
 }
 
-/// The monotonic one first, so that no frame comes from the future; anew if something came between.
+/// Reads the monotonic clock first, so that no frame comes from the future; retries after an
+/// interruption.
 fn read_clocks() -> Clocks {
     let nanos = |time: Duration| u64::try_from(time.as_nanos()).unwrap_or(u64::MAX);
     let mut clocks = Clocks::default();
@@ -334,7 +334,7 @@ fn read_clocks() -> Clocks {
     clocks
 }
 
-/// Longest sleep between two attempts to send.
+/// Maximum sleep between two attempts to send.
 const PAUSE: Duration = Duration::from_millis(2);
 
 fn kernel_filter(filter: &Filter) -> CanFilter {
@@ -345,7 +345,7 @@ fn kernel_filter(filter: &Filter) -> CanFilter {
     }
 }
 
-/// Beyond the host's limit if that is allowed.
+/// Exceeds the host's limit if permitted.
 fn set_receive_buffer(socket: &CanFdSocket, bytes: usize) -> io::Result<()> {
     let bytes = libc::c_int::try_from(bytes / 2).unwrap_or(libc::c_int::MAX / 2);
     let set = |option| socket.set_socket_option_int(libc::SOL_SOCKET, option, bytes);
@@ -357,7 +357,7 @@ impl Link for SocketCan {
         let encoded = kernel::encode(frame);
         let sent = match self.queue {
             QueuePolicy::Refuse => self.try_send(encoded.as_slice()),
-            QueuePolicy::Wait(patience) => self.send_patiently(encoded.as_slice(), patience),
+            QueuePolicy::Wait(timeout) => self.send_with_timeout(encoded.as_slice(), timeout),
         };
         if sent == Err(LinkError::QueueFull) {
             self.refused += 1;
@@ -371,12 +371,12 @@ impl Link for SocketCan {
         {
             return Ok(Some(received));
         }
-        // Who waits behind an empty queue need not ask it first.
-        let asks = timeout.is_zero() || !self.drained;
-        if asks {
+        // An empty socket need not be read before waiting.
+        let reads = timeout.is_zero() || !self.drained;
+        if reads {
             self.fill()?;
         }
-        if !timeout.is_zero() && (!asks || self.filled == 0) {
+        if !timeout.is_zero() && (!reads || self.filled == 0) {
             self.wait(PollFlags::POLLIN, timeout)?;
             self.fill()?;
         }
@@ -394,10 +394,10 @@ mod tests {
     use super::*;
 
     const MS: u64 = 1_000_000;
-    /// The wall clock when the monotonic one was 0, ns.
+    /// The wall clock at monotonic time 0, ns.
     const AGE: u64 = 1_700_000_000_000 * MS;
 
-    /// The clocks so many ms after the monotonic one began.
+    /// The clocks this many ms after monotonic time 0.
     fn clocks(ms: u64, age: u64) -> Clocks {
         let monotonic = ms * MS;
         Clocks {
@@ -411,21 +411,21 @@ mod tests {
     }
 
     #[test]
-    fn a_wall_clock_that_is_set_moves_no_frame_out_of_its_time() {
-        let of = |stamp| ms(Clocks::default().carry_over(stamp, || clocks(5_000, AGE)));
+    fn socket_wall_clock_step_does_not_shift_frames() {
+        let of = |stamp| ms(Clocks::default().to_monotonic(stamp, || clocks(5_000, AGE)));
         assert_eq!(of(AGE + 4_999 * MS), 4_999, "as it is");
         assert_eq!(of(AGE + 8_600_000 * MS), 5_000, "set back by hours");
         assert_eq!(of(AGE - 60_000 * MS), 4_900, "set on by minutes");
         assert_eq!(of(0), 4_900, "set on by years");
         assert_eq!(of(u64::MAX), 5_000);
-        let young = Clocks::default().carry_over(7 * MS, || clocks(20, 0));
+        let young = Clocks::default().to_monotonic(7 * MS, || clocks(20, 0));
         assert_eq!(ms(young), 7);
     }
 
     #[test]
-    fn clocks_are_read_once_for_frames_that_come_close_together() {
+    fn socket_clocks_are_read_once_for_close_frames() {
         let mut last = Clocks::default();
-        // When it is read, how old the monotonic clock was at the stamp, the wall clock; and what comes of it.
+        // Time of reading, monotonic time of the stamp, wall clock offset; expected result.
         for (now, stamp, age, at, read, why) in [
             (1_000, 999, AGE, 999, true, "the first"),
             (1_000, 950, AGE, 950, false, "it waited longer"),
@@ -436,7 +436,7 @@ mod tests {
             (1_016, 1_015, AGE, 1_015, false, "as it was"),
         ] {
             let mut was_read = false;
-            let found = last.carry_over(age + stamp * MS, || {
+            let found = last.to_monotonic(age + stamp * MS, || {
                 was_read = true;
                 clocks(now, age)
             });
@@ -450,29 +450,29 @@ mod tests {
         SIGNALS.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Any socket of datagrams will do.
+    /// Any datagram socket works.
     #[test]
-    #[expect(unsafe_code, reason = "a handler is put in place")]
-    fn a_signal_does_not_end_a_wait() {
+    #[expect(unsafe_code, reason = "a signal handler is installed")]
+    fn socket_wait_continues_after_signal() {
         let action = SigAction::new(
             SigHandler::Handler(count),
             SaFlags::empty(),
             SigSet::empty(),
         );
-        // SAFETY: the handler only counts, which is safe in a signal, and nobody else here uses this signal.
+        // SAFETY: the handler only counts, which is safe in a signal, and no other test uses this signal.
         unsafe { sigaction(Signal::SIGURG, &action) }.unwrap();
         let (socket, peer) = std::os::unix::net::UnixDatagram::pair().unwrap();
-        let patience = Duration::from_secs(60);
-        let (told, waiter) = std::sync::mpsc::channel();
+        let timeout = Duration::from_secs(60);
+        let (thread, waiter) = std::sync::mpsc::channel();
         std::thread::scope(|scope| {
             let waits = scope.spawn(|| {
-                told.send(pthread_self()).unwrap();
-                wait(socket.as_fd(), PollFlags::POLLIN, patience).unwrap();
+                thread.send(pthread_self()).unwrap();
+                wait(socket.as_fd(), PollFlags::POLLIN, timeout).unwrap();
                 let mut buffers = Buffers::new();
                 buffers.fill(socket.as_fd(), BATCH).unwrap()
             });
             let waiter = waiter.recv().unwrap();
-            // Each one is counted when the thread handled it; the last of them surely found it waiting.
+            // Each one is counted when the thread handled it; the last one certainly interrupted its wait.
             for signal in 1..=50 {
                 pthread_kill(waiter, Signal::SIGURG).unwrap();
                 while SIGNALS.load(Ordering::Relaxed) < signal && !waits.is_finished() {

@@ -1,5 +1,5 @@
-//! ASC files: text of Vector's tools and of whatever imitates them. Frames and error frames are read; lines
-//! about statistics, markers and other buses are none of ours and passed over.
+//! ASC files: the text format of Vector's tools and compatible programs. Reads frames and error frames; skips
+//! statistics, markers and other buses.
 //!
 //! ```text
 //! date Tue Nov 14 10:13:20.123 2023
@@ -14,7 +14,7 @@ use super::{Direction, Log, Record};
 use crate::fault::class;
 use crate::{ErrorFrame, FdFrame, Frame, Id, LogError};
 
-/// Whether a file begins like one.
+/// Whether a file starts like an ASC file.
 pub(super) fn is_asc(bytes: &[u8]) -> bool {
     let first = super::lines(bytes).find(|(_, line)| !line.trim().is_empty());
     first.is_some_and(|(_, line)| {
@@ -25,16 +25,16 @@ pub(super) fn is_asc(bytes: &[u8]) -> bool {
     })
 }
 
-/// What the head of a file says about its lines.
+/// Settings from the file header.
 #[derive(Debug)]
 struct Reader {
-    /// Of numbers: 10 or 16.
+    /// Number base: 10 or 16.
     base: u32,
-    /// Whether time stamps count from the line before.
+    /// Whether time stamps are relative to the previous line.
     relative: bool,
-    /// What time stamps count from.
+    /// Epoch of the time stamps.
     start: Duration,
-    /// The time stamp before.
+    /// The previous time stamp.
     last: Duration,
 }
 
@@ -57,7 +57,7 @@ const FRAME: LogError = LogError::Event {
 };
 
 impl Reader {
-    /// `None` for a line that tells of no frame.
+    /// `None` for a line without a frame.
     fn line(&mut self, line: &str) -> Option<Result<Record, LogError>> {
         let (first, rest) = line.split_once(char::is_whitespace)?;
         match first.to_ascii_lowercase().as_str() {
@@ -108,14 +108,14 @@ impl Reader {
         }))
     }
 
-    /// `123 Rx d 4 DE AD BE EF`, `123 Rx r 1`; behind them may stand more.
+    /// `123 Rx d 4 DE AD BE EF`, `123 Rx r 1`; more text may follow.
     fn classic(&self, words: &[&str]) -> Option<Found> {
-        let [id, way, kind, rest @ ..] = words else {
+        let [id, dir, kind, rest @ ..] = words else {
             return None;
         };
         let id = self.id(id)?;
         let frame = match (*kind, rest) {
-            // A length is optional; what stands behind it is named.
+            // The length is optional; further fields are named.
             ("r", [len, ..]) => {
                 Frame::remote(id, usize::from_str_radix(len, 16).unwrap_or(0)).ok()?
             }
@@ -134,16 +134,16 @@ impl Reader {
             }
             _ => return None,
         };
-        Some((frame.into(), direction(way)))
+        Some((frame.into(), direction(dir)))
     }
 
-    /// `Rx 321 NAME 1 0 9 12 00 01 ...`: the name may be missing. Bit 12 of the flags behind the data tells
-    /// whether it is CAN FD at all; a file without flags means it.
+    /// `Rx 321 NAME 1 0 9 12 00 01 ...`: the name may be missing. Bit 12 of the flags after the data marks CAN FD;
+    /// without flags the frame is CAN FD.
     fn fd(&self, words: &[&str]) -> Option<Found> {
-        let [way, id, rest @ ..] = words else {
+        let [dir, id, rest @ ..] = words else {
             return None;
         };
-        let (way, id) = (direction(way), self.id(id)?);
+        let (dir, id) = (direction(dir), self.id(id)?);
         let rest = match rest {
             [switch, ..] if matches!(*switch, "0" | "1") => rest,
             [_, rest @ ..] => rest,
@@ -159,22 +159,22 @@ impl Reader {
         let flags = rest
             .get(len + 2)
             .and_then(|word| u32::from_str_radix(word, 16).ok());
-        // Some writers leave the flags 0; more than eight bytes are CAN FD all the same.
+        // Some writers leave the flags 0; more than eight bytes are always CAN FD.
         if len <= 8 && flags.is_some_and(|flags| flags & 0x1000 == 0) {
             let remote = flags.is_some_and(|flags| flags & 0x10 != 0);
             let frame = match remote {
                 true => Frame::remote(id, usize::from(code)).ok()?,
                 false => Frame::new(id, &data).ok()?,
             };
-            return Some((frame.into(), way));
+            return Some((frame.into(), dir));
         }
         let mut frame = FdFrame::new(id, &data).ok()?;
         frame.bit_rate_switch = *switch == "1";
         frame.sender_is_passive = *passive == "1";
-        Some((frame.into(), way))
+        Some((frame.into(), dir))
     }
 
-    /// An `x` behind it means 29 bits.
+    /// The suffix `x` means 29 bits.
     fn id(&self, word: &str) -> Option<Id> {
         let raw = |digits| u32::from_str_radix(digits, self.base).ok();
         match word.strip_suffix(['x', 'X']) {
@@ -193,7 +193,7 @@ impl Reader {
 
 type Found = (crate::AnyFrame, Option<Direction>);
 
-/// Which error it was is not told in a way that all writers share.
+/// Writers have no common notation for the kind of error.
 fn error() -> Found {
     (ErrorFrame::new(class::BUS_ERROR, [0; 8]).into(), None)
 }
@@ -206,7 +206,7 @@ fn direction(word: &str) -> Option<Direction> {
     }
 }
 
-/// Seconds with a fraction of any length, without a detour over floating point.
+/// Seconds with a fraction of any length, parsed without floating point.
 fn seconds(text: &str) -> Option<Duration> {
     let (whole, fraction) = text.split_once('.')?;
     if fraction.is_empty() || !fraction.bytes().all(|byte| byte.is_ascii_digit()) {
@@ -219,7 +219,7 @@ fn seconds(text: &str) -> Option<Duration> {
     ))
 }
 
-/// In English and in German, as the tools that write these files are set to.
+/// Month names in English and German, depending on the language of the writing tool.
 const MONTHS: [&[&str]; 12] = [
     &["jan"],
     &["feb"],
@@ -235,8 +235,8 @@ const MONTHS: [&[&str]; 12] = [
     &["dec", "dez"],
 ];
 
-/// `Tue Nov 14 10:13:20.123 2023`, or `... 10:13:20.123 am 2023`, since 1970. No time zone is told; it is
-/// taken as UTC.
+/// `Tue Nov 14 10:13:20.123 2023`, or `... 10:13:20.123 am 2023`, as time since 1970. The file names no time zone; UTC
+/// is assumed.
 fn date(text: &str) -> Option<Duration> {
     let words: Vec<String> = text
         .split_ascii_whitespace()
@@ -280,12 +280,12 @@ mod tests {
         log.records.iter().map(ToString::to_string).collect()
     }
 
-    /// The class and the data of an error frame are lost in such files.
+    /// ASC files do not keep the class and data of an error frame.
     #[test]
-    fn file_of_python_can() {
+    fn asc_file_of_python_can_is_read() {
         let text = include_str!("../../tests/captures/python_can.asc");
         let long: String = (0..64).map(|byte| format!("{byte:02X}")).collect();
-        // This writer rounds its beginning to whole seconds, and counts from the first frame.
+        // python-can rounds the start time to whole seconds and counts from the first frame.
         assert_eq!(
             printed(text),
             [
@@ -301,7 +301,7 @@ mod tests {
     }
 
     #[test]
-    fn decimal_numbers_and_relative_times() {
+    fn asc_decimal_base_and_relative_times_are_read() {
         let text = "date Die Okt 3 02:00:01.5 pm 2023\nbase dec  timestamps relative\n\
                     no internal events logged\n\
                     0.100000 1  291             Rx   d 2 255 16 Length = 0 BitCount = 0\n\
@@ -319,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn name_of_an_fd_frame_may_stand_or_be_missing() {
+    fn asc_fd_frame_name_is_optional() {
         let text = "base hex timestamps absolute\n\
             1.0 CANFD 3 Tx 10 Name_1 1 1 2 2 AA BB 0 0 3000 0 0 0 0 0\n\
             1.0 CANFD 3 Tx 10 0 0 2 2 AA BB\n\
@@ -339,7 +339,7 @@ mod tests {
     }
 
     #[test]
-    fn broken_lines_are_told() {
+    fn asc_damaged_lines_are_reported() {
         for line in [
             "1.0 1 800 Rx d 0",
             "1.0 1 123 Rx d 2 AA",
@@ -351,12 +351,12 @@ mod tests {
         ] {
             let log = Log::read(format!("base hex\n{line}\n").as_bytes());
             assert_eq!((log.records.len(), log.left_out_count), (0, 1), "{line}");
-            assert_eq!(log.left_out[0].place, 2);
+            assert_eq!(log.left_out[0].location, 2);
         }
     }
 
     #[test]
-    fn times_that_no_recording_has_are_told() {
+    fn asc_impossible_times_are_reported() {
         let most = u64::MAX;
         for text in [
             format!("base hex\n{most}.0 1 123 Rx d 0\n"),
@@ -377,7 +377,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_text_is_answered(
+        fn asc_any_text_does_not_panic(
             lines in prop::collection::vec(
                 "(date|base|begin|[0-9]{1,20}\\.[0-9]{0,12}) (CANFD )?[0-9a-zA-Z:. ]{0,60}", 0..8),
         ) {

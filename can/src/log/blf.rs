@@ -1,19 +1,18 @@
-//! BLF files: binary logs of Vector's tools and of python-can. Frames and error frames of CAN are read;
-//! objects of other kinds are passed over. There is no public standard; what stands here is what those
-//! programs write.
+//! BLF files: the binary log format of Vector's tools and python-can. Reads CAN frames and error frames; skips other
+//! objects. There is no public standard; this module follows what those programs write.
 //!
-//! | bytes of an object | what |
+//! | bytes of an object | content |
 //! |---|---|
 //! | 0 to 3 | `LOBJ` |
-//! | 4, 5 | length of its header |
-//! | 6, 7 | version of its header, 1 or 2 |
-//! | 8 to 11 | length of all |
-//! | 12 to 15 | kind |
-//! | 16 to 19 | unit of its time stamp: 1 for 10 µs, 2 for 1 ns |
-//! | 24 to 31 | time stamp, since the beginning of the file |
+//! | 4, 5 | header length |
+//! | 6, 7 | header version, 1 or 2 |
+//! | 8 to 11 | total length |
+//! | 12 to 15 | object type |
+//! | 16 to 19 | unit of the time stamp: 1 for 10 µs, 2 for 1 ns |
+//! | 24 to 31 | time stamp, relative to the start of the file |
 //!
-//! All integers are little-endian. Containers (kind 10) hold a run of objects, mostly compressed by zlib; an
-//! object may begin in one and end in the next.
+//! All integers are little-endian. Containers (type 10) hold a sequence of objects, mostly compressed by zlib; an
+//! object may start in one container and end in the next.
 
 use std::io::Read as _;
 use std::time::Duration;
@@ -26,16 +25,16 @@ pub(super) const MAGIC: &[u8] = b"LOGG";
 
 const OBJECT: &[u8] = b"LOBJ";
 
-/// Least length of an object: what all have in common.
+/// Minimum length of an object: the common header.
 const BASE_LEN: usize = 16;
 
-/// Largest content of a container that is unpacked. Writers use 128 KiB.
+/// Maximum unpacked size of a container. Writers use 128 KiB.
 const CONTAINER_MAX: usize = 64 << 20;
 
-/// Largest object within a container. Of CAN none has more than some hundred bytes.
+/// Maximum size of an object in a container. CAN objects have a few hundred bytes at most.
 const OBJECT_MAX: usize = 1 << 20;
 
-/// Kinds of objects.
+/// Object types.
 mod kind {
     pub(super) const CAN_MESSAGE: u32 = 1;
     pub(super) const CONTAINER: u32 = 10;
@@ -71,7 +70,7 @@ fn len_at(bytes: &[u8], at: usize) -> Option<usize> {
 
 pub(super) fn read(bytes: &[u8], log: &mut Log) {
     let Some(head) = len_at(bytes, 4).filter(|len| *len <= bytes.len()) else {
-        return log.leave_out(0, broken("the head of a BLF file"));
+        return log.leave_out(0, broken("the header of a BLF file"));
     };
     let mut reader = Reader {
         start: start(bytes).unwrap_or_default(),
@@ -82,13 +81,13 @@ pub(super) fn read(bytes: &[u8], log: &mut Log) {
     if used < file.len() || !reader.rest.is_empty() {
         log.leave_out(
             head + used,
-            broken("an object that the end of the file cuts off"),
+            broken("an object that is truncated by the end of the file"),
         );
     }
 }
 
-/// Year, month, day of the week, day, hour, minute, second, millisecond, from byte 40 on. No time zone is
-/// told; it is taken as UTC.
+/// Year, month, day of the week, day, hour, minute, second, millisecond, from byte 40 on. The file names no time zone;
+/// UTC is assumed.
 fn start(bytes: &[u8]) -> Option<Duration> {
     let field = |number: usize| u16_at(bytes, 40 + 2 * number).map(u32::from);
     let days = super::days_since_1970(field(0)?, field(1)?, field(3)?)?;
@@ -99,17 +98,17 @@ fn start(bytes: &[u8]) -> Option<Duration> {
 
 struct Reader {
     start: Duration,
-    /// The beginning of an object whose end is in the next container.
+    /// Start of an object that ends in the next container.
     rest: Vec<u8>,
 }
 
 impl Reader {
-    /// Reads objects that lie one behind the other; returns how many bytes whole objects occupy. `place` is
-    /// where the bytes lie in the file.
-    fn objects(&mut self, bytes: &[u8], place: usize, is_file: bool, log: &mut Log) -> usize {
+    /// Reads consecutive objects; returns the number of bytes of complete objects. `location` is the offset of the
+    /// bytes in the file.
+    fn objects(&mut self, bytes: &[u8], location: usize, is_file: bool, log: &mut Log) -> usize {
         let mut at = 0;
         loop {
-            // Between two objects may lie up to seven bytes.
+            // Up to seven bytes of padding may separate two objects.
             let rest = bytes.get(at..).unwrap_or_default();
             let window = rest
                 .get(..rest.len().min(8 + OBJECT.len()))
@@ -118,51 +117,54 @@ impl Reader {
             let Some(gap) = gap else {
                 if window.len() > 8 {
                     log.leave_out(
-                        place + at,
-                        broken("the beginning of an object of a BLF file"),
+                        location + at,
+                        broken("the start of an object of a BLF file"),
                     );
                     return bytes.len();
                 }
-                // Padding at the end counts as used; bytes that may begin an object do not.
+                // Padding at the end counts as consumed; bytes that may start an object do not.
                 let padding = rest.iter().all(|byte| *byte == 0);
                 return if padding { bytes.len() } else { at };
             };
             let begin = at + gap;
             let len = len_at(bytes, begin + 8).unwrap_or(BASE_LEN).max(BASE_LEN);
             if !is_file && len > OBJECT_MAX {
-                log.leave_out(place, broken("an object of a BLF file of more than 1 MiB"));
+                log.leave_out(
+                    location,
+                    broken("an object of more than 1 MiB in a BLF file"),
+                );
                 return bytes.len();
             }
             let Some(object) = bytes.get(begin..begin.saturating_add(len)) else {
                 return begin;
             };
-            let in_file = if is_file { place + begin } else { place };
+            let in_file = if is_file { location + begin } else { location };
             self.object(object, in_file, is_file, log);
             at = begin + len;
         }
     }
 
-    fn object(&mut self, object: &[u8], place: usize, is_file: bool, log: &mut Log) {
+    fn object(&mut self, object: &[u8], location: usize, is_file: bool, log: &mut Log) {
         match u32_at(object, 12) {
             Some(kind::CONTAINER) if is_file => match unpack(object) {
                 Ok(content) => {
                     let mut bytes = std::mem::take(&mut self.rest);
                     bytes.extend(content);
-                    let used = self.objects(&bytes, place, false, log);
+                    let used = self.objects(&bytes, location, false, log);
                     self.rest = bytes.split_off(used.min(bytes.len()));
                 }
-                Err(why) => log.leave_out(place, why),
+                Err(why) => log.leave_out(location, why),
             },
             Some(_) => {
                 if let Some(record) = self.record(object) {
-                    log.take(place, record);
+                    log.take(location, record);
                 }
             }
             None => {}
         }
     }
 
-    /// `None` for an object that tells of no frame.
+    /// `None` for an object without a frame.
     fn record(&self, object: &[u8]) -> Option<Result<Record, LogError>> {
         let content = object.get(usize::from(u16_at(object, 4)?)..)?;
         let read: fn(&[u8]) -> Option<Found> = match u32_at(object, 12)? {
@@ -193,19 +195,19 @@ fn stamp(object: &[u8]) -> Option<Duration> {
     }
 }
 
-/// | bytes | what |
+/// | bytes | content |
 /// |---|---|
-/// | 16, 17 | 0: as it is; 2: zlib |
-/// | 24 to 27 | length when unpacked |
+/// | 16, 17 | 0: uncompressed; 2: zlib |
+/// | 24 to 27 | unpacked length |
 /// | 32 ... | the content |
 fn unpack(object: &[u8]) -> Result<Vec<u8>, LogError> {
-    let cut = broken("a container of a BLF file that is cut off");
+    let cut = broken("a truncated container of a BLF file");
     let content = object.get(32..).ok_or(cut)?;
     match u16_at(object, 16) {
         Some(0) => Ok(content.to_vec()),
         Some(2) => {
             let len = len_at(object, 24).filter(|len| *len <= CONTAINER_MAX);
-            let len = len.ok_or(broken("a container of a BLF file of more than 64 MiB"))?;
+            let len = len.ok_or(broken("a container of more than 64 MiB in a BLF file"))?;
             let mut bytes = Vec::new();
             let mut unpacker = flate2::read::ZlibDecoder::new(content).take(len as u64);
             match unpacker.read_to_end(&mut bytes) {
@@ -213,9 +215,7 @@ fn unpack(object: &[u8]) -> Result<Vec<u8>, LogError> {
                 Ok(_) | Err(_) => Err(broken("the compressed content of a BLF container")),
             }
         }
-        _ => Err(broken(
-            "a container of a BLF file, compressed in an unknown way",
-        )),
+        _ => Err(broken("a container of a BLF file with unknown compression")),
     }
 }
 
@@ -239,7 +239,7 @@ fn direction(sent: bool) -> Option<Direction> {
     })
 }
 
-/// | bytes | what |
+/// | bytes | content |
 /// |---|---|
 /// | 0, 1 | channel |
 /// | 2 | flags: bit 0 sent, bit 7 remote |
@@ -264,18 +264,18 @@ fn message(content: &[u8]) -> Option<Found> {
     Some((u16_at(content, 0)?, frame.into(), direction(flags & 1 != 0)))
 }
 
-/// | bytes | what |
+/// | bytes | content |
 /// |---|---|
 /// | 0 to 7 | as [`message`] |
-/// | 13 | bit 0 CAN FD, bit 1 bit rate switch, bit 2 sender is passive |
+/// | 13 | bit 0 CAN FD, bit 1 bit rate switch, bit 2 sender is error-passive |
 /// | 14 | bytes of data |
 /// | 20 to 83 | data |
 fn fd_message(content: &[u8]) -> Option<Found> {
-    let (way, fd_flags) = (u8_at(content, 2)?, u8_at(content, 13)?);
+    let (flags, fd_flags) = (u8_at(content, 2)?, u8_at(content, 13)?);
     let id = id(u32_at(content, 4)?)?;
     let len = usize::from(u8_at(content, 14)?);
     let data = content.get(20..20 + len)?;
-    let frame: AnyFrame = match (fd_flags & 1 != 0, way & 0x80 != 0) {
+    let frame: AnyFrame = match (fd_flags & 1 != 0, flags & 0x80 != 0) {
         (true, _) => FdFrame::new(id, data)
             .ok()?
             .with_flags(fd_flags >> 1)
@@ -285,23 +285,23 @@ fn fd_message(content: &[u8]) -> Option<Found> {
             .ok()?
             .into(),
     };
-    Some((u16_at(content, 0)?, frame, direction(way & 1 != 0)))
+    Some((u16_at(content, 0)?, frame, direction(flags & 1 != 0)))
 }
 
-/// | bytes | what |
+/// | bytes | content |
 /// |---|---|
 /// | 0 | channel |
 /// | 1 | length code |
 /// | 2 | bytes of data |
 /// | 4 to 7 | identifier |
-/// | 12 to 15 | bit 4 remote, bit 12 CAN FD, bit 13 bit rate switch, bit 14 sender is passive |
+/// | 12 to 15 | bit 4 remote, bit 12 CAN FD, bit 13 bit rate switch, bit 14 sender is error-passive |
 /// | 34 | 1: sent |
-/// | 40 ... | data; what is missing of it is 0 |
+/// | 40 ... | data; missing bytes are 0 |
 fn fd_message_64(content: &[u8]) -> Option<Found> {
     let id = id(u32_at(content, 4)?)?;
     let flags = u32_at(content, 12)?;
     let len = usize::from(u8_at(content, 2)?);
-    // Loggers cut bytes off at the end of the object that are 0.
+    // Loggers truncate trailing zero bytes of the object.
     let mut data = [0; 64];
     let data = data.get_mut(..len)?;
     let present = content.get(40..)?;
@@ -325,19 +325,26 @@ fn fd_message_64(content: &[u8]) -> Option<Found> {
     Some((u16::from(u8_at(content, 0)?), frame, direction(sent)))
 }
 
-/// | bytes | what |
+/// | bytes | content |
 /// |---|---|
 /// | 0, 1 | channel |
-/// | 8 | error code capture of the controller: bits 0 to 4 the place in the frame, bit 5 while receiving, bits 6 and 7 bit, form, stuff or another error; 0 from programs that log the kernel's reports |
-/// | 16 to 19 | the kernel's class then; else the frame's identifier |
-/// | 24 to 31 | the kernel's data then |
+/// | 8 | error code capture of the controller: bits 0 to 4 location in the frame, bit 5 reception, bits 6 and 7 bit, form, stuff or another error; 0 from programs that log the kernel's error frames |
+/// | 16 to 19 | in that case the kernel's error class; else the frame's identifier |
+/// | 24 to 31 | in that case the kernel's data |
 fn error(content: &[u8]) -> Option<Found> {
     let channel = u16_at(content, 0)?;
     let capture = u8_at(content, 8)?;
     let frame = if capture == 0 {
         let data = *content.get(24..)?.first_chunk()?;
-        let told = u32_at(content, 16)?;
-        ErrorFrame::new(if told == 0 { class::BUS_ERROR } else { told }, data)
+        let raw_class = u32_at(content, 16)?;
+        ErrorFrame::new(
+            if raw_class == 0 {
+                class::BUS_ERROR
+            } else {
+                raw_class
+            },
+            data,
+        )
     } else {
         let types = match capture >> 6 {
             0 => violation::BIT,
@@ -345,12 +352,12 @@ fn error(content: &[u8]) -> Option<Found> {
             2 => violation::STUFF,
             _ => 0,
         };
-        let way = if capture & 0x20 == 0 {
+        let direction_bit = if capture & 0x20 == 0 {
             violation::TRANSMITTING
         } else {
             0
         };
-        let data = [0, 0, types | way, capture & 0x1F, 0, 0, 0, 0];
+        let data = [0, 0, types | direction_bit, capture & 0x1F, 0, 0, 0, 0];
         ErrorFrame::new(class::BUS_ERROR | class::PROTOCOL, data)
     };
     Some((channel, frame.into(), None))

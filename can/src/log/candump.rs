@@ -1,5 +1,5 @@
-//! Lines of a candump log: `(1700000000.000125) can0 123#DEADBEEF R`. What `candump -L`, `-l` and
-//! `canplayer` of can-utils read and write, for every kind of frame but CAN XL, which is refused by name.
+//! Lines of a candump log: `(1700000000.000125) can0 123#DEADBEEF R`. The format of `candump -L`, `-l` and `canplayer`
+//! (can-utils), for all frames except CAN XL, which is reported as unsupported.
 
 use std::fmt;
 use std::time::Duration;
@@ -8,10 +8,10 @@ use super::{Direction, Log, Record};
 use crate::fault::ERROR_FLAG;
 use crate::{AnyFrame, ErrorFrame, FdFrame, Frame, FrameError, Id, LogError};
 
-/// Longest name the kernel gives an interface.
+/// Maximum length of an interface name in the kernel.
 pub(super) const INTERFACE_LEN_MAX: usize = 15;
 
-/// What a line says.
+/// A parsed line.
 pub(super) struct Line<'a> {
     pub(super) at: Duration,
     pub(super) interface: &'a str,
@@ -52,7 +52,7 @@ pub(super) fn write(
     direction.map_or(Ok(()), |direction| write!(f, " {direction}"))
 }
 
-/// Reads a whole log. Empty lines and those that begin with `#` are none.
+/// Reads a whole log. Skips empty lines and lines that start with `#`.
 pub(super) fn read(bytes: &[u8], log: &mut Log) {
     for (number, line) in super::lines(bytes) {
         if !line.trim().is_empty() && !line.starts_with('#') {
@@ -61,7 +61,7 @@ pub(super) fn read(bytes: &[u8], log: &mut Log) {
     }
 }
 
-/// Microseconds, or nanoseconds as newer candumps write when asked.
+/// Microseconds, or nanoseconds as newer versions of candump can write.
 pub(super) fn stamp(word: &str) -> Option<Duration> {
     let (seconds, fraction) = word.strip_prefix('(')?.strip_suffix(')')?.split_once('.')?;
     let digits = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());
@@ -84,7 +84,7 @@ fn direction(word: &str) -> Result<Direction, LogError> {
     }
 }
 
-/// Reads what stands between interface and direction.
+/// Parses the frame between interface and direction.
 pub(super) fn frame(word: &str) -> Result<AnyFrame, LogError> {
     let (id, rest) = word.split_once('#').ok_or(LogError::Id)?;
     if rest.contains(':') {
@@ -115,7 +115,7 @@ pub(super) fn frame(word: &str) -> Result<AnyFrame, LogError> {
     Ok(frame.into())
 }
 
-/// What stands before the data.
+/// The identifier before the data.
 pub(super) enum Identifier {
     Frame(Id),
     Error(u32),
@@ -140,14 +140,13 @@ pub(super) fn identifier(digits: &str) -> Result<Identifier, LogError> {
     }
 }
 
-/// Some writers leave bytes out at the end; they are 0.
+/// Some writers omit trailing bytes; they are 0.
 fn error_frame(class: u32, text: &str) -> Result<ErrorFrame, LogError> {
     let bytes = Bytes::<9>::parse(text)?;
     let given = bytes.as_slice();
     let mut data = [0; 8];
-    let place = data.get_mut(..given.len());
-    place
-        .ok_or(FrameError::TooLong { len: given.len() })?
+    let slot = data.get_mut(..given.len());
+    slot.ok_or(FrameError::TooLong { len: given.len() })?
         .copy_from_slice(given);
     Ok(ErrorFrame::new(class, data))
 }
@@ -159,7 +158,7 @@ fn fd_frame(id: Id, text: &str) -> Result<FdFrame, LogError> {
     Ok(FdFrame::new(id, data.as_slice())?.with_flags(flags))
 }
 
-/// `R` alone asks for no bytes.
+/// `R` alone requests no bytes.
 fn remote_len(digits: &str) -> Result<usize, LogError> {
     match digits.as_bytes() {
         [] => Ok(0),
@@ -168,8 +167,8 @@ fn remote_len(digits: &str) -> Result<usize, LogError> {
     }
 }
 
-/// Byte pairs, with a dot between two of them or without. `N` is one more than fits, so that data too
-/// long are told from bad digits.
+/// Byte pairs, optionally separated by dots. `N` is one more than the maximum, to distinguish excess length from bad
+/// digits.
 struct Bytes<const N: usize> {
     bytes: [u8; N],
     len: usize,
@@ -180,10 +179,10 @@ impl<const N: usize> Bytes<N> {
         let (mut bytes, mut len) = ([0; N], 0);
         let mut rest = text.as_bytes();
         while let Some((pair, tail)) = rest.split_first_chunk::<2>() {
-            let place = bytes.get_mut(len).ok_or(FrameError::TooLong {
+            let slot = bytes.get_mut(len).ok_or(FrameError::TooLong {
                 len: text.len() / 2,
             })?;
-            *place = byte(*pair).ok_or(LogError::Data)?;
+            *slot = byte(*pair).ok_or(LogError::Data)?;
             len += 1;
             rest = match tail {
                 [b'.', more @ ..] if !more.is_empty() => more,
@@ -215,7 +214,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn line_of_candump() {
+    fn candump_line_is_read_and_printed() {
         let line = LogLine::parse("(1436509052.249713) vcan0 044#2A366C2BBA\n").unwrap();
         assert_eq!(line.at, Duration::new(1_436_509_052, 249_713_000));
         assert_eq!((line.interface, line.direction), ("vcan0", None));
@@ -224,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn other_spellings_are_read() {
+    fn candump_other_spellings_are_read() {
         for (text, printed) in [
             (
                 "(0.000001)  can0\t1#ab.cd.EF   T",
@@ -256,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn each_part_has_its_error() {
+    fn candump_each_damaged_part_has_its_error() {
         for (text, error) in [
             ("", LogError::Stamp),
             ("(1.5) can0 1#", LogError::Stamp),
@@ -276,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn each_fault_of_a_frame_has_its_error() {
+    fn candump_each_invalid_frame_has_its_error() {
         let unsupported = |what| LogError::Unsupported { what };
         for (text, error) in [
             ("#11", LogError::Id),
@@ -327,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn every_kind_of_frame_is_kept() {
+    fn candump_every_kind_of_frame_is_kept() {
         for text in [
             "(1700000000.000125) can0 123#DEADBEEF R",
             "(1700000000.000125) can0 123#R4 T",
@@ -338,7 +337,7 @@ mod tests {
         ] {
             assert_eq!(Record::parse(text).unwrap().to_string(), text);
         }
-        // Some programs write the mark of CAN FD among the flags, or an error frame without its data.
+        // Some programs write the CAN FD mark among the flags, or an error frame without data.
         let record = Record::parse("(1.000000) can0 123##5AA").unwrap();
         assert!(record.to_string().ends_with("123##1AA"));
         let record = Record::parse("(1.000000) can0 20000080#").unwrap();
@@ -346,7 +345,7 @@ mod tests {
     }
 
     #[test]
-    fn a_log_of_classic_frames_says_what_it_does_not_hold() {
+    fn log_line_names_unsupported_frames() {
         for (text, what) in [
             ("20000080#0000000000000000", "an error frame"),
             ("123##1AABB", "a CAN FD frame"),
@@ -357,16 +356,16 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_read_is_counted_and_told() {
+    fn candump_damaged_lines_are_counted_and_reported() {
         let text = "(1.000000) can0 123#11\n\n# a remark\n(1.000000) can0 123#1\r\n\
                     (1.000000) can0 123#45:67:89ABCDEF#11\n(2.000000) can0 123#22 T\r\n";
         let log = Log::read(text.as_bytes());
         assert_eq!((log.records.len(), log.left_out_count), (2, 2));
         assert_eq!(
-            (log.left_out[0].place, log.left_out[0].why),
+            (log.left_out[0].location, log.left_out[0].why),
             (4, LogError::Data)
         );
-        assert_eq!(log.left_out[1].place, 5);
+        assert_eq!(log.left_out[1].location, 5);
         let bad = Log::read("(x) can0 1#\n".repeat(100).as_bytes());
         assert_eq!((bad.left_out.len(), bad.left_out_count), (16, 100));
     }
@@ -414,7 +413,7 @@ mod tests {
     }
 
     #[test]
-    fn times_beyond_the_calendar_are_told() {
+    fn candump_times_beyond_year_9999_are_reported() {
         for seconds in [253_402_300_800, u64::MAX] {
             let line = format!("({seconds}.000000) can0 705#05");
             assert_eq!(Record::parse(&line), Err(LogError::Late));
@@ -426,7 +425,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn printed_line_reads_back(
+        fn candump_printed_line_reads_back(
             frame in any_frame(), seconds in 0..253_402_300_800_u64, micros in 0..1_000_000_u32,
             direction in any_direction(), interface in "[a-z]{1,13}[0-9]{0,2}",
         ) {
@@ -439,12 +438,12 @@ mod tests {
         }
 
         #[test]
-        fn any_text_is_answered(text in "\\PC{0,60}") {
+        fn candump_any_text_is_line_or_error(text in "\\PC{0,60}") {
             let _ = (LogLine::parse(&text), Log::read(text.as_bytes()));
         }
 
         #[test]
-        fn any_text_like_a_line_is_answered(text in "\\([0-9.]{0,12}\\) [a-z0-9]{1,17} [0-9A-F]{0,9}#{0,2}[0-9A-FR._:]{0,20} ?[RT]?") {
+        fn candump_any_similar_line_is_line_or_error(text in "\\([0-9.]{0,12}\\) [a-z0-9]{1,17} [0-9A-F]{0,9}#{0,2}[0-9A-FR._:]{0,20} ?[RT]?") {
             if let Ok(mut record) = Record::parse(&text) {
                 record.at = Duration::from_micros(u64::try_from(record.at.as_micros()).unwrap());
                 let printed = record.to_string();

@@ -1,5 +1,5 @@
-//! What candump prints on a terminal, and what bug reports hold of it. Time stamp, direction and what stands behind the
-//! data are optional; data that were printed swapped or in binary digits are not read.
+//! Terminal output of candump, as quoted in bug reports. Time stamp, direction and text after the data are optional;
+//! byte-swapped and binary output is not supported.
 //!
 //! ```text
 //!  (1436509052.249713)  can0  TX - -  701   [1]  00
@@ -18,12 +18,12 @@ const LINE: LogError = LogError::Event {
     what: "a line of candump's text",
 };
 
-/// Whether a line is one of those.
+/// Whether a line is in this format.
 pub(super) fn is_line(line: &str) -> bool {
     parse(line).is_some()
 }
 
-/// Reads a whole text. Empty lines and those that begin with `#` are none.
+/// Reads a whole text. Skips empty lines and lines that start with `#`.
 pub(super) fn read(bytes: &[u8], log: &mut Log) {
     for (number, line) in super::lines(bytes) {
         let line = line.trim();
@@ -33,7 +33,7 @@ pub(super) fn read(bytes: &[u8], log: &mut Log) {
     }
 }
 
-/// Frames without a time stamp are all at the beginning.
+/// Frames without a time stamp get time 0.
 fn parse(line: &str) -> Option<Record> {
     let mut words: Vec<&str> = line.split_ascii_whitespace().take(WORDS_MAX).collect();
     let at = match take_stamp(&mut words) {
@@ -59,7 +59,7 @@ fn parse(line: &str) -> Option<Record> {
         ["TX", ..] => Some(Direction::Transmitted),
         _ => return None,
     };
-    // A length of two digits is that of a CAN FD frame.
+    // A length of two digits means CAN FD.
     let is_fd = digits.len() == 2;
     let frame = match candump::identifier(id).ok()? {
         Identifier::Error(class) => {
@@ -90,12 +90,12 @@ fn parse(line: &str) -> Option<Record> {
     })
 }
 
-/// The most words that a line has whose meaning is known, and one more.
+/// Maximum words of a valid line, and one more.
 const WORDS_MAX: usize = 64 + 8;
 /// The interface of a line that names none.
 const NAMELESS: &str = "can";
 
-/// Takes the time stamp off the words, if there is one: `Some(None)` for a damaged one.
+/// Removes the time stamp from the words, if present: `Some(None)` for a damaged one.
 fn take_stamp(words: &mut Vec<&str>) -> Option<Option<Duration>> {
     let first = words
         .first()
@@ -114,7 +114,7 @@ fn take_stamp(words: &mut Vec<&str>) -> Option<Option<Duration>> {
     Some(date(day, second.trim_end_matches(')')))
 }
 
-/// `2023-11-14` and `10:13:20.123456`; no time zone is told, it is taken as UTC.
+/// `2023-11-14` and `10:13:20.123456`; the file names no time zone; UTC is assumed.
 fn date(day: &str, time: &str) -> Option<Duration> {
     let numbers = |text: &str, by: char| {
         let parts = text.split(by).map(|part| part.parse::<u32>().ok());
@@ -203,7 +203,7 @@ mod tests {
         ] {
             let log = Log::read(format!("{good}{line}\n{good}").as_bytes());
             assert_eq!((log.records.len(), log.left_out_count), (2, 1), "{line}");
-            assert_eq!((log.left_out[0].place, log.left_out[0].why), (2, LINE));
+            assert_eq!((log.left_out[0].location, log.left_out[0].why), (2, LINE));
         }
     }
 }

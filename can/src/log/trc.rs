@@ -1,5 +1,5 @@
-//! TRC files: text of PEAK's tools (PCAN-View, PCAN-Explorer), versions 1.0 to 2.1. Frames and error frames are read;
-//! lines about the state of the hardware are passed over.
+//! TRC files: the text format of PEAK's tools (PCAN-View, PCAN-Explorer), versions 1.0 to 2.1. Reads frames and error
+//! frames; skips lines about the hardware state.
 //!
 //! ```text
 //! ;$FILEVERSION=1.1                                    ;$FILEVERSION=2.1
@@ -10,9 +10,9 @@
 //!
 //! | letter | column | | letter | column |
 //! |---|---|---|---|---|
-//! | N | number | | d | direction; in version 1 the kind too |
+//! | N | number | | d | direction; in version 1 also the type |
 //! | O | time since the start, ms | | R | reserved |
-//! | T | kind: DT, FD, FB, FE, BI, RR, ER, ... | | l | length code |
+//! | T | type: DT, FD, FB, FE, BI, RR, ER, ... | | l | length code |
 //! | B | bus | | L | bytes of data |
 //! | I | identifier: 4 digits for 11 bits, 8 for 29 | | D | data |
 
@@ -29,7 +29,7 @@ const COLUMNS: LogError = LogError::Unsupported {
     what: "a TRC file of an unknown version",
 };
 
-/// Whether a file begins like one.
+/// Whether a file starts like a TRC file.
 pub(super) fn is_trc(bytes: &[u8]) -> bool {
     let first = super::lines(bytes).find(|(_, line)| !line.trim().is_empty());
     first.is_some_and(|(_, line)| {
@@ -40,12 +40,12 @@ pub(super) fn is_trc(bytes: &[u8]) -> bool {
     })
 }
 
-/// What the head of a file says about its lines.
+/// Settings from the file header.
 #[derive(Debug)]
 struct Reader {
-    /// `None` for a version that is not known.
+    /// `None` for an unknown version.
     columns: Option<Vec<char>>,
-    /// What time stamps count from, as `$STARTTIME` says, and as the remark does.
+    /// Epoch of the time stamps, from `$STARTTIME` and from the comment.
     start: Option<Duration>,
     remarked: Option<Duration>,
 }
@@ -71,7 +71,7 @@ pub(super) fn read(bytes: &[u8], log: &mut Log) {
     }
 }
 
-/// Columns of a version that does not name them.
+/// Columns of a version whose files do not name them.
 fn version(version: &str) -> Option<Vec<char>> {
     let columns = match version {
         "1.0" => "NOIlD",
@@ -87,19 +87,19 @@ fn version(version: &str) -> Option<Vec<char>> {
 
 impl Reader {
     fn head(&mut self, head: &str) {
-        if let Some(told) = head.strip_prefix("$FILEVERSION=") {
-            self.columns = version(told.trim());
-        } else if let Some(told) = head.strip_prefix("$STARTTIME=") {
-            self.start = days(told.trim());
-        } else if let Some(told) = head.strip_prefix("$COLUMNS=") {
-            let columns = told.chars().filter(|c| !c.is_whitespace() && *c != ',');
+        if let Some(value) = head.strip_prefix("$FILEVERSION=") {
+            self.columns = version(value.trim());
+        } else if let Some(value) = head.strip_prefix("$STARTTIME=") {
+            self.start = days(value.trim());
+        } else if let Some(value) = head.strip_prefix("$COLUMNS=") {
+            let columns = value.chars().filter(|c| !c.is_whitespace() && *c != ',');
             self.columns = Some(columns.take(COLUMNS_MAX).collect());
-        } else if let Some(told) = head.trim_start().strip_prefix("Start time:") {
-            self.remarked = date(told.trim());
+        } else if let Some(value) = head.trim_start().strip_prefix("Start time:") {
+            self.remarked = date(value.trim());
         }
     }
 
-    /// `None` for a line that tells of no frame.
+    /// `None` for a line without a frame.
     fn line(&self, line: &str) -> Option<Option<Record>> {
         let mut words = line.split_ascii_whitespace();
         let mut row = Row::default();
@@ -113,18 +113,18 @@ impl Reader {
             match column {
                 'O' => row.offset = millis(word),
                 'T' => row.kind = word,
-                // A number, as candump logs hold it.
+                // A number, as in candump logs.
                 'B' if word.parse::<u16>().is_ok() => row.bus = word,
                 'I' => row.id = word,
-                'd' => row.way = word,
+                'd' => row.direction = word,
                 'l' => row.code = word.parse().ok(),
                 'L' => row.len = word.parse().ok(),
                 _ => {}
             }
         }
         let data: Vec<&str> = words.collect();
-        // Of the hardware's state, its counters, and events.
-        if matches!(row.kind, "ST" | "EC" | "EV") || row.way == "Warng" {
+        // Hardware state, error counters and events.
+        if matches!(row.kind, "ST" | "EC" | "EV") || row.direction == "Warng" {
             return None;
         }
         let frame = row.frame(&data);
@@ -138,7 +138,7 @@ impl Reader {
     }
 }
 
-/// More columns than any version has.
+/// Upper bound of columns over all versions.
 const COLUMNS_MAX: usize = 16;
 
 /// A line, column by column.
@@ -148,7 +148,7 @@ struct Row<'a> {
     kind: &'a str,
     bus: &'a str,
     id: &'a str,
-    way: &'a str,
+    direction: &'a str,
     code: Option<u8>,
     len: Option<usize>,
 }
@@ -160,7 +160,7 @@ impl Default for Row<'_> {
             kind: "DT",
             bus: "1",
             id: "",
-            way: "",
+            direction: "",
             code: None,
             len: None,
         }
@@ -169,7 +169,7 @@ impl Default for Row<'_> {
 
 impl Row<'_> {
     fn direction(&self) -> Option<Direction> {
-        match self.way {
+        match self.direction {
             "Rx" => Some(Direction::Received),
             "Tx" => Some(Direction::Transmitted),
             _ => None,
@@ -177,8 +177,8 @@ impl Row<'_> {
     }
 
     fn frame(&self, data: &[&str]) -> Option<AnyFrame> {
-        if self.kind == "ER" || self.way == "Error" {
-            // What it was has a vendor-specific encoding.
+        if self.kind == "ER" || self.direction == "Error" {
+            // The kind of error has a vendor-specific encoding.
             return Some(ErrorFrame::new(class::BUS_ERROR, [0; 8]).into());
         }
         let id = id(self.id)?;
@@ -223,7 +223,7 @@ fn id(word: &str) -> Option<Id> {
     }
 }
 
-/// Milliseconds with a fraction of any length, without a detour over floating point.
+/// Milliseconds with a fraction of any length, parsed without floating point.
 fn millis(word: &str) -> Option<Duration> {
     let (whole, fraction) = word.split_once('.').unwrap_or((word, "0"));
     let nanos = decimal(fraction, 1_000_000)?;
@@ -231,7 +231,7 @@ fn millis(word: &str) -> Option<Duration> {
     whole.checked_add(Duration::from_nanos(nanos))
 }
 
-/// The digits behind a point as a share of `whole`.
+/// The digits after a decimal point as a fraction of `whole`.
 fn decimal(digits: &str, whole: u128) -> Option<u64> {
     let digits = digits.get(..digits.len().min(18))?;
     if digits.is_empty() || !digits.bytes().all(|byte| byte.is_ascii_digit()) {
@@ -241,9 +241,9 @@ fn decimal(digits: &str, whole: u128) -> Option<u64> {
     u64::try_from(digits.parse::<u128>().ok()? * whole / ten).ok()
 }
 
-/// Days since 1899-12-30 with a fraction, as `$STARTTIME` has them. No time zone is told; it is taken as UTC.
+/// Days since 1899-12-30 with a fraction, as in `$STARTTIME`. The file names no time zone; UTC is assumed.
 fn days(word: &str) -> Option<Duration> {
-    /// From then to 1970.
+    /// Days from 1899-12-30 to 1970.
     const BEFORE: u64 = 25_569;
     const DAY_NS: u128 = 86_400_000_000_000;
     let (whole, fraction) = word.split_once('.').unwrap_or((word, "0"));
@@ -252,7 +252,7 @@ fn days(word: &str) -> Option<Duration> {
     Some(Duration::from_secs(seconds) + Duration::from_nanos(decimal(fraction, DAY_NS)?))
 }
 
-/// `11.09.2002 16:03:27.682`, with more digits or `.0` behind it in some versions.
+/// `11.09.2002 16:03:27.682`, in some versions with more digits or the suffix `.0`.
 fn date(text: &str) -> Option<Duration> {
     let (day, time) = text.split_once(char::is_whitespace)?;
     let mut day = day.split('.').map(|part| part.parse::<u32>().ok());

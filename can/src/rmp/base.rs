@@ -1,5 +1,5 @@
-//! One power base as a mobile base: velocities in, pose and measured velocity out, in SI units. How
-//! frames reach it is the business of its [`Driver`].
+//! One power base as a mobile base: velocities in, pose and measured velocity out, in SI units. Its
+//! [`Driver`] handles the frames.
 
 use std::time::Duration;
 
@@ -9,57 +9,56 @@ use super::odometry::Counter;
 use super::{Channel, Driver, DriverConfig, Measurement, Odometer, Pose};
 use crate::Frame;
 
-/// What is known of how a base moves.
+/// Measured motion of a base.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Motion {
-    /// When it was measured.
+    /// Time of the measurement.
     pub stamp: Duration,
-    /// Where it is, by its wheels.
+    /// Pose by wheel odometry.
     pub pose: Pose,
     /// Forward and left, m/s, and rotation, rad/s, counter-clockwise.
     pub velocity: [f64; 3],
 }
 
-/// Two wheels of one power base.
+/// A differential drive on one power base.
 #[derive(Clone, Debug)]
 pub struct Base {
     driver: Driver,
     config: DriverConfig,
-    /// Velocity now, m/s and rad/s, on its way to what is asked for.
+    /// Current commanded velocity, m/s and rad/s, ramped towards the target.
     velocity: [f64; 2],
     ramp: Ramp,
     odometer: Odometer,
     counters: [Counter; 3],
     last: Option<Measurement>,
-    /// Ways of the left and the right wheel, m.
+    /// Distances travelled by the left and the right wheel, m.
     rolled: [f64; 2],
     motion: Motion,
 }
 
-/// How fast velocities may change.
+/// Acceleration limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Ramp {
-    /// Along the ground, m/s².
+    /// Linear, m/s².
     pub(super) acceleration: f64,
-    /// Of the rotation, rad/s².
+    /// Angular, rad/s².
     pub(super) rotation: f64,
 }
 
 impl Ramp {
-    /// What a rate becomes within a time on its way to another.
+    /// Ramps a rate towards another within a time step.
     pub(super) fn towards(limit: f64, from: f64, to: f64, dt_s: f64) -> f64 {
         from + (to - from).clamp(-limit * dt_s, limit * dt_s)
     }
 }
 
-/// Farther from what the speed makes of it than this part of a metre, a step of a displacement is none.
+/// Tolerance of a displacement step against the measured speed, m; larger deviations are rejected.
 const JUMP_M: f64 = 0.2;
-/// As [`JUMP_M`], for the heading, turns.
+/// Like [`JUMP_M`], for the heading, turns.
 const JUMP_TURNS: f64 = 0.15;
 
 impl Base {
-    /// A base that changes its velocity by `acceleration`, m/s², and its rotation by
-    /// `angular_acceleration`, rad/s², at most.
+    /// A base with these limits of `acceleration`, m/s², and `angular_acceleration`, rad/s².
     #[must_use]
     pub fn new(config: DriverConfig, acceleration: f64, angular_acceleration: f64) -> Self {
         Self {
@@ -84,37 +83,36 @@ impl Base {
         &self.driver
     }
 
-    /// Has the power base switch itself off.
+    /// Switches the power base off.
     pub const fn shut_down(&mut self) {
         self.driver.shut_down();
     }
 
-    /// Where it is and how it moves.
+    /// Its measured motion.
     #[must_use]
     pub const fn motion(&self) -> &Motion {
         &self.motion
     }
 
-    /// Angles of the left and the right wheel since the start, rad, and their rates, rad/s; what stands
-    /// for the other two of a platform is zero.
+    /// Angles of the left and the right wheel since the start, rad, and their rates, rad/s; the other two elements,
+    /// used by the platform, are zero.
     #[must_use]
     pub fn wheels(&self) -> ([f64; 4], [f64; 4]) {
         let radius = self.config.model.wheel_radius();
-        let [left, right] = self.rolled.map(|way| way / radius);
+        let [left, right] = self.rolled.map(|distance| distance / radius);
         let speed = self.last.map(|last| last.speed).unwrap_or_default();
         let [left_rate, right_rate] = speed.map(|speed| speed / radius);
         ([left, right, 0.0, 0.0], [left_rate, right_rate, 0.0, 0.0])
     }
 
-    /// Steps of displacements that were not believed: integrators that were reset, or a power base that
-    /// was switched off and on.
+    /// Number of rejected displacement steps: after reset integrators, or a power cycle of the power base.
     #[must_use]
     pub const fn jumps(&self) -> u64 {
         let [left, right, yaw] = &self.counters;
         left.jumps() + right.jumps() + yaw.jumps()
     }
 
-    /// Takes a frame; true if the motion is new.
+    /// Handles a frame; true if the motion was updated.
     pub fn handle_frame(&mut self, channel: Channel, frame: &Frame, now: Duration) -> bool {
         let Some(measured) = self.driver.handle_frame(channel, frame, now) else {
             return false;
@@ -135,11 +133,11 @@ impl Base {
             counter.advance(value, expected, tolerance) / scales.displacement
         };
         let [at_left, at_right] = measured.displacement;
-        let ways = [wheel(l, at_left, left), wheel(r, at_right, right)];
-        for (rolled, way) in self.rolled.iter_mut().zip(ways) {
-            *rolled += way;
+        let distances = [wheel(l, at_left, left), wheel(r, at_right, right)];
+        for (rolled, distance) in self.rolled.iter_mut().zip(distances) {
+            *rolled += distance;
         }
-        let ahead = f64::midpoint(ways[0], ways[1]);
+        let ahead = f64::midpoint(distances[0], distances[1]);
         let turns = -measured.yaw_rate * dt_s / std::f64::consts::TAU;
         let tolerance = (JUMP_TURNS + 2.0 * turns.abs()) * scales.yaw;
         let turned = yaw.advance(measured.travel[1], turns * scales.yaw, tolerance);
@@ -153,14 +151,14 @@ impl Base {
         self.last = Some(*measured);
     }
 
-    /// When [`Self::poll_transmit`] has something next.
+    /// Next time at which [`Self::poll_transmit`] has work.
     #[must_use]
     pub const fn poll_timeout(&self) -> Duration {
         self.driver.poll_timeout()
     }
 
-    /// The command that is due, towards a velocity forward, m/s, and a rotation, rad/s; none is asked for
-    /// by no program: then the base comes to rest.
+    /// The due command, towards a forward velocity, m/s, and a rotation, rad/s; with `None` the base decelerates to
+    /// standstill.
     pub fn poll_transmit(&mut self, wanted: Option<[f64; 2]>, now: Duration) -> Option<Frame> {
         if now < self.driver.poll_timeout() {
             return None;
@@ -182,7 +180,7 @@ impl Base {
         self.driver.poll_transmit(now)
     }
 
-    /// To what share of a velocity forward, m/s, and a rotation, rad/s, the power base can drive it: 1, or less.
+    /// Factor, at most 1, by which a forward velocity, m/s, and a rotation, rad/s, must be scaled to be feasible.
     #[must_use]
     pub fn reach(&self, velocity: [f64; 2]) -> f64 {
         let [ahead, turn] = self.exact_counts(velocity).map(f64::abs);
@@ -206,11 +204,11 @@ pub(super) fn frames_s(from: &Measurement, to: &Measurement) -> f64 {
     f64::from(to.frames.wrapping_sub(from.frames)) / 100.0
 }
 
-/// The nearest number of counts within a limit.
+/// Rounds to counts and clamps to a limit.
 pub(super) fn counts(value: f64, max: i16) -> i16 {
     #[expect(
         clippy::cast_possible_truncation,
-        reason = "within the limit, which fits; a float that is no number becomes 0"
+        reason = "within the limit, which fits; NaN becomes 0"
     )]
     let counts = value.round().clamp(f64::from(-max), f64::from(max)) as i16;
     counts

@@ -1,12 +1,11 @@
-//! What a host tells a power base: frame 413h with a velocity, a turn and one configuration, and 412h,
-//! which switches it off. When to send which is the driver's business.
+//! Commands of a host to a power base: frame 413h with velocity, turn and one configuration, and 412h for shutdown.
 //!
 //! | bytes | content |
 //! |---|---|
 //! | 0-1 | velocity, -1176 to 1176 counts |
 //! | 2-3 | turn, -1024 to 1024 counts |
-//! | 4-5 | configuration: what is set |
-//! | 6-7 | configuration: its value |
+//! | 4-5 | configuration: item |
+//! | 6-7 | configuration: value |
 //!
 //! Every value is big-endian.
 
@@ -15,39 +14,39 @@ use std::fmt;
 use super::status::{slots, standard};
 use crate::{Frame, Id};
 
-/// Largest velocity, counts.
+/// Maximum velocity, counts.
 pub(super) const VELOCITY_MAX: i16 = 1176;
-/// Largest turn, counts.
+/// Maximum turn, counts.
 pub(super) const TURN_MAX: i16 = 1024;
-/// A whole scale; a value of 8 halves what a count means.
+/// Full scale; 8 halves the value of a count.
 pub(super) const SCALE_MAX: u8 = 16;
-/// A whole current limit.
+/// Full current limit.
 pub(super) const CURRENT_MAX: u16 = 256;
 
 const COMMAND_ID: Id = standard(0x413);
 const SHUTDOWN_ID: Id = standard(0x412);
 
-/// The frame that switches the power base off: only its power switch brings it back.
+/// Shutdown frame: only the power switch turns the power base on again.
 pub const SHUTDOWN: Frame = Frame::full(SHUTDOWN_ID, [0; 8]);
 
-/// How a power base moves.
+/// Operational mode.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Mode {
     /// Motors off.
     #[default]
     Disabled,
-    /// Standing on more than two wheels.
+    /// Statically stable on more than two wheels.
     Tractor,
     /// Balancing.
     Balance,
-    /// Switching off.
+    /// Powering down.
     PowerDown,
-    /// Not known here.
+    /// Unknown.
     Other(u16),
 }
 
 impl Mode {
-    /// The mode of this number.
+    /// Decodes the mode.
     #[must_use]
     pub const fn from_raw(raw: u16) -> Self {
         match raw {
@@ -59,7 +58,7 @@ impl Mode {
         }
     }
 
-    /// Its number.
+    /// Its code.
     #[must_use]
     pub const fn raw(self) -> u16 {
         match self {
@@ -84,22 +83,22 @@ impl fmt::Display for Mode {
     }
 }
 
-/// Gain schedule: what the base carries.
+/// Gain schedule, by payload.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Gain {
-    /// Little.
+    /// Light load.
     #[default]
     Light,
-    /// Something high.
+    /// Tall load.
     Tall,
-    /// Much.
+    /// Heavy load.
     Heavy,
-    /// Not known here.
+    /// Unknown.
     Other(u16),
 }
 
 impl Gain {
-    /// The schedule of this number.
+    /// Decodes the schedule.
     #[must_use]
     pub const fn from_raw(raw: u16) -> Self {
         match raw {
@@ -110,7 +109,7 @@ impl Gain {
         }
     }
 
-    /// Its number.
+    /// Its code.
     #[must_use]
     pub const fn raw(self) -> u16 {
         match self {
@@ -122,7 +121,7 @@ impl Gain {
     }
 }
 
-/// A set of the four integrators of displacement.
+/// A set of the four displacement integrators.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Integrators(pub u8);
 
@@ -138,14 +137,14 @@ impl Integrators {
     /// All of them.
     pub const ALL: Self = Self(15);
 
-    /// Whether all of `others` are in it.
+    /// Whether it contains all of `others`.
     #[must_use]
     pub const fn contains(self, others: Self) -> bool {
         self.0 & others.0 == others.0
     }
 }
 
-/// What a command sets beside the motion.
+/// Configuration part of a command.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Config {
     /// Nothing.
@@ -161,24 +160,23 @@ pub enum Config {
     Gain(Gain),
     /// Current limit, 0 to 256.
     CurrentLimit(u16),
-    /// Whether it may not begin to balance.
+    /// Balance lockout.
     BalanceLockout(bool),
     /// Operational mode.
     Mode(Mode),
-    /// Set displacements to zero.
+    /// Reset displacement integrators.
     ResetIntegrators(Integrators),
-    /// Not known here.
+    /// Unknown.
     Other {
-        /// What is set.
+        /// Item.
         code: u16,
-        /// To what.
+        /// Value.
         value: u16,
     },
 }
 
 impl Config {
-    /// The configuration of these slots. Some hosts repeat values of eight bits in the upper byte,
-    /// which counts for nothing.
+    /// Decodes the slots. Some hosts repeat 8-bit values in the upper byte, which is ignored.
     #[must_use]
     pub fn from_raw(code: u16, value: u16) -> Self {
         let low = value.to_be_bytes()[1];
@@ -231,19 +229,19 @@ impl fmt::Display for Config {
     }
 }
 
-/// Frame 413h. A configuration does not replace the motion: both halves are obeyed.
+/// Frame 413h. Motion and configuration both apply.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Command {
     /// Velocity, counts; forward is positive.
     pub velocity: i16,
     /// Turn, counts; clockwise is positive.
     pub turn: i16,
-    /// What is set beside it.
+    /// Configuration.
     pub config: Config,
 }
 
 impl Command {
-    /// The command in a frame; none if the frame is another.
+    /// Decodes a command; `None` for other frames.
     #[must_use]
     pub fn decode(frame: &Frame) -> Option<Self> {
         if frame.id() != COMMAND_ID {
@@ -257,7 +255,7 @@ impl Command {
         })
     }
 
-    /// As a frame.
+    /// Encodes the command.
     #[must_use]
     pub fn frame(self) -> Frame {
         let (code, value) = self.config.raw();
@@ -276,8 +274,8 @@ impl fmt::Display for Command {
     }
 }
 
-/// Whether a frame switches the power base off. The user interface reports under the same identifier
-/// while the power base is off, but never with zeros throughout.
+/// Whether a frame is the shutdown command. The user interface uses the same identifier while the power base is off,
+/// but never with all zeros.
 pub(super) fn is_shutdown(frame: &Frame) -> bool {
     *frame == SHUTDOWN
 }

@@ -1,5 +1,5 @@
-//! Puts the messages of one cycle of 10 ms together. A cycle in which one is missing is not told in
-//! part: values of two cycles must not meet in one measurement.
+//! Assembles the messages of one 10 ms cycle. Incomplete cycles are dropped: a measurement must not
+//! mix values of two cycles.
 
 use std::time::Duration;
 
@@ -7,11 +7,11 @@ use super::command::{Gain, Mode};
 use super::status::{ControlUnit, Message};
 use super::{Model, Scales};
 
-/// What a power base measured in one cycle, in SI units; left is left in the direction of travel, and
-/// counter-clockwise is positive (the wire has it the other way round).
+/// Measurement of one cycle, in SI units; left is left in the direction of travel, and counter-clockwise is positive
+/// (opposite to the wire).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Measurement {
-    /// When its last message came.
+    /// Time of its last message.
     pub stamp: Duration,
     /// Device time, 10 ms each, modulo 65,536.
     pub frames: u16,
@@ -33,16 +33,16 @@ pub struct Measurement {
     pub gain: Gain,
     /// Battery of the power base, V.
     pub battery: f64,
-    /// Command as understood: velocity and turn, counts.
+    /// Command in effect: velocity and turn, counts.
     pub echo: [i16; 2],
-    /// What the control unit told last.
+    /// Last status of the control unit.
     pub unit: ControlUnit,
 }
 
-/// The parts of one cycle, one bit each; a cycle is whole when all are there.
+/// The parts of one cycle, one bit each; a cycle is complete when all are set.
 const WHOLE: u8 = 0b111_1110;
 
-/// Puts cycles together.
+/// Assembles cycles.
 #[derive(Clone, Copy, Debug)]
 pub struct Cycles {
     scales: Scales,
@@ -52,7 +52,7 @@ pub struct Cycles {
 }
 
 impl Cycles {
-    /// Of a power base of this model.
+    /// For a power base of this model.
     #[must_use]
     pub const fn new(model: Model) -> Self {
         Self {
@@ -82,13 +82,13 @@ impl Cycles {
         }
     }
 
-    /// How many cycles ended with a message missing.
+    /// Number of incomplete cycles.
     #[must_use]
     pub const fn broken(&self) -> u64 {
         self.broken
     }
 
-    /// Takes a message; gives the measurement when it was the last of a whole cycle.
+    /// Handles a message; returns the measurement when the cycle is complete.
     pub fn handle(&mut self, message: &Message, now: Duration) -> Option<Measurement> {
         let scales = self.scales;
         let to = &mut self.building;
@@ -150,7 +150,7 @@ impl Cycles {
         None
     }
 
-    /// A cycle begins; if one was begun already it was not ended.
+    /// Starts a cycle; a started one was incomplete.
     fn begin(&mut self) {
         if self.seen != 0 {
             self.broken += 1;

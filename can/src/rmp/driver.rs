@@ -1,20 +1,19 @@
-//! Leads one power base over one link, in counts: waits until it talks, configures it, sends a command
-//! every period, and says why it does not move. What a count is worth in metres is the business of
-//! [`super::Base`] and [`super::Omni`].
+//! Driver of one power base on one link, in counts: waits for its messages, configures it, sends a command every
+//! period, and reports why it does not move. [`super::Base`] and [`super::Omni`] convert counts to SI units.
 //!
 //! ```text
-//!            UI only                         whole cycle
+//!            UI only                         complete cycle
 //!   Silent ----------> PoweredOff   Silent ----------------> Configuring
-//!   Configuring -- all sent, mode as asked, motors enabled --> Ready
-//!   Configuring -- mode refused, or a hindrance -------------> Blocked
-//!   Ready       -- a hindrance ------------------------------> Blocked
-//!   Blocked     -- the hindrance is gone --------------------> Configuring
-//!   any         -- no whole cycle for `silence` -------------> Silent
-//!                  (PoweredOff: nothing of its user interface)
+//!   Configuring -- all sent, mode as requested, motors enabled -> Ready
+//!   Configuring -- mode refused, or a hindrance ---------------> Blocked
+//!   Ready       -- a hindrance --------------------------------> Blocked
+//!   Blocked     -- the hindrance is cleared -------------------> Configuring
+//!   any         -- no complete cycle for `silence` ------------> Silent
+//!                  (PoweredOff: no message of its user interface)
 //! ```
 //!
-//! After every way back to Ready the power base stands still until the program has asked for rest once:
-//! what a program commanded before a fault does not go on after it.
+//! After each transition to Ready the power base stays at rest until the program has commanded rest once: a motion
+//! commanded before a fault must not continue after it.
 
 use std::fmt;
 use std::time::Duration;
@@ -26,27 +25,27 @@ use super::{
 };
 use crate::Frame;
 
-/// Shortest time between two commands that a power base takes.
+/// Minimum time between two commands.
 const PERIOD_MIN: Duration = Duration::from_millis(10);
-/// Longest time between two commands before a power base may stop by itself.
+/// Maximum time between two commands before a power base may stop by itself.
 const PERIOD_MAX: Duration = Duration::from_millis(300);
-/// How often a mode is asked for before the power base is said to refuse it.
-const ASKED_MAX: u8 = 20;
+/// Requests of a mode after which it counts as refused.
+const MODE_REQUESTS_MAX: u8 = 20;
 
-/// How a power base is led.
+/// Configuration of a driver.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DriverConfig {
     /// Model.
     pub model: Model,
     /// Time between commands, 10 ms to 300 ms.
     pub period: Duration,
-    /// Without a whole cycle for so long the power base is silent.
+    /// Timeout for a complete cycle, after which the power base is silent.
     pub silence: Duration,
-    /// Mode in which it moves.
+    /// Mode of operation.
     pub mode: Mode,
-    /// What it carries.
+    /// Gain schedule, by payload.
     pub gain: Gain,
-    /// Scale of its accelerations, sixteenths.
+    /// Acceleration scale, sixteenths.
     pub acceleration: u8,
     /// Current limit, 1 to 256.
     pub current: u16,
@@ -66,41 +65,41 @@ impl Default for DriverConfig {
     }
 }
 
-/// Where the driver is with its power base.
+/// State of a driver.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum State {
-    /// Nothing is heard.
+    /// No messages received.
     #[default]
     Silent,
-    /// Its user interface is on, its motors' part is off.
+    /// The user interface is on, the power base is off.
     PoweredOff,
     /// Being configured.
     Configuring,
-    /// It follows.
+    /// It follows commands.
     Ready,
     /// It cannot move.
     Blocked(Hindrance),
 }
 
-/// Why a power base does not move although it talks.
+/// What keeps a power base from moving although it communicates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hindrance {
     /// An emergency stop switch is open.
     EmergencyStop,
-    /// It reports a fault: what is in status word 1.
+    /// It reports a fault in status word 1.
     Fault(StatusWord1),
     /// Its motors are not enabled.
     MotorsDisabled,
-    /// It does not take the mode it is asked for; this is the one it stays in.
+    /// It refuses the requested mode and stays in this one.
     ModeRefused(Mode),
 }
 
 impl fmt::Display for Hindrance {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::EmergencyStop => {
-                f.write_str("its emergency stop is open; close it, the driver goes on by itself")
-            }
+            Self::EmergencyStop => f.write_str(
+                "its emergency stop is open; close it, the driver then continues by itself",
+            ),
             Self::Fault(word) => {
                 f.write_str("it reports")?;
                 for (index, name) in word.faults().enumerate() {
@@ -114,7 +113,7 @@ impl fmt::Display for Hindrance {
             ),
             Self::ModeRefused(mode) => write!(
                 f,
-                "it stays in mode {mode}; switch the power base off and on, and look whether \
+                "it stays in mode {mode}; switch the power base off and on, and check whether \
                  another host commands it"
             ),
         }
@@ -125,7 +124,7 @@ impl fmt::Display for State {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Silent => {
-                f.write_str("nothing is heard; look at power, cable and bit rate (500 kbit/s)")
+                f.write_str("no messages received; check power, cable and bit rate (500 kbit/s)")
             }
             Self::PoweredOff => {
                 f.write_str("its user interface is on, the power base is off; switch it on")
@@ -142,16 +141,16 @@ impl fmt::Display for State {
 pub struct Driver {
     config: DriverConfig,
     cycles: [Cycles; 2],
-    /// The channel whose measurements count, and when it last gave one.
+    /// The active channel and the time of its last measurement.
     channel: Channel,
     last: Option<Measurement>,
     state: State,
-    /// Which step of the configuration comes next.
+    /// Next configuration step.
     step: u8,
-    asked: u8,
-    heard: Option<Duration>,
+    mode_requests: u8,
+    last_received: Option<Duration>,
     next: Duration,
-    /// Whether rest was asked for since the power base became ready.
+    /// Whether rest was commanded since the power base became ready.
     armed: bool,
     motion: [i16; 2],
     shut_down: bool,
@@ -159,7 +158,7 @@ pub struct Driver {
 }
 
 impl Driver {
-    /// One that has heard nothing yet. A period outside of its range is moved into it.
+    /// A driver before the first message. The period is clamped to its range.
     #[must_use]
     pub fn new(config: DriverConfig) -> Self {
         Self {
@@ -172,8 +171,8 @@ impl Driver {
             last: None,
             state: State::Silent,
             step: 0,
-            asked: 0,
-            heard: None,
+            mode_requests: 0,
+            last_received: None,
             next: Duration::ZERO,
             armed: false,
             motion: [0; 2],
@@ -182,19 +181,19 @@ impl Driver {
         }
     }
 
-    /// Where it is.
+    /// Its state.
     #[must_use]
     pub const fn state(&self) -> State {
         self.state
     }
 
-    /// How often a ready power base ceased to be ready.
+    /// Number of transitions out of Ready.
     #[must_use]
     pub const fn lost(&self) -> u64 {
         self.lost
     }
 
-    /// Cycles in which a message was missing, of the channel that counts.
+    /// Incomplete cycles of the active channel.
     #[must_use]
     pub const fn broken(&self) -> u64 {
         let [a, b] = &self.cycles;
@@ -210,13 +209,13 @@ impl Driver {
         self.last.as_ref()
     }
 
-    /// Whether what is asked for is done: it is ready, and rest was asked for since.
+    /// Whether it follows commands: it is ready, and rest was commanded since.
     #[must_use]
     pub fn follows(&self) -> bool {
         self.state == State::Ready && self.armed
     }
 
-    /// What it is to do from now on, counts at full scale: velocity, and turn clockwise; none to rest.
+    /// Sets the command, counts at full scale: velocity, and turn clockwise; `None`: rest.
     pub fn drive(&mut self, motion: Option<[i16; 2]>) {
         self.armed |= motion.is_none() && self.state == State::Ready;
         self.motion = match motion {
@@ -228,13 +227,13 @@ impl Driver {
         };
     }
 
-    /// Has the power base switch itself off, with the next command.
+    /// Switches the power base off with the next command.
     pub const fn shut_down(&mut self) {
         self.shut_down = true;
     }
 
-    /// Takes a frame; gives the measurement that it completes. Of two channels the one that speaks
-    /// counts; the other takes over when it falls silent.
+    /// Handles a frame; returns the measurement that it completes. One of the two channels is
+    /// active; the other takes over when it falls silent.
     pub fn handle_frame(
         &mut self,
         channel: Channel,
@@ -244,7 +243,7 @@ impl Driver {
         let message = Message::decode(frame)?;
         let is_off = matches!(message, Message::PowerbaseOff { .. });
         if is_off && matches!(self.state, State::Silent | State::PoweredOff) {
-            (self.state, self.heard) = (State::PoweredOff, Some(now));
+            (self.state, self.last_received) = (State::PoweredOff, Some(now));
         }
         let [a, b] = &mut self.cycles;
         let cycles = match channel {
@@ -259,7 +258,7 @@ impl Driver {
             return None;
         }
         self.channel = channel;
-        self.heard = Some(now);
+        self.last_received = Some(now);
         self.last = Some(measured);
         self.judge(&measured);
         Some(measured)
@@ -269,7 +268,7 @@ impl Driver {
         let hindrance = self.hindrance(measured);
         self.state = match (self.state, hindrance) {
             (State::Silent | State::PoweredOff, _) => {
-                (self.step, self.asked) = (0, 0);
+                (self.step, self.mode_requests) = (0, 0);
                 State::Configuring
             }
             (State::Configuring, _) if self.step < STEPS => State::Configuring,
@@ -277,7 +276,7 @@ impl Driver {
                 self.armed = false;
                 State::Ready
             }
-            (State::Configuring, Some(hindrance)) if self.asked >= ASKED_MAX => {
+            (State::Configuring, Some(hindrance)) if self.mode_requests >= MODE_REQUESTS_MAX => {
                 State::Blocked(hindrance)
             }
             (State::Configuring, Some(_)) => State::Configuring,
@@ -290,7 +289,7 @@ impl Driver {
                 State::Blocked(hindrance)
             }
             (State::Blocked(_), Some(Hindrance::ModeRefused(_)) | None) => {
-                (self.step, self.asked) = (0, 0);
+                (self.step, self.mode_requests) = (0, 0);
                 State::Configuring
             }
             (State::Blocked(_), Some(hindrance)) => State::Blocked(hindrance),
@@ -318,14 +317,14 @@ impl Driver {
         self.motion = [0; 2];
     }
 
-    /// When [`Self::poll_transmit`] has something next.
+    /// Next time at which [`Self::poll_transmit`] has work.
     #[must_use]
     pub const fn poll_timeout(&self) -> Duration {
         self.next
     }
 
-    /// The command that is due, for both channels. One is sent also to a power base that is silent:
-    /// it may hear without being heard, and rest is what it is told.
+    /// The due command, for both channels. A silent power base also gets one, with rest: it may
+    /// still receive frames.
     pub fn poll_transmit(&mut self, now: Duration) -> Option<Frame> {
         if now < self.next {
             return None;
@@ -336,7 +335,7 @@ impl Driver {
         } else {
             now + self.config.period
         };
-        if now.saturating_sub(self.heard.unwrap_or_default()) > self.config.silence {
+        if now.saturating_sub(self.last_received.unwrap_or_default()) > self.config.silence {
             self.fall_silent();
         }
         if std::mem::take(&mut self.shut_down) {
@@ -362,11 +361,11 @@ impl Driver {
             State::PoweredOff | State::Configuring | State::Blocked(_) => {}
         }
         self.state = State::Silent;
-        self.heard = None;
+        self.last_received = None;
     }
 
-    /// The next step of the configuration. What it sets cannot be read back except the mode, which
-    /// therefore is asked for until it is there; displacements need no reset, odometry begins anywhere.
+    /// The next configuration step. Only the mode can be read back, so it is requested until it is reported.
+    /// Displacements need no reset, because odometry starts at any value.
     fn configure(&mut self) -> Frame {
         let config = match self.step {
             0 => Config::ResetIntegrators(Integrators::ALL),
@@ -377,7 +376,7 @@ impl Driver {
             5 => Config::CurrentLimit(self.config.current.clamp(1, CURRENT_MAX)),
             6 => Config::BalanceLockout(self.config.mode != Mode::Balance),
             _ => {
-                self.asked = self.asked.saturating_add(1);
+                self.mode_requests = self.mode_requests.saturating_add(1);
                 Config::Mode(self.config.mode)
             }
         };
@@ -390,5 +389,5 @@ impl Driver {
     }
 }
 
-/// Steps of the configuration, of which the last is repeated.
+/// Configuration steps; the last one is repeated.
 const STEPS: u8 = 8;

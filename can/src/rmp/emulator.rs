@@ -1,6 +1,5 @@
-//! Power bases that speak from the other end: one, and the pair of the omnidirectional base, each with
-//! the truth of where it is and the faults of which users of real ones tell. They hold no thread and no
-//! clock; the owner says what time it is.
+//! Emulated power bases: one, and the pair of the omnidirectional base, each with its true pose and with faults
+//! reported by users of real ones. No threads and no clock; time is an argument.
 
 mod pair;
 mod powerbase;
@@ -12,18 +11,17 @@ use crate::link::{Link, LinkError};
 pub use pair::Pair;
 pub use powerbase::{Faults, Powerbase, PowerbaseConfig};
 
-/// One turn of serving a power base on a link, in which both its boards are one: hears for a moment, then
-/// sends what is due.
+/// Serves a power base on a link once, both boards as one: receives for 1 ms, then sends due frames.
 ///
 /// # Errors
-/// What the link says; frames for which there is no room are lost, as on a bus.
+/// Errors of the link; frames that do not fit the queue are lost, as on a bus.
 pub fn serve<L: Link + ?Sized>(
     powerbase: &mut Powerbase,
     link: &mut L,
     now: impl Fn() -> Duration,
 ) -> Result<(), LinkError> {
-    const PATIENCE: Duration = Duration::from_millis(1);
-    if let Some(received) = link.receive(PATIENCE)?
+    const TIMEOUT: Duration = Duration::from_millis(1);
+    if let Some(received) = link.receive(TIMEOUT)?
         && let Some(frame) = received.frame.classic()
     {
         powerbase.handle_frame(frame, now());

@@ -1,12 +1,11 @@
-//! What a count means, by model. The scale that a power base has stored for its commands is not here:
-//! it is a state of the device.
+//! Scales of counts by model. The command scales stored in a power base are not included: they are device state.
 
 /// A model of power base.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Model {
     /// One axle, statically stable.
     Rmp50,
-    /// As the RMP50.
+    /// Like the RMP50.
     Rmp100,
     /// Two wheels, balancing or on a caster.
     #[default]
@@ -15,7 +14,7 @@ pub enum Model {
     Rmp400,
 }
 
-/// Counts per unit of what a power base measures and takes.
+/// Counts per unit of measurements and commands.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scales {
     /// Measured wheel speed, counts per m/s.
@@ -58,7 +57,7 @@ impl Model {
         }
     }
 
-    /// Whether it stands by itself, so that it never balances.
+    /// Whether it is statically stable and never balances.
     #[must_use]
     pub const fn is_statically_stable(self) -> bool {
         match self {
@@ -67,7 +66,7 @@ impl Model {
         }
     }
 
-    /// Radius of its stock wheels, m.
+    /// Radius of the standard wheels, m.
     #[must_use]
     pub const fn wheel_radius(self) -> f64 {
         match self {
@@ -87,7 +86,7 @@ impl Model {
         }
     }
 
-    /// The model of this name.
+    /// The model with this name.
     #[must_use]
     pub fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|model| model.name() == name)

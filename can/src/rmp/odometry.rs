@@ -1,5 +1,4 @@
-//! Where a base is, from how far its wheels turned. It knows no base: whoever has turned wheels into
-//! displacements of the base adds them here.
+//! Odometry: integrates displacements of a base to its pose. The caller converts wheel rotations to displacements.
 
 /// Pose in the plane in which the base started.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -34,8 +33,7 @@ impl Odometer {
     }
 }
 
-/// A counter of 32 bits that wraps, that starts anywhere, and that may be set to another value behind
-/// our back: then the step it makes is not believed.
+/// A 32-bit counter that wraps, starts at any value, and may be reset by others: implausible steps are rejected.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Counter {
     last: Option<i32>,
@@ -43,8 +41,8 @@ pub(super) struct Counter {
 }
 
 impl Counter {
-    /// Counts since the last value; `expected` is what the measured speed makes of the time between,
-    /// and is taken where the step differs by more than `tolerance` from it.
+    /// Counts since the last value. `expected` is the step by the measured speed; it replaces a step that differs by
+    /// more than `tolerance`.
     pub(super) fn advance(&mut self, value: i32, expected: f64, tolerance: f64) -> f64 {
         let Some(last) = self.last.replace(value) else {
             return 0.0;
@@ -67,7 +65,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_circle_ends_where_it_began() {
+    fn odometry_circle_ends_at_start() {
         let mut odometer = Odometer::default();
         let steps = 10_000;
         let angle = std::f64::consts::TAU / f64::from(steps);
@@ -80,7 +78,7 @@ mod tests {
     }
 
     #[test]
-    fn counters_wrap_start_anywhere_and_survive_a_reset() {
+    fn odometry_counters_wrap_and_survive_reset() {
         let mut counter = Counter::default();
         let mut advance = |value| counter.advance(value, 10.0, 200.0);
         assert_eq!(

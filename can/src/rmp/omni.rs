@@ -1,5 +1,5 @@
-//! The omnidirectional base of two RMP50 with mecanum wheels, one in front and one, turned round, at
-//! the back, each on a link of its own. Both move or none does: when one is not ready both rest.
+//! The omnidirectional base of two RMP50 with mecanum wheels, one in front and one, reversed, at the back, each on its
+//! own link. They move together: if one is not ready, both rest.
 //!
 //! With x ahead, y to the left and counter-clockwise rotation, R the radius of the wheels and l half
 //! the length plus half the width between them, a wheel turns at
@@ -43,7 +43,7 @@ impl Geometry {
         [x - y - turn, x + y + turn, x + y - turn, x - y + turn].map(|speed| speed / self.radius)
     }
 
-    /// The velocity of the base that these rates come nearest to.
+    /// The velocity of the base that best fits these rates.
     #[must_use]
     pub fn velocity(&self, [fl, fr, bl, br]: Wheels) -> [f64; 3] {
         let quarter = self.radius / 4.0;
@@ -54,30 +54,30 @@ impl Geometry {
         ]
     }
 
-    /// How far the wheels are from a motion without slip, in the unit of the wheels; 0 is none.
+    /// Deviation of the wheels from a motion without slip, in the unit of the wheels; 0: no slip.
     #[must_use]
     pub fn slip([fl, fr, bl, br]: Wheels) -> f64 {
         (fl + fr - bl - br) / 4.0
     }
 }
 
-/// What is known of a base of two power bases.
+/// Configuration of a base of two power bases.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OmniConfig {
-    /// How each is led.
+    /// Configuration of the drivers.
     pub driver: DriverConfig,
-    /// Its wheels.
+    /// Geometry of the wheels.
     pub geometry: Geometry,
     /// Displacement counts of a turn of a wheel by one radian.
     pub counts_per_radian: f64,
-    /// Displacement counts per second that a count of velocity makes, at the whole scale.
+    /// Displacement counts per second that a count of velocity makes, at full scale.
     pub velocity_gain: f64,
-    /// Displacement counts per second that a count of turn makes, at the whole scale; left forward,
+    /// Displacement counts per second that a count of turn makes, at full scale; left forward,
     /// right backward.
     pub turn_gain: f64,
-    /// Largest change of its velocity, m/s².
+    /// Maximum acceleration, m/s².
     pub acceleration: f64,
-    /// Largest change of its rotation, rad/s².
+    /// Maximum angular acceleration, rad/s².
     pub angular_acceleration: f64,
 }
 
@@ -106,10 +106,10 @@ pub struct Omni {
     drivers: [Driver; 2],
     counters: [[Counter; 2]; 2],
     last: [Option<Measurement>; 2],
-    /// Angles of the wheels since the start, as last told and as last integrated.
-    told: Wheels,
+    /// Angles of the wheels since the start, as last reported and as last integrated.
+    angles: Wheels,
     integrated: Wheels,
-    /// Which power base told something since the last integration.
+    /// Which power bases reported since the last integration.
     fresh: [bool; 2],
     rates: Wheels,
     velocity: [f64; 3],
@@ -119,14 +119,14 @@ pub struct Omni {
 
 /// The power base in front.
 pub const FRONT: usize = 0;
-/// The power base at the back, which is turned round.
+/// The power base at the back, mounted reversed.
 pub const BACK: usize = 1;
 
-/// Farther from what the speed makes of it than this angle, a step of a wheel is none, rad.
+/// Tolerance of a wheel step against the measured speed, rad; larger deviations are rejected.
 const JUMP_RAD: f64 = 2.0;
 
 impl Omni {
-    /// A base that has heard of none of its parts yet.
+    /// A base before the first message of its parts.
     #[must_use]
     pub fn new(config: OmniConfig) -> Self {
         Self {
@@ -134,7 +134,7 @@ impl Omni {
             drivers: [(); 2].map(|()| Driver::new(config.driver)),
             counters: [[Counter::default(); 2]; 2],
             last: [None; 2],
-            told: [0.0; 4],
+            angles: [0.0; 4],
             integrated: [0.0; 4],
             fresh: [false; 2],
             rates: [0.0; 4],
@@ -150,7 +150,7 @@ impl Omni {
         &self.drivers
     }
 
-    /// Where it is and how it moves.
+    /// Its measured motion.
     #[must_use]
     pub const fn motion(&self) -> &Motion {
         &self.motion
@@ -159,7 +159,7 @@ impl Omni {
     /// Angles of the wheels since the start, rad.
     #[must_use]
     pub const fn wheels(&self) -> &Wheels {
-        &self.told
+        &self.angles
     }
 
     /// Rates of the wheels, rad/s.
@@ -174,7 +174,7 @@ impl Omni {
         Geometry::slip(self.rates)
     }
 
-    /// Steps of wheels that were not believed.
+    /// Number of rejected wheel steps.
     #[must_use]
     pub fn jumps(&self) -> u64 {
         self.counters
@@ -184,14 +184,14 @@ impl Omni {
             .sum()
     }
 
-    /// Whether both power bases do what is asked for.
+    /// Whether both power bases follow commands.
     #[must_use]
     pub fn follows(&self) -> bool {
         self.drivers.iter().all(Driver::follows)
     }
 
-    /// Takes a frame of [`FRONT`] or [`BACK`]; true if the motion is new, which it is when both have
-    /// told something. Other parts do not exist.
+    /// Handles a frame of [`FRONT`] or [`BACK`]; true if the motion was updated, which needs reports of both. Other
+    /// parts are ignored.
     pub fn handle_frame(
         &mut self,
         part: usize,
@@ -212,8 +212,8 @@ impl Omni {
         true
     }
 
-    /// The two power bases tell at different times. Only what both have told is integrated: half of it
-    /// would be a turn and a slip that never were.
+    /// The two power bases report at different times. Only complete pairs are integrated: one half alone would be a
+    /// false turn with slip.
     fn measure(&mut self, part: usize, measured: &Measurement) {
         let config = &self.config;
         let speed_gain = config.driver.model.scales().displacement / config.counts_per_radian;
@@ -236,7 +236,7 @@ impl Omni {
             ) / scale;
         }
         for (wheel, side, sign) in wheels_of(part) {
-            self.told[wheel] += sign * steps[side];
+            self.angles[wheel] += sign * steps[side];
             self.rates[wheel] = sign * rates[side];
         }
         if let Some(fresh) = self.fresh.get_mut(part) {
@@ -245,11 +245,11 @@ impl Omni {
     }
 
     fn integrate(&mut self, stamp: Duration) {
-        let mut turned = self.told;
+        let mut turned = self.angles;
         for (now, before) in turned.iter_mut().zip(&self.integrated) {
             *now -= before;
         }
-        (self.integrated, self.fresh) = (self.told, [false; 2]);
+        (self.integrated, self.fresh) = (self.angles, [false; 2]);
         self.odometer.add(self.config.geometry.velocity(turned));
         self.motion = Motion {
             stamp,
@@ -258,16 +258,16 @@ impl Omni {
         };
     }
 
-    /// When [`Self::poll_transmit`] has something next for a part.
+    /// Next time at which [`Self::poll_transmit`] has work for a part.
     #[must_use]
     pub fn poll_timeout(&self) -> Duration {
         let [front, back] = &self.drivers;
         front.poll_timeout().min(back.poll_timeout())
     }
 
-    /// The commands that are due, towards a velocity ahead and to the left, m/s, and a rotation, rad/s.
-    /// Without one, and as long as a part is not ready, both rest; what lies beyond the power of a wheel
-    /// is scaled for all four, so that the direction stays.
+    /// The due commands, towards a velocity ahead and to the left, m/s, and a rotation, rad/s. With `None`, and while a
+    /// part is not ready, both rest. Velocities beyond the limit of a wheel are scaled for all four, so that the
+    /// direction is kept.
     pub fn poll_transmit(&mut self, wanted: Option<[f64; 3]>, now: Duration) -> [Option<Frame>; 2] {
         if now < self.poll_timeout() {
             return [None; 2];
@@ -301,13 +301,13 @@ impl Omni {
         }
     }
 
-    /// To what share of a velocity its power bases can drive it: 1, or less where it is beyond the power of a wheel.
+    /// Factor, at most 1, by which a velocity must be scaled to be feasible for all wheels.
     #[must_use]
     pub fn reach(&self, velocity: [f64; 3]) -> f64 {
         1.0 / most(&self.motions(velocity))
     }
 
-    /// Velocity and turn of each power base for a velocity, counts.
+    /// Velocity and turn counts of each power base for a velocity.
     fn motions(&self, velocity: [f64; 3]) -> [[f64; 2]; 2] {
         let config = &self.config;
         let wheels = config.geometry.wheels(velocity);
@@ -326,7 +326,7 @@ impl Omni {
         motions
     }
 
-    /// The same for its velocity now, scaled to what wheels can do.
+    /// The same for its current velocity, scaled to the limits of the wheels.
     fn counts(&self) -> [[i16; 2]; 2] {
         let motions = self.motions(self.velocity);
         let most = most(&motions);
@@ -339,7 +339,7 @@ impl Omni {
     }
 }
 
-/// How many times too much these counts are for the power base that has to do most; at least 1.
+/// Factor by which these counts exceed the limits of a power base; at least 1.
 fn most(motions: &[[f64; 2]; 2]) -> f64 {
     let limits = [f64::from(VELOCITY_MAX), f64::from(TURN_MAX)];
     motions
@@ -349,8 +349,8 @@ fn most(motions: &[[f64; 2]; 2]) -> f64 {
         .fold(1.0, f64::max)
 }
 
-/// The wheels of a power base: which of the four, on which of its own sides, and in which direction it
-/// counts. The one at the back is turned round: its left is on the right, and its forward is backward.
+/// The wheels of a power base: index among the four, own side, and counting direction. The one at the back is reversed:
+/// its left is on the right, and its forward is backward.
 pub(super) const fn wheels_of(part: usize) -> [(usize, usize, f64); 2] {
     match part {
         FRONT => [(0, 0, 1.0), (1, 1, 1.0)],

@@ -1,6 +1,5 @@
-//! What a power base tells every 10 ms, one message per identifier. Four big-endian slots of 16 bits; a
-//! value of 32 bits has its lower half in the first slot. Values stay counts here: what one is worth
-//! depends on the model ([`super::Scales`]).
+//! Messages of a power base, sent every 10 ms, one per identifier. Four big-endian slots of 16 bits; a 32-bit value has
+//! its lower half in the first slot. Values are counts; their scale depends on the model ([`super::Scales`]).
 //!
 //! | identifier | slots |
 //! |---|---|
@@ -11,7 +10,7 @@
 //! | 404h | displacement forward, yaw displacement |
 //! | 405h | left torque, right torque, -, - |
 //! | 406h | operational mode, gain schedule, battery of the interface, battery of the base |
-//! | 407h | velocity command, turn command as understood, -, - |
+//! | 407h | velocity command, turn command in effect, -, - |
 //! | 680h | controller mode, status word 1, status word 2, counter |
 //! | 688h | heartbeat of the user interface: -, -, battery, status |
 //! | 412h | while the power base is off: -, -, battery of the interface, - |
@@ -22,7 +21,7 @@ use std::fmt;
 use super::command::{Command, Gain, Mode, is_shutdown};
 use crate::{Frame, Id};
 
-/// The identifier of 11 bits in the lower bits of a number.
+/// The 11-bit identifier in the lower bits of a number.
 #[expect(clippy::unreachable, reason = "eleven bits always fit")]
 pub(super) const fn standard(raw: u16) -> Id {
     match Id::standard(raw & 0x7FF) {
@@ -31,7 +30,7 @@ pub(super) const fn standard(raw: u16) -> Id {
     }
 }
 
-/// The four slots of a frame that carries all of them.
+/// The four slots of a frame of eight bytes.
 pub(super) fn slots(frame: &Frame) -> Option<[u16; 4]> {
     let (pairs, rest) = frame.data().as_chunks::<2>();
     let [a, b, c, d] = pairs else { return None };
@@ -95,7 +94,7 @@ impl StatusWord1 {
             .map(|(_, name)| name)
     }
 
-    /// Names of the set bits that keep it from moving.
+    /// Names of the set bits that prevent motion.
     pub fn faults(self) -> impl Iterator<Item = &'static str> {
         const HINDERING: u16 = 0x0001 | 0x0004 | 0x0008 | 0x0020 | 0x0040 | 0x2000;
         Self(self.0 & HINDERING).names()
@@ -107,9 +106,9 @@ impl StatusWord1 {
 pub struct StatusWord2(pub u16);
 
 impl StatusWord2 {
-    /// The emergency stop's switch is open, seen by board A.
+    /// Emergency stop open, seen by board A.
     pub const EMERGENCY_STOP_A: Self = Self(0x0002);
-    /// As seen by board B.
+    /// Emergency stop open, seen by board B.
     pub const EMERGENCY_STOP_B: Self = Self(0x0200);
 
     const NAMES: [&'static str; 8] = [
@@ -141,7 +140,7 @@ impl StatusWord2 {
     }
 }
 
-/// What 680h tells.
+/// Content of 680h.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ControlUnit {
     /// Mode of the controller; the lower two bits are the mode of the hardware.
@@ -150,7 +149,7 @@ pub struct ControlUnit {
     pub word1: StatusWord1,
     /// Status word 2.
     pub word2: StatusWord2,
-    /// Runs freely.
+    /// Free-running counter.
     pub counter: u16,
 }
 
@@ -162,14 +161,14 @@ impl ControlUnit {
     }
 }
 
-/// A message of a power base, in counts. What is not understood is kept in `rest`.
+/// A message of a power base, in counts. `rest` keeps unknown slots.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Message {
     /// 400h.
     Build {
-        /// Number of the firmware's build.
+        /// Firmware build number.
         build: u16,
-        /// Not understood.
+        /// Unknown slots.
         rest: [u16; 2],
         /// Counts the cycles, mostly by two.
         counter: u16,
@@ -216,7 +215,7 @@ pub enum Message {
         left: i16,
         /// Right motor.
         right: i16,
-        /// Not understood.
+        /// Unknown slots.
         rest: [u16; 2],
     },
     /// 406h.
@@ -232,18 +231,18 @@ pub enum Message {
     },
     /// 407h.
     Echo {
-        /// Velocity command as understood.
+        /// Velocity command in effect.
         velocity: i16,
-        /// Turn command as understood.
+        /// Turn command in effect.
         turn: i16,
-        /// Not understood.
+        /// Unknown slots.
         rest: [u16; 2],
     },
     /// 680h.
     ControlUnit(ControlUnit),
     /// 688h.
     Heartbeat {
-        /// Not understood.
+        /// Unknown slots.
         rest: [u16; 2],
         /// Battery of the user interface.
         ui_battery: u16,
@@ -252,7 +251,7 @@ pub enum Message {
     },
     /// 412h from the user interface: it is on and the power base is off.
     PowerbaseOff {
-        /// Not understood.
+        /// Unknown slots.
         rest: [u16; 3],
         /// Battery of the user interface.
         ui_battery: u16,
@@ -266,7 +265,7 @@ pub enum Message {
 }
 
 impl Message {
-    /// The message in a frame; none if it is not one of a power base or its host.
+    /// Decodes a message; `None` if it is not from a power base or its host.
     #[must_use]
     pub fn decode(frame: &Frame) -> Option<Self> {
         if frame.id().is_extended() || frame.is_remote() {
@@ -339,7 +338,7 @@ impl Message {
         })
     }
 
-    /// As a frame.
+    /// Encodes the message.
     #[must_use]
     pub fn frame(&self) -> Frame {
         let i = i16::cast_unsigned;

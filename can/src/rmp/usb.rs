@@ -1,6 +1,5 @@
-//! The packets of the power base's USB port: a CAN frame in 18 bytes with a checksum, with the
-//! identifier in another place on the way to the power base than on the way back. The port is an FTDI
-//! chip (0403:E729), 460,800 Bd 8N1; opening it is not done here.
+//! The packets of the power base's USB port: a CAN frame in 18 bytes with a checksum, with the identifier at different
+//! offsets in the two directions. The port is an FTDI chip (0403:E729), 460,800 Bd 8N1; the caller opens it.
 //!
 //! | byte | to the power base | from the power base |
 //! |---|---|---|
@@ -16,7 +15,7 @@
 use super::status::standard;
 use crate::Frame;
 
-/// One of the two control boards of a power base, each of which tells everything.
+/// One of the two control boards of a power base; each sends all messages.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Channel {
     /// The first.
@@ -36,7 +35,8 @@ impl Packet {
     /// Bytes of a packet.
     pub const LEN: usize = 18;
 
-    /// The frame to the power base. Shorter frames are filled with zeros: a power base knows none.
+    /// The frame to the power base. Shorter frames are padded with zeros; a power base accepts
+    /// eight bytes only.
     #[must_use]
     pub fn to_powerbase(frame: &Frame) -> Self {
         let [high, low] = identifier(frame).to_be_bytes();
@@ -64,7 +64,7 @@ impl Packet {
         Self(bytes)
     }
 
-    /// What the power base sent; none if it is no such packet, or one of the old heartbeat.
+    /// The frame sent by the power base; `None` for other packets and the old heartbeat.
     #[must_use]
     pub fn decode(&self) -> Option<(Channel, Frame)> {
         let [f0, id55, channel, _, high, low, ..] = self.0;
@@ -78,7 +78,7 @@ impl Packet {
             .then(|| (channel, Frame::full(standard(id), self.data())))
     }
 
-    /// What a host sent.
+    /// The frame sent by a host.
     #[must_use]
     pub fn decode_host(&self) -> Option<Frame> {
         let [f0, id55, channel, _, _, _, high, low, ..] = self.0;
@@ -108,7 +108,7 @@ fn checksum(bytes: &[u8]) -> u8 {
     fold(fold(sum)).to_be_bytes()[1].wrapping_neg()
 }
 
-/// Finds packets in a stream of bytes, which may begin anywhere and lack bytes.
+/// Finds packets in a byte stream that may start anywhere and lack bytes.
 #[derive(Clone, Debug, Default)]
 pub struct PacketReader {
     bytes: [u8; Packet::LEN],
@@ -118,13 +118,13 @@ pub struct PacketReader {
 }
 
 impl PacketReader {
-    /// Takes a byte; gives the packet that it completes.
+    /// Handles a byte; returns the packet that it completes.
     pub fn push(&mut self, byte: u8) -> Option<Packet> {
-        if let Some(place) = self.bytes.get_mut(self.len) {
-            *place = byte;
+        if let Some(slot) = self.bytes.get_mut(self.len) {
+            *slot = byte;
             self.len += 1;
         }
-        self.hunt();
+        self.resynchronize();
         if self.len < Packet::LEN {
             return None;
         }
@@ -135,11 +135,11 @@ impl PacketReader {
         }
         self.wrong += 1;
         self.drop_first();
-        self.hunt();
+        self.resynchronize();
         None
     }
 
-    /// Bytes that belonged to no packet.
+    /// Number of bytes outside of packets.
     #[must_use]
     pub const fn skipped(&self) -> u64 {
         self.skipped
@@ -157,8 +157,8 @@ impl PacketReader {
         self.skipped += 1;
     }
 
-    /// Drops bytes until a packet may begin with the first.
-    fn hunt(&mut self) {
+    /// Drops bytes until the first may start a packet.
+    fn resynchronize(&mut self) {
         while self.len > 0 && !self.begins() {
             self.drop_first();
         }
@@ -193,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn packets_to_a_power_base_are_those_of_the_field() {
+    fn rmp_packets_to_power_base_match_field_recordings() {
         let head = "f0 55 00 00 00 00 04 13 00 ";
         let of = |integrators| command(0, 0, Config::ResetIntegrators(integrators));
         for (frame, tail) in [
@@ -235,8 +235,8 @@ mod tests {
     }
 
     #[test]
-    fn packets_of_a_recorded_power_base_are_read() {
-        for (text, told) in [
+    fn rmp_packets_of_recorded_power_base_are_read() {
+        for (text, expected) in [
             (
                 "f0 55 aa 00 80 68 00 00 00 bf 8f ff ff 8f 09 ff ff 3f",
                 "displacement left -16497 right -28919 counts",
@@ -275,14 +275,14 @@ mod tests {
             let (channel, frame) = packet.decode().unwrap();
             assert_eq!(channel, Channel::A);
             let message = Message::decode(&frame).unwrap();
-            assert_eq!(message.to_string(), told);
+            assert_eq!(message.to_string(), expected);
             assert_eq!(message.frame(), frame);
             assert_eq!(Packet::from_powerbase(channel, &frame).0[..], bytes);
         }
     }
 
     #[test]
-    fn a_stream_that_begins_anywhere_is_found_again() {
+    fn rmp_packet_stream_resynchronizes() {
         let frame = command(7, 8, Config::None);
         let whole = Packet::from_powerbase(Channel::B, &frame).0;
         let mut stream = whole[5..].to_vec();
@@ -306,7 +306,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_stream_is_answered_and_the_second_packet_after_it_is_found(
+        fn rmp_any_stream_second_packet_is_found(
             noise in prop::collection::vec(any::<u8>(), 0..200),
             slots: [u8; 8],
         ) {
@@ -319,7 +319,7 @@ mod tests {
         }
 
         #[test]
-        fn every_message_survives(id in 0u16..0x800, slots: [u8; 8]) {
+        fn rmp_every_message_survives_usb(id in 0u16..0x800, slots: [u8; 8]) {
             let frame = Frame::full(standard(id), slots);
             if let Some(message) = Message::decode(&frame)
                 && !matches!(message, Message::Command(_))

@@ -1,10 +1,10 @@
-//! Emergencies of one node as they were seen: each code, how often, and whether it was withdrawn. It judges nothing.
+//! Emergencies of one node: codes, counts, and whether they were cleared.
 
 use std::time::Duration;
 
 use crate::canopen::Emergency;
 
-/// Codes of a node that are kept apart, at most; further ones are counted together.
+/// Maximum codes of a node with separate statistics; further ones are counted together.
 pub const CODES_MAX: usize = 16;
 
 /// One code of a node.
@@ -14,26 +14,26 @@ pub struct EmergencyStat {
     pub code: u16,
     /// Error register of the last one.
     pub register: u8,
-    /// How often it came.
+    /// Number of occurrences.
     pub times: u32,
-    /// When it came first and last.
+    /// Times of the first and last occurrence.
     pub seen: (Duration, Duration),
-    /// It is present: not withdrawn by "no error" (0000h), and the node did not start again since.
+    /// Active: not cleared by "no error" (0000h), and the node has not restarted since.
     pub is_present: bool,
 }
 
-/// All emergencies of a node.
+/// Emergency statistics of a node.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Emergencies {
     codes: Vec<EmergencyStat>,
     /// Emergencies of codes beyond [`CODES_MAX`].
     pub others: u64,
-    /// All of its emergencies.
+    /// Total number of emergencies.
     pub frames: u64,
 }
 
 impl Emergencies {
-    /// Each code, in the order in which they came first.
+    /// Statistics by code, in order of first occurrence.
     #[must_use]
     pub fn codes(&self) -> &[EmergencyStat] {
         &self.codes
@@ -43,9 +43,9 @@ impl Emergencies {
         let Emergency { code, register, .. } = *emergency;
         self.frames += 1;
         if code == 0 {
-            return self.withdraw(register);
+            return self.clear(register);
         }
-        let room = self.codes.len() < CODES_MAX;
+        let may_add = self.codes.len() < CODES_MAX;
         let known = self.codes.iter_mut().find(|known| known.code == code);
         match known {
             Some(known) => {
@@ -53,7 +53,7 @@ impl Emergencies {
                 known.seen.1 = at;
                 known.times = known.times.saturating_add(1);
             }
-            None if room => self.codes.push(EmergencyStat {
+            None if may_add => self.codes.push(EmergencyStat {
                 code,
                 register,
                 times: 1,
@@ -64,10 +64,10 @@ impl Emergencies {
         }
     }
 
-    /// "No error": with an empty register none is left; else one is gone, and the last one is taken for it.
-    fn withdraw(&mut self, register: u8) {
+    /// Handles "no error": an empty register clears all; otherwise it clears the last one.
+    fn clear(&mut self, register: u8) {
         if register == 0 {
-            return self.forget();
+            return self.clear_all();
         }
         let present = self.codes.iter_mut().filter(|code| code.is_present);
         if let Some(last) = present.max_by_key(|code| code.seen.1) {
@@ -75,8 +75,8 @@ impl Emergencies {
         }
     }
 
-    /// None is present: the node started again.
-    pub(super) fn forget(&mut self) {
+    /// Clears all: the node has restarted.
+    pub(super) fn clear_all(&mut self) {
         self.codes
             .iter_mut()
             .for_each(|code| code.is_present = false);

@@ -1,5 +1,4 @@
-//! From figures to what is wrong and what to do about it: pure functions, so that each can be tested by its
-//! cause. Nothing is measured here.
+//! Derives findings from bus statistics by pure functions, so that each can be tested by its cause.
 
 mod dialogues;
 mod remedy;
@@ -13,18 +12,18 @@ use crate::cia402::dictionary::{AbortCode, Address};
 use crate::cia402::error_text;
 use crate::{BusState, Id};
 
-/// From when on a figure is wrong.
+/// Limits of the statistics.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
-    /// Mean load that leaves too little room for bursts, 0 to 1.
+    /// Mean load that leaves too little reserve for bursts, 0 to 1.
     pub load_warning: f64,
     /// Mean load at which low priorities starve, 0 to 1.
     pub load_failure: f64,
     /// Errors on the wire per thousand frames.
     pub errors_per_thousand: f64,
-    /// Jitter of SYNC as share of its period.
+    /// SYNC jitter relative to its period.
     pub sync_jitter: f64,
-    /// Time without any frame that is not yet told.
+    /// Tolerated time without any frame.
     pub silence: Duration,
 }
 
@@ -41,39 +40,39 @@ impl Default for Limits {
     }
 }
 
-/// How grave something is.
+/// Severity of a finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Severity {
-    /// It does not work.
+    /// Communication fails.
     Failure,
-    /// It works, and will not always.
+    /// Communication works, but not reliably.
     Warning,
 }
 
-/// Something that is wrong.
+/// A finding about a bus.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum Finding {
-    /// The controller is off the bus, or was.
+    /// The controller is or was bus-off.
     BusOff {
         /// How often.
         times: u64,
-        /// Whether it is still.
+        /// Whether it still is.
         still: bool,
     },
-    /// Nobody acknowledges what this host sends.
+    /// No node acknowledges frames of this host.
     Alone {
-        /// Frames that were not acknowledged.
+        /// Unacknowledged frames.
         frames: u64,
     },
-    /// Errors and not one good frame.
+    /// Errors and no good frame.
     NothingButErrors {
         /// How many.
         errors: u64,
     },
-    /// Not one frame.
+    /// No frame.
     Nothing {
-        /// For how long was listened.
+        /// Duration of the measurement.
         span: Duration,
     },
     /// Errors between good frames.
@@ -83,89 +82,89 @@ pub enum Finding {
         /// Good frames.
         frames: u64,
     },
-    /// The transceiver told of wires cut or shorted.
+    /// The transceiver reported cut or shorted wires.
     Wires {
         /// How often.
         times: u64,
     },
-    /// The controller is error-passive or near it.
+    /// The controller is error-passive or in error-warning.
     Weak {
         /// Its state.
         state: BusState,
         /// Counters of transmit and receive errors.
         counters: Option<(u16, u16)>,
     },
-    /// Too much on the bus.
+    /// High bus load.
     Load {
-        /// Mean share of time, 0 to 1.
+        /// Mean load, 0 to 1.
         load: f64,
-        /// From this limit on.
+        /// Exceeded limit.
         limit: f64,
-        /// How grave that is.
+        /// Its severity.
         severity: Severity,
-        /// Which identifier takes most, and what share of the load.
+        /// The identifier with the most load, and its fraction of the load.
         most: Option<(Id, f64)>,
     },
     /// A node's heartbeat stopped.
     HeartbeatMissing {
         /// The node.
         node: NodeId,
-        /// For how long.
+        /// Time since the last one.
         silence: Duration,
-        /// How often it came before.
+        /// Its period before.
         period: Duration,
     },
-    /// A node's heartbeat was late and came again.
+    /// A node's heartbeat was late and recovered.
     HeartbeatLate {
         /// The node.
         node: NodeId,
         /// How often.
         times: u32,
     },
-    /// A node started again while it was at work, and no reset of it was seen.
+    /// A node restarted during operation without an observed reset.
     Rebooted {
         /// The node.
         node: NodeId,
         /// How often.
         times: u32,
     },
-    /// A node's emergency that it has not withdrawn.
+    /// An active emergency of a node.
     Emergency {
         /// The node.
         node: NodeId,
         /// Its code.
         code: u16,
-        /// How often it came.
+        /// Number of occurrences.
         times: u32,
     },
-    /// A node's emergency that it withdrew, or that ended with its start.
+    /// A past emergency of a node, cleared or ended by its restart.
     EmergencyEnded {
         /// The node.
         node: NodeId,
         /// Its code.
         code: u16,
-        /// How often it came.
+        /// Number of occurrences.
         times: u32,
     },
-    /// A node does not answer SDO requests.
+    /// A node does not respond to SDO requests.
     SdoUnanswered {
         /// The node.
         node: NodeId,
         /// How many.
         times: u32,
-        /// The last one of them.
+        /// Object of the last one.
         address: Option<Address>,
-        /// It answered none, or some.
+        /// Whether it answered none or some.
         severity: Severity,
     },
-    /// Nodes that were asked by SDO and never showed themselves: a scan of the bus.
+    /// SDO requests to nodes that never responded: a bus scan.
     SdoAbsent {
         /// How many.
         nodes: usize,
         /// The lowest of them.
         first: NodeId,
     },
-    /// A node refused SDO requests.
+    /// A node aborted SDO requests.
     SdoRefused {
         /// The node.
         node: NodeId,
@@ -174,7 +173,7 @@ pub enum Finding {
         /// The last one.
         last: (Address, AbortCode),
     },
-    /// A client gave SDO transfers of a node up, for another reason than silence.
+    /// A client aborted SDO transfers of a node, other than after a timeout.
     SdoGivenUp {
         /// The node.
         node: NodeId,
@@ -183,25 +182,25 @@ pub enum Finding {
         /// The last one.
         last: (Address, AbortCode),
     },
-    /// A client repeats requests before they are answered.
+    /// A client repeats requests before the response.
     SdoRepeated {
         /// The node.
         node: NodeId,
         /// How often.
         times: u32,
     },
-    /// A node sends SDO answers that nobody asked for.
-    SdoUnasked {
+    /// A node sends unsolicited SDO responses.
+    SdoUnsolicited {
         /// The node.
         node: NodeId,
         /// How many.
         times: u32,
     },
-    /// SYNC does not come regularly.
+    /// SYNC is irregular.
     SyncJitter {
-        /// From the shortest to the longest interval, as share of the mean one.
+        /// Range of the intervals relative to their mean.
         jitter: f64,
-        /// The mean one.
+        /// Mean interval.
         period: Duration,
     },
     /// This host's sockets lost frames.
@@ -222,7 +221,7 @@ pub enum Finding {
 }
 
 impl Finding {
-    /// How grave it is.
+    /// Its severity.
     #[must_use]
     pub const fn severity(&self) -> Severity {
         match self {
@@ -247,12 +246,12 @@ impl Finding {
             | Self::SdoRefused { .. }
             | Self::SdoGivenUp { .. }
             | Self::SdoRepeated { .. }
-            | Self::SdoUnasked { .. }
+            | Self::SdoUnsolicited { .. }
             | Self::SyncJitter { .. } => Severity::Warning,
         }
     }
 
-    /// A name without blanks that does not change, for programs.
+    /// A stable name without spaces, for programs.
     #[must_use]
     pub const fn name(&self) -> &'static str {
         match self {
@@ -274,7 +273,7 @@ impl Finding {
             Self::SdoRefused { .. } => "sdo-refused",
             Self::SdoGivenUp { .. } => "sdo-given-up",
             Self::SdoRepeated { .. } => "sdo-repeated",
-            Self::SdoUnasked { .. } => "sdo-unasked",
+            Self::SdoUnsolicited { .. } => "sdo-unasked",
             Self::SyncJitter { .. } => "sync-jitter",
             Self::Dropped { .. } => "dropped",
             Self::ControllerOverflow { .. } => "controller-overflow",
@@ -293,10 +292,13 @@ impl fmt::Display for Finding {
             }
             Self::BusOff { times, .. } => write!(f, "the controller was off the bus {times} times"),
             Self::Alone { frames } => {
-                write!(f, "nobody acknowledges: {frames} attempts to send failed")
+                write!(
+                    f,
+                    "no node acknowledges: {frames} transmission attempts failed"
+                )
             }
-            Self::NothingButErrors { errors } => write!(f, "{errors} errors and not one frame"),
-            Self::Nothing { span } => write!(f, "not one frame in {:.1} s", span.as_secs_f64()),
+            Self::NothingButErrors { errors } => write!(f, "{errors} errors and no good frame"),
+            Self::Nothing { span } => write!(f, "no frame in {:.1} s", span.as_secs_f64()),
             Self::Disturbed { errors, frames } => {
                 write!(f, "{errors} errors on the wire, {frames} good frames")
             }
@@ -361,7 +363,7 @@ impl fmt::Display for Finding {
             Self::SdoAbsent { nodes, first } => {
                 write!(
                     f,
-                    "{nodes} nodes from {first} on were asked by SDO and are not there"
+                    "{nodes} nodes from {first} on received SDO requests and are absent"
                 )
             }
             Self::SdoRefused {
@@ -384,7 +386,7 @@ impl fmt::Display for Finding {
                 f,
                 "node {node}: {times} SDO requests repeated before their answer"
             ),
-            Self::SdoUnasked { node, times } => {
+            Self::SdoUnsolicited { node, times } => {
                 write!(
                     f,
                     "node {node}: {times} SDO answers that belong to no request"
@@ -394,7 +396,9 @@ impl fmt::Display for Finding {
                 let (jitter, period) = (jitter * 1e2, ms(period));
                 write!(f, "SYNC jitters by {jitter:.1} % of its {period:.3} ms")
             }
-            Self::Dropped { frames } => write!(f, "{frames} frames lost before they were read"),
+            Self::Dropped { frames } => {
+                write!(f, "{frames} received frames lost: not read in time")
+            }
             Self::ControllerOverflow { times } => {
                 write!(f, "the controller lost received frames {times} times")
             }
@@ -403,7 +407,7 @@ impl fmt::Display for Finding {
     }
 }
 
-/// The gravest first.
+/// Sorts by descending severity.
 pub(super) fn judge(report: &Report, limits: &Limits) -> Vec<Finding> {
     let mut found = Vec::new();
     controller(report, &mut found);
@@ -439,13 +443,13 @@ fn controller(report: &Report, found: &mut Vec<Finding>) {
 
 fn wire(report: &Report, limits: &Limits, found: &mut Vec<Finding>) {
     let errors = &report.errors;
-    let heard = report.frames - report.sent.min(report.frames);
+    let received = report.frames - report.sent.min(report.frames);
     if errors.transceiver > 0 {
         found.push(Finding::Wires {
             times: errors.transceiver,
         });
     }
-    if errors.protocol > 0 && heard == 0 {
+    if errors.protocol > 0 && received == 0 {
         found.push(Finding::NothingButErrors {
             errors: errors.protocol,
         });
@@ -454,7 +458,7 @@ fn wire(report: &Report, limits: &Limits, found: &mut Vec<Finding>) {
     }
     #[expect(clippy::cast_precision_loss, reason = "a ratio")]
     let per_thousand = errors.protocol as f64 * 1e3 / report.frames.max(1) as f64;
-    if heard > 0 && per_thousand >= limits.errors_per_thousand {
+    if received > 0 && per_thousand >= limits.errors_per_thousand {
         found.push(Finding::Disturbed {
             errors: errors.protocol,
             frames: report.frames,
@@ -470,7 +474,7 @@ fn load(report: &Report, limits: &Limits, found: &mut Vec<Finding>) {
         _ => return,
     };
     let most = report.ids.iter().max_by_key(|(_, stat)| stat.busy);
-    let most = most.and_then(|(id, stat)| Some((*id, super::share(stat.busy, report.busy)?)));
+    let most = most.and_then(|(id, stat)| Some((*id, super::ratio(stat.busy, report.busy)?)));
     found.push(Finding::Load {
         load,
         limit,

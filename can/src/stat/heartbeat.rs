@@ -1,40 +1,39 @@
-//! One node's heartbeat as it is seen: how often it comes, when that changes, and how the node starts again. What is
-//! wrong with it, the findings say.
+//! Heartbeat statistics of one node: period, changes of the period, and restarts of the node.
 
 use std::time::Duration;
 
 use super::Intervals;
 use crate::canopen::{NmtCommand, NmtState};
 
-/// How far an interval may be from another one that is taken for the same, as share of the longer.
+/// Tolerance of equal intervals, relative to the longer one.
 const SAME: f64 = 0.25;
-/// A boot-up this long behind a reset command is its consequence. Nodes take up to some seconds.
+/// Maximum time from a reset command to the boot-up that it caused. Nodes take up to some seconds.
 const RESET_MAX: Duration = Duration::from_secs(10);
 
-/// What is known of one node's heartbeat.
+/// Heartbeat statistics of one node.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Heartbeat {
-    /// As it told last.
+    /// Last reported state.
     pub state: NmtState,
-    /// Times from one to the next, of the present period; those in which some were missing are not among them.
+    /// Intervals of the current period, without gaps.
     pub intervals: Intervals,
-    /// How often it came too late.
+    /// Number of late heartbeats.
     pub gaps: u32,
-    /// How often the node started.
+    /// Number of boot-ups.
     pub boots: u32,
-    /// How often it started while it had been at work and nobody had sent it a reset.
+    /// Number of restarts during operation without a reset command.
     pub reboots: u32,
-    /// How often it started because of a reset command that is in the recording, and the last of these.
+    /// Number of boot-ups after an observed reset command, and the time of the last.
     pub resets: (u32, Option<NmtCommand>),
-    /// Mean of the period before the present one, if it changed while the node was at work.
+    /// Mean of the previous period, if it changed during operation.
     pub earlier: Option<Duration>,
-    /// As 1017h was written; zero is off. `None` while that was not seen since the node started.
+    /// Value written to 1017h; zero: off. `None` if not observed since the boot-up.
     pub written: Option<Duration>,
-    /// An interval that was much longer or shorter than the others: the period changed, if the next is the same.
+    /// An outlier interval: the period changed if the next interval is the same.
     odd: Option<Duration>,
-    /// The odd one was counted as a gap.
+    /// The outlier was counted as a gap.
     was_gap: bool,
-    /// A reset command that the node has not answered yet.
+    /// A reset command without boot-up yet.
     commanded: Option<(NmtCommand, Duration)>,
 }
 
@@ -55,7 +54,7 @@ impl Heartbeat {
         }
     }
 
-    /// How often it comes: as it was seen, or as 1017h says while too few were seen.
+    /// Its period: as observed, or as written to 1017h while too few were observed.
     #[must_use]
     pub fn period(&self) -> Duration {
         match self.written {
@@ -64,9 +63,9 @@ impl Heartbeat {
         }
     }
 
-    /// Longest silence that is not one: twice the usual time, as soon as two intervals were seen or 1017h was written.
+    /// Timeout of the heartbeat: twice its period, once two intervals were observed or 1017h was written.
     #[must_use]
-    pub fn patience(&self) -> Option<Duration> {
+    pub fn timeout(&self) -> Option<Duration> {
         let seen = (self.intervals.count() >= 2).then(|| self.intervals.mean());
         match self.written {
             Some(written) if written.is_zero() => None,
@@ -75,19 +74,19 @@ impl Heartbeat {
         }
     }
 
-    /// A reset command to it.
+    /// Handles a reset command to the node.
     pub(super) const fn command(&mut self, command: NmtCommand, at: Duration) {
         self.commanded = Some((command, at));
     }
 
-    /// 1017h was written: from now on another period counts.
+    /// Handles a write to 1017h: a new period starts.
     pub(super) fn write(&mut self, period: Duration, at: Duration) {
-        self.renew(at);
+        self.restart_statistics(at);
         self.written = Some(period);
     }
 
-    /// The statistics begin again.
-    fn renew(&mut self, at: Duration) {
+    /// Restarts the statistics.
+    fn restart_statistics(&mut self, at: Duration) {
         if self.intervals.count() >= 2 {
             self.earlier = Some(self.intervals.mean());
         }
@@ -96,7 +95,7 @@ impl Heartbeat {
         (self.odd, self.was_gap) = (None, false);
     }
 
-    /// A heartbeat or a boot-up message came.
+    /// Handles a heartbeat or boot-up message.
     pub(super) fn handle(&mut self, state: NmtState, at: Duration) {
         if state == NmtState::BootUp {
             self.boot(at);
@@ -117,8 +116,8 @@ impl Heartbeat {
             self.reboots += u32::from(was_at_work);
         }
         self.boots += 1;
-        // What 1017h was is not known any more.
-        self.renew(at);
+        // The value of 1017h is no longer known.
+        self.restart_statistics(at);
         (self.written, self.earlier) = (None, None);
     }
 
@@ -126,7 +125,7 @@ impl Heartbeat {
         let Some(interval) = interval else {
             return self.intervals.record(at);
         };
-        let late = self.patience().is_some_and(|patience| interval > patience);
+        let late = self.timeout().is_some_and(|timeout| interval > timeout);
         let early = self.intervals.count() >= 2 && interval < self.intervals.mean() / 2;
         let Some(odd) = self.odd.filter(|_| late || early) else {
             if late || early {
@@ -140,10 +139,10 @@ impl Heartbeat {
             return;
         };
         if is_same(odd, interval) {
-            // Two in a row: it is no gap but another period.
+            // Two in a row: not a gap but a new period.
             self.gaps -= u32::from(self.was_gap);
             let last = at.saturating_sub(interval);
-            self.renew(last.saturating_sub(odd));
+            self.restart_statistics(last.saturating_sub(odd));
             self.intervals.record(last);
             self.intervals.record(at);
             return;

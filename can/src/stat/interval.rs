@@ -1,4 +1,4 @@
-//! Times between things that should come regularly. It judges none of them.
+//! Interval statistics of periodic events.
 
 use std::time::Duration;
 
@@ -10,14 +10,14 @@ pub struct Intervals {
     sum: Duration,
     shortest: Duration,
     longest: Duration,
-    /// Of the squares of seconds, about the first interval, so that large numbers do not cancel.
+    /// Sum of squares relative to the first interval, in s², to avoid cancellation.
     squares: f64,
     deviations: f64,
     first: Duration,
 }
 
 impl Intervals {
-    /// Nothing yet.
+    /// No events yet.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -32,7 +32,7 @@ impl Intervals {
         }
     }
 
-    /// It came. An interval ends, unless it is the first. A time that goes back makes an interval of 0.
+    /// Handles an event, which ends an interval unless it is the first. A decreasing time counts as an interval of 0.
     pub fn record(&mut self, at: Duration) {
         if let Some(last) = self.last {
             let interval = at.saturating_sub(last);
@@ -50,12 +50,12 @@ impl Intervals {
         self.last = Some(at);
     }
 
-    /// It came, and what went before is no interval.
+    /// Handles an event without ending an interval.
     pub const fn restart(&mut self, at: Duration) {
         self.last = Some(at);
     }
 
-    /// When it came last.
+    /// Time of the last event.
     #[must_use]
     pub const fn last(&self) -> Option<Duration> {
         self.last
@@ -67,19 +67,19 @@ impl Intervals {
         self.count
     }
 
-    /// The shortest; 0 without any.
+    /// Minimum interval; 0 without any.
     #[must_use]
     pub const fn shortest(&self) -> Duration {
         self.shortest
     }
 
-    /// The longest; 0 without any.
+    /// Maximum interval; 0 without any.
     #[must_use]
     pub const fn longest(&self) -> Duration {
         self.longest
     }
 
-    /// The mean; 0 without any.
+    /// Mean interval; 0 without any.
     #[must_use]
     pub fn mean(&self) -> Duration {
         self.sum.checked_div(self.count).unwrap_or_default()
@@ -102,7 +102,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn intervals_are_summed_up() {
+    fn interval_statistics_match_reference() {
         let ms = Duration::from_millis;
         let mut intervals = Intervals::new();
         intervals.record(ms(1_700_000_000_000));
@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn times_that_go_back_do_no_harm() {
+    fn interval_decreasing_times_are_tolerated() {
         let mut intervals = Intervals::new();
         intervals.record(Duration::from_secs(5));
         intervals.record(Duration::from_secs(3));

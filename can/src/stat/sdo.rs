@@ -1,55 +1,54 @@
-//! SDO dialogues of one node as they were seen: requests, answers, and what was amiss between the two. It follows the
-//! messages of both sides without taking part, and knows no values.
+//! SDO statistics of one node: requests, responses and errors. A passive observer of both sides; it ignores values.
 
 use std::time::Duration;
 
 use crate::canopen::sdo::{Initiate, Message, Request, Response};
 use crate::cia402::dictionary::{AbortCode, Address};
 
-/// An answer that takes longer does not come: clients wait for half a second to some seconds.
+/// Response timeout; clients wait for half a second to some seconds.
 const ANSWER_MAX: Duration = Duration::from_secs(1);
 
-/// An abort: how often either side sent one, and the last.
+/// Aborts of one side: count, and the last one.
 pub type Aborts = (u32, Option<(Address, AbortCode)>);
 
-/// What is known of one node's SDO server and its clients.
+/// Statistics of a node's SDO server and its clients.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SdoStat {
-    /// Requests that begin a transfer.
+    /// Requests that start a transfer.
     pub requests: u32,
-    /// Transfers that came to a good end or were refused: the server answered.
+    /// Transfers that succeeded or were aborted by the server.
     pub answered: u32,
-    /// Requests without an answer.
+    /// Requests without response.
     pub unanswered: u32,
-    /// The object of the last one of these.
+    /// Object of the last one.
     pub unanswered_last: Option<Address>,
     /// Aborts of the server.
     pub refused: Aborts,
-    /// Aborts of a client, other than after silence.
+    /// Aborts of a client, other than after a timeout.
     pub given_up: Aborts,
-    /// The same request again before its answer.
+    /// Requests repeated before their response.
     pub repeats: u32,
-    /// Answers that belong to no request.
-    pub unasked: u32,
-    /// Longest time from a request to its answer.
+    /// Unsolicited responses.
+    pub unsolicited: u32,
+    /// Maximum response time.
     pub longest: Duration,
-    /// Frames to the server that are no SDO: this is no CANopen bus, or the identifier is used otherwise.
+    /// Invalid frames to the server: the bus is not CANopen, or the identifier has another use.
     pub strange: u32,
     state: State,
-    /// When the last of its frames was seen.
+    /// Time of its last frame.
     last: Duration,
 }
 
-/// Where a dialogue is.
+/// State of a dialogue.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 enum State {
     #[default]
     Idle,
-    /// A request that begins a transfer.
-    Asked(Message, Address, Duration),
-    /// The first answer came; the client's turn.
+    /// A request that starts a transfer.
+    Requested(Message, Address, Duration),
+    /// After the first response; the client is next.
     Answered(Address),
-    /// A segment was sent or asked for; it is the last one that the client sends.
+    /// A segment was sent or requested; whether it is the client's last one.
     Segment(Address, Duration, bool),
     /// The client sends blocks.
     BlockDownload(Address),
@@ -58,14 +57,14 @@ enum State {
 }
 
 impl SdoStat {
-    /// Whether frames with its identifiers are SDOs: some were answered, or all that a client sent are well made.
+    /// Whether frames with its identifiers are SDOs: some were answered, or all requests are valid.
     #[must_use]
     pub const fn is_sdo(&self) -> bool {
         self.requests > 0
             && (self.answered > 0 && self.answered >= self.strange || self.strange == 0)
     }
 
-    /// A transfer in blocks that was broken off without a word does not hide what comes later.
+    /// A block transfer that was broken off without an abort does not hide later ones.
     fn forget_blocks(&mut self, at: Duration) {
         let blocks = matches!(self.state, State::BlockDownload(_) | State::BlockUpload(_));
         if blocks && at.saturating_sub(self.last) >= ANSWER_MAX {
@@ -74,7 +73,7 @@ impl SdoStat {
         self.last = at;
     }
 
-    /// From a client.
+    /// Handles a message of a client.
     pub(super) fn handle_request(&mut self, message: &Message, at: Duration) {
         self.forget_blocks(at);
         if let State::BlockDownload(_) = self.state
@@ -100,7 +99,7 @@ impl SdoStat {
                     self.state = State::Segment(address, at, last);
                 }
                 State::Idle
-                | State::Asked(..)
+                | State::Requested(..)
                 | State::BlockDownload(_)
                 | State::BlockUpload(_) => self.strange = self.strange.saturating_add(1),
             },
@@ -115,20 +114,20 @@ impl SdoStat {
 
     fn begin(&mut self, message: &Message, address: Address, at: Duration) {
         match self.state {
-            State::Asked(before, ..) if before == *message => {
+            State::Requested(before, ..) if before == *message => {
                 self.repeats = self.repeats.saturating_add(1);
-                self.lose();
+                self.count_unanswered();
             }
-            State::Asked(..) | State::Segment(..) => self.lose(),
+            State::Requested(..) | State::Segment(..) => self.count_unanswered(),
             State::Idle | State::Answered(_) | State::BlockDownload(_) | State::BlockUpload(_) => {}
         }
         self.requests = self.requests.saturating_add(1);
-        self.state = State::Asked(*message, address, at);
+        self.state = State::Requested(*message, address, at);
     }
 
-    /// What was asked gets no answer any more.
-    const fn lose(&mut self) {
-        if let State::Asked(_, address, _) | State::Segment(address, ..) = self.state {
+    /// The pending request counts as unanswered.
+    const fn count_unanswered(&mut self) {
+        if let State::Requested(_, address, _) | State::Segment(address, ..) = self.state {
             self.unanswered = self.unanswered.saturating_add(1);
             self.unanswered_last = Some(address);
         }
@@ -137,9 +136,9 @@ impl SdoStat {
 
     fn client_aborts(&mut self, address: Address, code: AbortCode) {
         if code == AbortCode::TimedOut
-            && matches!(self.state, State::Asked(..) | State::Segment(..))
+            && matches!(self.state, State::Requested(..) | State::Segment(..))
         {
-            return self.lose();
+            return self.count_unanswered();
         }
         self.given_up = (self.given_up.0.saturating_add(1), Some((address, code)));
         self.state = State::Idle;
@@ -150,7 +149,7 @@ impl SdoStat {
         self.state = State::Idle;
     }
 
-    /// From the server. Returns the download that it confirms, if it is one of up to four bytes.
+    /// Handles a message of the server. Returns the confirmed download, if expedited.
     pub(super) fn handle_response(
         &mut self,
         message: &Message,
@@ -169,7 +168,9 @@ impl SdoStat {
                 self.refused = (self.refused.0.saturating_add(1), Some((address, code)));
                 self.end();
             }
-            (State::Asked(request, address, since), Some(response)) if about == Some(address) => {
+            (State::Requested(request, address, since), Some(response))
+                if about == Some(address) =>
+            {
                 self.longest = self.longest.max(at.saturating_sub(since));
                 return self.answer(&request, address, response);
             }
@@ -184,12 +185,12 @@ impl SdoStat {
             }
             (State::BlockDownload(_), Some(Response::BlockDownloadAck { .. })) => {}
             (State::BlockDownload(_), Some(Response::BlockDownloadEnd)) => self.end(),
-            _ => self.unasked = self.unasked.saturating_add(1),
+            _ => self.unsolicited = self.unsolicited.saturating_add(1),
         }
         None
     }
 
-    /// A segment was answered.
+    /// Handles a segment response.
     fn segment(&mut self, address: Address, time: Duration, last: bool) {
         self.longest = self.longest.max(time);
         self.state = State::Answered(address);
@@ -198,7 +199,7 @@ impl SdoStat {
         }
     }
 
-    /// The first answer of a transfer.
+    /// Handles the first response of a transfer.
     fn answer(
         &mut self,
         request: &Message,
@@ -212,7 +213,7 @@ impl SdoStat {
             } => self.end(),
             Response::Upload { .. } => self.state = State::Answered(address),
             Response::Download { .. } => {
-                // Expedited: all of it was in the request.
+                // Expedited: the request contained all data.
                 if request[0] & 0x02 == 0 {
                     self.state = State::Answered(address);
                     return None;
@@ -228,24 +229,24 @@ impl SdoStat {
             | Response::BlockDownloadAck { .. }
             | Response::BlockDownloadEnd
             | Response::BlockUploadEnd { .. }
-            | Response::Abort { .. } => self.unasked = self.unasked.saturating_add(1),
+            | Response::Abort { .. } => self.unsolicited = self.unsolicited.saturating_add(1),
         }
         None
     }
 
-    /// As it is at the end of the recording: what waits for an answer for long gets none.
+    /// State at the end of the recording: requests older than the timeout are unanswered.
     pub(super) fn at(mut self, now: Duration) -> Self {
-        if let State::Asked(.., since) | State::Segment(_, since, _) = self.state
+        if let State::Requested(.., since) | State::Segment(_, since, _) = self.state
             && now.saturating_sub(since) >= ANSWER_MAX
         {
-            self.lose();
+            self.count_unanswered();
         }
         self
     }
 }
 
-/// Whether a request that begins a transfer is one: bits that are reserved are 0, and its object can be. Frames of
-/// other protocols under these identifiers are told apart by that.
+/// Whether a request is valid: reserved bits are 0 and the object can exist. Distinguishes frames of other protocols
+/// with these identifiers.
 fn is_well_made(message: &Message) -> bool {
     let index = u16::from_le_bytes([message[1], message[2]]);
     let reserved = match message[0] >> 5 {

@@ -1,4 +1,4 @@
-//! Each finding, brought about by its cause: on the in-process bus where a bus can cause it.
+//! Each finding, produced by its cause: on the in-process bus where possible.
 
 use super::*;
 use crate::bus::{Bus, Config, Counters, Fault, PortId};
@@ -17,7 +17,7 @@ fn data(id: u16, len: usize) -> Result<Frame, FrameError> {
     Frame::new(Id::standard(id)?, &[0xA5; 8][..len])
 }
 
-/// A bus with two ports, the first of which is this host's, and a meter there.
+/// A bus with two ports and a meter; the first port is this host's.
 struct Bench {
     bus: Bus,
     host: PortId,
@@ -71,7 +71,7 @@ impl Bench {
 }
 
 #[test]
-fn good_bus_has_no_finding() {
+fn stat_good_bus_has_no_finding() {
     let mut bench = Bench::new();
     for _ in 0..100 {
         bench.send(bench.host, sync(None));
@@ -92,7 +92,7 @@ fn good_bus_has_no_finding() {
 }
 
 #[test]
-fn load_is_that_of_the_wire() {
+fn stat_load_matches_wire_time() {
     let mut bench = Bench::new();
     bench.traffic(data(0x181, 8).unwrap(), MS, 500);
     let report = bench.meter.report();
@@ -112,7 +112,7 @@ fn load_is_that_of_the_wire() {
 }
 
 #[test]
-fn load_beyond_its_limits() {
+fn stat_load_above_limits_is_found() {
     let mut bench = Bench::new();
     bench.traffic(data(0x181, 8).unwrap(), Duration::from_micros(150), 200);
     let [
@@ -142,7 +142,7 @@ fn load_beyond_its_limits() {
 }
 
 #[test]
-fn silence() {
+fn stat_silence_is_found() {
     let mut bench = Bench::new();
     bench.run(999 * MS);
     assert_eq!(bench.names(), [""; 0]);
@@ -151,7 +151,7 @@ fn silence() {
 }
 
 #[test]
-fn off_the_bus_and_back() {
+fn stat_bus_off_and_restart_is_found() {
     let mut bench = Bench::new();
     bench.traffic(data(0x181, 1).unwrap(), MS, 3);
     bench.bus.set_counters(
@@ -181,7 +181,7 @@ fn off_the_bus_and_back() {
 }
 
 #[test]
-fn nobody_acknowledges() {
+fn stat_missing_acknowledgement_is_found() {
     let mut bench = Bench::new();
     bench.bus.set_listen_only(bench.other, true);
     bench.send(bench.host, sync(None));
@@ -195,7 +195,7 @@ fn nobody_acknowledges() {
 }
 
 #[test]
-fn another_bit_rate() {
+fn stat_wrong_bit_rate_is_found() {
     let mut bench = Bench::new();
     bench.bus.set_rates(bench.host, Rates::classic(500_000));
     bench.send(bench.other, data(0x181, 8).unwrap());
@@ -204,7 +204,7 @@ fn another_bit_rate() {
 }
 
 #[test]
-fn disturbed_wire() {
+fn stat_disturbed_wire_is_found() {
     let mut bench = Bench::new();
     bench.bus.inject(Fault {
         from: None,
@@ -222,7 +222,7 @@ fn disturbed_wire() {
 }
 
 #[test]
-fn controller_near_its_end() {
+fn stat_error_passive_controller_is_found() {
     let mut bench = Bench::new();
     bench.bus.set_counters(
         bench.host,
@@ -238,7 +238,7 @@ fn controller_near_its_end() {
 }
 
 #[test]
-fn heartbeat_that_stops() {
+fn stat_lost_heartbeat_is_found() {
     let mut bench = Bench::new();
     let beat = |number| heartbeat(node(number), NmtState::Operational);
     for _ in 0..5 {
@@ -272,13 +272,13 @@ fn heartbeat_that_stops() {
 }
 
 #[test]
-fn node_that_starts_anew() {
+fn stat_node_restart_is_found() {
     let mut bench = Bench::new();
-    let told = |state| heartbeat(node(5), state);
-    bench.traffic(told(NmtState::BootUp), 10 * MS, 1);
-    bench.traffic(told(NmtState::Operational), 10 * MS, 3);
+    let message = |state| heartbeat(node(5), state);
+    bench.traffic(message(NmtState::BootUp), 10 * MS, 1);
+    bench.traffic(message(NmtState::Operational), 10 * MS, 3);
     assert_eq!(bench.names(), [""; 0]);
-    bench.traffic(told(NmtState::BootUp), 10 * MS, 1);
+    bench.traffic(message(NmtState::BootUp), 10 * MS, 1);
     assert_eq!(
         bench.findings(),
         [Finding::Rebooted {
@@ -289,9 +289,9 @@ fn node_that_starts_anew() {
 }
 
 #[test]
-fn emergency_until_it_is_withdrawn() {
+fn stat_emergency_is_active_until_cleared() {
     let mut bench = Bench::new();
-    let told = |code| {
+    let message = |code| {
         emergency(
             node(3),
             &Emergency {
@@ -301,7 +301,7 @@ fn emergency_until_it_is_withdrawn() {
             },
         )
     };
-    bench.traffic(told(0x8611), MS, 1);
+    bench.traffic(message(0x8611), MS, 1);
     assert_eq!(
         bench.findings(),
         [Finding::Emergency {
@@ -310,7 +310,7 @@ fn emergency_until_it_is_withdrawn() {
             times: 1
         }]
     );
-    bench.traffic(told(0), MS, 1);
+    bench.traffic(message(0), MS, 1);
     assert_eq!(bench.names(), ["emergency-withdrawn"]);
 }
 
@@ -333,7 +333,7 @@ fn findings_of(frames: impl IntoIterator<Item = (u32, String)>) -> (Report, Vec<
     (report, findings)
 }
 
-/// `times` frames of that text, each so many ms behind the one before.
+/// `times` frames of that text, with this interval in ms.
 fn every(ms: u32, times: usize, text: &str) -> impl Iterator<Item = (u32, String)> + use<> {
     std::iter::repeat_n((ms, text.to_owned()), times)
 }
@@ -347,7 +347,7 @@ fn names_of(findings: &[Finding]) -> Vec<&'static str> {
 }
 
 #[test]
-fn heartbeat_period_written_by_sdo_is_learned() {
+fn stat_heartbeat_period_written_by_sdo_is_used() {
     let frames = every(100, 10, "701#7F")
         .chain(once(5, "601#2B171000E8030000"))
         .chain(once(4, "581#6017100000000000"))
@@ -360,7 +360,7 @@ fn heartbeat_period_written_by_sdo_is_learned() {
         (beat.earlier, beat.written),
         (Some(100 * MS), Some(1_000 * MS))
     );
-    // Switched off it is missed by nobody, and one that is written is missed even if it never comes.
+    // A disabled heartbeat is not missing; a configured one is missing even if it was never received.
     let to = |ms: u16| format!("601#2B171000{:04X}0000", ms.swap_bytes());
     for (ms, expected) in [(0, vec![]), (50, vec!["heartbeat-missing"])] {
         let frames = every(100, 10, "701#7F")
@@ -372,7 +372,7 @@ fn heartbeat_period_written_by_sdo_is_learned() {
 }
 
 #[test]
-fn heartbeat_period_that_changes_unseen_is_learned() {
+fn stat_heartbeat_period_change_is_detected() {
     for (before, after) in [(100, 1_000), (1_000, 100)] {
         let frames = every(before, 10, "701#05").chain(every(after, 6, "701#05"));
         let (report, findings) = findings_of(frames);
@@ -396,7 +396,7 @@ fn heartbeat_period_that_changes_unseen_is_learned() {
 }
 
 #[test]
-fn boot_up_after_recorded_reset_is_explained() {
+fn stat_boot_up_after_recorded_reset_is_explained() {
     for (reset, explained) in [
         ("000#8201", true),
         ("000#8200", true),
@@ -417,7 +417,7 @@ fn boot_up_after_recorded_reset_is_explained() {
 }
 
 #[test]
-fn emergencies_withdrawn_and_several_are_all_shown() {
+fn stat_cleared_and_multiple_emergencies_are_all_shown() {
     let frames = every(100, 5, "701#05")
         .chain(once(10, "081#0152800000007008"))
         .chain(every(100, 9, "701#05"))
@@ -433,7 +433,7 @@ fn emergencies_withdrawn_and_several_are_all_shown() {
         .chain(once(2, "081#B081010000000000"))
         .chain(once(2, "081#A081010000000000"))
         .chain(every(2, 2, "081#1186210000000000"))
-        // One of them is gone, others are left.
+        // One of them is cleared, others remain.
         .chain(once(2, "081#0000010000000000"));
     let codes: Vec<_> = findings_of(frames)
         .1
@@ -455,8 +455,8 @@ fn emergencies_withdrawn_and_several_are_all_shown() {
 }
 
 #[test]
-fn sdo_requests_without_answer_fail() {
-    let asked = |node: u8| {
+fn stat_unanswered_sdo_requests_are_found() {
+    let requests = |node: u8| {
         (0..8).flat_map(move |_| {
             let request = once(
                 500,
@@ -466,7 +466,7 @@ fn sdo_requests_without_answer_fail() {
             request.chain(once(500, &abort)).collect::<Vec<_>>()
         })
     };
-    let (report, findings) = findings_of(asked(1));
+    let (report, findings) = findings_of(requests(1));
     assert_eq!(names_of(&findings), ["sdo-unanswered"]);
     assert_eq!(findings[0].severity(), Severity::Failure);
     assert_eq!(
@@ -474,17 +474,17 @@ fn sdo_requests_without_answer_fail() {
         "node 1: no answer to 8 SDO requests, last 1000h:00"
     );
     assert_eq!(report.sdos[&node(1)].given_up, (0, None));
-    // A scan asks for nodes that are not there.
-    let (_, findings) = findings_of((1..=20).flat_map(asked));
+    // A scan sends requests to absent nodes.
+    let (_, findings) = findings_of((1..=20).flat_map(requests));
     assert_eq!(names_of(&findings), ["sdo-absent"]);
     assert_eq!(findings[0].severity(), Severity::Warning);
-    // What was asked just now may still be answered.
+    // Recent requests may still get a response.
     let (_, findings) = findings_of(once(0, "601#4000100000000000"));
     assert_eq!(findings, []);
 }
 
 #[test]
-fn sdo_aborts_repeats_and_unasked_answers_are_shown() {
+fn stat_sdo_aborts_repeats_unsolicited_answers_are_found() {
     let read = || once(10, "601#4000100000000000");
     let answer = || once(3, "581#4300100092010200");
     let (report, findings) = findings_of(read().chain(answer()));
@@ -512,7 +512,7 @@ fn sdo_aborts_repeats_and_unasked_answers_are_shown() {
 
 /// Transfers of every kind, of our own client and server, have no finding.
 #[test]
-fn sdo_transfers_of_every_kind_are_followed() {
+fn stat_valid_sdo_transfers_have_no_finding() {
     use crate::canopen::emulator::{DriveNode, DriveNodeConfig};
     use crate::canopen::sdo::Client;
     let mut config = DriveNodeConfig::new(node(1));
@@ -572,7 +572,7 @@ fn sdo_transfers_of_every_kind_are_followed() {
 
 /// Cars send their data cyclically under the identifiers of emergencies and SDOs.
 #[test]
-fn frames_of_a_car_are_no_dialogues() {
+fn stat_car_frames_are_no_sdo_dialogues() {
     let frames = (0..200_u64).flat_map(|turn| {
         let data = turn.wrapping_mul(0x9E37_79B9_7F4A_7C15);
         [0x0A1, 0x5A0, 0x601, 0x621, 0x581].map(|id: u16| (2, format!("{id:03X}#{data:016X}")))
@@ -580,15 +580,15 @@ fn frames_of_a_car_are_no_dialogues() {
     assert_eq!(findings_of(frames).1, []);
 }
 
-/// 702h 00: it has no heartbeat, and starts once.
+/// 702h 00: no heartbeat, one boot-up.
 #[test]
-fn boot_up_of_a_master_is_no_finding() {
+fn stat_master_boot_up_is_no_finding() {
     let frames = once(0, "702#00").chain(every(100, 20, "701#05"));
     assert_eq!(findings_of(frames).1, []);
 }
 
 #[test]
-fn sync_that_jitters() {
+fn stat_sync_jitter_is_found() {
     let mut bench = Bench::new();
     for turn in 0..20 {
         bench.traffic(sync(None), if turn == 7 { 12 * MS } else { 10 * MS }, 1);
@@ -600,7 +600,7 @@ fn sync_that_jitters() {
 }
 
 #[test]
-fn losses_of_this_host() {
+fn stat_frame_losses_of_host_are_found() {
     let config = Config {
         receive_queue: 2,
         ..Config::default()
@@ -620,7 +620,7 @@ fn losses_of_this_host() {
 }
 
 #[test]
-fn queue_that_is_full() {
+fn stat_full_send_queue_is_found() {
     let mut bench = Bench::new();
     let frame: AnyFrame = data(0x181, 0).unwrap().into();
     let sends = (0..12).map(|_| bench.bus.send(bench.host, &frame, Duration::ZERO));
@@ -630,9 +630,9 @@ fn queue_that_is_full() {
     assert_eq!(bench.findings(), [Finding::Refused { frames: 2 }]);
 }
 
-/// What only a controller can tell is told by it.
+/// Counts that only a controller can report.
 #[test]
-fn reports_of_a_controller() {
+fn stat_controller_error_frames_are_counted() {
     let report = |class, data| Received {
         frame: ErrorFrame::new(class, data).into(),
         at: Duration::ZERO,
@@ -651,8 +651,8 @@ fn reports_of_a_controller() {
         class::TX_TIMEOUT | class::PROTOCOL,
         [0, 0, violation::STUFF, 0, 0, 0, 0, 0],
     ));
-    let told = meter.report();
-    let errors = told.errors;
+    let report = meter.report();
+    let errors = report.errors;
     assert_eq!(
         (
             errors.frames,
@@ -662,7 +662,7 @@ fn reports_of_a_controller() {
         ),
         (4, 1, 1, 1)
     );
-    let names: Vec<_> = told
+    let names: Vec<_> = report
         .findings(&Limits::default())
         .iter()
         .map(Finding::name)
@@ -674,7 +674,7 @@ fn reports_of_a_controller() {
 }
 
 #[test]
-fn identifiers_are_bounded() {
+fn stat_number_of_identifiers_is_bounded() {
     let mut meter = Meter::new(None);
     for raw in 0..5_000 {
         meter.handle_frame(&Received {
@@ -693,7 +693,7 @@ fn identifiers_are_bounded() {
 }
 
 #[test]
-fn every_finding_has_a_cause_and_a_remedy() {
+fn stat_every_finding_has_text_and_remedy() {
     let mut bench = Bench::new();
     bench.bus.set_listen_only(bench.other, true);
     bench.send(bench.host, sync(None));

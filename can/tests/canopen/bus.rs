@@ -1,5 +1,5 @@
-//! A CAN bus of 1 Mbit/s in virtual time, with a master and emulated drives on it. Frames take their
-//! time and the lowest identifier goes first; bits and errors are not modelled.
+//! A CAN bus of 1 Mbit/s in virtual time, with a master and emulated drives. It models frame times and arbitration, but
+//! no bits and errors.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -17,7 +17,7 @@ pub(crate) fn node(raw: u8) -> NodeId {
     NodeId::new(raw).unwrap()
 }
 
-/// The plan of a drive whose position alone goes with SYNC: one PDO each way.
+/// The plan of a drive that exchanges only its position with SYNC: one PDO per direction.
 pub(crate) fn plan(raw: u8) -> NodePlan {
     let mut plan = NodePlan::drive(node(raw), AxisPlan::default());
     plan.rpdos.truncate(1);
@@ -35,8 +35,8 @@ impl Dice {
         Self(seed | 1)
     }
 
-    /// True with a probability of so many in a thousand.
-    pub(crate) fn says(&mut self, per_mille: u64) -> bool {
+    /// True with this probability, per mille.
+    pub(crate) fn hits(&mut self, per_mille: u64) -> bool {
         self.0 ^= self.0 << 13;
         self.0 ^= self.0 >> 7;
         self.0 ^= self.0 << 17;
@@ -44,7 +44,7 @@ impl Dice {
     }
 }
 
-/// What becomes of the data of an identifier between the bus and the objects of the device.
+/// Distorts the data of an identifier between the bus and the objects of the device.
 pub(crate) struct Tamper {
     pub(crate) id: u32,
     /// Lengths of the mapped objects.
@@ -71,23 +71,23 @@ pub(crate) struct Bus {
     pub(crate) now: Duration,
     pub(crate) master: Network,
     pub(crate) drives: Vec<Option<DriveNode>>,
-    /// Frames that a stranger sends: each as soon as the one before is through.
-    pub(crate) stranger: VecDeque<Frame>,
+    /// Frames of a foreign sender, back to back.
+    pub(crate) foreign_frames: VecDeque<Frame>,
     /// Frames with this identifier are lost for all.
     pub(crate) muted: Option<u32>,
-    /// A receiver loses so many frames in a thousand.
+    /// Loss probability of a receiver, per mille.
     pub(crate) loss: u64,
     pub(crate) dice: Dice,
     pub(crate) period: Duration,
-    /// No cycles and no services any more.
+    /// The master is stopped: no cycles and no services.
     pub(crate) master_dead: bool,
     pub(crate) events: Vec<Event>,
-    /// Longest time from the begin of a period to the end of an RPDO of it.
+    /// Maximum time from the start of a period to the end of one of its RPDOs.
     pub(crate) rpdo_latest: Duration,
-    /// RPDOs that were not through before the next period began.
+    /// RPDOs that were not complete before the next period.
     pub(crate) rpdos_late: u32,
     pub(crate) frames: u64,
-    /// SDO aborts of the master.
+    /// SDO aborts sent by the master.
     pub(crate) aborts: u32,
     queues: Vec<VecDeque<Frame>>,
     sending: Option<(Frame, usize, Duration)>,
@@ -111,7 +111,7 @@ impl Bus {
             master: Network::new(config, plans).unwrap(),
             queues: vec![VecDeque::new(); drives.len() + 2],
             drives,
-            stranger: VecDeque::new(),
+            foreign_frames: VecDeque::new(),
             muted: None,
             loss: 0,
             dice: Dice::new(1),
@@ -156,7 +156,7 @@ impl Bus {
         self.drives[usize::from(raw) - 1].as_mut().expect("powered")
     }
 
-    /// Runs until something holds, for at most that long.
+    /// Runs until the condition holds, at most this long.
     pub(crate) fn until<T>(
         &mut self,
         longest: Duration,
@@ -172,11 +172,11 @@ impl Bus {
         let nodes: Vec<_> = self.master.nodes().collect();
         for n in nodes {
             let axis = self.master.axis(n, 0);
-            let (trouble, state) = (axis.and_then(|a| a.trouble()), axis.map(|a| *a.state()));
+            let (fault, state) = (axis.and_then(|a| a.fault()), axis.map(|a| *a.state()));
             println!(
-                "node {n}: {:?} {:?} {trouble:?} {state:?}",
+                "node {n}: {:?} {:?} {fault:?} {state:?}",
                 self.master.phase(n),
-                self.master.trouble(n)
+                self.master.fault(n)
             );
         }
         panic!("it did not come within {longest:?}, {} aborts", self.aborts);
@@ -189,7 +189,7 @@ impl Bus {
         }
     }
 
-    /// To the next tick or the end of the frame on the bus; all answer.
+    /// Advances to the next tick or the end of the transmission; polls all nodes.
     pub(crate) fn step(&mut self) {
         let ticks = self.now.as_nanos() / TICK.as_nanos() + 1;
         let tick = TICK * u32::try_from(ticks).unwrap();
@@ -223,7 +223,7 @@ impl Bus {
             self.rpdo_latest = self.rpdo_latest.max(self.now - self.begun);
         }
         for to in 0..self.drives.len() + 1 {
-            if to == port || self.muted == Some(frame.id().raw()) || self.dice.says(self.loss) {
+            if to == port || self.muted == Some(frame.id().raw()) || self.dice.hits(self.loss) {
                 continue;
             }
             if to == 0 {
@@ -253,7 +253,7 @@ impl Bus {
         }
         let last = self.queues.len() - 1;
         if self.queues[last].is_empty() {
-            self.queues[last].extend(self.stranger.pop_front());
+            self.queues[last].extend(self.foreign_frames.pop_front());
         }
     }
 
@@ -267,7 +267,7 @@ impl Bus {
             return;
         };
         let frame = self.queues[port].pop_front().unwrap();
-        // 47 bits around the data, and a tenth of stuffing.
+        // 47 bits around the data, and 10 % stuff bits.
         let bits = (47 + 8 * u64::from(frame.dlc())) * 11 / 10;
         self.sending = Some((frame, port, self.now + Duration::from_micros(bits)));
     }

@@ -1,5 +1,5 @@
-"""python-canopen as the other end: `lead` brings our emulated drive up, homes and moves it;
-`follow` is a drive made of a LocalNode. Decides nothing about how fast a host is."""
+"""python-canopen as peer: `lead` starts, homes and moves our emulated drive; `follow` is a drive
+based on LocalNode. The speed of the host is not checked."""
 
 import sys
 import threading
@@ -9,31 +9,31 @@ import canopen
 from canopen.profiles.p402 import BaseNode402
 
 ROLE, CHANNEL, NUMBER, SHEET = sys.argv[1], sys.argv[2], int(sys.argv[3]), sys.argv[4]
-PATIENCE = 30.0
+TIMEOUT = 30.0
 
-# The library's own patience is for drives on a table, not for an emulated host.
-BaseNode402.TIMEOUT_SWITCH_STATE_FINAL = PATIENCE
-BaseNode402.TIMEOUT_SWITCH_STATE_SINGLE = PATIENCE / 2
-BaseNode402.TIMEOUT_SWITCH_OP_MODE = PATIENCE
-BaseNode402.TIMEOUT_CHECK_TPDO = PATIENCE
+# The library's default timeouts are too short for an emulated host.
+BaseNode402.TIMEOUT_SWITCH_STATE_FINAL = TIMEOUT
+BaseNode402.TIMEOUT_SWITCH_STATE_SINGLE = TIMEOUT / 2
+BaseNode402.TIMEOUT_SWITCH_OP_MODE = TIMEOUT
+BaseNode402.TIMEOUT_CHECK_TPDO = TIMEOUT
 
 
-def until(what, holds):
-    end = time.time() + PATIENCE
+def until(goal, holds):
+    end = time.time() + TIMEOUT
     while time.time() < end:
         if holds():
-            print("ok", what, flush=True)
+            print("ok", goal, flush=True)
             return
         time.sleep(0.01)
-    sys.exit(f"{what} did not come")
+    sys.exit(f"timeout: {goal}")
 
 
 def lead(network):
     node = BaseNode402(NUMBER, SHEET)
-    node.sdo.RESPONSE_TIMEOUT = PATIENCE
+    node.sdo.RESPONSE_TIMEOUT = TIMEOUT
     network.add_node(node)
     node.nmt.send_command(0x82)
-    node.nmt.wait_for_bootup(PATIENCE)
+    node.nmt.wait_for_bootup(TIMEOUT)
     print("ok boot-up", flush=True)
     assert node.sdo[0x1000].raw & 0xFFFF == 0x192
     assert node.sdo["manufacturer device name"].raw == "Takt emulated drive"
@@ -70,7 +70,7 @@ def lead(network):
 
     node.sdo[0x6098].raw = 35
     node.sdo[0x607C].raw = 0
-    assert node.homing(timeout=PATIENCE, restore_op_mode=False)
+    assert node.homing(timeout=TIMEOUT, restore_op_mode=False)
     print("ok homing", flush=True)
     node.controlword = 0x0F
 
@@ -87,7 +87,7 @@ def lead(network):
 
 
 class Follower:
-    """The least that a master takes for a drive."""
+    """The minimum that a master accepts as a drive."""
 
     STATES = {"disabled": 0x0250, "ready": 0x0231, "on": 0x0233, "enabled": 0x1237}
 
@@ -95,7 +95,7 @@ class Follower:
         self.network = network
         self.node = network.create_node(NUMBER, SHEET)
         self.state, self.mode, self.position = "disabled", 0, 1000
-        # SYNCs until a homing run is over; None while there is none; 0 when it was.
+        # Remaining SYNCs of a homing run; None before the first run; 0 after it.
         self.homing = None
         self.running = False
         network.subscribe(0x000, self.nmt)
@@ -104,7 +104,7 @@ class Follower:
 
     def boot(self):
         self.running = False
-        # A LocalNode tells neither by itself, and its heartbeats look like boot-up messages until then.
+        # A LocalNode sends neither by itself, and until then its heartbeats are boot-up messages.
         self.node.nmt.state = "INITIALISING"
         self.node.nmt.state = "PRE-OPERATIONAL"
 
@@ -113,11 +113,11 @@ class Follower:
         if node in (0, NUMBER):
             self.running = command == 1
             if command in (129, 130):
-                # From another thread, or the answer would be sent from within a callback.
+                # From another thread: otherwise the response would be sent from within a callback.
                 threading.Timer(0.05, self.boot).start()
 
     def mirror(self, **objects):
-        """What PDOs carry is what SDO reads, as in a drive."""
+        """SDO reads return the PDO values, as in a drive."""
         for index, value in objects.items():
             self.node.data_store.setdefault(int(index[1:], 16), {})[0] = bytes(value)
 
@@ -144,7 +144,7 @@ class Follower:
     def status(self):
         if self.state != "enabled" or self.mode != 6:
             return self.STATES[self.state]
-        # Bits 12 and 10: attained and arrived at the end of a run, neither during one.
+        # Bits 12 and 10: homing attained and target reached after a run, neither during it.
         if self.homing is None:
             return 0x0637
         if self.homing > 0:

@@ -139,9 +139,9 @@ pub(super) fn read_log(path: &Path) -> anyhow::Result<Log> {
         path.display(),
         LogError::Unknown
     );
-    let place = format.place();
+    let place = format.location_unit();
     for left_out in &log.left_out {
-        let (path, at) = (path.display(), left_out.place);
+        let (path, at) = (path.display(), left_out.location);
         complain(&format!("{path}: {place} {at}: {}", left_out.why));
     }
     let more = log.left_out_count - log.left_out.len();

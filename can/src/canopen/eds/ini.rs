@@ -1,8 +1,8 @@
-//! The text of data sheets: sections, keys, values, comments. It knows no object.
+//! The INI syntax of data sheets: sections, keys, values, comments.
 
 use super::EdsError;
 
-/// One section; keys as they stand there.
+/// A section with its keys, verbatim.
 #[derive(Clone, Debug)]
 pub(super) struct Section {
     pub(super) name: String,
@@ -10,7 +10,7 @@ pub(super) struct Section {
 }
 
 impl Section {
-    /// The value of a key, if it is there and not empty.
+    /// The value of a key, if present and not empty.
     pub(super) fn get(&self, key: &str) -> Option<&str> {
         let found = self.keys.iter().find(|(k, _)| k.eq_ignore_ascii_case(key));
         found
@@ -19,7 +19,7 @@ impl Section {
     }
 }
 
-/// All sections in their order. Comments begin with a semicolon, at the begin of a line or behind
+/// All sections in their order. Comments start with a semicolon, at the start of a line or after
 /// white space; names may be quoted.
 pub(super) fn parse(text: &str) -> Result<Vec<Section>, EdsError> {
     let text = text.strip_prefix('\u{FEFF}').unwrap_or(text);

@@ -1,4 +1,4 @@
-//! From sections to objects.
+//! Converts sections to objects.
 
 use takt_cia402::dictionary::{
     Access, Address, DataType, Entry, Object, ObjectCode, PdoUse, VALUE_MAX,
@@ -8,12 +8,12 @@ use super::ini::{self, Section};
 use super::value;
 use super::{Eds, EdsError, FILE_MAX, NodeId, Remark};
 
-/// Room for a string that can be written and has no default, bytes.
-const STRING_ROOM: usize = 256;
-/// Room for a domain that can be written and has no default, bytes.
-const DOMAIN_ROOM: usize = 4096;
+/// Maximum length of a writable string without default, bytes.
+const STRING_LEN_DEFAULT: usize = 256;
+/// Maximum length of a writable domain without default, bytes.
+const DOMAIN_LEN_DEFAULT: usize = 4096;
 
-/// What a section is about.
+/// Kind of a section.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum About {
     Object(u16),
@@ -49,14 +49,14 @@ impl Eds {
     /// Reads a data sheet or a configuration.
     ///
     /// # Errors
-    /// If the text has no sections and keys, or no object. What else is wrong is remarked.
+    /// If the text has no sections and keys, or no object. Other errors become remarks.
     pub fn parse(text: &str) -> Result<Self, EdsError> {
         if text.len() > FILE_MAX {
             return Err(EdsError::TooLong(text.len()));
         }
         let sections = ini::parse(text)?;
         let mut eds = Self::default();
-        // Values may need the node number, which stands anywhere.
+        // Values may depend on the node number, which can be anywhere in the file.
         for section in sections.iter().filter(|s| about(&s.name) == About::Other) {
             let (name, keys) = (section.name.clone(), section.keys.clone());
             eds.sections.push((name, keys));
@@ -90,7 +90,7 @@ impl Eds {
         });
     }
 
-    /// Number and bit rate of a DCF. The section is written with one m in files and in the standard.
+    /// Node number and bit rate of a DCF. Files and the standard spell the section name with one m.
     fn commission(&mut self) -> Result<(), EdsError> {
         let get = |key| {
             let spellings = ["DeviceComissioning", "DeviceCommissioning"];
@@ -108,7 +108,7 @@ impl Eds {
 
     fn object(&mut self, index: u16, section: &Section) {
         if self.objects.iter().any(|object| object.index == index) {
-            self.remark(&section.name, "is there twice; the first one counts");
+            self.remark(&section.name, "is duplicate; the first one counts");
             return;
         }
         let code = section.get("ObjectType").and_then(value::number::<u8>);
@@ -132,18 +132,18 @@ impl Eds {
                     self.compact(index, count, section);
                 }
             }
-            // Data types describe no values.
+            // Data type definitions have no values.
             ObjectCode::Other(5 | 6) => {}
             ObjectCode::Other(raw) => {
                 self.remark(
                     &section.name,
-                    format!("object type {raw} is none; left out"),
+                    format!("object type {raw} is unknown; skipped"),
                 );
             }
         }
     }
 
-    /// An array whose entries are alike: one section for all of them.
+    /// A compact array: one section describes all entries.
     fn compact(&mut self, index: u16, count: u8, section: &Section) {
         let highest = Entry::number("highest sub-index supported", Access::ReadOnly, count);
         self.push(index, 0, highest, &section.name);
@@ -182,11 +182,11 @@ impl Eds {
     fn push(&mut self, index: u16, sub: u8, entry: Entry, section: &str) {
         let found = self.objects.iter_mut().find(|object| object.index == index);
         let Some(object) = found else {
-            self.remark(section, "has no section of its object; left out");
+            self.remark(section, "has no object section; skipped");
             return;
         };
         if object.entries.iter().any(|(known, _)| *known == sub) {
-            self.remark(section, "is there twice; the first one counts");
+            self.remark(section, "is duplicate; the first one counts");
             return;
         }
         object.entries.push((sub, entry));
@@ -200,7 +200,7 @@ impl Eds {
             Some(raw) => DataType::from_raw(raw),
             None if domain => DataType::Domain,
             None => {
-                self.remark(&section.name, "has no DataType; left out");
+                self.remark(&section.name, "has no DataType; skipped");
                 return;
             }
         };
@@ -211,7 +211,7 @@ impl Eds {
         let Some((access, through)) = self::access(&access) else {
             self.remark(
                 &section.name,
-                format!("AccessType `{access}` is none; left out"),
+                format!("AccessType `{access}` is unknown; skipped"),
             );
             return;
         };
@@ -230,8 +230,12 @@ impl Eds {
             .and_then(|text| value::limit(kind, text));
         if kind.size().is_none() && access.is_writable() {
             let domain = kind == DataType::Domain;
-            let room = if domain { DOMAIN_ROOM } else { STRING_ROOM };
-            entry.max_len = entry.max_len.max(room).min(VALUE_MAX);
+            let len = if domain {
+                DOMAIN_LEN_DEFAULT
+            } else {
+                STRING_LEN_DEFAULT
+            };
+            entry.max_len = entry.max_len.max(len).min(VALUE_MAX);
         }
         self.push(index, sub, entry, &section.name);
         if let Some(text) = section.get("ParameterValue") {
@@ -252,14 +256,14 @@ impl Eds {
                 bytes
             }
             None => {
-                let remark = format!("DefaultValue `{text}` is no {kind}; taken as 0");
+                let remark = format!("DefaultValue `{text}` is not a valid {kind}; 0 is used");
                 self.remark(&section.name, remark);
                 none()
             }
         }
     }
 
-    /// A value of a DCF; `$NODEID` in it is the number of the DCF.
+    /// A value of a DCF; `$NODEID` is replaced by the node number of the DCF.
     fn value(&mut self, address: Address, text: &str, section: &str) {
         let object = self.objects.iter().find(|o| o.index == address.index);
         let entries = object.map_or(&[][..], |object| &object.entries);
@@ -270,7 +274,7 @@ impl Eds {
         let Some((mut bytes, relative)) = value::parse(kind, text) else {
             self.remark(
                 section,
-                format!("ParameterValue `{text}` is no {kind}; left out"),
+                format!("ParameterValue `{text}` is not a valid {kind}; skipped"),
             );
             return;
         };
@@ -289,7 +293,7 @@ impl Eds {
         self.values.push((address, bytes));
     }
 
-    /// Objects without entries are none; entries are in order.
+    /// Removes objects without entries and sorts the entries.
     fn complete(&mut self) {
         let empty: Vec<_> = self
             .objects
@@ -298,7 +302,7 @@ impl Eds {
             .collect();
         let empty: Vec<_> = empty.iter().map(|o| format!("{:04X}", o.index)).collect();
         for name in empty {
-            self.remark(&name, "has no entries; left out");
+            self.remark(&name, "has no entries; skipped");
         }
         self.objects.retain(|object| !object.entries.is_empty());
         for object in &mut self.objects {
@@ -307,7 +311,7 @@ impl Eds {
     }
 }
 
-/// Access, and through which PDOs an entry goes if it can be mapped.
+/// Access type, and the PDO direction of a mappable entry.
 fn access(text: &str) -> Option<(Access, PdoUse)> {
     Some(match text {
         "const" => (Access::Const, PdoUse::Transmit),

@@ -1,4 +1,4 @@
-//! Data sheets as vendors write them, and what is written read back.
+//! Data sheets of vendors, and round trips of our own.
 
 use takt_cia402::dictionary::{Access, DataType, Dictionary, ObjectCode, PdoUse};
 
@@ -12,7 +12,7 @@ fn node(raw: u8) -> NodeId {
     NodeId::new(raw).unwrap()
 }
 
-/// What files in the field have: comments, empty values, any letter case, octal numbers.
+/// Features of files in the field: comments, empty values, any letter case, octal numbers.
 const FIELD: &str = "\u{FEFF}; written by hand
 [FileInfo]
 FileName=field.eds
@@ -94,7 +94,7 @@ ObjectType=6
 ";
 
 #[test]
-fn files_as_they_are_in_the_field() {
+fn eds_files_of_vendors_are_read() {
     let eds = Eds::parse(FIELD).unwrap();
     assert_eq!(eds.info("deviceinfo", "productname"), Some("Servo"));
     assert_eq!((eds.node, eds.kbit), (NodeId::new(10).ok(), Some(500)));
@@ -122,15 +122,15 @@ fn files_as_they_are_in_the_field() {
     assert_eq!(
         remarks,
         [
-            "[2004] DefaultValue `300` is no UNSIGNED8; taken as 0",
-            "[2005] has no DataType; left out",
-            "[2005] has no entries; left out",
+            "[2004] DefaultValue `300` is not a valid UNSIGNED8; 0 is used",
+            "[2005] has no DataType; skipped",
+            "[2005] has no entries; skipped",
         ]
     );
 }
 
 #[test]
-fn entries_are_found_by_name() {
+fn eds_entries_are_found_by_name() {
     let eds = Eds::parse(FIELD).unwrap();
     assert_eq!(eds.name(at(0x1000, 0)).as_deref(), Some("Device type"));
     assert_eq!(eds.name(at(0x2001, 2)).as_deref(), Some("Gains/middle"));
@@ -145,7 +145,7 @@ fn entries_are_found_by_name() {
 }
 
 #[test]
-fn texts_that_are_no_data_sheet_are_refused() {
+fn eds_other_texts_are_rejected() {
     let line = |text: &str| match Eds::parse(text) {
         Err(EdsError::Line { line, .. }) => line,
         other => panic!("{other:?}"),
@@ -159,7 +159,7 @@ fn texts_that_are_no_data_sheet_are_refused() {
 }
 
 #[test]
-fn values_of_every_type_read_back() {
+fn eds_values_of_every_type_read_back() {
     for (kind, text, bytes) in [
         (DataType::Boolean, "0x01", &[1][..]),
         (DataType::Integer8, "-1", &[255]),
@@ -211,7 +211,7 @@ fn same(a: &Eds, b: &Eds) {
 
 #[test]
 #[cfg(feature = "emulator")]
-fn the_emulated_drive_has_a_data_sheet() {
+fn eds_of_emulated_drive_reads_back() {
     use crate::canopen::emulator::{DriveNode, DriveNodeConfig};
     let config = DriveNodeConfig::new(node(5));
     let eds = config.eds();
@@ -220,7 +220,7 @@ fn the_emulated_drive_has_a_data_sheet() {
     sorted.objects.sort_by_key(|object| object.index);
     same(&sorted, &read);
     assert_eq!(read.print(), Eds::parse(&read.print()).unwrap().print());
-    // A node made of the data sheet has the values that the drive has.
+    // A node created from the data sheet has the values of the drive.
     let drive = DriveNode::power_on(config, Duration::ZERO).unwrap();
     let from_file = read.dictionary(node(5)).unwrap();
     for object in drive.dictionary().objects() {
@@ -235,7 +235,7 @@ fn the_emulated_drive_has_a_data_sheet() {
 
 #[test]
 #[cfg(feature = "emulator")]
-fn a_configuration_becomes_a_plan() {
+fn dcf_becomes_node_plan() {
     use crate::canopen::emulator::DriveNodeConfig;
     let config = DriveNodeConfig::new(node(5));
     let mut eds = config.eds();
@@ -274,7 +274,7 @@ fn a_configuration_becomes_a_plan() {
 
 proptest::proptest! {
     #[test]
-    fn any_text_is_answered(text in "(\\[?[0-9A-Fa-f]{0,4}(sub[0-9A-F])?\\]?[ =;a-zA-Z0-9x$+-]*\n){0,30}") {
+    fn eds_any_text_does_not_panic(text in "(\\[?[0-9A-Fa-f]{0,4}(sub[0-9A-F])?\\]?[ =;a-zA-Z0-9x$+-]*\n){0,30}") {
         if let Ok(eds) = Eds::parse(&text) {
             let again = Eds::parse(&eds.print());
             proptest::prop_assert!(again.is_ok());

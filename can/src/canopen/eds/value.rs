@@ -1,8 +1,8 @@
-//! Numbers and values as data sheets write them. Which entry they are for is not known here.
+//! Syntax of numbers and values in data sheets.
 
 use takt_cia402::dictionary::DataType;
 
-/// An integer: decimal, `0x` hexadecimal, or octal with a leading 0, as CiA 306 has them.
+/// An integer: decimal, `0x` hexadecimal, or octal with a leading 0, as in CiA 306.
 pub(super) fn integer(text: &str) -> Option<i128> {
     let text = text.trim();
     let (negative, digits) = match text.strip_prefix('-') {
@@ -23,12 +23,12 @@ pub(super) fn integer(text: &str) -> Option<i128> {
     Some(if negative { -value } else { value })
 }
 
-/// An unsigned number of that type.
+/// Parses an unsigned number of that type.
 pub(super) fn number<T: TryFrom<i128>>(text: &str) -> Option<T> {
     integer(text).and_then(|value| T::try_from(value).ok())
 }
 
-/// An integer of `size` bytes, and whether the node number is to be added to it: `$NODEID+0x180`,
+/// An integer of `size` bytes, and whether it is relative to the node number: `$NODEID+0x180`,
 /// `0x180+$NODEID`, or no `$NODEID` at all.
 fn with_node(text: &str) -> Option<(i128, bool)> {
     let relative = text.to_ascii_uppercase().contains("$NODEID");
@@ -52,14 +52,14 @@ pub(super) fn limit(data_type: DataType, text: &str) -> Option<i128> {
     data_type.integer(&bytes)
 }
 
-/// The lowest bytes of a value that fits as signed or as unsigned number.
+/// The little-endian bytes of a value that fits the size as signed or unsigned number.
 fn truncated(value: i128, size: usize) -> Option<Vec<u8>> {
     let bits = 8 * u32::try_from(size).ok()?;
     let fits = value >= -(1_i128 << (bits - 1)) && value < 1_i128 << bits;
     fits.then(|| value.to_le_bytes().get(..size).unwrap_or_default().to_vec())
 }
 
-/// A value, little-endian, and whether the node number is to be added.
+/// A value, little-endian, and whether it is relative to the node number.
 pub(super) fn parse(data_type: DataType, text: &str) -> Option<(Vec<u8>, bool)> {
     match (data_type, data_type.size()) {
         (DataType::VisibleString, _) => Some((text.as_bytes().to_vec(), false)),
@@ -79,12 +79,12 @@ pub(super) fn parse(data_type: DataType, text: &str) -> Option<(Vec<u8>, bool)> 
     }
 }
 
-/// A real number is written as its bits if it is written in hexadecimal.
+/// A hexadecimal real number is the bit pattern.
 fn is_number(text: &str) -> bool {
     text.trim_start().to_ascii_lowercase().starts_with("0x")
 }
 
-/// Bytes of strings that are no text: hexadecimal, with or without spaces between them.
+/// Bytes of octet strings: hexadecimal, with or without spaces between them.
 fn hexadecimal(text: &str) -> Option<Vec<u8>> {
     let digits: Vec<u8> = text.bytes().filter(|b| !b.is_ascii_whitespace()).collect();
     let digits = digits.strip_prefix(b"0x").unwrap_or(&digits);
@@ -101,7 +101,7 @@ fn hexadecimal(text: &str) -> Option<Vec<u8>> {
         .collect()
 }
 
-/// A value as [`parse`] reads it back.
+/// Prints a value so that [`parse`] reads it back.
 pub(super) fn print(data_type: DataType, bytes: &[u8], relative: bool) -> String {
     match data_type.size() {
         None if data_type == DataType::VisibleString => String::from_utf8_lossy(bytes).into_owned(),

@@ -1,4 +1,4 @@
-//! From objects to the text of a data sheet or a configuration. Dates are its owner's.
+//! Writes data sheets and configurations. The caller sets dates.
 
 use std::fmt::Write;
 
@@ -7,7 +7,7 @@ use takt_cia402::dictionary::{Access, Address, Dictionary, Entry, Object, Object
 use super::{Eds, NodeId, value};
 
 impl Eds {
-    /// The data sheet of a device with these objects, and what CiA 306 wants to be said of it.
+    /// The data sheet of a device with these objects, and the entries required by CiA 306.
     #[must_use]
     pub fn of_device(objects: Vec<Object>, relative: Vec<Address>, file_name: &str) -> Self {
         let count = |from: u16| {
@@ -72,8 +72,8 @@ impl Eds {
         }
     }
 
-    /// Makes it the configuration of one device: its number, its bit rate in kbit/s, and the values
-    /// that its dictionary has now.
+    /// Turns it into the DCF of one device: node number, bit rate in kbit/s, and the current values
+    /// of its dictionary.
     pub fn configure(&mut self, node: NodeId, kbit: u32, dictionary: &Dictionary) {
         (self.node, self.kbit) = (Some(node), Some(kbit));
         self.values = self
@@ -86,8 +86,8 @@ impl Eds {
             .collect();
     }
 
-    /// The text of the file: an EDS, or a DCF if it has a node number. What [`Eds::parse`] reads
-    /// of it is the same.
+    /// The text of the file: an EDS, or a DCF if it has a node number. [`Eds::parse`] reads it back
+    /// unchanged.
     #[must_use]
     pub fn print(&self) -> String {
         let mut out = String::new();
@@ -200,16 +200,18 @@ impl Eds {
         ];
         keys.extend(entry.low.map(|low| ("LowLimit", low.to_string())));
         keys.extend(entry.high.map(|high| ("HighLimit", high.to_string())));
-        let told = self.values.iter().find(|(at, _)| *at == address);
-        if let Some((_, told)) = told.filter(|(_, told)| *told != entry.default || relative) {
-            keys.push(("ParameterValue", value::print(kind, told, false)));
+        let value_of_dcf = self.values.iter().find(|(at, _)| *at == address);
+        if let Some((_, value_of_dcf)) =
+            value_of_dcf.filter(|(_, value_of_dcf)| *value_of_dcf != entry.default || relative)
+        {
+            keys.push(("ParameterValue", value::print(kind, value_of_dcf, false)));
         }
         keys
     }
 }
 
 fn section<'a>(out: &mut String, name: &str, keys: impl IntoIterator<Item = (&'a str, String)>) {
-    // Writing into a string cannot fail. Lines end as CiA 306 has them.
+    // Writing into a string cannot fail. Line endings follow CiA 306.
     let _ = write!(out, "[{name}]\r\n");
     for (key, value) in keys {
         let _ = write!(out, "{key}={value}\r\n");

@@ -1,4 +1,4 @@
-//! The emulated drive as its master sees it: frames alone, in virtual time.
+//! The emulated drive seen from the master: frames only, in virtual time.
 
 use super::*;
 use crate::canopen::pdo::{Direction, Rpdo};
@@ -9,7 +9,7 @@ const MS: Duration = Duration::from_millis(1);
 struct Rig {
     drive: DriveNode,
     now: Duration,
-    heard: Vec<String>,
+    received: Vec<String>,
 }
 
 impl Rig {
@@ -18,8 +18,12 @@ impl Rig {
         change(&mut config);
         let now = Duration::ZERO;
         let drive = DriveNode::power_on(config, now).unwrap();
-        let heard = vec![];
-        let mut rig = Self { drive, now, heard };
+        let received = vec![];
+        let mut rig = Self {
+            drive,
+            now,
+            received,
+        };
         assert_eq!(rig.run(1)[0], "705#00");
         rig
     }
@@ -35,20 +39,20 @@ impl Rig {
     fn poll(&mut self) -> Vec<String> {
         let polled = std::iter::from_fn(|| self.drive.poll_transmit(self.now));
         let polled: Vec<_> = polled.map(|frame| frame.to_string()).collect();
-        self.heard.extend(polled.iter().cloned());
+        self.received.extend(polled.iter().cloned());
         polled
     }
 
     fn run(&mut self, ms: u32) -> Vec<String> {
-        let mut heard = vec![];
+        let mut received = vec![];
         for _ in 0..ms {
             self.now += MS;
-            heard.extend(self.poll());
+            received.extend(self.poll());
         }
-        heard
+        received
     }
 
-    /// The drive in Operation enabled, led by words in RPDO 1.
+    /// The drive in Operation enabled, controlled by controlwords in RPDO 1.
     fn enabled(change: impl FnOnce(&mut DriveNodeConfig)) -> Self {
         let mut rig = Self::new(change);
         rig.send("000#0105");
@@ -56,60 +60,65 @@ impl Rig {
             rig.send(&format!("205#{word}"));
             rig.run(300);
         }
-        assert_eq!(rig.heard.last().unwrap(), "185#3702", "{:?}", rig.heard);
+        assert_eq!(
+            rig.received.last().unwrap(),
+            "185#3702",
+            "{:?}",
+            rig.received
+        );
         rig
     }
 }
 
 #[test]
-fn words_by_pdo_bring_it_up_and_each_state_is_told() {
+fn drive_enabled_by_pdo_reports_each_state() {
     let rig = Rig::enabled(|config| config.heartbeat_ms = 0);
     let words = ["705#00", "185#5002", "185#3102", "185#3302", "185#3702"];
     let seen: Vec<_> = words
         .iter()
-        .map(|word| rig.heard.iter().position(|h| h == word))
+        .map(|word| rig.received.iter().position(|h| h == word))
         .collect();
     assert!(
         seen.is_sorted() && seen.iter().all(Option::is_some),
         "{:?}",
-        rig.heard
+        rig.received
     );
 }
 
 #[test]
-fn a_fault_is_told_before_the_statusword_shows_it() {
+fn drive_fault_emcy_precedes_statusword() {
     let mut rig = Rig::enabled(|_| ());
-    rig.heard.clear();
+    rig.received.clear();
     rig.drive
         .application_mut()
         .axis_mut(0)
         .unwrap()
         .fault(FaultCode::SHORT_CIRCUIT);
     rig.run(200);
-    assert_eq!(rig.heard[0], "085#2023030000000000");
+    assert_eq!(rig.received[0], "085#2023030000000000");
     assert!(
-        rig.heard.iter().any(|h| h.starts_with("185#1F")),
+        rig.received.iter().any(|h| h.starts_with("185#1F")),
         "fault reaction active: {:?}",
-        rig.heard
+        rig.received
     );
-    assert_eq!(rig.heard.last().unwrap(), "185#1802", "fault");
+    assert_eq!(rig.received.last().unwrap(), "185#1802", "fault");
     rig.drive.application_mut().axis_mut(0).unwrap().mend();
     rig.send("205#0000");
     rig.run(5);
-    rig.heard.clear();
+    rig.received.clear();
     rig.send("205#8000");
     rig.run(5);
-    assert_eq!(rig.heard, ["085#0000000000000000", "185#5002"]);
+    assert_eq!(rig.received, ["085#0000000000000000", "185#5002"]);
 }
 
-/// What 6007h says, by each way in which the master can be lost.
+/// The reaction of 6007h to each kind of master loss.
 #[test]
-fn a_lost_master_is_answered_by_6007h() {
+fn drive_master_loss_triggers_6007h() {
     for (cause, emergency) in [("heartbeat", "085#3081"), ("nmt", ""), ("pdo", "085#5082")] {
         let mut rig = Rig::enabled(|_| ());
         rig.send("605#2B07600003000000"); // 6007h = 3: quick stop
         rig.send("605#2F29100101000000"); // stay in Operational
-        rig.heard.clear();
+        rig.received.clear();
         match cause {
             "heartbeat" => {
                 rig.send("605#2316100114000100");
@@ -124,13 +133,14 @@ fn a_lost_master_is_answered_by_6007h() {
         rig.run(500);
         let state = rig.drive.application().axis(0).unwrap().state();
         assert_eq!(state, takt_cia402::State::SwitchOnDisabled, "{cause}");
-        let told = emergency.is_empty() || rig.heard.iter().any(|h| h.starts_with(emergency));
-        assert!(told, "{cause}: {:?}", rig.heard);
+        let reported =
+            emergency.is_empty() || rig.received.iter().any(|h| h.starts_with(emergency));
+        assert!(reported, "{cause}: {:?}", rig.received);
     }
 }
 
 #[test]
-fn sync_moves_it_cyclically() {
+fn drive_follows_cyclic_sync_position() {
     let mut rig = Rig::enabled(|_| ());
     for frame in [
         "000#8005",
@@ -145,7 +155,7 @@ fn sync_moves_it_cyclically() {
     ] {
         rig.send(frame);
     }
-    // Leaving Operational was answered by 6007h: a fault. Reset, and up again.
+    // Leaving Operational triggered 6007h: a fault. Reset and enable again.
     for word in ["0000", "8000", "0600", "0700", "0F00"] {
         rig.send(&format!("205#{word}"));
         rig.run(300);
@@ -155,11 +165,13 @@ fn sync_moves_it_cyclically() {
         let target = (20 * n).to_le_bytes().map(|b| format!("{b:02X}")).concat();
         rig.now += 2 * MS;
         let sent = rig.send("080#");
-        let told = sent
+        let reported = sent
             .iter()
             .find(|h| h.starts_with("385#"))
             .expect("TPDO 3 with each SYNC");
-        let bytes = u32::from_str_radix(&told[8..16], 16).unwrap().swap_bytes();
+        let bytes = u32::from_str_radix(&reported[8..16], 16)
+            .unwrap()
+            .swap_bytes();
         position = bytes.cast_signed();
         rig.send(&format!("405#0F00{target}"));
     }
@@ -167,7 +179,7 @@ fn sync_moves_it_cyclically() {
 }
 
 #[test]
-fn axes_have_their_own_pdos_and_faults() {
+fn drive_axes_have_separate_pdos_and_faults() {
     let mut rig = Rig::new(|config| config.axes = vec![DriveConfig::default(); 2]);
     assert_eq!(rig.send("605#4000100000000000"), ["585#430010009201FFFF"]);
     assert_eq!(rig.send("605#40FF6F0000000000"), ["585#43FF6F0092010200"]);
@@ -190,23 +202,23 @@ fn axes_have_their_own_pdos_and_faults() {
     assert_eq!(state(0), takt_cia402::State::SwitchOnDisabled);
     assert_eq!(state(1), takt_cia402::State::Fault);
     assert!(
-        rig.heard.contains(&"085#0573010100000000".into()),
+        rig.received.contains(&"085#0573010100000000".into()),
         "{:?}",
-        rig.heard
+        rig.received
     );
 }
 
 #[test]
-fn modes_and_methods_it_has_not_are_refused() {
+fn drive_unsupported_modes_and_methods_are_rejected() {
     let mut rig = Rig::new(|_| ());
     assert_eq!(rig.send("605#2F60600005000000"), ["585#8060600030000906"]);
     assert_eq!(rig.send("605#2F98600010000000"), ["585#8098600030000906"]);
     assert_eq!(rig.send("605#2F60600008000000"), ["585#6060600000000000"]);
 }
 
-/// 60C4h over the wire: records by SDO until there is no place left, and by an RPDO of any type.
+/// 60C4h over the wire: records by SDO until the buffer is full, and by an RPDO of any type.
 #[test]
-fn records_of_interpolated_position_fill_a_buffer() {
+fn drive_interpolated_position_records_fill_buffer() {
     for (kind, sync) in [("FF", false), ("01", true)] {
         let mut rig = Rig::enabled(|_| ());
         for frame in [
@@ -223,21 +235,21 @@ fn records_of_interpolated_position_fill_a_buffer() {
         rig.send(&format!("605#2F021402{kind}000000"));
         rig.send("605#2302140105040000");
         rig.run(20);
-        let place = |rig: &mut Rig| {
+        let level = |rig: &mut Rig| {
             rig.run(2);
             rig.send("605#40C4600400000000")[0][12..14].to_owned()
         };
         assert_eq!(rig.send("605#23C1600164000000"), ["585#60C1600100000000"]);
-        assert_eq!(place(&mut rig), "01");
+        assert_eq!(level(&mut rig), "01");
         rig.send("405#C8000000");
         if sync {
-            assert_eq!(place(&mut rig), "01", "it waits for SYNC");
+            assert_eq!(level(&mut rig), "01", "waits for SYNC");
             rig.send("080#");
         }
-        assert_eq!(place(&mut rig), "02");
+        assert_eq!(level(&mut rig), "02");
         if sync {
             rig.send("080#");
-            assert_eq!(place(&mut rig), "02", "nothing new came");
+            assert_eq!(level(&mut rig), "02", "no new record");
         }
         assert_eq!(rig.send("605#23C160012C010000"), ["585#60C1600100000000"]);
         assert_eq!(rig.send("605#23C1600190010000"), ["585#80C1600122000008"]);
@@ -245,7 +257,7 @@ fn records_of_interpolated_position_fill_a_buffer() {
 }
 
 #[test]
-fn a_reset_leaves_the_motor_where_it_is() {
+fn drive_reset_keeps_motor_position() {
     let mut rig = Rig::new(|config| config.axes[0].position = 7.5);
     assert_eq!(rig.send("000#8105"), ["705#00"]);
     let motor = rig.drive.application().axis(0).unwrap().motor();

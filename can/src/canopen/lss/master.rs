@@ -1,5 +1,5 @@
-//! The master of LSS: one job at a time, each a question and its answer or the silence that is one.
-//! A fast scan takes 133 questions; it is not for the time when a network runs.
+//! LSS master: one job at a time, each with requests and their response or timeout. A fast scan
+//! takes 133 requests and must not run in an operational network.
 
 use std::time::Duration;
 
@@ -10,69 +10,69 @@ use super::{
 };
 use crate::canopen::NodeId;
 
-/// What a master can ask.
+/// Jobs of a master.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Job {
-    /// All slaves to that mode. Nobody answers.
+    /// Switch all slaves to that mode. Unconfirmed.
     Switch(Mode),
-    /// The slave of that address to configuration mode.
+    /// Switch the slave with that address to configuration mode.
     Select(Identity),
-    /// The slave in configuration mode gets this number; `None` takes it away.
+    /// Set the node number of the slave in configuration mode; `None` removes it.
     SetNode(Option<NodeId>),
-    /// It gets this bit timing: index of table 0 of CiA 305 (0: 1000, 1: 800, 2: 500, 3: 250,
-    /// 4: 125, 6: 50, 7: 20, 8: 10 kbit/s).
+    /// Set its bit timing: index of table 0 of CiA 305 (0: 1000, 1: 800, 2: 500, 3: 250, 4: 125, 6:
+    /// 50, 7: 20, 8: 10 kbit/s).
     SetBitTiming(u8),
-    /// All slaves in configuration mode change to their new bit timing after that many ms.
+    /// Activate the new bit timing of all slaves in configuration mode after this delay, ms.
     ActivateBitTiming(u16),
-    /// It keeps its settings.
+    /// Store its configuration.
     Store,
-    /// Its address.
+    /// Inquire its address.
     Inquire,
-    /// Its number.
+    /// Inquire its node number.
     InquireNode,
-    /// Whether there are slaves without a number.
+    /// Check for slaves without a node number.
     IdentifyUnconfigured,
-    /// Finds one slave without a number; it is in configuration mode then. What is known of its
-    /// address shortens the search.
+    /// Find one slave without a node number and switch it to configuration mode. Known parts of its
+    /// address shorten the search.
     FastScan([Option<u32>; 4]),
 }
 
-/// What came of a job.
+/// Result of a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reply {
     /// Done.
     Done,
-    /// The address that was inquired or found.
+    /// The inquired or found address.
     Address(Identity),
-    /// The number that was inquired.
+    /// The inquired node number.
     Node(Option<NodeId>),
-    /// Whether somebody answered.
+    /// Whether a slave answered.
     Present(bool),
 }
 
 /// Why a job failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum LssError {
-    /// Nobody answered.
+    /// No slave answered.
     #[error(
         "no LSS slave answered: is one in configuration mode (or, for a scan, without a node \
          number), and is the bit rate right?"
     )]
     Silent,
-    /// The slave refused.
-    #[error("the LSS slave refused with error {error}, specific error {specific}")]
+    /// The slave reported an error.
+    #[error("the LSS slave reported error {error}, specific error {specific}")]
     Refused {
         /// 1: out of range or not supported; 2 (store): no access to the medium; FFh: specific.
         error: u8,
-        /// Of the manufacturer.
+        /// Manufacturer-specific error code.
         specific: u8,
     },
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
-    /// Is anybody there?
-    Anybody,
+    /// Is any unconfigured slave present?
+    Presence,
     /// Is this bit 0?
     Bit(u8),
     /// Is this the whole number?
@@ -82,7 +82,7 @@ enum Phase {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
     Idle,
-    /// Sends the messages of a job from this one on; the last one may be answered.
+    /// Sending the messages of a job, starting with this one; the last one may have a response.
     Sending(u8),
     Waiting(u8),
     Scan {
@@ -95,9 +95,9 @@ enum State {
 /// An LSS master.
 ///
 /// ```text
-///       start            all sent           answer, or silence
+///       start            all sent           response or timeout
 /// Idle -------> Sending ----------> Waiting -------------------> Idle (outcome)
-///   \---------> Scan: anybody -> bit 31 .. 0 -> whole, four times -> Idle (outcome)
+///   \---------> Scan: presence -> bit 31 .. 0 -> whole, four times -> Idle (outcome)
 /// ```
 #[derive(Clone, Debug)]
 pub struct Master {
@@ -106,15 +106,15 @@ pub struct Master {
     state: State,
     since: Duration,
     found: [u32; 4],
-    /// A slave answered the question of a scan. All may, one after the other, so the time is waited out:
-    /// a late answer would pass for one to the next question.
-    heard: bool,
+    /// A slave answered the request of a scan. All slaves may answer one after the other, so the master waits for the
+    /// whole timeout: a late response would be taken for one to the next request.
+    answered: bool,
     outcome: Option<Result<Reply, LssError>>,
 }
 
 impl Master {
-    /// A master that waits so long for each answer; a scan takes 133 times that, as all slaves may answer
-    /// each of its questions.
+    /// A master with this response timeout; a scan takes 133 times the timeout, because all slaves may answer each
+    /// request.
     #[must_use]
     pub const fn new(timeout: Duration) -> Self {
         Self {
@@ -123,25 +123,25 @@ impl Master {
             state: State::Idle,
             since: Duration::ZERO,
             found: [0; 4],
-            heard: false,
+            answered: false,
             outcome: None,
         }
     }
 
-    /// Whether no job is under way.
+    /// Whether no job is running.
     #[must_use]
     pub fn is_idle(&self) -> bool {
         self.state == State::Idle
     }
 
-    /// Begins a job; one under way is dropped.
+    /// Starts a job; a running one is dropped.
     pub const fn start(&mut self, job: Job) {
         self.job = job;
         self.outcome = None;
-        (self.found, self.heard) = ([0; 4], false);
+        (self.found, self.answered) = ([0; 4], false);
         self.state = match job {
             Job::FastScan(_) => State::Scan {
-                phase: Phase::Anybody,
+                phase: Phase::Presence,
                 sub: 0,
                 sent: false,
             },
@@ -157,12 +157,12 @@ impl Master {
         };
     }
 
-    /// How the last job ended; told once.
+    /// Result of the last job; returned once.
     pub const fn take_outcome(&mut self) -> Option<Result<Reply, LssError>> {
         self.outcome.take()
     }
 
-    /// What to send now.
+    /// The next frame to send.
     pub fn poll_transmit(&mut self, now: Duration) -> Option<Message> {
         let silent = now >= self.since + self.timeout;
         match self.state {
@@ -179,15 +179,15 @@ impl Master {
             State::Waiting(_) => None,
             State::Scan { sent: true, .. } if !silent => None,
             State::Scan { sent: true, .. } => {
-                let heard = std::mem::take(&mut self.heard);
-                self.scanned(heard);
+                let answered = std::mem::take(&mut self.answered);
+                self.handle_scan_result(answered);
                 self.poll_transmit(now)
             }
             State::Scan { phase, sub, .. } => {
                 self.since = now;
                 let sent = true;
                 self.state = State::Scan { phase, sub, sent };
-                Some(self.question(phase, sub))
+                Some(self.scan_request(phase, sub))
             }
         }
     }
@@ -207,7 +207,7 @@ impl Master {
         self.outcome = Some(outcome);
     }
 
-    /// The messages of a job; the next one, and whether it is the last.
+    /// The next message of a job, and whether it is the last.
     fn message(&self, at: u8) -> (Message, bool) {
         let last = |message| (message, true);
         match self.job {
@@ -227,7 +227,7 @@ impl Master {
                 last(short(ACTIVATE_TIMING, low, high))
             }
             Job::Store => last(short(STORE, 0, 0)),
-            // One after the other, each answered.
+            // Each with its own response.
             Job::Inquire => last(short(INQUIRE + at, 0, 0)),
             Job::InquireNode => last(short(INQUIRE_NODE, 0, 0)),
             Job::IdentifyUnconfigured | Job::FastScan(_) => last(short(IDENTIFY_NONE, 0, 0)),
@@ -247,11 +247,11 @@ impl Master {
         Some(message)
     }
 
-    /// Takes a message from a slave.
+    /// Handles a message of a slave.
     pub fn handle(&mut self, message: &Message) {
         match self.state {
             State::Waiting(at) => self.answered(at, message),
-            State::Scan { sent: true, .. } => self.heard |= message[0] == IDENTIFIED,
+            State::Scan { sent: true, .. } => self.answered |= message[0] == IDENTIFIED,
             State::Idle | State::Sending(_) | State::Scan { sent: false, .. } => {}
         }
     }
@@ -287,10 +287,10 @@ impl Master {
         }
     }
 
-    fn question(&self, phase: Phase, sub: u8) -> Message {
+    fn scan_request(&self, phase: Phase, sub: u8) -> Message {
         let number = self.found[usize::from(sub & 3)];
         let (bit, next) = match phase {
-            Phase::Anybody => (SCAN_RESET, 0),
+            Phase::Presence => (SCAN_RESET, 0),
             Phase::Bit(bit) => (bit, sub),
             Phase::Whole => (0, (sub + 1) & 3),
         };
@@ -298,17 +298,17 @@ impl Master {
         [FAST_SCAN, a, b, c, d, bit, sub, next]
     }
 
-    /// A question of a scan was answered, or not.
-    fn scanned(&mut self, answered: bool) {
+    /// Evaluates whether a request of a scan was answered.
+    fn handle_scan_result(&mut self, answered: bool) {
         let State::Scan { phase, sub, .. } = self.state else {
             return;
         };
         let next = match phase {
-            Phase::Anybody | Phase::Whole if !answered => {
+            Phase::Presence | Phase::Whole if !answered => {
                 self.end(Err(LssError::Silent));
                 return;
             }
-            Phase::Anybody => self.begin(0),
+            Phase::Presence => self.begin(0),
             Phase::Whole if sub >= 3 => {
                 self.end(Ok(Reply::Address(Identity::from_numbers(self.found))));
                 return;
@@ -327,7 +327,7 @@ impl Master {
         self.state = State::Scan { phase, sub, sent };
     }
 
-    /// The search for one of the four numbers: none if it is known.
+    /// Starts the search for one of the four numbers, unless it is known.
     fn begin(&mut self, sub: u8) -> (Phase, u8) {
         let at = usize::from(sub & 3);
         let known = match self.job {

@@ -1,4 +1,4 @@
-//! The slave of LSS. It says what its owner has to do; it keeps nothing over a loss of power.
+//! LSS slave. It returns actions to its owner and has no non-volatile storage.
 
 use super::{
     ACTIVATE_TIMING, FAST_SCAN, IDENTIFIED, IDENTIFIED_NONE, IDENTIFY, IDENTIFY_NONE, INQUIRE,
@@ -7,14 +7,14 @@ use super::{
 };
 use crate::canopen::NodeId;
 
-/// What the owner has to do.
+/// Actions for the owner.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Done {
-    /// A device that had no number has one now: begin with it (reset of communication).
+    /// A device without node number has got one: start with it (reset communication).
     Activate(NodeId),
-    /// Keep this number over a loss of power; `None` is no number.
+    /// Store this node number in non-volatile memory; `None` is no number.
     Store(Option<NodeId>),
-    /// Change to the bit timing of that index of the CiA table, after the delay in ms.
+    /// Switch to the bit timing with that index of the CiA table, after the delay in ms.
     BitTiming(u8, u16),
 }
 
@@ -24,25 +24,25 @@ pub enum Done {
 ///         1 switch global, 2 selected by address, 3 found by fast scan
 /// Waiting ---------------------------------------------------------> Configuration
 ///    ^                                                                     |
-///    +---- 4 switch global; a device without number begins with its new one +
+///    +---- 4 switch global; a device without number starts with its new one +
 /// ```
 #[derive(Clone, Debug)]
 pub struct Slave {
     identity: Identity,
     pub(super) mode: Mode,
-    /// The number it has.
+    /// Active node number.
     active: Option<NodeId>,
-    /// The number it gets.
+    /// Pending node number.
     pending: Option<NodeId>,
     timing: Option<u8>,
-    /// How many parts of a selection or an identification matched in a row.
+    /// Number of consecutive matching parts of a selection or identification.
     matched: u8,
-    /// Which of the four numbers a fast scan looks for.
+    /// Index of the number that a fast scan searches.
     scan: u8,
 }
 
 impl Slave {
-    /// The slave of a device with this address, and its number if it has one.
+    /// A slave with this LSS address, and its node number if it has one.
     #[must_use]
     pub const fn new(identity: Identity, node: Option<NodeId>) -> Self {
         Self {
@@ -62,18 +62,18 @@ impl Slave {
         self.mode
     }
 
-    /// The number it has after the next reset of communication.
+    /// The node number after the next reset communication.
     #[must_use]
     pub const fn pending(&self) -> Option<NodeId> {
         self.pending
     }
 
-    /// The device begins with its new number.
+    /// The device starts with its new number.
     pub const fn activate(&mut self) {
         self.active = self.pending;
     }
 
-    /// Takes a message from the master: what to answer, and what to do.
+    /// Handles a message of the master; returns response and action.
     pub fn handle(&mut self, message: &Message) -> (Option<Message>, Option<Done>) {
         let configuring = self.mode == Mode::Configuration;
         match message[0] {
@@ -104,7 +104,7 @@ impl Slave {
         }
     }
 
-    /// The four numbers have to come in their order.
+    /// The four numbers must arrive in order.
     fn select(&mut self, message: &Message) -> Option<Message> {
         let part = message[0] - SELECT;
         let wanted = self.identity.numbers()[usize::from(part & 3)];
@@ -125,14 +125,14 @@ impl Slave {
     fn identify(&mut self, message: &Message) -> Option<Message> {
         let part = message[0] - IDENTIFY;
         let [vendor, product, revision, serial] = self.identity.numbers();
-        let told = number(message);
+        let value = number(message);
         let fits = match part {
-            0 => told == vendor,
-            1 => told == product,
-            2 => revision >= told,
-            3 => revision <= told,
-            4 => serial >= told,
-            _ => serial <= told,
+            0 => value == vendor,
+            1 => value == product,
+            2 => revision >= value,
+            3 => revision <= value,
+            4 => serial >= value,
+            _ => serial <= value,
         };
         let in_order = part == 0 || part == self.matched;
         self.matched = if in_order && fits { part + 1 } else { 0 };

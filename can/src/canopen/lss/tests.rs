@@ -1,4 +1,4 @@
-//! Master and slaves of LSS on a line, and the slave against each command in each mode.
+//! LSS master and slaves on one bus, and the slave with each command in each mode.
 
 use std::time::Duration;
 
@@ -20,7 +20,7 @@ fn node(raw: u8) -> NodeId {
     NodeId::new(raw).unwrap()
 }
 
-/// A master, slaves, and what these had to do.
+/// A master, slaves, and the actions of the slaves.
 struct Line {
     master: Master,
     slaves: Vec<Slave>,
@@ -64,7 +64,7 @@ impl Line {
 }
 
 #[test]
-fn fast_scan_finds_slaves_one_by_one_and_numbers_them() {
+fn lss_fast_scan_finds_and_numbers_slaves() {
     let serials = [0, 1, 0x8000_0000, u32::MAX, 0x1234_5678];
     let slaves = serials
         .map(|serial| Slave::new(identity(serial), None))
@@ -97,7 +97,7 @@ fn fast_scan_finds_slaves_one_by_one_and_numbers_them() {
 }
 
 #[test]
-fn known_numbers_shorten_a_scan() {
+fn lss_known_numbers_shorten_scan() {
     let mut line = Line::new(vec![Slave::new(identity(77), None)]);
     let known = [Some(0x319), Some(0xDEAD_BEEF), Some(0x0001_0000), None];
     assert_eq!(
@@ -110,16 +110,16 @@ fn known_numbers_shorten_a_scan() {
     assert_eq!(line.run(Job::FastScan(other)), Err(LssError::Silent));
 }
 
-/// Slaves are not equally fast: the same answer comes several times, the last one late.
+/// Slaves respond at different times: the same response arrives several times, the last one late.
 #[test]
-fn a_scan_waits_until_all_slaves_have_answered() {
+fn lss_scan_waits_for_all_slaves() {
     let mut slaves = [3, 9].map(|serial| Slave::new(identity(serial), None));
     let (mut master, mut now) = (Master::new(10 * MS), MS);
     master.start(Job::FastScan([None; 4]));
     let outcome = loop {
         if let Some(message) = master.poll_transmit(now) {
             for slave in &mut slaves {
-                // The second one's answer is late, and meets a poll in between.
+                // The response of the second one is late, after a poll.
                 if let (Some(answer), _) = slave.handle(&message) {
                     master.handle(&answer);
                     now += 2 * MS;
@@ -136,7 +136,7 @@ fn a_scan_waits_until_all_slaves_have_answered() {
 }
 
 #[test]
-fn a_slave_is_selected_by_its_whole_address() {
+fn lss_slave_is_selected_by_full_address() {
     let slaves = vec![
         Slave::new(identity(1), Some(node(1))),
         Slave::new(identity(2), Some(node(2))),
@@ -172,13 +172,13 @@ fn a_slave_is_selected_by_its_whole_address() {
 
 /// Each command in each mode, with and without a node number: answered, or not.
 #[test]
-fn every_command_in_every_mode() {
+fn lss_slave_every_command_in_every_mode() {
     for command in 0..=u8::MAX {
         for mode in [Mode::Waiting, Mode::Configuration] {
             for active in [None, Some(node(3))] {
                 let mut slave = Slave::new(identity(0), active);
                 slave.mode = mode;
-                // 80h in byte 5 is the question of a fast scan; the address is vendor 0319h.
+                // 80h in byte 5 starts a fast scan; the address is vendor 0319h.
                 let message = [command, 0x19, 0x03, 0, 0, SCAN_RESET, 0, 0];
                 let (answer, _) = slave.handle(&message);
                 let configuring = mode == Mode::Configuration;
@@ -199,7 +199,7 @@ fn every_command_in_every_mode() {
 }
 
 #[test]
-fn node_numbers_are_checked_and_can_be_taken_away() {
+fn lss_node_numbers_are_checked_and_removable() {
     for raw in 0..=u8::MAX {
         let mut slave = Slave::new(identity(0), Some(node(3)));
         slave.mode = Mode::Configuration;
@@ -216,16 +216,16 @@ fn node_numbers_are_checked_and_can_be_taken_away() {
 }
 
 #[test]
-fn identification_needs_its_six_parts_in_order() {
+fn lss_identification_needs_six_parts_in_order() {
     let mut slave = Slave::new(identity(50), Some(node(3)));
-    let mut ask = |values: [u32; 6]| {
+    let mut identify = |values: [u32; 6]| {
         let parts = (IDENTIFY..).zip(values);
         parts
             .filter(|(c, v)| slave.handle(&with_number(*c, *v)).0.is_some())
             .count()
     };
     let (vendor, product) = (0x319, 0xDEAD_BEEF);
-    assert_eq!(ask([vendor, product, 0, u32::MAX, 50, 50]), 1);
-    assert_eq!(ask([vendor, product, 0, u32::MAX, 51, 60]), 0);
-    assert_eq!(ask([vendor, product + 1, 0, u32::MAX, 0, 60]), 0);
+    assert_eq!(identify([vendor, product, 0, u32::MAX, 50, 50]), 1);
+    assert_eq!(identify([vendor, product, 0, u32::MAX, 51, 60]), 0);
+    assert_eq!(identify([vendor, product + 1, 0, u32::MAX, 0, 60]), 0);
 }

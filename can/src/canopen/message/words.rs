@@ -1,5 +1,5 @@
-//! Values in words where a message carries one that engineers look for: words of the drive profile in SDOs, services of
-//! LSS. It decodes no frame.
+//! Text for values in messages: controlword and statusword of the drive profile in SDOs, LSS services. It decodes no
+//! frames.
 
 use std::fmt;
 
@@ -8,7 +8,7 @@ use takt_cia402::{Command, ControlWord, StatusWord, error_text};
 
 use crate::canopen::sdo::{Bytes, Initiate, Request, Response};
 
-/// Behind an answer: what its value means.
+/// Meaning of the value in a response.
 pub(super) fn of_response(f: &mut fmt::Formatter<'_>, response: &Response) -> fmt::Result {
     if let Response::Upload {
         address,
@@ -20,7 +20,7 @@ pub(super) fn of_response(f: &mut fmt::Formatter<'_>, response: &Response) -> fm
     Ok(())
 }
 
-/// Behind a request: what its value means.
+/// Meaning of the value in a request.
 pub(super) fn of_request(f: &mut fmt::Formatter<'_>, request: &Request) -> fmt::Result {
     if let Request::Download {
         address,
@@ -32,7 +32,7 @@ pub(super) fn of_request(f: &mut fmt::Formatter<'_>, request: &Request) -> fmt::
     Ok(())
 }
 
-/// Of all axes of a multi-axis drive.
+/// Matches all axes of a multi-axis drive.
 fn value(f: &mut fmt::Formatter<'_>, address: Address, data: &Bytes) -> fmt::Result {
     let Ok(raw) = <[u8; 2]>::try_from(data.as_slice()) else {
         return Ok(());

@@ -1,5 +1,5 @@
-//! One axis of a CiA 402 drive as the master leads it in every cycle: what it is told, what it
-//! says, and when it may follow. Which PDOs carry that is not known here.
+//! Master side of one CiA 402 axis: cyclic command, state, and the conditions under which it
+//! follows its targets. Independent of the PDO mapping.
 
 use std::time::Duration;
 
@@ -10,10 +10,10 @@ use takt_cia402::{
     Orders, SetPoint, SetPointError, State, StatusWord,
 };
 
-use super::AxisTrouble;
+use super::AxisFault;
 use super::plan::AxisPlan;
 
-/// What an axis is told in every cycle. Targets count only while it follows.
+/// Cyclic command of an axis. Targets apply only while it follows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AxisCommand {
     /// 607Ah, user units; in interpolated position the data record 60C1h:01.
@@ -28,11 +28,11 @@ pub struct AxisCommand {
     pub velocity_offset: i32,
     /// 60B2h, per mille of the rated torque.
     pub torque_offset: i16,
-    /// Bits 4 to 6, 8 (halt) and 9 of the controlword, as the mode of operation needs them.
+    /// Mode-specific bits 4 to 6, 8 (halt) and 9 of the controlword.
     pub mode_bits: u16,
 }
 
-/// What an axis said last.
+/// Last received state of an axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AxisState {
     /// 6041h.
@@ -47,25 +47,25 @@ pub struct AxisState {
     pub torque: i16,
     /// 60FDh.
     pub inputs: u32,
-    /// Its targets count: what is commanded now is where it goes.
+    /// The axis follows its targets.
     pub follows: bool,
     /// SYNCs since its last TPDO.
     pub missing: u32,
-    /// Homing runs that came to a good end.
+    /// Number of successful homing runs.
     pub homed: u32,
-    /// Set-points of profile position that the drive took.
+    /// Number of profile position set-points acknowledged by the drive.
     pub taken: u32,
 }
 
 /// Profile position (6060h).
 const PROFILE_POSITION: i8 = 1;
-/// Interpolated position (6060h), and the bit of the controlword without which its records do not count.
+/// Interpolated position (6060h), and the controlword bit that enables its data records.
 const INTERPOLATED_POSITION: i8 = 7;
 const ENABLE_INTERPOLATION: u16 = 1 << 4;
 /// Bit 8 of the controlword: halt.
 const HALT: u16 = 1 << 8;
 
-/// Objects of an axis in the process image; those that are not mapped are not there.
+/// Objects of an axis in the process image; `None` if not mapped.
 #[derive(Clone, Copy, Debug)]
 struct Keys {
     control: Option<Key<u16>>,
@@ -123,9 +123,9 @@ fn set<T: Number>(image: &mut Dictionary, key: Option<Key<T>>, value: T) {
     }
 }
 
-/// The process image as the proof sees it.
+/// The process image, for the proof.
 impl Keys {
-    /// Each object that is there, with its value.
+    /// Each mapped object with its value.
     fn each(&self, image: &Dictionary) -> [(u16, Option<u32>); 14] {
         let word = |key: Option<Key<u16>>| get(image, key).map(u32::from);
         let long = |key: Option<Key<i32>>| get(image, key).map(i32::cast_unsigned);
@@ -155,7 +155,7 @@ impl Keys {
         ]
     }
 
-    /// The objects that are there.
+    /// The mapped objects.
     fn carried(&self, image: &Dictionary) -> Objects {
         let mut carried = Objects::default();
         for (index, value) in self.each(image) {
@@ -174,7 +174,7 @@ impl Keys {
         values
     }
 
-    /// Writes what is sent.
+    /// Writes an output.
     fn put(&self, image: &mut Dictionary, values: &Values) {
         let long = |index| values.at(index).cast_signed();
         let short = |index| low_word(values.at(index)).cast_signed();
@@ -195,14 +195,14 @@ const fn low_word(raw: u32) -> u16 {
     u16::from_le_bytes([a, b])
 }
 
-/// The master's side of one axis.
+/// Master side of one axis.
 #[derive(Clone, Debug)]
 pub struct Axis {
     plan: AxisPlan,
     keys: Keys,
     master: Master,
     proof: Proof,
-    /// 60C1h:01 while the process data are not proven: a record that stands still.
+    /// 60C1h:01 while the process data are not proven: a constant record.
     parked: Option<i32>,
     command: AxisCommand,
     state: AxisState,
@@ -211,20 +211,20 @@ pub struct Axis {
     homing: Option<Homing>,
     homing_failed: Option<takt_cia402::HomingError>,
     hand_shake: HandShake,
-    /// 607Ah of the set-points that were handed over; `None` while there was none, and 607Ah is as commanded.
+    /// 607Ah of the last set-point of the handshake; `None` before the first one: then 607Ah is the commanded target.
     handed_over: Option<i32>,
     not_taken: Option<SetPointError>,
-    /// Its TPDO came since the last cycle.
+    /// Its TPDO was received since the last cycle.
     fresh: bool,
-    /// It was heard since its node runs.
-    heard: bool,
+    /// A TPDO was received since its node runs.
+    received: bool,
     /// It was lost while enabled.
     held_back: bool,
     aligned: bool,
-    /// Where it is held while it is enabled and does not follow. The actual position of every cycle
-    /// would give way to any load.
+    /// Hold position while it is enabled and does not follow. Commanding the actual position of
+    /// each cycle instead would yield to any load.
     hold: Option<i32>,
-    trouble: Option<AxisTrouble>,
+    fault: Option<AxisFault>,
 }
 
 impl Axis {
@@ -246,27 +246,26 @@ impl Axis {
             handed_over: None,
             not_taken: None,
             fresh: false,
-            heard: false,
+            received: false,
             held_back: false,
             aligned: false,
             hold: None,
-            trouble: Some(AxisTrouble::NodeDown),
+            fault: Some(AxisFault::NodeDown),
         }
     }
 
-    /// As it was planned.
+    /// Its plan.
     #[must_use]
     pub const fn plan(&self) -> &AxisPlan {
         &self.plan
     }
 
-    /// Says where the axis is wanted, and in which mode of operation (6060h). An axis that was held
-    /// back is free again.
+    /// Sets the goal and the mode of operation (6060h). Releases an axis that was held back.
     pub fn set_goal(&mut self, goal: Goal, mode: i8) {
         self.held_back = false;
         self.homing_failed = None;
         if (goal, mode) != (self.goal, self.mode) {
-            self.forget_set_points();
+            self.discard_set_points();
         }
         (self.goal, self.mode) = (goal, mode);
         if self.homing.is_none() || goal != Goal::OperationEnabled {
@@ -276,26 +275,26 @@ impl Axis {
         self.master.set_goal(goal);
     }
 
-    /// Where it is wanted.
+    /// Its goal.
     #[must_use]
     pub const fn goal(&self) -> Goal {
         self.goal
     }
 
-    /// What it is told from the next cycle on.
+    /// Command from the next cycle on.
     pub const fn command(&mut self, command: AxisCommand) {
         self.command = command;
     }
 
-    /// What it said last.
+    /// Its last received state.
     #[must_use]
     pub const fn state(&self) -> &AxisState {
         &self.state
     }
 
-    /// Hands a set-point of profile position over, by the edge and the answer that the profile wants; one that the drive
-    /// has not taken is replaced. It counts in that mode and while the axis follows; then 607Ah and bits 4, 5, 6 and 9 of
-    /// the controlword are those of the hand-shake, and of the command only halt counts.
+    /// Sends a profile position set-point by the handshake of the profile; replaces one that the drive has not
+    /// acknowledged. It applies in profile position mode while the axis follows; then the handshake drives 607Ah and
+    /// controlword bits 4, 5, 6 and 9, and only halt is taken from the command.
     pub const fn move_to(&mut self, set_point: SetPoint) {
         if self.handed_over.is_none() {
             self.handed_over = Some(self.state.position);
@@ -304,19 +303,19 @@ impl Axis {
         self.hand_shake.offer(set_point);
     }
 
-    /// Whether a set-point is on its way to the drive.
+    /// Whether a set-point handshake is running.
     #[must_use]
     pub fn is_handing_over(&self) -> bool {
         !self.hand_shake.is_idle()
     }
 
-    const fn forget_set_points(&mut self) {
+    const fn discard_set_points(&mut self) {
         self.hand_shake = HandShake::new(self.plan.patience.state);
         (self.handed_over, self.not_taken) = (None, None);
     }
 
-    /// Enables it in homing mode and lets it home by the method in 6098h; then the mode of
-    /// operation is as before, and it holds its new position until its target is there.
+    /// Enables homing mode and runs the method in 6098h; afterwards it restores the mode of
+    /// operation and holds the new position until the target is close to it.
     pub fn home(&mut self) {
         self.held_back = false;
         self.homing_failed = None;
@@ -326,21 +325,21 @@ impl Axis {
         self.master.set_goal(Goal::OperationEnabled);
     }
 
-    /// Whether a homing run is under way.
+    /// Whether a homing run is active.
     #[must_use]
     pub const fn is_homing(&self) -> bool {
         self.homing.is_some()
     }
 
-    /// Resets a fault, by an edge of bit 7.
+    /// Resets a fault by an edge of controlword bit 7.
     pub const fn reset_fault(&mut self) {
         self.master.reset_fault();
     }
 
-    /// Why it does not do what it is told.
+    /// Why it does not follow its commands.
     #[must_use]
-    pub const fn trouble(&self) -> Option<AxisTrouble> {
-        self.trouble
+    pub const fn fault(&self) -> Option<AxisFault> {
+        self.fault
     }
 
     /// The proof of its process data.
@@ -349,7 +348,7 @@ impl Axis {
         &self.proof
     }
 
-    /// The next object that its proof uploads.
+    /// The next object to upload for the proof.
     pub(super) fn poll_upload(&mut self) -> Option<Address> {
         self.proof.poll_upload()
     }
@@ -373,9 +372,9 @@ impl Axis {
         self.master.set_ceiling(self.proof.ceiling());
     }
 
-    /// The TPDO with its statusword came.
+    /// The TPDO with its statusword was received.
     pub(super) const fn received(&mut self) {
-        (self.fresh, self.heard) = (true, true);
+        (self.fresh, self.received) = (true, true);
     }
 
     fn read(&mut self, image: &Dictionary) {
@@ -388,13 +387,13 @@ impl Axis {
         state.inputs = get(image, k.inputs).unwrap_or(0);
     }
 
-    /// Its node stopped running.
+    /// Its node no longer runs.
     pub(super) fn lost(&mut self) {
         let wanted = self.goal == Goal::OperationEnabled;
         self.held_back |= wanted;
-        self.heard = false;
+        self.received = false;
         self.homing = None;
-        self.forget_set_points();
+        self.discard_set_points();
         self.goal = Goal::SwitchOnDisabled;
         self.proof.restart();
         self.parked = None;
@@ -402,18 +401,18 @@ impl Axis {
         self.master.set_mode(self.mode);
         self.aligned = false;
         self.state.follows = false;
-        self.trouble = Some(AxisTrouble::NodeDown);
+        self.fault = Some(AxisFault::NodeDown);
     }
 
-    /// What goes into the image when its node is given up: a quick stop.
-    pub(super) fn part(&self, image: &mut Dictionary) {
+    /// Writes a quick stop into the image when its node is given up.
+    pub(super) fn write_quick_stop(&self, image: &mut Dictionary) {
         self.write(image, ControlWord::QUICK_STOP, false);
     }
 
-    /// One cycle: what the drive is told goes into the image. Returns whether its TPDOs have just
-    /// been missing for too long.
+    /// One cycle: writes the command into the image. Returns whether its TPDOs have just exceeded
+    /// the limit of missing cycles.
     pub(super) fn cycle(&mut self, image: &mut Dictionary, now: Duration) -> bool {
-        if !self.heard {
+        if !self.received {
             self.write(image, ControlWord::DISABLE_VOLTAGE, false);
             return false;
         }
@@ -446,10 +445,10 @@ impl Axis {
             position: self.state.position,
         };
         let mut orders = self.master.step(&feedback, now);
-        let refused = self.proof.fault().map(Obstacle::NotProven);
-        let obstacle = refused.or_else(|| self.master.obstacle());
-        self.trouble = obstacle.map(AxisTrouble::Drive);
-        // In the cycle in which a run ends the targets still are of before it.
+        let not_proven = self.proof.fault().map(Obstacle::NotProven);
+        let obstacle = not_proven.or_else(|| self.master.obstacle());
+        self.fault = obstacle.map(AxisFault::Drive);
+        // In the cycle in which homing ends the targets are still in the old coordinates.
         let homing = self.homing.is_some();
         let start = self.run_homing(&orders, now);
         let bits = if start { HOMING_START } else { 0 };
@@ -467,19 +466,19 @@ impl Axis {
         orders.control = ControlWord::new(orders.control.raw() | bits);
         self.state.follows = orders.follows;
         if self.held_back {
-            self.trouble = Some(AxisTrouble::HeldBack);
+            self.fault = Some(AxisFault::HeldBack);
         } else if let Some(error) = self.homing_failed
-            && matches!(self.trouble, None | Some(AxisTrouble::NotAligned { .. }))
+            && matches!(self.fault, None | Some(AxisFault::NotAligned { .. }))
         {
-            // That it stands elsewhere than its target follows from that.
-            self.trouble = Some(AxisTrouble::Homing(error));
+            // The misalignment is a consequence of the failed homing.
+            self.fault = Some(AxisFault::Homing(error));
         } else if let Some(error) = self.not_taken {
-            self.trouble = self.trouble.or(Some(AxisTrouble::SetPoint(error)));
+            self.fault = self.fault.or(Some(AxisFault::SetPoint(error)));
         }
         orders
     }
 
-    /// Bits of the controlword while set-points of profile position are handed over.
+    /// Controlword bits of the profile position handshake.
     fn hand_over(&mut self, orders: &Orders, now: Duration) -> Option<u16> {
         self.handed_over?;
         let ready = orders.follows && orders.mode == PROFILE_POSITION;
@@ -493,7 +492,7 @@ impl Axis {
         ready.then_some(offer.bits)
     }
 
-    /// Bit 4, while the drive homes; ends the run.
+    /// Controlword bit 4 during homing; ends the run.
     fn run_homing(&mut self, orders: &Orders, now: Duration) -> bool {
         let Some(homing) = &mut self.homing else {
             return false;
@@ -512,7 +511,7 @@ impl Axis {
         start
     }
 
-    /// In position modes it follows only once its target has been near its position.
+    /// In position modes it follows only after its target was close to its position.
     fn align(&mut self, orders: &mut Orders) {
         if !orders.follows {
             self.aligned = false;
@@ -521,10 +520,10 @@ impl Axis {
         let (target, actual) = (self.command.position, self.state.position);
         let positions = matches!(orders.mode, 1 | 7 | 8);
         let far = target.wrapping_sub(actual).unsigned_abs() > self.plan.jump_max;
-        // A profile position is far away by intent; its hand-shake is the start.
+        // A profile position target may be far away; the handshake starts the motion.
         if positions && orders.mode != 1 && far && !self.aligned {
             orders.follows = false;
-            self.trouble = Some(AxisTrouble::NotAligned { target, actual });
+            self.fault = Some(AxisFault::NotAligned { target, actual });
             return;
         }
         self.aligned = true;

@@ -1,5 +1,5 @@
-//! One node of a network as its master has it: its start, its watch, its process image, its SDO
-//! client. It shares nothing with the others, so that what goes wrong here stays here.
+//! Master side of one node: start procedure, monitoring, process image, SDO client. It shares
+//! nothing with other nodes, so that faults stay local.
 
 mod babble;
 mod transfers;
@@ -14,38 +14,38 @@ use takt_cia402::dictionary::{
 
 use super::plan::{NodePlan, Supervision};
 use super::startup::{Action, Phase, Startup};
-use super::{Axis, NetworkConfig, NetworkError, Outcome, TRANSFERS_MAX, Transfer, Trouble};
+use super::{Axis, NetworkConfig, NetworkError, NodeFault, Outcome, TRANSFERS_MAX, Transfer};
 use crate::canopen::nmt::{Consumer, Guarded, Guarding};
 use crate::canopen::pdo::Parameters;
 use crate::canopen::{Emergency, NmtCommand, NmtState, sdo};
 use crate::{Frame, Id};
 
-/// What there is to tell of a node.
+/// Pending events of a node, one flag of each kind.
 #[derive(Clone, Copy, Debug, Default)]
 #[expect(clippy::struct_excessive_bools, reason = "each is a flag of its own")]
-pub(super) struct News {
+pub(super) struct PendingEvents {
     pub(super) phase: bool,
-    pub(super) trouble: bool,
+    pub(super) fault: bool,
     pub(super) emergencies: u32,
     pub(super) homed: bool,
     pub(super) axis: bool,
 }
 
-/// A TPDO as the master takes it.
+/// A TPDO received by the master.
 #[derive(Debug)]
 struct Received {
     number: u16,
     mapping: Mapping,
-    /// Bit n: it carries the statusword of axis n of the plan.
+    /// Bit n: the TPDO carries the statusword of axis n of the plan.
     axes: u8,
 }
 
-/// Whose SDO is under way.
+/// Owner of the running SDO transfer.
 #[derive(Debug)]
 enum Owner {
-    Nobody,
+    None,
     Startup,
-    /// The proof of that axis.
+    /// The process data proof of that axis.
     Axis(usize),
     User(Transfer),
 }
@@ -60,34 +60,33 @@ pub(super) struct Member {
     pub(super) axes: Vec<Axis>,
     client: sdo::Client,
     owner: Owner,
-    /// The next message of the SDO under way.
+    /// The next message of the running SDO transfer.
     message: Option<sdo::Message>,
-    /// What the start wants next by SDO.
-    wanted: Action,
+    /// The next SDO request of the start procedure.
+    pending_request: Action,
     waiting: VecDeque<Transfer>,
     finished: VecDeque<(Transfer, Outcome)>,
     consumer: Consumer,
     guarding: Option<Guarding>,
     pub(super) command: Option<NmtCommand>,
-    pub(super) question: Option<Frame>,
+    pub(super) guarding_request: Option<Frame>,
     pub(super) emergency: Option<Emergency>,
-    pub(super) trouble: Option<Trouble>,
-    pub(super) news: News,
-    seen: Phase,
-    /// Periods in which its drives are still told to stop, before it is told so itself.
-    parting: u32,
-    /// Until then an SDO answer may be to what was asked before the node booted up, or one of several to the same
-    /// request.
-    settled: Duration,
+    pub(super) fault: Option<NodeFault>,
+    pub(super) pending: PendingEvents,
+    last_phase: Phase,
+    /// Remaining periods of quick stop RPDOs before the NMT stop.
+    stop_cycles: u32,
+    /// Until then an SDO response may belong to a request from before the boot-up, or be a repetition.
+    quiet_until: Duration,
     babble: Babble,
 }
 
-/// How long a node that booted up may still answer what it was asked before: who powers up while the master starts
-/// boots up twice, by itself and by the master's reset.
-const SETTLING: Duration = Duration::from_millis(50);
+/// Time in which a node may still answer requests from before its boot-up: a node that powers up together with the
+/// master boots twice, by itself and by the master's reset.
+const QUIET_TIME: Duration = Duration::from_millis(50);
 
-/// Periods in which the drives of a node that is given up are told to stop: two of them may be lost.
-const PARTING: u32 = 3;
+/// Number of quick stop RPDO periods for a node that is given up: two of them may be lost.
+const STOP_CYCLES: u32 = 3;
 
 impl Member {
     pub(super) fn new(plan: NodePlan, config: &NetworkConfig) -> Result<Self, NetworkError> {
@@ -127,21 +126,21 @@ impl Member {
             received,
             axes,
             client: sdo::Client::new(plan.sdo_len_max, config.sdo_timeout),
-            owner: Owner::Nobody,
+            owner: Owner::None,
             message: None,
-            wanted: Action::None,
+            pending_request: Action::None,
             waiting: VecDeque::with_capacity(TRANSFERS_MAX),
             finished: VecDeque::with_capacity(TRANSFERS_MAX),
             consumer: Consumer::new(Duration::ZERO),
             guarding: None,
             command: None,
-            question: None,
+            guarding_request: None,
             emergency: None,
-            trouble: None,
-            news: News::default(),
-            seen: Phase::Off,
-            parting: 0,
-            settled: Duration::ZERO,
+            fault: None,
+            pending: PendingEvents::default(),
+            last_phase: Phase::Off,
+            stop_cycles: 0,
+            quiet_until: Duration::ZERO,
             babble: Babble::default(),
             plan,
         })
@@ -151,37 +150,33 @@ impl Member {
         self.startup.phase() == Phase::Running
     }
 
-    /// What the start wants; and what its new phase means for the rest.
-    pub(super) fn act(&mut self, action: Action, now: Duration) {
+    /// Executes an action of the start procedure and handles a change of phase.
+    pub(super) fn execute(&mut self, action: Action, now: Duration) {
         match action {
             Action::None => {}
             Action::Command(command) => self.command = Some(command),
-            Action::Read(_) | Action::Write(_) => self.wanted = action,
+            Action::Read(_) | Action::Write(_) => self.pending_request = action,
         }
         let phase = self.startup.phase();
-        if phase == self.seen {
+        if phase == self.last_phase {
             return;
         }
-        let before = std::mem::replace(&mut self.seen, phase);
-        self.news.phase = true;
-        if self
-            .startup
-            .trouble()
-            .is_some_and(|t| self.trouble != Some(t))
-        {
-            self.trouble = self.startup.trouble();
-            self.news.trouble = true;
+        let before = std::mem::replace(&mut self.last_phase, phase);
+        self.pending.phase = true;
+        if self.startup.fault().is_some_and(|t| self.fault != Some(t)) {
+            self.fault = self.startup.fault();
+            self.pending.fault = true;
         }
-        self.parting = 0;
+        self.stop_cycles = 0;
         if before == Phase::Running {
             self.axes.iter_mut().for_each(Axis::lost);
-            self.part();
+            self.begin_stop();
         }
         match phase {
             Phase::Starting => self.watch(now),
-            Phase::Running => self.trouble = None,
+            Phase::Running => self.fault = None,
             Phase::Resetting | Phase::Failed | Phase::Off => {
-                (self.guarding, self.wanted) = (None, Action::None);
+                (self.guarding, self.pending_request) = (None, Action::None);
                 self.babble = Babble::default();
                 if matches!(self.owner, Owner::Startup) {
                     self.drop_transfer(AbortCode::General);
@@ -191,10 +186,10 @@ impl Member {
         }
     }
 
-    /// A quick stop by RPDO stops also a drive whose 6007h makes nothing of NMT stop.
-    fn part(&mut self) {
-        if self.seen == Phase::Failed && !self.axes.is_empty() {
-            self.parting = PARTING;
+    /// A quick stop by RPDO also stops a drive whose 6007h ignores NMT stop.
+    fn begin_stop(&mut self) {
+        if self.last_phase == Phase::Failed && !self.axes.is_empty() {
+            self.stop_cycles = STOP_CYCLES;
             self.command = None;
         }
     }
@@ -210,31 +205,31 @@ impl Member {
         }
     }
 
-    pub(super) fn note(&mut self, trouble: Trouble) {
-        self.news.trouble |= self.trouble != Some(trouble);
-        self.trouble = Some(trouble);
+    pub(super) fn record_fault(&mut self, fault: NodeFault) {
+        self.pending.fault |= self.fault != Some(fault);
+        self.fault = Some(fault);
     }
 
     pub(super) fn begin(&mut self, now: Duration) {
         let action = self.startup.begin(now);
-        self.act(action, now);
+        self.execute(action, now);
     }
 
     pub(super) fn end(&mut self, now: Duration) {
         let action = self.startup.end();
-        self.act(action, now);
+        self.execute(action, now);
     }
 
-    fn fail(&mut self, trouble: Trouble, now: Duration) {
-        let action = self.startup.fail(trouble, now);
-        self.act(action, now);
+    fn fail(&mut self, fault: NodeFault, now: Duration) {
+        let action = self.startup.fail(fault, now);
+        self.execute(action, now);
     }
 
     pub(super) fn handle_heartbeat(&mut self, state: NmtState, toggle: bool, now: Duration) {
         match &mut self.guarding {
             Some(guarding) => {
                 if let Guarded::Toggle(_) = guarding.handle(state, toggle) {
-                    // A repeated answer proves nothing; silence will tell.
+                    // A repeated answer is no sign of life; the timeout will detect a loss.
                     return;
                 }
             }
@@ -242,12 +237,12 @@ impl Member {
         }
         if state == NmtState::BootUp && self.startup.phase() != Phase::Off {
             if !self.client.is_idle() {
-                self.settled = now + SETTLING;
+                self.quiet_until = now + QUIET_TIME;
             }
             self.drop_transfer(AbortCode::General);
         }
-        let action = self.startup.said(state, now);
-        self.act(action, now);
+        let action = self.startup.handle_state(state, now);
+        self.execute(action, now);
     }
 
     pub(super) fn handle_tpdo(&mut self, at: usize, data: &[u8]) {
@@ -256,18 +251,18 @@ impl Member {
         };
         if data.len() < tpdo.mapping.len() {
             let (number, len) = (tpdo.number, u8::try_from(data.len()).unwrap_or(0));
-            self.note(Trouble::PdoShort { number, len });
+            self.record_fault(NodeFault::PdoShort { number, len });
             return;
         }
-        // It is back; the next time is told again.
+        // It is back; the next loss is reported again.
         let number = tpdo.number;
         let is_back = matches!(
-            self.trouble,
-            Some(Trouble::PdoMissing { number: n, .. } | Trouble::PdoShort { number: n, .. })
+            self.fault,
+            Some(NodeFault::PdoMissing { number: n, .. } | NodeFault::PdoShort { number: n, .. })
                 if n == number
         );
-        if is_back && !self.news.trouble {
-            self.trouble = None;
+        if is_back && !self.pending.fault {
+            self.fault = None;
         }
         tpdo.mapping.unpack(&mut self.image, data);
         let axes = tpdo.axes;
@@ -281,13 +276,13 @@ impl Member {
     /// One cycle: its axes, then its RPDOs.
     pub(super) fn cycle(&mut self, now: Duration, mut send: impl FnMut(Frame)) {
         if self.is_running() {
-            self.lead(now);
-        } else if self.parting > 0 {
-            self.parting -= 1;
+            self.run_axes(now);
+        } else if self.stop_cycles > 0 {
+            self.stop_cycles -= 1;
             for axis in &self.axes {
-                axis.part(&mut self.image);
+                axis.write_quick_stop(&mut self.image);
             }
-            if self.parting == 0 {
+            if self.stop_cycles == 0 {
                 self.command = Some(NmtCommand::Stop);
             }
         } else {
@@ -301,55 +296,55 @@ impl Member {
         }
     }
 
-    fn lead(&mut self, now: Duration) {
+    fn run_axes(&mut self, now: Duration) {
         for at in 0..self.axes.len() {
             let axis = &mut self.axes[at];
             let homed = axis.is_homing();
-            let trouble = axis.trouble();
+            let fault = axis.fault();
             let missing = axis.cycle(&mut self.image, now);
-            self.news.homed |= homed && !axis.is_homing();
-            self.news.axis |= axis.trouble() != trouble;
+            self.pending.homed |= homed && !axis.is_homing();
+            self.pending.axis |= axis.fault() != fault;
             if missing {
                 let cycles = axis.state().missing;
                 let carries = |tpdo: &&Received| tpdo.axes >> at & 1 == 1;
                 let number = self.received.iter().find(carries).map_or(0, |t| t.number);
-                self.note(Trouble::PdoMissing { number, cycles });
+                self.record_fault(NodeFault::PdoMissing { number, cycles });
             }
         }
     }
 
-    /// Heartbeat, guarding and start: what time brings.
+    /// Handles timeouts of heartbeat, guarding and start.
     pub(super) fn run_timers(&mut self, now: Duration) {
         let action = self.startup.poll(now);
-        self.act(action, now);
+        self.execute(action, now);
         if self.is_running() && self.consumer.poll(now) {
             let Supervision::Heartbeat(period) = self.plan.supervision else {
                 return;
             };
-            self.fail(Trouble::HeartbeatLost(period * 5 / 2), now);
+            self.fail(NodeFault::HeartbeatLost(period * 5 / 2), now);
         }
-        if let Some((question, lost)) = self.guarding.as_mut().and_then(|g| g.poll(now)) {
-            self.question = Some(question);
+        if let Some((guarding_request, lost)) = self.guarding.as_mut().and_then(|g| g.poll(now)) {
+            self.guarding_request = Some(guarding_request);
             if lost && self.is_running() {
-                self.fail(Trouble::GuardingLost, now);
+                self.fail(NodeFault::GuardingLost, now);
             }
         }
     }
 
     pub(super) fn poll_timeout(&self) -> Option<Duration> {
-        if self.command.is_some() || self.question.is_some() {
+        if self.command.is_some() || self.guarding_request.is_some() {
             return Some(Duration::ZERO);
         }
-        let asks = if self.message.is_some() {
+        let sdo = if self.message.is_some() {
             Some(Duration::ZERO)
         } else {
-            self.has_sdo().then_some(self.settled)
+            self.has_sdo().then_some(self.quiet_until)
         };
         let heartbeat = self.consumer.poll_timeout().filter(|_| self.is_running());
         let guarding = self.guarding.as_ref().map(Guarding::poll_timeout);
         let client = self.client.poll_timeout();
         [
-            asks,
+            sdo,
             self.startup.poll_timeout(),
             heartbeat,
             guarding,
@@ -361,7 +356,7 @@ impl Member {
     }
 }
 
-/// Which axes of a plan have their statusword in a PDO.
+/// Bit mask of the axes of a plan with their statusword in a PDO.
 fn axes_of(plan: &NodePlan, mapping: &[Mapped]) -> u8 {
     let status = |axis: u8| Address::new(0x6041, 0).on_axis(axis);
     (0_u8..8)
@@ -370,7 +365,7 @@ fn axes_of(plan: &NodePlan, mapping: &[Mapped]) -> u8 {
         .fold(0, |bits, (n, _)| bits | 1 << n)
 }
 
-/// The master's copy of all objects in PDOs of a node.
+/// The master's process image: all objects in PDOs of a node.
 fn image(plan: &NodePlan) -> Result<Dictionary, NetworkError> {
     let node = plan.id;
     let mut objects: Vec<Object> = Vec::new();
@@ -398,7 +393,7 @@ fn image(plan: &NodePlan) -> Result<Dictionary, NetworkError> {
     Dictionary::new(objects).map_err(NetworkError::Image)
 }
 
-/// The type of an entry of the profile; of others an unsigned one of that length.
+/// The type of a profile entry; for others, an unsigned type of that length.
 fn data_type(mapped: &Mapped) -> Option<DataType> {
     let index = mapped.address.index;
     let of_axis = if index >= 0x6000 {

@@ -1,5 +1,5 @@
-//! What a network is to be: its nodes, what each is told before it runs, and which of its objects
-//! go in PDOs. It is made before anything runs, by hand or from a DCF.
+//! Configuration plan of a network: its nodes, the values written to each before it runs, and its
+//! PDO mapping. It is created before the start, by hand or from a DCF.
 
 use std::time::Duration;
 
@@ -10,16 +10,16 @@ use takt_cia402::proof::Objects;
 use crate::canopen::NodeId;
 use crate::canopen::pdo::{Direction, Parameters, PdoCob, Transmission};
 
-/// A value to be written before a node runs.
+/// A value to write before a node runs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Download {
-    /// Where.
+    /// The object.
     pub address: Address,
-    /// What, little-endian.
+    /// The value, little-endian.
     pub data: Vec<u8>,
     /// Whether it is read back and compared.
     pub verify: bool,
-    /// Whether a device may do without the object.
+    /// Whether the object is optional.
     pub may_lack: bool,
 }
 
@@ -35,7 +35,7 @@ impl Download {
         }
     }
 
-    /// The same, of an object that a device need not have.
+    /// Marks the object as optional.
     #[must_use]
     pub fn where_present(self) -> Self {
         Self {
@@ -51,8 +51,8 @@ impl Download {
         }
     }
 
-    /// Whether a device that shows these bytes took the value. Of the COB-ID of a PDO or of emergencies only the
-    /// identifier and bit 31 count; all else is compared byte by byte.
+    /// Whether these bytes, read back, equal the value. For COB-IDs of PDOs and EMCY only the identifier and bit 31 are
+    /// compared, for others every byte.
     #[must_use]
     pub fn is_taken(&self, bytes: &[u8]) -> bool {
         let cob = |bytes: &[u8]| {
@@ -68,55 +68,56 @@ impl Download {
     }
 }
 
-/// How the master notices that a node is gone.
+/// How the master detects the loss of a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Supervision {
-    /// The node sends a heartbeat (1017h), at most 65 s apart; it is lost after 2.5 times that.
+    /// The node sends a heartbeat (1017h), at most 65 s apart; it is lost after 2.5 periods without
+    /// one.
     Heartbeat(Duration),
-    /// The master asks: every so often (100Ch), and so many questions may stay open (100Dh).
+    /// Node guarding: the master sends a request every period (100Ch); the node is lost after this
+    /// many unanswered requests (100Dh).
     Guarding(Duration, u8),
-    /// It does not.
+    /// No monitoring.
     None,
 }
 
-/// An axis of a node: which logical device of a multi-axis drive it is, and how it is led.
+/// An axis of a node: its logical device in a multi-axis drive, and its limits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct AxisPlan {
     /// 0 to 7.
     pub axis: u8,
-    /// How the drive departs from the profile.
+    /// Timeouts and deviations of the drive from the profile.
     pub patience: Patience,
-    /// Farthest that 607Ah may be from 6064h when the drive begins to follow, user units.
+    /// Maximum distance of 607Ah from 6064h when the drive starts to follow, user units.
     pub jump_max: u32,
-    /// SYNCs that its TPDOs may be missing before it is stopped.
+    /// Maximum consecutive SYNCs without its TPDOs before it is stopped.
     pub missing_max: u32,
-    /// Longest time for a homing run.
+    /// Timeout of a homing run.
     pub homing: Duration,
-    /// 60C2h: time from one set-point to the next, which is that of SYNC; `None` leaves what the drive has.
+    /// 60C2h: interpolation time period, equal to the SYNC period; `None` keeps the drive's value.
     pub set_point_period: Option<Duration>,
-    /// 6007h: what the drive does when it loses its master (0 nothing, 1 fault, 2 disable voltage, 3
-    /// quick stop); `None` leaves what it has.
+    /// 6007h: reaction of the drive to the loss of its master (0 nothing, 1 fault, 2 disable voltage, 3 quick stop);
+    /// `None` keeps the drive's value.
     pub on_link_loss: Option<i16>,
-    /// 60A4h:01: largest jerk of its own motions (profile position and velocity), user units/s^3; then the profile
-    /// type (6086h) is the jerk-limited ramp. `None` leaves what the drive has.
+    /// 60A4h:01: maximum jerk of its own motions (profile position and velocity), user units/s^3; then the profile type
+    /// (6086h) is the jerk-limited ramp. `None` keeps the drive's value.
     pub jerk_max: Option<u32>,
-    /// 60C4h: interpolated position goes through a queue of so many data records, which evens out when they come;
-    /// `None` leaves what the drive has.
+    /// 60C4h: size of the data record buffer of interpolated position, which compensates jitter; `None` keeps the
+    /// drive's value.
     pub records: Option<u8>,
-    /// Objects whose SDO server does not show what PDOs carry: they are not compared before it gets power.
+    /// Objects whose SDO values differ from the PDO values: the proof before power-on skips them.
     pub not_mirrored: Objects,
 }
 
 impl AxisPlan {
-    /// Whether a drive can be told that set-points come so far apart: at most 255 of 1 us, 10 us, 100 us or
-    /// 1 ms (60C2h).
+    /// Whether 60C2h can represent this period: at most 255 units of 1 us, 10 us, 100 us or 1 ms.
     #[must_use]
-    pub fn can_be_told(period: Duration) -> bool {
+    pub fn supports_period(period: Duration) -> bool {
         time_index(period).is_some()
     }
 
-    /// What its drive is told before it runs. 60C2h and 6007h are optional objects that a drive may do without; the
-    /// others are asked for on purpose.
+    /// Values written to the drive before it runs. 60C2h and 6007h are optional objects; the others are explicitly
+    /// requested.
     fn downloads(&self) -> Vec<Download> {
         let at = |index, sub, data: &[u8]| {
             let address = Address::new(index, sub).on_axis(self.axis)?;
@@ -124,7 +125,7 @@ impl AxisPlan {
         };
         let period = self.set_point_period.and_then(time_index);
         let period = period.into_iter().flat_map(|(value, exponent)| {
-            // The unit first: some drives check the product of both with each write.
+            // The unit first: some drives check the product of both on each write.
             [(2, exponent.to_le_bytes()), (1, value.to_le_bytes())]
         });
         let period = period.filter_map(|(sub, data)| at(0x60C2, sub, &data));
@@ -135,22 +136,25 @@ impl AxisPlan {
             let limit = at(0x60A4, 1, &jerk.to_le_bytes());
             [limit, at(0x6086, 0, &JERK_LIMITED.to_le_bytes())]
         });
-        let records = self.records.into_iter().flat_map(|places| {
-            // Empty and closed while it is set up.
+        let records = self.records.into_iter().flat_map(|capacity| {
+            // Clear and disable the buffer during configuration.
             let clear = |open: u8| at(0x60C4, 6, &[open]).map(Download::unverified);
-            let places = at(0x60C4, 2, &u32::from(places).to_le_bytes());
-            [clear(0), places, at(0x60C4, 3, &[0]), clear(1)]
+            let capacity = at(0x60C4, 2, &u32::from(capacity).to_le_bytes());
+            [clear(0), capacity, at(0x60C4, 3, &[0]), clear(1)]
         });
-        let asked = jerk.chain(records).flatten();
-        optional.map(Download::where_present).chain(asked).collect()
+        let requested = jerk.chain(records).flatten();
+        optional
+            .map(Download::where_present)
+            .chain(requested)
+            .collect()
     }
 }
 
 /// Profile type 6086h.
 const JERK_LIMITED: i16 = 3;
 
-/// A time as 60C2h has it: a number and the power of ten of its unit in seconds. `None` for one that
-/// eight bits do not hold to the microsecond.
+/// A period in the format of 60C2h: value and decimal exponent in seconds. `None` if eight bits cannot represent it
+/// exactly.
 fn time_index(period: Duration) -> Option<(u8, i8)> {
     let nanos = period.as_nanos();
     let of_unit = |(unit, exponent): (u128, i8)| {
@@ -179,24 +183,24 @@ impl Default for AxisPlan {
     }
 }
 
-/// PDOs that each axis of a drive has room for (CiA 402-3).
+/// PDO numbers per axis of a drive (CiA 402-3).
 const AXIS_PDOS: u16 = 64;
 
-/// PDOs each way for which a node number has identifiers (CiA 301, predefined connection set).
+/// PDOs per direction with identifiers of a node number (CiA 301, pre-defined connection set).
 const IDENTIFIERS: u8 = 4;
 
-/// What one node is to be.
+/// Plan of one node.
 #[derive(Clone, Debug)]
 pub struct NodePlan {
-    /// Its number.
+    /// Node number.
     pub id: NodeId,
     /// 1000h; `None`: any.
     pub device_type: Option<u32>,
     /// 1018h:01 to 04; `None`: any.
     pub identity: [Option<u32>; 4],
-    /// How it is watched.
+    /// Monitoring.
     pub supervision: Supervision,
-    /// What it is told, after its PDOs.
+    /// Values written after the PDO configuration.
     pub downloads: Vec<Download>,
     /// The PDOs it receives, by number from 0.
     pub rpdos: Vec<(u16, Parameters)>,
@@ -204,7 +208,7 @@ pub struct NodePlan {
     pub tpdos: Vec<(u16, Parameters)>,
     /// Its axes.
     pub axes: Vec<AxisPlan>,
-    /// Longest value read from or written to it, bytes.
+    /// Maximum length of SDO values, bytes.
     pub sdo_len_max: usize,
 }
 
@@ -225,7 +229,7 @@ impl NodePlan {
         }
     }
 
-    /// A drive with one axis whose position, or velocity and torque too, go with every SYNC.
+    /// A drive with one axis whose position, velocity and torque are exchanged with every SYNC.
     ///
     /// | PDO | objects |
     /// |---|---|
@@ -261,22 +265,22 @@ impl NodePlan {
         }
     }
 
-    /// A drive with several axes whose positions go with every SYNC, each by one PDO each way: 6040h, 6060h and
-    /// 607Ah to it, 6041h, 6061h and 6064h from it. Each axis has 64 PDOs of its own (CiA 402-3); their identifiers
-    /// are those of the first four PDOs of the node, and from the fifth axis on those of the next node number, which
-    /// no other node of the network may then have. `None` for no axis, for more than [`Self::AXES_MAX`], and if there
-    /// is no next number.
+    /// A drive with several axes whose positions are exchanged with every SYNC by one PDO per axis and direction:
+    /// 6040h, 6060h and 607Ah to it, 6041h, 6061h and 6064h from it. Each axis has its own 64 PDO numbers (CiA 402-3).
+    /// The first four axes use the identifiers of the node's PDOs 1 to 4, further axes those of the next node number,
+    /// which no other node of the network may then use. `None` without axes, with more than [`Self::AXES_MAX`], or if
+    /// there is no next number.
     #[must_use]
     pub fn drives(id: NodeId, axes: &[AxisPlan]) -> Option<Self> {
         if axes.is_empty() || axes.len() > Self::AXES_MAX {
             return None;
         }
         let mut all = Self::new(id);
-        for (place, axis) in (0_u8..).zip(axes) {
+        for (slot, axis) in (0_u8..).zip(axes) {
             let one = Self::drive(id, *axis);
             let number = AXIS_PDOS * u16::from(axis.axis);
-            let of = NodeId::new(id.raw() + place / IDENTIFIERS).ok()?;
-            let function = 0x100 * u16::from(place % IDENTIFIERS);
+            let of = NodeId::new(id.raw() + slot / IDENTIFIERS).ok()?;
+            let function = 0x100 * u16::from(slot % IDENTIFIERS);
             let of_axis = |pdos: Vec<(u16, Parameters)>, first: u16| {
                 let pdo = pdos.into_iter().next().map(|(_, pdo)| pdo);
                 let cob = PdoCob::new(of.cob(first + function));
@@ -289,10 +293,10 @@ impl NodePlan {
         Some(all)
     }
 
-    /// Axes of a multi-axis drive (CiA 402-3).
+    /// Maximum axes of a multi-axis drive (CiA 402-3).
     pub const AXES_MAX: usize = 8;
 
-    /// All that is written before it runs: supervision, PDOs by the procedure, its own values.
+    /// All values written before it runs: monitoring, PDO configuration, axes, its own values.
     #[must_use]
     pub fn all_downloads(&self, master: Option<(NodeId, Duration)>) -> Vec<Download> {
         let mut all = Vec::new();
@@ -323,8 +327,8 @@ impl NodePlan {
         all
     }
 
-    /// PDOs 1 to 4, if they are not planned and another one gets their identifier: what is on from the factory
-    /// or was stored would take its frames, and an axis that nobody asked would be enabled by them.
+    /// Disables PDOs 1 to 4 if they are not planned but another PDO uses their identifier: left enabled by default or
+    /// stored settings, they would receive its frames and enable an axis that was not commanded.
     fn others_off<'a>(
         &'a self,
         direction: Direction,
@@ -347,7 +351,8 @@ fn ms16(time: Duration) -> u16 {
     u16::try_from(time.as_millis()).unwrap_or(u16::MAX)
 }
 
-/// The procedure of CiA 301 (clause 7.5.2.36): off, times, count 0, entries, count, on.
+/// The PDO mapping procedure of CiA 301 (clause 7.5.2.36): disable, times, count 0, entries, count,
+/// enable.
 fn pdo_downloads(direction: Direction, number: u16, pdo: &Parameters) -> Vec<Download> {
     let (index, mapping) = (
         direction.communication() + number,

@@ -1,92 +1,92 @@
-//! The start of one node, after CiA 302-2: reset, boot-up, who are you, configuration, start. It
-//! says what to do next; SDOs and frames are its owner's.
+//! Start procedure of one node (CiA 302-2): reset, boot-up, identity check, configuration, start.
+//! It returns actions; the owner handles SDOs and frames.
 
 use std::time::Duration;
 
 use takt_cia402::dictionary::{AbortCode, Address};
 
-use super::Trouble;
+use super::NodeFault;
 use super::plan::{Download, NodePlan};
 use crate::canopen::{NmtCommand, NmtState};
 
-/// Where the start of a node is.
+/// Phase of the start procedure.
 ///
 /// ```text
 ///       1 begin            2 boot-up           3 all equal              4 all written
 /// Off ---------> Resetting ---------> Checking -----------> Configuring -------------> Starting
 ///                    ^                   ^        each write may be followed by its       |
-///                    | 8 retry           |        reading back                            | 5 says
-///                  Failed <--------------|------------------------------------------------|   so
+///                    | 8 retry           |        reading back                            | 5 state
+///                  Failed <--------------|------------------------------------------------|   reported
 ///                        6 any failure   +--- 7 boot-up in any state -------------------- Running
 /// ```
 ///
-/// 1 and 8 [`Startup::begin`], 2 and 7 [`Startup::booted`], 3 and 4 [`Startup::answered`],
-/// 5 [`Startup::said`], 6 all of them and [`Startup::poll`].
+/// 1 and 8 [`Startup::begin`], 2 and 7 [`Startup::handle_boot_up`], 3 and 4 [`Startup::handle_answer`],
+/// 5 [`Startup::handle_state`], 6 all of them and [`Startup::poll`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Phase {
-    /// Nobody wants it to run.
+    /// Not requested to run.
     Off,
     /// Reset communication was sent.
     Resetting,
-    /// Its device type (0) and its identity (1 to 4) are read.
+    /// Reading device type (0) and identity (1 to 4).
     Checking(u8),
-    /// That value of the configuration is written, or read back.
+    /// Writing or reading back a configuration value.
     Configuring {
-        /// Which.
+        /// Index of the value.
         at: usize,
-        /// It is being read back.
+        /// Whether it is being read back.
         reading: bool,
     },
     /// Start was sent.
     Starting,
-    /// It runs.
+    /// Operational.
     Running,
-    /// It does not; it is tried again after a while.
+    /// Failed; restarted after the retry delay.
     Failed,
 }
 
-/// What to do next.
+/// Next action of the owner.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Action {
     /// Nothing.
     None,
     /// Send that command to the node.
     Command(NmtCommand),
-    /// Read this by SDO.
+    /// Read this object by SDO.
     Read(Address),
-    /// Write the download of that number by SDO.
+    /// Write the download with that index by SDO.
     Write(usize),
 }
 
-/// What an SDO brought.
+/// Result of an SDO transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Answer<'a> {
     /// A value.
     Value(&'a [u8]),
     /// The value was written.
     Written,
-    /// The node refused.
+    /// The node aborted the transfer.
     Refused(AbortCode),
-    /// The node did not answer.
+    /// Timeout.
     Silent,
 }
 
-/// The start of one node.
+/// Start procedure of one node.
 #[derive(Clone, Debug)]
 pub struct Startup {
     expected: [Option<u32>; 5],
     downloads: Vec<Download>,
-    /// A heartbeat or an answer to guarding will tell that it runs.
+    /// Heartbeat or guarding will confirm the Operational state.
     watched: bool,
     phase: Phase,
     since: Duration,
     boot_up_max: Duration,
     retry: Duration,
-    trouble: Option<Trouble>,
+    fault: Option<NodeFault>,
 }
 
 impl Startup {
-    /// The start of a node that is to be as planned, with all these values.
+    /// Start procedure of a node with this plan and these configuration values.
     #[must_use]
     pub fn new(plan: &NodePlan, downloads: Vec<Download>, timing: (Duration, Duration)) -> Self {
         let [a, b, c, d] = plan.identity;
@@ -98,46 +98,45 @@ impl Startup {
             since: Duration::ZERO,
             boot_up_max: timing.0,
             retry: timing.1,
-            trouble: None,
+            fault: None,
         }
     }
 
-    /// Where it is.
+    /// Its current phase.
     #[must_use]
     pub const fn phase(&self) -> Phase {
         self.phase
     }
 
-    /// Why it does not run, or what it had last.
+    /// The fault that keeps it from running, or the last one.
     #[must_use]
-    pub const fn trouble(&self) -> Option<Trouble> {
-        self.trouble
+    pub const fn fault(&self) -> Option<NodeFault> {
+        self.fault
     }
 
-    /// The value of a number.
+    /// The configuration value with that index.
     #[must_use]
     pub fn download(&self, at: usize) -> Option<&Download> {
         self.downloads.get(at)
     }
 
-    /// Begins from reset communication.
+    /// Starts with reset communication.
     pub const fn begin(&mut self, now: Duration) -> Action {
         (self.phase, self.since) = (Phase::Resetting, now);
         Action::Command(NmtCommand::ResetCommunication)
     }
 
-    /// Ends it: the node is sent back to Pre-operational.
+    /// Stops the node: it returns to Pre-operational.
     pub const fn end(&mut self) -> Action {
         self.phase = Phase::Off;
         Action::Command(NmtCommand::EnterPreOperational)
     }
 
-    /// Something is wrong while it runs or starts. A node that was told to start is told to stop: it
-    /// may hear without being heard, and nobody leads it any more. NMT stop it is, not enter
-    /// pre-operational, as that is what 6007h of drives and 6206h of outputs react to.
-    pub const fn fail(&mut self, trouble: Trouble, now: Duration) -> Action {
+    /// Handles a fault. A started node gets NMT stop, because it may still receive frames although its own are lost.
+    /// NMT stop, not enter pre-operational, triggers 6007h of drives and 6206h of outputs.
+    pub const fn fail(&mut self, fault: NodeFault, now: Duration) -> Action {
         let started = matches!(self.phase, Phase::Starting | Phase::Running);
-        self.trouble = Some(trouble);
+        self.fault = Some(fault);
         (self.phase, self.since) = (Phase::Failed, now);
         if started {
             Action::Command(NmtCommand::Stop)
@@ -146,21 +145,21 @@ impl Startup {
         }
     }
 
-    /// Its boot-up message came.
-    pub fn booted(&mut self, now: Duration) -> Action {
+    /// Handles its boot-up message.
+    pub fn handle_boot_up(&mut self, now: Duration) -> Action {
         match self.phase {
             Phase::Off => return Action::None,
             Phase::Running | Phase::Starting | Phase::Configuring { .. } => {
-                self.trouble = Some(Trouble::Restarted);
+                self.fault = Some(NodeFault::Restarted);
             }
-            // Of two boot-up messages one may be from before the reset.
+            // With two boot-up messages, one may be from before the reset.
             Phase::Resetting | Phase::Checking(_) | Phase::Failed => {}
         }
         self.since = now;
         self.check(0)
     }
 
-    /// The next number to be checked, from this one on; then the configuration.
+    /// Reads the next value of the identity check, or continues with the configuration.
     fn check(&mut self, from: u8) -> Action {
         for at in from..5 {
             if self.expected[usize::from(at)].is_some() {
@@ -188,12 +187,12 @@ impl Startup {
         Action::Command(NmtCommand::Start)
     }
 
-    /// An SDO of its own came to its end.
-    pub fn answered(&mut self, answer: Answer<'_>, now: Duration) -> Action {
+    /// Handles the result of its SDO transfer.
+    pub fn handle_answer(&mut self, answer: Answer<'_>, now: Duration) -> Action {
         match self.phase {
             Phase::Checking(at) => match self.identify(at, answer) {
                 Ok(()) => self.check(at + 1),
-                Err(trouble) => self.fail(trouble, now),
+                Err(fault) => self.fail(fault, now),
             },
             Phase::Configuring { at, reading } => match self.configured(at, reading, answer) {
                 Ok(true) => {
@@ -206,7 +205,7 @@ impl Startup {
                     self.since = now;
                     self.write(at + 1)
                 }
-                Err(trouble) => self.fail(trouble, now),
+                Err(fault) => self.fail(fault, now),
             },
             Phase::Off | Phase::Resetting | Phase::Starting | Phase::Running | Phase::Failed => {
                 Action::None
@@ -214,7 +213,7 @@ impl Startup {
         }
     }
 
-    fn identify(&self, at: u8, answer: Answer<'_>) -> Result<(), Trouble> {
+    fn identify(&self, at: u8, answer: Answer<'_>) -> Result<(), NodeFault> {
         let address = Self::checked(at);
         let expected = self.expected[usize::from(at)].unwrap_or(0);
         let found = match answer {
@@ -225,13 +224,13 @@ impl Startup {
                     .for_each(|(to, from)| *to = *from);
                 u32::from_le_bytes(four)
             }
-            Answer::Refused(code) => return Err(Trouble::Refused { address, code }),
-            Answer::Silent | Answer::Written => return Err(Trouble::Silent(address)),
+            Answer::Refused(code) => return Err(NodeFault::Refused { address, code }),
+            Answer::Silent | Answer::Written => return Err(NodeFault::Silent(address)),
         };
         if found == expected {
             Ok(())
         } else {
-            Err(Trouble::WrongDevice {
+            Err(NodeFault::WrongDevice {
                 address,
                 expected,
                 found,
@@ -239,7 +238,7 @@ impl Startup {
         }
     }
 
-    /// What it waits for by SDO, to be requested again: reads and writes of a start-up may be repeated.
+    /// The pending SDO request, for a repetition: all reads and writes of the procedure may be repeated.
     #[must_use]
     pub fn pending(&self) -> Action {
         match self.phase {
@@ -255,36 +254,36 @@ impl Startup {
         }
     }
 
-    /// Whether what was written has to be read back.
-    fn configured(&self, at: usize, reading: bool, answer: Answer<'_>) -> Result<bool, Trouble> {
+    /// Evaluates a write; returns whether to read the value back.
+    fn configured(&self, at: usize, reading: bool, answer: Answer<'_>) -> Result<bool, NodeFault> {
         let Some(download) = self.downloads.get(at) else {
             return Ok(false);
         };
         let address = download.address;
         match answer {
             Answer::Refused(code) if download.may_lack && is_absent(code) => Ok(false),
-            Answer::Refused(code) => Err(Trouble::Refused { address, code }),
-            Answer::Silent => Err(Trouble::Silent(address)),
+            Answer::Refused(code) => Err(NodeFault::Refused { address, code }),
+            Answer::Silent => Err(NodeFault::Silent(address)),
             Answer::Written => Ok(download.verify && !reading),
             Answer::Value(bytes) if download.is_taken(bytes) => Ok(false),
-            Answer::Value(_) => Err(Trouble::NotTaken(address)),
+            Answer::Value(_) => Err(NodeFault::NotTaken(address)),
         }
     }
 
-    /// Its heartbeat, or its answer to guarding, says this state.
-    pub fn said(&mut self, state: NmtState, now: Duration) -> Action {
+    /// Handles a state reported by heartbeat or guarding.
+    pub fn handle_state(&mut self, state: NmtState, now: Duration) -> Action {
         match (self.phase, state) {
-            (_, NmtState::BootUp) => self.booted(now),
+            (_, NmtState::BootUp) => self.handle_boot_up(now),
             (Phase::Starting, NmtState::Operational) => {
                 self.phase = Phase::Running;
                 Action::None
             }
             (Phase::Running, NmtState::Operational) => Action::None,
-            (Phase::Running, state) => self.fail(Trouble::LeftOperational(state), now),
+            (Phase::Running, state) => self.fail(NodeFault::LeftOperational(state), now),
             (Phase::Starting, state) if now.saturating_sub(self.since) >= self.boot_up_max => {
-                self.fail(Trouble::NotStarted(state), now)
+                self.fail(NodeFault::NotStarted(state), now)
             }
-            // The node was there before the master: the reset is on its way.
+            // The node was running before the master: the reset is on its way.
             (
                 Phase::Off
                 | Phase::Resetting
@@ -297,19 +296,19 @@ impl Startup {
         }
     }
 
-    /// Time passed.
+    /// Handles timeouts.
     pub fn poll(&mut self, now: Duration) -> Action {
         let waited = now.saturating_sub(self.since);
         match self.phase {
             Phase::Resetting if waited >= self.boot_up_max => {
-                self.fail(Trouble::NoBootUp(self.boot_up_max), now)
+                self.fail(NodeFault::NoBootUp(self.boot_up_max), now)
             }
             Phase::Starting if !self.watched => {
                 self.phase = Phase::Running;
                 Action::None
             }
             Phase::Starting if waited >= self.boot_up_max + self.boot_up_max => {
-                self.fail(Trouble::NoHeartbeat(self.boot_up_max * 2), now)
+                self.fail(NodeFault::NoHeartbeat(self.boot_up_max * 2), now)
             }
             Phase::Failed if waited >= self.retry && !self.retry.is_zero() => self.begin(now),
             Phase::Off
@@ -322,7 +321,7 @@ impl Startup {
         }
     }
 
-    /// When it has to be polled.
+    /// Time of the next poll.
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Duration> {
         match self.phase {
@@ -339,7 +338,7 @@ impl Startup {
     }
 }
 
-/// Whether a device says that it has no such object.
+/// Whether the abort code means that the object does not exist.
 const fn is_absent(code: AbortCode) -> bool {
     matches!(code, AbortCode::NoObject | AbortCode::NoSubIndex)
 }

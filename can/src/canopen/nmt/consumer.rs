@@ -1,14 +1,13 @@
-//! Watches the heartbeat of one node (CiA 301, clause 7.2.8.3.2). It asks for nothing; that is
-//! node guarding.
+//! Heartbeat consumer for one node (CiA 301, clause 7.2.8.3.2).
 
 use std::time::Duration;
 
 use crate::canopen::NmtState;
 
-/// What is known of a node.
+/// Monitoring state of a node.
 ///
 /// ```text
-///            1 any heartbeat            2 time passed
+///            1 any heartbeat            2 timeout   
 /// Waiting ---------------------> Alive --------------> Lost
 ///    ^                             ^                     |
 ///    | 4 configure                 +---- 3 heartbeat ----+
@@ -17,65 +16,65 @@ use crate::canopen::NmtState;
 /// 1 and 3 are [`Consumer::handle`], 2 is [`Consumer::poll`], 4 is [`Consumer::new`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Watch {
-    /// Nothing was heard of it yet; its silence means nothing.
+    /// No heartbeat received yet; no timeout runs.
     Waiting,
-    /// It said this last.
+    /// Last reported state.
     Alive(NmtState),
-    /// It has been silent for too long.
+    /// Heartbeat timeout.
     Lost,
 }
 
-/// What a heartbeat told.
+/// Change detected by a heartbeat.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Heard {
-    /// The same as before.
+pub enum HeartbeatEvent {
+    /// The same state as before.
     Same,
-    /// The first one, or the first after a loss.
+    /// The first heartbeat, or the first after a loss.
     Appeared(NmtState),
-    /// Another state.
+    /// The state changed.
     Changed(NmtState),
-    /// A boot-up message of a node that was there: it has begun anew, its settings are gone.
+    /// Boot-up message of a present node: it has restarted and lost its settings.
     Restarted,
 }
 
-/// The consumer of one node's heartbeat.
+/// Heartbeat consumer for one node.
 #[derive(Clone, Copy, Debug)]
 pub struct Consumer {
     time: Duration,
-    heard: Duration,
+    last_received: Duration,
     watch: Watch,
 }
 
 impl Consumer {
-    /// A consumer that allows so long between two heartbeats; zero is for ever.
+    /// A consumer with this heartbeat timeout; zero: no timeout.
     #[must_use]
     pub const fn new(time: Duration) -> Self {
         Self {
             time,
-            heard: Duration::ZERO,
+            last_received: Duration::ZERO,
             watch: Watch::Waiting,
         }
     }
 
-    /// What is known of the node.
+    /// Monitoring state of the node.
     #[must_use]
     pub const fn watch(&self) -> Watch {
         self.watch
     }
 
-    /// Takes a heartbeat or a boot-up message.
-    pub fn handle(&mut self, state: NmtState, now: Duration) -> Heard {
-        self.heard = now;
+    /// Handles a heartbeat or boot-up message.
+    pub fn handle(&mut self, state: NmtState, now: Duration) -> HeartbeatEvent {
+        self.last_received = now;
         let before = std::mem::replace(&mut self.watch, Watch::Alive(state));
         match (before, state) {
-            (Watch::Alive(_), NmtState::BootUp) => Heard::Restarted,
-            (Watch::Alive(last), _) if last == state => Heard::Same,
-            (Watch::Alive(_), _) => Heard::Changed(state),
-            (Watch::Waiting | Watch::Lost, _) => Heard::Appeared(state),
+            (Watch::Alive(_), NmtState::BootUp) => HeartbeatEvent::Restarted,
+            (Watch::Alive(last), _) if last == state => HeartbeatEvent::Same,
+            (Watch::Alive(_), _) => HeartbeatEvent::Changed(state),
+            (Watch::Waiting | Watch::Lost, _) => HeartbeatEvent::Appeared(state),
         }
     }
 
-    /// Whether the node has just been lost; told once.
+    /// Whether the node has just been lost; returned once.
     pub fn poll(&mut self, now: Duration) -> bool {
         let lost = self.poll_timeout().is_some_and(|due| now >= due);
         if lost {
@@ -84,11 +83,11 @@ impl Consumer {
         lost
     }
 
-    /// When it is lost.
+    /// When the timeout expires.
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Duration> {
         match self.watch {
-            Watch::Alive(_) if !self.time.is_zero() => Some(self.heard + self.time),
+            Watch::Alive(_) if !self.time.is_zero() => Some(self.last_received + self.time),
             Watch::Alive(_) | Watch::Waiting | Watch::Lost => None,
         }
     }
@@ -101,36 +100,44 @@ mod tests {
     const MS: Duration = Duration::from_millis(1);
 
     #[test]
-    fn every_watch_with_every_heartbeat() {
+    fn heartbeat_every_watch_state_with_every_heartbeat() {
         use NmtState::{BootUp, Operational, PreOperational};
-        for (watch, state, heard) in [
-            (Watch::Waiting, BootUp, Heard::Appeared(BootUp)),
-            (Watch::Waiting, Operational, Heard::Appeared(Operational)),
-            (Watch::Lost, BootUp, Heard::Appeared(BootUp)),
-            (Watch::Lost, Operational, Heard::Appeared(Operational)),
-            (Watch::Alive(Operational), Operational, Heard::Same),
+        for (watch, state, expected) in [
+            (Watch::Waiting, BootUp, HeartbeatEvent::Appeared(BootUp)),
+            (
+                Watch::Waiting,
+                Operational,
+                HeartbeatEvent::Appeared(Operational),
+            ),
+            (Watch::Lost, BootUp, HeartbeatEvent::Appeared(BootUp)),
+            (
+                Watch::Lost,
+                Operational,
+                HeartbeatEvent::Appeared(Operational),
+            ),
+            (Watch::Alive(Operational), Operational, HeartbeatEvent::Same),
             (
                 Watch::Alive(Operational),
                 PreOperational,
-                Heard::Changed(PreOperational),
+                HeartbeatEvent::Changed(PreOperational),
             ),
-            (Watch::Alive(Operational), BootUp, Heard::Restarted),
-            (Watch::Alive(BootUp), BootUp, Heard::Restarted),
+            (Watch::Alive(Operational), BootUp, HeartbeatEvent::Restarted),
+            (Watch::Alive(BootUp), BootUp, HeartbeatEvent::Restarted),
             (
                 Watch::Alive(BootUp),
                 PreOperational,
-                Heard::Changed(PreOperational),
+                HeartbeatEvent::Changed(PreOperational),
             ),
         ] {
             let mut consumer = Consumer::new(50 * MS);
             consumer.watch = watch;
-            assert_eq!(consumer.handle(state, MS), heard, "{watch:?}, {state}");
+            assert_eq!(consumer.handle(state, MS), expected, "{watch:?}, {state}");
             assert_eq!(consumer.watch(), Watch::Alive(state));
         }
     }
 
     #[test]
-    fn silence_counts_from_the_first_heartbeat_and_is_told_once() {
+    fn heartbeat_timeout_starts_with_first_and_reports_once() {
         let mut consumer = Consumer::new(50 * MS);
         assert_eq!(
             (consumer.poll(900 * MS), consumer.poll_timeout()),

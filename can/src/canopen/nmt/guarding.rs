@@ -1,5 +1,5 @@
-//! Node guarding from the master's side (CiA 301, clause 7.2.8.3.1): asks a node for its state and
-//! checks that the toggle bit alternates. New networks use heartbeats; old slaves know only this.
+//! Node guarding, master side (CiA 301, clause 7.2.8.3.1): requests the state of a node and checks
+//! that the toggle bit alternates. For old slaves without heartbeat.
 
 use std::time::Duration;
 
@@ -7,14 +7,15 @@ use crate::canopen::message::HEARTBEAT;
 use crate::canopen::{NmtState, NodeId};
 use crate::{Frame, Id};
 
-/// What an answer told.
+/// Result of a guarding response.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Guarded {
-    /// The node is there, in this state.
+    /// The node is present, in this state.
     Alive(NmtState),
-    /// The toggle bit did not alternate: an answer was lost, is old, or another node answers too.
+    /// The toggle bit did not alternate: a response was lost or is stale, or another node responds
+    /// too.
     Toggle(NmtState),
-    /// A boot-up message: the node has begun anew.
+    /// A boot-up message: the node has restarted.
     Restarted,
 }
 
@@ -26,13 +27,13 @@ pub struct Guarding {
     factor: u8,
     due: Duration,
     toggle: bool,
-    /// Questions without an answer.
+    /// Unanswered requests.
     open: u8,
 }
 
 impl Guarding {
-    /// Asks every `period` (100Ch) from `now` on, and takes the node for lost after `factor` (100Dh)
-    /// unanswered questions.
+    /// Sends a request every `period` (100Ch) from `now` on; the node is lost after `factor` (100Dh) unanswered
+    /// requests.
     #[must_use]
     pub fn new(node: NodeId, period: Duration, factor: u8, now: Duration) -> Self {
         Self {
@@ -45,8 +46,7 @@ impl Guarding {
         }
     }
 
-    /// The next question, if it is due, and whether the node is lost (told with each further
-    /// question).
+    /// The next request, if due, and whether the node is lost (repeated with each further request).
     pub fn poll(&mut self, now: Duration) -> Option<(Frame, bool)> {
         if now < self.due {
             return None;
@@ -59,7 +59,7 @@ impl Guarding {
         Some((question, lost))
     }
 
-    /// Takes an answer.
+    /// Handles a response.
     pub fn handle(&mut self, state: NmtState, toggle: bool) -> Guarded {
         self.open = 0;
         if state == NmtState::BootUp {
@@ -75,7 +75,7 @@ impl Guarding {
         }
     }
 
-    /// When the next question is due.
+    /// When the next request is due.
     #[must_use]
     pub const fn poll_timeout(&self) -> Duration {
         self.due
@@ -93,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn asks_on_the_grid_and_counts_unanswered_questions() {
+    fn guarding_requests_on_grid_count_unanswered_ones() {
         let mut guarding = guarding();
         let (question, lost) = guarding.poll(Duration::ZERO).unwrap();
         assert_eq!((question.to_string().as_str(), lost), ("705#R1", false));
@@ -101,16 +101,13 @@ mod tests {
         assert!(!guarding.poll(12 * MS).unwrap().1);
         assert_eq!(guarding.poll_timeout(), 20 * MS);
         assert!(!guarding.poll(20 * MS).unwrap().1);
-        assert!(
-            guarding.poll(30 * MS).unwrap().1,
-            "three questions are open"
-        );
+        assert!(guarding.poll(30 * MS).unwrap().1, "three requests are open");
         guarding.handle(NmtState::Operational, false);
         assert!(!guarding.poll(40 * MS).unwrap().1);
     }
 
     #[test]
-    fn toggle_has_to_alternate_and_begins_with_zero() {
+    fn guarding_toggle_bit_starts_zero_and_alternates() {
         let mut guarding = guarding();
         let state = NmtState::Operational;
         assert_eq!(guarding.handle(state, false), Guarded::Alive(state));

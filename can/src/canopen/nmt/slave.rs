@@ -1,5 +1,5 @@
-//! The network management of a slave: its states, its boot-up message, its heartbeat or its answers
-//! to node guarding. What a reset does to the objects is its owner's to do.
+//! NMT slave: states, boot-up message, heartbeat producer and node guarding responses. The owner
+//! resets the objects.
 
 use std::time::Duration;
 
@@ -7,7 +7,7 @@ use crate::Frame;
 use crate::canopen::message::{HEARTBEAT, frame};
 use crate::canopen::{NmtCommand, NmtState, NodeId};
 
-/// The state of a slave.
+/// NMT state of a slave.
 ///
 /// ```text
 ///              0 boot-up            1 start
@@ -23,18 +23,18 @@ use crate::canopen::{NmtCommand, NmtState, NodeId};
 /// All arrows are arms of [`step`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum State {
-    /// It sets up its objects; it obeys nothing.
+    /// Setting up objects; accepts no commands.
     Initialising,
-    /// SDO, SYNC, TIME and EMCY run.
+    /// SDO, SYNC, TIME and EMCY are active.
     PreOperational,
-    /// PDOs run too.
+    /// PDOs are active too.
     Operational,
-    /// Nothing runs but network management and error control.
+    /// Only network management and error control are active.
     Stopped,
 }
 
 impl State {
-    /// All of them.
+    /// All states.
     pub const ALL: [Self; 4] = [
         Self::Initialising,
         Self::PreOperational,
@@ -42,9 +42,9 @@ impl State {
         Self::Stopped,
     ];
 
-    /// As heartbeats carry it.
+    /// The state as in heartbeats.
     #[must_use]
-    pub const fn told(self) -> NmtState {
+    pub const fn nmt_state(self) -> NmtState {
         match self {
             Self::Initialising => NmtState::BootUp,
             Self::PreOperational => NmtState::PreOperational,
@@ -53,14 +53,14 @@ impl State {
         }
     }
 
-    /// Whether SDO, SYNC, TIME and EMCY run.
+    /// Whether SDO, SYNC, TIME and EMCY are active.
     #[must_use]
     pub const fn communicates(self) -> bool {
         matches!(self, Self::PreOperational | Self::Operational)
     }
 }
 
-/// What a lost heartbeat, lost guarding or bus-off does to a slave (1029h:01).
+/// Reaction of a slave to heartbeat loss, guarding loss or bus-off (1029h:01).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ErrorBehaviour {
     /// 0: from Operational to Pre-operational.
@@ -72,7 +72,7 @@ pub enum ErrorBehaviour {
 }
 
 impl ErrorBehaviour {
-    /// Of that number; unknown ones are the default of the standard.
+    /// Decodes the value; unknown values are the default of the standard.
     #[must_use]
     pub const fn from_raw(raw: u8) -> Self {
         match raw {
@@ -83,18 +83,18 @@ impl ErrorBehaviour {
     }
 }
 
-/// What happens to a slave.
+/// Input of the state machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Input {
-    /// Its objects are set up.
+    /// The objects are set up.
     Initialised,
-    /// The master commands.
+    /// NMT command of the master.
     Command(NmtCommand),
-    /// Communication with the master failed.
+    /// Communication error.
     Error(ErrorBehaviour),
 }
 
-/// What begins anew.
+/// What to reset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reset {
     /// All objects.
@@ -103,7 +103,7 @@ pub enum Reset {
     Communication,
 }
 
-/// The state after an input, and what begins anew.
+/// Next state after an input, and what to reset.
 #[must_use]
 pub const fn step(state: State, input: Input) -> (State, Option<Reset>) {
     match (state, input) {
@@ -126,19 +126,19 @@ pub const fn step(state: State, input: Input) -> (State, Option<Reset>) {
     }
 }
 
-/// The network management of one slave.
+/// NMT slave of one node.
 #[derive(Clone, Debug)]
 pub struct Slave {
     id: NodeId,
     state: State,
     boot_up_due: bool,
-    /// 1017h; zero is off.
+    /// Producer heartbeat time 1017h; zero: off.
     heartbeat: Duration,
     beat_due: Option<Duration>,
     toggle: bool,
-    /// 100Ch times 100Dh; zero is off.
+    /// Life time, 100Ch times 100Dh; zero: off.
     life_time: Duration,
-    /// When the master last asked; guarding begins with its first question.
+    /// Time of the master's last request; life guarding starts with the first one.
     guarded: Option<Duration>,
 }
 
@@ -158,7 +158,7 @@ impl Slave {
         }
     }
 
-    /// Its node.
+    /// Its node number.
     #[must_use]
     pub const fn id(&self) -> NodeId {
         self.id
@@ -170,8 +170,8 @@ impl Slave {
         self.state
     }
 
-    /// Takes an input; returns what the owner has to set up anew. After a reset the owner does so
-    /// and then says [`Input::Initialised`].
+    /// Handles an input; returns what the owner has to reset. After a reset the owner sets the
+    /// objects up and then sends [`Input::Initialised`].
     pub fn handle(&mut self, input: Input) -> Option<Reset> {
         let (state, reset) = step(self.state, input);
         if self.state == State::Initialising && state != self.state {
@@ -182,19 +182,19 @@ impl Slave {
         reset
     }
 
-    /// Sets the producer heartbeat time, 1017h; zero is off. The first one comes at once.
+    /// Sets the producer heartbeat time, 1017h; zero: off. The first heartbeat is sent at once.
     pub fn set_heartbeat(&mut self, period: Duration, now: Duration) {
         self.heartbeat = period;
         self.beat_due = (!period.is_zero()).then_some(now);
     }
 
-    /// Sets the life time, 100Ch times 100Dh; zero is off.
+    /// Sets the life time, 100Ch times 100Dh; zero: off.
     pub const fn set_life_time(&mut self, life_time: Duration) {
         self.life_time = life_time;
     }
 
-    /// Answers the master's question for the state. A slave with a heartbeat does not: the two
-    /// share an identifier.
+    /// Answers a guarding request. A slave with heartbeat does not, because both use the same
+    /// identifier.
     pub fn handle_guard(&mut self, now: Duration) -> Option<Frame> {
         if !self.heartbeat.is_zero() || self.state == State::Initialising {
             return None;
@@ -202,11 +202,11 @@ impl Slave {
         self.guarded = Some(now);
         let toggle = u8::from(self.toggle) << 7;
         self.toggle = !self.toggle;
-        let told = self.state.told().raw() | toggle;
-        Some(frame(self.id.cob(HEARTBEAT), &[told]))
+        let state = self.state.nmt_state().raw() | toggle;
+        Some(frame(self.id.cob(HEARTBEAT), &[state]))
     }
 
-    /// Whether the master has stopped asking; told once.
+    /// Whether life guarding has just timed out; returned once.
     pub fn poll_life(&mut self, now: Duration) -> bool {
         let lost = self.life_due().is_some_and(|due| now >= due);
         if lost {
@@ -226,26 +226,26 @@ impl Slave {
             return None;
         }
         if std::mem::take(&mut self.boot_up_due) {
-            // The boot-up message stands for the first heartbeat.
+            // The boot-up message replaces the first heartbeat.
             self.beat_due = self.beat_due.map(|_| now + self.heartbeat);
             return Some(self.beat(NmtState::BootUp));
         }
         let due = self.beat_due.filter(|due| now >= *due)?;
-        // On the grid; after a pause never more than one.
+        // On the grid; only one after a pause.
         let next = due + self.heartbeat;
         self.beat_due = Some(if next > now {
             next
         } else {
             now + self.heartbeat
         });
-        Some(self.beat(self.state.told()))
+        Some(self.beat(self.state.nmt_state()))
     }
 
     fn beat(&self, state: NmtState) -> Frame {
         frame(self.id.cob(HEARTBEAT), &[state.raw()])
     }
 
-    /// When something is due.
+    /// Time of the next poll.
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Duration> {
         if self.boot_up_due {
@@ -271,7 +271,7 @@ mod tests {
 
     /// Every state with every input: the table of CiA 301, figure of the NMT slave.
     #[test]
-    fn every_state_with_every_input() {
+    fn nmt_slave_every_state_with_every_input() {
         use NmtCommand as C;
         let command = Input::Command;
         let both = |reset| (Initialising, Some(reset));
@@ -344,7 +344,7 @@ mod tests {
     }
 
     #[test]
-    fn boot_up_comes_after_each_initialisation_and_before_heartbeats() {
+    fn nmt_slave_boot_up_precedes_heartbeats() {
         let mut slave = slave(Initialising);
         slave.set_heartbeat(10 * MS, Duration::ZERO);
         assert_eq!(slave.poll_transmit(5 * MS), None, "not while initialising");
@@ -356,7 +356,7 @@ mod tests {
         assert_eq!(sent(&mut slave, 15 * MS).unwrap(), "705#7F");
         slave.handle(Input::Command(NmtCommand::Start));
         assert_eq!(sent(&mut slave, 26 * MS).unwrap(), "705#05");
-        // On the grid, not 10 ms after the late one; and no burst after a pause.
+        // On the grid, not 10 ms after the late one; no burst after a pause.
         assert_eq!(slave.poll_timeout(), Some(35 * MS));
         assert_eq!(sent(&mut slave, 99 * MS).unwrap(), "705#05");
         assert_eq!(sent(&mut slave, 99 * MS), None);
@@ -367,12 +367,12 @@ mod tests {
     }
 
     #[test]
-    fn guarding_toggles_and_ends_with_the_masters_silence() {
+    fn nmt_slave_guarding_toggles_and_times_out() {
         let mut slave = slave(PreOperational);
         slave.set_life_time(30 * MS);
         assert!(
             !slave.poll_life(100 * MS),
-            "it begins with the first question"
+            "it starts with the first request"
         );
         let answers: Vec<_> = (0..3)
             .map(|n| slave.handle_guard(n * 10 * MS).unwrap().to_string())
@@ -381,12 +381,12 @@ mod tests {
         assert_eq!(slave.poll_timeout(), Some(50 * MS));
         assert!(!slave.poll_life(49 * MS));
         assert!(slave.poll_life(50 * MS));
-        assert!(!slave.poll_life(51 * MS), "told once");
+        assert!(!slave.poll_life(51 * MS), "reported once");
         slave.set_heartbeat(10 * MS, 60 * MS);
         assert_eq!(
             slave.handle_guard(60 * MS),
             None,
-            "heartbeat goes before guarding"
+            "heartbeat has priority over guarding"
         );
     }
 }

@@ -1,5 +1,5 @@
-//! From the communication objects to the machines of a node: read when the node begins and when
-//! one of them is written, never in a cycle.
+//! Configures the services of a node from its communication objects: at start and after a write,
+//! never in a cycle.
 
 use std::time::Duration;
 
@@ -45,8 +45,8 @@ pub(super) fn identity(d: &Dictionary) -> Identity {
 
 pub(super) fn settings(d: &Dictionary, node: NodeId) -> Settings {
     let sdo = |sub, function| {
-        let told = number(d, 0x1200, sub).and_then(id);
-        told.unwrap_or_else(|| node.cob(function))
+        let configured = number(d, 0x1200, sub).and_then(id);
+        configured.unwrap_or_else(|| node.cob(function))
     };
     let consumes = |raw: &u32| raw & OFF != 0;
     let emergency = number(d, 0x1014, 0).filter(|raw| raw & OFF == 0);
@@ -62,7 +62,7 @@ pub(super) fn settings(d: &Dictionary, node: NodeId) -> Settings {
 
 type Pdos = (Vec<(u16, Rpdo)>, Vec<(u16, Tpdo)>);
 
-/// All PDOs of a dictionary.
+/// Creates all PDOs of a dictionary.
 pub(super) fn pdos(d: &Dictionary) -> Result<Pdos, NodeError> {
     let (mut rpdos, mut tpdos) = (vec![], vec![]);
     for number in 0..PDOS_MAX {
@@ -78,7 +78,7 @@ pub(super) fn pdos(d: &Dictionary) -> Result<Pdos, NodeError> {
     Ok((rpdos, tpdos))
 }
 
-/// Adds the node number to the defaults that are relative to it.
+/// Adds the node number to the relative defaults.
 pub(in crate::canopen) fn add_node_id(d: &mut Dictionary, relative: &[Address], node: NodeId) {
     for address in relative {
         let default = d.entry(*address).map(|entry| {
@@ -91,22 +91,22 @@ pub(in crate::canopen) fn add_node_id(d: &mut Dictionary, relative: &[Address], 
         if let Some((base, len)) = default {
             let sum = base.wrapping_add(node.raw().into()).to_le_bytes();
             let bytes = sum.get(..len).unwrap_or(&sum);
-            // The length is its own: it cannot be refused.
+            // The length matches: this cannot fail.
             let _ = d.store(*address, bytes);
         }
     }
 }
 
-/// Puts an error before those of the history 1003h.
+/// Prepends an error to the history 1003h.
 pub(super) fn remember(d: &mut Dictionary, code: u16, vendor: u8) {
     let Some(object) = d.object(0x1003) else {
         return;
     };
-    let room = u8::try_from(object.entries.len() - 1).unwrap_or(u8::MAX);
-    let count = low8(number(d, 0x1003, 0).unwrap_or(0)).min(room);
+    let capacity = u8::try_from(object.entries.len() - 1).unwrap_or(u8::MAX);
+    let count = low8(number(d, 0x1003, 0).unwrap_or(0)).min(capacity);
     let mut store = |sub, value: u32, len: usize| {
         let bytes = value.to_le_bytes();
-        // Of the length it has; an odd dictionary keeps no history.
+        // The length matches; without a valid 1003h there is no history.
         let _ = d.store(
             Address::new(0x1003, sub),
             bytes.get(..len).unwrap_or(&bytes),
@@ -119,8 +119,8 @@ pub(super) fn remember(d: &mut Dictionary, code: u16, vendor: u8) {
             })
     };
     let mut carried = u32::from(code) | u32::from(vendor) << 16;
-    let mut next = store(0, (count.saturating_add(1)).min(room).into(), 1);
-    for sub in 1..=count.saturating_add(1).min(room) {
+    let mut next = store(0, (count.saturating_add(1)).min(capacity).into(), 1);
+    for sub in 1..=count.saturating_add(1).min(capacity) {
         let here = next;
         next = store(sub, carried, 4);
         carried = here.unwrap_or(0);
@@ -128,7 +128,7 @@ pub(super) fn remember(d: &mut Dictionary, code: u16, vendor: u8) {
 }
 
 impl<A: Application> Node<A> {
-    /// All machines as the objects say.
+    /// Configures all services.
     pub(super) fn configure_all(&mut self, now: Duration) {
         for index in [0x1005, 0x100C, 0x1015, 0x1016, 0x1017] {
             self.configure(Address::new(index, 0), now);
@@ -141,7 +141,7 @@ impl<A: Application> Node<A> {
         }
     }
 
-    /// The machine that an object is about.
+    /// Configures the service of an object.
     pub(super) fn configure(&mut self, address: Address, now: Duration) {
         let d = &self.dictionary;
         match address.index {
@@ -169,7 +169,7 @@ impl<A: Application> Node<A> {
         }
     }
 
-    /// The signature was written: the object says again that it can do that on command.
+    /// The signature was written: restores the capability value of the object.
     fn keep(&mut self, address: Address) {
         let Some(group) = Group::from_sub(address.sub) else {
             return;
@@ -215,7 +215,8 @@ impl<A: Application> Node<A> {
         }
     }
 
-    /// While a mapping is being written it is none; the PDO stays as it was until it is whole.
+    /// A mapping is incomplete while it is being written; the PDO keeps the previous one until it
+    /// is complete.
     fn configure_pdo(&mut self, direction: Direction, at: usize) {
         let d = &self.dictionary;
         match direction {

@@ -1,4 +1,4 @@
-//! What a node says to writes of its communication objects, before its application is asked.
+//! Checks of writes to the communication objects, before the application's checks.
 
 use takt_cia402::dictionary::{AbortCode, Address, Dictionary, Hooks};
 
@@ -8,7 +8,7 @@ use crate::canopen::store::{LOAD, SAVE};
 
 const OFF: u32 = 1 << 31;
 
-/// The hooks of the SDO server; they remember what was written.
+/// Hooks of the SDO server; they record the written object.
 pub(super) struct NodeHooks<'a, A> {
     application: &'a mut A,
     written: Option<Address>,
@@ -29,7 +29,7 @@ impl<'a, A> NodeHooks<'a, A> {
 
 impl<A: Application> Hooks for NodeHooks<'_, A> {
     fn before_upload(&mut self, d: &mut Dictionary, at: Address) -> Result<(), AbortCode> {
-        // The history has as many entries as it counts.
+        // Entries beyond the count of the history do not exist.
         if at.index == 0x1003 && at.sub > 0 {
             let count = d.bytes(Address::new(0x1003, 0)).and_then(<[u8]>::first);
             if count.is_none_or(|count| at.sub > *count) {
@@ -62,12 +62,12 @@ pub(super) fn check(d: &Dictionary, at: Address, data: &[u8]) -> Result<(), Abor
     let now = number_at(d, at).unwrap_or(0);
     let allowed = match (at.index, at.sub) {
         (0x1003, 0) => value == 0,
-        // Bits 0 to 29 stay while SYNC or TIME is produced, and while EMCY exists.
+        // Bits 0 to 29 must not change while SYNC or TIME is produced, or while EMCY exists.
         (0x1005, 0) => changes(value, now, now & 1 << 30 != 0),
         (0x1012, 0) => changes(value, now, now & 3 << 30 != 0),
         (0x1014, 0) => {
             let id = PdoCob::from_raw(value & 0x3FFF_FFFF).identifier();
-            // Emergencies may use the identifiers 081h to 0FFh, which PDOs may not.
+            // EMCY may use the identifiers 081h to 0FFh, PDOs may not.
             let own = (0x081..=0x0FF).contains(&(value & 0x3FFF_FFFF));
             changes(value, now, now & OFF == 0) && (id.is_some() || own)
         }
@@ -94,7 +94,7 @@ const fn changes(new: u32, old: u32, in_use: bool) -> bool {
     new & 1 << 29 == 0 && new & 0x1FFF_FFFF <= 0x7FF && (same || !in_use)
 }
 
-/// A node may be watched by one entry of 1016h only.
+/// Only one entry of 1016h may monitor a node.
 fn check_consumer(d: &Dictionary, at: Address, value: u32) -> Result<(), AbortCode> {
     let (node, time) = (value >> 16 & 0xFF, value & 0xFFFF);
     if value >> 24 != 0 || node > 127 {

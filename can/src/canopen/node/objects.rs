@@ -1,4 +1,5 @@
-//! The communication objects 1000h to 1FFFh of a node, from the few facts in which nodes differ.
+//! The communication objects 1000h to 1FFFh of a node, built from the few parameters in which nodes
+//! differ.
 
 use std::borrow::Cow;
 
@@ -7,7 +8,7 @@ use takt_cia402::dictionary::{Access, Address, Entry, Object};
 use crate::canopen::lss::Identity;
 use crate::canopen::pdo::{Direction, Parameters};
 
-/// In what the communication of one device differs from that of others.
+/// Communication parameters of a device.
 #[derive(Clone, Debug)]
 pub struct Communication {
     /// 1000h: profile in the low word.
@@ -20,15 +21,15 @@ pub struct Communication {
     pub software: String,
     /// 1018h
     pub identity: Identity,
-    /// How many heartbeats it can watch, 1016h.
+    /// Number of monitored heartbeats, 1016h.
     pub consumers: u8,
-    /// 1017h, ms; 0 is off.
+    /// 1017h, ms; 0: off.
     pub heartbeat_ms: u16,
-    /// Its RPDOs by number (from 0); identifiers are without the node number, which is added.
+    /// RPDOs by number (from 0); identifiers exclude the node number, which is added.
     pub rpdos: Vec<(u16, Parameters)>,
-    /// Its TPDOs, likewise.
+    /// TPDOs, likewise.
     pub tpdos: Vec<(u16, Parameters)>,
-    /// How many entries each PDO can map.
+    /// Maximum mapped entries of a PDO.
     pub mapped_max: u8,
 }
 
@@ -49,7 +50,7 @@ impl Default for Communication {
     }
 }
 
-/// The entries of 1010h and 1011h: each is done on command (bit 0).
+/// The entries of 1010h and 1011h: each executes on command (bit 0).
 fn groups(all: &'static str, what: &str) -> Vec<Entry> {
     let entry = |name: Cow<'static, str>| Entry {
         name,
@@ -61,7 +62,7 @@ fn groups(all: &'static str, what: &str) -> Vec<Entry> {
 }
 
 impl Communication {
-    /// Its objects. COB-IDs are without the node number; see [`Self::relative`].
+    /// The objects. COB-IDs exclude the node number; see [`Self::relative`].
     #[must_use]
     #[expect(clippy::too_many_lines, reason = "a table of objects")]
     pub fn objects(&self) -> Vec<Object> {
@@ -173,7 +174,7 @@ impl Communication {
             .chain(transmit.map(of(Direction::Transmit)))
     }
 
-    /// The numbers to whose default the node number is added.
+    /// The entries whose default is relative to the node number.
     #[must_use]
     pub fn relative(&self) -> Vec<Address> {
         let fixed = [(0x1014, 0), (0x1200, 1), (0x1200, 2)];

@@ -1,5 +1,5 @@
-//! How real nodes depart from what CiA 301 leaves no doubt about, as switches: each was seen on a device. They act on
-//! what goes over the wire; the objects and the state machine of the node know nothing of them.
+//! Deviations of real nodes from CiA 301 as switches; each was observed on a device. They act on frames only, not on
+//! the objects and the state machine of the node.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -11,37 +11,38 @@ use crate::canopen::pdo::Direction;
 use crate::canopen::sdo::{Initiate, Message, Request, Response};
 use crate::canopen::{Emergency, NodeId};
 
-/// Requests that a node keeps until it has booted up, at most.
+/// Maximum requests kept until boot-up.
 const EARLY_MAX: usize = 8;
-/// Answers that wait for their time, at most; further ones are lost.
+/// Maximum delayed responses; further ones are lost.
 const LATE_MAX: usize = 64;
 
-/// How a node departs from the standard; the default does not.
+/// Deviations of a node from the standard; none by default.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct NodeQuirks {
-    /// From power-on or a reset to the boot-up message. Real nodes take 5 to 500 ms; until then they are deaf.
+    /// Delay from power-on or reset to the boot-up message. Real nodes take 5 to 500 ms and ignore frames until then.
     pub boot_up: Duration,
-    /// Emergencies that follow the boot-up message, each so long behind it. They are not withdrawn.
+    /// Emergencies after the boot-up message, with their delays. They are not cleared.
     pub emergencies: Vec<(Duration, Emergency)>,
-    /// Shortest and longest time from an SDO request to its answer.
+    /// Minimum and maximum delay of SDO responses.
     pub sdo_delay: (Duration, Duration),
-    /// Requests that came before the boot-up message are answered behind it.
+    /// Answers requests from before the boot-up message after it.
     pub stale_answers: bool,
-    /// Bytes of SDO answers that mean nothing are not zero: behind a short value there is noise, and the answer to a
-    /// write repeats its data.
+    /// Unused bytes of SDO responses are not zero: noise after a short value, and the written data in the response to a
+    /// write.
     pub noise: bool,
-    /// Bits of the COB-IDs of PDOs that read as 1, whatever was written.
+    /// Bits of PDO COB-IDs that always read as 1.
     pub cob_high: u32,
-    /// Bits of the COB-IDs of PDOs that read as 0, whatever was written.
+    /// Bits of PDO COB-IDs that always read as 0.
     pub cob_low: u32,
-    /// Objects that are not there, by index.
+    /// Missing objects, by index.
     pub absent: Vec<u16>,
-    /// Further answers to each request, each shifted by a byte more: a microcontroller with a faulty driver.
+    /// Additional responses to each request, each shifted by one more byte: as from a microcontroller with a faulty
+    /// driver.
     pub repeats: u8,
 }
 
 impl NodeQuirks {
-    /// The quirks of that name; see [`Self::NAMES`].
+    /// Quirks by name; see [`Self::NAMES`].
     #[must_use]
     pub fn named(name: &str) -> Option<Self> {
         let (ms, us) = (Duration::from_millis, Duration::from_micros);
@@ -53,7 +54,7 @@ impl NodeQuirks {
         let plain = Self::default();
         Some(match name {
             "none" => plain,
-            // "Stopped" and "reset communication", says its maker.
+            // The manufacturer's codes for "stopped" and "reset communication".
             "late-boot-up" => Self {
                 boot_up: us(14_400),
                 emergencies: vec![
@@ -99,7 +100,7 @@ impl NodeQuirks {
         })
     }
 
-    /// Names that [`Self::named`] knows.
+    /// Names accepted by [`Self::named`].
     pub const NAMES: [&'static str; 10] = [
         "none",
         "late-boot-up",
@@ -113,7 +114,7 @@ impl NodeQuirks {
         "repeated-answers",
     ];
 
-    /// Both together: what one of them changes.
+    /// Combines the deviations of both.
     #[must_use]
     pub fn and(mut self, other: Self) -> Self {
         self.boot_up = self.boot_up.max(other.boot_up);
@@ -130,21 +131,21 @@ impl NodeQuirks {
     }
 }
 
-/// The quirks at work: what waits for its time.
+/// Run-time state of the quirks.
 #[derive(Debug)]
-pub(super) struct Manners {
+pub(super) struct ActiveQuirks {
     pub(super) quirks: NodeQuirks,
-    /// When it has booted up.
+    /// Time of the boot-up message.
     pub(super) boot_due: Option<Duration>,
     booted: Option<Duration>,
-    /// How many of the emergencies were raised since.
+    /// Number of emergencies raised since boot-up.
     raised: usize,
     early: VecDeque<Message>,
     late: VecDeque<(Duration, Frame)>,
     dice: u64,
 }
 
-impl Manners {
+impl ActiveQuirks {
     pub(super) fn new(quirks: NodeQuirks, node: NodeId) -> Self {
         Self {
             quirks,
@@ -157,7 +158,7 @@ impl Manners {
         }
     }
 
-    /// It begins; returns whether it has booted up at once.
+    /// Starts; returns whether the boot-up message is due at once.
     pub(super) fn begin(&mut self, now: Duration) -> bool {
         (self.booted, self.raised) = (None, 0);
         self.late.clear();
@@ -170,7 +171,7 @@ impl Manners {
         false
     }
 
-    /// Whether the boot-up message is due now; once.
+    /// Whether the boot-up message is due; returned once.
     pub(super) fn take_boot_up(&mut self, now: Duration) -> bool {
         let due = self.boot_due.is_some_and(|due| now >= due);
         if due {
@@ -180,7 +181,7 @@ impl Manners {
         due
     }
 
-    /// The next emergency that is due.
+    /// The next due emergency.
     pub(super) fn take_emergency(&mut self, now: Duration) -> Option<Emergency> {
         let (after, emergency) = self.quirks.emergencies.get(self.raised)?;
         if now < self.booted? + *after {
@@ -190,7 +191,7 @@ impl Manners {
         Some(*emergency)
     }
 
-    /// A request that came too early; it is kept if the node is of that kind.
+    /// Handles a request before boot-up; keeps it if the quirk is set.
     pub(super) fn keep(&mut self, request: &[u8]) {
         if self.quirks.stale_answers
             && self.early.len() < EARLY_MAX
@@ -204,8 +205,8 @@ impl Manners {
         self.early.pop_front()
     }
 
-    /// The abort of a request for an object that is not there.
-    pub(super) fn refusal(&self, request: &Message) -> Option<Message> {
+    /// The abort for a request to a missing object.
+    pub(super) fn abort_absent(&self, request: &Message) -> Option<Message> {
         let address = match Request::decode(request)? {
             Request::Download { address, .. }
             | Request::Upload { address }
@@ -224,7 +225,7 @@ impl Manners {
         absent.then(|| Response::Abort { address, code }.encode())
     }
 
-    /// An answer as it goes over the wire.
+    /// Applies the quirks to a response.
     pub(super) fn shape(&mut self, request: &Message, mut answer: Message) -> Message {
         match Response::decode(&answer) {
             Some(Response::Upload { address, data }) => {
@@ -259,12 +260,12 @@ impl Manners {
         self.dice
     }
 
-    /// Whether answers take time or come more than once.
+    /// Whether responses are delayed or repeated.
     pub(super) const fn delays(&self) -> bool {
         !self.quirks.sdo_delay.1.is_zero() || self.quirks.repeats > 0
     }
 
-    /// Keeps an answer until it is due, and those that repeat it.
+    /// Queues a response and its repetitions until they are due.
     pub(super) fn delay(&mut self, frame: Frame, now: Duration) {
         let (least, most) = self.quirks.sdo_delay;
         let spread = u64::try_from(most.saturating_sub(least).as_micros()).unwrap_or(u64::MAX);
@@ -286,7 +287,7 @@ impl Manners {
         }
     }
 
-    /// The next answer that is due.
+    /// The next due response.
     pub(super) fn take_late(&mut self, now: Duration) -> Option<Frame> {
         let (due, _) = self.late.front()?;
         if *due > now {
@@ -295,12 +296,12 @@ impl Manners {
         self.late.pop_front().map(|(_, frame)| frame)
     }
 
-    /// Whether answers wait.
+    /// Whether responses are queued.
     pub(super) fn has_late(&self) -> bool {
         !self.late.is_empty()
     }
 
-    /// When something of it is due.
+    /// Time of the next poll.
     pub(super) fn poll_timeout(&self) -> Option<Duration> {
         let late = self.late.front().map(|(due, _)| *due);
         let emergency = self.quirks.emergencies.get(self.raised);

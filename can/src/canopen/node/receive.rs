@@ -1,5 +1,4 @@
-//! What a node does with each kind of frame, and with time that passed. In which states it does so,
-//! [`Node::handle_frame`] decides.
+//! Handling of each kind of frame and of timeouts. [`Node::handle_frame`] checks the NMT state.
 
 use std::time::Duration;
 
@@ -7,7 +6,7 @@ use super::hooks::NodeHooks;
 use super::{Application, Event, Node};
 use crate::canopen::emcy::{Source, code, register};
 use crate::canopen::message::{LSS_SLAVE, frame};
-use crate::canopen::nmt::{Consumer, Heard, Input, Reset, State, Watch};
+use crate::canopen::nmt::{Consumer, HeartbeatEvent, Input, Reset, State, Watch};
 use crate::canopen::pdo::Received;
 use crate::canopen::{HEARTBEAT, Message, NmtCommand, NodeId, lss, sdo};
 use crate::{Frame, Id};
@@ -34,15 +33,15 @@ impl<A: Application> Node<A> {
         let Message::Nmt(command, node) = Message::decode(frame) else {
             return;
         };
-        // Node 0 is all; a number above 127 is nobody.
+        // 0 addresses all nodes; numbers above 127 address none.
         let to_all = frame.data().get(1) == Some(&0);
         if to_all || node == Some(self.slave.id()) {
-            let anew = matches!(
+            let is_reset = matches!(
                 command,
                 NmtCommand::ResetNode | NmtCommand::ResetCommunication
             );
-            if anew && self.slave.state() == State::Initialising {
-                // It waits for LSS; with a number that came meanwhile it begins.
+            if is_reset && self.slave.state() == State::Initialising {
+                // It waits for LSS; starts if it has a node number by now.
                 self.begin(Reset::Communication, now);
             } else {
                 self.manage(Input::Command(command), now);
@@ -61,7 +60,7 @@ impl<A: Application> Node<A> {
         match done {
             Some(lss::Done::Activate(_)) => self.begin(Reset::Communication, now),
             Some(done @ (lss::Done::Store(_) | lss::Done::BitTiming(..))) => {
-                self.tell(Event::Lss(done), now);
+                self.notify(Event::Lss(done), now);
             }
             None => {}
         }
@@ -85,12 +84,12 @@ impl<A: Application> Node<A> {
                 rpdo.handle_sync(&mut self.dictionary);
             }
         }
-        self.tell(Event::Sync, now);
+        self.notify(Event::Sync, now);
         for at in 0..self.rpdos.len() {
             let (number, rpdo) = &mut self.rpdos[at];
             let number = *number;
             if rpdo.take_applied() {
-                self.tell(Event::Received(number), now);
+                self.notify(Event::Received(number), now);
             }
         }
         self.write_errors();
@@ -108,8 +107,8 @@ impl<A: Application> Node<A> {
         let Some(message) = data.first_chunk() else {
             return;
         };
-        if let Some(refusal) = self.manners.refusal(message) {
-            return self.answer(message, refusal, now);
+        if let Some(abort) = self.quirks.abort_absent(message) {
+            return self.answer(message, abort, now);
         }
         let mut hooks = NodeHooks::new(&mut self.application);
         let answer = self
@@ -125,10 +124,10 @@ impl<A: Application> Node<A> {
     }
 
     fn answer(&mut self, request: &sdo::Message, answer: sdo::Message, now: Duration) {
-        let answer = self.manners.shape(request, answer);
+        let answer = self.quirks.shape(request, answer);
         let answer = frame(self.settings.response, &answer);
-        if self.manners.delays() {
-            self.manners.delay(answer, now);
+        if self.quirks.delays() {
+            self.quirks.delay(answer, now);
         } else {
             self.push(answer);
         }
@@ -151,13 +150,13 @@ impl<A: Application> Node<A> {
         let received = rpdo.handle(data, &mut self.dictionary, window, now);
         let long = rpdo.is_long(data.len());
         let [low, high] = number.saturating_add(1).to_le_bytes();
-        let told = [low, high, u8::try_from(data.len()).unwrap_or(0), 0, 0];
+        let details = [low, high, u8::try_from(data.len()).unwrap_or(0), 0, 0];
         let bits = register::COMMUNICATION;
         let from = Source::Communication;
         let short = matches!(received, Received::Short { .. });
         for (wrong, code) in [(short, code::PDO_SHORT), (long, code::PDO_LONG)] {
             if wrong {
-                self.errors.raise(from, code, bits, told);
+                self.errors.raise(from, code, bits, details);
             } else {
                 self.errors.clear(from, code);
             }
@@ -166,10 +165,10 @@ impl<A: Application> Node<A> {
             self.errors.clear(from, code::RPDO_TIMEOUT);
         }
         if was_late && !short {
-            self.tell(Event::InTime(number), now);
+            self.notify(Event::InTime(number), now);
         }
         if received == Received::Taken {
-            self.tell(Event::Received(number), now);
+            self.notify(Event::Received(number), now);
         }
     }
 
@@ -184,37 +183,38 @@ impl<A: Application> Node<A> {
         let Some((_, consumer)) = self.consumers.iter_mut().find(mine) else {
             return;
         };
-        let heard = consumer.handle(state, now);
+        let event = consumer.handle(state, now);
         let lost = |(_, c): &(_, Consumer)| c.watch() == Watch::Lost;
-        if matches!(heard, Heard::Appeared(_)) && !self.consumers.iter().any(lost) {
+        if matches!(event, HeartbeatEvent::Appeared(_)) && !self.consumers.iter().any(lost) {
             self.errors.clear(Source::Communication, code::HEARTBEAT);
-            self.tell(Event::Back, now);
+            self.notify(Event::Back, now);
         }
     }
 
-    /// A heartbeat or the guarding master was lost: 8130h, 1029h, and what the device does.
-    pub(super) fn lose(&mut self, node: u8, now: Duration) {
+    /// A heartbeat or the guarding master was lost: EMCY 8130h, reaction 1029h, and notification of
+    /// the application.
+    pub(super) fn handle_loss(&mut self, node: u8, now: Duration) {
         let data = [node, 0, 0, 0, 0];
         let bits = register::COMMUNICATION;
         self.errors
             .raise(Source::Communication, code::HEARTBEAT, bits, data);
-        self.tell(Event::Lost, now);
+        self.notify(Event::Lost, now);
         self.manage(Input::Error(self.settings.behaviour), now);
     }
 
-    /// Time passed: what is late, lost or due.
+    /// Handles timeouts: late PDOs, lost heartbeats, due messages.
     pub(super) fn run_timers(&mut self, now: Duration) {
-        self.run_manners(now);
+        self.run_quirks(now);
         self.run_application(now);
         for at in 0..self.consumers.len() {
             let (node, consumer) = &mut self.consumers[at];
             if consumer.poll(now) {
                 let node = node.map_or(0, NodeId::raw);
-                self.lose(node, now);
+                self.handle_loss(node, now);
             }
         }
         if self.slave.poll_life(now) {
-            self.lose(0, now);
+            self.handle_loss(0, now);
         }
         if self.slave.state() == State::Operational {
             self.run_deadlines(now);
@@ -239,7 +239,7 @@ impl<A: Application> Node<A> {
                 let data = [low, high, 0, 0, 0];
                 self.errors
                     .raise(Source::Communication, code::RPDO_TIMEOUT, bits, data);
-                self.tell(Event::Late(number), now);
+                self.notify(Event::Late(number), now);
             }
         }
     }

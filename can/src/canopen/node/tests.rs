@@ -1,4 +1,4 @@
-//! A node as its network sees it: frames in, frames out, in virtual time.
+//! A node seen from the network: frames in, frames out, in virtual time.
 
 use takt_cia402::dictionary::{Access, Entry, Mapped, Object, PdoUse};
 
@@ -10,7 +10,7 @@ use crate::canopen::pdo::{Parameters, PdoCob, Transmission};
 
 const MS: Duration = Duration::from_millis(1);
 
-/// Keeps what it was told.
+/// Records events.
 #[derive(Debug, Default)]
 struct Recorder(Vec<Event>);
 
@@ -71,15 +71,15 @@ impl Rig {
         Self { node, now }
     }
 
-    /// In a state, silent and without remembered events.
+    /// A node in a state, without pending frames and events.
     fn in_state(state: State) -> Self {
         let mut rig = Self::new(Some(5));
         rig.sent();
         match state {
             State::Initialising => rig = Self::new(None),
             State::PreOperational => {}
-            State::Operational => drop(rig.ask("000#0100")),
-            State::Stopped => drop(rig.ask("000#0200")),
+            State::Operational => drop(rig.exchange("000#0100")),
+            State::Stopped => drop(rig.exchange("000#0200")),
         }
         assert_eq!(rig.node.state(), state);
         rig.node.application.0.clear();
@@ -92,8 +92,8 @@ impl Rig {
             .collect()
     }
 
-    /// Lets the node have a frame as `candump` prints it; returns what it sends.
-    fn ask(&mut self, frame: &str) -> Vec<String> {
+    /// Sends the node a frame in candump syntax; returns its responses.
+    fn exchange(&mut self, frame: &str) -> Vec<String> {
         let line = format!("(1.000000) can0 {frame}");
         let frame = LogLine::parse(&line).unwrap().frame;
         self.node.handle_frame(&frame, self.now);
@@ -107,7 +107,7 @@ impl Rig {
 }
 
 #[test]
-fn boots_up_into_pre_operational() {
+fn node_boots_up_into_pre_operational() {
     let mut rig = Rig::new(Some(5));
     assert_eq!(rig.sent(), ["705#00"]);
     assert_eq!(rig.node.state(), State::PreOperational);
@@ -127,11 +127,11 @@ fn boots_up_into_pre_operational() {
     }
 }
 
-/// Each service in each state, as the table of CiA 301 (clause 7.3.2.2.5) has it.
+/// Each service in each state, as in the table of CiA 301 (clause 7.3.2.2.5).
 #[test]
-fn services_run_in_their_states_only() {
+fn node_services_depend_on_nmt_state() {
     for state in State::ALL {
-        let answers = |frame: &str| Rig::in_state(state).ask(frame);
+        let answers = |frame: &str| Rig::in_state(state).exchange(frame);
         let (communicates, operational) = (state.communicates(), state == State::Operational);
         let sdo = answers("605#4000100000000000");
         assert_eq!(!sdo.is_empty(), communicates, "SDO, {state:?}: {sdo:?}");
@@ -150,7 +150,7 @@ fn services_run_in_their_states_only() {
         let lss = answers("7E5#0401000000000000");
         assert!(lss.is_empty(), "LSS, {state:?}");
         let mut rig = Rig::in_state(state);
-        rig.ask("305#0700");
+        rig.exchange("305#0700");
         let taken = rig.node.application.0.contains(&Event::Received(1));
         assert_eq!(taken, operational, "RPDO, {state:?}");
         let mut rig = Rig::in_state(state);
@@ -167,20 +167,23 @@ fn services_run_in_their_states_only() {
 }
 
 #[test]
-fn sync_takes_received_values_and_then_samples() {
+fn node_sync_applies_rpdos_then_samples_tpdos() {
     let mut rig = Rig::in_state(State::Operational);
-    assert_eq!(rig.ask("205#3412"), [""; 0], "it waits for SYNC");
-    assert_eq!(rig.ask("080#"), ["185#3412"]);
+    assert_eq!(rig.exchange("205#3412"), [""; 0], "it waits for SYNC");
+    assert_eq!(rig.exchange("080#"), ["185#3412"]);
     assert_eq!(rig.node.application.0, [Event::Sync, Event::Received(0)]);
     // A change of 2001h is an event of TPDO 2.
-    assert_eq!(rig.ask("305#7856"), ["285#7856"]);
+    assert_eq!(rig.exchange("305#7856"), ["285#7856"]);
 }
 
 #[test]
-fn sdo_reaches_parameters_and_they_act_at_once() {
+fn node_parameters_written_by_sdo_apply_at_once() {
     let mut rig = Rig::in_state(State::Operational);
-    assert_eq!(rig.ask("605#4000100000000000"), ["585#4300100034120000"]);
-    let beats = rig.ask("605#2B17100064000000");
+    assert_eq!(
+        rig.exchange("605#4000100000000000"),
+        ["585#4300100034120000"]
+    );
+    let beats = rig.exchange("605#2B17100064000000");
     assert_eq!(
         beats,
         ["705#05", "585#6017100000000000"],
@@ -189,19 +192,25 @@ fn sdo_reaches_parameters_and_they_act_at_once() {
     assert_eq!(rig.wait(99 * MS), [""; 0]);
     assert_eq!(rig.wait(MS), ["705#05"]);
     // TPDO 1 off: the next SYNC is without it.
-    assert_eq!(rig.ask("605#2300180185010080"), ["585#6000180100000000"]);
-    assert_eq!(rig.ask("080#"), [""; 0]);
-    // The identifier of RPDO 2 stays while it exists.
-    assert_eq!(rig.ask("605#2301140105020040"), ["585#8001140130000906"]);
+    assert_eq!(
+        rig.exchange("605#2300180185010080"),
+        ["585#6000180100000000"]
+    );
+    assert_eq!(rig.exchange("080#"), [""; 0]);
+    // The identifier of RPDO 2 must not change while it exists.
+    assert_eq!(
+        rig.exchange("605#2301140105020040"),
+        ["585#8001140130000906"]
+    );
 }
 
 #[test]
-fn communication_objects_refuse_what_the_standard_refuses() {
+fn node_invalid_writes_to_communication_objects_are_rejected() {
     let mut rig = Rig::in_state(State::PreOperational);
     let writes: [(&str, u32); 14] = [
         ("2316100164000A00", 0),
         ("2316100264000A00", 0x0604_0043), // node 10 twice
-        ("2316100200000A00", 0),           // time 0: not watched
+        ("2316100200000A00", 0),           // time 0: not monitored
         ("2316100264008000", 0x0609_0030), // node 128
         ("2F03100001000000", 0x0609_0030), // only 0 clears
         ("2F03100000000000", 0),
@@ -215,7 +224,7 @@ fn communication_objects_refuse_what_the_standard_refuses() {
         ("2305100000000020", 0x0609_0030), // 29 bits
     ];
     for (message, expected) in &writes {
-        let answer = rig.ask(&format!("605#{message}")).pop().unwrap();
+        let answer = rig.exchange(&format!("605#{message}")).pop().unwrap();
         let code = u32::from_str_radix(&answer[12..20], 16)
             .unwrap()
             .swap_bytes();
@@ -229,17 +238,17 @@ fn communication_objects_refuse_what_the_standard_refuses() {
 }
 
 #[test]
-fn a_lost_heartbeat_is_told_and_answered_by_1029h() {
+fn node_heartbeat_loss_sends_emcy_and_applies_1029h() {
     for (behaviour, state) in [
         (0, State::PreOperational),
         (1, State::Operational),
         (2, State::Stopped),
     ] {
         let mut rig = Rig::in_state(State::Operational);
-        rig.ask(&format!("605#2F291001{behaviour:02X}000000"));
-        rig.ask("605#2316100132000A00"); // node 10, 50 ms
-        assert_eq!(rig.wait(500 * MS), [""; 0], "not heard yet");
-        rig.ask("70A#05");
+        rig.exchange(&format!("605#2F291001{behaviour:02X}000000"));
+        rig.exchange("605#2316100132000A00"); // node 10, 50 ms
+        assert_eq!(rig.wait(500 * MS), [""; 0], "not received yet");
+        rig.exchange("70A#05");
         rig.wait(49 * MS);
         assert_eq!(rig.node.state(), State::Operational);
         rig.node.application.0.clear();
@@ -247,27 +256,27 @@ fn a_lost_heartbeat_is_told_and_answered_by_1029h() {
         assert_eq!(rig.node.state(), state);
         assert_eq!(rig.node.application.0[0], Event::Lost);
         // In Stopped there are no emergencies.
-        let told = sent == ["085#3081110A00000000"];
-        assert_eq!(told, state != State::Stopped, "{sent:?}");
-        rig.ask("70A#05");
+        let reported = sent == ["085#3081110A00000000"];
+        assert_eq!(reported, state != State::Stopped, "{sent:?}");
+        rig.exchange("70A#05");
         assert_eq!(rig.node.application.0.last(), Some(&Event::Back));
     }
 }
 
 #[test]
-fn a_master_that_stops_guarding_is_lost() {
+fn node_guarding_stop_is_detected() {
     let mut rig = Rig::in_state(State::Operational);
-    rig.ask("605#2B0C100014000000"); // 20 ms
-    rig.ask("605#2F0D100003000000"); // times 3
-    assert_eq!(rig.ask("705#R1"), ["705#05"]);
-    assert_eq!(rig.ask("705#R1"), ["705#85"]);
+    rig.exchange("605#2B0C100014000000"); // 20 ms
+    rig.exchange("605#2F0D100003000000"); // times 3
+    assert_eq!(rig.exchange("705#R1"), ["705#05"]);
+    assert_eq!(rig.exchange("705#R1"), ["705#85"]);
     assert_eq!(rig.wait(59 * MS), [""; 0]);
     assert_eq!(rig.wait(MS), ["085#3081110000000000"]);
     assert_eq!(rig.node.state(), State::PreOperational);
 }
 
 #[test]
-fn errors_are_kept_newest_first() {
+fn node_error_history_is_newest_first() {
     let mut rig = Rig::in_state(State::PreOperational);
     for code in 1..=10 {
         rig.node
@@ -275,41 +284,53 @@ fn errors_are_kept_newest_first() {
             .raise(Source::Device(0), code, 0x20, [0, 0xAB, 0, 0, 0]);
         rig.sent();
     }
-    assert_eq!(rig.ask("605#4003100000000000"), ["585#4F03100008000000"]);
-    assert_eq!(rig.ask("605#4003100100000000"), ["585#430310010A00AB00"]);
-    assert_eq!(rig.ask("605#4003100800000000"), ["585#430310080300AB00"]);
-    assert_eq!(rig.ask("605#4001100000000000"), ["585#4F01100021000000"]);
-    rig.ask("605#2F03100000000000");
     assert_eq!(
-        rig.ask("605#4003100100000000"),
+        rig.exchange("605#4003100000000000"),
+        ["585#4F03100008000000"]
+    );
+    assert_eq!(
+        rig.exchange("605#4003100100000000"),
+        ["585#430310010A00AB00"]
+    );
+    assert_eq!(
+        rig.exchange("605#4003100800000000"),
+        ["585#430310080300AB00"]
+    );
+    assert_eq!(
+        rig.exchange("605#4001100000000000"),
+        ["585#4F01100021000000"]
+    );
+    rig.exchange("605#2F03100000000000");
+    assert_eq!(
+        rig.exchange("605#4003100100000000"),
         ["585#8003100124000008"],
         "no data"
     );
 }
 
 #[test]
-fn wrong_pdos_and_wrong_syncs_are_told_once() {
+fn node_invalid_pdos_and_syncs_are_reported_once() {
     let mut rig = Rig::in_state(State::Operational);
-    assert_eq!(rig.ask("205#01"), ["085#1082110100010000"]);
-    assert_eq!(rig.ask("205#01"), [""; 0], "known");
-    assert_eq!(rig.ask("205#0100"), ["085#0000000000000000"]);
-    assert_eq!(rig.ask("205#010000"), ["085#2082110100030000"]);
-    assert_eq!(rig.ask("080#01"), ["085#4082110100000000"]);
-    // TPDO 2 tells what RPDO 2 brought; then RPDO 2 is late.
-    rig.ask("305#0100");
+    assert_eq!(rig.exchange("205#01"), ["085#1082110100010000"]);
+    assert_eq!(rig.exchange("205#01"), [""; 0], "known");
+    assert_eq!(rig.exchange("205#0100"), ["085#0000000000000000"]);
+    assert_eq!(rig.exchange("205#010000"), ["085#2082110100030000"]);
+    assert_eq!(rig.exchange("080#01"), ["085#4082110100000000"]);
+    // TPDO 2 sends the value received by RPDO 2; then RPDO 2 is late.
+    rig.exchange("305#0100");
     assert_eq!(rig.wait(19 * MS), [""; 0]);
     assert_eq!(rig.wait(MS), ["085#5082110200000000"]);
     assert!(rig.node.application.0.contains(&Event::Late(1)));
-    assert_eq!(rig.ask("305#0100"), ["085#0000110000000000"]);
+    assert_eq!(rig.exchange("305#0100"), ["085#0000110000000000"]);
 }
 
 #[test]
-fn resets_bring_defaults_back() {
+fn node_resets_restore_defaults() {
     for (command, kept) in [("000#8205", true), ("000#8105", false), ("000#8100", false)] {
         let mut rig = Rig::in_state(State::Operational);
-        rig.ask("605#2B00200007000000");
-        rig.ask("605#2B17100064000000");
-        assert_eq!(rig.ask(command), ["705#00"], "{command}");
+        rig.exchange("605#2B00200007000000");
+        rig.exchange("605#2B17100064000000");
+        assert_eq!(rig.exchange(command), ["705#00"], "{command}");
         let value = rig
             .node
             .dictionary()
@@ -321,35 +342,44 @@ fn resets_bring_defaults_back() {
 }
 
 #[test]
-fn a_node_without_a_number_gets_one_by_lss() {
+fn node_without_number_gets_one_by_lss() {
     let mut rig = Rig::new(None);
     assert_eq!(rig.sent(), [""; 0]);
     assert_eq!(
-        rig.ask("7E5#5100000000800000"),
+        rig.exchange("7E5#5100000000800000"),
         ["7E4#4F00000000000000"],
-        "somebody is there"
+        "an unconfigured slave is present"
     );
-    rig.ask("7E5#0401000000000000");
-    assert_eq!(rig.ask("7E5#1107000000000000"), ["7E4#1100000000000000"]);
-    assert_eq!(rig.ask("7E5#1700000000000000"), ["7E4#1700000000000000"]);
-    assert_eq!(rig.ask("7E5#0400000000000000"), ["707#00"]);
+    rig.exchange("7E5#0401000000000000");
+    assert_eq!(
+        rig.exchange("7E5#1107000000000000"),
+        ["7E4#1100000000000000"]
+    );
+    assert_eq!(
+        rig.exchange("7E5#1700000000000000"),
+        ["7E4#1700000000000000"]
+    );
+    assert_eq!(rig.exchange("7E5#0400000000000000"), ["707#00"]);
     assert_eq!(rig.node.id(), NodeId::new(7).ok());
-    assert_eq!(rig.ask("607#4000100000000000"), ["587#4300100034120000"]);
+    assert_eq!(
+        rig.exchange("607#4000100000000000"),
+        ["587#4300100034120000"]
+    );
     let stored = Event::Lss(lss::Done::Store(NodeId::new(7).ok()));
     assert!(rig.node.application.0.contains(&stored));
 }
 
 #[test]
-fn a_node_can_produce_sync() {
+fn node_produces_sync_if_configured() {
     let mut rig = Rig::in_state(State::Operational);
-    rig.ask("605#23061000D0070000"); // 2 ms
-    rig.ask("605#2305100080000040"); // bit 30
+    rig.exchange("605#23061000D0070000"); // 2 ms
+    rig.exchange("605#2305100080000040"); // bit 30
     assert_eq!(rig.wait(2 * MS), ["080#", "185#0000"]);
     assert_eq!(rig.wait(2 * MS), ["080#", "185#0000"]);
 }
 
 #[test]
-fn every_frame_is_survived() {
+fn node_accepts_every_frame() {
     let mut rig = Rig::in_state(State::Operational);
     for raw in 0..=0x7FF {
         let id = Id::standard(raw).unwrap();
@@ -364,9 +394,9 @@ fn every_frame_is_survived() {
     }
 }
 
-/// 1010h and 1011h: what is stored is there after a reset, what is restored is the default after the next one.
+/// 1010h and 1011h: stored values survive a reset; restored ones are the defaults after the next reset.
 #[test]
-fn parameters_are_stored_and_restored_by_groups() {
+fn node_parameters_are_stored_and_restored_by_group() {
     let mut rig = Rig::new(Some(5));
     let value = |rig: &Rig, index| {
         rig.node
@@ -376,57 +406,57 @@ fn parameters_are_stored_and_restored_by_groups() {
             .to_vec()
     };
     let reset = "000#8105";
-    // The wrong signature, and what the objects say of themselves.
+    // A wrong signature, and the capability values of the objects.
     assert_eq!(
-        rig.ask("605#2310100101000000").last().unwrap(),
+        rig.exchange("605#2310100101000000").last().unwrap(),
         "585#8010100120000008"
     );
     assert_eq!(
-        rig.ask("605#4010100100000000").last().unwrap(),
+        rig.exchange("605#4010100100000000").last().unwrap(),
         "585#4310100101000000"
     );
-    rig.ask("605#2B17100064000000");
-    rig.ask("605#2B00200007000000");
-    rig.ask(reset);
+    rig.exchange("605#2B17100064000000");
+    rig.exchange("605#2B00200007000000");
+    rig.exchange(reset);
     assert_eq!(
         (value(&rig, 0x1017), value(&rig, 0x2000)),
         (vec![0, 0], vec![0, 0])
     );
     // Communication alone is stored: `save` to 1010h:02.
-    rig.ask("605#2B17100064000000");
-    rig.ask("605#2B00200007000000");
+    rig.exchange("605#2B17100064000000");
+    rig.exchange("605#2B00200007000000");
     assert_eq!(
-        rig.ask("605#2310100273617665").last().unwrap(),
+        rig.exchange("605#2310100273617665").last().unwrap(),
         "585#6010100200000000"
     );
     assert_eq!(
-        rig.ask("605#4010100200000000").last().unwrap(),
+        rig.exchange("605#4010100200000000").last().unwrap(),
         "585#4310100201000000"
     );
-    rig.ask("605#2B17100001000000");
-    rig.ask(reset);
+    rig.exchange("605#2B17100001000000");
+    rig.exchange(reset);
     assert_eq!(
         (value(&rig, 0x1017), value(&rig, 0x2000)),
         (vec![100, 0], vec![0, 0])
     );
-    // The rest too: `save` to 1010h:01. A reset of communication leaves the application alone.
-    rig.ask("605#2B00200009000000");
-    rig.ask("605#2310100173617665");
-    rig.ask("605#2B0020000A000000");
-    rig.ask("000#8205");
+    // All parameters: `save` to 1010h:01. A reset of communication leaves the application alone.
+    rig.exchange("605#2B00200009000000");
+    rig.exchange("605#2310100173617665");
+    rig.exchange("605#2B0020000A000000");
+    rig.exchange("000#8205");
     assert_eq!(value(&rig, 0x2000), [10, 0]);
-    rig.ask(reset);
+    rig.exchange(reset);
     assert_eq!(
         (value(&rig, 0x1017), value(&rig, 0x2000)),
         (vec![100, 0], vec![9, 0])
     );
     // `load` to 1011h:04: the manufacturer's objects only, and not before the next reset.
     assert_eq!(
-        rig.ask("605#231110046C6F6164").last().unwrap(),
+        rig.exchange("605#231110046C6F6164").last().unwrap(),
         "585#6011100400000000"
     );
     assert_eq!(value(&rig, 0x2000), [9, 0]);
-    rig.ask(reset);
+    rig.exchange(reset);
     assert_eq!(
         (value(&rig, 0x1017), value(&rig, 0x2000)),
         (vec![100, 0], vec![0, 0])

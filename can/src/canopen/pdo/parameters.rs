@@ -1,6 +1,6 @@
-//! The objects 1400h to 1BFFh: how a PDO is described, what may be written there and when. The
-//! procedure of CiA 301 (clause 7.5.2.36) is enforced: switch the PDO off, set the count of mapped
-//! entries to 0, write the entries, write the count, switch the PDO on.
+//! The objects 1400h to 1BFFh: PDO parameters and the rules for writing them. Enforces the
+//! procedure of CiA 301 (clause 7.5.2.36): disable the PDO, set the number of mapped entries to 0,
+//! write the entries, write their number, enable the PDO.
 
 use takt_cia402::dictionary::{
     AbortCode, Access, Address, Dictionary, Entry, Mapped, Mapping, Object,
@@ -8,14 +8,14 @@ use takt_cia402::dictionary::{
 
 use super::{PdoCob, Transmission};
 
-/// Most PDOs of a direction.
+/// Maximum PDOs per direction.
 pub const PDOS_MAX: u16 = 512;
-/// Most mapped entries of a PDO on CAN: one for each bit.
+/// Maximum mapped entries of a PDO on CAN: one for each bit.
 pub const ENTRIES_MAX: u8 = 64;
-/// Most bits of a PDO on CAN.
+/// Maximum bits of a PDO on CAN.
 pub(super) const BITS_MAX: usize = 64;
 
-/// Which way a PDO goes, seen from the device that has these objects.
+/// Direction of a PDO, seen from the device with these objects.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Direction {
     /// RPDO.
@@ -41,7 +41,7 @@ impl Direction {
     }
 
     /// Direction and number (from 0) of the PDO that an index describes, and whether it is the
-    /// mapping.
+    /// mapping parameter.
     #[must_use]
     pub const fn of(index: u16) -> Option<(Self, u16, bool)> {
         let direction = match index {
@@ -54,25 +54,25 @@ impl Direction {
     }
 }
 
-/// What a PDO is like: its communication and mapping parameters.
+/// Communication and mapping parameters of a PDO.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Parameters {
     /// Sub-index 1.
     pub cob: PdoCob,
     /// Sub-index 2.
     pub transmission: Transmission,
-    /// Sub-index 3: shortest time between two, of event-driven ones, in 100 us.
+    /// Sub-index 3: inhibit time of event-driven PDOs, in 100 us.
     pub inhibit: u16,
-    /// Sub-index 5, ms: of a TPDO the longest time between two, of an RPDO its deadline; 0 is off.
+    /// Sub-index 5, ms: event timer; maximum interval of a TPDO, deadline of an RPDO; 0: off.
     pub event: u16,
-    /// Sub-index 6 of a TPDO: the SYNC counter with which it begins; 0 is any.
+    /// Sub-index 6 of a TPDO: SYNC start value; 0: any.
     pub sync_start: u8,
-    /// What is mapped, in this order.
+    /// Mapped entries, in order.
     pub mapping: Vec<Mapped>,
 }
 
 impl Parameters {
-    /// A PDO of that identifier and type, without times.
+    /// A PDO with that identifier and type, without times.
     #[must_use]
     pub const fn new(cob: PdoCob, transmission: Transmission, mapping: Vec<Mapped>) -> Self {
         Self {
@@ -85,8 +85,8 @@ impl Parameters {
         }
     }
 
-    /// Its two objects, as the PDO of that number (from 0), with room for so many mapped entries.
-    /// They read and write as CiA 301 has them; what may be written when, [`check_download`] says.
+    /// The two objects of the PDO with that number (from 0), with this capacity of mapped entries.
+    /// [`check_download`] checks writes to them.
     #[must_use]
     pub fn objects(&self, direction: Direction, number: u16, entries: u8) -> [Object; 2] {
         let number = number.min(PDOS_MAX - 1);
@@ -139,7 +139,7 @@ impl Parameters {
         [communication, mapping]
     }
 
-    /// The parameters of a PDO in a dictionary; `None` if it has none of that number.
+    /// The parameters of a PDO in a dictionary; `None` if it does not exist.
     #[must_use]
     pub fn read(dictionary: &Dictionary, direction: Direction, number: u16) -> Option<Self> {
         let (entries, count) = mapped(dictionary, direction.mapping() + number, None);
@@ -151,7 +151,7 @@ impl Parameters {
         })
     }
 
-    /// The same without the mapping; it allocates nothing.
+    /// The same without the mapping; does not allocate.
     pub(super) fn communication(
         dictionary: &Dictionary,
         direction: Direction,
@@ -170,11 +170,10 @@ impl Parameters {
     }
 }
 
-/// The mapped entries of a mapping object: so many, or as its sub-index 0 says. Those that are not
-/// there are gaps.
+/// The entries of a mapping object: this number, or as in its sub-index 0. Missing ones are gaps.
 fn mapped(dictionary: &Dictionary, index: u16, count: Option<u8>) -> ([Mapped; 64], usize) {
-    let told = number_at(dictionary, Address::new(index, 0)).map_or(0, low8);
-    let count = count.unwrap_or(told).min(ENTRIES_MAX);
+    let mapped = number_at(dictionary, Address::new(index, 0)).map_or(0, low8);
+    let count = count.unwrap_or(mapped).min(ENTRIES_MAX);
     let mut entries = [Mapped::default(); ENTRIES_MAX as usize];
     for (sub, entry) in (1..=count).zip(&mut entries) {
         let raw = number_at(dictionary, Address::new(index, sub)).unwrap_or(0);
@@ -204,7 +203,7 @@ fn mapping_of(
     Mapping::new(dictionary, entries, received, BITS_MAX)
 }
 
-/// An unsigned number of up to 32 bits, whatever its length.
+/// An unsigned number of up to 32 bits.
 pub(in crate::canopen) fn number_at(dictionary: &Dictionary, address: Address) -> Option<u32> {
     dictionary.bytes(address).map(number)
 }
@@ -226,10 +225,10 @@ const fn low16(number: u32) -> u16 {
     u16::from_le_bytes([low, high])
 }
 
-/// Whether a write to PDO parameters is allowed now; other objects are always.
+/// Checks whether a write to PDO parameters is allowed now; accepts other objects.
 ///
 /// # Errors
-/// As CiA 301 says: reserved values, changes while the PDO exists, entries that cannot be mapped.
+/// As in CiA 301: reserved values, changes while the PDO exists, entries that cannot be mapped.
 pub fn check_download(
     dictionary: &Dictionary,
     address: Address,
@@ -258,7 +257,7 @@ fn check_communication(
         1 => {
             let new = PdoCob::from_raw(value);
             let same = (value ^ cob.raw()) & !PdoCob::INVALID == 0;
-            // Bits 0 to 30 stay while the PDO exists before and after.
+            // Bits 0 to 30 must not change while the PDO stays enabled.
             let kept = same || !(cob.is_valid() && new.is_valid());
             kept && value & 1 << 29 == 0 && (!new.is_valid() || new.identifier().is_some())
         }
@@ -275,7 +274,7 @@ fn check_communication(
                 _,
             ) => true,
         },
-        // Inhibit time and SYNC start value stay while the PDO exists.
+        // Inhibit time and SYNC start value must not change while the PDO exists.
         3 | 6 if cob.is_valid() => return Err(AbortCode::DeviceState),
         _ => true,
     };
@@ -303,16 +302,16 @@ fn check_mapping(
             return Err(AbortCode::UnsupportedAccess);
         }
         let one = [Mapped::from_raw(value)];
-        // An entry may be cleared.
+        // Entries may be cleared.
         if value == 0 {
             return Ok(());
         }
         return Mapping::new(dictionary, &one, received, BITS_MAX).map(drop);
     }
-    let room = dictionary
+    let capacity = dictionary
         .object(address.index)
         .map_or(0, |object| object.entries.len() - 1);
-    if usize::try_from(value).unwrap_or(usize::MAX) > room {
+    if usize::try_from(value).unwrap_or(usize::MAX) > capacity {
         return Err(AbortCode::PdoTooLong);
     }
     mapping_of(dictionary, direction, address.index, Some(low8(value))).map(drop)

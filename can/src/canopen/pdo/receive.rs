@@ -1,5 +1,4 @@
-//! A PDO that a device receives: when its values count, and whether it is late. It looks at no
-//! identifiers but its own.
+//! RPDO of a device: when its values take effect, and whether it missed its deadline.
 
 use std::time::Duration;
 
@@ -9,25 +8,25 @@ use super::parameters::mapping;
 use super::{Direction, Parameters, Transmission};
 use crate::Id;
 
-/// What became of a received PDO.
+/// Result of a received PDO.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Received {
-    /// Its values are in the dictionary.
+    /// Its values were written to the dictionary.
     Taken,
-    /// Its values count with the next SYNC.
+    /// Its values take effect with the next SYNC.
     Waits,
-    /// It came outside of the SYNC window and was dropped.
+    /// It was received outside of the SYNC window and dropped.
     OutsideWindow,
-    /// It is too short and was dropped.
+    /// It was too short and dropped.
     Short {
-        /// Bytes that came.
+        /// Received bytes.
         len: usize,
-        /// Bytes that are mapped.
+        /// Mapped bytes.
         expected: usize,
     },
 }
 
-/// A PDO to receive.
+/// A receive PDO.
 ///
 /// ```text
 ///              1 frame (synchronous type)
@@ -40,21 +39,21 @@ pub struct Rpdo {
     id: Option<Id>,
     transmission: Transmission,
     mapping: Mapping,
-    /// Zero is none.
+    /// Zero: no deadline.
     deadline: Duration,
     data: [u8; 8],
     waits: bool,
-    /// What waited is in the dictionary, and nobody was told.
+    /// Waiting values were written to the dictionary but not yet reported.
     applied: bool,
-    heard: Option<Duration>,
+    last_received: Option<Duration>,
     late: bool,
 }
 
 impl Rpdo {
-    /// The PDO of that number (from 0) in a dictionary; `None` if there is none.
+    /// The PDO with that number (from 0) in a dictionary; `None` if it does not exist.
     ///
     /// # Errors
-    /// If its mapping is none.
+    /// If its mapping is invalid.
     pub fn new(dictionary: &Dictionary, number: u16) -> Result<Option<Self>, AbortCode> {
         let direction = Direction::Receive;
         let Some(parameters) = Parameters::communication(dictionary, direction, number) else {
@@ -69,36 +68,36 @@ impl Rpdo {
             data: [0; 8],
             waits: false,
             applied: false,
-            heard: None,
+            last_received: None,
             late: false,
         }))
     }
 
-    /// Its identifier, if it exists.
+    /// Its identifier, if enabled.
     #[must_use]
     pub const fn id(&self) -> Option<Id> {
         self.id
     }
 
-    /// What it carries.
+    /// Its mapping.
     #[must_use]
     pub const fn mapping(&self) -> &Mapping {
         &self.mapping
     }
 
-    /// Whether it came late and has not come again.
+    /// Whether it missed its deadline and was not received since.
     #[must_use]
     pub const fn is_late(&self) -> bool {
         self.late
     }
 
-    /// Whether more bytes came than are mapped: the rest is dropped, and an emergency is due.
+    /// Whether it has more bytes than mapped: the excess is dropped and an EMCY is due.
     #[must_use]
     pub const fn is_long(&self, len: usize) -> bool {
         len > self.mapping.len()
     }
 
-    /// Takes its frame. `window`: synchronous PDOs count now.
+    /// Handles its frame. `window`: the SYNC window is open.
     pub fn handle(
         &mut self,
         data: &[u8],
@@ -111,7 +110,7 @@ impl Rpdo {
             let len = data.len();
             return Received::Short { len, expected };
         }
-        (self.heard, self.late) = (Some(now), false);
+        (self.last_received, self.late) = (Some(now), false);
         if !self.transmission.is_synchronous() {
             self.mapping.unpack(dictionary, data);
             return Received::Taken;
@@ -127,7 +126,7 @@ impl Rpdo {
         Received::Waits
     }
 
-    /// SYNC: what waits goes into the dictionary. Returns whether something did.
+    /// SYNC: writes waiting values to the dictionary. Returns whether there were any.
     pub fn handle_sync(&mut self, dictionary: &mut Dictionary) -> bool {
         let waited = std::mem::take(&mut self.waits);
         if waited {
@@ -137,29 +136,29 @@ impl Rpdo {
         waited
     }
 
-    /// Whether a SYNC put new values into the dictionary since this was asked last.
+    /// Whether a SYNC wrote new values to the dictionary since the last call.
     pub(in crate::canopen) const fn take_applied(&mut self) -> bool {
         std::mem::replace(&mut self.applied, false)
     }
 
-    /// Whether it has just become late; told once.
+    /// Whether it has just missed its deadline; returned once.
     pub fn poll(&mut self, now: Duration) -> bool {
         let late = self.poll_timeout().is_some_and(|due| now >= due);
         self.late |= late;
         late
     }
 
-    /// When it becomes late.
+    /// Its deadline.
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Duration> {
         let watched = self.id.is_some() && !self.deadline.is_zero() && !self.late;
-        self.heard
+        self.last_received
             .filter(|_| watched)
-            .map(|heard| heard + self.deadline)
+            .map(|last_received| last_received + self.deadline)
     }
 
-    /// Drops what waits; supervision begins with the next frame. As leaving Operational does.
+    /// Drops waiting values; monitoring restarts with the next frame. For leaving Operational.
     pub const fn stop(&mut self) {
-        (self.waits, self.heard, self.late) = (false, None, false);
+        (self.waits, self.last_received, self.late) = (false, None, false);
     }
 }

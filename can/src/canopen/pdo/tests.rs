@@ -1,4 +1,4 @@
-//! PDO parameters against the procedure of CiA 301, and every transmission type both ways.
+//! PDO parameters and the procedure of CiA 301, and every transmission type in both directions.
 
 use std::time::Duration;
 
@@ -71,7 +71,7 @@ fn text(frame: Option<Frame>) -> String {
 }
 
 #[test]
-fn all_256_transmission_types_read_back_and_are_allowed_as_the_standard_says() {
+fn pdo_transmission_types_read_back_and_match_standard() {
     let receive = Parameters::new(PdoCob::from_raw(0x8000_0205), Transmission::Sync(1), vec![]);
     let mut received = dictionary(&receive, Direction::Receive);
     let mut transmitted = dictionary(&receive, Direction::Transmit);
@@ -97,14 +97,14 @@ fn all_256_transmission_types_read_back_and_are_allowed_as_the_standard_says() {
     }
 }
 
-/// The mapping procedure, each step refused where the standard refuses it.
+/// The mapping procedure, with each step rejected where the standard requires it.
 #[test]
 #[expect(
     clippy::too_many_lines,
     clippy::type_complexity,
     reason = "a table of steps"
 )]
-fn parameters_change_by_the_procedure_only() {
+fn pdo_parameters_change_only_by_mapping_procedure() {
     let parameters = Parameters::new(cob(), Transmission::Sync(1), vec![mapped(0x3000, 16)]);
     let mut d = dictionary(&parameters, Direction::Transmit);
     let entry = |index: u32, sub: u32, bits: u32| index << 16 | sub << 8 | bits;
@@ -129,7 +129,7 @@ fn parameters_change_by_the_procedure_only() {
             4,
             Err(AbortCode::UnsupportedAccess),
         ),
-        // Switched off.
+        // Disabled.
         (0x1800, 1, off, 4, Ok(())),
         (0x1800, 3, 10, 2, Ok(())),
         (0x1800, 6, 241, 1, Err(AbortCode::TooHigh)),
@@ -196,7 +196,7 @@ fn parameters_change_by_the_procedure_only() {
 }
 
 #[test]
-fn synchronous_types_are_sent_with_every_nth_sync() {
+fn tpdo_synchronous_types_are_sent_every_nth_sync() {
     for every in 1..=240 {
         let (mut pdo, d) = tpdo(every, |_| ());
         let sent: Vec<_> = (1..=500_usize)
@@ -208,7 +208,7 @@ fn synchronous_types_are_sent_with_every_nth_sync() {
 }
 
 #[test]
-fn sync_start_value_puts_pdos_into_step() {
+fn tpdo_sync_start_value_aligns_transmission() {
     let (mut pdo, d) = tpdo(3, |p| p.sync_start = 2);
     let sent: Vec<_> = (0..10_u8)
         .map(|n| n % 4 + 1)
@@ -216,11 +216,11 @@ fn sync_start_value_puts_pdos_into_step() {
         .collect();
     assert_eq!(sent, [2, 1, 4], "counters 2, then every third");
     pdo.start();
-    assert!(pdo.handle_sync(Some(1), &d, MS).is_none(), "anew");
+    assert!(pdo.handle_sync(Some(1), &d, MS).is_none(), "restarted");
 }
 
 #[test]
-fn type_0_waits_for_a_change_and_then_for_sync() {
+fn tpdo_type_0_waits_for_change_then_sync() {
     let (mut pdo, mut d) = tpdo(0, |_| ());
     assert_eq!(
         text(pdo.handle_sync(None, &d, MS)),
@@ -236,7 +236,7 @@ fn type_0_waits_for_a_change_and_then_for_sync() {
 }
 
 #[test]
-fn event_types_obey_inhibit_time_and_event_timer() {
+fn tpdo_event_types_respect_inhibit_time_and_timer() {
     for kind in [254, 255] {
         let (mut pdo, mut d) = tpdo(kind, |p| (p.inhibit, p.event) = (50, 20));
         assert_eq!(pdo.poll_timeout(&d), Some(Duration::ZERO));
@@ -254,7 +254,7 @@ fn event_types_obey_inhibit_time_and_event_timer() {
 }
 
 #[test]
-fn remote_types_answer_remote_frames() {
+fn tpdo_remote_types_answer_remote_frames() {
     let (mut pdo, mut d) = tpdo(253, |_| ());
     set(&mut d, 0x3000, 1);
     assert_eq!(text(pdo.handle_remote(&d, MS)), "185#0100");
@@ -271,7 +271,7 @@ fn remote_types_answer_remote_frames() {
 }
 
 #[test]
-fn pdos_that_are_off_or_carry_nothing_are_not_sent() {
+fn tpdo_disabled_or_empty_is_not_sent() {
     let (mut pdo, d) = tpdo(1, |p| p.cob = p.cob.off());
     assert_eq!((pdo.id(), pdo.handle_sync(None, &d, MS)), (None, None));
     let (mut pdo, d) = tpdo(255, |p| p.mapping.clear());
@@ -288,7 +288,7 @@ fn rpdo(transmission: u8, deadline: u16) -> (Rpdo, Dictionary) {
 }
 
 #[test]
-fn received_values_count_at_once_or_with_sync_by_type() {
+fn rpdo_values_apply_at_once_or_with_sync() {
     let data = [1, 0, 0xEE, 2, 0];
     for kind in (0..=240).chain(254..=255) {
         let (mut pdo, mut d) = rpdo(kind, 0);
@@ -308,7 +308,7 @@ fn received_values_count_at_once_or_with_sync_by_type() {
 }
 
 #[test]
-fn short_long_and_late_pdos_are_told() {
+fn rpdo_short_long_and_late_are_reported() {
     let (mut pdo, mut d) = rpdo(1, 10);
     let short = Received::Short {
         len: 4,
@@ -325,7 +325,7 @@ fn short_long_and_late_pdos_are_told() {
     assert_eq!(pdo.handle(&[9; 8], &mut d, true, 2 * MS), Received::Waits);
     assert!(
         !pdo.poll(11 * MS) && pdo.poll(12 * MS) && !pdo.poll(13 * MS),
-        "told once"
+        "reported once"
     );
     assert!(pdo.is_late());
     pdo.handle(&[9; 8], &mut d, true, 20 * MS);

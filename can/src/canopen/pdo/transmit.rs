@@ -1,5 +1,5 @@
-//! A PDO that a device transmits: with which SYNC, on which event, how often at most and at least.
-//! What is an event of the profile is not known here: a change of what it carries is one.
+//! TPDO of a device: SYNC, events, inhibit time and event timer. Every change of its content is an
+//! event; profile-specific events are not supported.
 
 use std::time::Duration;
 
@@ -10,14 +10,14 @@ use super::{Direction, Parameters, Transmission};
 use crate::canopen::message::frame;
 use crate::{Frame, Id};
 
-/// A PDO to transmit.
+/// A transmit PDO.
 ///
 /// | type | sampled | sent |
 /// |---|---|---|
 /// | 0 | with SYNC | with the SYNC after a change or [`Tpdo::trigger`] |
 /// | 1 to 240 | with SYNC | with every n-th, from the SYNC start value on |
-/// | 252 | with SYNC | when a remote frame asks |
-/// | 253 | when asked | when a remote frame asks |
+/// | 252 | with SYNC | on a remote frame |
+/// | 253 | on a remote frame | on a remote frame |
 /// | 254, 255 | when sent | on a change, [`Tpdo::trigger`] or the event timer, after the inhibit time |
 #[derive(Clone, Debug)]
 pub struct Tpdo {
@@ -26,12 +26,12 @@ pub struct Tpdo {
     transmission: Transmission,
     mapping: Mapping,
     inhibit: Duration,
-    /// Zero is none.
+    /// Zero: none.
     event: Duration,
     sync_start: u8,
-    /// SYNCs since the last one it was sent with.
+    /// SYNCs since the last transmission.
     syncs: u8,
-    /// The SYNC start value was seen, or is not asked for.
+    /// The SYNC start value was seen, or is not required.
     begun: bool,
     triggered: bool,
     sent: Option<Duration>,
@@ -39,10 +39,10 @@ pub struct Tpdo {
 }
 
 impl Tpdo {
-    /// The PDO of that number (from 0) in a dictionary; `None` if there is none.
+    /// The PDO with that number (from 0) in a dictionary; `None` if it does not exist.
     ///
     /// # Errors
-    /// If its mapping is none.
+    /// If its mapping is invalid.
     pub fn new(dictionary: &Dictionary, number: u16) -> Result<Option<Self>, AbortCode> {
         let direction = Direction::Transmit;
         let Some(parameters) = Parameters::communication(dictionary, direction, number) else {
@@ -67,19 +67,19 @@ impl Tpdo {
         Ok(Some(tpdo))
     }
 
-    /// Its identifier, if it exists.
+    /// Its identifier, if enabled.
     #[must_use]
     pub const fn id(&self) -> Option<Id> {
         self.id
     }
 
-    /// What it carries.
+    /// Its mapping.
     #[must_use]
     pub const fn mapping(&self) -> &Mapping {
         &self.mapping
     }
 
-    /// Begins anew, as entering Operational does: event-driven ones are due at once.
+    /// Restarts, for entering Operational: event-driven PDOs are due at once.
     pub const fn start(&mut self) {
         self.syncs = 0;
         self.begun = self.sync_start == 0;
@@ -87,12 +87,12 @@ impl Tpdo {
         (self.sent, self.last) = (None, None);
     }
 
-    /// Asks for it, whatever it carries.
+    /// Triggers its transmission.
     pub const fn trigger(&mut self) {
         self.triggered = true;
     }
 
-    /// SYNC, with its counter: the frame to send, if any.
+    /// Handles SYNC with its counter; returns the frame to send, if any.
     pub fn handle_sync(
         &mut self,
         counter: Option<u8>,
@@ -106,7 +106,7 @@ impl Tpdo {
             }
             Transmission::Sync(every) => {
                 if !self.begun {
-                    // Without a counter the start value means nothing.
+                    // Without a counter the start value is ignored.
                     self.begun = counter.is_none_or(|counter| counter == self.sync_start);
                     self.syncs = every - 1;
                 }
@@ -131,7 +131,7 @@ impl Tpdo {
         }
     }
 
-    /// A remote frame asks for it.
+    /// Handles a remote frame.
     pub fn handle_remote(&mut self, dictionary: &Dictionary, now: Duration) -> Option<Frame> {
         if !self.remote {
             return None;
@@ -158,7 +158,7 @@ impl Tpdo {
         Some(sent + self.event)
     }
 
-    /// When it is to be polled again. What changes in the dictionary meanwhile its owner knows.
+    /// Time of the next poll, apart from changes in the dictionary.
     #[must_use]
     pub fn poll_timeout(&self, dictionary: &Dictionary) -> Option<Duration> {
         if self.id.is_none() || !self.transmission.is_event_driven() {
@@ -187,7 +187,7 @@ impl Tpdo {
         self.frame(&data)
     }
 
-    /// Nothing is sent of a PDO that carries nothing.
+    /// A PDO without mapped entries is never sent.
     fn frame(&self, data: &[u8; 8]) -> Option<Frame> {
         let data = data
             .get(..self.mapping.len())

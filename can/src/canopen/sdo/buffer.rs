@@ -1,4 +1,4 @@
-//! The value of a transfer while it is under way, in memory taken once. It knows no message.
+//! Buffer of a transfer, allocated once.
 
 use takt_cia402::dictionary::AbortCode;
 
@@ -9,12 +9,12 @@ use super::{BlockSegment, Bytes, TRANSFER_MAX, crc};
 pub(super) struct Buffer {
     bytes: Vec<u8>,
     len: usize,
-    /// Checksum of the first so many bytes: it grows with the segments, because that of a long
-    /// value at once would hold up a cycle.
+    /// Checksum of the first bytes, computed incrementally with the segments: for a long value at
+    /// once it would delay a cycle.
     checked: (usize, u16),
 }
 
-/// The last segment of a block is taken whole before it is known how much of it counts.
+/// The last segment of a block is stored whole before its length is known.
 const SLACK: usize = 6;
 /// Bytes of a segment.
 const SEGMENT: usize = 7;
@@ -36,7 +36,7 @@ impl Buffer {
         self.len
     }
 
-    /// The length as messages carry it.
+    /// The length as in messages.
     pub(super) fn size(&self) -> u32 {
         u32::try_from(self.len).unwrap_or(u32::MAX)
     }
@@ -45,13 +45,13 @@ impl Buffer {
         self.bytes.get(..self.len).unwrap_or_default()
     }
 
-    /// The segment that begins at a byte, and whether it is the last.
+    /// The segment that starts at a byte, and whether it is the last.
     pub(super) fn segment(&self, at: usize) -> (Bytes, bool) {
         let rest = self.as_slice().get(at..).unwrap_or_default();
         (Bytes::new(rest), rest.len() <= 7)
     }
 
-    /// The segment of a block that begins at a byte.
+    /// The segment of a block that starts at a byte.
     pub(super) fn block_segment(&mut self, start: usize, sequence: u8) -> BlockSegment {
         let at = start + 7 * usize::from(sequence - 1);
         self.check_to(at);
@@ -63,7 +63,7 @@ impl Buffer {
         }
     }
 
-    /// Whether a block that begins at byte `start` has a segment after the first `sent`.
+    /// Whether a block that starts at byte `start` has more than `sent` segments.
     pub(super) const fn has_segment(&self, start: usize, sent: u8, block: u8) -> bool {
         let at = start + 7 * sent as usize;
         sent < block && (at < self.len || (self.len == 0 && sent == 0))
@@ -76,13 +76,13 @@ impl Buffer {
         self.put(value)
     }
 
-    /// Adds to the value.
+    /// Appends to the value.
     pub(super) fn put(&mut self, data: &[u8]) -> Result<(), AbortCode> {
         let end = self.len + data.len();
-        let room = self.bytes.get_mut(self.len..end);
-        room.ok_or(AbortCode::OutOfMemory)?.copy_from_slice(data);
+        let target = self.bytes.get_mut(self.len..end);
+        target.ok_or(AbortCode::OutOfMemory)?.copy_from_slice(data);
         self.len = end;
-        // Of the last segment it is not known yet how much counts.
+        // The length of the last segment is not known yet.
         if data.len() <= SEGMENT {
             self.check_to(end.saturating_sub(SEGMENT));
         }
@@ -97,12 +97,12 @@ impl Buffer {
         }
     }
 
-    /// Takes back what did not count of the last segment.
+    /// Removes the unused bytes of the last segment.
     pub(super) fn drop_last(&mut self, unused: u8) {
         self.len = self.len.saturating_sub(unused.into());
     }
 
-    /// How many bytes of the last segment do not count if the last block ended at byte `end`.
+    /// Number of unused bytes of the last segment if the last block ended at byte `end`.
     pub(super) fn unused(&self, end: usize) -> u8 {
         u8::try_from(end.saturating_sub(self.len)).unwrap_or(0)
     }
@@ -112,7 +112,7 @@ impl Buffer {
         self.checked.1
     }
 
-    /// Whether a value of that length could be taken.
+    /// Whether a value of that length fits.
     pub(super) fn fits(&self, len: usize) -> Result<(), AbortCode> {
         if len + SLACK > self.bytes.len() {
             return Err(AbortCode::OutOfMemory);
@@ -120,7 +120,7 @@ impl Buffer {
         Ok(())
     }
 
-    /// A size that was announced, if it fits.
+    /// Checks an indicated size.
     pub(super) fn announced(&self, size: Option<u32>) -> Result<Option<usize>, AbortCode> {
         let size = size.map(|size| usize::try_from(size).unwrap_or(usize::MAX / 2));
         self.fits(size.unwrap_or(0))?;

@@ -1,5 +1,5 @@
-//! The side that asks: one read or write at a time, by the shortest way that fits, or in blocks
-//! when told so. It decides nothing about what is asked.
+//! SDO client: one read or write at a time, expedited or segmented depending on the length, or in
+//! blocks if requested.
 
 use std::time::Duration;
 
@@ -8,26 +8,25 @@ use takt_cia402::dictionary::{AbortCode, Address};
 use super::buffer::Buffer;
 use super::{BLOCK_MAX, BlockSegment, Bytes, Initiate, Message, Request, Response};
 
-/// How a transfer ended.
+/// Outcome of a transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
-    /// The value was read; [`Client::value`] has it.
+    /// The value was read; see [`Client::value`].
     Read,
     /// The value was written.
     Written,
-    /// The server refused.
+    /// The server aborted.
     Refused(AbortCode),
-    /// The client gave up: the server's answer did not belong here or did not come
-    /// ([`AbortCode::TimedOut`]).
+    /// The client aborted: the response was invalid or missing ([`AbortCode::TimedOut`]).
     GaveUp(AbortCode),
 }
 
-/// What becomes of a message from the server, or of time passing.
+/// Result of a message of the server, or of a timeout.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Progress {
-    /// To send.
+    /// Message to send.
     pub send: Option<Message>,
-    /// The transfer is over.
+    /// The transfer has ended.
     pub outcome: Option<Outcome>,
 }
 
@@ -47,7 +46,7 @@ impl Progress {
     }
 }
 
-/// Where a transfer is; named by what is waited for.
+/// State of a transfer, named by the expected response.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
     Idle,
@@ -62,7 +61,8 @@ enum State {
         size: Option<usize>,
     },
     BlockDownload,
-    /// Sending segments of a block that begins at byte `start`; all sent when it waits for the ack.
+    /// Sending segments of a block that starts at byte `start`; after the last one it waits for the
+    /// acknowledgement.
     BlockDownloadAck {
         crc: bool,
         block: u8,
@@ -88,45 +88,44 @@ pub struct Client {
     state: State,
     address: Address,
     value: Buffer,
-    heard: Duration,
+    last_received: Duration,
     timeout: Duration,
 }
 
 impl Client {
-    /// A client for values of up to so many bytes (at most [`super::TRANSFER_MAX`]) that waits so long
-    /// for each answer.
+    /// A client with this maximum value length (at most [`super::TRANSFER_MAX`]) and response timeout.
     #[must_use]
     pub fn new(transfer_max: usize, timeout: Duration) -> Self {
         Self {
             state: State::Idle,
             address: Address::default(),
             value: Buffer::new(transfer_max),
-            heard: Duration::ZERO,
+            last_received: Duration::ZERO,
             timeout,
         }
     }
 
-    /// Whether no transfer is under way.
+    /// Whether no transfer is running.
     #[must_use]
     pub fn is_idle(&self) -> bool {
         self.state == State::Idle
     }
 
-    /// What is or was transferred.
+    /// The object of the current or last transfer.
     #[must_use]
     pub const fn address(&self) -> Address {
         self.address
     }
 
-    /// The value as far as it is read.
+    /// The value read so far.
     #[must_use]
     pub fn value(&self) -> &[u8] {
         self.value.as_slice()
     }
 
-    /// Begins a read; returns what to send. A transfer under way is dropped.
+    /// Starts a read; returns the message to send. A running transfer is dropped.
     pub fn read(&mut self, address: Address, in_blocks: bool, now: Duration) -> Message {
-        (self.address, self.heard) = (address, now);
+        (self.address, self.last_received) = (address, now);
         self.value.clear();
         if in_blocks {
             self.state = State::BlockUpload;
@@ -144,10 +143,10 @@ impl Client {
         Request::Upload { address }.encode()
     }
 
-    /// Begins a write; returns what to send. A transfer under way is dropped.
+    /// Starts a write; returns the message to send. A running transfer is dropped.
     ///
     /// # Errors
-    /// If the value is longer than the client was made for.
+    /// If the value exceeds the maximum length of the client.
     pub fn write(
         &mut self,
         address: Address,
@@ -156,7 +155,7 @@ impl Client {
         now: Duration,
     ) -> Result<Message, AbortCode> {
         self.value.set(value)?;
-        (self.address, self.heard) = (address, now);
+        (self.address, self.last_received) = (address, now);
         let size = u32::try_from(value.len()).ok();
         if in_blocks {
             self.state = State::BlockDownload;
@@ -172,7 +171,7 @@ impl Client {
         Ok(Request::Download { address, data }.encode())
     }
 
-    /// When [`Self::poll`] has to be called at the latest.
+    /// Latest time of the next [`Self::poll`].
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Duration> {
         if self.state == State::Idle {
@@ -183,22 +182,22 @@ impl Client {
         } else {
             self.timeout
         };
-        Some(self.heard + wait)
+        Some(self.last_received + wait)
     }
 
-    /// What to send now without an answer: a segment of a block, or an abort after silence. To be
-    /// called until it gives nothing.
+    /// The next message without a response: a segment of a block, or an abort after a timeout. To
+    /// be called until it returns nothing.
     pub fn poll(&mut self, now: Duration) -> Progress {
         if self.has_segment() {
             return self.next_segment();
         }
-        if self.state == State::Idle || now < self.heard + self.timeout {
+        if self.state == State::Idle || now < self.last_received + self.timeout {
             return Progress::default();
         }
         self.give_up(AbortCode::TimedOut)
     }
 
-    /// Gives up; the server is told.
+    /// Aborts the transfer; returns the abort message.
     pub fn give_up(&mut self, code: AbortCode) -> Progress {
         self.state = State::Idle;
         let address = self.address;
@@ -208,19 +207,19 @@ impl Client {
         }
     }
 
-    /// Takes a message from the server. Without a transfer under way it is ignored.
+    /// Handles a message of the server. Ignored without a running transfer.
     pub fn handle(&mut self, message: &Message, now: Duration) -> Progress {
         if self.state == State::Idle {
             return Progress::default();
         }
-        self.heard = now;
+        self.last_received = now;
         if let State::BlockUploadSegment { .. } = self.state
             && message[0] != 0x80
         {
             return self.block_segment(message);
         }
         match Response::decode(message) {
-            // The answer to a question that was given up: this one is still to come.
+            // The response to an aborted request: the current one is still pending.
             Some(response)
                 if response
                     .address()
@@ -240,7 +239,7 @@ impl Client {
         }
     }
 
-    #[expect(clippy::too_many_lines, reason = "the table of what may follow what")]
+    #[expect(clippy::too_many_lines, reason = "the transition table")]
     fn advance(&mut self, response: Response) -> Result<Progress, AbortCode> {
         match (self.state, response) {
             (State::Download, Response::Download { address }) => {
@@ -250,8 +249,11 @@ impl Client {
                 }
                 Ok(self.send_segment(false, 0))
             }
-            (State::DownloadSegment { toggle, at }, Response::DownloadSegment { toggle: told }) => {
-                if told != toggle {
+            (
+                State::DownloadSegment { toggle, at },
+                Response::DownloadSegment { toggle: received },
+            ) => {
+                if received != toggle {
                     return Err(AbortCode::Toggle);
                 }
                 if at >= self.value.len() {
@@ -267,12 +269,12 @@ impl Client {
             (
                 State::UploadSegment { toggle, size },
                 Response::UploadSegment {
-                    toggle: told,
+                    toggle: received,
                     last,
                     data,
                 },
             ) => {
-                if told != toggle {
+                if received != toggle {
                     return Err(AbortCode::Toggle);
                 }
                 self.value.put(data.as_slice())?;
@@ -327,10 +329,13 @@ impl Client {
             }
             (
                 State::BlockUploadEnd { crc: checked, size },
-                Response::BlockUploadEnd { unused, crc: told },
+                Response::BlockUploadEnd {
+                    unused,
+                    crc: received,
+                },
             ) => {
                 self.value.drop_last(unused);
-                if checked && self.value.crc() != told {
+                if checked && self.value.crc() != received {
                     return Err(AbortCode::Crc);
                 }
                 self.check_size(size)?;
@@ -349,7 +354,7 @@ impl Client {
         Progress::over(outcome)
     }
 
-    /// An answer about another object belongs to another question.
+    /// A response for another object belongs to another request.
     fn check(&self, address: Address) -> Result<(), AbortCode> {
         if address == self.address {
             Ok(())
@@ -388,7 +393,7 @@ impl Client {
         Progress::send(&Request::DownloadSegment { toggle, last, data })
     }
 
-    /// After the server's go or acknowledgement: the next block, or the end.
+    /// After the server's start or acknowledgement: the next block, or the end.
     fn next_block(
         &mut self,
         crc_wanted: bool,
@@ -398,7 +403,7 @@ impl Client {
         if !(1..=BLOCK_MAX).contains(&block) {
             return Err(AbortCode::BlockSize);
         }
-        // An empty value is one segment of nothing.
+        // An empty value is one empty segment.
         if start >= self.value.len().max(1) {
             self.state = State::BlockDownloadEnd;
             let unused = self.value.unused(start);
@@ -442,7 +447,7 @@ impl Client {
         }
     }
 
-    /// Takes a segment of a block; one out of turn is dropped and asked for again.
+    /// Handles a segment of a block; drops one out of sequence and requests it again.
     fn block_segment(&mut self, message: &Message) -> Progress {
         let State::BlockUploadSegment {
             crc,

@@ -1,5 +1,5 @@
-//! The side that has the object dictionary. It answers one client at a time, in any of the three
-//! ways, and gives up on a client that falls silent.
+//! SDO server on an object dictionary. Serves one client at a time by expedited, segmented and
+//! block transfer, and aborts after a timeout of the client.
 
 use std::time::Duration;
 
@@ -8,7 +8,7 @@ use takt_cia402::dictionary::{AbortCode, Address, Dictionary, Hooks};
 use super::buffer::Buffer;
 use super::{BLOCK_MAX, BlockSegment, Bytes, Initiate, Message, Request, Response};
 
-/// Where a transfer is.
+/// State of a transfer.
 ///
 /// ```text
 ///              Download (segmented)          last segment
@@ -16,7 +16,7 @@ use super::{BLOCK_MAX, BlockSegment, Bytes, Initiate, Message, Request, Response
 ///    |--- Upload (longer than 4) --> Upload ------------> Idle
 ///    |--- BlockDownload --> BlockDownload -- last --> BlockDownloadEnd -- end --> Idle
 ///    |--- BlockUpload --> BlockReady -- go --> BlockUpload -- all acked --> BlockUploadEnd --> Idle
-/// any ---- abort, or silence, or a message that does not belong here ----> Idle
+/// any ---- abort, timeout or unexpected message ----> Idle
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
@@ -42,7 +42,7 @@ enum State {
         crc: bool,
         block: u8,
     },
-    /// Segments of the present block are sent up to `sequence`, from byte `start` on.
+    /// Segments of the current block, which starts at byte `start`, are sent up to `sequence`.
     BlockUpload {
         crc: bool,
         block: u8,
@@ -57,42 +57,42 @@ enum State {
 pub struct Server {
     state: State,
     address: Address,
-    /// The value under way, whole.
+    /// The transferred value.
     value: Buffer,
-    /// When the client last said something.
-    heard: Duration,
+    /// Time of the client's last message.
+    last_received: Duration,
     timeout: Duration,
-    /// Segments in a block that it takes.
+    /// Segments per block that it accepts.
     block: u8,
 }
 
 impl Server {
-    /// A server that transfers values of up to so many bytes (at most [`super::TRANSFER_MAX`]) and gives
-    /// up on a client after `timeout`.
+    /// A server with this maximum value length (at most [`super::TRANSFER_MAX`]) that aborts when a client is silent
+    /// for `timeout`.
     #[must_use]
     pub fn new(transfer_max: usize, timeout: Duration) -> Self {
         Self {
             state: State::Idle,
             address: Address::default(),
             value: Buffer::new(transfer_max),
-            heard: Duration::ZERO,
+            last_received: Duration::ZERO,
             timeout,
             block: BLOCK_MAX,
         }
     }
 
-    /// Whether no transfer is under way.
+    /// Whether no transfer is running.
     #[must_use]
     pub fn is_idle(&self) -> bool {
         self.state == State::Idle
     }
 
-    /// Drops a transfer without a word, as a reset of communication does.
+    /// Drops a transfer without an abort, as reset communication does.
     pub const fn reset(&mut self) {
         self.state = State::Idle;
     }
 
-    /// When [`Self::poll`] has to be called at the latest.
+    /// Latest time of the next [`Self::poll`].
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Duration> {
         if self.state == State::Idle {
@@ -103,10 +103,10 @@ impl Server {
         } else {
             self.timeout
         };
-        Some(self.heard + wait)
+        Some(self.last_received + wait)
     }
 
-    /// Answers a message from the client.
+    /// Handles a message of the client; returns the response.
     pub fn handle<H: Hooks>(
         &mut self,
         message: &Message,
@@ -114,7 +114,7 @@ impl Server {
         hooks: &mut H,
         now: Duration,
     ) -> Option<Message> {
-        self.heard = now;
+        self.last_received = now;
         if let State::BlockDownload { .. } = self.state
             && message[0] != 0x80
         {
@@ -135,13 +135,13 @@ impl Server {
         }
     }
 
-    /// What to send now without being asked: a segment of a block, or an abort after silence. To be
-    /// called until it gives nothing.
+    /// The next message without a request: a segment of a block, or an abort after a timeout. To be
+    /// called until it returns nothing.
     pub fn poll(&mut self, now: Duration) -> Option<Message> {
         if let Some(segment) = self.next_segment() {
             return Some(segment);
         }
-        let late = self.state != State::Idle && now >= self.heard + self.timeout;
+        let late = self.state != State::Idle && now >= self.last_received + self.timeout;
         late.then(|| self.abort(AbortCode::TimedOut))
     }
 
@@ -234,7 +234,7 @@ impl Server {
         Ok(Response::Download { address })
     }
 
-    /// What can be refused before any data came: the object, and a size beyond all bounds.
+    /// Checks before the first data: the object, and the indicated size.
     fn check_begin(
         &self,
         size: Option<u32>,
@@ -249,7 +249,7 @@ impl Server {
         }
     }
 
-    /// Writes what came, if it is as much as was announced.
+    /// Writes the received value if it has the indicated size.
     fn store<H: Hooks>(
         &mut self,
         size: Option<usize>,
@@ -293,7 +293,7 @@ impl Server {
         Ok(Response::DownloadSegment { toggle })
     }
 
-    /// Reads the value into the buffer, so that it does not change on the way.
+    /// Reads the value into the buffer, so that it does not change during the transfer.
     fn fetch<H: Hooks>(
         &mut self,
         dictionary: &mut Dictionary,
@@ -360,8 +360,8 @@ impl Server {
         })
     }
 
-    /// Takes a segment of a block. One that is out of turn is dropped; the acknowledgement at the
-    /// end of the block tells from where to repeat.
+    /// Handles a segment of a block. Drops one out of sequence; the acknowledgement at the end of
+    /// the block indicates where to repeat.
     fn block_segment(&mut self, message: &Message) -> Option<Response> {
         let State::BlockDownload {
             crc,
@@ -414,7 +414,7 @@ impl Server {
     fn block_download_end<H: Hooks>(
         &mut self,
         unused: u8,
-        told: u16,
+        received: u16,
         dictionary: &mut Dictionary,
         hooks: &mut H,
     ) -> Result<Response, AbortCode> {
@@ -422,7 +422,7 @@ impl Server {
             return Err(AbortCode::CommandSpecifier);
         };
         self.value.drop_last(unused);
-        if checked && self.value.crc() != told {
+        if checked && self.value.crc() != received {
             return Err(AbortCode::Crc);
         }
         self.state = State::Idle;
@@ -434,7 +434,7 @@ impl Server {
         if !(1..=BLOCK_MAX).contains(&block) {
             return Err(AbortCode::BlockSize);
         }
-        // A value not longer than the threshold may go the plain way.
+        // A value up to the protocol switch threshold may use a normal upload.
         if self.value.len() <= usize::from(switch) {
             return Ok(self.upload());
         }
@@ -459,7 +459,7 @@ impl Server {
         Ok(())
     }
 
-    /// Whether the present block has a segment that is not sent yet.
+    /// Whether the current block has unsent segments.
     fn has_segment(&self) -> bool {
         let State::BlockUpload {
             block,
@@ -487,7 +487,7 @@ impl Server {
         Some(self.value.block_segment(*start, *sequence).encode())
     }
 
-    /// The client tells how far the block came: on with the next, or again from there.
+    /// Handles the client's acknowledgement: sends the next block, or repeats from there.
     fn block_ack(&mut self, acked: u8, next: u8) -> Result<Option<Response>, AbortCode> {
         let State::BlockUpload {
             crc: checked,

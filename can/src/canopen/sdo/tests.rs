@@ -1,5 +1,4 @@
-//! Client and server against each other over a line that loses, and each against messages made by
-//! hand.
+//! Client and server connected by a lossy line, and each with hand-made messages.
 
 use std::time::Duration;
 
@@ -101,7 +100,7 @@ fn pattern(len: usize) -> Vec<u8> {
 }
 
 #[test]
-fn values_of_every_length_arrive_by_every_way() {
+fn sdo_values_of_every_length_survive_every_transfer_type() {
     for len in (0..30).chain([880, 888, 889, 890, 896, 1777, 1778, 1779, 3994, 4000]) {
         for blocks in [false, true] {
             let value = pattern(len);
@@ -118,7 +117,7 @@ fn values_of_every_length_arrive_by_every_way() {
 }
 
 #[test]
-fn a_lost_segment_of_a_block_is_sent_again() {
+fn sdo_lost_block_segment_is_sent_again() {
     let value = pattern(2000);
     for lost in 2..100 {
         let mut pair = Pair::new(b"");
@@ -129,7 +128,7 @@ fn a_lost_segment_of_a_block_is_sent_again() {
 }
 
 #[test]
-fn silence_is_an_abort_on_both_sides_and_the_next_transfer_works() {
+fn sdo_timeout_aborts_both_sides_next_transfer_succeeds() {
     for (lost, blocks) in [(0, false), (1, false), (0, true)] {
         let mut pair = Pair::new(&pattern(100));
         pair.lost = Some(lost);
@@ -155,7 +154,7 @@ fn silence_is_an_abort_on_both_sides_and_the_next_transfer_works() {
 }
 
 #[test]
-fn refusals_come_through_by_every_way() {
+fn sdo_abort_codes_reach_client_in_every_transfer() {
     let constant = Address::new(0x2002, 0);
     let nowhere = Address::new(0x3000, 0);
     for (address, value, code) in [
@@ -179,7 +178,7 @@ fn refusals_come_through_by_every_way() {
     }
 }
 
-fn server_says(messages: &[Message]) -> Option<AbortCode> {
+fn abort_code(messages: &[Message]) -> Option<AbortCode> {
     let mut server = Server::new(100, 100 * MS);
     let mut d = dictionary(&pattern(50));
     let mut last = None;
@@ -194,7 +193,7 @@ fn server_says(messages: &[Message]) -> Option<AbortCode> {
 }
 
 #[test]
-fn a_server_names_what_is_wrong_with_a_message() {
+fn sdo_server_invalid_message_gets_specific_abort() {
     let address = TEXT;
     let upload = Request::Upload { address }.encode();
     let next = |toggle| Request::UploadSegment { toggle }.encode();
@@ -236,13 +235,13 @@ fn a_server_names_what_is_wrong_with_a_message() {
         (vec![block(4), go, ack(4, 0)], AbortCode::BlockSize),
         (vec![go], AbortCode::CommandSpecifier),
     ] {
-        assert_eq!(server_says(&messages), Some(code), "{messages:02X?}");
+        assert_eq!(abort_code(&messages), Some(code), "{messages:02X?}");
     }
-    assert_eq!(server_says(&[upload, next(false)]), None);
+    assert_eq!(abort_code(&[upload, next(false)]), None);
 }
 
 #[test]
-fn a_wrong_checksum_is_refused() {
+fn sdo_block_checksum_error_aborts() {
     let mut server = Server::new(100, 100 * MS);
     let mut d = dictionary(b"before");
     let begin = Request::BlockDownload {
@@ -269,7 +268,7 @@ fn a_wrong_checksum_is_refused() {
 
 /// Frames as masters and drives exchange them, byte by byte.
 #[test]
-fn golden_messages() {
+fn sdo_golden_messages_are_decoded() {
     let statusword = Address::new(0x6041, 0);
     let controlword = Address::new(0x6040, 0);
     let word = |bytes: &[u8]| Initiate::Expedited(Bytes::new(bytes));
@@ -327,7 +326,7 @@ fn golden_messages() {
 
 proptest! {
     #[test]
-    fn any_message_is_answered(messages in prop::collection::vec(any::<[u8; 8]>(), 1..40)) {
+    fn sdo_server_answers_any_message(messages in prop::collection::vec(any::<[u8; 8]>(), 1..40)) {
         let mut server = Server::new(64, 100 * MS);
         let mut client = Client::new(64, 100 * MS);
         let mut d = dictionary(&pattern(60));
@@ -358,7 +357,7 @@ proptest! {
     }
 }
 
-/// What an answer is, in a letter or the code of an abort.
+/// An answer as a letter or an abort code.
 fn answer(message: Option<Message>) -> String {
     let Some(message) = message else {
         return "-".to_owned();
@@ -378,7 +377,7 @@ fn answer(message: Option<Message>) -> String {
     }
 }
 
-/// A request of each kind, and one of none.
+/// A request of each kind, and an unknown one.
 fn requests() -> Vec<(&'static str, Message)> {
     let address = TEXT;
     let (number, data) = (
@@ -447,7 +446,7 @@ fn requests() -> Vec<(&'static str, Message)> {
 
 #[test]
 #[expect(clippy::too_many_lines, reason = "a table")]
-fn every_state_of_the_server_with_every_request() {
+fn sdo_server_every_state_with_every_request() {
     let all = requests();
     let of = |name: &str| all.iter().find(|(n, _)| *n == name).unwrap().1;
     let text = Request::Upload { address: TEXT }.encode();
@@ -470,7 +469,7 @@ fn every_state_of_the_server_with_every_request() {
     }
     .encode();
     let wrong = "05040001";
-    // Within a block there is no command: all but an abort is a segment, and which one its first byte tells.
+    // Within a block there are no commands: all messages but an abort are segments, numbered by the first byte.
     let table = [
         ("idle", vec![], "down down W up W bdown W bup W W W - W"),
         (
@@ -522,13 +521,13 @@ fn every_state_of_the_server_with_every_request() {
                 let _ = server.handle(message, &mut d, &mut (), Duration::ZERO);
                 while server.poll(Duration::ZERO).is_some() {}
             }
-            let told = answer(server.handle(request, &mut d, &mut (), Duration::ZERO));
-            assert_eq!(told, expected, "{state}: {name}");
+            let actual = answer(server.handle(request, &mut d, &mut (), Duration::ZERO));
+            assert_eq!(actual, expected, "{state}: {name}");
         }
     }
 }
 
-/// What a client does: the request that it sends, and how the transfer ended.
+/// The reaction of a client: its next request and the outcome.
 fn progress(progress: &Progress) -> String {
     let sent = progress
         .send
@@ -557,7 +556,7 @@ fn progress(progress: &Progress) -> String {
 
 #[test]
 #[expect(clippy::too_many_lines, reason = "a table")]
-fn every_state_of_the_client_with_every_answer() {
+fn sdo_client_every_state_with_every_answer() {
     let address = TEXT;
     let (small, data) = (Initiate::Expedited(Bytes::new(b"abc")), Bytes::new(b"abc"));
     let (large, crc, block) = (Initiate::Segmented(Some(10)), true, 4);
@@ -695,7 +694,7 @@ fn every_state_of_the_client_with_every_answer() {
             vec![],
             "W W read next W W W W go W R",
         ),
-        // Within a block there is no command.
+        // Within a block there are no commands.
         (
             "its blocks",
             true,
@@ -732,8 +731,8 @@ fn every_state_of_the_client_with_every_answer() {
                 "R" => refused,
                 other => other,
             };
-            let told = progress(&client.handle(response, Duration::ZERO));
-            assert_eq!(told, expected, "{state}: {name}");
+            let actual = progress(&client.handle(response, Duration::ZERO));
+            assert_eq!(actual, expected, "{state}: {name}");
         }
     }
 }

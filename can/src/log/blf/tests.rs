@@ -1,4 +1,4 @@
-//! A file of python-can, objects that it does not write, and files that are broken.
+//! BLF files of python-can, objects that python-can does not write, and damaged files.
 
 use proptest::prelude::*;
 
@@ -10,10 +10,10 @@ fn printed(log: &Log) -> Vec<String> {
     log.records.iter().map(ToString::to_string).collect()
 }
 
-/// Only the name of the interface is lost in such files: channels are counted from 1. This writer cuts off
-/// what its floating-point times lack of a nanosecond.
+/// BLF keeps channel numbers from 1 instead of interface names. python-can truncates its floating-point times to
+/// nanoseconds.
 #[test]
-fn file_of_python_can() {
+fn blf_file_of_python_can_is_read() {
     let log = Log::read(FILE);
     let long: String = (0..64).map(|byte| format!("{byte:02X}")).collect();
     assert_eq!(log.left_out, []);
@@ -31,7 +31,7 @@ fn file_of_python_can() {
     );
 }
 
-/// A file around these objects, as they are.
+/// A file with these objects, uncompressed.
 fn file(objects: &[u8]) -> Vec<u8> {
     let mut file = b"LOGG".to_vec();
     file.extend(144_u32.to_le_bytes());
@@ -74,7 +74,7 @@ fn data_message(flags: u8, code: u8) -> Vec<u8> {
 }
 
 #[test]
-fn units_and_length_codes() {
+fn blf_time_units_and_length_codes_are_read() {
     let mut objects = object(1, 1, &data_message(1, 2));
     objects.extend(object(86, 2, &data_message(0, 12)));
     objects.extend(object(1, 2, &data_message(0x80, 3)));
@@ -89,7 +89,7 @@ fn units_and_length_codes() {
 }
 
 #[test]
-fn fd_message_of_64() {
+fn blf_fd_message_64_is_read() {
     let mut content = vec![3, 9, 12, 0];
     content.extend(0x8000_0123_u32.to_le_bytes());
     content.extend([0; 4]);
@@ -112,9 +112,9 @@ fn fd_message_of_64() {
     );
 }
 
-/// Loggers leave zeros at the end out: 64 bytes are counted, 48 are there.
+/// Loggers omit trailing zeros: 64 bytes are declared, 48 are present.
 #[test]
-fn fd_message_of_64_cut_by_its_logger_is_padded() {
+fn blf_fd_message_64_truncated_by_logger_is_padded() {
     let mut content = vec![1, 15, 64, 0];
     content.extend(0x123_u32.to_le_bytes());
     content.extend([0; 4]);
@@ -132,7 +132,7 @@ fn fd_message_of_64_cut_by_its_logger_is_padded() {
 }
 
 #[test]
-fn error_code_of_a_controller_becomes_place_and_kind() {
+fn blf_controller_error_code_maps_to_location_and_kind() {
     let mut content = vec![1, 0, 0, 0, 0, 0, 0, 0, 0x80 | 0x19];
     content.resize(32, 0);
     let log = Log::read(&file(&object(73, 2, &content)));
@@ -144,7 +144,7 @@ fn error_code_of_a_controller_becomes_place_and_kind() {
 }
 
 #[test]
-fn object_may_lie_in_two_containers() {
+fn blf_object_split_over_containers_is_read() {
     let object = object(1, 2, &data_message(0, 8));
     for cut in 1..object.len() {
         let (first, second) = object.split_at(cut);
@@ -154,7 +154,7 @@ fn object_may_lie_in_two_containers() {
 }
 
 #[test]
-fn other_objects_are_passed_over_and_broken_ones_told() {
+fn blf_other_objects_skipped_damaged_ones_reported() {
     let other = object(96, 2, &[0; 20]);
     let good = object(1, 2, &data_message(0, 1));
     let log = Log::read(&file(&[other, good.clone()].concat()));
@@ -163,7 +163,7 @@ fn other_objects_are_passed_over_and_broken_ones_told() {
     let short = object(1, 2, &[0; 5]);
     let log = Log::read(&file(&[short, good.clone()].concat()));
     assert_eq!((log.records.len(), log.left_out_count), (1, 1));
-    assert_eq!(log.left_out[0].place, 144);
+    assert_eq!(log.left_out[0].location, 144);
 
     let log = Log::read(&file(&good[..good.len() - 1]));
     assert_eq!((log.records.len(), log.left_out_count), (0, 1));
@@ -173,9 +173,9 @@ fn other_objects_are_passed_over_and_broken_ones_told() {
     assert_eq!(Log::read(b"LOGG").left_out_count, 1);
 }
 
-/// What is kept from one container to the next has a bound.
+/// The data kept between containers is bounded.
 #[test]
-fn object_that_no_containers_would_ever_hold_is_refused() {
+fn blf_object_above_size_limit_is_rejected() {
     let good = object(1, 2, &data_message(0, 1));
     let mut endless = object(1, 2, &[0; 64]);
     endless[8..12].copy_from_slice(&u32::MAX.to_le_bytes());
@@ -192,7 +192,7 @@ fn object_that_no_containers_would_ever_hold_is_refused() {
 }
 
 #[test]
-fn container_that_unpacks_to_too_much_is_refused() {
+fn blf_container_above_size_limit_is_rejected() {
     let mut bytes = FILE.to_vec();
     bytes[144 + 24..144 + 28].copy_from_slice(&u32::MAX.to_le_bytes());
     let log = Log::read(&bytes);
@@ -202,7 +202,7 @@ fn container_that_unpacks_to_too_much_is_refused() {
 
 proptest! {
     #[test]
-    fn damaged_files_are_answered(at in 0..FILE.len(), byte in any::<u8>(), end in 0..=FILE.len()) {
+    fn blf_damaged_files_do_not_panic(at in 0..FILE.len(), byte in any::<u8>(), end in 0..=FILE.len()) {
         let mut bytes = FILE.to_vec();
         bytes[at] = byte;
         crate::fuzz::log(&bytes);
@@ -210,15 +210,15 @@ proptest! {
     }
 
     #[test]
-    fn damaged_heads_are_answered(at in 0..144_usize, bytes in any::<[u8; 8]>()) {
+    fn blf_damaged_headers_do_not_panic(at in 0..144_usize, bytes in any::<[u8; 8]>()) {
         let mut damaged = FILE.to_vec();
-        let place = &mut damaged[at.min(136)..][..8];
-        place.copy_from_slice(&bytes);
+        let target = &mut damaged[at.min(136)..][..8];
+        target.copy_from_slice(&bytes);
         crate::fuzz::log(&damaged);
     }
 
     #[test]
-    fn damaged_objects_are_answered(
+    fn blf_damaged_objects_do_not_panic(
         kind in prop::sample::select(vec![1, 10, 73, 86, 100, 101]),
         content in prop::collection::vec(any::<u8>(), 0..120), at in 0..100_usize, byte in any::<u8>(),
     ) {

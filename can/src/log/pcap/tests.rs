@@ -208,5 +208,5 @@ fn pcap_damaged_frames_are_counted() {
     );
     let log = Log::read(&file[..file.len() - 1]);
     assert_eq!((log.records.len(), log.left_out_count), (1, 1));
-    assert_eq!(log.left_out[0].place, 24 + 16 + 12);
+    assert_eq!(log.left_out[0].location, 24 + 16 + 12);
 }

@@ -1,5 +1,5 @@
-//! Two power bases under one platform on mecanum wheels, and where the platform truly is. Each keeps
-//! its own link; nothing ties them but the ground.
+//! Two power bases under one platform on mecanum wheels, with the true pose of the platform. Each has its own link;
+//! they are coupled by the ground only.
 
 use std::time::Duration;
 
@@ -8,14 +8,14 @@ use super::super::{Channel, Model, Odometer, OmniConfig, Pose};
 use super::{Powerbase, PowerbaseConfig};
 use crate::Frame;
 
-/// Step in which the truth is integrated.
+/// Integration step of the true pose.
 const STEP: Duration = Duration::from_millis(1);
 
 /// The platform.
 #[derive(Clone, Debug)]
 pub struct Pair {
     config: OmniConfig,
-    /// In front, and at the back.
+    /// Front and back.
     pub parts: [Powerbase; 2],
     turned: [f64; 4],
     odometer: Odometer,
@@ -23,7 +23,7 @@ pub struct Pair {
 }
 
 impl Pair {
-    /// A platform whose power bases tell half a cycle apart.
+    /// A platform whose power bases send half a cycle apart.
     #[must_use]
     pub fn new(config: OmniConfig) -> Self {
         let part = |start_ms| {
@@ -43,13 +43,13 @@ impl Pair {
         }
     }
 
-    /// Where it truly is.
+    /// True pose.
     #[must_use]
     pub const fn truth(&self) -> Pose {
         self.odometer.pose()
     }
 
-    /// Takes a frame of the host for one part.
+    /// Handles a frame of the host for one part.
     pub fn handle_frame(&mut self, part: usize, frame: &Frame, now: Duration) {
         self.advance(now);
         if let Some(part) = self.parts.get_mut(part) {
@@ -57,13 +57,13 @@ impl Pair {
         }
     }
 
-    /// The next message that is due at one part.
+    /// The next due message of one part.
     pub fn poll_transmit(&mut self, part: usize, now: Duration) -> Option<(Channel, Frame)> {
         self.advance(now);
         self.parts.get_mut(part)?.poll_transmit(now)
     }
 
-    /// Moves on to a time.
+    /// Advances to a time.
     pub fn advance(&mut self, now: Duration) {
         while self.now + STEP <= now {
             self.now += STEP;

@@ -1,5 +1,5 @@
-//! One power base: takes commands as the real one does, moves its wheels, and tells of it every 10 ms.
-//! It does not balance: it stands on casters, or on a second power base.
+//! An emulated power base: executes commands as the real one does, moves its wheels, and reports every 10 ms. It does
+//! not balance; it is supported by casters or a second power base.
 
 use std::time::Duration;
 
@@ -12,30 +12,30 @@ use super::super::{
 };
 use crate::Frame;
 
-/// Time from one burst of messages to the next.
+/// Period of message bursts.
 const CYCLE: Duration = Duration::from_millis(10);
-/// Step of the motion.
+/// Step of the motion model.
 const STEP: Duration = Duration::from_millis(1);
-/// A command older than this is not followed any more.
+/// Maximum age of a command in effect.
 const COMMAND_AGE_MAX: Duration = Duration::from_millis(400);
-/// Two commands nearer together than this are one too many.
+/// Minimum time between two commands.
 const COMMAND_SPACING_MIN: Duration = Duration::from_millis(9);
-/// Acceleration at the whole scale, m/s².
+/// Acceleration at full scale, m/s².
 const ACCELERATION: f64 = 3.0;
 
-/// What a power base is like.
+/// Configuration of a power base.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PowerbaseConfig {
     /// Model.
     pub model: Model,
     /// Distance between its wheels, m.
     pub track: f64,
-    /// Displacement counts per second of a wheel by a count of turn; by default what 7.8 counts per degree
-    /// per second and the track make of it.
+    /// Displacement counts per second of a wheel by a count of turn; by default from 7.8 counts per degree per second
+    /// and the track.
     pub turn_gain: Option<f64>,
-    /// When it begins, and with it its first cycle, on the owner's clock.
+    /// Start time and phase of its cycles, on the owner's clock.
     pub start: Duration,
-    /// Whether both channels speak; else only A does.
+    /// Whether both channels send; else only A.
     pub both_channels: bool,
 }
 
@@ -51,22 +51,22 @@ impl Default for PowerbaseConfig {
     }
 }
 
-/// What is wrong with it. By default nothing is.
+/// Injected faults; none by default.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Faults {
-    /// It keeps the velocity scale it has stored, whatever it is told.
+    /// It ignores commands to change the velocity scale.
     pub keeps_scale: bool,
     /// Integrators that do not clear.
     pub keeps: Integrators,
-    /// Channels that do not speak: A, B.
+    /// Silent channels: A, B.
     pub silent: [bool; 2],
     /// Its emergency stop is open.
     pub emergency_stop: bool,
-    /// It does not take another mode.
+    /// It refuses mode changes.
     pub refuses_mode: bool,
     /// Further bits of status word 1.
     pub word1: u16,
-    /// The message with this identifier is missing in every cycle.
+    /// The message with this identifier is never sent.
     pub lacks: Option<u16>,
 }
 
@@ -74,7 +74,7 @@ pub struct Faults {
 #[derive(Clone, Debug)]
 pub struct Powerbase {
     config: PowerbaseConfig,
-    /// What is wrong with it.
+    /// Injected faults.
     pub faults: Faults,
     powered: bool,
     mode: Mode,
@@ -86,20 +86,20 @@ pub struct Powerbase {
     hurried: u64,
     /// Rates of the wheels, counts/s.
     rates: [f64; 2],
-    /// What its wheels have truly turned, counts.
+    /// True displacement of the wheels, counts.
     turned: [f64; 2],
-    /// What was subtracted by resets: right, left, yaw, fore and aft.
+    /// Offsets from resets: right, left, yaw, fore and aft.
     offsets: [f64; 4],
     odometer: Odometer,
     now: Duration,
     burst: Duration,
-    /// Messages of the burst that are still to be sent.
+    /// Remaining messages of the burst.
     pending: usize,
     frames: u16,
     counter: u16,
 }
 
-/// The identifiers in the order in which they are on a wire.
+/// The identifiers in their order on the wire.
 const ORDER: [u16; 10] = [
     0x400, 0x401, 0x688, 0x680, 0x402, 0x403, 0x404, 0x405, 0x406, 0x407,
 ];
@@ -108,7 +108,7 @@ const ACCELERATE: usize = 1;
 const TURN: usize = 2;
 
 impl Powerbase {
-    /// A power base that is switched on and disabled, with a velocity scale of 12 stored.
+    /// A power base, switched on and disabled, with a stored velocity scale of 12.
     #[must_use]
     pub fn new(config: PowerbaseConfig) -> Self {
         Self {
@@ -134,12 +134,12 @@ impl Powerbase {
         }
     }
 
-    /// Stores a velocity scale, sixteenths, as an owner before may have done.
+    /// Stores a velocity scale, sixteenths, as a previous host may have done.
     pub fn store_scale(&mut self, scale: u8) {
         self.scales[VELOCITY] = scale.min(SCALE_MAX);
     }
 
-    /// Switches it on or off. What it counted is lost with the power, the stored scale is not.
+    /// Switches it on or off. Counters are lost with power, the stored scale is not.
     pub fn power(&mut self, on: bool) {
         if on && !self.powered {
             self.offsets = self.raw_integrators();
@@ -148,13 +148,13 @@ impl Powerbase {
         self.command = [0; 2];
     }
 
-    /// Where it truly is.
+    /// True pose.
     #[must_use]
     pub const fn truth(&self) -> Pose {
         self.odometer.pose()
     }
 
-    /// What its left and right wheel have truly turned, counts.
+    /// True displacement of the left and right wheel, counts.
     #[must_use]
     pub const fn turned(&self) -> [f64; 2] {
         self.turned
@@ -179,13 +179,13 @@ impl Powerbase {
         self.scales
     }
 
-    /// Commands that came too soon after the one before.
+    /// Number of commands that arrived too early.
     #[must_use]
     pub const fn hurried(&self) -> u64 {
         self.hurried
     }
 
-    /// Takes a frame of the host.
+    /// Handles a frame of the host.
     pub fn handle_frame(&mut self, frame: &Frame, now: Duration) {
         self.advance(now);
         if !self.powered {
@@ -194,11 +194,11 @@ impl Powerbase {
         if is_shutdown(frame) {
             self.power(false);
         } else if let Some(command) = Command::decode(frame) {
-            self.obey(command, now);
+            self.apply(command, now);
         }
     }
 
-    fn obey(&mut self, command: Command, now: Duration) {
+    fn apply(&mut self, command: Command, now: Duration) {
         if self
             .commanded
             .is_some_and(|last| now.saturating_sub(last) < COMMAND_SPACING_MIN)
@@ -223,7 +223,7 @@ impl Powerbase {
         }
     }
 
-    /// It does not balance, and switches off when told so.
+    /// It does not balance, and switches off on command.
     fn set_mode(&mut self, mode: Mode) {
         match mode {
             Mode::Disabled | Mode::Tractor => self.mode = mode,
@@ -247,7 +247,7 @@ impl Powerbase {
         }
     }
 
-    /// Right, left, yaw (clockwise), fore and aft, counts since ever.
+    /// Right, left, yaw (clockwise), fore and aft, counts since power-on.
     fn raw_integrators(&self) -> [f64; 4] {
         let [left, right] = self.turned;
         let turns = self.odometer.pose().heading / std::f64::consts::TAU;
@@ -255,7 +255,7 @@ impl Powerbase {
         [right, left, yaw, f64::midpoint(left, right)]
     }
 
-    /// Moves on to a time.
+    /// Advances to a time.
     pub fn advance(&mut self, now: Duration) {
         while self.now + STEP <= now {
             self.now += STEP;
@@ -274,7 +274,7 @@ impl Powerbase {
     fn step(&mut self) {
         let scales = self.config.model.scales();
         let dt_s = STEP.as_secs_f64();
-        let share = |which: usize| f64::from(self.scales[which]) / f64::from(SCALE_MAX);
+        let scale_factor = |which: usize| f64::from(self.scales[which]) / f64::from(SCALE_MAX);
         let turn_gain = self.config.turn_gain.unwrap_or_else(|| {
             (1.0 / COUNTS_PER_DEGREE).to_radians() * self.config.track / 2.0 * scales.displacement
         });
@@ -283,9 +283,9 @@ impl Powerbase {
         } else {
             [0.0; 2]
         };
-        let ahead = velocity * share(VELOCITY) * scales.displacement / scales.velocity;
-        let around = turn * share(TURN) * turn_gain;
-        let most = ACCELERATION * share(ACCELERATE).max(0.1) * scales.displacement * dt_s;
+        let ahead = velocity * scale_factor(VELOCITY) * scales.displacement / scales.velocity;
+        let around = turn * scale_factor(TURN) * turn_gain;
+        let most = ACCELERATION * scale_factor(ACCELERATE).max(0.1) * scales.displacement * dt_s;
         for (rate, wanted) in self.rates.iter_mut().zip([ahead + around, ahead - around]) {
             *rate += (wanted - *rate).clamp(-most, most);
         }
@@ -299,13 +299,13 @@ impl Powerbase {
             .add([f64::midpoint(left, right), 0.0, rotation]);
     }
 
-    /// When [`Self::poll_transmit`] has something next.
+    /// Next time at which [`Self::poll_transmit`] has work.
     #[must_use]
     pub const fn poll_timeout(&self) -> Duration {
         self.burst
     }
 
-    /// The next message that is due, and the channel on which it goes out.
+    /// The next due message and its channel.
     pub fn poll_transmit(&mut self, now: Duration) -> Option<(Channel, Frame)> {
         self.advance(now);
         loop {
@@ -353,7 +353,7 @@ impl Powerbase {
             return None;
         }
         let message = if self.powered {
-            self.tell(id)?
+            self.measurement(id)?
         } else if id == 0x400 {
             Message::PowerbaseOff {
                 rest: [0; 3],
@@ -365,7 +365,7 @@ impl Powerbase {
         Some((channel, message.frame()))
     }
 
-    fn tell(&self, id: u16) -> Option<Message> {
+    fn measurement(&self, id: u16) -> Option<Message> {
         let scales = self.config.model.scales();
         let speeds = self.speed().map(|speed| small(speed * scales.speed));
         let [left_m_s, right_m_s] = self.speed();
@@ -450,7 +450,7 @@ fn small(value: f64) -> i16 {
     value.round() as i16
 }
 
-/// A count as 32 bits tell it, which wrap.
+/// A count in 32 bits, which wrap.
 #[expect(
     clippy::cast_possible_truncation,
     reason = "wrapping is what the device does"

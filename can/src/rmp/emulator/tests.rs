@@ -1,4 +1,4 @@
-//! The driver against the power bases, in virtual time.
+//! The driver with emulated power bases, in virtual time.
 
 use std::time::Duration;
 
@@ -78,7 +78,7 @@ const fn s(seconds: u64) -> Duration {
 }
 
 #[test]
-fn a_power_base_is_configured_and_follows() {
+fn rmp_driver_configures_power_base_which_follows() {
     let mut single = Single::ready();
     assert_eq!(single.powerbase.mode(), Mode::Tractor);
     assert_eq!(
@@ -95,7 +95,7 @@ fn a_power_base_is_configured_and_follows() {
 }
 
 #[test]
-fn odometry_agrees_with_the_truth_through_resets_and_wraps() {
+fn rmp_odometry_matches_truth_over_resets_and_wraps() {
     let mut single = Single::ready();
     single.powerbase.faults.keeps = Integrators(0b0101);
     for leg in 0..8 {
@@ -110,16 +110,16 @@ fn odometry_agrees_with_the_truth_through_resets_and_wraps() {
         }
     }
     single.run(None, s(2));
-    let (told, truth) = (single.base.motion().pose, single.powerbase.truth());
+    let (measured, truth) = (single.base.motion().pose, single.powerbase.truth());
     let path = 8.0 * (0.6 * 4.0 + 0.2 * 3.0);
-    let off = (told.x - truth.x).hypot(told.y - truth.y);
+    let off = (measured.x - truth.x).hypot(measured.y - truth.y);
     assert!(off < path * 0.001, "{off} m of {path} m");
-    assert!((told.heading - truth.heading).abs() < truth.heading * 0.001);
+    assert!((measured.heading - truth.heading).abs() < truth.heading * 0.001);
     assert!(single.base.jumps() > 0, "the reset was seen");
 }
 
 #[test]
-fn a_host_that_vanishes_leaves_a_power_base_that_stops() {
+fn rmp_power_base_stops_without_host() {
     let mut single = Single::ready();
     single.run(Some([0.5, 0.0]), s(2));
     single.connected = false;
@@ -139,7 +139,7 @@ fn a_host_that_vanishes_leaves_a_power_base_that_stops() {
 }
 
 #[test]
-fn without_set_points_it_comes_to_rest_within_its_acceleration() {
+fn rmp_base_without_set_points_decelerates_to_rest() {
     let mut single = Single::ready();
     single.run(Some([0.5, 0.0]), s(2));
     single.run(None, Duration::from_millis(300));
@@ -149,7 +149,7 @@ fn without_set_points_it_comes_to_rest_within_its_acceleration() {
 }
 
 #[test]
-fn every_hindrance_is_told_and_ends() {
+fn rmp_every_hindrance_is_reported_and_cleared() {
     let fault = StatusWord1(0x2000);
     for (inject, wanted) in [
         (
@@ -178,7 +178,7 @@ fn every_hindrance_is_told_and_ends() {
 }
 
 #[test]
-fn a_refused_mode_is_told() {
+fn rmp_refused_mode_is_reported() {
     let mut single = Single::new();
     single.powerbase.faults.refuses_mode = true;
     single.run(None, s(3));
@@ -188,7 +188,7 @@ fn a_refused_mode_is_told() {
 }
 
 #[test]
-fn a_power_base_that_is_off_is_told_apart_from_a_silent_one() {
+fn rmp_power_base_off_differs_from_silent() {
     let mut single = Single::new();
     single.powerbase.power(false);
     single.run(None, s(1));
@@ -208,7 +208,7 @@ fn a_power_base_that_is_off_is_told_apart_from_a_silent_one() {
 }
 
 #[test]
-fn switched_off_and_on_it_stands_where_it_was() {
+fn rmp_power_cycle_keeps_pose() {
     let mut single = Single::ready();
     single.run(Some([0.5, 0.0]), s(3));
     single.run(None, s(2));
@@ -216,12 +216,15 @@ fn switched_off_and_on_it_stands_where_it_was() {
     single.run(None, s(1));
     single.powerbase.power(true);
     single.run(None, s(2));
-    let (told, truth) = (single.base.motion().pose, single.powerbase.truth());
-    assert!((told.x - truth.x).abs() < 0.002, "{told:?} {truth:?}");
+    let (measured, truth) = (single.base.motion().pose, single.powerbase.truth());
+    assert!(
+        (measured.x - truth.x).abs() < 0.002,
+        "{measured:?} {truth:?}"
+    );
 }
 
 #[test]
-fn the_other_channel_takes_over_when_one_falls_silent() {
+fn rmp_silent_channel_is_replaced_by_other() {
     let mut single = Single::with(PowerbaseConfig {
         both_channels: true,
         ..PowerbaseConfig::default()
@@ -232,12 +235,12 @@ fn the_other_channel_takes_over_when_one_falls_silent() {
     single.run(Some([0.5, 0.0]), s(2));
     assert_eq!(single.state(), State::Ready);
     assert_eq!(single.base.driver().lost(), 0);
-    let (told, truth) = (single.base.motion().pose, single.powerbase.truth());
-    assert!((told.x - truth.x).abs() < 0.01);
+    let (measured, truth) = (single.base.motion().pose, single.powerbase.truth());
+    assert!((measured.x - truth.x).abs() < 0.01);
 }
 
 #[test]
-fn a_cycle_that_lacks_a_message_is_not_told_in_part() {
+fn rmp_incomplete_cycle_is_dropped() {
     for id in 0x401..=0x406 {
         let mut single = Single::new();
         single.powerbase.faults.lacks = Some(id);
@@ -248,7 +251,7 @@ fn a_cycle_that_lacks_a_message_is_not_told_in_part() {
 }
 
 #[test]
-fn silent_shut_down_is_obeyed() {
+fn rmp_silent_power_base_executes_shutdown() {
     let mut single = Single::ready();
     single.base.shut_down();
     single.run(None, s(1));
@@ -304,13 +307,13 @@ impl Platform {
     }
 
     fn off(&self) -> f64 {
-        let (told, truth) = (self.omni.motion().pose, self.pair.truth());
-        (told.x - truth.x).hypot(told.y - truth.y)
+        let (measured, truth) = (self.omni.motion().pose, self.pair.truth());
+        (measured.x - truth.x).hypot(measured.y - truth.y)
     }
 }
 
 #[test]
-fn the_platform_moves_in_every_direction_as_asked() {
+fn rmp_platform_follows_velocity_in_every_direction() {
     for wanted in [
         [0.3, 0.0, 0.0],
         [0.0, 0.3, 0.0],
@@ -319,15 +322,15 @@ fn the_platform_moves_in_every_direction_as_asked() {
     ] {
         let mut platform = Platform::ready();
         platform.run(Some(wanted), s(4));
-        for (told, wanted) in platform.omni.motion().velocity.iter().zip(wanted) {
-            assert!((told - wanted).abs() < 0.01, "{told} for {wanted}");
+        for (measured, wanted) in platform.omni.motion().velocity.iter().zip(wanted) {
+            assert!((measured - wanted).abs() < 0.01, "{measured} for {wanted}");
         }
         assert!(platform.omni.slip().abs() < 0.02);
     }
 }
 
 #[test]
-fn odometry_of_the_platform_agrees_with_the_truth() {
+fn rmp_platform_odometry_matches_truth() {
     let mut platform = Platform::ready();
     for part in &mut platform.pair.parts {
         part.faults.keeps = Integrators::RIGHT;
@@ -350,7 +353,7 @@ fn odometry_of_the_platform_agrees_with_the_truth() {
 }
 
 #[test]
-fn one_lost_link_stops_both_halves() {
+fn rmp_one_lost_link_stops_both_power_bases() {
     for part in [FRONT, BACK] {
         let mut platform = Platform::ready();
         platform.run(Some([0.3, 0.2, 0.0]), s(2));
@@ -371,7 +374,7 @@ fn one_lost_link_stops_both_halves() {
 }
 
 #[test]
-fn beyond_the_power_of_a_wheel_the_direction_stays() {
+fn rmp_platform_limit_keeps_direction() {
     let mut platform = Platform::ready();
     platform.run(Some([6.0, 3.0, 0.0]), s(8));
     let [x, y, rotation] = platform.omni.motion().velocity;
@@ -380,7 +383,7 @@ fn beyond_the_power_of_a_wheel_the_direction_stays() {
 }
 
 #[test]
-fn models_have_names_and_scales() {
+fn rmp_models_have_names_and_scales() {
     for model in Model::ALL {
         assert_eq!(Model::named(model.name()), Some(model));
         assert!(model.scales().displacement > model.scales().speed);

@@ -1,19 +1,18 @@
-//! What is wrong with emergencies and SDO dialogues. Frames with their identifiers on a bus that is no CANopen bus are
-//! judged by nobody.
+//! Findings about emergencies and SDO dialogues. Ignores frames with these identifiers on a bus without CANopen.
 
 use super::{Finding, Severity};
 use crate::canopen::NodeId;
 use crate::stat::{Report, SdoStat};
 
-/// Emergencies of a node on a bus without any sign of CANopen that still are taken for some. Cars and power bases send
-/// their data cyclically under these identifiers.
+/// Maximum emergencies of a node that still count on a bus without other CANopen frames. Cars and power bases send
+/// cyclic data with these identifiers.
 const EMERGENCIES_MAX: u64 = 16;
-/// Requests in a row without an answer from which on a node is taken for dead.
+/// Number of unanswered requests in a row after which a node counts as dead.
 const DEAD: u32 = 3;
-/// Nodes that were asked and are not there, from which on it is a scan.
+/// Number of requested but absent nodes that indicates a scan.
 const SCAN: usize = 4;
 
-/// Whether something shows that this is a CANopen bus.
+/// Whether there are signs of CANopen on this bus.
 fn is_canopen(report: &Report) -> bool {
     report.canopen > 0
         || report
@@ -40,9 +39,9 @@ pub(super) fn emergencies(report: &Report, found: &mut Vec<Finding>) {
 }
 
 pub(super) fn sdos(report: &Report, found: &mut Vec<Finding>) {
-    // Of a node that shows itself in no other way, not one answer came.
+    // The node sent no response and is not visible otherwise.
     let is_absent = |node: &NodeId, sdo: &SdoStat| {
-        sdo.answered == 0 && sdo.unasked == 0 && !report.heartbeats.contains_key(node)
+        sdo.answered == 0 && sdo.unsolicited == 0 && !report.heartbeats.contains_key(node)
     };
     let sdos = || report.sdos.iter().filter(|(_, sdo)| sdo.is_sdo());
     let mut absent = sdos().filter(|(node, sdo)| is_absent(node, sdo) && sdo.unanswered > 0);
@@ -62,7 +61,7 @@ pub(super) fn sdos(report: &Report, found: &mut Vec<Finding>) {
         .iter()
         .filter(|(_, sdo)| !sdo.is_sdo() && sdo.requests == 0);
     for (node, sdo) in without.filter(|(node, _)| report.heartbeats.contains_key(node)) {
-        unasked(*node, sdo, found);
+        unsolicited(*node, sdo, found);
     }
 }
 
@@ -90,12 +89,12 @@ fn of_node(node: NodeId, sdo: &SdoStat, found: &mut Vec<Finding>) {
         let times = sdo.repeats;
         found.push(Finding::SdoRepeated { node, times });
     }
-    unasked(node, sdo, found);
+    unsolicited(node, sdo, found);
 }
 
-fn unasked(node: NodeId, sdo: &SdoStat, found: &mut Vec<Finding>) {
-    if sdo.unasked > 0 {
-        let times = sdo.unasked;
-        found.push(Finding::SdoUnasked { node, times });
+fn unsolicited(node: NodeId, sdo: &SdoStat, found: &mut Vec<Finding>) {
+    if sdo.unsolicited > 0 {
+        let times = sdo.unsolicited;
+        found.push(Finding::SdoUnsolicited { node, times });
     }
 }

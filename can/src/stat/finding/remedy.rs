@@ -1,23 +1,23 @@
-//! What to do about each finding, as the person at the bus would be told. It judges nothing.
+//! Remedies of the findings, for the person at the bus.
 
 use super::Finding;
 
 impl Finding {
-    /// What to do.
+    /// The remedy.
     #[must_use]
     #[expect(clippy::too_many_lines, reason = "a table of texts")]
     pub const fn remedy(&self) -> &'static str {
         match self {
             Self::BusOff { still: true, .. } => {
-                "find the cause (bit rates, wires, two nodes of one number), then ip link set IFACE type can \
-                 restart; with restart-ms 100 it comes back by itself"
+                "find the cause (bit rates, wires, two nodes with the same number), then ip link set IFACE type can \
+                 restart; with restart-ms 100 it restarts automatically"
             }
             Self::BusOff { still: false, .. } => {
-                "it came back; compare bit rates and sample points of all nodes, and look for two nodes of one \
+                "it has recovered; compare bit rates and sample points of all nodes, and check for two nodes with the same \
                  number"
             }
             Self::Alone { .. } => {
-                "no other node is on the wire or none has this bit rate: look at power, plug, bit rate, and \
+                "no other node is on the wire or none has this bit rate: check power, plug, bit rate, and \
                  whether the others only listen"
             }
             Self::NothingButErrors { .. } => {
@@ -25,14 +25,14 @@ impl Finding {
                  RATE); if they agree, CAN_H and CAN_L are swapped or a terminating resistor is missing"
             }
             Self::Nothing { .. } => {
-                "are the nodes powered, and is this the right interface? Nodes that are set up for it tell \
+                "are the nodes powered, and is this the right interface? Nodes configured for heartbeats send \
                  themselves by a boot-up message when switched on"
             }
             Self::Disturbed { .. } => {
                 "measure 60 ohms between CAN_H and CAN_L with all switched off (two resistors of 120), then \
-                 look at stubs, shield and sample points"
+                 check stubs, shield and sample points"
             }
-            Self::Wires { .. } => "look for a cut or short of CAN_H and CAN_L at this host's plug",
+            Self::Wires { .. } => "check for a cut or short of CAN_H and CAN_L at this host's plug",
             Self::Weak { .. } => {
                 "many frames were destroyed: see the errors in takt can dump; a controller that stays passive is \
                  the next to go off the bus"
@@ -42,14 +42,14 @@ impl Finding {
                  raise the bit rate"
             }
             Self::HeartbeatMissing { .. } => {
-                "the node is off, reset, or unplugged; if others are silent from the same moment on, look at \
+                "the node is off, reset, or unplugged; if others are silent from the same moment on, check \
                  the wire between them"
             }
             Self::HeartbeatLate { .. } => {
                 "the bus was blocked by lower identifiers, or the node is overloaded: compare with the load"
             }
             Self::Rebooted { .. } => {
-                "no NMT reset was seen before it: check the node's supply and its watchdog"
+                "no NMT reset was observed before it: check the node's supply and its watchdog"
             }
             Self::Emergency { .. } | Self::EmergencyEnded { .. } => {
                 "read the node's error history, object 1003h, and its manual"
@@ -59,21 +59,21 @@ impl Finding {
                  can scan; if it answers now and then, a client's timeout is shorter than its answers take"
             }
             Self::SdoAbsent { .. } => {
-                "a scan of the bus asks all numbers; if they should be there, check power, bit rate and node numbers"
+                "a bus scan requests all node numbers; if these nodes should exist, check power, bit rate and node numbers"
             }
             Self::SdoRefused { .. } => {
-                "a client asks for what the node has not, or writes what it does not take: compare with its data \
+                "a client requests objects that the node lacks, or writes values that it rejects: compare with its data \
                  sheet (takt can sdo compare); of optional objects it is harmless"
             }
             Self::SdoGivenUp { .. } => {
-                "the client did not understand the answers: two nodes of one number, two clients at once, or a \
+                "the client did not understand the answers: two nodes with the same number, two clients at once, or a \
                  fault in the node's SDO server; see takt can dump --filter sdo"
             }
             Self::SdoRepeated { .. } => {
                 "give the client a longer timeout, or keep a second client away: a node answers one at a time"
             }
-            Self::SdoUnasked { .. } => {
-                "two nodes of one number, answers to what was requested before the node started, a faulty SDO \
+            Self::SdoUnsolicited { .. } => {
+                "two nodes with the same number, answers to what was requested before the node started, a faulty SDO \
                  server, or a recording that lacks the requests"
             }
             Self::SyncJitter { .. } => {
@@ -90,7 +90,7 @@ impl Finding {
             }
             Self::Refused { .. } => {
                 "make the queue longer if bursts are longer than it (ip link set IFACE txqueuelen 1000); a \
-                 queue that never empties means that the bus is overloaded or nobody acknowledges"
+                 queue that never empties means that the bus is overloaded or no node acknowledges"
             }
         }
     }

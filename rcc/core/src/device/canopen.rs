@@ -10,7 +10,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use takt_can::canopen::network::{
-    AxisCommand, AxisPlan, AxisTrouble, Event, Network, NetworkConfig, NodePlan, Phase, Trouble,
+    AxisCommand, AxisFault, AxisPlan, Event, Network, NetworkConfig, NodeFault, NodePlan, Phase,
 };
 use takt_can::canopen::{Emergency, NodeId};
 use takt_can::cia402::Obstacle;
@@ -59,7 +59,7 @@ pub fn check(config: &CanopenConfig) -> Result<(), String> {
             config.cycle
         ));
     }
-    if !AxisPlan::can_be_told(config.cycle) {
+    if !AxisPlan::supports_period(config.cycle) {
         return Err(format!(
             "{name}: cycle is {:?}; drives can be told at most 255 of 1us, 10us, 100us or 1ms",
             config.cycle
@@ -164,10 +164,10 @@ pub fn open(config: &CanopenConfig) -> Result<Box<dyn CanLink>, Error> {
 #[derive(Debug)]
 enum News {
     Runs(NodeId),
-    Trouble(NodeId, Trouble),
+    Trouble(NodeId, NodeFault),
     Emergency(NodeId, Emergency, u32),
     /// Of the axis of that number in its drive.
-    Axis(NodeId, u8, AxisTrouble),
+    Axis(NodeId, u8, AxisFault),
     /// The process data of an axis are proven, but for these.
     Proven(NodeId, u8, Duration, Objects),
     /// Of a joint of an arm, in their order.
@@ -180,12 +180,12 @@ impl fmt::Display for News {
             Self::Runs(node) => write!(f, "node {node}: it runs"),
             Self::Trouble(node, trouble) => write!(f, "node {node}: {trouble}"),
             Self::Emergency(node, emergency, 1) => {
-                write!(f, "node {node}: {}", Trouble::Emergency(*emergency))
+                write!(f, "node {node}: {}", NodeFault::Emergency(*emergency))
             }
             Self::Emergency(node, emergency, count) => write!(
                 f,
                 "node {node}: {count} emergencies, the last of them: {}",
-                Trouble::Emergency(*emergency)
+                NodeFault::Emergency(*emergency)
             ),
             Self::Axis(node, axis, trouble) => write!(f, "node {node}, axis {axis}: {trouble}"),
             Self::Proven(node, axis, took, trusted) => {
@@ -310,10 +310,10 @@ impl DeviceDriver for Canopen {
 }
 
 /// What a trouble of an axis is, whatever its figures are.
-type Kind = (Discriminant<AxisTrouble>, Option<Discriminant<Obstacle>>);
+type Kind = (Discriminant<AxisFault>, Option<Discriminant<Obstacle>>);
 
-fn kind(trouble: &AxisTrouble) -> Kind {
-    let obstacle = if let AxisTrouble::Drive(obstacle) = trouble {
+fn kind(trouble: &AxisFault) -> Kind {
+    let obstacle = if let AxisFault::Drive(obstacle) = trouble {
         // Resets go on as long as the fault does.
         let of_fault = matches!(obstacle, Obstacle::ResetRefused(_));
         let obstacle = if of_fault { &Obstacle::Fault } else { obstacle };
@@ -365,11 +365,11 @@ impl Reached {
 
     /// What is to be told of it, once each time that it comes to be so.
     fn news(&mut self, network: &Network) -> Option<News> {
-        let trouble = network.axis(self.node, self.place)?.trouble();
+        let trouble = network.axis(self.node, self.place)?.fault();
         let kind = trouble.as_ref().map(kind);
         let before = std::mem::replace(&mut self.told, kind);
         // That its node is down is told of the node.
-        let trouble = trouble.filter(|trouble| *trouble != AxisTrouble::NodeDown)?;
+        let trouble = trouble.filter(|trouble| *trouble != AxisFault::NodeDown)?;
         (kind != before).then_some(News::Axis(self.node, self.axis, trouble))
     }
 }
@@ -428,7 +428,7 @@ impl Driver {
     fn tell(&mut self, event: Event) {
         let news = match event {
             Event::Phase(node, Phase::Running) => News::Runs(node),
-            Event::Trouble(node, trouble) => {
+            Event::Fault(node, trouble) => {
                 self.shared.troubles.fetch_add(1, Ordering::Relaxed);
                 News::Trouble(node, trouble)
             }

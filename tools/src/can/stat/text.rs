@@ -267,7 +267,7 @@ pub(super) fn json(name: &str, report: &Report, findings: &[Finding]) -> Value {
         json!({
             "node": node.raw(), "requests": sdo.requests, "answered": sdo.answered,
             "unanswered": sdo.unanswered, "refused": sdo.refused.0, "given_up": sdo.given_up.0,
-            "repeats": sdo.repeats, "unasked": sdo.unasked, "longest_us": us(sdo.longest),
+            "repeats": sdo.repeats, "unasked": sdo.unsolicited, "longest_us": us(sdo.longest),
         })
     });
     let emergencies = report.emergencies.iter().flat_map(|(node, emergencies)| {

@@ -1,32 +1,31 @@
-//! A node whose SDO answers belong to no request: it is aborted once, left until it is quiet, and asked again a few
-//! times. What is asked, its start-up knows.
+//! Handling of unsolicited SDO responses: the transfer is aborted once, and the request of the start procedure is
+//! repeated a few times when the node is quiet.
 
 use std::time::Duration;
 
 use takt_cia402::dictionary::AbortCode;
 
-use super::{Member, Outcome, SETTLING, Trouble};
+use super::{Member, NodeFault, Outcome, QUIET_TIME};
 
-/// A node that answers more than it was asked, or not in the protocol.
+/// State of a node that sends unsolicited or invalid responses.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Babble {
     /// Reported once for each start of the node.
     pub(super) reported: bool,
-    /// Requests of the same object in a row that were answered so.
+    /// Consecutive requests of the same object with such a response.
     pub(super) tries: u8,
-    /// When it is asked again even if it is not quiet.
+    /// Time of the next request even if it is not quiet.
     pub(super) end: Duration,
 }
 
-/// How often an object is requested that was answered with what is no answer.
+/// Maximum requests of an object with invalid responses.
 const BABBLE_TRIES: u8 = 3;
-/// Longest wait for such a node to become quiet.
+/// Maximum wait for such a node to become quiet.
 const BABBLE_MAX: Duration = Duration::from_secs(1);
 
 impl Member {
-    /// A node that answered a request of its start-up with what is no answer is asked again when it is quiet; returns
-    /// whether it is.
-    pub(super) fn ask_again(&mut self, outcome: Outcome, now: Duration) -> bool {
+    /// Schedules the repetition of a start procedure request after an invalid response; returns whether it is repeated.
+    pub(super) fn retry_request(&mut self, outcome: Outcome, now: Duration) -> bool {
         let Outcome::GaveUp(code) = outcome else {
             self.babble.tries = 0;
             return false;
@@ -34,13 +33,13 @@ impl Member {
         if code == AbortCode::TimedOut || self.babble.tries >= BABBLE_TRIES {
             return false;
         }
-        self.wanted = self.startup.pending();
+        self.pending_request = self.startup.pending();
         self.babble.tries += 1;
         self.babble.end = now + BABBLE_MAX;
-        self.settled = now + SETTLING;
+        self.quiet_until = now + QUIET_TIME;
         if !std::mem::replace(&mut self.babble.reported, true) {
             let address = self.client.address();
-            self.note(Trouble::Garbled { address, code });
+            self.record_fault(NodeFault::Garbled { address, code });
         }
         true
     }

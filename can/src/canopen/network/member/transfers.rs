@@ -1,11 +1,11 @@
-//! The SDO client of a node: whose transfer is next, and who gets its outcome. What is transferred is known by its owners.
+//! The SDO client of a node: selects the next transfer and passes the outcome to its owner.
 
 use std::time::Duration;
 
 use takt_cia402::dictionary::AbortCode;
 use takt_cia402::proof::Denied;
 
-use super::{Member, Owner, SETTLING};
+use super::{Member, Owner, QUIET_TIME};
 use crate::canopen::network::startup::{Action, Answer, Phase};
 use crate::canopen::network::{Outcome, TRANSFERS_MAX, Transfer};
 use crate::canopen::sdo;
@@ -29,7 +29,8 @@ impl Member {
     pub(super) fn has_sdo(&self) -> bool {
         let ready = self.may_transfer() && !self.waiting.is_empty();
         let proves = self.is_running() && self.axes.iter().any(|axis| axis.proof().has_upload());
-        let next = self.client.is_idle() && (ready || proves || self.wanted != Action::None);
+        let next =
+            self.client.is_idle() && (ready || proves || self.pending_request != Action::None);
         self.message.is_some() || next
     }
 
@@ -42,13 +43,13 @@ impl Member {
         }
     }
 
-    /// The next SDO message to its server.
+    /// The next SDO message to the server of the node.
     pub(in crate::canopen::network) fn poll_sdo(&mut self, now: Duration) -> Option<sdo::Message> {
-        // An abort does not wait: the server is to know at once.
+        // An abort is sent at once.
         if let Some(message) = self.message.take() {
             return Some(message);
         }
-        if now < self.settled {
+        if now < self.quiet_until {
             return None;
         }
         if self.client.is_idle() {
@@ -61,7 +62,7 @@ impl Member {
     }
 
     fn next_transfer(&mut self, now: Duration) {
-        match std::mem::replace(&mut self.wanted, Action::None) {
+        match std::mem::replace(&mut self.pending_request, Action::None) {
             Action::Read(address) => {
                 self.owner = Owner::Startup;
                 self.message = Some(self.client.read(address, false, now));
@@ -129,7 +130,7 @@ impl Member {
             let progress = self.client.handle(message, now);
             self.progress(progress, now);
         } else if now < self.babble.end {
-            self.settled = (now + SETTLING).min(self.babble.end);
+            self.quiet_until = (now + QUIET_TIME).min(self.babble.end);
         }
     }
 
@@ -143,9 +144,9 @@ impl Member {
     }
 
     fn finish(&mut self, outcome: Outcome, now: Duration) {
-        match std::mem::replace(&mut self.owner, Owner::Nobody) {
-            Owner::Nobody => {}
-            Owner::Startup if self.ask_again(outcome, now) => {}
+        match std::mem::replace(&mut self.owner, Owner::None) {
+            Owner::None => {}
+            Owner::Startup if self.retry_request(outcome, now) => {}
             Owner::Startup => {
                 let answer = match outcome {
                     Outcome::Read => Answer::Value(self.client.value()),
@@ -154,8 +155,8 @@ impl Member {
                     Outcome::GaveUp(AbortCode::TimedOut) => Answer::Silent,
                     Outcome::GaveUp(code) => Answer::Refused(code),
                 };
-                let action = self.startup.answered(answer, now);
-                self.act(action, now);
+                let action = self.startup.handle_answer(answer, now);
+                self.execute(action, now);
             }
             Owner::Axis(at) => {
                 let answer = match outcome {
@@ -177,9 +178,9 @@ impl Member {
         }
     }
 
-    /// Ends what is under way without an answer to the start.
+    /// Ends the running transfer without reporting to the start procedure.
     pub(super) fn drop_transfer(&mut self, code: AbortCode) {
-        let owner = std::mem::replace(&mut self.owner, Owner::Nobody);
+        let owner = std::mem::replace(&mut self.owner, Owner::None);
         if !self.client.is_idle() {
             // The server restarted or is offline: no one receives a report.
             let _ = self.client.give_up(code);

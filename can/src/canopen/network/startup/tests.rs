@@ -1,9 +1,6 @@
 //! Every phase of a start with every input.
 
-#![expect(
-    clippy::wildcard_enum_match_arm,
-    reason = "tables of what differs from the rest"
-)]
+#![expect(clippy::wildcard_enum_match_arm, reason = "tables of the exceptions")]
 
 use super::*;
 use crate::canopen::NodeId;
@@ -28,7 +25,7 @@ const PHASES: [Phase; 8] = [
     Phase::Failed,
 ];
 
-/// A start of a node of type 402 with two values, the first of them read back.
+/// Start procedure of a node of type 402 with two values, the first one verified.
 fn startup(phase: Phase) -> Startup {
     let mut plan = NodePlan::new(NodeId::new(5).unwrap());
     plan.device_type = Some(402);
@@ -49,42 +46,42 @@ const PRODUCT: Address = Address::new(0x1018, 2);
 const FIRST: Address = Address::new(0x2000, 0);
 
 #[test]
-fn the_way_up() {
+fn startup_reaches_running() {
     let mut s = startup(Phase::Off);
     assert_eq!(s.begin(NOW), RESET);
-    assert_eq!(s.said(NmtState::BootUp, NOW), Action::Read(TYPE));
+    assert_eq!(s.handle_state(NmtState::BootUp, NOW), Action::Read(TYPE));
     assert_eq!(
-        s.answered(Answer::Value(&[0x92, 1, 0, 0]), NOW),
+        s.handle_answer(Answer::Value(&[0x92, 1, 0, 0]), NOW),
         Action::Read(PRODUCT)
     );
     assert_eq!(
-        s.answered(Answer::Value(&[7, 0, 0, 0]), NOW),
+        s.handle_answer(Answer::Value(&[7, 0, 0, 0]), NOW),
         Action::Write(0)
     );
-    assert_eq!(s.answered(Answer::Written, NOW), Action::Read(FIRST));
-    assert_eq!(s.answered(Answer::Value(&[1]), NOW), Action::Write(1));
-    assert_eq!(s.answered(Answer::Written, NOW), START);
-    assert_eq!(s.said(NmtState::PreOperational, NOW), Action::None);
-    assert_eq!(s.said(NmtState::Operational, NOW), Action::None);
-    assert_eq!((s.phase(), s.trouble()), (Phase::Running, None));
+    assert_eq!(s.handle_answer(Answer::Written, NOW), Action::Read(FIRST));
+    assert_eq!(s.handle_answer(Answer::Value(&[1]), NOW), Action::Write(1));
+    assert_eq!(s.handle_answer(Answer::Written, NOW), START);
+    assert_eq!(s.handle_state(NmtState::PreOperational, NOW), Action::None);
+    assert_eq!(s.handle_state(NmtState::Operational, NOW), Action::None);
+    assert_eq!((s.phase(), s.fault()), (Phase::Running, None));
 }
 
 #[test]
-fn a_boot_up_message_in_every_phase() {
+fn startup_boot_up_message_in_every_phase() {
     for phase in PHASES {
         let mut s = startup(phase);
-        let action = s.said(NmtState::BootUp, NOW);
-        let (expected, trouble) = match phase {
+        let action = s.handle_state(NmtState::BootUp, NOW);
+        let (expected, fault) = match phase {
             Phase::Off => (Action::None, None),
             Phase::Resetting | Phase::Checking(_) | Phase::Failed => (Action::Read(TYPE), None),
-            _ => (Action::Read(TYPE), Some(Trouble::Restarted)),
+            _ => (Action::Read(TYPE), Some(NodeFault::Restarted)),
         };
-        assert_eq!((action, s.trouble()), (expected, trouble), "{phase:?}");
+        assert_eq!((action, s.fault()), (expected, fault), "{phase:?}");
     }
 }
 
 #[test]
-fn every_state_that_a_node_can_say_in_every_phase() {
+fn startup_every_reported_state_in_every_phase() {
     let states = [
         NmtState::Stopped,
         NmtState::Operational,
@@ -99,7 +96,7 @@ fn every_state_that_a_node_can_say_in_every_phase() {
                 Phase::Running if !operational => STOP,
                 _ => Action::None,
             };
-            assert_eq!(s.said(state, NOW), action, "{phase:?} {state}");
+            assert_eq!(s.handle_state(state, NOW), action, "{phase:?} {state}");
             let expected = match phase {
                 Phase::Starting if operational => Phase::Running,
                 Phase::Running if !operational => Phase::Failed,
@@ -109,13 +106,13 @@ fn every_state_that_a_node_can_say_in_every_phase() {
         }
     }
     let mut late = startup(Phase::Starting);
-    late.said(NmtState::PreOperational, NOW + 100 * MS);
-    let trouble = Trouble::NotStarted(NmtState::PreOperational);
-    assert_eq!(late.trouble(), Some(trouble));
+    late.handle_state(NmtState::PreOperational, NOW + 100 * MS);
+    let fault = NodeFault::NotStarted(NmtState::PreOperational);
+    assert_eq!(late.fault(), Some(fault));
 }
 
 #[test]
-fn every_answer_in_every_phase() {
+fn startup_every_answer_in_every_phase() {
     let refused = AbortCode::NoObject;
     for phase in PHASES {
         let address = match phase {
@@ -124,28 +121,28 @@ fn every_answer_in_every_phase() {
             _ => None,
         };
         let mut s = startup(phase);
-        s.answered(Answer::Refused(refused), NOW);
+        s.handle_answer(Answer::Refused(refused), NOW);
         let code = refused;
         assert_eq!(
-            s.trouble(),
-            address.map(|address| Trouble::Refused { address, code })
+            s.fault(),
+            address.map(|address| NodeFault::Refused { address, code })
         );
         let mut s = startup(phase);
-        s.answered(Answer::Silent, NOW);
-        assert_eq!(s.trouble(), address.map(Trouble::Silent), "{phase:?}");
+        s.handle_answer(Answer::Silent, NOW);
+        assert_eq!(s.fault(), address.map(NodeFault::Silent), "{phase:?}");
         let mut s = startup(phase);
-        s.answered(Answer::Value(&[9]), NOW);
-        let wrong = Trouble::WrongDevice {
+        s.handle_answer(Answer::Value(&[9]), NOW);
+        let wrong = NodeFault::WrongDevice {
             address: TYPE,
             expected: 402,
             found: 9,
         };
         let expected = match phase {
             Phase::Checking(_) => Some(wrong),
-            Phase::Configuring { .. } => Some(Trouble::NotTaken(FIRST)),
+            Phase::Configuring { .. } => Some(NodeFault::NotTaken(FIRST)),
             _ => None,
         };
-        assert_eq!(s.trouble(), expected, "{phase:?}");
+        assert_eq!(s.fault(), expected, "{phase:?}");
         let failed = if expected.is_some() {
             Phase::Failed
         } else {
@@ -156,21 +153,21 @@ fn every_answer_in_every_phase() {
 }
 
 #[test]
-fn time_in_every_phase() {
-    for (phase, ms, expected, trouble) in [
+fn startup_timeout_in_every_phase() {
+    for (phase, ms, expected, fault) in [
         (Phase::Resetting, 99, Action::None, None),
         (
             Phase::Resetting,
             100,
             Action::None,
-            Some(Trouble::NoBootUp(100 * MS)),
+            Some(NodeFault::NoBootUp(100 * MS)),
         ),
         (Phase::Starting, 199, Action::None, None),
         (
             Phase::Starting,
             200,
             STOP,
-            Some(Trouble::NoHeartbeat(200 * MS)),
+            Some(NodeFault::NoHeartbeat(200 * MS)),
         ),
         (Phase::Failed, 499, Action::None, None),
         (Phase::Failed, 500, RESET, None),
@@ -180,14 +177,14 @@ fn time_in_every_phase() {
     ] {
         let mut s = startup(phase);
         assert_eq!(s.poll(NOW + ms * MS), expected, "{phase:?} {ms}");
-        assert_eq!(s.trouble(), trouble, "{phase:?} {ms}");
+        assert_eq!(s.fault(), fault, "{phase:?} {ms}");
     }
     let mut plan = NodePlan::new(NodeId::new(5).unwrap());
     plan.supervision = Supervision::None;
     let mut unwatched = Startup::new(&plan, vec![], (100 * MS, 500 * MS));
     unwatched.begin(NOW);
     assert_eq!(
-        unwatched.said(NmtState::BootUp, NOW),
+        unwatched.handle_state(NmtState::BootUp, NOW),
         START,
         "nothing to check or to write"
     );
@@ -196,21 +193,21 @@ fn time_in_every_phase() {
 }
 
 #[test]
-fn only_what_was_started_is_stopped_when_it_fails() {
+fn startup_failure_stops_only_started_node() {
     for phase in PHASES {
         let mut s = startup(phase);
         let expected = match phase {
             Phase::Starting | Phase::Running => STOP,
             _ => Action::None,
         };
-        let lost = Trouble::HeartbeatLost(250 * MS);
+        let lost = NodeFault::HeartbeatLost(250 * MS);
         assert_eq!(s.fail(lost, NOW), expected, "{phase:?}");
-        assert_eq!((s.phase(), s.trouble()), (Phase::Failed, Some(lost)));
+        assert_eq!((s.phase(), s.fault()), (Phase::Failed, Some(lost)));
     }
 }
 
 #[test]
-fn an_object_that_a_device_may_lack_is_passed_over() {
+fn startup_missing_optional_object_is_skipped() {
     let configuring = Phase::Configuring {
         at: 0,
         reading: false,
@@ -222,8 +219,8 @@ fn an_object_that_a_device_may_lack_is_passed_over() {
     ] {
         let mut s = startup(configuring);
         s.downloads[0] = s.downloads[0].clone().where_present();
-        let action = s.answered(Answer::Refused(code), NOW);
-        let failed = Trouble::Refused {
+        let action = s.handle_answer(Answer::Refused(code), NOW);
+        let failed = NodeFault::Refused {
             address: FIRST,
             code,
         };
@@ -232,6 +229,6 @@ fn an_object_that_a_device_may_lack_is_passed_over() {
         } else {
             (Action::None, Some(failed))
         };
-        assert_eq!((action, s.trouble()), expected, "{code:?}");
+        assert_eq!((action, s.fault()), expected, "{code:?}");
     }
 }

@@ -1,4 +1,4 @@
-//! Why a node or an axis is not where it is wanted, in words that say what to do.
+//! Faults of nodes and axes, with remedies in their text.
 
 use std::fmt;
 use std::time::Duration;
@@ -8,52 +8,52 @@ use takt_cia402::{HomingError, Obstacle, SetPointError};
 
 use crate::canopen::{Emergency, NmtState};
 
-/// Why a node does not run.
+/// Fault of a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
-pub enum Trouble {
-    /// After a reset its boot-up message did not come.
+pub enum NodeFault {
+    /// No boot-up message after a reset.
     NoBootUp(Duration),
-    /// It is another device than was planned.
+    /// The device differs from the plan.
     WrongDevice {
         /// 1000h or an entry of 1018h.
         address: Address,
-        /// As planned.
+        /// Planned value.
         expected: u32,
-        /// As read.
+        /// Read value.
         found: u32,
     },
-    /// It refused a read or a write of its configuration.
+    /// It aborted a read or write of its configuration.
     Refused {
-        /// Of what.
+        /// The object.
         address: Address,
-        /// Why.
+        /// Abort code.
         code: AbortCode,
     },
-    /// It did not answer a read or a write of its configuration.
+    /// No response to a read or write of its configuration.
     Silent(Address),
-    /// It answered a read or a write of its configuration with what is no answer to it; it is asked again.
+    /// It answered a read or write of its configuration with an unrelated response; the request is repeated.
     Garbled {
-        /// About what it was asked.
+        /// The requested object.
         address: Address,
-        /// What was wrong with the answer.
+        /// Abort code for the response.
         code: AbortCode,
     },
-    /// It took a value and shows another.
+    /// A written value reads back differently.
     NotTaken(Address),
-    /// It was started and says another state.
+    /// It reports another state after the start command.
     NotStarted(NmtState),
-    /// It was started and says nothing.
+    /// It sends no heartbeat after the start command.
     NoHeartbeat(Duration),
     /// Its heartbeats stopped.
     HeartbeatLost(Duration),
-    /// It does not answer node guarding.
+    /// No response to node guarding.
     GuardingLost,
-    /// It booted up while it ran: it has lost its configuration.
+    /// It rebooted while running and lost its configuration.
     Restarted,
-    /// It left Operational without being told.
+    /// It left Operational without a command.
     LeftOperational(NmtState),
-    /// A TPDO that comes with SYNC was missing for so many cycles.
+    /// A synchronous TPDO was missing for this many cycles.
     PdoMissing {
         /// Number of the TPDO, from 0.
         number: u16,
@@ -64,25 +64,25 @@ pub enum Trouble {
     PdoShort {
         /// Number of the TPDO, from 0.
         number: u16,
-        /// Bytes that came.
+        /// Received bytes.
         len: u8,
     },
-    /// It told an error by EMCY.
+    /// It reported an error by EMCY.
     Emergency(Emergency),
 }
 
-/// What a device lacks that has not this object, and what to do.
+/// Consequence and remedy if a device lacks this object.
 const fn lacks(address: Address) -> &'static str {
     match address.index {
         0x1016 => {
-            ": it cannot watch its master; let the master send no heartbeat, and know that the device goes on \
+            ": it cannot monitor its master; let the master send no heartbeat, and note that the device goes on \
              when the master hangs"
         }
         _ => "",
     }
 }
 
-impl fmt::Display for Trouble {
+impl fmt::Display for NodeFault {
     #[expect(clippy::too_many_lines, reason = "a table of texts")]
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -97,28 +97,28 @@ impl fmt::Display for Trouble {
                 found,
             } => write!(
                 f,
-                "{address} is {found:08X}h, {expected:08X}h was planned: another device or \
+                "{address} is {found:08X}h, {expected:08X}h was planned: a different device or \
                  firmware has this node number; correct the plan or the wiring"
             ),
             Self::Refused { address, code } => write!(f, "{address}: {code}{}", lacks(*address)),
             Self::Silent(address) => write!(
                 f,
-                "no SDO answer about {address}: is the node stopped, or its SDO server busy with \
+                "no SDO response for {address}: is the node stopped, or its SDO server busy with \
                  another master?"
             ),
             Self::Garbled { address, code } => write!(
                 f,
-                "an SDO answer that belongs to no request, when {address} was asked ({code}): two nodes of one \
-                 number, another master, or a node that repeats its answers; it is asked again when it is quiet"
+                "unsolicited SDO response while {address} was requested ({code}): two nodes with the same \
+                 number, another master, or a node that repeats its responses; the request is repeated when it is quiet"
             ),
             Self::NotTaken(address) => write!(
                 f,
-                "{address} was written and reads another value: the device limits it, or needs \
+                "{address} reads back another value than written: the device limits it, or needs \
                  it stored (1010h) and a reset"
             ),
             Self::NotStarted(state) => write!(
                 f,
-                "told to start, it says {state}: does its 1F80h or a local control forbid it?"
+                "state {state} after the start command: does its 1F80h or a local control forbid the start?"
             ),
             Self::NoHeartbeat(after) => write!(
                 f,
@@ -130,26 +130,26 @@ impl fmt::Display for Trouble {
                 "no heartbeat for {after:?}: power, wiring, bus-off, or a firmware that hangs"
             ),
             Self::GuardingLost => f.write_str(
-                "no answer to node guarding: power, wiring, bus-off, or 100Ch and 100Dh",
+                "no response to node guarding: power, wiring, bus-off, or 100Ch and 100Dh",
             ),
             Self::Restarted => f.write_str(
-                "it booted up while it ran and lost its configuration: check its supply; it is \
-                 configured anew and waits for its goal",
+                "it rebooted while running and lost its configuration: check its power supply; it is \
+                 configured again and waits for its goal",
             ),
             Self::LeftOperational(state) => write!(
                 f,
-                "it went to {state} without being told: 1029h after an error, or another master"
+                "it went to {state} without a command: 1029h after an error, or another master"
             ),
             Self::PdoMissing { number, cycles } => write!(
                 f,
-                "TPDO {} did not come for {cycles} SYNCs: bus load too high, SYNC not received \
+                "TPDO {} missing for {cycles} SYNCs: bus load too high, SYNC not received \
                  (1005h), or its type ({:04X}h:02) changed",
                 u32::from(*number) + 1,
                 0x1800 + u32::from(*number)
             ),
             Self::PdoShort { number, len } => write!(
                 f,
-                "TPDO {} came with {len} bytes, more are mapped: its mapping {:04X}h was \
+                "TPDO {} has {len} bytes, fewer than mapped: its mapping {:04X}h was \
                  changed, or another node has the same identifier",
                 u32::from(*number) + 1,
                 0x1A00 + u32::from(*number)
@@ -163,15 +163,15 @@ impl fmt::Display for Trouble {
     }
 }
 
-/// Why an axis does not do what it is told.
+/// Why an axis does not follow its commands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
-pub enum AxisTrouble {
+pub enum AxisFault {
     /// Its node does not run.
     NodeDown,
-    /// What the drive profile knows.
+    /// A fault at the level of the drive profile.
     Drive(Obstacle),
-    /// The drive would follow, but its target is too far from where it is: it would jump.
+    /// The drive could follow, but its target is too far from its position: it would jump.
     NotAligned {
         /// 607Ah, user units.
         target: i32,
@@ -180,26 +180,26 @@ pub enum AxisTrouble {
     },
     /// The last homing run failed.
     Homing(HomingError),
-    /// A set-point of profile position was not taken.
+    /// A profile position set-point was not accepted.
     SetPoint(SetPointError),
-    /// It was lost while enabled; it is held back until its goal is set anew.
+    /// It was lost while enabled; it is held back until its goal is set again.
     HeldBack,
 }
 
-impl fmt::Display for AxisTrouble {
+impl fmt::Display for AxisFault {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::NodeDown => f.write_str("its node does not run; see the node's trouble"),
+            Self::NodeDown => f.write_str("its node does not run; see the node's fault"),
             Self::Drive(obstacle) => obstacle.fmt(f),
             Self::NotAligned { target, actual } => write!(
                 f,
-                "its target {target} is too far from its position {actual}: begin from 6064h, or \
-                 it would jump"
+                "its target {target} is too far from its position {actual} and it would jump: start from \
+                 6064h"
             ),
             Self::Homing(error) => error.fmt(f),
             Self::SetPoint(error) => error.fmt(f),
             Self::HeldBack => f.write_str(
-                "its node was lost while it was enabled: find out why, then set its goal",
+                "its node was lost while it was enabled: find the cause, then set its goal again",
             ),
         }
     }
@@ -210,19 +210,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn objects_of_high_pdos_are_named() {
-        let missing = |number| Trouble::PdoMissing { number, cycles: 4 }.to_string();
-        assert!(missing(0).contains("TPDO 1 did") && missing(0).contains("(1800h:02)"));
-        assert!(missing(64).contains("TPDO 65 did") && missing(64).contains("(1840h:02)"));
-        let short = |number| Trouble::PdoShort { number, len: 2 }.to_string();
+    fn node_fault_names_objects_of_high_pdos() {
+        let missing = |number| NodeFault::PdoMissing { number, cycles: 4 }.to_string();
+        assert!(missing(0).contains("TPDO 1 missing") && missing(0).contains("(1800h:02)"));
+        assert!(missing(64).contains("TPDO 65 missing") && missing(64).contains("(1840h:02)"));
+        let short = |number| NodeFault::PdoShort { number, len: 2 }.to_string();
         assert!(short(0).contains("1A00h") && short(192).contains("1AC0h"));
     }
 
     #[test]
-    fn a_device_that_cannot_watch_its_master_has_a_remedy() {
+    fn node_fault_missing_heartbeat_consumer_has_remedy() {
         let refused = |index| {
             let (address, code) = (Address::new(index, 1), AbortCode::NoObject);
-            Trouble::Refused { address, code }.to_string()
+            NodeFault::Refused { address, code }.to_string()
         };
         assert!(refused(0x1016).contains("let the master send no heartbeat"));
         assert!(!refused(0x1017).contains("heartbeat"));
