@@ -1,22 +1,22 @@
-//! Inputs for the functions that fuzzers call, from a seeded generator: words of a format, or whole files that are
-//! damaged. What must hold for any input stands with those functions.
+//! Seeded random inputs for the functions that fuzzers call: words of a format, or damaged files.
+//! The properties that must hold for any input are defined with those functions.
 
 #![expect(
     clippy::print_stdout,
-    reason = "a part of tests, which say how they went"
+    reason = "test support, which prints its results"
 )]
 
 use std::fmt::Write as _;
 use std::time::Instant;
 
-/// Longest input that is put together from bytes or words. Longer ones find no more and cost more.
+/// Longest input composed of bytes or words. Longer ones find no more and cost more.
 const BYTES_MAX: usize = 600;
-/// Bytes of a failing input that are shown.
+/// Bytes of a failing input that are printed.
 const SHOWN_MAX: usize = 4_096;
 
-/// How many inputs, if the environment says nothing; and the variable that does (`cargo xtask fuzz --count`).
+/// Environment variable with the number of inputs (`cargo xtask fuzz --count`).
 pub const COUNT: &str = "TAKT_FUZZ_COUNT";
-/// Another seed gives other inputs (`cargo xtask fuzz --seed`).
+/// Environment variable with the seed; another seed gives other inputs (`cargo xtask fuzz --seed`).
 pub const SEED: &str = "TAKT_FUZZ_SEED";
 
 /// A xorshift generator: the same inputs on every machine.
@@ -24,7 +24,7 @@ pub const SEED: &str = "TAKT_FUZZ_SEED";
 pub struct Random(u64);
 
 impl Random {
-    /// With that seed.
+    /// A generator with that seed.
     #[must_use]
     pub const fn new(seed: u64) -> Self {
         Self(0x5eed_0f7a_c700_0001 ^ seed.wrapping_mul(0x9E37_79B9_7F4A_7C15))
@@ -38,7 +38,7 @@ impl Random {
         self.0
     }
 
-    /// One below that bound; 0 for a bound of 0.
+    /// A number below that bound; 0 for a bound of 0.
     pub fn below(&mut self, bound: usize) -> usize {
         let bound = u64::try_from(bound.max(1)).unwrap_or(u64::MAX);
         usize::try_from(self.next() % bound).unwrap_or(0)
@@ -49,8 +49,8 @@ impl Random {
         self.next().to_le_bytes()[3]
     }
 
-    /// Half of the inputs are bytes; the other half are words of the format, which get further, with a few bytes
-    /// replaced. Short ones are the most frequent: they are the quickest.
+    /// Half of the inputs are bytes; the other half are words of the format, which get further,
+    /// with a few bytes replaced. Short ones are the most frequent, because they are the fastest.
     fn of_words(&mut self, words: &[&[u8]], input: &mut Vec<u8>) {
         input.clear();
         let longest = BYTES_MAX >> self.below(6);
@@ -65,7 +65,7 @@ impl Random {
         self.damage(input);
     }
 
-    /// A file with bytes replaced, removed, doubled, or cut off.
+    /// A file with bytes replaced, removed or duplicated, or truncated.
     fn of_files(&mut self, files: &[&[u8]], input: &mut Vec<u8>) {
         input.clear();
         if files.is_empty() {
@@ -95,8 +95,8 @@ impl Random {
         for _ in 0..self.below(4) {
             let at = self.below(input.len());
             let byte = self.byte();
-            if let Some(place) = input.get_mut(at) {
-                *place = byte;
+            if let Some(target) = input.get_mut(at) {
+                *target = byte;
             }
         }
     }
@@ -126,15 +126,15 @@ fn number(name: &str) -> Option<u64> {
     std::env::var(name).ok()?.parse().ok()
 }
 
-/// Feeds a function with inputs from words of its format, `usual` of them unless [`COUNT`] says another number, and
-/// prints how fast it took them.
+/// Feeds a function with inputs from words of its format, `usual` of them unless [`COUNT`] is set,
+/// and prints the rate.
 pub fn feed(name: &str, target: impl FnMut(&[u8]), words: &[&[u8]], usual: u64) {
     run(name, target, usual, |random, input| {
         random.of_words(words, input);
     });
 }
 
-/// The same with whole files that are damaged.
+/// As [`feed`], with damaged files.
 pub fn feed_files(name: &str, target: impl FnMut(&[u8]), files: &[&[u8]], usual: u64) {
     run(name, target, usual, |random, input| {
         random.of_files(files, input);
@@ -166,7 +166,7 @@ fn run(
     println!("fuzzed {name}: {count} inputs in {seconds:.1} s, {rate:.0}/s");
 }
 
-/// The words of a text, at its blanks.
+/// The words of a text, split at spaces.
 #[must_use]
 pub fn words(text: &str) -> Vec<&[u8]> {
     let words = text.split(' ').filter(|word| !word.is_empty());
@@ -178,7 +178,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn inputs_of_a_seed_are_the_same_again() {
+    fn seed_reproduces_inputs() {
         let inputs = |seed| {
             let mut random = Random::new(seed);
             let mut made = Vec::new();
@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn inputs_count_is_that_which_was_asked_for() {
+    fn feed_uses_requested_count() {
         let mut seen = 0;
         feed("nothing", |_| seen += 1, &[], 37);
         assert_eq!(seen, number(COUNT).unwrap_or(37));

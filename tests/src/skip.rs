@@ -1,19 +1,19 @@
-//! Tests that cannot run on this machine say so. Which those are, each decides itself.
+//! Tests that cannot run on this machine report it. Each test decides that itself.
 
 #![expect(
     clippy::unwrap_used,
     clippy::print_stderr,
-    reason = "a part of tests, which may fail anywhere and say so"
+    reason = "test support, which may fail anywhere with a message"
 )]
 
 use std::fs::OpenOptions;
 use std::io::Write as _;
 use std::path::Path;
 
-/// Notes that `test` cannot run here; `why` begins with "needs". The test returns after it.
+/// Notes that `test` cannot run here; `why` begins with "needs". The test returns afterwards.
 ///
 /// # Panics
-/// If the runner asked for such notes and its file cannot be written: then nobody would know.
+/// If the runner asked for such notes and its file cannot be written: the note would be lost.
 pub fn skip(test: &str, why: &str) {
     eprintln!("skipped: {why}");
     if let Some(path) = std::env::var_os("TAKT_SKIPS") {
@@ -21,8 +21,8 @@ pub fn skip(test: &str, why: &str) {
     }
 }
 
-/// The virtual CAN interface of this host, `vcan0` if `TAKT_VCAN` names no other. `None` if there is none, which is
-/// noted for `test`.
+/// The virtual CAN interface of this host, `vcan0` unless `TAKT_VCAN` names another one. `None` if
+/// there is none, which is noted for `test`.
 #[must_use]
 pub fn vcan(test: &str) -> Option<String> {
     let name = std::env::var("TAKT_VCAN").unwrap_or_else(|_| "vcan0".to_owned());
@@ -35,7 +35,7 @@ pub fn vcan(test: &str) -> Option<String> {
 
 fn note(path: &std::ffi::OsStr, test: &str, why: &str) -> std::io::Result<()> {
     let mut skips = OpenOptions::new().append(true).open(path)?;
-    // In one piece: tests of several threads write to it.
+    // In one write: tests of several threads append to the file.
     skips.write_all(format!("{test}: {why}\n").as_bytes())
 }
 
@@ -44,7 +44,7 @@ mod tests {
     use super::note;
 
     #[test]
-    fn notes_go_to_the_file_of_the_runner() {
+    fn skip_note_goes_to_runner_file() {
         let path = std::env::temp_dir().join(format!("takt-skips-{}", std::process::id()));
         std::fs::write(&path, "first: needs a bus\n").unwrap();
         note(path.as_os_str(), "second", "needs a robot").unwrap();

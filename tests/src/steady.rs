@@ -1,10 +1,10 @@
-//! Real time on a host that has none: what a test asserts of a moving robot holds while the host does not stall.
-//! That it stalled is seen, never guessed.
+//! Tests of moving robots on a host without real time: their assertions hold while the host does
+//! not stall. Stalls are measured, never guessed.
 
 #![expect(
     clippy::unwrap_used,
     clippy::print_stderr,
-    reason = "a part of tests, which may fail anywhere and say so"
+    reason = "test support, which may fail anywhere with a message"
 )]
 
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
@@ -15,17 +15,17 @@ use std::time::{Duration, Instant};
 
 use takt_rt::thread::{Thread, ThreadConfig, spawn};
 
-/// How often a test is begun again because the host stalled.
+/// Number of attempts if the host stalls.
 const ATTEMPTS: u32 = 10;
 
-/// Stalls a cell lives through: longer ones lose a frame or two, and some in a row a device.
-const FORGIVEN: Duration = Duration::from_millis(1);
+/// Stalls that a cell tolerates: longer ones lose a frame or two, and several in a row a device.
+const TOLERATED: Duration = Duration::from_millis(1);
 
-/// Runs a test, and again if it failed while the host stood still for longer than a robot forgives, ten times
-/// at most. A failure on a host that did not is a failure.
+/// Runs a test, and repeats it if it failed while the host stalled for longer than a robot
+/// tolerates, ten times at most. A failure on a host that did not stall is a failure.
 ///
 /// # Panics
-/// As the test does. If there is no thread to be had that watches the host.
+/// As the test does. If the threads that watch the host cannot be started.
 pub fn steady<T>(test: impl Fn() -> T) -> T {
     let mut attempt = 1;
     loop {
@@ -35,15 +35,15 @@ pub fn steady<T>(test: impl Fn() -> T) -> T {
             Err(panic) => panic,
         };
         let longest = host.longest();
-        if longest <= FORGIVEN || attempt == ATTEMPTS {
+        if longest <= TOLERATED || attempt == ATTEMPTS {
             resume_unwind(panic);
         }
-        eprintln!("attempt {attempt}: the host stood still for {longest:?}; once more");
+        eprintln!("attempt {attempt}: the host stalled for {longest:?}; trying again");
         attempt += 1;
     }
 }
 
-/// Threads above all others, one on each processor, that see when theirs is taken away.
+/// One thread of highest priority on each processor that measures when the processor stalls.
 struct Stalls {
     stop: Arc<AtomicBool>,
     longest: Arc<AtomicU64>,
@@ -61,7 +61,7 @@ impl Stalls {
                 cpus: vec![cpu],
                 ..ThreadConfig::new("stalls")
             };
-            spawn(config, move || look(&stop, &longest)).unwrap()
+            spawn(config, move || measure(&stop, &longest)).unwrap()
         };
         let threads = (0..count).map(watcher).collect();
         Self {
@@ -71,7 +71,7 @@ impl Stalls {
         }
     }
 
-    /// Watchers that are still held up are waited for.
+    /// Waits for watchers that are still stalled.
     fn longest(mut self) -> Duration {
         self.end();
         Duration::from_nanos(self.longest.load(Ordering::Relaxed))
@@ -91,8 +91,8 @@ impl Drop for Stalls {
     }
 }
 
-/// Notes by how much a sleep of a millisecond takes longer than that.
-fn look(stop: &AtomicBool, longest: &AtomicU64) {
+/// Measures by how much sleeps of a millisecond are late.
+fn measure(stop: &AtomicBool, longest: &AtomicU64) {
     let pause = Duration::from_millis(1);
     while !stop.load(Ordering::Relaxed) {
         let begin = Instant::now();
@@ -109,7 +109,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_fails_for_good_fails_after_so_many_attempts_at_most() {
+    fn steady_permanent_failure_fails_within_attempts() {
         let attempts = Cell::new(0);
         let failed = catch_unwind(AssertUnwindSafe(|| {
             steady(|| {
@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn what_holds_is_given_back() {
+    fn steady_returns_result() {
         assert_eq!(steady(|| 7), 7);
     }
 }

@@ -1,5 +1,5 @@
-//! The nets of `tests/nets`: each is taken, or has the faults that its README tells. What they do when
-//! they run is shown where they are run.
+//! The nets of `tests/nets`: each loads, or has the faults that its README lists. Their behaviour
+//! is tested where they run.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
 use std::path::{Path, PathBuf};
@@ -16,13 +16,13 @@ fn folders() -> Vec<PathBuf> {
     paths.filter(|path| path.is_dir()).collect()
 }
 
-/// The net of a folder: its file is called as the folder.
+/// The net of a folder: its file has the name of the folder.
 fn text(folder: &Path) -> String {
     let name = folder.file_name().unwrap().to_str().unwrap();
     std::fs::read_to_string(folder.join(format!("{name}.net"))).unwrap()
 }
 
-/// Loads it for a cell with the arms of the demo.
+/// Loads a net for a cell with the arms of the demo.
 fn try_load(text: &str) -> Result<Plan, Rejection> {
     let mut devices = DeviceTable::default();
     for name in ["left", "right"] {
@@ -40,15 +40,15 @@ fn try_load(text: &str) -> Result<Plan, Rejection> {
     )
 }
 
-/// What a README says of its net: the lines of its `text` block that begin with a place.
-fn told_faults(folder: &Path) -> Vec<String> {
+/// The faults listed in a README: the lines of its `text` block that begin with a location.
+fn listed_faults(folder: &Path) -> Vec<String> {
     let readme = std::fs::read_to_string(folder.join("README.md")).unwrap();
-    let place = |line: &&str| line.starts_with(|c: char| c.is_ascii_digit());
-    readme.lines().filter(place).map(str::to_owned).collect()
+    let location = |line: &&str| line.starts_with(|c: char| c.is_ascii_digit());
+    readme.lines().filter(location).map(str::to_owned).collect()
 }
 
 #[test]
-fn every_net_is_taken_or_has_the_faults_its_readme_tells() {
+fn example_nets_load_or_match_readme_faults() {
     let folders = folders();
     assert!(folders.len() >= 3, "{folders:?}");
     for folder in folders {
@@ -56,12 +56,12 @@ fn every_net_is_taken_or_has_the_faults_its_readme_tells() {
         let faults = try_load(&text)
             .err()
             .map_or_else(Vec::new, |r| r.lines(&text));
-        assert_eq!(faults, told_faults(&folder), "{}", folder.display());
+        assert_eq!(faults, listed_faults(&folder), "{}", folder.display());
     }
 }
 
 #[test]
-fn demo_holds_all_joints_of_both_arms() {
+fn demo_net_holds_all_joints() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("nets/demo");
     let plan = try_load(&text(&folder)).unwrap();
     assert_eq!(plan.devices(), ["left", "right"]);

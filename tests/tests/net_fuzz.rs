@@ -1,5 +1,5 @@
-//! Every format that comes from outside, fed with bytes from a seeded generator: what `cargo fuzz`
-//! does for hours, for a moment in every run. The functions panic if one of their promises is broken.
+//! Every format that comes from outside, fed with seeded random bytes: what `cargo fuzz` does for
+//! hours, for a moment in every run. The functions panic if one of their properties is violated.
 
 use takt_tests::fuzz::{feed, feed_files, words as split};
 
@@ -68,7 +68,7 @@ fn http_requests_stand_random_input() {
 
 #[test]
 fn fri_stands_random_input() {
-    // Datagrams have fixed lengths and headers: with those of each kind, the rest of it is read.
+    // Datagrams have fixed lengths and headers: with valid ones of each kind, the rest is decoded.
     fn target(bytes: &[u8]) {
         use takt_fri::lwr::wire::{Cmd, Msr};
         takt_fri::lwr::wire::fuzz(bytes);

@@ -1,8 +1,8 @@
 #!/bin/sh
-# The package as an administrator meets it: install, enable, run, disturb, upgrade, remove. Runs as root
-# within a virtual machine made for it (`cargo xtask test host`), never on a host. The steps build on each
-# other. The folder of this script holds takt.deb, takt-next.deb of a later version, and swing.net. Output is
-# that of a Rust test binary, so that whoever counts those counts this too.
+# Tests of the package from the administrator's view: install, enable, run, disturb, upgrade, remove. Runs as
+# root in a virtual machine of its own (`cargo xtask test host`), never on a host. The steps build on each
+# other. The folder of this script contains takt.deb, takt-next.deb of a later version, and swing.net. The output
+# has the form of a Rust test binary, so that the runner counts these tests, too.
 
 here=$(cd "$(dirname "$0")" && pwd)
 work=$(mktemp -d)
@@ -12,13 +12,13 @@ passed=0
 
 # --- tools -------------------------------------------------------------------------------------------
 
-# wait_for SECONDS COMMAND...: until it succeeds.
+# wait_for SECONDS COMMAND...: retries until the command succeeds.
 wait_for() {
-    patience=$1
+    timeout_s=$1
     shift
     until "$@" >/dev/null 2>&1; do
-        patience=$((patience - 1))
-        if [ "$patience" -le 0 ]; then
+        timeout_s=$((timeout_s - 1))
+        if [ "$timeout_s" -le 0 ]; then
             echo "did not happen: $*"
             return 1
         fi
@@ -37,7 +37,7 @@ net_is() { takt net list | grep "^$1 " | grep -q "$2"; }
 # A command that must fail; the shell does not count a plain `!`.
 not() { if "$@"; then return 1; fi; }
 
-# The emulated robot controller: slow, as everything here is.
+# The emulated robot controller: slow, as the whole machine.
 start_arm() {
     takt emulate lwr --period 20ms >"$arm_log" 2>&1 &
     echo $! >"$work/arm.pid"
@@ -49,16 +49,16 @@ start_slow_swing() {
     takt net load --start "$work/slow.net"
 }
 
-# Where the arm's joint is now, rad: a net that only looks tells it.
+# The measured position of the arm's joint, rad, from a monitoring net.
 position() {
-    look=$(takt net load --start "$work/look.net")
-    # The first line of a value comes at once; then the watch is not needed any more.
-    timeout 10 takt net watch "$look" | sed -n '/^measured /{s///p;q}'
-    takt net abort "$look" >&2
-    takt net unload "$look" >&2
+    monitor=$(takt net load --start "$work/monitor.net")
+    # The first line of a value is printed at once; then the watch ends.
+    timeout 10 takt net watch "$monitor" | sed -n '/^measured /{s///p;q}'
+    takt net abort "$monitor" >&2
+    takt net unload "$monitor" >&2
 }
 
-cat >"$work/look.net" <<EOF
+cat >"$work/monitor.net" <<EOF
 {
   monitor=RobotArm::JointMonitor(Robot='left', Axis='6'),
   measured=Core::DoubleNetcommOut(inValue=monitor.outMeasuredPosition, Key='measured'),
@@ -66,11 +66,11 @@ cat >"$work/look.net" <<EOF
 }
 EOF
 
-# differ A B BY: whether two numbers differ by more than that.
+# differ A B LIMIT: whether two numbers differ by more than the limit.
 differ() { awk "BEGIN { d = $1 - $2; exit !(d > $3 || -d > $3) }"; }
 
-# override SETTING: as `systemctl edit --runtime` would. Processors here may be emulated, and stand still for
-# seconds where their host is busy: a watchdog needs more patience than in front of a robot.
+# override SETTING: as `systemctl edit --runtime`. Processors here may be emulated, and stall for seconds when
+# their host is busy: the watchdog needs a longer timeout than with a robot.
 override() {
     mkdir -p /run/systemd/system/takt.service.d
     printf '[Service]\nWatchdogSec=20\n%s\n' "$1" >/run/systemd/system/takt.service.d/override.conf
@@ -92,7 +92,7 @@ EOF
 
 # --- the steps ---------------------------------------------------------------------------------------
 
-package_installs_and_starts_nothing() {
+package_install_starts_nothing() {
     dpkg -i "$here/takt.deb"
     id takt
     [ -f /etc/takt/cell.toml ]
@@ -102,8 +102,8 @@ package_installs_and_starts_nothing() {
     [ "$(systemctl is-enabled takt)" = disabled ]
 }
 
-doctor_judges_a_real_time_kernel() {
-    # An emulated machine is not fit: its clock is slow. That is status 1, where 2 were a failure to look.
+doctor_checks_real_time_kernel() {
+    # An emulated machine fails some checks: its clock is slow. That is status 1; 2 would be an error of the tool.
     status=0
     takt doctor >"$work/doctor.txt" || status=$?
     cat "$work/doctor.txt"
@@ -117,7 +117,7 @@ doctor_judges_a_real_time_kernel() {
     [ "$(grep -o '"status":' "$work/doctor.json" | wc -l)" -ge 20 ]
 }
 
-jitter_measures_on_a_real_time_kernel() {
+jitter_measures_on_real_time_kernel() {
     takt jitter --period 10ms --duration 3s --json >"$work/jitter.json"
     takt jitter --from "$work/jitter.json" >"$work/jitter.txt"
     cat "$work/jitter.txt"
@@ -128,7 +128,7 @@ jitter_measures_on_a_real_time_kernel() {
     awk '$1 == "any" && NF > 4 { found = $2 > 100 } END { exit !found }' "$work/jitter.txt"
 }
 
-service_starts_and_tells_when_it_is_ready() {
+service_start_notifies_readiness() {
     write_cell ''
     override ''
     systemctl enable --now takt
@@ -136,7 +136,7 @@ service_starts_and_tells_when_it_is_ready() {
     is Type notify
     status_says 'left is offline'
     journal_says 'left waits for its robot'
-    # Active is told by the program, not by having been started.
+    # The program itself reports that it is active.
     takt net list
 }
 
@@ -153,7 +153,7 @@ cycles_are_real_time_within_the_sandbox() {
     not journal_says 'warning: '
 }
 
-exposure_is_as_stated() {
+security_exposure_is_below_threshold() {
     systemd-analyze security --no-pager takt | tail -n 1
     systemd-analyze security --no-pager --threshold=25 takt >/dev/null
 }
@@ -165,7 +165,7 @@ log_has_fields() {
     journalctl --no-pager --output cat --unit takt TAKT_DEVICE=left TAKT_NOW=operational | grep -q device
 }
 
-net_moves_an_emulated_arm() {
+net_moves_emulated_arm() {
     net=$(takt net load "$here/swing.net")
     timeout 120 takt net watch "$net" >"$work/watch.log" &
     wait_for 20 grep -q READY "$work/watch.log"
@@ -179,7 +179,7 @@ net_moves_an_emulated_arm() {
     tail -n 1 "$work/watch.log" | grep -q TERMINATED
 }
 
-reload_keeps_a_running_net() {
+reload_keeps_running_net() {
     net=$(start_slow_swing)
     pid=$(property MainPID)
     write_cell 'log = "debug"'
@@ -192,13 +192,13 @@ EOF
     systemctl reload takt
     wait_for 20 status_says 'right is offline'
     net_is "$net" RUNNING
-    # A device that a net uses stays, and what needs a restart is told.
+    # A device that a net uses stays, and settings that need a restart are reported.
     sed -i 's/49938/49940/; s/20ms/40ms/' /etc/takt/cell.toml
     systemctl reload takt
     wait_for 20 status_says 'period needs a restart'
     status_says 'device left stays'
     net_is "$net" RUNNING
-    # So does everything if the cell cannot be read.
+    # Everything stays if the cell cannot be read.
     echo '[[dev' >>/etc/takt/cell.toml
     systemctl reload takt
     wait_for 20 status_says 'the cell stays as it is'
@@ -213,14 +213,14 @@ EOF
     wait_for 20 net_is "$net" TERMINATED
 }
 
-kill_stops_the_robot_and_the_next_start_tells() {
+kill_stops_robot_and_next_start_reports_it() {
     net=$(start_slow_swing)
     wait_for 20 state_says "$net"
     from=$(position)
     sleep 2
     differ "$from" "$(position)" 0.001
     arm_is CMD
-    # Time to look at the robot in between.
+    # Time to check the robot in between.
     override 'RestartSec=15'
     kill -9 "$(property MainPID)"
     wait_for 12 arm_is MON
@@ -239,12 +239,12 @@ kill_stops_the_robot_and_the_next_start_tells() {
     not differ "$from" "$(position)" 0.001
 }
 
-watchdog_bites_when_the_net_thread_hangs() {
+watchdog_restarts_hanging_net_thread() {
     restarts=$(property NRestarts)
-    # Cycles run on processor 1 only. Whoever holds it above their priority starves them, while the rest
-    # of the program goes on.
+    # Cycles run on processor 1 only. A thread of higher priority there starves them, while the rest of the
+    # program continues.
     sysctl -q kernel.sched_rt_runtime_us=-1
-    # Who is to end it must be on the other processor.
+    # The process that ends it must run on the other processor.
     taskset -c 0 timeout -s KILL 40 taskset -c 1 chrt -f 90 sh -c 'while :; do :; done' || true
     wait_for 60 journal_says 'Watchdog timeout'
     wait_for 60 is ActiveState active
@@ -253,7 +253,7 @@ watchdog_bites_when_the_net_thread_hangs() {
     wait_for 60 status_says 'left is operational'
 }
 
-upgrade_leaves_a_running_net_alone() {
+upgrade_keeps_running_net() {
     net=$(start_slow_swing)
     pid=$(property MainPID)
     dpkg -i "$here/takt-next.deb"
@@ -262,12 +262,12 @@ upgrade_leaves_a_running_net_alone() {
     net_is "$net" RUNNING
     [ "$(property MainPID)" = "$pid" ]
     [ "$(systemctl is-enabled takt)" = enabled ]
-    # What the administrator wrote is kept, without a question.
+    # The administrator's file is kept, without a prompt.
     grep -q '20ms' /etc/takt/cell.toml
 }
 
-stop_brings_everything_to_rest() {
-    # The net of the step before still runs.
+stop_brings_all_devices_to_rest() {
+    # The net of the previous step still runs.
     state_says RUNNING
     timeout 30 systemctl stop takt
     is ActiveState inactive
@@ -281,7 +281,7 @@ stop_brings_everything_to_rest() {
     not status_says 'broken off'
 }
 
-wrong_cell_is_not_started_again_and_again() {
+wrong_cell_is_not_restarted() {
     echo 'nonsense' >>/etc/takt/cell.toml
     not systemctl restart takt
     sleep 3
@@ -293,7 +293,7 @@ wrong_cell_is_not_started_again_and_again() {
     is ActiveState active
 }
 
-address_that_is_not_there_yet_is_waited_for() {
+missing_address_is_waited_for() {
     write_cell ''
     sed -i 's/127.0.0.1:49938/10.99.0.1:49938/' /etc/takt/cell.toml
     not systemctl restart takt
@@ -308,7 +308,7 @@ address_that_is_not_there_yet_is_waited_for() {
     is ActiveState active
 }
 
-removal_and_purge_leave_nothing() {
+removal_and_purge_leave_no_files() {
     kill "$(cat "$work/arm.pid")"
     dpkg -r takt
     not pgrep -x takt

@@ -119,7 +119,7 @@ fn add_rolling_base(cell: &Cell, rolls: &Arc<AtomicBool>) {
                 let mut velocity = Twist::default();
                 let rolls = told.load(Ordering::Relaxed);
                 velocity.vel.x = if rolls { 0.1 } else { 0.0 };
-                base.velocity.tell(&mut state.signals, Some(velocity));
+                base.velocity.report(&mut state.signals, Some(velocity));
                 end.state.write_with(|slot| slot.copy_from(&state));
                 std::thread::sleep(Duration::from_millis(1));
             }

@@ -134,7 +134,7 @@ impl<P: Protocol, C: Controller> Rig<P, C> {
         self.told.status = self.end.status();
         self.end.report(&self.has, &mut self.told.signals);
         if let Some(place) = &self.has.wrench {
-            place.tell(&mut self.told.signals, self.end.wrench());
+            place.report(&mut self.told.signals, self.end.wrench());
         }
         let told = &self.told;
         self.driven.state.write_with(|state| state.copy_from(told));

@@ -13,7 +13,7 @@ use stand::{Driven, Stand, arm_parameters, parameters};
 use takt_core::device::{DeviceDescription, DeviceState, DeviceStatus, Part, parts};
 use takt_core::executor::End;
 use takt_core::executor::rules::{Failure, RuleState};
-use takt_net::device::{Devices, Interfaces, JointLimits, Layout, Target, standing};
+use takt_net::device::{Devices, Interfaces, JointLimits, Layout, Target, is_in_force};
 
 /// Periods, in cycles of the thread.
 const PERIODS: [u64; 3] = [1, 10, 1000];
@@ -255,10 +255,10 @@ impl Bench {
         let mut state = DeviceState::new(layout.signals);
         state.status = DeviceStatus::Operational;
         if let Some(base) = &has.base {
-            base.error.tell(&mut state.signals, Some(0));
+            base.error.report(&mut state.signals, Some(0));
         }
         if let Some(cartesian) = &has.cartesian {
-            cartesian.error.tell(&mut state.signals, Some(0));
+            cartesian.error.report(&mut state.signals, Some(0));
         }
         let mut bench = Self {
             stand,
@@ -290,7 +290,7 @@ impl Bench {
             let of = |at: &&usize| command.words[**at + 1] != 0 && command.words[**at + 2] != 0;
             let words = commands.iter().filter(of).count();
             let late = commands.iter().any(|at| {
-                standing(&command.words, *at, command.cycle) && command.words[*at + 2] == 0
+                is_in_force(&command.words, *at, command.cycle) && command.words[*at + 2] == 0
             });
             assert!(!late, "what is withdrawn does not stand");
             joints + words

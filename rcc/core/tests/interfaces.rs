@@ -204,7 +204,7 @@ fn a_base_that_fails_ends_the_net_that_commands_it_and_tells_those_that_see_it()
     let mut stand = Stand::default();
     let (mut dev, has, mut state) = driven(&mut stand, 0, &[BASE]);
     let base = has.base.unwrap();
-    base.error.tell(&mut state.signals, Some(0));
+    base.error.report(&mut state.signals, Some(0));
     tell(&mut dev, &state);
     stand.step();
     stand.start(1, &base_monitor("dev"));
@@ -215,13 +215,13 @@ fn a_base_that_fails_ends_the_net_that_commands_it_and_tells_those_that_see_it()
         .read_with(|c| base.command.read(&c.words))
         .unwrap();
     assert_eq!(given.value.vel, Vector::new(0.4, 0.0, 0.0));
-    assert!(given.stands(stand.cycle));
+    assert!(given.is_in_force(stand.cycle));
     assert_eq!(
         (stand.out(1, "base"), stand.out(1, "x")),
         ("0".into(), "null".into())
     );
     // Its driver says that it does not follow, without leaving operation.
-    base.error.tell(&mut state.signals, Some(2));
+    base.error.report(&mut state.signals, Some(2));
     tell(&mut dev, &state);
     stand.steps(2);
     assert_eq!(
@@ -232,7 +232,10 @@ fn a_base_that_fails_ends_the_net_that_commands_it_and_tells_those_that_see_it()
         .command
         .read_with(|c| base.command.read(&c.words))
         .unwrap();
-    assert!(!given.stands(stand.cycle), "nothing is commanded any more");
+    assert!(
+        !given.is_in_force(stand.cycle),
+        "nothing is commanded any more"
+    );
     (state.status, state.faults) = (DeviceStatus::SafeOperational, 1);
     tell(&mut dev, &state);
     stand.step();
@@ -326,16 +329,16 @@ fn what_a_device_lacks_is_told_with_those_that_have_it() {
     stand.add("arm", "kuka_lwr_sim", &arm_parameters(7, &[]));
     stand.add("io", "io_sim", &parameters(&[]));
     let fault = stand.fault(&endless("b=RobotBase::BaseMonitor(Robot='arm')"));
-    let wanted = "there is no robot base `arm`; of that kind there are `base`";
+    let wanted = "there is no robot base `arm`; available are `base`";
     assert!(fault.contains(wanted), "{fault}");
     let fault = stand.fault(&endless("j=RobotArm::JointMonitor(Robot='base')"));
     assert!(
-        fault.contains("no robot arm `base`; of that kind there are `arm`"),
+        fault.contains("no robot arm `base`; available are `arm`"),
         "{fault}"
     );
     let fault = stand.fault(&endless("g=KUKA::youBot::GripperMonitor(Robot='io')"));
     assert!(
-        fault.contains("no gripper `io`; of that kind there are none"),
+        fault.contains("no gripper `io`; available are none"),
         "{fault}"
     );
     let fault = stand.fault(&endless(
@@ -713,7 +716,7 @@ fn forces_that_a_driver_does_not_know_are_null() {
     let (mut dev, has, mut state) = driven(&mut stand, 7, &[Part::Torques, Part::Wrench]);
     has.torques.unwrap()[6]
         .measured
-        .tell(&mut state.signals, Some(1.5));
+        .report(&mut state.signals, Some(1.5));
     tell(&mut dev, &state);
     stand.step();
     let text = format!(
@@ -776,7 +779,7 @@ fn a_tool_is_told_once_and_the_answer_is_waited_for() {
         for (error, done) in [(5, "false"), (0, "true")] {
             let order = given.cycle;
             tool.answer
-                .tell(&mut state.signals, Some(Answer { order, error }));
+                .report(&mut state.signals, Some(Answer { order, error }));
             tell(&mut dev, &state);
             stand.step();
             assert_eq!(stand.out(1, "done"), done);
@@ -845,7 +848,7 @@ fn cartesian_impedance_reaches_the_driver_with_what_is_null_left_out() {
         Vector::new(500.0, 0.0, 0.0)
     );
     assert_eq!((given.value.damping, given.value.wrench), (None, None));
-    assert!(given.stands(stand.cycle));
+    assert!(given.is_in_force(stand.cycle));
 }
 
 #[test]
@@ -944,7 +947,7 @@ fn what_an_earlier_device_was_told_is_not_told_to_a_later_one() {
     let mut stand = Stand::default();
     let (mut dev, has, mut state) = driven(&mut stand, 0, &[BASE]);
     let base = has.base.unwrap();
-    base.error.tell(&mut state.signals, Some(0));
+    base.error.report(&mut state.signals, Some(0));
     tell(&mut dev, &state);
     stand.step();
     stand.start(1, &base_velocity("dev", "{vel:{x:0.4}}"));

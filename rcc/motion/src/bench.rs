@@ -1,5 +1,5 @@
-//! A net under test of this crate: loads children, runs cycles of 1 ms and reads one value as
-//! programs would. No device is driven.
+//! A net under test: loads children, runs cycles of 1 ms and reads one value as a program would. No
+//! device is driven.
 
 use std::time::Duration;
 

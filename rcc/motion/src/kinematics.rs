@@ -1,5 +1,5 @@
 //! Kinematics of the arms that Takt drives, in closed form: exact, without iteration and without
-//! allocation, so that they can run in every cycle. Not here: dynamics, tools, or arms that have no
+//! allocation, so that they can run in every cycle. Not here: dynamics, tools, or arms without a
 //! closed form.
 
 mod opw;
@@ -22,12 +22,14 @@ pub(crate) use primitives::table;
 pub use srs::{Srs, SrsGeometry};
 pub use youbot::YouBot;
 
-/// How far beyond a joint limit a solution may be to count as on it, rad: rounding.
+/// Tolerance for rounding, rad: a solution that exceeds a joint limit by less counts as on the
+/// limit.
 const ON_LIMIT: f64 = 1e-10;
-/// How far beyond ±1 the cosine of an elbow may be to count as a straight or folded one: rounding.
+/// Tolerance for rounding: the cosine of an elbow that exceeds ±1 by less counts as a straight or
+/// folded elbow.
 const STRAIGHT: f64 = 1e-12;
 
-/// Positions that a joint can have.
+/// Position range of a joint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Range {
     /// Smallest position, rad.
@@ -37,7 +39,7 @@ pub struct Range {
 }
 
 impl Range {
-    /// From bounds as data sheets give them, in degrees.
+    /// From the bounds of a data sheet, in degrees.
     #[must_use]
     pub const fn degrees(min: f64, max: f64) -> Self {
         let (min, max) = (min.to_radians(), max.to_radians());
@@ -80,8 +82,8 @@ pub fn named(model: &str) -> Option<Arc<dyn Kinematics>> {
     })
 }
 
-/// As [`named`], with the joint limits of a particular arm; `None` also if there are not as many as
-/// joints.
+/// As [`named`], with the joint limits of a particular arm; `None` also if the number of limits is
+/// not the number of joints.
 #[must_use]
 pub fn limited(model: &str, limits: &[JointLimits]) -> Option<Arc<dyn Kinematics>> {
     Some(match model {
@@ -94,13 +96,13 @@ pub fn limited(model: &str, limits: &[JointLimits]) -> Option<Arc<dyn Kinematics
     })
 }
 
-/// The ranges of as many joints as an arm has.
+/// The ranges of all joints, from the limits of an arm.
 fn ranges<const N: usize>(limits: &[JointLimits]) -> Option<[Range; N]> {
     let limits: [JointLimits; N] = limits.try_into().ok()?;
     Some(limits.map(Range::from))
 }
 
-/// The solution nearest to a hint among those tried so far.
+/// The best solution so far: the one nearest to a hint.
 struct Nearest<const N: usize> {
     hint: [f64; N],
     ranges: [Range; N],
@@ -116,8 +118,8 @@ impl<const N: usize> Nearest<N> {
         }
     }
 
-    /// Tries the joint angles of one solution; every turn of a joint within its range counts.
-    /// Returns whether they are within the ranges.
+    /// Adds the joint angles of one solution, with every turn of a joint within its range. Returns
+    /// whether they are within the ranges.
     fn offer(&mut self, angles: [f64; N]) -> bool {
         let mut joints = [0.0; N];
         let mut distance = 0.0;
@@ -141,9 +143,9 @@ impl<const N: usize> Nearest<N> {
     }
 }
 
-/// The part of an arm whose first link turns by an angle from the z axis towards x and whose second
-/// link by one more: both angles, rad, that bring its end to (`x`, `z`), for the elbow bent
-/// towards `bend` (±1). Lengths in m.
+/// The planar part of an arm: the first link is turned by an angle from the z axis towards x, the
+/// second link by one more. Returns both angles, rad, that bring its end to (`x`, `z`) with the
+/// elbow bent towards `bend` (±1). Lengths in m.
 fn two_links(x: f64, z: f64, first: f64, second: f64, bend: f64) -> Result<[f64; 2], Unreachable> {
     let cos = (x * x + z * z - first * first - second * second) / (2.0 * first * second);
     // Not a number, after an overflow, is out of reach as well.
@@ -157,7 +159,7 @@ fn two_links(x: f64, z: f64, first: f64, second: f64, bend: f64) -> Result<[f64;
     Ok([shoulder, elbow])
 }
 
-/// Checks what came from outside: everything finite, as many values as joints.
+/// Checks inputs from outside: all finite, and as many values as joints.
 fn checked<const N: usize>(
     flange: &Frame,
     hint: &[f64],
@@ -177,7 +179,7 @@ fn checked<const N: usize>(
     }
 }
 
-/// The joint positions, or none that are numbers.
+/// The joint positions, or NaN for all joints.
 fn joints_or_nan<const N: usize>(joints: &[f64]) -> [f64; N] {
     joints.try_into().unwrap_or([f64::NAN; N])
 }

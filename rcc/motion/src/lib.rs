@@ -3,13 +3,13 @@
 
 #[cfg(test)]
 mod bench;
+#[cfg(test)]
+mod fixture;
 pub mod kinematics;
 mod motion;
 mod otg;
 mod pose;
 mod shape;
-#[cfg(test)]
-mod stand;
 
 use takt_net::Definition;
 

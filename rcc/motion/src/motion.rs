@@ -1,7 +1,7 @@
-//! `Motion::*`: motions whose velocity, acceleration and jerk are bounded. Where they lead is fixed
-//! while loading; how far they are is a jerk-limited profile along their path, so that speed can be
-//! overridden and the motion stopped without leaving the path. Not here: blending of two motions,
-//! and limits of joints along a Cartesian path.
+//! `Motion::*`: motions with bounded velocity, acceleration and jerk. Their paths are fixed at load
+//! time; progress along a path is a jerk-limited profile, so that the speed can be overridden and
+//! the motion stopped without leaving the path. Not here: blending of two motions, and joint limits
+//! along a Cartesian path.
 
 mod cartesian;
 mod path;
@@ -17,9 +17,9 @@ use takt_net::{Build, Definition, Fault};
 
 use profile::Bounds;
 
-/// Largest coordinate (rad or m) and largest limit that is taken: beyond, numbers lose meaning.
+/// Largest allowed coordinate (rad or m) and limit: beyond, numbers lose precision.
 const LARGEST: f64 = 1e6;
-/// Smallest limit that is taken.
+/// Smallest allowed limit.
 const SMALLEST: f64 = 1e-6;
 
 const VELOCITY: &str = "Velocity";
@@ -31,11 +31,11 @@ fn limit(b: &Build<'_, '_>, parameter: &'static str, value: f64) -> Result<f64, 
     if (SMALLEST..=LARGEST).contains(&value) {
         return Ok(value);
     }
-    let why = format!("{value} is no limit; it must be between {SMALLEST} and {LARGEST}");
+    let why = format!("{value} is not a limit; it must be between {SMALLEST} and {LARGEST}");
     Err(b.parameter_fault(parameter, why))
 }
 
-/// The elements of an array parameter for `joints` joints; one element counts for all of them.
+/// The elements of an array parameter for `joints` joints; a single element applies to all of them.
 fn by_joint(b: &Build<'_, '_>, parameter: &'static str, joints: usize) -> Result<Vec<f64>, Fault> {
     let mut values: Vec<f64> = b.array(parameter)?;
     if let [all] = *values {
@@ -45,7 +45,9 @@ fn by_joint(b: &Build<'_, '_>, parameter: &'static str, joints: usize) -> Result
         return Ok(values);
     }
     let found = values.len();
-    let why = format!("{found} values; the motion has {joints} joints, or give one for all");
+    let why = format!(
+        "{found} values, but the motion has {joints} joints; set one value for each or one for all"
+    );
     Err(b.parameter_fault(parameter, why))
 }
 
@@ -65,7 +67,7 @@ fn joint_bounds(b: &Build<'_, '_>, joints: usize) -> Result<Vec<Bounds>, Fault> 
     Ok((0..joints).map(bounds).collect())
 }
 
-/// The positions of all joints, each a sensible number.
+/// The positions of all joints, checked for plausible numbers.
 fn joint_positions(
     b: &Build<'_, '_>,
     parameter: &'static str,
@@ -74,7 +76,7 @@ fn joint_positions(
     let values = by_joint(b, parameter, joints)?;
     match values.iter().find(|v| !is_sensible(**v)) {
         Some(value) => {
-            let why = format!("{value} is no position; at most ±{LARGEST} is taken");
+            let why = format!("{value} is not a position; it must be within ±{LARGEST}");
             Err(b.parameter_fault(parameter, why))
         }
         None => Ok(values),
@@ -91,14 +93,14 @@ fn with_joint_limits(definition: Definition) -> Definition {
         .array_parameter::<f64>(
             VELOCITY,
             "[0.1]",
-            "largest speed by joint, or one for all, rad/s",
+            "velocity limit by joint, or one for all, rad/s",
         )
         .array_parameter::<f64>(
             ACCELERATION,
             "[0.5]",
-            "largest acceleration by joint, or one for all, rad/s²",
+            "acceleration limit by joint, or one for all, rad/s²",
         )
-        .array_parameter::<f64>(JERK, "[5]", "largest jerk by joint, or one for all, rad/s³")
+        .array_parameter::<f64>(JERK, "[5]", "jerk limit by joint, or one for all, rad/s³")
 }
 
 pub(crate) fn table() -> Vec<Definition> {

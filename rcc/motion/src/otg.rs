@@ -1,21 +1,21 @@
 //! Online trajectory generation: in every cycle one step towards a goal that may move, with bounded
-//! velocity and acceleration. The step is the time-optimal one among those that last a whole
-//! cycle at constant acceleration, so that a goal at rest is reached exactly, without
-//! oscillation. There is no bound on jerk.
+//! velocity and acceleration. The step is the time-optimal one among those that last a whole cycle
+//! at constant acceleration, so that a goal at rest is reached exactly, without oscillation. Jerk
+//! is not bounded.
 
 use takt_net::definition::port;
 use takt_net::{Build, Cycle, Definition, Fault, In, NullRule, Out, Primitive};
 
-/// How fast one may be after a cycle so that, braking with `delta_v` a cycle from then on, one
-/// still comes to rest on the goal. `way` is the way to go per cycle length, less half the
-/// present velocity (m/s, not negative).
+/// The largest velocity after a cycle from which braking with `delta_v` per cycle still ends on the
+/// goal. `distance` is the distance to the goal per cycle length, less half the present velocity (m/s,
+/// not negative).
 ///
-/// Braking takes n cycles; with n known the way is linear in the velocity, and n follows from the
-/// longest way that n cycles of braking can cover, n (n + 1) / 2 · `delta_v`.
-pub(crate) fn approach(way: f64, delta_v: f64) -> f64 {
-    let cycles = ((1.0 + 8.0 * way / delta_v).sqrt() / 2.0 - 0.5).ceil();
+/// Braking takes n cycles; for a known n the distance is linear in the velocity, and n follows from
+/// the longest distance that n cycles of braking can cover, n (n + 1) / 2 · `delta_v`.
+pub(crate) fn approach(distance: f64, delta_v: f64) -> f64 {
+    let cycles = ((1.0 + 8.0 * distance / delta_v).sqrt() / 2.0 - 0.5).ceil();
     let cycles = cycles.max(1.0);
-    way / cycles + delta_v * (cycles - 1.0) / 2.0
+    distance / cycles + delta_v * (cycles - 1.0) / 2.0
 }
 
 /// Position (m or rad) and velocity.
@@ -38,15 +38,15 @@ impl Limits {
     }
 }
 
-/// One cycle further: the new state and the acceleration that led there. `None` if an input is
-/// not finite or a limit is negative.
+/// Advances by one cycle: returns the new state and the acceleration that led to it. `None` if an
+/// input is not finite or a limit is negative.
 pub(crate) fn step(now: State, goal: State, limits: Limits, period_s: f64) -> Option<(State, f64)> {
     let delta_v = limits.acceleration * period_s;
     let wanted = if delta_v > 0.0 {
-        // Seen from the goal, which was one period of its velocity back when `now` was reached.
+        // Relative to the goal, which was one period of its velocity back when `now` was reached.
         let distance = goal.pos - goal.vel * period_s - now.pos;
-        let way = distance / period_s - (now.vel - goal.vel) / 2.0;
-        goal.vel + approach(way.abs(), delta_v).copysign(way)
+        let remaining = distance / period_s - (now.vel - goal.vel) / 2.0;
+        goal.vel + approach(remaining.abs(), delta_v).copysign(remaining)
     } else {
         now.vel
     };
@@ -61,7 +61,7 @@ pub(crate) fn step(now: State, goal: State, limits: Limits, period_s: f64) -> Op
     is_finite.then_some((next, (vel - now.vel) / period_s))
 }
 
-/// In ports of the present state; what is not connected is taken from the last output.
+/// In ports of the present state; unconnected ones are replaced by the last output.
 struct Present {
     pos: Option<In<f64>>,
     vel: Option<In<f64>>,
@@ -79,7 +79,7 @@ impl Present {
         })
     }
 
-    /// The present state; at the start, where it is not connected, at rest at `goal`.
+    /// The present state; at the start, if not connected, at rest at `goal`.
     fn read(&self, cycle: &Cycle<'_>, goal: f64) -> Option<State> {
         let last = self.last.unwrap_or(State {
             pos: goal,
@@ -113,10 +113,10 @@ impl LimitPorts {
     }
 }
 
-/// Where the goal's velocity comes from.
+/// The source of the goal's velocity.
 enum GoalVelocity {
     Port(In<f64>),
-    /// From this goal and the one of the cycle before.
+    /// From this goal and that of the previous cycle.
     Difference(Option<f64>),
 }
 
@@ -185,14 +185,14 @@ fn with_ports(definition: Definition) -> Definition {
         .active()
         .input::<f64>(port(
             "inCurPos",
-            "present position; if not connected the last output",
+            "present position; if not connected, the last output",
         ))
         .input::<f64>(port(
             "inCurVel",
-            "present velocity, 1/s; if not connected the last output",
+            "present velocity, 1/s; if not connected, the last output",
         ))
-        .input::<f64>(port("inMaxVel", "bound on velocity, 1/s").or("maxVel", "0"))
-        .input::<f64>(port("inMaxAcc", "bound on acceleration, 1/s²").or("maxAcc", "0"))
+        .input::<f64>(port("inMaxVel", "velocity limit, 1/s").or("maxVel", "0"))
+        .input::<f64>(port("inMaxAcc", "acceleration limit, 1/s²").or("maxAcc", "0"))
         .output::<f64>("outPos", "position of this cycle")
         .output::<f64>("outVel", "velocity at its end, 1/s")
         .output::<f64>("outAcc", "acceleration during it, 1/s²")
@@ -217,7 +217,7 @@ pub(crate) fn table() -> Vec<Definition> {
     vec![
         with_ports(Definition::new(
             "Core::OTG",
-            "One step a cycle towards a goal, as fast as bounds on velocity and acceleration \
+            "One step a cycle towards a goal, as fast as the limits of velocity and acceleration \
              allow. Where the present state is not connected it starts at rest at the goal.",
             otg,
         ))
@@ -250,7 +250,7 @@ mod tests {
     };
     const PERIOD_S: f64 = 1e-3;
 
-    /// Runs to a goal at rest; gives the cycles it took and the final state.
+    /// Runs to a goal at rest; returns the number of cycles and the final state.
     fn run(mut now: State, goal: f64, limits: Limits) -> (u32, State) {
         let goal = State {
             pos: goal,
@@ -270,7 +270,7 @@ mod tests {
     }
 
     #[test]
-    fn takes_the_least_time() {
+    fn otg_takes_least_time() {
         let rest = State { pos: 0.0, vel: 0.0 };
         // Triangle: 2·sqrt(d/a); trapezoid: d/v + v/a. Whole cycles add at most a few.
         for (goal, least) in [(0.02, 200), (-0.02, 200), (2.0, 2500), (-5.0, 5500)] {
@@ -280,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn arrives_from_any_state_without_passing_the_goal_more_than_it_must() {
+    fn otg_from_any_state_arrives_with_least_overshoot() {
         for (pos, vel) in [
             (0.0, 1.0),
             (0.0, -1.0),
@@ -294,7 +294,7 @@ mod tests {
     }
 
     #[test]
-    fn never_passes_the_goal_from_rest() {
+    fn otg_from_rest_never_overshoots() {
         let goal = State {
             pos: 0.3141,
             vel: 0.0,
@@ -307,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn follows_a_moving_goal_without_lag() {
+    fn otg_follows_moving_goal_without_lag() {
         let mut now = State { pos: 0.0, vel: 0.0 };
         for cycle in 1..=3000 {
             let goal = State {
@@ -325,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn inputs_without_meaning_give_none() {
+    fn otg_with_invalid_input_is_none() {
         let state = |pos, vel| State { pos, vel };
         let numbers = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY];
         for bad in numbers {
@@ -349,7 +349,7 @@ mod tests {
     }
 
     #[test]
-    fn without_acceleration_nothing_changes() {
+    fn otg_without_acceleration_changes_nothing() {
         let limits = Limits {
             velocity: 1.0,
             acceleration: 0.0,
@@ -360,7 +360,7 @@ mod tests {
     }
 
     #[test]
-    fn the_primitives_step_towards_their_goal() {
+    fn otg_primitives_step_towards_goal() {
         let net = "g=Core::DoubleValue(Value='1'),z=Core::DoubleValue(),\
                    p=Core::DoublePre(inValue=o.outPos),n=Core::DoubleIsNull(inValue=p.outValue),\
                    c=Core::DoubleConditional(inCondition=n.outValue,inTrue=z.outValue,\

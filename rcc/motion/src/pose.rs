@@ -10,8 +10,8 @@ use takt_net::{
 use crate::otg::approach;
 use crate::shape::{bezier, hermite};
 
-/// The part `amount` of the way from one frame to the other; turning goes the shorter way about
-/// one axis.
+/// The frame at part `amount` between two frames; the orientation turns by the shorter rotation
+/// about one axis.
 fn lerp(from: Frame, to: Frame, amount: f64) -> Frame {
     let (a, b) = (from.translation.vector, to.translation.vector);
     let turn = (from.rotation.inverse() * to.rotation).scaled_axis();
@@ -23,15 +23,15 @@ fn numbers(rotation: Rotation) -> [f64; 4] {
     rotation.into_inner().coords.into()
 }
 
-/// Change of the quaternion of `rotation` while it turns with `velocity`.
+/// Derivative of the quaternion of `rotation` while it turns with `velocity`.
 fn change(rotation: Rotation, velocity: Vector) -> [f64; 4] {
     let velocity = nalgebra::Quaternion::from_imag(velocity);
     (velocity * rotation.into_inner() * 0.5).coords.into()
 }
 
-/// The cubic curve through quaternions, normalized. Of the two quaternions of the goal the one
-/// nearer to the start is taken, or else it would go the longer way round. `None` where the curve
-/// passes zero or an input is not finite.
+/// The cubic curve through quaternions, normalized. Of the two quaternions of the goal, the one
+/// nearer to the start is used, or else the curve would take the longer rotation. `None` where the
+/// curve passes zero or an input is not finite.
 fn rotation_bezier(from: (Rotation, Vector), to: (Rotation, Vector), t: f64) -> Option<Rotation> {
     let (p, p_change) = (numbers(from.0), change(from.0, from.1));
     let (q, q_change) = (numbers(to.0), change(to.0, to.1));
@@ -53,11 +53,11 @@ struct Limits {
     acceleration: f64,
 }
 
-/// One part of a motion, translation or rotation, as seen from the goal.
+/// One part of a motion, translation or rotation, relative to the goal.
 #[derive(Clone, Copy, Debug)]
 struct Part {
-    /// Way to go.
-    way: Vector,
+    /// Remaining distance.
+    distance: Vector,
     /// Present velocity.
     now: Vector,
     /// Velocity of the goal.
@@ -66,30 +66,30 @@ struct Part {
 }
 
 impl Part {
-    /// The velocity relative to the goal that is wanted for the next cycle.
+    /// The wanted velocity of the next cycle, relative to the goal.
     fn wanted(&self, period_s: f64) -> Vector {
-        let way = self.way / period_s - (self.now - self.goal) / 2.0;
-        let length = way.norm();
+        let distance = self.distance / period_s - (self.now - self.goal) / 2.0;
+        let length = distance.norm();
         let delta_v = self.limits.acceleration * period_s;
         if length > 0.0 && delta_v > 0.0 {
             let speed = approach(length, delta_v).min(self.limits.velocity);
-            way * (speed / length)
+            distance * (speed / length)
         } else {
             Vector::zeros()
         }
     }
 
-    /// The time it takes at the velocity `wanted`; less than that if it still accelerates.
+    /// The time to the goal at the velocity `wanted`; less than that if it still accelerates.
     fn time(&self, wanted: Vector) -> f64 {
         let speed = wanted.norm();
         if speed > 0.0 {
-            self.way.norm() / speed
+            self.distance.norm() / speed
         } else {
             0.0
         }
     }
 
-    /// The next velocity: as wanted, as far as the bounds allow.
+    /// The next velocity: the wanted one as far as the limits allow.
     fn velocity(&self, wanted: Vector, period_s: f64) -> Vector {
         let wanted = shortened(self.goal + wanted, self.limits.velocity);
         self.now + shortened(wanted - self.now, self.limits.acceleration * period_s)
@@ -105,7 +105,7 @@ fn shortened(vector: Vector, length: f64) -> Vector {
     }
 }
 
-/// A pose and how it moves.
+/// A pose and its velocity.
 #[derive(Clone, Copy, Debug)]
 struct State {
     pos: Frame,
@@ -125,19 +125,19 @@ impl State {
     }
 }
 
-/// One cycle further. Translation and rotation arrive together: the part that would be earlier
-/// is slowed down, so that a path between two frames stays the same whatever the bounds are.
-/// `None` if an input is not finite or a bound is negative.
+/// Advances by one cycle. Translation and rotation arrive together: the part that would be earlier
+/// is slowed down, so that a path between two frames does not depend on the limits. `None` if an
+/// input is not finite or a limit is negative.
 fn step(now: State, goal: State, trans: Limits, rot: Limits, period_s: f64) -> Option<State> {
     let before = moved(goal.pos, goal.vel, -period_s);
     let translation = Part {
-        way: before.translation.vector - now.pos.translation.vector,
+        distance: before.translation.vector - now.pos.translation.vector,
         now: now.vel.vel,
         goal: goal.vel.vel,
         limits: trans,
     };
     let rotation = Part {
-        way: (before.rotation * now.pos.rotation.inverse()).scaled_axis(),
+        distance: (before.rotation * now.pos.rotation.inverse()).scaled_axis(),
         now: now.vel.rot,
         goal: goal.vel.rot,
         limits: rot,
@@ -171,7 +171,7 @@ fn step(now: State, goal: State, trans: Limits, rot: Limits, period_s: f64) -> O
     Some(State { pos, vel }).filter(State::is_finite)
 }
 
-/// The frame after moving with `twist` for `span_s`.
+/// The frame after a motion with `twist` for `span_s`.
 fn moved(frame: Frame, twist: Twist, span_s: f64) -> Frame {
     let position = frame.translation.vector + twist.vel * span_s;
     let mut rotation = Rotation::from_scaled_axis(twist.rot * span_s) * frame.rotation;
@@ -184,7 +184,7 @@ struct FrameOtg {
     cur_vel: Option<In<Twist>>,
     dest_pos: In<Frame>,
     dest_vel: In<Twist>,
-    /// Bounds on velocity and acceleration of translation, then of rotation.
+    /// Limits of velocity and acceleration of translation, then of rotation.
     bounds: [In<f64>; 4],
     pos: Out<Frame>,
     vel: Out<Twist>,
@@ -265,35 +265,31 @@ fn frame_otg() -> Definition {
     .active()
     .input::<Frame>(port(
         "inCurPos",
-        "present frame; if not connected the last output",
+        "present frame; if not connected, the last output",
     ))
     .input::<Twist>(port(
         "inCurVel",
-        "present twist; if not connected the last output",
+        "present twist; if not connected, the last output",
     ))
     .input::<Frame>(port("inDestPos", "the goal").required())
     .input::<Twist>(port(
         "inDestVel",
         "twist of the goal; none if not connected",
     ))
-    .input::<f64>(bound(
-        "inMaxTransVel",
-        "bound on velocity, m/s",
-        "MaxTransVel",
-    ))
+    .input::<f64>(bound("inMaxTransVel", "velocity limit, m/s", "MaxTransVel"))
     .input::<f64>(bound(
         "inMaxTransAcc",
-        "bound on acceleration, m/s²",
+        "acceleration limit, m/s²",
         "MaxTransAcc",
     ))
     .input::<f64>(bound(
         "inMaxRotVel",
-        "bound on rotational velocity, rad/s",
+        "rotational velocity limit, rad/s",
         "MaxRotVel",
     ))
     .input::<f64>(bound(
         "inMaxRotAcc",
-        "bound on rotational acceleration, rad/s²",
+        "rotational acceleration limit, rad/s²",
         "MaxRotAcc",
     ))
     .output::<Frame>("outPos", "frame of this cycle")
@@ -313,13 +309,13 @@ pub(crate) fn table() -> Vec<Definition> {
         function(
             "World::FrameLerp",
             "A frame between two frames: its position on the straight line, its orientation \
-             turned the shorter way about one axis.",
+             turned by the shorter rotation about one axis.",
             &[
                 needed("inFrom", "start"),
                 needed("inTo", "goal"),
                 needed(
                     "inAmount",
-                    "part of the way; 0 is From, 1 is To, others go on",
+                    "part of the path; 0 is From, 1 is To, others extrapolate",
                 ),
             ],
             &[("outValue", "the frame")],
@@ -365,7 +361,7 @@ mod tests {
     }
 
     #[test]
-    fn lerp_goes_the_shorter_way() {
+    fn lerp_takes_shorter_rotation() {
         let half = lerp(frame(1.0, 3.0), frame(3.0, -3.0), 0.5);
         assert!((half.translation.vector.x - 2.0).abs() < 1e-12);
         assert!(half.rotation.angle_to(&about_z(PI)) < 1e-9);
@@ -374,7 +370,7 @@ mod tests {
     }
 
     #[test]
-    fn rotation_bezier_keeps_ends_velocities_and_the_shorter_way() {
+    fn rotation_bezier_keeps_ends_and_velocities() {
         let (from, to) = (
             (about_z(3.0), Vector::z()),
             (about_z(-3.0), Vector::z() * 0.5),
@@ -388,9 +384,9 @@ mod tests {
         assert!((end - to.1).norm() < 1e-3, "{end}");
         for i in 0..=100 {
             let angle = at(f64::from(i) / 100.0).angle_to(&about_z(PI));
-            assert!(angle < 0.3, "the way leads past π, not past 0: {angle}");
+            assert!(angle < 0.3, "the curve passes π, not 0: {angle}");
         }
-        // The same rotation as its other quaternion makes no difference.
+        // The other quaternion of the same rotation makes no difference.
         let other = Rotation::new_unchecked(-to.0.into_inner());
         let same = rotation_bezier(from, (other, to.1), 0.3).unwrap();
         assert!(same.angle_to(&at(0.3)) < 1e-12);
@@ -409,7 +405,7 @@ mod tests {
         rot: Vector::new(0.0, 0.0, 0.0),
     };
 
-    /// From rest to rest within 5 s; the parts must be at the same place of their ways in between.
+    /// From rest to rest within 5 s; both parts must have the same progress in between.
     fn arrives(trans: Limits, rot: Limits) {
         let (pos, turned) = (frame(0.4, 1.0), about_z(1.0));
         let goal = State { pos, vel: REST };
@@ -437,13 +433,13 @@ mod tests {
     }
 
     #[test]
-    fn frame_otg_arrives_within_bounds_and_both_parts_together() {
+    fn frame_otg_arrives_synchronously_within_limits() {
         arrives(limits(0.5, 2.0), limits(0.25, 1.0));
         arrives(limits(0.1, 1.0), limits(2.0, 5.0));
     }
 
     #[test]
-    fn frame_otg_arrives_from_any_turn_and_motion() {
+    fn frame_otg_from_any_state_arrives() {
         let goal = State {
             pos: Frame::from_parts(
                 Vector::new(0.1, -0.2, 0.3).into(),
@@ -470,7 +466,7 @@ mod tests {
     }
 
     #[test]
-    fn frame_otg_refuses_what_has_no_meaning() {
+    fn frame_otg_with_invalid_input_is_none() {
         let rest = State {
             pos: frame(0.0, 0.0),
             vel: REST,
@@ -487,7 +483,7 @@ mod tests {
     }
 
     #[test]
-    fn the_primitives_compute_their_functions() {
+    fn pose_primitives_compute_their_functions() {
         let net = "a=World::FrameFromPosRot(X='1'),b=World::FrameFromPosRot(X='3'),\
                    h=Core::DoubleValue(Value='0.5'),\
                    l=World::FrameLerp(inFrom=a.outValue,inTo=b.outValue,inAmount=h.outValue)";

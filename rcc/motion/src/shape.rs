@@ -1,11 +1,11 @@
-//! Shapes: where along a motion one is at which part of its time. Each is a function of its inputs
-//! of this cycle alone; limits of velocity and acceleration are the business of whoever chose the
-//! motion's duration, or of the online generators.
+//! Shapes: the position along a motion at each part of its time. Each is a function of its inputs
+//! of this cycle alone; limits of velocity and acceleration are kept by the choice of the motion's
+//! duration, or by the online generators.
 
 use takt_net::definition::{Port, port};
 use takt_net::{Build, Cycle, Definition, Fault, In, NullRule, Out, Primitive, function};
 
-/// Where `value` lies between `min` and `max`, from 0 to 1, and whether it lies there.
+/// The position of `value` between `min` and `max`, from 0 to 1, and whether it is within them.
 fn interval(value: f64, min: f64, max: f64) -> (f64, bool) {
     if value < min {
         (0.0, false)
@@ -18,7 +18,7 @@ fn interval(value: f64, min: f64, max: f64) -> (f64, bool) {
     }
 }
 
-/// Position at time `x` of a rest-to-rest motion from 0 to 1 within time 0 to 1, that has constant
+/// Position at time `x` of a rest-to-rest motion from 0 to 1 within time 0 to 1, with constant
 /// velocity for the part `constant` of its time and constant acceleration before and after.
 fn rampify(x: f64, constant: f64) -> f64 {
     let x = x.clamp(0.0, 1.0);
@@ -45,7 +45,8 @@ pub(crate) fn hermite(from: f64, to: f64, from_vel: f64, to_vel: f64) -> [f64; 4
     [from, from + from_vel / 3.0, to - to_vel / 3.0, to]
 }
 
-/// `outActive` must be false, not null, while the primitive is inactive; so it tests that itself.
+/// `outActive` must be false, not null, while the primitive is inactive; so the primitive tests
+/// that itself.
 struct Interval {
     active: Option<In<bool>>,
     value: In<f64>,
@@ -64,11 +65,12 @@ impl Primitive for Interval {
         }
         let value = self.value.get(cycle);
         let bounds = self.min.get(cycle).zip(self.max.get(cycle));
-        let place = value
+        let position = value
             .zip(bounds)
             .map(|(value, (min, max))| interval(value, min, max));
-        self.out.set(cycle, place.map(|(part, _)| part));
-        self.out_active.set(cycle, place.map(|(_, inside)| inside));
+        self.out.set(cycle, position.map(|(part, _)| part));
+        self.out_active
+            .set(cycle, position.map(|(_, inside)| inside));
     }
 }
 
@@ -86,7 +88,7 @@ fn interval_definition() -> Definition {
     };
     Definition::new(
         "Core::Interval",
-        "Where a value lies in an interval: 0 at Min and below, 1 at Max and above, linear \
+        "The position of a value in an interval: 0 at Min and below, 1 at Max and above, linear \
          between. If Max equals Min the interval is the one point.",
         build,
     )
@@ -97,7 +99,7 @@ fn interval_definition() -> Definition {
     .input::<f64>(port("inValue", "value, in the unit of the bounds").required())
     .input::<f64>(port("inMin", "lower bound").or("Min", "0"))
     .input::<f64>(port("inMax", "upper bound").or("Max", "1000"))
-    .output::<f64>("outValue", "place in the interval, 0 to 1")
+    .output::<f64>("outValue", "position in the interval, 0 to 1")
     .output::<bool>("outActive", "whether the value is within the interval")
     .null(NullRule::Own(
         "Null in gives null out; while inactive outValue is null and outActive is false.",
@@ -133,7 +135,7 @@ fn rampify_definition() -> Definition {
     };
     Definition::new(
         "Core::Rampify",
-        "Turns time into place along a motion that starts and ends at rest: constant \
+        "Converts time to position along a motion that starts and ends at rest: constant \
          acceleration, constant velocity, constant deceleration.",
         build,
     )
@@ -144,10 +146,10 @@ fn rampify_definition() -> Definition {
         "0.5",
         "part of the time at constant velocity, 0 to 1",
     )
-    .output::<f64>("outValue", "part of the way, 0 to 1")
+    .output::<f64>("outValue", "part of the path, 0 to 1")
 }
 
-const VALUE: &[(&str, &str)] = &[("outValue", "place on the curve, in the unit of its ends")];
+const VALUE: &[(&str, &str)] = &[("outValue", "position on the curve, in the unit of its ends")];
 
 const fn ends() -> [Port; 2] {
     [
@@ -160,7 +162,7 @@ fn lerp() -> Definition {
     let [from, to] = ends();
     let amount = port(
         "inAmount",
-        "part of the way; 0 is From, 1 is To, others go on",
+        "part of the path; 0 is From, 1 is To, others extrapolate",
     )
     .required();
     function(
@@ -243,7 +245,7 @@ mod tests {
     }
 
     #[test]
-    fn an_interval_says_false_while_inactive_and_null_for_null() {
+    fn interval_inactive_is_false_null_is_null() {
         let on = "on=Core::BooleanValue(Value='false')";
         let net = format!(
             "{on},i=Core::Interval(inValue=x.outValue,inActive=on.outValue),x=Core::DoubleValue()"
@@ -286,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn rampify_refuses_a_part_beyond_one() {
+    fn rampify_rejects_part_above_one() {
         let net = "r=Core::Rampify(inValue=x.outValue,Constant='1.5'),x=Core::DoubleValue()";
         let faults = crate::bench::faults(net, "Core::Double", "r.outValue");
         assert_eq!(
@@ -307,7 +309,7 @@ mod tests {
     }
 
     #[test]
-    fn primitives_compute_their_functions() {
+    fn shape_primitives_compute_their_functions() {
         let of = |primitive: &str| {
             let net = format!("p={primitive},x=Core::DoubleValue(Value='0.5')");
             series(&net, "Core::Double", "p.outValue", 1).remove(0)

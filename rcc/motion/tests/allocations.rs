@@ -1,5 +1,5 @@
-//! Kinematics and motions in running nets allocate nothing: counted over thousands of cycles in which
-//! goals, overrides and frames change and nothing can be solved at times.
+//! Kinematics and motions in running nets allocate nothing: counted over thousands of cycles in
+//! which goals, overrides and frames change and some inverses have no solution.
 #![expect(unsafe_code, reason = "GlobalAlloc is an unsafe trait")]
 
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -20,7 +20,7 @@ thread_local! {
 struct Counting;
 
 fn count() {
-    // Gone while a thread ends: nothing is counted then.
+    // The counter is not accessible while a thread ends: nothing is counted then.
     let _gone = CALLS.try_with(|calls| calls.set(calls.get() + 1));
 }
 
@@ -81,8 +81,8 @@ fn plan(children: &str) -> Plan {
     plan.expect("a net without faults")
 }
 
-/// Runs `cycles` cycles and writes `inputs[k]`, a key and its values, one value every seventh cycle;
-/// returns how often the cycles allocated or freed.
+/// Runs `cycles` cycles and writes `inputs[k]`, a key and its values, one value every seventh
+/// cycle; returns the number of allocations and deallocations in the cycles.
 fn allocations(children: &str, inputs: &[(&str, &[&str])], cycles: u64) -> u64 {
     let mut plan = plan(children);
     let image = Image::default();
@@ -163,10 +163,10 @@ fn tracking_allocates_nothing() {
     assert_eq!(allocations(net, inputs, 10_000), 0);
 }
 
-/// Found by a search for goals that cannot be planned for from where the joint is: limits of sizes far
-/// apart, and a goal nearer than the way of one cycle.
+/// Found by a search for goals that cannot be planned for from the present state: limits of very
+/// different magnitudes, and a goal nearer than the distance of one cycle.
 #[test]
-fn goals_that_cannot_be_planned_for_allocate_nothing() {
+fn failed_plans_allocate_nothing() {
     let goals = [
         "[9.657931820174715]",
         "[0.000000005694524260855557]",
@@ -259,7 +259,7 @@ fn kinematics_allocate_nothing() {
 }
 
 #[test]
-fn kinematics_of_the_lwr_allocate_nothing() {
+fn lwr_kinematics_allocate_nothing() {
     let mut net = String::from("x=Core::DoubleNetcommIn(Key='x'),");
     let links = |prefix: &str| -> String {
         (1..=7)

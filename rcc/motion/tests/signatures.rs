@@ -1,12 +1,12 @@
 //! All primitives that existing clients know exist here with the same ports, parameters and
-//! defaults, or belong to the crates of devices. What the primitives do is tested elsewhere.
+//! defaults, or belong to the device crates. Their behaviour is tested elsewhere.
 
 #[path = "../../net/tests/common/signatures.rs"]
 mod signatures;
 
 use takt_net::Registry;
 
-/// Families of primitives that are defined where devices and networks are.
+/// Primitive families defined in the device and network crates.
 const ELSEWHERE: &[&str] = &[
     "ArmKinematics::",
     "CartesianPosition::",
@@ -18,10 +18,10 @@ const ELSEWHERE: &[&str] = &[
     "schunkwsg::",
 ];
 
-/// Families of primitives of Takt alone.
+/// Primitive families of Takt alone.
 const OWN: &[&str] = &["Motion::", "Takeover"];
 
-/// Out ports that Takt adds to primitives that clients know.
+/// Out ports that Takt adds to known primitives.
 const ADDED: &[(&str, &str)] = &[
     ("ArmKinematics::InvKin", "outError:int"),
     ("KUKA::LWR::InvKin", "outError:int"),

@@ -1,21 +1,22 @@
-//! What a net costs at most: the sum of what is declared or was measured of its primitives, over its longest
-//! activation. A bound to refuse nets by, known before they run; what they really take is for their executor to observe.
+//! Cost bounds of nets: the sum of the declared or measured costs of a net's primitives, over its
+//! longest activation. The bound is known before a net runs and decides whether it is accepted; the
+//! executor measures what nets really take.
 
 use std::collections::HashMap;
 use std::time::Duration;
 
 use crate::definition::Definition;
 
-/// What one test whether a fragment is active costs at most, ns. Clearing what an inactive one leaves
-/// to others costs less than the steps that are skipped for it.
+/// Cost bound of one activation test, ns. Clearing the outputs of an inactive fragment costs less
+/// than the skipped steps.
 const GUARD_NS: f64 = 20.0;
-/// Name that the tests of activation have among the shares.
+/// Name of the activation tests among the shares.
 const GUARD: &str = "inActive";
 
-/// What a primitive of one type costs at most on a host, ns.
+/// Cost bound of a primitive of one type on a host, ns.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cost {
-    /// What the first one in a net costs beside the rest: its code comes from memory.
+    /// Additional cost of the first one in a net: its code comes from memory.
     pub first_ns: f64,
     /// One step of each.
     pub ns: f64,
@@ -24,37 +25,37 @@ pub struct Cost {
 }
 
 impl Cost {
-    /// What one of them costs beside others of its type, ns.
+    /// Cost of one further primitive of its type, ns.
     pub(crate) fn of_one(&self, elements: usize) -> f64 {
         self.ns + self.element_ns * number(elements)
     }
 }
 
-/// What the primitives of one type make of the cost of a net.
+/// Contribution of the primitives of one type to the cost of a net.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CostShare {
     /// Name of the type.
     pub primitive: String,
-    /// How many of them count: those of the longest activation.
+    /// Number of primitives that count: those of the longest activation.
     pub count: usize,
-    /// Array elements at the in and out ports of those.
+    /// Array elements at their in and out ports.
     pub elements: usize,
-    /// What they cost in one cycle at most.
+    /// Their cost bound in one cycle.
     pub cost: Duration,
 }
 
-/// What one cycle of a net costs at most.
+/// Cost bound of one cycle of a net.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct NetCost {
-    /// All together.
+    /// The total.
     pub total: Duration,
-    /// By type, the heaviest first.
+    /// By type, the most expensive first.
     pub shares: Vec<CostShare>,
 }
 
 impl NetCost {
-    /// Adds up primitives and tests of activation. Given are the elements of their arrays, or nothing of
-    /// those that are never active together with the rest; their code is brought from memory all the same.
+    /// Adds up primitives and activation tests. `None` instead of a number of array elements marks
+    /// primitives that are never active together with the rest; their code is fetched all the same.
     pub(crate) fn of<'d>(
         primitives: impl Iterator<Item = (&'d Definition, Option<usize>)>,
         guards: usize,
@@ -96,7 +97,7 @@ impl NetCost {
         Self { total, shares }
     }
 
-    /// The heaviest types with their parts of the whole, such as
+    /// The most expensive types with their percentages, such as
     /// ``20 `KUKA::LWR::InvKin` 83 %, 7 `Motion::Track` 9 %``.
     #[must_use]
     pub fn heaviest(&self, most: usize) -> String {
@@ -110,12 +111,12 @@ impl NetCost {
     }
 }
 
-/// A time of so many ns, rounded up.
+/// A duration from ns, rounded up.
 fn span(ns: f64) -> Duration {
     #[expect(
         clippy::cast_possible_truncation,
         clippy::cast_sign_loss,
-        reason = "what does not fit saturates: far too much, or nothing"
+        reason = "out-of-range values saturate"
     )]
     Duration::from_nanos(ns.ceil() as u64)
 }

@@ -1,8 +1,8 @@
-//! How a primitive is defined: its data (name, ports, parameters, null rule), from which the
-//! registry, the help and the tests are made, and the function that builds an instance of it.
+//! The definition of a primitive: its data (name, ports, parameters, null rule), from which the
+//! registry, the help and the tests are generated, and the function that builds an instance of it.
 //!
-//! Most primitives are a [`function`] of their inputs: one row. Those with state are a struct of
-//! typed slot handles and parameters with one [`Primitive::step`].
+//! Most primitives are a [`function`] of their inputs: one table row. Those with state are a struct
+//! of typed slot handles and parameters with one [`Primitive::step`].
 
 use std::time::Duration;
 
@@ -14,8 +14,8 @@ use crate::value::{Element, Type, Value};
 
 pub use crate::load::Build;
 
-/// What a primitive of a few operations costs at most on a host of the present day whose caches are
-/// cold: about ten times what it usually costs.
+/// Cost bound of a primitive of a few operations on a present-day host with cold caches: about ten
+/// times its usual cost.
 const COST: Cost = Cost {
     first_ns: 200.0,
     ns: 40.0,
@@ -25,7 +25,7 @@ const COST: Cost = Cost {
 /// One instance of a primitive in a plan.
 pub trait Primitive: Send {
     /// Computes one cycle: reads in ports, writes out ports. It must not allocate, lock, wait or
-    /// panic, and its work is bounded by what was known while loading.
+    /// panic, and its work is bounded at load time.
     fn step(&mut self, cycle: &Cycle<'_>);
 }
 
@@ -38,7 +38,7 @@ pub struct InPort {
     pub doc: &'static str,
     /// Type of its values.
     pub ty: Type,
-    /// Whether a net without a link here is refused.
+    /// Whether a net without a link here is rejected.
     pub required: bool,
     /// Parameter whose value is used when the port is not connected.
     pub parameter: Option<&'static str>,
@@ -64,7 +64,7 @@ pub enum ParameterType {
     Value(Type),
 }
 
-/// A parameter: set in the net text, fixed while the net runs.
+/// A parameter: set in the net text, constant while the net runs.
 #[derive(Clone, Debug)]
 pub struct Parameter {
     /// Name, such as `First`.
@@ -73,23 +73,23 @@ pub struct Parameter {
     pub doc: &'static str,
     /// Type of its value.
     pub ty: ParameterType,
-    /// Text of the value used if none is given.
+    /// Text of the default value.
     pub default: &'static str,
 }
 
-/// What a primitive makes of null.
+/// How a primitive handles null.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NullRule {
     /// Any input null makes all outputs null.
     Propagates,
     /// Three-valued logic after Kleene: null is "unknown".
     Kleene,
-    /// As this sentence says.
+    /// As this sentence states.
     Own(&'static str),
 }
 
 impl NullRule {
-    /// The rule in words.
+    /// The rule as a sentence.
     #[must_use]
     pub const fn text(self) -> &'static str {
         match self {
@@ -108,24 +108,24 @@ pub struct Definition {
     pub name: String,
     /// What it does, in sentences.
     pub doc: &'static str,
-    /// In ports, `inActive` included where there is one.
+    /// In ports, including `inActive` if there is one.
     pub inputs: Vec<InPort>,
     /// Out ports.
     pub outputs: Vec<OutPort>,
     /// Parameters.
     pub parameters: Vec<Parameter>,
-    /// What it makes of null.
+    /// How it handles null.
     pub null: NullRule,
-    /// What one cycle of it costs at most: an estimate for a host of the present day, until
-    /// [`Registry::set_costs`](crate::Registry::set_costs) puts what was measured in its place.
+    /// Upper bound on the cost of one cycle: an estimate for a present-day host, until
+    /// [`Registry::set_costs`](crate::Registry::set_costs) replaces it by a measured one.
     pub cost: Cost,
-    /// The source file that it is written in, from the root of its workspace.
+    /// Its source file, relative to the root of its workspace.
     pub source: &'static str,
     /// Whether `inActive` switches it off; the plan then skips it and its outputs are null.
     pub(crate) gated: bool,
     pub(crate) build: Box<BuildFn>,
-    /// For a primitive whose outputs do not depend on its inputs of the same cycle: builds the
-    /// step that writes them, which comes before everything that reads them.
+    /// For a primitive whose outputs do not depend on its inputs of the same cycle: builds the step
+    /// that writes the outputs before all steps that read them.
     pub(crate) early: Option<Box<BuildFn>>,
 }
 
@@ -138,7 +138,8 @@ impl std::fmt::Debug for Definition {
 }
 
 impl Definition {
-    /// A primitive without ports; the methods below add what it has. Its source is the file that calls.
+    /// A primitive without ports; the methods below add its ports and parameters. Its source is the
+    /// file of the caller.
     #[track_caller]
     pub fn new<P: Primitive + 'static>(
         name: impl Into<String>,
@@ -248,7 +249,7 @@ impl Definition {
         )
     }
 
-    /// Adds a parameter that is a text.
+    /// Adds a text parameter.
     #[must_use]
     pub fn text(self, name: &'static str, doc: &'static str) -> Self {
         self.any_parameter(name, doc, ParameterType::Text, "")
@@ -270,8 +271,8 @@ impl Definition {
         self
     }
 
-    /// Adds `inActive`: while it is connected and not true, the primitive is skipped, its state
-    /// stays and its outputs are null.
+    /// Adds `inActive`: while it is connected and not true, the primitive is skipped, its state is
+    /// kept and its outputs are null.
     #[must_use]
     pub fn active(mut self) -> Self {
         self.gated = true;
@@ -282,24 +283,25 @@ impl Definition {
     #[must_use]
     pub fn stateful(self) -> Self {
         self.active()
-            .input::<bool>(port("inReset", "true puts the state back to its start"))
+            .input::<bool>(port("inReset", "true resets the state"))
     }
 
-    /// Sets what it makes of null.
+    /// Sets how it handles null.
     #[must_use]
     pub const fn null(mut self, rule: NullRule) -> Self {
         self.null = rule;
         self
     }
 
-    /// Sets what one cycle costs at most, ns, for a primitive that computes more than a few lines.
+    /// Sets the cost bound of one cycle, ns, for a primitive that computes more than a few lines.
     #[must_use]
     pub fn cost_ns(mut self, cost_ns: u32) -> Self {
         self.cost.ns = f64::from(cost_ns);
         self
     }
 
-    /// Declares that outputs do not depend on inputs of the same cycle, and how they are written.
+    /// Declares that the outputs do not depend on inputs of the same cycle, and how they are
+    /// written.
     #[must_use]
     pub fn early<P: Primitive + 'static>(
         mut self,
@@ -322,7 +324,7 @@ impl Definition {
     }
 }
 
-/// An in port in a row of a table, before its type is known.
+/// An in port in a table row, before its type is known.
 #[derive(Clone, Copy, Debug)]
 pub struct Port {
     name: &'static str,
@@ -350,7 +352,7 @@ impl Port {
         self
     }
 
-    /// Unconnected, the port has the value of this parameter.
+    /// The port reads this parameter while it is not connected.
     #[must_use]
     pub const fn or(mut self, parameter: &'static str, default: &'static str) -> Self {
         self.parameter = Some((parameter, default));
@@ -358,28 +360,28 @@ impl Port {
     }
 }
 
-/// Values that a [`function`] takes: a tuple of port values.
+/// The input values of a [`function`]: a tuple of port values.
 pub trait Inputs: Sized {
-    /// The handles they are read by.
+    /// The handles that read them.
     type Handles: Send;
     /// Their types.
     fn elements() -> Vec<Element>;
     /// Finds the handles by port name.
     ///
     /// # Errors
-    /// If a parameter standing in for a port has no value of its type.
+    /// If the parameter of an unconnected port has no value of its type.
     fn bind(build: &mut Build<'_, '_>, names: &[&'static str]) -> Result<Self::Handles, Fault>;
     /// Reads all; `None` if any is null.
     fn read(handles: &Self::Handles, cycle: &Cycle<'_>) -> Option<Self>;
 }
 
-/// Values that a [`function`] gives: one port value or a tuple of them.
+/// The output values of a [`function`]: one port value or a tuple of them.
 pub trait Outputs: Sized {
-    /// The handles they are written by.
+    /// The handles that write them.
     type Handles: Send;
     /// Their types.
     fn elements() -> Vec<Element>;
-    /// Makes the slots.
+    /// Allocates the slots.
     fn bind(build: &mut Build<'_, '_>, names: &[&'static str]) -> Self::Handles;
     /// Writes all; `None` makes all null.
     fn write(handles: &Self::Handles, cycle: &Cycle<'_>, values: Option<Self>);
@@ -453,10 +455,11 @@ impl<I: Inputs, O: Outputs, F: Fn(I) -> Option<O> + Send> Primitive for Function
     }
 }
 
-/// A primitive that is a function of its inputs. Null in gives null out, and so does `None`.
+/// A primitive that is a function of its inputs. A null input makes all outputs null, and so does
+/// `None`.
 ///
 /// # Panics
-/// If there are not as many ports as values: the table row is wrong.
+/// If the numbers of ports and values differ: the table row is wrong.
 #[track_caller]
 pub fn function<I, O, F>(
     name: impl Into<String>,
@@ -496,16 +499,16 @@ where
 }
 
 impl Build<'_, '_> {
-    /// Time from one cycle to the next, s.
+    /// The period, s.
     #[must_use]
     pub fn period_s(&self) -> f64 {
         self.period().as_secs_f64()
     }
 
-    /// How many cycles a span takes, at least 1.
+    /// Number of cycles in a time span, at least 1.
     ///
     /// # Errors
-    /// If the span is no positive time, or longer than a primitive may remember.
+    /// If the span is not positive, or longer than a primitive may remember.
     pub fn cycles_in(&self, parameter: &'static str, seconds: f64) -> Result<usize, Fault> {
         let most = self.limits().history;
         let cycles = (seconds / self.period_s()).ceil();

@@ -1,5 +1,6 @@
-//! What nets see of devices: an image of their interfaces, refreshed before and handed over
-//! after each cycle by the thread that evaluates nets. No driver and no wire is known here.
+//! The nets' view of devices: an image of their interfaces. The thread that evaluates nets
+//! refreshes the image before each cycle and publishes it after the cycle. No driver and no wire is
+//! known here.
 
 pub mod interface;
 mod owner;
@@ -18,28 +19,29 @@ pub use interface::{
 };
 pub use owner::Target;
 pub use signal::{
-    COMMAND_WORDS_MAX, Command, Given, Layout, SIGNAL_WORDS_MAX, Signal, Words, standing, withhold,
+    COMMAND_WORDS_MAX, Command, Given, Layout, SIGNAL_WORDS_MAX, Signal, Words, is_in_force,
+    withhold,
 };
 
-/// Most joints in the image; the sum over all robot arms.
+/// Upper bound on the joints in the image: the sum over all robot arms.
 pub const JOINTS_MAX: usize = 512;
 
-/// What a robot-arm joint reports. `None` is "not known".
+/// The state that a robot-arm joint reports. `None` is "not known".
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct JointState {
-    /// Position the driver last commanded, rad.
+    /// Last commanded position, rad.
     pub commanded_position: Option<f64>,
     /// Velocity of the commanded position, rad/s.
     pub commanded_velocity: Option<f64>,
     /// Acceleration of the commanded position, rad/s².
     pub commanded_acceleration: Option<f64>,
-    /// Position the joint has, rad.
+    /// Measured position, rad.
     pub measured_position: Option<f64>,
-    /// Velocity the joint has, rad/s.
+    /// Measured velocity, rad/s.
     pub measured_velocity: Option<f64>,
-    /// Acceleration the joint has, rad/s².
+    /// Measured acceleration, rad/s².
     pub measured_acceleration: Option<f64>,
-    /// 0 if the joint follows commands; see [`JointError`] for the others.
+    /// 0 if the joint follows commands; see [`JointError`] for the other values.
     pub error: i32,
 }
 
@@ -49,37 +51,39 @@ pub struct JointState {
 pub enum JointError {
     /// The joint follows commands.
     None = 0,
-    /// No contact to the device.
+    /// The device is offline.
     Offline = 1,
     /// The device answers, but its drives are not enabled.
     NotEnabled = 2,
-    /// The driver refused the set-points and holds the joint: a step or speed beyond the limit.
+    /// The driver rejected the set-points and holds the joint: a step or speed beyond the limit.
     Refused = 3,
-    /// Its drive gets no power: its process data by PDO are not those by SDO.
+    /// Its drive stays without power: its process data by PDO differ from those by SDO.
     NotProven = 4,
-    /// Its motor went where it was not told to go, and lost its power.
+    /// Its motor moved without a command to do so, and its power was switched off.
     Runaway = 5,
-    /// It stands out of its range: set-points that begin where it stands move it back, slowly.
+    /// It is out of its range: set-points that begin at its present position move it back, slowly.
     OutOfRange = 6,
 }
 
 /// A set-point for a joint.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct JointCommand {
-    /// The cycle it was given in, as in `Moment::cycle`; 0 is "never".
+    /// The cycle in which it was given, as in `Moment::cycle`; 0 is "never".
     pub cycle: u64,
-    /// In how many cycles of the thread its net gives one; it stands until then. 0 once it was withdrawn.
+    /// Number of thread cycles until its net gives the next one: it is in force until then. 0 once
+    /// it is withdrawn.
     pub every: u64,
     /// Position, rad.
     pub position: f64,
-    /// The net that gave it; `None` for none that runs.
+    /// The net that gave it; `None` if no running net did.
     pub net: Option<u32>,
 }
 
 impl JointCommand {
-    /// Whether it holds in this cycle: it was given in it, or the next of its net is not due yet.
+    /// Whether it is in force in this cycle: it was given in it, or the next one of its net is not
+    /// due yet.
     #[must_use]
-    pub const fn stands(&self, cycle: u64) -> bool {
+    pub const fn is_in_force(&self, cycle: u64) -> bool {
         cycle.saturating_sub(self.cycle) < self.every
     }
 }
@@ -89,26 +93,25 @@ impl JointCommand {
 pub struct Joint {
     /// What the driver reports.
     pub state: Cell<JointState>,
-    /// What nets command.
+    /// The command of a net.
     pub command: Cell<JointCommand>,
 }
 
-/// What nets say of the emergency stop, by their `EStop` primitives.
+/// The emergency-stop votes of nets, cast by their `EStop` primitives.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct StopVote {
-    /// The first cycle of the thread for which nothing was said.
-    pub said_until: u64,
-    /// The first cycle of the thread for which no stop was demanded.
+    /// The first cycle of the thread without a vote.
+    pub voted_until: u64,
+    /// The first cycle of the thread without a vote to stop.
     pub stop_until: u64,
 }
 
 impl StopVote {
-    /// Says for the cycles from `cycle` to `until` whether all is to stop. Of several who say something
-    /// of one cycle, those who demand a stop count.
+    /// Adds a vote for all cycles before `until`. One vote to stop outweighs any number of others.
     #[must_use]
     pub fn with(self, until: u64, stop: bool) -> Self {
         Self {
-            said_until: self.said_until.max(until),
+            voted_until: self.voted_until.max(until),
             stop_until: if stop {
                 self.stop_until.max(until)
             } else {
@@ -117,10 +120,10 @@ impl StopVote {
         }
     }
 
-    /// What is said for `cycle`: whether to stop; `None` for nothing.
+    /// The vote for `cycle`: whether to stop; `None` without a vote.
     #[must_use]
     pub const fn at(self, cycle: u64) -> Option<bool> {
-        if self.said_until > cycle {
+        if self.voted_until > cycle {
             Some(self.stop_until > cycle)
         } else {
             None
@@ -133,13 +136,13 @@ impl StopVote {
 pub struct Image {
     /// Joints of all robot arms.
     pub joints: Box<[Joint]>,
-    /// What else drivers report, in the places of [`Signal`]s.
+    /// Other values that drivers report, addressed by [`Signal`]s.
     pub signals: Box<[Cell<u64>]>,
-    /// What else nets command, in the places of [`Command`]s.
+    /// Other commands of nets, addressed by [`Command`]s.
     pub commands: Box<[Cell<u64>]>,
-    /// By the first word of each command, the net that gave it.
+    /// The net that gave each command, by the command's first word.
     pub owners: Box<[Cell<Option<u32>>]>,
-    /// What nets say of the emergency stop.
+    /// Emergency-stop votes.
     pub stop: Cell<StopVote>,
 }
 
@@ -168,21 +171,21 @@ pub struct JointLimits {
     pub acceleration_max: f64,
 }
 
-/// The geometry of an arm, in closed form: used in every cycle, so it neither allocates nor
+/// The geometry of an arm, in closed form: it is used in every cycle, so it neither allocates nor
 /// iterates without bound.
 pub trait Kinematics: fmt::Debug + Send + Sync {
     /// Number of joints.
     fn joints(&self) -> usize;
 
-    /// The flange in the base of the arm (m) at these joint positions (rad); joint limits do not
-    /// matter here. Not finite if a joint is not, or if there are not [`Self::joints`] of them.
+    /// The flange frame in the arm's base (m) at these joint positions (rad), whatever the joint
+    /// limits are. Not finite if a joint is not, or if there are not [`Self::joints`] of them.
     fn forward(&self, joints: &[f64]) -> Frame;
 
-    /// Joint positions (rad) within their limits that bring the flange to `flange` (m, in the base
-    /// of the arm): of all solutions the one nearest to `hint` (rad), turns included.
+    /// Joint positions (rad) within their limits that bring the flange to `flange` (m, in the arm's
+    /// base): of all solutions the one nearest to `hint` (rad), turns included.
     ///
     /// # Errors
-    /// If there is none; `joints` then stays as it was.
+    /// If there is no solution; `joints` then keeps its values.
     fn inverse(&self, flange: &Frame, hint: &[f64], joints: &mut [f64]) -> Result<(), Unreachable>;
 }
 
@@ -190,42 +193,42 @@ pub trait Kinematics: fmt::Debug + Send + Sync {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[repr(i32)]
 pub enum Unreachable {
-    /// The arm is too short or too long for it, or has too few joints.
+    /// The arm is too short or too long for the frame, or has too few joints.
     #[error("the frame is out of reach")]
     Reach = 1,
-    /// It could be reached, but only beyond the limits of the joints.
+    /// Only positions beyond the joint limits reach the frame.
     #[error("the frame is reached only beyond joint limits")]
     Limits = 2,
-    /// The frame or the hint is not finite, or there are not as many values as joints.
-    #[error("frame or hint are no finite numbers, or not as many as joints")]
+    /// The frame or the hint is not finite, or the number of values is not the number of joints.
+    #[error("the frame or the hint is not finite, or has not as many values as the arm has joints")]
     Invalid = 3,
 }
 
-/// A robot arm as found by its name while loading.
+/// A robot arm as found by its name during loading.
 #[derive(Clone, Debug)]
 pub struct ArmBinding {
     /// Number of the arm's first joint in [`Image::joints`]; the others follow.
     pub first_joint: usize,
     /// Limits by joint; its length is the number of joints.
     pub limits: Arc<[JointLimits]>,
-    /// Its geometry; `None` if nobody told it.
+    /// Its geometry; `None` if it is not configured.
     pub kinematics: Option<Arc<dyn Kinematics>>,
 }
 
-/// Finds devices, and other nets, by name while a net is loaded.
+/// Finds devices, and other nets, by name during loading.
 pub trait Devices {
-    /// The robot arm of that name.
+    /// The robot arm with that name.
     fn arm(&self, name: &str) -> Option<ArmBinding>;
 
-    /// What else the device of that name offers; `None` if there is no such device.
+    /// The other interfaces of the device with that name; `None` if there is no such device.
     fn interfaces(&self, _name: &str) -> Option<Interfaces> {
         None
     }
 
-    /// Names of all devices, for the text of a fault.
+    /// Names of all devices, for error messages.
     fn names(&self) -> Vec<String>;
 
-    /// What the loaded net of that name takes in and gives out; nets are known to a controller only.
+    /// The in and out values of the loaded net with that name; only a controller knows nets.
     fn net(&self, _name: &str) -> Option<NetBoxes> {
         None
     }

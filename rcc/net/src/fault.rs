@@ -1,5 +1,5 @@
-//! What can be wrong with a net, with the place in its text, and how it is told. Faults of a
-//! running net are values in its ports, never these.
+//! Faults of a net text, with their locations, and how they are rendered. Faults of a running net
+//! are values in its ports, never these.
 
 mod excerpt;
 
@@ -9,18 +9,18 @@ use std::time::Duration;
 
 use crate::cost::NetCost;
 
-/// Most faults that are told at once. Beyond it none is looked for, lest a text of faults alone
-/// take memory and time without bound.
+/// Upper bound on the faults that one load reports. Beyond it the search ends, or else a text of
+/// faults alone would take memory and time without bound.
 pub(crate) const FAULTS_MAX: usize = 100;
 
 /// One fault of a net.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Fault {
-    /// What is wrong.
+    /// The cause.
     pub kind: FaultKind,
-    /// Bytes of the net text it is about.
+    /// The bytes of the net text that it refers to.
     pub at: Range<usize>,
-    /// Other places that belong to it.
+    /// Related locations, each with a note.
     pub also: Vec<(Range<usize>, String)>,
 }
 
@@ -33,15 +33,15 @@ pub enum FaultKind {
     #[error("{expected} is expected here, not {found}")]
     Syntax { expected: String, found: String },
     /// The net exceeds a bound of [`crate::Limits`].
-    #[error("the net has {found} {what}; at most {bound} are taken")]
+    #[error("the net has {found} {item}; at most {bound} are allowed")]
     Bound {
-        what: &'static str,
+        item: &'static str,
         found: usize,
         bound: usize,
     },
     /// The net cannot be evaluated within its period.
     #[error(
-        "a cycle of the net costs up to {:?}, and may cost {budget:?} of its period of {period:?}; the \
+        "a cycle of the net costs up to {:?}; the limit is {budget:?} of its period of {period:?}; the \
          heaviest are {}; use fewer of these, give the net a longer period, or measure what \
          primitives cost on this host: `takt net calibrate`",
         .cost.total, .cost.heaviest(3)
@@ -78,7 +78,7 @@ pub enum FaultKind {
         name: String,
         known: Vec<String>,
     },
-    /// A link starts at a child that does not exist in this fragment.
+    /// A link starts at a child that this fragment does not have.
     #[error("this fragment has no child `{name}`{}", similar_or_reach(.similar))]
     UnknownChild {
         name: String,
@@ -86,30 +86,30 @@ pub enum FaultKind {
     },
     /// `parent` was used in the root fragment.
     #[error(
-        "`parent` leads nowhere in the root fragment, which has no in ports; a NetcommIn brings \
+        "the root fragment has no in ports, so `parent` refers to nothing; use a NetcommIn for \
          values from outside"
     )]
     NoParent,
-    /// Two children, ports or parameters of one name.
+    /// Two children, ports or parameters have the same name.
     #[error("`{name}` is given twice")]
     Twice { name: String },
-    /// A parameter's text is not a value of its type, or not a possible one.
+    /// A parameter's text is not a value of its type, or not an allowed one.
     #[error("parameter `{parameter}`: {why}")]
     Parameter { parameter: String, why: String },
     /// A link joins ports of different types.
     #[error(
-        "in port `{port}` takes {wants}, but this source gives {gives}{}",
-        conversion(.wants, .gives)
+        "in port `{port}` takes {expected}, but this source gives {found}{}",
+        conversion(.expected, .found)
     )]
     Type {
         port: String,
-        wants: String,
-        gives: String,
+        expected: String,
+        found: String,
     },
-    /// The sizes of arrays do not fit.
+    /// Array sizes do not match.
     #[error("{0}")]
     ArraySize(String),
-    /// A port without which the primitive has no meaning has no source.
+    /// A required in port has no source.
     #[error("in port `{port}` of `{primitive}` must be connected: `{port}=child.port`")]
     NotConnected { primitive: String, port: String },
     /// A text was given to an in port.
@@ -124,29 +124,31 @@ pub enum FaultKind {
     /// A link was given to a parameter.
     #[error("`{name}` is a parameter and takes a text such as '1', not a link")]
     LinkForParameter { name: String },
-    /// Links form a cycle that no Pre breaks.
-    #[error("links form a cycle: {path}; put a Pre where the value of the cycle before will do")]
+    /// Links form a cycle without a Pre.
+    #[error(
+        "links form a cycle: {path}; insert a Pre where the value of the previous cycle suffices"
+    )]
     Cycle { path: String },
-    /// Fragment ports are connected to each other and nothing feeds them.
+    /// Fragment ports are connected to each other, and no primitive feeds them.
     #[error(
         "`{name}` is fed by itself through fragment ports; one of them must come from a primitive"
     )]
     PortLoop { name: String },
-    /// The root fragment does not say when the net ends.
+    /// The root fragment has no termination signal.
     #[error(
         "the root fragment has no out port `outTerminate`; add one that becomes true when the net \
          shall end, such as `c=Cancel(),outTerminate=c.outCancel`"
     )]
     NoTerminate,
-    /// No such device, or not one of the kind wanted.
-    #[error("there is no {kind} `{name}`; of that kind there are {}", listed(.known))]
+    /// There is no such device, or it is of another kind.
+    #[error("there is no {kind} `{name}`; available are {}", listed(.known))]
     Device {
         kind: &'static str,
         name: String,
         /// Devices of that kind.
         known: Vec<String>,
     },
-    /// Two netcomm primitives that cannot share a key.
+    /// Two netcomm primitives that cannot share one key.
     #[error("netcomm value `{key}`: {why}")]
     Netcomm { key: String, why: &'static str },
 }
@@ -175,8 +177,8 @@ fn listed(known: &[String]) -> String {
     format!("{}{more}", shown.join(", "))
 }
 
-fn conversion(wants: &str, gives: &str) -> &'static str {
-    match (wants, gives) {
+fn conversion(expected: &str, found: &str) -> &'static str {
+    match (expected, found) {
         ("Core::double", "Core::int") => "; `Core::DoubleFromInt` converts",
         ("Core::int", "Core::double") => "; `Core::IntFromDouble` converts",
         _ => "",
@@ -185,7 +187,7 @@ fn conversion(wants: &str, gives: &str) -> &'static str {
 
 fn constant_hint(parameter: &Option<String>) -> String {
     parameter.as_ref().map_or_else(String::new, |p| {
-        format!("; for a constant give parameter `{p}`")
+        format!("; for a constant set parameter `{p}`")
     })
 }
 
@@ -215,7 +217,7 @@ impl FaultKind {
 }
 
 impl Fault {
-    /// A fault at one place.
+    /// A fault at one location.
     #[must_use]
     pub const fn new(kind: FaultKind, at: Range<usize>) -> Self {
         Self {
@@ -225,14 +227,14 @@ impl Fault {
         }
     }
 
-    /// Whether it is one of the grammar.
+    /// Whether it is a syntax fault.
     pub(crate) const fn is_syntax(&self) -> bool {
         matches!(self.kind, FaultKind::Syntax { .. })
     }
 
     /// Line and column (both from 1, columns in characters) of the fault in `text`.
     #[must_use]
-    pub fn place(&self, text: &str) -> (usize, usize) {
+    pub fn location(&self, text: &str) -> (usize, usize) {
         let before = &text[..text.floor_char_boundary(self.at.start)];
         let line_start = before.rfind('\n').map_or(0, |i| i + 1);
         (
@@ -242,22 +244,22 @@ impl Fault {
     }
 }
 
-/// All faults of a net that was not taken.
+/// All faults of a rejected net.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Rejection {
-    /// The faults in the order of the text, at least one.
+    /// The faults in text order, at least one.
     pub faults: Vec<Fault>,
 }
 
 impl Rejection {
-    /// The faults with what stands at their places in `text` and carets below, without colour.
+    /// The faults with an excerpt of `text` and carets below, without colour.
     #[must_use]
     pub fn render(&self, file: &str, text: &str) -> String {
         let mut out = String::new();
         for fault in &self.faults {
-            let (line, column) = fault.place(text);
-            let place = format!("{file}:{line}:{column}");
-            out.push_str(&format!("Error: {}\n  --> {place}\n", fault.kind));
+            let (line, column) = fault.location(text);
+            let location = format!("{file}:{line}:{column}");
+            out.push_str(&format!("Error: {}\n  --> {location}\n", fault.kind));
             excerpt::append(text, &fault.at, "", &mut out);
             for (at, note) in &fault.also {
                 excerpt::append(text, at, note, &mut out);
@@ -266,11 +268,11 @@ impl Rejection {
         out
     }
 
-    /// One line a fault: `line:column: text`.
+    /// One line for each fault: `line:column: text`.
     #[must_use]
     pub fn lines(&self, text: &str) -> Vec<String> {
         let line = |fault: &Fault| {
-            let (line, column) = fault.place(text);
+            let (line, column) = fault.location(text);
             format!("{line}:{column}: {}", fault.kind)
         };
         self.faults.iter().map(line).collect()
@@ -291,9 +293,9 @@ impl fmt::Display for Rejection {
 
 impl std::error::Error for Rejection {}
 
-/// The name in `known` most like `name`, if one is like it at all.
+/// The name in `known` most similar to `name`, if any is similar enough.
 pub(crate) fn similar<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
-    // Longer names and more candidates are no slip of a person, and would take long.
+    // Longer names and more candidates are no typing errors, and comparing them would take long.
     const LONGEST: usize = 100;
     const CANDIDATES: usize = 1000;
     if name.len() > LONGEST {
@@ -331,10 +333,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn place_counts_lines_and_characters() {
+    fn location_counts_lines_and_characters() {
         let fault = Fault::new(FaultKind::NoParent, 6..8);
-        assert_eq!(fault.place("abc\näöx"), (2, 2));
-        assert_eq!(Fault::new(FaultKind::NoParent, 0..0).place(""), (1, 1));
+        assert_eq!(fault.location("abc\näöx"), (2, 2));
+        assert_eq!(Fault::new(FaultKind::NoParent, 0..0).location(""), (1, 1));
     }
 
     #[test]

@@ -1,5 +1,5 @@
-//! What must hold for any text from outside, as functions that a fuzzer can call with any bytes
-//! and that panic if it does not. No text is made here.
+//! Properties that hold for any text from outside, as functions that a fuzzer can call with any
+//! bytes and that panic if a property is violated. Inputs are generated elsewhere.
 
 use std::sync::LazyLock;
 use std::time::Duration;
@@ -11,7 +11,7 @@ use crate::{
     Image, Limits, LoadContext, Moment, Nanos, NoDevices, Plan, Registry, Rejection, load, xml,
 };
 
-/// So small that one text costs a fraction of a second at most.
+/// Small enough that one text costs a fraction of a second at most.
 const LIMITS: Limits = Limits {
     text_bytes: 1 << 16,
     primitives: 1000,
@@ -23,10 +23,10 @@ const LIMITS: Limits = Limits {
     memory_bytes: 1 << 20,
 };
 
-/// Cycles that an accepted net runs.
+/// Number of cycles that an accepted net runs.
 const CYCLES: u64 = 3;
 
-/// A net text is either rejected with faults that can be shown, or runs.
+/// A net text is either rejected with faults that can be rendered, or runs.
 ///
 /// # Panics
 /// If a fault lies outside the text, or loading or running panics.
@@ -69,18 +69,18 @@ fn show(rejection: &Rejection, text: &str) {
     for fault in &rejection.faults {
         let at = &fault.at;
         assert!(at.start <= at.end && at.end <= text.len(), "{fault:?}");
-        let (line, column) = fault.place(text);
+        let (line, column) = fault.location(text);
         assert!(line >= 1 && column >= 1, "{fault:?}");
     }
     assert_eq!(rejection.lines(text).len(), rejection.faults.len());
     assert!(rejection.render("net", text).contains("Error"));
 }
 
-/// The XML of a net is either refused, or becomes a net text; a text that can be written as XML is read
-/// back from it.
+/// The XML form of a net is either rejected, or becomes a net text; a text that can be written as
+/// XML is read back from it.
 ///
 /// # Panics
-/// If it is not so, or reading or writing panics.
+/// If that does not hold, or reading or writing panics.
 pub fn net_xml(data: &[u8]) {
     let xml = String::from_utf8_lossy(data);
     let Ok(text) = xml::from_xml(&xml, &LIMITS) else {
@@ -97,11 +97,11 @@ pub fn net_xml(data: &[u8]) {
     }
 }
 
-/// A value that could be read is written so that it can be read again, and then is the same. The
-/// first byte chooses the type.
+/// A value that could be read is written in a form that reads back as the same value. The first
+/// byte selects the type.
 ///
 /// # Panics
-/// If it is not so, or reading panics.
+/// If that does not hold, or reading panics.
 pub fn value_text(data: &[u8]) {
     let Some((choice, data)) = data.split_first() else {
         return;

@@ -1,23 +1,23 @@
-//! What a net may at most be, so that no client can make loading or a cycle unbounded.
+//! Bounds on the size and cost of a net, so that no client can make loading or a cycle unbounded.
 
 use std::time::Duration;
 
-/// Upper bounds on one net. A net beyond one is refused with a text that names the bound.
+/// Upper bounds on one net. A net that exceeds one is rejected with an error that names the bound.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
     /// Bytes of net text.
     pub text_bytes: usize,
     /// Primitives in the net, inline ones included.
     pub primitives: usize,
-    /// Fragments or inline primitives inside one another.
+    /// Nesting depth of fragments or inline primitives.
     pub depth: usize,
     /// Elements of one array.
     pub array_size: usize,
-    /// Netcomm values, in and out together.
+    /// Netcomm values, in and out values together.
     pub netcomm: usize,
-    /// Time that one cycle of the net may cost at most; `None` for any.
+    /// Upper bound on the cost of one cycle; `None` for no bound.
     pub cost: Option<Duration>,
-    /// Samples that one primitive may keep of the past.
+    /// Past samples that one primitive may keep.
     pub history: usize,
     /// Bytes of all arrays and histories together.
     pub memory_bytes: usize,

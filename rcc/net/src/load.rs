@@ -1,5 +1,5 @@
-//! From net text to plan: read, resolve, sort, build. Runs off the real-time path and reports all
-//! faults at once. What happens to a plan afterwards is its executor's business.
+//! From net text to plan: parse, resolve, sort, build. This runs off the real-time path and reports
+//! all faults at once. The executor owns the plan afterwards.
 
 mod activation;
 mod build;
@@ -21,16 +21,16 @@ use crate::text;
 
 pub use builder::Build;
 
-/// What a net is loaded against.
+/// The context in which a net is loaded.
 #[derive(Clone, Copy)]
 pub struct LoadContext<'c> {
-    /// The primitives there are.
+    /// The available primitives.
     pub registry: &'c Registry,
-    /// The devices there are.
+    /// The available devices.
     pub devices: &'c dyn Devices,
     /// Time from one cycle of the net to the next.
     pub period: Duration,
-    /// How large the net may be.
+    /// Bounds on the net.
     pub limits: Limits,
 }
 
@@ -42,23 +42,23 @@ impl std::fmt::Debug for LoadContext<'_> {
     }
 }
 
-/// Checks a net and makes it ready.
+/// Checks a net and builds its plan.
 ///
 /// # Errors
-/// All faults of the net, in the order of its text.
+/// All faults of the net, in text order.
 pub fn load(text: &str, context: &LoadContext<'_>) -> Result<Plan, Rejection> {
     let mut faults = Vec::new();
     let tree = text::parse(text, &context.limits, &mut faults);
     let readable = faults.is_empty();
     let resolved = resolve::resolve(&tree, context, &mut faults);
     let mut plan = None;
-    // An unreadable part would make links look missing and ports unconnected.
+    // A part that cannot be parsed would make links look missing and ports unconnected.
     if readable {
         match sort::order(&resolved.graph()) {
             Ok(order) => plan = build::build(&resolved, &order, context, &mut faults),
             Err(unordered) => {
                 faults.push(resolved.cycle_fault(&unordered.cycle));
-                // Only for the faults of parameters; the plan is worth nothing.
+                // Only for the parameter faults; the plan is discarded.
                 build::build(&resolved, &unordered.units, context, &mut faults);
             }
         }
@@ -77,7 +77,7 @@ pub fn load(text: &str, context: &LoadContext<'_>) -> Result<Plan, Rejection> {
     }
 }
 
-/// Whether a fault may be there only because a part of the text could not be read.
+/// Whether a fault may be only a consequence of a part that could not be parsed.
 const fn is_consequence(kind: &FaultKind) -> bool {
     matches!(
         kind,

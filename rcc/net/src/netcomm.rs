@@ -1,6 +1,6 @@
-//! The exchange of a running net with programs that are not real time: values out of the net
-//! (NetcommOut) and into it (NetcommIn), laid out as words so that a whole box can be handed over
-//! by copying. How the words cross threads is the executor's business.
+//! Exchange between a running net and programs that are not real time: values out of the net
+//! (NetcommOut) and into it (NetcommIn), laid out as words, so that a whole box is handed over by
+//! copying. How the words cross threads is the executor's business.
 
 mod inter;
 
@@ -30,17 +30,17 @@ pub struct Entry {
 /// Words before an entry's value: status and time (out), or number of writes (in).
 const HEAD: usize = 2;
 
-/// Where each value of a box lies.
+/// The layout of the values in a box.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Directory {
     entries: Vec<Entry>,
     words: usize,
 }
 
-/// What an out value is at the moment.
+/// The state of an out value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OutStatus {
-    /// Never non-null so far.
+    /// It has never been non-null.
     Never,
     /// Non-null in the last cycle.
     Current,
@@ -49,7 +49,7 @@ pub enum OutStatus {
 }
 
 impl Directory {
-    /// The entries in the order of their keys' first use.
+    /// The entries in the order of the first use of their keys.
     #[must_use]
     pub fn entries(&self) -> &[Entry] {
         &self.entries
@@ -61,13 +61,13 @@ impl Directory {
         self.words
     }
 
-    /// The entry of that key.
+    /// The entry with that key.
     #[must_use]
     pub fn find(&self, key: &str) -> Option<&Entry> {
         self.entries.iter().find(|e| e.key == key)
     }
 
-    /// Adds an entry and returns the place of its first word.
+    /// Adds an entry and returns the index of its first word.
     pub(crate) fn add(&mut self, key: String, ty: Type, value_words: usize, report: bool) -> usize {
         let at = self.words;
         self.words += HEAD + value_words;
@@ -89,7 +89,7 @@ impl Entry {
         self.at
     }
 
-    /// Whether it passes between nets only, unseen by programs.
+    /// Whether it passes between nets only, invisible to programs.
     #[must_use]
     pub fn is_hidden(&self) -> bool {
         self.key.starts_with(['<', '>'])
@@ -99,7 +99,7 @@ impl Entry {
         self.words
     }
 
-    /// What an out value is, read from its box.
+    /// The state of an out value, read from its box.
     #[must_use]
     pub fn status(&self, words: &[u64]) -> OutStatus {
         match words.get(self.at) {
@@ -117,15 +117,15 @@ impl Entry {
             .unwrap_or_default()
     }
 
-    /// The text of the value in its box.
+    /// Formats the value in its box.
     pub fn format(&self, words: &[u64], out: &mut String) {
         format_words(self.ty, self.value(words), out);
     }
 
-    /// Writes a text into an in-box, as one more write.
+    /// Parses a value into an in-box, as one more write.
     ///
     /// # Errors
-    /// If the text is no value of the entry's type; the box is then unchanged.
+    /// If the text is not a value of the entry's type; the box is then unchanged.
     pub fn write(&self, text: &str, words: &mut [u64]) -> Result<(), ValueError> {
         let mut value = vec![0; self.words];
         parse_words(self.ty, text, &mut value)?;
@@ -154,8 +154,8 @@ impl Mailbox {
         }
     }
 
-    /// Stores an out value; `time` is that of its last change. Words are compared before they are
-    /// written, so that an unchanged box need not be handed over.
+    /// Stores an out value; `time` is the time of its last change. Words are compared before they
+    /// are written, so that an unchanged box need not be handed over.
     pub(crate) fn store<T: Value>(&self, at: usize, value: T, time: u64) {
         let mut changed = self.replace(at, 1);
         value.put(|i, w| changed |= self.replace(at + HEAD + i, w));
@@ -172,7 +172,7 @@ impl Mailbox {
         changed
     }
 
-    /// Marks an out array as non-null; `changed` says whether any element changed.
+    /// Marks an out array as non-null; `changed` is whether any element changed.
     pub(crate) fn finish_array(&self, at: usize, changed: bool, time: u64) {
         if self.replace(at, 1) || changed {
             self.words[at + 1].set(time);
@@ -188,12 +188,12 @@ impl Mailbox {
         }
     }
 
-    /// The time of the last change of a value that another net gives; `None` while it is null.
+    /// The time of the last change of a value from another net; `None` while it is null.
     pub(crate) fn inter_time(&self, at: usize) -> Option<u64> {
         (self.words[at + HEAD].get() != 0).then(|| self.words[at + 1].get())
     }
 
-    /// How often an in value was written.
+    /// The number of writes of an in value.
     pub(crate) fn writes(&self, at: usize) -> u64 {
         self.words[at].get()
     }
@@ -213,14 +213,14 @@ impl Mailbox {
         current.then_some(value)
     }
 
-    /// Takes over a whole box.
+    /// Imports a whole box.
     pub(crate) fn import(&self, words: &[u64]) {
         for (cell, word) in self.words.iter().zip(words) {
             cell.set(*word);
         }
     }
 
-    /// Copies the whole box out.
+    /// Exports the whole box.
     pub(crate) fn export(&self, words: &mut [u64]) {
         for (word, cell) in words.iter_mut().zip(&self.words) {
             *word = cell.get();

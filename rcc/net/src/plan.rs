@@ -1,5 +1,5 @@
-//! A plan: a net made ready. Evaluating it is a walk over steps in topological order; loading,
-//! checking and freeing happen elsewhere, and so does everything that can block.
+//! A plan: a net ready for evaluation. Evaluating it is a walk over steps in topological order;
+//! loading, checking and freeing happen elsewhere, and so does everything that can block.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -12,46 +12,46 @@ use crate::slots::{In, SlotRef, Slots};
 use crate::taps::Taps;
 use crate::value::{Nanos, Type};
 
-/// What a cycle is told from outside.
+/// The inputs of a cycle from outside.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Moment {
     /// Number of the cycle of the evaluating thread, from 1; skipped cycles count.
     pub cycle: u64,
     /// Logical time of the cycle: start of the thread plus whole periods, without jitter.
     pub time: Nanos,
-    /// The clock read at the start of this cycle: on the same time line, unless the thread keeps phase
-    /// with a device's clock, by which the two then drift apart.
+    /// The clock reading at the start of this cycle: on the same time line, unless the thread keeps
+    /// phase with a device's clock; the two then drift apart.
     pub wall: Nanos,
-    /// In how many cycles of the thread the net is evaluated once; 0 counts as 1.
+    /// Number of thread cycles in one net period; 0 counts as 1.
     pub every: u64,
-    /// Whether the net was asked to cancel.
+    /// Whether the net was requested to cancel.
     pub cancel: bool,
     /// Whether a successor is scheduled.
     pub takeover: bool,
-    /// The number of the net that is evaluated: what it commands is its own, and ends with it.
+    /// The number of the evaluated net: it owns its commands, which end with it.
     pub net: u32,
 }
 
-/// What a primitive sees while it steps.
+/// The data that a primitive can access in a step.
 #[derive(Debug)]
 pub struct Cycle<'a> {
     pub(crate) slots: &'a Slots,
-    /// Devices as they were when the cycle began, and what is commanded to them.
+    /// Device states at the start of the cycle, and commands to the devices.
     pub image: &'a Image,
     /// Time and requests from outside.
     pub moment: Moment,
-    /// How often the net was evaluated before; unlike `moment.cycle` without gaps.
+    /// Number of previous evaluations of the net; unlike `moment.cycle` without gaps.
     pub count: i64,
     pub(crate) inbox: &'a Mailbox,
     pub(crate) outbox: &'a Mailbox,
 }
 
-/// What the walk does next.
+/// One operation of the walk.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Op {
     /// Run the steps of this range.
     Run { first: u32, end: u32 },
-    /// If this guard's fragment is not active, go on at `skip_to`.
+    /// If this guard's fragment is not active, continue at `skip_to`.
     Guard { guard: u32, skip_to: u32 },
 }
 
@@ -59,13 +59,14 @@ pub(crate) enum Op {
 #[derive(Debug)]
 pub(crate) struct Guard {
     pub(crate) active: In<bool>,
-    /// Slots inside that are read outside; null while switched off.
+    /// Slots inside that are read from outside; null while switched off.
     pub(crate) exports: Box<[SlotRef]>,
     pub(crate) was_active: bool,
 }
 
 impl Guard {
-    /// Tests the activation; on the way from active to inactive the exported slots become null.
+    /// Tests the activation; on the transition from active to inactive the exported slots become
+    /// null.
     fn enter(&mut self, slots: &Slots) -> bool {
         let active = self.active.read(slots) == Some(true);
         if self.was_active && !active {
@@ -88,7 +89,7 @@ pub struct RootPort {
     pub(crate) slot: SlotRef,
 }
 
-/// A net made ready for evaluation.
+/// A net ready for evaluation.
 pub struct Plan {
     pub(crate) slots: Slots,
     pub(crate) steps: Box<[Box<dyn Primitive>]>,
@@ -125,7 +126,7 @@ impl std::fmt::Debug for Plan {
 }
 
 impl Plan {
-    /// Evaluates one cycle. Returns whether the net signals its termination.
+    /// Evaluates one cycle. Returns whether the net signals termination.
     pub fn evaluate(&mut self, image: &Image, moment: Moment) -> bool {
         let slots = &self.slots;
         let cycle = Cycle {
@@ -156,33 +157,34 @@ impl Plan {
         self.terminate.read(slots) == Some(true)
     }
 
-    /// Takes over values written by programs, a whole in-box of [`Self::inbox`].
+    /// Imports values written by programs, a whole in-box of [`Self::inbox`].
     pub fn import(&self, words: &[u64]) {
         self.inbox.import(words);
     }
 
-    /// Whether an out value changed since this was last asked.
+    /// Whether an out value changed since the last call.
     #[must_use]
     pub fn take_changed(&self) -> bool {
         self.outbox.changed.replace(false)
     }
 
-    /// Copies the out-box of [`Self::outbox`].
+    /// Exports the out-box of [`Self::outbox`].
     pub fn export(&self, words: &mut [u64]) {
         self.outbox.export(words);
     }
 
-    /// The words of the in-box as they are now: the parameters' values before an import.
+    /// The present words of the in-box: the parameter values before an import.
     pub fn inbox_words(&self) -> impl Iterator<Item = u64> {
         self.inbox.words.iter().map(std::cell::Cell::get)
     }
 
-    /// The words of the out-box as they are now.
+    /// The present words of the out-box.
     pub fn outbox_words(&self) -> impl Iterator<Item = u64> {
         self.outbox.words.iter().map(std::cell::Cell::get)
     }
 
-    /// The Boolean out value whose entry lies at word `at` of the out-box; `None` while it is null.
+    /// The Boolean out value whose entry begins at word `at` of the out-box; `None` while it is
+    /// null.
     #[must_use]
     pub fn out_bool(&self, at: usize) -> Option<bool> {
         self.outbox.current_bool(at)
@@ -200,13 +202,13 @@ impl Plan {
         &self.outbox.directory
     }
 
-    /// What the net needs for itself alone, such as the joints it commands.
+    /// Resources that the net needs exclusively, such as the joints it commands.
     #[must_use]
     pub fn resources(&self) -> &[String] {
         &self.resources
     }
 
-    /// What the net may command.
+    /// Commands that the net may give.
     #[must_use]
     pub fn commands(&self) -> &[Target] {
         &self.commands
@@ -230,14 +232,14 @@ impl Plan {
         self.period
     }
 
-    /// What one cycle costs at most by what its primitives declare or were measured to cost,
-    /// everything active.
+    /// Cost bound of one cycle with everything active, by the declared or measured costs of its
+    /// primitives.
     #[must_use]
     pub const fn cost(&self) -> &NetCost {
         &self.cost
     }
 
-    /// How many primitives the net has.
+    /// Number of primitives in the net.
     #[must_use]
     pub const fn primitives(&self) -> usize {
         self.primitives
@@ -258,15 +260,15 @@ impl Plan {
             .collect()
     }
 
-    /// Memory that the net takes at most, in bytes: slots, steps, arrays, histories, and one in-box and
-    /// out-box.
+    /// Upper bound on the net's memory, in bytes: slots, steps, arrays, histories, and one in-box
+    /// and out-box.
     #[must_use]
     pub fn memory(&self) -> usize {
         let words = self.inbox.words.len() + self.outbox.words.len();
         self.bytes() + self.memory + words * size_of::<u64>()
     }
 
-    /// Memory that a cycle can touch, in bytes: slots, steps and their parameters and state, but
+    /// Memory that a cycle can touch, in bytes: slots, steps with their parameters and state, but
     /// not histories.
     #[must_use]
     pub fn bytes(&self) -> usize {

@@ -1,8 +1,8 @@
-//! The primitives of this crate, a table for each field of use. Primitives of devices and motions
-//! are defined where devices and motions are.
+//! The primitives of this crate, one table for each field of use. Device and motion primitives are
+//! defined in the crates of devices and motions.
 
-/// What a generic function of definitions gives for each type of which programs can write values, as
-/// an array.
+/// An array of the results of a generic definition function, one for each type whose values
+/// programs can write.
 macro_rules! for_each_type {
     ($family:ident) => {
         [

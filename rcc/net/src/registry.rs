@@ -1,5 +1,5 @@
-//! All primitives a controller knows, by name. Which ones those are is put together by its owner
-//! from the tables of this crate and of those that use it.
+//! All primitives that a controller knows, by name. The controller composes them from the tables of
+//! this crate and of the crates that use it.
 
 use std::collections::HashMap;
 
@@ -26,7 +26,7 @@ impl Registry {
     /// Adds definitions.
     ///
     /// # Panics
-    /// If a name is already taken: two tables contradict each other.
+    /// If a name is already defined: two tables contradict each other.
     pub fn add(&mut self, definitions: impl IntoIterator<Item = Definition>) {
         for definition in definitions {
             let number = self.definitions.len();
@@ -40,7 +40,7 @@ impl Registry {
         }
     }
 
-    /// The definition of that name.
+    /// The definition with that name.
     #[must_use]
     pub fn find(&self, name: &str) -> Option<&Definition> {
         self.by_name.get(name).map(|i| &self.definitions[*i])
@@ -52,8 +52,8 @@ impl Registry {
         &self.definitions
     }
 
-    /// Puts costs, by name, in the place of those declared; what is not named keeps the declared
-    /// one. Returns the names that no primitive has.
+    /// Replaces declared costs, by name; primitives that are not named keep the declared cost.
+    /// Returns the names that no primitive has.
     pub fn set_costs<'n>(
         &mut self,
         costs: impl IntoIterator<Item = (&'n str, Cost)>,
@@ -68,7 +68,7 @@ impl Registry {
         unknown
     }
 
-    /// The known name most like `name`.
+    /// The known name most similar to `name`.
     #[must_use]
     pub fn similar(&self, name: &str) -> Option<&str> {
         similar(name, self.definitions.iter().map(|d| d.name.as_str()))

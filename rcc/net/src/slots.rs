@@ -1,8 +1,8 @@
-//! The arena of a plan: every port a slot, one column per value type, and the typed handles by
-//! which primitives read and write them. Slots are `Cell`s, so a step needs no exclusive access;
-//! a plan belongs to one thread at a time. A handle fits the plan it was built for and is not
-//! tested for it; in another one it may read null and write nothing, but cannot panic, which also
-//! keeps the code of a step short.
+//! The arena of a plan: every port has a slot, with one column per value type, and primitives read
+//! and write slots through typed handles. Slots are `Cell`s, so a step needs no exclusive access; a
+//! plan belongs to one thread at a time. A handle fits the plan it was built for, which is not
+//! checked: in another plan it may read null and write nothing, but cannot panic. This keeps the
+//! code of a step short.
 
 use std::cell::Cell;
 use std::marker::PhantomData;
@@ -14,7 +14,7 @@ use crate::value::{Element, Frame, Nanos, Rotation, Twist, Type, Value, Vector, 
 /// All slots of one value type.
 #[derive(Debug)]
 pub struct Column<T: Copy> {
-    /// One slot per scalar port; slot 0 is always null and stands for "not connected".
+    /// One slot per scalar port; slot 0 is always null, for "not connected".
     scalars: Box<[Cell<Option<T>>]>,
     /// The elements of all arrays, one after the other.
     elements: Box<[Cell<T>]>,
@@ -36,7 +36,7 @@ pub struct Slots {
     pub(crate) wrench: Column<Wrench>,
 }
 
-/// Calls one generic expression for the Rust type of an [`Element`].
+/// Evaluates one generic expression for the Rust type of an [`Element`].
 macro_rules! for_element {
     ($element:expr, $T:ident => $body:expr) => {
         match $element {
@@ -81,7 +81,7 @@ macro_rules! for_element {
 }
 pub(crate) use for_element;
 
-/// An in port: reads the slot its link ends at.
+/// An in port: reads the slot that it is linked to.
 #[derive(Debug)]
 pub struct In<T>(pub(crate) u32, pub(crate) PhantomData<fn() -> T>);
 
@@ -89,7 +89,7 @@ pub struct In<T>(pub(crate) u32, pub(crate) PhantomData<fn() -> T>);
 #[derive(Debug)]
 pub struct Out<T>(pub(crate) u32, pub(crate) PhantomData<fn() -> T>);
 
-/// Where an array lies in its column.
+/// The location of an array in its column.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct ArraySlot {
     pub(crate) number: u32,
@@ -140,7 +140,7 @@ impl<T: Value> Out<T> {
         }
     }
 
-    /// The same slot, read back: what was last written.
+    /// The slot read back: the value last written.
     #[inline]
     pub fn held(self, cycle: &Cycle<'_>) -> Option<T> {
         T::column(cycle.slots).scalars.get(self.0 as usize)?.get()
@@ -157,13 +157,13 @@ impl<T: Value> ArrayIn<T> {
             .then(|| column.elements_of(self.0))
     }
 
-    /// How many elements the source of this port carries; known from loading on.
+    /// Number of elements that the source of this port carries; known at load time.
     #[must_use]
     pub fn len(&self) -> usize {
         self.0.len as usize
     }
 
-    /// Whether the port carries no element at all.
+    /// Whether the port carries no elements.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.0.len == 0
@@ -171,7 +171,8 @@ impl<T: Value> ArrayIn<T> {
 }
 
 impl<T: Value> ArrayOut<T> {
-    /// Fills the array from `values`, which must yield at least its length; spare ones are left.
+    /// Fills the array from `values`, which must yield at least as many elements; the rest is
+    /// ignored.
     #[inline]
     pub fn set(&self, cycle: &Cycle<'_>, values: impl Iterator<Item = T>) {
         let column = T::column(cycle.slots);
@@ -187,13 +188,13 @@ impl<T: Value> ArrayOut<T> {
         T::column(cycle.slots).present[self.0.number as usize].set(false);
     }
 
-    /// How many elements the port carries.
+    /// Number of elements that the port carries.
     #[must_use]
     pub fn len(&self) -> usize {
         self.0.len as usize
     }
 
-    /// Whether the port carries no element at all.
+    /// Whether the port carries no elements.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.0.len == 0
@@ -211,7 +212,7 @@ impl<T: Copy> Column<T> {
 }
 
 impl Slots {
-    /// Memory taken by all slots, in bytes.
+    /// Memory of all slots, in bytes.
     pub(crate) fn bytes(&self) -> usize {
         Element::ALL
             .into_iter()
@@ -220,7 +221,7 @@ impl Slots {
     }
 }
 
-/// A slot of any type: what is needed to set it to null, or to read it as a value of its type.
+/// A slot of any type: enough to set it to null, or to read it as a value of its type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum SlotRef {
     Scalar { element: Element, slot: u32 },
@@ -228,7 +229,7 @@ pub(crate) enum SlotRef {
 }
 
 impl SlotRef {
-    /// The slot that is always null, for ports with no source.
+    /// The slot that is always null, for ports without a source.
     pub(crate) const fn null(ty: Type) -> Self {
         if ty.array {
             let slot = ArraySlot {
@@ -267,7 +268,7 @@ impl SlotRef {
         Some(out)
     }
 
-    /// Words of the value.
+    /// Number of words of the value.
     pub(crate) fn words(self) -> usize {
         match self {
             Self::Scalar { element, .. } => for_element!(element, T => <T as Value>::WORDS),
@@ -312,11 +313,11 @@ impl SlotRef {
     }
 }
 
-/// Writes as many words of a value as there is room for.
+/// Writes as many words of a value as fit.
 fn put<T: Value>(value: T, out: &mut [u64]) {
     value.put(|i, word| {
-        if let Some(place) = out.get_mut(i) {
-            *place = word;
+        if let Some(word_out) = out.get_mut(i) {
+            *word_out = word;
         }
     });
 }
@@ -366,7 +367,7 @@ impl<T: Copy> ColumnBuilder<T> {
         index(self.scalars.len() - 1)
     }
 
-    /// A new array slot; null unless `initial` gives its elements.
+    /// A new array slot; null unless `initial` provides its elements.
     pub(crate) fn array(&mut self, len: usize, fill: T, initial: Option<&[T]>) -> ArraySlot {
         let slot = ArraySlot {
             number: index(self.present.len()),

@@ -1,6 +1,6 @@
-//! Debug taps of a plan: the ports whose values a net's text asks to record, and how one cycle of all of
-//! them is laid out as words. Whether anybody looks, and how the words leave the thread that evaluates,
-//! is the executor's business; a plan without taps pays nothing.
+//! Debug taps of a plan: the ports whose values a net's text asks to record, and the layout of one
+//! cycle of all of them in words. Whether a client reads them, and how the words leave the
+//! evaluating thread, is the executor's business. A plan without taps has no cost for them.
 
 use std::sync::Arc;
 
@@ -9,23 +9,23 @@ use crate::slots::SlotRef;
 use crate::value::text::format_words;
 use crate::value::{Nanos, Type};
 
-/// Most debug taps of one net.
+/// Upper bound on the debug taps of one net.
 pub const TAPS_MAX: usize = 1024;
 
-/// Most words of one record.
+/// Upper bound on the words of one record.
 pub const RECORD_WORDS_MAX: usize = 4096;
 
-/// Longest time that a tap remembers, s; what a text asks beyond is cut to it.
+/// Longest time that a tap keeps values, s; longer times in a text are truncated to it.
 pub const TAP_SECONDS_MAX: f64 = 10.0;
 
 /// A tapped port.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tap {
-    /// Names of the fragments it is in, of its primitive, and its own, joined by dots.
+    /// Names of its fragments, of its primitive, and its own, joined by dots.
     pub name: String,
     /// Type of its values.
     pub ty: Type,
-    /// For how long they are remembered, s.
+    /// How long its values are kept, s.
     pub seconds: f64,
     /// Its first word in a record: 1 if the value is non-null; the value follows.
     at: usize,
@@ -52,11 +52,11 @@ pub fn record_time(record: &[u64]) -> Nanos {
     Nanos(record.first().map_or(0, |word| word.cast_signed()))
 }
 
-/// What a tap reads.
+/// The source of a tap.
 #[derive(Debug)]
 struct Source {
     slot: SlotRef,
-    /// What must be active for the slot to hold a value of the present cycle.
+    /// Guards that must be active for the slot to hold a value of the present cycle.
     guards: Box<[u32]>,
 }
 
@@ -69,8 +69,8 @@ pub(crate) struct Taps {
 }
 
 impl Taps {
-    /// Lays out taps given by name, type, seconds, slot and guards. Those that would make a record too
-    /// long are left out.
+    /// Lays out taps given by name, type, seconds, slot and guards. Taps that would exceed the
+    /// bound on a record are left out.
     pub(crate) fn new(found: Vec<(String, Type, f64, SlotRef, Vec<u32>)>) -> Self {
         let (mut taps, mut sources, mut at) = (Vec::new(), Vec::new(), 1);
         for (name, ty, seconds, slot, guards) in found {
@@ -98,30 +98,30 @@ impl Taps {
 }
 
 impl Plan {
-    /// The ports that are to be recorded.
+    /// The tapped ports.
     #[must_use]
     pub const fn taps(&self) -> &Arc<[Tap]> {
         &self.taps.taps
     }
 
-    /// Words of one record of all taps; 0 if there are none.
+    /// Number of words of one record of all taps; 0 without taps.
     #[must_use]
     pub const fn record_words(&self) -> usize {
         self.taps.words
     }
 
-    /// Writes the record of the cycle that was evaluated last, of logical time `time`.
+    /// Writes the record of the last evaluated cycle, of logical time `time`.
     pub fn record(&self, time: Nanos, record: &mut [u64]) {
         if let Some(first) = record.first_mut() {
             *first = time.0.cast_unsigned();
         }
         for (tap, source) in self.taps.taps.iter().zip(&self.taps.sources) {
-            let Some(place) = record.get_mut(tap.at..=tap.at + tap.words) else {
+            let Some(words) = record.get_mut(tap.at..=tap.at + tap.words) else {
                 return;
             };
             let active = |guard: &u32| self.guards[*guard as usize].was_active;
             let active = source.guards.iter().all(active);
-            if let Some((status, value)) = place.split_first_mut() {
+            if let Some((status, value)) = words.split_first_mut() {
                 *status = (active && source.slot.put(&self.slots, value)).into();
             }
         }

@@ -1,5 +1,5 @@
-//! Net text: its tokens, its syntax tree and the parser, which goes on after an error so that
-//! one run tells all of them. What the names mean is not looked at here.
+//! Net text: its tokens, its syntax tree and the parser, which continues after an error so that one
+//! run reports all of them. The meaning of names is checked elsewhere.
 //!
 //! ```text
 //! net      = fragment
@@ -21,7 +21,7 @@ use logos::{Lexer, Logos};
 use crate::fault::{FAULTS_MAX, Fault, FaultKind};
 use crate::limits::Limits;
 
-/// A word of the text and where it stands.
+/// A word of the text and its location.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Name<'a> {
     /// The word.
@@ -31,7 +31,7 @@ pub struct Name<'a> {
 }
 
 impl Name<'_> {
-    /// The bytes of the text that it takes.
+    /// The bytes of the text that it covers.
     #[must_use]
     pub const fn span(&self) -> Range<usize> {
         self.start..self.start + self.text.len()
@@ -54,14 +54,14 @@ pub struct Fragment<'a> {
 pub struct Child<'a> {
     /// Its name in the fragment.
     pub name: Name<'a>,
-    /// What it is.
+    /// The child.
     pub node: Node<'a>,
 }
 
 /// A primitive or a nested fragment with its arguments.
 #[derive(Debug)]
 pub struct Node<'a> {
-    /// What it is.
+    /// The kind of node.
     pub body: Body<'a>,
     /// Parameters and in ports.
     pub args: Vec<Arg<'a>>,
@@ -69,7 +69,7 @@ pub struct Node<'a> {
     pub at: Range<usize>,
 }
 
-/// What a node is.
+/// The kind of a node.
 #[derive(Debug)]
 pub enum Body<'a> {
     /// An instance of the primitive of that name.
@@ -83,16 +83,16 @@ pub enum Body<'a> {
 pub struct Arg<'a> {
     /// Name of the parameter or port.
     pub name: Name<'a>,
-    /// How long a debug tap on this port remembers, s.
+    /// How long a debug tap on this port keeps values, s.
     pub debug_s: Option<f64>,
-    /// What it is given.
+    /// The value or link.
     pub value: ArgValue<'a>,
 }
 
-/// What an argument is given.
+/// The right-hand side of an argument.
 #[derive(Debug)]
 pub enum ArgValue<'a> {
-    /// A parameter's text and the place of its first byte inside the quotes.
+    /// A parameter's text and the index of its first byte inside the quotes.
     Text(Cow<'a, str>, usize),
     /// A link from an out port.
     Link(Source<'a>),
@@ -101,18 +101,18 @@ pub enum ArgValue<'a> {
 /// The out port a link starts at.
 #[derive(Debug)]
 pub struct Source<'a> {
-    /// Whose port it is.
+    /// The owner of the port.
     pub of: SourceOf<'a>,
     /// The port.
     pub port: Name<'a>,
 }
 
-/// Whose out port a link starts at.
+/// The owner of the out port at which a link starts.
 #[derive(Debug)]
 pub enum SourceOf<'a> {
     /// A child of the same fragment, or `parent` for the fragment's own in ports.
     Child(Name<'a>),
-    /// A primitive or fragment written in place.
+    /// An inline primitive or fragment.
     Inline(Box<Node<'a>>),
 }
 
@@ -154,16 +154,16 @@ enum Token {
     Ident,
     #[regex(r"'([^'\\]|\\(.|\n))*'")]
     Text,
-    /// A text whose closing quote is missing, or a character that starts no token.
+    /// A text without its closing quote, or a character that starts no token.
     Bad,
 }
 
-/// Reads net text into a syntax tree, and all faults of its syntax. The tree holds what could
-/// be read, so that checks can go on.
+/// Parses net text into a syntax tree and appends all syntax faults to `faults`. The tree holds all
+/// parts that could be parsed, so that later checks can continue.
 pub fn parse<'a>(text: &'a str, limits: &Limits, faults: &mut Vec<Fault>) -> Fragment<'a> {
     if text.len() > limits.text_bytes {
-        let (what, found, bound) = ("bytes of text", text.len(), limits.text_bytes);
-        faults.push(Fault::new(FaultKind::Bound { what, found, bound }, 0..0));
+        let (item, found, bound) = ("bytes of text", text.len(), limits.text_bytes);
+        faults.push(Fault::new(FaultKind::Bound { item, found, bound }, 0..0));
         return Fragment::default();
     }
     let mut parser = Parser {
@@ -185,19 +185,20 @@ pub fn parse<'a>(text: &'a str, limits: &Limits, faults: &mut Vec<Fault>) -> Fra
 
 struct Parser<'a, 'f> {
     text: &'a str,
-    /// Reads on behind [`Self::token`]. Tokens are not kept, as a text may have millions.
+    /// The rest of the text after [`Self::token`]. Tokens are not stored, as a text may have
+    /// millions.
     lexer: Lexer<'a, Token>,
-    /// The token to be looked at next; `None` at the end of the text.
+    /// The next token; `None` at the end of the text.
     token: Option<Token>,
-    /// End of the token before that one.
+    /// End of the previous token.
     last_end: usize,
-    /// How much deeper nodes may nest.
+    /// Remaining nesting depth.
     depth: usize,
     depth_max: usize,
     faults: &'f mut Vec<Fault>,
 }
 
-/// A fault was recorded; the caller goes on at the next comma.
+/// A fault was recorded; the caller continues after the next comma.
 struct Recorded;
 
 type Parse<T> = Result<T, Recorded>;
@@ -235,7 +236,7 @@ impl<'a> Parser<'a, '_> {
             return Recorded;
         }
         if self.token.is_none() && self.faults.last().is_some_and(Fault::is_syntax) {
-            // That the text ends, too, has the same cause.
+            // An unexpected end of the text has the same cause.
             return Recorded;
         }
         let found = match self.token {
@@ -254,7 +255,7 @@ impl<'a> Parser<'a, '_> {
         Recorded
     }
 
-    /// A value where a text should be, the commonest slip of those who write nets by hand.
+    /// A value where a text should be: the most common mistake in nets written by hand.
     fn unquoted(&mut self, value: Name<'a>) -> Recorded {
         if self.faults.len() < FAULTS_MAX {
             let text = value.text;
@@ -279,8 +280,8 @@ impl<'a> Parser<'a, '_> {
         })
     }
 
-    /// Reads `item`s up to `close`; after a fault goes on behind the next comma of this level.
-    fn list(&mut self, close: Token, what: &str, mut item: impl FnMut(&mut Self) -> Parse<()>) {
+    /// Parses `item`s up to `close`; after a fault it continues after the next comma of this level.
+    fn list(&mut self, close: Token, expected: &str, mut item: impl FnMut(&mut Self) -> Parse<()>) {
         if self.eat(close) {
             return;
         }
@@ -292,7 +293,7 @@ impl<'a> Parser<'a, '_> {
                 return;
             }
             if !self.eat(Token::Comma) {
-                self.expected(what);
+                self.expected(expected);
                 self.skip_item();
                 if self.eat(close) || !self.eat(Token::Comma) {
                     return;
@@ -379,7 +380,7 @@ impl<'a> Parser<'a, '_> {
         if self.depth == 0 {
             let bound = self.depth_max;
             let kind = FaultKind::Bound {
-                what: "levels of fragments or inline primitives inside one another",
+                item: "levels of fragments or inline primitives inside one another",
                 found: bound + 1,
                 bound,
             };
@@ -503,7 +504,7 @@ mod tests {
     }
 
     #[test]
-    fn reads_the_whole_grammar() {
+    fn parser_reads_whole_grammar() {
         let text = r"{a=Core::DoubleAdd(inFirst=Core::Clock(Increment='2').outValue,
             inSecond[2.0]=b.outY, Text='it\'s \\'), 7={x=P(), outY=x.outValue,
             outZ=parent.inQ}(inQ=a.outValue), outTerminate=7.outY}";
@@ -521,7 +522,7 @@ mod tests {
     }
 
     #[test]
-    fn all_faults_are_told_at_once() {
+    fn all_faults_are_reported_at_once() {
         let text = "{a=Core::Clock(Increment=), b=c, d=E(inX='1' inY='2'), f g=H(), outT=a.o}";
         assert_eq!(
             faults_of(text),
@@ -535,7 +536,7 @@ mod tests {
     }
 
     #[test]
-    fn a_value_without_quotes_is_told_with_them() {
+    fn unquoted_value_fault_suggests_quotes() {
         assert_eq!(
             faults_of("{a=P(X=3, Y=true), outT=a.o}"),
             [
@@ -546,7 +547,7 @@ mod tests {
     }
 
     #[test]
-    fn ends_are_told() {
+    fn unexpected_end_is_reported() {
         assert_eq!(
             faults_of(""),
             ["1:1: `{`, the start of a fragment, is expected here, not the end of the text"]

@@ -1,5 +1,5 @@
-//! The values a port can carry: which types there are and how each is laid out in memory and in
-//! words. Their text form is in [`text`]; null is not a value but the `None` of a slot.
+//! The values that a port can carry: their types and their layouts in memory and in words. Their
+//! text form is in [`text`]; null is not a value but the `None` of a slot.
 
 pub mod text;
 
@@ -9,7 +9,7 @@ use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
 use crate::slots::{Column, ColumnBuilder, Slots, SlotsBuilder};
 
-/// `World::Vector`: three coordinates, metres unless a port says otherwise.
+/// `World::Vector`: three coordinates, metres unless a port declares another unit.
 pub type Vector = Vector3<f64>;
 /// `World::Rotation`: a rotation in space, held as a unit quaternion.
 pub type Rotation = UnitQuaternion<f64>;
@@ -38,7 +38,7 @@ pub struct Wrench {
     pub torque: Vector,
 }
 
-/// What one element of a port is.
+/// The type of one element of a port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Element {
     /// `Core::bool`
@@ -91,11 +91,11 @@ impl Element {
     }
 }
 
-/// The type of a port: an element, or a fixed array of it. The array's size is a property of the
-/// source that fills it and is checked while loading.
+/// The type of a port: an element, or a fixed array of it. The size of an array is a property of
+/// the source that fills it and is checked at load time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Type {
-    /// What one element is.
+    /// The type of one element.
     pub element: Element,
     /// Whether the port carries a fixed array of elements.
     pub array: bool,
@@ -137,16 +137,16 @@ impl fmt::Display for Type {
 pub trait Value: Copy + Default + PartialEq + fmt::Debug + Send + Sync + 'static {
     /// Which element type this is.
     const ELEMENT: Element;
-    /// What generic families of this type are named after, such as `Core::Double`.
+    /// The prefix of generic families of this type, such as `Core::Double`.
     const PREFIX: &'static str;
-    /// How many words one value takes.
+    /// Number of words of one value.
     const WORDS: usize;
 
-    /// Where a plan keeps its values of this type.
+    /// The column of a plan for values of this type.
     #[doc(hidden)]
     fn column(slots: &Slots) -> &Column<Self>;
 
-    /// Where the slots of a plan are collected.
+    /// The slots of this type while a plan is built.
     #[doc(hidden)]
     fn builder(slots: &mut SlotsBuilder) -> &mut ColumnBuilder<Self>;
 
@@ -196,7 +196,7 @@ fn vector_words(v: Vector) -> [u64; 3] {
 }
 
 fn rotation([w, i, j, k]: [u64; 4]) -> Rotation {
-    // The words were written from a unit quaternion; to normalise again would change bits.
+    // The words were written from a unit quaternion; normalising again would change bits.
     Rotation::new_unchecked(Quaternion::new(
         f64::from_bits(w),
         f64::from_bits(i),
@@ -351,7 +351,7 @@ mod tests {
     }
 
     #[test]
-    fn a_nan_keeps_its_payload() {
+    fn nan_keeps_its_payload() {
         let nan = f64::from_bits(0x7ff8_0000_dead_beef);
         assert_eq!(through_words(nan).to_bits(), nan.to_bits());
     }

@@ -1,6 +1,6 @@
-//! The XML form of nets, which older tools write: to net text and back. Only the form is looked
-//! at here; what comes out is read by the ordinary parser, so faults of a net are told for the
-//! text that its XML stands for.
+//! The XML form of nets, which older tools write: conversion to net text and back. Only the form is
+//! checked here; the resulting net text is read by the ordinary parser, so faults of a net refer to
+//! the net text, not to its XML.
 //!
 //! ```xml
 //! <rpinet>
@@ -13,8 +13,8 @@
 //!   <outport name="outTerminate" frommodule="f" fromport="outZ"/>
 //! </rpinet>
 //! ```
-//! `frommodule` names a sibling, or the enclosing fragment for that one's own in ports, which is
-//! `parent` in net text; the root's is `ROOT`. Names of elements may be written in any case.
+//! `frommodule` names a sibling, or the enclosing fragment for that fragment's own in ports, which
+//! is `parent` in net text; the root's is `ROOT`. Element names may be in any case.
 
 mod read;
 mod write;
@@ -22,16 +22,16 @@ mod write;
 pub use read::from_xml;
 pub use write::to_xml;
 
-/// What the root fragment is called.
+/// Name of the root fragment.
 const ROOT: &str = "ROOT";
 
-/// Why a text is not the XML of a net.
+/// Why a text is not the XML form of a net.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("line {line}: {kind}")]
 pub struct XmlFault {
     /// Line, from 1.
     pub line: usize,
-    /// What is wrong.
+    /// The cause.
     pub kind: XmlFaultKind,
 }
 
@@ -40,14 +40,14 @@ pub struct XmlFault {
 #[non_exhaustive]
 #[expect(missing_docs, reason = "each field is named in its variant's text")]
 pub enum XmlFaultKind {
-    /// It is no XML.
+    /// The text is not XML.
     #[error("{0}")]
     Malformed(String),
     /// A document type, whose entities could grow without bound.
-    #[error("a document type is not taken; leave `<!DOCTYPE …>` out")]
+    #[error("a document type is not allowed; remove `<!DOCTYPE …>`")]
     DocumentType,
-    /// An element where it does not belong.
-    #[error("`<{element}>` does not belong into {inside}")]
+    /// A misplaced element.
+    #[error("`<{element}>` is not allowed in {inside}")]
     Element {
         element: String,
         inside: &'static str,
@@ -61,17 +61,17 @@ pub enum XmlFaultKind {
         element: &'static str,
         attribute: &'static str,
     },
-    /// An attribute holds what cannot stand in net text.
+    /// An attribute value that net text cannot contain.
     #[error("{attribute}=\"{value}\": {wanted} is expected here")]
     Value {
         attribute: &'static str,
         value: String,
         wanted: &'static str,
     },
-    /// A bound of [`crate::Limits`], or on attributes.
-    #[error("{found} {what}; at most {bound} are taken")]
+    /// A bound of [`crate::Limits`], or on attributes, is exceeded.
+    #[error("{found} {item}; at most {bound} are allowed")]
     Bound {
-        what: &'static str,
+        item: &'static str,
         found: usize,
         bound: usize,
     },

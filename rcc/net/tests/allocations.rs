@@ -1,4 +1,4 @@
-//! Proof that no primitive allocates while a net runs, whatever its inputs are.
+//! No primitive allocates while a net runs, whatever its inputs are.
 
 #[path = "common/every.rs"]
 mod every;
@@ -18,7 +18,7 @@ struct Counting;
 // thread-local without a destructor and allocates nothing.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        // Gone while a thread ends: nothing is counted then.
+        // The counter is not accessible while a thread ends: nothing is counted then.
         let _gone = ALLOCATIONS.try_with(|count| count.set(count.get() + 1));
         // SAFETY: the caller keeps the contract of `alloc`, which is the same here.
         unsafe { System.alloc(layout) }

@@ -1,4 +1,4 @@
-//! What holds for every primitive of this crate, whatever it computes.
+//! Properties of every primitive of this crate, whatever it computes.
 
 #[path = "common/every.rs"]
 mod every;

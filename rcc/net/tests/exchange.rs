@@ -1,5 +1,5 @@
-//! Values that pass from net to net, by hand: two plans, and the copies that an executor makes between
-//! their boxes.
+//! Values that pass from net to net: two plans, and the copies between their boxes that an executor
+//! makes.
 
 mod common;
 
@@ -44,11 +44,11 @@ fn load_beside(text: &str, other: &Plan) -> Result<Bench, Vec<String>> {
     })
 }
 
-fn given(plan: &Plan) -> Vec<u64> {
+fn outbox(plan: &Plan) -> Vec<u64> {
     plan.outbox_words().collect()
 }
 
-/// Every type with a value of it.
+/// Every type with an example value.
 const VALUES: [(&str, &str); 8] = [
     ("Core::Boolean", "true"),
     ("Core::Int", "-7"),
@@ -66,7 +66,7 @@ const VALUES: [(&str, &str); 8] = [
 const NEVER: &str = "never=Core::BooleanValue(),outTerminate=never.outValue";
 
 #[test]
-fn every_type_is_read_from_another_net_and_null_is_told() {
+fn every_type_and_null_is_read_between_nets() {
     for (ty, value) in VALUES {
         for (array, value) in [
             ("", value.to_owned()),
@@ -91,7 +91,7 @@ fn every_type_is_read_from_another_net_and_null_is_told() {
             .unwrap();
             let inter = reader.plan.inter_ins()[0].clone();
             let pass = |giver: &Bench, reader: &mut Bench| {
-                reader.plan.import_inter(&inter, Some(&given(&giver.plan)));
+                reader.plan.import_inter(&inter, Some(&outbox(&giver.plan)));
                 reader.cycle();
                 (reader.out("v"), reader.out("t"))
             };
@@ -110,7 +110,7 @@ fn every_type_is_read_from_another_net_and_null_is_told() {
             giver.write("null", "false");
             giver.cycle();
             assert_eq!(pass(&giver, &mut reader), there, "{ty}{array}");
-            // The other net is gone.
+            // The other net no longer exists.
             assert!(reader.plan.import_inter(&inter, None));
             reader.cycle();
             assert_eq!(reader.out("v"), "null");
@@ -119,7 +119,7 @@ fn every_type_is_read_from_another_net_and_null_is_told() {
 }
 
 #[test]
-fn every_type_is_written_to_another_net_when_it_changes() {
+fn every_type_is_written_between_nets_on_change() {
     for (ty, value) in VALUES {
         for (array, value) in [
             ("", value.to_owned()),
@@ -150,11 +150,11 @@ fn every_type_is_written_to_another_net_when_it_changes() {
             let mut pass = |giver: &Bench, taker: &Bench| {
                 taker
                     .plan
-                    .import_given(&inter, &given(&giver.plan), &mut seen)
+                    .import_given(&inter, &outbox(&giver.plan), &mut seen)
             };
             assert!(
                 !pass(&giver, &taker),
-                "nothing is given before the first cycle"
+                "no value is written before the first cycle"
             );
             giver.cycle();
             assert!(pass(&giver, &taker));
@@ -167,7 +167,7 @@ fn every_type_is_written_to_another_net_when_it_changes() {
 }
 
 #[test]
-fn a_program_and_a_net_may_write_side_by_side() {
+fn program_and_net_write_same_inbox() {
     let mut taker = Bench::new(&format!(
         "{{a=Core::IntNetcommIn(Key='a'),b=Core::IntNetcommIn(Key='b'),\
          s=Core::IntAdd(inFirst=Core::IntMultiply(inFirst=a.outValue,Second='10').outValue,inSecond=b.outValue),\
@@ -188,9 +188,9 @@ fn a_program_and_a_net_may_write_side_by_side() {
     assert!(
         taker
             .plan
-            .import_given(&inter, &given(&giver.plan), &mut None)
+            .import_given(&inter, &outbox(&giver.plan), &mut None)
     );
-    // The program's box still holds the old `a`; writing `b` must not bring it back.
+    // The program's box still holds the old `a`; writing `b` must not restore it.
     let entry = taker.plan.inbox().find("inb").unwrap().clone();
     entry.write("2", &mut program).unwrap();
     taker.plan.import_changes(&program, &mut seen_words);
@@ -199,7 +199,7 @@ fn a_program_and_a_net_may_write_side_by_side() {
 }
 
 #[test]
-fn what_is_not_there_is_told_with_its_place() {
+fn missing_remote_value_is_reported_with_location() {
     let other = Bench::new(&format!(
         "{{i=Core::IntNetcommIn(Key='i'),a=Core::DoubleArrayNetcommIn(Key='a',Value='[1,2]'),\
          o=Core::IntNetcommOut(inValue=i.outValue,Key='o'),{NEVER}}}"
@@ -208,7 +208,7 @@ fn what_is_not_there_is_told_with_its_place() {
         let loaded = load_beside(&format!("{{x={child},{NEVER}}}"), &other.plan);
         loaded.map(|_| ()).unwrap_err().join("\n")
     };
-    for (child, said) in [
+    for (child, expected) in [
         (
             "Core::IntInterNetcommIn(RemoteNet='rpinet9',RemoteKey='o')",
             "there is no net `rpinet9` here",
@@ -228,10 +228,10 @@ fn what_is_not_there_is_told_with_its_place() {
         (
             "Core::DoubleArrayInterNetcommOut(inValue=Core::DoubleArray(Size='3').outArray,\
              RemoteNet='rpinet0',RemoteKey='a')",
-            "that value has 2 elements, the one given has 3",
+            "that value has 2 elements, the source has 3",
         ),
     ] {
-        let told = faults(child);
-        assert!(told.contains(said), "{child}: {told}");
+        let found = faults(child);
+        assert!(found.contains(expected), "{child}: {found}");
     }
 }

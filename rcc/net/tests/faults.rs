@@ -1,7 +1,7 @@
-//! What someone is told whose net is not taken: every `faults/*.net` is a broken net, and the text
-//! file of its name beside it what is told. `TAKT_BLESS=1` rewrites those; read the difference.
+//! Faults of rejected nets: every `faults/*.net` is a broken net, and the text file of the same
+//! name holds the rendered faults. `TAKT_BLESS=1` rewrites these files; read the difference.
 
-#![allow(clippy::unwrap_used, reason = "all of this file is a test")]
+#![allow(clippy::unwrap_used, reason = "this file is a test")]
 
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
@@ -15,7 +15,7 @@ use takt_net::{
     Primitive, Registry, Rejection, load,
 };
 
-/// Bounds small enough to be exceeded in a few lines.
+/// Bounds low enough to be exceeded in a few lines.
 const LIMITS: Limits = Limits {
     text_bytes: 2000,
     primitives: 12,
@@ -50,7 +50,7 @@ impl Devices for OneArm {
     }
 }
 
-/// A primitive that needs a device; those of real devices are not in this crate.
+/// A primitive that needs a device; those of real devices are in other crates.
 struct Joint;
 
 impl Primitive for Joint {
@@ -81,29 +81,29 @@ fn nets() -> Vec<PathBuf> {
     nets
 }
 
-fn told(path: &Path) -> (String, Rejection) {
+fn rendered(path: &Path) -> (String, Rejection) {
     let text = std::fs::read_to_string(path).unwrap();
     let name = path.file_name().unwrap().to_string_lossy();
     let rejection = try_load(&text).expect_err(&name);
-    let mut told = rejection.lines(&text).join("\n");
-    write!(told, "\n\n{}", rejection.render(&name, &text)).unwrap();
-    (told, rejection)
+    let mut lines = rejection.lines(&text).join("\n");
+    write!(lines, "\n\n{}", rejection.render(&name, &text)).unwrap();
+    (lines, rejection)
 }
 
 #[test]
-fn faults_are_told_as_recorded() {
+fn faults_match_golden_texts() {
     let bless = std::env::var_os("TAKT_BLESS").is_some();
     let mut different = Vec::new();
     for path in nets() {
-        let (told, _) = told(&path);
+        let (lines, _) = rendered(&path);
         let golden = path.with_extension("txt");
         if bless {
-            std::fs::write(&golden, &told).unwrap();
-        } else if std::fs::read_to_string(&golden).unwrap_or_default() != told {
-            different.push(format!("{}:\n{told}", golden.display()));
+            std::fs::write(&golden, &lines).unwrap();
+        } else if std::fs::read_to_string(&golden).unwrap_or_default() != lines {
+            different.push(format!("{}:\n{lines}", golden.display()));
         }
     }
-    let hint = "if this is how it should be, run again with TAKT_BLESS=1";
+    let hint = "if the new texts are right, run again with TAKT_BLESS=1";
     assert!(different.is_empty(), "{}\n{hint}", different.join("\n"));
 }
 
@@ -134,7 +134,7 @@ fn every_kind_of_fault_has_a_net() {
     ];
     let mut found = BTreeSet::new();
     for path in nets() {
-        for fault in told(&path).1.faults {
+        for fault in rendered(&path).1.faults {
             let debug = format!("{:?}", fault.kind);
             let name = debug.split([' ', '(']).next().unwrap();
             found.insert(name.to_owned());
@@ -144,19 +144,19 @@ fn every_kind_of_fault_has_a_net() {
 }
 
 #[test]
-fn all_faults_of_a_net_are_told_with_their_places() {
+fn all_faults_are_reported_with_locations() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/faults");
     let text = std::fs::read_to_string(folder.join("many-faults.net")).unwrap();
     let rejection = try_load(&text).unwrap_err();
-    let places: Vec<_> = rejection.faults.iter().map(|f| f.place(&text)).collect();
+    let locations: Vec<_> = rejection.faults.iter().map(|f| f.location(&text)).collect();
     assert_eq!(
-        places,
+        locations,
         [(1, 8), (2, 45), (3, 32), (3, 56), (4, 32), (5, 31)]
     );
     assert_eq!(rejection.render("x", &text).matches("Error:").count(), 6);
 }
 
 #[test]
-fn a_net_within_the_bounds_is_taken() {
+fn net_within_bounds_is_accepted() {
     try_load("{c=Cancel(),outTerminate=c.outCancel}").unwrap();
 }

@@ -1,7 +1,7 @@
-//! Random mutations of net and value texts through the functions that a fuzzer calls too: no
-//! text makes loading panic, and what is accepted runs. The seed is fixed.
+//! Random mutations of net and value texts, fed to the same functions that a fuzzer calls: no text
+//! makes loading panic, and accepted nets run. The seed is fixed.
 
-#![allow(clippy::unwrap_used, reason = "all of this file is a test")]
+#![allow(clippy::unwrap_used, reason = "this file is a test")]
 
 use std::path::Path;
 use std::time::Duration;
@@ -11,7 +11,7 @@ use takt_net::{Limits, LoadContext, NoDevices, Registry, load};
 
 const ROUNDS: usize = 10_000;
 
-/// Nets that are taken, so that mutations come far.
+/// Valid nets, so that mutations pass the first checks.
 const NETS: &[&str] = &[
     "{c=Cancel(),outTerminate=c.outCancel}",
     "{a=Core::DoubleAdd(inFirst=Core::Clock(Increment='2').outValue,inSecond[2.0]=b.outValue),\
@@ -46,7 +46,7 @@ const VALUES: &[&str] = &[
     "9223372036854775807",
 ];
 
-/// Words that mean something somewhere.
+/// Words with a meaning somewhere.
 const WORDS: &[&str] = &[
     "{",
     "}",
@@ -97,7 +97,7 @@ impl Random {
         start..(start + self.below(24)).min(len)
     }
 
-    /// Changes `text` in one place.
+    /// Changes `text` at one location.
     fn mutate(&mut self, text: &mut Vec<u8>, others: &[Vec<u8>]) {
         let range = self.range(text.len());
         let new = match self.below(5) {
@@ -159,13 +159,13 @@ fn no_value_text_makes_reading_panic() {
 }
 
 #[test]
-fn what_is_wrong_many_times_is_told_soon_and_kept_small() {
+fn repeated_faults_are_bounded() {
     let empty: String = (0..200_000).map(|i| format!("c{i}={{}},")).collect();
     let loops = "a=f.x,".repeat(200_000);
     let fragments = format!("{{f={{x=parent.i}}(i=f.x),{empty}{loops}d=f.x}}");
     let ports: String = (0..50_000).map(|i| format!("p{i}=x.y,")).collect();
-    let asked = "a=f.q,".repeat(100);
-    let names = format!("{{f={{{ports}z=x.y}},{asked}b=f.q}}");
+    let links = "a=f.q,".repeat(100);
+    let names = format!("{{f={{{ports}z=x.y}},{links}b=f.q}}");
     let args = "Value='1',".repeat(200_000);
     let twice = format!("{{a=Core::DoubleValue({args}Value='1')}}");
     for text in [fragments, names, twice] {
@@ -187,17 +187,17 @@ fn what_is_wrong_many_times_is_told_soon_and_kept_small() {
 }
 
 #[test]
-fn names_of_what_is_written_in_place_stay_short() {
+fn inline_names_stay_short() {
     let long = "N".repeat(30_000);
     let inner = "b=C().d,".repeat(300);
     let text = format!("{{{long}=P({inner}c=C().d)}}");
     let xml = takt_net::xml::to_xml(&text, &Limits::default()).unwrap();
-    // The long name itself stands there once.
+    // The long name itself occurs once.
     assert!(xml.len() < 200_000, "{} bytes", xml.len());
 }
 
 #[test]
-fn texts_of_the_largest_size_are_loaded() {
+fn largest_texts_are_loaded() {
     let open = "f={".repeat(20_000);
     let commas = format!("{{{}", ",".repeat(60_000));
     let many = format!("{{{}", "a=Cancel(),".repeat(5900));

@@ -1,17 +1,17 @@
-//! What each primitive of this crate computes, against closed forms, at borders and over time.
-//! That null propagates and nothing panics is tested for all of them in `every.rs`.
+//! The results of each primitive of this crate, compared with closed forms, at limits and over
+//! time. `every.rs` tests for all of them that null propagates and nothing panics.
 
 #![allow(
     clippy::unwrap_used,
     clippy::too_many_lines,
-    reason = "all of this file is tests and their tables"
+    reason = "this file is tests and their tables"
 )]
 
 mod common;
 
 use common::Bench;
 
-/// Whether two texts of values are the same up to rounding.
+/// Whether two texts of values are equal up to rounding.
 fn close(a: &str, b: &str) -> bool {
     let parts = |text: &str| -> Vec<String> {
         let separators = ['{', '}', '[', ']', ',', ':'];
@@ -50,7 +50,7 @@ const R: &str = "World::Rotation outValue";
 const F: &str = "World::Frame outValue";
 const T: &str = "World::Twist outValue";
 
-/// Source of null of type `ty`.
+/// A source of null of type `ty`.
 fn null(ty: &str) -> String {
     format!(
         "{ty}SetNull(inValue={ty}Value().outValue,\
@@ -59,7 +59,7 @@ fn null(ty: &str) -> String {
 }
 
 #[test]
-fn arithmetic_of_doubles() {
+fn double_arithmetic() {
     check(&[
         ("Core::DoubleAdd(First='1.5',Second='2')", D, "3.5"),
         ("Core::DoubleAdd()", D, "0"),
@@ -91,7 +91,7 @@ fn arithmetic_of_doubles() {
 }
 
 #[test]
-fn arithmetic_of_whole_numbers() {
+fn int_arithmetic() {
     check(&[
         ("Core::IntAdd(First='2',Second='-5')", I, "-3"),
         ("Core::IntAdd(First='2147483647',Second='1')", I, "null"),
@@ -270,7 +270,7 @@ fn families(ty: &str, first: &str, second: &str, zero: &str) {
         ),
         (&format!("{ty}AtTime(inValue={a})"), &out, first),
     ]);
-    // An array that is given out is read back as it was, also from the parameter.
+    // An array that is published is read back unchanged, also from the parameter.
     for source in [
         format!("inValue={array}"),
         format!("Value='[{first},{second},{first}]'"),
@@ -285,7 +285,7 @@ fn families(ty: &str, first: &str, second: &str, zero: &str) {
 }
 
 #[test]
-fn the_generic_families_exist_for_every_type() {
+fn generic_families_exist_for_every_type() {
     families("Core::Boolean", "true", "false", "false");
     families("Core::Int", "7", "-8", "0");
     families("Core::Double", "0.1", "1e300", "0");
@@ -322,7 +322,7 @@ fn the_generic_families_exist_for_every_type() {
 }
 
 #[test]
-fn an_array_is_handed_over_when_an_element_changes() {
+fn array_is_exported_when_an_element_changes() {
     let mut net = Bench::new(
         "{i=Core::IntArrayNetcommIn(Key='i',Value='[1,2]'),c=Cancel(),\
          o=Core::IntArrayNetcommOut(inValue=i.outValue,Key='o'),outTerminate=c.outCancel}",
@@ -337,12 +337,12 @@ fn an_array_is_handed_over_when_an_element_changes() {
     let entry = net.plan.inbox().find("ini").unwrap();
     let mut words: Vec<u64> = net.plan.inbox_words().collect();
     let error = entry.write("[1,2,3]", &mut words).unwrap_err();
-    assert_eq!(error.what, "has 3 elements; at most 2 are taken");
+    assert_eq!(error.message, "has 3 elements; at most 2 are allowed");
 }
 
-/// Runs a primitive whose ports are fed by `x` of type `ty`, and by the Booleans `r`, `s` and
-/// `a`; a row is the value of `x`, which of `r`, `s`, `-a` are set in this cycle, and what
-/// comes out.
+/// Runs a primitive whose ports are fed by `x` of type `ty`, and by the Booleans `r`, `s` and `a`;
+/// a row is the value of `x`, the ones of `r`, `s`, `-a` that are set in this cycle, and the
+/// expected output.
 fn over_time(ty: &str, primitive: &str, out: &str, rows: &[(&str, &str, &str)]) {
     let (out_ty, port) = out.split_once(' ').unwrap();
     let children = format!(
@@ -370,7 +370,7 @@ fn over_time(ty: &str, primitive: &str, out: &str, rows: &[(&str, &str, &str)]) 
 }
 
 #[test]
-fn snapshot_holds_what_it_took() {
+fn snapshot_holds_copied_value() {
     let snapshot = "Core::DoubleSnapshot(inValue=x.outValue,inSnapshot=s.outValue,\
                     inReset=r.outValue,inActive=a.outValue,Value='42')";
     over_time(
@@ -393,7 +393,7 @@ fn snapshot_holds_what_it_took() {
 }
 
 #[test]
-fn pre_gives_the_cycle_before() {
+fn pre_outputs_previous_cycle() {
     let pre = "Core::IntPre(inValue=x.outValue,inReset=r.outValue,inActive=a.outValue)";
     over_time(
         "Core::Int",
@@ -468,7 +468,7 @@ fn edges_are_true_for_one_cycle() {
 }
 
 #[test]
-fn windows_of_booleans() {
+fn boolean_windows() {
     let last = "Core::BooleanLastN(inValue=x.outValue,inReset=r.outValue,Count='2')";
     let rows: [(&str, &str, [&str; 3]); 7] = [
         ("true", "", ["1", "false", "false"]),
@@ -532,7 +532,7 @@ fn averages() {
 }
 
 #[test]
-fn a_long_average_does_not_drift() {
+fn long_average_does_not_drift() {
     let average = "Core::DoubleAverage(inValue=x.outValue,Duration='0.01')";
     let children = format!("x=Core::DoubleNetcommIn(Key='x'),p={average}");
     let mut net = Bench::watching("Core::Double", &children, "p.outValue");
@@ -543,7 +543,7 @@ fn a_long_average_does_not_drift() {
 }
 
 #[test]
-fn values_of_the_past() {
+fn at_time_returns_past_values() {
     let at = "Core::IntAtTime(inValue=x.outValue,Age='0.002',MaxAge='0.003')";
     let rows = [
         ("1", "", "null"),
@@ -579,8 +579,8 @@ fn values_of_the_past() {
 }
 
 #[test]
-fn stamps_are_found_in_their_history() {
-    // Stamps lag: TimeNet of the cycle before. Looked for: the time `x` seconds ago.
+fn time_history_finds_stamps() {
+    // Stamps lag: TimeNet of the previous cycle. Searched for: the time `x` seconds ago.
     let history = "Core::TimeHistory(inValue=Core::TimeNet().outValue,MaxAge='0.005',\
                    inReset=r.outValue,inTime=Core::TimeAdd(inTime=Core::TimeNet().outValue,\
                    inDelta=x.outValue).outValue)";
@@ -603,7 +603,7 @@ fn stamps_are_found_in_their_history() {
 }
 
 #[test]
-fn ranges_that_belong_together() {
+fn consistent_ranges_are_matched() {
     let time = |name: &str, key: &str| {
         format!("{name}=Core::TimeAdd(inTime=t.outValue,inDelta={key}.outValue)")
     };
@@ -623,14 +623,14 @@ fn ranges_that_belong_together() {
          c=Cancel(),outTerminate=c.outCancel}}",
         times.join(",")
     ));
-    // A row: the first source's range, the second's, and what is found.
+    // A row: the first source's range, the second's, and the expected pair.
     for (row, (first, second, found)) in [
         (("10", "11"), ("1", "2"), ("null", "null")),
         // The second source is late: 9..10 fits 10..11 of the row before.
         (("20", "21"), ("9", "10"), ("9", "11")),
         (("30", "31"), ("19", "20"), ("19", "21")),
         (("40", "41"), ("39", "42"), ("39", "42")),
-        // None fits any more, until the last pair is forgotten.
+        // No pair matches any more, until the last one is forgotten.
         (("50", "51"), ("60", "61"), ("39", "42")),
         (("70", "79"), ("90", "91"), ("39", "42")),
         (("100", "101"), ("110", "111"), ("null", "null")),
@@ -997,7 +997,7 @@ fn twists_and_wrenches() {
             T,
             "{vel:{x:0,y:6,z:0},rot:{x:0,y:0,z:2}}",
         ),
-        // From 3 to -3 rad is a short way past π.
+        // From 3 to -3 rad the short rotation passes π.
         (
             &format!(
                 "World::TwistFromFrames(inFrame={},inPrevFrame={})",

@@ -1,12 +1,12 @@
-//! What running nets do: order, null, fragments, Pre, termination, exchange. Single primitives
-//! are tested in `primitives.rs`, texts of faults in `faults.rs`.
+//! The behaviour of running nets: order, null, fragments, Pre, termination, exchange. Single
+//! primitives are tested in `primitives.rs`, error texts in `faults.rs`.
 
 mod common;
 
 use common::Bench;
 
 #[test]
-fn values_pass_through_the_whole_net_in_one_cycle() {
+fn values_pass_through_net_in_one_cycle() {
     let mut net = Bench::watching(
         "Core::Double",
         "c=Core::DoubleAdd(inFirst=b.outValue,Second='1'),\
@@ -28,7 +28,7 @@ fn null_propagates() {
 }
 
 #[test]
-fn a_pre_closes_a_cycle_and_starts_null() {
+fn pre_closes_cycle_and_starts_null() {
     let mut net = Bench::watching(
         "Core::Double",
         "p=Core::DoublePre(inValue=s.outValue),z=Core::DoubleIsNull(inValue=p.outValue),\
@@ -40,7 +40,7 @@ fn a_pre_closes_a_cycle_and_starts_null() {
 }
 
 #[test]
-fn a_path_may_leave_a_fragment_and_enter_it_again() {
+fn path_may_leave_and_reenter_fragment() {
     let mut net = Bench::watching(
         "Core::Double",
         "f={a=Core::DoubleAdd(inFirst=parent.inX,Second='1'),\
@@ -53,7 +53,7 @@ fn a_path_may_leave_a_fragment_and_enter_it_again() {
 }
 
 #[test]
-fn an_in_port_may_be_wired_straight_to_an_out_port() {
+fn fragment_in_port_may_feed_out_port() {
     let mut net = Bench::watching(
         "Core::Double",
         "f={outX=parent.inX}(inX=g.outX),g={outX=parent.inX}(inX=v.outValue),\
@@ -63,9 +63,9 @@ fn an_in_port_may_be_wired_straight_to_an_out_port() {
     assert_eq!(net.series(1), ["4"]);
 }
 
-/// Each link passes all fragments before it: followed anew each time, this would take minutes.
+/// Each link passes all previous fragments: without a cache, this would take minutes.
 #[test]
-fn links_through_many_fragments_load_in_time_that_grows_with_their_number() {
+fn links_through_many_fragments_load_in_linear_time() {
     let many = 10_000;
     let mut children =
         "f0={outX=parent.inX}(inX=v.outValue),v=Core::DoubleValue(Value='4')".to_owned();
@@ -94,7 +94,7 @@ fn switched(inside: &str) -> Bench {
 }
 
 #[test]
-fn an_inactive_fragment_gives_null_and_its_clock_stands() {
+fn inactive_fragment_is_null_and_stops_clock() {
     let mut net = switched("x=Core::Clock(Increment='1000')");
     assert_eq!(net.series(2), ["1", "2"]);
     net.write("on", "false");
@@ -104,7 +104,7 @@ fn an_inactive_fragment_gives_null_and_its_clock_stands() {
 }
 
 #[test]
-fn a_pre_forgets_while_its_fragment_is_inactive() {
+fn pre_in_inactive_fragment_forgets() {
     let mut net = switched("c=Core::Clock(Increment='1000'),x=Core::DoublePre(inValue=c.outValue)");
     assert_eq!(net.series(3), ["null", "1", "2"]);
     net.write("on", "false");
@@ -114,7 +114,7 @@ fn a_pre_forgets_while_its_fragment_is_inactive() {
 }
 
 #[test]
-fn a_primitive_can_be_switched_like_a_fragment() {
+fn primitive_is_switched_like_fragment() {
     let mut net = Bench::watching(
         "Core::Double",
         "on=Core::BooleanNetcommIn(Key='on',Value='false'),\
@@ -127,7 +127,7 @@ fn a_primitive_can_be_switched_like_a_fragment() {
 }
 
 #[test]
-fn nested_fragments_are_switched_by_the_outer_one() {
+fn outer_fragment_switches_nested_ones() {
     let mut net = switched(
         "t=Core::BooleanValue(Value='true'),g={c=Core::Clock(Increment='1000'),outY=c.outValue}\
          (inActive=t.outValue),x=Core::DoubleAdd(inFirst=g.outY,Second='0')",
@@ -140,7 +140,7 @@ fn nested_fragments_are_switched_by_the_outer_one() {
 }
 
 #[test]
-fn cancel_reaches_the_net_which_ends_itself() {
+fn cancelled_net_ends_itself() {
     let mut net = Bench::new("{c=Cancel(),outTerminate=c.outCancel}");
     assert!(!net.cycle());
     net.moment.cancel = true;
@@ -159,7 +159,7 @@ fn inline_primitives_work_as_sources() {
 }
 
 #[test]
-fn a_value_written_by_a_program_arrives_with_its_time() {
+fn written_value_arrives_with_its_time() {
     let mut net = Bench::new(
         "{i=Core::DoubleNetcommIn(Key='gain',Value='2'),o=Core::DoubleNetcommOut(\
          inValue=i.outValue,Key='echo'),c=Cancel(),outTerminate=c.outCancel}",
@@ -178,7 +178,7 @@ fn a_value_written_by_a_program_arrives_with_its_time() {
 }
 
 #[test]
-fn an_estop_says_in_each_cycle_of_its_net_whether_to_stop() {
+fn estop_votes_in_each_cycle() {
     let net = |source: &str, every: u64| {
         let mut net = Bench::new(&format!(
             "{{in=Core::BooleanNetcommIn(Key='stop'),off=Core::BooleanSetNull(inValue=in.outValue,\
@@ -188,30 +188,30 @@ fn an_estop_says_in_each_cycle_of_its_net_whether_to_stop() {
         net.moment.every = every;
         net
     };
-    let said = |net: &Bench, cycle: u64| net.image.stop.get().at(cycle);
+    let vote = |net: &Bench, cycle: u64| net.image.stop.get().at(cycle);
     let mut direct = net("in", 4);
-    assert_eq!(said(&direct, 1), None);
+    assert_eq!(vote(&direct, 1), None);
     direct.cycle();
     assert_eq!(
-        [1, 4, 5].map(|c| said(&direct, c)),
+        [1, 4, 5].map(|c| vote(&direct, c)),
         [Some(false), Some(false), None]
     );
     direct.write("stop", "true");
     direct.moment.cycle = 4;
     direct.cycle();
     assert_eq!(
-        [5, 8, 9].map(|c| said(&direct, c)),
+        [5, 8, 9].map(|c| vote(&direct, c)),
         [Some(true), Some(true), None]
     );
-    // Null is no leave to move.
+    // Null is not a permission to move.
     let mut lost = net("off", 1);
     lost.write("stop", "true");
     lost.cycle();
-    assert_eq!(said(&lost, 1), Some(true));
+    assert_eq!(vote(&lost, 1), Some(true));
 }
 
 #[test]
-fn of_several_estops_one_that_stops_is_enough() {
+fn one_stopping_estop_outweighs_others() {
     let mut net = Bench::new(
         "{yes=Core::BooleanValue(Value='true'),no=Core::BooleanValue(),\
          a=EStop(inEStop=no.outValue),b=EStop(inEStop=yes.outValue),c=EStop(inEStop=no.outValue),\
@@ -221,7 +221,7 @@ fn of_several_estops_one_that_stops_is_enough() {
     assert_eq!(net.image.stop.get().at(1), Some(true));
 }
 
-/// How many additions count for the cost of a net with these children.
+/// Number of additions that count for the cost of a net with these children.
 fn additions_that_count(children: &str) -> usize {
     let text = format!(
         "{{x=Core::BooleanValue(Value='true'),y=Core::BooleanNot(inValue=x.outValue),
@@ -234,7 +234,7 @@ fn additions_that_count(children: &str) -> usize {
     additions.map_or(0, |share| share.count)
 }
 
-/// A fragment of so many additions and of `inside`, with a comma behind it.
+/// A fragment with `count` additions and `inside`, followed by a comma.
 fn fragment(name: &str, count: usize, inside: &str, args: &str) -> String {
     let each = |i| format!("a{i}=Core::DoubleAdd(First='1',Second='1'),");
     let all: String = (0..count).map(each).collect();
@@ -242,17 +242,17 @@ fn fragment(name: &str, count: usize, inside: &str, args: &str) -> String {
 }
 
 #[test]
-fn what_excludes_each_other_is_counted_once() {
+fn exclusive_fragments_are_counted_once() {
     let [x, not_x] = ["inActive=x.outValue", "inActive=y.outValue"];
     let [z, not_z] = ["inActive=z.outValue", "inActive=w.outValue"];
     let beside = |parts: &[String]| additions_that_count(&parts.concat());
     let f = |count, active| fragment(&format!("f{count}"), count, "", active);
     assert_eq!(beside(&[f(3, x), f(5, not_x)]), 5);
     assert_eq!(beside(&[f(5, x), f(3, not_x), f(4, x)]), 9);
-    // Of different values each counts.
+    // Fragments with different conditions all count.
     assert_eq!(beside(&[f(3, x), f(5, not_z), f(4, z)]), 8);
     assert_eq!(beside(&[f(2, x), f(7, z)]), 9);
-    // A fragment counts as its own longest activation, not as all that is in it.
+    // A fragment counts with its own longest activation, not with all its content.
     let halves =
         fragment("g", 5, "", "inActive=parent.inZ") + &fragment("h", 4, "", "inActive=parent.inW");
     let whole = format!("{x},inZ=z.outValue,inW=w.outValue");

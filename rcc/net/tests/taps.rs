@@ -1,4 +1,4 @@
-//! Debug taps: which ports they name, what a record holds, and that a tap changes nothing.
+//! Debug taps: the ports they name, the content of a record, and that a tap has no side effect.
 
 mod common;
 
@@ -57,7 +57,7 @@ fn ports_of_primitives_and_fragments_are_recorded() {
 }
 
 #[test]
-fn what_is_switched_off_is_recorded_as_null() {
+fn inactive_ports_are_recorded_as_null() {
     let mut bench = Bench::new(&format!(
         "{{on=Core::BooleanNetcommIn(Key='on'),c=Core::Clock(),\
          f={{a=Core::DoubleAdd(inFirst=parent.inX,Second='1'),b=Core::DoubleAdd(inFirst[1.0]=a.outValue)}}\
@@ -84,7 +84,7 @@ fn arrays_are_recorded_whole() {
 }
 
 #[test]
-fn a_net_without_taps_has_no_record() {
+fn net_without_taps_has_no_record() {
     let bench = Bench::new(&format!("{{c=Core::Clock(),{NEVER}}}"));
     assert_eq!(bench.plan.record_words(), 0);
 }

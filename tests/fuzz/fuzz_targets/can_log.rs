@@ -1,4 +1,4 @@
-//! Recordings of CAN buses. What must hold of them stands with the function.
+//! CAN bus recordings. The properties are defined with the function.
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| takt_can::fuzz::log(data));

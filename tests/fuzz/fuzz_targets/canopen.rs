@@ -1,4 +1,4 @@
-//! Frames of CANopen. What must hold of them stands with the function.
+//! CANopen frames. The properties are defined with the function.
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| takt_can::fuzz::canopen(data));

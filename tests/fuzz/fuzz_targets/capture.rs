@@ -1,4 +1,4 @@
-//! Recordings of wires: pcap, pcapng, ERF. What must hold stands with the function.
+//! Captures: pcap, pcapng, ERF. The properties are defined with the function.
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| takt_link::capture::fuzz(data));

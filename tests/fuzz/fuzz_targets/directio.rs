@@ -1,4 +1,4 @@
-//! DirectIO messages and how they are cut from streams. What must hold of them stands with the function.
+//! DirectIO messages and their framing in streams. The properties are defined with the function.
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| takt_server::wire::fuzz(data));

@@ -1,4 +1,4 @@
-//! Data sheets and configurations of CANopen devices. What must hold of them stands with the function.
+//! Data sheets and configurations of CANopen devices (EDS, DCF). The properties are defined with the function.
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| takt_can::fuzz::eds(data));

@@ -1,4 +1,4 @@
-//! FRI 1.0 datagrams, both ways. What must hold of them stands with the function.
+//! FRI 1.0 datagrams in both directions. The properties are defined with the function.
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| takt_fri::lwr::wire::fuzz(data));

@@ -1,4 +1,4 @@
-//! Recordings of a controller, MCAP. What must hold stands with the function.
+//! Controller recordings, MCAP. The properties are defined with the function.
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| takt_core::record::fuzz(data));

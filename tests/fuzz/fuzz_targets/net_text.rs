@@ -1,4 +1,4 @@
-//! Net texts. What must hold of them stands with the function.
+//! Net texts. The properties are defined with the function.
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| takt_net::fuzz::net_text(data));

@@ -1,4 +1,4 @@
-//! Texts of values. What must hold of them stands with the function.
+//! Value texts. The properties are defined with the function.
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| takt_net::fuzz::value_text(data));

@@ -126,7 +126,7 @@ fn json(
         }),
         Err(rejection) => {
             let fault = |fault: &takt_net::Fault| {
-                let (line, column) = fault.place(text);
+                let (line, column) = fault.location(text);
                 let (start, end) = (fault.at.start, fault.at.end);
                 let what = fault.kind.to_string();
                 serde_json::json!({

@@ -153,7 +153,7 @@ impl Desk {
         if number >= ResourceSet::MAX {
             let (found, bound) = (number + 1, ResourceSet::MAX);
             let kind = FaultKind::Bound {
-                what: "resources together with other nets",
+                item: "resources together with other nets",
                 found,
                 bound,
             };

@@ -164,9 +164,9 @@ fn gone(net: &str) -> Rejection {
     rejected(FaultKind::Parameter { parameter, why })
 }
 
-fn too_many(what: &'static str, bound: usize) -> Rejection {
+fn too_many(item: &'static str, bound: usize) -> Rejection {
     let found = bound + 1;
-    rejected(FaultKind::Bound { what, found, bound })
+    rejected(FaultKind::Bound { item, found, bound })
 }
 
 impl Desk {

@@ -368,7 +368,7 @@ impl Net {
         written.map_err(|e| Error::Value {
             net: id,
             key: key.to_owned(),
-            what: e.what,
+            what: e.message,
         })?;
         let words = &values.in_words;
         values

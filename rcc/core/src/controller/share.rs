@@ -139,8 +139,8 @@ impl Desk {
         if found <= bound {
             return Ok(());
         }
-        let what = "bytes together with all other nets (controller.nets_memory_mib)";
-        let kind = FaultKind::Bound { what, found, bound };
+        let item = "bytes together with all other nets (controller.nets_memory_mib)";
+        let kind = FaultKind::Bound { item, found, bound };
         Err(Rejection {
             faults: vec![Fault::new(kind, 0..0)],
         })

@@ -279,7 +279,7 @@ impl Driver {
         let given = base.command.read(&self.taken.words)?;
         let fresh = now.saturating_sub(self.taken_at) <= STALE;
         let Twist { vel, rot } = given.value;
-        (fresh && given.stands(self.taken.cycle)).then_some([vel.x, vel.y, rot.z])
+        (fresh && given.is_in_force(self.taken.cycle)).then_some([vel.x, vel.y, rot.z])
     }
 
     fn tell(&mut self, wanted: Option<[f64; 3]>) {
@@ -299,8 +299,8 @@ impl Driver {
             tell_base(base, &mut self.told.signals, &motion, wanted, follows);
             let (angles, rates) = self.platform.wheels();
             for ((wheel, angle), rate) in base.wheels.iter().zip(angles).zip(rates) {
-                wheel.position.tell(&mut self.told.signals, Some(angle));
-                wheel.velocity.tell(&mut self.told.signals, Some(rate));
+                wheel.position.report(&mut self.told.signals, Some(angle));
+                wheel.velocity.report(&mut self.told.signals, Some(rate));
             }
         }
         let told = &self.told;
@@ -356,10 +356,10 @@ fn tell_base(
     } else {
         takt_net::device::JointError::NotEnabled
     };
-    base.error.tell(signals, Some(error as i32));
-    base.commanded.tell(signals, wanted.map(twist));
-    base.velocity.tell(signals, Some(twist(motion.velocity)));
-    base.pose.tell(signals, Some(place));
+    base.error.report(signals, Some(error as i32));
+    base.commanded.report(signals, wanted.map(twist));
+    base.velocity.report(signals, Some(twist(motion.velocity)));
+    base.pose.report(signals, Some(place));
 }
 
 #[cfg(test)]

@@ -266,7 +266,7 @@ fn collect(
         let given = wanted.cycle == cycle && wanted.every > 0;
         commanded |= given;
         // A set-point of a slower net stands until that net gives the next, or ends.
-        if given || !wanted.stands(cycle) {
+        if given || !wanted.is_in_force(cycle) {
             let position = wanted.position;
             set_points.advance(given.then_some(SetPoint { time, position }));
             set_points.period = Nanos(period.0 * wanted.every.max(1).cast_signed());

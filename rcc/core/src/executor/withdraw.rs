@@ -89,7 +89,7 @@ impl Executor {
         let heirs = self.running.iter();
         for net in heirs.filter(|net| net.succeeds && net.end.is_none()) {
             for target in net.plan.commands() {
-                self.image.pass_on(*target, net.id, has_ended);
+                self.image.transfer(*target, net.id, has_ended);
             }
         }
         let any = self

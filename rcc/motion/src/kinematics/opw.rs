@@ -1,6 +1,6 @@
 //! Arms of six axes with an ortho-parallel basis and a spherical wrist (OPW): most industrial
-//! robots. The derivation follows the geometry named by Brandstötter, Angerer and Hofbaur (2014).
-//! Not for arms with a wrist whose axes do not meet.
+//! robots. The derivation follows the geometry of Brandstötter, Angerer and Hofbaur (2014). Not for
+//! arms whose wrist axes do not intersect in a point.
 
 use nalgebra::{Matrix3, Vector3};
 use takt_net::Frame;
@@ -9,7 +9,8 @@ use takt_net::device::{Kinematics, Unreachable};
 use super::wrist::zyz;
 use super::{Nearest, Range, checked, frame, joints_or_nan, rot_y, rot_z, two_links};
 
-/// Lengths of an arm with ortho-parallel basis and spherical wrist, m, and how its joints count.
+/// Dimensions of an arm with ortho-parallel basis and spherical wrist, m, and the signs of its
+/// joints.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OpwGeometry {
     /// From axis 1 to axis 2, along x.
@@ -55,7 +56,7 @@ pub struct Opw {
 }
 
 impl Opw {
-    /// An arm of that geometry with these joint ranges.
+    /// An arm with that geometry and these joint ranges.
     #[must_use]
     pub const fn new(geometry: OpwGeometry, ranges: [Range; 6]) -> Self {
         Self { geometry, ranges }
@@ -81,7 +82,7 @@ impl Opw {
         Self { ranges, ..self }
     }
 
-    /// The joint ranges that solutions keep.
+    /// The joint ranges of its solutions.
     #[must_use]
     pub const fn ranges(&self) -> [Range; 6] {
         self.ranges
@@ -101,7 +102,8 @@ impl Opw {
 
     /// The angle of axis 1 that brings the plane of the arm to the wrist centre `c`, and the
     /// distance of the wrist centre from axis 2 along x. `side` is 1 for the arm in front of its
-    /// base, -1 for reaching over it. On axis 1 the angle is `hint`.
+    /// base, -1 for an arm that reaches over it. If the wrist centre is on axis 1, the angle is
+    /// `hint`.
     fn base(&self, c: &Vector3<f64>, side: f64, hint: f64) -> Result<[f64; 2], Unreachable> {
         let g = &self.geometry;
         let square = c.x * c.x + c.y * c.y - g.b * g.b;

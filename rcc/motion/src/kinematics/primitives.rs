@@ -1,5 +1,5 @@
-//! `ArmKinematics::*` for any arm whose geometry is known, and `KUKA::LWR::*` with the arm angle. They
-//! compute; they command and read nothing.
+//! `ArmKinematics::*` for any arm with known geometry, and `KUKA::LWR::*` with the arm angle. They
+//! compute only; they neither command nor read devices.
 
 #[cfg(test)]
 mod tests;
@@ -17,9 +17,9 @@ use super::{Srs, ranges};
 
 const ROBOT: &str = "name of the robot arm";
 const ERROR: &str =
-    "0 none, 1 out of reach, 2 only beyond joint limits, 3 frame or hint no numbers";
+    "0 none, 1 out of reach, 2 only beyond joint limits, 3 frame or hint not finite";
 
-/// Whether all parts of a frame are numbers.
+/// Whether all parts of a frame are finite.
 fn is_finite(frame: &Frame) -> bool {
     let position = frame.translation.vector.iter();
     position
@@ -36,13 +36,13 @@ fn joints_input(
     let port = b.array_input::<f64>(name)?;
     if port.len() != kinematics.joints() {
         let (found, wanted) = (port.len(), kinematics.joints());
-        let what = format!("{name} carries {found} elements, but the arm has {wanted} joints");
-        return Err(b.fault(FaultKind::ArraySize(what)));
+        let message = format!("{name} carries {found} elements, but the arm has {wanted} joints");
+        return Err(b.fault(FaultKind::ArraySize(message)));
     }
     Ok(port)
 }
 
-/// Copies an array of this cycle; `None` if it is null.
+/// Copies the array of this cycle; `None` if it is null.
 fn copy(port: &ArrayIn<f64>, cycle: &Cycle<'_>, values: &mut [f64]) -> Option<()> {
     for (value, cell) in values.iter_mut().zip(port.get(cycle)?) {
         *value = cell.get();
@@ -77,7 +77,7 @@ fn kin() -> Definition {
     };
     Definition::new(
         "ArmKinematics::Kin",
-        "Where the flange of an arm is at given joint positions.",
+        "The flange frame of an arm at given joint positions.",
         build,
     )
     .active()
@@ -85,7 +85,7 @@ fn kin() -> Definition {
     .text("Robot", ROBOT)
     .output::<Frame>("outFrame", "flange in the base of the arm, m")
     .null(NullRule::Own(
-        "Null if a joint position is null or no number.",
+        "Null if a joint position is null or not a number.",
     ))
 }
 
@@ -140,12 +140,12 @@ fn inv_kin() -> Definition {
     )
     .active()
     .input::<Frame>(port("inFrame", "flange in the base of the arm, m").required())
-    .array_input::<f64>(port("inHintJoints", "joint positions to be near to, rad").required())
+    .array_input::<f64>(port("inHintJoints", "hint: prefer the solution nearest to these joint positions, rad").required())
     .text("Robot", ROBOT)
     .array_output::<f64>("outJoints", "joint positions, rad")
     .output::<i32>("outError", ERROR)
     .null(NullRule::Own(
-        "Null in gives null out. Without a solution outJoints is null and outError says why.",
+        "Null in gives null out. Without a solution outJoints is null; outError is the reason.",
     ))
 }
 
@@ -189,7 +189,7 @@ impl Seven {
             .then(|| values.map(Option::unwrap_or_default))
     }
 
-    /// Their values; those that are null taken from `others`.
+    /// Their values; null ones are replaced by those of `others`.
     fn get_or(self, cycle: &Cycle<'_>, others: [f64; 7]) -> [f64; 7] {
         std::array::from_fn(|i| self.0[i].get(cycle).unwrap_or(others[i]))
     }
@@ -200,7 +200,7 @@ fn with_seven(definition: Definition, names: [&'static str; 7], doc: &'static st
     names.into_iter().fold(definition, add)
 }
 
-/// An LWR with the joint limits of the arm that `Robot` names.
+/// An LWR with the joint limits of the arm named by `Robot`.
 fn lwr(b: &mut Build<'_, '_>) -> Result<Srs, Fault> {
     let limits = b.arm("Robot")?.limits;
     let ranges = ranges(&limits).ok_or_else(|| {
@@ -220,10 +220,10 @@ struct LwrKin {
 impl Primitive for LwrKin {
     fn step(&mut self, cycle: &Cycle<'_>) {
         let joints = self.joints.get(cycle);
-        let place = joints.map(|joints| self.arm.forward_alpha(&joints));
-        let place = place.filter(|(frame, _)| is_finite(frame));
-        self.frame.set(cycle, place.map(|(frame, _)| frame));
-        self.alpha.set(cycle, place.map(|(_, alpha)| alpha));
+        let solution = joints.map(|joints| self.arm.forward_alpha(&joints));
+        let solution = solution.filter(|(frame, _)| is_finite(frame));
+        self.frame.set(cycle, solution.map(|(frame, _)| frame));
+        self.alpha.set(cycle, solution.map(|(_, alpha)| alpha));
     }
 }
 
@@ -238,7 +238,7 @@ fn lwr_kin() -> Definition {
     };
     let definition = Definition::new(
         "KUKA::LWR::Kin",
-        "Where the flange of an LWR is at given joint positions, and its arm angle.",
+        "The flange frame and the arm angle of an LWR at given joint positions.",
         build,
     )
     .active();
@@ -247,20 +247,20 @@ fn lwr_kin() -> Definition {
         .output::<Frame>("outFrame", "flange in the base of the arm, m")
         .output::<f64>("outAlpha", "arm angle, rad")
         .null(NullRule::Own(
-            "Null if a joint position is null or no number.",
+            "Null if a joint position is null or not a number.",
         ))
 }
 
-/// Where the arm angle of an inverse comes from: the values of parameter `Strategy`.
+/// The source of the arm angle of an inverse: the values of parameter `Strategy`.
 #[derive(Clone, Copy, PartialEq)]
 enum Strategy {
-    /// That of the null-space joints.
+    /// The arm angle of the null-space joints.
     Keep,
-    /// From there on to where the joint positions are nearest to the hint.
+    /// From there towards the joint positions nearest to the hint.
     Approach,
 }
 
-/// How many steps an approach may take.
+/// Upper bound on the steps of an approach.
 const APPROACH_STEPS: u32 = 5;
 /// Step by which an approach measures slope and curvature, rad.
 const PROBE: f64 = 1e-3;
@@ -271,7 +271,7 @@ fn distance(a: &[f64; 7], b: &[f64; 7]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum()
 }
 
-/// Moves the arm angle by a bounded number of steps to where the joints are nearer to the hint.
+/// Moves the arm angle by a bounded number of steps towards joint positions nearer to the hint.
 fn approach(arm: &Srs, frame: &Frame, mut alpha: f64, hint: &[f64; 7], joints: &mut [f64; 7]) {
     let at = |alpha| arm.inverse_alpha(frame, alpha, hint).ok();
     for _ in 0..APPROACH_STEPS {
@@ -368,8 +368,12 @@ fn lwr_inv_kin() -> Definition {
     )
     .active()
     .input::<Frame>(port("inFrame", "flange in the base of the arm, m").required());
-    let definition = with_seven(definition, HINT, "joint position to be near to, rad");
-    let nullspace = "joint position whose arm angle is taken, rad; the hint if null";
+    let definition = with_seven(
+        definition,
+        HINT,
+        "hint: prefer the solution nearest to this joint position, rad",
+    );
+    let nullspace = "joint position that sets the arm angle, rad; the hint if null";
     let add = |d: Definition, name| d.input::<f64>(port(name, nullspace));
     let definition = NULLSPACE
         .into_iter()
@@ -384,7 +388,7 @@ fn lwr_inv_kin() -> Definition {
         .fold(definition.text("Robot", ROBOT), add)
         .output::<i32>("outError", ERROR)
         .null(NullRule::Own(
-            "Null in gives null out. Without a solution the joints are null and outError says why.",
+            "Null in gives null out. Without a solution the joints are null; outError is the reason.",
         ))
 }
 
@@ -419,7 +423,7 @@ fn lwr_vel_kin() -> Definition {
     };
     let definition = Definition::new(
         "KUKA::LWR::VelKin",
-        "How fast the flange of an LWR and its arm angle move at given joint velocities.",
+        "The velocities of the flange and of the arm angle of an LWR at given joint velocities.",
         build,
     )
     .active();
@@ -432,17 +436,17 @@ fn lwr_vel_kin() -> Definition {
         )
         .output::<f64>("outVAlpha", "velocity of the arm angle, rad/s")
         .null(NullRule::Own(
-            "Null if an input is null or no number; outVAlpha also where the arm angle has no \
+            "Null if an input is null or not a number; outVAlpha also where the arm angle has no \
              derivative: stretched, or the wrist on axis 1.",
         ))
 }
 
-/// What a forward solution costs at most.
+/// Cost bound of a forward solution.
 const FORWARD_NS: u32 = 3_000;
-/// What an inverse one costs at most: that of seven axes where limits force the arm angle.
+/// Cost bound of an inverse: seven axes where limits force the arm angle.
 const INVERSE_NS: u32 = 60_000;
-/// What an inverse one costs at most that looks for a better arm angle: up to 16 of the simple ones,
-/// of which few meet the limits.
+/// Cost bound of an inverse that searches for a better arm angle: up to 16 of the simple ones, of
+/// which few reach the limits.
 const APPROACH_NS: u32 = 150_000;
 
 pub(crate) fn table() -> Vec<Definition> {

@@ -1,7 +1,7 @@
-//! Arms of seven axes with a spherical shoulder, an elbow and a spherical wrist (S-R-S), with the arm
-//! angle as the parameter of their redundancy, after Shimizu et al. (2008). What the elbow should
-//! avoid is not decided here: the arm angle comes from the hint, and moves only where joint limits
-//! force it to.
+//! Arms of seven axes with a spherical shoulder, an elbow and a spherical wrist (S-R-S), with the
+//! arm angle as redundancy parameter, after Shimizu et al. (2008). Obstacle avoidance of the elbow
+//! is not decided here: the arm angle is that of the hint, and changes only where joint limits
+//! force it.
 
 use nalgebra::{Matrix3, Vector3};
 use takt_net::device::{Kinematics, Unreachable};
@@ -12,14 +12,14 @@ use super::{Nearest, Range, checked, frame, joints_or_nan, rot_y, rot_z, two_lin
 
 /// Distance of the wrist centre from axis 1 below which it counts as on the axis, m.
 const ON_AXIS: f64 = 1e-9;
-/// How far inside a joint limit an arm angle is put that is forced by it, rad.
+/// Margin to the joint limit for an arm angle that is forced by it, rad.
 const INSIDE: f64 = 1e-7;
 const UNLIMITED: Range = Range {
     min: f64::NEG_INFINITY,
     max: f64::INFINITY,
 };
 
-/// Lengths of an arm with spherical shoulder and wrist, m, and how its joints count.
+/// Dimensions of an arm with spherical shoulder and wrist, m, and the signs of its joints.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SrsGeometry {
     /// From the base up to the shoulder.
@@ -30,16 +30,16 @@ pub struct SrsGeometry {
     pub lower: f64,
     /// From the centre of the wrist to the flange.
     pub hand: f64,
-    /// 1, or -1 for a joint that counts against its axis; the axes of the stretched arm are
-    /// z, y, z, y, z, y, z.
+    /// 1, or -1 for a joint that counts against its axis; the axes of the stretched arm are z, y,
+    /// z, y, z, y, z.
     pub signs: [f64; 7],
 }
 
 /// Closed-form kinematics of an arm with spherical shoulder and wrist.
 ///
-/// The arm angle (rad) is by how much the elbow is turned around the line from shoulder to wrist. It
-/// is 0 where the elbow lies in the plane of that line and axis 1, on the side that axis 2 alone
-/// reaches, and counts counter-clockwise seen from the wrist.
+/// The arm angle (rad) is the rotation of the elbow about the line from shoulder to wrist. It is 0
+/// where the elbow is in the plane of that line and axis 1, on the side that axis 2 alone reaches,
+/// and counts counter-clockwise seen from the wrist.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Srs {
     geometry: SrsGeometry,
@@ -56,8 +56,8 @@ struct Triangle {
     elbow: f64,
 }
 
-/// Rotation of the upper arm at arm angle 0, for the wrist at `wrist` from the shoulder (m) and the
-/// upper arm `shoulder` (rad) off axis 1.
+/// Rotation of the upper arm at arm angle 0, for the wrist at `wrist` from the shoulder (m) and an
+/// angle of `shoulder` (rad) between the upper arm and axis 1.
 fn upright(wrist: &Vector3<f64>, shoulder: f64) -> Matrix3<f64> {
     let is_on_axis = wrist.x.hypot(wrist.y) < ON_AXIS;
     let turn = if is_on_axis {
@@ -82,7 +82,8 @@ impl Triangle {
         })
     }
 
-    /// The parts of the upper arm's rotation at arm angle ψ: sin ψ · first + cos ψ · second + third.
+    /// The parts of the upper arm's rotation at arm angle ψ: sin ψ · first + cos ψ · second +
+    /// third.
     fn parts(&self) -> [Matrix3<f64>; 3] {
         let cross = self.axis.cross_matrix();
         let lateral = cross * self.upright;
@@ -110,7 +111,7 @@ impl Sweep {
         parts[0] * sin + parts[1] * cos + parts[2]
     }
 
-    /// Arm angles at which the joint of this number (0 to 6, not 3) has the axis angle `limit`.
+    /// Arm angles at which the joint with this number (0 to 6, not 3) has the axis angle `limit`.
     fn crossings(&self, joint: usize, limit: f64) -> Option<[f64; 2]> {
         let parts = if joint < 3 {
             &self.shoulder
@@ -136,7 +137,7 @@ impl Sweep {
 }
 
 impl Srs {
-    /// An arm of that geometry with these joint ranges.
+    /// An arm with that geometry and these joint ranges.
     #[must_use]
     pub const fn new(geometry: SrsGeometry, ranges: [Range; 7]) -> Self {
         Self { geometry, ranges }
@@ -178,14 +179,14 @@ impl Srs {
         Self::lbr(geometry, 175.0)
     }
 
-    /// With the ranges that all these arms have but for that of axis 7 (degrees).
+    /// With the ranges common to all these arms, except that of axis 7 (degrees).
     const fn lbr(geometry: SrsGeometry, last: f64) -> Self {
         let (pivot, hinge) = (Range::degrees(-170.0, 170.0), Range::degrees(-120.0, 120.0));
         let last = Range::degrees(-last, last);
         Self::new(geometry, [pivot, hinge, pivot, hinge, pivot, hinge, last])
     }
 
-    /// The joint ranges that solutions keep.
+    /// The joint ranges of its solutions.
     #[must_use]
     pub const fn ranges(&self) -> [Range; 7] {
         self.ranges
@@ -197,12 +198,12 @@ impl Srs {
         Self { ranges, ..self }
     }
 
-    /// Axis angles of joint positions, and back: the signs are their own inverse.
+    /// Converts joint positions to axis angles, and back: the signs are their own inverse.
     fn signed(&self, joints: [f64; 7]) -> [f64; 7] {
         std::array::from_fn(|i| self.geometry.signs[i] * joints[i])
     }
 
-    /// Where the flange is (m) and the arm angle (rad), at these joint positions (rad).
+    /// The flange frame (m) and the arm angle (rad) at these joint positions (rad).
     #[must_use]
     pub fn forward_alpha(&self, joints: &[f64; 7]) -> (Frame, f64) {
         let g = &self.geometry;
@@ -227,7 +228,7 @@ impl Srs {
     }
 
     /// As [`Kinematics::inverse`], with the arm angle `alpha` (rad) instead of that of the hint; it
-    /// belongs to the side to which the hint bends the elbow.
+    /// refers to the side to which the hint bends the elbow.
     ///
     /// # Errors
     /// If there is no solution within the joint ranges at any arm angle.
@@ -249,7 +250,7 @@ impl Srs {
         let bend = 1.0_f64.copysign(angles[3]);
         let same = Triangle::new(g, &wrist, bend)?;
         let other = Triangle::new(g, &wrist, -bend)?;
-        // The elbow bent to the other side is at the same place half a turn further.
+        // The elbow bent to the other side has the same position half a turn further.
         let turned = alpha + std::f64::consts::PI;
         let sweeps = [
             (Sweep::new(&same, &rotation), same.elbow, alpha),
@@ -265,7 +266,7 @@ impl Srs {
             });
         }
         if nearest.best != free.best {
-            // The elbow changes its side only if there is no solution on the one it is on.
+            // The elbow changes its side only if the present side has no solution.
             for (sweep, elbow, _) in &sweeps {
                 self.on_limits(sweep, |alpha, joint, limit| {
                     self.each(sweep, *elbow, alpha, &angles, |solution| {
@@ -303,8 +304,8 @@ impl Srs {
     }
 
     /// Calls `found` with the arm angles at which a joint is just inside one of its limits, the
-    /// number of the joint and the limit (rad). At most 48 times; on some of the solutions at
-    /// these arm angles the joint is elsewhere.
+    /// number of the joint and the limit (rad). At most 48 times; in some of the solutions at these
+    /// arm angles the joint has another position.
     fn on_limits(&self, sweep: &Sweep, mut found: impl FnMut(f64, usize, f64)) {
         for joint in [0, 1, 2, 4, 5, 6] {
             let Range { min, max } = self.ranges[joint];
@@ -320,7 +321,7 @@ impl Srs {
 
     /// Velocity of the flange in the base (m/s, rad/s) and of the arm angle (rad/s) at these joint
     /// positions (rad) and velocities (rad/s). The latter is `None` where the arm is stretched or
-    /// the wrist lies on axis 1: there the arm angle has no derivative.
+    /// the wrist is on axis 1: there the arm angle has no derivative.
     #[must_use]
     pub fn velocity(&self, joints: &[f64; 7], velocities: &[f64; 7]) -> (Twist, Option<f64>) {
         let g = &self.geometry;
@@ -352,13 +353,13 @@ impl Srs {
     }
 }
 
-/// Whether two angles (rad) are about the same but for full turns.
+/// Whether two angles (rad) are about equal, modulo full turns.
 fn is_turn_of(a: f64, b: f64) -> bool {
     (a - b).cos() > 1.0 - 1e-6
 }
 
-/// How fast the arm angle changes, rad/s, from position (m) and velocity (m/s) of elbow and wrist
-/// seen from the shoulder: the angle around the line to the wrist from the z axis to the elbow.
+/// Rate of the arm angle, rad/s, from position (m) and velocity (m/s) of elbow and wrist relative
+/// to the shoulder: the angle about the line to the wrist from the z axis to the elbow.
 fn alpha_rate(
     (elbow, elbow_velocity): (Vector3<f64>, Vector3<f64>),
     (wrist, wrist_velocity): (Vector3<f64>, Vector3<f64>),

@@ -1,4 +1,4 @@
-//! Round trips of all arms over random joint positions, and what must be refused.
+//! Round trips of all arms over random joint positions, and rejected inputs.
 
 use std::f64::consts::PI;
 
@@ -6,7 +6,7 @@ use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
 use super::*;
 
-/// A generator of even numbers in 0..1: the same series in each run.
+/// A generator of uniform numbers in 0..1: the same series in each run.
 struct Random(u64);
 
 impl Random {
@@ -39,7 +39,7 @@ fn difference<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
         .sqrt()
 }
 
-/// The properties that every arm has: 10,000 random joint positions, hints near and far.
+/// The properties of every arm: 10,000 random joint positions, with hints near and far.
 fn round_trips<const N: usize>(arm: &dyn Kinematics, ranges: &[Range; N], is_redundant: bool) {
     assert_eq!(arm.joints(), N);
     let mut random = Random(0x9e37_79b9_7f4a_7c15);
@@ -66,7 +66,7 @@ fn round_trips<const N: usize>(arm: &dyn Kinematics, ranges: &[Range; N], is_red
                 "{number}: {off} from the hint, which is a solution"
             );
         }
-        // `joints` is a solution, too: none may be farther than it.
+        // `joints` is a solution, too: the result is not farther from the hint.
         let farther = difference(&solved, &hint) - difference(&joints, &hint);
         assert!(is_redundant || farther < 1e-6, "{number}: {farther}");
     }
@@ -79,7 +79,7 @@ fn tx90_round_trips() {
 }
 
 #[test]
-fn an_arm_with_offsets_signs_and_all_lengths_round_trips() {
+fn opw_with_all_offsets_round_trips() {
     let geometry = OpwGeometry {
         a1: 0.35,
         a2: -0.054,
@@ -126,8 +126,8 @@ fn youbot_round_trips() {
     round_trips(&arm, &arm.ranges(), false);
 }
 
-/// The chain of links as robot descriptions give it: where each joint is in the one before, rad by
-/// which it is turned around y or z, its axis (y or z, with its sign).
+/// The chain of links of a robot description: position of each joint in the previous one, rotation
+/// about y or z in rad, and its axis (y or z, with its sign).
 fn chain(links: &[([f64; 3], Vector3<f64>, Vector3<f64>)], joints: &[f64]) -> Frame {
     let joined = links.iter().zip(joints);
     joined.fold(Frame::identity(), |frame, ((at, turned, axis), q)| {
@@ -138,7 +138,7 @@ fn chain(links: &[([f64; 3], Vector3<f64>, Vector3<f64>)], joints: &[f64]) -> Fr
 }
 
 #[test]
-fn forward_is_the_chain_of_the_robot_descriptions() {
+fn forward_matches_robot_description_chain() {
     let (y, z, none) = (Vector3::y(), Vector3::z(), Vector3::zeros());
     let tx90 = [
         ([0.0, 0.0, 0.478], none, z),
@@ -197,7 +197,7 @@ fn forward_is_the_chain_of_the_robot_descriptions() {
 }
 
 #[test]
-fn arms_round_trip_in_their_singularities() {
+fn arms_in_singularities_round_trip() {
     let stretched: [(&str, &[f64]); 9] = [
         ("staubli_tx90", &[0.3, 0.5, 0.7, 0.2, 0.0, 0.4]),
         ("staubli_tx90", &[0.3, 0.5, 0.0, 0.2, 0.6, 0.4]),
@@ -224,7 +224,7 @@ fn arms_round_trip_in_their_singularities() {
 }
 
 #[test]
-fn on_axis_one_the_base_keeps_its_hint() {
+fn opw_wrist_on_axis_1_keeps_hint() {
     let geometry = OpwGeometry {
         b: 0.0,
         ..OpwGeometry::STAUBLI_TX90
@@ -240,7 +240,7 @@ fn on_axis_one_the_base_keeps_its_hint() {
 }
 
 #[test]
-fn what_cannot_be_reached_is_told_and_changes_nothing() {
+fn inverse_out_of_reach_fails_without_change() {
     for name in ["staubli_tx90", "kuka_lwr4", "kuka_iiwa7", "kuka_youbot"] {
         let arm = named(name).expect("a known arm");
         let mut joints = vec![7.0; arm.joints()];
@@ -283,7 +283,7 @@ fn what_cannot_be_reached_is_told_and_changes_nothing() {
 }
 
 #[test]
-fn youbot_refuses_what_five_axes_cannot_do() {
+fn youbot_frame_beyond_five_axes_is_rejected() {
     let arm = YouBot::default();
     let hint = [1.0, 1.0, -2.0, 1.0, 2.0];
     let flange = arm.forward(&hint);
@@ -296,7 +296,7 @@ fn youbot_refuses_what_five_axes_cannot_do() {
 }
 
 #[test]
-fn the_arm_angle_is_kept_where_limits_allow() {
+fn arm_angle_within_limits_is_kept() {
     let arm = Srs::kuka_lwr4();
     let mut random = Random(7);
     let mut kept = 0;
@@ -323,7 +323,7 @@ fn the_arm_angle_is_kept_where_limits_allow() {
 }
 
 #[test]
-fn the_elbow_is_where_the_arm_angle_says() {
+fn elbow_position_matches_arm_angle() {
     let arm = Srs::kuka_lwr4();
     let (_, alpha) = arm.forward_alpha(&[0.4, -0.5, 0.0, 1.0, 0.2, 0.3, 0.1]);
     assert!(
@@ -337,7 +337,7 @@ fn the_elbow_is_where_the_arm_angle_says() {
 }
 
 #[test]
-fn velocities_are_the_derivatives() {
+fn velocities_match_derivatives() {
     let mut random = Random(3);
     for arm in [Srs::kuka_lwr4(), Srs::kuka_iiwa14()] {
         for _ in 0..500 {
@@ -364,7 +364,7 @@ fn velocities_are_the_derivatives() {
 }
 
 #[test]
-fn an_arm_can_have_narrower_limits_than_its_model() {
+fn arm_with_narrower_limits_keeps_them() {
     let limits = JointLimits {
         position_min: -1.0,
         position_max: 1.0,
@@ -391,7 +391,7 @@ fn an_arm_can_have_narrower_limits_than_its_model() {
 }
 
 #[test]
-fn turns_stay_within_the_range() {
+fn turns_stay_within_range() {
     let range = Range::degrees(-270.0, 270.0);
     let near = |angle: f64, hint: f64| range.nearest_turn(angle, hint);
     assert_eq!(near(1.0, 0.9), Some(1.0));

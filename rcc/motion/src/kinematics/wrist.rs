@@ -1,6 +1,6 @@
-//! Three axes z, y, z that meet in a point: shoulders and wrists. The last angle is computed from
-//! what the first two leave over, so that the product is exact also beside the singularity, where the
-//! angles themselves are ill-conditioned.
+//! Three axes z, y, z that intersect in a point: shoulders and wrists. The last angle is computed
+//! from the rest of the rotation after the first two, so that the product is exact near the
+//! singularity, too, where the angles themselves are ill-conditioned.
 
 use nalgebra::Matrix3;
 
@@ -9,8 +9,8 @@ use super::{rot_y, rot_z};
 /// Sine of the middle angle below which the outer axes count as one.
 const SINGULAR: f64 = 1e-10;
 
-/// Angles (rad) with `rotation` = Rz · Ry · Rz, the middle one of the sign `sign` (±1). Where the
-/// outer axes are one, the first angle is `first`.
+/// Angles (rad) with `rotation` = Rz · Ry · Rz, the middle one with the sign `sign` (±1). Where the
+/// outer axes coincide, the first angle is `first`.
 pub(super) fn zyz(rotation: &Matrix3<f64>, sign: f64, first: f64) -> [f64; 3] {
     let (x, y) = (rotation[(0, 2)], rotation[(1, 2)]);
     let a = if x.hypot(y) < SINGULAR {
@@ -29,7 +29,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn angles_give_the_rotation_again_near_the_singularity_too() {
+    fn zyz_near_singularity_reproduces_rotation() {
         for b in [
             1.2,
             1e-3,
@@ -51,7 +51,7 @@ mod tests {
     }
 
     #[test]
-    fn where_the_axes_are_one_the_first_angle_is_kept() {
+    fn zyz_with_coinciding_axes_keeps_first_angle() {
         let [a, b, c] = zyz(&rot_z(0.5), 1.0, 0.3);
         assert!((a - 0.3).abs() < 1e-15 && b.abs() < 1e-15 && (c - 0.2).abs() < 1e-15);
     }

@@ -1,6 +1,6 @@
-//! The arm of the KUKA youBot. Its five axes reach only frames whose z axis lies in one plane with
-//! the first axis; others are out of reach. To choose the nearest reachable frame is left to whoever
-//! knows which part of the orientation matters.
+//! The arm of the KUKA youBot. Its five axes reach only frames whose z axis is in one plane with
+//! the first axis; others are out of reach. The caller chooses the nearest reachable frame, because
+//! it knows which part of the orientation matters.
 
 use nalgebra::Vector3;
 use takt_net::Frame;
@@ -18,7 +18,7 @@ const UPPER: f64 = 0.155;
 const LOWER: f64 = 0.135;
 /// From axis 4 to the flange: along x and z, m.
 const HAND: [f64; 2] = [-0.002, 0.130];
-/// Angles of the axes at joint position 0, degrees, and which way they count.
+/// Axis angles at joint position 0, degrees, and the signs of the joints.
 const ZERO: [(f64, f64); 5] = [
     (170.0, -1.0),
     (-65.0, 1.0),
@@ -26,10 +26,11 @@ const ZERO: [(f64, f64); 5] = [
     (-102.5, 1.0),
     (167.5, -1.0),
 ];
-/// How far position (m) and z axis (sine) may be off one plane with axis 1: what frames written with
-/// six digits are off.
+/// Tolerance for position (m) and z axis (sine) relative to a plane through axis 1: the error of
+/// frames written with six digits.
 const OFF_PLANE: f64 = 1e-6;
-/// Distance from axis 1 (m), or sine of the angle to it, that still tells the direction of the plane.
+/// Distance from axis 1 (m), or sine of the angle to it, above which the direction of the plane is
+/// defined.
 const ON_AXIS: f64 = 1e-9;
 
 /// Closed-form kinematics of the arm of the KUKA youBot, flange `arm_link_5` in `arm_link_0`.
@@ -59,21 +60,21 @@ fn positions(angles: [f64; 5]) -> [f64; 5] {
 }
 
 impl YouBot {
-    /// The arm with these joint ranges.
+    /// An arm with these joint ranges.
     #[must_use]
     pub const fn new(ranges: [Range; 5]) -> Self {
         Self { ranges }
     }
 
-    /// The joint ranges that solutions keep.
+    /// The joint ranges of its solutions.
     #[must_use]
     pub const fn ranges(&self) -> [Range; 5] {
         self.ranges
     }
 }
 
-/// The angle of the plane with axis 1 in which position and z axis of the flange lie; `None` if both
-/// lie on the axis. The better conditioned of the two decides.
+/// The angle of the plane through axis 1 that contains position and z axis of the flange; `None` if
+/// both are on the axis. The better conditioned of the two is used.
 fn plane(from_base: &Vector3<f64>, approach: &Vector3<f64>, side: f64) -> Option<f64> {
     let (near, far) = (from_base.xy(), approach.xy());
     let longer = if near.norm() > far.norm() { near } else { far };

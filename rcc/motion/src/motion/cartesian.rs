@@ -1,5 +1,5 @@
 //! `Motion::Lin` and `Motion::Circ`: a frame along a line or an arc. Whether an arm can follow is
-//! for its kinematics to say.
+//! decided by its kinematics.
 
 use takt_net::{Build, Cycle, Definition, Fault, Frame, NullRule, Out, Primitive, Twist};
 
@@ -38,14 +38,14 @@ fn bounds(b: &Build<'_, '_>, names: [&'static str; 3]) -> Result<Bounds, Fault> 
     })
 }
 
-fn place(b: &Build<'_, '_>, parameter: &'static str) -> Result<Frame, Fault> {
+fn frame_parameter(b: &Build<'_, '_>, parameter: &'static str) -> Result<Frame, Fault> {
     let frame: Frame = b.value(parameter)?;
     let position = frame.translation.vector.iter();
     let mut values = position.chain(frame.rotation.coords.iter());
     if values.all(|v| is_sensible(*v)) {
         return Ok(frame);
     }
-    let why = "this is no frame to be at: numbers are missing or too large".to_owned();
+    let why = "this frame is invalid: its numbers are not finite or too large".to_owned();
     Err(b.parameter_fault(parameter, why))
 }
 
@@ -94,12 +94,12 @@ const TO: &str = "frame at the end, m";
 
 pub(super) fn lin() -> Definition {
     let build = |b: &mut Build<'_, '_>| {
-        let path = Path::line(place(b, "From")?, &place(b, "To")?);
+        let path = Path::line(frame_parameter(b, "From")?, &frame_parameter(b, "To")?);
         motion(b, path)
     };
     let definition = Definition::new(
         "Motion::Lin",
-        "Moves a frame along a straight line and turns it on the shortest way, as fast as the limits \
+        "Moves a frame along a straight line and turns it by the shortest rotation, as fast as the limits \
          of both allow; they start and arrive together.",
         build,
     )
@@ -110,7 +110,11 @@ pub(super) fn lin() -> Definition {
 
 pub(super) fn circ() -> Definition {
     let build = |b: &mut Build<'_, '_>| {
-        let (from, via, to) = (place(b, "From")?, place(b, "Via")?, place(b, "To")?);
+        let (from, via, to) = (
+            frame_parameter(b, "From")?,
+            frame_parameter(b, "Via")?,
+            frame_parameter(b, "To")?,
+        );
         let path = Path::arc(from, &via, &to).ok_or_else(|| {
             let why = "From, Via and To lie on one line, or two of them are one point: no arc leads \
                        through them";
@@ -120,12 +124,12 @@ pub(super) fn circ() -> Definition {
     };
     let definition = Definition::new(
         "Motion::Circ",
-        "Moves a frame along the arc through an auxiliary point and turns it on the shortest way, as \
+        "Moves a frame along the arc through an auxiliary point and turns it by the shortest rotation, as \
          fast as the limits of both allow; the change of direction counts.",
         build,
     )
     .parameter::<Frame>("From", "{}", FROM)
-    .parameter::<Frame>("Via", "{}", "frame whose position is on the way, m")
+    .parameter::<Frame>("Via", "{}", "frame whose position is on the path, m")
     .parameter::<Frame>("To", "{}", TO);
     with_rest(definition)
 }

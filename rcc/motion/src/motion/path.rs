@@ -1,13 +1,13 @@
-//! Paths of a frame in space: a straight line or an arc for the position, the shortest turn for the
-//! orientation. How fast they are run is decided elsewhere, but an arc tells how fast it may be.
+//! Paths of a frame in space: a straight line or an arc for the position, the shortest rotation for
+//! the orientation. The speed is decided elsewhere, but an arc limits it.
 
 use nalgebra::{UnitQuaternion, Vector3};
 use takt_net::{Frame, Twist};
 
 use super::profile::Bounds;
 
-/// Sine of the angle between the sides to the auxiliary point and to the end below which three points
-/// count as on one line.
+/// Sine of the angle between the sides to the auxiliary point and to the end below which three
+/// points count as collinear.
 const COLLINEAR: f64 = 1e-6;
 /// Distance below which points count as one, m.
 const SAME: f64 = 1e-9;
@@ -15,14 +15,14 @@ const SAME: f64 = 1e-9;
 #[derive(Clone, Copy, Debug)]
 enum Curve {
     Line {
-        way: Vector3<f64>,
+        displacement: Vector3<f64>,
     },
     Arc {
         /// From the centre to the start.
         x: Vector3<f64>,
-        /// From the centre to a quarter turn further.
+        /// From the centre to the point a quarter turn further.
         y: Vector3<f64>,
-        /// How far it goes around, rad.
+        /// Angle of the arc, rad.
         angle: f64,
     },
 }
@@ -32,7 +32,7 @@ enum Curve {
 pub(super) struct Path {
     from: Frame,
     curve: Curve,
-    /// Axis times angle of the whole turn, in the base, rad.
+    /// Axis times angle of the whole rotation, in the base, rad.
     turn: Vector3<f64>,
 }
 
@@ -43,16 +43,17 @@ fn turn(from: &Frame, to: &Frame) -> Vector3<f64> {
 impl Path {
     /// The straight line.
     pub(super) fn line(from: Frame, to: &Frame) -> Self {
-        let way = to.translation.vector - from.translation.vector;
+        let displacement = to.translation.vector - from.translation.vector;
         Self {
             from,
-            curve: Curve::Line { way },
+            curve: Curve::Line { displacement },
             turn: turn(&from, to),
         }
     }
 
-    /// The arc through the position of `via`, whose orientation does not matter; `None` if the three
-    /// lie on one line or two of them are one point. Three equal points are no way at all.
+    /// The arc through the position of `via`, whose orientation is ignored; `None` if the three
+    /// points are collinear or two of them are one point. Three equal points are a path without
+    /// length.
     pub(super) fn arc(from: Frame, via: &Frame, to: &Frame) -> Option<Self> {
         let start = from.translation.vector;
         let (a, b) = (
@@ -83,27 +84,27 @@ impl Path {
         })
     }
 
-    /// Length of the way of the position, m.
-    fn way(&self) -> f64 {
+    /// Length of the path of the position, m.
+    fn translation_length(&self) -> f64 {
         match self.curve {
-            Curve::Line { way } => way.norm(),
+            Curve::Line { displacement } => displacement.norm(),
             Curve::Arc { x, angle, .. } => x.norm() * angle,
         }
     }
 
-    /// The length by which progress is measured (m or rad, whichever is more), and the bounds
-    /// along it that keep those of translation and rotation.
+    /// The length by which progress is measured (m or rad, the larger one), and the bounds along it
+    /// that keep those of translation and rotation.
     pub(super) fn bounds(&self, translation: Bounds, rotation: Bounds) -> (f64, Bounds) {
-        let (way, angle) = (self.way(), self.turn.norm());
-        let length = way.max(angle);
+        let (distance, angle) = (self.translation_length(), self.turn.norm());
+        let length = distance.max(angle);
         let translation = match self.curve {
             Curve::Line { .. } => translation,
             Curve::Arc { x, .. } => on_arc(translation, x.norm()),
         };
-        let along = match (way > 0.0, angle > 0.0) {
+        let along = match (distance > 0.0, angle > 0.0) {
             (true, true) => {
                 let rotation = rotation.scaled(length / angle);
-                translation.scaled(length / way).and(rotation)
+                translation.scaled(length / distance).and(rotation)
             }
             (false, true) => rotation,
             (_, false) => translation,
@@ -111,10 +112,10 @@ impl Path {
         (length, along)
     }
 
-    /// Where the frame is at this part of the path.
+    /// The frame at this part of the path.
     pub(super) fn at(&self, part: f64) -> Frame {
         let offset = match self.curve {
-            Curve::Line { way } => way * part,
+            Curve::Line { displacement } => displacement * part,
             Curve::Arc { x, y, angle } => {
                 let (sin, cos) = (angle * part).sin_cos();
                 x * (cos - 1.0) + y * sin
@@ -125,10 +126,10 @@ impl Path {
         Frame::from_parts(position.into(), turned)
     }
 
-    /// How fast the frame moves at this part of the path, when the part changes by `rate` (1/s).
+    /// The velocity of the frame at this part of the path, where the part changes by `rate` (1/s).
     pub(super) fn velocity(&self, part: f64, rate: f64) -> Twist {
         let vel = match self.curve {
-            Curve::Line { way } => way * rate,
+            Curve::Line { displacement } => displacement * rate,
             Curve::Arc { x, y, angle } => {
                 let (sin, cos) = (angle * part).sin_cos();
                 (y * cos - x * sin) * (angle * rate)
@@ -141,9 +142,9 @@ impl Path {
     }
 }
 
-/// The bounds along an arc of that radius (m) that keep bounds in space, where the change of
-/// direction takes its share: v²/r of the acceleration, and of the jerk 3·v·a/r across and v³/r²
-/// along the arc. The velocity is lowered until these leave enough to accelerate with.
+/// The bounds along an arc of that radius (m) that keep bounds in space. The change of direction
+/// needs v²/r of the acceleration, and of the jerk 3·v·a/r across and v³/r² along the arc. The
+/// velocity is reduced until the rest suffices to accelerate.
 fn on_arc(bounds: Bounds, radius: f64) -> Bounds {
     let Bounds {
         velocity,

@@ -1,6 +1,6 @@
-//! The way of one coordinate to standstill, by the parts of the library for trajectories of which its own
-//! entry consists. That entry writes a text about each plan that cannot be made, which allocates; here one
-//! fails without a word. Nothing is checked that whoever asks can check.
+//! Plans the motion of one coordinate to standstill, with the parts of the trajectory library of
+//! which its own entry point consists. That entry point formats a text about each plan that fails,
+//! which allocates; this one returns without a text. It checks nothing that the caller can check.
 
 use rsruckig::block::Block;
 use rsruckig::position_third_step1::PositionThirdOrderStep1;
@@ -9,19 +9,19 @@ use rsruckig::velocity_third_step1::VelocityThirdOrderStep1;
 
 use super::profile::{Bounds, State};
 
-/// How far a sample may be off a limit by rounding, as a share of it.
+/// Tolerance for rounding: how far a sample may exceed a limit, relative to the limit.
 const ROUNDING: f64 = 1e-9;
 
-/// Where a coordinate is to come to rest.
+/// The position at which a coordinate comes to rest.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Target {
-    /// There.
-    Place(f64),
+    /// At that position.
+    Position(f64),
     /// As soon as possible.
     Anywhere,
 }
 
-/// Plans ways of one coordinate.
+/// Plans motions of one coordinate.
 pub(super) struct Planner {
     step: PositionThirdOrderStep1,
     block: Block,
@@ -38,8 +38,8 @@ impl Planner {
         }
     }
 
-    /// Plans a way from `now` to rest. It goes down only if the lowest velocity, `lowest`, is below zero.
-    /// Returns whether there is one; if not, `plan` is worth nothing.
+    /// Plans a motion from `now` to rest. It moves backwards only if the lowest velocity, `lowest`,
+    /// is below zero. Returns whether there is a plan; if not, `plan` is invalid.
     pub(super) fn plan(
         &mut self,
         now: State,
@@ -61,22 +61,22 @@ impl Planner {
             return false;
         };
         let found = match target {
-            Target::Place(place) => {
+            Target::Position(position) => {
                 let brake = &mut profile.brake;
                 brake.get_position_brake_trajectory(v, a, highest, lowest, a_max, -a_max, jerk);
-                profile.set_boundary(now.place, v, a, place, 0.0, 0.0);
+                profile.set_boundary(now.position, v, a, position, 0.0, 0.0);
                 let [p, v, a] = [&mut profile.p[0], &mut profile.v[0], &mut profile.a[0]];
                 profile.brake.finalize(p, v, a);
                 let (p, v, a) = (profile.p[0], profile.v[0], profile.a[0]);
                 self.step.reset(
-                    p, v, a, place, 0.0, 0.0, highest, lowest, a_max, -a_max, jerk,
+                    p, v, a, position, 0.0, 0.0, highest, lowest, a_max, -a_max, jerk,
                 );
                 self.step.get_profile(profile, &mut self.block)
             }
             Target::Anywhere => {
                 let brake = &mut profile.brake;
                 brake.get_velocity_brake_trajectory(a, a_max, -a_max, jerk);
-                profile.set_boundary_for_velocity(now.place, v, a, 0.0, 0.0);
+                profile.set_boundary_for_velocity(now.position, v, a, 0.0, 0.0);
                 let [p, v, a] = [&mut profile.p[0], &mut profile.v[0], &mut profile.a[0]];
                 profile.brake.finalize(p, v, a);
                 let (v, a) = (profile.v[0], profile.a[0]);
@@ -94,8 +94,8 @@ impl Planner {
     }
 }
 
-/// A value at its limit, if it is beyond by no more than rounding: a plan from outside its limits begins
-/// with a way back into them.
+/// Clamps a value that exceeds its limit by no more than rounding: a plan from outside its limits
+/// begins with a return into them.
 fn rounded(value: f64, limit: f64) -> f64 {
     let beyond = value.abs() > limit && value.abs() <= limit * (1.0 + ROUNDING);
     if beyond { limit.copysign(value) } else { value }

@@ -1,6 +1,6 @@
-//! One coordinate on its way: planned with bounded velocity, acceleration and jerk, sampled once a
-//! cycle, and planned anew from where it is. A plan that cannot be made leaves the one before.
-//! Neither planning nor sampling allocates. Limits are checked by whoever makes a profile.
+//! The motion of one coordinate: planned with bounded velocity, acceleration and jerk, sampled once
+//! a cycle, and replanned from its present state. If planning fails, the previous plan stays.
+//! Neither planning nor sampling allocates. The owner of a profile checks the limits.
 
 use rsruckig::prelude::{DataArrayOrVec, Trajectory};
 
@@ -15,7 +15,7 @@ pub(super) struct Bounds {
 }
 
 impl Bounds {
-    /// The limits of a coordinate that runs `factor` times as far in the same time.
+    /// The limits of a coordinate that moves `factor` times as far in the same time.
     pub(super) fn scaled(self, factor: f64) -> Self {
         Self {
             velocity: self.velocity * factor,
@@ -24,7 +24,7 @@ impl Bounds {
         }
     }
 
-    /// The lower of each two limits.
+    /// The lower limit of each pair.
     pub(super) fn and(self, other: Self) -> Self {
         Self {
             velocity: self.velocity.min(other.velocity),
@@ -34,45 +34,45 @@ impl Bounds {
     }
 }
 
-/// Where a coordinate is and how it moves, in its unit, per s and per s².
+/// Position, velocity and acceleration of a coordinate, in its unit, per s and per s².
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct State {
-    pub(super) place: f64,
+    pub(super) position: f64,
     pub(super) velocity: f64,
     pub(super) acceleration: f64,
 }
 
 impl State {
     fn is_finite(self) -> bool {
-        self.place.is_finite() && self.velocity.is_finite() && self.acceleration.is_finite()
+        self.position.is_finite() && self.velocity.is_finite() && self.acceleration.is_finite()
     }
 }
 
-/// A coordinate on its way.
+/// The motion of a coordinate.
 pub(super) struct Profile {
     planner: Planner,
     plan: Trajectory<1>,
     spare: Trajectory<1>,
     bounds: Bounds,
-    /// Whether it is to go up only.
+    /// Whether it moves forwards only.
     forward_only: bool,
     period_s: f64,
     now: State,
-    /// Where the plan comes to rest; `None` if it only brakes.
+    /// Where the plan ends; `None` if it only brakes.
     goal: Option<f64>,
-    /// Cycles since the plan was made; `None` when it has ended.
+    /// Cycles since planning; `None` when the plan has ended.
     cycles: Option<u32>,
 }
 
 impl Profile {
-    /// The same coordinate, which is to go up and never down.
+    /// The same coordinate, restricted to forward motion.
     pub(super) fn forward_only(mut self) -> Self {
         self.forward_only = true;
         self
     }
 
-    /// At rest at `place`.
-    pub(super) fn new(place: f64, bounds: Bounds, period_s: f64) -> Self {
+    /// A coordinate at rest at `position`.
+    pub(super) fn new(position: f64, bounds: Bounds, period_s: f64) -> Self {
         Self {
             planner: Planner::new(),
             plan: Trajectory::new(None),
@@ -81,10 +81,10 @@ impl Profile {
             forward_only: false,
             period_s,
             now: State {
-                place,
+                position,
                 ..State::default()
             },
-            goal: Some(place),
+            goal: Some(position),
             cycles: None,
         }
     }
@@ -98,23 +98,23 @@ impl Profile {
         self.cycles.is_none()
     }
 
-    /// Whether the plan leads to standstill wherever that will be.
+    /// Whether the plan leads to standstill at any position.
     pub(super) const fn is_braking(&self) -> bool {
         self.goal.is_none()
     }
 
-    /// At rest at `place`, from one cycle to the next.
-    pub(super) fn reset(&mut self, place: f64) {
+    /// Puts the coordinate to rest at `position`, from one cycle to the next.
+    pub(super) fn reset(&mut self, position: f64) {
         self.now = State {
-            place,
+            position,
             ..State::default()
         };
-        self.goal = Some(place);
+        self.goal = Some(position);
         self.cycles = None;
     }
 
-    /// Plans to come to rest at `goal`, not faster than `part` (0 to 1) of the velocity limit.
-    /// Returns whether there is such a plan.
+    /// Plans to come to rest at `goal`, at most at `part` (0 to 1) of the velocity limit. Returns
+    /// whether there is such a plan.
     pub(super) fn go_to(&mut self, goal: f64, part: f64) -> bool {
         let velocity = self.bounds.velocity * part;
         self.make_plan(Some(goal), velocity)
@@ -134,7 +134,7 @@ impl Profile {
             velocity,
             ..self.bounds
         };
-        let target = goal.map_or(Target::Anywhere, Target::Place);
+        let target = goal.map_or(Target::Anywhere, Target::Position);
         let lowest = if self.forward_only { 0.0 } else { -velocity };
         let plan = &mut self.spare;
         let is_planned = self.planner.plan(self.now, target, bounds, lowest, plan);
@@ -143,13 +143,13 @@ impl Profile {
             self.goal = goal;
             self.cycles = Some(0);
             if self.plan.get_duration() <= 0.0 {
-                self.reset(goal.unwrap_or(self.now.place));
+                self.reset(goal.unwrap_or(self.now.position));
             }
         }
         is_planned
     }
 
-    /// One cycle further.
+    /// Advances by one cycle.
     pub(super) fn advance(&mut self) {
         let Some(cycles) = &mut self.cycles else {
             return;
@@ -163,26 +163,26 @@ impl Profile {
         }
         self.now = sample;
         if has_ended {
-            // The plan's own end is off by rounding.
-            self.reset(self.goal.unwrap_or(sample.place));
+            // The end of the plan has a rounding error.
+            self.reset(self.goal.unwrap_or(sample.position));
         }
     }
 }
 
-/// Where a trajectory is at `time`, s.
+/// The state of a trajectory at `time`, s.
 fn sample(plan: &Trajectory<1>, time: f64) -> State {
     let mut values = [(); 3].map(|()| DataArrayOrVec::<f64, 1>::new(None, 0.0));
-    let [place, velocity, acceleration] = &mut values;
+    let [position, velocity, acceleration] = &mut values;
     plan.at_time(
         time,
-        &mut Some(place),
+        &mut Some(position),
         &mut Some(velocity),
         &mut Some(acceleration),
         &mut None,
         &mut None,
     );
     State {
-        place: values[0][0],
+        position: values[0][0],
         velocity: values[1][0],
         acceleration: values[2][0],
     }
@@ -192,8 +192,8 @@ fn sample(plan: &Trajectory<1>, time: f64) -> State {
 mod tests {
     use super::*;
 
-    /// Shortest time of a motion from rest to rest over `way`: known in closed form.
-    fn shortest(way: f64, bounds: Bounds) -> f64 {
+    /// Shortest time of a motion from rest to rest over `distance`, in closed form.
+    fn shortest(distance: f64, bounds: Bounds) -> f64 {
         let Bounds {
             velocity: v,
             acceleration: a,
@@ -207,14 +207,14 @@ mod tests {
                 2.0 * (v / j).sqrt()
             }
         };
-        if way >= v * ramp(v) {
-            return way / v + ramp(v);
+        if distance >= v * ramp(v) {
+            return distance / v + ramp(v);
         }
-        let peak = ((a / j).mul_add(a / j, 4.0 * way / a).sqrt() - a / j) * a / 2.0;
+        let peak = ((a / j).mul_add(a / j, 4.0 * distance / a).sqrt() - a / j) * a / 2.0;
         if peak * j >= a * a {
             2.0 * ramp(peak)
         } else {
-            4.0 * (way / (2.0 * j)).cbrt()
+            4.0 * (distance / (2.0 * j)).cbrt()
         }
     }
 
@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn plans_from_rest_to_rest_take_the_shortest_time_at_any_scale() {
+    fn rest_to_rest_plan_takes_shortest_time() {
         let mut draw = series();
         for number in 0..5000 {
             let bounds = Bounds {
@@ -238,22 +238,25 @@ mod tests {
                 acceleration: draw(-3.0, 3.0),
                 jerk: draw(-3.0, 3.0),
             };
-            let way = draw(-6.0, 2.0);
+            let distance = draw(-6.0, 2.0);
             let mut profile = Profile::new(0.0, bounds, 1e-3);
-            assert!(profile.go_to(way, 1.0), "{number}: {way} {bounds:?}");
-            let (found, known) = (profile.plan.get_duration(), shortest(way, bounds));
+            assert!(
+                profile.go_to(distance, 1.0),
+                "{number}: {distance} {bounds:?}"
+            );
+            let (found, known) = (profile.plan.get_duration(), shortest(distance, bounds));
             let off = (found - known).abs();
             assert!(
                 off < 1e-6 * known + 1e-9,
-                "{number}: {found} {known} {way} {bounds:?}"
+                "{number}: {found} {known} {distance} {bounds:?}"
             );
-            let end = sample(&profile.plan, found).place;
-            assert!((end - way).abs() < 1e-8, "{number}: {end} {way}");
+            let end = sample(&profile.plan, found).position;
+            assert!((end - distance).abs() < 1e-8, "{number}: {end} {distance}");
         }
     }
 
     #[test]
-    fn braking_from_anywhere_never_leads_beyond_the_goal() {
+    fn braking_never_passes_goal() {
         let mut draw = series();
         for number in 0..300 {
             let bounds = Bounds {
@@ -261,9 +264,9 @@ mod tests {
                 acceleration: draw(-0.5, 1.0),
                 jerk: draw(0.5, 2.0),
             };
-            let way = draw(-2.0, 0.5);
+            let distance = draw(-2.0, 0.5);
             let mut profile = Profile::new(0.0, bounds, 1e-3).forward_only();
-            assert!(profile.go_to(way, 1.0));
+            assert!(profile.go_to(distance, 1.0));
             let until = profile.plan.get_duration() * draw(-2.0, 0.0);
             let mut time = 0.0;
             while time < until {
@@ -271,21 +274,21 @@ mod tests {
                 time += 1e-3;
             }
             assert!(profile.is_at_rest() || profile.brake(), "{number}");
-            let mut last = profile.now().place;
+            let mut last = profile.now().position;
             while !profile.is_at_rest() {
                 profile.advance();
-                let place = profile.now().place;
+                let position = profile.now().position;
                 assert!(
-                    place >= last - 1e-12 && place <= way + 1e-9,
-                    "{number}: {last} {place} of {way}"
+                    position >= last - 1e-12 && position <= distance + 1e-9,
+                    "{number}: {last} {position} of {distance}"
                 );
-                last = place;
+                last = position;
             }
         }
     }
 
     #[test]
-    fn a_plan_that_cannot_be_made_leaves_the_one_before() {
+    fn failed_plan_keeps_previous_plan() {
         let bounds = Bounds {
             velocity: 1.0,
             acceleration: 1.0,
@@ -297,13 +300,13 @@ mod tests {
         while !profile.is_at_rest() {
             profile.advance();
         }
-        assert_eq!(profile.now().place.to_bits(), 1e-3_f64.to_bits());
+        assert_eq!(profile.now().position.to_bits(), 1e-3_f64.to_bits());
     }
 
-    /// Goals that change at any instant, among them far, near and equal ones, with limits of all sizes that
-    /// are taken: a plan that cannot be made is rare, and what is sampled is always finite and in bounds.
+    /// Goals that change at any instant, among them far, near and equal ones, with limits of all
+    /// allowed sizes: planning rarely fails, and samples are always finite and in bounds.
     #[test]
-    fn any_goal_at_any_instant_is_planned_for_or_changes_nothing() {
+    fn random_goals_are_planned_or_ignored() {
         let mut draw = series();
         let (mut failed, mut all) = (0, 0);
         for _ in 0..2_000 {

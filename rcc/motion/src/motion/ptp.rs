@@ -1,5 +1,5 @@
-//! `Motion::Ptp`: all joints from one position to another, together. Where the flange goes meanwhile
-//! is not looked at.
+//! `Motion::Ptp`: all joints from one position to another, synchronised. The path of the flange is
+//! not considered.
 
 use takt_net::{ArrayOut, Build, Cycle, Definition, Fault, NullRule, Primitive};
 
@@ -19,21 +19,23 @@ impl Primitive for Ptp {
     fn step(&mut self, cycle: &Cycle<'_>) {
         let progress = self.runner.step(cycle);
         let ends = || self.from.iter().zip(&self.to);
-        let place = |(from, to): (&f64, &f64)| from * (1.0 - progress.part) + to * progress.part;
+        let position = |(from, to): (&f64, &f64)| from * (1.0 - progress.part) + to * progress.part;
         let speed = |(from, to): (&f64, &f64)| (to - from) * progress.rate;
-        self.position.set(cycle, ends().map(place));
+        self.position.set(cycle, ends().map(position));
         self.velocity.set(cycle, ends().map(speed));
     }
 }
 
-/// Length of the straight line in the space of the joints, measured by the joint with the longest
-/// way (rad), and the bounds along it that keep the bounds of every joint.
+/// Length of the straight line in joint space, measured by the joint with the longest distance
+/// (rad), and the bounds along it that keep the bounds of every joint.
 fn line(from: &[f64], to: &[f64], bounds: &[Bounds]) -> (f64, Bounds) {
-    let ways = || from.iter().zip(to).map(|(from, to)| (to - from).abs());
-    let length = ways().fold(0.0, f64::max);
+    let distances = || from.iter().zip(to).map(|(from, to)| (to - from).abs());
+    let length = distances().fold(0.0, f64::max);
     let first = bounds[0];
-    let along = ways().zip(bounds).filter(|(way, _)| *way > 0.0);
-    let along = along.map(|(way, bounds)| bounds.scaled(length / way));
+    let along = distances()
+        .zip(bounds)
+        .filter(|(distance, _)| *distance > 0.0);
+    let along = along.map(|(distance, bounds)| bounds.scaled(length / distance));
     (length, along.reduce(Bounds::and).unwrap_or(first))
 }
 

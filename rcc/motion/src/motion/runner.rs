@@ -1,5 +1,5 @@
-//! Runs along a path that is fixed while loading: from its start to its end, slower on demand, and to
-//! a stop on the path. What the path is, its owner knows.
+//! Runs along a path that is fixed at load time: from its start to its end, slower on demand, and
+//! to a stop on the path. Its owner knows the path.
 
 use takt_net::definition::{Port, port};
 use takt_net::{Build, Cycle, Definition, Fault, In, Out};
@@ -11,27 +11,27 @@ const HOLD_BELOW: f64 = 0.001;
 
 const OVERRIDE: Port = port(
     "inOverride",
-    "part of the velocity limit to run at, 0 to 1; below 0.001, null or no number: stands still",
+    "part of the velocity limit to run at, 0 to 1; below 0.001, null or not a number: holds",
 )
 .or("Override", "1");
 
-/// What the profile is planned for.
+/// The target of the profile.
 #[derive(Clone, Copy, PartialEq)]
 enum Aim {
     /// The end of the path, at this part of the velocity limit.
     End(f64),
-    /// Standstill, to go on later.
+    /// Standstill, to continue later.
     Hold,
     /// Standstill for good.
     Stop,
 }
 
-/// Where on the path one is.
+/// The state on the path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Progress {
     /// Part of the path, 0 to 1.
     pub(super) part: f64,
-    /// How fast it changes, 1/s.
+    /// Its rate, 1/s.
     pub(super) rate: f64,
     /// Whether the motion is over.
     pub(super) is_done: bool,
@@ -51,31 +51,31 @@ pub(super) struct Runner {
     done: Out<bool>,
 }
 
-/// Adds the ports that all motions have.
+/// Adds the ports common to all motions.
 pub(super) fn with_ports(definition: Definition) -> Definition {
-    // Another override or a stop is planned for within the cycle it comes in.
+    // A changed override or a stop is planned for within the cycle in which it arrives.
     definition
         .cost_ns(15_000)
         .stateful()
         .input::<f64>(OVERRIDE)
         .input::<bool>(port(
             "inStop",
-            "true ends the motion: it brakes on its path, for good until inReset",
+            "true ends the motion: it brakes on its path and stays at rest until inReset",
         ))
-        .output::<f64>("outProgress", "part of the path behind, 0 to 1")
+        .output::<f64>("outProgress", "completed part of the path, 0 to 1")
         .output::<bool>("outDone", "at rest at the end, or stopped")
 }
 
 impl Runner {
     /// A runner on a path of that length (in the unit of the bounds, at most the largest of the
-    /// lengths that the bounds stem from).
+    /// lengths from which the bounds are derived).
     ///
     /// # Errors
     /// If no profile keeps the bounds.
     pub(super) fn new(b: &mut Build<'_, '_>, length: f64, bounds: Bounds) -> Result<Self, Fault> {
         let mut profile = Profile::new(0.0, bounds, b.period_s()).forward_only();
         if !profile.go_to(length, 1.0) {
-            let why = "no motion keeps these limits; their sizes are too far apart".to_owned();
+            let why = "no motion keeps these limits: their magnitudes differ too much".to_owned();
             return Err(b.parameter_fault(super::VELOCITY, why));
         }
         Ok(Self {
@@ -92,7 +92,7 @@ impl Runner {
         })
     }
 
-    /// One cycle: reads what all motions read and writes what all write.
+    /// One cycle: reads the inputs and writes the outputs common to all motions.
     pub(super) fn step(&mut self, cycle: &Cycle<'_>) -> Progress {
         if self.reset.get(cycle) == Some(true) {
             self.restart();
@@ -117,7 +117,7 @@ impl Runner {
         self.is_stopped = false;
     }
 
-    /// Plans anew if what is wanted has changed.
+    /// Replans if the target has changed.
     fn aim_at(&mut self, speed: f64) {
         let wanted = if self.is_stopped {
             Aim::Stop
@@ -139,16 +139,16 @@ impl Runner {
     }
 
     fn is_at_end(&self) -> bool {
-        self.profile.is_at_rest() && self.profile.now().place >= self.length
+        self.profile.is_at_rest() && self.profile.now().position >= self.length
     }
 
     fn progress(&self) -> Progress {
         let now = self.profile.now();
         let is_over = self.is_at_end() || self.aim == Aim::Stop;
-        // A path without length is behind as soon as it begins.
+        // A path without length is completed as soon as it begins.
         let (part, rate) = if self.length > 0.0 {
             // Rounding must not lead beyond the ends.
-            let part = (now.place / self.length).clamp(0.0, 1.0);
+            let part = (now.position / self.length).clamp(0.0, 1.0);
             (part, now.velocity / self.length)
         } else {
             (1.0, 0.0)

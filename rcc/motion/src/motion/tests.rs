@@ -1,4 +1,4 @@
-//! Motions in nets, judged by what comes out: velocity, acceleration and jerk are taken from
+//! Motions in nets, checked by their outputs: velocity, acceleration and jerk are computed from
 //! differences of positions alone.
 
 use nalgebra::{UnitQuaternion, Vector3};
@@ -6,12 +6,12 @@ use takt_net::value::text::{TextValue, format_array, parse_array};
 use takt_net::{Frame, Twist};
 
 use super::profile::Bounds;
-use crate::stand::{Arm, PERIOD_S, Stand};
+use crate::fixture::{Arm, Fixture, PERIOD_S};
 
 /// Longest run of a test, cycles.
 const MOST: usize = 20_000;
 
-/// A generator of even numbers: the same series in each run.
+/// A generator of uniform numbers: the same series in each run.
 struct Random(u64);
 
 impl Random {
@@ -40,7 +40,8 @@ fn list(values: &[f64]) -> String {
     text
 }
 
-/// A net of one motion, its controls as `NetcommIn`, its outputs of the type family `ty` observed.
+/// A net of one motion, its controls as `NetcommIn`, its outputs of the type family `ty` as
+/// `NetcommOut`.
 fn net(motion: &str, parameters: &str, ty: &str) -> String {
     format!(
         "o=Core::DoubleNetcommIn(Key='o',Value='1'),s=Core::BooleanNetcommIn(Key='s'),\
@@ -55,7 +56,7 @@ fn net(motion: &str, parameters: &str, ty: &str) -> String {
 }
 
 struct Run {
-    stand: Stand,
+    fixture: Fixture,
     is_cartesian: bool,
     joints: Vec<Vec<f64>>,
     frames: Vec<Frame>,
@@ -66,7 +67,7 @@ struct Run {
 impl Run {
     fn new(text: &str) -> Self {
         Self {
-            stand: Stand::new(text, &Arm::default()),
+            fixture: Fixture::new(text, &Arm::default()),
             is_cartesian: text.contains("World::Frame"),
             joints: Vec::new(),
             frames: Vec::new(),
@@ -76,8 +77,8 @@ impl Run {
     }
 
     fn step(&mut self) {
-        self.stand.step();
-        let (position, velocity) = (self.stand.read("p"), self.stand.read("v"));
+        self.fixture.step();
+        let (position, velocity) = (self.fixture.read("p"), self.fixture.read("v"));
         if self.is_cartesian {
             let twist = Twist::parse(&velocity).expect("a twist");
             self.frames.push(Frame::parse(&position).expect("a frame"));
@@ -90,11 +91,11 @@ impl Run {
                 .push(parse_array(&velocity, 32).expect("velocities"));
         }
         self.progress
-            .push(f64::parse(&self.stand.read("u")).expect("progress"));
+            .push(f64::parse(&self.fixture.read("u")).expect("progress"));
     }
 
     fn is_done(&self) -> bool {
-        self.stand.read("d") == "true"
+        self.fixture.read("d") == "true"
     }
 
     /// Runs until the motion is over, and some cycles more.
@@ -113,7 +114,7 @@ impl Run {
         positions.collect()
     }
 
-    fn places(&self) -> Vec<Vector3<f64>> {
+    fn positions(&self) -> Vec<Vector3<f64>> {
         self.frames.iter().map(|f| f.translation.vector).collect()
     }
 }
@@ -128,9 +129,9 @@ fn largest(values: &[Vector3<f64>]) -> f64 {
     values.iter().map(Vector3::norm).fold(0.0, f64::max)
 }
 
-/// Asserts that velocities, and their differences, are within bounds, and returns which part of each
-/// bound is used. The first and last values count as having been there forever.
-fn assert_bounded(velocities: &[Vector3<f64>], bounds: Bounds, what: &str) -> [f64; 3] {
+/// Asserts that velocities, and their differences, are within bounds, and returns which part of
+/// each bound is used. Before the first and after the last value, the velocity counts as constant.
+fn assert_bounded(velocities: &[Vector3<f64>], bounds: Bounds, context: &str) -> [f64; 3] {
     let mut velocities = velocities.to_vec();
     velocities.insert(0, Vector3::zeros());
     velocities.insert(0, Vector3::zeros());
@@ -144,13 +145,16 @@ fn assert_bounded(velocities: &[Vector3<f64>], bounds: Bounds, what: &str) -> [f
     ];
     assert!(
         used[0] < 1.0 + 1e-6,
-        "{what}: velocity {used:?} of {bounds:?}"
+        "{context}: velocity {used:?} of {bounds:?}"
     );
     assert!(
         used[1] < 1.0 + 1e-5,
-        "{what}: acceleration {used:?} of {bounds:?}"
+        "{context}: acceleration {used:?} of {bounds:?}"
     );
-    assert!(used[2] < 1.0 + 1e-3, "{what}: jerk {used:?} of {bounds:?}");
+    assert!(
+        used[2] < 1.0 + 1e-3,
+        "{context}: jerk {used:?} of {bounds:?}"
+    );
     used
 }
 
@@ -191,17 +195,17 @@ fn random_ptp(random: &mut Random, joints: usize) -> RandomPtp {
 
 impl RandomPtp {
     /// Asserts that all joints are within their bounds and on the straight line; returns the
-    /// largest part of each bound that is used.
+    /// largest used part of each bound.
     fn assert_kept(&self, run: &Run) -> [f64; 3] {
         let mut most = [0.0_f64; 3];
         for (joint, bounds) in self.bounds.iter().enumerate() {
             let used = assert_bounded(&rates(&run.series(joint)), *bounds, &self.net);
             most = std::array::from_fn(|i| most[i].max(used[i]));
         }
-        for (place, part) in run.joints.iter().zip(&run.progress) {
-            for (joint, place) in place.iter().enumerate() {
+        for (position, part) in run.joints.iter().zip(&run.progress) {
+            for (joint, position) in position.iter().enumerate() {
                 let (from, to) = (self.from[joint], self.to[joint]);
-                let off = (place - from - (to - from) * part).abs();
+                let off = (position - from - (to - from) * part).abs();
                 assert!(off < 1e-12, "joint {joint} leaves the line by {off}");
             }
         }
@@ -210,7 +214,7 @@ impl RandomPtp {
 }
 
 #[test]
-fn ptp_keeps_the_limits_of_all_joints_and_uses_them() {
+fn ptp_keeps_and_uses_joint_limits() {
     let mut random = Random(1);
     for joints in [1, 2, 6, 7, 1, 3, 7] {
         let ptp = random_ptp(&mut random, joints);
@@ -225,7 +229,7 @@ fn ptp_keeps_the_limits_of_all_joints_and_uses_them() {
 }
 
 #[test]
-fn ptp_is_as_short_as_its_limits_allow() {
+fn ptp_takes_shortest_time() {
     // 1 rad: acceleration and jerk add V/A + A/J to D/V.
     let parameters = "To='[1,0.5]',Velocity='[0.5]',Acceleration='[1]',Jerk='[10]'";
     let run = Run::new(&net("Ptp", parameters, "Core::DoubleArray")).finish();
@@ -234,7 +238,7 @@ fn ptp_is_as_short_as_its_limits_allow() {
 }
 
 #[test]
-fn the_velocity_output_is_that_of_the_positions() {
+fn velocity_output_matches_positions() {
     let ptp = random_ptp(&mut Random(5), 3);
     let run = Run::new(&ptp.net).finish();
     for joint in 0..3 {
@@ -251,7 +255,7 @@ fn the_velocity_output_is_that_of_the_positions() {
 }
 
 #[test]
-fn any_override_keeps_limits_line_and_end() {
+fn ptp_under_any_override_keeps_limits_and_line() {
     let mut random = Random(2);
     for number in 0..12 {
         let ptp = random_ptp(&mut random, 2);
@@ -259,11 +263,11 @@ fn any_override_keeps_limits_line_and_end() {
         for cycle in 0..1500 {
             if cycle % [1, 7, 50, 211][number % 4] == 0 {
                 let speed = random.between(-0.3, 1.3);
-                run.stand.write("o", &text(speed));
+                run.fixture.write("o", &text(speed));
             }
             run.step();
         }
-        run.stand.write("o", "1");
+        run.fixture.write("o", "1");
         let run = run.finish();
         assert_eq!(run.joints.last(), Some(&ptp.to));
         ptp.assert_kept(&run);
@@ -278,27 +282,27 @@ fn any_override_keeps_limits_line_and_end() {
 }
 
 #[test]
-fn a_lower_override_is_a_lower_speed() {
+fn lower_override_lowers_speed() {
     let parameters = "To='[1]',Velocity='[0.5]',Acceleration='[1]',Jerk='[10]'";
     let mut run = Run::new(&net("Ptp", parameters, "Core::DoubleArray"));
-    run.stand.write("o", "0.5");
+    run.fixture.write("o", "0.5");
     let run = run.finish();
     let fastest = run.velocities.iter().map(|v| v[0]).fold(0.0, f64::max);
     assert!((fastest - 0.25).abs() < 1e-9, "{fastest}");
 }
 
 #[test]
-fn without_override_a_motion_stands_still_and_goes_on_later() {
+fn motion_without_override_holds_and_resumes() {
     for nothing in ["0", "nan", "-1", "0.0009"] {
         let ptp = random_ptp(&mut Random(3), 2);
         let mut run = Run::new(&ptp.net);
         (0..100).for_each(|_| run.step());
-        run.stand.write("o", nothing);
+        run.fixture.write("o", nothing);
         (0..3000).for_each(|_| run.step());
         assert!(!run.is_done(), "{nothing}");
         let at_rest = run.velocities.last().expect("a velocity");
         assert!(at_rest.iter().all(|v| *v == 0.0), "{nothing}: {at_rest:?}");
-        run.stand.write("o", "1");
+        run.fixture.write("o", "1");
         let run = run.finish();
         assert_eq!(run.joints.last(), Some(&ptp.to), "{nothing}");
         ptp.assert_kept(&run);
@@ -306,7 +310,7 @@ fn without_override_a_motion_stands_still_and_goes_on_later() {
 }
 
 #[test]
-fn a_stop_is_on_the_path_within_limits_and_for_good() {
+fn stop_brakes_on_path_within_limits() {
     let mut random = Random(4);
     for stop_at in [0, 1, 3, 40, 200, 500, 900, 1300] {
         let ptp = random_ptp(&mut random, 3);
@@ -314,30 +318,30 @@ fn a_stop_is_on_the_path_within_limits_and_for_good() {
         for _ in 0..stop_at {
             run.step();
         }
-        run.stand.write("s", "true");
+        run.fixture.write("s", "true");
         let mut run = run.finish();
         ptp.assert_kept(&run);
         let rest = run.joints.last().expect("a position").clone();
-        run.stand.write("s", "false");
+        run.fixture.write("s", "false");
         (0..50).for_each(|_| run.step());
         assert_eq!(run.joints.last(), Some(&rest));
         assert!(run.is_done());
-        run.stand.write("r", "true");
+        run.fixture.write("r", "true");
         run.step();
         assert_eq!(run.joints.last(), Some(&ptp.from));
         assert!(!run.is_done());
-        run.stand.write("r", "false");
+        run.fixture.write("r", "false");
         assert_eq!(run.finish().joints.last(), Some(&ptp.to));
     }
 }
 
 #[test]
-fn a_motion_without_a_way_is_done_at_once() {
+fn motion_without_length_is_done_at_once() {
     let run = Run::new(&net("Ptp", "From='[1,2]',To='[1,2]'", "Core::DoubleArray"));
     let mut run = run.finish();
     assert_eq!(run.joints[0], [1.0, 2.0]);
     assert_eq!(run.progress.len(), 6, "one cycle, and those after it");
-    run.stand.write("r", "true");
+    run.fixture.write("r", "true");
     run.step();
     assert!(run.is_done());
     let frames = Run::new(&net("Circ", "To='{}'", "World::Frame"))
@@ -389,22 +393,22 @@ fn random_frame(random: &mut Random, reach: f64) -> Frame {
 }
 
 /// Asserts that translation and rotation of a run are within their bounds.
-fn assert_cartesian(run: &Run, what: &str) -> [[f64; 3]; 2] {
+fn assert_cartesian(run: &Run, context: &str) -> [[f64; 3]; 2] {
     let [translation, rotation] = cartesian_bounds();
     let turns = run.frames.windows(2).map(|pair| {
         let turn = pair[1].rotation * pair[0].rotation.inverse();
         turn.scaled_axis() / PERIOD_S
     });
     let turns: Vec<_> = turns.collect();
-    // Quaternions of neighbouring cycles differ by less than they are exact to: 1e-16 / dt³.
+    // Quaternions of neighbouring cycles differ by less than their precision: 1e-16 / dt³.
     [
-        assert_bounded(&rates(&run.places()), translation, what),
-        assert_bounded(&turns, rotation, what),
+        assert_bounded(&rates(&run.positions()), translation, context),
+        assert_bounded(&turns, rotation, context),
     ]
 }
 
 #[test]
-fn lin_is_straight_turns_evenly_and_keeps_all_limits() {
+fn lin_is_straight_and_keeps_limits() {
     let mut random = Random(6);
     for reach in [0.5, 0.5, 0.01, 0.0] {
         let (from, to) = (
@@ -420,12 +424,12 @@ fn lin_is_straight_turns_evenly_and_keeps_all_limits() {
         // The text form has Euler angles, so ends are exact to rounding only.
         assert!((end.translation.vector - to.translation.vector).norm() < 1e-12);
         assert!(end.rotation.angle_to(&to.rotation) < 1e-7);
-        let (way, turn) = (
+        let (displacement, turn) = (
             to.translation.vector - from.translation.vector,
             from.rotation.angle_to(&to.rotation),
         );
         for (frame, part) in run.frames.iter().zip(&run.progress) {
-            let off = frame.translation.vector - start.translation.vector - way * *part;
+            let off = frame.translation.vector - start.translation.vector - displacement * *part;
             assert!(off.norm() < 1e-12, "off the line by {}", off.norm());
             let turned = start.rotation.angle_to(&frame.rotation);
             assert!(
@@ -437,7 +441,7 @@ fn lin_is_straight_turns_evenly_and_keeps_all_limits() {
 }
 
 #[test]
-fn circ_is_on_the_circle_and_keeps_all_limits() {
+fn circ_stays_on_circle_and_keeps_limits() {
     let mut random = Random(7);
     for (radius, via, to) in [
         (0.3, 0.5, 1.0),
@@ -466,16 +470,16 @@ fn circ_is_on_the_circle_and_keeps_all_limits() {
         }
         let last = run.frames[run.frames.len() - 1];
         assert!((last.translation.vector - end.translation.vector).norm() < 1e-9);
-        for (i, velocity) in rates(&run.places()).iter().enumerate() {
+        for (i, velocity) in rates(&run.positions()).iter().enumerate() {
             let mean = |k: usize| (run.velocities[i][k] + run.velocities[i + 1][k]) / 2.0;
-            let told = Vector3::new(mean(0), mean(1), mean(2));
-            assert!((told - velocity).norm() < 1e-4, "{told} {velocity}");
+            let expected = Vector3::new(mean(0), mean(1), mean(2));
+            assert!((expected - velocity).norm() < 1e-4, "{expected} {velocity}");
         }
     }
 }
 
 #[test]
-fn a_stop_on_an_arc_stays_on_it_within_limits() {
+fn stop_on_arc_stays_on_arc_within_limits() {
     let on_circle = |angle: f64| Frame::translation(0.3 * angle.cos(), 0.3 * angle.sin(), 0.2);
     let frames = [
         ("From", on_circle(0.0)),
@@ -487,11 +491,11 @@ fn a_stop_on_an_arc_stays_on_it_within_limits() {
         let mut run = Run::new(&text);
         for cycle in 0..stop_at {
             if cycle == 100 {
-                run.stand.write("o", "0.6");
+                run.fixture.write("o", "0.6");
             }
             run.step();
         }
-        run.stand.write("s", "true");
+        run.fixture.write("s", "true");
         let run = run.finish();
         assert_cartesian(&run, &text);
         let last = run.frames[run.frames.len() - 1].translation.vector;
@@ -527,7 +531,7 @@ fn assert_tracked(run: &Run) {
 }
 
 #[test]
-fn track_reaches_its_goals_within_limits() {
+fn track_reaches_goals_within_limits() {
     let mut random = Random(8);
     for every in [1, 2, 13, 100, 700] {
         let mut run = Run::new(&tracking(TRACK));
@@ -536,11 +540,11 @@ fn track_reaches_its_goals_within_limits() {
         for cycle in 0..2000 {
             if cycle % every == 0 {
                 let goals = random.some(2, -1.0, 1.0);
-                run.stand.write("g", &list(&goals));
+                run.fixture.write("g", &list(&goals));
             }
             run.step();
         }
-        run.stand.write("g", "[0.25,-0.5]");
+        run.fixture.write("g", "[0.25,-0.5]");
         run.step();
         let run = run.finish();
         assert_eq!(
@@ -552,19 +556,19 @@ fn track_reaches_its_goals_within_limits() {
 }
 
 #[test]
-fn track_follows_a_goal_that_moves() {
+fn track_follows_moving_goal() {
     let mut run = Run::new(&tracking(TRACK));
     let mut farthest: f64 = 0.0;
     for cycle in 0..6000 {
         let goal = 0.5 * (f64::from(cycle) * PERIOD_S).sin();
-        run.stand.write("g", &list(&[goal, 1.0]));
+        run.fixture.write("g", &list(&[goal, 1.0]));
         run.step();
         if cycle > 1000 {
             let lag = run.joints.last().expect("a position")[0] - goal;
             farthest = farthest.max(lag.abs());
         }
     }
-    run.stand.write("g", "[0,1]");
+    run.fixture.write("g", "[0,1]");
     run.step();
     let run = run.finish();
     assert_tracked(&run);
@@ -572,11 +576,11 @@ fn track_follows_a_goal_that_moves() {
 }
 
 #[test]
-fn track_keeps_its_goal_where_the_new_one_is_none() {
+fn track_ignores_invalid_goal() {
     let mut run = Run::new(&tracking(TRACK));
-    run.stand.write("g", "[0.5,0]");
+    run.fixture.write("g", "[0.5,0]");
     (0..10).for_each(|_| run.step());
-    run.stand.write("g", "[nan,2e6]");
+    run.fixture.write("g", "[nan,2e6]");
     run.step();
     let run = run.finish();
     assert_eq!(run.joints.last().map(Vec::as_slice), Some(&[0.5, 0.0][..]));
@@ -584,53 +588,53 @@ fn track_keeps_its_goal_where_the_new_one_is_none() {
 }
 
 #[test]
-fn track_stops_all_joints_within_limits_and_for_good() {
+fn track_stop_brakes_all_joints_within_limits() {
     let mut run = Run::new(&tracking(TRACK));
-    run.stand.write("g", "[2,-1]");
+    run.fixture.write("g", "[2,-1]");
     (0..300).for_each(|_| run.step());
-    run.stand.write("s", "true");
+    run.fixture.write("s", "true");
     run.step();
     let mut run = run.finish();
     assert_tracked(&run);
     let rest = run.joints.last().expect("a position").clone();
     assert!(rest[0] > 0.05 && rest[0] < 1.0, "{rest:?}");
-    run.stand.write("s", "false");
-    run.stand.write("g", "[1,1]");
+    run.fixture.write("s", "false");
+    run.fixture.write("g", "[1,1]");
     (0..20).for_each(|_| run.step());
     assert_eq!(run.joints.last(), Some(&rest));
-    run.stand.write("r", "true");
+    run.fixture.write("r", "true");
     run.step();
     assert_eq!(run.joints.last().map(Vec::as_slice), Some(&[0.0, 1.0][..]));
 }
 
 fn fault(text: &str) -> String {
-    match Stand::load(text, &Arm::default()) {
+    match Fixture::load(text, &Arm::default()) {
         Ok(_) => panic!("the net has no faults: {text}"),
         Err(faults) => faults.join("\n"),
     }
 }
 
 #[test]
-fn parameters_that_make_no_motion_are_refused_with_the_reason() {
+fn invalid_motion_parameters_are_rejected() {
     let ptp = |parameters: &str| fault(&net("Ptp", parameters, "Core::DoubleArray"));
     for (parameters, why) in [
         (
             "Velocity='[0]'",
-            "`Velocity`: 0 is no limit; it must be between",
+            "`Velocity`: 0 is not a limit; it must be between",
         ),
-        ("Acceleration='[-1]'", "`Acceleration`: -1 is no limit"),
-        ("Jerk='[nan]'", "`Jerk`: NaN is no limit"),
-        ("Jerk='[+inf]'", "`Jerk`: inf is no limit"),
+        ("Acceleration='[-1]'", "`Acceleration`: -1 is not a limit"),
+        ("Jerk='[nan]'", "`Jerk`: NaN is not a limit"),
+        ("Jerk='[+inf]'", "`Jerk`: inf is not a limit"),
         (
             "From='[0,0,0]',To='[1,1]'",
-            "`To`: 2 values; the motion has 3 joints",
+            "`To`: 2 values, but the motion has 3 joints",
         ),
         (
             "To='[1,1,1]',Jerk='[1,2]'",
-            "`Jerk`: 2 values; the motion has 3 joints",
+            "`Jerk`: 2 values, but the motion has 3 joints",
         ),
-        ("To='[nan]'", "`To`: NaN is no position"),
-        ("From='[1e9]'", "`From`: 1000000000 is no position"),
+        ("To='[nan]'", "`To`: NaN is not a position"),
+        ("From='[1e9]'", "`From`: 1000000000 is not a position"),
         (
             "From='[]',To='[]'",
             "`From`: a motion needs at least one joint",
@@ -652,11 +656,11 @@ fn parameters_that_make_no_motion_are_refused_with_the_reason() {
             "{found}"
         );
     }
-    assert!(circ("To='{pos:{x:nan}}'").contains("`To`: this is no frame"));
-    assert!(circ("RotJerk='0'").contains("`RotJerk`: 0 is no limit"));
+    assert!(circ("To='{pos:{x:nan}}'").contains("`To`: this frame is invalid"));
+    assert!(circ("RotJerk='0'").contains("`RotJerk`: 0 is not a limit"));
     let found = fault(&tracking("From='[1,2,3]'"));
     assert!(
-        found.contains("`From`: 3 values; the motion has 2 joints"),
+        found.contains("`From`: 3 values, but the motion has 2 joints"),
         "{found}"
     );
 }

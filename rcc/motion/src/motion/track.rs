@@ -1,5 +1,5 @@
-//! `Motion::Track`: joints that follow goals as they come, each for itself. Goals are approached to
-//! come to rest there; a goal that moves steadily is followed with a lag.
+//! `Motion::Track`: joints that follow changing goals, each joint independently. Each goal is
+//! approached to come to rest there; a goal that moves steadily is followed with a lag.
 
 use takt_net::definition::port;
 use takt_net::{ArrayIn, ArrayOut, Build, Cycle, Definition, Fault, In, NullRule, Out, Primitive};
@@ -14,7 +14,7 @@ struct Joint {
 }
 
 impl Joint {
-    /// Plans for a goal that is new. One that is no number, or cannot be planned for, changes
+    /// Plans for a new goal. A goal that is not a number, or cannot be planned for, changes
     /// nothing.
     fn aim_at(&mut self, goal: f64) {
         let is_new = goal.to_bits() != self.goal.to_bits();
@@ -74,7 +74,7 @@ impl Primitive for Track {
         }
         self.has_started = true;
         let now = || self.joints.iter().map(|joint| joint.profile.now());
-        self.position.set(cycle, now().map(|state| state.place));
+        self.position.set(cycle, now().map(|state| state.position));
         self.velocity.set(cycle, now().map(|state| state.velocity));
         let is_done = self.joints.iter().all(|joint| joint.profile.is_at_rest());
         self.done.set(cycle, is_done);
@@ -112,11 +112,11 @@ pub(super) fn definition() -> Definition {
     )
     .stateful()
     .array_input::<f64>(
-        port("inGoal", "goal of each joint, rad; null or no number keeps the one before").required(),
+        port("inGoal", "goal of each joint, rad; null or not a number keeps the previous one").required(),
     )
     .input::<bool>(port(
         "inStop",
-        "true ends the motion: every joint brakes, for good until inReset",
+        "true ends the motion: every joint brakes and stays at rest until inReset",
     ))
     .array_parameter::<f64>(
         "From",
@@ -126,11 +126,11 @@ pub(super) fn definition() -> Definition {
     .array_output::<f64>("outPosition", "position of each joint, rad")
     .array_output::<f64>("outVelocity", "velocity of each joint, rad/s")
     .output::<bool>("outDone", "all joints are at rest, at their goals or stopped");
-    // A new goal is planned to within the cycle it comes in, joint by joint.
+    // A new goal is planned for within the cycle in which it arrives, joint by joint.
     let mut definition = with_joint_limits(definition).cost_ns(1_000);
     // Three arrays have an element for each joint.
     definition.cost.element_ns = 2_000.0;
     definition.null(NullRule::Own(
-        "Never null while active; a null goal keeps the one before.",
+        "Never null while active; a null goal keeps the previous one.",
     ))
 }

@@ -1,12 +1,12 @@
-//! What a net is compared with: the least a graph of blocks known only at run time can cost, and
-//! the same additions written by hand. Neither knows types, null or faults.
+//! The references that a net is compared with: the lowest cost of a graph of blocks known only at
+//! run time, and the same additions written by hand. Neither knows types, null or faults.
 
 use std::hint::black_box;
 
 /// How additions are linked.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Shape {
-    /// Each adds 1 to the result of the one before: the processor waits for every result.
+    /// Each adds 1 to the previous result: the processor waits for every result.
     Chain,
     /// Each adds 1 to the same number: the processor overlaps them, so that nothing hides overhead.
     Fan,
@@ -36,7 +36,7 @@ pub(crate) struct Floor {
 }
 
 impl Floor {
-    /// A graph of `additions`: a chain, or none of which needs another.
+    /// A graph of `additions`: a chain, or independent ones.
     pub(crate) fn new(shape: Shape, additions: usize) -> Self {
         let add = |i: usize| -> Box<dyn Block> {
             Box::new(Add {
@@ -63,7 +63,7 @@ impl Floor {
     }
 }
 
-/// Results and addends, in turns.
+/// Results and addends, alternating.
 pub(crate) fn slab(additions: usize) -> Box<[f64]> {
     let number = |i: usize| if i % 2 == 1 { 1.0 } else { 0.0 };
     (0..=2 * additions).map(number).collect()

@@ -1,8 +1,8 @@
-//! What a primitive costs, beside the bare floor and a loop written by hand, and what loading costs.
-//! `cargo bench -p takt-net --bench net [-- [--json] [--svg FILE]]`. Judges no figure.
+//! The cost of a primitive, beside the bare floor and a hand-written loop, and the cost of loading.
+//! `cargo bench -p takt-net --bench net [-- [--json] [--svg FILE]]`. It judges no figure.
 //!
 //! Ratios count; the absolute figures are those of one machine at one moment. The net is timed with
-//! all it has when it runs: types, null, and the worst-case accounting of an executor around it.
+//! everything it has when it runs: types, null, and the worst-case accounting of an executor.
 #![expect(clippy::print_stdout, reason = "a benchmark prints its result")]
 
 mod floor;
@@ -22,8 +22,8 @@ use quantiles::{as_f64, median, quantile};
 use timing::{Subject, in_real_time, now, paced, ratio, warm};
 
 const SIZES: [usize; 6] = [10, 100, 400, 1000, 10_000, 100_000];
-/// Cycles of each subject in one run of the loop, and runs, each with nets made anew: where in memory they
-/// come to lie matters too.
+/// Cycles of each subject in one run of the loop, and runs, each with new nets: their location in
+/// memory matters too.
 const CYCLES: usize = 2_000;
 const RUNS: usize = 5;
 const LOADS: usize = 41;
@@ -58,7 +58,7 @@ fn main() {
     }
 }
 
-/// What a chain of additions costs back to back.
+/// Cost of a chain of additions, back to back.
 #[derive(Clone, Copy)]
 pub(crate) struct Cost {
     pub(crate) additions: usize,
@@ -97,7 +97,7 @@ impl Bench {
         load(text, &context).expect("the net is good")
     }
 
-    /// A net as an executor runs it: with the longest cycle kept.
+    /// A net as an executor runs it: the longest cycle is recorded.
     fn running<'b>(&'b self, text: &str) -> impl FnMut() + use<'b> {
         let mut plan = self.load(text);
         let mut worst_ns = 0;
@@ -147,7 +147,7 @@ impl Bench {
         json!({ "ratio_to_straight_line_400": ratio, "active_primitive_ns": median(&ours) / 400.0 })
     }
 
-    /// Additions that do not wait for one another.
+    /// Independent additions.
     fn fan(&self) -> Value {
         let mut ours = self.running(&net(Shape::Fan, 400));
         let mut floor = Floor::new(Shape::Fan, 400);
@@ -162,7 +162,7 @@ impl Bench {
         json!({ "independent_ns": each(&ours), "ratio_to_floor_400_independent": ratio })
     }
 
-    /// A fragment of 10,000 primitives that is switched off, beside the same net without it.
+    /// A switched-off fragment of 10,000 primitives, compared with the same net without it.
     fn inactive(&self) -> Value {
         let fragment = net(Shape::Chain, 10_000);
         let base = "off=Core::BooleanValue(Value='false'), outTerminate=off.outValue";
@@ -209,7 +209,7 @@ impl Bench {
         let ratio = median(&ratios);
         if !fifo {
             println!(
-                "SCHED_FIFO was refused: the figures of the loop are those of an ordinary thread"
+                "SCHED_FIFO was not granted: the figures of the loop are those of an ordinary thread"
             );
         }
         let each = |times: &[f64], share: f64| quantile(times, share) / 400.0;
@@ -234,7 +234,7 @@ impl Bench {
     }
 }
 
-/// The text of a net of additions. It ends at once if the last one gives what it should.
+/// The text of a net of additions. It ends at once if the last one has the right result.
 fn net(shape: Shape, additions: usize) -> String {
     let mut text = String::from("{zero=Core::DoubleValue(Value='0'), ");
     let mut first = "zero".to_owned();

@@ -1,5 +1,5 @@
-//! The cost of an addition by the size of the net, as an SVG: text that needs no viewer of its own.
-//! Draws what it is given and measures nothing.
+//! The cost of an addition by the size of the net, as an SVG: text that needs no special viewer. It
+//! measures nothing.
 
 use std::error::Error;
 use std::path::Path;
@@ -10,7 +10,7 @@ use crate::{Cost, quantiles::as_f64};
 
 /// Width and height, in CSS pixels.
 const SIZE: (u32, u32) = (800, 320);
-/// Colours that also people who see few colours can tell apart.
+/// Colours that people with colour vision deficiency can distinguish.
 const OURS: RGBColor = RGBColor(0, 114, 178);
 const FLOOR: RGBColor = RGBColor(213, 94, 0);
 

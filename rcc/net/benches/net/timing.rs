@@ -1,5 +1,6 @@
-//! Two ways to time what takes turns on a shared machine: back to back, and once a millisecond in
-//! a `SCHED_FIFO` loop, where other programs have used the caches in between. Judges nothing.
+//! Two methods to time alternating subjects on a shared machine: back to back, and once a
+//! millisecond in a `SCHED_FIFO` loop, where other programs have used the caches in between. It
+//! judges nothing.
 
 use nix::errno::Errno;
 use nix::sys::time::TimeSpec;
@@ -7,13 +8,13 @@ use nix::time::{ClockId, ClockNanosleepFlags, clock_gettime, clock_nanosleep};
 
 use crate::quantiles::{as_f64, median};
 
-/// Something to be timed.
+/// A function to be timed.
 pub(crate) type Subject<'s> = &'s mut dyn FnMut();
 
 const BATCHES: usize = 5 * BLOCK;
 const PRIORITY: i32 = 90;
 const PERIOD_NS: i64 = 1_000_000;
-/// Cycles in a row before it is the next subject's turn.
+/// Consecutive cycles of one subject.
 const BLOCK: usize = 50;
 
 /// The monotonic clock, ns.
@@ -22,7 +23,7 @@ pub(crate) fn now() -> i64 {
     now.tv_sec() * 1_000_000_000 + now.tv_nsec()
 }
 
-/// The time of one call of each subject, ns, in batches of `calls`; subjects take turns.
+/// The duration of one call of each subject, ns, in batches of `calls`; subjects alternate.
 pub(crate) fn warm<const N: usize>(calls: u32, mut subjects: [Subject<'_>; N]) -> [Vec<f64>; N] {
     let mut times = [const { Vec::new() }; N];
     for _ in 0..BATCHES {
@@ -38,7 +39,7 @@ pub(crate) fn warm<const N: usize>(calls: u32, mut subjects: [Subject<'_>; N]) -
     times
 }
 
-/// The time of each call, ns, of subjects that take turns in a 1 kHz loop, `cycles` each.
+/// The duration of each call, ns, of subjects that alternate in a 1 kHz loop, `cycles` each.
 pub(crate) fn paced<const N: usize>(
     cycles: usize,
     mut subjects: [Subject<'_>; N],
@@ -58,8 +59,8 @@ pub(crate) fn paced<const N: usize>(
     times
 }
 
-/// Sleeps until a millisecond after `last`, or does not if that is over; returns the instant from
-/// which the next cycle counts.
+/// Sleeps until a millisecond after `last`, unless that is over; returns the start of the next
+/// cycle.
 fn wait(last: i64) -> i64 {
     let (now, next) = (now(), last + PERIOD_NS);
     if next <= now {
@@ -71,7 +72,7 @@ fn wait(last: i64) -> i64 {
     next
 }
 
-/// Runs `work` under `SCHED_FIFO`; whether that was granted is returned beside its result.
+/// Runs `work` under `SCHED_FIFO`; returns whether that was granted, and its result.
 pub(crate) fn in_real_time<R>(work: impl FnOnce() -> R) -> (bool, R) {
     let granted = schedule(libc::SCHED_FIFO, PRIORITY);
     let result = work();
@@ -85,7 +86,7 @@ fn schedule(policy: i32, sched_priority: i32) -> bool {
 }
 
 /// The median over pieces of the run of the ratio of the medians within a piece, so that neither a
-/// disturbed piece nor a slow drift of the machine decides.
+/// disturbed piece nor a slow drift of the machine has an influence.
 pub(crate) fn ratio(ours: &[f64], theirs: &[f64]) -> f64 {
     let pieces = ours.chunks(BLOCK).zip(theirs.chunks(BLOCK));
     let ratios: Vec<f64> = pieces.map(|(a, b)| median(a) / median(b)).collect();

@@ -1,5 +1,5 @@
-//! What devices can offer nets beside joints: for each interface, where its values lie in the
-//! image. How a device does what it is told is its driver's business.
+//! The interfaces that devices can offer to nets beside joints, and where their values are in the
+//! image. How a device executes commands is its driver's business.
 
 use std::sync::Arc;
 
@@ -8,11 +8,11 @@ use super::{Command, Layout, Signal};
 use crate::value::{Frame, Twist, Vector, Wrench};
 
 record! {
-    /// What became of an order, which unlike a set-point is given once.
+    /// The result of an order, which unlike a set-point is given once.
     Answer {
         /// The cycle in which it was given.
         order: u64,
-        /// 0 if it was carried out.
+        /// 0 if it was executed.
         error: i32,
     }
 }
@@ -22,38 +22,38 @@ record! {
     Tool {
         /// Mass, kg.
         mass: f64,
-        /// Centre of mass in the flange, m; its axes are those of `moi`.
+        /// Centre of mass in the flange frame, m; its axes are those of `moi`.
         com: Frame,
         /// Moments of inertia about the axes of `com`, kg m².
         moi: Vector,
-        /// Tool centre point in the flange, m.
+        /// Tool centre point in the flange frame, m.
         tcp: Frame,
     }
 }
 
 record! {
-    /// How a joint is to give way. `None` leaves what is in force.
+    /// Compliance of a joint. `None` keeps the present value.
     JointImpedance {
         /// Stiffness, Nm/rad, from 0.
         stiffness: Option<f64>,
         /// Damping ratio, 0 to 1.
         damping: Option<f64>,
-        /// Torque added to that of the spring, Nm; none when its net ends.
+        /// Torque added to that of the spring, Nm; withdrawn when its net ends.
         torque: Option<f64>,
-        /// Largest torque of the spring, Nm; none up to 0.
+        /// Largest spring torque, Nm; no limit at 0 or below.
         torque_max: Option<f64>,
     }
 }
 
 record! {
-    /// How the tool is to give way, by axis of the frame that the robot's program chose. `None` leaves
-    /// what is in force.
+    /// Compliance of the tool, by axis of the frame that the robot's program chose. `None` keeps
+    /// the present value.
     CartesianImpedance {
         /// Stiffness, N/m and Nm/rad, from 0.
         stiffness: Option<Wrench>,
         /// Damping ratio, 0 to 1.
         damping: Option<Wrench>,
-        /// Force and torque added, N and Nm; none when its net ends.
+        /// Force and torque added, N and Nm; withdrawn when its net ends.
         wrench: Option<Wrench>,
     }
 }
@@ -63,15 +63,15 @@ record! {
 pub struct Base {
     /// 0 if it follows commands, else as [`super::JointError`].
     pub error: Signal<i32>,
-    /// Velocity the driver last commanded, in the base's own frame.
+    /// Last commanded velocity, in the base frame.
     pub commanded: Signal<Twist>,
-    /// Pose by odometry, in the frame in which it started, m.
+    /// Pose by odometry, in the frame of its start, m.
     pub pose: Signal<Frame>,
-    /// Measured velocity, in the base's own frame.
+    /// Measured velocity, in the base frame.
     pub velocity: Signal<Twist>,
     /// Its wheels.
     pub wheels: Arc<[Wheel]>,
-    /// Wanted velocity, in the base's own frame; x, y and the rotation about z matter.
+    /// Commanded velocity, in the base frame; x, y and the rotation about z are used.
     pub command: Command<Twist>,
     /// Largest speed, m/s.
     pub velocity_max: f64,
@@ -89,7 +89,7 @@ pub struct Wheel {
 }
 
 impl Base {
-    /// A base with so many wheels.
+    /// A base with that number of wheels.
     #[must_use]
     pub fn new(layout: &mut Layout, wheels: usize, velocity_max: f64, rotation_max: f64) -> Self {
         let wheel = |layout: &mut Layout| Wheel {
@@ -109,12 +109,12 @@ impl Base {
     }
 }
 
-/// An output: what it is told and what it is.
+/// An output: its command and its state.
 #[derive(Clone, Copy, Debug)]
 pub struct Output<T> {
-    /// What it is to be. It stays when its net ends.
+    /// The commanded value. It stays when its net ends.
     pub command: Command<T>,
-    /// What it is.
+    /// The present value.
     pub state: Signal<T>,
 }
 
@@ -132,7 +132,8 @@ pub struct Io {
 }
 
 impl Io {
-    /// So many of each: digital in, digital out, analogue in, analogue out.
+    /// Interfaces with that number of digital inputs, digital outputs, analogue inputs and analogue
+    /// outputs.
     #[must_use]
     pub fn new(layout: &mut Layout, counts: [usize; 4]) -> Self {
         let [bool_in, bool_out, real_in, real_out] = counts;
@@ -151,12 +152,12 @@ impl Io {
     }
 }
 
-/// A device that is commanded by where its tool is to be.
+/// A device that is commanded by tool positions.
 #[derive(Clone, Debug)]
 pub struct CartesianPosition {
     /// 0 if it follows commands, else as [`super::JointError`].
     pub error: Signal<i32>,
-    /// Position the driver last commanded, m.
+    /// Last commanded position, m.
     pub commanded_position: Signal<Frame>,
     /// Velocity of the commanded position.
     pub commanded_velocity: Signal<Twist>,
@@ -164,12 +165,12 @@ pub struct CartesianPosition {
     pub measured_position: Signal<Frame>,
     /// Measured velocity.
     pub measured_velocity: Signal<Twist>,
-    /// Wanted position, m.
+    /// Commanded position, m.
     pub command: Command<Frame>,
 }
 
 impl CartesianPosition {
-    /// One such device.
+    /// A device with this interface.
     #[must_use]
     pub fn new(layout: &mut Layout) -> Self {
         Self {
@@ -183,18 +184,18 @@ impl CartesianPosition {
     }
 }
 
-/// Something a device is ordered to be or to have, and what became of it.
+/// An order to a device, and its result.
 #[derive(Clone, Copy, Debug)]
 pub struct Order<T> {
-    /// What is wanted. When its net ends it is withdrawn, see [`super::Given::is_withdrawn`]: what is in force stays,
-    /// what moves stops, what was not begun is not begun.
+    /// The order. When its net ends it is withdrawn, see [`super::Given::is_withdrawn`]: settings
+    /// stay, a motion stops, and what has not begun does not begin.
     pub command: Command<T>,
-    /// What became of the last order; null before any.
+    /// The result of the last order; null before any.
     pub answer: Signal<Answer>,
 }
 
 impl<T: super::Words> Order<T> {
-    /// One kind of order.
+    /// An order of that type.
     #[must_use]
     pub fn new(layout: &mut Layout) -> Self {
         Self {
@@ -204,19 +205,19 @@ impl<T: super::Words> Order<T> {
     }
 }
 
-/// A gripper of parallel fingers.
+/// A gripper with parallel fingers.
 #[derive(Clone, Debug)]
 pub struct Gripper {
     /// Distance between its fingers, m.
     pub distance: Signal<f64>,
-    /// Wanted distance, m.
+    /// Commanded distance, m.
     pub order: Order<f64>,
     /// Largest distance, m.
     pub distance_max: f64,
 }
 
 impl Gripper {
-    /// One that opens so far, m.
+    /// A gripper that opens up to that distance, m.
     #[must_use]
     pub fn new(layout: &mut Layout, distance_max: f64) -> Self {
         Self {
@@ -230,35 +231,35 @@ impl Gripper {
 /// Torques at a joint.
 #[derive(Clone, Copy, Debug)]
 pub struct JointTorque {
-    /// Estimate of what acts from outside, Nm.
+    /// Estimated external torque, Nm.
     pub estimated: Signal<f64>,
-    /// What the joint's sensor measures, Nm.
+    /// Torque measured by the joint's sensor, Nm.
     pub measured: Signal<f64>,
 }
 
-/// What a device offers beside joints, as found by its name while loading.
+/// The interfaces of a device beside joints, as found by its name during loading.
 #[derive(Clone, Debug, Default)]
 pub struct Interfaces {
     /// It is a mobile base.
     pub base: Option<Base>,
     /// It has inputs and outputs.
     pub io: Option<Io>,
-    /// It follows positions of its tool.
+    /// It follows tool positions.
     pub cartesian: Option<CartesianPosition>,
     /// It grips.
     pub gripper: Option<Gripper>,
-    /// It can be told what it carries.
+    /// Its load can be set.
     pub tool: Option<Order<Tool>>,
     /// It has more than one control strategy.
     pub strategy: Option<Order<i32>>,
-    /// Its joints give way as told, by joint.
+    /// Its joints have adjustable compliance, by joint.
     pub joint_impedance: Option<Arc<[Order<JointImpedance>]>>,
-    /// Its tool gives way as told.
+    /// Its tool has adjustable compliance.
     pub cartesian_impedance: Option<Order<CartesianImpedance>>,
-    /// It knows torques, by joint.
+    /// It reports torques, by joint.
     pub torques: Option<Arc<[JointTorque]>>,
-    /// It knows force (N) and torque (Nm) at its tool.
+    /// It reports force (N) and torque (Nm) at its tool.
     pub wrench: Option<Signal<Wrench>>,
-    /// Its drives tell flags, by drive.
+    /// Its drives report flags, by drive.
     pub drives: Option<Arc<[Signal<i32>]>>,
 }

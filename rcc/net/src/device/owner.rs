@@ -1,22 +1,23 @@
-//! Whose a command is. Each command in the image carries the net that gave it, so that all a net commanded is
-//! withdrawn in one place when it ends, whatever primitive gave it. Which net has ended is not decided here.
+//! Ownership of commands. Each command in the image carries the net that gave it, so that all
+//! commands of a net are withdrawn in one place when it ends, whichever primitive gave them. Which
+//! net has ended is decided elsewhere.
 
 use std::ops::Range;
 
 use super::signal::EVERY;
 use super::{Image, JointCommand};
 
-/// Something that nets command, by its place in the image.
+/// A command of nets, by its index in the image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Target {
-    /// The joint of that number.
+    /// The joint with that number.
     Joint(usize),
     /// The command whose first word has that number.
     Words(usize),
 }
 
 impl Image {
-    /// The net that a command is of.
+    /// The net that owns a command.
     fn owner(&self, target: Target) -> Option<u32> {
         match target {
             Target::Joint(at) => self.joints.get(at)?.command.get().net,
@@ -24,7 +25,7 @@ impl Image {
         }
     }
 
-    /// The cycle in which it was given.
+    /// The cycle in which a command was given.
     fn given(&self, target: Target) -> u64 {
         match target {
             Target::Joint(at) => self.joints.get(at).map(|joint| joint.command.get().cycle),
@@ -33,7 +34,8 @@ impl Image {
         .unwrap_or(0)
     }
 
-    /// Withdraws a command: it no longer stands, in this very cycle. When it was given, and what, remains.
+    /// Withdraws a command: it is no longer in force, in this very cycle. Its value and its cycle
+    /// remain.
     fn withdraw_one(&self, target: Target) {
         match target {
             Target::Joint(at) => {
@@ -56,8 +58,8 @@ impl Image {
         }
     }
 
-    /// Withdraws what is of nets of which `ended` says so, among the first `joints` and `commands`. Returns whether
-    /// there was anything.
+    /// Withdraws the commands of all nets for which `ended` is true, among the first `joints` and
+    /// `commands`. Returns whether there were any.
     pub fn withdraw(&self, joints: usize, commands: usize, ended: impl Fn(u32) -> bool) -> bool {
         let joints = (0..joints.min(self.joints.len())).map(Target::Joint);
         let words = (0..commands.min(self.owners.len())).map(Target::Words);
@@ -71,8 +73,9 @@ impl Image {
         any
     }
 
-    /// Passes a command of a net of which `ended` says so on to the net `heir`: it stands as long as it would have.
-    pub fn pass_on(&self, target: Target, heir: u32, ended: impl Fn(u32) -> bool) {
+    /// Transfers a command of a net for which `ended` is true to the net `successor`: it is in force as
+    /// long as it would have been.
+    pub fn transfer(&self, target: Target, successor: u32, ended: impl Fn(u32) -> bool) {
         if !self.owner(target).is_some_and(ended) {
             return;
         }
@@ -80,22 +83,23 @@ impl Image {
             Target::Joint(at) => {
                 let joint = &self.joints[at];
                 joint.command.set(JointCommand {
-                    net: Some(heir),
+                    net: Some(successor),
                     ..joint.command.get()
                 });
             }
-            Target::Words(at) => self.owners[at].set(Some(heir)),
+            Target::Words(at) => self.owners[at].set(Some(successor)),
         }
     }
 
-    /// Withdraws a command that was passed on to a net which does not give it in `cycle`, its first.
-    pub fn withdraw_unused(&self, target: Target, heir: u32, cycle: u64) {
-        if self.owner(target) == Some(heir) && self.given(target) != cycle {
+    /// Withdraws a command that was transferred to a net which does not give it in `cycle`, its
+    /// first.
+    pub fn withdraw_unused(&self, target: Target, successor: u32, cycle: u64) {
+        if self.owner(target) == Some(successor) && self.given(target) != cycle {
             self.withdraw_one(target);
         }
     }
 
-    /// Forgets whose the commands in these words are.
+    /// Clears the owners of the commands in these words.
     pub fn forget_owners(&self, commands: Range<usize>) {
         let owners = self.owners.get(commands);
         owners
@@ -104,7 +108,7 @@ impl Image {
             .for_each(|owner| owner.set(None));
     }
 
-    /// Whether a command of a net that runs begins at that word.
+    /// Whether a running net owns a command that begins at that word.
     #[must_use]
     pub fn is_owned(&self, at: usize) -> bool {
         self.owners

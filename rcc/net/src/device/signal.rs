@@ -1,5 +1,5 @@
-//! Places in the image where drivers report values and nets leave commands, typed, and how both lie
-//! in words. Which device has which of them is told in [`super::interface`], not here.
+//! Typed addresses in the image, where drivers report values and nets give commands, and the layout
+//! of both in words. Which device has which of them is defined in [`super::interface`].
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -8,14 +8,14 @@ use crate::device::{Image, Target};
 use crate::plan::Cycle;
 use crate::value::Value;
 
-/// Most words of what drivers report, beside joints.
+/// Upper bound on the words that drivers report, beside joints.
 pub const SIGNAL_WORDS_MAX: usize = 4096;
-/// Most words of what nets command, beside joints.
+/// Upper bound on the words that nets command, beside joints.
 pub const COMMAND_WORDS_MAX: usize = 4096;
 
-/// What can lie in the image: a port's value, or a record of them.
+/// A value that can be stored in the image: a port's value, or a record of several.
 pub trait Words: Copy + fmt::Debug {
-    /// How many words one takes.
+    /// Number of words.
     const LEN: usize;
 
     /// Writes it as [`Self::LEN`] words.
@@ -66,7 +66,7 @@ impl<T: Words> Words for Option<T> {
     }
 }
 
-/// A struct whose fields lie in the image one after the other.
+/// A struct whose fields are stored in the image one after the other.
 macro_rules! record {
     ($(#[$meta:meta])* $name:ident { $($(#[$of_field:meta])* $field:ident: $type:ty,)+ }) => {
         $(#[$meta])*
@@ -102,7 +102,7 @@ macro_rules! record {
 }
 pub(super) use record;
 
-/// Where a driver reports a value; null while it does not know it.
+/// The address of a value that a driver reports; null while the driver does not know it.
 #[derive(Clone, Copy, Debug)]
 pub struct Signal<T>(usize, PhantomData<fn() -> T>);
 
@@ -113,28 +113,29 @@ impl<T: Words> Signal<T> {
         Option::take_words(|i| image.signals[self.0 + i].get())
     }
 
-    /// The value among words laid out by the same steps.
+    /// The value in words with the same layout.
     #[must_use]
     pub fn read(self, words: &[u64]) -> Option<T> {
         Option::take_words(|i| words.get(self.0 + i).copied().unwrap_or(0))
     }
 
-    /// Reports a value among words laid out by the same steps.
-    pub fn tell(self, words: &mut [u64], value: Option<T>) {
+    /// Reports a value in words with the same layout.
+    pub fn report(self, words: &mut [u64], value: Option<T>) {
         value.put_words(|i, word| {
-            if let Some(place) = words.get_mut(self.0 + i) {
-                *place = word;
+            if let Some(slot) = words.get_mut(self.0 + i) {
+                *slot = word;
             }
         });
     }
 }
 
-/// Where nets leave a command. It stays there when its net has ended; its stamp tells, see [`Given`].
+/// The address of a command. The value stays there when its net has ended; its stamp shows whether
+/// it is in force, see [`Given`].
 #[derive(Clone, Copy, Debug)]
 pub struct Command<T>(usize, PhantomData<fn() -> T>);
 
-/// Words before the value of a command: the cycle in which a primitive last held it, that in which
-/// it was given, and in how many cycles the next comes.
+/// Words before the value of a command: the cycle in which a primitive last held it, the cycle in
+/// which it was given, and the number of cycles until the next one.
 const STAMP: usize = 3;
 /// The last of them.
 pub(super) const EVERY: usize = 2;
@@ -142,37 +143,38 @@ pub(super) const EVERY: usize = 2;
 /// A command as its driver sees it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Given<T> {
-    /// The cycle it was given in, as in `Moment::cycle`; from 1.
+    /// The cycle in which it was given, as in `Moment::cycle`; from 1.
     pub cycle: u64,
-    /// In how many cycles of the thread its net gives the next; 0 once it was withdrawn.
+    /// Number of thread cycles until its net gives the next one; 0 once it is withdrawn.
     pub every: u64,
-    /// What is wanted.
+    /// The commanded value.
     pub value: T,
 }
 
 impl<T> Given<T> {
-    /// Whether its net still commands in this cycle: for what is given again and again as long as it holds.
+    /// Whether its net still commands it in this cycle: for commands that a net repeats as long as
+    /// they hold.
     #[must_use]
-    pub const fn stands(&self, cycle: u64) -> bool {
+    pub const fn is_in_force(&self, cycle: u64) -> bool {
         cycle.saturating_sub(self.cycle) < self.every
     }
 
-    /// Whether its net has ended: for orders, which are given once. What moves because of one stops; one that was
-    /// not begun is not begun any more.
+    /// Whether its net has ended: for orders, which are given once. A motion that one started
+    /// stops; one that has not begun does not begin.
     #[must_use]
     pub const fn is_withdrawn(&self) -> bool {
         self.every == 0
     }
 }
 
-/// Whether the command whose first word is that of number `at` among copied words stands in `cycle`.
+/// Whether the command with first word `at` in copied words is in force in `cycle`.
 #[must_use]
-pub fn standing(words: &[u64], at: usize, cycle: u64) -> bool {
+pub fn is_in_force(words: &[u64], at: usize, cycle: u64) -> bool {
     let word = |i: usize| words.get(at + i).copied().unwrap_or(0);
     cycle.saturating_sub(word(1)) < word(EVERY)
 }
 
-/// Withdraws the command whose first word is that of number `at` among copied words.
+/// Withdraws the command with first word `at` in copied words.
 pub fn withhold(words: &mut [u64], at: usize) {
     if let Some(every) = words.get_mut(at + EVERY) {
         *every = 0;
@@ -186,7 +188,7 @@ impl<T: Words> Command<T> {
         cycle.image.commands[self.0].get() == cycle.moment.cycle
     }
 
-    /// Keeps other primitives from giving it in this cycle; what was given stays.
+    /// Keeps other primitives from giving it in this cycle; the present command stays.
     pub fn hold(self, cycle: &Cycle<'_>) {
         cycle.image.commands[self.0].set(cycle.moment.cycle);
     }
@@ -201,13 +203,13 @@ impl<T: Words> Command<T> {
         value.put_words(|i, word| cells[self.0 + STAMP + i].set(word));
     }
 
-    /// Where it lies, for [`crate::Build::commands`].
+    /// Its address, for [`crate::Build::commands`].
     #[must_use]
     pub const fn target(self) -> Target {
         Target::Words(self.0)
     }
 
-    /// The command among words laid out by the same steps; `None` if it was never given.
+    /// The command in words with the same layout; `None` if it was never given.
     #[must_use]
     pub fn read(self, words: &[u64]) -> Option<Given<T>> {
         let word = |i: usize| words.get(self.0 + i).copied().unwrap_or(0);
@@ -219,25 +221,25 @@ impl<T: Words> Command<T> {
     }
 }
 
-/// Hands out places in the image, one after the other. Nets have it begin where the device's words
-/// do, drivers at 0: the same steps then give the same places in either.
+/// Allocates addresses in the image, one after the other. For nets the layout begins at the
+/// device's words, for drivers at 0: the same steps then give the same relative addresses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Layout {
-    /// The next free word of what drivers report.
+    /// The next free word of reported values.
     pub signals: usize,
-    /// The next free word of what nets command.
+    /// The next free word of commands.
     pub commands: usize,
 }
 
 impl Layout {
-    /// A place where a driver reports.
+    /// Allocates a value that a driver reports.
     pub fn signal<T: Words>(&mut self) -> Signal<T> {
         let at = self.signals;
         self.signals += <Option<T> as Words>::LEN;
         Signal(at, PhantomData)
     }
 
-    /// A place where nets command.
+    /// Allocates a command of nets.
     pub fn command<T: Words>(&mut self) -> Command<T> {
         let at = self.commands;
         self.commands += STAMP + T::LEN;
@@ -252,7 +254,7 @@ mod tests {
     use crate::value::{Frame, Twist, Vector};
 
     #[test]
-    fn values_lie_side_by_side_and_come_back() {
+    fn signal_values_round_trip() {
         let mut layout = Layout::default();
         let (a, b) = (layout.signal::<Twist>(), layout.signal::<Answer>());
         let mut words = vec![0; layout.signals];
@@ -265,19 +267,19 @@ mod tests {
             order: u64::MAX,
             error: -1,
         };
-        a.tell(&mut words, Some(twist));
-        b.tell(&mut words, Some(answer));
+        a.report(&mut words, Some(twist));
+        b.report(&mut words, Some(answer));
         assert_eq!(
             (a.read(&words), b.read(&words)),
             (Some(twist), Some(answer))
         );
-        a.tell(&mut words, None);
+        a.report(&mut words, None);
         assert_eq!((a.read(&words), b.read(&words)), (None, Some(answer)));
         assert!(words[..7].iter().all(|w| *w == 0), "{words:?}");
     }
 
     #[test]
-    fn records_hold_their_fields_apart() {
+    fn record_fields_do_not_overlap() {
         let tool = Tool {
             mass: 1.5,
             com: Frame::translation(0.1, 0.2, 0.3),
@@ -297,22 +299,22 @@ mod tests {
     }
 
     #[test]
-    fn a_command_stands_until_its_net_would_give_the_next() {
+    fn command_is_in_force_until_next_is_due() {
         let given = |every| Given {
             cycle: 8,
             every,
             value: 0,
         };
-        assert!(given(1).stands(8) && !given(1).stands(9));
-        assert!(given(4).stands(11) && !given(4).stands(12));
-        assert!(!given(0).stands(8) && given(0).is_withdrawn());
+        assert!(given(1).is_in_force(8) && !given(1).is_in_force(9));
+        assert!(given(4).is_in_force(11) && !given(4).is_in_force(12));
+        assert!(!given(0).is_in_force(8) && given(0).is_withdrawn());
     }
 
     #[test]
-    fn words_that_are_missing_are_null() {
+    fn missing_words_are_null() {
         let mut layout = Layout::default();
         let (signal, command) = (layout.signal::<f64>(), layout.command::<f64>());
-        signal.tell(&mut [], Some(1.0));
+        signal.report(&mut [], Some(1.0));
         assert_eq!(signal.read(&[]), None);
         assert_eq!(command.read(&[]), None);
     }

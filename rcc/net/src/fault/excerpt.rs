@@ -1,15 +1,15 @@
-//! A place in a text as two lines: what stands there, and carets. Programs write nets of many kilobytes
-//! in one line, and the libraries for this show whole lines; so this shows a window. What is wrong
-//! there is not said here.
+//! An excerpt of two lines: the text at a location, and carets below. Programs write nets of many
+//! kilobytes in one line, and the libraries for this show whole lines; so this shows a window. The
+//! message of the fault itself is not printed here.
 
 use std::ops::Range;
 
-/// Characters of the line shown before the place.
+/// Characters of the line shown before the location.
 const BEFORE: usize = 60;
-/// Characters shown of the place and behind it.
+/// Characters shown from the location on.
 const BEHIND: usize = 60;
 
-/// Appends the line of `text` at the start of `at`, and carets with `note` below.
+/// Appends the line of `text` that contains the start of `at`, and carets with `note` below.
 pub(super) fn append(text: &str, at: &Range<usize>, note: &str, out: &mut String) {
     let start = text.floor_char_boundary(at.start);
     let end = text.floor_char_boundary(at.end).max(start);
@@ -53,7 +53,7 @@ mod tests {
     }
 
     #[test]
-    fn a_short_line_is_shown_as_it_is() {
+    fn short_line_is_shown_whole() {
         assert_eq!(
             shown("ab\n\tcö=d\ne", 5..7),
             "    2 |  cö=d\n      |   ^ note\n"
@@ -63,7 +63,7 @@ mod tests {
     }
 
     #[test]
-    fn of_a_long_line_a_window_is_shown() {
+    fn long_line_is_shown_as_window() {
         let text = format!("{}xyz{}", "a".repeat(5000), "ö".repeat(5000));
         let out = shown(&text, 5000..9000);
         let (a, b) = ("a".repeat(60), "ö".repeat(57));

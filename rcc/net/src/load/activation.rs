@@ -1,6 +1,7 @@
-//! Which primitives count for what a net costs at most: those of its longest activation. Two fragments beside
-//! each other, one switched by a value and one by a `Core::BooleanNot` of it, are never active in one cycle, so only the
-//! heavier counts. Nothing else is known to exclude anything: what depends on numbers or on the past does not.
+//! Selects the primitives that count for the cost bound of a net: those of its longest activation.
+//! Two sibling fragments, one activated by a value and one by a `Core::BooleanNot` of it, are never
+//! active in the same cycle, so only the heavier one counts. Conditions that depend on numbers or
+//! on the past are not analysed.
 
 use std::collections::HashMap;
 
@@ -9,7 +10,7 @@ use super::resolve::{Origin, Resolved};
 /// The primitive that makes two activations exclude each other.
 const NOT: &str = "Core::BooleanNot";
 
-/// By guard: whether what it switches counts. `costs` are those of the nodes, ns.
+/// Whether the content of each guard counts. `costs` are those of the nodes, ns.
 pub(super) fn longest(resolved: &Resolved<'_>, costs: &[f64]) -> Vec<bool> {
     let guards = &resolved.guards;
     let mut sums = vec![0.0; guards.len()];
@@ -21,7 +22,7 @@ pub(super) fn longest(resolved: &Resolved<'_>, costs: &[f64]) -> Vec<bool> {
         inside[info.parent as usize].push(guard);
     }
     let mut counts = vec![true; guards.len()];
-    // What is inside of a guard has a higher number.
+    // Inner guards have higher numbers.
     for guard in (0..guards.len()).rev() {
         let mut heaviest: HashMap<Origin, [f64; 2]> = HashMap::new();
         for &child in &inside[guard] {
@@ -49,7 +50,7 @@ pub(super) fn longest(resolved: &Resolved<'_>, costs: &[f64]) -> Vec<bool> {
     counts
 }
 
-/// The value that switches a guard, and whether it does so inverted.
+/// The value that activates a guard, and whether it is inverted.
 fn switch(resolved: &Resolved<'_>, guard: usize) -> Option<(Origin, bool)> {
     let active = resolved.guards[guard].active?;
     let node = &resolved.nodes[active.node as usize];

@@ -1,5 +1,5 @@
-//! From an ordered net to a plan: slots, steps, guards. Every check that needs a parameter's value
-//! or an array's size happens in the functions that build primitives, which are called from here.
+//! From an ordered net to a plan: slots, steps, guards. Checks that need a parameter's value or an
+//! array's size are made by the build functions of the primitives, which are called from here.
 
 use std::collections::HashMap;
 use std::marker::PhantomData;
@@ -20,12 +20,12 @@ use crate::slots::{In, SlotRef, SlotsBuilder};
 use crate::taps::Taps;
 use crate::value::{Type, Value};
 
-/// Marks what cannot be built because something before it could not; never shown.
+/// Marks a part that cannot be built because an earlier one could not; never shown.
 pub(super) const fn inherited() -> FaultKind {
     FaultKind::ArraySize(String::new())
 }
 
-/// Builds the plan of an ordered net; `None` if that added faults.
+/// Builds the plan of an ordered net; `None` if that adds faults.
 pub(super) fn build(
     resolved: &Resolved<'_>,
     order: &[u32],
@@ -103,7 +103,8 @@ pub(super) fn build(
     parts.finish(walk, resolved, context.period, cost)
 }
 
-/// What the longest activation costs; `elements` are those of the arrays at the ports of each node.
+/// The cost of the longest activation; `elements` are those of the arrays at the ports of each
+/// node.
 fn cost_of(resolved: &Resolved<'_>, elements: &[usize], guard_tests: usize) -> NetCost {
     let nodes = || resolved.nodes.iter().zip(elements);
     let costs: Vec<_> = nodes()
@@ -117,7 +118,7 @@ fn cost_of(resolved: &Resolved<'_>, elements: &[usize], guard_tests: usize) -> N
     NetCost::of(counted, guard_tests)
 }
 
-/// What is collected over all primitives.
+/// The parts of the plan, collected over all primitives.
 pub(super) struct Parts {
     pub(super) slots: SlotsBuilder,
     /// Slots of all out ports, by node and port; `None` until built.
@@ -149,7 +150,7 @@ impl Parts {
         &mut self.outputs[before + origin.port as usize]
     }
 
-    /// By guard: the slots inside that are read outside.
+    /// By guard: its slots that are read from outside.
     fn exports(&mut self, resolved: &Resolved<'_>) -> Vec<Vec<SlotRef>> {
         let mut exports = vec![Vec::new(); resolved.guards.len()];
         let mut add = |origin: Origin, reader: u32| {
@@ -206,7 +207,7 @@ impl Parts {
         resolved.root.iter().map(port).collect()
     }
 
-    /// `None` if a part could not be built, which has then been told.
+    /// `None` if a part could not be built; the fault is already recorded.
     fn finish(
         mut self,
         walk: Walk<'_>,
@@ -253,7 +254,7 @@ impl Parts {
     }
 }
 
-/// The debug taps of a net; `None` if a slot could not be built, which has then been told.
+/// The debug taps of a net; `None` if a slot could not be built; the fault is already recorded.
 fn taps(parts: &mut Parts, resolved: &Resolved<'_>) -> Option<Taps> {
     let tap = |tapped: &Tapped| {
         let node = &resolved.nodes[tapped.origin.node as usize];
@@ -271,7 +272,7 @@ fn taps(parts: &mut Parts, resolved: &Resolved<'_>) -> Option<Taps> {
     Some(Taps::new(taps?))
 }
 
-/// The handle of a slot that must be a Boolean.
+/// The handle of a Boolean slot.
 const fn boolean(slot: SlotRef) -> Option<In<bool>> {
     match slot {
         SlotRef::Scalar {
@@ -289,14 +290,14 @@ fn is_inside(resolved: &Resolved<'_>, mut inner: u32, outer: u32) -> bool {
     inner == outer
 }
 
-/// Puts steps behind one another and guards around them.
+/// Appends steps in order and puts guards around them.
 struct Walk<'r> {
     resolved: &'r Resolved<'r>,
     steps: Vec<Box<dyn Primitive>>,
     ops: Vec<Op>,
-    /// Guards entered, outermost first, with the place of their op.
+    /// Entered guards, outermost first, with the index of their op.
     open: Vec<(u32, usize)>,
-    /// How many ops there were when a guard was last left.
+    /// Number of ops when a guard was last left.
     left_at: Option<usize>,
 }
 
@@ -315,7 +316,7 @@ impl<'r> Walk<'r> {
         self.enter(guard);
         let first = count(self.steps.len());
         self.steps.push(step);
-        let grows = self.same_place();
+        let grows = self.can_extend_run();
         match self.ops.last_mut() {
             Some(Op::Run { end, .. }) if grows => *end = first + 1,
             _ => self.ops.push(Op::Run {
@@ -325,12 +326,12 @@ impl<'r> Walk<'r> {
         }
     }
 
-    /// Whether the last op is a run and no guard was left since, so that it may grow.
-    fn same_place(&self) -> bool {
+    /// Whether the last op is a run that can be extended: no guard was left since.
+    fn can_extend_run(&self) -> bool {
         self.left_at != Some(self.ops.len())
     }
 
-    /// Leaves guards that `guard` is not in and enters those it is in.
+    /// Leaves guards that do not enclose `guard` and enters those that do.
     fn enter(&mut self, guard: u32) {
         while let Some((open, op)) = self.open.last().copied() {
             if is_inside(self.resolved, guard, open) {
@@ -359,7 +360,7 @@ impl<'r> Walk<'r> {
         }
     }
 
-    /// How often a cycle tests at most whether something is active.
+    /// Upper bound on the activation tests in one cycle.
     fn guard_tests(&self) -> usize {
         let is_guard = |op: &&Op| matches!(op, Op::Guard { .. });
         self.ops.iter().filter(is_guard).count()

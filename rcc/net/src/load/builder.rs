@@ -1,6 +1,5 @@
-//! What the function that builds a primitive works with: its ports' handles, its parameters'
-//! values, faults with their places, and claims on what the net shares. The order of primitives
-//! is not known here.
+//! The context of a primitive's build function: port handles, parameter values, faults with
+//! locations, and claims on resources that nets share. The order of primitives is not known here.
 
 use std::marker::PhantomData;
 use std::sync::Arc;
@@ -17,7 +16,7 @@ use crate::slots::{ArrayIn, ArrayOut, In, Out, SlotRef, SlotsBuilder};
 use crate::value::text::{TextValue, ValueError, parse_array};
 use crate::value::{Type, Value};
 
-/// What the function that builds a primitive works with.
+/// The context of a primitive's build function.
 pub struct Build<'b, 'n> {
     pub(super) context: &'b LoadContext<'n>,
     pub(super) parts: &'b mut Parts,
@@ -46,13 +45,13 @@ impl Build<'_, '_> {
         &self.context.limits
     }
 
-    /// The devices there are.
+    /// The available devices.
     #[must_use]
     pub fn devices(&self) -> &dyn Devices {
         self.context.devices
     }
 
-    /// The robot arm that parameter `parameter` names.
+    /// The robot arm named by parameter `parameter`.
     ///
     /// # Errors
     /// If there is no such arm.
@@ -60,11 +59,11 @@ impl Build<'_, '_> {
         self.device(parameter, "robot arm", |devices, name| devices.arm(name))
     }
 
-    /// Something that the device named by parameter `parameter` offers; `kind` says in a fault what
-    /// such a device is called.
+    /// An interface of the device named by parameter `parameter`; `kind` names the kind of device
+    /// in error messages.
     ///
     /// # Errors
-    /// If there is no device of that name, or it does not offer that.
+    /// If there is no device with that name, or it does not have that interface.
     pub fn interface<T>(
         &mut self,
         parameter: &'static str,
@@ -92,30 +91,32 @@ impl Build<'_, '_> {
         })
     }
 
-    /// The geometry of the robot arm that parameter `parameter` names.
+    /// The geometry of the robot arm named by parameter `parameter`.
     ///
     /// # Errors
     /// If there is no such arm, or its geometry is not known.
     pub fn kinematics(&mut self, parameter: &'static str) -> Result<Arc<dyn Kinematics>, Fault> {
-        let why = format!("the kinematics of `{}` is not known", self.text(parameter));
+        let why = format!("the kinematics of `{}` are not known", self.text(parameter));
         let arm = self.arm(parameter)?;
         arm.kinematics
             .ok_or_else(|| self.parameter_fault(parameter, why))
     }
 
-    /// Claims something of a device for this net alone; if the device fails, the net ends.
+    /// Claims a device resource for this net alone; if the device fails, the net ends.
     pub fn claim(&mut self, device: &str, resource: String) {
         self.hold(resource);
         self.parts.devices.push(device.to_owned());
     }
 
-    /// Claims something for this net alone that it may use whether the device follows commands or not.
+    /// Claims a resource for this net alone that it may use even if the device does not follow
+    /// commands.
     pub fn hold(&mut self, resource: String) {
         self.parts.resources.push(resource);
     }
 
-    /// Says that the primitive may give this command. If a rule starts this net in place of another that gave it, it
-    /// stands until this net's first cycle; what is not said here ends with the net before it.
+    /// Declares a command of the primitive. If a rule starts this net in place of another that gave
+    /// the command, the command stays in force until this net's first cycle; commands that are not
+    /// declared here end with the previous net.
     pub fn commands(&mut self, target: Target) {
         self.parts.commands.push(target);
     }
@@ -129,11 +130,10 @@ impl Build<'_, '_> {
             .is_some_and(|i| self.node.links[i].is_some())
     }
 
-    /// The handle of a scalar in port. Unconnected, it reads the parameter that stands in for it,
-    /// or null.
+    /// The handle of a scalar in port. Unconnected, it reads the port's parameter, or null.
     ///
     /// # Errors
-    /// If that parameter's text is no value of the port's type.
+    /// If the parameter's text is not a value of the port's type.
     ///
     /// # Panics
     /// If the definition has no such port: it contradicts its own build function.
@@ -150,11 +150,11 @@ impl Build<'_, '_> {
         Ok(In(slot, PhantomData))
     }
 
-    /// The handle of an in port that carries a fixed array. Unconnected, it reads the parameter
-    /// that stands in for it, or null.
+    /// The handle of an in port that carries a fixed array. Unconnected, it reads the port's
+    /// parameter, or null.
     ///
     /// # Errors
-    /// If what feeds the port could not be built, or that parameter's text is no such array.
+    /// If the port's source could not be built, or the parameter's text is not such an array.
     ///
     /// # Panics
     /// If the definition has no such port.
@@ -173,17 +173,16 @@ impl Build<'_, '_> {
         Ok(ArrayIn(slot, PhantomData))
     }
 
-    /// A handle that always reads `value`: for a port whose stand-in is made of more than one
-    /// parameter.
+    /// A handle that always reads `value`: for a port whose default consists of several parameters.
     pub fn constant<T: Value>(&mut self, value: T) -> In<T> {
         In(constant(&mut self.parts.slots, value), PhantomData)
     }
 
-    /// How many samples of `size` bytes, one a cycle, the span of parameter `parameter` (s) takes,
-    /// at least 1. Counts them to the memory of the net.
+    /// Number of samples of `size` bytes in the span of parameter `parameter` (s), one for each
+    /// cycle, at least 1. Adds them to the net's memory.
     ///
     /// # Errors
-    /// If the span is no positive time, too long for one primitive, or the net's memory is used up.
+    /// If the span is not positive, too long for one primitive, or exceeds the net's memory.
     ///
     /// # Panics
     /// If the definition has no such parameter.
@@ -193,22 +192,22 @@ impl Build<'_, '_> {
         Ok(samples)
     }
 
-    /// Counts `bytes` to the memory of the net.
+    /// Adds `bytes` to the net's memory.
     ///
     /// # Errors
-    /// If the net's memory is used up.
+    /// If that exceeds the net's memory.
     pub fn take_memory(&mut self, bytes: usize) -> Result<(), Fault> {
         let bound = self.limits().memory_bytes;
         let found = self.parts.memory.saturating_add(bytes);
         if found > bound {
-            let what = "bytes of arrays and histories";
-            return Err(self.fault(FaultKind::Bound { what, found, bound }));
+            let item = "bytes of arrays and histories";
+            return Err(self.fault(FaultKind::Bound { item, found, bound }));
         }
         self.parts.memory = found;
         Ok(())
     }
 
-    /// Where an in port gets its values: the slot it is linked to, or a parameter.
+    /// The source of an in port: the slot that it is linked to, or a parameter.
     fn source(
         &mut self,
         port: &str,
@@ -252,7 +251,7 @@ impl Build<'_, '_> {
     /// The handle of an out port that carries `len` elements.
     ///
     /// # Errors
-    /// If `len` exceeds its bound or the net's memory is used up.
+    /// If `len` exceeds its bound, or the net's memory is exceeded.
     ///
     /// # Panics
     /// If the definition has no such port.
@@ -260,7 +259,7 @@ impl Build<'_, '_> {
         let bound = self.limits().array_size;
         if len > bound {
             let kind = FaultKind::Bound {
-                what: "elements in one array",
+                item: "elements in one array",
                 found: len,
                 bound,
             };
@@ -316,7 +315,7 @@ impl Build<'_, '_> {
         self.parameter(parameter).0
     }
 
-    /// A parameter's text and, if it was given, the place of its first byte.
+    /// A parameter's text and, if it was set, the index of its first byte.
     fn parameter(&self, parameter: &str) -> (&str, Option<usize>) {
         let definition = self.node.definition;
         let number = definition
@@ -331,7 +330,7 @@ impl Build<'_, '_> {
     /// The value of a parameter.
     ///
     /// # Errors
-    /// If its text is no value of this type.
+    /// If its text is not a value of this type.
     ///
     /// # Panics
     /// If the definition has no such parameter, or with another type.
@@ -343,7 +342,7 @@ impl Build<'_, '_> {
     /// The elements of a parameter that is a fixed array.
     ///
     /// # Errors
-    /// If its text is no list of such values, or too long.
+    /// If its text is not a list of such values, or the list is too long.
     ///
     /// # Panics
     /// If the definition has no such parameter, or with another type.
@@ -353,10 +352,10 @@ impl Build<'_, '_> {
             .map_err(|e| self.value_fault(parameter, e))
     }
 
-    /// The value of a parameter that counts something: a whole number in a range.
+    /// The value of a counting parameter: a whole number in a range.
     ///
     /// # Errors
-    /// If it is none.
+    /// If it is not such a number.
     ///
     /// # Panics
     /// If the definition has no such parameter, or with another type.
@@ -405,7 +404,7 @@ impl Build<'_, '_> {
     fn value_fault(&self, parameter: &'static str, error: ValueError) -> Fault {
         let kind = FaultKind::Parameter {
             parameter: parameter.to_owned(),
-            why: error.what,
+            why: error.message,
         };
         self.at_parameter(parameter, kind, Some(error.at))
     }
@@ -431,10 +430,10 @@ impl Build<'_, '_> {
         Fault::new(kind, self.node.at.clone())
     }
 
-    /// Makes a value that programs can read, `len` elements of it if an array.
+    /// Allocates a value that programs can read; of `len` elements if it is an array.
     ///
     /// # Errors
-    /// If the key is taken or the bound on netcomm values is reached.
+    /// If the key is in use or the bound on netcomm values is reached.
     pub fn netcomm_out<T: Value>(
         &mut self,
         key: &str,
@@ -443,7 +442,7 @@ impl Build<'_, '_> {
     ) -> Result<usize, Fault> {
         let key = format!("out{key}");
         if self.parts.outbox.find(&key).is_some() {
-            let why = "another primitive gives one out under this `Key`; each needs its own";
+            let why = "another primitive writes an out value with this `Key`; each needs its own";
             return Err(self.fault(FaultKind::Netcomm { key, why }));
         }
         self.check_netcomm_bound()?;
@@ -455,10 +454,10 @@ impl Build<'_, '_> {
         Ok(self.parts.outbox.add(key, ty, words, report))
     }
 
-    /// Makes a value that programs can write, or finds the one that shares the key.
+    /// Allocates a value that programs can write, or returns the one with the same key.
     ///
     /// # Errors
-    /// If the key is taken with another type or size, or the bound on netcomm values is reached.
+    /// If the key is in use with another type or size, or the bound on netcomm values is reached.
     pub fn netcomm_in<T: Value>(
         &mut self,
         key: &str,
@@ -475,7 +474,7 @@ impl Build<'_, '_> {
             if entry.ty == ty && entry.value_words() == words {
                 return Ok(entry.at());
             }
-            let why = "another primitive takes it in with a different type or size";
+            let why = "another primitive reads it with a different type or size";
             return Err(self.fault(FaultKind::Netcomm { key, why }));
         }
         self.check_netcomm_bound()?;
@@ -495,7 +494,7 @@ impl Build<'_, '_> {
         let found = self.parts.inbox.entries().len() + self.parts.outbox.entries().len() + 1;
         if found > bound {
             return Err(self.fault(FaultKind::Bound {
-                what: "netcomm values",
+                item: "netcomm values",
                 found,
                 bound,
             }));
@@ -508,12 +507,12 @@ fn constant<T: Value>(slots: &mut SlotsBuilder, value: T) -> u32 {
     T::builder(slots).scalar(Some(value))
 }
 
-/// A definition's data and its build function do not agree; the test that builds every primitive
-/// finds this before any user can.
+/// A definition's data and its build function contradict each other; the test that builds every
+/// primitive finds this before any user can.
 #[expect(
     clippy::panic,
     reason = "a fault of this program, found by the test of all definitions"
 )]
-fn contradiction(primitive: &str, what: &str, name: &str) -> ! {
-    panic!("{primitive} has no {what} {name}")
+fn contradiction(primitive: &str, item: &str, name: &str) -> ! {
+    panic!("{primitive} has no {item} {name}")
 }

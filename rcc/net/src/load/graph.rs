@@ -1,23 +1,23 @@
-//! What is to be ordered of a resolved net: a unit for each step and each activation, and which
-//! comes before which. The order itself is found elsewhere.
+//! The units of a resolved net that are to be ordered, one for each step and each activation, and
+//! the edges between them. The order itself is computed elsewhere.
 
 use crate::fault::{Fault, FaultKind};
 use crate::load::resolve::{Node, Origin, Resolved, number};
 use crate::load::sort::Graph;
 
-/// What a unit of the order is.
+/// The kind of a unit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Unit {
     /// The step of a primitive.
     Main(u32),
-    /// The step of a primitive that writes outputs which do not depend on its inputs.
+    /// The early step of a primitive: it writes outputs that do not depend on its inputs.
     Early(u32),
-    /// The moment from which a guard's activation is known; no step.
+    /// The point in the order from which a guard's activation is known; not a step.
     Gate(u32),
 }
 
 impl<'t> Resolved<'t> {
-    /// What is unit `unit` of [`Self::graph`]?
+    /// The kind of unit `unit` of [`Self::graph`].
     pub(super) fn unit(&self, unit: u32) -> Unit {
         let nodes = number(self.nodes.len());
         match unit.checked_sub(nodes) {
@@ -27,8 +27,8 @@ impl<'t> Resolved<'t> {
         }
     }
 
-    /// Units: the steps of all primitives, their early steps (unused ones are without edges), and
-    /// one gate for each guard.
+    /// Units: the steps of all primitives, their early steps (those without a purpose have no
+    /// edges), and one gate for each guard.
     pub(super) fn graph(&self) -> Graph {
         let nodes = number(self.nodes.len());
         let gate = |guard: u32| 2 * nodes + guard;
@@ -70,7 +70,7 @@ impl<'t> Resolved<'t> {
         }
     }
 
-    /// The fault that tells of a cycle.
+    /// The fault that reports a cycle.
     pub(super) fn cycle_fault(&self, cycle: &[u32]) -> Fault {
         let mut nodes: Vec<&Node<'t>> = cycle
             .iter()
@@ -79,7 +79,7 @@ impl<'t> Resolved<'t> {
                 Unit::Gate(_) => None,
             })
             .collect();
-        // Told from the first in the text on, so that lines come in their order.
+        // Starts with the first in the text, so that the lines come in text order.
         let starts = nodes.iter().map(|n| n.at.start).enumerate();
         let first = starts.min_by_key(|(_, start)| *start).map_or(0, |(i, _)| i);
         nodes.rotate_left(first);

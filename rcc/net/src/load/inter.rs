@@ -1,4 +1,4 @@
-//! Values of other nets while loading: that the net a primitive names is there, and has a value of the
+//! Values of other nets during loading: checks that the named net exists and has a value of the
 //! right type. Nothing is copied here.
 
 use crate::fault::Fault;
@@ -6,17 +6,18 @@ use crate::load::builder::Build;
 use crate::netcomm::{Entry, INTER_STATUS, Inter, NetBoxes};
 use crate::value::{Type, Value};
 
-/// Name of the parameter that says which net.
+/// Name of the parameter that names the net.
 const NET: &str = "RemoteNet";
-/// Name of the parameter that says which of its values.
+/// Name of the parameter that names the value.
 const KEY: &str = "RemoteKey";
 
 impl Build<'_, '_> {
-    /// Makes a hidden in value for what the net of parameter `RemoteNet` gives out under `RemoteKey`;
-    /// returns its place, that of the value's first word, and how many elements it has.
+    /// Allocates a hidden in value for the out value of the net of parameter `RemoteNet` with the
+    /// key of `RemoteKey`; returns its index, that of the value's first word, and its number of
+    /// elements.
     ///
     /// # Errors
-    /// If there is no such net, or it gives out no such value, or another type.
+    /// If there is no such net, or it has no such out value, or one of another type.
     pub(crate) fn inter_in<T: Value>(&mut self, array: bool) -> Result<(usize, usize), Fault> {
         let boxes = self.other_net()?;
         let from = self.remote::<T>(boxes.outbox.entries(), "out", array)?;
@@ -33,11 +34,12 @@ impl Build<'_, '_> {
         Ok((at, words / T::WORDS))
     }
 
-    /// Makes a hidden out value that goes to what the net of parameter `RemoteNet` takes in under
-    /// `RemoteKey`, `len` elements of it if an array; returns its place.
+    /// Allocates a hidden out value that is copied to the in value of the net of parameter
+    /// `RemoteNet` with the key of `RemoteKey`, of `len` elements if it is an array; returns its
+    /// index.
     ///
     /// # Errors
-    /// If there is no such net, or it takes in no such value, or another type or size.
+    /// If there is no such net, or it has no such in value, or one of another type or size.
     pub(crate) fn inter_out<T: Value>(&mut self, len: Option<usize>) -> Result<usize, Fault> {
         let boxes = self.other_net()?;
         let to = self.remote::<T>(boxes.inbox.entries(), "in", len.is_some())?;
@@ -45,7 +47,7 @@ impl Build<'_, '_> {
         let (words, wanted) = (len.unwrap_or(1) * T::WORDS, to.value_words());
         if words != wanted {
             let (has, wants) = (words / T::WORDS, wanted / T::WORDS);
-            let why = format!("that value has {wants} elements, the one given has {has}");
+            let why = format!("that value has {wants} elements, the source has {has}");
             return Err(self.parameter_fault(KEY, why));
         }
         let number = self.parts.inter_outs.len();
@@ -66,7 +68,7 @@ impl Build<'_, '_> {
         })
     }
 
-    /// The entry whose key is the parameter's, with or without what keys on the wire begin with.
+    /// The entry with the parameter's key, with or without the prefix of keys on the wire.
     fn remote<T: Value>(
         &self,
         entries: &[Entry],

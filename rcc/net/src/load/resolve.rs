@@ -1,5 +1,5 @@
-//! Names to things: which definition each primitive has, and which out port each link really
-//! starts at, through any number of fragment borders. Parameters' values are not looked at here.
+//! Resolves names: the definition of each primitive, and the out port at which each link starts,
+//! through any number of fragment borders. Parameter values are not inspected here.
 
 use std::collections::HashMap;
 use std::ops::Range;
@@ -22,15 +22,15 @@ pub(super) struct Origin {
 #[derive(Debug)]
 pub(super) struct Node<'t> {
     pub(super) definition: &'t Definition,
-    /// Its name for texts; inline ones are named after the port they feed.
+    /// Its name in messages; inline primitives are named after the port they feed.
     pub(super) name: &'t str,
     pub(super) at: Range<usize>,
     scope: u32,
     pub(super) guard: u32,
     args: &'t [Arg<'t>],
-    /// By in port: where the value comes from.
+    /// By in port: the source of its value.
     pub(super) links: Vec<Option<Origin>>,
-    /// By parameter: its text and the place of its first byte.
+    /// By parameter: its text and the index of its first byte.
     pub(super) texts: Vec<Option<(&'t str, usize)>>,
 }
 
@@ -49,11 +49,11 @@ pub(super) struct Scope<'t> {
 enum Member {
     Node(u32),
     Scope(u32),
-    /// Something that could not be made sense of and has been told.
+    /// Something that could not be resolved; the fault is already recorded.
     Broken,
 }
 
-/// Something that is switched on and off: a fragment or a primitive with `inActive` connected.
+/// Something that can be switched off: a fragment or a primitive with `inActive` connected.
 #[derive(Debug, Default)]
 pub(super) struct GuardInfo {
     pub(super) parent: u32,
@@ -67,7 +67,7 @@ pub(super) struct Resolved<'t> {
     pub(super) guards: Vec<GuardInfo>,
     /// Out ports of the root fragment.
     pub(super) root: Vec<(&'t str, Option<Origin>)>,
-    /// Ports that are to be recorded.
+    /// Tapped ports.
     pub(super) taps: Vec<Tapped>,
 }
 
@@ -86,7 +86,7 @@ pub(super) fn resolve<'t>(
         guard_sources: Vec::new(),
         inline: HashMap::new(),
         known: HashMap::new(),
-        bound_told: false,
+        bound_reported: false,
         taps: Vec::new(),
     };
     resolver.fragment(tree, "", None, 0, &[]);
@@ -111,9 +111,9 @@ pub(super) fn resolve<'t>(
     }
 }
 
-/// Known names that a fault keeps: one more than it shows.
+/// Upper bound on the known names that a fault keeps: one more than it shows.
 const NAMES_MAX: usize = 13;
-/// Characters that it keeps of each.
+/// Upper bound on the characters that it keeps of each.
 const NAME_CHARS_MAX: usize = 100;
 const BOOL: Type = Type::scalar(Element::Bool);
 
@@ -125,13 +125,14 @@ pub(super) struct Resolver<'t, 'f> {
     guards: Vec<GuardInfo>,
     /// Guards with the scope and source of their activation.
     guard_sources: Vec<(u32, u32, &'t Source<'t>)>,
-    /// Nodes written in place, by the first byte of their text.
+    /// Inline nodes, by the first byte of their text.
     inline: HashMap<usize, Member>,
-    /// Where sources of fragment ports start, by the first byte of their port's name: links through
-    /// many fragments are followed once, else loading would take the square of their number.
+    /// The resolved sources of fragment ports, by the first byte of their port's name: links
+    /// through many fragments are followed once, or else the load time would grow with the square
+    /// of their number.
     known: HashMap<usize, Option<Origin>>,
-    bound_told: bool,
-    /// Ports that are to be recorded, with the scope of their source.
+    bound_reported: bool,
+    /// Tapped ports, with the scope of their source.
     pub(super) taps: Vec<(u32, &'t Arg<'t>, String)>,
 }
 
@@ -146,12 +147,12 @@ impl<'t> Resolver<'t, '_> {
         }
     }
 
-    /// Whether nothing wrong was found so far.
+    /// Whether no fault was found so far.
     pub(super) fn is_faultless(&self) -> bool {
         self.faults.is_empty()
     }
 
-    /// Enters a fragment and everything in it.
+    /// Enters a fragment and all its content.
     fn fragment(
         &mut self,
         fragment: &'t Fragment<'t>,
@@ -180,7 +181,7 @@ impl<'t> Resolver<'t, '_> {
                 .insert(arg.name.text, arg)
                 .is_some()
             {
-                self.twice(arg.name);
+                self.report_duplicate(arg.name);
             }
         }
         self.tap(&fragment.outs, None, scope);
@@ -194,7 +195,7 @@ impl<'t> Resolver<'t, '_> {
                 .insert(out.name.text, source)
                 .is_some()
             {
-                self.twice(out.name);
+                self.report_duplicate(out.name);
             }
         }
         for child in &fragment.children {
@@ -204,13 +205,13 @@ impl<'t> Resolver<'t, '_> {
                 .insert(child.name.text, member)
                 .is_some()
             {
-                self.twice(child.name);
+                self.report_duplicate(child.name);
             }
         }
         scope
     }
 
-    fn twice(&mut self, name: Name<'_>) {
+    fn report_duplicate(&mut self, name: Name<'_>) {
         self.fault(
             FaultKind::Twice {
                 name: name.text.to_owned(),
@@ -228,7 +229,7 @@ impl<'t> Resolver<'t, '_> {
         }
         match &node.body {
             Body::Fragment(_) if self.scopes.len() > self.context.limits.primitives => {
-                self.beyond("fragments", node);
+                self.report_bound_exceeded("fragments", node);
                 Member::Broken
             }
             Body::Fragment(fragment) => {
@@ -239,7 +240,7 @@ impl<'t> Resolver<'t, '_> {
         }
     }
 
-    /// The guard of something with these arguments: its own if `inActive` is connected.
+    /// The guard of a node with these arguments: its own if `inActive` is connected.
     fn guard(&mut self, scope: u32, args: &'t [Arg<'t>]) -> u32 {
         let parent = self.scopes[scope as usize].guard;
         let active = args.iter().find(|a| a.name.text == "inActive");
@@ -279,7 +280,7 @@ impl<'t> Resolver<'t, '_> {
             return Member::Broken;
         };
         if self.nodes.len() >= self.context.limits.primitives {
-            self.beyond("primitives", node);
+            self.report_bound_exceeded("primitives", node);
             return Member::Broken;
         }
         let own_guard = definition.gated.then(|| self.guard(scope, &node.args));
@@ -297,17 +298,17 @@ impl<'t> Resolver<'t, '_> {
         Member::Node(member)
     }
 
-    /// Tells, once, that there are more of these than primitives are taken.
-    fn beyond(&mut self, what: &'static str, node: &TextNode<'_>) {
+    /// Reports, once, that the bound on primitives is exceeded.
+    fn report_bound_exceeded(&mut self, item: &'static str, node: &TextNode<'_>) {
         let bound = self.context.limits.primitives;
-        if !std::mem::replace(&mut self.bound_told, true) {
+        if !std::mem::replace(&mut self.bound_reported, true) {
             let found = bound + 1;
-            let kind = FaultKind::Bound { what, found, bound };
+            let kind = FaultKind::Bound { item, found, bound };
             self.fault(kind, node.at.clone());
         }
     }
 
-    /// Makes a node of a source that is written in place.
+    /// Adds the node of an inline source.
     fn inline_source(&mut self, source: &'t Source<'t>, scope: u32) {
         if let SourceOf::Inline(node) = &source.of {
             let member = self.node(node, "(inline)", scope);
@@ -348,7 +349,7 @@ impl<'t> Resolver<'t, '_> {
         let definition = self.nodes[node].definition;
         if let Some(i) = definition.parameter_named(name.text) {
             if self.nodes[node].texts[i].replace((text, start)).is_some() {
-                self.twice(name);
+                self.report_duplicate(name);
             }
         } else if let Some(i) = definition.input_named(name.text) {
             let parameter = definition.inputs[i].parameter.map(str::to_owned);
@@ -400,7 +401,7 @@ impl<'t> Resolver<'t, '_> {
             .iter()
             .find(|a| a.name.text == name.text);
         if first.is_some_and(|a| a.name.start != name.start) {
-            self.twice(name);
+            self.report_duplicate(name);
         }
         self.nodes[node].links[i] = origin;
     }
@@ -410,15 +411,15 @@ impl<'t> Resolver<'t, '_> {
         scope: u32,
         source: &'t Source<'t>,
         port: &str,
-        wants: Type,
+        expected: Type,
     ) -> Option<Origin> {
         let origin = self.origin(scope, source)?;
         let output = &self.nodes[origin.node as usize].definition.outputs[origin.port as usize];
-        if output.ty != wants {
+        if output.ty != expected {
             let kind = FaultKind::Type {
                 port: port.to_owned(),
-                wants: wants.to_string(),
-                gives: output.ty.to_string(),
+                expected: expected.to_string(),
+                found: output.ty.to_string(),
             };
             self.fault(kind, source.span());
             return None;
@@ -426,8 +427,8 @@ impl<'t> Resolver<'t, '_> {
         Some(origin)
     }
 
-    /// Follows a source through fragment ports to the primitive it starts at. `None` if there is
-    /// none, which has then been told.
+    /// Follows a source through fragment ports to the primitive at which it starts. `None` if there
+    /// is none; the fault is already recorded.
     pub(super) fn origin(&mut self, scope: u32, first: &'t Source<'t>) -> Option<Origin> {
         let mut passed = Vec::new();
         let origin = self.follow(scope, first, &mut passed);
@@ -436,7 +437,7 @@ impl<'t> Resolver<'t, '_> {
         origin
     }
 
-    /// Follows a source; `passed` gets the sources of the fragment ports on its way.
+    /// Follows a source; `passed` collects the sources of the fragment ports on the path.
     fn follow(
         &mut self,
         mut scope: u32,
@@ -444,7 +445,7 @@ impl<'t> Resolver<'t, '_> {
         passed: &mut Vec<usize>,
     ) -> Option<Origin> {
         let mut source = first;
-        // No path without a loop passes a fragment border more often than there are borders.
+        // A path without a loop passes at most as many fragment borders as there are.
         for _ in 0..=2 * self.scopes.len() {
             let member = match &source.of {
                 SourceOf::Child(name) if name.text == "parent" => None,
@@ -462,14 +463,14 @@ impl<'t> Resolver<'t, '_> {
             }
             passed.push(source.port.start);
         }
-        // Every link into the loop is told.
+        // Every link into the loop is reported.
         passed.clear();
         let name = first.port.text.to_owned();
         self.fault(FaultKind::PortLoop { name }, first.span());
         None
     }
 
-    /// What feeds an out port of the fragment `scope`.
+    /// The source of an out port of the fragment `scope`.
     fn fed_from_inside(&mut self, scope: u32, port: Name<'t>) -> Option<&'t Source<'t>> {
         let outs = &self.scopes[scope as usize].outs;
         if let Some(source) = outs.get(port.text) {
@@ -480,7 +481,7 @@ impl<'t> Resolver<'t, '_> {
         None
     }
 
-    /// What feeds an in port of the fragment `scope`, named by `source` as `parent.port`.
+    /// The source of an in port of the fragment `scope`, named by `source` as `parent.port`.
     fn fed_from_outside(
         &mut self,
         scope: u32,
@@ -576,7 +577,7 @@ impl<'t> Resolver<'t, '_> {
     }
 }
 
-/// The first names in their order, cut short: no fault shows more, and a fault is kept for long.
+/// The first names in order, truncated: no fault shows more, and a fault is kept for long.
 fn names<'n>(keys: impl Iterator<Item = &'n &'n str>) -> Vec<String> {
     let mut names: Vec<&str> = keys.copied().collect();
     names.sort_unstable();

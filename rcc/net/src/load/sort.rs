@@ -1,23 +1,23 @@
 //! The order of evaluation: a topological order over the whole net, across fragment borders, that
-//! keeps what one guard switches together in as few runs as it can. Knows numbers only.
+//! keeps the units of one guard together in as few runs as it can. It works on numbers only.
 
-/// What is to be ordered.
+/// The units to order.
 #[derive(Debug)]
 pub(super) struct Graph {
     /// The guard each unit belongs to; guard 0 is always active.
     pub(super) guard_of: Vec<u32>,
-    /// The guard around each guard; that of guard 0 is 0.
+    /// The enclosing guard of each guard; that of guard 0 is 0.
     pub(super) parent: Vec<u32>,
     /// `(before, after)` pairs of units.
     pub(super) edges: Vec<(u32, u32)>,
 }
 
-/// There is no order.
+/// The units have no order.
 #[derive(Debug)]
 pub(super) struct Unordered {
     /// The units of one cycle, each before the one it feeds.
     pub(super) cycle: Vec<u32>,
-    /// All units, in order as far as there is one.
+    /// All units, ordered as far as possible.
     pub(super) units: Vec<u32>,
 }
 
@@ -47,15 +47,15 @@ struct Sorter<'g> {
     /// Units fed by unit `u`: `fed[first[u]..first[u + 1]]`.
     first: Vec<u32>,
     fed: Vec<u32>,
-    /// How many units each unit still waits for.
+    /// Number of inputs that each unit still waits for.
     waits: Vec<u32>,
-    /// How many edges into each guard from outside are still open.
+    /// Number of open edges into each guard from outside.
     open: Vec<u32>,
-    /// How many units inside each guard, at any depth, can run now.
+    /// Number of runnable units inside each guard, at any depth.
     ready_inside: Vec<u32>,
-    /// Units of each guard itself that can run now, the next one last.
+    /// Runnable units directly in each guard, the next one last.
     ready: Vec<Vec<u32>>,
-    /// Guards directly inside each guard that have something to run; entries may be out of date.
+    /// Guards directly inside each guard that have runnable units; entries may be stale.
     unblocked: Vec<Vec<u32>>,
     blocked: Vec<Vec<u32>>,
     order: Vec<u32>,
@@ -76,9 +76,9 @@ impl<'g> Sorter<'g> {
         let mut next = first.clone();
         let mut fed = vec![0; graph.edges.len()];
         for (before, after) in &graph.edges {
-            let place = &mut next[*before as usize];
-            fed[*place as usize] = *after;
-            *place += 1;
+            let slot = &mut next[*before as usize];
+            fed[*slot as usize] = *after;
+            *slot += 1;
         }
         let mut sorter = Self {
             graph,
@@ -103,7 +103,7 @@ impl<'g> Sorter<'g> {
         sorter
     }
 
-    /// Calls `count` on every guard that an edge enters.
+    /// Calls `count` for every guard that an edge enters.
     fn entered(&mut self, before: u32, after: u32, count: impl Fn(&mut u32)) {
         let from = self.graph.guard_of[before as usize];
         let mut guard = self.graph.guard_of[after as usize];
@@ -125,7 +125,7 @@ impl<'g> Sorter<'g> {
         }
     }
 
-    /// Puts a guard that has something to run where its parent finds it.
+    /// Queues a guard with runnable units at its parent.
     fn offer(&mut self, guard: u32) {
         let parent = self.graph.parent[guard as usize] as usize;
         let queue = if self.open[guard as usize] == 0 {
@@ -136,8 +136,8 @@ impl<'g> Sorter<'g> {
         queue.push(guard);
     }
 
-    /// A guard directly inside `guard` that has something to run, best one that waits for nothing
-    /// from outside any more.
+    /// A guard directly inside `guard` with runnable units, preferably one without open edges from
+    /// outside.
     fn descend(&mut self, guard: u32) -> Option<u32> {
         loop {
             let unblocked = &mut self.unblocked[guard as usize];
@@ -203,8 +203,8 @@ impl Graph {
     }
 }
 
-/// Finds a cycle among the units that still wait: walking back from any of them along units that
-/// wait as well must come back to one already seen.
+/// Finds a cycle among the waiting units: walking back from any of them along waiting units returns
+/// to one already visited.
 fn cycle(graph: &Graph, waits: &[u32]) -> Vec<u32> {
     let mut before_of = vec![None; waits.len()];
     for (before, after) in &graph.edges {
@@ -254,13 +254,13 @@ mod tests {
     }
 
     #[test]
-    fn a_chain_keeps_its_order() {
+    fn chain_keeps_its_order() {
         let g = graph(&[0; 3], &[0], &[(2, 1), (1, 0)]);
         assert_eq!(order(&g).unwrap(), [2, 1, 0]);
     }
 
     #[test]
-    fn a_guard_waits_for_all_it_needs_and_runs_in_one_piece() {
+    fn guard_waits_for_inputs_and_runs_once() {
         // 0 and 1 outside feed 2 and 3 inside guard 1; 1 needs 4 inside guard 2.
         let guard_of = [0, 0, 1, 1, 2];
         let g = graph(&guard_of, &[0, 0, 0], &[(0, 2), (1, 3), (4, 1)]);
@@ -269,13 +269,13 @@ mod tests {
     }
 
     #[test]
-    fn a_path_may_leave_a_guard_and_come_back() {
+    fn path_may_leave_and_reenter_guard() {
         let g = graph(&[1, 0, 1], &[0, 0], &[(0, 1), (1, 2)]);
         assert_eq!(order(&g).unwrap(), [0, 1, 2]);
     }
 
     #[test]
-    fn a_cycle_is_told_as_such() {
+    fn cycle_is_reported() {
         let g = graph(&[0; 5], &[0], &[(0, 1), (1, 2), (2, 3), (3, 1), (3, 4)]);
         let mut cycle = order(&g).unwrap_err().cycle;
         let least = cycle.iter().position(|u| *u == 1).unwrap();

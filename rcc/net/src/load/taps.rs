@@ -1,32 +1,32 @@
-//! Debug taps while loading: which ports a text asks to record, and which out port feeds each. What
-//! is recorded, and when, is decided elsewhere.
+//! Debug taps during loading: the ports that a text asks to record, and the out port that feeds
+//! each. What is recorded, and when, is decided elsewhere.
 
 use crate::fault::FaultKind;
 use crate::load::resolve::{Origin, Resolver};
 use crate::taps::{TAP_SECONDS_MAX, TAPS_MAX};
 use crate::text::{Arg, ArgValue};
 
-/// A port that is to be recorded.
+/// A tapped port.
 #[derive(Debug)]
 pub(super) struct Tapped {
-    /// Names of the fragments it is in, of its primitive, and its own, joined by dots.
+    /// Names of its fragments, of its primitive, and its own, joined by dots.
     pub(super) name: String,
-    /// For how long it is remembered, s.
+    /// How long its values are kept, s.
     pub(super) seconds: f64,
-    /// What feeds it.
+    /// The source of its values.
     pub(super) origin: Origin,
 }
 
 impl<'t> Resolver<'t, '_> {
-    /// Notes the taps among the ports of `owner`, or of the fragment `scope` itself.
+    /// Collects the taps at the ports of `owner`, or of the fragment `scope` itself.
     pub(super) fn tap(&mut self, ports: &'t [Arg<'t>], owner: Option<&str>, scope: u32) {
         for port in ports.iter().filter(|port| port.debug_s.is_some()) {
             let found = self.taps.len() + 1;
             if found > TAPS_MAX {
-                // Told once, at the first tap too many.
+                // Reported once, at the first tap beyond the bound.
                 if found == TAPS_MAX + 1 {
-                    let (what, bound) = ("debug taps", TAPS_MAX);
-                    self.fault(FaultKind::Bound { what, found, bound }, port.name.span());
+                    let (item, bound) = ("debug taps", TAPS_MAX);
+                    self.fault(FaultKind::Bound { item, found, bound }, port.name.span());
                     self.taps.push((scope, port, String::new()));
                 }
                 return;
@@ -44,7 +44,7 @@ impl<'t> Resolver<'t, '_> {
         }
     }
 
-    /// Finds what feeds the ports. A port whose source is not there has been told already.
+    /// Resolves the sources of the ports. A port without a source has already been reported.
     pub(super) fn link_taps(&mut self) -> Vec<Tapped> {
         if !self.is_faultless() {
             return Vec::new();

@@ -1,18 +1,18 @@
-//! Values that pass from one net to another of the same controller, as copies between their boxes: a
-//! net that reads another has a hidden in value, one that writes another a hidden out value. Which nets
-//! there are, and how words cross threads, is the executor's business.
+//! Values that pass from one net to another of the same controller, as copies between their boxes:
+//! a net that reads another one has a hidden in value, one that writes another one has a hidden out
+//! value. Which nets exist, and how words cross threads, is the executor's business.
 
 use std::sync::Arc;
 
 use super::{Directory, Entry, HEAD, Mailbox, OutStatus};
 use crate::plan::Plan;
 
-/// What another net takes in and gives out, as it is found while loading.
+/// The in and out values of another net, as found during loading.
 #[derive(Clone, Debug, Default)]
 pub struct NetBoxes {
     /// Values that can be written to it.
     pub inbox: Arc<Directory>,
-    /// Values that it gives out.
+    /// Values that it publishes.
     pub outbox: Arc<Directory>,
 }
 
@@ -21,19 +21,19 @@ pub struct NetBoxes {
 pub struct Inter {
     /// The other net.
     pub net: String,
-    /// Where the value lies in the out-box of the net that gives it.
+    /// Where the value is in the out-box of the net that publishes it.
     pub from: Entry,
-    /// Where it goes in the in-box of the net that takes it.
+    /// Where the value is in the in-box of the net that reads it.
     pub to: Entry,
 }
 
-/// Words of a hidden in value before the value itself: whether it is non-null. The time of its last
-/// change stands in the second word of its head.
+/// Words of a hidden in value before the value itself: whether it is non-null. The second word of
+/// its head holds the time of its last change.
 pub(crate) const STATUS: usize = 1;
 
 impl Mailbox {
-    /// Copies what another net gave out last; `None` if that net is gone. Returns whether anything
-    /// changed.
+    /// Copies the last value published by another net; `None` if that net no longer exists. Returns
+    /// whether anything changed.
     fn copy_inter(&self, inter: &Inter, given: Option<&[u64]>) -> bool {
         let to = inter.to.at;
         let Some(given) = given else {
@@ -49,8 +49,8 @@ impl Mailbox {
         changed
     }
 
-    /// Takes over a value that another net gives, as one more write, if it is non-null and changed
-    /// since `seen`. Returns whether it was.
+    /// Imports a value from another net, as one more write, if it is non-null and changed since
+    /// `seen`. Returns whether it was imported.
     fn copy_given(&self, inter: &Inter, given: &[u64], seen: &mut Option<u64>) -> bool {
         let time = given.get(inter.from.at + 1).copied();
         let current = inter.from.status(given) == OutStatus::Current;
@@ -66,8 +66,8 @@ impl Mailbox {
         true
     }
 
-    /// Takes over the values of a program's box that were written since `seen`, a box of the same
-    /// kind; other nets may have written the rest meanwhile.
+    /// Imports the values of a program's box that were written since `seen`, a box of the same
+    /// layout; other nets may have written the rest meanwhile.
     fn import_changes(&self, words: &[u64], seen: &mut [u64]) {
         for entry in self.directory.entries() {
             let at = entry.at;
@@ -98,19 +98,19 @@ impl Plan {
         &self.inter_outs
     }
 
-    /// Takes over one of [`Self::inter_ins`] from the out-box of the other net; `None` if that net is
-    /// gone, which makes the value null. Returns whether anything changed.
+    /// Imports one of [`Self::inter_ins`] from the out-box of the other net; `None` if that net no
+    /// longer exists, which makes the value null. Returns whether anything changed.
     pub fn import_inter(&self, inter: &Inter, given: Option<&[u64]>) -> bool {
         self.inbox.copy_inter(inter, given)
     }
 
-    /// Takes over what another net, of whose [`Self::inter_outs`] this is one, gives to this net by its
-    /// out-box; `seen` remembers what was taken. Returns whether anything changed.
+    /// Imports a value that another net writes to this net, one of its [`Self::inter_outs`], from
+    /// its out-box; `seen` holds the time of the last import. Returns whether anything changed.
     pub fn import_given(&self, inter: &Inter, given: &[u64], seen: &mut Option<u64>) -> bool {
         self.inbox.copy_given(inter, given, seen)
     }
 
-    /// Takes over those values of an in-box that a program wrote since `seen`, the in-box before it.
+    /// Imports those values of an in-box that a program wrote since `seen`, the previous in-box.
     pub fn import_changes(&self, words: &[u64], seen: &mut [u64]) {
         self.inbox.import_changes(words, seen);
     }

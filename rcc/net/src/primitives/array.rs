@@ -1,4 +1,4 @@
-//! Fixed arrays. Sizes are known while loading, and an index outside is a fault of the net.
+//! Fixed arrays. Sizes are known at load time; an index out of range is a fault of the net.
 
 use crate::definition::{Build, Definition, NullRule, Primitive, port};
 use crate::fault::{Fault, FaultKind};
@@ -103,8 +103,8 @@ const SIZE: (&str, &str) = ("Size", "number of elements");
 fn size_of_array<T: TextValue>(b: &Build<'_, '_>, array: &ArrayIn<T>) -> Result<usize, Fault> {
     let size = b.number("Size", 1..=b.limits().array_size)?;
     if size != array.len() {
-        let what = format!("Size is {size}, but the array has {} elements", array.len());
-        return Err(b.fault(FaultKind::ArraySize(what)));
+        let message = format!("Size is {size}, but the array has {} elements", array.len());
+        return Err(b.fault(FaultKind::ArraySize(message)));
     }
     Ok(size)
 }
@@ -174,12 +174,12 @@ fn slice<T: TextValue>() -> Definition {
         let size = b.number("Size", 1..=b.limits().array_size)?;
         let start = b.number("Start", 0..=b.limits().array_size)?;
         if start + size > array.len() {
-            let what = format!(
-                "elements {start} to {} are wanted, but the array has only {}",
+            let message = format!(
+                "elements {start} to {} are out of range: the array has only {}",
                 start + size - 1,
                 array.len()
             );
-            return Err(b.fault(FaultKind::ArraySize(what)));
+            return Err(b.fault(FaultKind::ArraySize(message)));
         }
         Ok(Slice {
             array,
@@ -207,7 +207,7 @@ fn is_null<T: TextValue>() -> Definition {
     };
     let doc = "Whether the array is null.";
     Definition::new(format!("{}ArrayIsNull", T::PREFIX), doc, build)
-        .array_input::<T>(port("inValue", "what is tested").required())
+        .array_input::<T>(port("inValue", "array to test").required())
         .output::<bool>("outValue", "whether it is null")
         .null(NullRule::Own("Never null."))
 }

@@ -1,12 +1,12 @@
-//! Numbers as bits of fieldbus words. Bit 0 of an array is the least significant one. Binary
-//! numbers with sign are two's complement; BCD numbers with sign have it as their last bit.
+//! Numbers as bits of fieldbus words. Bit 0 of an array is the least significant one. Signed binary
+//! numbers are two's complement; signed BCD numbers have the sign in their last bit.
 
 use crate::definition::{Build, Definition, Primitive, port};
 use crate::fault::{Fault, FaultKind};
 use crate::plan::Cycle;
 use crate::slots::{ArrayIn, ArrayOut, In, Out};
 
-/// How a number is coded.
+/// The encoding of a number.
 #[derive(Clone, Copy, Debug)]
 enum Code {
     Binary,
@@ -16,7 +16,7 @@ enum Code {
 #[derive(Clone, Copy, Debug)]
 struct Format {
     code: Code,
-    /// Bits of the number, sign included; 1 to 64.
+    /// Number of bits, sign included; 1 to 64.
     bits: u32,
     signed: bool,
 }
@@ -50,18 +50,18 @@ fn from_digits(digits: u64) -> Option<i64> {
 }
 
 impl Format {
-    /// Bits that carry the number's amount.
+    /// Number of bits of the magnitude.
     const fn amount_bits(self) -> u32 {
         self.bits - if self.signed { 1 } else { 0 }
     }
 
-    /// The word of a number, and whether it did not fit and has lost its upper part.
+    /// The word of a number, and whether it overflowed and lost its upper bits.
     fn encode(self, value: i32) -> (u64, bool) {
         let below_zero = value < 0;
         match self.code {
             Code::Binary => {
                 let wide = i64::from(value).cast_unsigned();
-                // What is left above the amount is the sign, repeated, if the number fits.
+                // If the number fits, the bits above the magnitude are the repeated sign.
                 let above = wide & !mask(self.amount_bits());
                 let sign = if below_zero {
                     !mask(self.amount_bits())
@@ -81,7 +81,7 @@ impl Format {
         }
     }
 
-    /// The number in a word; `None` if it is no decimal digit or beyond 32 bits.
+    /// The number in a word; `None` if it has an invalid decimal digit or exceeds 32 bits.
     fn decode(self, word: u64) -> Option<i32> {
         let amount = word & mask(self.amount_bits());
         let below_zero = self.signed && word >> (self.bits - 1) & 1 == 1;
@@ -93,7 +93,7 @@ impl Format {
                     0
                 };
                 let number = (amount | sign).cast_signed();
-                // Without a sign the 64th bit is part of the amount.
+                // Without a sign, the 64th bit is part of the magnitude.
                 ((number < 0) == below_zero).then_some(number)?
             }
             Code::Bcd => {
@@ -153,7 +153,7 @@ fn format(b: &Build<'_, '_>, code: Code) -> Result<Format, Fault> {
     })
 }
 
-const SIGN: &str = "whether the number has a sign";
+const SIGN: &str = "whether the number is signed";
 
 fn encoder(name: &str, doc: &'static str, code: Code, sign: &'static str) -> Definition {
     let build = move |b: &mut Build<'_, '_>| -> Result<Encode, Fault> {
@@ -180,8 +180,8 @@ fn decoder(name: &str, doc: &'static str, code: Code, sign: &'static str) -> Def
         let array = b.array_input("inArray")?;
         if array.len() < format.bits as usize {
             let (bits, len) = (format.bits, array.len());
-            let what = format!("amountBits is {bits}, but the array has only {len} elements");
-            return Err(b.fault(FaultKind::ArraySize(what)));
+            let message = format!("amountBits is {bits}, but the array has only {len} elements");
+            return Err(b.fault(FaultKind::ArraySize(message)));
         }
         Ok(Decode {
             array,
@@ -213,13 +213,13 @@ pub(super) fn table() -> Vec<Definition> {
         ),
         decoder(
             "Core::BinToDec",
-            "The number that bits are as a binary number; null if beyond 32 bits.",
+            "The number of binary bits; null if beyond 32 bits.",
             Code::Binary,
             "false",
         ),
         decoder(
             "Core::BCDToDec",
-            "The number that bits are as binary coded decimal; null if they are none.",
+            "The number of binary coded decimal bits; null if a digit is invalid.",
             Code::Bcd,
             "true",
         ),
@@ -264,7 +264,7 @@ mod tests {
     }
 
     #[test]
-    fn whatever_fits_comes_back() {
+    fn fitting_numbers_round_trip() {
         for code in [Code::Binary, Code::Bcd] {
             for bits in 1..=64 {
                 for signed in [false, true] {
@@ -281,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn words_that_are_no_numbers() {
+    fn invalid_words_are_rejected() {
         assert_eq!(format(Code::Bcd, 8, false).decode(0x1a), None);
         assert_eq!(format(Code::Bcd, 64, false).decode(u64::MAX), None);
         assert_eq!(format(Code::Bcd, 44, false).decode(0x999_9999_9999), None);

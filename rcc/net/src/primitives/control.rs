@@ -1,5 +1,5 @@
-//! Primitives that bring requests from outside into a net, and one that brings a request out of it. How
-//! they reach whom they are for is the executor's business.
+//! Primitives for requests: from outside into a net, and from a net to the executor, which forwards
+//! them.
 
 use crate::definition::{Build, Definition, NullRule, Primitive, port};
 use crate::fault::Fault;
@@ -18,7 +18,7 @@ impl Primitive for Request {
     }
 }
 
-/// Says in every cycle of its net whether all is to stop.
+/// Votes in every cycle of its net whether to stop all devices.
 struct EStop {
     stop: In<bool>,
 }
@@ -51,13 +51,13 @@ pub(super) fn table() -> Vec<Definition> {
         })
     };
     vec![
-        Definition::new("EStop", "Stops all devices of the controller while its input is true: nets that command them end, and drivers brake. It is no safety function. The last word stands until an EStop of any net says otherwise.", estop)
+        Definition::new("EStop", "Stops all devices of the controller while its input is true: nets that command them end, and drivers brake. It is not a safety function. The last state remains in effect until an EStop of any net changes it.", estop)
             .input::<bool>(port("inEStop", "true to stop").required())
-            .null(NullRule::Own("Null stops: a signal that is lost is no leave to move.")),
-        Definition::new("Cancel", "Whether the net was asked to cancel. The net decides how it comes to an end; it must then set its `outTerminate`.", cancel)
+            .null(NullRule::Own("Null stops: a lost signal is not a permission to move.")),
+        Definition::new("Cancel", "Whether the net was requested to cancel. The net decides how it ends; it must then set its `outTerminate`.", cancel)
             .output::<bool>("outCancel", "true from the cycle after the request on")
             .null(NullRule::Own("Never null.")),
-        Definition::new("Takeover", "Whether a successor is scheduled after this net. The net may end early then, and need not.", takeover)
+        Definition::new("Takeover", "Whether a successor is scheduled after this net. The net may then end early.", takeover)
             .output::<bool>("outTakeover", "true once a successor is scheduled")
             .null(NullRule::Own("Never null.")),
     ]

@@ -102,7 +102,7 @@ pub(super) fn table() -> Vec<Definition> {
             edge,
         )
         .stateful()
-        .input::<bool>(port("inValue", "what is watched").required())
+        .input::<bool>(port("inValue", "observed value").required())
         .parameter::<bool>(
             "Direction",
             "true",

@@ -88,9 +88,9 @@ impl<T: TextValue> Primitive for ArrayNetcommOut<T> {
     }
 }
 
-const KEY_IN: &str = "name of the value; programs write to `in` and this name";
-const KEY_OUT: &str = "name of the value; programs read `out` and this name";
-const REPORT: &str = "whether programs and rules see it";
+const KEY_IN: &str = "name of the value; programs write to `in` followed by this name";
+const KEY_OUT: &str = "name of the value; programs read `out` followed by this name";
+const REPORT: &str = "whether it is visible to programs and rules";
 
 fn netcomm_in<T: TextValue>() -> Definition {
     let build = |b: &mut Build<'_, '_>| -> Result<NetcommIn<T>, Fault> {

@@ -1,4 +1,4 @@
-//! The families that exist once for each value type: constants, null, choice and memory.
+//! The families with one member for each value type: constants, null, choice and memory.
 
 use crate::definition::{Build, Definition, NullRule, Primitive, port};
 use crate::fault::Fault;
@@ -7,7 +7,7 @@ use crate::slots::{In, Out};
 use crate::value::Nanos;
 use crate::value::text::TextValue;
 
-/// A constant: its slot is set once and read by everybody.
+/// A constant: its slot is set once and never written again.
 struct Constant<T> {
     value: T,
     out: Out<T>,
@@ -82,7 +82,7 @@ impl<T: TextValue> Primitive for Snapshot<T> {
     }
 }
 
-/// Keeps the value for the next cycle. It and the count of its cycle lie in slots that
+/// Keeps the value for the next cycle. The value and the count of its cycle are in slots that
 /// [`PreEarly`] reads.
 struct Pre<T> {
     value: In<T>,
@@ -100,7 +100,8 @@ impl<T: TextValue> Primitive for Pre<T> {
     }
 }
 
-/// Gives what [`Pre`] kept in the cycle before; what is older was left by a time of inactivity.
+/// Outputs the value that [`Pre`] kept in the previous cycle; an older one dates from before an
+/// inactive period.
 struct PreEarly<T> {
     kept: In<T>,
     kept_in: In<Nanos>,
@@ -132,12 +133,12 @@ fn pre<T: TextValue>() -> Definition {
             out: b.output("outValue"),
         })
     };
-    let doc = "The input's value of the cycle before. Links from a Pre may close cycles.";
+    let doc = "The input's value of the previous cycle. Links from a Pre may close cycles.";
     Definition::new(format!("{}Pre", T::PREFIX), doc, late)
         .early(early)
         .stateful()
-        .input::<T>(port("inValue", "value to be given in the next cycle"))
-        .output::<T>("outValue", "value of the cycle before")
+        .input::<T>(port("inValue", "value for the next cycle"))
+        .output::<T>("outValue", "value of the previous cycle")
         .null(NullRule::Own(
             "Null in the first cycle and after a cycle in which it was inactive, reset or had \
              a null input.",
@@ -157,7 +158,7 @@ fn value<T: TextValue>() -> Definition {
         .null(NullRule::Own("Never null."))
 }
 
-/// The text of the zero of a type, for parameters' defaults.
+/// The text of the zero of a type, for parameter defaults.
 pub(super) fn zero<T: TextValue>() -> &'static str {
     use crate::value::Element;
     match T::ELEMENT {
@@ -181,7 +182,7 @@ fn is_null<T: TextValue>() -> Definition {
         "Whether the input is null.",
         build,
     )
-    .input::<T>(port("inValue", "what is tested").required())
+    .input::<T>(port("inValue", "value to test").required())
     .output::<bool>("outValue", "whether it is null")
     .null(NullRule::Own("Never null."))
 }
@@ -242,17 +243,11 @@ fn snapshot<T: TextValue>() -> Definition {
     let doc = "Follows the input while inSnapshot is true, and holds its last value after.";
     Definition::new(format!("{}Snapshot", T::PREFIX), doc, build)
         .stateful()
-        .input::<bool>(port("inSnapshot", "true takes the input over").required())
-        .input::<T>(port("inValue", "what is taken over").required())
-        .parameter::<T>(
-            "Value",
-            zero::<T>(),
-            "what is held at the start and after a reset",
-        )
-        .output::<T>("outValue", "what is held")
-        .null(NullRule::Own(
-            "Null only while what was taken over was null.",
-        ))
+        .input::<bool>(port("inSnapshot", "true copies the input").required())
+        .input::<T>(port("inValue", "value to copy").required())
+        .parameter::<T>("Value", zero::<T>(), "value at the start and after a reset")
+        .output::<T>("outValue", "the held value")
+        .null(NullRule::Own("Null only if the copied value was null."))
 }
 
 fn family<T: TextValue>() -> Vec<Definition> {

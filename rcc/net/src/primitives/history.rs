@@ -1,5 +1,5 @@
-//! Values as they were some time ago. Ages count cycles of the net: cycles that an overrun skipped
-//! are not counted, and a cycle in which the primitive was skipped is remembered as null.
+//! Past values. Ages count cycles of the net: cycles that were skipped by an overrun are not
+//! counted, and a cycle in which the primitive was skipped is stored as null.
 
 use crate::definition::{Build, Definition, NullRule, Primitive, port};
 use crate::fault::Fault;
@@ -8,15 +8,15 @@ use crate::slots::{In, Out};
 use crate::value::Nanos;
 use crate::value::text::TextValue;
 
-/// One value per cycle, found by the count of its cycle.
+/// One value per cycle, addressed by the count of its cycle.
 struct History<T> {
     samples: Box<[(i64, Option<T>)]>,
-    /// Count of the first cycle that is remembered. To write over all samples would take long.
+    /// Count of the first stored cycle. Overwriting all samples would take long.
     since: i64,
 }
 
 impl<T: Copy> History<T> {
-    /// Remembers this cycle and the span of parameter `MaxAge` before it.
+    /// Stores this cycle and the span of parameter `MaxAge` before it.
     fn new(b: &mut Build<'_, '_>) -> Result<Self, Fault> {
         let samples = b.history("MaxAge", size_of::<(i64, Option<T>)>())? + 1;
         Ok(Self {
@@ -25,33 +25,33 @@ impl<T: Copy> History<T> {
         })
     }
 
-    fn place(&self, count: i64) -> usize {
+    fn index(&self, count: i64) -> usize {
         let len = i64::try_from(self.samples.len()).unwrap_or(i64::MAX);
         usize::try_from(count.rem_euclid(len)).unwrap_or(0)
     }
 
     fn store(&mut self, count: i64, value: Option<T>) {
-        let place = self.place(count);
-        self.samples[place] = (count, value);
+        let index = self.index(count);
+        self.samples[index] = (count, value);
     }
 
     fn at(&self, count: i64) -> Option<T> {
-        let (stored, value) = self.samples[self.place(count)];
+        let (stored, value) = self.samples[self.index(count)];
         value.filter(|_| stored == count && count >= self.since)
     }
 
-    /// Most cycles that can be looked back.
+    /// Upper bound on the age, cycles.
     fn reach(&self) -> usize {
         self.samples.len() - 1
     }
 
-    /// Forgets what was before cycle `count`.
+    /// Forgets all cycles before `count`.
     const fn clear(&mut self, count: i64) {
         self.since = count;
     }
 }
 
-/// How many cycles a time is, to the nearest; `None` if negative, not a number or beyond `most`.
+/// A time in cycles, rounded; `None` if negative, not a number or beyond `most`.
 fn cycles_of(seconds: f64, period_s: f64, most: usize) -> Option<i64> {
     let cycles = (seconds / period_s).round();
     let most = f64::from(u32::try_from(most).unwrap_or(u32::MAX));
@@ -90,9 +90,9 @@ fn at_time<T: TextValue>() -> Definition {
     };
     let doc = "The input as it was Age seconds ago, to the nearest cycle; age 0 is this cycle.";
     Definition::new(format!("{}AtTime", T::PREFIX), doc, build)
-        .input::<T>(port("inValue", "what is remembered").required())
+        .input::<T>(port("inValue", "value to store").required())
         .input::<f64>(port("inAge", "how long ago, s").or("Age", "0"))
-        .parameter::<f64>("MaxAge", "1", "how long values are remembered, s")
+        .parameter::<f64>("MaxAge", "1", "how long values are stored, s")
         .output::<T>("outValue", "the value of that time")
         .null(NullRule::Own(
             "Null if the input was null at that time, or the time is before the start, in the \
@@ -100,7 +100,7 @@ fn at_time<T: TextValue>() -> Definition {
         ))
 }
 
-/// Looks up when a time stamp was current.
+/// Searches for the cycle in which a time stamp was current.
 struct TimeHistory {
     value: In<Nanos>,
     time: In<Nanos>,
@@ -111,8 +111,8 @@ struct TimeHistory {
 }
 
 impl TimeHistory {
-    /// Bisects for the newest stamp not after `time`; stamps must not decrease, and cycles
-    /// without one hold the stamp of the cycle before them.
+    /// Bisects for the newest stamp not after `time`; stamps must not decrease, and cycles without
+    /// one have the stamp of the previous cycle.
     fn back_to(&self, count: i64, time: Nanos) -> Option<i64> {
         let reach = i64::try_from(self.history.reach()).unwrap_or(i64::MAX);
         let (mut low, mut high) = (0, reach + 1);
@@ -159,11 +159,11 @@ fn time_history() -> Definition {
     Definition::new("Core::TimeHistory", doc, build)
         .stateful()
         .input::<Nanos>(port("inValue", "time stamp of this cycle, ns").required())
-        .input::<Nanos>(port("inTime", "time that is looked for, ns").required())
-        .parameter::<f64>("MaxAge", "1", "how long stamps are remembered, s")
+        .input::<Nanos>(port("inTime", "time to search for, ns").required())
+        .parameter::<f64>("MaxAge", "1", "how long stamps are stored, s")
         .output::<f64>("outAge", "how long ago, s")
         .null(NullRule::Own(
-            "Null if an input is null or no remembered stamp is that old.",
+            "Null if an input is null or no stored stamp is that old.",
         ))
 }
 

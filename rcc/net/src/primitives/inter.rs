@@ -1,5 +1,5 @@
-//! Exchange of values between nets of one controller. A value arrives in the cycle after the one that
-//! gave it, in whatever order the nets are evaluated; how it gets there is the executor's business.
+//! Exchange of values between nets of one controller. A value arrives in the cycle after the one
+//! that wrote it, whatever the order of evaluation; the executor transfers it.
 
 use crate::definition::{Build, Definition, NullRule, Primitive, port};
 use crate::fault::Fault;
@@ -84,14 +84,14 @@ impl<T: TextValue> Primitive for ArrayInterNetcommOut<T> {
     }
 }
 
-const RCC: &str = "not looked at; the other net runs in the same controller";
+const RCC: &str = "ignored; the other net runs in the same controller";
 const NET: &str = "the other net, such as rpinet0; it must be loaded before this one";
 const KEY_OUT: &str = "`Key` of the NetcommOut in the other net";
 const KEY_IN: &str = "`Key` of the NetcommIn in the other net";
-const NULL_IN: &str = "null while the other net gives null, before it first gives a value, and once it is \
+const NULL_IN: &str = "null while the value of the other net is null, before its first value, and once it is \
                        unloaded; after its end its last value stays.";
-const NULL_OUT: &str = "Null is not passed on: the other net keeps what it has.";
-const VALUE: &str = "what the other net gave at the end of its last cycle";
+const NULL_OUT: &str = "Null is not passed on: the other net keeps its value.";
+const VALUE: &str = "value of the other net at the end of its last cycle";
 const UPDATED: &str = "logical time at which the other net changed it, ns";
 
 fn addressed(definition: Definition, key: &'static str) -> Definition {
@@ -107,7 +107,7 @@ fn scalar_in<T: TextValue>() -> Definition {
         let (value, updated) = (b.output("outValue"), b.output("outLastUpdated"));
         Ok(InterNetcommIn { at, value, updated })
     };
-    let doc = "A value that another net gives out by a NetcommOut.";
+    let doc = "The value of a NetcommOut of another net.";
     let name = format!("{}InterNetcommIn", T::PREFIX);
     addressed(Definition::new(name, doc, build), KEY_OUT)
         .output::<T>("outValue", VALUE)
@@ -121,8 +121,7 @@ fn array_in<T: TextValue>() -> Definition {
         let (value, updated) = (b.array_output("outValue", len)?, b.output("outLastUpdated"));
         Ok(ArrayInterNetcommIn { at, value, updated })
     };
-    let doc =
-        "An array that another net gives out by an ArrayNetcommOut; it has the size it has there.";
+    let doc = "The array of an ArrayNetcommOut of another net; it has the same size.";
     let name = format!("{}ArrayInterNetcommIn", T::PREFIX);
     addressed(Definition::new(name, doc, build), KEY_OUT)
         .array_output::<T>("outValue", VALUE)
@@ -151,7 +150,7 @@ fn array_out<T: TextValue>() -> Definition {
     };
     let doc = "Writes an array to an ArrayNetcommIn of another net, whenever it changes.";
     let name = format!("{}ArrayInterNetcommOut", T::PREFIX);
-    let port = port("inValue", "the array, of the size it has there");
+    let port = port("inValue", "the array, of the same size as there");
     addressed(
         Definition::new(name, doc, build).array_input::<T>(port),
         KEY_IN,

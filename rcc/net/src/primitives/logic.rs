@@ -9,7 +9,7 @@ struct Gate {
     first: In<bool>,
     second: In<bool>,
     value: Out<bool>,
-    /// The value of one input that decides the output whatever the other is.
+    /// The input value that decides the output whatever the other input is.
     decides: bool,
 }
 

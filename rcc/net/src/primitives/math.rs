@@ -1,5 +1,5 @@
-//! Arithmetic on numbers. An undefined result is what IEEE 754 gives for doubles and null for
-//! whole numbers, never a panic.
+//! Arithmetic. An undefined result is the IEEE 754 result for doubles and null for integers, never
+//! a panic.
 
 use crate::definition::{Definition, Port, function, port};
 

@@ -1,5 +1,5 @@
-//! Finding measurements of two sources that belong together: the latest two ranges of time whose
-//! union is short enough. What was measured in them is looked up with `AtTime`.
+//! Matching measurements of two sources: the latest two ranges of time whose union is short enough.
+//! The values measured in these ranges are retrieved by `AtTime`.
 
 use crate::definition::{Build, Definition, NullRule, Primitive, port};
 use crate::fault::Fault;
@@ -8,7 +8,7 @@ use crate::primitives::ring::Ring;
 use crate::slots::{In, Out};
 use crate::value::Nanos;
 
-/// A range of time with the count of the cycle that brought it.
+/// A range of time with the count of the cycle in which it arrived.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Range {
     start: i64,
@@ -30,10 +30,10 @@ impl Range {
     }
 }
 
-/// The latest range that makes one of at most `size` ns together with `range`. Ranges of one
-/// source must not go back in time, so bisection finds the last that ends early enough; if that
-/// one begins too early, so do all before it.
-fn partner(range: Range, others: &Ring<Range>, size: i64) -> Option<Range> {
+/// The latest range whose union with `range` is at most `size` ns. Ranges of one source must not go
+/// back in time, so bisection finds the last one that ends early enough; if that one begins too
+/// early, so do all before it.
+fn matching(range: Range, others: &Ring<Range>, size: i64) -> Option<Range> {
     let latest = range.start.saturating_add(size);
     let (mut low, mut high) = (0, others.len());
     while low < high {
@@ -56,14 +56,14 @@ struct ConsistentRange {
     seen: [Ring<Range>; 2],
     best: Option<Range>,
     size_ns: i64,
-    /// Cycles for which ranges are remembered.
+    /// Number of cycles for which ranges are stored.
     cycles: i64,
 }
 
 impl ConsistentRange {
     fn take(&mut self, source: usize, range: Range) {
         self.seen[source].push(range);
-        let found = partner(range, &self.seen[1 - source], self.size_ns);
+        let found = matching(range, &self.seen[1 - source], self.size_ns);
         if let Some(union) = found.filter(|u| self.best.is_none_or(|best| u.end >= best.end)) {
             self.best = Some(union);
         }
@@ -124,7 +124,7 @@ pub(super) fn table() -> Vec<Definition> {
     vec![
         Definition::new(
             "Core::TimeConsistentRange",
-            "Of the ranges of time that two sources gave, the latest pair that lies within \
+            "Of the time ranges of two sources, the latest pair that lies within \
              MaxSize together. The ranges of a source must not go back in time.",
             build,
         )
@@ -134,11 +134,11 @@ pub(super) fn table() -> Vec<Definition> {
         .input::<Nanos>(port("inSecondStart", "start of the second source's range, ns").required())
         .input::<Nanos>(port("inSecondEnd", "end of the second source's range, ns").required())
         .parameter::<f64>("MaxSize", "1", "longest that the pair may be together, s")
-        .parameter::<f64>("MaxAge", "1", "how long ranges are remembered, s")
+        .parameter::<f64>("MaxAge", "1", "how long ranges are stored, s")
         .output::<Nanos>("outStart", "earlier start of the pair, ns")
         .output::<Nanos>("outEnd", "later end of the pair, ns")
         .null(NullRule::Own(
-            "A source with a null end gives no range in that cycle; null while there is no pair.",
+            "A source with a null end has no range in that cycle; null while there is no pair.",
         )),
     ]
 }

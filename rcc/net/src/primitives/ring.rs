@@ -1,11 +1,11 @@
-//! A queue of fixed capacity in memory taken while loading: pushing into a full one displaces the
-//! oldest. It knows no time.
+//! A queue of fixed capacity, allocated at load time: pushing into a full queue replaces the oldest
+//! value. It knows no time.
 
 /// The last values pushed.
 #[derive(Debug)]
 pub(super) struct Ring<T> {
     values: Box<[T]>,
-    /// Where the next value goes.
+    /// Index of the next value.
     next: usize,
     len: usize,
 }
@@ -28,12 +28,12 @@ impl<T: Copy> Ring<T> {
         self.len
     }
 
-    /// Whether the next value goes to the first place, so that a whole turn has been made.
+    /// Whether the next value goes to index 0, so that the ring has wrapped around.
     pub(super) const fn at_start(&self) -> bool {
         self.next == 0
     }
 
-    /// Adds a value; gives the one it displaced.
+    /// Adds a value; returns the one that it replaced.
     pub(super) fn push(&mut self, value: T) -> Option<T> {
         let full = self.len == self.capacity();
         let old = std::mem::replace(&mut self.values[self.next], value);
@@ -44,8 +44,8 @@ impl<T: Copy> Ring<T> {
 
     /// The value pushed `back` values before the newest.
     pub(super) fn get(&self, back: usize) -> Option<T> {
-        let place = (self.next + self.capacity() - 1).checked_sub(back)? % self.capacity();
-        (back < self.len).then(|| self.values[place])
+        let index = (self.next + self.capacity() - 1).checked_sub(back)? % self.capacity();
+        (back < self.len).then(|| self.values[index])
     }
 
     pub(super) const fn clear(&mut self) {

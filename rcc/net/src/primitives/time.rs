@@ -1,4 +1,5 @@
-//! Clocks and arithmetic with times. Time in a net is logical: it moves by exactly one period a cycle.
+//! Clocks and time arithmetic. Time in a net is logical: it advances by exactly one period each
+//! cycle.
 
 use crate::definition::{Build, Definition, NullRule, Primitive, function, port};
 use crate::fault::Fault;
@@ -10,7 +11,7 @@ struct Clock {
     increment: In<f64>,
     reset: In<bool>,
     value: Out<f64>,
-    /// Sum of the increments; periods are multiplied in last, so that a clock of whole increments
+    /// Sum of the increments; periods are multiplied in last, so that a clock with whole increments
     /// does not drift.
     ticks: f64,
     period_s: f64,
@@ -66,10 +67,10 @@ fn difference(first: Nanos, second: Nanos) -> f64 {
     (i128::from(first.0) - i128::from(second.0)) as f64 * 1e-9
 }
 
-/// `None` if the sum is beyond what nanoseconds in 64 bits can tell.
+/// `None` if the sum exceeds 64 bits of nanoseconds.
 fn sum(time: Nanos, delta_s: f64) -> Option<Nanos> {
     let delta = (delta_s * 1e9).round();
-    // 2^63 is the first double beyond, and -2^63 the last within.
+    // 2^63 is the first double out of range, and -2^63 the last one in range.
     let fits = (-9_223_372_036_854_775_808.0..9_223_372_036_854_775_808.0).contains(&delta);
     #[expect(clippy::cast_possible_truncation, reason = "just checked")]
     let delta = fits.then_some(delta as i64)?;
@@ -90,7 +91,7 @@ fn arithmetic() -> [Definition; 2] {
         ),
         function(
             "Core::TimeAdd",
-            "A time moved by a span; null if beyond 64 bits.",
+            "A time plus a span; null if beyond 64 bits.",
             &[
                 port("inTime", "time, ns").required(),
                 port("inDelta", "span, s").required(),
@@ -127,14 +128,14 @@ fn clocks() -> Vec<Definition> {
         Definition::new(
             "Core::Clock",
             "Time since the primitive became active, times Increment. The first cycle gives one \
-             period, not zero; a reset starts anew in the same way.",
+             period, not zero; a reset restarts in the same way.",
             clock,
         )
         .stateful()
         .input::<f64>(port("inIncrement", "seconds per second").or("Increment", "1"))
         .output::<f64>("outValue", "time, s")
         .null(NullRule::Own(
-            "While inIncrement is null or not finite the clock stands and the output is null.",
+            "While inIncrement is null or not finite, the clock stops and the output is null.",
         )),
         Definition::new(
             "Core::CycleTime",

@@ -1,5 +1,5 @@
 //! Sliding windows over the last cycles: counts of Booleans and means. A cycle in which the input
-//! is null or the primitive is skipped does not move the window.
+//! is null or the primitive is skipped does not advance the window.
 
 use crate::definition::{Build, Definition, Primitive, port};
 use crate::fault::Fault;
@@ -9,7 +9,7 @@ use crate::slots::{In, Out};
 use crate::value::text::TextValue;
 use crate::value::{Rotation, Vector};
 
-/// Counts how many of the last Booleans were true. Those before the start count as false.
+/// Counts the true values among the last Booleans. Those before the start count as false.
 struct Booleans {
     value: In<bool>,
     reset: In<bool>,
@@ -20,7 +20,7 @@ struct Booleans {
     count: u32,
 }
 
-/// How the amount of true values is given.
+/// The form in which the number of true values is returned.
 enum Amount {
     Count(Out<i32>),
     Part(Out<f64>),
@@ -54,7 +54,7 @@ impl Booleans {
         })
     }
 
-    /// Takes a value in; gives how many of how many are true.
+    /// Adds a value; returns the number of true values and the window length.
     fn push(&mut self, value: bool) -> (u32, u32) {
         let old = self.window.push(value).unwrap_or(false);
         self.count = self.count + u32::from(value) - u32::from(old);
@@ -83,7 +83,7 @@ fn booleans(
 ) -> Definition {
     Definition::new(name, doc, build)
         .stateful()
-        .input::<bool>(port("inValue", "what is counted").required())
+        .input::<bool>(port("inValue", "value to count").required())
         .output::<bool>("outNone", "whether none was true")
         .output::<bool>("outAll", "whether all were true")
 }
@@ -106,7 +106,7 @@ fn last_n() -> Definition {
 fn history() -> Definition {
     booleans(
         "Core::BooleanHistory",
-        "Which part of the last Duration seconds a value was true. The time before the start \
+        "The part of the last Duration seconds in which the value was true. The time before the start \
          counts as false.",
         |b| {
             let samples = b.history("Duration", 1)?;
@@ -115,15 +115,15 @@ fn history() -> Definition {
         },
     )
     .parameter::<f64>("Duration", "1", "length of the window, s")
-    .output::<f64>("outAmount", "part of the time that it was true, 0 to 1")
+    .output::<f64>("outAmount", "part of the time in which it was true, 0 to 1")
 }
 
-/// What a mean can be taken of: `N` numbers.
+/// A value with a mean: `N` numbers.
 trait Mean<const N: usize>: TextValue {
-    /// The numbers, so written that they may be added to `sum`.
+    /// The numbers, with the signs with which they may be added to `sum`.
     fn numbers(self, sum: &[f64; N]) -> [f64; N];
 
-    /// The mean from the numbers' means.
+    /// The value from the means of its numbers.
     fn mean(means: [f64; N]) -> Option<Self>;
 }
 
@@ -148,7 +148,7 @@ impl Mean<3> for Vector {
 }
 
 impl Mean<4> for Rotation {
-    /// Of the two quaternions of a rotation the one nearer to the sum.
+    /// Of the two quaternions of a rotation, the one nearer to the sum.
     fn numbers(self, sum: &[f64; 4]) -> [f64; 4] {
         let numbers: [f64; 4] = self.into_inner().coords.into();
         let dot: f64 = numbers.iter().zip(sum).map(|(a, b)| a * b).sum();
@@ -167,10 +167,10 @@ struct Average<T, const N: usize> {
     out: Out<T>,
     window: Ring<[f64; N]>,
     sum: [f64; N],
-    /// The sum since the ring's start was last passed. It replaces `sum` after a whole turn, so
-    /// that errors of rounding do not grow.
+    /// The sum since the start of the ring was last passed. It replaces `sum` after a whole turn,
+    /// so that rounding errors do not accumulate.
     fresh: [f64; N],
-    /// How many values in the window are not finite.
+    /// Number of values in the window that are not finite.
     broken: usize,
 }
 
@@ -238,7 +238,7 @@ fn average<T: Mean<N>, const N: usize>() -> Definition {
     let doc = "The mean of the input over the last Duration seconds, or since the start if that \
                is less. Null while a value in the window is not finite.";
     Definition::new(format!("{}Average", T::PREFIX), doc, Average::<T, N>::new)
-        .input::<T>(port("inValue", "what the mean is taken of").required())
+        .input::<T>(port("inValue", "value to average").required())
         .parameter::<f64>("Duration", "1", "length of the window, s")
         .output::<T>("outValue", "the mean")
 }

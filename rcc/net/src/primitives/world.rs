@@ -27,7 +27,7 @@ const fn value(doc: &'static str) -> Port {
     port("inValue", doc).required()
 }
 
-/// A function of two inputs, for those that need more to be built than their ports' names.
+/// A function of two inputs that need more than their ports' names to be built.
 struct Pair<A, B, O, F> {
     first: In<A>,
     second: In<B>,
@@ -49,10 +49,10 @@ where
     }
 }
 
-/// Three parameters of a port of three coordinates: names and defaults.
+/// Three parameters for a port with three coordinates: names and defaults.
 type Three = [(&'static str, &'static str); 3];
 
-/// An in port that three parameters stand in for.
+/// An in port with three parameters as its default.
 fn input_or<T: TextValue>(
     b: &mut Build<'_, '_>,
     port: &'static str,

@@ -1,26 +1,26 @@
-//! The text form of values: parameters, netcomm values and evaluation results. Numbers are
-//! written in the shortest form that reads back exactly. Not here: net text and messages.
+//! The text form of values: parameters, netcomm values and evaluation results. Numbers are written
+//! in the shortest form that reads back exactly. Net text and messages are elsewhere.
 //!
 //! `true`, `42`, `0.5`, `nan`, `+inf`, `-inf`, `[a,b]`, `{x:0,y:0,z:0}` (Vector), `{a:0,b:0,c:0}`
 //! (Rotation: Z-Y-X Euler angles, rad), `{pos:{..},rot:{..}}` (Frame), `{vel:{..},rot:{..}}`
-//! (Twist), `{force:{..},torque:{..}}` (Wrench). Members left out keep their zero.
+//! (Twist), `{force:{..},torque:{..}}` (Wrench). Omitted members are zero.
 
 use std::fmt::Write as _;
 use std::ops::Range;
 
 use crate::value::{Frame, Nanos, Rotation, Twist, Type, Value, Vector, Wrench};
 
-/// Why a text is not a value of the type wanted, and where in the text.
+/// Why a text is not a value of the expected type, and where in the text.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{what}")]
+#[error("{message}")]
 pub struct ValueError {
-    /// What is wrong.
-    pub what: String,
-    /// Bytes of the text it is about.
+    /// The cause.
+    pub message: String,
+    /// The bytes of the text that it refers to.
     pub at: Range<usize>,
 }
 
-/// Deepest nesting of lists and maps that any value has, and more than is read.
+/// Upper bound on the nesting of lists and maps; values need less.
 const DEPTH: usize = 8;
 
 /// A value that can be read from and written as text.
@@ -31,14 +31,14 @@ pub trait TextValue: Value {
     /// Reads the value from a syntax tree.
     ///
     /// # Errors
-    /// If the tree is not of this type's shape.
+    /// If the tree does not have this type's structure.
     #[doc(hidden)]
     fn from_tree(tree: &Tree<'_>) -> Result<Self, ValueError>;
 
     /// Reads the value from text.
     ///
     /// # Errors
-    /// If the text is no value of this type, with the place.
+    /// If the text is not a value of this type, with the location.
     fn parse(text: &str) -> Result<Self, ValueError> {
         Self::from_tree(&Tree::parse(text)?)
     }
@@ -47,16 +47,16 @@ pub trait TextValue: Value {
 /// Reads a fixed array such as `[1,2,3]`.
 ///
 /// # Errors
-/// If the text is no list of values of this type, or longer than `most` elements.
+/// If the text is not a list of values of this type, or has more than `most` elements.
 pub fn parse_array<T: TextValue>(text: &str, most: usize) -> Result<Vec<T>, ValueError> {
     let tree = Tree::parse(text)?;
     let TreeKind::List(items) = &tree.kind else {
-        return Err(tree.unlike(&format!("a list of {}", T::ELEMENT.name())));
+        return Err(tree.mismatch(&format!("a list of {}", T::ELEMENT.name())));
     };
     if items.len() > most {
-        let what = format!("has {} elements; at most {most} are taken", items.len());
+        let message = format!("has {} elements; at most {most} are allowed", items.len());
         let at = tree.at;
-        return Err(ValueError { what, at });
+        return Err(ValueError { message, at });
     }
     items.iter().map(T::from_tree).collect()
 }
@@ -73,7 +73,7 @@ pub fn format_array<T: TextValue>(values: impl IntoIterator<Item = T>, out: &mut
     out.push(']');
 }
 
-/// Writes the value that `words` holds, laid out as [`Value::put`] does.
+/// Formats the value in `words`, laid out as by [`Value::put`].
 pub fn format_words(ty: Type, words: &[u64], out: &mut String) {
     fn one<T: TextValue>(words: &[u64]) -> T {
         T::take(|i| words.get(i).copied().unwrap_or(0))
@@ -85,10 +85,10 @@ pub fn format_words(ty: Type, words: &[u64], out: &mut String) {
     });
 }
 
-/// Reads a value of `ty` into `words`; an array must have exactly the length that fills them.
+/// Parses a value of `ty` into `words`; an array must have exactly the length that fills them.
 ///
 /// # Errors
-/// If the text is no such value.
+/// If the text is not such a value.
 pub fn parse_words(ty: Type, text: &str, words: &mut [u64]) -> Result<(), ValueError> {
     crate::slots::for_element!(ty.element, T => {
         let values = if ty.array {
@@ -98,8 +98,8 @@ pub fn parse_words(ty: Type, text: &str, words: &mut [u64]) -> Result<(), ValueE
         };
         if values.len() * T::WORDS != words.len() {
             let wanted = words.len() / T::WORDS;
-            let what = format!("has {} elements, the port carries {wanted}", values.len());
-            return Err(ValueError { what, at: 0..text.len() });
+            let message = format!("has {} elements, the port carries {wanted}", values.len());
+            return Err(ValueError { message, at: 0..text.len() });
         }
         for (value, chunk) in values.into_iter().zip(words.chunks_exact_mut(T::WORDS)) {
             value.put(|i, w| chunk[i] = w);
@@ -134,13 +134,13 @@ impl<'a> Tree<'a> {
         Ok(tree)
     }
 
-    fn unlike(&self, wanted: &str) -> ValueError {
+    fn mismatch(&self, wanted: &str) -> ValueError {
         let this = match self.kind {
             TreeKind::Atom(text) if text.chars().count() <= 40 => format!("`{text}`"),
             TreeKind::Atom(_) | TreeKind::List(_) | TreeKind::Map(_) => "this".to_owned(),
         };
         ValueError {
-            what: format!("{this} is not {wanted}"),
+            message: format!("{this} is not {wanted}"),
             at: self.at.clone(),
         }
     }
@@ -148,33 +148,33 @@ impl<'a> Tree<'a> {
     fn atom(&self, wanted: &str) -> Result<&'a str, ValueError> {
         match self.kind {
             TreeKind::Atom(text) => Ok(text),
-            TreeKind::List(_) | TreeKind::Map(_) => Err(self.unlike(wanted)),
+            TreeKind::List(_) | TreeKind::Map(_) => Err(self.mismatch(wanted)),
         }
     }
 
-    /// The members of a map in the order of `names`; those left out are `None`.
+    /// The members of a map in the order of `names`; omitted ones are `None`.
     fn members<const N: usize>(
         &self,
         names: [&str; N],
         wanted: &str,
     ) -> Result<[Option<&Self>; N], ValueError> {
         let TreeKind::Map(entries) = &self.kind else {
-            return Err(self.unlike(wanted));
+            return Err(self.mismatch(wanted));
         };
         let mut found = [None; N];
         for (key, tree) in entries {
             match names.iter().position(|name| name == key) {
                 Some(i) if found[i].is_none() => found[i] = Some(tree),
                 Some(_) => {
-                    let what = format!("`{key}` is given twice");
+                    let message = format!("`{key}` is given twice");
                     let at = tree.at.clone();
-                    return Err(ValueError { what, at });
+                    return Err(ValueError { message, at });
                 }
                 None => {
                     let known = names.join("`, `");
-                    let what = format!("{wanted} has no member `{key}`, only `{known}`");
+                    let message = format!("{wanted} has no member `{key}`, only `{known}`");
                     return Err(ValueError {
-                        what,
+                        message,
                         at: tree.at.clone(),
                     });
                 }
@@ -200,9 +200,9 @@ impl<'a> Reader<'a> {
         self.text[self.at..].chars().next()
     }
 
-    fn error(&self, what: &str) -> ValueError {
+    fn error(&self, message: &str) -> ValueError {
         ValueError {
-            what: what.to_owned(),
+            message: message.to_owned(),
             at: self.at..self.text.len().max(self.at),
         }
     }
@@ -282,7 +282,7 @@ impl TextValue for bool {
         match tree.atom("`true` or `false`")? {
             "true" => Ok(true),
             "false" => Ok(false),
-            _ => Err(tree.unlike("`true` or `false`")),
+            _ => Err(tree.mismatch("`true` or `false`")),
         }
     }
 }
@@ -294,7 +294,9 @@ impl TextValue for i32 {
 
     fn from_tree(tree: &Tree<'_>) -> Result<Self, ValueError> {
         let wanted = "a whole number of 32 bits";
-        tree.atom(wanted)?.parse().map_err(|_| tree.unlike(wanted))
+        tree.atom(wanted)?
+            .parse()
+            .map_err(|_| tree.mismatch(wanted))
     }
 }
 
@@ -308,7 +310,7 @@ impl TextValue for Nanos {
         tree.atom(wanted)?
             .parse()
             .map(Self)
-            .map_err(|_| tree.unlike(wanted))
+            .map_err(|_| tree.mismatch(wanted))
     }
 }
 
@@ -334,11 +336,12 @@ impl TextValue for f64 {
             "nan" => Ok(Self::NAN),
             "inf" | "+inf" => Ok(Self::INFINITY),
             "-inf" => Ok(Self::NEG_INFINITY),
-            // `f64::from_str` also takes words such as `infinity`, which are no text form here.
+            // `f64::from_str` also accepts words such as `infinity`, which are not part of this
+            // text form.
             text if text.ends_with(|c: char| c.is_ascii_digit() || c == '.') => {
-                text.parse().map_err(|_| tree.unlike("a number"))
+                text.parse().map_err(|_| tree.mismatch("a number"))
             }
-            _ => Err(tree.unlike("a number")),
+            _ => Err(tree.mismatch("a number")),
         }
     }
 }
@@ -481,19 +484,36 @@ mod tests {
     }
 
     #[test]
-    fn faults_name_the_place() {
+    fn faults_name_their_location() {
         let error = Vector::parse("{x:1,q:2}").unwrap_err();
-        assert_eq!(error.what, "a Vector has no member `q`, only `x`, `y`, `z`");
+        assert_eq!(
+            error.message,
+            "a Vector has no member `q`, only `x`, `y`, `z`"
+        );
         assert_eq!(error.at, 7..8);
-        assert_eq!(f64::parse("abc").unwrap_err().what, "`abc` is not a number");
-        assert_eq!(f64::parse("1 2").unwrap_err().what, "`1 2` is not a number");
-        assert_eq!(f64::parse("").unwrap_err().what, "a value is missing here");
-        assert!(Vector::parse("{x:1").unwrap_err().what.contains("missing"));
+        assert_eq!(
+            f64::parse("abc").unwrap_err().message,
+            "`abc` is not a number"
+        );
+        assert_eq!(
+            f64::parse("1 2").unwrap_err().message,
+            "`1 2` is not a number"
+        );
+        assert_eq!(
+            f64::parse("").unwrap_err().message,
+            "a value is missing here"
+        );
+        assert!(
+            Vector::parse("{x:1")
+                .unwrap_err()
+                .message
+                .contains("missing")
+        );
         assert!(i32::parse("3000000000").is_err());
         assert!(
             f64::parse(&"[".repeat(100_000))
                 .unwrap_err()
-                .what
+                .message
                 .contains("deep")
         );
     }

@@ -1,4 +1,4 @@
-//! XML to net text, in one pass. Elements are written down as they end; nothing is resolved.
+//! XML to net text, in one pass. An element is written when it ends; nothing is resolved.
 
 use std::borrow::Cow;
 
@@ -8,19 +8,19 @@ use quick_xml::{Reader, XmlVersion};
 use super::{ROOT, XmlFault, XmlFaultKind};
 use crate::limits::Limits;
 
-/// Most attributes of one element.
+/// Upper bound on the attributes of one element.
 const ATTRIBUTES_MAX: usize = 16;
 
 type Read<T> = Result<T, XmlFaultKind>;
 
-/// The net text that an XML text stands for.
+/// Converts the XML form of a net to net text.
 ///
 /// # Errors
-/// If it is not the XML of a net, or beyond the bounds.
+/// If the text is not the XML form of a net, or exceeds the bounds.
 pub fn from_xml(xml: &str, limits: &Limits) -> Result<String, XmlFault> {
     if xml.len() > limits.text_bytes {
-        let (what, found, bound) = ("bytes of XML", xml.len(), limits.text_bytes);
-        let kind = XmlFaultKind::Bound { what, found, bound };
+        let (item, found, bound) = ("bytes of XML", xml.len(), limits.text_bytes);
+        let kind = XmlFaultKind::Bound { item, found, bound };
         return Err(XmlFault { line: 1, kind });
     }
     let mut reader = Reader::from_str(xml);
@@ -49,7 +49,7 @@ fn fault(xml: &str, at: u64, kind: XmlFaultKind) -> XmlFault {
     XmlFault { line, kind }
 }
 
-/// An element that has begun, with what stands for it so far.
+/// An open element, with the net text of its content so far.
 enum Open {
     Net {
         items: String,
@@ -59,7 +59,7 @@ enum Open {
         args: String,
     },
     Fragment(Fragment),
-    /// A parameter or port, which is written down already.
+    /// A parameter or port; its text is already written.
     Leaf,
 }
 
@@ -83,7 +83,7 @@ impl Open {
 struct Net {
     open: Vec<Open>,
     text: Option<String>,
-    /// Most fragments inside one another.
+    /// Upper bound on nested fragments.
     depth: usize,
 }
 
@@ -133,7 +133,7 @@ impl Net {
                 Open::Leaf
             }
             (Some(Open::Fragment(Fragment { args, .. })), "inport") => {
-                // An in port is fed from outside the fragment whose port it is.
+                // An in port is fed from outside its fragment.
                 separate(args, &attributes.link("inport", &around)?);
                 Open::Leaf
             }
@@ -145,7 +145,7 @@ impl Net {
                 Open::Leaf
             }
             (inside, _) => {
-                let inside = inside.map_or("the place of the net", |open| open.name());
+                let inside = inside.map_or("the document", |open| open.name());
                 let element = shorten(&name);
                 return Err(XmlFaultKind::Element { element, inside });
             }
@@ -154,11 +154,11 @@ impl Net {
     }
 
     fn push(&mut self, open: Open) -> Read<()> {
-        // Besides fragments there are the net, a module and a port.
+        // Besides fragments, the net, a module and a port can be open.
         let bound = self.depth;
         if self.open.len() >= bound + 3 {
-            let (what, found) = ("fragments inside one another", bound + 1);
-            return Err(XmlFaultKind::Bound { what, found, bound });
+            let (item, found) = ("fragments inside one another", bound + 1);
+            return Err(XmlFaultKind::Bound { item, found, bound });
         }
         self.open.push(open);
         Ok(())
@@ -183,12 +183,12 @@ impl Net {
         }
     }
 
-    /// What the fragment that is open is called, or the one so many around it.
+    /// The name of the open fragment, or of the one that is `outwards` levels around it.
     fn fragment(&self, outwards: usize) -> String {
         self.fragments().nth(outwards).unwrap_or(ROOT).to_owned()
     }
 
-    /// The names of the fragments that are open, the innermost first.
+    /// The names of the open fragments, the innermost first.
     fn fragments(&self) -> impl Iterator<Item = &str> {
         self.open.iter().rev().filter_map(|open| match open {
             Open::Fragment(fragment) => Some(fragment.id.as_str()),
@@ -197,7 +197,7 @@ impl Net {
     }
 }
 
-/// Adds an item to a list.
+/// Appends an item to a list.
 fn separate(list: &mut String, item: &str) {
     if !list.is_empty() {
         list.push(',');
@@ -205,7 +205,7 @@ fn separate(list: &mut String, item: &str) {
     list.push_str(item);
 }
 
-/// The attributes that nets know.
+/// The attributes used in nets.
 #[derive(Default)]
 struct Attributes<'a> {
     id: Option<Cow<'a, str>>,
@@ -222,13 +222,13 @@ impl<'a> Attributes<'a> {
         let mut found = Self::default();
         for (number, attribute) in start.attributes().enumerate() {
             if number == ATTRIBUTES_MAX {
-                let (what, bound) = ("attributes of one element", ATTRIBUTES_MAX);
+                let (item, bound) = ("attributes of one element", ATTRIBUTES_MAX);
                 let found = bound + 1;
-                return Err(XmlFaultKind::Bound { what, found, bound });
+                return Err(XmlFaultKind::Bound { item, found, bound });
             }
             let malformed = |e: &dyn std::fmt::Display| XmlFaultKind::Malformed(e.to_string());
             let attribute = attribute.map_err(|e| malformed(&e))?;
-            let place = match attribute.key.as_ref().to_ascii_lowercase().as_str() {
+            let slot = match attribute.key.as_ref().to_ascii_lowercase().as_str() {
                 "id" => &mut found.id,
                 "type" => &mut found.ty,
                 "name" => &mut found.name,
@@ -239,7 +239,7 @@ impl<'a> Attributes<'a> {
                 _ => continue,
             };
             let value = attribute.normalized_value(XmlVersion::Implicit1_0);
-            *place = Some(value.map_err(|e| malformed(&e))?);
+            *slot = Some(value.map_err(|e| malformed(&e))?);
         }
         Ok(found)
     }
@@ -273,7 +273,7 @@ impl<'a> Attributes<'a> {
         self.module(element, "id")
     }
 
-    /// The name of a module. Primitives that had none got one with dots, which text does not know.
+    /// The name of a module. Unnamed primitives got names with dots, which net text does not allow.
     fn module(&self, element: &'static str, attribute: &'static str) -> Read<Cow<'_, str>> {
         let text = self.get(element, attribute)?;
         if !text.contains('.') {
@@ -337,7 +337,7 @@ fn is_name(text: &str) -> bool {
     !text.is_empty() && text.bytes().all(belongs)
 }
 
-/// As much of a text as a message can hold.
+/// A text, truncated for a message.
 fn shorten(text: &str) -> String {
     text.chars().take(60).collect()
 }

@@ -1,4 +1,4 @@
-//! XML and text stand for the same nets.
+//! XML and text are two forms of the same nets.
 
 use std::time::Duration;
 
@@ -49,7 +49,7 @@ fn documented_example_is_read() {
 }
 
 #[test]
-fn primitives_in_place_get_names_and_the_net_stays_the_same() {
+fn inline_primitives_get_names_in_xml() {
     let text = "{g=Core::DoubleGreater(inFirst=Core::DoubleAdd(inFirst=Core::Clock().outValue,\
         Second='1').outValue,inSecond=f.outV,Second='2'),\
         f={outV=Core::DoubleAdd(inFirst=parent.inA).outValue}(inA=Core::Clock().outValue),\
@@ -68,7 +68,7 @@ fn primitives_in_place_get_names_and_the_net_stays_the_same() {
 }
 
 #[test]
-fn child_of_the_fragments_own_name_is_told_from_it() {
+fn child_named_like_its_fragment_stays_distinct() {
     let text = "{f={f=Core::DoubleAdd(inFirst=parent.inX),outY=f.outValue}(inX=ROOT.outValue),\
         ROOT=Core::Clock(),g=Core::DoubleGreater(inFirst=f.outY),outTerminate=g.outValue}";
     let again = text_of(&xml_of(text)).unwrap();
@@ -80,7 +80,7 @@ fn child_of_the_fragments_own_name_is_told_from_it() {
 }
 
 #[test]
-fn what_is_no_net_is_told_with_its_line() {
+fn invalid_xml_is_rejected_with_line() {
     let net = |inside: &str| format!("<rpinet>\n{inside}</rpinet>");
     for (xml, fault) in [
         ("", "line 1: there is no `<rpinet>`, or it does not end"),
@@ -88,13 +88,10 @@ fn what_is_no_net_is_told_with_its_line() {
             "<rpinet>\n<module id='a' type='b'>",
             "line 2: there is no `<rpinet>`",
         ),
-        (
-            "<a/>",
-            "line 1: `<a>` does not belong into the place of the net",
-        ),
+        ("<a/>", "line 1: `<a>` is not allowed in the document"),
         (
             &net("<port/>"),
-            "line 2: `<port>` does not belong into `<rpinet>`",
+            "line 2: `<port>` is not allowed in `<rpinet>`",
         ),
         (
             &net("<module id='a'/>"),
@@ -121,12 +118,12 @@ fn what_is_no_net_is_told_with_its_line() {
         ),
         (
             "<!DOCTYPE a [<!ENTITY b 'c'>]><rpinet/>",
-            "line 1: a document type is not taken",
+            "line 1: a document type is not allowed",
         ),
-        ("<rpinet/><rpinet/>", "line 1: `<rpinet>` does not belong"),
+        ("<rpinet/><rpinet/>", "line 1: `<rpinet>` is not allowed"),
     ] {
-        let told = text_of(xml).unwrap_err();
-        assert!(told.starts_with(fault), "{xml}: {told}");
+        let error = text_of(xml).unwrap_err();
+        assert!(error.starts_with(fault), "{xml}: {error}");
     }
 }
 
@@ -142,7 +139,7 @@ fn depth_attributes_and_length_are_bounded() {
     assert!(
         text_of(&format!("<rpinet{many}/>"))
             .unwrap_err()
-            .contains("at most 16 are taken")
+            .contains("at most 16 are allowed")
     );
     let limits = Limits {
         text_bytes: 10,
@@ -151,11 +148,11 @@ fn depth_attributes_and_length_are_bounded() {
     let long = from_xml("<rpinet></rpinet>", &limits)
         .unwrap_err()
         .to_string();
-    assert_eq!(long, "line 1: 17 bytes of XML; at most 10 are taken");
+    assert_eq!(long, "line 1: 17 bytes of XML; at most 10 are allowed");
 }
 
 #[test]
-fn faults_of_text_are_those_of_the_parser() {
+fn to_xml_faults_are_parser_faults() {
     let rejection = to_xml("{a=b", &Limits::default()).unwrap_err();
     assert_eq!(rejection.faults[0].kind.minor(), 12);
 }
@@ -186,14 +183,14 @@ fn nets() -> impl Strategy<Value = String> {
     prop::collection::vec(children, 0..5).prop_map(|c| format!("{{{}}}", c.join(",")))
 }
 
-/// An XML net, and places where it is cut and spoilt.
-fn spoilt() -> impl Strategy<Value = String> {
+/// The XML of a net with random damage.
+fn damaged() -> impl Strategy<Value = String> {
     let word = "(<|>|/|</|\"|'|&|&lt;|&#0;|=|\\]\\]>|<!--|<\\?|<!DOCTYPE|<!\\[CDATA\\[|\
         <module |<fragment |id=|type='a'|rpinet|parent|ROOT|\u{0}|ä)";
-    let places = prop::collection::vec((any::<prop::sample::Index>(), 0..6_usize, word), 0..6);
-    (nets(), places).prop_map(|(net, places)| {
+    let edits = prop::collection::vec((any::<prop::sample::Index>(), 0..6_usize, word), 0..6);
+    (nets(), edits).prop_map(|(net, edits)| {
         let mut xml: Vec<char> = xml_of(&net).chars().collect();
-        for (at, remove, word) in places {
+        for (at, remove, word) in edits {
             let at = at.index(xml.len() + 1);
             let end = (at + remove).min(xml.len());
             xml.splice(at..end, word.chars());
@@ -206,10 +203,10 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(1000))]
 
     #[test]
-    fn text_survives_the_way_through_xml(text in nets()) {
+    fn text_round_trips_through_xml(text in nets()) {
         let xml = xml_of(&text);
         let again = text_of(&xml).unwrap();
-        // A child called as its fragment gets another name, once.
+        // A child with the name of its fragment gets another name, once.
         prop_assert!(again == text || again.contains("_child"), "{}", again);
         prop_assert_eq!(text_of(&xml_of(&again)).unwrap(), again);
     }
@@ -218,9 +215,9 @@ proptest! {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(10_000))]
 
-    /// What is read is net text that the parser reads too.
+    /// The parser accepts the resulting net text.
     #[test]
-    fn spoilt_xml_is_refused_or_stands_for_a_net(xml in spoilt()) {
+    fn damaged_xml_is_rejected_or_valid(xml in damaged()) {
         if let Ok(text) = text_of(&xml) {
             prop_assert!(to_xml(&text, &Limits::default()).is_ok(), "{}", text);
             prop_assert!(text.len() <= 2 * xml.len() + 2);

@@ -1,4 +1,4 @@
-//! Net text to XML. Primitives written in place become children with a name of their own.
+//! Net text to XML. Inline primitives become named children.
 
 use std::collections::HashSet;
 
@@ -9,7 +9,7 @@ use crate::fault::Rejection;
 use crate::limits::Limits;
 use crate::text::{self, Arg, ArgValue, Body, Fragment, Node, SourceOf};
 
-/// The XML that stands for a net text.
+/// Converts a net text to its XML form.
 ///
 /// # Errors
 /// If the text does not follow the grammar.
@@ -25,14 +25,14 @@ pub fn to_xml(text: &str, limits: &Limits) -> Result<String, Rejection> {
     Ok(out)
 }
 
-/// Longest name of which the name of something in it is made.
-const PLACE_BYTES_MAX: usize = 200;
+/// Longest name that becomes part of the name of an inline primitive.
+const NAME_BYTES_MAX: usize = 200;
 
-/// The inside of one fragment: its name, and the names of its children.
+/// The content of one fragment: its name, and the names of its children.
 struct Scope<'a> {
     id: &'a str,
     taken: HashSet<String>,
-    /// How often a name was taken already.
+    /// Number of previous uses of a name.
     clashes: usize,
 }
 
@@ -57,7 +57,7 @@ impl<'a> Scope<'a> {
         }
     }
 
-    /// A child of the fragment's own name could not be told from the fragment.
+    /// A child with the name of its fragment would be ambiguous.
     fn child(&mut self, name: &str) -> String {
         if name == self.id {
             format!("{name}.child")
@@ -66,7 +66,7 @@ impl<'a> Scope<'a> {
         }
     }
 
-    /// Writes a primitive or fragment, and before it what is written in place in its arguments.
+    /// Writes a primitive or fragment, preceded by the inline primitives of its arguments.
     fn node(&mut self, id: &str, node: &Node<'_>, out: &mut String) {
         let mut args = String::new();
         let (element, port) = match &node.body {
@@ -75,8 +75,8 @@ impl<'a> Scope<'a> {
         };
         let mut before = String::new();
         for arg in &node.args {
-            let place = place_in(id, arg.name.text);
-            self.arg_to(port, &place, arg, &mut args, &mut before);
+            let inline_name = inline_name(id, arg.name.text);
+            self.arg_to(port, &inline_name, arg, &mut args, &mut before);
         }
         out.push_str(&before);
         out.push_str(&format!("<{element}{}", attribute("id", id)));
@@ -92,18 +92,18 @@ impl<'a> Scope<'a> {
         out.push_str(&format!("{args}</{element}>\n"));
     }
 
-    fn arg(&mut self, element: &str, place: &str, arg: &Arg<'_>, out: &mut String) {
+    fn arg(&mut self, element: &str, inline_name: &str, arg: &Arg<'_>, out: &mut String) {
         let (mut args, mut before) = (String::new(), String::new());
-        self.arg_to(element, place, arg, &mut args, &mut before);
+        self.arg_to(element, inline_name, arg, &mut args, &mut before);
         out.push_str(&before);
         out.push_str(&args);
     }
 
-    /// Writes an argument to `out` and what is written in place in it to `before`.
+    /// Writes an argument to `out` and its inline primitives to `before`.
     fn arg_to(
         &mut self,
         element: &str,
-        place: &str,
+        inline_name: &str,
         arg: &Arg<'_>,
         out: &mut String,
         before: &mut String,
@@ -121,7 +121,7 @@ impl<'a> Scope<'a> {
             SourceOf::Child(child) if child.text == "parent" => self.id.to_owned(),
             SourceOf::Child(child) => self.child(child.text),
             SourceOf::Inline(node) => {
-                let id = self.unused(format!("{place}.source"));
+                let id = self.unused(format!("{inline_name}.source"));
                 self.node(&id, node, before);
                 id
             }
@@ -135,7 +135,7 @@ impl<'a> Scope<'a> {
         out.push_str(&format!("<{element}{name}{from}{port}{debug}/>\n"));
     }
 
-    /// A name that no sibling has, also when its dots are read as underscores.
+    /// A name that no sibling has, even with its dots replaced by underscores.
     fn unused(&mut self, name: String) -> String {
         let mut unused = name.clone();
         while !self.taken.insert(unused.replace('.', "_")) {
@@ -150,16 +150,17 @@ impl<'a> Scope<'a> {
     }
 }
 
-/// A name for what is written in place in an argument; it does not grow with depth and length without bound.
-fn place_in(id: &str, arg: &str) -> String {
-    match (id.len() > PLACE_BYTES_MAX, arg.len() > PLACE_BYTES_MAX) {
+/// A name for an inline primitive of an argument; its length is bounded whatever the depth and the
+/// length of names.
+fn inline_name(id: &str, arg: &str) -> String {
+    match (id.len() > NAME_BYTES_MAX, arg.len() > NAME_BYTES_MAX) {
         (false, false) => format!("{id}.{arg}"),
         (true, false) => format!("inline.{arg}"),
         (_, true) => "inline".to_owned(),
     }
 }
 
-/// An attribute whose value is read back as it is: blanks that XML would unite are kept.
+/// An attribute whose value reads back unchanged: whitespace that XML would normalise is kept.
 fn attribute(name: &str, value: &str) -> String {
     let value = escape(value);
     let value = value.replace('\n', "&#10;").replace('\r', "&#13;");

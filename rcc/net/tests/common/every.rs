@@ -1,6 +1,6 @@
-//! Checks that hold for every primitive of a registry: it can be built with all and with few of
-//! its ports connected, makes of null what its definition says, and survives any input. What it
-//! computes is tested one by one.
+//! Checks for every primitive of a registry: it can be built with all and with few of its ports
+//! connected, handles null as its definition states, and accepts any input. Its results are tested
+//! one by one.
 
 #![allow(
     dead_code,
@@ -20,15 +20,15 @@ use takt_net::{
     Registry, load,
 };
 
-/// Elements of all arrays here, enough for a word of 32 bits.
+/// Number of elements of all arrays here, enough for a word of 32 bits.
 const SIZE: usize = 32;
 
 const CYCLES: u64 = 5;
 
-/// Where an in port of the primitive under test gets its values.
+/// The source of an in port of the primitive under test.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Feed {
-    /// A value that is neither null nor at a border.
+    /// A value that is neither null nor at a limit.
     Plain,
     Null,
     /// Written by the test: `in<i>`, and null while `n<i>` is true.
@@ -84,7 +84,7 @@ fn feed(port: &InPort, i: usize, feed: Feed) -> (String, String) {
     };
     let text = plain(port);
     if port.ty.element == Element::Nanos {
-        // A sum with what is no number is null.
+        // A sum with a value that is not a number is null.
         let delta = match feed {
             Feed::Plain => "Core::DoubleValue(Value='0')".to_owned(),
             Feed::Null => "Core::DoubleValue(Value='nan')".to_owned(),
@@ -106,8 +106,8 @@ fn feed(port: &InPort, i: usize, feed: Feed) -> (String, String) {
     (children, format!("s{i}.outValue"))
 }
 
-/// A net with the primitive under test as `p`, its in ports fed as `feeds` says, and of every out
-/// port whether it is null.
+/// A net with the primitive under test as `p`, its in ports fed as by `feeds`, and an output for
+/// every out port: whether it is null.
 fn net(definition: &Definition, feeds: impl Fn(&InPort) -> Option<Feed>) -> String {
     let mut text = String::from("{");
     let mut args = Vec::new();
@@ -219,8 +219,8 @@ pub fn can_be_built(registry: &Registry) {
     }
 }
 
-/// One null input makes all outputs null where the definition says so, and an output that is not
-/// null without it shows that it was the reason. Inputs that only control are left out.
+/// One null input makes all outputs null where the definition says so. An output that is not null
+/// without it shows that the input was the reason. Control inputs are left out.
 pub fn null_propagates(registry: &Registry) {
     let mut shown = 0;
     for definition in definitions(registry) {
@@ -254,7 +254,7 @@ pub fn null_propagates(registry: &Registry) {
     assert!(shown > 50, "only {shown} primitives give a value at all");
 }
 
-/// Values that lie at borders or have no meaning.
+/// Values at limits or without meaning.
 const fn nasty(element: Element) -> &'static [&'static str] {
     match element {
         Element::Bool => &["true", "false"],
@@ -287,7 +287,7 @@ pub fn survives_anything(registry: &Registry, cycles: usize) {
     with_anything(registry, cycles, |_, step| step());
 }
 
-/// The same; `around` is called with the primitive's name and must make the step.
+/// As [`survives_anything`]; `around` is called with the primitive's name and must make the step.
 pub fn with_anything(
     registry: &Registry,
     cycles: usize,

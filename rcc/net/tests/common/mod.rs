@@ -1,4 +1,4 @@
-//! A net under test: loads a text, runs cycles of 1 ms and reads what programs would read.
+//! A net under test: loads a text, runs cycles of 1 ms and reads its values as a program would.
 
 #![allow(
     dead_code,
@@ -16,16 +16,16 @@ use takt_net::{Image, Limits, LoadContext, Moment, Nanos, NoDevices, Plan, Regis
 pub struct Bench {
     /// The net.
     pub plan: Plan,
-    /// Devices, which nobody drives here.
+    /// Devices, which are not driven here.
     pub image: Image,
-    /// What the next cycle is told.
+    /// The inputs of the next cycle.
     pub moment: Moment,
 }
 
 /// One period of the nets under test.
 pub const PERIOD: Duration = Duration::from_millis(1);
 
-/// Loads `text`, or gives its faults one a line.
+/// Loads `text`, or returns its faults, one per line.
 pub fn try_load(text: &str) -> Result<Plan, Vec<String>> {
     let registry = Registry::core();
     let context = LoadContext {
@@ -38,7 +38,7 @@ pub fn try_load(text: &str) -> Result<Plan, Vec<String>> {
 }
 
 impl Bench {
-    /// Loads `text`, which must be without faults.
+    /// Loads `text`, which must have no faults.
     pub fn new(text: &str) -> Self {
         let plan = try_load(text).unwrap_or_else(|faults| panic!("{}", faults.join("\n")));
         Self {
@@ -48,7 +48,7 @@ impl Bench {
         }
     }
 
-    /// Loads children whose out port `value` of type `ty` is given out under the key `v`.
+    /// Loads children and publishes out port `value` of type `ty` under the key `v`.
     pub fn watching(ty: &str, children: &str, value: &str) -> Self {
         Self::new(&format!(
             "{{{children},watch={ty}NetcommOut(inValue={value},Key='v'),\

@@ -1,5 +1,5 @@
-//! What existing clients know of primitives, compared with what a registry has: ports, parameters and
-//! defaults. What the primitives do is tested elsewhere.
+//! Compares the primitives that existing clients know with those of a registry: ports, parameters
+//! and defaults. Their behaviour is tested elsewhere.
 
 #![allow(
     dead_code,
@@ -27,7 +27,7 @@ const TYPES: &[(&str, &str)] = &[
     ("World::Wrench", "Wrench"),
 ];
 
-/// What is compared: names with types, and defaults where there are any.
+/// The compared data: names with types, and defaults if there are any.
 #[derive(Debug, PartialEq, Eq)]
 struct Signature {
     inputs: BTreeSet<String>,
@@ -62,7 +62,7 @@ fn parameters(list: &str) -> BTreeSet<String> {
 fn read(line: &str) -> (String, Signature) {
     let (name, rest) = line.split_once('(').expect("`(`");
     let (inputs, rest) = rest.split_once(')').expect("`)`");
-    // The brackets of an array type are not preceded by a blank.
+    // The brackets of an array type are not preceded by a space.
     let (outputs, list) = rest.split_once(" [").unwrap_or((rest, ""));
     let outputs = outputs.trim_start_matches(" -> ");
     let signature = Signature {
@@ -128,8 +128,8 @@ fn actual(definition: &Definition, added: &[(&str, &str)]) -> Signature {
     }
 }
 
-/// Checks all of a registry: known primitives but those of `elsewhere` are there as they are known,
-/// and no others but those of `own`. Out ports of `added` are Takt's.
+/// Checks a whole registry: all known primitives except those of `elsewhere` exist with their known
+/// signature, and no others except those of `own`. Out ports in `added` are Takt's.
 pub fn are_known(
     registry: &Registry,
     elsewhere: impl Fn(&str) -> bool,

@@ -303,7 +303,7 @@ impl InOut {
                 .get(bit.bit / 8)
                 .map(|byte| byte >> (bit.bit % 8) & 1 != 0);
             gone |= age > GONE;
-            place.tell(&mut self.told.signals, value.filter(|_| age <= GONE));
+            place.report(&mut self.told.signals, value.filter(|_| age <= GONE));
         }
         for (place, bit) in io.bool_out.iter().zip(&self.outputs) {
             let wanted = place
@@ -322,7 +322,7 @@ impl InOut {
                 None => {}
             }
             let value = *byte & mask != 0;
-            place.state.tell(&mut self.told.signals, Some(value));
+            place.state.report(&mut self.told.signals, Some(value));
         }
         gone
     }
@@ -337,7 +337,7 @@ impl InOut {
             let (bytes, age) = master.inputs(number.slave);
             let value = number.read(bytes).filter(|_| age <= GONE);
             gone |= value.is_none();
-            place.tell(&mut self.told.signals, value);
+            place.report(&mut self.told.signals, value);
         }
         for (place, number) in io.real_out.iter().zip(&self.analogue_out) {
             let wanted = place
@@ -350,7 +350,7 @@ impl InOut {
             }
             let value = number.read(bytes);
             gone |= value.is_none();
-            place.state.tell(&mut self.told.signals, value);
+            place.state.report(&mut self.told.signals, value);
         }
         gone
     }

@@ -406,15 +406,15 @@ impl<P: Protocol> Driver<P> {
         let places = self.interfaces.torques.iter().flat_map(|t| t.iter());
         for (axis, place) in places.enumerate() {
             let of_axis = |values: Joints| values.get(axis).copied();
-            place.estimated.tell(signals, estimated.and_then(of_axis));
-            place.measured.tell(signals, measured.and_then(of_axis));
+            place.estimated.report(signals, estimated.and_then(of_axis));
+            place.measured.report(signals, measured.and_then(of_axis));
         }
         if let Some(place) = &self.interfaces.wrench {
             let felt = || heard.and_then(P::measured).zip(estimated);
             let wrench = heard.and_then(P::wrench).or_else(|| {
                 felt().and_then(|(joints, torques)| self.force.estimate(&joints, &torques))
             });
-            place.tell(signals, wrench);
+            place.report(signals, wrench);
         }
     }
 

@@ -44,7 +44,7 @@ pub struct Orders<'a> {
 impl Orders<'_> {
     /// Whether the net that gave this still asks for it: for what ends with its net.
     pub(in crate::device) const fn stands<T>(&self, given: &Given<T>) -> bool {
-        self.is_fresh && given.stands(self.cycle)
+        self.is_fresh && given.is_in_force(self.cycle)
     }
 }
 

@@ -173,16 +173,16 @@ impl End {
         let truth = |name| level(name).and_then(truth);
         let real = |name| level(name).and_then(real);
         for (name, input) in self.io.bool_in.iter().zip(io.bool_in.iter()) {
-            input.tell(signals, truth(name));
+            input.report(signals, truth(name));
         }
         for (name, input) in self.io.real_in.iter().zip(io.real_in.iter()) {
-            input.tell(signals, real(name));
+            input.report(signals, real(name));
         }
         for (name, output) in self.io.bool_out.iter().zip(io.bool_out.iter()) {
-            output.state.tell(signals, truth(name));
+            output.state.report(signals, truth(name));
         }
         for (name, output) in self.io.real_out.iter().zip(io.real_out.iter()) {
-            output.state.tell(signals, real(name));
+            output.state.report(signals, real(name));
         }
     }
 }
@@ -317,14 +317,14 @@ impl Protocol for End {
 
     fn report(&self, has: &Interfaces, signals: &mut [u64]) {
         if let Some(order) = &has.strategy {
-            order.answer.tell(signals, self.answers.strategy);
+            order.answer.report(signals, self.answers.strategy);
         }
         let joints = has.joint_impedance.iter().flat_map(|joints| joints.iter());
         for (order, answer) in joints.zip(self.answers.joints) {
-            order.answer.tell(signals, answer);
+            order.answer.report(signals, answer);
         }
         if let Some(order) = &has.cartesian_impedance {
-            order.answer.tell(signals, self.answers.cartesian);
+            order.answer.report(signals, self.answers.cartesian);
         }
         if let Some(io) = &has.io {
             self.read(io, signals);

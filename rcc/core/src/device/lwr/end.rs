@@ -78,19 +78,19 @@ impl End {
         let is_silent = self.session.phase() == Phase::Offline;
         let heard = self.session.measurement().filter(|_| !is_silent);
         for (index, input) in (0..).zip(io.bool_in.iter()) {
-            input.tell(signals, heard.map(|msr| msr.krl.bool(index)));
+            input.report(signals, heard.map(|msr| msr.krl.bool(index)));
         }
         for (at, input) in io.real_in.iter().enumerate() {
             let value = heard.and_then(|msr| msr.krl.real.get(at));
-            input.tell(signals, value.map(|value| f64::from(*value)));
+            input.report(signals, value.map(|value| f64::from(*value)));
         }
         for (index, output) in (0..).zip(io.bool_out.iter()) {
             let sent = heard.map(|_| self.krl.bool(index));
-            output.state.tell(signals, sent);
+            output.state.report(signals, sent);
         }
         for (output, sent) in io.real_out.iter().zip(self.krl.real) {
             let sent = heard.map(|_| f64::from(sent));
-            output.state.tell(signals, sent);
+            output.state.report(signals, sent);
         }
     }
 }

@@ -202,10 +202,10 @@ impl Impedance {
     pub(super) fn report(&self, has: &Interfaces, signals: &mut [u64]) {
         let joints = has.joint_impedance.iter().flat_map(|joints| joints.iter());
         for (order, answer) in joints.zip(self.joints) {
-            order.answer.tell(signals, answer);
+            order.answer.report(signals, answer);
         }
         if let Some(order) = &has.cartesian_impedance {
-            order.answer.tell(signals, self.cartesian);
+            order.answer.report(signals, self.cartesian);
         }
     }
 }

@@ -192,10 +192,10 @@ impl Program {
 
     pub(super) fn report(&self, has: &Interfaces, signals: &mut [u64]) {
         if let Some(order) = &has.strategy {
-            order.answer.tell(signals, self.strategy);
+            order.answer.report(signals, self.strategy);
         }
         if let Some(order) = &has.tool {
-            order.answer.tell(signals, self.tool);
+            order.answer.report(signals, self.tool);
         }
     }
 }

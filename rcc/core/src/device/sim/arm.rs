@@ -397,28 +397,30 @@ impl SimulatedArm {
         let has = &self.interfaces;
         let signals = &mut self.state.signals;
         if let Some(order) = &has.strategy {
-            order.answer.tell(signals, self.answers.strategy);
+            order.answer.report(signals, self.answers.strategy);
         }
         if let Some(order) = &has.tool {
-            order.answer.tell(signals, self.answers.tool);
+            order.answer.report(signals, self.answers.tool);
         }
         if let Some(order) = &has.cartesian_impedance {
-            order.answer.tell(signals, self.answers.cartesian_impedance);
+            order
+                .answer
+                .report(signals, self.answers.cartesian_impedance);
         }
         // Without mass a joint's sensor measures what acts from outside.
         for (place, torque) in has.torques.iter().flat_map(|t| t.iter()).zip(torques) {
-            place.estimated.tell(signals, Some(torque));
-            place.measured.tell(signals, Some(torque));
+            place.estimated.report(signals, Some(torque));
+            place.measured.report(signals, Some(torque));
         }
         if let Some(place) = &has.wrench {
-            place.tell(signals, Some(self.load.wrench.unwrap_or_default()));
+            place.report(signals, Some(self.load.wrench.unwrap_or_default()));
         }
         let [halted, position_mode, initialized] = DRIVE_FLAGS;
         let drives = has.drives.iter().flat_map(|drives| drives.iter());
         for (place, motion) in drives.zip(&self.measured) {
             let rests = motion.velocity.abs() < RESTING;
             let halted = if rests { halted } else { 0 };
-            place.tell(signals, Some(halted | position_mode | initialized));
+            place.report(signals, Some(halted | position_mode | initialized));
         }
     }
 }

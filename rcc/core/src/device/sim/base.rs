@@ -112,12 +112,12 @@ impl Simulated for Mecanum {
         let base = self.interfaces.base.as_ref();
         let velocity = base
             .and_then(|base| base.command.read(&command.words))
-            .filter(|given| given.stands(command.cycle))
+            .filter(|given| given.is_in_force(command.cycle))
             .map(|given| planar(&given.value));
         let cartesian = self.interfaces.cartesian.as_ref();
         let pose = cartesian
             .and_then(|cartesian| cartesian.command.read(&command.words))
-            .filter(|given| given.stands(command.cycle))
+            .filter(|given| given.is_in_force(command.cycle))
             .map(|given| {
                 let age = command.cycle.saturating_sub(given.cycle);
                 let left = given.every.max(1).saturating_sub(age).max(1);
@@ -229,8 +229,8 @@ impl Mecanum {
                 .zip(self.wheels)
                 .zip(wheel_rates(self.stage.velocity()))
             {
-                wheel.position.tell(signals, Some(angle));
-                wheel.velocity.tell(signals, Some(rate));
+                wheel.position.report(signals, Some(angle));
+                wheel.velocity.report(signals, Some(rate));
             }
         }
         if let Some(cartesian) = &self.interfaces.cartesian {
@@ -241,10 +241,10 @@ impl Mecanum {
 
 fn tell_base(base: &Base, signals: &mut [u64], pose: Frame, velocity: Twist) {
     // A pose that it refuses is no fault of velocities.
-    base.error.tell(signals, Some(0));
-    base.commanded.tell(signals, Some(velocity));
-    base.velocity.tell(signals, Some(velocity));
-    base.pose.tell(signals, Some(pose));
+    base.error.report(signals, Some(0));
+    base.commanded.report(signals, Some(velocity));
+    base.velocity.report(signals, Some(velocity));
+    base.pose.report(signals, Some(pose));
 }
 
 fn tell_cartesian(
@@ -254,11 +254,11 @@ fn tell_cartesian(
     velocity: Twist,
     error: i32,
 ) {
-    cartesian.error.tell(signals, Some(error));
-    cartesian.commanded_position.tell(signals, Some(pose));
-    cartesian.measured_position.tell(signals, Some(pose));
-    cartesian.commanded_velocity.tell(signals, Some(velocity));
-    cartesian.measured_velocity.tell(signals, Some(velocity));
+    cartesian.error.report(signals, Some(error));
+    cartesian.commanded_position.report(signals, Some(pose));
+    cartesian.measured_position.report(signals, Some(pose));
+    cartesian.commanded_velocity.report(signals, Some(velocity));
+    cartesian.measured_velocity.report(signals, Some(velocity));
 }
 
 /// Rates of the wheels, rad/s, in the drives' order (left and right in front, then behind) and in

@@ -60,7 +60,7 @@ impl Compliance {
         signals: &mut [u64],
     ) {
         let given = order.command.read(words);
-        let current = given.filter(|given| given.stands(cycle));
+        let current = given.filter(|given| given.is_in_force(cycle));
         if let Some(given) = given.filter(|given| given.cycle != self.order) {
             self.order = given.cycle;
             let error = if given.is_withdrawn() {
@@ -77,7 +77,7 @@ impl Compliance {
         }
         let torque = current.and_then(|given| given.value.torque);
         self.added = torque.filter(|t| t.is_finite()).unwrap_or(0.0);
-        order.answer.tell(signals, self.answer);
+        order.answer.report(signals, self.answer);
     }
 
     fn take(&mut self, wanted: &JointImpedance) -> bool {

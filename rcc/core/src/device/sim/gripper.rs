@@ -49,7 +49,7 @@ pub(super) fn youbot(parameters: &Parameters<'_>, kind: &'static str) -> Result<
     let gripper = Gripper::new(&mut layout, distance_max);
     let mut state = DeviceState::new(layout.signals);
     state.status = DeviceStatus::Operational;
-    gripper.distance.tell(&mut state.signals, Some(0.0));
+    gripper.distance.report(&mut state.signals, Some(0.0));
     let fingers = Fingers {
         gripper,
         stage: LastStage::new(limits),
@@ -102,10 +102,10 @@ impl Simulated for Fingers {
             error,
         });
         let signals = &mut self.state.signals;
-        self.gripper.distance.tell(signals, Some(distance));
+        self.gripper.distance.report(signals, Some(distance));
         // An earlier answer is no answer to a new order; its number tells.
         if answer.is_some() {
-            self.gripper.order.answer.tell(signals, answer);
+            self.gripper.order.answer.report(signals, answer);
         }
     }
 

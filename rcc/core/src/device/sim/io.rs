@@ -71,9 +71,9 @@ fn connect<T: Words + Default>(
     for (number, output) in outputs.iter().enumerate() {
         let value = output.command.read(&command.words);
         let value = value.map_or_else(T::default, |given| given.value);
-        output.state.tell(&mut state.signals, Some(value));
+        output.state.report(&mut state.signals, Some(value));
         if let Some(input) = inputs.get(number) {
-            input.tell(&mut state.signals, Some(value));
+            input.report(&mut state.signals, Some(value));
         }
     }
 }

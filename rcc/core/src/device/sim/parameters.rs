@@ -28,8 +28,8 @@ impl Parameters<'_> {
         let Some(text) = self.texts.get(key) else {
             return Ok(None);
         };
-        let values =
-            parse_array::<f64>(text, len).map_err(|e| self.wrong(format!("{key}: {}", e.what)))?;
+        let values = parse_array::<f64>(text, len)
+            .map_err(|e| self.wrong(format!("{key}: {}", e.message)))?;
         if values.len() != len || !values.iter().all(|v| v.abs() <= MOST) {
             let what = format!("{key}: {len} numbers from -{MOST:e} to {MOST:e} are wanted");
             return Err(self.wrong(what));

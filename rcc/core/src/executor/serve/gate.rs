@@ -3,7 +3,7 @@
 //! themselves under a stop; those that only hold something of it, such as an impedance, go on.
 
 use takt_net::Image;
-use takt_net::device::{self, standing};
+use takt_net::device::{self, is_in_force};
 
 use crate::device::{DeviceCommand, Place};
 
@@ -42,8 +42,8 @@ impl Gate {
         self.any = false;
         for (at, shut) in self.shut.iter_mut().enumerate() {
             let is_given = image.is_owned(place.commands.start + at);
-            *shut =
-                is_given && (is_stopped || (*shut && standing(&command.words, at, command.cycle)));
+            *shut = is_given
+                && (is_stopped || (*shut && is_in_force(&command.words, at, command.cycle)));
             self.any |= *shut;
             if *shut {
                 device::withhold(&mut command.words, at);
@@ -97,7 +97,7 @@ mod tests {
                 *word = cell.get();
             }
             gate.pass(&mut command, &place, &image, is_stopped);
-            let stands = torque.read(&command.words).unwrap().stands(cycle);
+            let stands = torque.read(&command.words).unwrap().is_in_force(cycle);
             assert_eq!(stands, passes, "cycle {cycle}");
         }
     }

@@ -20,7 +20,7 @@ fn set_point(executor: &mut Executor, net: u32) {
 }
 
 fn stands(executor: &Executor) -> bool {
-    executor.joints()[0].command.get().stands(2)
+    executor.joints()[0].command.get().is_in_force(2)
 }
 
 fn cycle(executor: &mut Executor) {

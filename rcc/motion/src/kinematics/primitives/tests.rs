@@ -1,12 +1,12 @@
-//! The primitives in nets: what they give, and what they refuse.
+//! The kinematics primitives in nets: their results, and what they reject.
 
 use std::sync::Arc;
 
 use takt_net::value::text::{TextValue, parse_array};
 
 use super::*;
+use crate::fixture::{Arm, Fixture};
 use crate::kinematics::named;
-use crate::stand::{Arm, Stand};
 
 fn arm(model: &str) -> Arm {
     let kinematics = named(model).expect("a known model");
@@ -30,56 +30,56 @@ fn round_trip(joints: &str) -> String {
 }
 
 #[test]
-fn frames_and_joints_round_trip_in_a_net() {
+fn kinematics_in_net_round_trip() {
     for (model, joints) in [
         ("staubli_tx90", "[0.1,0.2,0.3,0.4,0.5,0.6]"),
         ("kuka_lwr4", "[0.1,0.2,0.3,0.4,0.5,0.6,0.7]"),
         ("kuka_youbot", "[1,1,-2,1,2]"),
     ] {
-        let mut stand = Stand::new(&round_trip(joints), &arm(model));
-        stand.step();
-        let frame = stand.read("frame");
-        stand.write("f", &frame);
-        stand.step();
+        let mut fixture = Fixture::new(&round_trip(joints), &arm(model));
+        fixture.step();
+        let frame = fixture.read("frame");
+        fixture.write("f", &frame);
+        fixture.step();
         let given: Vec<f64> = parse_array(joints, 7).expect("joints");
-        let solved: Vec<f64> = parse_array(&stand.read("joints"), 7).expect("joints");
+        let solved: Vec<f64> = parse_array(&fixture.read("joints"), 7).expect("joints");
         let off = given.iter().zip(&solved).map(|(a, b)| (a - b).abs());
         assert!(off.fold(0.0, f64::max) < 1e-9, "{model}: {solved:?}");
-        assert_eq!(stand.read("error"), "0");
+        assert_eq!(fixture.read("error"), "0");
     }
 }
 
 #[test]
-fn what_has_no_solution_is_null_and_says_why() {
-    let mut stand = Stand::new(
+fn inv_kin_without_solution_is_null_with_error() {
+    let mut fixture = Fixture::new(
         &round_trip("[0.1,0.2,0.3,0.4,0.5,0.6]"),
         &arm("staubli_tx90"),
     );
-    stand.write("f", "{pos:{x:5}}");
-    stand.step();
+    fixture.write("f", "{pos:{x:5}}");
+    fixture.step();
     assert_eq!(
-        (stand.read("joints"), stand.read("error")),
+        (fixture.read("joints"), fixture.read("error")),
         ("null".into(), "1".into())
     );
-    stand.write("f", "{pos:{x:nan}}");
-    stand.write("j", "[0,nan,0,0,0,0]");
-    stand.step();
+    fixture.write("f", "{pos:{x:nan}}");
+    fixture.write("j", "[0,nan,0,0,0,0]");
+    fixture.step();
     assert_eq!(
-        (stand.read("joints"), stand.read("error")),
+        (fixture.read("joints"), fixture.read("error")),
         ("null".into(), "3".into())
     );
-    assert_eq!(stand.read("frame"), "null");
+    assert_eq!(fixture.read("frame"), "null");
 }
 
 fn faults(children: &str, arm: &Arm) -> String {
-    let Err(faults) = Stand::load(children, arm) else {
+    let Err(faults) = Fixture::load(children, arm) else {
         panic!("the net has no faults");
     };
     faults.join("\n")
 }
 
 #[test]
-fn a_net_is_refused_that_does_not_fit_the_arm() {
+fn net_that_mismatches_arm_is_rejected() {
     let found = faults(&round_trip("[1,2,3]"), &arm("staubli_tx90"));
     assert!(
         found.contains("inJoints carries 3 elements, but the arm has 6 joints"),
@@ -92,7 +92,7 @@ fn a_net_is_refused_that_does_not_fit_the_arm() {
     };
     let found = faults(&round_trip("[1,2,3]"), &unknown);
     assert!(
-        found.contains("parameter `Robot`: the kinematics of `arm` is not known"),
+        found.contains("parameter `Robot`: the kinematics of `arm` are not known"),
         "{found}"
     );
     let found = faults(&lwr_net(1), &arm("staubli_tx90"));
@@ -149,16 +149,16 @@ fn lwr_net(strategy: u32) -> String {
     net + &kin + &inv + &vel + watch.trim_end_matches(',')
 }
 
-fn write_all(stand: &mut Stand, set: &str, values: [f64; 7]) {
+fn write_all(fixture: &mut Fixture, set: &str, values: [f64; 7]) {
     for (i, value) in values.iter().enumerate() {
         let mut text = String::new();
         value.format(&mut text);
-        stand.write(&format!("{set}{i}"), &text);
+        fixture.write(&format!("{set}{i}"), &text);
     }
 }
 
-fn solved(stand: &Stand) -> Option<[f64; 7]> {
-    let texts: [_; 7] = std::array::from_fn(|i| stand.read(&format!("q{i}")));
+fn solved(fixture: &Fixture) -> Option<[f64; 7]> {
+    let texts: [_; 7] = std::array::from_fn(|i| fixture.read(&format!("q{i}")));
     let values = texts.map(|text| f64::parse(&text).ok());
     values
         .iter()
@@ -169,83 +169,86 @@ fn solved(stand: &Stand) -> Option<[f64; 7]> {
 const Q: [f64; 7] = [0.2, -0.6, 0.3, 1.1, 0.4, 0.5, 0.1];
 
 #[test]
-fn the_lwr_keeps_the_arm_angle_of_the_null_space_joints() {
-    let mut stand = Stand::new(&lwr_net(0), &arm("kuka_lwr4"));
+fn lwr_inv_kin_keeps_nullspace_arm_angle() {
+    let mut fixture = Fixture::new(&lwr_net(0), &arm("kuka_lwr4"));
     let arm = Srs::kuka_lwr4();
     let (frame, alpha) = arm.forward_alpha(&Q);
     let turned = arm.inverse_alpha(&frame, alpha + 0.3, &Q).expect("reached");
-    write_all(&mut stand, "h", Q);
-    write_all(&mut stand, "n", turned);
-    stand.step();
-    assert!((f64::parse(&stand.read("outAlpha")).expect("alpha") - alpha).abs() < 1e-12);
-    let told = stand.read("outFrame");
-    stand.write("f", &told);
-    stand.step();
-    let got = solved(&stand).expect("solved");
+    write_all(&mut fixture, "h", Q);
+    write_all(&mut fixture, "n", turned);
+    fixture.step();
+    assert!((f64::parse(&fixture.read("outAlpha")).expect("alpha") - alpha).abs() < 1e-12);
+    let frame_text = fixture.read("outFrame");
+    fixture.write("f", &frame_text);
+    fixture.step();
+    let got = solved(&fixture).expect("solved");
     let (there, got) = arm.forward_alpha(&got);
     assert!((got - alpha - 0.3).abs() < 1e-9, "{got} {alpha}");
     assert!((there.translation.vector - frame.translation.vector).norm() < 1e-9);
-    assert_eq!(stand.read("outError"), "0");
-    stand.write("f", "{pos:{x:3}}");
-    stand.step();
-    assert_eq!((solved(&stand), stand.read("outError")), (None, "1".into()));
+    assert_eq!(fixture.read("outError"), "0");
+    fixture.write("f", "{pos:{x:3}}");
+    fixture.step();
+    assert_eq!(
+        (solved(&fixture), fixture.read("outError")),
+        (None, "1".into())
+    );
 }
 
 #[test]
-fn strategy_one_goes_from_there_nearer_to_the_hint() {
+fn lwr_inv_kin_strategy_1_approaches_hint() {
     let arm_angle = |strategy| {
-        let mut stand = Stand::new(&lwr_net(strategy), &arm("kuka_lwr4"));
+        let mut fixture = Fixture::new(&lwr_net(strategy), &arm("kuka_lwr4"));
         let arm = Srs::kuka_lwr4();
         let (frame, alpha) = arm.forward_alpha(&Q);
         let turned = arm
             .inverse_alpha(&frame, alpha + 0.23, &Q)
             .expect("reached");
-        write_all(&mut stand, "h", Q);
-        write_all(&mut stand, "n", turned);
+        write_all(&mut fixture, "h", Q);
+        write_all(&mut fixture, "n", turned);
         let mut text = String::new();
         frame.format(&mut text);
-        stand.write("f", &text);
-        stand.step();
-        distance(&solved(&stand).expect("solved"), &Q).sqrt()
+        fixture.write("f", &text);
+        fixture.step();
+        distance(&solved(&fixture).expect("solved"), &Q).sqrt()
     };
     let (kept, moved) = (arm_angle(0), arm_angle(1));
     assert!(kept > 0.1 && moved < 1e-3, "{kept} {moved}");
 }
 
 #[test]
-fn velocities_of_the_lwr_come_out_of_the_net() {
-    let mut stand = Stand::new(&lwr_net(1), &arm("kuka_lwr4"));
+fn lwr_vel_kin_in_net_matches_model() {
+    let mut fixture = Fixture::new(&lwr_net(1), &arm("kuka_lwr4"));
     let speeds = [0.1, -0.2, 0.3, -0.4, 0.5, -0.6, 0.7];
-    write_all(&mut stand, "h", Q);
-    write_all(&mut stand, "v", speeds);
-    stand.step();
+    write_all(&mut fixture, "h", Q);
+    write_all(&mut fixture, "v", speeds);
+    fixture.step();
     let (twist, alpha) = Srs::kuka_lwr4().velocity(&Q, &speeds);
-    assert_eq!(Twist::parse(&stand.read("outTwist")), Ok(twist));
-    assert_eq!(f64::parse(&stand.read("outVAlpha")).ok(), alpha);
-    write_all(&mut stand, "h", [0.0; 7]);
-    stand.step();
-    assert_eq!(stand.read("outVAlpha"), "null");
-    assert_ne!(stand.read("outTwist"), "null");
-    write_all(&mut stand, "h", [f64::NAN; 7]);
-    stand.step();
-    assert_eq!(stand.read("outTwist"), "null");
-    assert_eq!(stand.read("outAlpha"), "null");
+    assert_eq!(Twist::parse(&fixture.read("outTwist")), Ok(twist));
+    assert_eq!(f64::parse(&fixture.read("outVAlpha")).ok(), alpha);
+    write_all(&mut fixture, "h", [0.0; 7]);
+    fixture.step();
+    assert_eq!(fixture.read("outVAlpha"), "null");
+    assert_ne!(fixture.read("outTwist"), "null");
+    write_all(&mut fixture, "h", [f64::NAN; 7]);
+    fixture.step();
+    assert_eq!(fixture.read("outTwist"), "null");
+    assert_eq!(fixture.read("outAlpha"), "null");
 }
 
 #[test]
-fn the_limits_of_the_lwr_are_those_of_its_driver() {
-    // The stand's arm has ±2 rad at every joint, the LWR of the data sheet more.
+fn lwr_inv_kin_keeps_driver_limits() {
+    // The fixture's arm has limits of ±2 rad at every joint, the LWR of the data sheet wider ones.
     let q = [2.5, -0.6, 0.3, 1.1, 0.4, 0.5, 0.1];
-    let mut stand = Stand::new(&lwr_net(0), &arm("kuka_lwr4"));
+    let mut fixture = Fixture::new(&lwr_net(0), &arm("kuka_lwr4"));
     let (frame, _) = Srs::kuka_lwr4().forward_alpha(&q);
     let mut text = String::new();
     frame.format(&mut text);
-    stand.write("f", &text);
-    write_all(&mut stand, "h", q);
-    write_all(&mut stand, "n", q);
-    stand.step();
-    let within = solved(&stand).is_none_or(|q| q.iter().all(|q| q.abs() <= 2.0));
-    assert!(within, "{:?}", solved(&stand));
+    fixture.write("f", &text);
+    write_all(&mut fixture, "h", q);
+    write_all(&mut fixture, "n", q);
+    fixture.step();
+    let within = solved(&fixture).is_none_or(|q| q.iter().all(|q| q.abs() <= 2.0));
+    assert!(within, "{:?}", solved(&fixture));
     let free: Arc<dyn Kinematics> = Arc::new(Srs::kuka_lwr4());
     let mut joints = [0.0; 7];
     assert_eq!(free.inverse(&frame, &q, &mut joints), Ok(()));

@@ -63,7 +63,7 @@ fn from_xyz() -> Definition {
     };
     let definition = Definition::new(
         "World::FrameFromXYZ",
-        "The frame of three coordinates and an orientation; better use FrameFromPosRot.",
+        "The frame of three coordinates and an orientation; prefer FrameFromPosRot.",
         build,
     )
     .input::<f64>(port("inX", XYZ_DOCS[0]).or("X", "0"))
@@ -88,7 +88,7 @@ fn parts() -> [Definition; 2] {
         ),
         function(
             "World::FrameToXYZ",
-            "Coordinates and orientation of a frame; better use FrameToPosRot.",
+            "Coordinates and orientation of a frame; prefer FrameToPosRot.",
             &[value("the frame")],
             &[
                 ("outX", XYZ_DOCS[0]),
@@ -108,14 +108,14 @@ fn algebra() -> [Definition; 2] {
     [
         function(
             "World::FrameTransform",
-            "Where second, given in first, is in the frame that first is given in.",
+            "The second frame, given in first, transformed to the reference of first.",
             &operands(),
             VALUE,
             |(first, second): (Frame, Frame)| Some((first * second,)),
         ),
         function(
             "World::FrameInvert",
-            "Where the frame in which the input is given is, seen from the input.",
+            "The inverse: the reference frame, given in the input.",
             &[value("the frame")],
             VALUE,
             |(frame,): (Frame,)| Some((frame.inverse(),)),
@@ -123,7 +123,7 @@ fn algebra() -> [Definition; 2] {
     ]
 }
 
-/// The frame after moving with `twist` for `span_s`. Normalized, for it is often fed back.
+/// The frame after a motion with `twist` for `span_s`. Normalized, because it is often fed back.
 fn moved(frame: Frame, twist: Twist, span_s: f64) -> Frame {
     let pos = frame.translation.vector + twist.vel * span_s;
     let mut rot = Rotation::from_scaled_axis(twist.rot * span_s) * frame.rotation;
@@ -143,7 +143,7 @@ fn add_twist() -> Definition {
     };
     Definition::new(
         "World::FrameAddTwist",
-        "Where a frame is after moving with a twist for one cycle.",
+        "The frame after moving with a twist for one cycle.",
         build,
     )
     .input::<Frame>(port("inFrame", "the frame").required())

@@ -1,5 +1,5 @@
-//! Rotations, from and to the forms in which people write them. A rotation that does not exist,
-//! such as one about an axis of no length, is null.
+//! Rotations, from and to their usual forms. A rotation that does not exist, such as one about an
+//! axis of length zero, is null.
 
 use nalgebra::{Quaternion, Unit};
 
@@ -8,7 +8,7 @@ use crate::definition::{Build, Definition, Primitive, function, port};
 use crate::fault::Fault;
 use crate::value::{Rotation, Vector};
 
-/// Shorter than this, an axis or a quaternion has no direction.
+/// Below this length, an axis or a quaternion has no direction.
 const SHORTEST: f64 = 1e-12;
 
 const ABC_OUT: &[(&str, &str)] = &[
@@ -21,7 +21,7 @@ fn about(axis: Vector, angle: f64) -> Option<Rotation> {
     Unit::try_new(axis, SHORTEST).map(|axis| Rotation::from_axis_angle(&axis, angle))
 }
 
-/// Axis and angle (0 to π); no rotation is one about X by 0.
+/// Axis and angle (0 to π); the identity is a rotation about X by 0.
 fn axis_angle(rotation: Rotation) -> (Vector, f64) {
     match rotation.axis() {
         Some(axis) => (axis.into_inner(), rotation.angle()),
@@ -67,7 +67,7 @@ fn from_axis_angle() -> Definition {
     };
     let definition = pair(
         "World::RotationFromAxisAngle",
-        "The rotation about an axis; null for an axis of no length.",
+        "The rotation about an axis; null for an axis of length zero.",
         build,
     )
     .input::<Vector>(port(
@@ -95,7 +95,7 @@ fn quaternion() -> [Definition; 2] {
     [
         function(
             "World::RotationFromQuaternion",
-            "The rotation of a quaternion of any length; null for one of no length.",
+            "The rotation of a quaternion of any length; null for one of length zero.",
             &[
                 port("inX", "factor of i").or("X", "1"),
                 port("inY", "factor of j").or("Y", "0"),

@@ -1,4 +1,4 @@
-//! Twists and wrenches: velocities and forces of a frame, each with its turning part.
+//! Twists and wrenches: velocities and forces of a frame, each with its rotational part.
 
 use super::{Pair, Three, VALUE, XYZ, input_or, operands, value, vector_of, with_three};
 use crate::definition::{Build, Definition, Port, function, port};
@@ -47,7 +47,7 @@ const fn six_out(docs: [&'static str; 6]) -> [(&'static str, &'static str); 6] {
     ]
 }
 
-/// The straight and the turning part; A, B, C are about Z, Y, X.
+/// The translational and the rotational part; A, B, C are about Z, Y, X.
 const fn vectors((x, y, z, a, b, c): Six) -> (Vector, Vector) {
     (Vector::new(x, y, z), Vector::new(c, b, a))
 }
@@ -133,10 +133,10 @@ fn from_frames() -> Definition {
             second: b.input("inPrevFrame")?,
             out: b.output("outValue"),
             function: move |frame: Frame, before: Frame| {
-                let way = frame.translation.vector - before.translation.vector;
+                let offset = frame.translation.vector - before.translation.vector;
                 let turn = (frame.rotation * before.rotation.inverse()).scaled_axis();
                 Some(Twist {
-                    vel: way / period_s,
+                    vel: offset / period_s,
                     rot: turn / period_s,
                 })
             },
@@ -144,7 +144,7 @@ fn from_frames() -> Definition {
     };
     Definition::new(
         "World::TwistFromFrames",
-        "The twist that leads from one frame to the other in one cycle, by the shorter way.",
+        "The twist that leads from one frame to the other in one cycle, by the shorter rotation.",
         build,
     )
     .input::<Frame>(port("inFrame", "where it leads").required())
@@ -199,9 +199,9 @@ fn algebra() -> [Definition; 4] {
                 port("inVector", "the other point from the first, m").required(),
             ],
             VALUE,
-            |(t, way): (Twist, Vector)| {
+            |(t, offset): (Twist, Vector)| {
                 Some((Twist {
-                    vel: t.vel + t.rot.cross(&way),
+                    vel: t.vel + t.rot.cross(&offset),
                     rot: t.rot,
                 },))
             },

@@ -1,4 +1,4 @@
-//! Vectors. Their unit is that of whoever made them: metres, m/s or N.
+//! Vectors. Their unit depends on their source: metres, m/s or N.
 
 use super::{VALUE, operands, value};
 use crate::definition::{Definition, function, port};

@@ -224,7 +224,7 @@ pub(super) fn summary(info: &NetInfo) -> Element {
 fn faults(info: &NetInfo) -> Vec<Element> {
     let faults = info.rejection.iter().flat_map(|r| &r.faults);
     let fault = |fault: &takt_core::net::Fault| {
-        let (line, column) = fault.place(&info.text);
+        let (line, column) = fault.location(&info.text);
         Element::new("errorState")
             .with("major", 1)
             .with("minor", fault.kind.minor())

@@ -308,7 +308,7 @@ impl Arm {
             .flat_map(|drives| drives.iter());
         for (place, drive) in flags.zip(&self.drives) {
             let flags = drive.feedback().map(|told| told.flags.0.cast_signed());
-            place.tell(signals, flags);
+            place.report(signals, flags);
         }
         // By the motors' currents: what gears lose is in it, what acts from outside cannot be told apart.
         let torques = self
@@ -320,7 +320,7 @@ impl Arm {
             let torque = drive
                 .feedback()
                 .map(|told| geometry.torque(told.current_ma));
-            place.measured.tell(signals, torque);
+            place.measured.report(signals, torque);
         }
         let told = &self.told;
         self.state.write_with(|state| state.copy_from(told));

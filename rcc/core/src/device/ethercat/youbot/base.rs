@@ -131,7 +131,7 @@ impl Base {
     fn pose(&self, fresh: bool) -> Option<Given<Frame>> {
         let cartesian = self.interfaces.cartesian.as_ref()?;
         let given = cartesian.command.read(&self.taken.words)?;
-        (fresh && given.stands(self.taken.cycle)).then_some(given)
+        (fresh && given.is_in_force(self.taken.cycle)).then_some(given)
     }
 
     /// The velocity that a net wants.
@@ -139,7 +139,7 @@ impl Base {
         let base = self.interfaces.base.as_ref()?;
         let given = base.command.read(&self.taken.words)?;
         let Twist { vel, rot } = given.value;
-        let stands = fresh && given.stands(self.taken.cycle);
+        let stands = fresh && given.is_in_force(self.taken.cycle);
         let finite = [vel.x, vel.y, rot.z].iter().all(|v| v.is_finite());
         (stands && finite).then_some([vel.x, vel.y, rot.z])
     }
@@ -176,7 +176,7 @@ impl Base {
             .flat_map(|drives| drives.iter());
         for (place, drive) in flags.zip(&self.drives) {
             let flags = drive.feedback().map(|told| told.flags.0.cast_signed());
-            place.tell(signals, flags);
+            place.report(signals, flags);
         }
         let told = &self.told;
         self.state.write_with(|state| state.copy_from(told));
@@ -204,15 +204,15 @@ impl Base {
         };
         let pose = frame(self.odometry.pose());
         let signals = &mut self.told.signals;
-        base.error.tell(signals, Some(error as i32));
+        base.error.report(signals, Some(error as i32));
         base.commanded
-            .tell(signals, wanted.map(|_| twist(self.stage.velocity())));
-        base.velocity.tell(signals, velocity.map(twist));
-        base.pose.tell(signals, velocity.map(|_| pose));
+            .report(signals, wanted.map(|_| twist(self.stage.velocity())));
+        base.velocity.report(signals, velocity.map(twist));
+        base.pose.report(signals, velocity.map(|_| pose));
         let wheels = base.wheels.iter().zip(rates).zip(self.odometry.wheels());
         for ((wheel, rate), angle) in wheels {
-            wheel.position.tell(signals, rate.map(|_| angle));
-            wheel.velocity.tell(signals, rate);
+            wheel.position.report(signals, rate.map(|_| angle));
+            wheel.velocity.report(signals, rate);
         }
         if let Some(cartesian) = &self.interfaces.cartesian {
             let heading = self.odometry.pose()[2];
@@ -221,15 +221,15 @@ impl Base {
             let goal = self.course.goal().unwrap_or_else(|| self.odometry.pose());
             let known = velocity.map(|velocity| twist(in_place(velocity, heading)));
             let ramped = twist(in_place(self.stage.velocity(), heading));
-            cartesian.error.tell(signals, Some(error as i32));
+            cartesian.error.report(signals, Some(error as i32));
             cartesian
                 .commanded_position
-                .tell(signals, Some(frame(goal)));
-            cartesian.commanded_velocity.tell(signals, Some(ramped));
+                .report(signals, Some(frame(goal)));
+            cartesian.commanded_velocity.report(signals, Some(ramped));
             cartesian
                 .measured_position
-                .tell(signals, known.map(|_| pose));
-            cartesian.measured_velocity.tell(signals, known);
+                .report(signals, known.map(|_| pose));
+            cartesian.measured_velocity.report(signals, known);
         }
     }
 }

@@ -158,8 +158,8 @@ impl Gripper {
         let gripper = &self.gripper;
         gripper
             .distance
-            .tell(&mut told.signals, self.fingers.distance());
-        gripper.order.answer.tell(&mut told.signals, self.answer);
+            .report(&mut told.signals, self.fingers.distance());
+        gripper.order.answer.report(&mut told.signals, self.answer);
         let told = &self.told;
         self.state.write_with(|state| state.copy_from(told));
     }

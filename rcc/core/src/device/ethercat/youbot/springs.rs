@@ -82,7 +82,7 @@ impl Springs {
                 continue;
             };
             law.added = 0.0;
-            if fresh && given.stands(*cycle) {
+            if fresh && given.is_in_force(*cycle) {
                 law.added = addition(&given.value);
             }
             if !given.is_withdrawn() {
@@ -92,7 +92,7 @@ impl Springs {
         let order = has.cartesian_impedance.as_ref();
         if let Some(given) = order.and_then(|order| order.command.read(words)) {
             self.tool.added = [0.0; 6];
-            if fresh && given.stands(*cycle) {
+            if fresh && given.is_in_force(*cycle) {
                 self.tool.added = force(&given.value);
             }
             let tool = &mut self.tool;
@@ -157,14 +157,14 @@ impl Springs {
 
     pub(super) fn tell(&self, has: &Interfaces, signals: &mut [u64]) {
         if let Some(order) = &has.strategy {
-            order.answer.tell(signals, self.switched);
+            order.answer.report(signals, self.switched);
         }
         let orders = has.joint_impedance.iter().flat_map(|orders| orders.iter());
         for (order, answer) in orders.zip(self.answers) {
-            order.answer.tell(signals, answer);
+            order.answer.report(signals, answer);
         }
         if let Some(order) = &has.cartesian_impedance {
-            order.answer.tell(signals, self.tool_answer);
+            order.answer.report(signals, self.tool_answer);
         }
     }
 }

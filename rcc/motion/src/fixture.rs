@@ -1,5 +1,5 @@
-//! A test stand for nets of this crate with arms, inputs that change while it runs and any number of
-//! observed outputs. It drives no device.
+//! A test fixture for nets of this crate with arms, inputs that change while the net runs and any
+//! number of observed outputs. It drives no device.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -42,14 +42,14 @@ impl Devices for Arm {
 }
 
 /// A loaded net.
-pub(crate) struct Stand {
+pub(crate) struct Fixture {
     plan: Plan,
     image: Image,
     cycle: u64,
 }
 
-impl Stand {
-    /// Loads `children`, as the children of a net that never ends.
+impl Fixture {
+    /// Loads `children` as the children of a net that never ends.
     pub(crate) fn load(children: &str, arm: &Arm) -> Result<Self, Vec<String>> {
         let mut registry = Registry::core();
         registry.add(crate::all());
@@ -72,7 +72,7 @@ impl Stand {
         Self::load(children, arm).unwrap_or_else(|faults| panic!("{}", faults.join("\n")))
     }
 
-    /// Writes the value that a `NetcommIn` of that key gives from the next cycle on.
+    /// Writes the value that the `NetcommIn` with that key outputs from the next cycle on.
     pub(crate) fn write(&mut self, key: &str, value: &str) {
         let mut words: Vec<u64> = self.plan.inbox_words().collect();
         let inbox = Arc::clone(self.plan.inbox());
@@ -93,7 +93,7 @@ impl Stand {
         self.plan.evaluate(&self.image, moment);
     }
 
-    /// The text of the value at the `NetcommOut` of that key; `null` if there is none now.
+    /// The text of the value at the `NetcommOut` with that key; `null` if it is null now.
     pub(crate) fn read(&self, key: &str) -> String {
         let mut words = vec![0; self.plan.outbox().words()];
         self.plan.export(&mut words);
