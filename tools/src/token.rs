@@ -38,7 +38,7 @@ pub(crate) fn of_controller(
         std::fs::create_dir_all(directory)
             .with_context(|| format!("cannot make {}", directory.display()))?;
     }
-    Ok(Some(Token::read_or_make(&path)?))
+    Ok(Some(Token::read_or_create(&path)?))
 }
 
 /// The token that a tool gives: of the file of its option, else of the environment, else, to a controller of

@@ -1,5 +1,5 @@
-//! A controller without devices, its server, and a client that runs a net: all in one process and
-//! without hardware. It shows no WebSocket.
+//! Runs a controller without devices, its server, and a client that executes a net, all in one process and
+//! without hardware. WebSocket is not shown.
 
 use std::error::Error;
 use std::net::SocketAddr;
@@ -35,7 +35,7 @@ async fn main() -> Result<(), Box<dyn Error>> {
     Ok(program.await??)
 }
 
-/// What a program does; it blocks.
+/// The client program; blocking.
 fn program(address: &str) -> Result<(), takt_server::Error> {
     let mut client = Client::connect(address)?;
     let loaded = client.call("nene", [NET])?;
@@ -51,7 +51,7 @@ fn program(address: &str) -> Result<(), takt_server::Error> {
     Ok(())
 }
 
-#[expect(clippy::print_stdout, reason = "an example shows what it gets")]
+#[expect(clippy::print_stdout, reason = "the example prints what it receives")]
 fn print(line: &str) {
     println!("{line}");
 }

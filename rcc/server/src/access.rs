@@ -1,6 +1,6 @@
-//! Who is admitted: the token that clients give, compared in constant time, which clients need one, and what
-//! becomes of an address that gives wrong ones. Where a token stands in a request is not known here, and it
-//! encrypts nothing: who can listen to the network can read the token.
+//! Admission control: which clients need a token, its comparison in constant time, and the delay for addresses that
+//! send wrong ones. Where a request carries the token is not known here. Nothing is encrypted: who can capture the
+//! network traffic can read the token.
 
 pub(crate) mod origin;
 
@@ -23,25 +23,25 @@ pub const TOKEN_CHARS_MIN: usize = 16;
 /// Most characters of a token.
 pub const TOKEN_CHARS_MAX: usize = 256;
 
-/// Wrong tokens that one address may give within [`WRONG_WITHIN`] and be answered at once; further ones
-/// are answered after [`WRONG_PAUSE`]. The right token is admitted at any time: what other programs or pages
-/// of the same host do must not lock its holder out.
+/// Wrong tokens per address within [`WRONG_WINDOW`] that are answered at once; further ones are answered after
+/// [`WRONG_DELAY`]. The right token is always admitted: other programs or web pages of the same host must not lock
+/// its holder out.
 pub const WRONG_MAX: u32 = 5;
 
 /// See [`WRONG_MAX`].
-pub const WRONG_WITHIN: Duration = Duration::from_secs(60);
+pub const WRONG_WINDOW: Duration = Duration::from_secs(60);
 
-/// How long an address that gave too many wrong tokens waits for each further answer. With tokens of at least
-/// [`TOKEN_CHARS_MIN`] characters and a bounded number of connections this leaves guessing without hope.
-pub const WRONG_PAUSE: Duration = Duration::from_secs(1);
+/// Delay of each further answer to an address that sent too many wrong tokens. With tokens of at least
+/// [`TOKEN_CHARS_MIN`] characters and a bounded number of connections, guessing is hopeless.
+pub const WRONG_DELAY: Duration = Duration::from_secs(1);
 
-/// Most bytes of a token file: a token and blanks around it.
+/// Most bytes of a token file: a token and white space around it.
 const TOKEN_FILE_BYTES_MAX: u64 = 4096;
 
-/// Addresses whose wrong tokens are remembered; the one that gave its first longest ago makes room.
+/// Addresses whose wrong tokens are counted; when full, the entry with the oldest first token is dropped.
 const ADDRESSES_MAX: usize = 1024;
 
-/// What a client must give to be let in. It is never shown.
+/// The secret that a client must send to be admitted. `Debug` does not print it.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Token(String);
 
@@ -59,27 +59,27 @@ pub enum TokenError {
     /// The file cannot be read.
     #[error("cannot read the token file {path}: {source}")]
     File { path: String, source: io::Error },
-    /// There is no such file, and none can be made.
+    /// The file does not exist and cannot be created.
     #[error(
-        "cannot make the token file {path}: {source}\nhint: name another one as token_file under [controller] of cell.toml"
+        "cannot create the token file {path}: {source}\nhint: name another one as token_file under [controller] of cell.toml"
     )]
-    Make { path: String, source: io::Error },
-    /// Others of the host could read it.
-    #[error("the token file {path} can be read by everybody (mode {mode:o}): chmod 600 {path}")]
+    Create { path: String, source: io::Error },
+    /// Other users of the host could read it.
+    #[error("the token file {path} is world-readable (mode {mode:o})\nhint: chmod 600 {path}")]
     Readable { path: String, mode: u32 },
-    /// Too short, too long, or of characters that some way of giving it does not carry.
+    /// Too short, too long, or with characters that cannot be sent in every place where a token may be.
     #[error(
-        "a token has {TOKEN_CHARS_MIN} to {TOKEN_CHARS_MAX} letters, digits, `-`, `_`, `.` or `~`; \
-         make one with: openssl rand -hex 32"
+        "a token has {TOKEN_CHARS_MIN} to {TOKEN_CHARS_MAX} letters, digits, `-`, `_`, `.` or `~`\n\
+        hint: create one with openssl rand -hex 32"
     )]
     Text,
 }
 
 impl Token {
-    /// Takes a text without the white space around it.
+    /// Checks a text; white space around it is removed.
     ///
     /// # Errors
-    /// If it is no token.
+    /// If it is not a token.
     pub fn new(text: &str) -> Result<Self, TokenError> {
         let text = text.trim();
         let known = |b: u8| b.is_ascii_alphanumeric() || b"-_.~".contains(&b);
@@ -91,10 +91,10 @@ impl Token {
         }
     }
 
-    /// Reads a file that holds a token and nothing else.
+    /// Reads a file that contains a token and nothing else.
     ///
     /// # Errors
-    /// If it cannot be read, everybody can read it, or it holds no token.
+    /// If it cannot be read, is world-readable, or contains no token.
     pub fn read(path: &Path) -> Result<Self, TokenError> {
         let name = || path.display().to_string();
         let file = |source| TokenError::File {
@@ -117,24 +117,24 @@ impl Token {
         Self::new(&text)
     }
 
-    /// Reads the token of a file, or makes a random one and the file (mode 600) if there is none.
+    /// Reads the token of a file; if there is no file, creates it (mode 600) with a random token.
     ///
     /// # Errors
-    /// If the file cannot be made or read, or holds no token.
-    pub fn read_or_make(path: &Path) -> Result<Self, TokenError> {
-        let file = |source| TokenError::Make {
+    /// If the file cannot be created or read, or contains no token.
+    pub fn read_or_create(path: &Path) -> Result<Self, TokenError> {
+        let file = |source| TokenError::Create {
             path: path.display().to_string(),
             source,
         };
         let mut options = OpenOptions::new();
         match options.write(true).create_new(true).mode(0o600).open(path) {
-            Ok(mut made) => {
+            Ok(mut created) => {
                 let mut random = [0; 32];
                 File::open("/dev/urandom")
                     .and_then(|mut source| source.read_exact(&mut random))
                     .map_err(file)?;
                 let text: String = random.iter().map(|byte| format!("{byte:02x}")).collect();
-                made.write_all(text.as_bytes()).map_err(file)?;
+                created.write_all(text.as_bytes()).map_err(file)?;
                 Self::new(&text)
             }
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Self::read(path),
@@ -142,52 +142,52 @@ impl Token {
         }
     }
 
-    /// The text, to be sent to a server.
+    /// The text to be sent to a server.
     #[must_use]
     pub fn text(&self) -> &str {
         &self.0
     }
 
-    /// Whether this is the token that was given, in a time that does not tell how much of it is right.
-    fn is(&self, given: &str) -> bool {
+    /// Whether `given` is this token, in a time that does not depend on how much of it is right.
+    fn matches(&self, given: &str) -> bool {
         constant_time_eq(self.0.as_bytes(), given.as_bytes())
     }
 }
 
-/// Whether a client is let in.
+/// Result of the admission check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Admission {
-    /// It is.
+    /// The client is admitted.
     Admitted(Credential),
-    /// It gave no token.
+    /// It sent no token.
     Missing,
-    /// It gave another one.
+    /// It sent a wrong one.
     Wrong,
-    /// It gave another one, and its address too many before; it is answered after [`WRONG_PAUSE`].
+    /// It sent a wrong one after too many from the same address; the answer is sent after [`WRONG_DELAY`].
     TooMany,
 }
 
-/// How a client reached the server.
+/// Where a client's connection comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Peer {
-    /// By the Unix socket; the kernel said which account it is, and that one is admitted.
+    /// The Unix socket; the kernel reported its account, and that account is admitted.
     Local,
-    /// By the network, loopback included.
+    /// The network, loopback included.
     Address(IpAddr),
 }
 
-/// What a client was admitted for. Each has places of its own.
+/// On which grounds a client was admitted. Each has connection slots of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Credential {
-    /// None: it reached loopback, and loopback is open.
+    /// None: it is connected to loopback, and loopback is open.
     Loopback,
     /// The right token.
     Token,
-    /// Its account, over the Unix socket.
+    /// The account at the Unix socket.
     Account,
 }
 
-/// Lets clients in, or not.
+/// Admits clients or rejects them.
 #[derive(Debug)]
 pub struct Gate {
     token: Option<Token>,
@@ -202,23 +202,23 @@ struct Wrong {
 }
 
 impl Gate {
-    /// A gate with that token, if any. `loopback` says whether clients of this host that reach it by the
-    /// network need one; without a token they do not.
+    /// A gate that requires this token, if any. `loopback` selects whether network clients of this host need it too;
+    /// by default they do if there is one.
     #[must_use]
     pub fn new(token: Option<Token>, loopback: Option<Loopback>) -> Self {
-        let unless_said = if token.is_some() {
+        let default = if token.is_some() {
             Loopback::Token
         } else {
             Loopback::Open
         };
         Self {
             token,
-            loopback: loopback.unwrap_or(unless_said),
+            loopback: loopback.unwrap_or(default),
             wrong: Mutex::new(BTreeMap::new()),
         }
     }
 
-    /// What a client is admitted for without a token; `None` if it needs one.
+    /// On which grounds a client is admitted without a token; `None` if it needs one.
     #[must_use]
     pub fn without_token(&self, peer: Peer) -> Option<Credential> {
         match peer {
@@ -229,10 +229,14 @@ impl Gate {
         }
     }
 
-    /// Looks at what a client gave; times count from the same moment. The right token is admitted at any
-    /// time, also where none is needed.
+    /// Checks the token that a client sent; all `now` count from the same moment. The right token is always admitted,
+    /// even where none is needed.
     pub fn check(&self, peer: Peer, given: Option<&str>, now: Duration) -> Admission {
-        let right = |given: &str| self.token.as_ref().is_some_and(|token| token.is(given));
+        let right = |given: &str| {
+            self.token
+                .as_ref()
+                .is_some_and(|token| token.matches(given))
+        };
         match given {
             Some(given) if right(given) => Admission::Admitted(Credential::Token),
             None => match self.without_token(peer) {
@@ -251,7 +255,7 @@ impl Gate {
             return Admission::Wrong;
         };
         let mut wrong = self.wrong.lock().unwrap_or_else(PoisonError::into_inner);
-        wrong.retain(|_, w| now < w.since.saturating_add(WRONG_WITHIN));
+        wrong.retain(|_, w| now < w.since.saturating_add(WRONG_WINDOW));
         if wrong.len() >= ADDRESSES_MAX && !wrong.contains_key(&address) {
             let first = wrong.iter().min_by_key(|(_, w)| w.since);
             if let Some(first) = first.map(|(address, _)| *address) {
@@ -285,7 +289,7 @@ mod tests {
     }
 
     #[test]
-    fn only_the_whole_token_is_right() {
+    fn only_whole_token_is_admitted() {
         let gate = gate();
         let check = |given| gate.check(HERE, given, Duration::ZERO);
         assert_eq!(check(Some(TOKEN)), Admission::Admitted(Credential::Token));
@@ -297,7 +301,7 @@ mod tests {
         let check = |peer| open.check(peer, None, Duration::ZERO);
         let anyone = Admission::Admitted(Credential::Loopback);
         assert_eq!(check(LOOPBACK), anyone);
-        assert_eq!(check(HERE), Admission::Missing, "not of this host");
+        assert_eq!(check(HERE), Admission::Missing, "not from this host");
     }
 
     #[test]
@@ -310,12 +314,12 @@ mod tests {
         assert_eq!(guess(), Admission::TooMany);
         let right = gate.check(HERE, Some(TOKEN), Duration::ZERO);
         assert_eq!(right, Admission::Admitted(Credential::Token));
-        let later = gate.check(HERE, Some("guess"), WRONG_WITHIN);
+        let later = gate.check(HERE, Some("guess"), WRONG_WINDOW);
         assert_eq!(later, Admission::Wrong);
     }
 
     #[test]
-    fn loopback_needs_the_token_unless_it_is_open() {
+    fn loopback_requires_token_unless_open() {
         let token = || Some(Token::new(TOKEN).unwrap());
         let needs = |token, loopback| {
             let gate = Gate::new(token, loopback);
@@ -344,7 +348,7 @@ mod tests {
     }
 
     #[test]
-    fn tokens_are_long_and_of_plain_characters() {
+    fn token_length_and_characters_are_checked() {
         assert!(Token::new(&format!(" {TOKEN}\n")).is_ok());
         for bad in [
             "",
@@ -362,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_everybody_can_read_is_refused_with_the_remedy() {
+    fn world_readable_token_file_is_rejected() {
         let path = std::env::temp_dir().join(format!("takt-token-{}", std::process::id()));
         std::fs::write(&path, format!("{TOKEN}\n")).unwrap();
         let mode = |mode| {
@@ -377,17 +381,17 @@ mod tests {
         std::fs::remove_file(&path).unwrap();
         let error = Token::read(&path).unwrap_err().to_string();
         assert!(error.starts_with("cannot read the token file"), "{error}");
-        let made = Token::read_or_make(&path).unwrap();
-        assert_eq!(Token::read_or_make(&path).unwrap(), made);
+        let made = Token::read_or_create(&path).unwrap();
+        assert_eq!(Token::read_or_create(&path).unwrap(), made);
         let made_mode = std::fs::metadata(&path).unwrap().permissions().mode();
         assert_eq!((made.text().len(), made_mode & 0o777), (64, 0o600));
         std::fs::remove_file(&path).unwrap();
     }
 
     #[test]
-    fn endless_token_file_is_refused() {
+    fn endless_token_file_is_rejected() {
         let error = Token::read(Path::new("/dev/zero")).unwrap_err();
-        // It can be read by everybody, which is found first.
+        // The mode is checked before the contents.
         assert!(matches!(error, TokenError::Readable { .. }), "{error}");
         let path = std::env::temp_dir().join(format!("takt-long-token-{}", std::process::id()));
         std::fs::write(&path, "a".repeat(5000)).unwrap();

@@ -1,5 +1,5 @@
-//! The other end, for tools and tests: a blocking connection over a Unix socket or plain TCP. It interprets no
-//! pushes; they wait until they are asked for.
+//! Blocking client for tools and tests, over a Unix socket or plain TCP. It does not interpret pushes; they are
+//! queued until [`Client::next_push`].
 
 use std::collections::VecDeque;
 use std::io::{self, ErrorKind, Read, Write};
@@ -12,33 +12,33 @@ use crate::error::Error;
 use crate::wire::lines::LineReader;
 use crate::wire::{Message, Value};
 
-/// How long to wait for a connection.
-const CONNECT_WITHIN: Duration = Duration::from_secs(5);
+/// Timeout of a connection attempt.
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// How long to wait for a reply unless told otherwise. Loading a large net takes seconds.
-const REPLY_WITHIN: Duration = Duration::from_secs(30);
+/// Timeout of a reply. Loading a large net takes seconds.
+const REPLY_TIMEOUT: Duration = Duration::from_secs(30);
 
-/// What a command that was done answered.
+/// The reply to a command that succeeded.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Reply {
     /// The tag that pushes carry if the command was a subscription.
     pub tag: String,
-    /// The values of the answer.
+    /// The values of the reply.
     pub values: Vec<Value>,
 }
 
 impl Reply {
-    /// The first value, if it is a text: the identifier that `nse` and `nene` answer.
+    /// The first value, if it is a text: the identifier returned by `nse` and `nene`.
     #[must_use]
     pub fn text(&self) -> Option<&str> {
         self.values.first().and_then(Value::as_str)
     }
 }
 
-/// Where plain lines are taken on this host unless it is configured otherwise.
+/// Default address for plain lines on this host.
 pub const TCP_ADDRESS: &str = "127.0.0.1:8081";
 
-/// Bytes of either kind of connection.
+/// The byte stream of either kind of connection.
 #[derive(Debug)]
 enum Stream {
     Tcp(TcpStream),
@@ -87,13 +87,13 @@ pub struct Client {
     reader: LineReader,
     pushes: VecDeque<Message>,
     commands: u32,
-    /// The last message that answers nothing that was asked.
-    last_words: Option<String>,
+    /// The last error message that replies to no command.
+    last_error: Option<String>,
 }
 
 impl Client {
-    /// Connects to the controller of this host: at the Unix socket of this account's session or of the
-    /// service, else at [`TCP_ADDRESS`].
+    /// Connects to the controller of this host: at the Unix socket of the account's session or of the service, else at
+    /// [`TCP_ADDRESS`].
     ///
     /// # Errors
     /// If no controller listens there, or the account is not admitted.
@@ -107,18 +107,18 @@ impl Client {
         Self::connect_with(TCP_ADDRESS, token)
     }
 
-    /// Connects to `host:port`, or to the Unix socket of an absolute path, and shakes hands.
+    /// Connects to `host:port`, or to the Unix socket with an absolute path, and does the handshake.
     ///
     /// # Errors
-    /// If nobody listens there, or it is no controller.
+    /// If the connection is command_error, or the peer is no controller.
     pub fn connect(address: &str) -> Result<Self, Error> {
         Self::connect_with(address, None)
     }
 
-    /// The same, giving the token first.
+    /// The same, but sends the token first.
     ///
     /// # Errors
-    /// If nobody listens there, it is no controller, or the token is wrong.
+    /// If the connection is command_error, the peer is no controller, or the token is wrong.
     pub fn connect_with(address: &str, token: Option<&Token>) -> Result<Self, Error> {
         let stream = open(address).map_err(|e| cannot_connect(address, e))?;
         Self::begin(stream, address.to_owned(), token)
@@ -131,7 +131,7 @@ impl Client {
             reader: LineReader::default(),
             pushes: VecDeque::new(),
             commands: 0,
-            last_words: None,
+            last_error: None,
         };
         if let Some(token) = token {
             client.call("tok", [token.text()])?;
@@ -140,10 +140,10 @@ impl Client {
         Ok(client)
     }
 
-    /// Sends a command and waits for its reply. Pushes that come meanwhile are kept.
+    /// Sends a command and waits for its reply. Pushes received meanwhile are queued.
     ///
     /// # Errors
-    /// If the command is refused, or there is no reply.
+    /// If the command is rejected or no reply is received in time.
     pub fn call<V: Into<Value>>(
         &mut self,
         command: &str,
@@ -158,13 +158,13 @@ impl Client {
         };
         self.stream
             .write_all(format!("{line}\n").as_bytes())
-            .map_err(|e| self.broken(e))?;
-        let until = Instant::now() + REPLY_WITHIN;
+            .map_err(|e| self.io_error(e))?;
+        let until = Instant::now() + REPLY_TIMEOUT;
         loop {
             let Some(message) = self.receive(until)? else {
                 return Err(Error::NoReply {
                     command: command.to_owned(),
-                    waited: REPLY_WITHIN,
+                    waited: REPLY_TIMEOUT,
                 });
             };
             match message.command.as_str() {
@@ -174,14 +174,14 @@ impl Client {
                         values: message.args,
                     });
                 }
-                "err" if message.tag == tag => return Err(refused(command, &message)),
-                "err" if message.tag == "none" => self.last_words = Some(message.to_string()),
+                "err" if message.tag == tag => return Err(command_error(command, &message)),
+                "err" if message.tag == "none" => self.last_error = Some(message.to_string()),
                 _ => self.pushes.push_back(message),
             }
         }
     }
 
-    /// The next push, or `None` if none comes in time.
+    /// The next push, or `None` after the timeout.
     ///
     /// # Errors
     /// If the connection is lost.
@@ -192,7 +192,7 @@ impl Client {
         }
     }
 
-    /// The next message, or `None` when the time is up.
+    /// The next message, or `None` at the deadline.
     fn receive(&mut self, until: Instant) -> Result<Option<Message>, Error> {
         let mut bytes = [0; 16 << 10];
         loop {
@@ -205,13 +205,13 @@ impl Client {
             }
             self.stream
                 .set_read_timeout(Some(left))
-                .map_err(|e| self.broken(e))?;
+                .map_err(|e| self.io_error(e))?;
             match self.stream.read(&mut bytes) {
                 Ok(0) => return Err(self.closed()),
                 Ok(count) => self.reader.push(bytes.get(..count).unwrap_or_default()),
                 Err(e) if is_timeout(&e) => {}
                 Err(e) if e.kind() == ErrorKind::ConnectionReset => return Err(self.closed()),
-                Err(e) => return Err(self.broken(e)),
+                Err(e) => return Err(self.io_error(e)),
             }
         }
     }
@@ -219,11 +219,11 @@ impl Client {
     fn closed(&self) -> Error {
         Error::Closed {
             address: self.address.clone(),
-            last: self.last_words.clone(),
+            last: self.last_error.clone(),
         }
     }
 
-    fn broken(&self, source: io::Error) -> Error {
+    fn io_error(&self, source: io::Error) -> Error {
         Error::Connection {
             address: self.address.clone(),
             source,
@@ -231,14 +231,14 @@ impl Client {
     }
 }
 
-/// Connects to a Unix socket, or to the first of the host's addresses that answers.
+/// Connects to a Unix socket, or to the first of the host's addresses that accepts.
 fn open(address: &str) -> io::Result<Stream> {
     if address.starts_with('/') {
         return UnixStream::connect(address).map(Stream::Unix);
     }
     let mut failure = io::Error::new(ErrorKind::NotFound, "the host has no address");
     for candidate in address.to_socket_addrs()? {
-        match TcpStream::connect_timeout(&candidate, CONNECT_WITHIN) {
+        match TcpStream::connect_timeout(&candidate, CONNECT_TIMEOUT) {
             Ok(stream) => {
                 stream.set_nodelay(true)?;
                 return Ok(Stream::Tcp(stream));
@@ -252,7 +252,7 @@ fn open(address: &str) -> io::Result<Stream> {
 fn cannot_connect(address: &str, source: io::Error) -> Error {
     let address = address.to_owned();
     if source.kind() == ErrorKind::ConnectionRefused {
-        Error::NobodyListens { address }
+        Error::NotListening { address }
     } else {
         Error::Connect { address, source }
     }
@@ -265,7 +265,7 @@ fn is_timeout(error: &io::Error) -> bool {
     )
 }
 
-fn refused(command: &str, reply: &Message) -> Error {
+fn command_error(command: &str, reply: &Message) -> Error {
     let texts: Vec<_> = reply.args.iter().filter_map(Value::as_str).collect();
     Error::Refused {
         command: command.to_owned(),

@@ -1,30 +1,30 @@
-//! The two ways in which lines travel, behind one face: newlines on a plain stream, frames on a
-//! WebSocket. It moves no bytes itself.
+//! The two transports of lines behind one interface: newline-terminated on a plain stream, frames on a WebSocket.
+//! It does no I/O itself.
 
 use tungstenite::protocol::frame::coding::{Control, Data, OpCode};
 
 use crate::error::Error;
-use crate::wire::lines::{LineReader, may_begin};
+use crate::wire::lines::{LineReader, may_be_first_line};
 use crate::wire::websocket::{Event, FrameReader, write_frame};
 
-/// How the lines of one connection travel.
+/// The line transport of one connection.
 #[derive(Debug)]
 pub(crate) enum Codec {
-    /// Ended by newlines.
+    /// Terminated by newlines.
     Plain(LineReader),
     /// In frames.
     WebSocket(FrameReader),
 }
 
-/// What a client's bytes amount to.
+/// What was decoded from a client's bytes.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Received {
     /// A line to be handled.
     Line(String),
-    /// Bytes to be sent back.
-    Answer(Vec<u8>),
-    /// The same, and the connection ends.
-    Goodbye(Vec<u8>),
+    /// A ping was received; these bytes are to be sent.
+    Reply(Vec<u8>),
+    /// The client closes; send these bytes and end the connection.
+    Close(Vec<u8>),
 }
 
 impl Codec {
@@ -36,38 +36,38 @@ impl Codec {
         }
     }
 
-    /// Takes messages of full length from now on.
-    pub(crate) const fn unbind(&mut self) {
+    /// Raises the bound on message length to that of an admitted client.
+    pub(crate) const fn raise_bound(&mut self) {
         match self {
-            Self::Plain(reader) => reader.unbind(),
-            Self::WebSocket(reader) => reader.unbind(),
+            Self::Plain(reader) => reader.raise_bound(),
+            Self::WebSocket(reader) => reader.raise_bound(),
         }
     }
 
-    /// Whether what has come can be the first line of a client. Of frames it is not known here.
-    pub(crate) fn may_begin(&self) -> bool {
+    /// Whether the received bytes can be the beginning of a client's first line; always true for frames.
+    pub(crate) fn may_be_first_line(&self) -> bool {
         match self {
-            Self::Plain(reader) => may_begin(reader.pending()),
+            Self::Plain(reader) => may_be_first_line(reader.pending()),
             Self::WebSocket(_) => true,
         }
     }
 
-    /// What came next.
+    /// The next line or control frame.
     ///
     /// # Errors
-    /// If the bytes cannot be read on; the connection must end.
+    /// If the stream cannot be decoded any further; the connection must end.
     pub(crate) fn poll(&mut self) -> Result<Option<Received>, Error> {
         Ok(match self {
             Self::Plain(reader) => reader.poll_message()?.map(Received::Line),
             Self::WebSocket(reader) => reader.poll_event()?.map(|event| match event {
                 Event::Message(line) => Received::Line(line),
-                Event::Ping(bytes) => Received::Answer(control(Control::Pong, &bytes)),
-                Event::Close(bytes) => Received::Goodbye(control(Control::Close, &bytes)),
+                Event::Ping(bytes) => Received::Reply(control(Control::Pong, &bytes)),
+                Event::Close(bytes) => Received::Close(control(Control::Close, &bytes)),
             }),
         })
     }
 
-    /// Appends a line as it travels to `out`.
+    /// Appends an encoded line to `out`.
     pub(crate) fn write(&self, line: &str, out: &mut Vec<u8>) {
         match self {
             Self::Plain(_) => {

@@ -1,11 +1,11 @@
-//! One client's side of the protocol, without sockets and without a clock: lines in, lines out.
-//! It knows nothing of other clients; they meet in the controller only.
+//! The protocol of one client, without sockets and without a clock: lines in, lines out. It knows no other clients;
+//! they share the controller only.
 
 mod commands;
 mod devices;
+mod error;
 mod figures;
 mod nets;
-mod refusal;
 mod rules;
 mod sessions;
 
@@ -26,87 +26,87 @@ use crate::sessions::Sessions;
 use crate::wire::{Message, Value};
 pub(crate) use commands::DESCRIPTION_BYTES_MAX;
 use devices::DeviceWatch;
+use error::CommandError;
 use nets::NetWatch;
-use refusal::Refusal;
 use rules::RuleWatch;
 use sessions::SessionWatch;
 
 /// Most subscriptions of one connection: nets, sessions, rules and devices together.
 pub const SUBSCRIPTIONS_MAX: usize = 4096;
 
-/// How often values of running nets are looked at. A client's refresh interval below this one has
+/// Polling interval for the values of running nets. A client's refresh interval below this one has
 /// no effect.
-pub const VALUES_EVERY: Duration = Duration::from_millis(10);
+pub const VALUES_INTERVAL: Duration = Duration::from_millis(10);
 
-/// Name and type of the device that is the controller itself.
+/// Name and type of the device that represents the controller itself.
 const CONTROLLER: &str = "rcc";
 
-/// A client and what it subscribed to.
+/// One client and its subscriptions.
 ///
-/// Hand every line of the client to [`handle_line`](Self::handle_line), call
-/// [`handle_change`](Self::handle_change) when the controller says that something changed, and
+/// Pass every line of the client to [`handle_line`](Self::handle_line), call
+/// [`handle_change`](Self::handle_change) when the controller reports a change, and
 /// [`poll_pushes`](Self::poll_pushes) after either and when [`poll_timeout`](Self::poll_timeout)
-/// is over. All times count from the same moment, such as the start of the connection. Calls may
-/// block for as long as the controller needs, which for loading a net can be long.
+/// expires. All times count from the same moment, such as the start of the connection. Calls may
+/// block as long as the controller does, which can be long when it loads a net.
 #[derive(Debug)]
 pub struct Connection {
     controller: Controller,
-    greeted: bool,
+    handshake_done: bool,
     nets: BTreeMap<NetId, NetWatch>,
     rules: BTreeMap<RuleId, RuleWatch>,
     sessions: BTreeMap<SessionId, SessionWatch>,
     devices: Option<DeviceWatch>,
     opened: Vec<SessionId>,
     changed: bool,
-    /// What becomes of sessions that do not say otherwise.
+    /// Default for sessions that are opened without it.
     on_loss: OnLoss,
-    /// Where a token is given.
-    door: Option<Door>,
-    /// Whether it must be given first.
+    /// Checks tokens; `None` if there is no gate.
+    token_check: Option<TokenCheck>,
+    /// Whether a token must be sent first.
     needs_token: bool,
-    /// What the client was admitted for.
+    /// On which grounds the client was admitted.
     credential: Credential,
-    /// Whether the connection is to end.
-    refused: bool,
-    /// Whether the first line that is not as it should be ends the connection.
+    /// Whether the connection must end.
+    rejected: bool,
+    /// Whether a failed token or handshake ends the connection.
     strict: bool,
-    /// Whether the answer is to be sent after [`WRONG_PAUSE`](crate::access::WRONG_PAUSE).
-    slowed: bool,
-    /// What all connections of a server opened, and the beginning of this one on its time line.
+    /// Whether the reply is to be sent after [`WRONG_DELAY`](crate::access::WRONG_DELAY).
+    delayed: bool,
+    /// The sessions of all connections of a server, and the start of this one on their time line.
     all_sessions: Option<(Sessions, Duration)>,
 }
 
-/// A gate, and who stands before it.
+/// Checks the tokens of one peer at a gate.
 #[derive(Debug)]
-struct Door {
+struct TokenCheck {
     gate: Arc<Gate>,
     peer: Peer,
-    /// When the connection began, on the time line of the gate.
+    /// Start of the connection on the gate's time line.
     begin: Duration,
 }
 
-impl Door {
+impl TokenCheck {
     fn check(&self, given: Option<&str>, now: Duration) -> Admission {
         self.gate.check(self.peer, given, self.begin + now)
     }
 }
 
-/// How much of what is due is sent.
+/// Which of the pending pushes are sent.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Pushes {
-    /// What the command caused that is about to be answered.
+    /// Those caused by the command that is about to be answered.
     BeforeReply,
-    /// Everything, including that nets are gone and that values changed.
+    /// All, including unloaded nets and changed values.
     All,
 }
 
 impl Connection {
-    /// A client that has said nothing yet.
+    /// A new client.
     #[must_use]
     pub const fn new(controller: Controller) -> Self {
         Self {
             controller,
-            greeted: false,
+            handshake_done: false,
             nets: BTreeMap::new(),
             rules: BTreeMap::new(),
             sessions: BTreeMap::new(),
@@ -114,87 +114,87 @@ impl Connection {
             opened: Vec::new(),
             changed: false,
             on_loss: OnLoss::End,
-            door: None,
+            token_check: None,
             needs_token: false,
             credential: Credential::Loopback,
-            refused: false,
+            rejected: false,
             strict: false,
-            slowed: false,
+            delayed: false,
             all_sessions: None,
         }
     }
 
-    /// The same, with what becomes of sessions that do not say it themselves.
+    /// Sets the default for what happens to sessions when the client is lost.
     #[must_use]
     pub const fn with_on_loss(mut self, on_loss: OnLoss) -> Self {
         self.on_loss = on_loss;
         self
     }
 
-    /// The same, behind a gate, where it may have to give a token before anything else; the connection begins
-    /// at `begin` on the gate's time line.
+    /// Sets the gate that may require a token before anything else; the connection starts at `begin` on the gate's
+    /// time line.
     #[must_use]
-    pub fn behind(mut self, gate: &Arc<Gate>, peer: Peer, begin: Duration) -> Self {
+    pub fn with_gate(mut self, gate: &Arc<Gate>, peer: Peer, begin: Duration) -> Self {
         let without = gate.without_token(peer);
         self.credential = without.unwrap_or(Credential::Token);
-        // With or without need of one, a right token has places of its own.
+        // The right token gives its own credential, even where none is required.
         let gate = Arc::clone(gate);
         self.needs_token = without.is_none();
-        self.door = Some(Door { gate, peer, begin });
+        self.token_check = Some(TokenCheck { gate, peer, begin });
         self
     }
 
-    /// The same, of a client that was admitted already.
+    /// Sets the credential of a client that is already admitted.
     #[must_use]
     pub const fn admitted_for(mut self, credential: Credential) -> Self {
         self.credential = credential;
         self
     }
 
-    /// The same, but the first line that is neither token nor handshake, or a wrong one, ends it.
+    /// Ends the connection after a first line that is neither a right token nor a right handshake.
     #[must_use]
     pub const fn strict(mut self) -> Self {
         self.strict = true;
         self
     }
 
-    /// The same, with the sessions of all connections, whose time line it begins on at `begin`.
+    /// Sets the sessions shared by all connections; this one starts at `begin` on their time line.
     pub(crate) fn with_sessions(mut self, sessions: &Sessions, begin: Duration) -> Self {
         self.all_sessions = Some((sessions.clone(), begin));
         self
     }
 
-    /// Whether the client may say anything.
+    /// Whether the client is admitted.
     #[must_use]
     pub const fn is_admitted(&self) -> bool {
         !self.needs_token
     }
 
-    /// Whether the client has shaken hands.
+    /// Whether the handshake has succeeded.
     #[must_use]
-    pub const fn is_greeted(&self) -> bool {
-        self.greeted
+    pub const fn is_handshake_done(&self) -> bool {
+        self.handshake_done
     }
 
-    /// What the client was admitted for.
+    /// On which grounds the client was admitted.
     #[must_use]
     pub const fn credential(&self) -> Credential {
         self.credential
     }
 
-    /// Whether the client gave a wrong token, or what is no handshake, after which the connection is to end.
+    /// Whether the connection must end after a wrong token or a failed handshake.
     #[must_use]
-    pub const fn is_refused(&self) -> bool {
-        self.refused
+    pub const fn is_rejected(&self) -> bool {
+        self.rejected
     }
 
-    /// Whether the client is to wait for its answer.
+    /// Whether the reply must be delayed.
     #[must_use]
-    pub const fn is_slowed(&self) -> bool {
-        self.slowed
+    pub const fn is_delayed(&self) -> bool {
+        self.delayed
     }
 
-    /// Whether the client waits for nothing and has no session, so that nothing is lost with it.
+    /// Whether the client has neither subscription nor session, so that its connection may be closed.
     #[must_use]
     pub fn is_idle(&self) -> bool {
         self.subscriptions() == 0 && self.opened.is_empty()
@@ -205,14 +205,14 @@ impl Connection {
         self.nets.len() + self.sessions.len() + self.rules.len() + devices
     }
 
-    /// Does what the line says and returns what to send: pushes caused by it, then its reply.
+    /// Executes a line and returns the lines to send: pushes that it caused, then its reply.
     pub fn handle_line(&mut self, line: &str, now: Duration) -> Vec<String> {
         let message = match Message::decode(line) {
             Ok(message) => message,
             Err(error) => {
-                tracing::debug!(%error, "a client sent what is no message");
-                self.refused |= self.strict && !self.greeted;
-                return vec![Refusal::InvalidSyntax.reply("none").to_string()];
+                tracing::debug!(%error, "a client sent an invalid message");
+                self.rejected |= self.strict && !self.handshake_done;
+                return vec![CommandError::InvalidSyntax.reply("none").to_string()];
             }
         };
         let mut out = Vec::new();
@@ -223,21 +223,21 @@ impl Connection {
                 args: values,
                 ..Message::new(message.tag, "ok")
             },
-            Err(refusal) => {
-                self.refused |= self.strict && !self.greeted;
-                refusal.reply(&message.tag)
+            Err(error) => {
+                self.rejected |= self.strict && !self.handshake_done;
+                error.reply(&message.tag)
             }
         });
         self.changed = true;
         out.iter().map(Message::to_string).collect()
     }
 
-    /// Notes that nets, sessions or devices of the controller changed.
+    /// Records that nets, sessions or devices of the controller changed.
     pub const fn handle_change(&mut self) {
         self.changed = true;
     }
 
-    /// What the subscriptions have to tell now.
+    /// The pushes of all subscriptions that are due now.
     pub fn poll_pushes(&mut self, now: Duration) -> Vec<String> {
         let changes = if std::mem::take(&mut self.changed) {
             self.due(Pushes::All, now)
@@ -252,7 +252,7 @@ impl Connection {
             .collect()
     }
 
-    /// When [`poll_pushes`](Self::poll_pushes) should be called next without being asked.
+    /// When [`poll_pushes`](Self::poll_pushes) must be called next, unless something happens earlier.
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Duration> {
         if self.changed {
@@ -261,13 +261,13 @@ impl Connection {
         self.nets.values().filter_map(NetWatch::poll_timeout).min()
     }
 
-    /// The sessions that this connection opened and did not end.
+    /// The sessions that this connection has open.
     #[must_use]
     pub fn opened_sessions(&self) -> &[SessionId] {
         &self.opened
     }
 
-    /// Changes of state; values only as far as they belong to those.
+    /// Pushes for state changes, with the values that belong to those.
     fn due(&mut self, pushes: Pushes, now: Duration) -> Vec<Message> {
         let controller = &self.controller;
         let mut out = Vec::new();
@@ -281,15 +281,15 @@ impl Connection {
                     out.extend(watch.handle_states(&net.states, || net.values, now));
                 }
                 out.extend(watch.handle_end());
-                out.extend((pushes == Pushes::All).then(|| watch.handle_gone()));
+                out.extend((pushes == Pushes::All).then(|| watch.handle_unloaded()));
                 pushes != Pushes::All
             }
         });
         self.rules.retain(|id, watch| {
-            // A rule that was forgotten meanwhile has no state that clients know.
+            // The protocol has no state for a rule that the controller has dropped meanwhile.
             let state = controller.rule(*id).map(|rule| rule.state);
             out.extend(state.and_then(|state| watch.handle_state(state)));
-            state.is_some() && watch.goes_on()
+            state.is_some() && watch.is_pending()
         });
         self.sessions.retain(|id, watch| {
             let nets = controller.session_nets(*id);
@@ -321,7 +321,7 @@ fn push(tag: &str, command: &str, value: impl Into<Value>) -> Message {
     Message::new(tag, command).with(value)
 }
 
-/// The devices, and the controller itself, which clients expect to be one.
+/// The devices, and the controller itself, which clients expect as a device.
 pub(crate) fn all_devices(controller: &Controller) -> Vec<DeviceInfo> {
     let mut devices = controller.devices();
     if devices.iter().all(|d| d.name != CONTROLLER) {

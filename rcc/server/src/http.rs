@@ -1,6 +1,6 @@
-//! HTTP requests: from bytes to a request with its form, and to what is answered. The known
-//! client's way of asking for a WebSocket is not quite that of RFC 6455, and its forms are not
-//! quite those of HTML, which is why no library does this. A connection carries one request.
+//! HTTP requests: parses bytes to a request with its form, and decides what to do with the connection. The
+//! WebSocket handshake of the known client deviates from RFC 6455 and its forms from HTML, which is why no library
+//! is used. A connection carries one request.
 
 mod element;
 mod form;
@@ -18,7 +18,7 @@ use tungstenite::handshake::derive_accept_key;
 use std::net::IpAddr;
 
 use crate::access::origin::{Origins, Sender};
-use crate::access::{Admission, Credential, WRONG_MAX, WRONG_WITHIN};
+use crate::access::{Admission, Credential, WRONG_MAX, WRONG_WINDOW};
 use crate::site::Site;
 use crate::wire::MESSAGE_BYTES_MAX;
 pub(crate) use resources::debug::{DEBUG_STREAMS_MAX, DebugStream};
@@ -28,130 +28,136 @@ pub(crate) use response::Response;
 /// Most bytes of a request's head.
 pub(crate) const HEAD_BYTES_MAX: usize = 16 << 10;
 
-/// Most bytes of a request's body: as many as a message may have.
+/// Most bytes of a request's body: the same as of a message.
 pub(crate) const BODY_BYTES_MAX: usize = MESSAGE_BYTES_MAX;
 
 /// Most header lines of a request.
 const HEADERS_MAX: usize = 64;
 
-/// Name of the cookie that may hold the token, for browsers.
+/// Name of the cookie that holds the token in browsers.
 const COOKIE: &str = "takt_token";
 
-/// Where DirectIO is.
+/// Path of the DirectIO WebSocket.
 const DIRECT_IO: &str = "DirectIO";
 
 /// Keys and values of a form or query, in order.
 type Form = Vec<(String, String)>;
 
-/// What to do with a connection.
+/// What to do with a connection after a request.
 #[derive(Debug, PartialEq, Eq)]
-pub(crate) enum Answer {
-    /// Go on with WebSocket frames.
+pub(crate) enum Action {
+    /// Continue with WebSocket frames.
     Upgrade(Upgrade),
-    /// The head is that of a client which is admitted: send this, which asks for the body, and read on.
-    Body {
+    /// The head is admitted: send the interim response, if any, and read the body.
+    ReadBody {
         credential: Credential,
-        ask: &'static str,
+        interim: &'static str,
     },
-    /// Do what the request says, send the response, and close.
+    /// Execute the request, send the response and close.
     Serve(Request),
-    /// Send this and close.
-    Refuse(Response),
+    /// Send this response and close.
+    Reject(Response),
 }
 
 /// A WebSocket handshake.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) struct Upgrade {
-    /// What to send.
+    /// The response.
     pub(crate) response: String,
-    /// What the client was admitted for.
+    /// On which grounds the client was admitted.
     pub(crate) credential: Credential,
-    /// Whether it named a version, as RFC 6455 wants it and the known client does not.
+    /// Whether it names a version, which RFC 6455 demands and the known client omits.
     pub(crate) is_versioned: bool,
 }
 
-/// Who is admitted.
+/// Which requests are admitted.
 #[derive(Clone, Copy)]
-pub(crate) struct Guard<'a> {
-    /// Looks at a token, or at there being none.
-    pub(crate) token: &'a dyn Fn(Option<&str>) -> Admission,
-    /// Pages and names of this host that are accepted.
+pub(crate) struct AccessPolicy<'a> {
+    /// Checks a token, or its absence.
+    pub(crate) check_token: &'a dyn Fn(Option<&str>) -> Admission,
+    /// Page origins and host names that are accepted.
     pub(crate) origins: &'a Origins,
-    /// The address that the connection came to.
+    /// The local address of the connection.
     pub(crate) reached: Option<IpAddr>,
 }
 
 /// A request for a resource.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) struct Request {
-    /// What the client was admitted for.
+    /// On which grounds the client was admitted.
     pub(crate) credential: Credential,
-    /// Whether it is to change something.
+    /// Whether the method is POST.
     pub(crate) post: bool,
-    /// The parts of the path between its slashes, decoded.
+    /// The path segments, decoded.
     pub(crate) path: Vec<String>,
-    /// What follows the question mark.
+    /// The query string.
     pub(crate) query: Form,
     /// The body.
     pub(crate) form: Form,
-    /// Whether JSON is wanted rather than XML.
+    /// Whether JSON is requested rather than XML.
     pub(crate) json: bool,
 }
 
-/// Looks at what was received so far; `continued` says whether [`Answer::Body`] was answered before. `None`: the
-/// request is not whole yet; otherwise how many bytes it has, and the answer.
-pub(crate) fn answer(
+/// Parses the bytes received so far; `continued` states whether [`Action::ReadBody`] was returned before. Returns the
+/// length of the request and the action, or `None` while the request is incomplete.
+pub(crate) fn parse(
     received: &[u8],
     continued: bool,
-    guard: Guard<'_>,
-) -> Option<(usize, Answer)> {
+    policy: AccessPolicy<'_>,
+) -> Option<(usize, Action)> {
     let mut headers = [EMPTY_HEADER; HEADERS_MAX];
     let mut head = httparse::Request::new(&mut headers);
     let all = received.len();
-    // What is longer is not looked at, however much of it came at once.
+    // Bytes beyond the bound are not parsed, even if they arrived at once.
     let bounded = received.get(..HEAD_BYTES_MAX).unwrap_or(received);
     let (length, read) = match head.parse(bounded) {
-        Ok(Status::Complete(length)) => (length, Head::admitted(&head, guard)),
+        Ok(Status::Complete(length)) => (length, Head::admitted(&head, policy)),
         Ok(Status::Partial) if all <= HEAD_BYTES_MAX => return None,
         Ok(Status::Partial) => {
             let text = format!("The head of a request has at most {HEAD_BYTES_MAX} bytes.\n");
             let status = "431 Request Header Fields Too Large";
-            return Some((all, Answer::Refuse(Response::text(status, text))));
+            return Some((all, Action::Reject(Response::text(status, text))));
         }
         Err(e) => (all, Err(Response::bad_request(e))),
     };
     let head = match read {
         Ok(head) if head.path == [DIRECT_IO] => return Some((length, head.upgrade())),
         Ok(head) => head,
-        Err(refusal) => return Some((length, Answer::Refuse(refusal))),
+        Err(response) => return Some((length, Action::Reject(response))),
     };
     match received.get(length..length + head.body_bytes) {
-        Some(body) => Some((length + head.body_bytes, Answer::Serve(head.request(body)))),
+        Some(body) => Some((length + head.body_bytes, Action::Serve(head.request(body)))),
         None if !continued => {
-            let ask = if head.expects_continue {
+            let interim = if head.expects_continue {
                 "HTTP/1.1 100 Continue\r\n\r\n"
             } else {
                 ""
             };
             let credential = head.credential;
-            Some((0, Answer::Body { credential, ask }))
+            Some((
+                0,
+                Action::ReadBody {
+                    credential,
+                    interim,
+                },
+            ))
         }
         None => None,
     }
 }
 
-/// That a request does not carry the token it needs.
+/// The response to a request without the right token.
 fn denied(admission: Admission) -> Option<Response> {
     let why = match admission {
         Admission::Admitted(_) => return None,
         Admission::Missing => {
-            "A token is needed: `Authorization: Bearer …`, `?token=…` or the cookie takt_token.\n"
+            "A token is required.\nhint: send it as `Authorization: Bearer …`, `?token=…` or the cookie takt_token.\n"
         }
         Admission::Wrong => "The token is wrong.\n",
         Admission::TooMany => {
-            let seconds = WRONG_WITHIN.as_secs();
+            let seconds = WRONG_WINDOW.as_secs();
             let text = format!(
-                "The token is wrong; more than {WRONG_MAX} wrong ones within {seconds} s from one address are answered late.\n"
+                "The token is wrong. After more than {WRONG_MAX} wrong ones within {seconds} s, answers to the address are delayed.\n"
             );
             return Some(Response::text("429 Too Many Requests", text));
         }
@@ -159,13 +165,15 @@ fn denied(admission: Admission) -> Option<Response> {
     Some(Response::unauthorized(why))
 }
 
-/// That there are as many connections as the server takes.
+/// The response when all connection slots are in use.
 pub(crate) fn too_many_connections(bound: usize) -> Response {
-    let text = format!("This server takes at most {bound} such connections; close one first.\n");
+    let text = format!(
+        "All connection slots of this kind are in use: at most {bound}.\nhint: close a connection first.\n"
+    );
     Response::text("503 Service Unavailable", text)
 }
 
-/// The head of a request that can be served.
+/// The head of a valid request.
 struct Head {
     credential: Credential,
     post: bool,
@@ -180,43 +188,48 @@ struct Head {
 }
 
 impl Head {
-    /// Reads the head of a request that is let in. Pages are refused before their tokens are looked at, so that
-    /// none of them can have this host's tokens counted as wrong.
-    fn admitted(request: &httparse::Request<'_, '_>, guard: Guard<'_>) -> Result<Self, Response> {
+    /// Checks and reads the head of a request. Foreign pages are rejected before their tokens are checked, so that
+    /// none of them can make this host exceed the bound on wrong tokens.
+    fn admitted(
+        request: &httparse::Request<'_, '_>,
+        policy: AccessPolicy<'_>,
+    ) -> Result<Self, Response> {
         if headers(request, "Host").nth(1).is_some() {
-            return Err(Response::bad_request("Host is given twice"));
+            return Err(Response::bad_request("the request has two Host headers"));
         }
         let sender = sender(request);
-        if !guard.origins.admit_page(&sender) {
-            let text = "Web pages of other origins may not reach a robot through your browser.\n\
+        if !policy.origins.admit_page(&sender) {
+            let text = "Web pages of other origins are rejected, so that none can command a robot through your browser.\n\
                 hint: list the page's origin as origins under [controller] of cell.toml.\n";
             return Err(Response::text("403 Forbidden", text));
         }
         let target = request.path.unwrap_or_default();
         let (path, query) = target.split_once('?').unwrap_or((target, ""));
         let mut query = form::decode(query.as_bytes());
-        let asked = query.iter().position(|(key, _)| key == "token");
-        let asked = asked.map(|at| query.remove(at).1);
+        let query_token = query.iter().position(|(key, _)| key == "token");
+        let query_token = query_token.map(|at| query.remove(at).1);
         let token = bearer(request)
-            .or(asked.as_deref())
+            .or(query_token.as_deref())
             .or_else(|| cookie(request));
-        let admission = (guard.token)(token);
+        let admission = (policy.check_token)(token);
         let Admission::Admitted(credential) = admission else {
             return Err(denied(admission).unwrap_or_else(|| Response::unauthorized("")));
         };
         let head = Self::read(request, segments(path), query, credential)?;
-        // With the token it is its holder, by whatever name. No browser makes a handshake without a version.
+        // The holder of the token may use any host name. No browser sends a handshake without a version.
         let is_browser = head.websocket.is_none() || head.is_versioned;
         if credential != Credential::Token
             && is_browser
-            && !guard.origins.admit_host(sender.host, guard.reached)
+            && !policy.origins.admit_host(sender.host, policy.reached)
         {
-            let text = "This server is not known by that name.\n\
+            let text = "This host name is not accepted.\n\
                 hint: use http://localhost or an address, or list the name as hosts under [controller] of \
                 cell.toml.\n";
             return Err(Response::text("421 Misdirected Request", text));
         }
-        if let (Credential::Token, Some(token), true) = (credential, &asked, head.path.is_empty()) {
+        if let (Credential::Token, Some(token), true) =
+            (credential, &query_token, head.path.is_empty())
+        {
             return Err(Response::with_cookie(COOKIE, token));
         }
         Ok(head)
@@ -234,7 +247,7 @@ impl Head {
             _ => {
                 return Err(Response::text(
                     "405 Method Not Allowed",
-                    "Use GET or POST.\n",
+                    "Only GET and POST are supported.\n",
                 ));
             }
         };
@@ -261,17 +274,17 @@ impl Head {
         })
     }
 
-    fn upgrade(&self) -> Answer {
+    fn upgrade(&self) -> Action {
         let Some(key) = &self.websocket else {
-            return Answer::Refuse(Response::upgrade_required());
+            return Action::Reject(Response::upgrade_required());
         };
-        // The known client compares the accept line byte by byte.
+        // The known client compares the line Sec-WebSocket-Accept byte by byte.
         let response = format!(
             "HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n\
              Sec-WebSocket-Accept: {}\r\n\r\n",
             derive_accept_key(key.as_bytes())
         );
-        Answer::Upgrade(Upgrade {
+        Action::Upgrade(Upgrade {
             response,
             credential: self.credential,
             is_versioned: self.is_versioned,
@@ -298,21 +311,23 @@ impl Head {
     }
 }
 
-/// How long the body is. Only a length that is given once is sure not to be read in two ways.
+/// Length of the body. Requires exactly one length: anything else could be parsed differently by a proxy.
 fn body_bytes(request: &httparse::Request<'_, '_>) -> Result<usize, Response> {
     let mut lengths = headers(request, "Content-Length");
     let (first, second) = (lengths.next(), lengths.next());
     if header(request, "Transfer-Encoding").is_some() {
-        let text = "Send the body whole, with its Content-Length.\n";
+        let text = "Transfer-Encoding is not supported; send the body with its Content-Length.\n";
         return Err(Response::text("501 Not Implemented", text));
     }
     let Some(length) = first else {
-        let text = "A POST needs a Content-Length.\n";
+        let text = "A POST request requires a Content-Length.\n";
         return Err(Response::text("411 Length Required", text));
     };
     let digits = !length.is_empty() && length.bytes().all(|b| b.is_ascii_digit());
     if second.is_some() || !digits {
-        return Err(Response::bad_request("the Content-Length is no number"));
+        return Err(Response::bad_request(
+            "Content-Length is not a single number",
+        ));
     }
     match length.parse() {
         Ok(length) if length <= BODY_BYTES_MAX => Ok(length),
@@ -323,7 +338,7 @@ fn body_bytes(request: &httparse::Request<'_, '_>) -> Result<usize, Response> {
     }
 }
 
-/// The parts of a path. Known clients double slashes.
+/// The segments of a path. Known clients double slashes.
 fn segments(path: &str) -> Vec<String> {
     let names = path.split('/').filter(|name| !name.is_empty());
     let decoded = names.map(|name| percent_decode_str(name).decode_utf8_lossy());
@@ -345,13 +360,13 @@ fn header<'a>(request: &httparse::Request<'_, 'a>, name: &'static str) -> Option
     headers(request, name).next()
 }
 
-/// The token of an `Authorization` header.
+/// The token in an `Authorization` header.
 fn bearer<'a>(request: &httparse::Request<'_, 'a>) -> Option<&'a str> {
     let (scheme, token) = header(request, "Authorization")?.split_once(' ')?;
     scheme.eq_ignore_ascii_case("bearer").then(|| token.trim())
 }
 
-/// The token of a cookie.
+/// The token in a cookie.
 fn cookie<'a>(request: &httparse::Request<'_, 'a>) -> Option<&'a str> {
     let mut cookies = headers(request, "Cookie").flat_map(|line| line.split(';'));
     cookies.find_map(|cookie| {
@@ -360,23 +375,23 @@ fn cookie<'a>(request: &httparse::Request<'_, 'a>) -> Option<&'a str> {
     })
 }
 
-/// What the request says about where it comes from.
+/// The headers by which the request states where it comes from.
 fn sender<'a>(request: &httparse::Request<'_, 'a>) -> Sender<'a> {
-    let says = |name, value: &str| header(request, name).is_some_and(|v| v == value);
+    let equals = |name, value: &str| header(request, name).is_some_and(|v| v == value);
     Sender {
         host: header(request, "Host"),
         origin: header(request, "Origin"),
         site: header(request, "Sec-Fetch-Site"),
         navigates: request.method == Some("GET")
-            && says("Sec-Fetch-Mode", "navigate")
-            && says("Sec-Fetch-Dest", "document"),
+            && equals("Sec-Fetch-Mode", "navigate")
+            && equals("Sec-Fetch-Dest", "document"),
     }
 }
 
-/// Feeds any bytes to the reader of requests, behind a gate and without one.
+/// Feeds any bytes to the request parser, with a gate and without one.
 ///
 /// # Panics
-/// If a request gets in without its token, or the reader breaks another promise.
+/// If a request is admitted without its token, or the parser breaks another guarantee.
 #[doc(hidden)]
 pub fn fuzz_head(data: &[u8]) {
     const TOKEN: &str = "0123456789abcdef";
@@ -386,36 +401,39 @@ pub fn fuzz_head(data: &[u8]) {
         Some(_) => Admission::Wrong,
         None => Admission::Missing,
     };
-    let guard = |token| Guard {
-        token,
+    let policy = |check_token| AccessPolicy {
+        check_token,
         origins: &origins,
         reached: None,
     };
     let holds_token = data.windows(TOKEN.len()).any(|w| w == TOKEN.as_bytes());
     let encoded = data.contains(&b'%');
-    if let Some((length, answer)) = answer(data, false, guard(&guarded)) {
+    if let Some((length, action)) = parse(data, false, policy(&guarded)) {
         assert!(length <= data.len());
-        let inside = !matches!(answer, Answer::Refuse(_));
-        assert!(!inside || holds_token || encoded, "let in without a token");
+        let inside = !matches!(action, Action::Reject(_));
+        assert!(
+            !inside || holds_token || encoded,
+            "admitted without a token"
+        );
     }
     let anyone = |_: Option<&str>| Admission::Admitted(Credential::Loopback);
-    if let Some((length, _)) = answer(data, true, guard(&anyone)) {
+    if let Some((length, _)) = parse(data, true, policy(&anyone)) {
         assert!(length <= data.len());
     }
 }
 
-/// Feeds any bytes to the reader of requests, and answers what is one.
+/// Feeds any bytes to the request parser, and serves what it accepts.
 ///
 /// # Panics
-/// If the answer is no response.
+/// If the result is not a response.
 #[doc(hidden)]
 pub fn fuzz(controller: &takt_core::Controller, data: &[u8]) {
-    let guard = Guard {
-        token: &|_| Admission::Admitted(Credential::Token),
+    let policy = AccessPolicy {
+        check_token: &|_| Admission::Admitted(Credential::Token),
         origins: &Origins::default(),
         reached: None,
     };
-    if let Some((_, Answer::Serve(request))) = answer(data, false, guard) {
+    if let Some((_, Action::Serve(request))) = parse(data, false, policy) {
         let gate = crate::access::Gate::new(None, None);
         let site = Site::new(controller.clone(), gate, crate::LogBook::default());
         let response = respond(&site, &request);

@@ -1,25 +1,25 @@
-//! The last lines of the log, for those who ask over HTTP, and a limit for lines that clients cause. The log
-//! makes no lines and filters none when they come; the program that sets up logging feeds it.
+//! The last lines of the log, for HTTP clients, and a rate limit for lines that clients can cause. This module
+//! writes no log itself; the program that sets up logging feeds it.
 
 use std::collections::VecDeque;
 use std::io;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-/// Lines that are kept; the oldest make room.
+/// Lines that are kept; beyond that the oldest is dropped.
 pub const LOG_LINES_MAX: usize = 4096;
 
-/// Most bytes of one line; the rest of a longer one is cut off.
+/// Most bytes of one line; longer lines are truncated.
 pub const LOG_LINE_BYTES_MAX: usize = 1024;
 
-/// The last lines of the log. Clones are the same log. As an [`io::Write`] it takes whole lines, as
+/// The last lines of the log. Clones share it. As an [`io::Write`] it expects whole lines, as
 /// loggers write them.
 #[derive(Clone, Debug, Default)]
 pub struct LogBook(Arc<Mutex<Lines>>);
 
 #[derive(Debug, Default)]
 struct Lines {
-    /// Number of the first line that is kept.
+    /// Number of the oldest line kept.
     first: u64,
     lines: VecDeque<String>,
 }
@@ -40,8 +40,8 @@ impl LogBook {
         log.lines.push_back(line);
     }
 
-    /// The lines from number `start` on that contain `filter`, with their numbers, and the number that
-    /// the next line will get.
+    /// The lines from number `start` on that contain `filter`, with their numbers, and the number of the
+    /// next line to be written.
     #[must_use]
     pub fn lines(&self, start: u64, filter: &str) -> (Vec<(u64, String)>, u64) {
         let log = self.0.lock().unwrap_or_else(PoisonError::into_inner);
@@ -67,13 +67,13 @@ impl io::Write for LogBook {
     }
 }
 
-/// Lines of one kind that are logged within [`LIMIT_WITHIN`].
+/// Lines of one kind that are logged within [`LIMIT_WINDOW`].
 const LIMIT_LINES: u32 = 5;
 
 /// See [`LIMIT_LINES`].
-const LIMIT_WITHIN: Duration = Duration::from_secs(10);
+const LIMIT_WINDOW: Duration = Duration::from_secs(10);
 
-/// Limits lines of one kind that clients can cause as often as they like, and counts those left out.
+/// Rate limit for log lines of one kind that clients can cause; counts the suppressed ones.
 #[derive(Debug, Default)]
 pub(crate) struct LineLimit(Mutex<Limited>);
 
@@ -81,29 +81,29 @@ pub(crate) struct LineLimit(Mutex<Limited>);
 struct Limited {
     since: Duration,
     lines: u32,
-    left_out: u64,
+    suppressed: u64,
 }
 
 impl LineLimit {
-    /// Whether a line may be logged now; if so, how many were left out since the last one.
+    /// Whether a line may be logged now; if so, how many were suppressed since the last one.
     pub(crate) fn admit(&self, now: Duration) -> Option<u64> {
         let mut limited = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if now.saturating_sub(limited.since) >= LIMIT_WITHIN {
+        if now.saturating_sub(limited.since) >= LIMIT_WINDOW {
             (limited.since, limited.lines) = (now, 0);
         }
         if limited.lines >= LIMIT_LINES {
-            limited.left_out += 1;
+            limited.suppressed += 1;
             return None;
         }
         limited.lines += 1;
-        Some(std::mem::take(&mut limited.left_out))
+        Some(std::mem::take(&mut limited.suppressed))
     }
 
-    /// How many lines were left out, once their time is over, so that the last ones are reported too.
+    /// How many lines were suppressed, once the window is over, so that the last ones are reported too.
     pub(crate) fn flush(&self, now: Duration) -> Option<u64> {
         let mut limited = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let over = now.saturating_sub(limited.since) >= LIMIT_WITHIN;
-        (over && limited.left_out > 0).then(|| std::mem::take(&mut limited.left_out))
+        let over = now.saturating_sub(limited.since) >= LIMIT_WINDOW;
+        (over && limited.suppressed > 0).then(|| std::mem::take(&mut limited.suppressed))
     }
 }
 
@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn lines_keep_their_numbers_while_old_ones_go() {
+    fn log_lines_keep_numbers_when_oldest_drop() {
         let log = LogBook::default();
         for number in 0..LOG_LINES_MAX + 10 {
             log.push(&format!("line {number}"));

@@ -1,10 +1,10 @@
-//! Listening, and one task per connection that moves bytes between a socket and a
-//! [`Connection`](crate::dio::Connection). What the lines mean is not decided here.
+//! Listeners, and one task per connection that moves bytes between a socket and a
+//! [`Connection`](crate::dio::Connection). The meaning of the lines is not known here.
 
 mod link;
 pub mod local;
 mod loss;
-mod places;
+mod slots;
 
 use std::net::{IpAddr, SocketAddr};
 use std::path::Path;
@@ -22,64 +22,64 @@ use crate::access::{Gate, Peer, Token};
 use crate::error::Error;
 use crate::http::DEBUG_STREAMS_MAX;
 use crate::log::LogBook;
-use crate::sessions::LEFT_WITHIN;
+use crate::sessions::ORPHAN_TIMEOUT;
 use crate::site::{Counters, Limits, Site, StopPort};
 use local::{Local, LocalSocket};
-use places::{Place, Places};
+use slots::{Slot, Slots};
 
-pub use places::{
-    CONNECTIONS_MAX, CONNECTIONS_PER_ADDRESS, IDLE_DISPLACED, PLACES_MAX, REQUESTS_MAX,
+pub use slots::{
+    CONNECTIONS_MAX, CONNECTIONS_PER_ADDRESS, IDLE_EVICTED_AFTER, REQUESTS_MAX, SLOTS_MAX,
     WAITING_MAX, WAITING_PER_ADDRESS,
 };
 
-/// Nets that are evaluated at once; others wait.
+/// Nets evaluated at the same time; further requests wait.
 pub const EVALUATIONS_MAX: usize = 2;
 
-/// How often sessions that were left, and lines that were not logged, are looked after.
-const HOUSEKEEPING_EVERY: Duration = Duration::from_secs(10);
+/// Interval in which orphaned sessions are ended and suppressed log lines are reported.
+const HOUSEKEEPING_INTERVAL: Duration = Duration::from_secs(10);
 
-/// How long connections may take to end when the server is shut down.
-const SHUTDOWN_WITHIN: Duration = Duration::from_secs(3);
+/// Grace period of connections when the server shuts down.
+const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(3);
 
-/// A silent connection is probed after so many seconds, as often, and so many times before it is lost.
+/// TCP keep-alive: idle time before the first probe, interval of probes, and probes until the connection is lost.
 const KEEP_ALIVE_IDLE_S: u32 = 30;
 /// See [`KEEP_ALIVE_IDLE_S`].
 const KEEP_ALIVE_INTERVAL_S: u32 = 10;
 /// See [`KEEP_ALIVE_IDLE_S`].
 const KEEP_ALIVE_COUNT: u32 = 3;
 
-/// Pause after a connection could not be accepted, so that a lack of files is no busy loop.
-const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
+/// Delay after a failed accept, so that a lack of file descriptors causes no busy loop.
+const ACCEPT_RETRY_DELAY: Duration = Duration::from_millis(100);
 
 pub use takt_core::{Loopback, OnLoss};
 
-/// Where a server listens and how it behaves. Port 0 takes any free port.
+/// Configuration of a server. Port 0 selects any free port.
 #[derive(Clone, Debug, Default)]
 pub struct ServerConfig {
-    /// For HTTP and WebSocket; `None` for not at all.
+    /// Address for HTTP and WebSocket; `None` disables them.
     pub http: Option<SocketAddr>,
-    /// For lines over plain TCP; `None` for not at all.
+    /// Address for lines over plain TCP; `None` disables them.
     pub tcp: Option<SocketAddr>,
-    /// For lines over a Unix socket; `None` for not at all.
+    /// Unix socket for lines; `None` disables it.
     pub local: Option<LocalSocket>,
-    /// What becomes of nets whose client is gone, unless their session says otherwise. `None`: they end, but
-    /// for WebSocket clients that name no version, which expect their nets to run on.
+    /// What happens to the nets of a lost client, unless their session sets it. `None`: they end, except those of
+    /// WebSocket clients that name no version, which expect their nets to run on.
     pub on_loss: Option<OnLoss>,
-    /// What clients must give; `None` for nothing, on loopback only.
+    /// The token that clients must send; `None` for none, which is permitted on loopback only.
     pub token: Option<Token>,
-    /// Whether clients on loopback must give it; `None`: if there is one.
+    /// Whether loopback clients must send it; `None`: if there is one.
     pub loopback: Option<Loopback>,
-    /// Names of this host by which requests without a token may address it, beside `localhost` and addresses.
+    /// Host names by which requests without a token may address this server, besides `localhost` and addresses.
     pub hosts: Vec<String>,
-    /// Origins of pages of other servers that may send requests.
+    /// Page origins of other servers that may send requests.
     pub origins: Vec<String>,
-    /// The log that is shown.
+    /// The log that clients can read.
     pub log: LogBook,
     /// The port of the stop channel, for the page.
     pub stop: Option<StopPort>,
 }
 
-/// A server that listens but does not answer yet.
+/// A server whose listeners are bound but that does not serve yet.
 #[derive(Debug)]
 pub struct Server {
     http: Option<TcpListener>,
@@ -98,33 +98,34 @@ enum Kind {
     Lines,
 }
 
-/// What a connection needs of its server.
-struct Visit {
+/// What a connection gets from its server.
+struct ConnectionContext {
     site: Site,
     peer: Peer,
-    /// The peer, for people.
+    /// The peer's address as text, for the log.
     name: String,
-    /// The address that the connection came to.
+    /// The local address of the connection.
     reached: Option<IpAddr>,
-    place: Place,
+    slot: Slot,
     streams: Arc<Semaphore>,
     evaluations: Arc<Semaphore>,
-    /// Turns true when the server is shut down.
-    closing: watch::Receiver<bool>,
+    /// True once the server shuts down.
+    shutdown: watch::Receiver<bool>,
 }
 
-impl Visit {
-    /// Counts and logs that another connection had to leave for this one.
-    fn count_displaced(&self, displaces: bool) {
-        if displaces {
+impl ConnectionContext {
+    /// Counts and logs that another connection was evicted for this one.
+    fn count_eviction(&self, evicts: bool) {
+        if evicts {
             Counters::add(&self.site.counters.refused, 1);
-            let line = "a connection had to leave for another one: too many wait, or it was idle";
-            self.site.warn(|limits: &Limits| &limits.places, line);
+            let line =
+                "a connection was evicted for another one: too many are waiting, or it was idle";
+            self.site.warn(|limits: &Limits| &limits.slots, line);
         }
     }
 }
 
-/// A connection as it was accepted.
+/// An accepted connection.
 struct Accepted {
     stream: Box<dyn link::Bytes>,
     kind: Kind,
@@ -134,10 +135,10 @@ struct Accepted {
 }
 
 impl Server {
-    /// Begins to listen.
+    /// Binds the listeners.
     ///
     /// # Errors
-    /// If an address is not one of loopback and there is no token, or it cannot be had.
+    /// If an address is not a loopback address and there is no token, or it cannot be bound.
     pub async fn bind(config: ServerConfig) -> Result<Self, Error> {
         let ServerConfig {
             http,
@@ -168,27 +169,27 @@ impl Server {
         })
     }
 
-    /// Where the Unix socket is.
+    /// Path of the Unix socket.
     #[must_use]
     pub fn local_path(&self) -> Option<&Path> {
         self.local.as_ref().map(Local::path)
     }
 
-    /// Where WebSocket connections are taken.
+    /// Address for HTTP and WebSocket.
     #[must_use]
     pub fn http_address(&self) -> Option<SocketAddr> {
         self.http.as_ref().and_then(|l| l.local_addr().ok())
     }
 
-    /// Where plain connections are taken.
+    /// Address for plain TCP.
     #[must_use]
     pub fn tcp_address(&self) -> Option<SocketAddr> {
         self.tcp.as_ref().and_then(|l| l.local_addr().ok())
     }
 
-    /// Serves clients until `shutdown` is over, then closes their connections.
+    /// Serves clients until `shutdown` completes, then closes their connections.
     pub async fn run(self, controller: Controller, shutdown: impl Future<Output = ()>) {
-        let places = Places::default();
+        let slots = Slots::default();
         let streams = Arc::new(Semaphore::new(DEBUG_STREAMS_MAX));
         let evaluations = Arc::new(Semaphore::new(EVALUATIONS_MAX));
         let site = Site {
@@ -196,9 +197,9 @@ impl Server {
             on_loss: self.on_loss,
             ..Site::new(controller, self.gate, self.log).with_stop(self.stop)
         };
-        let (close, closing) = watch::channel(false);
-        let mut visits = JoinSet::new();
-        let mut housekeeping = tokio::time::interval(HOUSEKEEPING_EVERY);
+        let (shutdown_sender, shutdown_receiver) = watch::channel(false);
+        let mut connections = JoinSet::new();
+        let mut housekeeping = tokio::time::interval(HOUSEKEEPING_INTERVAL);
         tokio::pin!(shutdown);
         loop {
             let accepted = tokio::select! {
@@ -206,49 +207,49 @@ impl Server {
                 accepted = accept_local(self.local.as_ref(), &site) => accepted,
                 accepted = accept(self.http.as_ref(), Kind::Http, &site) => accepted,
                 accepted = accept(self.tcp.as_ref(), Kind::Lines, &site) => accepted,
-                Some(ended) = visits.join_next() => {
+                Some(ended) = connections.join_next() => {
                     report(ended);
                     continue;
                 }
                 _ = housekeeping.tick() => {
-                    keep_house(&site);
+                    run_housekeeping(&site);
                     continue;
                 }
             };
-            let (place, displaces) = places.enter(accepted.peer, site.now());
-            let visit = Visit {
+            let (slot, evicts) = slots.enter(accepted.peer, site.now());
+            let context = ConnectionContext {
                 site: site.clone(),
                 peer: accepted.peer,
                 name: accepted.name,
                 reached: accepted.reached,
-                place,
+                slot,
                 streams: Arc::clone(&streams),
                 evaluations: Arc::clone(&evaluations),
-                closing: closing.clone(),
+                shutdown: shutdown_receiver.clone(),
             };
-            visit.count_displaced(displaces);
-            visits.spawn(serve(accepted.stream, accepted.kind, visit));
+            context.count_eviction(evicts);
+            connections.spawn(serve(accepted.stream, accepted.kind, context));
         }
-        // Nobody is left to listen if all connections have ended already.
-        let _ = close.send(true);
-        let all = async { while visits.join_next().await.is_some() {} };
-        if tokio::time::timeout(SHUTDOWN_WITHIN, all).await.is_err() {
-            tracing::warn!("some connections did not end within {SHUTDOWN_WITHIN:?}");
+        // Fails only if all connections have already ended.
+        let _ = shutdown_sender.send(true);
+        let all = async { while connections.join_next().await.is_some() {} };
+        if tokio::time::timeout(SHUTDOWN_TIMEOUT, all).await.is_err() {
+            tracing::warn!("not all connections ended within {SHUTDOWN_TIMEOUT:?}");
         }
     }
 }
 
-/// Ends sessions that nobody came back for, and reports what was not logged.
-fn keep_house(site: &Site) {
+/// Ends orphaned sessions and reports suppressed log lines.
+fn run_housekeeping(site: &Site) {
     site.flush_log();
     let site = site.clone();
     tokio::task::spawn_blocking(move || {
         let now = site.now();
         let ended = site
             .sessions
-            .end_left(&site.controller, now, LEFT_WITHIN, usize::MAX);
+            .end_orphaned(&site.controller, now, ORPHAN_TIMEOUT, usize::MAX);
         if ended > 0 {
-            tracing::info!("{ended} empty sessions of lost clients ended");
+            tracing::info!("ended {ended} empty sessions of lost clients");
         }
     });
 }
@@ -266,7 +267,7 @@ async fn listen(address: Option<SocketAddr>, guarded: bool) -> Result<Option<Tcp
         .map_err(|source| Error::Listen { address, source })
 }
 
-/// The next connection over the network; never over if there is nothing to listen at.
+/// The next network connection; pends for ever without a listener.
 async fn accept(listener: Option<&TcpListener>, kind: Kind, site: &Site) -> Accepted {
     let Some(listener) = listener else {
         return std::future::pending().await;
@@ -283,12 +284,12 @@ async fn accept(listener: Option<&TcpListener>, kind: Kind, site: &Site) -> Acce
                     stream: Box::new(stream),
                 };
             }
-            Err(error) => not_accepted(site, &error).await,
+            Err(error) => log_accept_error(site, &error).await,
         }
     }
 }
 
-/// The same of the Unix socket, for accounts that are admitted.
+/// The next connection at the Unix socket whose account is admitted.
 async fn accept_local(local: Option<&Local>, site: &Site) -> Accepted {
     let Some(local) = local else {
         return std::future::pending().await;
@@ -307,22 +308,22 @@ async fn accept_local(local: Option<&Local>, site: &Site) -> Accepted {
             Ok(stream) => {
                 Counters::add(&site.counters.denied, 1);
                 let uid = stream.peer_cred().map(|account| account.uid());
-                let line = format!("account {uid:?} is refused at the Unix socket");
+                let line = format!("rejected account {uid:?} at the Unix socket");
                 site.warn(|limits: &Limits| &limits.denials, &line);
             }
-            Err(error) => not_accepted(site, &error).await,
+            Err(error) => log_accept_error(site, &error).await,
         }
     }
 }
 
-async fn not_accepted(site: &Site, error: &std::io::Error) {
+async fn log_accept_error(site: &Site, error: &std::io::Error) {
     let line = format!("cannot accept a connection: {error}");
-    site.warn(|limits: &Limits| &limits.places, &line);
-    tokio::time::sleep(ACCEPT_PAUSE).await;
+    site.warn(|limits: &Limits| &limits.slots, &line);
+    tokio::time::sleep(ACCEPT_RETRY_DELAY).await;
 }
 
-/// Has the system find out when the other host is gone without a word, and replies sent at once: delayed small
-/// packets would delay them by tens of milliseconds. A connection without either works too.
+/// Makes the system detect a dead peer, and sends replies at once: Nagle's algorithm would delay them by tens of
+/// milliseconds. A connection without either works too.
 fn keep_alive(stream: &TcpStream) {
     use nix::sys::socket::{setsockopt, sockopt};
     let _ = stream.set_nodelay(true);
@@ -332,41 +333,41 @@ fn keep_alive(stream: &TcpStream) {
     let _ = setsockopt(stream, sockopt::TcpKeepCount, &KEEP_ALIVE_COUNT);
 }
 
-async fn serve(stream: Box<dyn link::Bytes>, kind: Kind, visit: Visit) {
-    let name = visit.name.as_str();
-    tracing::debug!(name, ?kind, "connection begins");
-    let counters = &visit.site.counters;
+async fn serve(stream: Box<dyn link::Bytes>, kind: Kind, context: ConnectionContext) {
+    let name = context.name.as_str();
+    tracing::debug!(name, ?kind, "connection accepted");
+    let counters = &context.site.counters;
     Counters::add(&counters.connections, 1);
     Counters::add(&counters.clients, 1);
-    let opened = match link::serve(stream, kind, &visit).await {
+    let opened = match link::serve(stream, kind, &context).await {
         Ok(opened) => opened,
         Err(link::Failure { error, opened }) => {
             if let Error::Full { .. } = error {
                 Counters::add(&counters.refused, 1);
             }
-            let line = format!("connection of {name} fails: {error}");
-            visit.site.warn(|limits: &Limits| &limits.failures, &line);
+            let line = format!("connection of {name} failed: {error}");
+            context.site.warn(|limits: &Limits| &limits.failures, &line);
             opened
         }
     };
-    tracing::debug!(name, "connection ends");
+    tracing::debug!(name, "connection ended");
     counters.clients.fetch_sub(1, Ordering::Relaxed);
-    let Visit { site, place, .. } = visit;
-    // What follows may take seconds, and is no connection any more.
-    drop(place);
+    let ConnectionContext { site, slot, .. } = context;
+    // The rest may take seconds and needs no connection slot.
+    drop(slot);
     let controller = &site.controller;
     let ends = |id: &SessionId| controller.session_on_loss(*id) == Some(OnLoss::End);
     let (lost, left): (Vec<_>, Vec<_>) = opened.into_iter().partition(ends);
     for session in left {
-        site.sessions.leave(session, site.now());
+        site.sessions.orphan(session, site.now());
     }
     if !lost.is_empty() {
-        loss::end_sessions(controller, lost, loss::CANCEL_WITHIN).await;
+        loss::end_sessions(controller, lost, loss::CANCEL_TIMEOUT).await;
     }
 }
 
 fn report(ended: Result<(), tokio::task::JoinError>) {
     if let Err(error) = ended {
-        tracing::error!(%error, "a connection ended by a fault of the server");
+        tracing::error!(%error, "the task of a connection panicked");
     }
 }

@@ -1,5 +1,5 @@
-//! What all connections of one server share: the controller, the gate, the sessions, the log, and counters of
-//! what goes on. It serves nobody itself.
+//! State shared by all connections of one server: the controller, the gate, the sessions, the log and the counters.
+//! It serves no connection itself.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -13,25 +13,25 @@ use crate::access::origin::Origins;
 use crate::log::{LineLimit, LogBook};
 use crate::sessions::Sessions;
 
-/// What all connections of one server share. Clones are the same site.
+/// State shared by all connections of one server. Clones share it.
 #[derive(Clone, Debug)]
 pub(crate) struct Site {
     pub(crate) controller: Controller,
     pub(crate) gate: Arc<Gate>,
-    /// Pages and names of this host that are accepted.
+    /// Page origins and host names that are accepted.
     pub(crate) origins: Arc<Origins>,
-    /// What becomes of sessions that do not say otherwise; `None`: as their client needs it.
+    /// What happens to sessions of a lost client by default; `None`: depends on the client.
     pub(crate) on_loss: Option<OnLoss>,
     pub(crate) sessions: Sessions,
     pub(crate) log: LogBook,
     pub(crate) counters: Arc<Counters>,
     pub(crate) limits: Arc<Limits>,
-    /// What all times count from.
+    /// Origin of all times.
     pub(crate) begin: Instant,
     pub(crate) stop: Option<Arc<StopPort>>,
 }
 
-/// The port of the stop channel and the key by which the page, which only admitted clients get, may use it.
+/// The port of the stop channel and the key that permits its use by the page, which only admitted clients get.
 #[derive(Clone)]
 pub struct StopPort {
     pub(crate) port: u16,
@@ -39,7 +39,7 @@ pub struct StopPort {
 }
 
 impl StopPort {
-    /// A channel at that port of this host, with that key.
+    /// A stop channel at this port of this host, with this key.
     #[must_use]
     pub fn new(port: u16, key: &str) -> Self {
         let key = key.to_owned();
@@ -75,62 +75,62 @@ impl Site {
         self
     }
 
-    /// Time since the server began.
+    /// Time since the server started.
     pub(crate) fn now(&self) -> Duration {
         self.begin.elapsed()
     }
 
-    /// Logs what a client caused, as long as there are not too many such lines.
+    /// Logs a line that a client caused, within the rate limit of its kind.
     pub(crate) fn warn(&self, kind: impl Fn(&Limits) -> &LineLimit, line: &str) {
         match kind(&self.limits).admit(self.now()) {
             None => {}
             Some(0) => tracing::warn!("{line}"),
-            Some(more) => tracing::warn!("{line} ({more} such lines before were not logged)"),
+            Some(more) => tracing::warn!("{line} ({more} earlier lines of this kind suppressed)"),
         }
     }
 
-    /// Logs how many lines were left out, of kinds that have become quiet.
+    /// Logs how many lines were suppressed, for kinds whose window is over.
     pub(crate) fn flush_log(&self) {
         let limits = &self.limits;
-        for (what, limit) in [
-            ("connections without a place", &limits.places),
-            ("connections that failed", &limits.failures),
-            ("refused clients", &limits.denials),
+        for (subject, limit) in [
+            ("connections without a slot", &limits.slots),
+            ("failed connections", &limits.failures),
+            ("rejected clients", &limits.denials),
         ] {
             if let Some(more) = limit.flush(self.now()) {
-                tracing::warn!("{more} lines about {what} were not logged");
+                tracing::warn!("{more} lines about {subject} suppressed");
             }
         }
     }
 }
 
-/// Limits of lines in the log, by what they are about.
+/// Rate limits of the log, by kind of line.
 #[derive(Debug, Default)]
 pub(crate) struct Limits {
-    /// Connections that are refused or displaced, or cannot be accepted.
-    pub(crate) places: LineLimit,
-    /// Connections that end by an error.
+    /// Connections that are rejected or evicted, or cannot be accepted.
+    pub(crate) slots: LineLimit,
+    /// Connections that end with an error.
     pub(crate) failures: LineLimit,
-    /// Tokens, hosts, origins and first lines that are refused.
+    /// Tokens, hosts, origins and first lines that are rejected.
     pub(crate) denials: LineLimit,
 }
 
-/// What goes on at a server.
+/// Counters of one server.
 #[derive(Debug, Default)]
 pub(crate) struct Counters {
-    /// Connections there are.
+    /// Open connections.
     pub(crate) clients: AtomicU64,
-    /// Connections that were taken so far.
+    /// Connections accepted so far.
     pub(crate) connections: AtomicU64,
-    /// Connections for which there was no room, or that had to leave for others.
+    /// Connections rejected because all slots were in use, or evicted in favour of others.
     pub(crate) refused: AtomicU64,
-    /// Requests over HTTP.
+    /// HTTP requests.
     pub(crate) requests: AtomicU64,
-    /// DirectIO messages that came.
+    /// DirectIO messages received.
     pub(crate) received: AtomicU64,
-    /// DirectIO messages that were sent.
+    /// DirectIO messages sent.
     pub(crate) sent: AtomicU64,
-    /// Tokens that were missing or wrong, or came too often; pages, hosts and first lines that were refused.
+    /// Tokens that were missing, wrong or sent too often; pages, hosts and first lines that were rejected.
     pub(crate) denied: AtomicU64,
 }
 

@@ -1,5 +1,5 @@
-//! What travels: one DirectIO message as a line of text, how messages follow each other on a
-//! stream, and how they lie in WebSocket frames. No command has a meaning here.
+//! Wire formats: one DirectIO message as a line of text, the separation of messages in a stream, and WebSocket
+//! frames. The meaning of commands is not known here.
 
 mod decode;
 mod encode;
@@ -18,7 +18,7 @@ pub const MESSAGE_BYTES_MAX: usize = 8 << 20;
 /// Longest tag or command, bytes.
 pub const IDENTIFIER_BYTES_MAX: usize = 256;
 
-/// Most lists and maps inside one another.
+/// Deepest nesting of lists and maps.
 pub const DEPTH_MAX: usize = 32;
 
 /// Most values in one message, keys of maps not counted.
@@ -29,7 +29,7 @@ pub const VALUES_MAX: usize = 65_536;
 pub struct Message {
     /// Chosen by the client; replies and pushes carry the tag of the command they belong to.
     pub tag: String,
-    /// What to do, or what this is.
+    /// The command, or the kind of reply or push.
     pub command: String,
     /// The values in the parentheses.
     pub args: Vec<Value>,
@@ -45,7 +45,7 @@ impl Message {
         }
     }
 
-    /// The same with one more value.
+    /// Adds a value.
     #[must_use]
     pub fn with(mut self, value: impl Into<Value>) -> Self {
         self.args.push(value.into());
@@ -61,7 +61,7 @@ pub enum Value {
     /// 0 to 2³¹-1; the grammar has no sign.
     Integer(u32),
     /// Written with 6 decimals. The grammar has no sign and no exponent: negative and non-finite
-    /// ones can be made and written, but no peer reads them.
+    /// values can be written, but no peer can read them.
     Float(f64),
     /// Values in order.
     List(Vec<Value>),
@@ -152,7 +152,7 @@ impl From<BTreeMap<String, Self>> for Value {
     }
 }
 
-/// Whether `text` can stand as tag, command or unquoted key.
+/// Whether `text` is valid as tag, command or unquoted key.
 fn is_identifier(text: &str) -> bool {
     let mut bytes = text.bytes();
     bytes.next().is_some_and(starts_identifier) && bytes.all(continues_identifier)
@@ -166,11 +166,11 @@ const fn continues_identifier(byte: u8) -> bool {
     starts_identifier(byte) || byte.is_ascii_digit()
 }
 
-/// Feeds any bytes to every reader of this module and checks what must hold of the result: for
-/// fuzzing, and for the tests that stand in for it.
+/// Feeds any bytes to every reader of this module and checks the results: for fuzzing, and for the tests that
+/// replace it in CI.
 ///
 /// # Panics
-/// If a reader breaks one of its promises.
+/// If a reader breaks one of its guarantees.
 #[doc(hidden)]
 pub fn fuzz(data: &[u8]) {
     let text = String::from_utf8_lossy(data);

@@ -1,5 +1,5 @@
-//! Bounds of the server that need sockets, each refused with a text that names it; and tokens and lost
-//! clients as a configuration asks for them.
+//! Bounds of the server that need sockets, each with an error that names the bound; and configuration of tokens and
+//! lost clients.
 
 #![expect(
     clippy::unwrap_used,
@@ -12,20 +12,20 @@ use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::time::{Duration, Instant};
 
-use common::Running;
+use common::TestServer;
 use takt_server::{Client, OnLoss, Server, ServerConfig, Token, Value};
 
-/// Far longer than anything takes here; it passes only when a test fails.
-const PATIENCE: Duration = Duration::from_secs(20);
+/// Far longer than any test takes; expires only if a test fails.
+const TIMEOUT: Duration = Duration::from_secs(20);
 
 const TOKEN: &str = "0123456789abcdef";
 
 const TAPPED: &str = "{c=Core::Clock(),x=Cancel(),a=Core::DoubleAdd(inFirst[0.5]=c.outValue),\
     outTerminate=x.outCancel}";
 
-fn get(server: &Running, path: &str) -> TcpStream {
+fn get(server: &TestServer, path: &str) -> TcpStream {
     let mut stream = TcpStream::connect(server.http).unwrap();
-    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    stream.set_read_timeout(Some(TIMEOUT)).unwrap();
     let request = format!("GET {path} HTTP/1.1\r\n\r\n");
     stream.write_all(request.as_bytes()).unwrap();
     stream
@@ -42,8 +42,8 @@ fn read_until(stream: &mut TcpStream, done: impl Fn(&str) -> bool) -> String {
 }
 
 #[test]
-fn debug_streams_send_as_it_comes_and_are_bounded() {
-    let server = Running::start(OnLoss::Keep);
+fn debug_streams_are_live_and_bounded() {
+    let server = TestServer::start(OnLoss::Keep);
     let mut client = Client::connect(&server.tcp.to_string()).unwrap();
     let net = client.call("nene", [TAPPED]).unwrap();
     let net = net.text().unwrap().to_owned();
@@ -64,7 +64,7 @@ fn debug_streams_send_as_it_comes_and_are_bounded() {
     let rows = |text: &str| text.lines().filter(|line| line.contains('\t')).count();
     read_until(&mut streams[0], |text| rows(text) > 20);
     client.call("neca", [net.as_str()]).unwrap();
-    // The end of the net is the end of its streams.
+    // The streams end with their net.
     for mut stream in streams {
         let mut rest = String::new();
         stream.read_to_string(&mut rest).unwrap();
@@ -78,8 +78,8 @@ fn debug_streams_send_as_it_comes_and_are_bounded() {
 }
 
 #[test]
-fn a_session_says_what_becomes_of_it_when_it_is_opened() {
-    let server = Running::start(OnLoss::Keep);
+fn session_sets_on_loss_when_opened() {
+    let server = TestServer::start(OnLoss::Keep);
     let mut lost = Client::connect(&server.tcp.to_string()).unwrap();
     lost.call("nse", ["stays"]).unwrap();
     lost.call("nse", ["ends", "end"]).unwrap();
@@ -87,7 +87,7 @@ fn a_session_says_what_becomes_of_it_when_it_is_opened() {
     assert!(error.contains("\"keep\" or \"end\""), "{error}");
     assert_eq!(server.controller.sessions().len(), 2);
     drop(lost);
-    let until = Instant::now() + PATIENCE;
+    let until = Instant::now() + TIMEOUT;
     while server.controller.sessions().len() > 1 {
         assert!(Instant::now() < until, "the session does not end");
         std::thread::sleep(Duration::from_millis(1));
@@ -96,7 +96,7 @@ fn a_session_says_what_becomes_of_it_when_it_is_opened() {
 }
 
 #[tokio::test]
-async fn beyond_loopback_a_token_is_needed() {
+async fn listening_beyond_loopback_requires_token() {
     let everywhere = SocketAddr::from(([0, 0, 0, 0], 0));
     let config = |token| ServerConfig {
         http: Some(everywhere),
@@ -111,9 +111,9 @@ async fn beyond_loopback_a_token_is_needed() {
 }
 
 #[test]
-fn the_client_gives_its_token() {
+fn client_sends_its_token() {
     let token = Token::new(TOKEN).unwrap();
-    let server = Running::start_with(ServerConfig {
+    let server = TestServer::start_with(ServerConfig {
         token: Some(token.clone()),
         ..ServerConfig::default()
     });
@@ -125,25 +125,25 @@ fn the_client_gives_its_token() {
     let wrong = Token::new("wrong-wrong-wrong-wrong").unwrap();
     let error = Client::connect_with(&address, Some(&wrong)).unwrap_err();
     assert!(error.to_string().contains("wrong token"), "{error}");
-    // A server without a token takes any.
-    let open = Running::start(OnLoss::Keep);
+    // A server without a token accepts any.
+    let open = TestServer::start(OnLoss::Keep);
     assert!(Client::connect_with(&open.tcp.to_string(), Some(&token)).is_ok());
 }
 
 #[test]
-fn a_long_line_before_the_token_ends_the_connection() {
-    let server = Running::start_with(ServerConfig {
+fn long_line_before_token_closes_connection() {
+    let server = TestServer::start_with(ServerConfig {
         token: Some(Token::new(TOKEN).unwrap()),
         ..ServerConfig::default()
     });
     let mut stream = TcpStream::connect(server.tcp).unwrap();
-    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    stream.set_read_timeout(Some(TIMEOUT)).unwrap();
     let line = format!("t=tok(\"{}", "a".repeat(513 - 7));
     stream.write_all(line.as_bytes()).unwrap();
     let mut answer = String::new();
     stream.read_to_string(&mut answer).unwrap();
     assert!(answer.contains("more than 512 bytes"), "{answer}");
-    // Afterwards messages may be as long as ever.
+    // After the token, longer messages are accepted.
     let token = Token::new(TOKEN).unwrap();
     let mut client = Client::connect_with(&server.tcp.to_string(), Some(&token)).unwrap();
     let description = "d".repeat(4000);
@@ -151,9 +151,9 @@ fn a_long_line_before_the_token_ends_the_connection() {
 }
 
 #[test]
-fn nets_are_bounded_by_name() {
+fn net_count_is_bounded() {
     use takt_core::controller::NETS_MAX;
-    let server = Running::start(OnLoss::Keep);
+    let server = TestServer::start(OnLoss::Keep);
     let mut client = Client::connect(&server.tcp.to_string()).unwrap();
     let net = "{x=Cancel(),outTerminate=x.outCancel}";
     for _ in 0..NETS_MAX {

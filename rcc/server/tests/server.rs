@@ -1,6 +1,5 @@
-//! Servers and clients over real sockets of this host: both ways of travelling, the known client
-//! that bends the WebSocket rules, and what happens when someone is gone. What commands mean is
-//! tested without sockets.
+//! Servers and clients over loopback sockets: both transports, the known client with its deviations from RFC 6455,
+//! and lost clients. The meaning of commands is tested without sockets.
 
 #![expect(
     clippy::unwrap_used,
@@ -13,7 +12,7 @@ use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::time::{Duration, Instant};
 
-use common::Running;
+use common::TestServer;
 use takt_core::NetId;
 use takt_server::server::CONNECTIONS_MAX;
 use takt_server::{Client, Error, OnLoss, Server, ServerConfig, Value};
@@ -22,13 +21,13 @@ use takt_server::{Client, Error, OnLoss, Server, ServerConfig, Value};
 const CANCELLABLE: &str = "{c=Core::Clock(Increment='1'),\
     t=Core::DoubleNetcommOut(inValue=c.outValue,Key='t'),x=Cancel(),outTerminate=x.outCancel}";
 
-/// Takes no notice of being cancelled.
+/// Ignores cancelling.
 const ENDLESS: &str = "{f=Core::BooleanValue(Value='false'),outTerminate=f.outValue}";
 
-/// Far longer than anything takes here; it passes only when a test fails.
-const PATIENCE: Duration = Duration::from_secs(20);
+/// Far longer than any test takes; expires only if a test fails.
+const TIMEOUT: Duration = Duration::from_secs(20);
 
-fn client(server: &Running) -> Client {
+fn client(server: &TestServer) -> Client {
     Client::connect(&server.tcp.to_string()).unwrap()
 }
 
@@ -45,17 +44,17 @@ fn run(client: &mut Client, net: &str) -> NetId {
     loaded.text().unwrap().parse().unwrap()
 }
 
-fn wait_until(what: &str, mut done: impl FnMut() -> bool) {
-    let until = Instant::now() + PATIENCE;
+fn wait_until(event: &str, mut done: impl FnMut() -> bool) {
+    let until = Instant::now() + TIMEOUT;
     while !done() {
-        assert!(Instant::now() < until, "{what} does not happen");
+        assert!(Instant::now() < until, "timed out waiting for {event}");
         std::thread::sleep(Duration::from_millis(1));
     }
 }
 
 #[test]
 fn net_is_loaded_watched_and_cancelled_over_plain_tcp() {
-    let server = Running::start(OnLoss::Keep);
+    let server = TestServer::start(OnLoss::Keep);
     let mut client = client(&server);
     let net = client
         .call("nene", [CANCELLABLE])
@@ -68,7 +67,7 @@ fn net_is_loaded_watched_and_cancelled_over_plain_tcp() {
         .unwrap();
     client.call("nest", [net.as_str()]).unwrap();
     let next = |client: &mut Client| {
-        let push = client.next_push(PATIENCE).unwrap().unwrap();
+        let push = client.next_push(TIMEOUT).unwrap().unwrap();
         assert_eq!(push.tag, watch.tag);
         push
     };
@@ -91,8 +90,8 @@ fn net_is_loaded_watched_and_cancelled_over_plain_tcp() {
 }
 
 #[test]
-fn refusals_reach_the_caller() {
-    let server = Running::start(OnLoss::Keep);
+fn command_errors_reach_caller() {
+    let server = TestServer::start(OnLoss::Keep);
     let mut client = client(&server);
     let error = client.call("nest", ["rpinet5"]).unwrap_err();
     assert_eq!(error.to_string(), "invalid net (`nest`)");
@@ -100,7 +99,7 @@ fn refusals_reach_the_caller() {
 }
 
 #[test]
-fn nobody_listening_is_said_with_the_remedy() {
+fn connection_refused_error_has_hint() {
     let free = std::net::TcpListener::bind("127.0.0.1:0")
         .unwrap()
         .local_addr()
@@ -108,15 +107,17 @@ fn nobody_listening_is_said_with_the_remedy() {
     let error = Client::connect(&free.to_string()).unwrap_err();
     assert_eq!(
         error.to_string(),
-        format!("nobody listens at {free}: start `takt run`")
+        format!(
+            "cannot connect to {free}: connection refused\nhint: start the controller with `takt run`"
+        )
     );
 }
 
 #[test]
-fn lines_may_come_in_pieces_and_many_at_once() {
-    let server = Running::start(OnLoss::Keep);
+fn lines_arrive_split_or_merged() {
+    let server = TestServer::start(OnLoss::Keep);
     let mut stream = TcpStream::connect(server.tcp).unwrap();
-    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    stream.set_read_timeout(Some(TIMEOUT)).unwrap();
     stream.set_nodelay(true).unwrap();
     for byte in b"a=ver(\"2.0\")\n" {
         stream.write_all(&[*byte]).unwrap();
@@ -133,15 +134,15 @@ fn lines_may_come_in_pieces_and_many_at_once() {
 }
 
 #[test]
-fn endless_line_ends_its_connection_with_the_bound() {
-    let server = Running::start(OnLoss::Keep);
+fn endless_line_closes_connection_with_bound() {
+    let server = TestServer::start(OnLoss::Keep);
     let mut stream = TcpStream::connect(server.tcp).unwrap();
-    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    stream.set_read_timeout(Some(TIMEOUT)).unwrap();
     stream.write_all(b"a=ver(\"2.0\")\n").unwrap();
     let greeted = b"a=ok(\"handshake ok\")\n";
     assert_eq!(read_exactly(&mut stream, greeted.len()), greeted);
     stream.write_all(b"b=nse(\"").unwrap();
-    // One byte too many in all, so that nothing is left unread when the server closes.
+    // Exactly one byte too many, so that nothing is left unread when the server closes.
     stream.write_all(&vec![b' '; (8 << 20) - 6]).unwrap();
     let mut answer = String::new();
     stream.read_to_string(&mut answer).unwrap();
@@ -158,7 +159,7 @@ fn read_exactly(stream: &mut TcpStream, count: usize) -> Vec<u8> {
     bytes
 }
 
-/// The client of the original's users: no version, no masks, ping, `BYE`.
+/// The known client of the original: no version, no masks, ping, `BYE`.
 struct KnownClient(TcpStream);
 
 impl KnownClient {
@@ -168,7 +169,7 @@ impl KnownClient {
 
     fn connect_with(address: SocketAddr, header: &str) -> Self {
         let mut stream = TcpStream::connect(address).unwrap();
-        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        stream.set_read_timeout(Some(TIMEOUT)).unwrap();
         let request = format!(
             "GET /DirectIO/ HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\n\
              Connection: Upgrade\r\n{header}Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
@@ -183,7 +184,7 @@ impl KnownClient {
         Self(stream)
     }
 
-    /// Sends a frame with that first byte, and not masked.
+    /// Sends an unmasked frame with this first byte.
     fn send(&mut self, first: u8, payload: &[u8]) {
         let length = u8::try_from(payload.len()).unwrap();
         self.0
@@ -207,7 +208,7 @@ impl KnownClient {
 
 #[test]
 fn known_client_is_served_over_websocket() {
-    let server = Running::start(OnLoss::Keep);
+    let server = TestServer::start(OnLoss::Keep);
     let mut client = KnownClient::connect(server.http);
     client.send(0x81, b"c0=ver(\"2.0\")");
     assert_eq!(client.text(), "c0=ok(\"handshake ok\")");
@@ -225,10 +226,10 @@ fn known_client_is_served_over_websocket() {
 }
 
 #[test]
-fn client_that_keeps_the_rules_is_served_too() {
-    let server = Running::start(OnLoss::Keep);
+fn rfc_client_is_served_over_websocket() {
+    let server = TestServer::start(OnLoss::Keep);
     let stream = TcpStream::connect(server.http).unwrap();
-    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    stream.set_read_timeout(Some(TIMEOUT)).unwrap();
     let url = format!("ws://{}/DirectIO/", server.http);
     let (mut socket, _) = tungstenite::client(url, stream).unwrap();
     socket.send("c0=ver(\"2.0\")".into()).unwrap();
@@ -249,8 +250,8 @@ fn client_that_keeps_the_rules_is_served_too() {
 }
 
 #[test]
-fn pushes_come_without_being_asked_for() {
-    let server = Running::start(OnLoss::Keep);
+fn pushes_arrive_unsolicited() {
+    let server = TestServer::start(OnLoss::Keep);
     let (mut watcher, mut other) = (client(&server), client(&server));
     let net = other
         .call("nene", [CANCELLABLE])
@@ -262,23 +263,23 @@ fn pushes_come_without_being_asked_for() {
         .call("gne", [Value::from(net.as_str()), Value::from(0.01)])
         .unwrap();
     assert_eq!(
-        watcher.next_push(PATIENCE).unwrap().unwrap().args,
+        watcher.next_push(TIMEOUT).unwrap().unwrap().args,
         [Value::from("READY")]
     );
     other.call("nest", [net.as_str()]).unwrap();
     assert_eq!(
-        watcher.next_push(PATIENCE).unwrap().unwrap().args,
+        watcher.next_push(TIMEOUT).unwrap().unwrap().args,
         [Value::from("RUNNING")]
     );
     for _ in 0..3 {
-        assert_eq!(watcher.next_push(PATIENCE).unwrap().unwrap().command, "nc");
+        assert_eq!(watcher.next_push(TIMEOUT).unwrap().unwrap().command, "nc");
     }
 }
 
-/// Sends a request in pieces, so that it comes in several.
-fn ask(server: &Running, request: &str) -> String {
+/// Sends a request in several pieces.
+fn request(server: &TestServer, request: &str) -> String {
     let mut stream = TcpStream::connect(server.http).unwrap();
-    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    stream.set_read_timeout(Some(TIMEOUT)).unwrap();
     for part in request.as_bytes().chunks(1 << 16) {
         // The server may have answered before everything is sent.
         let _ = stream.write_all(part);
@@ -289,10 +290,10 @@ fn ask(server: &Running, request: &str) -> String {
 }
 
 #[test]
-fn resources_are_served_and_the_connection_is_closed() {
-    let server = Running::start(OnLoss::Keep);
+fn resource_response_closes_connection() {
+    let server = TestServer::start(OnLoss::Keep);
     let get = |path: &str| {
-        ask(
+        request(
             &server,
             &format!("GET {path} HTTP/1.1\r\nHost: localhost\r\n\r\n"),
         )
@@ -306,14 +307,14 @@ fn resources_are_served_and_the_connection_is_closed() {
     assert!(get("/").starts_with("HTTP/1.1 200 "));
     assert!(get("/nowhere/").starts_with("HTTP/1.1 404 "));
     assert!(get("/DirectIO/").starts_with("HTTP/1.1 426 "));
-    assert!(ask(&server, "\0\r\n\r\n").starts_with("HTTP/1.1 400 "));
+    assert!(request(&server, "\0\r\n\r\n").starts_with("HTTP/1.1 400 "));
     let net = "{x=Cancel(),outTerminate=x.outCancel}";
     let body = format!("dionet={net}&desc=[{}", "x".repeat(300_000));
     let head = format!(
         "POST /eval/ HTTP/1.1\r\nContent-Length: {}\r\n\r\n",
         body.len()
     );
-    let eval = ask(&server, &format!("{head}{body}"));
+    let eval = request(&server, &format!("{head}{body}"));
     assert!(
         eval.contains(r#"<data key="outTerminate">false</data>"#),
         "{eval}"
@@ -321,14 +322,14 @@ fn resources_are_served_and_the_connection_is_closed() {
 }
 
 #[test]
-fn body_that_is_too_long_is_refused_before_it_is_sent() {
-    let server = Running::start(OnLoss::Keep);
+fn oversized_body_is_rejected_before_sending() {
+    let server = TestServer::start(OnLoss::Keep);
     let head = "POST /nets/ HTTP/1.1\r\nContent-Length: 999999999\r\n\r\n";
-    let answer = ask(&server, &format!("{head}{}", "x".repeat(1 << 20)));
+    let answer = request(&server, &format!("{head}{}", "x".repeat(1 << 20)));
     assert!(answer.starts_with("HTTP/1.1 413 "), "{answer}");
 }
 
-/// Opens a session over WebSocket, runs a net in it, and is gone.
+/// Opens a session over WebSocket, runs a net in it and drops the connection.
 fn lose_websocket_client(mut lost: KnownClient) -> NetId {
     let mut call = |line: String| {
         lost.send(0x81, line.as_bytes());
@@ -348,8 +349,8 @@ fn lose_websocket_client(mut lost: KnownClient) -> NetId {
 }
 
 #[test]
-fn lost_client_net_ends_unless_the_known_client_left_it() {
-    let server = Running::start_with(ServerConfig::default());
+fn lost_client_net_ends_except_known_client() {
+    let server = TestServer::start_with(ServerConfig::default());
     let mut lost = client(&server);
     run(&mut lost, CANCELLABLE);
     drop(lost);
@@ -359,7 +360,7 @@ fn lost_client_net_ends_unless_the_known_client_left_it() {
         server.controller.sessions().is_empty()
     });
     let stays = lose_websocket_client(KnownClient::connect(server.http));
-    // A connection that comes later is served after the loss of that one was handled or not: either way.
+    // Whether or not the loss has been handled when the next client is served, the net must run.
     let mut next = client(&server);
     let described = next.call("nin", [stays.to_string()]).unwrap();
     assert!(
@@ -372,8 +373,8 @@ fn lost_client_net_ends_unless_the_known_client_left_it() {
 }
 
 #[test]
-fn sessions_of_a_lost_client_end_if_so_configured() {
-    let server = Running::start(OnLoss::End);
+fn lost_client_sessions_end_if_configured() {
+    let server = TestServer::start(OnLoss::End);
     let mut lost = client(&server);
     run(&mut lost, CANCELLABLE);
     let stays = lost
@@ -387,39 +388,39 @@ fn sessions_of_a_lost_client_end_if_so_configured() {
     wait_until("the end of the session", || {
         server.controller.sessions().is_empty()
     });
-    // Nets without a session belong to nobody who could be lost.
+    // Nets without a session belong to no client.
     assert_eq!(server.controller.nets(), [stays]);
 }
 
 #[test]
 fn connections_are_bounded() {
-    let server = Running::start(OnLoss::Keep);
+    let server = TestServer::start(OnLoss::Keep);
     let mut clients: Vec<_> = (0..CONNECTIONS_MAX).map(|_| client(&server)).collect();
     let bound = format!("at most {CONNECTIONS_MAX}");
     let error = Client::connect(&server.tcp.to_string())
         .unwrap_err()
         .to_string();
     assert!(error.contains(&bound), "{error}");
-    // Requests have places of their own.
-    let status = ask(&server, "GET /status/ HTTP/1.1\r\n\r\n");
+    // Requests have slots of their own.
+    let status = request(&server, "GET /status/ HTTP/1.1\r\n\r\n");
     assert!(status.starts_with("HTTP/1.1 200 "), "{status}");
     clients.pop();
-    wait_until("a free place", || {
+    wait_until("a free slot", || {
         Client::connect(&server.tcp.to_string()).is_ok()
     });
 }
 
 #[test]
 fn shutdown_closes_connections() {
-    let mut server = Running::start(OnLoss::Keep);
+    let mut server = TestServer::start(OnLoss::Keep);
     let mut client = client(&server);
     server.stop();
-    let error = client.next_push(PATIENCE).unwrap_err();
+    let error = client.next_push(TIMEOUT).unwrap_err();
     assert!(matches!(error, Error::Closed { .. }), "{error}");
 }
 
 #[tokio::test]
-async fn only_loopback_is_listened_at() {
+async fn listening_beyond_loopback_is_rejected() {
     let everywhere = SocketAddr::from(([0, 0, 0, 0], 0));
     let config = ServerConfig {
         tcp: Some(everywhere),
@@ -433,7 +434,7 @@ async fn only_loopback_is_listened_at() {
 }
 
 #[tokio::test]
-async fn address_in_use_is_said() {
+async fn address_in_use_is_reported() {
     let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let address = taken.local_addr().unwrap();
     let config = ServerConfig {
@@ -448,8 +449,8 @@ async fn address_in_use_is_said() {
 }
 
 #[test]
-fn random_bytes_hurt_nobody() {
-    let server = Running::start(OnLoss::Keep);
+fn random_bytes_leave_server_running() {
+    let server = TestServer::start(OnLoss::Keep);
     let mut bytes = vec![0_u8; 20_000];
     let mut state = 1_u32;
     for byte in &mut bytes {
@@ -462,8 +463,8 @@ fn random_bytes_hurt_nobody() {
             let _ = TcpStream::connect(address).unwrap().write_all(part);
         }
     }
-    // There may be as many connections as the server takes, none of which it was sure to be rid of.
-    wait_until("a free place", || {
+    // The previous connections may still hold all slots.
+    wait_until("a free slot", || {
         Client::connect(&server.tcp.to_string()).is_ok()
     });
     let mut client = KnownClient::connect(server.http);

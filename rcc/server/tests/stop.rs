@@ -1,4 +1,4 @@
-//! The page's ways to the stop: what it needs of the server beforehand, and the second way, through the server.
+//! The page's two paths to a stop: port and key of the stop channel, and the stop request to the server.
 
 #![expect(
     clippy::unwrap_used,
@@ -10,10 +10,10 @@ mod common;
 use std::io::{Read as _, Write as _};
 use std::net::TcpStream;
 
-use common::Running;
+use common::TestServer;
 use takt_server::{ServerConfig, StopPort, Token};
 
-fn http(server: &Running, method: &str, target: &str, header: &str) -> String {
+fn http(server: &TestServer, method: &str, target: &str, header: &str) -> String {
     let mut stream = TcpStream::connect(server.http).unwrap();
     let host = server.http;
     let request = format!(
@@ -27,7 +27,7 @@ fn http(server: &Running, method: &str, target: &str, header: &str) -> String {
 
 #[test]
 fn page_finds_the_stop_port_and_its_key() {
-    let server = Running::start_with(ServerConfig {
+    let server = TestServer::start_with(ServerConfig {
         stop: Some(StopPort::new(4711, "page-key")),
         ..ServerConfig::default()
     });
@@ -46,8 +46,8 @@ fn page_finds_the_stop_port_and_its_key() {
 }
 
 #[test]
-fn server_is_the_second_way_to_stop() {
-    let server = Running::start_with(ServerConfig::default());
+fn server_stop_request_stops_controller() {
+    let server = TestServer::start_with(ServerConfig::default());
     let stopped = http(&server, "POST", "/stop/", "");
     assert!(stopped.contains("\"stopped\":\"true\""), "{stopped}");
     assert!(
@@ -63,8 +63,8 @@ fn server_is_the_second_way_to_stop() {
 }
 
 #[test]
-fn key_is_given_only_with_the_token() {
-    let server = Running::start_with(ServerConfig {
+fn stop_key_requires_token() {
+    let server = TestServer::start_with(ServerConfig {
         token: Some(Token::new("0123456789abcdef").unwrap()),
         stop: Some(StopPort::new(4711, "page-key")),
         ..ServerConfig::default()

@@ -1,5 +1,5 @@
-//! Replays the transcripts beside this file against a real server over sockets of this host and
-//! compares line by line. `transcripts/README.md` says what the lines mean.
+//! Replays the transcripts in this directory against a real server over loopback sockets and
+//! compares line by line. `transcripts/README.md` describes the format.
 
 #![expect(
     clippy::unwrap_used,
@@ -14,24 +14,24 @@ use std::io::{ErrorKind, Read, Write};
 use std::net::TcpStream;
 use std::time::Duration;
 
-use common::Running;
+use common::TestServer;
 use takt_server::{OnLoss, ServerConfig, Token};
 
-/// Far longer than anything takes here; it passes only when a test fails.
-const PATIENCE: Duration = Duration::from_secs(20);
+/// Far longer than any test takes; expires only if a test fails.
+const TIMEOUT: Duration = Duration::from_secs(20);
 
-/// What a client of the original sends to get a WebSocket.
+/// The WebSocket handshake of a client of the original.
 const UPGRADE: &str = "GET /DirectIO/ HTTP/1.1\r\nHost: h\r\nUpgrade: websocket\r\n\
     Connection: Upgrade\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n";
 
-/// How `open NAME` connects.
+/// The transport of `open NAME`.
 #[derive(Clone, Copy, PartialEq)]
-enum Way {
+enum Transport {
     WebSocket,
     Tcp,
 }
 
-/// Whether `text` is what `pattern` says.
+/// Whether `text` matches `pattern`.
 fn fits(pattern: &str, text: &str) -> bool {
     let starts = [
         pattern.find("<number>").map(|at| (at, "<number>")),
@@ -72,19 +72,19 @@ struct Line {
     stream: TcpStream,
     bytes: Vec<u8>,
     frames: bool,
-    /// Messages that may come at any time.
+    /// Messages permitted at any time.
     loose: Vec<String>,
-    /// Messages that come once, in whatever order with what else is expected.
+    /// Messages expected once, in any order.
     awaited: Vec<String>,
-    /// Messages that may come, once and likewise.
+    /// Messages permitted once, in any order.
     possible: Vec<String>,
-    /// A message that was read and not expected yet.
+    /// A message that was read but not compared yet.
     held: VecDeque<(u8, String)>,
 }
 
 impl Line {
     fn new(stream: TcpStream, frames: bool) -> Self {
-        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        stream.set_read_timeout(Some(TIMEOUT)).unwrap();
         stream.set_nodelay(true).unwrap();
         Self {
             stream,
@@ -97,7 +97,7 @@ impl Line {
         }
     }
 
-    /// Reads until there are so many bytes; `None` at the end of the stream.
+    /// Reads `count` bytes; `None` at the end of the stream.
     fn fill(&mut self, count: usize) -> Option<()> {
         while self.bytes.len() < count {
             let mut part = [0; 4096];
@@ -105,7 +105,7 @@ impl Line {
                 Ok(0) => return None,
                 Ok(n) => self.bytes.extend_from_slice(&part[..n]),
                 Err(e) if e.kind() == ErrorKind::ConnectionReset => return None,
-                Err(e) => panic!("nothing comes: {e}"),
+                Err(e) => panic!("nothing is received: {e}"),
             }
         }
         Some(())
@@ -115,7 +115,7 @@ impl Line {
         self.bytes.drain(..count).collect()
     }
 
-    /// A line without its end.
+    /// A line without its line end.
     fn text_line(&mut self) -> Option<String> {
         let mut seen = 0;
         loop {
@@ -148,7 +148,7 @@ impl Line {
         Some((first, String::from_utf8(self.take(length)).unwrap()))
     }
 
-    /// The next message that may not come at any time.
+    /// The next message that is not permitted at any time.
     fn message(&mut self) -> (u8, String) {
         loop {
             let (first, text) = self.read().expect("the server closed the connection");
@@ -178,7 +178,7 @@ impl Line {
     }
 }
 
-/// Whether one of `patterns` is for a text; it is for no other then.
+/// Whether one of `patterns` matches; that one is removed.
 fn once(patterns: &mut Vec<String>, text: &str) -> bool {
     let at = patterns.iter().position(|pattern| fits(pattern, text));
     at.map(|at| patterns.remove(at)).is_some()
@@ -186,10 +186,10 @@ fn once(patterns: &mut Vec<String>, text: &str) -> bool {
 
 /// A replay of one file.
 struct Replay<'s> {
-    server: &'s Running,
-    way: Way,
+    server: &'s TestServer,
+    transport: Transport,
     lines: HashMap<String, Line>,
-    /// Lines of the last response that were not compared yet, its status first.
+    /// Lines of the last response not compared yet, its status first.
     response: VecDeque<String>,
 }
 
@@ -220,12 +220,12 @@ impl Replay<'_> {
     }
 
     fn open(&mut self, name: &str, how: &str) {
-        let address = match (self.way, how) {
-            (Way::Tcp, "") => self.server.tcp,
+        let address = match (self.transport, how) {
+            (Transport::Tcp, "") => self.server.tcp,
             _ => self.server.http,
         };
         let mut line = Line::new(TcpStream::connect(address).unwrap(), false);
-        if (self.way, how) == (Way::WebSocket, "") {
+        if (self.transport, how) == (Transport::WebSocket, "") {
             line.stream.write_all(UPGRADE.as_bytes()).unwrap();
             while line.text_line().unwrap() != "" {}
             line.frames = true;
@@ -240,7 +240,7 @@ impl Replay<'_> {
             _ => (rest, ""),
         };
         let mut stream = TcpStream::connect(self.server.http).unwrap();
-        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        stream.set_read_timeout(Some(TIMEOUT)).unwrap();
         let length = body.len();
         let request =
             format!("{method} {target} HTTP/1.1\r\nContent-Length: {length}\r\n\r\n{body}");
@@ -267,7 +267,7 @@ impl Replay<'_> {
 }
 
 fn converse(line: &mut Line, verb: &str, rest: &str, optional: bool) -> Result<(), String> {
-    let told = |is: bool, what: String| is.then_some(()).ok_or(what);
+    let check = |is: bool, received: String| is.then_some(()).ok_or(received);
     match verb {
         ">|" => {
             let text = format!("{rest}\r\n");
@@ -276,7 +276,7 @@ fn converse(line: &mut Line, verb: &str, rest: &str, optional: bool) -> Result<(
         }
         "<|" => {
             let text = line.text_line().ok_or("the connection is closed")?;
-            told(text == rest, text)
+            check(text == rest, text)
         }
         "frames" => {
             line.frames = true;
@@ -301,7 +301,7 @@ fn converse(line: &mut Line, verb: &str, rest: &str, optional: bool) -> Result<(
                 line.held.push_front((first, text));
                 return Ok(());
             }
-            told(fits, text)
+            check(fits, text)
         }
         "<&" if rest.is_empty() => {
             while !line.awaited.is_empty() {
@@ -327,7 +327,7 @@ fn converse(line: &mut Line, verb: &str, rest: &str, optional: bool) -> Result<(
         }
         "<close" => {
             let (first, text) = line.message();
-            told(first == 0x88 && text == rest, format!("{first:#x} {text}"))
+            check(first == 0x88 && text == rest, format!("{first:#x} {text}"))
         }
         "end" => match line.read() {
             None => Ok(()),
@@ -337,15 +337,15 @@ fn converse(line: &mut Line, verb: &str, rest: &str, optional: bool) -> Result<(
     }
 }
 
-fn replay(file: &str, text: &str, way: Way, token: Option<&str>) {
-    let server = Running::start_with(ServerConfig {
+fn replay(file: &str, text: &str, transport: Transport, token: Option<&str>) {
+    let server = TestServer::start_with(ServerConfig {
         on_loss: Some(OnLoss::Keep),
         token: token.map(|token| Token::new(token).unwrap()),
         ..ServerConfig::default()
     });
     let mut replay = Replay {
         server: &server,
-        way,
+        transport,
         lines: HashMap::new(),
         response: VecDeque::new(),
     };
@@ -355,8 +355,11 @@ fn replay(file: &str, text: &str, way: Way, token: Option<&str>) {
             continue;
         }
         steps += 1;
-        if let Err(told) = replay.step(line) {
-            panic!("{file}:{}: {line}\nbut the server said: {told}", number + 1);
+        if let Err(mismatch) = replay.step(line) {
+            panic!(
+                "{file}:{}: {line}\nbut the server sent: {mismatch}",
+                number + 1
+            );
         }
     }
     for (name, line) in &replay.lines {
@@ -366,41 +369,41 @@ fn replay(file: &str, text: &str, way: Way, token: Option<&str>) {
             line.awaited
         );
     }
-    assert!(steps > 10, "{file} says next to nothing");
+    assert!(steps > 10, "{file} has too few steps");
 }
 
 #[test]
 fn handshake_of_the_known_client() {
     let text = include_str!("transcripts/websocket.txt");
-    replay("websocket.txt", text, Way::WebSocket, None);
+    replay("websocket.txt", text, Transport::WebSocket, None);
 }
 
 #[test]
 fn exchanges_over_websocket() {
     let text = include_str!("transcripts/exchanges.txt");
-    replay("exchanges.txt", text, Way::WebSocket, None);
+    replay("exchanges.txt", text, Transport::WebSocket, None);
 }
 
 #[test]
 fn exchanges_over_plain_tcp() {
     let text = include_str!("transcripts/exchanges.txt");
-    replay("exchanges.txt", text, Way::Tcp, None);
+    replay("exchanges.txt", text, Transport::Tcp, None);
 }
 
 #[test]
 fn resources_over_http() {
     let text = include_str!("transcripts/http.txt");
-    replay("http.txt", text, Way::Tcp, None);
+    replay("http.txt", text, Transport::Tcp, None);
 }
 
 #[test]
-fn tokens_over_every_way() {
+fn tokens_over_every_transport() {
     let text = include_str!("transcripts/token.txt");
-    replay("token.txt", text, Way::Tcp, Some("0123456789abcdef"));
+    replay("token.txt", text, Transport::Tcp, Some("0123456789abcdef"));
 }
 
 #[test]
-fn patterns_mean_what_they_say() {
+fn patterns_match_as_documented() {
     assert!(fits("a=<number>!", "a=-1.5e-3!"));
     assert!(!fits("a=<number>!", "a=!"));
     assert!(!fits("a=<number>", "a=1x"));

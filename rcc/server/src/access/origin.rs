@@ -1,21 +1,20 @@
-//! Which web pages may send a request, and by which names a request without a token may address this server.
-//! A browser lets any page send forms to any host and open WebSockets to it, and a name that a page's owner
-//! controls may lead to this host (DNS rebinding): what protects then is what the browser itself says in
-//! `Origin`, `Sec-Fetch-Site` and `Host`. Programs that are no browser say what they like; they are the
-//! token's business.
+//! Which web pages may send a request, and by which host names a request without a token may address this server.
+//! A browser lets any page send forms to any host and open WebSockets to it, and an attacker can make a name of his
+//! own resolve to this host (DNS rebinding). The protection is what the browser itself reports in `Origin`,
+//! `Sec-Fetch-Site` and `Host`. Programs other than browsers can send any header; the token protects against those.
 
 use std::net::IpAddr;
 
-/// Names and origins that are accepted beside this server's own.
+/// Host names and origins that are accepted besides this server's own.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Origins {
     /// Names of this host, with or without a port.
     pub(crate) hosts: Vec<String>,
-    /// Origins of pages of other servers.
+    /// Page origins of other servers.
     pub(crate) origins: Vec<String>,
 }
 
-/// What a request says about where it comes from.
+/// The headers by which a request states where it comes from.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Sender<'a> {
     /// `Host`.
@@ -24,23 +23,23 @@ pub(crate) struct Sender<'a> {
     pub(crate) origin: Option<&'a str>,
     /// `Sec-Fetch-Site`: how the page relates to this server.
     pub(crate) site: Option<&'a str>,
-    /// Whether a person follows a link to here, rather than a page using what it finds here.
+    /// Whether it is a navigation by link, rather than a subresource of another page.
     pub(crate) navigates: bool,
 }
 
 impl Origins {
-    /// Whether the page that sends a request, if one does, may. Programs send no `Origin`.
+    /// Whether the web page that sends a request, if any, is permitted. Programs send no `Origin`.
     pub(crate) fn admit_page(&self, sender: &Sender<'_>) -> bool {
         match (sender.origin, sender.site) {
             (Some(origin), _) => self.is_listed(origin) || is_own(origin, sender.host),
             (None, None | Some("same-origin" | "none")) => true,
-            // Images and the like of other pages carry no origin.
+            // Images and other subresources of foreign pages carry no origin.
             (None, Some(_)) => sender.navigates,
         }
     }
 
-    /// Whether a request without a token may be addressed to that host; `reached` is the address that its
-    /// connection came to. Browsers always send one.
+    /// Whether a request without a token may be addressed to `host`; `reached` is the local address of its
+    /// connection. Browsers always send `Host`.
     pub(crate) fn admit_host(&self, host: Option<&str>, reached: Option<IpAddr>) -> bool {
         let Some(host) = host else {
             return true;
@@ -59,7 +58,7 @@ impl Origins {
     }
 }
 
-/// Whether a page came from the very host and port it sends to.
+/// Whether the page's origin has the host and port that the request is sent to.
 fn is_own(origin: &str, host: Option<&str>) -> bool {
     let of_page = origin.split_once("://").map(|(_, host)| host);
     matches!((of_page, host), (Some(page), Some(host)) if page.eq_ignore_ascii_case(host))
@@ -86,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn host_of_rebound_name_is_refused() {
+    fn rebound_host_is_rejected() {
         let reached = Some(IpAddr::from([192, 0, 2, 7]));
         let admits = |host: &str| origins().admit_host(Some(host), reached);
         for host in [
@@ -120,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn page_of_another_origin_is_refused() {
+    fn page_from_other_origin_is_rejected() {
         let admits = |origin, site, navigates| {
             origins().admit_page(&Sender {
                 host: Some("localhost:8080"),

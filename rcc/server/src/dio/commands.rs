@@ -1,5 +1,5 @@
-//! The commands of the protocol: values checked, the controller asked, its answer put into words.
-//! What a command causes is not told here, but by the subscriptions.
+//! The commands of the protocol: checks the values, calls the controller, encodes its answer. The effects of a
+//! command are reported by the subscriptions, not here.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -8,38 +8,38 @@ use takt_core::controller::{LoadRequest, NetInfo, RuleId, RuleRequest};
 use takt_core::{Error, NetId, OnLoss, SessionId};
 
 use super::devices::DeviceWatch;
+use super::error::CommandError;
 use super::figures;
 use super::nets::NetWatch;
-use super::refusal::Refusal;
 use super::rules::RuleWatch;
 use super::sessions::SessionWatch;
 use super::{Connection, Pushes, SUBSCRIPTIONS_MAX};
 use crate::access::Admission;
 use crate::wire::{Message, Value};
 
-/// The version that a client must ask for.
+/// The protocol version that a client must request.
 const VERSION: &str = "2.0";
 
-/// Number of the kind of faults of a net whose text does not follow the grammar.
+/// Fault number of a syntax error in the text of a net.
 const SYNTAX_FAULT: u32 = 12;
 
 /// Most bytes of the description of a session or a net.
 pub(crate) const DESCRIPTION_BYTES_MAX: usize = 4096;
 
-/// Most sessions that one connection has at once.
+/// Most sessions open by one connection.
 pub(crate) const SESSIONS_PER_CONNECTION: usize = 64;
 
-/// Most faults of one net that are told.
+/// Most faults of one net that are reported.
 const FAULTS_MAX: usize = 20;
 
-/// Longest refresh interval that is kept apart from "never again".
+/// Upper bound of the refresh interval, so that times do not overflow.
 const REFRESH_MAX: Duration = Duration::from_secs(3600);
 
-type Outcome = Result<Vec<Value>, Refusal>;
+type Outcome = Result<Vec<Value>, CommandError>;
 
 impl Connection {
-    /// Does what the message says; the result is what stands in the parentheses of `ok`. What
-    /// must be told before it is too late goes to `out`.
+    /// Executes a command; the result is the values of the `ok` reply. Pushes whose data would be lost by
+    /// the command itself are appended to `out`.
     pub(super) fn execute(
         &mut self,
         message: &Message,
@@ -51,9 +51,9 @@ impl Connection {
         match message.command.as_str() {
             "quit" => Ok(vec!["quitting".into()]),
             "tok" => self.admit(args, now),
-            _ if self.needs_token => Err(Refusal::TokenMissing),
-            "ver" if !self.greeted => self.greet(args),
-            _ if !self.greeted => Err(Refusal::BadHandshake),
+            _ if self.needs_token => Err(CommandError::TokenMissing),
+            "ver" if !self.handshake_done => self.handshake(args),
+            _ if !self.handshake_done => Err(CommandError::BadHandshake),
             "nse" => self.open_session(args, now),
             "ase" => self.end_session(args, now, out),
             "gse" => self.watch_session(args, tag()),
@@ -69,15 +69,15 @@ impl Connection {
             "nst" => self.figures(args),
             "nesc" => self.schedule(args),
             "gsy" => self.watch_rule(args, tag()),
-            _ => Err(Refusal::UnknownCommand),
+            _ => Err(CommandError::UnknownCommand),
         }
     }
 
-    /// Takes a token; where none is needed, any will do.
+    /// Checks a token; where none is required, any is accepted.
     fn admit(&mut self, args: Args<'_>, now: Duration) -> Outcome {
         let given = args.text(0)?;
-        let admission = match &self.door {
-            Some(door) => door.check(Some(given), now),
+        let admission = match &self.token_check {
+            Some(token_check) => token_check.check(Some(given), now),
             None => Admission::Admitted(self.credential),
         };
         match admission {
@@ -86,32 +86,32 @@ impl Connection {
                 self.credential = credential;
                 return Ok(vec!["token ok".into()]);
             }
-            Admission::Missing | Admission::Wrong => self.refused = true,
+            Admission::Missing | Admission::Wrong => self.rejected = true,
             Admission::TooMany => {
-                (self.refused, self.slowed) = (true, true);
-                return Err(Refusal::TooManyTokens);
+                (self.rejected, self.delayed) = (true, true);
+                return Err(CommandError::TooManyTokens);
             }
         }
-        Err(Refusal::WrongToken)
+        Err(CommandError::WrongToken)
     }
 
-    fn greet(&mut self, args: Args<'_>) -> Outcome {
-        self.greeted = args.text(0).is_ok_and(|v| v == VERSION);
-        if self.greeted {
+    fn handshake(&mut self, args: Args<'_>) -> Outcome {
+        self.handshake_done = args.text(0).is_ok_and(|v| v == VERSION);
+        if self.handshake_done {
             Ok(vec!["handshake ok".into()])
         } else {
-            Err(Refusal::BadHandshake)
+            Err(CommandError::BadHandshake)
         }
     }
 
     fn open_session(&mut self, args: Args<'_>, now: Duration) -> Outcome {
         let on_loss = match args.optional(1, Args::text)? {
             None => self.on_loss,
-            Some(word) => OnLoss::of_word(word).ok_or(Refusal::OnLoss)?,
+            Some(word) => OnLoss::of_word(word).ok_or(CommandError::OnLoss)?,
         };
         let description = args.description(0)?;
         if self.opened.len() >= SESSIONS_PER_CONNECTION {
-            return Err(Refusal::TooManySessions);
+            return Err(CommandError::TooManySessions);
         }
         let open = || self.controller.open_session_with(description, on_loss);
         let by = self.credential;
@@ -120,15 +120,15 @@ impl Connection {
             self.opened.push(session);
             return Ok(vec![session.to_string().into()]);
         };
-        let make_room = || {
+        let free_session = || {
             let now = *begin + now;
-            sessions.end_left(&self.controller, now, Duration::ZERO, 1) > 0
+            sessions.end_orphaned(&self.controller, now, Duration::ZERO, 1) > 0
         };
-        if sessions.is_full_for(by) && !make_room() {
-            return Err(Refusal::TooManyOpenSessions);
+        if sessions.is_full_for(by) && !free_session() {
+            return Err(CommandError::TooManyOpenSessions);
         }
         let session = match open() {
-            Err(Error::TooMany { .. }) if make_room() => open(),
+            Err(Error::TooMany { .. }) if free_session() => open(),
             opened => opened,
         }?;
         sessions.add(session, by);
@@ -136,14 +136,16 @@ impl Connection {
         Ok(vec![session.to_string().into()])
     }
 
-    /// The nets are aborted before they are unloaded, so that their last values can be told.
+    /// The nets are aborted before they are unloaded, so that their last values can be pushed.
     fn end_session(&mut self, args: Args<'_>, now: Duration, out: &mut Vec<Message>) -> Outcome {
         let session = self.session(args)?;
         for net in self.controller.session_nets(session).unwrap_or_default() {
-            in_any_state(self.controller.abort(net)).or_else(unless_gone)?;
+            ignore_wrong_state(self.controller.abort(net)).or_else(ignore_unloaded_net)?;
         }
         out.extend(self.due(Pushes::BeforeReply, now));
-        self.controller.end_session(session).map_err(of_session)?;
+        self.controller
+            .end_session(session)
+            .map_err(session_error)?;
         self.opened.retain(|s| *s != session);
         Ok(Vec::new())
     }
@@ -151,26 +153,26 @@ impl Connection {
     fn watch_session(&mut self, args: Args<'_>, tag: String) -> Outcome {
         let session = self.session(args)?;
         self.adopt(session);
-        self.check_room(self.sessions.contains_key(&session))?;
+        self.check_quota(self.sessions.contains_key(&session))?;
         self.sessions.insert(session, SessionWatch::new(tag));
         Ok(Vec::new())
     }
 
-    /// A second subscription takes the place of the first and is told everything again.
+    /// A second subscription replaces the first and receives everything again.
     fn watch_devices(&mut self, tag: String) -> Outcome {
-        self.check_room(self.devices.is_some())?;
+        self.check_quota(self.devices.is_some())?;
         self.devices = Some(DeviceWatch::new(tag));
         Ok(Vec::new())
     }
 
-    /// A net that is rejected has a name, too; only its text must follow the grammar.
+    /// A rejected net also gets a name, unless its text has a syntax error.
     fn load(&mut self, args: Args<'_>) -> Outcome {
         let session = args
             .optional(1, Args::text)?
             .and_then(|s| self.known_session(s));
         session.into_iter().for_each(|session| self.adopt(session));
         let period = args.optional(3, Args::seconds)?.filter(|p| !p.is_zero());
-        // Whether the net is real time is not asked for any more: all nets are.
+        // The fifth value, `realtime`, has no meaning any more: all nets are real-time.
         args.optional(4, Args::integer)?;
         let net = self.controller.load(LoadRequest {
             text: args.text(0)?.to_owned(),
@@ -185,7 +187,7 @@ impl Connection {
             None => Ok(vec![net.to_string().into()]),
             Some(reason) => {
                 self.controller.unload(net)?;
-                Err(Refusal::NetSyntax { reason })
+                Err(CommandError::NetSyntax { reason })
             }
         }
     }
@@ -193,44 +195,44 @@ impl Connection {
     fn start(&self, args: Args<'_>) -> Outcome {
         let started = self.controller.start_net(self.net(args)?);
         started.map(|()| Vec::new()).map_err(|error| {
-            let gone = matches!(error, Error::NoSuchNet(_));
+            let unloaded = matches!(error, Error::NoSuchNet(_));
             let reason = error.to_string();
-            if gone {
-                Refusal::InvalidNet
+            if unloaded {
+                CommandError::InvalidNet
             } else {
-                Refusal::StartFailed { reason }
+                CommandError::StartFailed { reason }
             }
         })
     }
 
     fn cancel(&self, args: Args<'_>) -> Outcome {
-        in_any_state(self.controller.cancel(self.net(args)?))
+        ignore_wrong_state(self.controller.cancel(self.net(args)?))
     }
 
     fn abort(&self, args: Args<'_>) -> Outcome {
-        in_any_state(self.controller.abort(self.net(args)?))
+        ignore_wrong_state(self.controller.abort(self.net(args)?))
     }
 
-    /// Clients see that a net is being unloaded as `TERMINATED` once more, before the reply.
+    /// Unloading pushes `TERMINATED` once more, before the reply.
     fn unload(&mut self, args: Args<'_>, now: Duration, out: &mut Vec<Message>) -> Outcome {
         let net = self.net(args)?;
         out.extend(self.due(Pushes::BeforeReply, now));
-        self.controller.unload(net).map_err(of_net)?;
+        self.controller.unload(net).map_err(net_error)?;
         if self.controller.net(net).is_none() {
             out.extend(self.nets.get_mut(&net).map(NetWatch::handle_unloading));
         }
         Ok(Vec::new())
     }
 
-    /// A second subscription to a net takes the place of the first and is told its state again.
+    /// A second subscription to a net replaces the first and receives its state again.
     fn watch_net(&mut self, args: Args<'_>, tag: String) -> Outcome {
         let net = self.net(args)?;
         let refresh = args.seconds(1)?.min(REFRESH_MAX);
-        self.check_room(self.nets.contains_key(&net))?;
+        self.check_quota(self.nets.contains_key(&net))?;
         let states = self
             .controller
             .net(net)
-            .ok_or(Refusal::InvalidNet)?
+            .ok_or(CommandError::InvalidNet)?
             .states
             .len();
         self.nets.insert(net, NetWatch::new(tag, refresh, states));
@@ -241,9 +243,9 @@ impl Connection {
     fn write_values(&self, args: Args<'_>) -> Outcome {
         let mut writes = Vec::new();
         for (name, values) in args.map(0)? {
-            let net = self.known_net(name).ok_or(Refusal::InvalidNetName)?;
-            for (key, text) in values.as_map().ok_or(Refusal::ParameterType)? {
-                writes.push((net, key, text.as_str().ok_or(Refusal::ParameterType)?));
+            let net = self.known_net(name).ok_or(CommandError::InvalidNetName)?;
+            for (key, text) in values.as_map().ok_or(CommandError::ParameterType)? {
+                writes.push((net, key, text.as_str().ok_or(CommandError::ParameterType)?));
             }
         }
         for (net, key, text) in writes {
@@ -252,7 +254,7 @@ impl Connection {
         Ok(Vec::new())
     }
 
-    /// Installs a rule. What it starts is told to be scheduled before the rule's number is.
+    /// Installs a rule. The state `SCHEDULED` of its nets is pushed before the reply with the rule's number.
     fn schedule(&self, args: Args<'_>) -> Outcome {
         let request = RuleRequest {
             condition: args.text(0)?.to_owned(),
@@ -265,30 +267,35 @@ impl Connection {
                 .to_owned(),
         };
         let rule = self.controller.schedule(request).map_err(|error| {
-            let gone = matches!(error, Error::NoSuchNet(_));
+            let unloaded = matches!(error, Error::NoSuchNet(_));
             let reason = error.to_string();
-            if gone {
-                Refusal::InvalidRuleNet
+            if unloaded {
+                CommandError::InvalidRuleNet
             } else {
-                Refusal::SchedulingNotPossible { reason }
+                CommandError::SchedulingNotPossible { reason }
             }
         })?;
         Ok(vec![rule.to_string().into()])
     }
 
-    /// A second subscription to a rule takes the place of the first and is told its state again.
+    /// A second subscription to a rule replaces the first and receives its state again.
     fn watch_rule(&mut self, args: Args<'_>, tag: String) -> Outcome {
-        let rule: RuleId = args.text(0)?.parse().map_err(|_| Refusal::InvalidRule)?;
-        self.controller.rule(rule).ok_or(Refusal::InvalidRule)?;
-        self.check_room(self.rules.contains_key(&rule))?;
+        let rule: RuleId = args
+            .text(0)?
+            .parse()
+            .map_err(|_| CommandError::InvalidRule)?;
+        self.controller
+            .rule(rule)
+            .ok_or(CommandError::InvalidRule)?;
+        self.check_quota(self.rules.contains_key(&rule))?;
         self.rules.insert(rule, RuleWatch::new(tag));
         Ok(Vec::new())
     }
 
-    /// Not part of the original protocol, where HTTP resources tell this: all nets, or one.
+    /// Describes all nets, or one. Not part of the original protocol, where only HTTP resources have this.
     fn describe_nets(&self, args: Args<'_>) -> Outcome {
         let nets = match args.optional(0, Args::text)? {
-            Some(name) => vec![self.known_net(name).ok_or(Refusal::InvalidNet)?],
+            Some(name) => vec![self.known_net(name).ok_or(CommandError::InvalidNet)?],
             None => self.controller.nets(),
         };
         let infos = nets.into_iter().filter_map(|n| self.controller.net(n));
@@ -297,10 +304,10 @@ impl Connection {
         )])
     }
 
-    /// Not part of the original protocol either: what the evaluation of all nets, or of one, costs.
+    /// Evaluation cost of all nets, or of one. Not part of the original protocol either.
     fn figures(&self, args: Args<'_>) -> Outcome {
         let nets = match args.optional(0, Args::text)? {
-            Some(name) => vec![self.known_net(name).ok_or(Refusal::InvalidNet)?],
+            Some(name) => vec![self.known_net(name).ok_or(CommandError::InvalidNet)?],
             None => self.controller.nets(),
         };
         let figures = |net: NetId| {
@@ -310,15 +317,15 @@ impl Connection {
         Ok(vec![Value::map_of(nets.into_iter().filter_map(figures))])
     }
 
-    fn check_room(&self, replaces: bool) -> Result<(), Refusal> {
+    fn check_quota(&self, replaces: bool) -> Result<(), CommandError> {
         if replaces || self.subscriptions() < SUBSCRIPTIONS_MAX {
             Ok(())
         } else {
-            Err(Refusal::TooManySubscriptions)
+            Err(CommandError::TooManySubscriptions)
         }
     }
 
-    /// A client that connects again goes on with a session that its lost connection opened.
+    /// A client that reconnects takes over a session of its lost connection.
     fn adopt(&mut self, session: SessionId) {
         let all = self.all_sessions.as_ref();
         if all.is_some_and(|(sessions, _)| sessions.adopt(session)) {
@@ -326,11 +333,11 @@ impl Connection {
         }
     }
 
-    fn session(&self, args: Args<'_>) -> Result<SessionId, Refusal> {
+    fn session(&self, args: Args<'_>) -> Result<SessionId, CommandError> {
         let session = self
             .known_session(args.text(0)?)
             .filter(|s| *s != SessionId::NONE);
-        session.ok_or(Refusal::InvalidSession)
+        session.ok_or(CommandError::InvalidSession)
     }
 
     fn known_session(&self, name: &str) -> Option<SessionId> {
@@ -339,15 +346,16 @@ impl Connection {
             .filter(|s| self.controller.session_nets(*s).is_some())
     }
 
-    fn net(&self, args: Args<'_>) -> Result<NetId, Refusal> {
-        self.known_net(args.text(0)?).ok_or(Refusal::InvalidNet)
+    fn net(&self, args: Args<'_>) -> Result<NetId, CommandError> {
+        self.known_net(args.text(0)?)
+            .ok_or(CommandError::InvalidNet)
     }
 
-    /// The nets of a list; nothing is wrong with one that is empty.
-    fn nets(&self, args: Args<'_>, number: usize) -> Result<Vec<NetId>, Refusal> {
+    /// The nets of a list, which may be empty.
+    fn nets(&self, args: Args<'_>, number: usize) -> Result<Vec<NetId>, CommandError> {
         let name = |value: &Value| {
-            let name = value.as_str().ok_or(Refusal::ParameterType)?;
-            self.known_net(name).ok_or(Refusal::InvalidRuleNet)
+            let name = value.as_str().ok_or(CommandError::ParameterType)?;
+            self.known_net(name).ok_or(CommandError::InvalidRuleNet)
         };
         args.list(number)?.iter().map(name).collect()
     }
@@ -359,36 +367,36 @@ impl Connection {
     }
 }
 
-/// What cannot be done in the net's state is left undone without a word.
-fn in_any_state(result: Result<(), Error>) -> Outcome {
+/// Commands that the net's state does not permit have no effect and succeed.
+fn ignore_wrong_state(result: Result<(), Error>) -> Outcome {
     match result {
         Ok(()) | Err(Error::WrongState { .. }) => Ok(Vec::new()),
-        Err(error) => Err(of_net(error)),
+        Err(error) => Err(net_error(error)),
     }
 }
 
-fn of_net(error: Error) -> Refusal {
+fn net_error(error: Error) -> CommandError {
     if matches!(error, Error::NoSuchNet(_)) {
-        Refusal::InvalidNet
+        CommandError::InvalidNet
     } else {
         error.into()
     }
 }
 
-fn of_session(error: Error) -> Refusal {
+fn session_error(error: Error) -> CommandError {
     if matches!(error, Error::NoSuchSession(_)) {
-        Refusal::InvalidSession
+        CommandError::InvalidSession
     } else {
         error.into()
     }
 }
 
-/// A net that somebody else unloaded meanwhile is what is wanted.
-fn unless_gone(refusal: Refusal) -> Outcome {
-    if matches!(refusal, Refusal::InvalidNet) {
+/// A net that another client unloaded meanwhile is no error.
+fn ignore_unloaded_net(error: CommandError) -> Outcome {
+    if matches!(error, CommandError::InvalidNet) {
         Ok(Vec::new())
     } else {
-        Err(refusal)
+        Err(error)
     }
 }
 
@@ -422,58 +430,64 @@ fn describe(info: &NetInfo) -> Value {
     ])
 }
 
-/// The values of a command. More than it takes are ignored.
+/// The values of a command; excess ones are ignored.
 #[derive(Clone, Copy)]
 struct Args<'a>(&'a [Value]);
 
 impl<'a> Args<'a> {
-    fn get(self, number: usize) -> Result<&'a Value, Refusal> {
-        self.0.get(number).ok_or(Refusal::ParameterMissing)
+    fn get(self, number: usize) -> Result<&'a Value, CommandError> {
+        self.0.get(number).ok_or(CommandError::ParameterMissing)
     }
 
     fn optional<T>(
         self,
         number: usize,
-        get: impl FnOnce(Self, usize) -> Result<T, Refusal>,
-    ) -> Result<Option<T>, Refusal> {
+        get: impl FnOnce(Self, usize) -> Result<T, CommandError>,
+    ) -> Result<Option<T>, CommandError> {
         (number < self.0.len())
             .then(|| get(self, number))
             .transpose()
     }
 
-    fn text(self, number: usize) -> Result<&'a str, Refusal> {
-        self.get(number)?.as_str().ok_or(Refusal::ParameterType)
+    fn text(self, number: usize) -> Result<&'a str, CommandError> {
+        self.get(number)?
+            .as_str()
+            .ok_or(CommandError::ParameterType)
     }
 
-    fn description(self, number: usize) -> Result<&'a str, Refusal> {
+    fn description(self, number: usize) -> Result<&'a str, CommandError> {
         let text = self.text(number)?;
         if text.len() <= DESCRIPTION_BYTES_MAX {
             Ok(text)
         } else {
-            Err(Refusal::DescriptionTooLong { bytes: text.len() })
+            Err(CommandError::DescriptionTooLong { bytes: text.len() })
         }
     }
 
-    fn map(self, number: usize) -> Result<&'a BTreeMap<String, Value>, Refusal> {
-        self.get(number)?.as_map().ok_or(Refusal::ParameterType)
+    fn map(self, number: usize) -> Result<&'a BTreeMap<String, Value>, CommandError> {
+        self.get(number)?
+            .as_map()
+            .ok_or(CommandError::ParameterType)
     }
 
-    fn list(self, number: usize) -> Result<&'a [Value], Refusal> {
-        self.get(number)?.as_list().ok_or(Refusal::ParameterType)
+    fn list(self, number: usize) -> Result<&'a [Value], CommandError> {
+        self.get(number)?
+            .as_list()
+            .ok_or(CommandError::ParameterType)
     }
 
-    fn integer(self, number: usize) -> Result<u32, Refusal> {
+    fn integer(self, number: usize) -> Result<u32, CommandError> {
         if let Value::Integer(n) = self.get(number)? {
             Ok(*n)
         } else {
-            Err(Refusal::ParameterType)
+            Err(CommandError::ParameterType)
         }
     }
 
-    /// A float is wanted, and an integer is none.
-    fn seconds(self, number: usize) -> Result<Duration, Refusal> {
+    /// A time in seconds; must be a float.
+    fn seconds(self, number: usize) -> Result<Duration, CommandError> {
         let Value::Float(seconds) = self.get(number)? else {
-            return Err(Refusal::ParameterType);
+            return Err(CommandError::ParameterType);
         };
         Ok(Duration::try_from_secs_f64(*seconds).unwrap_or(Duration::MAX))
     }

@@ -1,5 +1,5 @@
-//! What one client was told of the devices, and what it is to be told next. It asks the
-//! controller nothing.
+//! Subscription of one client to all devices: tracks what was pushed and finds the changes. It does not call the
+//! controller.
 
 use std::collections::BTreeMap;
 
@@ -12,34 +12,34 @@ use crate::wire::{Message, Value};
 #[derive(Debug)]
 pub(super) struct DeviceWatch {
     tag: String,
-    told: BTreeMap<String, Told>,
+    reported: BTreeMap<String, Reported>,
 }
 
 #[derive(Debug, PartialEq)]
-struct Told {
-    /// Type and interfaces, as they are sent.
+struct Reported {
+    /// Type and interfaces, as sent.
     description: Value,
     status: &'static str,
 }
 
 impl DeviceWatch {
-    /// A subscription that was told nothing yet.
+    /// A new subscription.
     pub(super) const fn new(tag: String) -> Self {
         Self {
             tag,
-            told: BTreeMap::new(),
+            reported: BTreeMap::new(),
         }
     }
 
-    /// Tells what changed, given all devices as they are now: first those that are new or have
-    /// other interfaces, then those that are gone, then those in another state.
+    /// Pushes for what changed, given all present devices: first those that are new or have other interfaces, then
+    /// those that were removed, then those in another state.
     pub(super) fn handle_devices(&mut self, devices: Vec<DeviceInfo>) -> Vec<Message> {
-        let now: BTreeMap<_, _> = devices.into_iter().map(told).collect();
+        let now: BTreeMap<_, _> = devices.into_iter().map(describe).collect();
         let described = self.differing(&now, |a, b| a.description == b.description);
         let added = described.map(|(n, t)| (n.clone(), t.description.clone()));
         let added: BTreeMap<_, _> = added.collect();
-        let gone: Vec<_> = self
-            .told
+        let removed: Vec<_> = self
+            .reported
             .keys()
             .filter(|n| !now.contains_key(*n))
             .cloned()
@@ -50,28 +50,28 @@ impl DeviceWatch {
         if !added.is_empty() {
             out.push(push(&self.tag, "da", added));
         }
-        if !gone.is_empty() {
-            out.push(push(&self.tag, "dr", Value::list_of(gone)));
+        if !removed.is_empty() {
+            out.push(push(&self.tag, "dr", Value::list_of(removed)));
         }
         if !changed.is_empty() {
             out.push(push(&self.tag, "ds", changed));
         }
-        self.told = now;
+        self.reported = now;
         out
     }
 
-    /// The devices that were not told, or told differently.
+    /// The devices that are new or differ from what was pushed.
     fn differing<'a>(
         &'a self,
-        now: &'a BTreeMap<String, Told>,
-        same: impl Fn(&Told, &Told) -> bool + 'a,
-    ) -> impl Iterator<Item = (&'a String, &'a Told)> {
+        now: &'a BTreeMap<String, Reported>,
+        same: impl Fn(&Reported, &Reported) -> bool + 'a,
+    ) -> impl Iterator<Item = (&'a String, &'a Reported)> {
         now.iter()
-            .filter(move |(name, new)| !self.told.get(*name).is_some_and(|t| same(t, new)))
+            .filter(move |(name, new)| !self.reported.get(*name).is_some_and(|t| same(t, new)))
     }
 }
 
-fn told(device: DeviceInfo) -> (String, Told) {
+fn describe(device: DeviceInfo) -> (String, Reported) {
     let status = device.status.word();
     let interfaces = device
         .interfaces
@@ -83,7 +83,7 @@ fn told(device: DeviceInfo) -> (String, Told) {
     ]);
     (
         device.name,
-        Told {
+        Reported {
             description,
             status,
         },
@@ -105,7 +105,7 @@ mod tests {
         }
     }
 
-    fn told(watch: &mut DeviceWatch, devices: &[DeviceInfo]) -> Vec<String> {
+    fn pushes(watch: &mut DeviceWatch, devices: &[DeviceInfo]) -> Vec<String> {
         watch
             .handle_devices(devices.to_vec())
             .iter()
@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn devices_come_change_and_go() {
+    fn device_changes_are_pushed_once() {
         use DeviceStatus::{Offline, Operational, SafeOperational};
         let mut watch = DeviceWatch::new("t".to_owned());
         let added = |joints| {
@@ -122,20 +122,20 @@ mod tests {
             format!("t=da({{lwr1:{{{interfaces},type:\"kuka_lwr_sim\"}}}})")
         };
         let state = |word| format!("t=ds({{lwr1:\"{word}\"}})");
-        assert_eq!(told(&mut watch, &[]), Vec::<String>::new());
+        assert_eq!(pushes(&mut watch, &[]), Vec::<String>::new());
         assert_eq!(
-            told(&mut watch, &[arm(7, Offline)]),
+            pushes(&mut watch, &[arm(7, Offline)]),
             [added(7), state("off")]
         );
-        assert_eq!(told(&mut watch, &[arm(7, Operational)]), [state("op")]);
+        assert_eq!(pushes(&mut watch, &[arm(7, Operational)]), [state("op")]);
         assert_eq!(
-            told(&mut watch, &[arm(7, SafeOperational)]),
+            pushes(&mut watch, &[arm(7, SafeOperational)]),
             [state("safeop")]
         );
-        assert_eq!(told(&mut watch, &[arm(6, SafeOperational)]), [added(6)]);
-        assert_eq!(told(&mut watch, &[]), [r#"t=dr(["lwr1"])"#]);
+        assert_eq!(pushes(&mut watch, &[arm(6, SafeOperational)]), [added(6)]);
+        assert_eq!(pushes(&mut watch, &[]), [r#"t=dr(["lwr1"])"#]);
         assert_eq!(
-            told(&mut watch, &[arm(7, Operational)]),
+            pushes(&mut watch, &[arm(7, Operational)]),
             [added(7), state("op")]
         );
     }

@@ -1,5 +1,5 @@
-//! Figures of nets as values: what their evaluation costs by declaration and by the clock. Times are in
-//! ms, which has room for each nanosecond in the six decimals of a float.
+//! Evaluation statistics of nets as values: declared and measured cost. Times are in ms; the six decimals of a float
+//! then resolve single nanoseconds.
 
 use std::time::Duration;
 
@@ -10,7 +10,7 @@ use crate::wire::Value;
 pub(super) fn value(figures: &NetFigures) -> Value {
     let counts = &figures.counts;
     let time = |time: Duration| Value::Float(time.as_secs_f64() * 1e3);
-    // An integer of the protocol ends at 31 bits, which is 25 days at 1 kHz.
+    // Integers of the protocol have 31 bits, i.e. 25 days at 1 kHz.
     #[expect(clippy::cast_precision_loss, reason = "exact below 2^53")]
     let number = |n: u64| Value::Float(n as f64);
     Value::map_of([

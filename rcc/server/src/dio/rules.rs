@@ -1,34 +1,36 @@
-//! What one client was told of one synchronization rule, and what it is to be told next. It asks
-//! the controller nothing.
+//! Subscription of one client to one synchronization rule. It does not call the controller.
 
 use takt_core::controller::RuleState;
 
 use super::push;
 use crate::wire::Message;
 
-/// A subscription to a rule. It ends with the rule: what became of it cannot change any more.
+/// A subscription to a rule. It ends with the rule, whose state is final then.
 #[derive(Debug)]
 pub(super) struct RuleWatch {
     tag: String,
-    told: Option<RuleState>,
+    reported: Option<RuleState>,
 }
 
 impl RuleWatch {
-    /// A subscription that was told nothing yet.
+    /// A new subscription.
     pub(super) const fn new(tag: String) -> Self {
-        Self { tag, told: None }
+        Self {
+            tag,
+            reported: None,
+        }
     }
 
-    /// Tells the state if it is new.
+    /// Push for the state, if it is new.
     pub(super) fn handle_state(&mut self, state: RuleState) -> Option<Message> {
-        let new = self.told != Some(state);
-        self.told = Some(state);
+        let new = self.reported != Some(state);
+        self.reported = Some(state);
         new.then(|| push(&self.tag, "rs", state.word()))
     }
 
-    /// Whether there is something to come.
-    pub(super) fn goes_on(&self) -> bool {
-        self.told.is_none_or(|state| state == RuleState::Active)
+    /// Whether the rule can still change its state.
+    pub(super) fn is_pending(&self) -> bool {
+        self.reported.is_none_or(|state| state == RuleState::Active)
     }
 }
 
@@ -37,27 +39,30 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_state_is_told_once() {
+    fn rule_state_is_pushed_once() {
         let mut watch = RuleWatch::new("t".to_owned());
-        let mut told = |state| watch.handle_state(state).map(|m| m.to_string());
+        let mut pushed = |state| watch.handle_state(state).map(|m| m.to_string());
         assert_eq!(
-            told(RuleState::Active).as_deref(),
+            pushed(RuleState::Active).as_deref(),
             Some(r#"t=rs("ACTIVE")"#)
         );
-        assert_eq!(told(RuleState::Active), None);
-        assert_eq!(told(RuleState::Fired).as_deref(), Some(r#"t=rs("FIRED")"#));
-        assert!(!watch.goes_on());
+        assert_eq!(pushed(RuleState::Active), None);
+        assert_eq!(
+            pushed(RuleState::Fired).as_deref(),
+            Some(r#"t=rs("FIRED")"#)
+        );
+        assert!(!watch.is_pending());
     }
 
     #[test]
-    fn words_are_those_that_clients_know() {
+    fn rule_states_use_known_words() {
         let words = [
             (RuleState::FireFailed, r#"t=rs("FIREFAILED")"#),
             (RuleState::Inactive, r#"t=rs("INACTIVE")"#),
         ];
         for (state, word) in words {
             let mut watch = RuleWatch::new("t".to_owned());
-            assert!(watch.goes_on());
+            assert!(watch.is_pending());
             assert_eq!(watch.handle_state(state).unwrap().to_string(), word);
         }
     }

@@ -1,5 +1,5 @@
-//! What one client was told of the nets of one session, and what it is to be told next. It asks
-//! the controller nothing.
+//! Subscription of one client to the nets of one session: tracks the states already pushed and finds those to be
+//! pushed next. It does not call the controller.
 
 use std::collections::BTreeMap;
 
@@ -12,22 +12,22 @@ use crate::wire::{Message, Value};
 #[derive(Debug)]
 pub(super) struct SessionWatch {
     tag: String,
-    /// How many states of each net were told.
-    told: BTreeMap<NetId, usize>,
+    /// How many states of each net were pushed.
+    reported: BTreeMap<NetId, usize>,
 }
 
 impl SessionWatch {
-    /// A subscription that was told nothing yet.
+    /// A new subscription.
     pub(super) const fn new(tag: String) -> Self {
         Self {
             tag,
-            told: BTreeMap::new(),
+            reported: BTreeMap::new(),
         }
     }
 
-    /// Tells what changed. `nets` are those that the session has now, `states` all states a net
-    /// has been in. Of a net seen for the first time only its present state is told; a net that
-    /// passed several states since makes as many messages.
+    /// Pushes for what changed. `nets` are those the session has now, `states` all states a net has been in. For a
+    /// net seen for the first time, only its present state is pushed; a net that has passed several states since
+    /// gives as many messages.
     pub(super) fn handle_nets(
         &mut self,
         nets: Vec<NetId>,
@@ -39,19 +39,19 @@ impl SessionWatch {
             .collect();
         let mut rounds = Vec::new();
         for (net, states) in &now {
-            let told = self
-                .told
+            let reported = self
+                .reported
                 .get(net)
                 .copied()
                 .unwrap_or_else(|| states.len().saturating_sub(1));
-            for (round, state) in states.iter().skip(told).enumerate() {
+            for (round, state) in states.iter().skip(reported).enumerate() {
                 add(&mut rounds, round, *net, *state);
             }
         }
-        for net in self.told.keys().filter(|n| !now.contains_key(n)) {
+        for net in self.reported.keys().filter(|n| !now.contains_key(n)) {
             add(&mut rounds, 0, *net, NetState::Unloaded);
         }
-        self.told = now
+        self.reported = now
             .into_iter()
             .map(|(net, states)| (net, states.len()))
             .collect();
@@ -76,7 +76,7 @@ mod tests {
     use super::*;
     use NetState::{Loading, Ready, Running, Terminated};
 
-    fn told(watch: &mut SessionWatch, nets: &[(u32, &[NetState])]) -> Vec<String> {
+    fn pushes(watch: &mut SessionWatch, nets: &[(u32, &[NetState])]) -> Vec<String> {
         let states: BTreeMap<_, _> = nets.iter().map(|(n, s)| (NetId(*n), s.to_vec())).collect();
         let ids = states.keys().copied().collect();
         let messages = watch.handle_nets(ids, |net| states.get(&net).cloned());
@@ -84,18 +84,18 @@ mod tests {
     }
 
     #[test]
-    fn present_states_first_then_every_change() {
+    fn session_watch_pushes_present_states_then_changes() {
         let mut watch = SessionWatch::new("t".to_owned());
-        assert_eq!(told(&mut watch, &[]), Vec::<String>::new());
+        assert_eq!(pushes(&mut watch, &[]), Vec::<String>::new());
         let both: &[(u32, &[_])] = &[(0, &[Loading, Ready]), (1, &[Loading, Ready, Running])];
         assert_eq!(
-            told(&mut watch, both),
+            pushes(&mut watch, both),
             [r#"t=st({rpinet0:"READY",rpinet1:"RUNNING"})"#]
         );
-        assert_eq!(told(&mut watch, both), Vec::<String>::new());
+        assert_eq!(pushes(&mut watch, both), Vec::<String>::new());
         let life = [Loading, Ready, Running, Terminated];
         assert_eq!(
-            told(&mut watch, &[(0, &life), (1, &life)]),
+            pushes(&mut watch, &[(0, &life), (1, &life)]),
             [
                 r#"t=st({rpinet0:"RUNNING",rpinet1:"TERMINATED"})"#,
                 r#"t=st({rpinet0:"TERMINATED"})"#
@@ -104,10 +104,10 @@ mod tests {
     }
 
     #[test]
-    fn nets_that_are_gone_are_unloaded() {
+    fn session_watch_reports_missing_nets_unloaded() {
         let mut watch = SessionWatch::new("t".to_owned());
-        told(&mut watch, &[(0, &[Loading, Ready])]);
-        assert_eq!(told(&mut watch, &[]), [r#"t=st({rpinet0:"UNLOADED"})"#]);
-        assert_eq!(told(&mut watch, &[]), Vec::<String>::new());
+        pushes(&mut watch, &[(0, &[Loading, Ready])]);
+        assert_eq!(pushes(&mut watch, &[]), [r#"t=st({rpinet0:"UNLOADED"})"#]);
+        assert_eq!(pushes(&mut watch, &[]), Vec::<String>::new());
     }
 }

@@ -1,5 +1,5 @@
-//! Lines in, lines out, with a real controller that has no devices. Nets run in real time here,
-//! so nothing is asserted about when something is told, only in which order.
+//! Lines in, lines out, with a real controller without devices. Nets run in real time, so the tests check only the
+//! order of pushes, not their times.
 
 mod rules;
 
@@ -7,7 +7,7 @@ use takt_core::CellConfig;
 
 use super::*;
 
-/// Runs until 1 s of its own time or until it is cancelled, and echoes a value.
+/// Runs for 1 s of logical time or until it is cancelled, and echoes a value.
 const PROBE: &str = "{c=Core::Clock(Increment='1'),\
     g=Core::DoubleGreater(inFirst=c.outValue,Second='1.0'),x=Cancel(),\
     o=Core::BooleanOr(inFirst=g.outValue,inSecond=x.outCancel),\
@@ -27,11 +27,11 @@ fn controller() -> Controller {
     Controller::start(&cell).unwrap()
 }
 
-/// A client and its clock, which goes on by 1 ms with every look at what is pushed.
+/// A client and its clock, which advances by 1 ms with every poll.
 struct Client {
     connection: Connection,
     now: Duration,
-    /// All it was ever sent.
+    /// All lines sent to it.
     seen: Vec<String>,
 }
 
@@ -44,7 +44,7 @@ impl Client {
         }
     }
 
-    fn greeted(controller: &Controller) -> Self {
+    fn with_handshake(controller: &Controller) -> Self {
         let mut client = Self::new(controller);
         assert_eq!(
             client.send(r#"c0=ver("2.0")"#),
@@ -59,8 +59,8 @@ impl Client {
         lines
     }
 
-    /// The only answer to a line that causes no pushes.
-    fn ask(&mut self, line: &str) -> String {
+    /// The reply to a line that causes no pushes.
+    fn call(&mut self, line: &str) -> String {
         let mut answers = self.send(line);
         assert_eq!(answers.len(), 1, "{answers:?}");
         answers.remove(0)
@@ -74,7 +74,7 @@ impl Client {
         lines
     }
 
-    /// All pushes up to the first one that holds `text`.
+    /// All pushes up to the first one that contains `text`.
     fn pushes_until(&mut self, text: &str) -> Vec<String> {
         let mut seen = Vec::new();
         for _ in 0..10_000 {
@@ -85,11 +85,11 @@ impl Client {
             }
             std::thread::sleep(Duration::from_millis(1));
         }
-        panic!("{text} is not pushed; {seen:?} are");
+        panic!("{text} was not pushed; received {seen:?}");
     }
 
     fn load(&mut self, text: &str) -> String {
-        let answer = self.ask(&format!(r#"l=nene("{text}")"#));
+        let answer = self.call(&format!(r#"l=nene("{text}")"#));
         answer
             .strip_prefix("l=ok(\"")
             .unwrap()
@@ -99,7 +99,7 @@ impl Client {
     }
 }
 
-/// Whether only `nc` of that tag are among the lines.
+/// Whether all lines are `nc` pushes of this tag.
 fn only_values(tag: &str, lines: &[String]) -> bool {
     lines
         .iter()
@@ -107,24 +107,24 @@ fn only_values(tag: &str, lines: &[String]) -> bool {
 }
 
 #[test]
-fn nothing_but_the_right_version_comes_first() {
+fn handshake_with_right_version_must_be_first() {
     let mut client = Client::new(&controller());
-    assert_eq!(client.ask("a=gde()"), r#"a=err("bad handshake")"#);
-    assert_eq!(client.ask("a=nonsense()"), r#"a=err("bad handshake")"#);
-    assert_eq!(client.ask(r#"a=ver("1.0")"#), r#"a=err("bad handshake")"#);
-    assert_eq!(client.ask("a=ver(2.0)"), r#"a=err("bad handshake")"#);
-    assert_eq!(client.ask("a=ver()"), r#"a=err("bad handshake")"#);
-    assert_eq!(client.ask("what?"), r#"none=err("invalid syntax")"#);
-    assert_eq!(client.ask("a=quit()"), r#"a=ok("quitting")"#);
-    assert_eq!(client.ask(r#"a=ver("2.0")"#), r#"a=ok("handshake ok")"#);
+    assert_eq!(client.call("a=gde()"), r#"a=err("bad handshake")"#);
+    assert_eq!(client.call("a=nonsense()"), r#"a=err("bad handshake")"#);
+    assert_eq!(client.call(r#"a=ver("1.0")"#), r#"a=err("bad handshake")"#);
+    assert_eq!(client.call("a=ver(2.0)"), r#"a=err("bad handshake")"#);
+    assert_eq!(client.call("a=ver()"), r#"a=err("bad handshake")"#);
+    assert_eq!(client.call("what?"), r#"none=err("invalid syntax")"#);
+    assert_eq!(client.call("a=quit()"), r#"a=ok("quitting")"#);
+    assert_eq!(client.call(r#"a=ver("2.0")"#), r#"a=ok("handshake ok")"#);
     let unknown = r#"a=err("unknown command or uninitialized result")"#;
-    assert_eq!(client.ask("a=nonsense()"), unknown);
-    assert_eq!(client.ask(r#"a=ver("2.0")"#), unknown);
+    assert_eq!(client.call("a=nonsense()"), unknown);
+    assert_eq!(client.call(r#"a=ver("2.0")"#), unknown);
 }
 
 #[test]
-fn values_of_commands_are_checked() {
-    let mut client = Client::greeted(&controller());
+fn command_values_are_checked() {
+    let mut client = Client::with_handshake(&controller());
     let net = client.load(ENDLESS);
     let mismatch = r#"a=err("Parameter type does not match")"#;
     let lines = [
@@ -139,18 +139,18 @@ fn values_of_commands_are_checked() {
         format!("a=snc({{{net}:{{ingain:2.0}}}})"),
     ];
     for line in lines {
-        assert_eq!(client.ask(&line), mismatch, "{line}");
+        assert_eq!(client.call(&line), mismatch, "{line}");
     }
     for line in [
         "a=nse()", "a=ase()", "a=nest()", "a=nene()", "a=snc()", "a=gne()",
     ] {
-        assert_eq!(client.ask(line), r#"a=err("Parameter missing")"#, "{line}");
+        assert_eq!(client.call(line), r#"a=err("Parameter missing")"#, "{line}");
     }
 }
 
 #[test]
-fn names_of_nothing_are_refused() {
-    let mut client = Client::greeted(&controller());
+fn unknown_names_are_rejected() {
+    let mut client = Client::with_handshake(&controller());
     for command in ["nest", "neca", "neab", "neun"] {
         for name in [
             "rpinet7",
@@ -161,30 +161,30 @@ fn names_of_nothing_are_refused() {
             "rpinet99999999999",
         ] {
             let line = format!(r#"a={command}("{name}")"#);
-            assert_eq!(client.ask(&line), r#"a=err("invalid net")"#, "{line}");
+            assert_eq!(client.call(&line), r#"a=err("invalid net")"#, "{line}");
         }
     }
     assert_eq!(
-        client.ask(r#"a=gne("rpinet7",0.1)"#),
+        client.call(r#"a=gne("rpinet7",0.1)"#),
         r#"a=err("invalid net")"#
     );
     assert_eq!(
-        client.ask(r#"a=snc({rpinet7:{ina:"1"}})"#),
+        client.call(r#"a=snc({rpinet7:{ina:"1"}})"#),
         r#"a=err("invalidnetname")"#
     );
     for command in ["ase", "gse"] {
         for name in ["s0", "s1", "none", ""] {
             let line = format!(r#"a={command}("{name}")"#);
-            assert_eq!(client.ask(&line), r#"a=err("invalid session")"#, "{line}");
+            assert_eq!(client.call(&line), r#"a=err("invalid session")"#, "{line}");
         }
     }
 }
 
-/// The exchange that was captured from the original, without the rules: those are below.
+/// The exchange captured from the original; for its rules see `captured_rule_exchange`.
 #[test]
 fn captured_exchange() {
-    let mut client = Client::greeted(&controller());
-    assert_eq!(client.ask(r#"c4=nse("probe@host")"#), r#"c4=ok("s1")"#);
+    let mut client = Client::with_handshake(&controller());
+    assert_eq!(client.call(r#"c4=nse("probe@host")"#), r#"c4=ok("s1")"#);
     let devices = [
         r#"c3=da({rcc:{interfaces:{},type:"rcc"}})"#,
         r#"c3=ds({rcc:"op"})"#,
@@ -235,11 +235,11 @@ fn captured_exchange() {
     );
 }
 
-/// The known client makes its devices over HTTP and waits for these pushes.
+/// The known client creates its devices over HTTP and waits for these pushes.
 #[test]
-fn device_that_is_added_later_is_told() {
+fn device_added_later_is_pushed() {
     let controller = controller();
-    let mut client = Client::greeted(&controller);
+    let mut client = Client::with_handshake(&controller);
     client.send("c3=gde()");
     let seven = |value: &str| format!("[{}]", [value; 7].join(","));
     let parameters = [
@@ -252,16 +252,16 @@ fn device_that_is_added_later_is_told() {
     let parameters = BTreeMap::from(parameters);
     let added = controller.add_device("lwr1", "kuka_lwr_sim", &parameters);
     added.unwrap();
-    let told = client.pushes_until(r#"c3=ds({lwr1:"op"})"#);
+    let pushed = client.pushes_until(r#"c3=ds({lwr1:"op"})"#);
     let interfaces = r#"c3=da({lwr1:{interfaces:{armkinematics:{},io:{anin:"0",anout:"8",digin:"8",digout:"8"},robotarm:{jointcount:"7"}},type:"kuka_lwr_sim"}})"#;
-    assert_eq!(told[0], interfaces);
+    assert_eq!(pushed[0], interfaces);
     controller.remove_device("lwr1").unwrap();
     client.pushes_until(r#"c3=dr(["lwr1"])"#);
 }
 
 #[test]
-fn aborted_net_tells_its_last_values_before_the_reply() {
-    let mut client = Client::greeted(&controller());
+fn aborted_net_pushes_last_values_before_reply() {
+    let mut client = Client::with_handshake(&controller());
     let net = client.load(PROBE);
     client.send(&format!(r#"w=gne("{net}",60.0)"#));
     client.send(&format!(r#"a=nest("{net}")"#));
@@ -277,7 +277,7 @@ fn aborted_net_tells_its_last_values_before_the_reply() {
 
 #[test]
 fn ready_net_can_be_aborted() {
-    let mut client = Client::greeted(&controller());
+    let mut client = Client::with_handshake(&controller());
     let net = client.load(ENDLESS);
     client.send(&format!(r#"w=gne("{net}",0.1)"#));
     let aborted = client.send(&format!(r#"a=neab("{net}")"#));
@@ -286,21 +286,21 @@ fn ready_net_can_be_aborted() {
 
 #[test]
 fn running_net_is_not_unloaded() {
-    let mut client = Client::greeted(&controller());
+    let mut client = Client::with_handshake(&controller());
     let net = client.load(ENDLESS);
     client.send(&format!(r#"w=gne("{net}",0.1)"#));
     client.send(&format!(r#"a=nest("{net}")"#));
-    assert_eq!(client.ask(&format!(r#"a=neun("{net}")"#)), "a=ok()");
+    assert_eq!(client.call(&format!(r#"a=neun("{net}")"#)), "a=ok()");
     assert_eq!(client.pushes(), Vec::<String>::new());
 }
 
 #[test]
-fn net_runs_once_and_the_reason_is_told() {
-    let mut client = Client::greeted(&controller());
+fn net_started_twice_returns_reason() {
+    let mut client = Client::with_handshake(&controller());
     let net = client.load(ENDLESS);
     let start = format!(r#"a=nest("{net}")"#);
-    assert_eq!(client.ask(&start), "a=ok()");
-    let again = client.ask(&start);
+    assert_eq!(client.call(&start), "a=ok()");
+    let again = client.call(&start);
     assert!(
         again.starts_with(r#"a=err("net start failed","net rpinet0 is RUNNING; "#),
         "{again}"
@@ -308,9 +308,9 @@ fn net_runs_once_and_the_reason_is_told() {
 }
 
 #[test]
-fn net_text_must_follow_the_grammar() {
-    let mut client = Client::greeted(&controller());
-    let answer = client.ask(r#"a=nene("{a=Core::Clock(")"#);
+fn net_text_syntax_error_is_rejected() {
+    let mut client = Client::with_handshake(&controller());
+    let answer = client.call(r#"a=nene("{a=Core::Clock(")"#);
     assert!(
         answer.starts_with(r#"a=err("Syntax error in net.","1:"#),
         "{answer}"
@@ -319,21 +319,21 @@ fn net_text_must_follow_the_grammar() {
 }
 
 #[test]
-fn net_of_an_unknown_session_belongs_to_none() {
-    let mut client = Client::greeted(&controller());
-    client.ask(&format!(r#"a=nene("{ENDLESS}","s9")"#));
+fn net_with_unknown_session_belongs_to_none() {
+    let mut client = Client::with_handshake(&controller());
+    client.call(&format!(r#"a=nene("{ENDLESS}","s9")"#));
     let info = r#"a=ok({rpinet0:{description:"",end:"",rejection:[],session:"s0",state:"READY"}})"#;
-    assert_eq!(client.ask("a=nin()"), info);
-    assert_eq!(client.ask(r#"a=nin("rpinet0")"#), info);
+    assert_eq!(client.call("a=nin()"), info);
+    assert_eq!(client.call(r#"a=nin("rpinet0")"#), info);
 }
 
 #[test]
-fn figures_of_nets_are_told_but_of_those_that_were_never_ready() {
-    let mut client = Client::greeted(&controller());
+fn net_figures_omit_nets_never_ready() {
+    let mut client = Client::with_handshake(&controller());
     let net = client.load(ENDLESS);
     client.load(REJECTED);
-    let all = client.ask("a=nst()");
-    assert_eq!(client.ask(&format!(r#"a=nst("{net}")"#)), all);
+    let all = client.call("a=nst()");
+    assert_eq!(client.call(&format!(r#"a=nst("{net}")"#)), all);
     for part in [
         "a=ok({rpinet0:{budget:0.800000,cost:0.0",
         ",cycles:0.000000,max:0.000000,mean:0.000000,min:0.000000,overbudget:0.000000",
@@ -342,17 +342,17 @@ fn figures_of_nets_are_told_but_of_those_that_were_never_ready() {
     ] {
         assert!(all.contains(part), "{all}");
     }
-    let unknown = client.ask(r#"a=nst("rpinet9")"#);
+    let unknown = client.call(r#"a=nst("rpinet9")"#);
     assert!(unknown.starts_with("a=err("), "{unknown}");
 }
 
 #[test]
-fn rejected_net_says_what_is_wrong_with_it() {
-    let mut client = Client::greeted(&controller());
+fn rejected_net_describes_its_faults() {
+    let mut client = Client::with_handshake(&controller());
     let net = client.load(REJECTED);
     let watched = client.send(&format!(r#"w=gne("{net}",0.1)"#));
     assert_eq!(watched, [r#"w=ns("REJECTED")"#, "w=ok()"]);
-    let info = client.ask(&format!(r#"a=nin("{net}")"#));
+    let info = client.call(&format!(r#"a=nin("{net}")"#));
     assert!(
         info.contains(r#"rejection:["1:4: there is no primitive `Core::Nope`"#),
         "{info}"
@@ -360,12 +360,12 @@ fn rejected_net_says_what_is_wrong_with_it() {
 }
 
 #[test]
-fn session_ends_with_all_its_nets() {
+fn session_end_unloads_its_nets() {
     let controller = controller();
-    let mut client = Client::greeted(&controller);
-    client.ask(r#"a=nse("x")"#);
+    let mut client = Client::with_handshake(&controller);
+    client.call(r#"a=nse("x")"#);
     assert_eq!(client.connection.opened_sessions(), [SessionId(1)]);
-    client.ask(&format!(r#"a=nene("{PROBE}","s1")"#));
+    client.call(&format!(r#"a=nene("{PROBE}","s1")"#));
     client.send(r#"w=gne("rpinet0",60.0)"#);
     client.send(r#"s=gse("s1")"#);
     client.send(r#"a=nest("rpinet0")"#);
@@ -382,14 +382,17 @@ fn session_ends_with_all_its_nets() {
     assert_eq!(client.pushes(), [r#"w=ns("UNLOADED")"#]);
     assert_eq!(client.pushes(), Vec::<String>::new());
     assert!(client.connection.opened_sessions().is_empty());
-    assert_eq!(client.ask(r#"a=gse("s1")"#), r#"a=err("invalid session")"#);
+    assert_eq!(client.call(r#"a=gse("s1")"#), r#"a=err("invalid session")"#);
     assert!(controller.nets().is_empty());
 }
 
 #[test]
 fn clients_see_each_others_nets() {
     let controller = controller();
-    let (mut one, mut other) = (Client::greeted(&controller), Client::greeted(&controller));
+    let (mut one, mut other) = (
+        Client::with_handshake(&controller),
+        Client::with_handshake(&controller),
+    );
     let net = one.load(ENDLESS);
     other.send(&format!(r#"w=gne("{net}",0.1)"#));
     one.send(&format!(r#"a=nest("{net}")"#));
@@ -403,9 +406,12 @@ fn clients_see_each_others_nets() {
 }
 
 #[test]
-fn last_values_are_told_though_another_client_unloads_at_once() {
+fn last_values_are_pushed_when_another_client_unloads() {
     let controller = controller();
-    let (mut one, mut other) = (Client::greeted(&controller), Client::greeted(&controller));
+    let (mut one, mut other) = (
+        Client::with_handshake(&controller),
+        Client::with_handshake(&controller),
+    );
     let net = one.load(PROBE);
     other.send(&format!(r#"w=gne("{net}",60.0)"#));
     one.send(&format!(r#"a=nest("{net}")"#));
@@ -417,26 +423,26 @@ fn last_values_are_told_though_another_client_unloads_at_once() {
         std::thread::sleep(Duration::from_millis(1));
     }
     one.send(&format!(r#"a=neun("{net}")"#));
-    let told = other.pushes();
-    let last_values = told.iter().rfind(|line| line.starts_with("w=nc("));
+    let pushed = other.pushes();
+    let last_values = pushed.iter().rfind(|line| line.starts_with("w=nc("));
     let complete = r#"w=nc({outecho:"3.5",outr0:"true",outt:"#;
     assert!(
         last_values.is_some_and(|line| line.starts_with(complete)),
-        "{told:?}"
+        "{pushed:?}"
     );
     let end = [r#"w=ns("TERMINATED")"#, r#"w=ns("UNLOADED")"#];
-    assert_eq!(told[told.len() - 2..], end);
+    assert_eq!(pushed[pushed.len() - 2..], end);
     assert_eq!(
-        one.ask(&format!(r#"a=nest("{net}")"#)),
+        one.call(&format!(r#"a=nest("{net}")"#)),
         r#"a=err("invalid net")"#
     );
 }
 
 /// The known client rarely unloads a net.
 #[test]
-fn oldest_net_that_is_over_makes_room() {
+fn oldest_ended_net_is_unloaded_when_full() {
     use takt_core::controller::NETS_MAX;
-    let mut client = Client::greeted(&controller());
+    let mut client = Client::with_handshake(&controller());
     let first = client.load(ENDLESS);
     let over = client.load(ENDLESS);
     client.send(&format!(r#"a=neab("{over}")"#));
@@ -446,14 +452,14 @@ fn oldest_net_that_is_over_makes_room() {
     client.send(&format!(r#"w=gne("{over}",0.1)"#));
     assert_eq!(client.load(ENDLESS), format!("rpinet{NETS_MAX}"));
     assert_eq!(client.pushes(), [r#"w=ns("UNLOADED")"#]);
-    let full = client.ask(&format!(r#"a=nene("{ENDLESS}")"#));
+    let full = client.call(&format!(r#"a=nene("{ENDLESS}")"#));
     assert!(full.contains("loaded nets: at most 1024"), "{full}");
     assert_eq!(client.send(&format!(r#"a=nest("{first}")"#)), ["a=ok()"]);
 }
 
 #[test]
-fn second_subscription_takes_the_place_of_the_first() {
-    let mut client = Client::greeted(&controller());
+fn second_subscription_replaces_first() {
+    let mut client = Client::with_handshake(&controller());
     let net = client.load(ENDLESS);
     client.send(&format!(r#"w=gne("{net}",0.1)"#));
     let again = client.send(&format!(r#"v=gne("{net}",0.1)"#));
@@ -465,29 +471,29 @@ fn second_subscription_takes_the_place_of_the_first() {
 }
 
 #[test]
-fn unknown_keys_are_ignored_and_bad_values_are_not() {
-    let mut client = Client::greeted(&controller());
+fn snc_ignores_unknown_keys_rejects_bad_values() {
+    let mut client = Client::with_handshake(&controller());
     let net = client.load(PROBE);
     assert_eq!(
-        client.ask(&format!(r#"a=snc({{{net}:{{innope:"1"}}}})"#)),
+        client.call(&format!(r#"a=snc({{{net}:{{innope:"1"}}}})"#)),
         "a=ok()"
     );
-    let bad = client.ask(&format!(r#"a=snc({{{net}:{{ingain:"x"}}}})"#));
+    let bad = client.call(&format!(r#"a=snc({{{net}:{{ingain:"x"}}}})"#));
     assert!(
         bad.starts_with(r#"a=err("net rpinet0, value ingain: "#),
         "{bad}"
     );
-    // Nothing is written when one of the nets does not exist.
-    let both = client.ask(&format!(r#"a=snc({{{net}:{{ingain:"x"}},rpinet7:{{}}}})"#));
+    // Nothing is written if one of the nets does not exist.
+    let both = client.call(&format!(r#"a=snc({{{net}:{{ingain:"x"}},rpinet7:{{}}}})"#));
     assert_eq!(both, r#"a=err("invalidnetname")"#);
 }
 
 #[test]
 fn subscriptions_are_bounded() {
     let controller = controller();
-    let mut client = Client::greeted(&controller);
+    let mut client = Client::with_handshake(&controller);
     let net = client.load(ENDLESS);
-    let watch = |n| (NetId(n), NetWatch::new("w".to_owned(), VALUES_EVERY, 0));
+    let watch = |n| (NetId(n), NetWatch::new("w".to_owned(), VALUES_INTERVAL, 0));
     let count = u32::try_from(SUBSCRIPTIONS_MAX).unwrap();
     client.connection.nets.extend((1..=count).map(watch));
     let refused = client
@@ -502,26 +508,26 @@ fn subscriptions_are_bounded() {
 
 #[test]
 fn descriptions_are_bounded() {
-    let mut client = Client::greeted(&controller());
+    let mut client = Client::with_handshake(&controller());
     let long = "x".repeat(4097);
     let refused = r#"a=err("the description has 4097 bytes; at most 4096 are taken")"#;
-    assert_eq!(client.ask(&format!(r#"a=nse("{long}")"#)), refused);
+    assert_eq!(client.call(&format!(r#"a=nse("{long}")"#)), refused);
     assert_eq!(
-        client.ask(&format!(r#"a=nene("{ENDLESS}","s1","{long}")"#)),
+        client.call(&format!(r#"a=nene("{ENDLESS}","s1","{long}")"#)),
         refused
     );
     assert_eq!(
-        client.ask(&format!(r#"a=nse("{}")"#, &long[1..])),
+        client.call(&format!(r#"a=nse("{}")"#, &long[1..])),
         r#"a=ok("s1")"#
     );
 }
 
 #[test]
-fn net_with_many_faults_tells_the_first() {
-    let mut client = Client::greeted(&controller());
+fn net_with_many_faults_lists_first_20() {
+    let mut client = Client::with_handshake(&controller());
     let children: String = (0..100).map(|n| format!("c{n}=No{n}(),")).collect();
     let net = client.load(&format!("{{{children}outTerminate=c0.outValue}}"));
-    let info = client.ask(&format!(r#"a=nin("{net}")"#));
+    let info = client.call(&format!(r#"a=nin("{net}")"#));
     assert!(
         info.contains("`No19`") && !info.contains("`No20`"),
         "{info}"
@@ -530,8 +536,8 @@ fn net_with_many_faults_tells_the_first() {
 }
 
 #[test]
-fn any_cycle_time_is_survived() {
-    let mut client = Client::greeted(&controller());
+fn any_cycle_time_is_handled() {
+    let mut client = Client::with_handshake(&controller());
     let long = "9".repeat(300);
     for seconds in [
         "0.0000000001",
@@ -541,25 +547,25 @@ fn any_cycle_time_is_survived() {
         "10000000000.0",
         &format!("{long}.0"),
     ] {
-        let net = client.ask(&format!(r#"a=nene("{PROBE}","s0","",{seconds},1)"#));
+        let net = client.call(&format!(r#"a=nene("{PROBE}","s0","",{seconds},1)"#));
         let name = net.strip_prefix("a=ok(").unwrap();
-        client.ask(&format!("a=nest({name}"));
+        client.call(&format!("a=nest({name}"));
         let out = client.send(&format!("a=neab({name}"));
         assert_eq!(out, ["a=ok()"], "{seconds}");
     }
 }
 
 #[test]
-fn connection_without_subscriptions_sleeps() {
-    let mut client = Client::greeted(&controller());
+fn connection_without_subscriptions_has_no_timeout() {
+    let mut client = Client::with_handshake(&controller());
     assert_eq!(client.connection.poll_timeout(), Some(Duration::ZERO));
     client.pushes();
     assert_eq!(client.connection.poll_timeout(), None);
 }
 
 #[test]
-fn any_line_is_survived() {
-    let mut client = Client::greeted(&controller());
+fn random_lines_get_valid_replies() {
+    let mut client = Client::with_handshake(&controller());
     let values = [
         "",
         "1",

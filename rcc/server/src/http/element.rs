@@ -1,10 +1,10 @@
-//! What resources are made of: elements with attributes, text and other elements, written as XML
-//! or as JSON. What they mean is said elsewhere.
+//! Tree of elements with attributes, text and children that resources are built from, written as XML or JSON. The
+//! meaning of the elements is not defined here.
 
 use quick_xml::escape::escape;
 use serde_json::{Map, Value};
 
-/// A named part of a resource.
+/// A named node of a resource.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub(super) struct Element {
     name: &'static str,
@@ -21,19 +21,19 @@ impl Element {
         }
     }
 
-    /// The same with one more attribute.
+    /// Adds an attribute.
     pub(super) fn with(mut self, name: &'static str, value: impl ToString) -> Self {
         self.attributes.push((name, value.to_string()));
         self
     }
 
-    /// The same with this text.
+    /// Sets the text.
     pub(super) fn text(mut self, text: impl Into<String>) -> Self {
         self.text = text.into();
         self
     }
 
-    /// The same with more elements inside.
+    /// Adds children.
     pub(super) fn containing(mut self, children: impl IntoIterator<Item = Self>) -> Self {
         self.children.extend(children);
         self
@@ -66,7 +66,7 @@ impl Element {
         out.push_str(&format!("</{name}>\n"));
     }
 
-    /// An object of the attributes, `text`, and a list for each name of elements inside.
+    /// An object of the attributes, `text`, and a list for each name of children.
     pub(super) fn to_json(&self) -> String {
         self.json().to_string()
     }
@@ -91,7 +91,7 @@ impl Element {
     }
 }
 
-/// The text as it stands in XML, without the characters that XML has no way to write.
+/// The text escaped for XML, without the characters that XML cannot represent.
 fn escaped(text: &str) -> String {
     let allowed = |c: &char| !c.is_control() || matches!(c, '\n' | '\r' | '\t');
     escape(text.chars().filter(allowed).collect::<String>()).into_owned()
@@ -102,7 +102,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn both_forms_hold_the_same() {
+    fn xml_and_json_hold_the_same() {
         let rule = |id: u32| Element::new("rule").with("id", id).text("a<\u{1}b");
         let net = Element::new("net")
             .with("desc", "\"x\" & y")

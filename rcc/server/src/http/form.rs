@@ -1,9 +1,9 @@
-//! Forms: bodies and queries, encoded as HTML says or not encoded at all. Known clients send
-//! both, without saying which, so the text itself must tell.
+//! Forms: bodies and queries, URL-encoded or plain. Known clients send both without declaring which, so the
+//! encoding is detected from the text.
 
 use super::Form;
 
-/// Most fields of one form; more are left out.
+/// Most fields of one form; further ones are dropped.
 const FIELDS_MAX: usize = 1024;
 
 /// The fields of a form.
@@ -18,15 +18,15 @@ pub(super) fn decode(body: &[u8]) -> Form {
     }
 }
 
-/// Whether the text holds nothing that an encoder would have encoded. Braces, brackets,
-/// angles, quotation marks and blanks: one of them is in every net and list, and no encoder leaves it.
+/// Whether the text contains no character that URL encoding replaces. Every net and list contains a brace, bracket,
+/// angle, quotation mark or blank, and encoders leave none of them.
 fn is_encoded(body: &[u8]) -> bool {
     body.iter()
         .all(|b| b.is_ascii_graphic() && !br#"{}[]<>""#.contains(b))
 }
 
-/// The fields of a form that is not encoded: nothing stands for anything else. A part without a
-/// key belongs to the value before it, such as the `&lt;` of XML.
+/// The fields of a plain form, without any escapes. A part without a key belongs to the value before it, such as
+/// the `&lt;` of XML.
 fn plain(body: &str) -> Form {
     let mut fields: Form = Vec::new();
     for part in body.split('&') {
@@ -59,7 +59,7 @@ mod tests {
     }
 
     #[test]
-    fn encoded_and_plain_forms_are_told_apart() {
+    fn encoded_and_plain_forms_are_distinguished() {
         let net = "{a=B(P='1e+3 %41&b'),outX=a.y}";
         let encoded: String = form_urlencoded::byte_serialize(net.as_bytes()).collect();
         let expected = [pair("dionet", net), pair("desc", "a b")];
@@ -71,7 +71,7 @@ mod tests {
     }
 
     #[test]
-    fn device_of_the_known_client_is_read() {
+    fn known_client_device_form_is_decoded() {
         let body =
             "name=lwr1&type=kuka_lwr_sim&com={pos:{x:0.0,y:0.0,z:0.0}}&min_joint=[-2.9,1.0E-4]";
         let expected = [
@@ -84,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn entities_of_plain_xml_stay_in_their_value() {
+    fn plain_xml_entities_stay_in_value() {
         let body = r#"rpinet=<rpinet a="&lt;=&amp;"/>&desc=x"#;
         let expected = [
             pair("rpinet", r#"<rpinet a="&lt;=&amp;"/>"#),

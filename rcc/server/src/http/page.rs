@@ -1,5 +1,5 @@
-//! The page for people: one text that asks for resources and shows them. It is not made anew for
-//! anybody, and takes nothing from elsewhere.
+//! The web page: a static text whose script reads the resources and displays them. It loads nothing from other
+//! servers.
 
-/// The page.
+/// The HTML text.
 pub(super) const PAGE: &str = include_str!("page.html");

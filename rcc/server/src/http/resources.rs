@@ -1,4 +1,4 @@
-//! The resources: which there are, and who answers for each. Answering may block.
+//! The resources and the routing of requests to them. Handlers may block.
 
 pub(super) mod debug;
 mod devices;
@@ -18,31 +18,31 @@ use super::element::Element;
 use super::{Request, Response};
 use crate::site::Site;
 
-/// What there is, for those who ask for something else.
-const MAP: &str = "There are / /status/ /metrics /stats/ /nets/ /eval/ /sessions/ /types/ \
+/// List of the resources, sent with status 404.
+const MAP: &str = "Resources: / /status/ /metrics /stats/ /nets/ /eval/ /sessions/ /types/ \
     /modules/ /modulesdetails/ /devices/ /extensions/ /log/ /stop/ and, for WebSocket, /DirectIO/.";
 
-/// A response, or one that says why there is none.
+/// A response, or an error response.
 type Outcome = Result<Response, Response>;
 
-/// A resource as it is asked for.
-pub(super) struct Ask<'a> {
+/// Handles one request.
+pub(super) struct Handler<'a> {
     site: &'a Site,
     controller: &'a Controller,
     request: &'a Request,
 }
 
-/// Does what a request says.
+/// Executes a request.
 pub(crate) fn respond(site: &Site, request: &Request) -> Response {
-    let ask = Ask {
+    let handler = Handler {
         site,
         controller: &site.controller,
         request,
     };
-    ask.route().unwrap_or_else(|refusal| refusal)
+    handler.route().unwrap_or_else(|response| response)
 }
 
-impl Ask<'_> {
+impl Handler<'_> {
     fn route(&self) -> Outcome {
         let path: Vec<_> = self.request.path.iter().map(String::as_str).collect();
         let (first, rest) = path.split_first().unwrap_or((&"", &[]));
@@ -61,7 +61,7 @@ impl Ask<'_> {
                 "No code is loaded from the network; drivers are part of the controller.\n",
             )),
             (_, [.., "source.java"], false) => Err(Response::not_found(
-                "Java sources are not made here; ?format=json describes types and primitives",
+                "Java sources are not generated; ?format=json describes types and primitives",
             )),
             ("nets", [], false) => Ok(self.nets()),
             ("nets", [], true) => self.load_net(),
@@ -89,7 +89,7 @@ impl Ask<'_> {
                 true,
             ) => Err(Response::text(
                 "405 Method Not Allowed",
-                "This resource takes the other of GET and POST.\n",
+                "This resource does not support this method; use the other of GET and POST.\n",
             )),
             _ => Err(Response::not_found(MAP)),
         }
@@ -99,7 +99,7 @@ impl Ask<'_> {
         Response::element(element, self.request.json)
     }
 
-    /// The value of a field of the query.
+    /// The value of a query field.
     fn query(&self, key: &str) -> Option<&str> {
         let field = self.request.query.iter().find(|(k, _)| k == key);
         field.map(|(_, value)| value.as_str())
@@ -116,20 +116,20 @@ impl Ask<'_> {
         self.show(&log.containing(lines.into_iter().map(line)))
     }
 
-    /// The value of a form's field.
+    /// The value of a form field.
     fn field(&self, key: &str) -> Option<&str> {
         let field = self.request.form.iter().find(|(k, _)| k == key);
         field.map(|(_, value)| value.as_str())
     }
 
-    /// The net of a form, be it text or XML.
+    /// The net of a form, as text or XML.
     fn net_text(&self) -> Result<String, Response> {
         if let Some(text) = self.field("dionet") {
             return Ok(text.to_owned());
         }
-        let xml = self
-            .field("rpinet")
-            .ok_or_else(|| Response::bad_request("give a net: dionet=<text> or rpinet=<XML>"))?;
+        let xml = self.field("rpinet").ok_or_else(|| {
+            Response::bad_request("a net is required: dionet=<text> or rpinet=<XML>")
+        })?;
         xml::from_xml(xml, &Limits::default()).map_err(Response::bad_request)
     }
 }

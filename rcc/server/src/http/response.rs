@@ -1,4 +1,4 @@
-//! What is answered to a request. After each, the connection is closed.
+//! HTTP responses. The connection is closed after each.
 
 use std::fmt;
 
@@ -9,13 +9,13 @@ use super::element::Element;
 pub(crate) struct Response {
     status: &'static str,
     kind: &'static str,
-    /// Other header lines.
+    /// Additional header lines.
     extra: String,
     body: String,
 }
 
 impl Response {
-    /// A text for people.
+    /// A plain text.
     pub(crate) fn text(status: &'static str, body: impl Into<String>) -> Self {
         Self {
             status,
@@ -25,7 +25,7 @@ impl Response {
         }
     }
 
-    /// What a resource is.
+    /// A resource.
     pub(super) fn element(element: &Element, json: bool) -> Self {
         let (kind, body) = if json {
             ("application/json", element.to_json())
@@ -46,7 +46,7 @@ impl Response {
         }
     }
 
-    /// What is asked for is elsewhere.
+    /// A redirection.
     pub(super) fn redirect(status: &'static str, location: &str) -> Self {
         Self {
             extra: format!("Location: {location}\r\n"),
@@ -54,12 +54,12 @@ impl Response {
         }
     }
 
-    /// The request cannot be understood, and why.
+    /// The request is invalid, and why.
     pub(super) fn bad_request(why: impl fmt::Display) -> Self {
         Self::text("400 Bad Request", format!("{why}\n"))
     }
 
-    /// The request cannot be done now, and why.
+    /// The request cannot be executed now, and why.
     pub(super) fn conflict(why: impl fmt::Display) -> Self {
         Self::text("409 Conflict", format!("{why}\n"))
     }
@@ -69,19 +69,19 @@ impl Response {
         self.status
     }
 
-    /// Whether it refuses the client, rather than what it asks for.
+    /// Whether it rejects the client rather than the request.
     pub(crate) fn is_denial(&self) -> bool {
         ["401", "403", "421", "429"]
             .iter()
             .any(|code| self.status.starts_with(code))
     }
 
-    /// There is no such resource.
+    /// The resource does not exist.
     pub(super) fn not_found(why: impl fmt::Display) -> Self {
         Self::text("404 Not Found", format!("{why}\n"))
     }
 
-    /// A token is needed, and why what came is none.
+    /// A token is required, and why the one received is not accepted.
     pub(super) fn unauthorized(why: &str) -> Self {
         Self {
             extra: "WWW-Authenticate: Bearer realm=\"takt\"\r\n".to_owned(),
@@ -89,8 +89,8 @@ impl Response {
         }
     }
 
-    /// The same page again, with the token in a cookie rather than in the address. `token` was found to
-    /// be right, so it holds no character that could end a header.
+    /// Redirects to the page, with the token in a cookie rather than in the URL. `token` was checked before, so it
+    /// contains no character that could end a header.
     pub(super) fn with_cookie(name: &str, token: &str) -> Self {
         let extra = format!(
             "Location: /\r\nSet-Cookie: {name}={token}; Path=/; HttpOnly; SameSite=Strict\r\n"
@@ -101,8 +101,7 @@ impl Response {
         }
     }
 
-    /// The page for people, which takes nothing from elsewhere.
-    /// But for the port of the stop channel.
+    /// The web page. Its policy permits no connections except to this server and to the port of the stop channel.
     pub(super) fn page(body: &str, stop: Option<u16>) -> Self {
         let stop = stop.map_or_else(String::new, |port| format!(" http://*:{port}"));
         Self {
@@ -116,7 +115,7 @@ impl Response {
         }
     }
 
-    /// A text of another kind.
+    /// A text with another content type.
     pub(super) fn of_kind(kind: &'static str, body: String) -> Self {
         Self {
             kind,
@@ -124,16 +123,19 @@ impl Response {
         }
     }
 
-    /// There are too many of something, and what the bound is.
+    /// A bound is exceeded, and which one.
     pub(crate) fn too_many(why: impl fmt::Display) -> Self {
         Self::text("503 Service Unavailable", format!("{why}\n"))
     }
 
-    /// Only WebSocket is spoken here.
+    /// The resource is for WebSocket only.
     pub(super) fn upgrade_required() -> Self {
         Self {
             extra: "Upgrade: websocket\r\n".to_owned(),
-            ..Self::text("426 Upgrade Required", "This resource speaks WebSocket.\n")
+            ..Self::text(
+                "426 Upgrade Required",
+                "This resource is for WebSocket only.\n",
+            )
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Requests as they come over the wire, good and bad.
+//! Valid and invalid requests as received over the wire.
 
 use super::*;
 
@@ -9,36 +9,36 @@ mod access;
 mod metrics;
 mod resources;
 
-/// What a server that asks for no token answers.
-fn answer(received: &[u8], continued: bool) -> Option<(usize, Answer)> {
+/// Parses a request for a server without a token.
+fn parse(received: &[u8], continued: bool) -> Option<(usize, Action)> {
     let origins = Origins {
         hosts: vec!["h".to_owned()],
         origins: vec!["http://listed:3000".to_owned()],
     };
-    let guard = Guard {
-        token: &|_| Admission::Admitted(Credential::Loopback),
+    let policy = AccessPolicy {
+        check_token: &|_| Admission::Admitted(Credential::Loopback),
         origins: &origins,
         reached: None,
     };
-    super::answer(received, continued, guard)
+    super::parse(received, continued, policy)
 }
 
-/// The first line of what a request is answered.
+/// The first line of the response to a request.
 fn status(request: &str) -> String {
-    let (_, answer) = answer(request.as_bytes(), false).unwrap();
+    let (_, answer) = parse(request.as_bytes(), false).unwrap();
     let text = match answer {
-        Answer::Upgrade(upgrade) => upgrade.response,
-        Answer::Body { ask, .. } => ask.to_owned(),
-        Answer::Refuse(response) => response.to_string(),
-        Answer::Serve(request) => format!("{:?}", request.path),
+        Action::Upgrade(upgrade) => upgrade.response,
+        Action::ReadBody { interim, .. } => interim.to_owned(),
+        Action::Reject(response) => response.to_string(),
+        Action::Serve(request) => format!("{:?}", request.path),
     };
     text.lines().next().unwrap().to_owned()
 }
 
 #[test]
-fn known_client_is_answered_in_the_letters_it_compares() {
+fn known_client_handshake_response_is_exact() {
     let request = format!("{KNOWN_CLIENT}\r\n");
-    let (length, answer) = answer(request.as_bytes(), false).unwrap();
+    let (length, answer) = parse(request.as_bytes(), false).unwrap();
     assert_eq!(length, request.len());
     let expected = "HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\n\
         Connection: Upgrade\r\nSec-WebSocket-Accept: s3pPLMBiTxaQ9kYGzzhZRbK+xOo=\r\n\r\n";
@@ -47,17 +47,13 @@ fn known_client_is_answered_in_the_letters_it_compares() {
         credential: Credential::Loopback,
         is_versioned: false,
     };
-    assert_eq!(answer, Answer::Upgrade(upgrade));
+    assert_eq!(answer, Action::Upgrade(upgrade));
 }
 
 #[test]
-fn part_of_a_head_is_waited_for_but_not_for_ever() {
+fn partial_head_waits_up_to_bound() {
     for end in 0..KNOWN_CLIENT.len() {
-        assert_eq!(
-            answer(&KNOWN_CLIENT.as_bytes()[..end], false),
-            None,
-            "{end}"
-        );
+        assert_eq!(parse(&KNOWN_CLIENT.as_bytes()[..end], false), None, "{end}");
     }
     let endless = format!("{KNOWN_CLIENT}X: {}", "x".repeat(HEAD_BYTES_MAX));
     assert_eq!(
@@ -67,7 +63,7 @@ fn part_of_a_head_is_waited_for_but_not_for_ever() {
 }
 
 #[test]
-fn other_requests_are_refused() {
+fn unsupported_requests_are_rejected() {
     assert_eq!(
         status("PUT /nets/ HTTP/1.1\r\n\r\n"),
         "HTTP/1.1 405 Method Not Allowed"
@@ -85,7 +81,7 @@ fn other_requests_are_refused() {
 }
 
 #[test]
-fn doubled_slashes_are_one() {
+fn doubled_slashes_count_as_one() {
     let request = KNOWN_CLIENT.replace("/DirectIO/", "//DirectIO");
     assert_eq!(
         status(&format!("{request}\r\n")),
@@ -94,7 +90,7 @@ fn doubled_slashes_are_one() {
 }
 
 #[test]
-fn websocket_of_page_of_other_origin_is_refused() {
+fn websocket_from_other_origin_is_rejected() {
     let with = |origin: &str| status(&format!("{KNOWN_CLIENT}Origin: {origin}\r\n\r\n"));
     for origin in ["http://h", "http://listed:3000"] {
         assert_eq!(with(origin), "HTTP/1.1 101 Switching Protocols", "{origin}");
@@ -112,7 +108,7 @@ fn websocket_of_page_of_other_origin_is_refused() {
 }
 
 #[test]
-fn request_to_foreign_host_is_refused() {
+fn request_with_foreign_host_is_rejected() {
     let get = |host: &str| status(&format!("GET /log/ HTTP/1.1\r\nHost: {host}\r\n\r\n"));
     for host in ["h", "h:8080", "localhost:8080", "127.0.0.1:8080", "[::1]"] {
         assert_eq!(get(host), r#"["log"]"#, "{host}");
@@ -121,7 +117,7 @@ fn request_to_foreign_host_is_refused() {
         assert_eq!(get(host), "HTTP/1.1 421 Misdirected Request", "{host}");
     }
     assert_eq!(get("h\r\nHost: h"), "HTTP/1.1 400 Bad Request");
-    // A browser's handshake has a version; the known client's has none and may name any host.
+    // The handshake of a browser has a version; that of the known client has none and may name any host.
     let handshake = KNOWN_CLIENT.replace("Host: h", "Host: rebound.example");
     assert!(is_upgrade(&format!("{handshake}\r\n")));
     let versioned = format!("{handshake}Sec-WebSocket-Version: 13\r\n\r\n");
@@ -129,7 +125,7 @@ fn request_to_foreign_host_is_refused() {
 }
 
 #[test]
-fn head_beyond_its_bound_is_refused_when_it_comes_at_once() {
+fn head_beyond_bound_is_rejected_at_once() {
     let head = |bytes: usize| format!("GET /log/ HTTP/1.1\r\nX: {}\r\n\r\n", "x".repeat(bytes));
     let most = HEAD_BYTES_MAX - head(0).len();
     assert_eq!(status(&head(most)), r#"["log"]"#);
@@ -147,7 +143,7 @@ fn post(headers: &str, body: &str) -> String {
 fn body_is_read_to_its_length() {
     let request = post("content-length: 7\r\n", "desc=ab");
     for end in 0..request.len() {
-        assert_eq!(answer(&request.as_bytes()[..end], true), None, "{end}");
+        assert_eq!(parse(&request.as_bytes()[..end], true), None, "{end}");
     }
     let expected = Request {
         credential: Credential::Loopback,
@@ -158,12 +154,12 @@ fn body_is_read_to_its_length() {
         json: false,
     };
     let more = format!("{request}POST");
-    let served = Some((request.len(), Answer::Serve(expected)));
-    assert_eq!(answer(more.as_bytes(), false), served);
+    let served = Some((request.len(), Action::Serve(expected)));
+    assert_eq!(parse(more.as_bytes(), false), served);
 }
 
 #[test]
-fn length_of_a_body_must_be_sure_and_is_bounded() {
+fn body_length_must_be_unambiguous_and_bounded() {
     for (headers, expected) in [
         ("", "411 Length Required"),
         (
@@ -190,19 +186,19 @@ fn length_of_a_body_must_be_sure_and_is_bounded() {
 }
 
 #[test]
-fn client_that_waits_to_be_asked_for_the_body_is_asked_once() {
+fn expect_continue_is_answered_once() {
     let request = post("Content-Length: 3\r\nExpect: 100-continue\r\n", "");
     assert_eq!(status(&request), "HTTP/1.1 100 Continue");
-    assert_eq!(answer(request.as_bytes(), true), None);
+    assert_eq!(parse(request.as_bytes(), true), None);
     assert_eq!(status(&format!("{request}a=b")), r#"["nets"]"#);
 }
 
 #[test]
-fn json_is_given_to_those_who_ask() {
+fn json_is_selected_by_accept_or_query() {
     let json = |target: &str, accept: &str| {
         let request = format!("GET {target} HTTP/1.1\r\nAccept: {accept}\r\n\r\n");
-        match answer(request.as_bytes(), false) {
-            Some((_, Answer::Serve(request))) => request.json,
+        match parse(request.as_bytes(), false) {
+            Some((_, Action::Serve(request))) => request.json,
             other => panic!("{other:?}"),
         }
     };
@@ -213,21 +209,21 @@ fn json_is_given_to_those_who_ask() {
 }
 
 #[test]
-fn forms_of_pages_of_other_hosts_are_kept_out() {
+fn form_from_other_origin_is_rejected() {
     let request = post("Origin: http://example.org\r\nContent-Length: 0\r\n", "");
     assert_eq!(status(&request), "HTTP/1.1 403 Forbidden");
 }
 
 #[test]
-fn parts_of_a_path_are_decoded() {
+fn path_segments_are_decoded() {
     let request = "GET //modules/Core%3A%3AClock%2f/ HTTP/1.1\r\n\r\n";
     assert_eq!(status(request), r#"["modules", "Core::Clock/"]"#);
 }
 
-/// Whether an open server goes on with WebSocket frames.
+/// Whether a server without a token accepts the WebSocket handshake.
 fn is_upgrade(request: &str) -> bool {
     matches!(
-        answer(request.as_bytes(), false),
-        Some((_, Answer::Upgrade(_)))
+        parse(request.as_bytes(), false),
+        Some((_, Action::Upgrade(_)))
     )
 }

@@ -1,5 +1,5 @@
-//! One connection: bytes in, bytes out, and the calls of the [`Connection`] between them, made
-//! in threads that may block. It opens and ends no session.
+//! One connection: moves its bytes and calls its [`Connection`] in threads that may block. It opens and ends no
+//! session.
 
 use std::io;
 use std::sync::Arc;
@@ -12,9 +12,9 @@ use tokio::sync::{Notify, watch};
 use tokio::task::JoinError;
 use tokio::time::{Instant, timeout};
 
-use super::places::{Full, Pool};
-use super::{Kind, Visit};
-use crate::access::{Admission, TOKEN_CHARS_MAX, WRONG_PAUSE};
+use super::slots::{Full, Pool};
+use super::{ConnectionContext, Kind};
+use crate::access::{Admission, TOKEN_CHARS_MAX, WRONG_DELAY};
 use crate::codec::{Codec, Received};
 use crate::dio::Connection;
 use crate::error::Error;
@@ -24,62 +24,62 @@ use crate::wire::Message;
 use crate::wire::lines::LineReader;
 use crate::wire::websocket::FrameReader;
 
-/// Bytes read at once.
+/// Bytes per read.
 const READ_BYTES: usize = 64 << 10;
 
-/// The same while it is not known who the client is.
+/// The same before the client is admitted.
 const WAITING_READ_BYTES: usize = 4 << 10;
 
-/// How long a client may take to send its request, and again to shake hands.
-const REQUEST_WITHIN: Duration = Duration::from_secs(10);
+/// Timeout of a client's request, and of its handshake.
+const REQUEST_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// Most bytes of a line before the handshake.
 const TOKEN_LINE_BYTES_MAX: usize = 2 * TOKEN_CHARS_MAX;
 
-/// How often a debug stream sends.
-const STREAM_EVERY: Duration = Duration::from_millis(100);
+/// Send interval of a debug stream.
+const STREAM_INTERVAL: Duration = Duration::from_millis(100);
 
-/// How long a client may take to close after it was answered.
-const CLOSE_WITHIN: Duration = Duration::from_secs(1);
+/// How long to wait for the client to close after the response.
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// How long a client may take to read what is sent before it counts as lost.
-const WRITE_WITHIN: Duration = Duration::from_secs(10);
+/// A client that reads nothing for this time counts as lost.
+const WRITE_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// How long a client that waits for nothing and has no session may be silent.
-const IDLE_WITHIN: Duration = Duration::from_secs(600);
+/// A silent client without subscription and session is disconnected after this time.
+const IDLE_TIMEOUT: Duration = Duration::from_secs(600);
 
-/// Bytes of any kind of stream.
+/// Any kind of byte stream.
 pub(super) trait Bytes: AsyncRead + AsyncWrite + Unpin + Send {}
 
 impl<T: AsyncRead + AsyncWrite + Unpin + Send> Bytes for T {}
 
-/// A connection that did not end by itself.
+/// A connection that ended with an error.
 pub(super) struct Failure {
-    /// Why.
+    /// The cause.
     pub(super) error: Error,
-    /// Sessions that it had opened.
+    /// Sessions that it had open.
     pub(super) opened: Vec<SessionId>,
 }
 
-/// Serves one client to its end; returns the sessions that it opened and did not end.
+/// Serves one client until its connection ends; returns the sessions that it left open.
 pub(super) async fn serve(
     stream: Box<dyn Bytes>,
     kind: Kind,
-    visit: &Visit,
+    context: &ConnectionContext,
 ) -> Result<Vec<SessionId>, Failure> {
-    let mut link = Link::new(stream, kind, visit);
+    let mut link = Link::new(stream, kind, context);
     let work = async {
         match kind {
-            Kind::Lines => link.serve_lines(visit).await,
-            Kind::Http => link.serve_http(visit).await,
+            Kind::Lines => link.serve_lines(context).await,
+            Kind::Http => link.serve_http(context).await,
         }
     };
     let ended = tokio::select! {
         ended = work => ended,
-        () = visit.place.displaced() => Err(Error::Displaced),
+        () = context.slot.evicted() => Err(Error::Evicted),
     };
-    if let Err(error @ (Error::Displaced | Error::Full { .. })) = &ended {
-        link.say_farewell(kind, error).await;
+    if let Err(error @ (Error::Evicted | Error::Full { .. })) = &ended {
+        link.send_close_reason(kind, error).await;
     }
     let opened = link.opened;
     match ended {
@@ -93,35 +93,37 @@ struct Link {
     peer: String,
     counters: Arc<Counters>,
     codec: Codec,
-    /// Away only while a blocking thread has it; lost if that thread panics.
+    /// `None` only while a blocking thread has it; lost if that thread panics.
     connection: Option<Connection>,
-    /// Sessions that it opened and did not end, as of the last work that it finished.
+    /// Sessions it has open, as of the last call that returned.
     opened: Vec<SessionId>,
     begin: Instant,
-    /// When the client last sent something.
+    /// When data was last received.
     received_at: Instant,
 }
 
 impl Link {
-    fn new(stream: Box<dyn Bytes>, kind: Kind, visit: &Visit) -> Self {
+    fn new(stream: Box<dyn Bytes>, kind: Kind, context: &ConnectionContext) -> Self {
         let codec = match kind {
             Kind::Lines => Codec::Plain(LineReader::bounded(TOKEN_LINE_BYTES_MAX)),
             Kind::Http => Codec::WebSocket(FrameReader::bounded(TOKEN_LINE_BYTES_MAX)),
         };
-        let site = &visit.site;
+        let site = &context.site;
         let now = Instant::now();
         let begin = now.duration_since(site.begin);
         let connection = Connection::new(site.controller.clone())
             .with_on_loss(site.on_loss.unwrap_or_default())
             .with_sessions(&site.sessions, begin);
         let connection = match kind {
-            Kind::Lines => connection.behind(&site.gate, visit.peer, begin).strict(),
-            // Its request carries the token.
+            Kind::Lines => connection
+                .with_gate(&site.gate, context.peer, begin)
+                .strict(),
+            // The HTTP request carries the token.
             Kind::Http => connection,
         };
         Self {
             stream,
-            peer: visit.name.clone(),
+            peer: context.name.clone(),
             counters: Arc::clone(&site.counters),
             codec,
             connection: Some(connection),
@@ -131,8 +133,8 @@ impl Link {
         }
     }
 
-    /// Says why the connection ends, if the client listens.
-    async fn say_farewell(&mut self, kind: Kind, error: &Error) {
+    /// Sends the reason for closing, if the client still reads.
+    async fn send_close_reason(&mut self, kind: Kind, error: &Error) {
         let text = match (kind, &self.codec, error) {
             (Kind::Http, _, Error::Full { bound }) => {
                 http::too_many_connections(*bound).to_string().into_bytes()
@@ -141,45 +143,45 @@ impl Link {
                 .with(error.to_string())
                 .to_string()]),
         };
-        let farewell = async {
+        let sending = async {
             self.stream.write_all(&text).await?;
             self.stream.shutdown().await
         };
-        let _ = timeout(CLOSE_WITHIN, farewell).await;
+        let _ = timeout(CLOSE_TIMEOUT, sending).await;
     }
 
-    async fn serve_http(&mut self, visit: &Visit) -> Result<(), Error> {
-        let request = timeout(REQUEST_WITHIN, self.read_request(visit)).await;
+    async fn serve_http(&mut self, context: &ConnectionContext) -> Result<(), Error> {
+        let request = timeout(REQUEST_TIMEOUT, self.read_request(context)).await;
         let response = match request {
-            Ok(Ok(Some(http::Answer::Upgrade(upgrade)))) => {
+            Ok(Ok(Some(http::Action::Upgrade(upgrade)))) => {
                 self.send(upgrade.response.as_bytes()).await?;
-                let on_loss = visit.site.on_loss.unwrap_or(if upgrade.is_versioned {
+                let on_loss = context.site.on_loss.unwrap_or(if upgrade.is_versioned {
                     OnLoss::End
                 } else {
-                    // The known client, which connects again and expects its nets to run.
+                    // The known client, which reconnects and expects its nets to run on.
                     OnLoss::Keep
                 });
                 let connection = self.connection.take();
                 let admitted = |c: Connection| c.admitted_for(upgrade.credential);
                 self.connection = connection.map(|c| admitted(c).with_on_loss(on_loss));
-                return self.serve_lines(visit).await;
+                return self.serve_lines(context).await;
             }
-            Ok(Ok(Some(http::Answer::Serve(request)))) => {
+            Ok(Ok(Some(http::Action::Serve(request)))) => {
                 Counters::add(&self.counters.requests, 1);
-                admit(visit, Pool::Request(request.credential))?;
-                match DebugStream::asked_for(&visit.site.controller, &request) {
-                    None => self.respond(request, visit).await?,
-                    Some(Err(refusal)) => refusal,
-                    Some(Ok(stream)) => match Arc::clone(&visit.streams).try_acquire_owned() {
-                        Ok(_place) => return self.stream(stream, visit).await,
+                admit(context, Pool::Request(request.credential))?;
+                match DebugStream::from_request(&context.site.controller, &request) {
+                    None => self.respond(request, context).await?,
+                    Some(Err(response)) => response,
+                    Some(Ok(stream)) => match Arc::clone(&context.streams).try_acquire_owned() {
+                        Ok(_permit) => return self.stream(stream, context).await,
                         Err(_) => DebugStream::too_many(),
                     },
                 }
             }
-            Ok(Ok(Some(http::Answer::Refuse(response)))) => response,
-            Ok(Ok(Some(http::Answer::Body { .. }) | None)) => return Ok(()),
+            Ok(Ok(Some(http::Action::Reject(response)))) => response,
+            Ok(Ok(Some(http::Action::ReadBody { .. }) | None)) => return Ok(()),
             Ok(Err(error)) => return Err(error),
-            Err(_) => return Err(self.broken(io::ErrorKind::TimedOut.into())),
+            Err(_) => return Err(self.io_error(io::ErrorKind::TimedOut.into())),
         };
         self.send(response.to_string().as_bytes()).await?;
         self.finish().await
@@ -188,30 +190,36 @@ impl Link {
     async fn respond(
         &mut self,
         request: http::Request,
-        visit: &Visit,
+        context: &ConnectionContext,
     ) -> Result<http::Response, Error> {
-        let _place = match request.path.first().map(String::as_str) {
+        let _permit = match request.path.first().map(String::as_str) {
             // The semaphore is never closed.
-            Some("eval") => visit.evaluations.acquire().await.ok(),
+            Some("eval") => context.evaluations.acquire().await.ok(),
             _ => None,
         };
-        let site = visit.site.clone();
+        let site = context.site.clone();
         let work = move || http::respond(&site, &request);
         let worked = tokio::task::spawn_blocking(work).await;
-        worked.map_err(|e: JoinError| self.broken(io::Error::other(e)))
+        worked.map_err(|e: JoinError| self.io_error(io::Error::other(e)))
     }
 
-    /// Sends what the debug taps of a net record, until the net ends or the client is gone.
-    async fn stream(&mut self, mut stream: DebugStream, visit: &Visit) -> Result<(), Error> {
+    /// Sends the records of a net's debug taps until the net ends or the client disconnects.
+    async fn stream(
+        &mut self,
+        mut stream: DebugStream,
+        context: &ConnectionContext,
+    ) -> Result<(), Error> {
         self.send(DebugStream::HEAD.as_bytes()).await?;
-        let mut closing = visit.closing.clone();
+        let mut shutdown = context.shutdown.clone();
         let mut received = Vec::new();
         loop {
             let worked = tokio::task::spawn_blocking(move || {
                 let chunk = stream.poll();
                 (stream, chunk)
             });
-            let (back, chunk) = worked.await.map_err(|e| self.broken(io::Error::other(e)))?;
+            let (back, chunk) = worked
+                .await
+                .map_err(|e| self.io_error(io::Error::other(e)))?;
             stream = back;
             let Some(chunk) = chunk else {
                 self.send(b"0\r\n\r\n").await?;
@@ -222,49 +230,58 @@ impl Link {
                 self.send(framed.as_bytes()).await?;
             }
             tokio::select! {
-                () = closed(&mut closing) => return Ok(()),
-                // A client that closes, or sends what nobody asked for, has seen enough.
+                () = shut_down(&mut shutdown) => return Ok(()),
+                // A client that closes or sends anything ends its stream.
                 _ = read(&mut self.stream, &mut received, WAITING_READ_BYTES) => return Ok(()),
-                () = tokio::time::sleep(STREAM_EVERY) => {}
+                () = tokio::time::sleep(STREAM_INTERVAL) => {}
             }
         }
     }
 
-    /// Reads a request; what follows its head belongs to the frames if it asks for WebSocket.
-    async fn read_request(&mut self, visit: &Visit) -> Result<Option<http::Answer>, Error> {
-        let site = &visit.site;
-        let slowed = AtomicBool::new(false);
+    /// Reads a request. After a WebSocket handshake, the bytes behind its head are frames.
+    async fn read_request(
+        &mut self,
+        context: &ConnectionContext,
+    ) -> Result<Option<http::Action>, Error> {
+        let site = &context.site;
+        let delayed = AtomicBool::new(false);
         let admission = |given: Option<&str>| {
-            let admission = site.gate.check(visit.peer, given, site.now());
+            let admission = site.gate.check(context.peer, given, site.now());
             let admitted = matches!(admission, Admission::Admitted(_));
             Counters::add(&site.counters.denied, (given.is_some() && !admitted).into());
-            slowed.store(admission == Admission::TooMany, Ordering::Relaxed);
+            delayed.store(admission == Admission::TooMany, Ordering::Relaxed);
             admission
         };
         let (mut received, mut continued) = (Vec::new(), false);
-        while self.read(&mut received, visit).await? {
-            let guard = http::Guard {
-                token: &admission,
+        while self.read(&mut received, context).await? {
+            let policy = http::AccessPolicy {
+                check_token: &admission,
                 origins: &site.origins,
-                reached: visit.reached,
+                reached: context.reached,
             };
-            match http::answer(&received, continued, guard) {
-                Some((_, http::Answer::Body { credential, ask })) => {
+            match http::parse(&received, continued, policy) {
+                Some((
+                    _,
+                    http::Action::ReadBody {
+                        credential,
+                        interim,
+                    },
+                )) => {
                     continued = true;
-                    admit(visit, Pool::Request(credential))?;
-                    self.send(ask.as_bytes()).await?;
+                    admit(context, Pool::Request(credential))?;
+                    self.send(interim.as_bytes()).await?;
                 }
-                Some((length, answer)) => {
+                Some((length, action)) => {
                     self.codec.push(received.get(length..).unwrap_or_default());
-                    if let http::Answer::Refuse(response) = &answer
+                    if let http::Action::Reject(response) = &action
                         && response.is_denial()
                     {
-                        self.log_denial(visit, response.status());
+                        self.log_denial(context, response.status());
                     }
-                    if slowed.load(Ordering::Relaxed) {
-                        tokio::time::sleep(WRONG_PAUSE).await;
+                    if delayed.load(Ordering::Relaxed) {
+                        tokio::time::sleep(WRONG_DELAY).await;
                     }
-                    return Ok(Some(answer));
+                    return Ok(Some(action));
                 }
                 None => {}
             }
@@ -272,15 +289,15 @@ impl Link {
         Ok(None)
     }
 
-    fn log_denial(&self, visit: &Visit, why: &str) {
-        let line = format!("a client at {} is refused: {why}", self.peer);
-        visit.site.warn(|limits: &Limits| &limits.denials, &line);
+    fn log_denial(&self, context: &ConnectionContext, why: &str) {
+        let line = format!("rejected a client at {}: {why}", self.peer);
+        context.site.warn(|limits: &Limits| &limits.denials, &line);
     }
 
-    /// Closes this side and lets the client close its own: what it still sends, such as the rest
-    /// of a body that is too long, would otherwise make its system throw the response away.
+    /// Closes this side and waits for the client to close. Unread data, such as the rest of a body that is too long,
+    /// would otherwise reset the connection and discard the response.
     async fn finish(&mut self) -> Result<(), Error> {
-        self.stream.shutdown().await.map_err(|e| self.broken(e))?;
+        self.stream.shutdown().await.map_err(|e| self.io_error(e))?;
         let rest = async {
             let mut bytes = Vec::new();
             let more = |read: io::Result<bool>| read.is_ok_and(|more| more);
@@ -288,26 +305,26 @@ impl Link {
                 bytes.clear();
             }
         };
-        // A client that does not close has had its response all the same.
-        let _ = timeout(CLOSE_WITHIN, rest).await;
+        // The response is sent even if the client does not close.
+        let _ = timeout(CLOSE_TIMEOUT, rest).await;
         Ok(())
     }
 
-    async fn serve_lines(&mut self, visit: &Visit) -> Result<(), Error> {
+    async fn serve_lines(&mut self, context: &ConnectionContext) -> Result<(), Error> {
         let changed = Arc::new(Notify::new());
         let wake = Arc::clone(&changed);
-        let _watch = visit.site.controller.on_change(move || wake.notify_one());
-        let mut closing = visit.closing.clone();
+        let _watch = context.site.controller.on_change(move || wake.notify_one());
+        let mut shutdown = context.shutdown.clone();
         let mut received = Vec::new();
-        let greeted_by = Instant::now() + REQUEST_WITHIN;
+        let handshake_deadline = Instant::now() + REQUEST_TIMEOUT;
         loop {
-            if !self.handle_received(visit).await? {
+            if !self.handle_received(context).await? {
                 return Ok(());
             }
             let next = self.connection.as_ref().and_then(Connection::poll_timeout);
             let next = next.map(|at| self.begin + at);
-            let waits = visit.place.waits();
-            let at_once = if waits {
+            let is_waiting = context.slot.is_waiting();
+            let at_once = if is_waiting {
                 WAITING_READ_BYTES
             } else {
                 READ_BYTES
@@ -315,36 +332,36 @@ impl Link {
             let is_idle = self.connection.as_ref().is_some_and(Connection::is_idle);
             tokio::select! {
                 biased;
-                () = closed(&mut closing) => return Ok(()),
-                // Before what comes: a client that is never silent is ended too.
-                () = tokio::time::sleep_until(greeted_by), if waits => {
-                    return Err(self.broken(io::ErrorKind::TimedOut.into()));
+                () = shut_down(&mut shutdown) => return Ok(()),
+                // Before reading: a client that sends without pause times out too.
+                () = tokio::time::sleep_until(handshake_deadline), if is_waiting => {
+                    return Err(self.io_error(io::ErrorKind::TimedOut.into()));
                 }
                 alive = read(&mut self.stream, &mut received, at_once) => {
-                    if !alive.map_err(|e| self.broken(e))? {
+                    if !alive.map_err(|e| self.io_error(e))? {
                         return Ok(());
                     }
                     self.received_at = Instant::now();
-                    visit.place.touch(visit.site.now());
+                    context.slot.touch(context.site.now());
                     self.codec.push(&received);
                     received.clear();
                 }
                 () = changed.notified() => self.push(true).await?,
                 () = sleep_until(next) => self.push(false).await?,
-                () = tokio::time::sleep_until(self.received_at + IDLE_WITHIN), if is_idle => {
-                    let text = format!("closed: nothing came for {} s", IDLE_WITHIN.as_secs());
+                () = tokio::time::sleep_until(self.received_at + IDLE_TIMEOUT), if is_idle => {
+                    let text = format!("closed: nothing came for {} s", IDLE_TIMEOUT.as_secs());
                     return self.send_lines(&[Message::new("none", "err").with(text).to_string()]).await;
                 }
             }
         }
     }
 
-    /// Handles all lines that have come whole; returns whether the connection goes on.
-    async fn handle_received(&mut self, visit: &Visit) -> Result<bool, Error> {
+    /// Handles all complete lines; returns whether the connection stays open.
+    async fn handle_received(&mut self, context: &ConnectionContext) -> Result<bool, Error> {
         loop {
-            if visit.place.waits() && !self.codec.may_begin() {
+            if context.slot.is_waiting() && !self.codec.may_be_first_line() {
                 Counters::add(&self.counters.denied, 1);
-                self.log_denial(visit, "what it sends is no handshake of DirectIO lines");
+                self.log_denial(context, "its first bytes are not a DirectIO handshake");
                 let text = "this port takes lines that begin with tag=ver(\"2.0\") or tag=tok(…); HTTP has a port of its own";
                 self.send_lines(&[Message::new("none", "err").with(text).to_string()])
                     .await?;
@@ -353,28 +370,32 @@ impl Link {
             match self.codec.poll() {
                 Ok(None) => return Ok(true),
                 Ok(Some(Received::Line(line))) => {
-                    if !self.handle_line(line, visit).await? {
+                    if !self.handle_line(line, context).await? {
                         return Ok(false);
                     }
                 }
-                Ok(Some(Received::Answer(bytes))) => self.send(&bytes).await?,
-                Ok(Some(Received::Goodbye(bytes))) => {
+                Ok(Some(Received::Reply(bytes))) => self.send(&bytes).await?,
+                Ok(Some(Received::Close(bytes))) => {
                     self.send(&bytes).await?;
                     return Ok(false);
                 }
                 Err(error) => {
-                    let told = Message::new("none", "err")
+                    let reply = Message::new("none", "err")
                         .with(error.to_string())
                         .to_string();
-                    self.send_lines(&[told]).await?;
+                    self.send_lines(&[reply]).await?;
                     return Err(error);
                 }
             }
         }
     }
 
-    /// Handles one line; returns whether the connection goes on.
-    async fn handle_line(&mut self, line: String, visit: &Visit) -> Result<bool, Error> {
+    /// Handles one line; returns whether the connection stays open.
+    async fn handle_line(
+        &mut self,
+        line: String,
+        context: &ConnectionContext,
+    ) -> Result<bool, Error> {
         Counters::add(&self.counters.received, 1);
         let lines = self
             .with_connection(move |c, now| {
@@ -383,21 +404,25 @@ impl Link {
                 out
             })
             .await?;
-        if self.connection.as_ref().is_some_and(Connection::is_slowed) {
-            tokio::time::sleep(WRONG_PAUSE).await;
+        if self.connection.as_ref().is_some_and(Connection::is_delayed) {
+            tokio::time::sleep(WRONG_DELAY).await;
         }
-        let greeted = self.connection.as_ref().filter(|c| c.is_greeted());
-        if let Some(credential) = greeted.map(Connection::credential)
-            && visit.place.waits()
+        let handshake_done = self.connection.as_ref().filter(|c| c.is_handshake_done());
+        if let Some(credential) = handshake_done.map(Connection::credential)
+            && context.slot.is_waiting()
         {
-            // Before the answer: a client that reads it is admitted.
-            admit(visit, Pool::Messages(credential))?;
-            self.codec.unbind();
+            // Before the reply: a client that has read it is admitted.
+            admit(context, Pool::Messages(credential))?;
+            self.codec.raise_bound();
         }
         self.send_lines(&lines).await?;
-        if self.connection.as_ref().is_some_and(Connection::is_refused) {
+        if self
+            .connection
+            .as_ref()
+            .is_some_and(Connection::is_rejected)
+        {
             Counters::add(&self.counters.denied, 1);
-            self.log_denial(visit, "its token or handshake is wrong");
+            self.log_denial(context, "its token or handshake is wrong");
             return Ok(false);
         }
         Ok(true)
@@ -414,7 +439,7 @@ impl Link {
         self.send_lines(&lines).await
     }
 
-    /// Lets the connection work in a thread that may block; returns what is to be sent.
+    /// Calls the connection in a thread that may block; returns the lines to send.
     async fn with_connection(
         &mut self,
         work: impl FnOnce(&mut Connection, Duration) -> Vec<String> + Send + 'static,
@@ -427,7 +452,9 @@ impl Link {
             let lines = work(&mut connection, now);
             (connection, lines)
         });
-        let (connection, lines) = worked.await.map_err(|e| self.broken(io::Error::other(e)))?;
+        let (connection, lines) = worked
+            .await
+            .map_err(|e| self.io_error(io::Error::other(e)))?;
         self.opened = connection.opened_sessions().to_vec();
         self.connection = Some(connection);
         Ok(lines)
@@ -447,23 +474,27 @@ impl Link {
     }
 
     async fn send(&mut self, bytes: &[u8]) -> Result<(), Error> {
-        let sent = timeout(WRITE_WITHIN, self.stream.write_all(bytes)).await;
+        let sent = timeout(WRITE_TIMEOUT, self.stream.write_all(bytes)).await;
         sent.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into()))
-            .map_err(|e| self.broken(e))
+            .map_err(|e| self.io_error(e))
     }
 
-    async fn read(&mut self, into: &mut Vec<u8>, visit: &Visit) -> Result<bool, Error> {
-        let at_once = if visit.place.waits() {
+    async fn read(
+        &mut self,
+        into: &mut Vec<u8>,
+        context: &ConnectionContext,
+    ) -> Result<bool, Error> {
+        let at_once = if context.slot.is_waiting() {
             WAITING_READ_BYTES
         } else {
             READ_BYTES
         };
         read(&mut self.stream, into, at_once)
             .await
-            .map_err(|e| self.broken(e))
+            .map_err(|e| self.io_error(e))
     }
 
-    fn broken(&self, source: io::Error) -> Error {
+    fn io_error(&self, source: io::Error) -> Error {
         Error::Connection {
             address: self.peer.clone(),
             source,
@@ -471,30 +502,30 @@ impl Link {
     }
 }
 
-/// Gives a connection the place of a client that is admitted.
-fn admit(visit: &Visit, pool: Pool) -> Result<(), Error> {
-    match visit.place.admit(pool, visit.site.now()) {
-        Ok(displaces) => {
-            visit.count_displaced(displaces);
+/// Moves a connection to the slot of an admitted client.
+fn admit(context: &ConnectionContext, pool: Pool) -> Result<(), Error> {
+    match context.slot.admit(pool, context.site.now()) {
+        Ok(evicts) => {
+            context.count_eviction(evicts);
             Ok(())
         }
         Err(Full { bound }) => Err(Error::Full { bound }),
     }
 }
 
-/// Appends what comes next, so many bytes at most; returns whether anything can still come. Nothing is lost if
-/// this is dropped while it waits.
+/// Appends the bytes received next, at most `at_once`; returns false at the end of the stream. Cancel-safe: no byte
+/// is lost if the future is dropped.
 async fn read(stream: &mut Box<dyn Bytes>, into: &mut Vec<u8>, at_once: usize) -> io::Result<bool> {
     into.reserve(at_once);
     Ok(stream.take(at_once as u64).read_buf(into).await? > 0)
 }
 
-/// Waits until the server is shut down or gone.
-async fn closed(closing: &mut watch::Receiver<bool>) {
-    let _ = closing.wait_for(|closing| *closing).await;
+/// Waits until the server shuts down.
+async fn shut_down(shutdown: &mut watch::Receiver<bool>) {
+    let _ = shutdown.wait_for(|shutdown| *shutdown).await;
 }
 
-/// Sleeps until then; for ever if there is no such time.
+/// Sleeps until `time`; for ever if it is `None`.
 async fn sleep_until(time: Option<Instant>) {
     match time {
         Some(time) => tokio::time::sleep_until(time).await,

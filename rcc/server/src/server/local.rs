@@ -1,5 +1,5 @@
-//! The Unix socket by which tools of this host reach the controller: the kernel says which account a client
-//! is, so no token is needed. It reads no messages.
+//! The Unix socket for tools of this host. The kernel reports the account of a client, so no token is needed. This
+//! module reads no messages.
 
 use std::io;
 use std::os::unix::fs::{FileTypeExt as _, MetadataExt as _, PermissionsExt as _};
@@ -9,26 +9,26 @@ use tokio::net::{UnixListener, UnixStream};
 
 use crate::error::Error;
 
-/// Name of the socket in the directory of takt.
+/// File name of the socket.
 const NAME: &str = "takt.sock";
 
-/// Where the service manager puts what exists only while a service runs.
+/// Runtime directory of the service.
 const SERVICE_DIRECTORY: &str = "/run/takt";
 
 /// Most bytes read of `/etc/group`.
 const GROUPS_BYTES_MAX: u64 = 4 << 20;
 
-/// A Unix socket to listen at.
+/// Configuration of the Unix socket.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LocalSocket {
-    /// Where it is.
+    /// Its path.
     pub path: PathBuf,
-    /// Group, by name or number, whose accounts are admitted beside this process's own and root.
+    /// Group, by name or number, whose accounts are admitted besides this process's own and root.
     pub group: Option<String>,
 }
 
-/// Where a controller of this process's account listens unless it is configured: in the directory that the
-/// service manager made, else in that of the account's session, else in `/run/takt`.
+/// Default path for a controller of this process's account: in the runtime directory of the service manager, else
+/// in that of the account's session, else in `/run/takt`.
 #[must_use]
 pub fn default_path() -> PathBuf {
     let named = |name| std::env::var_os(name).filter(|value| !value.is_empty());
@@ -41,7 +41,7 @@ pub fn default_path() -> PathBuf {
     }
 }
 
-/// Where tools look for a controller: first one of the same account's session, then the service.
+/// Paths at which tools search for a controller: first of the same account's session, then of the service.
 #[must_use]
 pub fn client_paths() -> Vec<PathBuf> {
     let session = std::env::var_os("XDG_RUNTIME_DIR").filter(|value| !value.is_empty());
@@ -50,22 +50,21 @@ pub fn client_paths() -> Vec<PathBuf> {
     session.into_iter().chain([service]).collect()
 }
 
-/// A Unix socket that is listened at; its file goes with it.
+/// A listening Unix socket; dropping it removes the file.
 #[derive(Debug)]
 pub(super) struct Local {
     listener: UnixListener,
     path: PathBuf,
-    /// Number of the socket's file, to know it from another controller's.
+    /// Inode of the socket, to distinguish it from another controller's.
     inode: u64,
     /// Account of this process.
     uid: u32,
-    /// Whether the socket's mode lets a group in, which the kernel checks when a client connects.
+    /// Whether the socket's mode admits a group, which the kernel checks when a client connects.
     has_group: bool,
 }
 
 impl Local {
-    /// Begins to listen. A file that another controller left behind is replaced; one that somebody listens
-    /// at is not.
+    /// Starts listening. A stale socket is replaced; one at which a process listens is not.
     pub(super) async fn bind(socket: &LocalSocket) -> Result<Self, Error> {
         let path = &socket.path;
         let failed = |source| Error::Local {
@@ -75,15 +74,15 @@ impl Local {
         let gid = socket.group.as_deref().map(group_id).transpose();
         let gid = gid.map_err(failed)?;
         make_directory(path, gid).map_err(failed)?;
-        remove_left_over(path).await.map_err(failed)?;
-        // Nobody can connect by the right name before the mode is right.
-        let mut fresh = path.clone().into_os_string();
-        fresh.push(format!(".{}", std::process::id()));
-        let fresh = PathBuf::from(fresh);
-        let _ = std::fs::remove_file(&fresh);
-        let listener = UnixListener::bind(&fresh).map_err(failed)?;
-        let (uid, inode) = prepare(&fresh, path, gid).map_err(|error| {
-            let _ = std::fs::remove_file(&fresh);
+        remove_stale_socket(path).await.map_err(failed)?;
+        // The socket gets its final name only after its mode, so that no client connects earlier.
+        let mut temporary = path.clone().into_os_string();
+        temporary.push(format!(".{}", std::process::id()));
+        let temporary = PathBuf::from(temporary);
+        let _ = std::fs::remove_file(&temporary);
+        let listener = UnixListener::bind(&temporary).map_err(failed)?;
+        let (uid, inode) = prepare(&temporary, path, gid).map_err(|error| {
+            let _ = std::fs::remove_file(&temporary);
             failed(error)
         })?;
         Ok(Self {
@@ -103,7 +102,7 @@ impl Local {
         Ok(self.listener.accept().await?.0)
     }
 
-    /// Whether the account of a client is one that is admitted: this process's own, root, or of the group.
+    /// Whether the account of a client is admitted: this process's own, root, or one of the group.
     pub(super) fn admits(&self, stream: &UnixStream) -> bool {
         let account = stream.peer_cred();
         account.is_ok_and(|a| a.uid() == self.uid || a.uid() == 0 || self.has_group)
@@ -112,7 +111,7 @@ impl Local {
 
 impl Drop for Local {
     fn drop(&mut self) {
-        // Another controller that began at the same moment may have its own there.
+        // Another controller may have replaced the file with its own socket.
         let found = std::fs::symlink_metadata(&self.path);
         if found.is_ok_and(|found| found.ino() == self.inode) {
             let _ = std::fs::remove_file(&self.path);
@@ -120,19 +119,19 @@ impl Drop for Local {
     }
 }
 
-/// Gives the socket its mode, owner and name; returns the account that it belongs to, and its file's number.
-fn prepare(fresh: &Path, path: &Path, gid: Option<u32>) -> io::Result<(u32, u64)> {
+/// Sets mode, owner and final name of the socket; returns its account and inode.
+fn prepare(temporary: &Path, path: &Path, gid: Option<u32>) -> io::Result<(u32, u64)> {
     let mode = if gid.is_some() { 0o660 } else { 0o600 };
-    std::fs::set_permissions(fresh, std::fs::Permissions::from_mode(mode))?;
+    std::fs::set_permissions(temporary, std::fs::Permissions::from_mode(mode))?;
     if gid.is_some() {
-        std::os::unix::fs::chown(fresh, None, gid)?;
+        std::os::unix::fs::chown(temporary, None, gid)?;
     }
-    let made = std::fs::metadata(fresh)?;
-    std::fs::rename(fresh, path)?;
+    let made = std::fs::metadata(temporary)?;
+    std::fs::rename(temporary, path)?;
     Ok((made.uid(), made.ino()))
 }
 
-/// Makes the directory of the socket, for this account and the group alone, if there is none.
+/// Creates the directory of the socket for this account and the group, if it does not exist.
 fn make_directory(path: &Path, gid: Option<u32>) -> io::Result<()> {
     let Some(directory) = path.parent().filter(|d| !d.exists()) else {
         return Ok(());
@@ -145,18 +144,18 @@ fn make_directory(path: &Path, gid: Option<u32>) -> io::Result<()> {
     std::fs::set_permissions(directory, std::fs::Permissions::from_mode(mode))
 }
 
-async fn remove_left_over(path: &Path) -> io::Result<()> {
+async fn remove_stale_socket(path: &Path) -> io::Result<()> {
     let Ok(found) = std::fs::symlink_metadata(path) else {
         return Ok(());
     };
     if !found.file_type().is_socket() {
-        let what = "there is a file of that name that is no socket";
-        return Err(io::Error::new(io::ErrorKind::AlreadyExists, what));
+        let text = "a file with this name exists and is not a socket";
+        return Err(io::Error::new(io::ErrorKind::AlreadyExists, text));
     }
     match UnixStream::connect(path).await {
         Ok(_) => Err(io::Error::new(
             io::ErrorKind::AddrInUse,
-            "another controller listens there",
+            "another controller listens at this socket",
         )),
         Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => {
             std::fs::remove_file(path)
@@ -165,7 +164,7 @@ async fn remove_left_over(path: &Path) -> io::Result<()> {
     }
 }
 
-/// Number of a group of `/etc/group`.
+/// Id of a group, read from `/etc/group`.
 fn group_id(group: &str) -> io::Result<u32> {
     if let Ok(number) = group.parse() {
         return Ok(number);
@@ -196,7 +195,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn socket_is_private_and_admits_its_account() {
+    async fn socket_is_private_and_admits_own_account() {
         let socket = socket("private");
         let local = Local::bind(&socket).await.unwrap();
         let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode() & 0o777;
@@ -212,20 +211,20 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn left_over_socket_is_replaced_but_no_other_file() {
+    async fn stale_socket_is_replaced_other_file_kept() {
         let socket = socket("left");
         std::fs::create_dir(socket.path.parent().unwrap()).unwrap();
         drop(std::os::unix::net::UnixListener::bind(&socket.path).unwrap());
         drop(Local::bind(&socket).await.unwrap());
         std::fs::write(&socket.path, "precious").unwrap();
         let error = Local::bind(&socket).await.unwrap_err().to_string();
-        assert!(error.contains("no socket"), "{error}");
+        assert!(error.contains("not a socket"), "{error}");
         assert_eq!(std::fs::read(&socket.path).unwrap(), b"precious");
         std::fs::remove_dir_all(socket.path.parent().unwrap()).unwrap();
     }
 
     #[test]
-    fn groups_have_names_and_numbers() {
+    fn group_id_reads_name_and_number() {
         assert_eq!(group_id("root").unwrap(), 0);
         assert_eq!(group_id("4711").unwrap(), 4711);
         let error = group_id("no such group").unwrap_err().to_string();

@@ -1,17 +1,16 @@
-//! What becomes of the sessions of a client that is gone. Whether this is done at all is for the
-//! server's configuration to say.
+//! Ends the sessions of a lost client. Whether that is done at all is decided by the configuration, not here.
 
 use std::time::Duration;
 
 use takt_core::{Controller, SessionId};
 
-/// How long cancelled nets may take to end before they are aborted.
-pub(super) const CANCEL_WITHIN: Duration = Duration::from_secs(2);
+/// How long cancelled nets may run before they are aborted.
+pub(super) const CANCEL_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// How often it is looked whether they have ended.
-const LOOK_EVERY: Duration = Duration::from_millis(20);
+/// Interval in which the nets are polled.
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// Has the nets of the sessions come to their end, gives them time for it, and ends the sessions.
+/// Cancels the nets of the sessions, waits at most `within` for them to end, then ends the sessions.
 pub(super) async fn end_sessions(
     controller: &Controller,
     sessions: Vec<SessionId>,
@@ -19,28 +18,28 @@ pub(super) async fn end_sessions(
 ) {
     let ended = tokio::time::timeout(within, async {
         while !with(controller, sessions.clone(), wind_down).await {
-            tokio::time::sleep(LOOK_EVERY).await;
+            tokio::time::sleep(POLL_INTERVAL).await;
         }
     });
     if ended.await.is_err() {
-        tracing::warn!("nets of a lost client did not end within {within:?}: aborted");
+        tracing::warn!("nets of a lost client did not end within {within:?}; they are aborted");
     }
     with(controller, sessions, end).await;
 }
 
-/// Asks the controller in a thread that may block.
+/// Calls the controller in a thread that may block.
 async fn with(
     controller: &Controller,
     sessions: Vec<SessionId>,
-    ask: fn(&Controller, &[SessionId]) -> bool,
+    call: fn(&Controller, &[SessionId]) -> bool,
 ) -> bool {
     let controller = controller.clone();
-    tokio::task::spawn_blocking(move || ask(&controller, &sessions))
+    tokio::task::spawn_blocking(move || call(&controller, &sessions))
         .await
         .unwrap_or(false)
 }
 
-/// One look at all their nets: also rules and starts that were under way bring some to run.
+/// Cancels all their nets that run; called repeatedly, since pending rules and starts may start further ones.
 fn wind_down(controller: &Controller, sessions: &[SessionId]) -> bool {
     let nets = sessions
         .iter()
@@ -65,7 +64,7 @@ mod tests {
     use takt_core::NetId;
     use takt_core::controller::{LoadRequest, NetState, RuleRequest, RuleState};
 
-    /// One that does not heed a cancel.
+    /// A net that ignores cancelling.
     const DEAF: &str = "{f=Core::BooleanValue(Value='false'),outTerminate=f.outValue}";
     const PATIENT: &str = "{cancel=Cancel(), outTerminate=cancel.outCancel}";
 
@@ -87,21 +86,21 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn nets_that_do_not_heed_cancel_are_aborted() {
+    async fn lost_client_net_ignoring_cancel_is_aborted() {
         let controller = controller();
         let session = controller.open_session("lost").unwrap();
         let [lost, stays] = [session, SessionId::NONE].map(|s| load(&controller, s, DEAF));
         for net in [lost, stays] {
             controller.start_net(net).unwrap();
         }
-        end_sessions(&controller, vec![session], LOOK_EVERY).await;
+        end_sessions(&controller, vec![session], POLL_INTERVAL).await;
         assert!(controller.net(lost).is_none());
         assert_eq!(controller.session_nets(session), None);
         assert_eq!(controller.net(stays).unwrap().state(), NetState::Running);
     }
 
     #[tokio::test]
-    async fn the_end_of_a_lost_client_s_net_starts_no_other_of_it() {
+    async fn lost_client_net_end_starts_no_own_net() {
         let controller = controller();
         let session = controller.open_session("lost").unwrap();
         let [first, second] = [PATIENT; 2].map(|net| load(&controller, session, net));
@@ -113,7 +112,7 @@ mod tests {
         };
         let rules = [second, watch].map(|net| controller.schedule(rule(net)).unwrap());
         controller.start_net(first).unwrap();
-        // Longer than this test may take: nothing is to be aborted.
+        // Longer than this test may take, so that nothing is aborted.
         end_sessions(&controller, vec![session], Duration::from_secs(300)).await;
         let departed = controller.departed(second).unwrap();
         assert!(!departed.states.contains(&NetState::Running));
@@ -124,7 +123,7 @@ mod tests {
         while controller.rule(rules[1]).unwrap().state == RuleState::Active {
             tokio::task::yield_now().await;
         }
-        // A net that is not the client's is none of its business.
+        // Nets of other clients are not ended.
         assert_ne!(controller.net(watch).unwrap().state(), NetState::Terminated);
         let states = rules.map(|rule| controller.rule(rule).unwrap().state);
         assert_ne!(states[0], RuleState::Fired);

@@ -1,4 +1,4 @@
-//! Text to message. Nothing is guessed: what the grammar does not have is refused with its place.
+//! Message decoder. It is strict: text outside the grammar is rejected with its position.
 #![warn(clippy::indexing_slicing)]
 
 use std::collections::BTreeMap;
@@ -8,42 +8,42 @@ use super::{
     continues_identifier, starts_identifier,
 };
 
-/// Why a text is no message; `at` counts bytes from 0.
+/// Why a text is not a message; `at` counts bytes from 0.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 #[expect(missing_docs, reason = "each field is named in its variant's text")]
 pub enum DecodeError {
-    /// The grammar wants something else here.
+    /// The grammar requires something else here.
     #[error("{expected} is expected at byte {at}, not {found}")]
     Expected {
         expected: &'static str,
         found: String,
         at: usize,
     },
-    /// A number that no integer of the protocol holds.
+    /// A number beyond the protocol's integers.
     #[error("the number at byte {at} is too large: an integer is at most 2147483647")]
     NumberTooLarge { at: usize },
-    /// The bound on length.
+    /// The message is too long.
     #[error("the message has {bytes} bytes; at most {MESSAGE_BYTES_MAX} are taken")]
     TooLong { bytes: usize },
-    /// The bound on names. Subscriptions keep a tag and repeat it in each push.
+    /// A name is too long. Subscriptions store a tag and repeat it in each push.
     #[error("the name at byte {at} is too long: at most {IDENTIFIER_BYTES_MAX} bytes are taken")]
     NameTooLong { at: usize },
-    /// The bound on nesting.
+    /// Lists and maps are nested too deep.
     #[error(
         "lists and maps at byte {at} are nested too deep; at most {DEPTH_MAX} levels are taken"
     )]
     TooDeep { at: usize },
-    /// The bound on values.
+    /// The message has too many values.
     #[error("the message has too many values at byte {at}; at most {VALUES_MAX} are taken")]
     TooManyValues { at: usize },
 }
 
 impl Message {
-    /// Reads one message.
+    /// Decodes one message.
     ///
     /// # Errors
-    /// If `text` is not exactly one message, or one beyond the bounds.
+    /// If `text` is not exactly one message, or exceeds a bound.
     pub fn decode(text: &str) -> Result<Self, DecodeError> {
         if text.len() > MESSAGE_BYTES_MAX {
             return Err(DecodeError::TooLong { bytes: text.len() });
@@ -74,7 +74,7 @@ struct Reader<'a> {
 }
 
 impl Reader<'_> {
-    /// The next byte that is not a blank. No other white space may stand between tokens.
+    /// The next byte that is not a blank. No other white space is permitted between tokens.
     fn peek(&mut self) -> Option<u8> {
         while self.byte() == Some(b' ') {
             self.at += 1;
@@ -102,7 +102,7 @@ impl Reader<'_> {
         })
     }
 
-    /// Takes `byte` if it is next.
+    /// Consumes `byte` if it is next.
     fn take(&mut self, byte: u8) -> bool {
         let found = self.peek() == Some(byte);
         self.at += usize::from(found);
@@ -125,7 +125,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Takes the bytes from here that `belongs` accepts, all of them ASCII.
+    /// Consumes the bytes from here that `belongs` accepts; all of them must be ASCII.
     fn run(&mut self, belongs: impl Fn(u8) -> bool) -> String {
         let length = self.rest().bytes().take_while(|b| belongs(*b)).count();
         let taken = self.rest().get(..length).unwrap_or_default().to_owned();
@@ -146,7 +146,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Items with commas between them up to `close`.
+    /// Comma-separated items up to `close`.
     fn sequence(
         &mut self,
         close: u8,
@@ -193,7 +193,7 @@ impl Reader<'_> {
         Ok(Value::List(items))
     }
 
-    /// Of two values with the same key the later counts.
+    /// If a key occurs twice, the last value wins.
     fn map(&mut self, depth: usize) -> Result<Value, DecodeError> {
         self.at += 1;
         let mut items = BTreeMap::new();
@@ -231,7 +231,7 @@ impl Reader<'_> {
         Ok(out)
     }
 
-    /// The character after a backslash, which is next.
+    /// The character after a backslash, which is the current byte.
     fn escaped(&mut self) -> Result<char, DecodeError> {
         self.at += 1;
         let escaped = match self.byte() {

@@ -1,5 +1,5 @@
-//! Message to text, as existing clients expect it: no blanks, maps in the order of their keys,
-//! floats with 6 decimals. It checks nothing; see [`Message::new`].
+//! Message encoder, as existing clients expect it: no blanks, maps sorted by key, floats with 6 decimals. It checks
+//! nothing; see [`Message::new`].
 
 use std::fmt::{self, Display, Formatter, Write as _};
 

@@ -1,19 +1,19 @@
-//! Messages on a plain byte stream: one after another, each ended by a newline. A string may hold
-//! newlines, so a message ends at the first newline *outside* quotes; inside quotes a backslash
-//! hides the character after it. A lost quote therefore swallows what follows, up to the bound
-//! on length: this reader does not guess where the next message may begin.
+//! Messages on a plain byte stream, each terminated by a newline. A string may contain
+//! newlines, so a message ends at the first newline *outside* quotation marks; inside them a
+//! backslash escapes the next character. After a missing quotation mark, all input up to the bound
+//! on length belongs to one message: this reader does not resynchronise.
 
 use super::MESSAGE_BYTES_MAX;
 
-/// Cuts a stream into messages.
+/// Splits a stream into messages.
 #[derive(Debug)]
 pub struct LineReader {
     bytes: Vec<u8>,
     /// First byte of the message in progress.
     start: usize,
-    /// First byte not looked at yet.
+    /// First byte not scanned yet.
     scanned: usize,
-    place: Place,
+    state: QuoteState,
     bound: usize,
 }
 
@@ -24,14 +24,14 @@ impl Default for LineReader {
 }
 
 #[derive(Clone, Copy, Debug, Default)]
-enum Place {
+enum QuoteState {
     #[default]
     Outside,
     Quoted,
     Escaped,
 }
 
-/// A message longer than the reader's bound, [`MESSAGE_BYTES_MAX`] or less; the stream cannot be read on.
+/// A message longer than the reader's bound, [`MESSAGE_BYTES_MAX`] or less; the stream cannot be decoded further.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("a message has more than {bound} bytes (is a quotation mark missing?)")]
 pub struct LineTooLong {
@@ -39,10 +39,10 @@ pub struct LineTooLong {
     pub bound: usize,
 }
 
-/// Whether bytes can be the beginning of a first line, `tag=ver(…` or `tag=tok(…`. What speaks another
-/// protocol, as a browser does or a TLS library, is known by its first bytes, before any of its lines is read.
+/// Whether the bytes can be the beginning of a first line, `tag=ver(…` or `tag=tok(…`. Other protocols, such as HTTP
+/// of a browser or TLS, are recognised by their first bytes, before a whole line is received.
 #[must_use]
-pub fn may_begin(bytes: &[u8]) -> bool {
+pub fn may_be_first_line(bytes: &[u8]) -> bool {
     let skip_blanks = |bytes: &[u8]| bytes.iter().take_while(|b| **b == b' ').count();
     let after_blanks = |at: usize| bytes.get(at..).map_or(at, |rest| at + skip_blanks(rest));
     let is_name = |b: &u8| b.is_ascii_alphanumeric() || *b == b'_';
@@ -70,10 +70,10 @@ pub fn may_begin(bytes: &[u8]) -> bool {
 /// Most bytes of the tag of a first line.
 const FIRST_TAG_BYTES_MAX: usize = 64;
 
-/// Commands that a first line may have.
+/// Commands permitted in a first line.
 const FIRST_COMMANDS: [&[u8]; 2] = [b"ver", b"tok"];
 
-/// Bytes of each of them.
+/// Length of each of them.
 const FIRST_COMMAND_BYTES: usize = 3;
 
 impl LineReader {
@@ -83,20 +83,20 @@ impl LineReader {
         self.bytes.get(self.start..).unwrap_or_default()
     }
 
-    /// Cuts a stream into messages of at most so many bytes.
+    /// A reader for messages of at most `bound` bytes.
     #[must_use]
     pub fn bounded(bound: usize) -> Self {
         Self {
             bytes: Vec::new(),
             start: 0,
             scanned: 0,
-            place: Place::default(),
+            state: QuoteState::default(),
             bound: bound.min(MESSAGE_BYTES_MAX),
         }
     }
 
-    /// Takes messages of at most [`MESSAGE_BYTES_MAX`] bytes from now on.
-    pub const fn unbind(&mut self) {
+    /// Raises the bound to [`MESSAGE_BYTES_MAX`].
+    pub const fn raise_bound(&mut self) {
         self.bound = MESSAGE_BYTES_MAX;
     }
 
@@ -108,8 +108,8 @@ impl LineReader {
         self.bytes.extend_from_slice(bytes);
     }
 
-    /// The next whole message without its newline. Empty lines are skipped, and a carriage return
-    /// before the newline is dropped.
+    /// The next complete message without its newline. Empty lines are skipped, and a carriage return before the
+    /// newline is removed.
     ///
     /// # Errors
     /// If the message in progress is too long.
@@ -131,17 +131,17 @@ impl LineReader {
         Ok(None)
     }
 
-    /// Place of the newline that ends the message in progress, if it has come.
+    /// Position of the newline that ends the message in progress, if received.
     fn find_end(&mut self) -> Option<usize> {
         while let Some(byte) = self.bytes.get(self.scanned) {
             let at = self.scanned;
             self.scanned += 1;
-            self.place = match (self.place, byte) {
-                (Place::Outside, b'\n') => return Some(at),
-                (Place::Outside, b'"') | (Place::Escaped, _) => Place::Quoted,
-                (Place::Outside, _) | (Place::Quoted, b'"') => Place::Outside,
-                (Place::Quoted, b'\\') => Place::Escaped,
-                (Place::Quoted, _) => Place::Quoted,
+            self.state = match (self.state, byte) {
+                (QuoteState::Outside, b'\n') => return Some(at),
+                (QuoteState::Outside, b'"') | (QuoteState::Escaped, _) => QuoteState::Quoted,
+                (QuoteState::Outside, _) | (QuoteState::Quoted, b'"') => QuoteState::Outside,
+                (QuoteState::Quoted, b'\\') => QuoteState::Escaped,
+                (QuoteState::Quoted, _) => QuoteState::Quoted,
             };
         }
         None
@@ -153,14 +153,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn first_bytes_of_other_protocols_are_known() {
+    fn other_protocols_are_recognised_by_first_bytes() {
         for line in [
             "c0=ver(\"2.0\")",
             "t0=tok(\"0123\")\n",
             " a_1 = ver ( \"2.0\" )",
         ] {
             for end in 0..=line.len() {
-                assert!(may_begin(&line.as_bytes()[..end]), "{line} {end}");
+                assert!(may_be_first_line(&line.as_bytes()[..end]), "{line} {end}");
             }
         }
         let long = format!("{}=ver(", "a".repeat(65));
@@ -179,7 +179,11 @@ mod tests {
             long.as_bytes(),
         ];
         for other in others {
-            assert!(!may_begin(other), "{}", String::from_utf8_lossy(other));
+            assert!(
+                !may_be_first_line(other),
+                "{}",
+                String::from_utf8_lossy(other)
+            );
         }
     }
 }

@@ -1,4 +1,4 @@
-//! The grammar rule by rule, what goes in comes out, and nothing that comes in does harm.
+//! Each rule of the grammar, round trips, and robustness against any bytes.
 
 use std::collections::BTreeMap;
 
@@ -24,7 +24,7 @@ fn message_without_values() {
 }
 
 #[test]
-fn values_of_every_kind() {
+fn every_value_kind_is_decoded() {
     let empty = BTreeMap::new();
     assert_eq!(args(r#""a""#), [Value::from("a")]);
     assert_eq!(args("1"), [Value::Integer(1)]);
@@ -51,7 +51,7 @@ fn integer_and_float_are_different() {
 }
 
 #[test]
-fn strings_hide_quotes_backslashes_and_newlines() {
+fn strings_escape_quotes_and_backslashes() {
     assert_eq!(args(r#""a\"b\\c""#), [Value::from(r#"a"b\c"#)]);
     assert_eq!(args("\"a\nb,)\""), [Value::from("a\nb,)")]);
     assert_eq!(
@@ -69,7 +69,7 @@ fn strings_hide_quotes_backslashes_and_newlines() {
 }
 
 #[test]
-fn only_blanks_may_stand_between_tokens() {
+fn only_blanks_separate_tokens() {
     let spread = " t = c ( 1 , [ \"a\" , { k : 2.0 } ] ) ";
     assert_eq!(
         Message::decode(spread),
@@ -108,7 +108,7 @@ fn identifiers_begin_with_a_letter_or_underscore() {
 }
 
 #[test]
-fn numbers_have_no_sign_and_no_exponent() {
+fn numbers_have_no_sign_or_exponent() {
     assert_eq!(error("t=c(-1)"), "a value is expected at byte 4, not `-`");
     assert_eq!(
         error("t=c(1e3)"),
@@ -139,7 +139,7 @@ fn numbers_are_bounded() {
 }
 
 #[test]
-fn separators_are_not_optional() {
+fn separators_are_required() {
     for text in [
         "t=c(,)",
         "t=c(1,)",
@@ -158,7 +158,7 @@ fn separators_are_not_optional() {
 }
 
 #[test]
-fn of_one_key_twice_the_later_counts() {
+fn duplicate_key_last_value_wins() {
     assert_eq!(args("{a:1,a:2}"), args("{a:2}"));
 }
 
@@ -186,7 +186,7 @@ fn depth_is_bounded() {
 }
 
 #[test]
-fn length_of_names_is_bounded() {
+fn name_length_is_bounded() {
     let with = |length| format!("{}=c()", "t".repeat(length));
     assert!(Message::decode(&with(IDENTIFIER_BYTES_MAX)).is_ok());
     assert_eq!(
@@ -196,7 +196,7 @@ fn length_of_names_is_bounded() {
 }
 
 #[test]
-fn number_of_values_is_bounded() {
+fn value_count_is_bounded() {
     let with = |count| format!("t=c({})", vec!["1"; count].join(","));
     assert!(Message::decode(&with(VALUES_MAX)).is_ok());
     let error = Message::decode(&with(VALUES_MAX + 1)).unwrap_err();
@@ -207,7 +207,7 @@ fn number_of_values_is_bounded() {
 }
 
 #[test]
-fn messages_are_written_as_the_original_does() {
+fn message_encoding_matches_original() {
     let devices = Value::map_of([
         ("type", Value::from("rcc")),
         ("interfaces", Value::Map(BTreeMap::new())),
@@ -220,7 +220,7 @@ fn messages_are_written_as_the_original_does() {
 }
 
 #[test]
-fn keys_that_are_no_identifiers_are_quoted() {
+fn non_identifier_keys_are_quoted() {
     let map = Value::map_of([("a b", 1), ("", 2), ("a\"", 3), ("_1", 4), ("1", 5)]);
     assert_eq!(map.to_string(), r#"{"":2,"1":5,_1:4,"a b":1,"a\"":3}"#);
 }
@@ -236,7 +236,7 @@ fn floats_have_six_decimals() {
 }
 
 #[test]
-fn quotes_and_backslashes_are_escaped_and_nothing_else() {
+fn only_quotes_and_backslashes_are_escaped() {
     assert_eq!(Value::from("a\"b\\\nü").to_string(), "\"a\\\"b\\\\\nü\"");
 }
 
@@ -256,7 +256,7 @@ fn any_value() -> impl Strategy<Value = Value> {
 
 proptest! {
     #[test]
-    fn what_is_written_is_read(
+    fn message_round_trips(
         tag in "[A-Za-z_][A-Za-z0-9_]{0,8}",
         command in "[A-Za-z_][A-Za-z0-9_]{0,8}",
         args in proptest::collection::vec(any_value(), 0..4),
@@ -270,17 +270,17 @@ proptest! {
     }
 
     #[test]
-    fn any_bytes_are_survived(data in proptest::collection::vec(any::<u8>(), 0..200)) {
+    fn random_bytes_do_not_panic(data in proptest::collection::vec(any::<u8>(), 0..200)) {
         fuzz(&data);
     }
 
     #[test]
-    fn anything_like_a_message_is_survived(text in r#"[a-c]=[a-c]\([\[\]{}:,."\\ a-c0-3]{0,40}\)?"#) {
+    fn random_messages_do_not_panic(text in r#"[a-c]=[a-c]\([\[\]{}:,."\\ a-c0-3]{0,40}\)?"#) {
         fuzz(text.as_bytes());
     }
 }
 
-/// All messages in a stream that arrives in pieces of so many bytes.
+/// All messages in a stream that arrives in pieces of `piece` bytes.
 fn lines(stream: &str, piece: usize) -> Vec<String> {
     let mut reader = LineReader::default();
     let mut out = Vec::new();
@@ -303,7 +303,7 @@ fn lines_end_at_newlines_outside_quotes() {
 }
 
 #[test]
-fn endless_lines_are_refused() {
+fn endless_line_is_rejected() {
     let mut reader = LineReader::default();
     reader.push(b"a=b(\"");
     let part = vec![b'\n'; MESSAGE_BYTES_MAX / 2];
@@ -332,7 +332,7 @@ fn client_frame(opcode: OpCode, is_final: bool, mask: Option<[u8; 4]>, payload: 
     out
 }
 
-/// All events in frames that arrive in pieces of so many bytes.
+/// All events in frames that arrive in pieces of `piece` bytes.
 fn events(stream: &[u8], piece: usize) -> Vec<Event> {
     let mut reader = FrameReader::default();
     let mut out = Vec::new();
@@ -349,7 +349,7 @@ const TEXT: OpCode = OpCode::Data(Data::Text);
 const CONTINUE: OpCode = OpCode::Data(Data::Continue);
 
 #[test]
-fn frames_masked_or_not_whole_or_not() {
+fn masked_and_fragmented_frames_are_read() {
     let long = "x".repeat(300);
     let stream = [
         client_frame(TEXT, true, None, b"one"),
@@ -378,7 +378,7 @@ fn frames_masked_or_not_whole_or_not() {
 }
 
 #[test]
-fn text_that_is_not_utf8_is_no_end_of_the_connection() {
+fn invalid_utf8_keeps_connection() {
     let event = events(&client_frame(TEXT, true, None, b"t=nse(\"\xe4\")"), 64);
     assert_eq!(event, [Event::Message("t=nse(\"\u{fffd}\")".to_owned())]);
 }
@@ -391,7 +391,7 @@ fn frames_are_bounded() {
         while reader.poll_event()?.is_some() {}
         Ok::<_, FrameError>(())
     };
-    // The length alone is enough: nothing of that size is waited for.
+    // The header's length is sufficient: the payload is not waited for.
     let long = [0x81, 127, 0, 0, 0, 0, 0, 0x80, 0, 1];
     assert!(matches!(error(&long), Err(FrameError::TooLong { .. })));
     let longest = [0x81, 127, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff];
@@ -408,7 +408,7 @@ fn frames_are_bounded() {
 }
 
 #[test]
-fn server_frames_are_whole_and_not_masked() {
+fn server_frames_are_unfragmented_and_unmasked() {
     let mut out = Vec::new();
     write_frame(TEXT, b"ab", &mut out);
     write_frame(OpCode::Control(Control::Close), b"BYE", &mut out);

@@ -1,7 +1,6 @@
-//! WebSocket frames (RFC 6455 clause 5) as the known client speaks them: not masked, closed with
-//! a payload that is no close code, text that need not be UTF-8. The library's own connection
-//! refuses all three, so it codes the frame headers and what they mean stands here. This file
-//! knows no handshake.
+//! WebSocket frames (RFC 6455 clause 5) with the deviations of the known client: frames without mask, a close payload
+//! without a status code, text that need not be UTF-8. `tungstenite`'s own connection rejects all three, so it only
+//! codes the frame headers and their meaning is implemented here. The handshake is not.
 
 use std::io::Cursor;
 
@@ -13,39 +12,39 @@ use super::MESSAGE_BYTES_MAX;
 /// Most payload bytes of a ping, pong or close (clause 5.5).
 const CONTROL_BYTES_MAX: usize = 125;
 
-/// What a client's frames amount to.
+/// What was decoded from a client's frames.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Event {
-    /// One whole message, of one frame or of several.
+    /// One complete message, from one or several frames.
     Message(String),
-    /// A ping, to be answered with these bytes.
+    /// A ping; answer with a pong of these bytes.
     Ping(Vec<u8>),
     /// The client closes; answer with the same bytes and end the connection.
     Close(Vec<u8>),
 }
 
-/// Why a client's frames cannot be read on.
+/// Why a client's frames cannot be decoded further.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum FrameError {
-    /// The bound on length, of a frame or of a message made of several.
+    /// A frame, or a message of several frames, is too long.
     #[error("a message has more than {bound} bytes")]
     TooLong {
         /// The bound.
         bound: usize,
     },
-    /// A control frame that clause 5.5 forbids.
+    /// An invalid control frame (clause 5.5).
     #[error("a control frame is fragmented or has more than {CONTROL_BYTES_MAX} bytes")]
     Control,
-    /// Reserved bits, but no extension was agreed on.
+    /// Reserved bits are set, but no extension was negotiated.
     #[error("a frame has reserved bits set")]
     Reserved,
-    /// No frame header at all.
+    /// An invalid frame header.
     #[error("{0}")]
     Header(#[from] tungstenite::Error),
 }
 
-/// Puts a client's frames together.
+/// Reassembles messages from a client's frames.
 #[derive(Debug)]
 pub struct FrameReader {
     bound: usize,
@@ -63,7 +62,7 @@ impl Default for FrameReader {
 }
 
 impl FrameReader {
-    /// Takes messages of at most so many bytes.
+    /// A reader for messages of at most `bound` bytes.
     #[must_use]
     pub fn bounded(bound: usize) -> Self {
         Self {
@@ -74,8 +73,8 @@ impl FrameReader {
         }
     }
 
-    /// Takes messages of at most [`MESSAGE_BYTES_MAX`] bytes from now on.
-    pub const fn unbind(&mut self) {
+    /// Raises the bound to [`MESSAGE_BYTES_MAX`].
+    pub const fn raise_bound(&mut self) {
         self.bound = MESSAGE_BYTES_MAX;
     }
 
@@ -86,10 +85,10 @@ impl FrameReader {
         self.bytes.extend_from_slice(bytes);
     }
 
-    /// What came next. After an error or [`Event::Close`] nothing more should be asked.
+    /// The next event. Must not be called again after an error or [`Event::Close`].
     ///
     /// # Errors
-    /// If the bytes are not frames that can be taken.
+    /// If the bytes are not valid frames.
     pub fn poll_event(&mut self) -> Result<Option<Event>, FrameError> {
         while let Some((header, payload)) = self.next_frame()? {
             let event = match header.opcode {
@@ -105,7 +104,7 @@ impl FrameReader {
         Ok(None)
     }
 
-    /// Any data frame continues the message in progress: the known peers number them loosely.
+    /// Any data frame continues the message in progress: the known client does not set opcodes reliably.
     fn handle_data(&mut self, last: bool, payload: &[u8]) -> Result<Option<Event>, FrameError> {
         let bound = self.bound;
         if self.message.len() + payload.len() > bound {
@@ -166,7 +165,7 @@ fn unmask(payload: &[u8], mask: Option<[u8; 4]>) -> Vec<u8> {
     }
 }
 
-/// Appends a server's frame of that kind to `out`.
+/// Appends a server frame to `out`.
 pub fn write_frame(opcode: OpCode, payload: &[u8], out: &mut Vec<u8>) {
     let header = FrameHeader {
         opcode,

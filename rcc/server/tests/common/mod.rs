@@ -1,4 +1,4 @@
-//! A server with a controller without devices, on free ports of this host. It tests nothing.
+//! Fixture: a server with a controller without devices, on free ports of this host.
 
 #![allow(dead_code, reason = "shared by test files that need different parts")]
 
@@ -9,8 +9,8 @@ use takt_core::{CellConfig, Controller};
 use takt_server::{OnLoss, Server, ServerConfig};
 use tokio::sync::oneshot;
 
-/// A server that ends when this is dropped.
-pub(crate) struct Running {
+/// A running server; dropping it stops the server.
+pub(crate) struct TestServer {
     pub(crate) controller: Controller,
     pub(crate) http: SocketAddr,
     pub(crate) tcp: SocketAddr,
@@ -18,7 +18,7 @@ pub(crate) struct Running {
     thread: Option<JoinHandle<()>>,
 }
 
-impl Running {
+impl TestServer {
     pub(crate) fn start(on_loss: OnLoss) -> Self {
         Self::start_with(ServerConfig {
             on_loss: Some(on_loss),
@@ -71,7 +71,7 @@ impl Running {
     }
 }
 
-impl Drop for Running {
+impl Drop for TestServer {
     fn drop(&mut self) {
         self.stop();
     }

@@ -2,7 +2,7 @@
 
 use super::*;
 
-/// Reports `r0` after that many seconds, and never ends by itself.
+/// Sets `r0` after `seconds`, and never ends by itself.
 fn lasting(seconds: f64) -> String {
     format!(
         "{{c=Core::Clock(),g=Core::DoubleGreater(inFirst=c.outValue,Second='{seconds}'),\
@@ -18,7 +18,7 @@ fn of_tag<'a>(tag: &str, lines: &'a [String]) -> Vec<&'a str> {
 }
 
 impl Client {
-    /// Waits until each of `texts` was pushed, be it before a reply; returns all that was sent.
+    /// Waits until each of `texts` was pushed, possibly before a reply; returns all lines received.
     fn wait_for(&mut self, texts: &[&str]) -> Vec<String> {
         for _ in 0..10_000 {
             self.pushes();
@@ -30,7 +30,7 @@ impl Client {
             }
             std::thread::sleep(Duration::from_millis(1));
         }
-        panic!("{texts:?} are not all pushed; {:?} are", self.seen);
+        panic!("not all of {texts:?} were pushed; received {:?}", self.seen);
     }
 
     /// Installs a rule; returns its number.
@@ -42,14 +42,14 @@ impl Client {
     }
 }
 
-/// The captured exchange about rules: two nets started by hand before, so the rule's number is 2.
+/// The captured exchange with rules. Two nets are started before, so the rule's number is 2.
 #[test]
-fn captured_exchange_of_rules() {
-    let mut client = Client::greeted(&controller());
-    client.ask(r#"c4=nse("probe@host")"#);
+fn captured_rule_exchange() {
+    let mut client = Client::with_handshake(&controller());
+    client.call(r#"c4=nse("probe@host")"#);
     for (net, watch) in [("rpinet0", "c6"), ("rpinet1", "c13"), ("rpinet2", "c14")] {
         let load = format!(r#"l=nene("{PROBE}","s1","probe net",0.0,1)"#);
-        assert_eq!(client.ask(&load), format!(r#"l=ok("{net}")"#));
+        assert_eq!(client.call(&load), format!(r#"l=ok("{net}")"#));
         let watched = client.send(&format!(r#"{watch}=gne("{net}",60.0)"#));
         let expected = [format!(r#"{watch}=ns("READY")"#), format!("{watch}=ok()")];
         assert_eq!(watched, expected);
@@ -92,10 +92,10 @@ fn captured_exchange_of_rules() {
 }
 
 #[test]
-fn rules_that_cannot_be_are_refused_with_the_reason() {
-    let mut client = Client::greeted(&controller());
+fn invalid_rules_are_rejected_with_reason() {
+    let mut client = Client::with_handshake(&controller());
     let net = client.load(&lasting(9.0));
-    let mut refused = |args: String| client.ask(&format!("a=nesc({args})"));
+    let mut refused = |args: String| client.call(&format!("a=nesc({args})"));
     for lists in [
         r#"["rpinet9"],[],[]"#,
         r#"[],["x"],[]"#,
@@ -141,15 +141,15 @@ fn rules_that_cannot_be_are_refused_with_the_reason() {
     let long = "x".repeat(4097);
     assert!(refused(format!(r#""t",[],[],[],"{long}""#)).contains("at most 4096"));
     for rule in ["", "7", "x", "-1"] {
-        let answer = client.ask(&format!(r#"a=gsy("{rule}")"#));
+        let answer = client.call(&format!(r#"a=gsy("{rule}")"#));
         assert_eq!(answer, r#"a=err("Invalid synchronization rule")"#);
     }
 }
 
-/// The known client's nets have a termination that is always false: their own rules end them.
+/// The known client's nets never terminate by themselves: their own rules end them.
 #[test]
-fn nets_are_ended_by_their_own_rules() {
-    let mut client = Client::greeted(&controller());
+fn nets_end_by_their_own_rules() {
+    let mut client = Client::with_handshake(&controller());
     let net = client.load(&lasting(0.02));
     client.send(&format!(r#"w=gne("{net}",0.02)"#));
     let own = client.rule(&format!(r#""{net}.outr0",["{net}"],[],[],"result""#));
@@ -162,10 +162,10 @@ fn nets_are_ended_by_their_own_rules() {
     assert!(values.contains(r#"outr0:"true""#), "{values}");
 }
 
-/// As the known client chains motions, the second sent when the first has long ended.
+/// The known client chains motions like this, with the second sent long after the first has ended.
 #[test]
-fn rule_on_a_net_that_has_ended_is_decided_at_once() {
-    let mut client = Client::greeted(&controller());
+fn rule_on_ended_net_is_decided_at_once() {
+    let mut client = Client::with_handshake(&controller());
     let (first, second) = (client.load(&lasting(0.0)), client.load(&lasting(0.0)));
     client.send(&format!(r#"v=gne("{first}",0.02)"#));
     client.send(&format!(r#"w=gne("{second}",0.02)"#));
@@ -184,10 +184,10 @@ fn rule_on_a_net_that_has_ended_is_decided_at_once() {
     client.wait_for(&decided);
 }
 
-/// Both rules start the same net in the same cycle; the second finds it gone.
+/// Both rules start the same net in the same cycle; the second fails.
 #[test]
-fn rule_whose_net_another_started_fails() {
-    let mut client = Client::greeted(&controller());
+fn rule_fails_if_net_already_started() {
+    let mut client = Client::with_handshake(&controller());
     let (first, second) = (client.load(&lasting(0.02)), client.load(&lasting(9.0)));
     let rule = format!(r#""{first}.outr0",[],[],["{second}"]"#);
     let (one, other) = (client.rule(&rule), client.rule(&rule));
@@ -198,10 +198,10 @@ fn rule_whose_net_another_started_fails() {
     assert_eq!(of_tag("p", &seen).len(), 3, "{seen:?}");
 }
 
-/// Cancelling and aborting as the known client does it.
+/// The known client cancels and aborts like this.
 #[test]
 fn immediate_rules_cancel_and_stop() {
-    let mut client = Client::greeted(&controller());
+    let mut client = Client::with_handshake(&controller());
     let net = client.load(&lasting(9.0));
     client.send(&format!(r#"w=gne("{net}",0.02)"#));
     client.send(&format!(r#"a=nest("{net}")"#));
@@ -212,10 +212,10 @@ fn immediate_rules_cancel_and_stop() {
     client.wait_for(&[r#"w=ns("TERMINATED")"#]);
 }
 
-/// A rule that is over takes no room among the subscriptions: the known client never ends one.
+/// A decided rule does not count as a subscription: the known client never ends one.
 #[test]
 fn subscription_ends_with_its_rule() {
-    let mut client = Client::greeted(&controller());
+    let mut client = Client::with_handshake(&controller());
     let net = client.load(&lasting(9.0));
     let rule = client.rule(&format!(r#""{net}.outr0",[],[],[]"#));
     client.send(&format!(r#"r=gsy("{rule}")"#));

@@ -1,5 +1,5 @@
-//! `/nets/<n>/debug` and `/nets/<n>/debugstream`: what the debug taps of a net recorded, a line for each
-//! cycle. Recording begins when somebody first looks; this asks for it and waits no longer than a moment.
+//! `/nets/<n>/debug` and `/nets/<n>/debugstream`: records of the debug taps of a net, one line per cycle. Recording
+//! starts with the first request, which waits only briefly for records.
 
 use std::time::{Duration, Instant};
 
@@ -8,30 +8,30 @@ use takt_core::controller::{NetState, Taps};
 use takt_core::{Controller, NetId};
 
 use super::super::{Request, Response};
-use super::{Ask, Outcome};
+use super::{Handler, Outcome};
 
-/// Debug streams that are served at once.
+/// Most concurrent debug streams.
 pub(crate) const DEBUG_STREAMS_MAX: usize = 8;
 
-/// How long the first look waits for a net that runs to record something.
-const FIRST_WITHIN: Duration = Duration::from_millis(200);
+/// How long the first request waits for the first record of a running net.
+const FIRST_RECORD_TIMEOUT: Duration = Duration::from_millis(200);
 
-/// How often it looks meanwhile.
-const LOOK_EVERY: Duration = Duration::from_millis(5);
+/// Polling interval meanwhile.
+const POLL_INTERVAL: Duration = Duration::from_millis(5);
 
-impl Ask<'_> {
-    /// What was recorded, as lines of values with tabs between them, or as JSON.
+impl Handler<'_> {
+    /// The records as tab-separated lines, or as JSON.
     pub(super) fn debug(&self, name: &str) -> Outcome {
         let (id, _) = self.find_net(name)?;
-        let until = Instant::now() + FIRST_WITHIN;
-        let mut taps = look(self.controller, id, 0)?;
+        let until = Instant::now() + FIRST_RECORD_TIMEOUT;
+        let mut taps = read_taps(self.controller, id, 0)?;
         while taps.records.is_empty()
             && !taps.taps.is_empty()
             && runs(self.controller, id)
             && Instant::now() < until
         {
-            std::thread::sleep(LOOK_EVERY);
-            taps = look(self.controller, id, 0)?;
+            std::thread::sleep(POLL_INTERVAL);
+            taps = read_taps(self.controller, id, 0)?;
         }
         if self.request.json {
             return Ok(Response::of_kind("application/json", in_json(&taps)));
@@ -42,7 +42,7 @@ impl Ask<'_> {
     }
 }
 
-fn look(controller: &Controller, id: NetId, from: u64) -> Result<Taps, Response> {
+fn read_taps(controller: &Controller, id: NetId, from: u64) -> Result<Taps, Response> {
     let taps = controller.taps(id, from).map_err(Response::too_many)?;
     taps.ok_or_else(|| Response::conflict("the net is not ready and records nothing"))
 }
@@ -52,14 +52,14 @@ fn runs(controller: &Controller, id: NetId) -> bool {
     controller.net(id).is_some_and(|net| runs(net.state()))
 }
 
-/// Names of the columns: logical time in s, then the tapped ports.
+/// Column names: logical time in s, then the tapped ports.
 fn header(taps: &Taps) -> String {
     let names = taps.taps.iter().map(|tap| format!("\t{}", tap.name));
     let names: String = names.collect();
     format!("time{names}\n")
 }
 
-/// A line for each record; null is an empty field.
+/// One line per record; null is an empty field.
 fn lines(taps: &Taps) -> String {
     let mut out = String::new();
     for record in &taps.records {
@@ -93,25 +93,25 @@ fn in_json(taps: &Taps) -> String {
     json!({"time_ns": time.collect::<Vec<_>>(), "ports": ports}).to_string()
 }
 
-/// What one client sees of the taps of a net as time goes on.
+/// The live records of a net's taps for one client.
 #[derive(Debug)]
 pub(crate) struct DebugStream {
     controller: Controller,
     net: NetId,
-    /// Number of the first record that was not sent.
+    /// Number of the next record to send.
     next: u64,
-    begun: bool,
-    over: bool,
+    header_sent: bool,
+    done: bool,
 }
 
 impl DebugStream {
-    /// What comes before the first chunk.
+    /// Head of the response.
     pub(crate) const HEAD: &str = "HTTP/1.1 200 OK\r\n\
         Content-Type: text/tab-separated-values; charset=utf-8\r\nTransfer-Encoding: chunked\r\n\
         Cache-Control: no-store\r\nX-Content-Type-Options: nosniff\r\nConnection: close\r\n\r\n";
 
-    /// The stream that a request asks for; `None` if it asks for something else.
-    pub(crate) fn asked_for(
+    /// The stream that a request asks for; `None` for other requests.
+    pub(crate) fn from_request(
         controller: &Controller,
         request: &Request,
     ) -> Option<Result<Self, Response>> {
@@ -126,26 +126,26 @@ impl DebugStream {
         let Some(net) = net.filter(|net| controller.net(*net).is_some()) else {
             return Some(Err(Response::not_found("there is no such net")));
         };
-        Some(look(controller, net, u64::MAX).map(|_| Self {
+        Some(read_taps(controller, net, u64::MAX).map(|_| Self {
             controller: controller.clone(),
             net,
             next: 0,
-            begun: false,
-            over: false,
+            header_sent: false,
+            done: false,
         }))
     }
 
-    /// That there are as many streams as the server takes.
+    /// The response when the bound on streams is reached.
     pub(crate) fn too_many() -> Response {
         let why =
             format!("at most {DEBUG_STREAMS_MAX} debug streams are served at once; close one");
         Response::too_many(why)
     }
 
-    /// What was recorded since the last chunk; `None` once the net has ended and all was sent. The
-    /// first chunk begins with the names of the columns.
+    /// The records since the last chunk; `None` once the net has ended and everything was sent. The first chunk begins
+    /// with the column names.
     pub(crate) fn poll(&mut self) -> Option<String> {
-        if self.over {
+        if self.done {
             return None;
         }
         let state = self.controller.net(self.net).map(|net| net.state());
@@ -156,9 +156,9 @@ impl DebugStream {
         let Ok(Some(taps)) = self.controller.taps(self.net, self.next) else {
             return None;
         };
-        self.over = ended;
+        self.done = ended;
         let mut chunk = String::new();
-        if !std::mem::replace(&mut self.begun, true) {
+        if !std::mem::replace(&mut self.header_sent, true) {
             chunk = header(&taps);
         }
         chunk.push_str(&lines(&taps));

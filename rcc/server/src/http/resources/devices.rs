@@ -1,5 +1,5 @@
-//! `/devices/`: devices shown, made and removed. Known clients make theirs here and then wait for
-//! them to be pushed over DirectIO.
+//! `/devices/`: lists, creates and removes devices. Known clients create theirs here and then wait for the push
+//! over DirectIO.
 
 use std::collections::BTreeMap;
 
@@ -8,10 +8,10 @@ use takt_core::controller::DeviceInfo;
 
 use super::super::Response;
 use super::super::element::Element;
-use super::{Ask, Outcome};
+use super::{Handler, Outcome};
 use crate::dio::all_devices;
 
-impl Ask<'_> {
+impl Handler<'_> {
     pub(super) fn devices(&self) -> Response {
         let devices = all_devices(self.controller).into_iter();
         self.show(&Element::new("devices").containing(devices.map(|d| describe(&d))))
@@ -21,7 +21,7 @@ impl Ask<'_> {
         Ok(self.show(&describe(&self.find_device(name)?)))
     }
 
-    /// What an arm last told of its joints, rad and rad/s.
+    /// The latest joint state of an arm, rad and rad/s.
     pub(super) fn robot_arm(&self, name: &str) -> Outcome {
         let info = self.find_device(name)?;
         let joints = info
@@ -30,10 +30,10 @@ impl Ask<'_> {
             .and_then(|p| p.get("jointcount"));
         let joints = joints.and_then(|count| count.parse().ok());
         let (Some(count), Some(state)) = (joints, self.controller.arm_state(name)) else {
-            return Err(Response::not_found(format!("{name} is no robot arm")));
+            return Err(Response::not_found(format!("{name} is not a robot arm")));
         };
-        let told = state.joints.iter().take(count).enumerate();
-        let joints = told.map(|(number, joint)| {
+        let reported = state.joints.iter().take(count).enumerate();
+        let joints = reported.map(|(number, joint)| {
             let values = [
                 ("commanded", joint.commanded_position),
                 ("measured", joint.measured_position),
@@ -49,14 +49,16 @@ impl Ask<'_> {
         Ok(self.show(&arm.with("state", info.status.word()).containing(joints)))
     }
 
-    /// Makes the device of the form, or removes it.
+    /// Creates or removes the device of the form.
     pub(super) fn change_devices(&self) -> Outcome {
         let name = self.field("name").filter(|name| !name.is_empty());
         let name = name.ok_or_else(|| Response::bad_request("name is missing"))?;
         match self.field("action") {
             None => {}
             Some("remove") => {
-                self.controller.remove_device(name).map_err(refused)?;
+                self.controller
+                    .remove_device(name)
+                    .map_err(error_response)?;
                 return Ok(Response::redirect("303 See Other", "/devices/"));
             }
             Some(_) => return Err(Response::bad_request("action: remove is expected, or none")),
@@ -69,7 +71,7 @@ impl Ask<'_> {
         let kind = kind.ok_or_else(|| Response::bad_request("type is missing"))?;
         let own = |key: &str| matches!(key, "name" | "type" | "action");
         let fields = self.request.form.iter().filter(|(key, _)| !own(key));
-        // Configuration files are read in lower case, forms of old clients are not.
+        // Parameter names are lower case, but the known client's forms are not.
         let parameters: BTreeMap<_, _> = fields
             .map(|(key, value)| (key.to_ascii_lowercase(), value.clone()))
             .collect();
@@ -85,12 +87,12 @@ impl Ask<'_> {
     }
 }
 
-/// Names stand unquoted in messages and in net text.
+/// Names are unquoted in messages and in net text.
 fn is_name(name: &str) -> bool {
     name.len() <= 64 && name.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_')
 }
 
-pub(super) fn refused(error: Error) -> Response {
+pub(super) fn error_response(error: Error) -> Response {
     if matches!(error, Error::NoSuchDevice(_)) {
         Response::not_found(error)
     } else {

@@ -1,11 +1,11 @@
-//! `/eval/`: one cycle of a net with the devices as they are. Known clients read every value of
+//! `/eval/`: evaluates one cycle of a net with the present device state. Known clients read every value of
 //! a device this way.
 
 use super::super::element::Element;
-use super::{Ask, Outcome};
+use super::{Handler, Outcome};
 
-impl Ask<'_> {
-    /// What cannot be evaluated is answered as known clients expect it: as a value called `error`.
+impl Handler<'_> {
+    /// Errors are returned as known clients expect them: as a value called `error`.
     pub(super) fn evaluate(&self) -> Outcome {
         let text = self.net_text()?;
         let data = |key: &str, text: String| Element::new("data").with("key", key).text(text);

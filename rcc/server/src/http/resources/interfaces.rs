@@ -1,6 +1,6 @@
-//! `/devices/<d>/<interface>`: live values of a device. All but the joints are read by evaluating a net
-//! of the primitives that programs use, and outputs are set by one that runs for a cycle: what programs
-//! may not do is not done here either, and no driver is known.
+//! `/devices/<d>/<interface>`: live values of a device. All but the joints are read by evaluating a net of the
+//! primitives that programs use, and outputs are set by a net that runs for one cycle: programs and HTTP clients have
+//! the same permissions, and no driver is known here.
 
 use std::fmt::Write as _;
 use std::time::{Duration, Instant};
@@ -10,18 +10,18 @@ use takt_core::{NetId, SessionId};
 
 use super::super::Response;
 use super::super::element::Element;
-use super::{Ask, Outcome};
+use super::{Handler, Outcome};
 
-/// Most ports of one kind that are shown.
+/// Most ports shown per kind.
 const PORTS_MAX: u32 = 256;
 
-/// Most joints of an arm that a query may give.
+/// Most joints of an arm in a query.
 const JOINTS_MAX: usize = 8;
 
-/// How long an output may take to be set.
-const SET_WITHIN: Duration = Duration::from_secs(2);
+/// Timeout for setting an output.
+const SET_OUTPUT_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// Kinds of ports: parameter of the interface with their number, name here, primitive that reads it.
+/// Kinds of ports: interface parameter with their number, name here, primitive that reads one.
 const PORTS: [(&str, &str, &str); 4] = [
     ("digin", "digin", "IO::InBool"),
     ("digout", "digout", "IO::OutBoolSensor"),
@@ -29,7 +29,7 @@ const PORTS: [(&str, &str, &str); 4] = [
     ("anout", "anout", "IO::OutRealSensor"),
 ];
 
-impl Ask<'_> {
+impl Handler<'_> {
     pub(super) fn interface(&self, name: &str, interface: &str, post: bool) -> Outcome {
         let device = self.find_device(name)?;
         let has = |interface: &str| device.interfaces.contains_key(interface);
@@ -37,7 +37,7 @@ impl Ask<'_> {
             ("robotarm", false) => self.robot_arm(name),
             ("parameters", false) => Ok(self.parameters(&device)),
             ("parameters", true) => Err(Response::conflict(
-                "no parameter can be changed while a device is there; remove it and make it anew",
+                "the parameters of an existing device cannot be changed\nhint: remove the device and create it again",
             )),
             ("armkinematics" | "kinematics", false) if has("armkinematics") => {
                 self.arm_kinematics(&device)
@@ -53,7 +53,7 @@ impl Ask<'_> {
             (_, false) if has(interface) => Ok(self.show(&described(&device, interface))),
             (_, true) if has(interface) => Err(Response::text(
                 "405 Method Not Allowed",
-                "Only io takes values.\n",
+                "Only io accepts values.\n",
             )),
             _ => {
                 let known: Vec<_> = device.interfaces.keys().map(String::as_str).collect();
@@ -65,7 +65,7 @@ impl Ask<'_> {
         }
     }
 
-    /// Everything that is known of how the device was made: the parameters of its interfaces.
+    /// The parameters of all interfaces of the device.
     fn parameters(&self, device: &DeviceInfo) -> Response {
         let interfaces = device.interfaces.keys();
         let interfaces = interfaces.map(|interface| described(device, interface));
@@ -73,8 +73,8 @@ impl Ask<'_> {
         self.show(&element.with("type", &device.kind).containing(interfaces))
     }
 
-    /// Where the flange is at the joint positions `j1`… of the query, or as they are; or the joint
-    /// positions that bring it to `x`, `y`, `z`, `a`, `b`, `c`, near `j1`….
+    /// The flange frame at the joint positions `j1`… of the query, or at the present ones; or the joint positions for
+    /// the frame `x`, `y`, `z`, `a`, `b`, `c`, near `j1`….
     fn arm_kinematics(&self, device: &DeviceInfo) -> Outcome {
         let name = &device.name;
         let joints = self.joints(device)?;
@@ -105,7 +105,7 @@ impl Ask<'_> {
         Ok(self.show(&data("armkinematics", name, values)))
     }
 
-    /// The joint positions of the query, and for those that it does not give the present ones, rad.
+    /// The joint positions of the query, with the present ones for those missing, rad.
     fn joints(&self, device: &DeviceInfo) -> Result<Vec<f64>, Response> {
         let arm = device.interfaces.get("robotarm");
         let count = arm.and_then(|p| p.get("jointcount")?.parse().ok());
@@ -122,7 +122,7 @@ impl Ask<'_> {
         (0..count).map(joint).collect()
     }
 
-    /// A number of the query.
+    /// A number in the query.
     fn number(&self, key: &str) -> Result<Option<f64>, Response> {
         let Some(text) = self.query(key) else {
             return Ok(None);
@@ -163,7 +163,7 @@ impl Ask<'_> {
         Ok(self.show(&io))
     }
 
-    /// Sets an output by a net that runs for one cycle.
+    /// Sets an output with a net that runs for one cycle.
     fn set_output(&self, name: &str) -> Outcome {
         let field = |key: &str| {
             let missing = || Response::bad_request(format!("{key} is missing"));
@@ -195,7 +195,7 @@ impl Ask<'_> {
         };
         let net = self.controller.load(request).map_err(Response::conflict)?;
         let outcome = self.run_once(net);
-        // Whatever came of it, nobody asks for the net again.
+        // The net is not needed any more, whatever its outcome.
         if let Err(error) = self
             .controller
             .abort(net)
@@ -215,7 +215,7 @@ impl Ask<'_> {
             return Err(Response::conflict(rejection));
         }
         self.controller.start_net(net).map_err(Response::conflict)?;
-        let until = Instant::now() + SET_WITHIN;
+        let until = Instant::now() + SET_OUTPUT_TIMEOUT;
         let ended = || {
             let state = self.controller.net(net).map(|info| info.state());
             matches!(state, None | Some(NetState::Terminated))
@@ -229,7 +229,7 @@ impl Ask<'_> {
         Ok(())
     }
 
-    /// All that a primitive tells of the device.
+    /// All outputs of a monitor primitive of the device.
     fn monitor(&self, name: &str, interface: &str, primitive: &str) -> Outcome {
         let registry = self.controller.registry();
         let definition = registry.find(primitive);
@@ -244,7 +244,7 @@ impl Ask<'_> {
         Ok(self.show(&data(element, name, values)))
     }
 
-    /// What the out ports of a net give in one cycle.
+    /// The out values of a net, evaluated for one cycle.
     fn evaluated(&self, children: &str) -> Result<Vec<(String, String)>, Response> {
         let net = format!("{{{children},e=Core::BooleanValue(),outTerminate=e.outValue}}");
         let values = self.controller.evaluate(&net).map_err(Response::conflict)?;

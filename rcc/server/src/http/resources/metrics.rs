@@ -1,5 +1,5 @@
-//! `/metrics`: what monitoring systems collect, in the text format 0.0.4 of Prometheus. How many lines
-//! there are is bounded by threads and devices; single nets, which come and go, have none.
+//! `/metrics`: metrics in the Prometheus text format 0.0.4. The number of lines is bounded by threads and devices;
+//! single nets have none.
 
 use std::fmt::{self, Write as _};
 use std::time::Duration;
@@ -8,12 +8,12 @@ use takt_core::controller::{ClockInfo, LimitedInfo, NetState, RuleState};
 use takt_core::{Controller, Snapshot, Summary};
 
 use super::super::Response;
-use super::Ask;
+use super::Handler;
 use super::status::{BOUNDS_NS, cumulative};
 use crate::dio::all_devices;
 use crate::site::Counters;
 
-/// Words for the states of devices.
+/// Device states.
 const DEVICE_STATES: [&str; 3] = ["op", "safeop", "off"];
 
 /// States of the clock that net threads follow.
@@ -24,7 +24,7 @@ pub(super) struct Thread {
     pub(super) name: String,
     pub(super) period: Duration,
     pub(super) stats: Snapshot,
-    /// `None` if it runs by this host's clock.
+    /// `None` if it runs on the host's clock.
     pub(super) clock: Option<ClockInfo>,
 }
 
@@ -50,7 +50,7 @@ pub(super) fn threads(controller: &Controller) -> Vec<Thread> {
 struct Exposition(String);
 
 impl Exposition {
-    /// Begins a family of samples.
+    /// Starts a family of samples.
     fn family(&mut self, name: &str, kind: &str, help: &str) {
         self.line(format_args!("# HELP {name} {help}"));
         self.line(format_args!("# TYPE {name} {kind}"));
@@ -87,7 +87,7 @@ impl Exposition {
         let counts = cumulative(buckets);
         for (bound, count) in BOUNDS_NS.iter().zip(counts) {
             let le = seconds(u128::from(*bound));
-            // A reading while a cycle is recorded may have it in one figure and not yet in another.
+            // A snapshot during an update may include a cycle in the buckets and not yet in the count.
             let count = count.min(summary.count);
             self.sample(&bucket, &[("thread", thread), ("le", &le)], count);
         }
@@ -110,7 +110,7 @@ impl Exposition {
     }
 }
 
-/// A label's value as it stands between quotation marks.
+/// A label value, escaped for quotation marks.
 fn escaped(value: &str) -> String {
     let escaped = value.replace('\\', "\\\\").replace('"', "\\\"");
     escaped.replace('\n', "\\n")
@@ -122,27 +122,27 @@ fn seconds(ns: u128) -> String {
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
-impl Ask<'_> {
+impl Handler<'_> {
     pub(super) fn metrics(&self) -> Response {
         let mut out = Exposition::default();
         let version = [("version", env!("CARGO_PKG_VERSION"))];
         out.family("takt_info", "gauge", "Version of the controller.");
         out.sample("takt_info", &version, 1);
-        self.of_threads(&mut out);
-        self.of_nets(&mut out);
-        self.of_rules(&mut out);
+        self.write_threads(&mut out);
+        self.write_nets(&mut out);
+        self.write_rules(&mut out);
         out.single(
             "takt_emergency_stop",
             "gauge",
             "1 while the emergency stop is on and no device follows commands.",
             u8::from(self.controller.is_stopped()),
         );
-        self.of_devices(&mut out);
-        self.of_server(&mut out);
+        self.write_devices(&mut out);
+        self.write_server(&mut out);
         Response::of_kind("text/plain; version=0.0.4; charset=utf-8", out.0)
     }
 
-    fn of_threads(&self, out: &mut Exposition) {
+    fn write_threads(&self, out: &mut Exposition) {
         let threads = threads(self.controller);
         let mut counter = |name: &str, help: &str, of: fn(&Snapshot) -> u64| {
             out.family(name, "counter", help);
@@ -155,7 +155,7 @@ impl Ask<'_> {
         });
         counter(
             "takt_cycles_missed_total",
-            "Cycles that a net thread skipped because it came too late.",
+            "Cycles that a net thread skipped because it was late.",
             |s| s.overruns,
         );
         let name = "takt_cycle_period_seconds";
@@ -169,7 +169,7 @@ impl Ask<'_> {
             out.sample(name, &labels, seconds(thread.period.as_nanos()));
         }
         let name = "takt_cycle_latency_seconds";
-        let help = "From when a cycle was due to when its thread came to it.";
+        let help = "Time from when a cycle was due to when its thread started it.";
         out.family(name, "histogram", help);
         for Thread {
             name: thread,
@@ -184,7 +184,7 @@ impl Ask<'_> {
         out.family(
             name,
             "histogram",
-            "From the begin of a cycle's work to its end.",
+            "Time from the start of a cycle's work to its end.",
         );
         for Thread {
             name: thread,
@@ -195,7 +195,7 @@ impl Ask<'_> {
             let buckets = stats.execution_buckets().map(|(bound, n)| (bound.0, n));
             out.histogram(name, thread, &stats.execution, buckets);
         }
-        Self::of_clocks(&threads, out);
+        Self::write_clocks(&threads, out);
         out.single(
             "takt_real_time_allocations_total",
             "counter",
@@ -204,22 +204,22 @@ impl Ask<'_> {
         );
         let faults = self.controller.real_time_page_faults();
         let name = "takt_real_time_page_faults_total";
-        let help = "Page faults of real-time threads since they began their cycles, by kind; 0 where memory \
+        let help = "Page faults of real-time threads since their first cycle, by kind; 0 where memory \
                     can be locked.";
         out.family(name, "counter", help);
         out.sample(name, &[("kind", "minor")], faults.minor);
         out.sample(name, &[("kind", "major")], faults.major);
     }
 
-    /// What only threads have that keep phase with a device's clock; nothing if there are none.
-    fn of_clocks(threads: &[Thread], out: &mut Exposition) {
+    /// Metrics of threads in phase with a device's clock; none if there are no such threads.
+    fn write_clocks(threads: &[Thread], out: &mut Exposition) {
         let followers = threads.iter().filter_map(|t| Some((t, t.clock.as_ref()?)));
         let followers: Vec<_> = followers.collect();
         if followers.is_empty() {
             return;
         }
         let name = "takt_cycle_phase_error_seconds";
-        let help = "How far a net thread came to a cycle from its place on the followed clock.";
+        let help = "Distance of a cycle's start from its phase on the followed clock.";
         out.family(name, "histogram", help);
         for (thread, _) in &followers {
             let stats = &thread.stats;
@@ -227,8 +227,8 @@ impl Ask<'_> {
             out.histogram(name, &thread.name, &stats.phase_error, buckets);
         }
         let name = "takt_clock_state";
-        let help = "1 for how the clock that a net thread follows is known; in locked, stable and \
-                    holdover it is followed.";
+        let help = "1 for the state of the clock that a net thread follows; it is followed in locked, stable and \
+        holdover.";
         out.family(name, "gauge", help);
         for (thread, clock) in &followers {
             for state in CLOCK_STATES {
@@ -242,7 +242,7 @@ impl Ask<'_> {
         }
     }
 
-    fn of_nets(&self, out: &mut Exposition) {
+    fn write_nets(&self, out: &mut Exposition) {
         use NetState::{
             Cancelling, Loading, Ready, Rejected, Running, Scheduled, Terminated, Unloaded,
         };
@@ -254,26 +254,21 @@ impl Ask<'_> {
             .filter_map(|net| Some(self.controller.net(net)?.state()))
             .collect();
         let name = "takt_nets";
-        out.family(name, "gauge", "Nets that are loaded, by state.");
+        out.family(name, "gauge", "Loaded nets, by state.");
         for state in states {
             let count = present.iter().filter(|s| **s == state).count();
             let word = state.to_string().to_ascii_lowercase();
             out.sample(name, &[("state", &word)], count);
         }
         let sessions = self.controller.sessions().len();
-        out.single(
-            "takt_sessions",
-            "gauge",
-            "Sessions that are open.",
-            sessions,
-        );
+        out.single("takt_sessions", "gauge", "Open sessions.", sessions);
     }
 
-    fn of_rules(&self, out: &mut Exposition) {
+    fn write_rules(&self, out: &mut Exposition) {
         let rules = self.controller.rule_states();
         let name = "takt_rules";
         let help =
-            "Synchronization rules that wait, and the last of those that do no longer, by state.";
+            "Pending synchronization rules and the last of those that are decided, by state.";
         out.family(name, "gauge", help);
         for state in [
             RuleState::Active,
@@ -287,7 +282,7 @@ impl Ask<'_> {
         }
     }
 
-    fn of_devices(&self, out: &mut Exposition) {
+    fn write_devices(&self, out: &mut Exposition) {
         let name = "takt_device_state";
         let help =
             "1 for the state a device is in: op, safeop (in contact, follows no commands) or off.";
@@ -303,11 +298,11 @@ impl Ask<'_> {
                 out.sample(name, &labels, is);
             }
         }
-        self.of_last_stages(out);
+        self.write_last_stages(out);
     }
 
-    /// What was held back before it left for devices; nothing if none of them moves.
-    fn of_last_stages(&self, out: &mut Exposition) {
+    /// Commands that the last stage limited; none if no device has one.
+    fn write_last_stages(&self, out: &mut Exposition) {
         let devices = self.controller.devices().into_iter();
         let limited: Vec<_> = devices
             .flat_map(|device| {
@@ -327,42 +322,42 @@ impl Ask<'_> {
         };
         family(
             "takt_device_limited_total",
-            "Times that commands for a part of a device began to exceed its limits and were held back.",
+            "Times that commands for a part of a device began to exceed its limits and were limited.",
             |info| info.limited.onsets,
         );
         family(
             "takt_device_limited_cycles_total",
-            "Cycles of a device's driver in which less left for a part of it than was commanded.",
+            "Cycles of a device's driver in which the command for a part of it was limited.",
             |info| info.limited.cycles,
         );
     }
 
-    fn of_server(&self, out: &mut Exposition) {
+    fn write_server(&self, out: &mut Exposition) {
         let counters = &self.site.counters;
         let clients = Counters::read(&counters.clients);
-        out.single("takt_clients", "gauge", "Connections there are.", clients);
+        out.single("takt_clients", "gauge", "Open connections.", clients);
         let mut counter = |name: &str, help: &str, value: u64| {
             out.single(name, "counter", help, value);
         };
         let read = Counters::read;
         counter(
             "takt_connections_total",
-            "Connections that were taken.",
+            "Connections accepted.",
             read(&counters.connections),
         );
         counter(
             "takt_connections_refused_total",
-            "Connections for which there was no room.",
+            "Connections rejected because all slots were in use, or evicted.",
             read(&counters.refused),
         );
         counter(
             "takt_tokens_denied_total",
-            "Tokens that were wrong or came too often.",
+            "Clients rejected for a wrong token, host, origin or first line.",
             read(&counters.denied),
         );
         counter(
             "takt_http_requests_total",
-            "Requests for resources.",
+            "HTTP requests.",
             read(&counters.requests),
         );
         let name = "takt_messages_total";
@@ -379,7 +374,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_sum_is_that_of_the_samples() {
+    fn histogram_sum_equals_sample_sum() {
         let summary = Summary {
             count: 3,
             sum: Nanos(20),

@@ -1,14 +1,14 @@
-//! `/types/`, `/modules/` and `/modulesdetails/`: the primitives described, from the same tables
-//! that nets are loaded with.
+//! `/types/`, `/modules/` and `/modulesdetails/`: descriptions of types and primitives, from the tables that nets are
+//! loaded with.
 
 use takt_core::net::definition::{Definition, ParameterType};
 use takt_core::net::{Element as ValueElement, Type};
 
 use super::super::Response;
 use super::super::element::Element;
-use super::{Ask, Outcome};
+use super::{Handler, Outcome};
 
-impl Ask<'_> {
+impl Handler<'_> {
     pub(super) fn types(&self) -> Response {
         let types = all_types().map(|ty| describe_type(&ty));
         self.show(&Element::new("types").containing(types))
@@ -53,10 +53,10 @@ fn describe_type(ty: &Type) -> Element {
     named("type", "types", &ty.to_string())
 }
 
-fn named(element: &'static str, place: &str, name: &str) -> Element {
+fn named(element: &'static str, collection: &str, name: &str) -> Element {
     Element::new(element)
         .with("name", name)
-        .with("uri", format!("/{place}/{name}/"))
+        .with("uri", format!("/{collection}/{name}/"))
 }
 
 fn describe(definition: &Definition) -> Element {

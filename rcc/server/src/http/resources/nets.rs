@@ -1,4 +1,4 @@
-//! `/nets/` and what is below: nets listed, loaded, shown and controlled.
+//! `/nets/` and below: lists, loads, shows and controls nets.
 
 use std::time::Duration;
 
@@ -8,13 +8,13 @@ use takt_core::{Error, NetId, SessionId};
 
 use super::super::Response;
 use super::super::element::Element;
-use super::{Ask, Outcome};
+use super::{Handler, Outcome};
 use crate::dio::DESCRIPTION_BYTES_MAX;
 
-/// Most faults of one net that are shown.
+/// Most faults shown per net.
 const FAULTS_MAX: usize = 20;
 
-impl Ask<'_> {
+impl Handler<'_> {
     pub(super) fn nets(&self) -> Response {
         let controller = self.controller;
         let infos = controller
@@ -29,7 +29,7 @@ impl Ask<'_> {
         self.load(SessionId::NONE)
     }
 
-    /// Loads the net of a form. One that is rejected is there, too, and shows its faults.
+    /// Loads the net of a form. A rejected net exists too and shows its faults.
     pub(super) fn load(&self, session: SessionId) -> Outcome {
         let request = LoadRequest {
             text: self.net_text()?,
@@ -53,11 +53,11 @@ impl Ask<'_> {
         Ok(text.to_owned())
     }
 
-    /// The field `frequency`, if `useparams` says that it counts: Hz, or below 1 the time of a
-    /// cycle in s, which is what the original takes it for. 0 is the controller's own.
+    /// The field `frequency`, if `useparams` enables it: in Hz, or below 1 the period in s, as in the original. 0 is
+    /// the controller's own.
     fn period(&self) -> Result<Option<Duration>, Response> {
-        let wanted = self.field("useparams") == Some("1");
-        let Some(text) = self.field("frequency").filter(|_| wanted) else {
+        let enabled = self.field("useparams") == Some("1");
+        let Some(text) = self.field("frequency").filter(|_| enabled) else {
             return Ok(None);
         };
         let wrong = || Response::bad_request("frequency: a number of Hz is expected, such as 1000");
@@ -87,7 +87,7 @@ impl Ask<'_> {
         ))
     }
 
-    /// The text of a net, its XML, or its figures.
+    /// The text of a net, its XML, its statistics or its debug records.
     pub(super) fn net_part(&self, name: &str, part: &str) -> Outcome {
         let (id, info) = self.find_net(name)?;
         match part {
@@ -103,7 +103,7 @@ impl Ask<'_> {
         }
     }
 
-    /// Writes the values of the form, then does its action.
+    /// Writes the values of the form, then executes its action.
     pub(super) fn control_net(&self, name: &str) -> Outcome {
         let (id, _) = self.find_net(name)?;
         for (key, text) in self
@@ -114,7 +114,9 @@ impl Ask<'_> {
         {
             let known = self.controller.write_in(id, key, text);
             if !known.map_err(Response::bad_request)? {
-                return Err(Response::bad_request(format!("{id} takes no value {key}")));
+                return Err(Response::bad_request(format!(
+                    "{id} has no input value {key}"
+                )));
             }
         }
         let done = match self.field("action") {
@@ -128,12 +130,12 @@ impl Ask<'_> {
                 return Err(Response::bad_request(text));
             }
         };
-        done.map_err(refused)?;
-        let place = match self.controller.net(id) {
+        done.map_err(error_response)?;
+        let location = match self.controller.net(id) {
             Some(_) => format!("/nets/{id}/"),
             None => "/nets/".to_owned(),
         };
-        Ok(Response::redirect("303 See Other", &place))
+        Ok(Response::redirect("303 See Other", &location))
     }
 
     pub(super) fn find_net(&self, name: &str) -> Result<(NetId, NetInfo), Response> {
@@ -142,10 +144,10 @@ impl Ask<'_> {
         found.ok_or_else(|| Response::not_found("there is no such net"))
     }
 
-    /// What is known of the evaluation of a net and of its thread, in ms.
+    /// Evaluation statistics of a net and the latency of its thread, in ms.
     fn stats(&self, id: NetId) -> Outcome {
         let figures = self.controller.net_figures(id);
-        let figures = figures.ok_or_else(|| Response::conflict("it was never ready"))?;
+        let figures = figures.ok_or_else(|| Response::conflict("the net was never ready"))?;
         let threads = self.controller.threads();
         let thread = threads.iter().find(|t| t.period == figures.thread_period);
         let late = thread.map(|thread| {
@@ -155,7 +157,7 @@ impl Ask<'_> {
         Ok(self.show(&figures_of(&figures).containing(late)))
     }
 
-    /// The figures of all net threads and of all nets.
+    /// Statistics of all net threads and of all nets.
     pub(super) fn all_stats(&self) -> Response {
         let controller = self.controller;
         let threads = super::metrics::threads(controller);
@@ -206,7 +208,7 @@ pub(super) fn ms(time: impl TryInto<Duration>) -> String {
     format!("{:.6}", time.as_secs_f64() * 1e3)
 }
 
-fn refused(error: Error) -> Response {
+fn error_response(error: Error) -> Response {
     if matches!(error, Error::NoSuchNet(_)) {
         Response::not_found(error)
     } else {

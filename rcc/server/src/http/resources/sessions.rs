@@ -1,4 +1,4 @@
-//! `/sessions/`: sessions listed, opened, ended, and nets loaded into them.
+//! `/sessions/`: lists, opens and ends sessions, and loads nets into them.
 
 use std::time::Duration;
 
@@ -7,10 +7,10 @@ use takt_core::{OnLoss, SessionId};
 use super::super::Response;
 use super::super::element::Element;
 use super::nets::summary;
-use super::{Ask, Outcome};
+use super::{Handler, Outcome};
 use crate::sessions::OPEN_SESSIONS_MAX;
 
-impl Ask<'_> {
+impl Handler<'_> {
     pub(super) fn sessions(&self) -> Response {
         let sessions = self.controller.sessions().into_iter();
         let sessions = sessions.map(|(id, description)| self.describe(id, &description));
@@ -29,20 +29,20 @@ impl Ask<'_> {
         let open = || self.controller.open_session(&description);
         let (sessions, by) = (&self.site.sessions, self.request.credential);
         let now = self.site.now();
-        let make_room = || sessions.end_left(self.controller, now, Duration::ZERO, 1) > 0;
-        if sessions.is_full_for(by) && !make_room() {
+        let free_session = || sessions.end_orphaned(self.controller, now, Duration::ZERO, 1) > 0;
+        if sessions.is_full_for(by) && !free_session() {
             return Err(Response::conflict(format!(
                 "too many sessions: clients without token have at most {OPEN_SESSIONS_MAX} together"
             )));
         }
         let session = match open() {
-            Err(takt_core::Error::TooMany { .. }) if make_room() => open(),
+            Err(takt_core::Error::TooMany { .. }) if free_session() => open(),
             opened => opened,
         };
         let session = session.map_err(Response::conflict)?;
-        // No connection has it: it goes when it stays empty.
+        // It has no connection, so it ends when it stays empty.
         sessions.add(session, by);
-        sessions.leave(session, now);
+        sessions.orphan(session, now);
         Ok(Response::redirect(
             "302 Found",
             &format!("/sessions/{session}/"),
@@ -66,7 +66,7 @@ impl Ask<'_> {
         let (id, _) = self.find_session(name)?;
         match self.field("action") {
             Some("LOADNET" | "LOADNETPARAM") => {
-                // It was used just now.
+                // Loading counts as use of the session.
                 self.site.sessions.touch(id, self.site.now());
                 self.load(id)
             }

@@ -1,17 +1,17 @@
-//! `/status/`: how the controller is, in one answer: its threads with their histograms, and counts of all
-//! there is. The page shows it; nothing is judged here.
+//! `/status/`: state of the controller in one response: its threads with their histograms, and the usage of all
+//! quotas. The page displays it; nothing is judged here.
 
 use takt_core::controller::{NETS_MAX, SESSIONS_MAX};
 
 use super::super::Response;
 use super::super::element::Element;
-use super::Ask;
+use super::Handler;
 use super::nets::ms;
 use crate::dio::all_devices;
-use crate::server::PLACES_MAX;
+use crate::server::SLOTS_MAX;
 use crate::site::Counters;
 
-/// Upper bounds of what a histogram tells, ns; what is longer stands with the whole count.
+/// Upper bounds of the histogram buckets, ns; longer times are in the total count only.
 pub(super) const BOUNDS_NS: [u64; 14] = [
     1_000,
     2_000,
@@ -29,7 +29,7 @@ pub(super) const BOUNDS_NS: [u64; 14] = [
     100_000_000,
 ];
 
-/// How many values are at most each of [`BOUNDS_NS`], of buckets given by upper bound and count.
+/// Cumulative counts up to each of [`BOUNDS_NS`], from buckets given by upper bound and count.
 pub(super) fn cumulative(buckets: impl Iterator<Item = (i64, u64)>) -> [u64; BOUNDS_NS.len()] {
     let mut counts = [0; BOUNDS_NS.len()];
     for (upper_ns, count) in buckets {
@@ -41,7 +41,7 @@ pub(super) fn cumulative(buckets: impl Iterator<Item = (i64, u64)>) -> [u64; BOU
     counts
 }
 
-impl Ask<'_> {
+impl Handler<'_> {
     pub(super) fn status(&self) -> Response {
         let (controller, counters) = (self.controller, &self.site.counters);
         let of = |name: &str, used: usize, bound: usize| {
@@ -55,7 +55,7 @@ impl Ask<'_> {
             .containing([
                 of("nets", controller.nets().len(), NETS_MAX),
                 of("sessions", controller.sessions().len(), SESSIONS_MAX),
-                of("clients", clients, PLACES_MAX),
+                of("clients", clients, SLOTS_MAX),
             ])
             .containing(self.threads())
             .containing(all_devices(controller).iter().map(|device| {
@@ -122,7 +122,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn counts_add_up_and_what_lies_across_a_bound_counts_above_it() {
+    fn cumulative_counts_round_buckets_up() {
         let counts = cumulative([(900, 1), (1_000, 2), (1_001, 4), (i64::MAX, 8)].into_iter());
         assert_eq!(counts[..3], [3, 7, 7]);
         assert_eq!(counts[BOUNDS_NS.len() - 1], 7);

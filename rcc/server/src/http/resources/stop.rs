@@ -1,20 +1,20 @@
-//! `/stop/`: the stop channel as the page finds it, and the page's second way to stop, through this server. The first
-//! way is the channel's own port, which gets through when this server does not.
+//! `/stop/`: state of the stop channel for the page, and the page's second path to a stop, through this server. The
+//! first path is the channel's own port, which works even when this server does not respond.
 
 use takt_core::stop_channel::Origin;
 
 use super::super::Response;
 use super::super::element::Element;
 use super::super::page::PAGE;
-use super::Ask;
+use super::Handler;
 
-impl Ask<'_> {
-    /// The page for people.
+impl Handler<'_> {
+    /// The web page.
     pub(super) fn page(&self) -> Response {
         Response::page(PAGE, self.site.stop.as_ref().map(|stop| stop.port))
     }
 
-    /// Whether all is stopped and by whom, and where the page may stop.
+    /// Whether everything is stopped and by whom, and port and key of the stop channel.
     pub(super) fn stop_state(&self) -> Response {
         let switch = self.controller.stop_switch();
         let mut element = Element::new("stop").with("stopped", switch.is_stopped());
@@ -33,7 +33,7 @@ impl Ask<'_> {
     }
 
     pub(super) fn release_stop(&self) -> Response {
-        // It may have been released by somebody else.
+        // Another client may already have released it.
         let _ = self.controller.stop_switch().release();
         self.stop_state()
     }

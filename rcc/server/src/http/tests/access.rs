@@ -1,11 +1,11 @@
-//! Requests at a server that asks for a token.
+//! Requests to a server that requires a token.
 
 use super::super::*;
 use super::KNOWN_CLIENT;
 
 const TOKEN: &str = "0123456789abcdef";
 
-/// The response of a server with that token; the empty text for being let in.
+/// The error response of a server with this token; empty if the request is admitted.
 fn response(request: &str) -> String {
     let admit = |given: Option<&str>| match given {
         None => Admission::Missing,
@@ -13,14 +13,14 @@ fn response(request: &str) -> String {
         Some("often") => Admission::TooMany,
         Some(_) => Admission::Wrong,
     };
-    let guard = Guard {
-        token: &admit,
+    let policy = AccessPolicy {
+        check_token: &admit,
         origins: &Origins::default(),
         reached: None,
     };
-    match answer(request.as_bytes(), false, guard) {
-        Some((_, Answer::Refuse(response))) => response.to_string(),
-        Some((_, Answer::Serve(_) | Answer::Upgrade(_))) => String::new(),
+    match parse(request.as_bytes(), false, policy) {
+        Some((_, Action::Reject(response))) => response.to_string(),
+        Some((_, Action::Serve(_) | Action::Upgrade(_))) => String::new(),
         other => panic!("{other:?}"),
     }
 }
@@ -30,7 +30,7 @@ fn get(target: &str, header: &str) -> String {
 }
 
 #[test]
-fn a_token_is_taken_from_header_query_and_cookie() {
+fn token_is_read_from_header_query_cookie() {
     assert_eq!(
         get("/nets/", &format!("Authorization: Bearer {TOKEN}\r\n")),
         ""
@@ -48,7 +48,7 @@ fn a_token_is_taken_from_header_query_and_cookie() {
 }
 
 #[test]
-fn without_the_token_nothing_is_told() {
+fn request_without_token_is_rejected() {
     let denied = [
         get("/nets/", ""),
         get("/nowhere/", ""),
@@ -75,7 +75,7 @@ fn without_the_token_nothing_is_told() {
 }
 
 #[test]
-fn a_browser_gets_the_token_as_a_cookie_and_the_address_is_rid_of_it() {
+fn query_token_is_moved_to_cookie() {
     let answer = get(&format!("/?token={TOKEN}"), "");
     assert!(answer.starts_with("HTTP/1.1 303 "), "{answer}");
     assert!(answer.contains("Location: /\r\n"), "{answer}");
@@ -84,7 +84,7 @@ fn a_browser_gets_the_token_as_a_cookie_and_the_address_is_rid_of_it() {
 }
 
 #[test]
-fn pages_of_this_server_are_let_in_by_its_name_if_they_have_the_token() {
+fn own_page_with_token_is_admitted() {
     let page = |origin: &str| {
         let headers =
             format!("Host: robot:8080\r\nOrigin: {origin}\r\nAuthorization: Bearer {TOKEN}\r\n");
@@ -92,21 +92,21 @@ fn pages_of_this_server_are_let_in_by_its_name_if_they_have_the_token() {
     };
     assert_eq!(page("http://robot:8080"), "");
     assert!(page("http://elsewhere:8080").starts_with("HTTP/1.1 403 "));
-    // Without tokens, a name could be anybody's who made it lead here.
+    // Without a token, an unlisted name is rejected: it may be a rebound one.
     let open = "GET /nets/ HTTP/1.1\r\nHost: robot:8080\r\nOrigin: http://robot:8080\r\n\r\n";
-    let (_, answer) = super::answer(open.as_bytes(), false).unwrap();
-    assert!(matches!(answer, Answer::Refuse(_)), "{answer:?}");
+    let (_, answer) = super::parse(open.as_bytes(), false).unwrap();
+    assert!(matches!(answer, Action::Reject(_)), "{answer:?}");
 }
 
 #[test]
-fn page_is_refused_before_its_token_is_looked_at() {
-    let looked_at = std::cell::Cell::new(0);
+fn foreign_page_is_rejected_before_token_check() {
+    let checks = std::cell::Cell::new(0);
     let admit = |_: Option<&str>| {
-        looked_at.set(looked_at.get() + 1);
+        checks.set(checks.get() + 1);
         Admission::Wrong
     };
-    let guard = Guard {
-        token: &admit,
+    let policy = AccessPolicy {
+        check_token: &admit,
         origins: &Origins::default(),
         reached: None,
     };
@@ -115,17 +115,17 @@ fn page_is_refused_before_its_token_is_looked_at() {
     let form = "POST /?token=guess HTTP/1.1\r\nHost: robot\r\nOrigin: http://evil.example\r\n\
         Content-Length: 0\r\n\r\n";
     for request in [image, form] {
-        let (_, answer) = answer(request.as_bytes(), false, guard).unwrap();
-        let Answer::Refuse(response) = answer else {
+        let (_, answer) = parse(request.as_bytes(), false, policy).unwrap();
+        let Action::Reject(response) = answer else {
             panic!("{answer:?}");
         };
         assert!(response.status().starts_with("403 "));
     }
-    assert_eq!(looked_at.get(), 0);
+    assert_eq!(checks.get(), 0);
 }
 
 #[test]
-fn long_bodies_are_not_waited_for_without_a_token() {
+fn body_without_token_is_not_read() {
     let head = "POST /nets/ HTTP/1.1\r\nContent-Length: 8000000\r\n\r\n";
     assert!(response(head).starts_with("HTTP/1.1 401 "));
 }

@@ -1,5 +1,5 @@
-//! `/metrics`, read by a strict parser of the text format 0.0.4 that is written here from the format's
-//! description.
+//! `/metrics`, read by a strict parser of the text format 0.0.4 that is implemented here from the description of the
+//! format.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::SocketAddr;
@@ -26,7 +26,7 @@ fn is_name(name: &str, colon: bool) -> bool {
     name.starts_with(begins) && name.chars().all(|c| begins(c) || c.is_ascii_digit())
 }
 
-/// Reads labels up to the closing brace; returns them and what follows.
+/// Reads labels up to the closing brace; returns them and the rest.
 fn labels(mut text: &str) -> Result<(BTreeMap<String, String>, &str), String> {
     let mut found = BTreeMap::new();
     loop {
@@ -74,15 +74,15 @@ fn value(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Reads the format, more strictly than collectors do: each family has help and type once, in this
-/// order, before its samples, which are together; no series is there twice.
+/// Parses the format more strictly than collectors: each family has help and type once, in this
+/// order, before its samples, which are adjacent; no series occurs twice.
 fn parse(text: &str) -> Result<BTreeMap<String, Family>, String> {
     let mut families: BTreeMap<String, Family> = BTreeMap::new();
     let (mut helped, mut current) = (None, String::new());
     let mut seen = BTreeSet::new();
     let body = text.strip_suffix('\n').ok_or("the last line has no end")?;
     for line in body.split('\n') {
-        let wrong = |what: &str| Err(format!("{what}: {line:?}"));
+        let wrong = |cause: &str| Err(format!("{cause}: {line:?}"));
         if let Some(help) = line.strip_prefix("# HELP ") {
             let (name, doc) = help.split_once(' ').ok_or("help without text")?;
             if !is_name(name, true) || doc.trim().is_empty() || helped.is_some() {
@@ -127,7 +127,7 @@ fn parse(text: &str) -> Result<BTreeMap<String, Family>, String> {
     Ok(families)
 }
 
-/// Conventions of names, and what must hold of a histogram.
+/// Checks naming conventions and the invariants of a histogram.
 fn check(name: &str, family: &Family) -> Result<(), String> {
     if family.samples.is_empty() {
         return Err(format!("{name} has no sample"));
@@ -177,7 +177,7 @@ fn check(name: &str, family: &Family) -> Result<(), String> {
 }
 
 #[test]
-fn the_parser_is_strict() {
+fn parser_rejects_malformed_metrics() {
     let head = "# HELP a_total b\n# TYPE a_total counter\n";
     assert!(parse(&format!("{head}a_total{{x=\"\\\"\\n\\\\\"}} 1\n")).is_ok());
     for bad in [
@@ -212,7 +212,7 @@ fn the_parser_is_strict() {
 }
 
 #[test]
-fn metrics_follow_the_text_format_and_the_conventions() {
+fn metrics_follow_text_format_and_conventions() {
     let controller = controller();
     loaded(&controller, "{x=Cancel(),outTerminate=x.outCancel}");
     let made = post(
@@ -261,7 +261,7 @@ fn metrics_follow_the_text_format_and_the_conventions() {
 }
 
 #[test]
-fn what_is_counted_never_falls_from_one_reading_to_the_next() {
+fn counters_never_decrease() {
     let controller = controller();
     let counters = |controller| {
         let families = parse(body(&get(controller, "/metrics"))).unwrap();
@@ -287,7 +287,7 @@ fn what_is_counted_never_falls_from_one_reading_to_the_next() {
 }
 
 #[test]
-fn rules_are_counted_by_their_states() {
+fn rules_are_counted_by_state() {
     let controller = controller();
     let net = loaded(&controller, "{x=Cancel(),outTerminate=x.outCancel}");
     controller.start_net(net).unwrap();
@@ -309,7 +309,7 @@ fn rules_are_counted_by_their_states() {
         "takt_rules{state=\"inactive\"} 1",
         "takt_rules{state=\"active\"} 0",
     ] {
-        assert!(text.lines().any(|told| told == line), "{line} in {text}");
+        assert!(text.lines().any(|found| found == line), "{line} in {text}");
     }
 }
 
@@ -325,7 +325,7 @@ fn metrics_do_not_grow_with_nets() {
 }
 
 #[test]
-fn the_clock_that_net_threads_follow_is_told() {
+fn followed_clock_is_reported() {
     let host = get(&controller(), "/metrics");
     assert!(!host.contains("takt_clock_state"), "nothing is followed");
     let mut cell = CellConfig::default();
@@ -351,12 +351,12 @@ fn the_clock_that_net_threads_follow_is_told() {
     let status = get(&controller, "/status/?format=json");
     let status: serde_json::Value = serde_json::from_str(body(&status)).unwrap();
     let clock = &status["thread"][0]["phaseerror"][0];
-    let told = ["device", "state", "phase"].map(|key| clock[key].as_str().unwrap());
-    assert_eq!(told, ["left", "unlocked", "0.300000"]);
+    let reported = ["device", "state", "phase"].map(|key| clock[key].as_str().unwrap());
+    assert_eq!(reported, ["left", "unlocked", "0.300000"]);
 }
 
 #[test]
-fn names_of_devices_are_escaped() {
-    // Names come from a file, which bounds them less than forms do.
+fn device_names_are_escaped() {
+    // Names from a cell file are checked less strictly than those from forms.
     assert!(parse("# HELP a b\n# TYPE a gauge\na{x=\"a\\\\b\\\"c\"} 1\n").is_ok());
 }

@@ -1,4 +1,4 @@
-//! The resources with a real controller that has no devices at first.
+//! Resources of a real controller that initially has no devices.
 
 use std::time::Duration;
 
@@ -7,7 +7,7 @@ use takt_core::controller::{NetState, RuleRequest};
 use takt_core::{CellConfig, Controller, NetId};
 
 use super::super::*;
-use super::answer;
+use super::parse;
 
 const CANCELLABLE: &str = "{x=Cancel(),k=Core::BooleanNetcommOut(inValue=x.outCancel,Key='k'),\
     i=Core::DoubleNetcommIn(Key='gain',Value='2'),\
@@ -24,9 +24,9 @@ pub(super) fn controller() -> Controller {
     Controller::start(&cell).unwrap()
 }
 
-fn ask(controller: &Controller, request: &str) -> String {
-    match answer(request.as_bytes(), false) {
-        Some((_, Answer::Serve(request))) => {
+fn request(controller: &Controller, request: &str) -> String {
+    match parse(request.as_bytes(), false) {
+        Some((_, Action::Serve(request))) => {
             let log = crate::LogBook::default();
             log.push("a robot is there");
             let gate = crate::access::Gate::new(None, None);
@@ -38,12 +38,12 @@ fn ask(controller: &Controller, request: &str) -> String {
 }
 
 pub(super) fn get(controller: &Controller, path: &str) -> String {
-    ask(controller, &format!("GET {path} HTTP/1.1\r\n\r\n"))
+    request(controller, &format!("GET {path} HTTP/1.1\r\n\r\n"))
 }
 
 pub(super) fn post(controller: &Controller, path: &str, body: &str) -> String {
     let length = body.len();
-    ask(
+    request(
         controller,
         &format!("POST {path} HTTP/1.1\r\nContent-Length: {length}\r\n\r\n{body}"),
     )
@@ -193,7 +193,7 @@ fn net_has_text_xml_and_figures() {
 }
 
 #[test]
-fn cycle_of_a_net_can_be_given() {
+fn net_period_can_be_given() {
     let controller = controller();
     let load = |frequency: &str| {
         let form = format!("useparams=1&frequency={frequency}&dionet={CANCELLABLE}");
@@ -214,7 +214,7 @@ fn cycle_of_a_net_can_be_given() {
 }
 
 #[test]
-fn forms_without_a_net_are_refused() {
+fn forms_without_net_are_rejected() {
     let controller = controller();
     for path in ["/nets/", "/eval/"] {
         holds(
@@ -235,7 +235,7 @@ fn forms_without_a_net_are_refused() {
 }
 
 #[test]
-fn evaluation_is_one_cycle_of_which_nothing_stays() {
+fn evaluation_runs_one_cycle_without_trace() {
     let controller = controller();
     let net = "{c=Core::Clock(Increment='2'),t=Cancel(),\
         a=Core::DoubleArray(Size='2'),v=Core::DoubleArrayNetcommOut(inValue=a.outArray,Key='a'),\
@@ -265,9 +265,9 @@ fn evaluation_is_one_cycle_of_which_nothing_stays() {
     holds(&get(&controller, "/eval/"), &["405 Method Not Allowed"]);
 }
 
-/// As the known client makes a device, reads it, and removes it: doubled slashes, no encoding.
+/// The known client creates, reads and removes a device like this: doubled slashes, no encoding.
 #[test]
-fn device_is_made_read_and_removed() {
+fn device_is_created_read_and_removed() {
     let controller = controller();
     holds(&post(&controller, "//devices/", ARM), &["201 Created"]);
     let state = || controller.devices().iter().any(|d| d.status.word() == "op");
@@ -308,7 +308,7 @@ fn device_is_made_read_and_removed() {
 }
 
 #[test]
-fn impossible_devices_are_refused() {
+fn invalid_devices_are_rejected() {
     let controller = controller();
     let with = |from: &str, to: &str| ARM.replace(from, to);
     for form in [
@@ -330,7 +330,7 @@ fn impossible_devices_are_refused() {
 }
 
 #[test]
-fn nets_of_a_session_end_with_it() {
+fn http_session_end_ends_its_nets() {
     let controller = controller();
     holds(
         &post(&controller, "/sessions/", "desc=lab"),
@@ -403,7 +403,7 @@ fn primitives_describe_themselves() {
 }
 
 #[test]
-fn other_places_say_where_something_is() {
+fn unknown_path_lists_resources() {
     let controller = controller();
     for path in [
         "/x/",
@@ -417,7 +417,7 @@ fn other_places_say_where_something_is() {
 }
 
 #[test]
-fn no_code_is_loaded_and_the_page_takes_none_from_elsewhere() {
+fn page_and_extensions_load_no_foreign_code() {
     let controller = controller();
     holds(
         &get(&controller, "/extensions/"),
@@ -443,7 +443,7 @@ fn no_code_is_loaded_and_the_page_takes_none_from_elsewhere() {
 }
 
 #[test]
-fn the_log_is_told_from_a_number_on_and_by_a_word() {
+fn log_is_filtered_by_number_and_word() {
     let controller = controller();
     holds(
         &get(&controller, "/log/"),
@@ -460,7 +460,7 @@ fn the_log_is_told_from_a_number_on_and_by_a_word() {
 }
 
 #[test]
-fn status_tells_what_is_used_of_each_bound() {
+fn status_reports_usage_of_each_bound() {
     let controller = controller();
     loaded(&controller, CANCELLABLE);
     while controller.stats().cycles < 3 {
@@ -481,7 +481,7 @@ fn status_tells_what_is_used_of_each_bound() {
 }
 
 #[test]
-fn kinematics_of_an_arm_go_both_ways() {
+fn arm_kinematics_invert_each_other() {
     let controller = controller();
     holds(&post(&controller, "//devices/", ARM), &["201"]);
     let parameters = get(&controller, "/devices/lwr1/parameters");
@@ -490,7 +490,7 @@ fn kinematics_of_an_arm_go_both_ways() {
         &[r#"<parameter name="jointcount" value="7"/>"#],
     );
     let changed = post(&controller, "/devices/lwr1/parameters", "jointcount=6");
-    holds(&changed, &["409 Conflict", "make it anew"]);
+    holds(&changed, &["409 Conflict", "create it again"]);
     holds(
         &get(&controller, "/devices/lwr1/nope"),
         &["404", "robotarm"],
@@ -525,7 +525,7 @@ const TAPPED: &str = "{c=Core::Clock(),x=Cancel(),a=Core::DoubleAdd(inFirst[0.5]
     f=Core::BooleanValue(),outTerminate=f.outValue}";
 
 #[test]
-fn debug_taps_are_recorded_for_each_cycle_while_somebody_looks() {
+fn debug_taps_record_each_cycle_while_polled() {
     let controller = controller();
     let net = loaded(&controller, TAPPED);
     let debug = format!("/nets/{net}/debug");
@@ -550,7 +550,7 @@ fn debug_taps_are_recorded_for_each_cycle_while_somebody_looks() {
     let rows: Vec<[f64; 3]> = rows.collect();
     for pair in rows.windows(2) {
         let [before, after] = [pair[0], pair[1]];
-        // No cycle is missing that the thread ran: the clock counts them.
+        // No cycle is missing: the clock counts them.
         assert!(
             (after[1] - before[1] - 0.001).abs() < 1e-9,
             "{before:?} {after:?}"
@@ -566,7 +566,7 @@ fn debug_taps_are_recorded_for_each_cycle_while_somebody_looks() {
 }
 
 #[test]
-fn a_net_without_taps_has_an_empty_record() {
+fn net_without_taps_has_empty_record() {
     let controller = controller();
     let net = loaded(&controller, CANCELLABLE);
     let debug = get(&controller, &format!("/nets/{net}/debug"));
@@ -575,7 +575,7 @@ fn a_net_without_taps_has_an_empty_record() {
 }
 
 #[test]
-fn nets_that_are_looked_at_are_bounded() {
+fn nets_with_recorded_taps_are_bounded() {
     use takt_core::controller::LOOKS_MAX;
     let controller = controller();
     for _ in 0..LOOKS_MAX {
@@ -591,12 +591,12 @@ fn nets_that_are_looked_at_are_bounded() {
         &refused,
         &["503", "nets whose debug taps are recorded", "16"],
     );
-    // A look that goes on is no new one.
+    // Continued recording does not count again.
     holds(&get(&controller, "/nets/rpinet0/debug"), &["200 OK"]);
 }
 
 #[test]
-fn an_evaluation_is_bounded_in_size_and_time() {
+fn evaluation_size_and_time_are_bounded() {
     use takt_core::controller::EVAL_PRIMITIVES_MAX;
     let controller = controller();
     let net = |primitives: usize| {
@@ -610,7 +610,7 @@ fn an_evaluation_is_bounded_in_size_and_time() {
     holds(&refused, &[r#"<data key="error">"#, "20000"]);
 }
 
-/// A request out of words, some of which make sense together.
+/// A request from random words, some of which form valid ones.
 fn requests() -> impl Strategy<Value = Vec<u8>> {
     let method = "(POST|POST|POST|GET|GET|GET|[A-Z ]{0,6})";
     let name = "(nets|eval|sessions|types|modules|devices|rpinet[0-3]|s[0-2]|xml|dio|stats|lwr1|\
@@ -650,9 +650,9 @@ fn requests() -> impl Strategy<Value = Vec<u8>> {
     })
 }
 
-/// No panic, and always a whole response; what the requests make is bounded by the controller.
+/// No panic, and always a complete response; the controller bounds what the requests create.
 #[test]
-fn any_request_is_survived() {
+fn random_requests_get_valid_responses() {
     let controller = controller();
     let served = std::cell::Cell::new(0);
     let config = ProptestConfig {
@@ -661,7 +661,7 @@ fn any_request_is_survived() {
     };
     proptest::test_runner::TestRunner::new(config)
         .run(&requests(), |bytes| {
-            let whole = matches!(answer(&bytes, true), Some((_, Answer::Serve(_))));
+            let whole = matches!(parse(&bytes, true), Some((_, Action::Serve(_))));
             served.set(served.get() + u32::from(whole));
             fuzz(&controller, &bytes);
             Ok(())
@@ -675,12 +675,12 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(10_000))]
 
     #[test]
-    fn any_form_is_read(body in prop::collection::vec(
+    fn random_forms_are_decoded(body in prop::collection::vec(
         prop_oneof![any::<u8>(), prop::sample::select(&b"&=%+{ab1"[..])], 0..40))
     {
         let fields = form::decode(&body);
         let length: usize = fields.iter().map(|(k, v)| k.len() + v.len()).sum();
-        // Each byte that is no UTF-8 becomes three.
+        // Each byte that is not UTF-8 becomes three.
         prop_assert!(length <= 3 * body.len());
     }
 }

@@ -1,19 +1,19 @@
-//! The texts with which commands are refused. Clients compare them, so they stay as they are; a
-//! reason, where there is one, follows as a second value. No command is executed here.
+//! Errors of commands. Clients compare the texts, so they never change; a reason, where there is one, follows as a
+//! second value. No command is executed here.
 
 use super::SUBSCRIPTIONS_MAX;
 use super::commands::{DESCRIPTION_BYTES_MAX, SESSIONS_PER_CONNECTION};
-use crate::access::{WRONG_MAX, WRONG_WITHIN};
+use crate::access::{WRONG_MAX, WRONG_WINDOW};
 use crate::sessions::OPEN_SESSIONS_MAX;
 use crate::wire::Message;
 
-/// Why a command was not done.
+/// Why a command failed.
 #[derive(Debug, thiserror::Error)]
-pub(super) enum Refusal {
-    /// The line is no message.
+pub(super) enum CommandError {
+    /// The line is not a message.
     #[error("invalid syntax")]
     InvalidSyntax,
-    /// Another version, or another command before `ver`.
+    /// Wrong version, or another command before `ver`.
     #[error("bad handshake")]
     BadHandshake,
     /// No such command.
@@ -25,22 +25,22 @@ pub(super) enum Refusal {
     /// Too few values.
     #[error("Parameter missing")]
     ParameterMissing,
-    /// No such session, or the one of all nets without a session.
+    /// No such session, or session 0, which holds all nets without a session.
     #[error("invalid session")]
     InvalidSession,
     /// No such net.
     #[error("invalid net")]
     InvalidNet,
-    /// No such net, as `snc` says it.
+    /// No such net; text of `snc`.
     #[error("invalidnetname")]
     InvalidNetName,
-    /// The net text does not follow the grammar.
+    /// The net text has a syntax error.
     #[error("Syntax error in net.")]
     NetSyntax { reason: String },
     /// The net could not be started.
     #[error("net start failed")]
     StartFailed { reason: String },
-    /// No such net, as `nesc` says it.
+    /// No such net; text of `nesc`.
     #[error("invalid netname")]
     InvalidRuleNet,
     /// The rule could not be installed.
@@ -49,46 +49,46 @@ pub(super) enum Refusal {
     /// No such rule.
     #[error("Invalid synchronization rule")]
     InvalidRule,
-    /// The bound on subscriptions.
+    /// Quota of subscriptions exceeded.
     #[error(
         "too many subscriptions: a connection has at most {SUBSCRIPTIONS_MAX}; unload nets or open another connection"
     )]
     TooManySubscriptions,
-    /// A token is needed first.
+    /// A token must be sent first.
     #[error("token missing: send tok(\"…\") first; tools take --token-file or TAKT_TOKEN")]
     TokenMissing,
-    /// It is another one.
+    /// The token is wrong.
     #[error("wrong token")]
     WrongToken,
-    /// The bound on guesses that are answered at once.
+    /// The token is wrong, after too many others.
     #[error(
         "wrong token: more than {WRONG_MAX} within {} s from one address are answered late",
-        WRONG_WITHIN.as_secs()
+        WRONG_WINDOW.as_secs()
     )]
     TooManyTokens,
-    /// The bound on sessions of a connection.
+    /// Quota of sessions per connection exceeded.
     #[error(
         "too many sessions: a connection has at most {SESSIONS_PER_CONNECTION}; end one with ase first"
     )]
     TooManySessions,
-    /// The bound on sessions of clients without a credential.
+    /// Quota of sessions for clients without a credential exceeded.
     #[error(
         "too many sessions: clients without token have at most {OPEN_SESSIONS_MAX} together; end one with ase first"
     )]
     TooManyOpenSessions,
-    /// What becomes of a session whose client is lost.
+    /// Invalid on-loss word.
     #[error("on loss: \"keep\" or \"end\" is expected")]
     OnLoss,
-    /// The bound on descriptions.
+    /// The description is too long.
     #[error("the description has {bytes} bytes; at most {DESCRIPTION_BYTES_MAX} are taken")]
     DescriptionTooLong { bytes: usize },
-    /// Whatever else the controller says.
+    /// Any other error of the controller.
     #[error(transparent)]
     Controller(#[from] takt_core::Error),
 }
 
-impl Refusal {
-    /// The reply that says so.
+impl CommandError {
+    /// The `err` reply.
     pub(super) fn reply(&self, tag: &str) -> Message {
         let reply = Message::new(tag, "err").with(self.to_string());
         match self {

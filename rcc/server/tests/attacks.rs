@@ -1,5 +1,5 @@
-//! Attacks on a real server over sockets of this host: what web pages can send, and what keeps others out. Each is
-//! answered by a bound or a refusal, and an honest client gets in all the same.
+//! Attacks on a real server over loopback sockets, by web pages and by clients that use up resources. A bound or a
+//! rejection limits each, and legitimate clients are still served.
 
 #![expect(
     clippy::unwrap_used,
@@ -13,12 +13,12 @@ use std::net::{SocketAddr, TcpStream};
 use std::path::PathBuf;
 use std::time::Duration;
 
-use common::Running;
+use common::TestServer;
 use takt_server::server::{CONNECTIONS_MAX, WAITING_PER_ADDRESS};
 use takt_server::{Client, LocalSocket, Loopback, ServerConfig, Token};
 
-/// Far longer than anything takes here; it passes only when a test fails.
-const PATIENCE: Duration = Duration::from_secs(20);
+/// Far longer than any test takes; expires only if a test fails.
+const TIMEOUT: Duration = Duration::from_secs(20);
 
 const TOKEN: &str = "0123456789abcdef";
 
@@ -28,31 +28,34 @@ fn token() -> Token {
     Token::new(TOKEN).unwrap()
 }
 
-/// A server that asks for a token, on loopback too.
-fn guarded() -> Running {
-    Running::start_with(ServerConfig {
+/// A server that requires a token, on loopback too.
+fn guarded() -> TestServer {
+    TestServer::start_with(ServerConfig {
         token: Some(token()),
         ..ServerConfig::default()
     })
 }
 
-/// A server with a Unix socket, and where that is.
-fn with_socket(name: &str, config: ServerConfig) -> (Running, PathBuf) {
-    let folder = std::env::temp_dir().join(format!("takt-doors-{name}-{}", std::process::id()));
+/// A server with a Unix socket, and the path of that.
+fn with_socket(name: &str, config: ServerConfig) -> (TestServer, PathBuf) {
+    let folder = std::env::temp_dir().join(format!("takt-attacks-{name}-{}", std::process::id()));
     let path = folder.join("takt.sock");
     let local = LocalSocket {
         path: path.clone(),
         group: None,
     };
     let local = Some(local);
-    (Running::start_with(ServerConfig { local, ..config }), path)
+    (
+        TestServer::start_with(ServerConfig { local, ..config }),
+        path,
+    )
 }
 
-/// Sends bytes and returns all that is answered until the server closes.
+/// Sends bytes and returns all bytes received until the server closes.
 fn exchange(address: SocketAddr, bytes: &[u8]) -> String {
     let mut stream = TcpStream::connect(address).unwrap();
-    stream.set_read_timeout(Some(PATIENCE)).unwrap();
-    // The server may close before everything is sent, and then what it said may be lost.
+    stream.set_read_timeout(Some(TIMEOUT)).unwrap();
+    // The server may close before everything is sent; its answer may be lost then.
     let _ = stream.write_all(bytes);
     let mut answer = Vec::new();
     let _ = stream.read_to_end(&mut answer);
@@ -61,7 +64,7 @@ fn exchange(address: SocketAddr, bytes: &[u8]) -> String {
 
 #[test]
 fn browser_post_to_line_port_executes_nothing() {
-    let server = Running::start_with(ServerConfig::default());
+    let server = TestServer::start_with(ServerConfig::default());
     let body = format!("a=ver(\"2.0\")\r\nb=nene(\"{NET}\")\r\nc=nest(\"rpinet0\")\r\n");
     let length = body.len();
     let post = format!(
@@ -85,14 +88,14 @@ fn browser_post_to_line_port_executes_nothing() {
         assert!(!answer.contains("=ok("), "{text}: {answer}");
         assert_eq!(server.controller.nets(), [], "{text}");
     }
-    // The first bytes are enough.
+    // The first bytes are sufficient.
     let answer = exchange(server.tcp, b"POST /");
     assert!(answer.contains("tag=ver("), "{answer}");
 }
 
 #[test]
-fn page_of_other_origin_or_rebound_name_gets_nothing() {
-    let server = Running::start_with(ServerConfig::default());
+fn foreign_or_rebound_page_gets_nothing() {
+    let server = TestServer::start_with(ServerConfig::default());
     let port = server.http.port();
     let here = format!("127.0.0.1:{port}");
     let body = format!("dionet={NET}");
@@ -140,7 +143,7 @@ fn silent_sockets_keep_no_token_holder_out() {
             .map(|address| TcpStream::connect(address).unwrap())
             .collect()
     };
-    // Beyond what may wait, so that some of them have to leave.
+    // More than may wait, so that some are evicted.
     let mut attack = silent(80);
     let mut honest = Vec::new();
     for _ in 0..44 {
@@ -158,7 +161,7 @@ fn silent_sockets_keep_no_token_holder_out() {
 }
 
 #[test]
-fn idle_loopback_clients_leave_places_for_others() {
+fn idle_loopback_clients_leave_slots_for_others() {
     let config = ServerConfig {
         token: Some(token()),
         loopback: Some(Loopback::Open),
@@ -174,7 +177,7 @@ fn idle_loopback_clients_leave_places_for_others() {
         error.contains("too many connections: at most 64"),
         "{error}"
     );
-    // Those who show who they are have places of their own, and so have requests.
+    // Authenticated clients have slots of their own, and so have requests.
     let by_socket = Client::connect(path.to_str().unwrap());
     by_socket.unwrap().call("nse", ["local"]).unwrap();
     let by_token = Client::connect_with(&address, Some(&token()));
@@ -185,7 +188,7 @@ fn idle_loopback_clients_leave_places_for_others() {
 }
 
 #[test]
-fn wrong_tokens_of_images_lock_nobody_out() {
+fn wrong_image_tokens_lock_no_client_out() {
     let server = guarded();
     for number in 0..20 {
         let image = format!(
@@ -195,7 +198,7 @@ fn wrong_tokens_of_images_lock_nobody_out() {
         let answer = exchange(server.http, image.as_bytes());
         assert!(answer.starts_with("HTTP/1.1 403 "), "{answer}");
     }
-    // A browser that says nothing of where a request comes from has its tokens counted; even so.
+    // Without fetch metadata, wrong tokens are counted; the right one is admitted all the same.
     let guess = |number: u32| {
         let request = format!("GET /?token=wrong-{number} HTTP/1.1\r\n\r\n");
         exchange(server.http, request.as_bytes())
@@ -211,7 +214,7 @@ fn wrong_tokens_of_images_lock_nobody_out() {
     assert!(Client::connect_with(&server.tcp.to_string(), Some(&token())).is_ok());
 }
 
-/// Opens sessions until no more are given.
+/// Opens sessions until an error; returns how many.
 fn open_sessions(client: &mut Client, most: usize) -> usize {
     (0..most)
         .take_while(|_| client.call("nse", ["leaked", "keep"]).is_ok())
@@ -219,14 +222,14 @@ fn open_sessions(client: &mut Client, most: usize) -> usize {
 }
 
 #[test]
-fn leaked_sessions_make_room_for_others() {
-    let server = Running::start_with(ServerConfig::default());
+fn leaked_sessions_are_ended_for_new_clients() {
+    let server = TestServer::start_with(ServerConfig::default());
     let address = server.tcp.to_string();
     let mut opened = 0;
     while opened < 256 {
         let mut lost = Client::connect(&address).unwrap();
         let count = open_sessions(&mut lost, 64);
-        // The loss of the connection before may not have been noticed yet.
+        // The server may not have detected the loss of the previous connection yet.
         opened += count;
         if count == 0 {
             std::thread::sleep(Duration::from_millis(1));
@@ -236,13 +239,13 @@ fn leaked_sessions_make_room_for_others() {
     let mut refused = 0;
     while honest.call("nse", ["honest"]).is_err() {
         refused += 1;
-        assert!(refused < 10_000, "no session is given");
+        assert!(refused < 10_000, "no session is opened");
         std::thread::sleep(Duration::from_millis(1));
     }
 }
 
 #[test]
-fn sessions_of_one_client_leave_room_for_others() {
+fn one_client_cannot_take_all_sessions() {
     let (server, path) = with_socket("sessions", ServerConfig::default());
     let address = server.tcp.to_string();
     let mut greedy: Vec<_> = (0..4).map(|_| Client::connect(&address).unwrap()).collect();
