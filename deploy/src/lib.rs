@@ -9,21 +9,21 @@ pub const SYSUSERS: &str = include_str!("../sysusers/takt.conf");
 pub const UDEV_RULES: &str = include_str!("../udev/60-takt.rules");
 /// Kernel settings.
 pub const SYSCTL: &str = include_str!("../sysctl/60-takt.conf");
-/// A cell to begin with.
+/// A default cell.
 pub const CELL: &str = include_str!("../config/cell.toml");
-/// Limits of people who run takt at a terminal.
+/// Limits for users who run takt at a terminal.
 pub const LIMITS: &str = include_str!("../limits/takt.conf");
 
-/// A file and the place it is installed at.
+/// A file and its installed path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct InstalledFile {
-    /// Absolute, on the host.
+    /// Absolute path on the host.
     pub path: &'static str,
-    /// All of it.
+    /// Content.
     pub text: &'static str,
 }
 
-/// Everything an installation puts in place beside the program.
+/// All files of an installation except the program.
 pub const FILES: [InstalledFile; 6] = [
     InstalledFile {
         path: "/usr/lib/systemd/system/takt.service",

@@ -1,5 +1,4 @@
-//! The installed files say what cycles need and nothing that takes it away. Installs nothing and
-//! starts no service.
+//! The installed files grant what cycles need and nothing that interferes with them. Installs nothing and starts no service.
 
 #![expect(
     clippy::unwrap_used,
@@ -20,8 +19,8 @@ fn settings(text: &str) -> impl Iterator<Item = &str> {
         .filter(|line| !line.is_empty() && !line.starts_with('#'))
 }
 
-/// Values by name; no directive of the unit stands twice but the filter of system calls, whose lines
-/// add up and are looked at by themselves.
+/// Values by name; each directive of the unit occurs once, except the system call filter, whose lines add up and are
+/// checked separately.
 fn unit() -> HashMap<&'static str, &'static str> {
     let mut found = HashMap::new();
     for (name, value) in settings(SERVICE).filter_map(|line| line.split_once('=')) {
@@ -42,7 +41,7 @@ fn filters() -> Vec<&'static str> {
 }
 
 #[test]
-fn nothing_takes_real_time_away() {
+fn unit_keeps_real_time() {
     let unit = unit();
     for (name, why) in [
         ("RestrictRealtime", "refuses SCHED_FIFO"),
@@ -50,24 +49,21 @@ fn nothing_takes_real_time_away() {
         ("PrivateNetwork", "hides the buses"),
         (
             "CPUSchedulingPolicy",
-            "raises every thread, not only those of cycles",
+            "raises every thread, not only cycle threads",
         ),
         ("CPUQuota", "pauses cycles"),
         ("LimitRTTIME", "kills a thread that works long"),
         ("DynamicUser", "breaks file ownership"),
-        (
-            "ProtectClock",
-            "narrows the devices further than DeviceAllow says",
-        ),
+        ("ProtectClock", "restricts devices further than DeviceAllow"),
     ] {
         assert!(!unit.contains_key(name), "{name} {why}");
     }
-    // A denied group may hold scheduler calls, as "resources" does; this one holds none.
+    // A denied group may contain scheduler calls, as "resources" does; this one contains none.
     assert_eq!(filters(), ["@system-service", "~@privileged"]);
 }
 
 #[test]
-fn sandbox_leaves_what_cycles_need() {
+fn unit_sandbox_permits_cycles() {
     let unit = unit();
     for (name, value) in [
         ("LimitRTPRIO", "95"),
@@ -91,7 +87,7 @@ fn sandbox_leaves_what_cycles_need() {
 }
 
 #[test]
-fn service_manager_and_program_agree() {
+fn unit_matches_program() {
     let unit = unit();
     assert_eq!(unit["Type"], "notify");
     assert_eq!(unit["NotifyAccess"], "main");
@@ -101,28 +97,28 @@ fn service_manager_and_program_agree() {
         unit["ExecStart"],
         "/usr/bin/takt run --config /etc/takt/cell.toml"
     );
-    // Robots get thirteen seconds to come to rest; the watchdog must not bite, nor the stop be cut short.
+    // Robots have thirteen seconds to stop; the watchdog must not fire, nor the stop be cut short.
     let seconds = |name: &str| unit[name].parse::<u32>().unwrap();
     assert!(seconds("TimeoutStopSec") > 13);
     assert!((2..=10).contains(&seconds("WatchdogSec")));
 }
 
 #[test]
-fn failure_starts_it_again_but_not_a_wrong_cell() {
+fn unit_restarts_except_for_invalid_cell() {
     let unit = unit();
     assert_eq!(unit["Restart"], "on-failure");
     assert_eq!(unit["RestartPreventExitStatus"], "78");
-    // Or a robot's interface that comes late would find no controller.
+    // Otherwise a robot's interface that appears late would find no controller.
     assert_eq!(unit["StartLimitIntervalSec"], "0");
     assert_eq!(unit["Wants"], "network-online.target");
     assert_eq!(unit["After"], unit["Wants"]);
 }
 
-/// Score of `systemd-analyze security`, in tenths; lower is better. What is left is in the README.
+/// Score of `systemd-analyze security`, in tenths; lower is better. The README lists what remains.
 const EXPOSURE_MAX: u32 = 25;
 
 #[test]
-fn exposure_is_as_stated() {
+fn unit_exposure_within_limit() {
     let unit = written_unit("exposure");
     let mut analyze = Command::new("systemd-analyze");
     analyze.args(["security", "--no-pager", "--offline=yes"]);
@@ -132,7 +128,7 @@ fn exposure_is_as_stated() {
         .output();
     fs::remove_dir_all(unit.parent().unwrap()).unwrap();
     let Ok(output) = output else {
-        skip("exposure_is_as_stated", "needs systemd-analyze");
+        skip("unit_exposure_within_limit", "needs systemd-analyze");
         return;
     };
     let said = String::from_utf8_lossy(&output.stdout);
@@ -141,10 +137,10 @@ fn exposure_is_as_stated() {
 }
 
 #[test]
-fn package_puts_every_file_where_it_says() {
+fn package_installs_files_at_stated_paths() {
     let manifest = read("Cargo.toml");
     assert!(manifest.contains("unit-name = \"takt\""));
-    // The unit goes with its folder, to where systemd looks.
+    // The unit is installed with its folder, to systemd's unit path.
     for file in FILES.iter().filter(|file| file.text != SERVICE) {
         let (folder, name) = file.path.rsplit_once('/').unwrap();
         let folder = folder.trim_start_matches('/');
@@ -160,7 +156,7 @@ fn package_puts_every_file_where_it_says() {
 }
 
 #[test]
-fn package_has_the_version_of_the_workspace() {
+fn package_version_is_workspace_version() {
     let version = env!("CARGO_PKG_VERSION");
     let changelog = read("debian/changelog");
     assert!(
@@ -191,7 +187,7 @@ fn maintainer_scripts_are_shell() {
             "{name}"
         );
     }
-    // A purge takes what the service kept; a removal does not.
+    // A purge removes the service's state; a removal does not.
     let postrm = read("debian/postrm");
     let purge = postrm.split("if [ \"$1\" = purge ]").nth(1).unwrap();
     assert!(purge.contains("/var/lib/takt") && postrm.matches("/var/lib/takt").count() == 1);
@@ -202,7 +198,7 @@ fn read(name: &str) -> String {
 }
 
 #[test]
-fn all_files_speak_of_the_same_account_and_limits() {
+fn files_agree_on_account_and_limits() {
     assert!(settings(SYSUSERS).any(|line| line.starts_with("u takt ")));
     assert_eq!((unit()["User"], unit()["Group"]), ("takt", "takt"));
     assert!(settings(UDEV_RULES).all(|line| line.contains("GROUP=\"takt\"")));
@@ -213,7 +209,7 @@ fn all_files_speak_of_the_same_account_and_limits() {
 }
 
 #[test]
-fn kernel_settings_are_well_formed_and_leave_throttling_on() {
+fn sysctl_is_well_formed_and_keeps_throttling() {
     for line in settings(SYSCTL) {
         let (name, value) = line.split_once(" = ").unwrap();
         assert!(
@@ -225,7 +221,7 @@ fn kernel_settings_are_well_formed_and_leave_throttling_on() {
 }
 
 #[test]
-fn every_file_is_listed() {
+fn files_are_all_listed() {
     let mut count = 0;
     for folder in ["systemd", "sysusers", "udev", "sysctl", "limits", "config"] {
         for entry in fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join(folder)).unwrap() {
@@ -234,7 +230,7 @@ fn every_file_is_listed() {
             let file = FILES.iter().find(|file| file.text == text).unwrap();
             assert!(
                 text.contains(file.path),
-                "{} does not say where it goes",
+                "{} does not state its path",
                 path.display()
             );
             assert_eq!(Path::new(file.path).file_name(), path.file_name());
@@ -246,7 +242,7 @@ fn every_file_is_listed() {
 
 /// The unit in a folder of its own.
 fn written_unit(what: &str) -> PathBuf {
-    // The program is not installed where tests run, and systemd looks for it.
+    // The program is not installed where tests run, and systemd checks for it.
     let text = SERVICE.replace("/usr/bin/takt", "/bin/true");
     assert_ne!(text, SERVICE);
     let folder = std::env::temp_dir().join(format!("takt-unit-{what}-{}", std::process::id()));
@@ -257,7 +253,7 @@ fn written_unit(what: &str) -> PathBuf {
 }
 
 #[test]
-fn systemd_accepts_the_unit() {
+fn unit_is_accepted_by_systemd() {
     let path = written_unit("verify");
     let output = Command::new("systemd-analyze")
         .args(["verify", "--man=no"])
@@ -265,10 +261,10 @@ fn systemd_accepts_the_unit() {
         .output();
     fs::remove_dir_all(path.parent().unwrap()).unwrap();
     let Ok(output) = output else {
-        skip("systemd_accepts_the_unit", "needs systemd-analyze");
+        skip("unit_is_accepted_by_systemd", "needs systemd-analyze");
         return;
     };
-    // It speaks of other units of the host, too.
+    // It reports other units of the host, too.
     let said = String::from_utf8_lossy(&output.stderr);
     let ours: Vec<&str> = said
         .lines()
@@ -278,7 +274,7 @@ fn systemd_accepts_the_unit() {
 }
 
 #[test]
-fn memory_limit_leaves_room_for_nets() {
+fn unit_memory_limit_exceeds_net_limit() {
     let limit = SERVICE.lines().find_map(|line| {
         let mib: u32 = line
             .strip_prefix("MemoryMax=")?

@@ -1,8 +1,8 @@
-//! From a datagram received to its answer ready, in process: decoding, session, guards, encoding. `cargo bench -p takt-fri`.
+//! Time from a received datagram to its answer, in process: decoding, session, guards, encoding. `cargo bench -p takt-fri`.
 //!
-//! The baseline is what a C client with a fixed layout does at least: copy the datagram into a struct, copy a prepared answer out,
-//! with the two counters patched. It checks nothing and for Sunrise could not work at all, for its messages have no fixed
-//! layout; so the ratio is an upper bound of what safety costs. Each sample includes one reading of the clock, on both
+//! The baseline is the minimum of a C client with a fixed layout: copy the datagram into a struct, copy a prepared answer out,
+//! with the two counters patched. It checks nothing and could not work for Sunrise, whose messages have no fixed layout; so the
+//! ratio is an upper bound of the cost of the checks. Each sample includes one reading of the clock, on both
 //! sides. The last line is JSON.
 #![expect(clippy::print_stdout, reason = "a benchmark prints its result")]
 

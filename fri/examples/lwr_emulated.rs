@@ -1,6 +1,6 @@
-//! A session commands an emulated LWR over a wire that loses 1 % of all datagrams, in virtual time: no hardware, no wait.
+//! A session commands an emulated LWR over a wire that loses 1 % of all datagrams, in virtual time: no hardware, no waiting.
 //! It is no real-time program.
-#![expect(clippy::print_stdout, reason = "an example talks to its reader")]
+#![expect(clippy::print_stdout, reason = "examples print results")]
 
 use std::time::Duration;
 use takt_fri::lwr::emulator::{Faults, Krc, KrcConfig, LineFaults, PowerOff};
@@ -65,7 +65,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Swings A1 by 0.4 rad from wherever the robot was when it began to follow.
+/// Swings A1 by 0.4 rad from the position at the start of command mode.
 #[derive(Default)]
 struct Swing {
     began: Option<(Duration, [f64; AXES])>,

@@ -1,6 +1,6 @@
-//! A session presses an emulated iiwa onto a table by Cartesian impedance and a wrench, and the table goes away; over a wire that
-//! loses 1 % of all datagrams, in virtual time: no hardware, no wait. It is no real-time program.
-#![expect(clippy::print_stdout, reason = "an example talks to its reader")]
+//! A session presses an emulated iiwa onto a table by Cartesian impedance and a wrench, then removes the table; over a wire that
+//! loses 1 % of all datagrams, in virtual time: no hardware, no waiting. It is no real-time program.
+#![expect(clippy::print_stdout, reason = "examples print results")]
 
 use std::time::Duration;
 use takt_fri::sunrise::emulator::{
@@ -11,7 +11,7 @@ use takt_fri::sunrise::{Demand, Event, Session, SessionConfig};
 
 const TABLE_GOES: Duration = Duration::from_secs(3);
 const END: Duration = Duration::from_secs(4);
-const TELL_EVERY: Duration = Duration::from_millis(250);
+const PRINT_PERIOD: Duration = Duration::from_millis(250);
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut cabinet = Cabinet::new(config(), Duration::ZERO);
@@ -24,7 +24,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         damping: 50.0,
     });
     let mut session = Session::new(SessionConfig::default());
-    let (mut buf, mut told) = ([0; MESSAGE_MAX], Duration::ZERO);
+    let (mut buf, mut next_print) = ([0; MESSAGE_MAX], Duration::ZERO);
     while cabinet.poll_timeout() < END {
         let now = cabinet.poll_timeout();
         if now >= TABLE_GOES {
@@ -48,8 +48,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 cabinet.handle_datagram(&buf[..answer.len], now)?;
             }
         }
-        if now >= told {
-            told += TELL_EVERY;
+        if now >= next_print {
+            next_print += PRINT_PERIOD;
             let ([_, _, z], [_, _, force]) = (cabinet.flange(), cabinet.force());
             let millimetres = (z - height) * 1e3;
             println!(

@@ -22,13 +22,13 @@ pub use takt_link::capture::CaptureError;
 /// A UDP datagram of a recording.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Datagram {
-    /// When it was seen, as the recording counts: usually since 1970.
+    /// Time stamp of the recording: usually since 1970.
     pub at: Duration,
-    /// Who sent it.
+    /// Sender.
     pub from: SocketAddrV4,
-    /// To whom.
+    /// Receiver.
     pub to: SocketAddrV4,
-    /// What was in it.
+    /// Payload.
     pub bytes: Vec<u8>,
 }
 
@@ -75,7 +75,7 @@ impl<W: Write> Writer<W> {
         Ok(self.0.write(datagram.at, &datagram.to_packet())?)
     }
 
-    /// Gives back what was written to.
+    /// Returns the inner writer.
     #[must_use]
     pub fn into_inner(self) -> W {
         self.0.into_inner()
@@ -96,7 +96,7 @@ impl<R: Read> Reader<R> {
     /// Reads the header of the file.
     ///
     /// # Errors
-    /// If it cannot be read or begins like no recording.
+    /// If it cannot be read or is not a recording.
     pub fn new(from: R) -> Result<Self, CaptureError> {
         Ok(Self {
             packets: takt_link::capture::Reader::new(from)?,
@@ -105,13 +105,13 @@ impl<R: Read> Reader<R> {
         })
     }
 
-    /// Packets passed over because they hold no whole UDP datagram.
+    /// Packets skipped because they hold no whole UDP datagram.
     #[must_use]
     pub const fn skipped(&self) -> u64 {
         self.skipped
     }
 
-    /// Where the recording is cut off; known when the reading has ended.
+    /// Where the recording is cut off; known once reading has ended.
     #[must_use]
     pub const fn cut(&self) -> Option<Cut> {
         self.packets.cut()
@@ -146,7 +146,7 @@ impl<R: Read> Iterator for Reader<R> {
     }
 }
 
-/// A datagram as a value.
+/// A decoded datagram.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Decoded {
     /// Measurement of FRI 1.0.
@@ -177,7 +177,7 @@ pub enum Decoded {
 }
 
 impl Decoded {
-    /// Reads a datagram of any kind.
+    /// Decodes a datagram of any kind.
     #[must_use]
     pub fn of(bytes: &[u8]) -> Self {
         Self::decode(bytes).unwrap_or_else(Self::Refused)
@@ -196,7 +196,7 @@ impl Decoded {
                 message: Box::new(Command::decode(unframe(bytes)?.1)?),
             },
             Kind::Unknown => {
-                // Damaged by a bit: told as what is wrong with it.
+                // A flipped bit: reported as the checksum error it is.
                 if let Err(error @ DecodeError::Checksum { .. }) = unframe(bytes) {
                     return Err(error);
                 }

@@ -1,4 +1,4 @@
-//! Enums over the coded fields of both generations. Codes we do not know are kept, not judged.
+//! Enums for the coded fields of both generations. Unknown codes are kept.
 
 /// Declares an enum over an integer code that loses no value.
 macro_rules! codes {

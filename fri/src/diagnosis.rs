@@ -1,5 +1,5 @@
-//! Who is late: the network, this host or the controller. A pure judgement of what was observed, and the observer that counts it
-//! from live datagrams or a recording. It sends nothing and knows no socket.
+//! Finds which of network, host and controller is late: a pure function of the observed counters, and the observer that
+//! collects them from live datagrams or a recording. It sends nothing and opens no socket.
 
 use crate::sequence::{Order, Tracker};
 use std::fmt;
@@ -11,64 +11,64 @@ mod recording;
 #[cfg(test)]
 mod tests;
 
-/// Jumps of a counter up to this width are loss, wider ones a restart.
+/// Counter jumps up to this width are loss, wider ones a restart.
 const COUNTER_WINDOW: u16 = 50;
-/// Measurements below which nothing can be said.
+/// Fewer measurements than this give no verdict.
 const FEW: u64 = 100;
-/// Share of measurements or answers above which loss or lateness is named.
+/// Share of measurements or answers above which loss or lateness is reported.
 const SHARE: f64 = 0.005;
-/// Share of the period above which irregular arrival is named.
+/// Share of the period above which irregular arrival is reported.
 const IRREGULAR: f64 = 0.2;
 
-/// What was seen of one connection, with times on this host's clock unless said otherwise.
+/// Counters of one connection, with times on this host's clock unless noted otherwise.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Observed {
-    /// Period of measurements as the controller states it; zero if it was never told.
+    /// Measurement period as the controller states it; zero before the first measurement.
     pub period: Duration,
-    /// Measurements that came.
+    /// Measurements received.
     pub measurements: u64,
-    /// Measurements that did not come, by the controller's counter.
+    /// Measurements lost, by the controller's counter.
     pub lost: u64,
     /// Copies, and measurements overtaken by newer ones.
     pub disordered: u64,
-    /// Times the controller started again.
+    /// Controller restarts.
     pub restarts: u64,
     /// Answers sent.
     pub answers: u64,
-    /// Measurements that were answered later than half a period after they came, or not at all although one was due.
+    /// Measurements answered later than half a period after arrival, or not at all although an answer was due.
     pub late: u64,
-    /// Measurements that reflect an answer of this host: the controller heard it.
-    pub heard: u64,
-    /// Measurements that reflect a new answer which this host did not send.
-    pub strange: u64,
+    /// Measurements that reflect an answer of this host: the controller received it.
+    pub acknowledged: u64,
+    /// Measurements that reflect a new answer of another client.
+    pub foreign: u64,
     /// Longest time from a measurement to its answer.
     pub answer_time_max: Duration,
-    /// Mean deviation of the time between measurements from the period, each side by its own clock: arrival here.
+    /// Mean deviation of the interval between arrivals from the period, each on its own clock.
     pub arrival_jitter: Duration,
-    /// The same by the time stamps in the measurements; `None` if they carry none fine enough.
+    /// The same by the controller's time stamps; `None` if they are missing or too coarse.
     pub stamp_jitter: Option<Duration>,
-    /// Share of measurements answered in time as the controller counts, 0..=1; Sunrise does not tell.
+    /// Share of measurements answered in time by the controller's count, 0..=1; not available for Sunrise.
     pub answer_rate: Option<f64>,
-    /// Whether the controller's quality suffices for commands.
+    /// Whether the quality that the controller reports suffices for commands.
     pub is_good: bool,
 }
 
-/// Who is to blame, with the figures.
+/// The cause of bad timing, with the figures.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Verdict {
-    /// No measurement came.
+    /// No measurement received.
     Silent,
-    /// Too few measurements to judge.
+    /// Too few measurements for a verdict.
     TooFew {
-        /// How many came.
+        /// Number of measurements received.
         measurements: u64,
     },
-    /// Nobody answers the controller.
+    /// No client answers the controller.
     Unanswered,
     /// Another client answers the controller too.
     SecondClient {
         /// Share of measurements that reflect an answer of another client, 0..=1.
-        strange: f64,
+        foreign: f64,
     },
     /// This host answers late.
     Host {
@@ -77,38 +77,38 @@ pub enum Verdict {
         /// Longest time to an answer.
         worst: Duration,
     },
-    /// The controller heard no answer of this host.
-    Unheard,
+    /// The controller received no answer of this host.
+    NotReceived,
     /// The controller sends irregularly.
     Controller {
-        /// Mean deviation of its own time stamps from its period.
+        /// Mean deviation of its time stamps from the period.
         jitter: Duration,
     },
-    /// Measurements are lost or disordered on their way here.
-    NetworkHither {
+    /// Measurements are lost or disordered on the way to this host.
+    NetworkInbound {
         /// Share of measurements lost, 0..=1.
         lost: f64,
         /// Copies and measurements overtaken.
         disordered: u64,
     },
-    /// Measurements arrive irregularly that left regularly.
+    /// Measurements that left regularly arrive irregularly.
     NetworkJitter {
         /// Mean deviation of arrivals from the period.
         jitter: Duration,
     },
     /// Answers are lost on their way to the controller.
-    NetworkThither {
-        /// Share of answers that left in time and that the controller misses, 0..=1.
+    NetworkOutbound {
+        /// Share of answers that left in time and did not reach the controller, 0..=1.
         missing: f64,
     },
-    /// All in time as seen from here, and the controller disagrees without saying why.
+    /// Everything is in time at this host, yet the controller reports insufficient quality.
     Unexplained,
-    /// Nothing to complain about.
+    /// No finding.
     Good,
 }
 
-/// Judges what was observed. The first of the verdicts that holds, in the order of [`Verdict`]: what is nearest to this host first,
-/// for it can be mended here; but where more measurements are lost or disordered than answered late, the network.
+/// Returns the first verdict that holds, in the order of [`Verdict`]: causes nearest to this host come first because
+/// they can be fixed here. The network takes precedence where more measurements are lost or disordered than answered late.
 #[must_use]
 pub fn judge(observed: &Observed) -> Verdict {
     let Observed {
@@ -129,27 +129,27 @@ pub fn judge(observed: &Observed) -> Verdict {
     if observed.answers == 0 {
         return Verdict::Unanswered;
     }
-    if worse(observed.strange, measurements) {
-        let strange = share(observed.strange, measurements);
-        return Verdict::SecondClient { strange };
+    if worse(observed.foreign, measurements) {
+        let foreign = share(observed.foreign, measurements);
+        return Verdict::SecondClient { foreign };
     }
     let is_hither = worse(lost, measurements + lost) || worse(disordered, measurements);
-    // Of a measurement that is overtaken at once the host cannot help the lateness.
+    // The host cannot answer in time a measurement that is overtaken at once.
     let is_theirs = is_hither && lost + disordered > observed.late;
     if worse(observed.late, measurements) && !is_theirs {
         let late = share(observed.late, measurements);
         let worst = observed.answer_time_max;
         return Verdict::Host { late, worst };
     }
-    if observed.heard == 0 && observed.answers >= FEW {
-        return Verdict::Unheard;
+    if observed.acknowledged == 0 && observed.answers >= FEW {
+        return Verdict::NotReceived;
     }
     if let Some(jitter) = observed.stamp_jitter.filter(|it| *it > irregular) {
         return Verdict::Controller { jitter };
     }
     if is_hither {
         let lost = share(lost, measurements + lost);
-        return Verdict::NetworkHither { lost, disordered };
+        return Verdict::NetworkInbound { lost, disordered };
     }
     if observed.arrival_jitter > irregular {
         let jitter = observed.arrival_jitter;
@@ -162,7 +162,7 @@ fn judge_answers(observed: &Observed) -> Verdict {
     let ours =
         share(observed.late, observed.measurements) + share(observed.lost, observed.measurements);
     match observed.answer_rate.map(|rate| 1.0 - rate - ours) {
-        Some(missing) if missing > 2.0 * SHARE => Verdict::NetworkThither { missing },
+        Some(missing) if missing > 2.0 * SHARE => Verdict::NetworkOutbound { missing },
         Some(_) | None if observed.is_good => Verdict::Good,
         Some(_) | None => Verdict::Unexplained,
     }
@@ -174,13 +174,13 @@ fn share(part: u64, of: u64) -> f64 {
 }
 
 impl Verdict {
-    /// Whether there is nothing to complain about.
+    /// Whether there is no finding.
     #[must_use]
     pub fn is_good(&self) -> bool {
         *self == Self::Good
     }
 
-    /// What to do.
+    /// How to fix it.
     #[must_use]
     pub fn remedy(&self) -> &'static str {
         match self {
@@ -188,27 +188,27 @@ impl Verdict {
                 "check that the robot program opened FRI, the address and port it sends to, the netmask and this host's firewall"
             }
             Self::TooFew { .. } => "observe for longer",
-            Self::Unanswered => "start the driver, or look for another program that took the port",
+            Self::Unanswered => "start the driver, or check which other program uses the port",
             Self::SecondClient { .. } => {
                 "find the other client and stop it: an old driver still running, or a PC with this host's address"
             }
-            Self::Unheard => {
-                "check this host's route and netmask towards the controller, firewalls on the way, and that the controller is set to this very address"
+            Self::NotReceived => {
+                "check this host's route and netmask towards the controller, firewalls in between, and that the controller sends to this address"
             }
             Self::Host { .. } => {
                 "give the driver real-time priority and a processor of its own, see `takt doctor`; lengthen the period if that does not suffice"
             }
             Self::Controller { .. } => {
-                "look for other work on the controller: another option package, a debugger, a full log"
+                "check the controller for other load: another option package, a debugger, a full log"
             }
-            Self::NetworkHither { .. } | Self::NetworkThither { .. } => {
-                "use a cable of your own between robot and host, no switch, no wireless; replace it and look at `ip -s link`"
+            Self::NetworkInbound { .. } | Self::NetworkOutbound { .. } => {
+                "use a cable of your own between robot and host, no switch, no wireless; replace it and check `ip -s link`"
             }
             Self::NetworkJitter { .. } => {
                 "take other traffic off this link, and turn interrupt coalescing off: `ethtool -C`"
             }
             Self::Unexplained => {
-                "compare the period with what the controller expects, and look for a second client that answers too"
+                "compare the period with what the controller expects, and check for a second client"
             }
             Self::Good => "nothing",
         }
@@ -219,14 +219,14 @@ impl fmt::Display for Verdict {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let percent = |share: f64| share * 100.0;
         match *self {
-            Self::Silent => write!(f, "no measurement came"),
-            Self::TooFew { measurements } => write!(f, "only {measurements} measurements came"),
-            Self::Unanswered => write!(f, "nobody answers the controller"),
-            Self::SecondClient { strange } => {
+            Self::Silent => write!(f, "no measurement received"),
+            Self::TooFew { measurements } => write!(f, "only {measurements} measurements received"),
+            Self::Unanswered => write!(f, "no client answers the controller"),
+            Self::SecondClient { foreign } => {
                 write!(f, "another client answers the controller too: ")?;
-                write!(f, "{:.1} % of what it heard", percent(strange))
+                write!(f, "{:.1} % of the answers it received", percent(foreign))
             }
-            Self::Unheard => write!(f, "the controller hears no answer of this host"),
+            Self::NotReceived => write!(f, "the controller does not receive this host's answers"),
             Self::Host { late, worst } => {
                 write!(f, "this host is late: {:.1} % of answers, ", percent(late))?;
                 write!(f, "the worst after {worst:.1?}")
@@ -237,7 +237,7 @@ impl fmt::Display for Verdict {
                     "the controller is irregular: {jitter:.1?} by its own stamps"
                 )
             }
-            Self::NetworkHither { lost, disordered } => {
+            Self::NetworkInbound { lost, disordered } => {
                 write!(
                     f,
                     "the network loses measurements: {:.1} %, ",
@@ -248,43 +248,46 @@ impl fmt::Display for Verdict {
             Self::NetworkJitter { jitter } => {
                 write!(f, "the network is irregular: {jitter:.1?} on arrival")
             }
-            Self::NetworkThither { missing } => {
+            Self::NetworkOutbound { missing } => {
                 write!(f, "the network loses answers: {:.1} %", percent(missing))
             }
-            Self::Unexplained => write!(f, "all in time here, but quality does not suffice"),
+            Self::Unexplained => write!(
+                f,
+                "all answers in time, but the controller reports insufficient quality"
+            ),
             Self::Good => write!(f, "good"),
         }
     }
 }
 
-/// One measurement, whatever its generation.
+/// One measurement of either generation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Measurement {
-    /// When it came.
+    /// Time of arrival.
     pub at: Duration,
     /// The controller's counter.
     pub sequence: u32,
-    /// Counter of the answer that the controller heard last.
+    /// Counter of the last answer that the controller received.
     pub reflected: u32,
     /// The controller's time stamp, if it is finer than a tenth of the period.
     pub stamp: Option<Duration>,
-    /// Period as stated.
+    /// Stated period.
     pub period: Duration,
-    /// Whether it wants an answer: every one, or every `receiveMultiplier`-th.
+    /// Whether an answer is due: to every measurement, or to every `receiveMultiplier`-th.
     pub is_due: bool,
     /// As in [`Observed::answer_rate`].
     pub answer_rate: Option<f64>,
-    /// Whether quality suffices for commands.
+    /// Whether the quality suffices for commands.
     pub is_good: bool,
 }
 
-/// Counts what one connection does; no allocation, so that a driver may hold one.
+/// Counts the events of one connection. It does not allocate, so that a driver may own one.
 #[derive(Debug, Clone)]
 pub struct Observer {
     tracker: Tracker,
     observed: Observed,
     last: Option<Measurement>,
-    /// When the last measurement came that wants an answer and has none.
+    /// Arrival of the last measurement whose answer is due and not yet sent.
     waiting: Option<Duration>,
     /// Counter of the newest answer.
     sent: Option<u32>,
@@ -335,7 +338,7 @@ impl Observer {
         }
     }
 
-    /// Takes a measurement that came.
+    /// Counts a received measurement.
     pub fn handle_measurement(&mut self, measurement: Measurement) {
         let observed = &mut self.observed;
         observed.measurements += 1;
@@ -376,24 +379,24 @@ impl Observer {
         }
     }
 
-    /// What the controller heard last is one of our last answers, or the one it heard before, or a stranger's.
+    /// The reflected counter belongs to a recent answer of this host, is unchanged, or belongs to another client.
     fn handle_reflection(&mut self, reflected: u32) {
         let Some(sent) = self.sent else {
             return;
         };
-        // Newer than the newest, too: a recording may miss answers.
+        // A counter newer than the newest answer is ours, too: a recording may miss answers.
         let tracker = &self.tracker;
         let apart = tracker
             .distance(reflected, sent)
             .min(tracker.distance(sent, reflected));
         if apart <= u32::from(COUNTER_WINDOW) {
-            self.observed.heard += 1;
+            self.observed.acknowledged += 1;
         } else if self.last.is_some_and(|last| last.reflected != reflected) {
-            self.observed.strange += 1;
+            self.observed.foreign += 1;
         }
     }
 
-    /// Takes an answer that was sent, with its counter.
+    /// Counts a sent answer with its counter.
     pub fn handle_answer(&mut self, at: Duration, sequence: u32) {
         self.observed.answers += 1;
         self.sent = Some(sequence);
@@ -405,7 +408,7 @@ impl Observer {
         self.observed.late += u64::from(took > self.observed.period / 2);
     }
 
-    /// What was seen so far.
+    /// Counters so far.
     #[must_use]
     pub fn observed(&self) -> Observed {
         Observed {
@@ -415,7 +418,7 @@ impl Observer {
         }
     }
 
-    /// The verdict on what was seen so far.
+    /// Verdict on the counters so far.
     #[must_use]
     pub fn verdict(&self) -> Verdict {
         judge(&self.observed())

@@ -1,5 +1,5 @@
-//! What the emulated controllers of both generations share: an unreliable wire, repeatable randomness, the controller's
-//! time grid and its judgement of timing, the arm and what it touches. No protocol.
+//! Shared by the emulated controllers of both generations: an unreliable wire, repeatable randomness, the controller's
+//! time grid and timing statistics, the arm and its contact. No protocol.
 
 mod arm;
 mod body;
@@ -18,7 +18,7 @@ mod window;
 
 pub(crate) use arm::Arm;
 pub(crate) use body::{Body, INERTIA, Law};
-pub(crate) use chain::{Chain, Place};
+pub(crate) use chain::{Chain, Pose};
 pub use contact::{Contact, Shape};
 pub use faults::{LineFaults, PowerOff};
 pub(crate) use grid::Grid;
@@ -28,7 +28,7 @@ pub(crate) use rng::Rng;
 #[cfg(target_os = "linux")]
 pub use serve::serve;
 pub(crate) use served::served;
-pub(crate) use status::Shown;
+pub(crate) use status::Snapshot;
 pub use status::{Served, Status};
 pub use window::Timing;
 pub(crate) use window::Window;

@@ -1,4 +1,4 @@
-//! Why a datagram was refused, in values small enough for the cycle thread. It holds no text: `Display` makes it.
+//! Decode and encode errors, small enough for the cycle thread. They hold no text: `Display` formats it.
 
 use crate::generation::Kind;
 use crate::sunrise::wire::Dialect;
@@ -9,10 +9,10 @@ use crate::sunrise::wire::Dialect;
 pub enum DecodeError {
     /// The datagram has another length than the one fixed by the layout.
     #[error(
-        "datagram of {actual} bytes, expected {expected}: does the other side speak this generation of FRI?"
+        "datagram of {actual} bytes, expected {expected}: check the FRI generation of the peer"
     )]
     Length {
-        /// Bytes the layout prescribes.
+        /// Length that the layout prescribes.
         expected: usize,
         /// Bytes received.
         actual: usize,
@@ -20,7 +20,7 @@ pub enum DecodeError {
     /// The length field inside the datagram contradicts the layout.
     #[error("packetSize {actual} at offset {offset}, expected {expected}")]
     PacketSize {
-        /// Bytes the layout prescribes.
+        /// Length that the layout prescribes.
         expected: u16,
         /// Value received.
         actual: u16,
@@ -39,22 +39,22 @@ pub enum DecodeError {
         /// Byte offset of the field.
         offset: usize,
     },
-    /// The datagram is a sound one of another kind than the one due here.
+    /// The datagram is valid, but of another kind than expected.
     #[error("{found}, expected {expected}: {}", found.remedy(*expected))]
     Foreign {
-        /// What was due.
+        /// Expected kind.
         expected: Kind,
-        /// What came.
+        /// Received kind.
         found: Kind,
     },
-    /// The controller speaks another dialect than the one asked for.
+    /// The controller speaks another dialect than configured.
     #[error(
-        "the controller speaks {actual}, this session was told to speak {expected}: correct the setting or leave it to detection"
+        "the controller speaks {actual}, this session is configured for {expected}: correct the setting or leave it to detection"
     )]
     Dialect {
-        /// What the session was told.
+        /// Configured dialect.
         expected: Dialect,
-        /// What the controller speaks.
+        /// Dialect of the controller.
         actual: Dialect,
     },
     /// The datagram begins neither with a message header nor with the length of its message.
@@ -64,7 +64,7 @@ pub enum DecodeError {
         actual: usize,
     },
     /// The checksum of a framed message is wrong.
-    #[error("CRC-32 {stated:#010x} of the message, computed {computed:#010x}: damaged on the way")]
+    #[error("CRC-32 {stated:#010x} of the message, computed {computed:#010x}: damaged in transit")]
     Checksum {
         /// Value in the datagram.
         stated: u32,
@@ -96,7 +96,7 @@ pub enum DecodeError {
     Count {
         /// Its name in the schema.
         field: &'static str,
-        /// Values due.
+        /// Expected number.
         expected: usize,
         /// Values received.
         actual: usize,
@@ -106,10 +106,10 @@ pub enum DecodeError {
     TooMany {
         /// Its name in the schema.
         field: &'static str,
-        /// Largest number allowed.
+        /// Largest allowed number.
         max: usize,
     },
-    /// The message identifier is another one.
+    /// The message identifier differs.
     #[error("messageIdentifier {actual:#x}, expected {expected:#x}: another direction or version")]
     MessageId {
         /// Identifier of the expected message.
@@ -126,27 +126,27 @@ pub enum EncodeError {
     /// The caller's buffer is too small.
     #[error("buffer of {actual} bytes, the datagram needs {needed}")]
     Buffer {
-        /// Bytes the datagram needs.
+        /// Length of the datagram.
         needed: usize,
-        /// Bytes the caller gave.
+        /// Length of the buffer.
         actual: usize,
     },
 }
 
-/// A session could not build its answer.
+/// A session cannot build its answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum AnswerError {
-    /// Every measurement gets exactly one answer; the last one has had it, or none has come yet.
+    /// No answer is due: every measurement gets exactly one.
     #[error("no measurement waits for an answer")]
     NothingToAnswer,
-    /// A joint value is infinite or not a number; nothing was written.
+    /// A joint value is infinite or NaN; nothing was written.
     #[error("joint {joint} (0 is A1, 2 is E1) is not a finite number")]
     NotFinite {
         /// Index of the joint, 0..=6, in the order of [`crate::lwr::JOINT_NAMES`].
         joint: usize,
     },
-    /// The datagram could not be written.
+    /// The datagram cannot be written.
     #[error(transparent)]
     Encode(#[from] EncodeError),
 }

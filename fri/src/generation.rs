@@ -1,5 +1,4 @@
-//! What a datagram is, whatever was expected: the two generations, their directions and framings tell themselves apart. It
-//! reads identifiers only, no content.
+//! Identifies a datagram: generation, direction and framing. It reads identifiers only, no content.
 
 use crate::error::DecodeError;
 use crate::lwr::wire::{Cmd, Msr};
@@ -23,12 +22,12 @@ pub enum Kind {
         /// Whether length and checksum surround the message.
         is_framed: bool,
     },
-    /// None of these.
+    /// No FRI datagram.
     Unknown,
 }
 
 impl Kind {
-    /// What `datagram` is, by its identifiers.
+    /// Identifies `datagram`.
     #[must_use]
     pub fn of(datagram: &[u8]) -> Self {
         Self::lwr(datagram)
@@ -57,7 +56,7 @@ impl Kind {
         }
     }
 
-    /// Why `datagram` was refused where `expected` was due: `error`, unless it is another kind of datagram altogether.
+    /// Error for `datagram` where `expected` was due: `error`, unless the datagram is of another kind.
     #[must_use]
     pub(crate) fn explain(expected: Self, datagram: &[u8], error: DecodeError) -> DecodeError {
         let found = Self::of(datagram);
@@ -67,18 +66,18 @@ impl Kind {
         DecodeError::Foreign { expected, found }
     }
 
-    /// What to look at when this comes where `expected` was due.
+    /// Remedy when this kind arrives where `expected` was due.
     pub(crate) fn remedy(self, expected: Self) -> &'static str {
         let expects_controller = expected.is_from_controller();
         match (self.is_from_controller(), expects_controller) {
             (true, true) | (false, false) => {
-                "the other generation of robot talks to this port: check device kind and the controller's target port"
+                "the other robot generation uses this port: check the device kind and the controller's target port"
             }
             (false, true) => {
-                "a client talks to this port, not a controller: look for a second client and for equal addresses"
+                "a client sends to this port, not a controller: check for a second client and for equal addresses"
             }
             (true, false) => {
-                "a controller talks to this port, not a client: check addresses and ports of both sides"
+                "a controller sends to this port, not a client: check addresses and ports of both sides"
             }
         }
     }

@@ -1,5 +1,5 @@
-//! Guards of what is commanded: position, speed, step, torque and wrench, each with the joint and the limit in its text. They
-//! refuse; how a robot stops then is its owner's and its controller's matter. They are no safety function.
+//! Checks commands against limits: position, speed, step, torque and wrench. A violation names joint and limit. The
+//! guard only rejects; stopping the robot is up to the caller and the controller. It is no safety function.
 
 use std::fmt;
 use std::time::Duration;
@@ -7,24 +7,24 @@ use std::time::Duration;
 /// Number of axes of both generations.
 const AXES: usize = 7;
 
-/// Components of a wrench in the order of [`crate::sunrise`]; that of the LWR has the torques in reverse order (sic).
+/// Components of a wrench in the order of [`crate::sunrise`]; the LWR has the torques in reverse order (sic).
 const COMPONENTS: [&str; 6] = ["Fx", "Fy", "Fz", "torque 1", "torque 2", "torque 3"];
 
 /// Allowance for the rounding of positions to single precision on the wire of the LWR, rad.
 const ROUNDING_RAD: f64 = 1e-6;
 
-/// Limits of what may be commanded. Infinite ones are never reached.
+/// Command limits. An infinite limit is never exceeded.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Guard {
-    /// Names of the joints, for texts.
+    /// Names of the joints, for error texts.
     pub names: [&'static str; AXES],
     /// Lowest and highest position, rad.
     pub position_rad: [[f64; 2]; AXES],
     /// Largest absolute speed between two commands, rad/s, from 0.
     pub speed_rad_per_s: [f64; AXES],
-    /// Largest change between two commands whatever the time between them, rad, from 0.
+    /// Largest change between two commands, whatever the time between them, rad, from 0.
     pub step_rad: [f64; AXES],
-    /// Deceleration by which a joint must be able to stop within its range, rad/s², above 0; infinite asks for none.
+    /// Deceleration with which a joint must be able to stop within its range, rad/s², above 0; infinite disables the check.
     pub deceleration_rad_per_s2: [f64; AXES],
     /// Largest absolute added torque, Nm, from 0.
     pub torque_nm: [f64; AXES],
@@ -33,7 +33,7 @@ pub struct Guard {
 }
 
 impl Guard {
-    /// Guards nothing but that values are numbers.
+    /// Checks only that values are finite.
     #[must_use]
     pub const fn open(names: [&'static str; AXES]) -> Self {
         Self {
@@ -66,7 +66,7 @@ impl Guard {
         if !to.is_finite() {
             return Err(Breach::NotFinite);
         }
-        // One that stands beyond its range already may stay or come back.
+        // A joint already beyond its range may stay or return.
         let [low, high] = self.position_rad[joint];
         if to < low.min(from) || to > high.max(from) {
             return Err(Breach::Position {
@@ -87,7 +87,7 @@ impl Guard {
         self.check_stop(joint, from, to, step / span_s)
     }
 
-    /// Whether a joint that comes to `to` at this speed can stop in its range.
+    /// Whether a joint at `to` with this speed can stop within its range.
     fn check_stop(&self, joint: usize, from: f64, to: f64, speed: f64) -> Result<(), Breach> {
         let [low, high] = self.position_rad[joint];
         let stop = to + speed * speed.abs() / (2.0 * self.deceleration_rad_per_s2[joint]);
@@ -109,7 +109,7 @@ impl Guard {
         torques.try_for_each(|(joint, torque)| self.check_torque_of(joint, *torque))
     }
 
-    /// Checks the torque added at one joint, 0..=6.
+    /// Checks the torque added to one joint, 0..=6.
     pub fn check_torque_of(&self, joint: usize, torque: f64) -> Result<(), Violation> {
         let limit = self.torque_nm[joint];
         if !torque.is_finite() {
@@ -159,11 +159,11 @@ pub struct Violation {
     pub joint: usize,
     /// Its name.
     pub name: &'static str,
-    /// Which limit, and by what value.
+    /// Violated limit and value.
     pub breach: Breach,
 }
 
-/// Which limit a command breaks.
+/// The violated limit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Breach {
     /// Infinite or not a number.
@@ -202,14 +202,14 @@ pub enum Breach {
         /// Highest, rad.
         high: f64,
     },
-    /// Too strong.
+    /// Torque too large.
     Torque {
         /// Commanded, Nm.
         torque: f64,
         /// Limit, Nm.
         limit: f64,
     },
-    /// Too strong.
+    /// Force or torque too large.
     Wrench {
         /// Commanded, N or Nm.
         value: f64,
@@ -282,7 +282,7 @@ mod tests {
     }
 
     #[test]
-    fn each_guard_names_joint_value_and_limit() {
+    fn guard_violation_names_joint_value_and_limit() {
         let check = |from, to, span| {
             let verdict = guard().check_joints(&joints(from), &joints(to), span);
             verdict.map_err(|violation| violation.to_string())
@@ -303,8 +303,8 @@ mod tests {
             check(1.0, 1.001, MS),
             refused("E1 commanded 1.0010 rad, range -2.0000 to 1.0000 rad")
         );
-        assert_eq!(check(1.005, 1.005, MS), Ok(()), "it stands there");
-        assert_eq!(check(1.005, 1.004, MS), Ok(()), "and comes back");
+        assert_eq!(check(1.005, 1.005, MS), Ok(()), "the joint stays");
+        assert_eq!(check(1.005, 1.004, MS), Ok(()), "the joint returns");
         assert!(check(1.005, 1.006, MS).is_err());
         assert_eq!(
             check(0.0, f64::NAN, MS),
@@ -317,7 +317,7 @@ mod tests {
                 "E1 commanded 0.9510 rad at 1.500 rad/s, too fast to stop in the range -2.0000 to 1.0000 rad"
             )
         );
-        assert_eq!(check(0.952, 0.9505, MS), Ok(()), "on its way back");
+        assert_eq!(check(0.952, 0.9505, MS), Ok(()), "moving back");
         let torque = |value| {
             guard()
                 .check_torque(&joints(value))
@@ -339,7 +339,7 @@ mod tests {
     }
 
     #[test]
-    fn an_open_guard_refuses_only_what_is_no_number() {
+    fn guard_open_rejects_only_non_finite() {
         let guard = Guard::open(crate::sunrise::JOINT_NAMES);
         assert_eq!(guard.check_joints(&joints(-1e9), &joints(1e9), MS), Ok(()));
         assert_eq!(guard.check_torque(&joints(1e9)), Ok(()));

@@ -3,6 +3,7 @@
 
 #[cfg(feature = "pcap")]
 pub mod capture;
+pub mod client;
 mod codes;
 pub mod diagnosis;
 #[cfg(feature = "emulator")]
@@ -14,6 +15,5 @@ pub mod link;
 #[cfg(target_os = "linux")]
 pub mod linux;
 pub mod lwr;
-pub mod partner;
 mod sequence;
 pub mod sunrise;

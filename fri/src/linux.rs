@@ -1,5 +1,4 @@
-//! The host: its monotonic clock and its UDP sockets. The only room that reads a clock; it has no unsafe code, `nix`
-//! carries that.
+//! Linux: the monotonic clock and UDP sockets. The only module that reads a clock; it has no unsafe code, `nix` has.
 
 mod udp;
 
@@ -9,7 +8,7 @@ use nix::time::{ClockId, clock_gettime};
 use std::io;
 use std::time::Duration;
 
-/// Time of CLOCK_MONOTONIC, the clock of every stamp in this room.
+/// Time of CLOCK_MONOTONIC, the clock of all time stamps in this module.
 pub fn monotonic() -> io::Result<Duration> {
     Ok(clock_gettime(ClockId::CLOCK_MONOTONIC)?.into())
 }

@@ -1,25 +1,25 @@
-//! Order of datagrams by their counters, of 16 bits (LWR) or 32 (Sunrise). It judges by increments only: any first value is right.
+//! Order of datagrams by their counters of 16 bits (LWR) or 32 (Sunrise). Only increments count: any first value is valid.
 
-/// Place of a datagram in the peer's sequence.
+/// Order of a datagram in the peer's sequence.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Order {
     /// The first one, or the first after silence.
     First,
-    /// Newer than all before; `lost` datagrams between are missing (0 is the normal case).
+    /// Newer than all before; `lost` datagrams are missing in between (0 is the normal case).
     Next {
-        /// Number of datagrams that did not come before this one.
+        /// Number of missing datagrams.
         lost: u16,
     },
-    /// The same number again: a copy.
+    /// The same number again.
     Duplicate,
     /// Older than the newest one.
     Old,
-    /// A jump too wide for loss or reordering: the peer has started again.
+    /// A jump too wide for loss or reordering: the peer has restarted.
     Restart,
 }
 
 impl Order {
-    /// Whether the datagram is to be used: all but copies and old ones.
+    /// Whether the datagram is to be used: not a duplicate and not old.
     #[must_use]
     pub fn is_new(self) -> bool {
         match self {
@@ -32,9 +32,9 @@ impl Order {
 /// Follows the counter of one peer.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Tracker {
-    /// 0 before any; kept when it is forgotten.
+    /// 0 before the first; kept after `forget`.
     newest: u32,
-    /// Whether the next number is judged by it.
+    /// Whether the next number is compared with it.
     is_known: bool,
     window: u16,
     /// Largest counter value; one less than the modulus.
@@ -42,7 +42,7 @@ pub(crate) struct Tracker {
 }
 
 impl Tracker {
-    /// For 16-bit counters. Jumps of more than `window` in either direction are taken for a restart of the peer.
+    /// For 16-bit counters. A jump of more than `window` in either direction is a restart of the peer.
     pub(crate) fn new(window: u16) -> Self {
         Self {
             newest: 0,
@@ -60,33 +60,33 @@ impl Tracker {
         }
     }
 
-    /// Takes whatever comes next for the first.
+    /// Treats the next number as the first.
     pub(crate) fn forget(&mut self) {
         self.is_known = false;
     }
 
-    /// The newest number, 0 before any: what is reflected to the peer, after a silence too.
+    /// The newest number, 0 before the first: reflected to the peer, after a silence too.
     #[cfg(feature = "emulator")]
     pub(crate) fn newest(&self) -> u32 {
         self.newest
     }
 
-    /// Judges a received number and remembers it if it is new.
+    /// Classifies a received number and stores it if it is new.
     pub(crate) fn accept(&mut self, number: impl Into<u32>) -> Order {
         let number = number.into();
-        let order = self.judge(number);
+        let order = self.classify(number);
         if order.is_new() {
             (self.newest, self.is_known) = (number, true);
         }
         order
     }
 
-    /// How far behind `to` the number `from` is.
+    /// Distance from `from` to `to`, modulo the counter.
     pub(crate) fn distance(&self, from: u32, to: u32) -> u32 {
         to.wrapping_sub(from) & self.mask
     }
 
-    fn judge(&self, number: u32) -> Order {
+    fn classify(&self, number: u32) -> Order {
         if !self.is_known {
             return Order::First;
         }
@@ -106,9 +106,9 @@ impl Tracker {
 mod tests {
     use super::*;
 
-    /// Judges every number after every newest in a neighbourhood of the wrap and a sample of the rest.
+    /// Classifies every number after every newest one near the wrap, and a sample of the rest.
     #[test]
-    fn agrees_with_signed_differences_everywhere() {
+    fn tracker_agrees_with_signed_differences() {
         for newest in (0..=u16::MAX).step_by(4099).chain([0, 1, u16::MAX]) {
             for number in 0..=u16::MAX {
                 let mut tracker = Tracker::new(50);
@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn an_old_number_does_not_move_the_newest() {
+    fn tracker_old_number_keeps_newest() {
         let mut tracker = Tracker::new(50);
         for (number, order) in [
             (65534_u16, Order::First),
@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn wide_counters_wrap_at_32_bits() {
+    fn tracker_wide_counter_wraps_at_32_bits() {
         let mut tracker = Tracker::wide(10);
         for (number, order) in [
             (u32::MAX - 1, Order::First),

@@ -1,4 +1,4 @@
-//! Proof that neither machine allocates after its construction: 10,000 cycles under a counting allocator.
+//! Neither state machine allocates after its construction: 10,000 cycles under a counting allocator.
 #![expect(
     clippy::unwrap_used,
     reason = "a test may fail anywhere, its helpers too"
@@ -22,11 +22,11 @@ thread_local! {
 
 struct Counting;
 
-// SAFETY: every request is handed to the system allocator unchanged; the counter is a plain thread-local without a
+// SAFETY: every request is passed to the system allocator unchanged; the counter is a plain thread-local without a
 // destructor and allocates nothing.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        // Gone while a thread ends: nothing is counted then.
+        // Not accessible while a thread ends: nothing is counted then.
         let _gone = ALLOCATIONS.try_with(|count| count.set(count.get() + 1));
         // SAFETY: the caller keeps the contract of `alloc`, which is the same here.
         unsafe { System.alloc(layout) }
@@ -57,7 +57,7 @@ fn cycle(krc: &mut Krc, session: &mut Session) {
 }
 
 #[test]
-fn ten_thousand_cycles_with_faults_allocate_nothing() {
+fn lwr_10000_faulty_cycles_allocate_nothing() {
     let line = LineFaults {
         drop: 0.02,
         duplicate: 0.02,
@@ -87,7 +87,7 @@ fn ten_thousand_cycles_with_faults_allocate_nothing() {
     }
     assert_eq!(ALLOCATIONS.get() - before, 0);
     assert_ne!(krc.counters(), KrcCounters::default());
-    assert!(krc.falls() > 0, "{krc:?}");
+    assert!(krc.exits() > 0, "{krc:?}");
     assert!(session.counters().answered > 2_000, "{session:?}");
 }
 
@@ -110,7 +110,7 @@ fn sunrise_cycle(cabinet: &mut Cabinet, session: &mut sunrise::Session) {
 }
 
 #[test]
-fn ten_thousand_cycles_of_sunrise_in_contact_with_faults_allocate_nothing() {
+fn sunrise_10000_faulty_cycles_allocate_nothing() {
     let control = Control::CartesianImpedance {
         stiffness: [1000.0, 1000.0, 1000.0, 100.0, 100.0, 100.0],
         damping: [0.7; 6],
@@ -118,7 +118,7 @@ fn ten_thousand_cycles_of_sunrise_in_contact_with_faults_allocate_nothing() {
     let command = CommandMode::Wrench;
     let contact = Contact {
         shape: Shape::Spring,
-        place: [0.5, 0.0, 0.5],
+        point: [0.5, 0.0, 0.5],
         normal: [0.0, 0.0, 1.0],
         stiffness: 500.0,
         damping: 5.0,
@@ -150,12 +150,12 @@ fn ten_thousand_cycles_of_sunrise_in_contact_with_faults_allocate_nothing() {
         sunrise_cycle(&mut cabinet, &mut session);
     }
     assert_eq!(ALLOCATIONS.get() - before, 0);
-    assert!(cabinet.falls() > 0 && session.is_engaged(), "{cabinet:?}");
+    assert!(cabinet.exits() > 0 && session.is_engaged(), "{cabinet:?}");
     assert!(session.counters().answered > 2_000, "{session:?}");
 }
 
 #[test]
-fn the_counter_counts() {
+fn allocation_counter_counts() {
     let before = ALLOCATIONS.get();
     drop(std::hint::black_box(Box::new(1)));
     assert_eq!(ALLOCATIONS.get() - before, 1);

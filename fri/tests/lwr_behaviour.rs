@@ -7,7 +7,7 @@
 use std::time::Duration;
 use takt_fri::link::{Link, Memory, pair};
 use takt_fri::lwr::emulator::{
-    Faults, Krc, KrcConfig, Leave, LineFaults, PowerOff, Script, Timing,
+    ExitReason, Faults, Krc, KrcConfig, LineFaults, PowerOff, Script, Timing,
 };
 use takt_fri::lwr::wire::{Cmd, Msr, Quality, State};
 use takt_fri::lwr::{AXES, Event, Session, SessionConfig};
@@ -15,7 +15,7 @@ use takt_fri::lwr::{AXES, Event, Session, SessionConfig};
 const PERIOD: Duration = Duration::from_millis(2);
 const START: Duration = Duration::from_secs(100);
 
-/// A client that swings joint A1 and E1 by 0.2 rad whenever it may, and a controller.
+/// A client that swings joints A1 and E1 by 0.2 rad while in command mode, and a controller.
 struct Pair {
     krc: Krc,
     session: Session,
@@ -54,7 +54,7 @@ impl Pair {
         })
     }
 
-    /// Commanding, with `line` on both ways from then on.
+    /// In command mode, with the faults `line` in both directions from then on.
     fn commanding_then(line: LineFaults) -> Self {
         let mut pair = Self::new(KrcConfig::default());
         pair.run(200);
@@ -152,7 +152,7 @@ fn delayed(delay: Duration) -> LineFaults {
 }
 
 #[test]
-fn a_good_line_gives_perfect_quality_and_the_robot_follows() {
+fn lwr_good_line_perfect_quality_and_follows() {
     let mut pair = Pair::new(KrcConfig::default());
     pair.run(96);
     assert!(!pair.session.is_commanding());
@@ -173,7 +173,7 @@ fn a_good_line_gives_perfect_quality_and_the_robot_follows() {
 }
 
 #[test]
-fn one_percent_loss_keeps_command_mode() {
+fn lwr_1_percent_loss_keeps_command_mode() {
     let mut pair = Pair::with(lossy(0.01), lossy(0.01));
     pair.run(10_000).assert_commanding();
     assert!(pair.session.counters().lost > 50);
@@ -181,9 +181,9 @@ fn one_percent_loss_keeps_command_mode() {
     assert!(!pair.qualities(9_000).contains(&Quality::Unacceptable));
 }
 
-/// The documented outcome: 5 % of answers lost is a mean answer rate of 0.95, OK, and commanding goes on.
+/// The documented outcome: 5 % of answers lost is a mean answer rate of 0.95, OK, and commanding continues.
 #[test]
-fn five_percent_of_answers_lost_is_quality_ok_and_command_mode_stays() {
+fn lwr_5_percent_answer_loss_is_quality_ok() {
     let mut pair = Pair::with(LineFaults::default(), lossy(0.05));
     pair.run(10_000).assert_commanding();
     let rest = &pair.qualities[1_000..];
@@ -196,9 +196,9 @@ fn five_percent_of_answers_lost_is_quality_ok_and_command_mode_stays() {
     assert!((0.94..0.96).contains(&rate), "{rate}");
 }
 
-/// 5 % lost on each way is 0.9025: quality changes between OK and BAD, and commanding goes on.
+/// 5 % lost on each way is 0.9025: quality changes between OK and BAD, and commanding continues.
 #[test]
-fn five_percent_loss_both_ways_is_ok_or_bad_and_command_mode_stays() {
+fn lwr_5_percent_loss_each_way_keeps_command() {
     let mut pair = Pair::commanding_then(lossy(0.05));
     pair.run(10_000).assert_commanding();
     assert!(pair.session.counters().lost > 400);
@@ -211,7 +211,7 @@ fn five_percent_loss_both_ways_is_ok_or_bad_and_command_mode_stays() {
 }
 
 #[test]
-fn a_hundred_microseconds_of_jitter_show_in_the_statistics_only() {
+fn lwr_100_us_jitter_affects_statistics_only() {
     let line = LineFaults {
         jitter: Duration::from_micros(100),
         ..LineFaults::default()
@@ -233,7 +233,7 @@ fn a_hundred_microseconds_of_jitter_show_in_the_statistics_only() {
 }
 
 #[test]
-fn delay_within_a_period_and_one_behind_is_in_time_more_is_not() {
+fn lwr_delay_beyond_one_cycle_is_late() {
     for (delay_us, latency_ms) in [(500, 1.0), (900, 1.8), (1_500, 3.0)] {
         let line = delayed(Duration::from_micros(delay_us));
         let mut pair = Pair::with(line, line);
@@ -249,7 +249,7 @@ fn delay_within_a_period_and_one_behind_is_in_time_more_is_not() {
 }
 
 #[test]
-fn reordering_and_copies_are_sorted_out_on_both_sides() {
+fn lwr_reordering_and_duplicates_are_ignored() {
     for line in [
         LineFaults {
             reorder: 0.02,
@@ -276,7 +276,7 @@ fn reordering_and_copies_are_sorted_out_on_both_sides() {
 }
 
 #[test]
-fn power_lost_in_motion_ends_following_and_its_return_resumes_it() {
+fn lwr_power_loss_stops_following_until_return() {
     let mut pair = Pair::commanding_then(LineFaults::default());
     let at = pair.now - START;
     pair.krc.faults_mut().power_off = Some(PowerOff {
@@ -299,7 +299,7 @@ fn power_lost_in_motion_ends_following_and_its_return_resumes_it() {
 }
 
 #[test]
-fn twenty_consecutive_losses_end_command_mode_and_the_script_returns_to_it() {
+fn lwr_20_losses_end_command_script_restarts() {
     let mut pair = Pair::commanding_then(LineFaults::default());
     pair.krc.faults_mut().to_krc.drop_next = 20;
     pair.run(30);
@@ -311,7 +311,7 @@ fn twenty_consecutive_losses_end_command_mode_and_the_script_returns_to_it() {
 }
 
 #[test]
-fn nine_consecutive_losses_are_bridged_in_either_direction() {
+fn lwr_9_losses_are_bridged_either_way() {
     for to_client in [true, false] {
         let mut pair = Pair::commanding_then(LineFaults::default());
         let faults = pair.krc.faults_mut();
@@ -327,7 +327,7 @@ fn nine_consecutive_losses_are_bridged_in_either_direction() {
 }
 
 #[test]
-fn a_restarted_controller_is_recognised_and_commanded_again() {
+fn lwr_controller_restart_is_commanded_again() {
     let mut pair = Pair::commanding_then(LineFaults::default());
     let joints = pair.krc.joints();
     pair.krc = Krc::new(
@@ -349,7 +349,7 @@ fn a_restarted_controller_is_recognised_and_commanded_again() {
 }
 
 #[test]
-fn a_restarted_client_takes_over_without_a_jump() {
+fn lwr_client_restart_continues_without_jump() {
     let mut pair = Pair::commanding_then(LineFaults::default());
     pair.session = Session::new(SessionConfig::default());
     pair.started = None;
@@ -359,7 +359,7 @@ fn a_restarted_client_takes_over_without_a_jump() {
 }
 
 #[test]
-fn a_silent_controller_is_found_offline_and_found_again() {
+fn lwr_silent_controller_goes_offline_and_returns() {
     let mut pair = Pair::commanding_then(LineFaults::default());
     pair.krc.faults_mut().to_client.drop_next = 60;
     pair.run(70);
@@ -370,13 +370,13 @@ fn a_silent_controller_is_found_offline_and_found_again() {
 }
 
 #[test]
-fn forced_quality_ends_command_mode() {
+fn lwr_forced_quality_ends_command_mode() {
     let mut pair = Pair::commanding_then(LineFaults::default());
     pair.krc.faults_mut().quality = Some(Quality::Unacceptable);
     pair.run(2);
     assert!(matches!(
         pair.krc.log().next().unwrap().reason,
-        Leave::Quality { .. }
+        ExitReason::Quality { .. }
     ));
     pair.krc.faults_mut().quality = Some(Quality::Bad);
     pair.run(1_000);
@@ -384,7 +384,7 @@ fn forced_quality_ends_command_mode() {
 }
 
 #[test]
-fn thresholds_and_script_are_settings() {
+fn lwr_thresholds_and_script_are_configurable() {
     let script = Script::Auto {
         quality: Quality::Ok,
         scale: 0.5,
@@ -410,7 +410,7 @@ fn thresholds_and_script_are_settings() {
 }
 
 #[test]
-fn a_speed_beyond_the_limit_names_the_joint() {
+fn lwr_excessive_speed_names_joint() {
     let mut pair = Pair::commanding_then(LineFaults::default());
     let mut joints = pair.session.mirror();
     joints[4] += 0.01;

@@ -1,4 +1,4 @@
-//! The codec against golden datagrams and hostile bytes. What the goldens are worth says captures/README.md.
+//! The codec against golden datagrams and random bytes. captures/README.md describes the goldens.
 #![expect(
     clippy::unwrap_used,
     reason = "a test may fail anywhere, its helpers too"
@@ -38,7 +38,7 @@ fn assert_offsets(fields: &[(&[f32], usize)]) {
 }
 
 #[test]
-fn every_field_of_a_measurement_lies_at_its_offset() {
+fn msr_fields_lie_at_their_offsets() {
     let msr = Msr::decode(&bytes(MSR)).unwrap();
     assert_eq!(
         (msr.header.sequence, msr.header.reflected),
@@ -94,7 +94,7 @@ fn every_field_of_a_measurement_lies_at_its_offset() {
 }
 
 #[test]
-fn every_field_of_a_command_lies_at_its_offset() {
+fn cmd_fields_lie_at_their_offsets() {
     let cmd = Cmd::decode(&bytes(CMD)).unwrap();
     assert_eq!(
         (cmd.header.sequence, cmd.header.reflected),
@@ -120,7 +120,7 @@ fn every_field_of_a_command_lies_at_its_offset() {
 }
 
 #[test]
-fn goldens_are_written_byte_for_byte() {
+fn lwr_encode_matches_golden_bytes() {
     for golden in [MSR, MSR_UNKNOWN].map(bytes) {
         let mut buf = [0xaa; Msr::LEN + 1];
         assert_eq!(Msr::decode(&golden).unwrap().encode(&mut buf), Ok(Msr::LEN));
@@ -153,7 +153,7 @@ fn datagrams_are_shown_in_one_line() {
 }
 
 #[test]
-fn a_refusal_names_place_and_both_values() {
+fn lwr_decode_error_names_offset_and_values() {
     let golden = bytes(MSR);
     let with = |offset: usize, value: u8| {
         let mut changed = golden.clone();
@@ -203,7 +203,7 @@ fn a_refusal_names_place_and_both_values() {
 }
 
 #[test]
-fn a_short_buffer_is_refused_untouched() {
+fn lwr_encode_short_buffer_is_left_untouched() {
     let mut buf = [0xaa; Cmd::LEN - 1];
     let refused = Err(EncodeError::Buffer {
         needed: 376,
@@ -222,7 +222,7 @@ fn noise(state: &mut u64) -> usize {
 }
 
 #[test]
-fn ten_thousand_hostile_inputs_do_no_harm() {
+fn lwr_decode_hostile_inputs_do_not_panic() {
     let seeds = [bytes(MSR), bytes(CMD)];
     let mut state = 1;
     for round in 0..10_000 {
@@ -241,7 +241,7 @@ fn ten_thousand_hostile_inputs_do_no_harm() {
 proptest! {
     /// Any content under a good header survives, bit for bit, but the fill that must be 0.
     #[test]
-    fn any_measurement_survives(mut content in prop::collection::vec(any::<u8>(), Msr::LEN)) {
+    fn msr_roundtrip(mut content in prop::collection::vec(any::<u8>(), Msr::LEN)) {
         content[4..8].copy_from_slice(&[0x94, 0x03, 0x06, 0x20]);
         content[138..140].fill(0);
         let mut again = [0; Msr::LEN];
@@ -250,7 +250,7 @@ proptest! {
     }
 
     #[test]
-    fn any_command_survives(mut content in prop::collection::vec(any::<u8>(), Cmd::LEN)) {
+    fn cmd_roundtrip(mut content in prop::collection::vec(any::<u8>(), Cmd::LEN)) {
         content[4..8].copy_from_slice(&[0x78, 0x01, 0x05, 0x10]);
         content[138..140].fill(0);
         let mut again = [0; Cmd::LEN];
@@ -259,7 +259,7 @@ proptest! {
     }
 
     #[test]
-    fn any_bytes_do_no_harm(content in prop::collection::vec(any::<u8>(), 0..1000)) {
+    fn lwr_decode_any_bytes_do_not_panic(content in prop::collection::vec(any::<u8>(), 0..1000)) {
         fuzz(&content);
     }
 }

@@ -6,7 +6,7 @@
 
 use std::time::Duration;
 use takt_fri::guard::Guard;
-use takt_fri::lwr::emulator::{Contact, Krc, KrcConfig, Leave, Script, Shape, Stiffness};
+use takt_fri::lwr::emulator::{Contact, ExitReason, Krc, KrcConfig, Script, Shape, Stiffness};
 use takt_fri::lwr::wire::{Cmd, CmdFlags, Control, Msr, State};
 use takt_fri::lwr::{
     AXES, Dialog, DialogError, Fields, JOINT_NAMES, Load, Progress, Protocol, Request, Session,
@@ -25,7 +25,7 @@ struct Pair {
     progress: Vec<Progress>,
     /// Added to the mirrored positions in every cycle, rad.
     step: [f64; AXES],
-    /// What goes wrong with answers on their way.
+    /// Faults of answers in transit.
     spoil: fn(&mut Cmd),
 }
 
@@ -122,7 +122,7 @@ fn start() -> Request {
 fn wall(height: f64) -> Contact {
     Contact {
         shape: Shape::Wall,
-        place: [0.0, 0.0, height],
+        point: [0.0, 0.0, height],
         normal: [0.0, 0.0, 1.0],
         stiffness: 20_000.0,
         damping: 50.0,
@@ -132,7 +132,7 @@ fn wall(height: f64) -> Contact {
 // ---------------------------------------------------------------------------------------------------- control strategies
 
 #[test]
-fn measurements_show_pose_jacobian_and_strategy() {
+fn krc_measurement_has_pose_jacobian_and_strategy() {
     let mut pair = Pair::in_mode(Control::JointImpedance, CmdFlags::JNTPOS);
     pair.step[0] = 1e-4;
     pair.run(500);
@@ -153,7 +153,7 @@ fn measurements_show_pose_jacobian_and_strategy() {
 }
 
 #[test]
-fn joint_impedance_gives_way_by_torque_over_stiffness() {
+fn krc_joint_impedance_deflects_by_torque_over_stiffness() {
     let flags = CmdFlags::JNTPOS | CmdFlags::JNTSTIFF | CmdFlags::JNTDAMP | CmdFlags::JNTTRQ;
     let mut pair = Pair::in_mode(Control::JointImpedance, flags);
     *pair.session.fields_mut() = Fields {
@@ -168,7 +168,7 @@ fn joint_impedance_gives_way_by_torque_over_stiffness() {
 }
 
 #[test]
-fn fields_that_are_not_flagged_keep_what_the_krl_program_says() {
+fn krc_unflagged_fields_keep_krl_values() {
     let stiffness = Stiffness {
         joint_stiffness: [100.0; AXES],
         ..Stiffness::default()
@@ -188,7 +188,7 @@ fn fields_that_are_not_flagged_keep_what_the_krl_program_says() {
 }
 
 #[test]
-fn contact_is_approached_held_and_its_loss_is_seen() {
+fn lwr_contact_approach_hold_and_loss() {
     for flags in [
         CmdFlags::JNTPOS | CmdFlags::CARTSTIFF | CmdFlags::CARTDAMP | CmdFlags::TCPFT,
         CmdFlags::CARTPOS | CmdFlags::CARTSTIFF | CmdFlags::CARTDAMP | CmdFlags::TCPFT,
@@ -213,7 +213,7 @@ fn contact_is_approached_held_and_its_loss_is_seen() {
 }
 
 #[test]
-fn frames_are_followed_and_unreachable_ones_end_command_mode() {
+fn krc_frames_followed_unreachable_ends_command() {
     let flags = CmdFlags::CARTPOS | CmdFlags::CARTSTIFF | CmdFlags::CARTDAMP;
     let mut pair = Pair::in_mode(Control::CartesianImpedance, flags);
     let before = pair.krc.flange();
@@ -234,7 +234,7 @@ fn frames_are_followed_and_unreachable_ones_end_command_mode() {
 }
 
 #[test]
-fn flags_are_chosen_in_monitor_mode_only_and_fit_the_strategy() {
+fn session_flags_change_in_monitor_mode_only() {
     let all = CmdFlags::from_bits(0x3535);
     for (control, allowed) in [
         (Control::Position, 0x0001),
@@ -255,7 +255,7 @@ fn flags_are_chosen_in_monitor_mode_only_and_fit_the_strategy() {
 }
 
 #[test]
-fn strategies_change_in_monitor_mode_only() {
+fn krc_strategy_changes_in_monitor_mode_only() {
     let mut pair = Pair::in_mode(Control::Position, CmdFlags::JNTPOS);
     assert!(pair.krc.set_strategy(Control::JointImpedance).is_err());
     pair.krc.fri_stop();
@@ -265,7 +265,7 @@ fn strategies_change_in_monitor_mode_only() {
 }
 
 #[test]
-fn guards_hold_the_robot_and_name_joint_and_limit() {
+fn session_guard_holds_robot_and_names_limit() {
     let guard = Guard {
         speed_rad_per_s: [0.5; AXES],
         torque_nm: [5.0; AXES],
@@ -305,7 +305,7 @@ fn guards_hold_the_robot_and_name_joint_and_limit() {
 }
 
 #[test]
-fn a_field_that_is_no_good_ends_command_mode_with_its_name() {
+fn krc_invalid_field_ends_command_with_name() {
     type Case = (Control, CmdFlags, fn(&mut Cmd), &'static str);
     let [joint, cartesian] = [Control::JointImpedance, Control::CartesianImpedance];
     let cases: [Case; 8] = [
@@ -367,7 +367,7 @@ fn a_field_that_is_no_good_ends_command_mode_with_its_name() {
             (State::Mon, vec![text.to_owned()])
         );
         assert!(pair.krc.joints().iter().all(|joint| joint.is_finite()));
-        // The same in a field that no flag declares valid is nothing to the controller.
+        // The controller ignores the same value in a field that no flag declares valid.
         let mut pair = Pair::in_mode(control, CmdFlags::JNTPOS);
         pair.spoil = spoil;
         pair.run(3);
@@ -376,7 +376,7 @@ fn a_field_that_is_no_good_ends_command_mode_with_its_name() {
 }
 
 #[test]
-fn foreign_datagrams_are_named() {
+fn session_foreign_datagram_is_named() {
     let mut session = Session::new(SessionConfig::default());
     let mut pair = Pair::new(KrcConfig::default());
     let mut cmd = [0; Cmd::LEN];
@@ -409,7 +409,7 @@ fn foreign_datagrams_are_named() {
 // ------------------------------------------------------------------------------------------------------------ handshakes
 
 #[test]
-fn every_program_starts_the_robot_when_asked() {
+fn dialog_start_works_in_every_protocol() {
     for protocol in [
         Protocol::Stanford,
         Protocol::KukaLwr,
@@ -427,7 +427,7 @@ fn every_program_starts_the_robot_when_asked() {
 }
 
 #[test]
-fn programs_stop_the_robot_when_asked_and_start_it_again() {
+fn dialog_stop_and_restart_work() {
     for protocol in [Protocol::Stanford, Protocol::KukaLwr, Protocol::Tum] {
         let mut pair = handshake(protocol);
         for _ in 0..2 {
@@ -444,7 +444,7 @@ fn programs_stop_the_robot_when_asked_and_start_it_again() {
 }
 
 #[test]
-fn nothing_starts_the_robot_again_after_a_fall() {
+fn dialog_exit_does_not_restart_robot() {
     for protocol in [
         Protocol::Stanford,
         Protocol::KukaLwr,
@@ -458,14 +458,14 @@ fn nothing_starts_the_robot_again_after_a_fall() {
         pair.run(1_000);
         assert!(matches!(
             pair.krc.log().next().unwrap().reason,
-            Leave::Misses { .. }
+            ExitReason::Misses { .. }
         ));
         assert_eq!(pair.krc.state(), State::Mon, "{protocol}");
     }
 }
 
 #[test]
-fn a_start_that_was_given_up_starts_nothing_later() {
+fn dialog_cancelled_start_has_no_later_effect() {
     for protocol in [Protocol::Stanford, Protocol::KukaLwr, Protocol::FirstApp] {
         let mut pair = handshake(protocol);
         pair.krc.set_power(false);
@@ -485,7 +485,7 @@ fn a_start_that_was_given_up_starts_nothing_later() {
 }
 
 #[test]
-fn a_program_started_after_a_silence_does_not_start_the_robot() {
+fn dialog_silence_withdraws_start() {
     for protocol in [
         Protocol::Stanford,
         Protocol::KukaLwr,
@@ -514,14 +514,14 @@ fn a_program_started_after_a_silence_does_not_start_the_robot() {
             pair.run(50);
             assert!(
                 pair.session.is_commanding(),
-                "{protocol}: and it can be asked for anew"
+                "{protocol}: and it can be requested again"
             );
         }
     }
 }
 
 #[test]
-fn strategies_go_with_the_start_where_the_program_takes_them() {
+fn dialog_start_carries_strategy_if_supported() {
     for protocol in [Protocol::Stanford, Protocol::KukaLwr] {
         for control in [
             Control::JointImpedance,
@@ -552,7 +552,7 @@ fn strategies_go_with_the_start_where_the_program_takes_them() {
 }
 
 #[test]
-fn the_period_is_changed_by_opening_again() {
+fn dialog_reopen_changes_period() {
     let mut pair = handshake(Protocol::Tum);
     let period = Duration::from_millis(5);
     pair.ask(&Request::Reopen { period }).unwrap();
@@ -567,7 +567,7 @@ fn the_period_is_changed_by_opening_again() {
 }
 
 #[test]
-fn tool_load_and_strategy_are_switched_on_the_way() {
+fn dialog_configure_sets_tool_load_and_strategy() {
     let mut pair = handshake(Protocol::Rcc);
     assert_eq!(
         pair.krc.state(),
@@ -615,7 +615,7 @@ fn tool_load_and_strategy_are_switched_on_the_way() {
 }
 
 #[test]
-fn a_switch_is_refused_without_power_and_under_strain() {
+fn dialog_configure_requires_power_and_rest() {
     let configure = Request::Configure(Settings::default());
     let mut pair = handshake(Protocol::Rcc);
     pair.run(1_000);
@@ -634,7 +634,7 @@ fn a_switch_is_refused_without_power_and_under_strain() {
 }
 
 #[test]
-fn a_program_that_is_another_one_is_noticed() {
+fn dialog_wrong_program_times_out() {
     let mut pair = handshake(Protocol::Stanford);
     pair.dialog = Dialog::new(Protocol::Tum);
     pair.ask(&start()).unwrap();
@@ -644,6 +644,6 @@ fn a_program_that_is_another_one_is_noticed() {
     };
     assert_eq!(
         error.to_string(),
-        "no reaction of the KRL program (tum) for 10 s while waiting for TO_BOOL[1]: does it run, with these indices?"
+        "no reaction of the KRL program (tum) for 10 s while waiting for TO_BOOL[1]: check that it runs and uses these indices"
     );
 }

@@ -58,7 +58,7 @@ impl Tape {
     }
 }
 
-/// Answers after `delay` of the cycle's number; loses answers on the wire where `reaches` says so.
+/// Answers after `delay` of the cycle number; `reaches` decides which answers arrive.
 fn sunrise_tape(
     config: CabinetConfig,
     delay: impl Fn(u32) -> Duration,
@@ -107,7 +107,7 @@ fn lwr_tape(config: KrcConfig, reaches: impl Fn(u32) -> bool) -> Tape {
 }
 
 #[test]
-fn a_good_connection_is_found_good_in_every_dialect() {
+fn recording_good_connection_has_good_verdict() {
     for dialect in [Dialect::V1, Dialect::V2, Dialect::V3] {
         let config = CabinetConfig {
             dialect,
@@ -125,7 +125,7 @@ fn a_good_connection_is_found_good_in_every_dialect() {
 }
 
 #[test]
-fn a_late_host_is_found() {
+fn recording_late_host_is_found() {
     let late = Duration::from_micros(1_500);
     let delay = |cycle| if cycle % 20 == 3 { late } else { SOON };
     let verdict = sunrise_tape(CabinetConfig::default(), delay, |_| true).verdict();
@@ -136,18 +136,18 @@ fn a_late_host_is_found() {
 }
 
 #[test]
-fn loss_on_the_way_here_is_found() {
+fn recording_inbound_loss_is_found() {
     let mut config = CabinetConfig::default();
     config.faults.to_client.drop = 0.03;
     let verdict = sunrise_tape(config, |_| SOON, |_| true).verdict();
     assert!(
-        matches!(verdict, Verdict::NetworkHither { .. }),
+        matches!(verdict, Verdict::NetworkInbound { .. }),
         "{verdict}"
     );
 }
 
 #[test]
-fn jitter_on_the_way_here_is_not_blamed_on_the_controller() {
+fn recording_inbound_jitter_is_a_network_verdict() {
     let mut config = CabinetConfig::default();
     config.faults.to_client.jitter = Duration::from_micros(1_900);
     let verdict = sunrise_tape(config, |_| SOON, |_| true).verdict();
@@ -158,13 +158,13 @@ fn jitter_on_the_way_here_is_not_blamed_on_the_controller() {
 }
 
 #[test]
-fn loss_on_the_way_back_is_found_where_the_controller_tells_it() {
+fn recording_outbound_loss_is_found_if_reported() {
     let verdict = lwr_tape(KrcConfig::default(), |cycle| cycle % 10 != 0).verdict();
     assert!(
-        matches!(verdict, Verdict::NetworkThither { missing } if (missing - 0.1).abs() < 0.02),
+        matches!(verdict, Verdict::NetworkOutbound { missing } if (missing - 0.1).abs() < 0.02),
         "{verdict}"
     );
-    // Sunrise tells its quality only.
+    // Sunrise reports its quality only.
     let verdict =
         sunrise_tape(CabinetConfig::default(), |_| SOON, |cycle| cycle % 5 != 0).verdict();
     assert_eq!(verdict, Verdict::Unexplained);

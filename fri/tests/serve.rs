@@ -1,4 +1,4 @@
-//! Served controllers of both generations over real UDP on the loopback. It asserts what happens, never when.
+//! Served controllers of both generations over real UDP on the loopback. It asserts events, never times.
 #![expect(
     clippy::unwrap_used,
     reason = "a test may fail anywhere, its helpers too"
@@ -9,10 +9,10 @@ use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
+use takt_fri::client::{Client, ClientConfig, Phase, Version};
 use takt_fri::link::Link;
 use takt_fri::linux::{UdpLink, monotonic};
 use takt_fri::lwr::emulator::{self as lwr_emulator, Krc, KrcConfig, KrcStatus, Script};
-use takt_fri::partner::{Partner, PartnerConfig, Phase, Version};
 use takt_fri::sunrise::emulator::{
     self, Cabinet, CabinetConfig, CabinetStatus, Overlay, Program, Timing,
 };
@@ -22,16 +22,16 @@ use takt_fri::{lwr, sunrise};
 const ANY: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
 const PATIENCE: Duration = Duration::from_secs(20);
 
-/// A client that holds, and takes long silences of a busy test machine for what they are.
-struct Client {
+/// A client that holds, and tolerates long stalls of a busy test machine.
+struct TestClient {
     link: UdpLink,
-    partner: Partner,
+    client: Client,
 }
 
-impl Client {
+impl TestClient {
     fn new() -> Self {
         let offline_after = 1_000;
-        let config = PartnerConfig {
+        let config = ClientConfig {
             lwr: lwr::SessionConfig {
                 offline_after,
                 ..lwr::SessionConfig::default()
@@ -40,33 +40,33 @@ impl Client {
                 offline_after,
                 ..sunrise::SessionConfig::default()
             },
-            ..PartnerConfig::default()
+            ..ClientConfig::default()
         };
         Self {
             link: UdpLink::bind(ANY).unwrap(),
-            partner: Partner::new(config),
+            client: Client::new(config),
         }
     }
 
-    /// Answers until `done`, or panics when patience ends.
-    fn until(&mut self, mut done: impl FnMut(&Partner) -> bool) {
+    /// Answers until `done`, or panics on timeout.
+    fn until(&mut self, mut done: impl FnMut(&Client) -> bool) {
         let end = monotonic().unwrap() + PATIENCE;
         let mut buf = [0; MESSAGE_MAX + 1];
-        while !done(&self.partner) {
-            assert!(monotonic().unwrap() < end, "{:?}", self.partner);
+        while !done(&self.client) {
+            assert!(monotonic().unwrap() < end, "{:?}", self.client);
             let mut wait = Duration::from_millis(20);
             while let Some((len, at)) = self.link.receive(&mut buf, wait).unwrap() {
-                self.partner.handle_datagram(&buf[..len], at).unwrap();
+                self.client.handle_datagram(&buf[..len], at).unwrap();
                 wait = Duration::ZERO;
             }
-            if let Ok(answer) = self.partner.answer(None, &mut buf) {
+            if let Ok(answer) = self.client.answer(None, &mut buf) {
                 self.link.send(&buf[..answer.len]).unwrap();
             }
         }
     }
 }
 
-/// Ends the served controller when an assertion fails, else the scope would wait for it for ever.
+/// Stops the served controller when an assertion fails; otherwise the scope would wait for ever.
 struct StopOnDrop<'a>(&'a AtomicBool);
 
 impl Drop for StopOnDrop<'_> {
@@ -78,9 +78,9 @@ impl Drop for StopOnDrop<'_> {
 /// Measurements sent and answers taken by the controller that `serve` serves while a client goes through `steps`.
 fn counted(
     serve: impl FnOnce(&mut UdpLink, &AtomicBool) -> io::Result<(u64, u64)> + Send,
-    steps: impl FnOnce(&mut Client),
+    steps: impl FnOnce(&mut TestClient),
 ) -> (u64, u64) {
-    let mut client = Client::new();
+    let mut client = TestClient::new();
     let mut link = UdpLink::connect(ANY, client.link.local_addr().unwrap()).unwrap();
     let stop = AtomicBool::new(false);
     thread::scope(|scope| {
@@ -93,8 +93,8 @@ fn counted(
 }
 
 #[test]
-fn a_session_reaches_command_mode_over_udp_and_the_knobs_work() {
-    // Generous where a busy test machine is slow; the transitions are what is tested.
+fn serve_lwr_reaches_command_mode_over_udp() {
+    // Generous for a busy test machine; the test is about transitions.
     let script = Script::Auto {
         quality: lwr::wire::Quality::Bad,
         scale: 1.0,
@@ -120,22 +120,24 @@ fn a_session_reaches_command_mode_over_udp_and_the_knobs_work() {
     };
     let (sent, answers) = counted(serve, |client| {
         // The status follows the datagram by some microseconds.
-        let commanding = |partner: &Partner| {
+        let commanding = |client: &Client| {
             let is_shown = status.state() == lwr::wire::State::Cmd && status.has_power();
-            partner.phase() == Phase::Command && is_shown
+            client.phase() == Phase::Command && is_shown
         };
         client.until(commanding);
         let at_rest = |joint: &f64| (joint - 0.25).abs() < 1e-6;
         assert!(status.commanded().iter().all(at_rest));
         status.set_power(false);
-        client.until(|partner| partner.phase() != Phase::Command);
+        client.until(|client| client.phase() != Phase::Command);
         status.set_power(true);
         client.until(commanding);
         status.set_drop(1.0);
-        client.until(|_| status.falls() > 0);
+        client.until(|_| status.exits() > 0);
         assert!(matches!(
-            status.last_fall(),
-            Some(lwr_emulator::Leave::Misses { .. } | lwr_emulator::Leave::Quality { .. })
+            status.last_exit(),
+            Some(
+                lwr_emulator::ExitReason::Misses { .. } | lwr_emulator::ExitReason::Quality { .. }
+            )
         ));
     });
     assert!(answers > 5 && sent >= answers, "{sent} {answers}");
@@ -143,7 +145,7 @@ fn a_session_reaches_command_mode_over_udp_and_the_knobs_work() {
 }
 
 #[test]
-fn a_session_reaches_commanding_active_over_udp_and_the_knobs_work() {
+fn serve_sunrise_reaches_commanding_active_over_udp() {
     // As generous.
     let timing = Timing {
         bad_from: 0.02,
@@ -169,22 +171,22 @@ fn a_session_reaches_commanding_active_over_udp_and_the_knobs_work() {
         Ok((cabinet.counters().sent, cabinet.counters().answers))
     };
     let (sent, answers) = counted(serve, |client| {
-        let active = |partner: &Partner| {
-            partner.phase() == Phase::Command && status.state() == SessionState::CommandingActive
+        let active = |client: &Client| {
+            client.phase() == Phase::Command && status.state() == SessionState::CommandingActive
         };
         client.until(active);
         let at_rest = |joint: &f64| (joint - 0.25).abs() < 1e-6;
         assert!(status.commanded().iter().all(at_rest));
         let version = Version::Sunrise(Some(Dialect::V3));
-        assert_eq!(client.partner.version(), Some(version));
+        assert_eq!(client.client.version(), Some(version));
         status.set_power(false);
-        client.until(|partner| partner.phase() != Phase::Command);
+        client.until(|client| client.phase() != Phase::Command);
         client.until(|_| !status.has_power());
-        assert_eq!(status.last_fall(), Some(emulator::Leave::Power));
+        assert_eq!(status.last_exit(), Some(emulator::ExitReason::Power));
         status.set_power(true);
         client.until(active);
         status.set_drop(1.0);
-        client.until(|_| status.falls() > 1);
+        client.until(|_| status.exits() > 1);
     });
     assert!(answers > 5 && sent >= answers, "{sent} {answers}");
     assert_eq!(status.answers(), answers);

@@ -8,8 +8,8 @@ use std::time::Duration;
 use takt_fri::guard::Guard;
 use takt_fri::link::{Link, Memory, pair};
 use takt_fri::sunrise::emulator::{
-    Cabinet, CabinetConfig, Contact, Control, Leave, LineFaults, Overlay, PowerOff, Program, Robot,
-    Shape,
+    Cabinet, CabinetConfig, Contact, Control, ExitReason, LineFaults, Overlay, PowerOff, Program,
+    Robot, Shape,
 };
 use takt_fri::sunrise::wire::{CommandMode, Dialect, MESSAGE_MAX, Quality};
 use takt_fri::sunrise::{AXES, Demand, Event, JOINT_NAMES, Session, SessionConfig, Withheld};
@@ -26,9 +26,9 @@ struct Pair {
     pc_end: Memory,
     now: Duration,
     entered: Option<(Duration, [f64; AXES])>,
-    /// Whether the client asks for motion again after a fall by itself.
+    /// Whether the client engages again by itself.
     persists: bool,
-    /// Added to what is demanded.
+    /// Added to the demand.
     wrench: [f64; 6],
     events: Vec<Event>,
     qualities: Vec<Quality>,
@@ -179,7 +179,7 @@ fn lossy(drop: f64) -> LineFaults {
 }
 
 #[test]
-fn the_robot_follows_in_every_dialect() {
+fn sunrise_robot_follows_in_every_dialect() {
     for dialect in DIALECTS {
         for robot in [Robot::Iiwa7, Robot::Iiwa14] {
             let config = CabinetConfig {
@@ -208,7 +208,7 @@ fn the_robot_follows_in_every_dialect() {
 }
 
 #[test]
-fn impedance_modes_are_entered_and_held() {
+fn sunrise_impedance_modes_are_entered_and_held() {
     let joint = Control::JointImpedance {
         stiffness: [300.0; AXES],
         damping: [0.7; AXES],
@@ -232,7 +232,7 @@ fn impedance_modes_are_entered_and_held() {
 }
 
 #[test]
-fn one_percent_of_loss_and_jitter_keep_quality_and_limits() {
+fn sunrise_1_percent_loss_and_jitter_keep_quality() {
     let line = LineFaults {
         drop: 0.01,
         jitter: Duration::from_micros(100),
@@ -253,7 +253,7 @@ fn one_percent_of_loss_and_jitter_keep_quality_and_limits() {
 }
 
 #[test]
-fn delay_copies_and_disorder_do_no_harm() {
+fn sunrise_delay_duplicates_and_disorder_are_harmless() {
     let line = LineFaults {
         delay: Duration::from_micros(300),
         duplicate: 0.1,
@@ -269,7 +269,7 @@ fn delay_copies_and_disorder_do_no_harm() {
 }
 
 #[test]
-fn a_clock_that_drifts_is_followed() {
+fn sunrise_drifting_clock_is_followed() {
     let mut config = with(Dialect::V2, Overlay::default());
     config.faults.drift_ppm = 300.0;
     let mut pair = Pair::commanding(config);
@@ -281,7 +281,7 @@ fn a_clock_that_drifts_is_followed() {
 }
 
 #[test]
-fn twenty_lost_answers_end_the_overlay_and_nothing_moves_until_asked_again() {
+fn sunrise_20_lost_answers_end_overlay_until_engage() {
     let mut pair = Pair::commanding(with(Dialect::V1, Overlay::default()));
     pair.persists = false;
     pair.run(200);
@@ -290,7 +290,7 @@ fn twenty_lost_answers_end_the_overlay_and_nothing_moves_until_asked_again() {
     assert_eq!(pair.reasons().len(), 1, "{:?}", pair.reasons());
     assert!(matches!(
         pair.cabinet.log().next().unwrap().reason,
-        Leave::Misses { .. }
+        ExitReason::Misses { .. }
     ));
     let rest = pair.cabinet.joints();
     pair.run(1_500);
@@ -309,7 +309,7 @@ fn twenty_lost_answers_end_the_overlay_and_nothing_moves_until_asked_again() {
 }
 
 #[test]
-fn a_guard_keeps_commands_below_what_the_cabinet_would_refuse() {
+fn sunrise_guard_keeps_commands_within_cabinet_limits() {
     let speed = 0.05;
     let mut pair = Pair::new(with(Dialect::V2, Overlay::default()));
     let guard = Guard {
@@ -335,7 +335,7 @@ fn a_guard_keeps_commands_below_what_the_cabinet_would_refuse() {
 }
 
 #[test]
-fn a_robot_without_power_is_commanded_again_when_it_has_some() {
+fn sunrise_power_return_allows_commands_again() {
     let mut config = with(Dialect::V3, Overlay::default());
     config.faults.power_off = Some(PowerOff {
         at: Duration::from_secs(1),
@@ -350,7 +350,7 @@ fn a_robot_without_power_is_commanded_again_when_it_has_some() {
 }
 
 #[test]
-fn a_client_that_starts_again_goes_on_from_its_new_counter() {
+fn sunrise_client_restart_continues_with_new_counter() {
     let mut pair = Pair::commanding(with(Dialect::V1, Overlay::default()));
     pair.session = Session::new(SessionConfig::default());
     pair.entered = None;
@@ -362,7 +362,7 @@ fn a_client_that_starts_again_goes_on_from_its_new_counter() {
 }
 
 #[test]
-fn a_controller_that_starts_again_in_another_version_is_followed() {
+fn sunrise_controller_restart_in_other_version_is_followed() {
     let mut pair = Pair::commanding(with(Dialect::V1, Overlay::default()));
     pair.cabinet = Cabinet::new(
         with(Dialect::V3, Overlay::default()),
@@ -378,12 +378,12 @@ fn a_controller_that_starts_again_in_another_version_is_followed() {
 }
 
 #[test]
-fn contact_is_approached_held_and_its_loss_is_seen() {
+fn sunrise_contact_approach_hold_and_loss() {
     let mut pair = Pair::commanding(with(Dialect::V3, compliant()));
     let height = pair.cabinet.flange()[2];
     *pair.cabinet.contact_mut() = Some(Contact {
         shape: Shape::Wall,
-        place: [0.0, 0.0, height - 0.005],
+        point: [0.0, 0.0, height - 0.005],
         normal: [0.0, 0.0, 1.0],
         stiffness: 10_000.0,
         damping: 50.0,
@@ -417,7 +417,7 @@ fn contact_is_approached_held_and_its_loss_is_seen() {
 }
 
 #[test]
-fn heavy_loss_never_reaches_quality() {
+fn sunrise_heavy_loss_never_reaches_quality() {
     let mut config = with(Dialect::V1, Overlay::default());
     config.faults.to_cabinet = lossy(0.3);
     let mut pair = Pair::new(config);

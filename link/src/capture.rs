@@ -1,5 +1,5 @@
-//! Packets in recordings: the containers pcap and pcapng as a stream of packets, and a writer of pcap. It does not look into
-//! packets; what a probe wrote around Ethernet frames is taken off by [`Frames`].
+//! Packets of recordings: reads pcap and pcapng files as a stream of packets, and writes pcap. It does not decode
+//! packets; [`Frames`] removes what a probe added to Ethernet frames.
 
 use std::fmt;
 use std::io::{self, Read};
@@ -23,16 +23,16 @@ pub use fuzz::fuzz;
 use input::Input;
 pub use writer::Writer;
 
-/// Longest packet that is read, bytes; a longer one is damage.
+/// Longest packet that is read, bytes; a longer one is treated as damage.
 pub const PACKET_MAX: u32 = 1 << 20;
 /// Longest block of pcapng that is read, bytes: a packet and its options.
 const BLOCK_MAX: u32 = PACKET_MAX + (1 << 16);
 /// First bytes of a pcapng file, whatever its byte order.
 const PCAPNG: [u8; 4] = [0x0A, 0x0D, 0x0D, 0x0A];
-/// First bytes of a file packed by gzip.
+/// First bytes of a gzip file.
 const GZIP: [u8; 2] = [0x1F, 0x8B];
 
-/// What a packet begins with, by the number that tcpdump.org registers.
+/// Link type: the outermost header of a packet, as registered by tcpdump.org.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct LinkType(pub u32);
 
@@ -74,15 +74,15 @@ impl fmt::Display for LinkType {
 /// A packet of a recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Packet {
-    /// When it was recorded, since 1970 unless the recording counts otherwise.
+    /// Time of the recording, since 1970 unless the recording has another epoch.
     pub at: Duration,
-    /// What it begins with.
+    /// Outermost header of the packet.
     pub link: LinkType,
-    /// The interface it was recorded on, by its place in the file; 0 where there is but one.
+    /// Index of the recording interface in the file; 0 if there is only one.
     pub interface: u32,
-    /// Its length on the wire, bytes; more than `data` if it was recorded in part.
+    /// Length on the wire, bytes; more than `data` if the packet was truncated.
     pub original_len: u32,
-    /// What was recorded of it.
+    /// The recorded bytes.
     pub data: Vec<u8>,
 }
 
@@ -93,26 +93,26 @@ pub enum CaptureError {
     /// The file cannot be read.
     #[error("cannot read the recording: {0}")]
     Io(#[from] io::Error),
-    /// It is shorter than its header.
-    #[error("the recording is cut off in its header: {0} bytes are there")]
+    /// The file is shorter than its header.
+    #[error("the recording is cut off in its header: {0} bytes")]
     Short(usize),
-    /// It begins with something else.
+    /// The file has another format.
     #[error(
-        "not a recording: a pcap or pcapng file does not begin with {0:08X}h\nhint: `tshark -r FILE -w OTHER.pcapng` converts what Wireshark reads"
+        "not a recording: a pcap or pcapng file does not begin with {0:08X}h\nhint: `tshark -r FILE -w OTHER.pcapng` converts cause Wireshark reads"
     )]
     Unknown(u32),
-    /// It is packed.
+    /// The file is compressed.
     #[error("the recording is compressed\nhint: unpack it by `gunzip`")]
     Compressed,
-    /// What it says of itself cannot be.
-    #[error("the recording is damaged at byte {offset}: {what}")]
+    /// A record contradicts itself.
+    #[error("the recording is damaged at byte {offset}: {cause}")]
     Damaged {
-        /// From the beginning of the file.
+        /// Offset from the beginning of the file.
         offset: u64,
-        /// As the container's parser says.
-        what: String,
+        /// Message of the container's parser.
+        cause: String,
     },
-    /// It was recorded on something else than wanted.
+    /// The link type is not supported.
     #[error("the recording is of link type {0}\nhint: record on the interface itself")]
     LinkType(LinkType),
 }
@@ -120,9 +120,9 @@ pub enum CaptureError {
 /// Where a recording is cut off: a full disk, or a capture that was killed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Cut {
-    /// Whole packets before.
+    /// Number of whole packets before.
     pub packets: u64,
-    /// Bytes behind the last whole record.
+    /// Bytes after the last whole record.
     pub left: u64,
 }
 
@@ -148,7 +148,7 @@ pub struct Reader<R> {
     packets: u64,
     is_ended: bool,
     cut: Option<Cut>,
-    /// When the packet before was recorded; a simple packet block has no time.
+    /// Time of the previous packet; a simple packet block has none.
     last: Duration,
 }
 
@@ -156,7 +156,7 @@ impl<R: Read> Reader<R> {
     /// Reads the header of the file.
     ///
     /// # Errors
-    /// If it cannot be read or begins like no recording.
+    /// If it cannot be read or is not a recording.
     pub fn new(from: R) -> Result<Self, CaptureError> {
         let mut input = Input::new(from);
         let magic = input.fill(4)?;
@@ -181,13 +181,13 @@ impl<R: Read> Reader<R> {
         })
     }
 
-    /// Where the recording is cut off; known when the reading has ended.
+    /// Where the recording is cut off; known once reading has ended.
     #[must_use]
     pub const fn cut(&self) -> Option<Cut> {
         self.cut
     }
 
-    /// The next packet; `None` at the end and where the recording is cut off.
+    /// Returns the next packet; `None` at the end and where the recording is cut off.
     fn read(&mut self) -> Result<Option<Packet>, CaptureError> {
         let step = match &mut self.format {
             Format::Pcap(parser) => pcap::next(&mut self.input, parser)?,
@@ -232,17 +232,17 @@ impl<R> fmt::Debug for Reader<R> {
     }
 }
 
-/// What comes next in a file.
+/// Next item of a file.
 enum Step {
     Packet(Packet),
     End,
-    /// So many bytes are left of a record.
+    /// Number of bytes left of an incomplete record.
     Cut(u64),
 }
 
-/// A parser's complaint about bytes that are all there.
+/// A parser error about complete bytes.
 fn damaged(offset: u64, error: &PcapError) -> CaptureError {
-    let what = match error {
+    let cause = match error {
         PcapError::IncompleteBuffer => "a field reaches beyond its record".to_owned(),
         PcapError::IoError(_)
         | PcapError::InvalidField(_)
@@ -250,11 +250,11 @@ fn damaged(offset: u64, error: &PcapError) -> CaptureError {
         | PcapError::FromUtf8Error(_)
         | PcapError::InvalidInterfaceId(_) => error.to_string(),
     };
-    CaptureError::Damaged { offset, what }
+    CaptureError::Damaged { offset, cause }
 }
 
-/// A record that says it is longer than any.
+/// A record whose stated length exceeds the limit.
 fn too_long(offset: u64, len: u32, bound: u32) -> CaptureError {
-    let what = format!("a record announces {len} bytes, at most {bound} are read");
-    CaptureError::Damaged { offset, what }
+    let cause = format!("a record announces {len} bytes, at most {bound} are read");
+    CaptureError::Damaged { offset, cause }
 }

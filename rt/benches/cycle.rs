@@ -1,5 +1,5 @@
-//! What the statistics cost a cycle: the same body bare, between two clock reads, and with statistics;
-//! and what the alternative that was not taken would cost, a copy of three library histograms.
+//! Cost of the statistics per cycle: the same body bare, between two clock reads, and with statistics;
+//! and the cost of the rejected alternative, a copy of three library histograms.
 //! `cargo bench -p takt-rt`.
 //!
 //! Ratios count; the absolute figures are those of one machine at one moment. Rounds alternate and the

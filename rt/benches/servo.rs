@@ -1,4 +1,4 @@
-//! The servo against what small masters do, and against the gains of linuxptp, on the same samples in one
+//! The servo compared with the loops of small masters, and with the gains of linuxptp, on the same samples in one
 //! run: settling time, phase error, and what a sample costs. `cargo bench -p takt-rt --bench servo`.
 //!
 //! All but the cost is virtual time and the same at each run on any machine. The others are loops of the
@@ -83,8 +83,8 @@ fn about(name: &str) -> &'static str {
 
 /// Something that follows a clock.
 trait Loop {
-    /// A period has gone by; the remote clock seems to show `local + offset_ns`, and so it is told.
-    /// Returns its own idea of that offset, ns.
+    /// Sample after a period: the remote clock seems to show `local + offset_ns`.
+    /// Returns the loop's estimate of that offset, ns.
     fn sample(&mut self, offset_ns: f64) -> f64;
 }
 
@@ -210,7 +210,7 @@ fn judge(noise: &[f64], servo: &mut dyn Loop) -> Verdict {
     let settled = windows.windows(SECOND).position(calm);
     let steady = &errors[STEADY..];
     Verdict {
-        // The window that is good has to be seen first.
+        // The good window must be complete first.
         settled: settled.map(|first| count((first + 1) * WINDOW) * PERIOD_S),
         rms_ns: rms(steady),
         max_ns: steady.iter().fold(0.0, |max, error| error.abs().max(max)),

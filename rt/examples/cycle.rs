@@ -1,8 +1,8 @@
-//! A cycle thread with all its trimmings: host, thread, real-time mark, statistics, and the newest state
-//! seen from outside. `cargo run --example cycle --release [CYCLES]`; 1 ms each, no rights needed.
+//! A complete cycle thread: host, thread, real-time scope, statistics, and a published state.
+//! `cargo run --example cycle --release [CYCLES]`; 1 ms each, no rights needed.
 //!
 //! It moves nothing: the body of the cycle is a counter.
-#![expect(clippy::print_stdout, reason = "printing is what an example is for")]
+#![expect(clippy::print_stdout, reason = "examples print results")]
 
 use std::{env, io, ops::ControlFlow, time::Duration};
 

@@ -2,7 +2,7 @@
 //! read over a noisy line. `cargo run --example follow --release [CYCLES]`; 1 ms each, no rights needed.
 //!
 //! The clock is emulated, the thread, its sleeps and their lateness are real.
-#![expect(clippy::print_stdout, reason = "printing is what an example is for")]
+#![expect(clippy::print_stdout, reason = "examples print results")]
 
 use std::{env, io, ops::ControlFlow, time::Duration};
 
@@ -18,7 +18,7 @@ use takt_rt::{
 };
 
 const PERIOD: Duration = Duration::from_millis(1);
-/// Where in the device's cycle this thread is to wake.
+/// Phase of this thread in the device's cycle.
 const PHASE: Nanos = Nanos::from_micros(300);
 const DRIFT_PPM: i64 = 80;
 
@@ -29,7 +29,7 @@ fn main() -> io::Result<()> {
         .unwrap_or(3_000);
 
     let (mut writer, reader) = stats::pair();
-    // The driver writes what it knows of the clock here; any thread may follow it. This one follows its own.
+    // The driver publishes its estimate of the clock; any thread may follow it. This one follows its own.
     let (mut clock_out, clock) = latest(1, Estimate::default);
     let config = ThreadConfig {
         priority: Some(80),

@@ -1,8 +1,8 @@
-//! Shows that real-time threads do not allocate: a global allocator that counts the calls they make, or
-//! ends the process at the first. Page faults in the same stretch of a thread are counted by the kernel.
+//! Detects allocations in real-time threads: a global allocator that counts the calls of these threads, or
+//! ends the process at the first. The kernel counts page faults over the same scope.
 //!
-//! It does not make allocation faster or bounded, and sees nothing that bypasses Rust's allocator, such
-//! as a C library's own `malloc`.
+//! It does not make allocation faster or bounded, and does not see allocations that bypass Rust's
+//! allocator, such as a C library's own `malloc`.
 #![expect(unsafe_code, reason = "GlobalAlloc is an unsafe trait")]
 
 use std::{
@@ -17,15 +17,15 @@ pub use crate::linux::faults::{PageFaults, real_time_page_faults};
 use crate::linux::{faults, process};
 
 thread_local! {
-    /// How many [`RealTimeScope`]s this thread is in. Constant and without destructor: its use never
-    /// allocates and is allowed to the very end of the thread.
+    /// Number of [`RealTimeScope`]s of this thread. Constant and without destructor: using it never
+    /// allocates, even while the thread ends.
     static SCOPES: Cell<u32> = const { Cell::new(0) };
 }
 
 static CALLS: AtomicU64 = AtomicU64::new(0);
 static ABORT: AtomicBool = AtomicBool::new(false);
 
-/// The system's allocator, watched. Installed by a binary or test:
+/// Counting wrapper of the system's allocator. A binary or test installs it:
 ///
 /// ```
 /// #[global_allocator]
@@ -34,17 +34,17 @@ static ABORT: AtomicBool = AtomicBool::new(false);
 #[derive(Debug, Clone, Copy, Default)]
 pub struct CountingAllocator;
 
-/// What an allocation in a real-time thread leads to.
+/// Reaction to an allocation in a real-time thread.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Guard {
-    /// It is counted. The initial state.
+    /// Count it. The initial state.
     Count,
-    /// It ends the process with status 1 and one line on standard error. So does a panic there, which
-    /// allocates.
+    /// End the process with status 1 and one line on standard error. A panic there has the same effect,
+    /// since it allocates.
     Abort,
 }
 
-/// Chooses what an allocation in a real-time thread leads to, for the whole process.
+/// Sets the reaction to allocations in real-time threads, for the whole process.
 pub fn set_guard(guard: Guard) {
     ABORT.store(guard == Guard::Abort, Ordering::Relaxed);
 }
@@ -57,8 +57,8 @@ pub fn real_time_allocations() -> u64 {
 
 /// Marks the calling thread as real-time until the scope is dropped. Scopes nest.
 ///
-/// Its page faults are counted from here on too. The outermost scope locks and allocates for that, before it
-/// begins and after it ends: once per thread, or for each long stretch of one, not once per cycle.
+/// Its page faults are counted from here on, too. The outermost scope locks and allocates for that, before
+/// it begins and after it ends: use it once per thread, or for each long section of one, not once per cycle.
 pub fn enter_real_time() -> RealTimeScope {
     if SCOPES.get() == 0 {
         faults::begin();
@@ -69,7 +69,7 @@ pub fn enter_real_time() -> RealTimeScope {
     }
 }
 
-/// The stretch of a thread that must not allocate; made by [`enter_real_time`].
+/// The section of a thread that must not allocate; created by [`enter_real_time`].
 #[derive(Debug)]
 #[must_use = "the thread is real-time only as long as this lives"]
 pub struct RealTimeScope {
@@ -86,12 +86,12 @@ impl Drop for RealTimeScope {
     }
 }
 
-// SAFETY: every call goes to `System` with the caller's arguments, whose promises thus pass on unchanged;
-// `watch` neither allocates nor unwinds.
+// SAFETY: every call passes the caller's arguments to `System`, whose requirements the caller thus
+// guarantees; `watch` neither allocates nor unwinds.
 unsafe impl GlobalAlloc for CountingAllocator {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         watch(layout.size());
-        // SAFETY: the caller's promises are those that `System` asks for.
+        // SAFETY: the caller guarantees what `System` requires.
         unsafe { System.alloc(layout) }
     }
 
@@ -117,19 +117,19 @@ unsafe impl GlobalAlloc for CountingAllocator {
 #[inline]
 fn watch(size: usize) {
     if SCOPES.get() > 0 {
-        offence(size);
+        violation(size);
     }
 }
 
 #[cold]
-fn offence(size: usize) {
+fn violation(size: usize) {
     CALLS.fetch_add(1, Ordering::Relaxed);
     if ABORT.load(Ordering::Relaxed) {
-        process::die(last_words(&process::thread_name(), size).as_bytes());
+        process::die(abort_message(&process::thread_name(), size).as_bytes());
     }
 }
 
-fn last_words(thread: &[u8; 16], size: usize) -> Line {
+fn abort_message(thread: &[u8; 16], size: usize) -> Line {
     let end = thread
         .iter()
         .position(|&byte| byte == 0)
@@ -139,7 +139,7 @@ fn last_words(thread: &[u8; 16], size: usize) -> Line {
         bytes: [0; 128],
         length: 0,
     };
-    // Cannot fail: `Line` takes what fits.
+    // Cannot fail: `Line` truncates.
     let _ = writeln!(
         line,
         "takt: real-time thread {name} allocated or freed {size} bytes; ending the run"
@@ -174,8 +174,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_last_words_fit_and_end_the_line() {
-        let line = last_words(b"fifteen-letters\0", usize::MAX);
+    fn abort_message_fits_one_line() {
+        let line = abort_message(b"fifteen-letters\0", usize::MAX);
         let text = std::str::from_utf8(line.as_bytes()).unwrap();
         assert_eq!(
             text,
@@ -185,13 +185,13 @@ mod tests {
     }
 
     #[test]
-    fn a_name_that_is_no_text_does_no_harm() {
-        let line = last_words(&[0xff; 16], 1);
+    fn abort_message_accepts_non_utf8_name() {
+        let line = abort_message(&[0xff; 16], 1);
         assert!(line.as_bytes().starts_with(b"takt: real-time thread ? "));
     }
 
     #[test]
-    fn scopes_nest() {
+    fn real_time_scopes_nest() {
         let outer = enter_real_time();
         drop(enter_real_time());
         assert_eq!(SCOPES.get(), 1);

@@ -1,10 +1,10 @@
-//! The heartbeat: an absolute time grid, and a loop that sleeps from slot to slot of it.
+//! Cyclic execution: an absolute time grid, and a loop that sleeps from slot to slot of it.
 //!
-//! The grid is that of the host's clock, or keeps a phase to a device's ([`Follow`]); then it moves
-//! smoothly, and only when its slots begin changes, never how many there are.
+//! The grid runs on the host's clock, or keeps a phase to a device's clock ([`Follow`]). Then it moves
+//! smoothly: only the start times of slots change, never their number.
 //!
-//! It never catches up: slots missed are skipped and counted, since a burst of late cycles would send a
-//! burst of old set-points.
+//! It never catches up: missed slots are skipped and counted, since a burst of late cycles would send a
+//! burst of stale set-points.
 
 mod follow;
 
@@ -13,33 +13,33 @@ use std::{ops::ControlFlow, time::Duration};
 pub use self::follow::Follow;
 use crate::{Nanos, flight::FlightRecorder, linux::clock, servo::Estimate, stats::StatsWriter};
 
-/// A followed clock moves a slot by at most this part of a period, 0.5 %: the least distance of slots,
-/// on which a device and the budget of a cycle rely, is never less than the rest.
+/// A followed clock moves a slot by at most this part of a period, 0.5 %. Devices and the cycle budget
+/// rely on the resulting minimum distance of slots.
 const STEER_PART: i64 = 200;
 
-/// One cycle about to be run.
+/// One cycle to run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Tick {
     /// Number of its slot in the grid, from 0; skipped slots have numbers too.
     pub index: u64,
     /// Slots skipped just before this one.
     pub missed: u32,
-    /// Its logical time: exactly the first slot's plus `index` periods, whatever clock the grid follows.
+    /// Logical time: exactly the first slot's plus `index` periods, whatever clock the grid follows.
     pub time: Nanos,
-    /// When the slot began, on the grid. The same as `time` unless the grid follows a device's clock.
+    /// Start of the slot on the grid. The same as `time` unless the grid follows a device's clock.
     pub scheduled: Nanos,
-    /// When the thread came to serve it.
+    /// Time at which the thread woke for it.
     pub woken: Nanos,
 }
 
-/// A grid of instants `start + n · period`, and which of them comes next. Reads no clock.
+/// A grid of instants `start + n · period` and its next slot. It reads no clock.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Grid {
     period_ns: i64,
     index: u64,
     /// Logical time of the next slot.
     time: Nanos,
-    /// When it would begin if nothing were followed: a period after the one before.
+    /// Start of the next slot without a followed clock: a period after the one before.
     unsteered: Nanos,
     deadline: Nanos,
 }
@@ -56,18 +56,18 @@ impl Grid {
         }
     }
 
-    /// When the next slot begins: sleep until then, unless it has passed.
+    /// Start of the next slot: sleep until then, unless it has passed.
     pub fn deadline(&self) -> Nanos {
         self.deadline
     }
 
-    /// The distance between two slots.
+    /// Distance between two slots.
     pub fn period(&self) -> Nanos {
         Nanos(self.period_ns)
     }
 
-    /// Takes the slot to serve at `now`: the next, or, if that one and others are over, the one
-    /// that `now` lies in. The phase stays.
+    /// Returns the slot to serve at `now`: the next one, or, if it has ended, the one that contains `now`.
+    /// The phase stays.
     pub fn next(&mut self, now: Nanos) -> Tick {
         let missed = self.over(now);
         self.advance(missed);
@@ -82,7 +82,7 @@ impl Grid {
         tick
     }
 
-    /// Leaves out, uncounted, the slots that began before `now`: for a late start.
+    /// Skips, uncounted, the slots that began before `now`: for a late start.
     pub fn skip_to(&mut self, now: Nanos) {
         let over = self.over(now);
         self.advance(over);
@@ -91,19 +91,19 @@ impl Grid {
         }
     }
 
-    /// Moves the next slot towards the nearest instant at which the clock of `estimate` shows
-    /// `n · period + phase`, by 0.5 % of a period at most. Once on it, slots follow that clock's rate.
-    /// Only the last call before a slot counts.
+    /// Moves the next slot towards the nearest instant at which the clock of `estimate` shows `n · period
+    /// + phase`, by 0.5 % of a period at most. Once aligned, slots follow that clock's rate. Only the last
+    /// call before a slot counts.
     pub fn steer(&mut self, estimate: &Estimate, phase: Nanos) {
         let error = estimate.phase_error(self.unsteered, self.period(), phase);
         let most = self.period_ns / STEER_PART;
         self.deadline = self.unsteered - Nanos(error.0.clamp(-most, most));
     }
 
-    /// How many slots, from the next on, have ended by `now`.
+    /// Number of slots, from the next on, that have ended by `now`.
     fn over(&self, now: Nanos) -> i64 {
         let late = (now - self.deadline).0;
-        // Nearly always, and then without the division.
+        // The usual case avoids the division.
         if late < self.period_ns {
             0
         } else {
@@ -120,7 +120,7 @@ impl Grid {
     }
 }
 
-/// Runs `body` once per slot of the host's clock: [`Cycles::run`] with nothing but a period and a start.
+/// Runs `body` once per slot of the host's clock: [`Cycles::run`] with a period and a start only.
 pub fn run_cycles(
     period: Duration,
     start: Option<Nanos>,
@@ -134,17 +134,17 @@ pub fn run_cycles(
     cycles.run(stats, body)
 }
 
-/// The cycles of a thread: how often, from when, by whose clock.
+/// The cycles of a thread: period, start and clock.
 #[derive(Debug)]
 pub struct Cycles<'a> {
-    /// The distance between two slots.
+    /// Distance between two slots.
     pub period: Duration,
-    /// Where slot 0 is; `None` for one period from the call. If it lies in the past, the first cycle is
+    /// Start of slot 0; `None` for one period from the call. If it lies in the past, the first cycle is
     /// the next slot of that grid.
     pub start: Option<Nanos>,
-    /// The device's clock to keep phase with; `None` for the host's.
+    /// The device's clock to follow; `None` for the host's.
     pub follow: Option<Follow>,
-    /// Where missed slots and changes of the followed clock are noted.
+    /// Records missed slots and state changes of the followed clock.
     pub flight: Option<&'a FlightRecorder>,
 }
 
@@ -161,10 +161,10 @@ impl Cycles<'_> {
 
     /// Runs `body` once per slot until it breaks; returns the number of cycles run.
     ///
-    /// Each cycle is recorded in `stats`, after the body. An estimate that the body writes counts for
-    /// the next slot. The sleep is left out when the next slot has begun already. Allocates nothing; ends
-    /// early only if the kernel refuses to sleep ([`sleep_until`](crate::sleep_until)), since going on
-    /// would be an endless loop at top priority.
+    /// Each cycle is recorded in `stats` after the body. An estimate that the body writes takes effect in
+    /// the next slot. There is no sleep if the next slot has already begun. It does not allocate, and ends
+    /// early only if the kernel rejects the sleep ([`sleep_until`](crate::sleep_until)): continuing would
+    /// be an endless loop at top priority.
     pub fn run(
         mut self,
         stats: &mut StatsWriter,
@@ -226,14 +226,14 @@ mod tests {
     }
 
     #[test]
-    fn table_of_wake_ups() {
+    fn grid_wake_ups_match_table() {
         let mut grid = Grid::new(Nanos(1000), PERIOD);
         let table = [
-            tick(0, 0, 1000, 1000),  // on the dot
+            tick(0, 0, 1000, 1000),  // on time
             tick(1, 0, 1100, 1199),  // late by almost a period
             tick(2, 0, 1200, 1201),  // the grid keeps its phase
             tick(4, 1, 1400, 1400),  // late by exactly a period: slot 3 is over
-            tick(5, 0, 1500, 1499),  // early, as after a refused sleep: the slot all the same
+            tick(5, 0, 1500, 1499),  // early, as after a failed sleep: the same slot
             tick(15, 9, 2500, 2555), // a long outage
             tick(16, 0, 2600, 2600),
         ];
@@ -247,7 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn a_late_start_misses_nothing() {
+    fn grid_late_start_misses_nothing() {
         for (now, index, deadline) in [
             (999, 0, 1000),
             (1000, 0, 1000),
@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn absurd_clocks_saturate() {
+    fn grid_extreme_clocks_saturate() {
         let mut grid = Grid::new(Nanos(i64::MIN), Duration::ZERO);
         assert_eq!(grid.period(), Nanos(1));
         assert_eq!(grid.next(Nanos::MAX).missed, u32::MAX);
@@ -276,9 +276,9 @@ mod tests {
     }
 
     proptest! {
-        /// Against the definition: slots that ended before the wake-up are missed, no other.
+        /// By definition: slots that ended before the wake-up are missed, no others.
         #[test]
-        fn every_slot_is_served_or_counted(
+        fn grid_slots_are_served_or_counted(
             start in -1_000_000_i64..1_000_000,
             period in 1_u64..5_000,
             steps in proptest::collection::vec(0_i64..20_000, 1..50),
@@ -299,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn a_steered_grid_keeps_numbers_and_logical_time() {
+    fn grid_steered_keeps_numbers_and_logical_time() {
         let clock = Estimate {
             state: crate::servo::State::Locked,
             remote: Nanos(3_000),
@@ -316,20 +316,20 @@ mod tests {
             assert_eq!(tick.time, Nanos(100_000 * i64::try_from(index).unwrap()));
             spacings.push((tick.scheduled - before).0);
             before = tick.scheduled;
-            // Asking twice must not move it twice.
+            // The second call must not move it again.
             grid.steer(&clock, Nanos(30_000));
             grid.steer(&clock, Nanos(30_000));
         }
         assert_eq!(spacings[1], 100_500, "27 us ahead, at 0.5 % a cycle");
-        assert_eq!(spacings[79], 99_990, "then at the rate of that clock");
+        assert_eq!(spacings[79], 99_990, "then at that clock's rate");
         let error = clock.phase_error(before, grid.period(), Nanos(30_000));
         assert!(error.abs() <= Nanos(1), "{error}");
     }
 
     proptest! {
-        /// Whatever is followed, jumps included, slots keep their least distance and none is lost.
+        /// Slots keep their minimum distance and none is lost, even if the followed clock jumps.
         #[test]
-        fn no_clock_breaks_the_spacing(
+        fn grid_keeps_spacing_with_any_clock(
             period in 1_000_i64..50_000_000,
             phase: i64,
             clocks in proptest::collection::vec((any::<i64>(), any::<i64>(), -5e8..5e8_f64, 0_i64..200), 1..60),
@@ -357,7 +357,7 @@ mod tests {
     }
 
     #[test]
-    fn the_loop_follows_and_records_its_phase() {
+    fn cycles_follow_clock_and_record_phase() {
         let clock = Estimate {
             state: crate::servo::State::Locked,
             local: clock::monotonic(),
@@ -387,7 +387,7 @@ mod tests {
     }
 
     #[test]
-    fn missed_slots_are_noted() {
+    fn cycles_record_missed_slots() {
         let (mut writer, _reader) = crate::stats::pair();
         let flight = FlightRecorder::new(4);
         let cycles = Cycles {
@@ -405,11 +405,14 @@ mod tests {
             }
         });
         let last = flight.entries().last().unwrap();
-        assert_eq!((last.what, last.value), ("missed slots", i64::from(missed)));
+        assert_eq!(
+            (last.event, last.value),
+            ("missed slots", i64::from(missed))
+        );
     }
 
     #[test]
-    fn the_loop_runs_the_grid_and_stops_when_told() {
+    fn cycles_run_grid_until_break() {
         let (mut writer, reader) = crate::stats::pair();
         let mut ticks = Vec::new();
         let cycles = run_cycles(Duration::from_micros(50), None, &mut writer, |tick| {
@@ -429,7 +432,7 @@ mod tests {
     }
 
     #[test]
-    fn a_start_in_the_past_keeps_its_phase() {
+    fn cycles_past_start_keeps_phase() {
         let (mut writer, reader) = crate::stats::pair();
         let start = clock::monotonic() - Nanos::from_millis(10);
         let mut first = None;

@@ -1,21 +1,20 @@
-//! The flight recorder: the last so many things a real-time thread did, for the report after a fault.
+//! The flight recorder: the last events of a real-time thread, for the report after a fault.
 //!
-//! It does not leave the thread by itself. Its owner hands it over when the thread ends, or, on a fault in
-//! a thread that goes on, copies the entries into a [`latest`](crate::latest) cell
-//! ([`FlightRecorder::copy_to`]).
+//! It stays in its thread. Its owner returns it when the thread ends, or, on a fault in a thread that
+//! continues, copies the entries into a [`latest`](crate::latest) cell ([`FlightRecorder::copy_to`]).
 
 use std::{cell::Cell, fmt};
 
-/// One thing that happened. Displays as one line.
+/// One event. Displays as one line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Entry {
-    /// Number of the cycle it happened in.
+    /// Number of the cycle.
     pub cycle: u64,
-    /// Who says so, as in `ecat`.
+    /// Source of the event, as in `ecat`.
     pub source: &'static str,
-    /// What happened, as in `working counter`.
-    pub what: &'static str,
-    /// A figure that goes with it, in whatever unit `what` implies.
+    /// Name of the event, as in `working counter`.
+    pub event: &'static str,
+    /// Value of the event; its name implies the unit.
     pub value: i64,
 }
 
@@ -24,35 +23,35 @@ impl fmt::Display for Entry {
         let Self {
             cycle,
             source,
-            what,
+            event,
             value,
         } = self;
-        write!(f, "{cycle} {source}: {what} {value}")
+        write!(f, "{cycle} {source}: {event} {value}")
     }
 }
 
 impl Entry {
-    /// No entry yet: what memory for entries is filled with.
+    /// An empty entry, the initial content of entry memory.
     pub const BLANK: Self = Self {
         cycle: 0,
         source: "",
-        what: "",
+        event: "",
         value: 0,
     };
 }
 
 /// A ring of entries that overwrites its oldest. Recording takes `&self`, so that the loop that runs a
-/// cycle and the cycle's body can share it; it may be sent to another thread, not shared with one.
+/// cycle and the cycle's body can share it; it may be moved to another thread, not shared with one.
 #[derive(Debug)]
 pub struct FlightRecorder {
     entries: Box<[Cell<Entry>]>,
     recorded: Cell<u64>,
-    /// Where the next entry goes, below `entries.len()`.
+    /// Index of the next entry, below `entries.len()`.
     next: Cell<usize>,
 }
 
 impl FlightRecorder {
-    /// Remembers the last `capacity` entries (at least 1). All memory is taken here.
+    /// A recorder of the last `capacity` entries (at least 1). All memory is allocated here.
     pub fn new(capacity: usize) -> Self {
         Self {
             entries: vec![Cell::new(Entry::BLANK); capacity.max(1)].into(),
@@ -61,17 +60,17 @@ impl FlightRecorder {
         }
     }
 
-    /// Remembers that in cycle `cycle` `source` met `what`, in place of the oldest entry if need be.
-    pub fn note(&self, cycle: u64, source: &'static str, what: &'static str, value: i64) {
+    /// Records an event of `source` in cycle `cycle`; overwrites the oldest entry if the ring is full.
+    pub fn note(&self, cycle: u64, source: &'static str, event: &'static str, value: i64) {
         self.record(Entry {
             cycle,
             source,
-            what,
+            event,
             value,
         });
     }
 
-    /// Remembers `entry`, in place of the oldest if need be.
+    /// Records `entry`; overwrites the oldest if the ring is full.
     pub fn record(&self, entry: Entry) {
         let next = self.next.get();
         self.entries[next].set(entry);
@@ -79,12 +78,12 @@ impl FlightRecorder {
         self.recorded.set(self.recorded.get() + 1);
     }
 
-    /// Entries recorded so far, forgotten ones included.
+    /// Number of entries recorded so far, overwritten ones included.
     pub fn recorded(&self) -> u64 {
         self.recorded.get()
     }
 
-    /// The entries remembered, oldest first.
+    /// The stored entries, oldest first.
     pub fn entries(&self) -> impl DoubleEndedIterator<Item = Entry> {
         let (newer, older) = self.entries.split_at(self.next.get());
         let is_full = self.recorded() >= self.entries.len() as u64;
@@ -92,7 +91,8 @@ impl FlightRecorder {
         older.iter().chain(newer).map(Cell::get)
     }
 
-    /// Copies the newest entries that fit into `into`, oldest first, and blanks the rest. Returns how many.
+    /// Copies the newest entries that fit into `into`, oldest first, and blanks the rest. Returns their
+    /// number.
     pub fn copy_to(&self, into: &mut [Entry]) -> usize {
         let mut count = 0;
         for (slot, entry) in into.iter_mut().zip(self.entries().rev()) {
@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn remembers_the_last_in_order() {
+    fn recorder_keeps_last_entries_in_order() {
         let recorder = FlightRecorder::new(3);
         assert_eq!(cycles(&recorder), []);
         let expected: [&[u64]; 5] = [&[0], &[0, 1], &[0, 1, 2], &[1, 2, 3], &[2, 3, 4]];
@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn the_newest_are_copied_in_order() {
+    fn recorder_copies_newest_in_order() {
         let recorder = FlightRecorder::new(3);
         (0..5).for_each(|cycle| recorder.note(cycle, "test", "count", 0));
         let mut two = [Entry::BLANK; 2];
@@ -139,11 +139,11 @@ mod tests {
     }
 
     #[test]
-    fn an_entry_displays_as_one_line() {
+    fn entry_displays_as_one_line() {
         let entry = Entry {
             cycle: 7,
             source: "ecat",
-            what: "working counter",
+            event: "working counter",
             value: -1,
         };
         assert_eq!(entry.to_string(), "7 ecat: working counter -1");

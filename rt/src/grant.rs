@@ -1,41 +1,41 @@
-//! What the system was asked for and what it gave, one line each, so that an ordinary user's run works
-//! and still says what it lacks.
+//! Requests to the system and their outcomes, one line each: an ordinary user's run works and reports item
+//! it lacks.
 //!
-//! It does not judge the host; a refusal is for the reader of the line to weigh.
+//! It does not assess the host; the reader decides whether a refused request matters.
 
 use std::fmt;
 
 /// One request to the system and its outcome. Displays as one plain line.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Grant {
-    /// What was asked for, as in `SCHED_FIFO priority`.
-    pub what: &'static str,
-    /// Which or how much of it, as in `80`; may be empty.
+    /// Name of the request, as in `SCHED_FIFO priority`.
+    pub item: &'static str,
+    /// Value of the request, as in `80`; may be empty.
     pub detail: String,
-    /// What became of it.
+    /// Outcome of the request.
     pub outcome: Outcome,
 }
 
-/// What became of a request.
+/// Outcome of a request.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Outcome {
     /// In force.
     Granted,
     /// Not in force.
     Refused {
-        /// The system's own words.
+        /// The system's error text.
         why: String,
-        /// What the reader can do, and what the run goes on without.
+        /// How to fix it, and item the run continues without.
         remedy: String,
     },
-    /// The configuration does not ask for it.
+    /// The configuration does not request it.
     NotRequested,
 }
 
 impl Grant {
-    pub(crate) fn not_requested(what: &'static str) -> Self {
+    pub(crate) fn not_requested(item: &'static str) -> Self {
         Self {
-            what,
+            item,
             detail: String::new(),
             outcome: Outcome::NotRequested,
         }
@@ -43,7 +43,7 @@ impl Grant {
 
     /// The outcome of an attempt: `Ok`, or the reason and the remedy.
     pub(crate) fn from_attempt(
-        what: &'static str,
+        item: &'static str,
         detail: impl Into<String>,
         attempt: Result<(), (String, String)>,
     ) -> Self {
@@ -52,7 +52,7 @@ impl Grant {
             Err((why, remedy)) => Outcome::Refused { why, remedy },
         };
         Self {
-            what,
+            item,
             detail: detail.into(),
             outcome,
         }
@@ -71,7 +71,7 @@ impl Grant {
 
 impl fmt::Display for Grant {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.what)?;
+        f.write_str(self.item)?;
         if !self.detail.is_empty() {
             write!(f, " {}", self.detail)?;
         }

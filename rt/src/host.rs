@@ -1,8 +1,8 @@
-//! What a process asks of its host once, before its cycle threads start: resident memory, awake
-//! processors, exact timers.
+//! Per-process requests to the host before cycle threads start: locked memory, no deep sleep states, exact
+//! timers.
 //!
-//! It changes nothing beyond this process and its own lifetime, and refuses to fail: what the system
-//! does not give is reported as a [`Grant`], and the run goes on without it.
+//! It changes nothing beyond this process and its lifetime, and never fails: each refused request is
+//! reported as a [`Grant`], and the run continues without it.
 
 use std::{
     fs::{self, File, OpenOptions},
@@ -15,7 +15,7 @@ use crate::linux::{
     scheduler::set_timer_slack,
 };
 
-/// What to ask for. The default asks for everything.
+/// Requests to the host. The default requests everything.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct HostConfig {
     /// Keep all pages of the process, present and future, in memory.
@@ -23,11 +23,10 @@ pub struct HostConfig {
     /// Bytes of heap to touch in advance; 0 for none. For the work around the cycles: a cycle itself does
     /// not allocate.
     pub heap_bytes: usize,
-    /// Keep processors out of the sleep states that take long to wake from, as long as [`Host`] lives.
-    /// Costs power.
+    /// Keep processors out of sleep states with long wake-up times, as long as [`Host`] lives. Costs power.
     pub stay_awake: bool,
-    /// Have sleeps of ordinary threads end on time, not up to 50 µs later. Threads inherit it from
-    /// the one that calls [`prepare`].
+    /// Let sleeps of ordinary threads end on time, not up to 50 µs late. Threads inherit it from the one
+    /// that calls [`prepare`].
     pub exact_timers: bool,
 }
 
@@ -42,7 +41,7 @@ impl Default for HostConfig {
     }
 }
 
-/// What the system gave; holds what must be held. Keep it as long as cycles run.
+/// Outcomes of the requests; holds their resources. Keep it as long as cycles run.
 #[derive(Debug)]
 #[must_use = "processors stay awake only as long as this lives"]
 pub struct Host {
@@ -51,8 +50,8 @@ pub struct Host {
     _awake: Option<File>,
 }
 
-/// Asks for all of `config`. Call it once, first thing in `main`: timer slack is inherited by the
-/// threads that the caller starts later.
+/// Makes all requests of `config`. Call it once, first thing in `main`: threads that the caller starts
+/// later inherit timer slack.
 pub fn prepare(config: &HostConfig) -> Host {
     let (awake, stay_awake) = stay_awake(config.stay_awake);
     let grants = vec![
@@ -76,7 +75,7 @@ pub fn return_memory() {
 }
 
 impl Host {
-    /// One grant per property, in the order of [`HostConfig`], after that of the kernel itself.
+    /// One grant per property, in the order of [`HostConfig`], after the kernel's.
     pub fn grants(&self) -> &[Grant] {
         &self.grants
     }
@@ -85,24 +84,24 @@ impl Host {
     pub fn is_preempt_rt(&self) -> bool {
         self.grants
             .iter()
-            .any(|grant| grant.what == KERNEL && grant.is_granted())
+            .any(|grant| grant.item == KERNEL && grant.is_granted())
     }
 
-    /// Whether the kernel is PREEMPT_RT and nothing that was asked for was refused. Cycles run either
-    /// way; without, their worst case is anybody's guess.
+    /// Whether the kernel is PREEMPT_RT and no request was refused. Cycles run either way; otherwise their
+    /// worst case is unbounded.
     pub fn is_real_time(&self) -> bool {
         self.is_preempt_rt() && !self.grants.iter().any(Grant::is_refused)
     }
 }
 
-/// What the grant of locked memory is called.
+/// Name of the memory-lock grant.
 pub const MEMORY: &str = "memory lock";
 
-/// What [`Grant`] calls the kernel.
+/// Name of the kernel's grant.
 pub const KERNEL: &str = "PREEMPT_RT kernel";
 
-/// `flag` is the content of `/sys/kernel/realtime`, which only PREEMPT_RT has. The version string is no
-/// witness: `PREEMPT_DYNAMIC` is not real time, whatever mode it is in.
+/// `flag` is the content of `/sys/kernel/realtime`, which only PREEMPT_RT has. The version string proves
+/// nothing: `PREEMPT_DYNAMIC` is not real time, whatever its mode.
 fn kernel(flag: &io::Result<String>) -> Grant {
     let why = match flag {
         Ok(text) if text.trim() == "1" => return Grant::from_attempt(KERNEL, "", Ok(())),
@@ -187,7 +186,7 @@ fn exact_timers(requested: bool) -> Grant {
     Grant::from_attempt(WHAT, "", attempt)
 }
 
-/// The system's words without Rust's `(os error 13)`.
+/// The system's error text without Rust's `(os error 13)`.
 fn error_text(error: &io::Error) -> String {
     error.raw_os_error().map_or_else(
         || error.to_string(),
@@ -200,7 +199,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_a_one_is_a_real_time_kernel() {
+    fn kernel_flag_one_is_real_time() {
         assert!(kernel(&Ok("1\n".into())).is_granted());
         assert!(kernel(&Ok("0\n".into())).is_refused());
         let absent = kernel(&Err(io::ErrorKind::NotFound.into()));
@@ -212,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_requested_is_nothing_done() {
+    fn host_without_requests_does_nothing() {
         let config = HostConfig {
             lock_memory: false,
             heap_bytes: 0,
@@ -226,12 +225,12 @@ mod tests {
             .filter(|grant| grant.outcome != Outcome::NotRequested);
         assert!(
             requested.eq([&host.grants()[0]]),
-            "the kernel alone has an answer"
+            "only the kernel has a result"
         );
     }
 
     #[test]
-    fn real_time_needs_the_kernel_and_every_request() {
+    fn host_is_real_time_requires_kernel_and_grants() {
         let host = |grants| Host {
             grants,
             _awake: None,

@@ -1,33 +1,33 @@
-//! The newest value, from one writer to many readers, without either ever waiting: how device threads
-//! and net threads exchange whole images each cycle.
+//! The newest value, from one writer to many readers, wait-free on both sides: device threads and net
+//! threads exchange whole images by it each cycle.
 //!
-//! It is not a queue: a value that no reader fetched in time is gone. For events use
+//! It is not a queue: a value that no reader fetched in time is overwritten. For events use
 //! [`ring`](crate::ring).
 //!
 //! # How it works
 //!
-//! An anonymous-readers-counting register over `readers + 2` slots. One word, `current`, holds the
-//! index of the newest slot in its low 16 bits and above them how many reads began there since it was
-//! published. A reader adds one to that word, which tells it the slot and announces the read in the
-//! same step; when done, it adds one to the slot's `released` count. The writer fills a free slot and
-//! swaps its index into `current`; the word it gets back says how many reads the replaced slot will
-//! have seen in all. A slot is free when it is not current and has been released as often.
+//! An anonymous-readers-counting register over `readers + 2` slots. One word, `current`, holds the index
+//! of the newest slot in its low 16 bits, and above them the number of reads that began there since it was
+//! published. A reader adds one to that word, which returns the slot and announces the read in the same
+//! step; when done, it adds one to the slot's `released` count. The writer fills a free slot and swaps its
+//! index into `current`; the old word holds the total number of reads of the replaced slot. A slot is free
+//! when it is not current and has been released as often.
 //!
 //! **A free slot always exists.** A handle reads one slot at a time, so `readers` handles keep at most
-//! that many slots busy, one more is current, and one is left. The writer's view may lag behind, but
-//! never by a second slot of the same handle: counting a read that began in a replaced slot means the
-//! swap observed that handle's addition to `current` (`AcqRel` on both), and the handle's release of
-//! its former slot came before that. Nothing becomes busy during the writer's scan, because reads
-//! begin in the current slot only; so one pass finds the slot.
+//! that many slots busy, one more is current, and one is left. The writer's view may lag behind, but never
+//! by a second slot of the same handle: counting a read that began in a replaced slot means that the swap
+//! observed that handle's addition to `current` (`AcqRel` on both), and the handle's release of its former
+//! slot came before that. No slot becomes busy during the writer's scan, because reads begin in the
+//! current slot only; so one pass finds a free one.
 //!
 //! **Orderings.** The swap's `Release` publishes the slot's content to the addition's `Acquire`; later
 //! additions continue the release sequence. The release count's `Release` orders the read before the
-//! writer's `Acquire` of it, thus before the next overwrite. `version` is stored after the swap, so who
-//! sees a new number reads at least that value.
+//! writer's `Acquire` of it, thus before the next overwrite. `version` is stored after the swap, so a
+//! reader that sees a new number reads at least that value.
 //!
-//! **Wrap-around.** Both counts step by 2¹⁶, in 64-bit words, so they wrap together, modulo 2⁴⁸, and
-//! leave the index alone. They are compared for equality, which could err only if 2⁴⁸ reads were
-//! under way at once; there are at most 65,534 handles.
+//! **Wrap-around.** Both counts step by 2¹⁶ in 64-bit words, so they wrap together, modulo 2⁴⁸, and do not
+//! change the index. They are compared for equality, which could fail only with 2⁴⁸ concurrent reads;
+//! there are at most 65,534 handles.
 //!
 //! **Panics.** A reader's closure that panics still releases its slot. A writer's closure that panics
 //! publishes nothing; its half-written slot stays free and is overwritten next.
@@ -47,11 +47,11 @@ const INDEX_MASK: u64 = ONE_READ - 1;
 /// The most handles a cell can have: slot indices have 16 bits and two slots are not for readers.
 pub const MAX_READERS: usize = 65_534;
 
-/// Makes a cell that holds `make()` until the first write, and room for `readers` reading handles
-/// (1 to [`MAX_READERS`]; other numbers are taken as the nearer bound).
+/// Creates a cell that holds `make()` until the first write, with up to `readers` reading handles (clamped
+/// to 1..=[`MAX_READERS`]).
 ///
-/// `make` is called once per slot, `readers + 2` times. All memory is taken here and given back when
-/// the last handle is dropped, which therefore should not be the real-time thread's.
+/// `make` is called once per slot, `readers + 2` times. All memory is allocated here and freed with the
+/// last handle, which therefore should not be the real-time thread's.
 pub fn latest<T: Send + Sync>(
     readers: usize,
     mut make: impl FnMut() -> T,
@@ -85,7 +85,7 @@ pub fn latest<T: Send + Sync>(
     )
 }
 
-/// On cache lines of its own, so that a reader's release does not slow the neighbours down.
+/// On cache lines of its own, so that a reader's release does not slow other slots.
 #[repr(align(64))]
 struct Slot<T> {
     /// Reads of this slot that ended since it was published, times [`ONE_READ`].
@@ -97,14 +97,14 @@ struct Shared<T> {
     /// Index of the newest slot, plus [`ONE_READ`] per read that began there since its publication.
     current: AtomicU64,
     version: AtomicU64,
-    /// Reading handles that exist; never above `readers`.
+    /// Number of reading handles; never above `readers`.
     handles: AtomicUsize,
     readers: usize,
     slots: Box<[Slot<T>]>,
 }
 
-// SAFETY: a slot's value is reached by `&mut` from the writer alone while no reader holds it (module
-// doc), which sends it between threads: `T: Send`; and by `&` from many readers at once: `T: Sync`.
+// SAFETY: only the writer reaches a slot's value by `&mut`, while no reader holds it (module doc), which
+// sends it between threads: `T: Send`; many readers reach it by `&` at once: `T: Sync`.
 unsafe impl<T: Send + Sync> Sync for Shared<T> {}
 
 fn index_of(current: u64) -> usize {
@@ -115,7 +115,7 @@ fn reads_of(current: u64) -> u64 {
     current & !INDEX_MASK
 }
 
-/// The writing end of [`latest`].
+/// The writing endpoint of [`latest`].
 pub struct LatestWriter<T> {
     shared: Arc<Shared<T>>,
     /// Per slot, the reads that began while it was current (times [`ONE_READ`]); known since it was replaced.
@@ -125,8 +125,8 @@ pub struct LatestWriter<T> {
 }
 
 impl<T: Send + Sync> LatestWriter<T> {
-    /// Publishes what `f` leaves in the slot. The slot holds some **older** value, not the newest: `f`
-    /// must overwrite all of it.
+    /// Publishes the content of the slot after `f`. The slot holds some **older** value, not the newest:
+    /// `f` must overwrite all of it.
     ///
     /// Wait-free: a scan over at most `readers + 2` slots, then one swap.
     pub fn write_with(&mut self, f: impl FnOnce(&mut T)) {
@@ -173,13 +173,13 @@ impl<T> fmt::Debug for LatestWriter<T> {
     }
 }
 
-/// A reading end of [`latest`].
+/// A reading endpoint of [`latest`].
 pub struct LatestReader<T> {
     shared: Arc<Shared<T>>,
 }
 
 impl<T: Send + Sync> LatestReader<T> {
-    /// The newest value.
+    /// Returns the newest value.
     pub fn read(&mut self) -> T
     where
         T: Copy,
@@ -187,34 +187,33 @@ impl<T: Send + Sync> LatestReader<T> {
         self.read_with(|value| *value)
     }
 
-    /// What `f` makes of the newest value. Wait-free but for `f`; while `f` runs, the writer goes on in
-    /// other slots.
+    /// Applies `f` to the newest value. Wait-free except for `f`; meanwhile the writer uses other slots.
     pub fn read_with<R>(&mut self, f: impl FnOnce(&T) -> R) -> R {
         let current = self.shared.current.fetch_add(ONE_READ, Ordering::AcqRel);
         let slot = &self.shared.slots[index_of(current)];
         let _release = Release(&slot.released);
         slot.value.with(|value| {
-            // SAFETY: the pointer is valid as long as `shared`. The slot was current when this read
-            // was counted, so its content is published (`Acquire`), and the writer keeps off it until
+            // SAFETY: the pointer is valid as long as `shared`. The slot was current when this read was
+            // counted, so its content is published (`Acquire`), and the writer does not use it until
             // `_release`, dropped after `f`, counts the read as ended.
             f(unsafe { &*value })
         })
     }
 
-    /// How many values were written so far: one load. A reader that remembers the number can skip an
-    /// unchanged value; read the number first, then the value, and none is missed.
+    /// Number of values written so far: one load. A reader that stores it can skip an unchanged value;
+    /// read the number first, then the value, and none is missed.
     pub fn version(&self) -> u64 {
         self.shared.version.load(Ordering::Acquire)
     }
 
-    /// A further handle, or `None` when the cell's number of readers exists already. A dropped handle
-    /// makes room for another. Not for the real-time path: it may retry while others do the same.
+    /// Creates a further handle; `None` if all readers of the cell exist. A dropped handle can be
+    /// replaced. Not for the real-time path: it may retry under contention.
     pub fn another(&self) -> Option<Self> {
         let handles = &self.shared.handles;
         let mut count = handles.load(Ordering::Relaxed);
         while count < self.shared.readers {
-            // `Acquire` pairs with the drop of the handle whose place this one takes, so that the
-            // proof above holds for the two as if they were one.
+            // `Acquire` pairs with the drop of the handle that this one replaces, so that the proof above
+            // holds for the two as for one.
             match handles.compare_exchange(count, count + 1, Ordering::Acquire, Ordering::Relaxed) {
                 Ok(_) => {
                     return Some(Self {

@@ -1,7 +1,7 @@
 #![doc = include_str!("../README.md")]
 #![deny(unsafe_code)]
 
-// A loom build explores the two structures that threads share; the rest needs a real kernel.
+// A loom build contains only the two structures that threads share; the rest needs a real kernel.
 pub mod latest;
 pub mod ring;
 mod sync;

@@ -1,7 +1,7 @@
-//! One number type for instants and offsets, because a cycle's arithmetic mixes both and must not
-//! panic when a clock or a wire hands it nonsense.
+//! One number type for instants and offsets: a cycle's arithmetic mixes both and must not panic on a
+//! corrupt clock or wire value.
 //!
-//! It is not a calendar: the instants are those of `CLOCK_MONOTONIC`, which starts at boot.
+//! It is no calendar: the instants are those of `CLOCK_MONOTONIC`, which starts at boot.
 
 use std::{
     fmt,
@@ -31,7 +31,7 @@ impl Nanos {
         Self(millis.saturating_mul(1_000_000))
     }
 
-    /// The nearest to `ns`; no number is no offset.
+    /// The nearest to `ns`; NaN gives zero.
     #[expect(
         clippy::cast_possible_truncation,
         reason = "saturates, as all arithmetic here"
@@ -40,13 +40,13 @@ impl Nanos {
         Self(ns.round() as i64)
     }
 
-    /// In ns, exact to 104 days.
-    #[expect(clippy::cast_precision_loss, reason = "that is what the name says")]
+    /// In ns; exact up to 104 days.
+    #[expect(clippy::cast_precision_loss, reason = "the name says so")]
     pub(crate) const fn to_f64(self) -> f64 {
         self.0 as f64
     }
 
-    /// The magnitude.
+    /// Absolute value.
     pub const fn abs(self) -> Self {
         Self(self.0.saturating_abs())
     }
@@ -126,7 +126,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn display_chooses_the_unit() {
+    fn nanos_display_chooses_unit() {
         let table = [
             (0, "0ns"),
             (999, "999ns"),
@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn arithmetic_saturates() {
+    fn nanos_arithmetic_saturates() {
         assert_eq!(Nanos::MAX + Nanos(1), Nanos::MAX);
         assert_eq!(-Nanos(i64::MIN), Nanos::MAX);
         assert_eq!(Nanos(i64::MIN) - Nanos(1), Nanos(i64::MIN));
@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn durations_convert_both_ways_or_say_no() {
+    fn nanos_convert_to_and_from_duration() {
         assert_eq!(
             Nanos::from(Duration::from_micros(250)),
             Nanos::from_micros(250)

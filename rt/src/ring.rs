@@ -1,32 +1,32 @@
-//! A bounded queue from one thread to one other, for events, commands and plans: neither side ever
-//! waits, and what does not fit is counted.
+//! A bounded queue between two threads, for events, commands and plans: neither side waits, and rejected
+//! items are counted.
 //!
-//! It does not wake anybody: the consumer looks when its own cycle or poll comes round.
+//! It wakes no thread: the consumer polls in its own cycle.
 //!
-//! Own code rather than a library, because the promise includes a model check of its orderings and no
-//! published ring lets loom reach its atomics from outside; the README says more.
+//! Own code rather than a library: the crate promises a model check of the orderings, and no published
+//! ring lets loom replace its atomics; see the README.
 //!
-//! `tail` counts the items ever pushed, `head` those ever popped, both modulo 2⁶⁴ (or 2³²); the buffer
-//! is a power of two long, so an item's place is its number masked. Each side owns one of the two and
-//! keeps its last sight of the other, which it renews only when the ring looks full or empty.
+//! `tail` counts the items ever pushed, `head` those ever popped, both modulo 2⁶⁴ (or 2³²). The buffer
+//! length is a power of two, so the index of an item is its number masked. Each side owns one of the two
+//! counters and caches the other, which it reloads only if the ring seems full or empty.
 #![expect(
     unsafe_code,
-    reason = "places are uninitialised memory, owned by position"
+    reason = "slots are uninitialised memory, owned by position"
 )]
 
 use std::{fmt, mem::MaybeUninit};
 
 use crate::sync::{Arc, AtomicU64, AtomicUsize, Ordering, UnsafeCell};
 
-/// Makes a ring for `capacity` items (at least 1). All memory is taken here.
+/// Creates a ring for `capacity` items (at least 1). All memory is allocated here.
 ///
-/// Items left over are dropped with the last of the two ends, wherever that is.
+/// Remaining items are dropped with the last of the two endpoints, in its thread.
 ///
 /// # Panics
 /// If `capacity` is beyond half the address space.
 pub fn ring<T: Send>(capacity: usize) -> (Producer<T>, Consumer<T>) {
     let capacity = capacity.max(1);
-    let places = (0..capacity.next_power_of_two())
+    let slots = (0..capacity.next_power_of_two())
         .map(|_| UnsafeCell::new(MaybeUninit::uninit()))
         .collect();
     let shared = Arc::new(Shared {
@@ -34,7 +34,7 @@ pub fn ring<T: Send>(capacity: usize) -> (Producer<T>, Consumer<T>) {
         tail: Position(AtomicUsize::new(0)),
         dropped: AtomicU64::new(0),
         capacity,
-        places,
+        slots,
     });
     let producer = Producer {
         shared: Arc::clone(&shared),
@@ -51,7 +51,7 @@ pub fn ring<T: Send>(capacity: usize) -> (Producer<T>, Consumer<T>) {
     )
 }
 
-/// On a cache line of its own: the two ends write one each.
+/// On a cache line of its own: each endpoint writes one.
 #[repr(align(64))]
 struct Position(AtomicUsize);
 
@@ -62,29 +62,29 @@ struct Shared<T> {
     tail: Position,
     dropped: AtomicU64,
     capacity: usize,
-    places: Box<[UnsafeCell<MaybeUninit<T>>]>,
+    slots: Box<[UnsafeCell<MaybeUninit<T>>]>,
 }
 
-// SAFETY: items move from one thread to the other, `T: Send`; no `&T` is ever shared. Places in
-// `head..tail` are the consumer's, all others the producer's, and each handle exists once.
+// SAFETY: items move from one thread to the other, `T: Send`; no `&T` is ever shared. Slots in
+// `head..tail` belong to the consumer, all others to the producer, and each handle exists once.
 unsafe impl<T: Send> Sync for Shared<T> {}
 
 impl<T> Shared<T> {
-    fn place(&self, number: usize) -> &UnsafeCell<MaybeUninit<T>> {
-        &self.places[number & (self.places.len() - 1)]
+    fn slot(&self, number: usize) -> &UnsafeCell<MaybeUninit<T>> {
+        &self.slots[number & (self.slots.len() - 1)]
     }
 
-    /// Takes item `number` out.
+    /// Moves item `number` out.
     ///
     /// # Safety
-    /// `number` is in `head..tail`, its push was observed by `Acquire`, and nobody takes it again.
+    /// `number` is in `head..tail`, its push was observed by `Acquire`, and it is taken only once.
     unsafe fn take(&self, number: usize) -> T {
-        self.place(number).with(|place| {
-            // SAFETY: the pointer is valid as long as `self`, and the caller says that the producer,
-            // having pushed the item, leaves the place alone.
-            let place = unsafe { &*place };
-            // SAFETY: the caller says that the item is there and is taken once.
-            unsafe { place.assume_init_read() }
+        self.slot(number).with(|slot| {
+            // SAFETY: the pointer is valid as long as `self`, and the caller guarantees that the producer,
+            // having pushed the item, does not use the slot.
+            let slot = unsafe { &*slot };
+            // SAFETY: the caller guarantees that the item exists and is taken once.
+            unsafe { slot.assume_init_read() }
         })
     }
 }
@@ -94,15 +94,15 @@ impl<T> Drop for Shared<T> {
         let mut head = self.head.0.load(Ordering::Relaxed);
         let tail = self.tail.0.load(Ordering::Relaxed);
         while head != tail {
-            // SAFETY: `&mut self`: both ends are gone, and dropping the `Arc` ordered their work before
-            // this. What they left in `head..tail` is taken here once.
+            // SAFETY: `&mut self`: both endpoints are dropped, and dropping the `Arc` ordered their
+            // accesses before this. The remaining items in `head..tail` are taken once here.
             drop(unsafe { self.take(head) });
             head = head.wrapping_add(1);
         }
     }
 }
 
-/// The pushing end of a [`ring`].
+/// The pushing endpoint of a [`ring`].
 pub struct Producer<T> {
     shared: Arc<Shared<T>>,
     tail: usize,
@@ -110,12 +110,12 @@ pub struct Producer<T> {
 }
 
 impl<T: Send> Producer<T> {
-    /// Appends `item`; a full ring gives it back and counts it as dropped.
+    /// Appends `item`; a full ring returns it and counts it as dropped.
     ///
     /// # Errors
     /// The item, if the ring is full.
     pub fn push(&mut self, item: T) -> Result<(), T> {
-        if !self.has_room() {
+        if !self.has_space() {
             // The only writer of this count: no read-modify-write needed.
             let dropped = self.shared.dropped.load(Ordering::Relaxed);
             self.shared
@@ -123,30 +123,30 @@ impl<T: Send> Producer<T> {
                 .store(dropped.wrapping_add(1), Ordering::Relaxed);
             return Err(item);
         }
-        self.shared.place(self.tail).with_mut(|place| {
-            // SAFETY: the pointer is valid as long as `shared`. The place is outside `head..tail`, its
-            // last item's removal was observed by `Acquire` in `has_room`, and `&mut self` excludes
+        self.shared.slot(self.tail).with_mut(|slot| {
+            // SAFETY: the pointer is valid as long as `shared`. The slot is outside `head..tail`, the
+            // removal of its last item was observed by `Acquire` in `has_space`, and `&mut self` excludes
             // another producer.
-            let place = unsafe { &mut *place };
-            place.write(item);
+            let slot = unsafe { &mut *slot };
+            slot.write(item);
         });
         self.tail = self.tail.wrapping_add(1);
         self.shared.tail.0.store(self.tail, Ordering::Release);
         Ok(())
     }
 
-    /// Items refused so far because the ring was full.
+    /// Number of items rejected because the ring was full.
     pub fn dropped(&self) -> u64 {
         self.shared.dropped.load(Ordering::Relaxed)
     }
 
-    /// How many items can be pushed now at least; the consumer may make more room at any time.
-    pub fn room(&mut self) -> usize {
+    /// Number of items that can be pushed now at least; the consumer may free more at any time.
+    pub fn free_slots(&mut self) -> usize {
         self.head_seen = self.shared.head.0.load(Ordering::Acquire);
         self.shared.capacity - self.tail.wrapping_sub(self.head_seen)
     }
 
-    fn has_room(&mut self) -> bool {
+    fn has_space(&mut self) -> bool {
         let capacity = self.shared.capacity;
         if self.tail.wrapping_sub(self.head_seen) < capacity {
             return true;
@@ -164,7 +164,7 @@ impl<T> fmt::Debug for Producer<T> {
     }
 }
 
-/// The popping end of a [`ring`].
+/// The popping endpoint of a [`ring`].
 pub struct Consumer<T> {
     shared: Arc<Shared<T>>,
     head: usize,
@@ -172,7 +172,7 @@ pub struct Consumer<T> {
 }
 
 impl<T: Send> Consumer<T> {
-    /// The oldest item, if there is one.
+    /// Returns the oldest item; `None` if the ring is empty.
     pub fn pop(&mut self) -> Option<T> {
         if self.head == self.tail_seen {
             self.tail_seen = self.shared.tail.0.load(Ordering::Acquire);
@@ -181,14 +181,14 @@ impl<T: Send> Consumer<T> {
             }
         }
         // SAFETY: `head` is before `tail_seen`, a value of `tail` loaded by `Acquire`; the step below and
-        // `&mut self` see to it that no item is taken twice.
+        // `&mut self` ensure that no item is taken twice.
         let item = unsafe { self.shared.take(self.head) };
         self.head = self.head.wrapping_add(1);
         self.shared.head.0.store(self.head, Ordering::Release);
         Some(item)
     }
 
-    /// Items that the producer was refused so far because the ring was full.
+    /// Number of items that the producer could not push because the ring was full.
     pub fn dropped(&self) -> u64 {
         self.shared.dropped.load(Ordering::Relaxed)
     }
@@ -210,7 +210,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn first_in_first_out_to_the_exact_capacity() {
+    fn ring_is_fifo_with_exact_capacity() {
         let (mut producer, mut consumer) = ring(3);
         assert_eq!(consumer.pop(), None);
         for item in 0..3 {
@@ -218,9 +218,9 @@ mod tests {
         }
         assert_eq!(producer.push(3), Err(3));
         assert_eq!((producer.dropped(), consumer.dropped()), (1, 1));
-        assert_eq!(producer.room(), 0);
+        assert_eq!(producer.free_slots(), 0);
         assert_eq!(consumer.pop(), Some(0));
-        assert_eq!(producer.room(), 1);
+        assert_eq!(producer.free_slots(), 1);
         assert_eq!(producer.push(4), Ok(()));
         assert_eq!(
             [consumer.pop(), consumer.pop(), consumer.pop()],
@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ring_for_nothing_holds_one() {
+    fn ring_zero_capacity_holds_one() {
         let (mut producer, mut consumer) = ring(0);
         assert_eq!(producer.push(1), Ok(()));
         assert_eq!(producer.push(2), Err(2));
@@ -238,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn items_left_over_are_dropped_once() {
+    fn ring_remaining_items_are_dropped_once() {
         let token = Arc::new(());
         let (mut producer, mut consumer) = ring(4);
         for _ in 0..3 {
@@ -249,14 +249,14 @@ mod tests {
         assert_eq!(
             Arc::strong_count(&token),
             3,
-            "the consumer may still come for them"
+            "the consumer may still pop them"
         );
         drop(consumer);
         assert_eq!(Arc::strong_count(&token), 1);
     }
 
     #[test]
-    fn positions_wrap() {
+    fn ring_positions_wrap() {
         let start = usize::MAX - 1;
         let (mut producer, mut consumer) = ring(2);
         (producer.tail, producer.head_seen) = (start, start);
@@ -276,7 +276,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn behaves_as_a_bounded_deque(capacity in 1_usize..9, pushes in proptest::collection::vec(any::<bool>(), 0..200)) {
+        fn ring_behaves_as_bounded_deque(capacity in 1_usize..9, pushes in proptest::collection::vec(any::<bool>(), 0..200)) {
             let (mut producer, mut consumer) = ring(capacity);
             let mut model = VecDeque::new();
             for (number, push) in pushes.into_iter().enumerate() {

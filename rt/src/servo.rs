@@ -1,23 +1,23 @@
-//! The clock servo: finds from samples (local time, remote time) how a device's clock runs, so that a
-//! cycle thread can keep its phase. One servo for all drivers: datagrams of a robot controller,
-//! distributed clocks of a fieldbus, a SYNC message.
+//! The clock servo: estimates from samples (local time, remote time) the phase and rate of a device's
+//! clock, so that a cycle thread can keep phase. All drivers use it: datagrams of a robot controller,
+//! distributed clocks of a fieldbus, SYNC messages.
 //!
-//! It reads no clock, steers no thread and knows no bus: time comes in as arguments, and what goes out is
-//! an [`Estimate`], which [`cycle`](crate::cycle) follows.
+//! It reads no clock, steers no thread and knows no bus: times are arguments, and the result is an
+//! [`Estimate`], which [`cycle`](crate::cycle) follows.
 //!
 //! # Theory
 //!
-//! The servo keeps a clock of its own, a line through the samples, which it corrects in phase and
-//! frequency by every sample's error `e` (remote time minus that of the line): a proportional and an
-//! integral part, `phase += Kp·e`, `frequency += Ki·e/T`, where `T` is the time between samples. With
+//! The servo maintains its own clock, a line through the samples, and corrects its phase and frequency by
+//! every sample's error `e` (remote time minus that of the line): a proportional and an integral part,
+//! `phase += Kp·e`, `frequency += Ki·e/T`, where `T` is the time between samples. With
 //!
 //! ```text
 //! Kp(n) = 2 (2n - 1) / (n (n + 1))        Ki(n) = 6 / (n (n + 1))
 //! ```
 //!
-//! the n-th sample makes that line the least-squares line through all n. No gains do better on a
-//! clock of constant rate and white noise, and there is nothing to overshoot. At `n = N`, the
-//! [`memory`](ServoConfig::memory), they stop to fall, and what was a fit becomes a loop:
+//! the n-th sample makes that line the least-squares line through all n. No gains do better on a clock of
+//! constant rate and white noise, and there is no overshoot. At `n = N`, the
+//! [`memory`](ServoConfig::memory), they stay constant, and the fit becomes a control loop:
 //!
 //! | of the loop | in general | N = 512, T = 1 ms |
 //! |---|---|---|
@@ -29,11 +29,11 @@
 //! | settling of a small disturbance, 4/(ζ ω) | 2 N T | 1 s |
 //! | lag behind a rate that changes by a ppm/s | 1 µs / ω² | 43 ns |
 //!
-//! N is counted in samples, so all rows hold at every period, seconds apart.
+//! N is counted in samples, so all rows hold at every period.
 //!
 //! Delays have tails. A sample further off than six times the mean deviation is an outlier: not used, but
-//! kept. Sixteen outliers in a row that agree among themselves are a step of the remote clock; four times
-//! sixteen that do not are the end of the lock. So nothing real is rejected for ever.
+//! stored. Sixteen consecutive outliers that agree with each other are a step of the remote clock; four
+//! times sixteen that do not agree end the lock. So no real change is rejected for ever.
 //!
 //! # States
 //!
@@ -53,13 +53,13 @@
 //! | 1 | unlocked → jump | a sample: the clock is set to it | `begin` |
 //! | 2 | jump → unlocked | no sample for 16 periods; or the first 16 fit no clock that runs within [`drift_max_ppb`](ServoConfig::drift_max_ppb) | `handle_time`, `acquire` |
 //! | 3 | jump → locked | 32 samples, and uncertainty within [`uncertainty_max`](ServoConfig::uncertainty_max) | `settle` |
-//! | 4 | locked, stable, holdover → jump | a step above [`step_above`](ServoConfig::step_above); a second step before the first is absorbed (then the frequency is measured anew); 64 outliers in a row that fit nothing | `relocate`, `outlier` |
-//! | 5 | locked → stable | the memory is full, smoothed error and slew left within [`stable_within`](ServoConfig::stable_within) | `settle` |
+//! | 4 | locked, stable, holdover → jump | a step above [`step_above`](ServoConfig::step_above); a second step before the first is absorbed (then the frequency is measured again); 64 consecutive outliers that fit no line | `relocate`, `outlier` |
+//! | 5 | locked → stable | the memory is full, smoothed error and remaining slew within [`stable_within`](ServoConfig::stable_within) | `settle` |
 //! | 6 | stable → locked | smoothed error beyond three times that; a smaller step, which is slewed | `settle`, `relocate` |
 //! | 7 | locked, stable → holdover | no sample was good for 16 periods | `handle_time` |
 //! | 8 | holdover → locked | a good sample, or a smaller step | `settle`, `relocate` |
 //! | 9 | holdover → unlocked | uncertainty has grown beyond its bound | `handle_time` |
-//! | 10 | any → unlocked, and 1 at once | 16 samples in a row older than one before: the local time went back | `disordered` |
+//! | 10 | any → unlocked, and 1 at once | 16 consecutive samples older than one before: the local time went back | `disordered` |
 
 mod config;
 mod estimate;
@@ -77,55 +77,55 @@ use crate::Nanos;
 
 /// Samples before a line counts as locked.
 const LOCK_SAMPLES: u32 = 32;
-/// A sample is an outlier beyond so many mean deviations: 4.8 standard deviations of white noise.
+/// A sample is an outlier beyond this many mean deviations: 4.8 standard deviations of white noise.
 const GATE: f64 = 6.0;
-/// What one sample may claim as its deviation, in mean deviations, so that an outlier widens the gate a
-/// little only. Many do: noise that grows for good is let in.
+/// Largest deviation that one sample contributes, in mean deviations, so that an outlier widens the gate
+/// only a little. Many do: a lasting increase of noise is accepted.
 const DEVIATION_MAX: f64 = 2.5;
-/// Windows of outliers that fit nothing before the lock is given up.
+/// Windows of outliers that fit no line before the lock is lost.
 const STRIKES: u8 = 4;
-/// Share of a sample in the mean deviation and in the smoothed error.
+/// Weight of a sample in the mean deviation and in the smoothed error.
 const SMOOTHING: f64 = 1.0 / 64.0;
 /// Periods without a good sample before holdover.
 const SILENCE: i64 = 16;
-/// Standard deviation of white noise over its mean deviation.
+/// Ratio of standard deviation to mean deviation of white noise.
 const SIGMA: f64 = 1.25;
 /// Uncertainties are three standard deviations.
 const CONFIDENCE: f64 = 3.0;
-/// How far a quartz left alone may run from its rate, as a ratio: 1 ppm.
+/// Largest rate change of a free-running quartz, as a ratio: 1 ppm.
 const WANDER: f64 = 1e-6;
 
-/// What became of a sample, and what it did to the servo's clock.
+/// Use of a sample, and its effect on the servo's clock.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Correction {
-    /// What became of the sample.
-    pub fate: Fate,
+    /// Use of the sample.
+    pub outcome: SampleOutcome,
     /// The sample's remote time minus that of the servo's clock before.
     pub error: Nanos,
-    /// By how much the servo's clock was set forward now.
+    /// Phase step of the servo's clock.
     pub phase: Nanos,
-    /// How much faster than the local clock it runs from now on, ppb.
+    /// Frequency offset of the servo's clock from the local clock, ppb.
     pub frequency_ppb: f64,
 }
 
-/// What became of a sample.
+/// Use of a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Fate {
-    /// It corrected the clock, or waits for the first line to be drawn.
+pub enum SampleOutcome {
+    /// It corrected the clock, or waits for the first line.
     Used,
-    /// Too far off; not used.
+    /// Too far off; discarded.
     Outlier,
-    /// Not newer than one before; not used.
+    /// Not newer than one before; discarded.
     Disordered,
-    /// The last of sixteen that prove a step, which the clock will make good bit by bit.
+    /// The last of sixteen that prove a step, which the clock will slew.
     Slewing,
     /// The last of sixteen that prove a step, which the clock has made.
     Stepped,
-    /// The clock was set anew.
+    /// The clock was set again.
     Restarted,
 }
 
-/// The servo.
+/// The clock servo.
 #[derive(Debug, Clone)]
 pub struct Servo {
     bounds: Bounds,
@@ -135,10 +135,10 @@ pub struct Servo {
     remote: Nanos,
     fraction_ns: f64,
     drift: f64,
-    /// By how much the line is ahead of the clock given out, which may not move as fast.
+    /// Lead of the line over the published clock, whose slew is limited.
     lag_ns: f64,
-    /// Samples that the line's phase rests on, and its rate; both end at the memory. 0 while the first
-    /// window fills.
+    /// Number of samples in the line's phase and in its rate; both limited to the memory. 0 while the
+    /// first window fills.
     phase_samples: u32,
     rate_samples: u32,
     /// Mean deviation of the samples.
@@ -176,8 +176,8 @@ impl Servo {
         }
     }
 
-    /// At `local` the remote clock showed `remote`. Whatever delay the driver knows (its own lateness, a
-    /// cable) it should take out before. Bounded: at worst one sort of 120 numbers.
+    /// At `local` the remote clock showed `remote`. The driver should subtract known delays (its own
+    /// lateness, a cable) before. Bounded: at worst one sort of 120 numbers.
     pub fn handle_sample(&mut self, local: Nanos, remote: Nanos) -> Correction {
         self.handle_time(local);
         if self.state == State::Unlocked {
@@ -203,7 +203,8 @@ impl Servo {
         }
     }
 
-    /// It is `now`, on the local clock: notices that samples have stopped. Wanted only while none come.
+    /// Informs the servo of the local time `now`: detects that samples have stopped. Needed only while
+    /// none arrive.
     pub fn handle_time(&mut self, now: Nanos) {
         let silence = Nanos(self.bounds.period.0.saturating_mul(SILENCE));
         match self.state {
@@ -218,12 +219,12 @@ impl Servo {
         }
     }
 
-    /// How well it follows.
+    /// State of the servo.
     pub fn state(&self) -> State {
         self.state
     }
 
-    /// Its clock, to be handed to those who follow it.
+    /// Its clock, for the threads that follow it.
     pub fn estimate(&self) -> Estimate {
         Estimate {
             state: self.state,
@@ -267,21 +268,21 @@ impl Servo {
             disordered: 0,
         };
         self.window.push(0.0, 0.0);
-        self.correction(Fate::Restarted, 0.0, 0.0)
+        self.correction(SampleOutcome::Restarted, 0.0, 0.0)
     }
 
-    /// One of the first samples. The last of them draws the line.
+    /// Handles one of the first samples. The last of them gives the line.
     fn acquire(&mut self, local: Nanos, error: f64) -> Correction {
         let Some(fit) = self.window.push((local - self.local).to_f64(), error) else {
-            return self.correction(Fate::Used, error, 0.0);
+            return self.correction(SampleOutcome::Used, error, 0.0);
         };
         if !self.is_clock(&fit) || fit.deviation > self.bounds.period.to_f64() / 2.0 {
             self.state = State::Unlocked;
-            return self.correction(Fate::Outlier, error, 0.0);
+            return self.correction(SampleOutcome::Outlier, error, 0.0);
         }
         self.adopt(local, &fit);
         self.noise_ns = fit.deviation.max(self.bounds.noise_min_ns);
-        self.correction(Fate::Restarted, error, fit.last)
+        self.correction(SampleOutcome::Restarted, error, fit.last)
     }
 
     /// Takes phase and frequency from the window.
@@ -302,22 +303,22 @@ impl Servo {
         self.phase_samples = (self.phase_samples + 1).min(self.bounds.memory);
         self.rate_samples = (self.rate_samples + 1).min(self.bounds.memory);
         let step = phase_gain(self.phase_samples) * error;
-        // Who follows must not see the clock run faster than it may; what is left over waits.
-        let room = if self.state == State::Jump {
+        // Followers must not see the clock run faster than the slew limit; the rest is slewed later.
+        let limit = if self.state == State::Jump {
             f64::MAX
         } else {
             self.bounds.slew * span
         };
-        let moved = (self.lag_ns + step).clamp(-room, room);
+        let moved = (self.lag_ns + step).clamp(-limit, limit);
         self.lag_ns += step - moved;
         self.advance(local, step);
-        // Samples in a burst must not divide by nearly nothing.
+        // Samples in a burst must not divide by nearly zero.
         self.turn(rate_gain(self.rate_samples) * error / span.max(self.bounds.period.to_f64()));
         self.smooth_ns += (error - self.smooth_ns) * SMOOTHING;
         self.window.clear();
         self.strikes = 0;
         self.settle();
-        self.correction(Fate::Used, error, moved)
+        self.correction(SampleOutcome::Used, error, moved)
     }
 
     /// Transitions 3, 5, 6 and 8, after a good sample.
@@ -342,7 +343,7 @@ impl Servo {
                 }
             }
             State::Holdover => {
-                // The phase has to be found again; the rate is what it was.
+                // The phase must be found again; the rate is unchanged.
                 self.phase_samples = self.phase_samples.min(LOCK_SAMPLES);
                 self.state = State::Locked;
             }
@@ -352,7 +353,7 @@ impl Servo {
 
     fn outlier(&mut self, local: Nanos, remote: Nanos, error: f64) -> Correction {
         let Some(fit) = self.window.push((local - self.local).to_f64(), error) else {
-            return self.correction(Fate::Outlier, error, 0.0);
+            return self.correction(SampleOutcome::Outlier, error, 0.0);
         };
         self.window.clear();
         if self.is_clock(&fit) && fit.deviation <= GATE / 2.0 * self.noise_ns {
@@ -360,17 +361,17 @@ impl Servo {
         }
         self.strikes += 1;
         if self.strikes < STRIKES {
-            return self.correction(Fate::Outlier, error, 0.0);
+            return self.correction(SampleOutcome::Outlier, error, 0.0);
         }
         self.begin(local, remote)
     }
 
-    /// The remote clock has made a step.
+    /// Handles a step of the remote clock.
     fn relocate(&mut self, local: Nanos, error: f64, fit: &Fit) -> Correction {
         if self.phase_samples < self.bounds.memory {
-            // Another step was hardly absorbed, or none of this is sure yet: doubt the rate too.
+            // The previous step is hardly absorbed, or the lock is not sure yet: the rate is in doubt too.
             self.adopt(local, fit);
-            return self.correction(Fate::Restarted, error, fit.last);
+            return self.correction(SampleOutcome::Restarted, error, fit.last);
         }
         self.advance(local, fit.median);
         self.phase_samples = WINDOW_SAMPLES;
@@ -379,24 +380,24 @@ impl Servo {
         if fit.median.abs() <= self.bounds.step_above_ns {
             self.lag_ns += fit.median;
             self.state = State::Locked;
-            return self.correction(Fate::Slewing, error, 0.0);
+            return self.correction(SampleOutcome::Slewing, error, 0.0);
         }
         let moved = self.lag_ns + fit.median;
         self.lag_ns = 0.0;
         self.state = State::Jump;
-        self.correction(Fate::Stepped, error, moved)
+        self.correction(SampleOutcome::Stepped, error, moved)
     }
 
-    /// Transition 10, if it goes on.
+    /// Transition 10, if it persists.
     fn disordered(&mut self, local: Nanos, remote: Nanos, error: f64) -> Correction {
         self.disordered += 1;
         if self.disordered < WINDOW {
-            return self.correction(Fate::Disordered, error, 0.0);
+            return self.correction(SampleOutcome::Disordered, error, 0.0);
         }
         self.begin(local, remote)
     }
 
-    /// Moves the line's foot to `local` and the line up by `phase`.
+    /// Moves the origin of the line to `local` and the line up by `phase`.
     fn advance(&mut self, local: Nanos, phase: f64) {
         let span = local - self.local;
         let gained = self.fraction_ns + self.drift * span.to_f64() + phase;
@@ -407,20 +408,20 @@ impl Servo {
         self.local = local;
     }
 
-    /// Turns the line. At the bound nothing accumulates.
+    /// Changes the rate of the line. At the bound nothing accumulates.
     fn turn(&mut self, by: f64) {
         self.drift = (self.drift + by).clamp(-self.bounds.drift_max, self.bounds.drift_max);
     }
 
-    /// Whether what the window shows can be a clock: its rate within bounds, as far as noise lets see.
+    /// Whether the window can show a clock: its rate is within bounds, within the resolution that the noise permits.
     fn is_clock(&self, fit: &Fit) -> bool {
         let noise = CONFIDENCE * SIGMA * fit.slope_deviation();
         fit.slope.abs() <= self.bounds.drift_max + noise
     }
 
-    fn correction(&self, fate: Fate, error: f64, phase: f64) -> Correction {
+    fn correction(&self, outcome: SampleOutcome, error: f64, phase: f64) -> Correction {
         Correction {
-            fate,
+            outcome,
             error: Nanos::from_f64(error),
             phase: Nanos::from_f64(phase),
             frequency_ppb: self.drift * 1e9,
@@ -431,12 +432,12 @@ impl Servo {
         CONFIDENCE * SIGMA * self.noise_ns
     }
 
-    /// Of a least-squares line at its end: 2 σ / √n.
+    /// Uncertainty of a least-squares line at its end: 2 σ / √n.
     fn phase_uncertainty_ns(&self) -> f64 {
         self.sigma_ns() * 2.0 / f64::from(self.phase_samples.max(1)).sqrt()
     }
 
-    /// Of the slope of a least-squares line: σ √12 / (T √n³); and the quartz's own.
+    /// Uncertainty of the slope of a least-squares line: σ √12 / (T √n³); plus the quartz's own.
     fn rate_uncertainty(&self) -> f64 {
         let samples = f64::from(self.rate_samples.max(1));
         let of_line =
@@ -449,7 +450,7 @@ impl Servo {
         self.phase_uncertainty_ns() + self.rate_uncertainty() * span
     }
 
-    /// When the uncertainty, without the part that is only being slewed, reaches its bound.
+    /// Time at which the uncertainty, without the part that is being slewed, reaches its bound.
     fn expires(&self) -> Nanos {
         let left = (self.bounds.uncertainty_max_ns - self.phase_uncertainty_ns()).max(0.0);
         self.local + Nanos::from_f64(left / self.rate_uncertainty())
@@ -459,13 +460,13 @@ impl Servo {
 #[expect(clippy::cast_possible_truncation, reason = "16")]
 const WINDOW_SAMPLES: u32 = WINDOW as u32;
 
-/// Of the `n`-th sample.
+/// Gain of the `n`-th sample.
 fn phase_gain(n: u32) -> f64 {
     let n = f64::from(n);
     2.0 * (2.0 * n - 1.0) / (n * (n + 1.0))
 }
 
-/// Of the `n`-th sample.
+/// Gain of the `n`-th sample.
 fn rate_gain(n: u32) -> f64 {
     let n = f64::from(n);
     6.0 / (n * (n + 1.0))

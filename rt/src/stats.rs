@@ -1,15 +1,14 @@
-//! How well a cycle keeps its time, recorded where it happens and read from elsewhere while it goes on.
+//! Timing statistics of a cycle, recorded by its thread and read by others while it runs.
 //!
-//! It draws no conclusion and forgets nothing: the figures run from the start of the writer. Whoever
-//! wants the last second subtracts two readings.
+//! It draws no conclusion and drops nothing: the counters run from the start of the writer. For the last
+//! second, subtract two readings.
 //!
-//! The writer counts into plain shared counters, laid out as `hdrhistogram` lays out its own (two
-//! significant digits), so that a reading becomes such a histogram and the library does the rest. The
-//! alternative, histograms of the library in the real-time thread with copies handed out by
-//! [`latest`](crate::latest) every so often, hides the cycles since the last copy, which after a fault
-//! are the ones wanted, and costs the cycle that copies up to some microseconds (`benches/cycle.rs`). The
-//! price of the counters: a reading taken while a cycle is recorded may have that cycle in one figure
-//! and not yet in another.
+//! The writer counts into plain shared counters with the layout of `hdrhistogram` (two significant
+//! digits), so that a reading becomes such a histogram and the library does the rest. The alternative is
+//! library histograms in the real-time thread with regular copies by [`latest`](crate::latest). It hides
+//! the cycles since the last copy, which after a fault are the important ones, and costs the copying cycle
+//! up to some microseconds (`benches/cycle.rs`). The price of the counters: a reading during a recording
+//! may have that cycle in one figure and not yet in another.
 
 mod counters;
 mod recorder;
@@ -25,7 +24,7 @@ use std::{
 pub use self::recorder::{Distribution, Recorder, RecorderReader, Summary};
 use crate::{Nanos, cycle::Tick};
 
-/// Makes the statistics of one cycle thread. All memory, about 115 KiB, is taken here.
+/// Creates the statistics of one cycle thread. All memory, about 115 KiB, is allocated here.
 pub fn pair() -> (StatsWriter, StatsReader) {
     let writer = StatsWriter {
         latency: Recorder::new(),
@@ -51,7 +50,7 @@ struct Totals {
     overruns: AtomicU64,
 }
 
-/// The end that the cycle thread records with: wait-free, no allocation.
+/// The recording endpoint of the cycle thread: wait-free, no allocation.
 #[derive(Debug)]
 pub struct StatsWriter {
     latency: Recorder,
@@ -76,13 +75,13 @@ impl StatsWriter {
         add(&self.totals.cycles, 1);
     }
 
-    /// Records how far from its place on a followed clock a cycle was woken, early or late.
+    /// Records the distance of a wake-up from its nominal time on a followed clock, early or late.
     pub fn record_phase(&mut self, error: Nanos) {
         self.phase_error.record(error.abs());
     }
 
-    /// From when the thread should have woken. After missed slots that is the first of them: counted from
-    /// the slot served, an outage of many periods would look like a short delay.
+    /// Delay of the wake-up. After missed slots it counts from the first of them: from the slot served, an
+    /// outage of many periods would look like a short delay.
     fn lateness(&self, tick: &Tick) -> Nanos {
         let due = match self.previous {
             Some(previous) if tick.missed > 0 => previous.scheduled + slot_after(&previous, tick),
@@ -104,7 +103,7 @@ fn add(counter: &AtomicU64, amount: u64) {
     counter.store(sum, Ordering::Relaxed);
 }
 
-/// The end that others read with, at any time and from any thread. Clones read the same statistics.
+/// The reading endpoint, usable at any time and from any thread. Clones read the same statistics.
 #[derive(Debug, Clone)]
 pub struct StatsReader {
     latency: RecorderReader,
@@ -115,7 +114,7 @@ pub struct StatsReader {
 }
 
 impl StatsReader {
-    /// The statistics as of now. Allocates; not for the real-time path.
+    /// The current statistics. Allocates; not for the real-time path.
     pub fn snapshot(&self) -> Snapshot {
         let latency = self.latency.read();
         let execution = self.execution.read();
@@ -133,21 +132,20 @@ impl StatsReader {
     }
 }
 
-/// The statistics of one cycle thread at one moment. Displays as one line.
+/// The statistics of one cycle thread at one time. Displays as one line.
 #[derive(Debug, Clone)]
 pub struct Snapshot {
     /// Cycles run.
     pub cycles: u64,
-    /// Slots missed, over all.
+    /// Missed slots in total.
     pub overruns: u64,
-    /// From when a cycle was due to when its thread came to it. After missed slots, from the first of
-    /// them.
+    /// From the due time of a cycle to its wake-up. After missed slots, from the first of them.
     pub latency: Summary,
-    /// From then to the end of the cycle's work.
+    /// From the wake-up to the end of the cycle's work.
     pub execution: Summary,
-    /// By how much the distance of two wake-ups differs from that of their slots.
+    /// Difference between the distance of two wake-ups and that of their slots.
     pub period_error: Summary,
-    /// How far from its place on the followed clock a cycle was woken; empty if it follows none.
+    /// Distance of wake-ups from their nominal time on the followed clock; empty without one.
     pub phase_error: Summary,
     distributions: [Distribution; 4],
 }
@@ -215,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_recorded_reads_as_zeros() {
+    fn stats_empty_reads_as_zeros() {
         let snapshot = run(&[]);
         assert_eq!((snapshot.cycles, snapshot.overruns), (0, 0));
         assert_eq!(snapshot.latency, Summary::default());
@@ -223,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn each_series_measures_its_own() {
+    fn stats_series_are_independent() {
         let snapshot = run(&[10, 10, 200, 10]);
         assert_eq!((snapshot.cycles, snapshot.overruns), (4, 0));
         let Summary {
@@ -251,19 +249,19 @@ mod tests {
     }
 
     #[test]
-    fn an_outage_shows_in_full() {
+    fn stats_outage_counts_from_first_missed_slot() {
         let snapshot = run(&[0, 5_300_000, 0]);
         assert_eq!((snapshot.cycles, snapshot.overruns), (3, 5));
         assert_eq!(
             snapshot.latency.max,
             Nanos(5_300_000),
-            "not the 0.3 ms into its last slot"
+            "not 0.3 ms, counted from its last slot"
         );
         assert_eq!(snapshot.period_error.max, Nanos(300_000));
     }
 
     #[test]
-    fn readers_follow_a_running_writer() {
+    fn stats_reader_follows_running_writer() {
         let (mut writer, reader) = pair();
         std::thread::scope(|scope| {
             scope.spawn(move || {
@@ -284,7 +282,7 @@ mod tests {
     }
 
     #[test]
-    fn phase_errors_are_a_series_of_their_own() {
+    fn stats_phase_errors_are_separate_series() {
         let (mut writer, reader) = pair();
         writer.record_phase(Nanos(-70));
         writer.record_phase(Nanos(50));

@@ -1,8 +1,8 @@
-//! The few primitives that [`latest`](crate::latest) and [`ring`](crate::ring) are built of, so that
-//! the same source runs on the machine and under the loom model checker.
+//! The primitives of [`latest`](crate::latest) and [`ring`](crate::ring), so that the same source runs on
+//! the machine and under the loom model checker.
 //!
-//! It does not cover the rest of the crate: statistics and allocation counts use plain relaxed
-//! counters, which have no order to explore.
+//! The rest of the crate does not use it: statistics and allocation counts are plain relaxed counters,
+//! which have no order to explore.
 
 #[cfg(loom)]
 pub(crate) use loom::{
@@ -23,7 +23,7 @@ pub(crate) use std::sync::{
 
 #[cfg(not(loom))]
 mod native {
-    /// `std`'s cell with the closure interface of loom's, which is how loom sees each access.
+    /// `std`'s cell with loom's closure interface, by which loom observes each access.
     pub(crate) struct UnsafeCell<T>(std::cell::UnsafeCell<T>);
 
     impl<T> UnsafeCell<T> {

@@ -1,7 +1,7 @@
-//! Threads for cycles: named, placed, prioritised and prefaulted before their work begins.
+//! Threads for cycles: named, pinned, prioritised and prefaulted before their work begins.
 //!
-//! It makes no policy about who gets which priority, and never fails for want of a right: the thread
-//! runs and its [`Grant`]s say how.
+//! It assigns no priorities, and never fails for missing rights: the thread runs, and its [`Grant`]s
+//! report how.
 
 use std::{fmt, io, sync::mpsc, thread};
 
@@ -15,7 +15,7 @@ use crate::{
     },
 };
 
-/// How a thread is to run.
+/// Settings of a thread.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ThreadConfig {
     /// Its name; the kernel shows the first 15 bytes.
@@ -24,7 +24,7 @@ pub struct ThreadConfig {
     pub priority: Option<u8>,
     /// The processors it may use, counted from 0; empty for any.
     pub cpus: Vec<usize>,
-    /// Stack size in bytes, all of it touched before the work begins but for the last 64 KiB.
+    /// Stack size in bytes; all but the last 64 KiB are touched before the work begins.
     pub stack_bytes: usize,
 }
 
@@ -46,14 +46,14 @@ pub struct Thread<T> {
     grants: Vec<Grant>,
 }
 
-/// Starts a thread that sets itself up as `config` says and then runs `body`. Returns when the set-up is
-/// done and `body` about to begin.
+/// Starts a thread that applies `config` and then runs `body`. Returns when the set-up is complete and
+/// `body` about to begin.
 ///
-/// The thread counts as real-time for [`alloc`](crate::alloc) only from where `body` says so, which has
-/// set-up of its own to do first.
+/// The thread counts as real-time for [`alloc`](crate::alloc) only once `body` enters that scope, after
+/// its own set-up.
 ///
 /// # Errors
-/// If the system has no thread to give, or the name contains a zero byte.
+/// If the system cannot create a thread, or the name contains a zero byte.
 pub fn spawn<T: Send + 'static>(
     config: ThreadConfig,
     body: impl FnOnce() -> T + Send + 'static,
@@ -70,8 +70,8 @@ pub fn spawn<T: Send + 'static>(
     let (report, set_up) = mpsc::sync_channel(1);
     let handle = builder.spawn(move || {
         prefault_stack(config.stack_bytes);
-        // Fails only if the spawning thread is gone, and then nobody wants to know. Dropped here, so
-        // that `body` owns nothing of the set-up.
+        // Fails only if the spawning thread no longer waits for it. Dropped here, so that `body` owns
+        // nothing of the set-up.
         drop(report.send(set_self_up(&config)));
         drop((report, config));
         body()
@@ -80,12 +80,12 @@ pub fn spawn<T: Send + 'static>(
     Ok(Thread { handle, grants })
 }
 
-/// Affinity first: a real-time thread on the wrong processor disturbs the ones that live there.
+/// Affinity first: a real-time thread on the wrong processor disturbs the threads there.
 fn set_self_up(config: &ThreadConfig) -> Vec<Grant> {
-    vec![place(&config.cpus), prioritise(config.priority)]
+    vec![pin(&config.cpus), prioritise(config.priority)]
 }
 
-fn place(cpus: &[usize]) -> Grant {
+fn pin(cpus: &[usize]) -> Grant {
     const WHAT: &str = "affinity to CPU";
     if cpus.is_empty() {
         return Grant::not_requested(WHAT);
@@ -116,7 +116,7 @@ fn prioritise(priority: Option<u8>) -> Grant {
 
 const ORDINARY: &str = "continuing without real-time priority";
 
-/// Who has the right and is refused all the same meets a cgroup without real-time budget or a filter.
+/// With the right present, the cause is a cgroup without real-time budget or a filter.
 fn fifo_refusal(errno: Errno, has_right: bool) -> (String, String) {
     let remedy = if has_right {
         "give this cgroup a budget (cpu.rt_runtime_us) or lift RestrictRealtime= and the system \
@@ -128,12 +128,12 @@ fn fifo_refusal(errno: Errno, has_right: bool) -> (String, String) {
 }
 
 impl<T> Thread<T> {
-    /// What the thread asked for and got: affinity, then priority.
+    /// Outcomes of the thread's requests: affinity, then priority.
     pub fn grants(&self) -> &[Grant] {
         &self.grants
     }
 
-    /// Waits for the end of the thread and returns what its body returned.
+    /// Waits for the end of the thread and returns the result of its body.
     ///
     /// # Errors
     /// The panic's payload, if the body panicked.
@@ -162,7 +162,7 @@ mod tests {
     use crate::Outcome;
 
     #[test]
-    fn an_ordinary_thread_asks_for_nothing() {
+    fn thread_ordinary_makes_no_request() {
         let thread = spawn(ThreadConfig::new("ordinary"), || {
             thread::current().name().map(str::to_owned)
         });
@@ -176,9 +176,9 @@ mod tests {
         assert_eq!(thread.join().unwrap().as_deref(), Some("ordinary"));
     }
 
-    /// Whatever the rights of who runs this: the body runs, and each request has an answer.
+    /// Whatever the rights of the user: the body runs, and each request has an outcome.
     #[test]
-    fn requests_are_answered_and_the_body_runs() {
+    fn thread_requests_have_outcome_and_body_runs() {
         let config = ThreadConfig {
             priority: Some(10),
             cpus: vec![0],
@@ -186,8 +186,8 @@ mod tests {
             ..ThreadConfig::new("asking")
         };
         let thread = spawn(config, || 42).unwrap();
-        let what: Vec<_> = thread.grants().iter().map(|grant| grant.what).collect();
-        assert_eq!(what, ["affinity to CPU", "SCHED_FIFO priority"]);
+        let items: Vec<_> = thread.grants().iter().map(|grant| grant.item).collect();
+        assert_eq!(items, ["affinity to CPU", "SCHED_FIFO priority"]);
         assert!(
             thread
                 .grants()
@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_is_refused_with_a_remedy() {
+    fn thread_impossible_request_has_remedy() {
         let config = ThreadConfig {
             priority: Some(99),
             cpus: vec![usize::MAX],
@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn a_refusal_names_the_likely_cause() {
+    fn thread_fifo_refusal_names_likely_cause() {
         let (why, remedy) = fifo_refusal(Errno::EPERM, false);
         assert_eq!(why, "Operation not permitted");
         assert!(remedy.contains("CAP_SYS_NICE"));
@@ -231,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn a_zero_byte_in_the_name_is_an_error_and_a_panic_a_result() {
+    fn thread_invalid_name_errors_panic_is_result() {
         assert!(spawn(ThreadConfig::new("a\0b"), || ()).is_err());
         let thread = spawn(ThreadConfig::new("panics"), || panic!("on purpose")).unwrap();
         assert!(thread.join().is_err());

@@ -1,5 +1,5 @@
-//! No allocation where none may be, shown with the crate's own allocator installed; and that the
-//! allocator does see one.
+//! Real-time code does not allocate, shown with the crate's own allocator installed; and the allocator
+//! detects allocations.
 //!
 //! The count is the process's, so the tests that read it take turns.
 #![cfg(not(loom))]
@@ -44,7 +44,7 @@ fn allocations(body: impl FnOnce()) -> u64 {
 }
 
 #[test]
-fn ten_thousand_cycles_allocate_nothing() {
+fn cycles_10000_allocate_nothing() {
     let (mut writer, reader) = stats::pair();
     let (mut image_out, mut image_in) = latest(1, || [0_u64; 64]);
     let (mut producer, mut consumer) = ring(16);
@@ -63,7 +63,7 @@ fn ten_thousand_cycles_allocate_nothing() {
             flight.record(Entry {
                 cycle,
                 source: "test",
-                what: "late",
+                event: "late",
                 value: late.0,
             });
             writer.record(&tick, tick.woken + late);
@@ -78,7 +78,7 @@ fn ten_thousand_cycles_allocate_nothing() {
 }
 
 #[test]
-fn a_cycle_thread_with_its_sleeps_allocates_nothing() {
+fn cycle_thread_allocates_nothing() {
     let _turn = take_turn();
     let before = real_time_allocations();
     let (mut writer, reader) = stats::pair();
@@ -103,9 +103,9 @@ fn a_cycle_thread_with_its_sleeps_allocates_nothing() {
     assert_eq!(reader.snapshot().cycles, 1_000);
 }
 
-/// A driver thread that measures a clock and follows its own servo, with missed slots to note.
+/// A driver thread that measures a clock and follows its own servo, with missed slots to record.
 #[test]
-fn a_disciplined_cycle_thread_allocates_nothing() {
+fn cycle_thread_with_servo_allocates_nothing() {
     let _turn = take_turn();
     let before = real_time_allocations();
     let period = Duration::from_micros(50);
@@ -143,12 +143,12 @@ fn a_disciplined_cycle_thread_allocates_nothing() {
     assert_eq!(real_time_allocations() - before, 0);
     let of_the_clock = |entry: Entry| entry.source == "clock";
     assert!(flight.entries().any(of_the_clock));
-    // Whether the servo comes to be sure of the phase depends on how evenly this host wakes a thread.
+    // Whether the servo locks depends on the wake-up jitter of this host.
     assert_eq!(reader.snapshot().cycles, 500);
 }
 
 #[test]
-fn each_kind_of_call_is_counted() {
+fn allocator_counts_every_call_kind() {
     assert_eq!(
         allocations(|| drop(black_box(Box::new(1)))),
         2,
@@ -168,7 +168,7 @@ fn each_kind_of_call_is_counted() {
 }
 
 #[test]
-fn other_threads_may_allocate() {
+fn allocator_ignores_ordinary_threads() {
     let count = allocations(|| ());
     assert_eq!(count, 0);
     let _turn = take_turn();
@@ -182,9 +182,9 @@ fn other_threads_may_allocate() {
 
 const CHILD: &str = "TAKT_RT_TEST_ALLOCATE_AND_DIE";
 
-/// Runs itself as a child process, in which the first allocation is the end.
+/// Runs itself as a child process, which the first allocation ends.
 #[test]
-fn with_the_guard_the_first_allocation_ends_the_process() {
+fn allocator_guard_aborts_on_first_allocation() {
     if std::env::var_os(CHILD).is_some() {
         set_guard(Guard::Abort);
         let thread = spawn(ThreadConfig::new("offender"), || {
@@ -197,7 +197,7 @@ fn with_the_guard_the_first_allocation_ends_the_process() {
     let output = Command::new(std::env::current_exe().unwrap())
         .args([
             "--exact",
-            "with_the_guard_the_first_allocation_ends_the_process",
+            "allocator_guard_aborts_on_first_allocation",
             "--nocapture",
         ])
         .env(CHILD, "1")

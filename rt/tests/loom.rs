@@ -2,14 +2,14 @@
 //! `RUSTFLAGS="--cfg loom" cargo test -p takt-rt --test loom --release`.
 //!
 //! Loom itself fails a test on two conflicting accesses to a slot, an item leaked or one used after it
-//! was dropped. What it cannot show: that nothing waits, which is seen by reading; and an addition that
+//! was dropped. It cannot show wait-freedom, which follows from reading the code, nor an addition that
 //! overtakes a load, so the ordering of `version` rests on the argument in `latest` alone.
 #![cfg(loom)]
 
 use loom::{model::Builder, sync::Arc, thread};
 use takt_rt::{latest::latest, ring::ring};
 
-/// Explores `model` with at most five forced thread switches, which finds nearly all there is to find
+/// Explores `model` with at most five forced thread switches, which finds nearly all errors
 /// and ends in seconds.
 fn explore(model: impl Fn() + Sync + Send + 'static) {
     let mut builder = Builder::new();
@@ -18,7 +18,7 @@ fn explore(model: impl Fn() + Sync + Send + 'static) {
 }
 
 #[test]
-fn readers_see_whole_values_that_never_go_back() {
+fn cell_readers_see_whole_monotonic_values() {
     explore(|| {
         let (mut writer, reader) = latest(2, || (0, 0));
         let readers = [reader.another().unwrap(), reader].map(|mut reader| {
@@ -40,7 +40,7 @@ fn readers_see_whole_values_that_never_go_back() {
 }
 
 #[test]
-fn a_reader_finds_what_was_written_before_it_came() {
+fn cell_new_reader_sees_earlier_write() {
     explore(|| {
         let (mut writer, mut reader) = latest(1, || 0);
         writer.write(1);
@@ -54,7 +54,7 @@ fn a_reader_finds_what_was_written_before_it_came() {
 }
 
 #[test]
-fn a_value_is_at_least_as_new_as_its_announced_version() {
+fn cell_value_is_not_older_than_version() {
     explore(|| {
         let (mut writer, mut reader) = latest(1, || 0);
         let reading = thread::spawn(move || {
@@ -69,7 +69,7 @@ fn a_value_is_at_least_as_new_as_its_announced_version() {
 
 /// A slot released late in the writer's eyes may not add to the one the same handle reads now.
 #[test]
-fn one_reader_keeps_one_slot_from_the_writer() {
+fn cell_reader_occupies_one_slot() {
     explore(|| {
         let (mut writer, mut reader) = latest(1, || 0);
         let reading = thread::spawn(move || {
@@ -85,7 +85,7 @@ fn one_reader_keeps_one_slot_from_the_writer() {
 
 /// The same across a handle dropped on one thread and its successor on another.
 #[test]
-fn a_handle_and_its_successor_keep_one_slot_from_the_writer() {
+fn cell_replaced_handle_occupies_one_slot() {
     explore(|| {
         let (mut writer, mut reader) = latest(2, || 0);
         let mut first = reader.another().unwrap();
@@ -106,7 +106,7 @@ fn a_handle_and_its_successor_keep_one_slot_from_the_writer() {
 }
 
 #[test]
-fn values_with_drop_glue_are_overwritten_and_freed_once() {
+fn cell_overwritten_values_are_freed_once() {
     explore(|| {
         let (mut writer, mut reader) = latest(1, || Arc::new(0));
         let reading = thread::spawn(move || reader.read_with(|value| **value));
@@ -116,7 +116,7 @@ fn values_with_drop_glue_are_overwritten_and_freed_once() {
 }
 
 #[test]
-fn the_ring_keeps_order_and_counts_what_it_refuses() {
+fn ring_keeps_order_and_counts_rejected() {
     explore(|| {
         let (mut producer, mut consumer) = ring(2);
         let pushing = thread::spawn(move || {
@@ -132,7 +132,7 @@ fn the_ring_keeps_order_and_counts_what_it_refuses() {
 }
 
 #[test]
-fn a_ring_of_one_reuses_its_place() {
+fn ring_of_one_reuses_slot() {
     explore(|| {
         let (mut producer, mut consumer) = ring(1);
         let pushing =
@@ -145,7 +145,7 @@ fn a_ring_of_one_reuses_its_place() {
 }
 
 #[test]
-fn items_left_in_the_ring_are_dropped_by_whichever_end_goes_last() {
+fn ring_last_endpoint_drops_remaining_items() {
     explore(|| {
         let (mut producer, mut consumer) = ring(2);
         let pushing = thread::spawn(move || {

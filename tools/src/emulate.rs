@@ -131,7 +131,7 @@ impl<C: Served + 'static> Robot<C> {
         let mut told = None;
         until_stopped(duration, || {
             // The same reason once more is news, too.
-            let now = (self.status.falls(), line(&self.status));
+            let now = (self.status.exits(), line(&self.status));
             if told.as_ref() == Some(&now) {
                 return Ok(());
             }
@@ -162,7 +162,7 @@ impl<C: Served + 'static> Robot<C> {
 /// What a controller does, in its own terms.
 fn line<C: Served>(status: &Status<C>) -> String {
     let power = if status.has_power() { "on" } else { "off" };
-    let fall = status.last_fall();
+    let fall = status.last_exit();
     let fall = fall.map_or_else(String::new, |why| format!("; left command mode: {why}"));
     let (state, quality) = (status.state(), status.quality());
     format!("{state}, quality {quality}, drives {power}{fall}")

@@ -229,7 +229,7 @@ fn what_comes_instead_of_measurements_is_named() {
     };
     says(
         &lines,
-        "the controller speaks FRI 2.7 (3.0), this session was told to speak FRI 1.x",
+        "the controller speaks FRI 2.7 (3.0), this session is configured for FRI 1.x",
     );
     drop(arm);
     let (stat, address) = listening(&["stat", "--expect", "v2"]);
@@ -238,7 +238,7 @@ fn what_comes_instead_of_measurements_is_named() {
     assert_eq!(status, Some(1));
     says(
         &lines,
-        "the controller speaks FRI 1.0 (LWR), FRI 2.0 to 2.5 of Sunrise was asked for",
+        "the controller speaks FRI 1.0 (LWR), expected FRI 2.0 to 2.5 of Sunrise",
     );
     drop(arm);
     let (stat, address) = listening(&["stat"]);
@@ -250,7 +250,10 @@ fn what_comes_instead_of_measurements_is_named() {
     client.send_to(&command, &address).unwrap();
     let (lines, status) = stat.end();
     assert_eq!(status, Some(1));
-    says(&lines, "a second client takes this host for a controller");
+    says(
+        &lines,
+        "a second client sends to this host instead of a controller",
+    );
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! What must hold for any packets of a recording, in one function for tests and fuzzers. It makes no input of its own.
+//! What must hold for any recorded packets, in one function for tests and fuzzers. It generates no input itself.
 
 use super::{Datagram, Decoded, Reader, Writer};
 use crate::diagnosis::Observer;
@@ -9,8 +9,8 @@ use takt_link::capture::LinkType;
 /// Longest packet taken out of the input, bytes.
 const PACKET_MAX: usize = 2048;
 
-/// Takes `bytes` for IPv4 packets of a recording, each behind its time (8 bytes) and length (2 bytes), little endian, and
-/// gives what they hold to an observer of either generation, as the tools do.
+/// Reads `bytes` as IPv4 packets of a recording, each preceded by its time (8 bytes) and length (2 bytes), little
+/// endian, and passes their content to an observer of either generation, as the tools do.
 pub fn fuzz(bytes: &[u8]) {
     let mut observers = [Observer::lwr(), Observer::sunrise()];
     let mut rest = bytes;
@@ -31,7 +31,7 @@ pub fn fuzz(bytes: &[u8]) {
     }
 }
 
-/// Takes `bytes` for a file, pcap or pcapng, and reads its datagrams up to the first error.
+/// Reads `bytes` as a pcap or pcapng file, up to the first error.
 pub fn fuzz_file(bytes: &[u8]) {
     let Ok(reader) = Reader::new(bytes) else {
         return;
@@ -41,7 +41,7 @@ pub fn fuzz_file(bytes: &[u8]) {
     }
 }
 
-/// Small files for [`fuzz_file`] to be damaged: raw IP as we write it, and Ethernet.
+/// Small seed files for [`fuzz_file`]: raw IP as this crate writes it, and Ethernet.
 #[must_use]
 pub fn files() -> Vec<Vec<u8>> {
     let address = |port| SocketAddrV4::new(Ipv4Addr::new(192, 168, 0, 2), port);
@@ -112,7 +112,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn files_for_fuzzing_are_read() {
+    fn capture_fuzz_seeds_are_readable() {
         let counts = files().into_iter().map(|file| {
             let reader = Reader::new(file.as_slice()).unwrap();
             reader.map(Result::unwrap).count()

@@ -20,7 +20,7 @@ pub(super) fn network(link: LinkType, frame: &[u8]) -> Option<Option<&[u8]>> {
         LinkType::RAW | LinkType::IPV4 => Some(frame),
         LinkType::LINUX_SLL => typed(frame, 14, 16),
         LinkType::LINUX_SLL2 => typed(frame, 0, 20),
-        // BSD loopback: the family is not needed, an IPv4 header tells itself.
+        // BSD loopback: the address family is not needed, the IPv4 header identifies itself.
         LinkType::NULL => frame.get(4..),
         _ => return None,
     };
@@ -35,7 +35,7 @@ fn ethernet(frame: &[u8]) -> Option<&[u8]> {
     }
 }
 
-/// The packet at `start` if the type at `at` says IPv4.
+/// The packet at `start` if the EtherType at `at` is IPv4.
 fn typed(frame: &[u8], at: usize, start: usize) -> Option<&[u8]> {
     (u16_at(frame, at)? == IPV4).then(|| frame.get(start..))?
 }
@@ -79,19 +79,19 @@ pub(super) fn build(datagram: &Datagram) -> Vec<u8> {
     packet.extend(datagram.from.ip().octets());
     packet.extend(datagram.to.ip().octets());
     let checksum = checksum(&packet).to_be_bytes();
-    if let Some(place) = packet.get_mut(10..12) {
-        place.copy_from_slice(&checksum);
+    if let Some(field) = packet.get_mut(10..12) {
+        field.copy_from_slice(&checksum);
     }
     packet.extend(datagram.from.port().to_be_bytes());
     packet.extend(datagram.to.port().to_be_bytes());
     packet.extend(total(UDP_LEN).to_be_bytes());
-    // A UDP checksum of 0 says that there is none.
+    // A UDP checksum of 0 means that none was computed.
     packet.extend([0, 0]);
     packet.extend(content);
     packet
 }
 
-/// Of an IPv4 header whose checksum field is 0.
+/// Checksum of an IPv4 header whose checksum field is 0.
 fn checksum(header: &[u8]) -> u16 {
     let words = header.chunks_exact(2).filter_map(|word| u16_at(word, 0));
     let mut sum: u32 = words.map(u32::from).sum();
@@ -106,7 +106,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_checksum_is_the_one_of_a_known_header() {
+    fn ipv4_checksum_matches_textbook_header() {
         // A textbook example: its checksum is 0xb861.
         let header = [
             0x45, 0, 0, 0x73, 0, 0, 0x40, 0, 0x40, 0x11, 0, 0, 0xc0, 0xa8, 0, 1, 0xc0, 0xa8, 0,

@@ -97,7 +97,7 @@ fn pcapng(resolution: Option<u8>, ticks: u32, packet: &[u8]) -> Vec<u8> {
 }
 
 #[test]
-fn what_is_written_is_read() {
+fn capture_roundtrip() {
     let samples = samples();
     assert_eq!(read(&written(&samples)).unwrap(), samples);
 }
@@ -120,11 +120,11 @@ fn datagrams_are_shown_in_one_line() {
         lines[2],
         format!("22:13:20.002000 {addresses} no FRI datagram, 5 bytes")
     );
-    assert!(lines[3].ends_with("damaged on the way"), "{}", lines[3]);
+    assert!(lines[3].ends_with("damaged in transit"), "{}", lines[3]);
 }
 
 #[test]
-fn link_layers_of_tcpdump_are_known() {
+fn capture_tcpdump_link_layers_are_read() {
     let sample = samples().remove(2);
     let ip = packet::build(&sample);
     let sll = [&[0; 14][..], &[8, 0], &ip].concat();
@@ -155,7 +155,7 @@ fn link_layers_of_tcpdump_are_known() {
 }
 
 #[test]
-fn interfaces_of_pcapng_count_as_they_say() {
+fn pcapng_interfaces_use_their_resolution() {
     let ip = packet::build(&samples()[0]);
     for (resolution, ticks, at) in [
         (None, 1_500_000, Duration::from_millis(1500)),
@@ -168,7 +168,7 @@ fn interfaces_of_pcapng_count_as_they_say() {
 }
 
 #[test]
-fn other_packets_are_counted_and_passed_over() {
+fn capture_other_packets_are_skipped_and_counted() {
     let mut ip = packet::build(&samples()[2]);
     let udp = ip.clone();
     ip[9] = 6;
@@ -185,14 +185,14 @@ fn other_packets_are_counted_and_passed_over() {
 }
 
 #[test]
-fn files_that_are_none_are_refused() {
+fn capture_foreign_file_is_rejected() {
     let text = b"hello, this is no recording at all";
     assert!(matches!(read(text), Err(CaptureError::Unknown(_))));
     assert!(matches!(read(b"abc"), Err(CaptureError::Short(3))));
 }
 
 #[test]
-fn cut_recording_is_read_up_to_the_cut() {
+fn capture_cut_file_reads_whole_datagrams() {
     let whole = written(&samples());
     for len in 24..whole.len() {
         let mut reader = Reader::new(&whole[..len]).unwrap();
@@ -206,13 +206,13 @@ fn cut_recording_is_read_up_to_the_cut() {
 }
 
 #[test]
-fn reader_ends_after_a_wrong_link_type() {
+fn capture_wrong_link_type_ends_reader() {
     let file = [pcap(105, &[0; 40]), pcap(105, &[0; 40]).split_off(24)].concat();
     assert_eq!(Reader::new(&file[..]).unwrap().take(9).count(), 1);
 }
 
 #[test]
-fn ten_thousand_hostile_recordings_do_no_harm() {
+fn capture_hostile_files_do_not_panic() {
     let mut sound = Vec::new();
     for (at, sample) in (0_u64..).zip(recorded()) {
         let packet = packet::build(&sample);

@@ -1,4 +1,4 @@
-//! Measurements of both generations as the one kind that is judged. It decodes nothing.
+//! Converts measurements of both generations to the common type of the diagnosis. It decodes nothing.
 
 use super::Measurement;
 use crate::lwr::stated_period;
@@ -7,7 +7,7 @@ use crate::sunrise::PERIOD_MS;
 use crate::sunrise::wire::{Monitoring, Quality};
 use std::time::Duration;
 
-/// Resolution of an f32 of seconds: the stamps of FRI 1.0 are useless when it is coarser than a tenth of the period.
+/// Time stamp of FRI 1.0, if the resolution of its f32 seconds is finer than a tenth of the period.
 fn stamp(msr: &Msr, period: Duration) -> Option<Duration> {
     let seconds = msr.interface.timestamp_s;
     let step = seconds * f32::EPSILON;
@@ -16,7 +16,7 @@ fn stamp(msr: &Msr, period: Duration) -> Option<Duration> {
 }
 
 impl Measurement {
-    /// Of FRI 1.0.
+    /// Converts a measurement of FRI 1.0.
     #[must_use]
     pub fn lwr(at: Duration, msr: &Msr) -> Self {
         let period = stated_period(msr);
@@ -32,7 +32,7 @@ impl Measurement {
         }
     }
 
-    /// Of Sunrise. Whether it wants an answer is told for a receiveMultiplier of 1 only: whoever answers knows better.
+    /// Converts a message of Sunrise. `is_due` is right for a receiveMultiplier of 1 only; the session knows better.
     #[must_use]
     pub fn sunrise(at: Duration, message: &Monitoring) -> Self {
         let stamp = message.monitor.and_then(|data| data.stamp);

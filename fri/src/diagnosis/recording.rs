@@ -1,11 +1,11 @@
-//! Measurements and answers out of decoded datagrams, so that a recording is judged as a live connection is. It opens no
-//! file.
+//! Feeds the observer with recorded datagrams, so that a recording gets the same verdict as a live connection. It opens
+//! no file.
 
 use super::{Measurement, Observer};
 use crate::capture::{Datagram, Decoded};
 
 impl Observer {
-    /// For the generation of a recording's first FRI datagram; `None` if it is none.
+    /// An observer for the generation of the first FRI datagram; `None` if `decoded` is no FRI datagram.
     #[must_use]
     pub fn of(decoded: &Decoded) -> Option<Self> {
         match decoded {
@@ -17,7 +17,7 @@ impl Observer {
         }
     }
 
-    /// Takes a datagram of a recording made at this host: measurements when they come, answers when they leave.
+    /// Counts a datagram recorded at this host: measurements on arrival, answers on departure.
     pub fn handle_datagram(&mut self, datagram: &Datagram) {
         match Decoded::of(&datagram.bytes) {
             Decoded::LwrMeasurement(msr) => {

@@ -10,7 +10,7 @@ fn good() -> Observed {
         period: PERIOD,
         measurements: 1_000,
         answers: 1_000,
-        heard: 999,
+        acknowledged: 999,
         answer_time_max: US * 40,
         arrival_jitter: US * 20,
         stamp_jitter: Some(US),
@@ -22,7 +22,7 @@ fn good() -> Observed {
 
 #[test]
 #[expect(clippy::too_many_lines, reason = "a table")]
-fn every_verdict_has_its_figures_and_a_remedy() {
+fn verdict_has_figures_and_remedy() {
     let cases: [(Observed, Verdict, &str); 15] = [
         (good(), Verdict::Good, "good"),
         (
@@ -31,7 +31,7 @@ fn every_verdict_has_its_figures_and_a_remedy() {
                 ..good()
             },
             Verdict::Silent,
-            "no measurement came",
+            "no measurement received",
         ),
         (
             Observed {
@@ -39,7 +39,7 @@ fn every_verdict_has_its_figures_and_a_remedy() {
                 ..good()
             },
             Verdict::TooFew { measurements: 99 },
-            "only 99 measurements came",
+            "only 99 measurements received",
         ),
         (
             Observed {
@@ -48,26 +48,26 @@ fn every_verdict_has_its_figures_and_a_remedy() {
                 ..good()
             },
             Verdict::Unanswered,
-            "nobody answers the controller",
+            "no client answers the controller",
         ),
         (
             Observed {
-                strange: 500,
+                foreign: 500,
                 late: 500,
                 ..good()
             },
-            Verdict::SecondClient { strange: 0.5 },
-            "another client answers the controller too: 50.0 % of what it heard",
+            Verdict::SecondClient { foreign: 0.5 },
+            "another client answers the controller too: 50.0 % of the answers it received",
         ),
         (
             Observed {
-                heard: 0,
+                acknowledged: 0,
                 answer_rate: Some(0.0),
                 is_good: false,
                 ..good()
             },
-            Verdict::Unheard,
-            "the controller hears no answer of this host",
+            Verdict::NotReceived,
+            "the controller does not receive this host's answers",
         ),
         (
             Observed {
@@ -89,7 +89,7 @@ fn every_verdict_has_its_figures_and_a_remedy() {
                 measurements: 950,
                 ..good()
             },
-            Verdict::NetworkHither {
+            Verdict::NetworkInbound {
                 lost: 0.05,
                 disordered: 0,
             },
@@ -110,7 +110,7 @@ fn every_verdict_has_its_figures_and_a_remedy() {
                 measurements: 990,
                 ..good()
             },
-            Verdict::NetworkHither {
+            Verdict::NetworkInbound {
                 lost: 0.01,
                 disordered: 0,
             },
@@ -121,7 +121,7 @@ fn every_verdict_has_its_figures_and_a_remedy() {
                 disordered: 6,
                 ..good()
             },
-            Verdict::NetworkHither {
+            Verdict::NetworkInbound {
                 lost: 0.0,
                 disordered: 6,
             },
@@ -140,7 +140,7 @@ fn every_verdict_has_its_figures_and_a_remedy() {
                 answer_rate: Some(0.75),
                 ..good()
             },
-            Verdict::NetworkThither { missing: 0.25 },
+            Verdict::NetworkOutbound { missing: 0.25 },
             "the network loses answers: 25.0 %",
         ),
         (
@@ -150,7 +150,7 @@ fn every_verdict_has_its_figures_and_a_remedy() {
                 ..good()
             },
             Verdict::Unexplained,
-            "all in time here, but quality does not suffice",
+            "all answers in time, but the controller reports insufficient quality",
         ),
     ];
     for (observed, verdict, text) in cases {
@@ -190,7 +190,7 @@ fn run(change: impl Fn(u32, &mut Measurement) -> (bool, Option<Duration>)) -> Ve
 }
 
 #[test]
-fn each_thing_that_goes_wrong_is_found() {
+fn observer_finds_each_fault() {
     let soon = Some(US * 50);
     assert_eq!(run(|_, _| (true, soon)), Verdict::Good);
     assert_eq!(run(|_, _| (true, None)), Verdict::Unanswered);
@@ -213,7 +213,7 @@ fn each_thing_that_goes_wrong_is_found() {
     );
     let lost = run(|i, _| (i % 20 != 7, soon.filter(|_| i % 20 != 7)));
     assert!(
-        matches!(lost, Verdict::NetworkHither { lost, disordered: 0 } if (lost - 0.05).abs() < 1e-9),
+        matches!(lost, Verdict::NetworkInbound { lost, disordered: 0 } if (lost - 0.05).abs() < 1e-9),
         "{lost}"
     );
     let jitter = run(|i, measurement| {
@@ -235,15 +235,15 @@ fn each_thing_that_goes_wrong_is_found() {
         (true, soon)
     });
     assert!(
-        matches!(thither, Verdict::NetworkThither { missing } if (missing - 0.1).abs() < 1e-9),
+        matches!(thither, Verdict::NetworkOutbound { missing } if (missing - 0.1).abs() < 1e-9),
         "{thither}"
     );
 }
 
 #[test]
-fn who_is_heard_is_found_by_what_the_controller_reflects() {
+fn observer_reflection_identifies_received_client() {
     let soon = Some(US * 50);
-    // Half of what the controller hears counts by itself.
+    // Half of the answers suffice.
     let second = run(|i, measurement| {
         if i % 2 == 0 {
             measurement.reflected = 70_000 + i;
@@ -252,11 +252,11 @@ fn who_is_heard_is_found_by_what_the_controller_reflects() {
     });
     assert!(matches!(second, Verdict::SecondClient { .. }), "{second}");
     // It still reflects the last answer of the client before this one.
-    let unheard = run(|_, measurement| {
+    let not_received = run(|_, measurement| {
         measurement.reflected = 70_000;
         (true, soon)
     });
-    assert_eq!(unheard, Verdict::Unheard);
+    assert_eq!(unheard, Verdict::NotReceived);
     // For a moment only.
     let taken_over = run(|i, measurement| {
         if i < 3 {
@@ -268,7 +268,7 @@ fn who_is_heard_is_found_by_what_the_controller_reflects() {
 }
 
 #[test]
-fn a_restart_is_neither_loss_nor_jitter() {
+fn observer_restart_is_neither_loss_nor_jitter() {
     let verdict = run(|i, measurement| {
         if i >= 500 {
             measurement.sequence += 1_000_000;
@@ -282,7 +282,7 @@ fn a_restart_is_neither_loss_nor_jitter() {
 
 /// Real measurements of both generations with nonsense in the numbers that an observer reckons with.
 #[test]
-fn no_number_on_the_wire_makes_the_observer_overflow() {
+fn observer_extreme_numbers_do_not_overflow() {
     use crate::lwr::emulator::{Krc, KrcConfig};
     use crate::lwr::wire::Msr;
     let mut krc = Krc::new(KrcConfig::default(), Duration::ZERO);

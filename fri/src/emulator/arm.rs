@@ -1,4 +1,4 @@
-//! Set-point and motion of the emulated joints, one cycle at a time: follow, extrapolate, brake. It judges nothing.
+//! Set-point and motion of the emulated joints, one cycle at a time: follow, extrapolate, brake. It checks no limits.
 
 use super::AXES;
 use super::body::{Body, Law};
@@ -6,13 +6,13 @@ use super::body::{Body, Law};
 /// The joints; positions in rad, steps in rad per cycle.
 #[derive(Debug, Clone)]
 pub(crate) struct Arm {
-    /// What the drives are told.
+    /// Set-point of the drives.
     pub(crate) set_point: [f64; AXES],
     step: [f64; AXES],
-    /// Position commanded last, and the cycles left to get there.
+    /// Last commanded position, and the cycles left to reach it.
     goal: [f64; AXES],
     remaining: u32,
-    /// What follows it.
+    /// The arm that follows the set-point.
     pub(crate) body: Body,
 }
 
@@ -28,7 +28,7 @@ impl Arm {
         }
     }
 
-    /// Takes a commanded position, which spans `cycles` cycles since the last one at `from`; the set-point goes there in
+    /// Starts towards a commanded position, `cycles` cycles after the last one at `from`; the set-point reaches it in
     /// `over` cycles, this one included.
     pub(crate) fn follow(
         &mut self,
@@ -45,8 +45,8 @@ impl Arm {
         self.glide();
     }
 
-    /// Goes on to the commanded position, or beyond it at the last speed, within `limits`.
-    pub(crate) fn go_on(&mut self, limits: &[f64; AXES]) {
+    /// Continues to the commanded position, or beyond it at the last speed, within `limits`.
+    pub(crate) fn extrapolate(&mut self, limits: &[f64; AXES]) {
         if self.remaining > 0 {
             return self.glide();
         }
@@ -68,7 +68,7 @@ impl Arm {
         self.remaining -= 1;
     }
 
-    /// Keeps the set-point and forgets the speed.
+    /// Keeps the set-point and resets the speed.
     pub(crate) fn hold(&mut self) {
         self.step = [0.0; AXES];
         self.remaining = 0;
@@ -88,8 +88,8 @@ impl Arm {
         self.body.advance(&self.set_point, law, span_s);
     }
 
-    /// Puts the set-point where the joints are: what control strategies do when they change.
-    pub(crate) fn take_up(&mut self) {
+    /// Sets the set-point to the measured positions, as control strategies do when they change.
+    pub(crate) fn sync_set_point(&mut self) {
         self.set_point = self.body.joints();
         self.hold();
     }
@@ -112,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn braking_ends_at_rest_and_never_turns_back() {
+    fn arm_braking_stops_without_reversing() {
         let mut arm = arm();
         arm.follow(&[0.01; AXES], &[0.0; AXES], 1.0, 1);
         let mut last = arm.set_point[0];
@@ -128,33 +128,33 @@ mod tests {
     }
 
     #[test]
-    fn extrapolation_keeps_the_speed_up_to_the_limit() {
+    fn arm_extrapolation_keeps_speed_within_limits() {
         let mut arm = arm();
         arm.follow(&[0.2; AXES], &[0.0; AXES], 2.0, 1);
-        arm.go_on(&[0.35; AXES]);
+        arm.extrapolate(&[0.35; AXES]);
         assert!((arm.set_point[6] - 0.3).abs() < 1e-12);
-        arm.go_on(&[0.35; AXES]);
+        arm.extrapolate(&[0.35; AXES]);
         assert!((arm.set_point[6] - 0.35).abs() < 1e-12);
         arm.settle(&Law::Position, 0.001 * 2.0_f64.ln());
         assert!((arm.body.joints()[6] - 0.175).abs() < 1e-12);
-        arm.take_up();
+        arm.sync_set_point();
         assert!((arm.set_point[6] - 0.175).abs() < 1e-12 && arm.is_at_rest());
     }
 
     #[test]
-    fn commands_of_slower_clients_are_interpolated() {
+    fn arm_slow_client_commands_are_interpolated() {
         let mut arm = arm();
         let mut last = [0.0; AXES];
         for command in 1..4 {
             let target = [0.03 * f64::from(command); AXES];
             arm.follow(&target, &last, 3.0, 3);
-            arm.go_on(&[1.0; AXES]);
+            arm.extrapolate(&[1.0; AXES]);
             assert!((target[0] - arm.set_point[0] - 0.01).abs() < 1e-12);
-            arm.go_on(&[1.0; AXES]);
+            arm.extrapolate(&[1.0; AXES]);
             assert_eq!(arm.set_point.map(f64::to_bits), target.map(f64::to_bits));
             last = target;
         }
-        arm.go_on(&[1.0; AXES]);
+        arm.extrapolate(&[1.0; AXES]);
         assert!(
             (arm.set_point[0] - 0.10).abs() < 1e-12,
             "a missing one is extrapolated"

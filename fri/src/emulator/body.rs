@@ -1,26 +1,26 @@
-//! How an emulated arm moves: stiff behind its set-point, or compliant against a contact. Its inertia is a constant per joint
-//! and its gravity compensated: enough to try compliant motion, no model of the real arm.
+//! Motion of an emulated arm: stiff behind its set-point, or compliant against a contact. Each joint has a constant
+//! inertia, and gravity is compensated: enough to try compliant motion, no model of the real arm.
 
 use super::AXES;
-use super::chain::{Chain, Jacobian, Place, turn};
+use super::chain::{Chain, Jacobian, Pose, turn};
 use super::contact::Contact;
 use nalgebra::{SMatrix, SVector, Vector3};
 use std::time::Duration;
 
-/// Step of integration: short against the fastest joint on the stiffest contact.
+/// Integration step: short against the fastest joint on the stiffest contact.
 const STEP_S: f64 = 0.000_25;
 /// Effective inertia of each joint, kg m2: *assumption*.
 pub(crate) const INERTIA: [f64; AXES] = [1.5, 1.5, 0.8, 0.8, 0.3, 0.3, 0.15];
 /// Effective mass and inertia of the flange for the damping of Cartesian impedance, kg and kg m2: *assumption*.
 const FLANGE: [f64; 6] = [5.0, 5.0, 5.0, 0.2, 0.2, 0.2];
-/// Friction that is always there, Nms/rad: *assumption*.
+/// Friction in all control modes, Nms/rad: *assumption*.
 const FRICTION: f64 = 1.0;
-/// Stiffness that keeps the elbow where it is in Cartesian impedance control, Nm/rad: *assumption*.
+/// Stiffness that keeps the elbow in place in Cartesian impedance control, Nm/rad: *assumption*.
 const NULL_SPACE: f64 = 20.0;
 
 type Joints = [f64; AXES];
 
-/// The control strategy in force and its parameters.
+/// Active control strategy and its parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Law {
     /// Follows the set-point with the lag of the drives.
@@ -45,7 +45,7 @@ pub(crate) enum Law {
     },
 }
 
-/// The arm and what it touches.
+/// The arm and its contact.
 #[derive(Debug, Clone)]
 pub(crate) struct Body {
     chain: Chain,
@@ -53,8 +53,8 @@ pub(crate) struct Body {
     lag_s: f64,
     joints: Joints,
     speed: Joints,
-    /// Of `joints`.
-    place: Place,
+    /// Flange pose at `joints`.
+    pose: Pose,
     jacobian: Jacobian,
     /// What the flange touches.
     pub(crate) contact: Option<Contact>,
@@ -66,13 +66,13 @@ pub(crate) struct Body {
 
 impl Body {
     pub(crate) fn new(chain: Chain, joints: Joints, lag: Duration) -> Self {
-        let (place, jacobian) = chain.jacobian(&joints);
+        let (pose, jacobian) = chain.jacobian(&joints);
         Self {
             chain,
             lag_s: lag.as_secs_f64(),
             joints,
             speed: [0.0; AXES],
-            place,
+            pose,
             jacobian,
             contact: None,
             force: [0.0; 3],
@@ -81,7 +81,7 @@ impl Body {
         }
     }
 
-    /// Moves on for `span_s` seconds towards `set_point`.
+    /// Advances by `span_s` seconds towards `set_point`.
     pub(crate) fn advance(&mut self, set_point: &Joints, law: &Law, span_s: f64) {
         match law {
             Law::Position => {
@@ -91,7 +91,7 @@ impl Body {
             }
             Law::Joint { .. } => self.integrate(span_s, |body| body.joint(set_point, law)),
             Law::Cartesian { .. } => {
-                // The goal and the null space do not change noticeably within one cycle.
+                // Goal and null space do not change noticeably within one cycle.
                 let goal = self.chain.forward(set_point);
                 let elbow = self.null_space(set_point);
                 self.integrate(span_s, |body| {
@@ -121,7 +121,7 @@ impl Body {
         }
     }
 
-    /// Stands still: brakes closed.
+    /// Stops: brakes closed.
     pub(crate) fn freeze(&mut self) {
         self.speed = [0.0; AXES];
         self.touch();
@@ -141,16 +141,16 @@ impl Body {
         }
     }
 
-    /// Where the arm is now, and what it feels there.
+    /// Updates the flange pose and the contact force.
     fn touch(&mut self) {
-        (self.place, self.jacobian) = self.chain.jacobian(&self.joints);
+        (self.pose, self.jacobian) = self.chain.jacobian(&self.joints);
         let Some(contact) = self.contact else {
             (self.force, self.external) = ([0.0; 3], [0.0; AXES]);
             return;
         };
         let [x, y, z, ..] = self.jacobian.times(&self.speed);
         let velocity = Vector3::new(x, y, z);
-        self.force = contact.force(&self.place.position, &velocity).into();
+        self.force = contact.force(&self.pose.position, &velocity).into();
         let [x, y, z] = self.force;
         self.external = self.jacobian.torques(&[x, y, z, 0.0, 0.0, 0.0]);
     }
@@ -171,7 +171,7 @@ impl Body {
         })
     }
 
-    fn cartesian(&self, goal: &Place, law: &Law) -> Joints {
+    fn cartesian(&self, goal: &Pose, law: &Law) -> Joints {
         let Law::Cartesian {
             stiffness,
             damping,
@@ -180,7 +180,7 @@ impl Body {
         else {
             return [0.0; AXES];
         };
-        let away = away(&self.place, goal);
+        let away = away(&self.pose, goal);
         let velocity = self.jacobian.times(&self.speed);
         let wrench = std::array::from_fn(|i| {
             let k = stiffness[i].max(0.0);
@@ -223,13 +223,13 @@ impl Body {
         self.force
     }
 
-    /// Where the flange is.
-    pub(crate) fn place(&self) -> Place {
-        self.place
+    /// Flange pose.
+    pub(crate) fn pose(&self) -> Pose {
+        self.pose
     }
 
-    /// Where the flange would be.
-    pub(crate) fn place_of(&self, joints: &Joints) -> Place {
+    /// Flange pose at `joints`.
+    pub(crate) fn pose_of(&self, joints: &Joints) -> Pose {
         self.chain.forward(joints)
     }
 
@@ -243,13 +243,13 @@ impl Body {
         &self.jacobian
     }
 
-    /// Joint positions near `from` that put the flange at `goal`; `None` if a few damped Newton steps do not lead there.
-    pub(crate) fn reach(&self, from: &Joints, goal: &Place) -> Option<Joints> {
+    /// Joint positions near `from` that put the flange at `goal`; `None` if a few damped Newton steps do not converge.
+    pub(crate) fn reach(&self, from: &Joints, goal: &Pose) -> Option<Joints> {
         const STEPS: usize = 20;
         let mut joints = *from;
         for _ in 0..STEPS {
-            let (place, jacobian) = self.chain.jacobian(&joints);
-            let away = SVector::from(away(&place, goal));
+            let (pose, jacobian) = self.chain.jacobian(&joints);
+            let away = SVector::from(away(&pose, goal));
             if away.norm() < 1e-7 {
                 return Some(joints);
             }
@@ -262,14 +262,14 @@ impl Body {
     }
 }
 
-/// From one place to another: m, then rad about x, y, z.
-fn away(here: &Place, there: &Place) -> [f64; 6] {
+/// From one pose to another: m, then rad about x, y, z.
+fn away(here: &Pose, there: &Pose) -> [f64; 6] {
     let linear = there.position - here.position;
     let turn = turn(&here.rotation, &there.rotation);
     [linear.x, linear.y, linear.z, turn.x, turn.y, turn.z]
 }
 
-/// Of the Jacobian times its transpose, damped so that it exists in singularities too.
+/// Inverse of the Jacobian times its transpose, damped so that it exists in singularities too.
 fn inverse(jacobian: &Jacobian) -> Option<SMatrix<f64, 6, 6>> {
     const DAMPING: f64 = 1e-6;
     let square = SMatrix::<f64, 6, 6>::from_fn(|row, column| {
@@ -289,7 +289,7 @@ mod tests {
     fn table(body: &Body, stiffness: f64) -> Contact {
         Contact {
             shape: Shape::Wall,
-            place: body.place().position.into(),
+            point: body.pose().position.into(),
             normal: [0.0, 0.0, 1.0],
             stiffness,
             damping: 50.0,
@@ -309,7 +309,7 @@ mod tests {
     }
 
     #[test]
-    fn a_joint_gives_way_by_torque_over_stiffness() {
+    fn body_joint_deflects_by_torque_over_stiffness() {
         let mut body = body();
         let mut overlay = [0.0; AXES];
         overlay[1] = 5.0;
@@ -330,13 +330,13 @@ mod tests {
     }
 
     #[test]
-    fn cartesian_impedance_presses_with_what_is_asked_for() {
+    fn body_cartesian_impedance_applies_commanded_force() {
         let mut body = body();
         body.contact = Some(table(&body, 20_000.0));
         for _ in 0..6000 {
             body.advance(&Q, &cartesian(-22.0), 0.001);
         }
-        // 22 N on two springs side by side: 20,000 of the table and 2,000 of the controller.
+        // 22 N on two parallel springs: 20,000 N/m of the table and 2,000 N/m of the controller.
         let force = body.force();
         assert!((force[2] - 20.0).abs() < 0.05, "{force:?}");
         let external = body
@@ -345,11 +345,11 @@ mod tests {
         assert!((external[1] - body.external()[1]).abs() < 1e-9 && external[1].abs() > 5.0);
         body.contact = None;
         body.advance(&Q, &cartesian(-22.0), 0.001);
-        assert!(body.force()[2].abs() < 1e-12, "the table is gone");
+        assert!(body.force()[2].abs() < 1e-12, "the contact is removed");
     }
 
     #[test]
-    fn position_control_does_not_give_way() {
+    fn body_position_control_stays_stiff() {
         let mut body = body();
         body.contact = Some(table(&body, 20_000.0));
         let mut lower = Q;
@@ -364,12 +364,12 @@ mod tests {
     }
 
     #[test]
-    fn poses_nearby_are_reached_and_far_ones_are_not() {
+    fn body_reaches_near_poses_only() {
         let body = body();
-        let mut goal = body.place();
+        let mut goal = body.pose();
         goal.position.x -= 0.02;
         let joints = body.reach(&Q, &goal).unwrap();
-        assert!((body.place_of(&joints).position - goal.position).norm() < 1e-6);
+        assert!((body.pose_of(&joints).position - goal.position).norm() < 1e-6);
         goal.position.x = 3.0;
         assert_eq!(body.reach(&Q, &goal), None);
     }

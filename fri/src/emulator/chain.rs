@@ -1,9 +1,9 @@
-//! Where the flange of an LBR arm is and how it moves with the joints. No limits, no inverse.
+//! Forward kinematics and Jacobian of an LBR arm. No limits, no inverse kinematics.
 
 use super::AXES;
 use nalgebra::{Matrix3, Vector3};
 
-/// How the flange moves with the joints, by columns: X, Y, Z (m/rad), then rotations about x, y, z (rad/rad), in the base
+/// Jacobian of the flange, by columns: X, Y, Z (m/rad), then rotations about x, y, z (rad/rad), in the base
 /// frame. Plain arrays: the emulators evaluate it thousands of times a second, in debug builds too.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Jacobian(pub(crate) [[f64; 6]; AXES]);
@@ -20,22 +20,22 @@ impl Jacobian {
         sum
     }
 
-    /// Joint torques of a force and torque on the flange.
+    /// Joint torques of a wrench on the flange.
     pub(crate) fn torques(&self, wrench: &[f64; 6]) -> [f64; AXES] {
         self.0
             .map(|column| column.iter().zip(wrench).map(|(a, b)| a * b).sum())
     }
 }
 
-/// A place and an orientation.
+/// A pose: position and orientation.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Place {
+pub(crate) struct Pose {
     pub(crate) rotation: Matrix3<f64>,
     /// m
     pub(crate) position: Vector3<f64>,
 }
 
-impl Place {
+impl Pose {
     fn new(columns: &[Triple; 3], position: Triple) -> Self {
         Self {
             rotation: Matrix3::from_columns(&columns.map(Vector3::from)),
@@ -43,7 +43,7 @@ impl Place {
         }
     }
 
-    /// Where `other` is as seen from here.
+    /// `other` relative to this pose.
     pub(crate) fn to(self, other: &Self) -> Self {
         let back = self.rotation.transpose();
         Self {
@@ -53,12 +53,12 @@ impl Place {
     }
 }
 
-/// Seven axes, pivots and hinges by turns; all of them intersect in shoulder, elbow and wrist.
+/// Seven axes, alternating roll and pitch; all of them intersect in shoulder, elbow and wrist.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Chain {
     /// Heights of shoulder, elbow, wrist and flange above the one before, m; data sheets.
     links: [f64; 4],
-    /// Sense of each axis against z for pivots and y for hinges.
+    /// Sense of each axis against z for roll and y for pitch axes.
     signs: [f64; AXES],
 }
 
@@ -80,7 +80,7 @@ impl Chain {
         }
     }
 
-    /// The flange, and origin and direction of every axis.
+    /// Flange pose, and origin and direction of every axis.
     fn axes(&self, joints: &[f64; AXES]) -> ([Triple; 3], Triple, [(Triple, Triple); AXES]) {
         let [mut x, mut y, mut z] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
         let mut position = [0.0; 3];
@@ -106,18 +106,18 @@ impl Chain {
         ([x, y, z], position, axes)
     }
 
-    pub(crate) fn forward(&self, joints: &[f64; AXES]) -> Place {
+    pub(crate) fn forward(&self, joints: &[f64; AXES]) -> Pose {
         let (columns, position, _) = self.axes(joints);
-        Place::new(&columns, position)
+        Pose::new(&columns, position)
     }
 
-    pub(crate) fn jacobian(&self, joints: &[f64; AXES]) -> (Place, Jacobian) {
+    pub(crate) fn jacobian(&self, joints: &[f64; AXES]) -> (Pose, Jacobian) {
         let (columns, position, axes) = self.axes(joints);
         let jacobian = axes.map(|(origin, [a, b, c])| {
             let [x, y, z] = sum(&position, 1.0, &origin, -1.0);
             [b * z - c * y, c * x - a * z, a * y - b * x, a, b, c]
         });
-        (Place::new(&columns, position), Jacobian(jacobian))
+        (Pose::new(&columns, position), Jacobian(jacobian))
     }
 }
 
@@ -132,7 +132,7 @@ fn sum(a: &Triple, p: f64, b: &Triple, q: f64) -> Triple {
     ]
 }
 
-/// The rotation that leads from `from` to `to`, as a vector along its axis, rad.
+/// The rotation from `from` to `to`, as a vector along its axis, rad.
 pub(crate) fn turn(from: &Matrix3<f64>, to: &Matrix3<f64>) -> Vector3<f64> {
     let between = to * from.transpose();
     let axis = Vector3::new(
@@ -155,7 +155,7 @@ mod tests {
     const Q: [f64; AXES] = [0.3, -0.4, 0.5, 1.1, -0.7, 0.8, 0.9];
 
     #[test]
-    fn stretched_up_and_elbow_square() {
+    fn chain_forward_stretched_and_right_angle() {
         let mut joints = [0.0; AXES];
         let up = Chain::IIWA14.forward(&joints).position;
         assert!((up - Vector3::new(0.0, 0.0, 1.306)).norm() < 1e-12);
@@ -169,16 +169,16 @@ mod tests {
     }
 
     #[test]
-    fn the_jacobian_is_the_derivative() {
+    fn chain_jacobian_is_derivative() {
         const STEP: f64 = 1e-6;
         for chain in [Chain::LWR, Chain::IIWA7, Chain::IIWA14] {
-            let (place, jacobian) = chain.jacobian(&Q);
+            let (pose, jacobian) = chain.jacobian(&Q);
             for joint in 0..AXES {
                 let mut moved = Q;
                 moved[joint] += STEP;
                 let there = chain.forward(&moved);
-                let linear = (there.position - place.position) / STEP;
-                let angular = turn(&place.rotation, &there.rotation) / STEP;
+                let linear = (there.position - pose.position) / STEP;
+                let angular = turn(&pose.rotation, &there.rotation) / STEP;
                 let [x, y, z, a, b, c] = jacobian.0[joint];
                 assert!((linear - Vector3::new(x, y, z)).norm() < 1e-5);
                 assert!((angular - Vector3::new(a, b, c)).norm() < 1e-5);

@@ -1,34 +1,34 @@
-//! Something the flange can touch: a wall or a spring at a place. No friction, no geometry of the arm but its flange.
+//! Something the flange can touch: a wall or a spring. No friction; of the arm, only the flange is considered.
 
 use nalgebra::Vector3;
 
 /// Kind of a [`Contact`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Shape {
-    /// Fills the half-space behind the place; pushes, never pulls.
+    /// Fills the half-space behind the point; pushes, never pulls.
     Wall,
-    /// Ties the flange to the plane through the place; pushes and pulls.
+    /// Ties the flange to the plane through the point; pushes and pulls.
     Spring,
 }
 
-/// Something that presses on the flange along one direction.
+/// An object that presses on the flange along one direction.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Contact {
     /// Wall or spring.
     pub shape: Shape,
     /// A point of its surface in the robot's base frame, m.
-    pub place: [f64; 3],
-    /// Direction in which it pushes, out of the wall; of any length but zero.
+    pub point: [f64; 3],
+    /// Outward normal of the surface, the direction of the push; any length but zero.
     pub normal: [f64; 3],
-    /// N/m, from 0; above 50,000 the emulator takes 50,000.
+    /// N/m, from 0; the emulator limits it to 50,000.
     pub stiffness: f64,
-    /// Ns/m, from 0; above 500 the emulator takes 500.
+    /// Ns/m, from 0; the emulator limits it to 500.
     pub damping: f64,
 }
 
-/// Stiffest contact that the emulators' step of integration bears, N/m.
+/// Largest stiffness for which the emulator's integration step is stable, N/m.
 const STIFFEST: f64 = 50_000.0;
-/// Strongest damping that the emulators' step of integration bears, Ns/m.
+/// Largest damping for which the emulator's integration step is stable, Ns/m.
 const STRONGEST: f64 = 500.0;
 
 impl Contact {
@@ -38,7 +38,7 @@ impl Contact {
         if !normal.norm().is_finite() {
             return Vector3::zeros();
         }
-        let depth = normal.dot(&(Vector3::from(self.place) - position));
+        let depth = normal.dot(&(Vector3::from(self.point) - position));
         let push = self.stiffness.clamp(0.0, STIFFEST) * depth
             - self.damping.clamp(0.0, STRONGEST) * normal.dot(velocity);
         match self.shape {
@@ -56,7 +56,7 @@ mod tests {
     fn force(shape: Shape, height: f64, speed: f64) -> f64 {
         let contact = Contact {
             shape,
-            place: [0.0, 0.0, 0.5],
+            point: [0.0, 0.0, 0.5],
             normal: [0.0, 0.0, 2.0],
             stiffness: 1000.0,
             damping: 10.0,
@@ -67,7 +67,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wall_pushes_and_a_spring_pulls_too() {
+    fn contact_wall_pushes_spring_also_pulls() {
         for (shape, height, speed, expected) in [
             (Shape::Wall, 0.51, 0.0, 0.0),
             (Shape::Wall, 0.49, 0.0, 10.0),

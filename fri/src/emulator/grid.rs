@@ -1,15 +1,15 @@
-//! The controller's own clock: a grid of cycles that never shifts, whoever is late. It does not read any clock.
+//! The controller's own clock: a grid of cycles that never shifts, even if host or client is late. It reads no clock.
 
 use std::ops::RangeInclusive;
 use std::time::Duration;
 
 const PERIODS: RangeInclusive<Duration> = Duration::from_millis(1)..=Duration::from_millis(100);
 
-/// Cycles of one period from a start.
+/// Cycles of one period since a start.
 #[derive(Debug, Clone)]
 pub(crate) struct Grid {
     period: Duration,
-    /// The period on the clock of whoever runs the emulator; differs by the drift.
+    /// The period on the host's clock; differs by the drift.
     span: Duration,
     next: Duration,
     index: u64,
@@ -38,13 +38,13 @@ impl Grid {
         grid
     }
 
-    /// Takes another period from the next cycle on, 1 ms to 100 ms.
+    /// Changes the period from the next cycle on, 1 ms to 100 ms.
     pub(crate) fn set_period(&mut self, period: Duration) {
         self.period = period.clamp(*PERIODS.start(), *PERIODS.end());
         self.span = self.period.mul_f64(self.slower);
     }
 
-    /// Begins the cycle that `now` lies in, skipping those missed, and returns its number, from 1.
+    /// Begins the cycle that contains `now`, skips missed ones, and returns its number, from 1.
     pub(crate) fn advance(&mut self, now: Duration) -> u64 {
         let behind = now.saturating_sub(self.next);
         let missed = behind.as_nanos() / self.span.as_nanos();
@@ -93,7 +93,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_grid_never_shifts() {
+    fn grid_late_owner_keeps_phase() {
         let ms = Duration::from_millis;
         let mut grid = Grid::new(ms(10), ms(4), 0.0);
         for (now, index, next, late, stalls) in [
@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn periods_are_those_of_fri_open() {
+    fn grid_period_is_clamped_to_fri_open() {
         assert_eq!(
             Grid::new(Duration::ZERO, Duration::ZERO, 0.0).period(),
             Duration::from_millis(1)
@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn a_slow_clock_spreads_the_grid_and_not_its_time() {
+    fn grid_drift_stretches_host_time_only() {
         let ms = Duration::from_millis;
         let mut grid = Grid::new(ms(0), ms(1), 200.0);
         for _ in 0..=10_000 {

@@ -1,4 +1,4 @@
-//! What the last measurements said, found by the number that an answer reflects. Older ones are forgotten.
+//! The last measurements, found by the number that an answer reflects. Older ones are dropped.
 
 use super::AXES;
 use std::time::Duration;
@@ -15,7 +15,7 @@ pub(crate) struct Sent {
     pub(crate) at: Duration,
     /// Set-point it reported, rad.
     pub(crate) set_point: [f64; AXES],
-    /// Whether it said CMD, or one of the COMMANDING states.
+    /// Whether it reported CMD, or one of the COMMANDING states.
     pub(crate) in_command: bool,
     /// Whether the robot followed commands: CMD with power, or COMMANDING_ACTIVE.
     pub(crate) following: bool,
@@ -31,15 +31,15 @@ impl History {
     }
 
     pub(crate) fn push(&mut self, sent: Sent) {
-        self.0[place(sent.sequence)] = Some(sent);
+        self.0[slot_of(sent.sequence)] = Some(sent);
     }
 
     pub(crate) fn find(&self, sequence: u32) -> Option<&Sent> {
-        let sent = self.0[place(sequence)].as_ref();
+        let sent = self.0[slot_of(sequence)].as_ref();
         sent.filter(|sent| sent.sequence == sequence)
     }
 }
 
-fn place(sequence: u32) -> usize {
+fn slot_of(sequence: u32) -> usize {
     sequence as usize % LEN
 }

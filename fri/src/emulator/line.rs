@@ -4,12 +4,12 @@ use super::LineFaults;
 use super::rng::Rng;
 use std::time::Duration;
 
-/// Datagrams under way at most.
+/// Maximum number of datagrams in flight.
 const CAPACITY: usize = 64;
 
 #[derive(Debug, Clone, Copy)]
 struct Slot<const N: usize> {
-    /// Time of arrival, then order of sending; `None` when free.
+    /// Time of arrival, then send order; `None` when free.
     due: Option<(Duration, u64)>,
     len: usize,
     bytes: [u8; N],
@@ -37,7 +37,7 @@ impl<const N: usize> Line<N> {
         }
     }
 
-    /// Sends a datagram at `now`; `behind` is how long one is held back to come after its successor.
+    /// Sends a datagram at `now`; `behind` is the delay of a reordered datagram.
     pub(crate) fn push(
         &mut self,
         bytes: &[u8],
@@ -46,7 +46,7 @@ impl<const N: usize> Line<N> {
         faults: &mut LineFaults,
         rng: &mut Rng,
     ) {
-        // Always the same number of draws, so that one knob does not shift the others' randomness.
+        // Always the same number of draws, so that one fault setting does not change the randomness of the others.
         let dropped = rng.chance(faults.drop);
         let twice = rng.chance(faults.duplicate);
         let held = rng.chance(faults.reorder);
@@ -89,7 +89,7 @@ impl<const N: usize> Line<N> {
         Some((due, &slot.bytes[..slot.len]))
     }
 
-    /// When the next datagram arrives.
+    /// Arrival time of the next datagram.
     pub(crate) fn next_due(&self) -> Option<Duration> {
         self.slots
             .iter()
@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn a_good_line_keeps_order_and_adds_no_delay() {
+    fn line_without_faults_keeps_order_and_time() {
         let mut line = send(3, LineFaults::default());
         assert_eq!(line.next_due(), Some(Duration::ZERO));
         assert_eq!(
@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn each_fault_does_what_it_says() {
+    fn line_fault_has_stated_effect() {
         let always = |faults| arrivals(&mut send(3, faults));
         assert!(
             always(LineFaults {
@@ -174,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn a_full_line_loses() {
+    fn line_full_drops_datagrams() {
         let mut line = send(
             70,
             LineFaults {

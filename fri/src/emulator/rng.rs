@@ -1,4 +1,4 @@
-//! Random numbers for faults that repeat with their seed: splitmix64. Not for secrets.
+//! Random numbers for faults that repeat with their seed: splitmix64. Not for cryptography.
 
 use std::time::Duration;
 
@@ -39,7 +39,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn frequency_is_the_probability() {
+    fn rng_chance_frequency_is_probability() {
         let mut rng = Rng::new(7);
         let hits = (0..100_000).filter(|_| rng.chance(0.05)).count();
         assert!((4_700..5_300).contains(&hits), "{hits}");

@@ -1,4 +1,4 @@
-//! Runs an emulated controller on a link in real time. It makes no thread and asks for no priority: its caller does.
+//! Runs an emulated controller on a link in real time. It starts no thread and requests no priority: the caller does.
 
 use super::{Served, Status};
 use crate::link::Link;
@@ -7,18 +7,18 @@ use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-/// Answers taken between two measurements at most; the rest waits in the socket.
+/// Maximum number of answers read between two measurements; the rest waits in the socket.
 const ANSWERS_MAX: usize = 64;
 /// Longest wait, so that `stop` is seen soon.
 const WAIT_MAX: Duration = Duration::from_millis(50);
-/// Room for any datagram, and one byte more so that a longer one shows.
-const ROOM: usize = 1501;
+/// Size for any datagram, and one byte more to detect longer ones.
+const BUFFER_LEN: usize = 1501;
 
-/// Serves `controller` on `link` until `stop`; the clock is [`monotonic`], which must also have given its start. Whoever is
-/// late skips to the grid. After the first cycle nothing is allocated.
+/// Serves `controller` on `link` until `stop`, on the clock [`monotonic`], which must also have given its start. A late
+/// host skips to the grid. After the first cycle nothing is allocated.
 ///
-/// Answers are awaited until the next deadline of the grid: the wait ends on the same high-resolution timer as an absolute
-/// sleep, and its length is computed anew from the grid each time, so nothing accumulates.
+/// The wait for answers ends at the next deadline of the grid: it uses the same high-resolution timer as an absolute
+/// sleep, and its length is computed from the grid each time, so nothing accumulates.
 pub fn serve<C: Served, L: Link>(
     controller: &mut C,
     link: &mut L,
@@ -26,7 +26,7 @@ pub fn serve<C: Served, L: Link>(
     stop: &AtomicBool,
 ) -> io::Result<()> {
     while !stop.load(Ordering::Relaxed) {
-        // What lies in the socket came before this moment: it must count for the cycle that ends now.
+        // Datagrams already in the socket arrived before this moment: they count for the cycle that ends now.
         for _ in 0..ANSWERS_MAX {
             if !receive(controller, link, Duration::ZERO)? {
                 break;
@@ -47,7 +47,7 @@ pub fn serve<C: Served, L: Link>(
 }
 
 fn transmit<C: Served, L: Link>(controller: &mut C, link: &mut L, now: Duration) -> io::Result<()> {
-    let mut buf = [0; ROOM];
+    let mut buf = [0; BUFFER_LEN];
     while let Some(len) = controller.transmit(now, &mut buf) {
         link.send(&buf[..len])?;
     }
@@ -59,7 +59,7 @@ fn receive<C: Served, L: Link>(
     link: &mut L,
     timeout: Duration,
 ) -> io::Result<bool> {
-    let mut buf = [0; ROOM];
+    let mut buf = [0; BUFFER_LEN];
     let Some((len, at)) = link.receive(&mut buf, timeout)? else {
         return Ok(false);
     };

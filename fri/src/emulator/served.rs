@@ -1,13 +1,13 @@
-//! Lets the status that both generations share show a controller of either. They have all that it shows under the same
-//! names, and differ in types and in the name of the line that leads back to them. No behaviour.
+//! Implements the shared status for the controllers of both generations. Both have the same accessor names; only types
+//! and the name of the return line differ. No behaviour.
 
-/// Implements [`Served`](crate::emulator::Served); `$code` is the type of codes on the wire, `$back` the faults of answers.
+/// Implements [`Served`](crate::emulator::Served); `$code` is the wire type of codes, `$back` the faults of answers.
 macro_rules! served {
-    ($controller:ty, $state:ty, $quality:ty, $leave:ty, $code:ty, $back:ident) => {
+    ($controller:ty, $state:ty, $quality:ty, $reason:ty, $code:ty, $back:ident) => {
         impl crate::emulator::Served for $controller {
             type State = $state;
             type Quality = $quality;
-            type Leave = $leave;
+            type ExitReason = $reason;
 
             fn transmit(&mut self, now: std::time::Duration, buf: &mut [u8]) -> Option<usize> {
                 self.poll_transmit(now, buf)
@@ -29,9 +29,9 @@ macro_rules! served {
                 <$code>::try_from(code).unwrap_or(<$code>::MAX).into()
             }
 
-            fn shown(&self) -> crate::emulator::Shown {
+            fn snapshot(&self) -> crate::emulator::Snapshot {
                 let counters = self.counters();
-                crate::emulator::Shown {
+                crate::emulator::Snapshot {
                     state: self.state().code().into(),
                     quality: self.quality().code().into(),
                     has_power: self.has_power(),
@@ -44,11 +44,11 @@ macro_rules! served {
                     commanded: self.set_point(),
                     measured: self.joints(),
                     force: self.force(),
-                    falls: self.falls(),
+                    exits: self.exits(),
                 }
             }
 
-            fn last_leave(&self) -> Option<$leave> {
+            fn last_exit(&self) -> Option<$reason> {
                 self.log().next_back().map(|left| left.reason)
             }
 

@@ -1,4 +1,4 @@
-//! What other threads see of a served controller of either generation, and the knobs they may turn. It holds no history.
+//! State of a served controller for other threads, and its run-time settings. It holds no history.
 
 use super::{AXES, Contact, LineFaults};
 use std::array;
@@ -7,9 +7,9 @@ use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-/// What a controller shows of itself in one cycle.
+/// Values that a controller publishes in one cycle.
 #[derive(Debug, Clone, Copy)]
-pub struct Shown {
+pub struct Snapshot {
     pub(crate) state: i32,
     pub(crate) quality: i32,
     pub(crate) has_power: bool,
@@ -22,22 +22,22 @@ pub struct Shown {
     pub(crate) commanded: [f64; AXES],
     pub(crate) measured: [f64; AXES],
     pub(crate) force: [f64; 3],
-    pub(crate) falls: u64,
+    pub(crate) exits: u64,
 }
 
-/// What can be served and shown by a [`Status`]: the emulated controllers only.
+/// A controller that [`Status`] can publish: the emulated controllers only.
 pub trait Served {
-    /// State, as the generation calls it.
+    /// State type of the generation.
     type State: fmt::Display;
-    /// Quality, as the generation calls it.
+    /// Quality type of the generation.
     type Quality: fmt::Display;
     /// Why command mode was left.
-    type Leave: Copy + fmt::Display + Send;
+    type ExitReason: Copy + fmt::Display + Send;
 
     /// The next datagram due, if one is.
     #[doc(hidden)]
     fn transmit(&mut self, now: Duration, buf: &mut [u8]) -> Option<usize>;
-    /// Takes a datagram; a malformed one is counted by the controller and means nothing else to it.
+    /// Handles a datagram; the controller counts malformed ones and ignores them otherwise.
     #[doc(hidden)]
     fn take(&mut self, bytes: &[u8], now: Duration);
     /// When the next cycle begins.
@@ -48,10 +48,10 @@ pub trait Served {
     #[doc(hidden)]
     fn quality_of(code: i32) -> Self::Quality;
     #[doc(hidden)]
-    fn shown(&self) -> Shown;
+    fn snapshot(&self) -> Snapshot;
     /// The last reason.
     #[doc(hidden)]
-    fn last_leave(&self) -> Option<Self::Leave>;
+    fn last_exit(&self) -> Option<Self::ExitReason>;
     #[doc(hidden)]
     fn switch(&mut self, power: bool);
     #[doc(hidden)]
@@ -60,8 +60,8 @@ pub trait Served {
     fn contact(&mut self) -> &mut Option<Contact>;
 }
 
-/// Live state of a controller while it is served, shared by an `Arc`. Each value is whole; two of them may belong to
-/// different cycles.
+/// Live state of a controller while it is served, shared by an `Arc`. Each value is consistent; two of them may belong
+/// to different cycles.
 pub struct Status<C: Served> {
     state: AtomicI32,
     quality: AtomicI32,
@@ -75,15 +75,15 @@ pub struct Status<C: Served> {
     measured: [AtomicU64; AXES],
     force: [AtomicU64; 3],
     power: AtomicBool,
-    falls: AtomicU64,
-    /// Written by the controller's thread only when nobody reads it: that thread never waits.
-    reason: Mutex<Option<C::Leave>>,
+    exits: AtomicU64,
+    /// The controller's thread writes it only if no reader holds the lock: that thread never waits.
+    reason: Mutex<Option<C::ExitReason>>,
     power_off_wanted: AtomicBool,
     drop_ppm_wanted: AtomicU32,
     contact_gone_wanted: AtomicBool,
 }
 
-/// No drop probability was asked for: the configured one stays.
+/// No drop probability was set: the configured one stays.
 const UNTOUCHED: u32 = 0;
 
 impl<C: Served> Default for Status<C> {
@@ -101,7 +101,7 @@ impl<C: Served> Default for Status<C> {
             measured: Default::default(),
             force: Default::default(),
             power: AtomicBool::default(),
-            falls: AtomicU64::default(),
+            exits: AtomicU64::default(),
             reason: Default::default(),
             power_off_wanted: AtomicBool::default(),
             drop_ppm_wanted: AtomicU32::new(UNTOUCHED),
@@ -115,7 +115,7 @@ impl<C: Served> fmt::Debug for Status<C> {
         f.debug_struct("Status")
             .field("state", &self.state)
             .field("quality", &self.quality)
-            .field("falls", &self.falls)
+            .field("exits", &self.exits)
             .finish_non_exhaustive()
     }
 }
@@ -199,15 +199,15 @@ impl<C: Served> Status<C> {
         load(&self.force)
     }
 
-    /// Times command mode was left or an overlay ended, on request too, and times quality was awaited in vain.
+    /// Number of exits from command mode, ends of an overlay (on request, too) and timeouts while waiting for quality.
     #[must_use]
-    pub fn falls(&self) -> u64 {
-        self.falls.load(Ordering::Acquire)
+    pub fn exits(&self) -> u64 {
+        self.exits.load(Ordering::Acquire)
     }
 
-    /// Why that happened last.
+    /// Reason of the last of these.
     #[must_use]
-    pub fn last_fall(&self) -> Option<C::Leave> {
+    pub fn last_exit(&self) -> Option<C::ExitReason> {
         *self.reason.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -224,12 +224,12 @@ impl<C: Served> Status<C> {
         self.drop_ppm_wanted.store(ppm + 1, Ordering::Relaxed);
     }
 
-    /// Takes away what the flange touches, from the next cycle on.
+    /// Removes the contact from the next cycle on.
     pub fn remove_contact(&self) {
         self.contact_gone_wanted.store(true, Ordering::Relaxed);
     }
 
-    /// Turns the knobs of `controller` as asked for.
+    /// Applies the requested settings to `controller`.
     #[cfg(target_os = "linux")]
     pub(crate) fn apply(&self, controller: &mut C) {
         controller.switch(!self.power_off_wanted.load(Ordering::Relaxed));
@@ -245,27 +245,27 @@ impl<C: Served> Status<C> {
         }
     }
 
-    /// Shows what `controller` is doing.
+    /// Publishes the state of `controller`.
     #[cfg(target_os = "linux")]
     pub(crate) fn publish(&self, controller: &C) {
-        let shown = controller.shown();
-        self.state.store(shown.state, Ordering::Relaxed);
-        self.quality.store(shown.quality, Ordering::Relaxed);
-        self.power.store(shown.has_power, Ordering::Relaxed);
-        self.sent.store(shown.sent, Ordering::Relaxed);
-        self.answers.store(shown.answers, Ordering::Relaxed);
-        self.missed.store(shown.missed, Ordering::Relaxed);
-        self.old.store(shown.old, Ordering::Relaxed);
-        self.malformed.store(shown.malformed, Ordering::Relaxed);
-        self.stalls.store(shown.stalls, Ordering::Relaxed);
-        store(&self.commanded, &shown.commanded);
-        store(&self.measured, &shown.measured);
-        store(&self.force, &shown.force);
-        if shown.falls != self.falls.load(Ordering::Relaxed)
+        let snapshot = controller.snapshot();
+        self.state.store(snapshot.state, Ordering::Relaxed);
+        self.quality.store(snapshot.quality, Ordering::Relaxed);
+        self.power.store(snapshot.has_power, Ordering::Relaxed);
+        self.sent.store(snapshot.sent, Ordering::Relaxed);
+        self.answers.store(snapshot.answers, Ordering::Relaxed);
+        self.missed.store(snapshot.missed, Ordering::Relaxed);
+        self.old.store(snapshot.old, Ordering::Relaxed);
+        self.malformed.store(snapshot.malformed, Ordering::Relaxed);
+        self.stalls.store(snapshot.stalls, Ordering::Relaxed);
+        store(&self.commanded, &snapshot.commanded);
+        store(&self.measured, &snapshot.measured);
+        store(&self.force, &snapshot.force);
+        if snapshot.exits != self.exits.load(Ordering::Relaxed)
             && let Ok(mut reason) = self.reason.try_lock()
         {
-            *reason = controller.last_leave();
-            self.falls.store(shown.falls, Ordering::Release);
+            *reason = controller.last_exit();
+            self.exits.store(snapshot.exits, Ordering::Release);
         }
     }
 }

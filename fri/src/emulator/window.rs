@@ -1,18 +1,18 @@
-//! How the controller sees our timing: means over the last 100 answers, and the rank of quality made of them. It does not
-//! decide what follows from a quality.
+//! The controller's statistics of our timing: means over the last 100 answers, and the quality derived from them. It
+//! does not decide what follows from a quality.
 
 use std::time::Duration;
 
-/// Datagrams over which statistics are means; published for FRI 1.0.
+/// Number of datagrams in each mean; published for FRI 1.0.
 const WINDOW: usize = 100;
 
-/// How answers are judged. KUKA publishes that statistics of FRI 1.0 are means over 100 datagrams, not the numbers below: all
-/// of them are *assumptions*, those for Sunrise entirely.
+/// Thresholds for the quality of answers. KUKA publishes that statistics of FRI 1.0 are means over 100 datagrams, not
+/// the numbers below: all of them are *assumptions*, those for Sunrise entirely.
 ///
-/// They are on the strict side: the only other public rule, RCPRG's simulated LWR, counts an answer up and a miss down
-/// between 0 and 20 and says PERFECT above 15, which random loss of a few per cent never leaves. Of a mean over 100 it does, by
-/// chance alone: with 1 % of exchanges lost, four of 100 are in 2 % of the time, with 2 % in 14 %. Whoever wants an
-/// emulator that shrugs off such loss sets `perfect_from` to 0.95.
+/// They are strict: the only other public rule, RCPRG's simulated LWR, counts an answer up and a miss down between 0 and
+/// 20 and reports PERFECT above 15, which random loss of a few per cent never leaves. A mean over 100 does leave it by
+/// chance: with 1 % of exchanges lost, four of 100 are lost in 2 % of the time, with 2 % in 14 %. To tolerate such loss,
+/// set `perfect_from` to 0.95.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Timing {
     /// Share of answers in time, 0..=1, below which quality is UNACCEPTABLE or POOR: 0.5.
@@ -21,10 +21,10 @@ pub struct Timing {
     pub ok_from: f64,
     /// Share below which quality is OK or GOOD, from which it is PERFECT or EXCELLENT: 0.97.
     pub perfect_from: f64,
-    /// How many measurements back the one may lie that an answer in time reflects, 0..=63: 1.
+    /// Maximum age of the measurement that an answer in time reflects, in measurements, 0..=63: 1.
     ///
-    /// Every cycle wants one answer. With 0 it must reflect that cycle's measurement; with 1 a client that once fell
-    /// behind and now answers each measurement one cycle later, as the reference client does, is still in time.
+    /// Every cycle expects one answer. With 0 it must reflect that cycle's measurement; with 1 a client that answers
+    /// each measurement one cycle later, as the reference client does, is still in time.
     pub reflected_age_max: u16,
     /// Consecutive cycles without answer that end command mode, from 1: 10. Fewer are bridged by extrapolation.
     pub misses_max: u32,
@@ -73,12 +73,12 @@ impl Window {
         self.entries.iter().copied().flatten()
     }
 
-    /// Share of cycles answered in time. Of 100 from the start: good timing must be shown first.
+    /// Share of cycles answered in time, of 100 from the start: a new client has no quality.
     pub(crate) fn answer_rate(&self) -> f64 {
         share(self.latencies().count())
     }
 
-    /// Share of cycles without an answer in time, of those there were.
+    /// Share of cycles without an answer in time, of those recorded.
     pub(crate) fn miss_rate(&self) -> f64 {
         share(self.len - self.latencies().count())
     }
@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn quality_changes_exactly_at_the_thresholds() {
+    fn window_quality_changes_at_thresholds() {
         for (answered, rank) in [
             (0, 0),
             (49, 0),
@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn quality_must_be_earned() {
+    fn window_quality_starts_at_lowest() {
         let mut window = Window::new();
         for answered in 1..=WINDOW {
             window.record(Some(Duration::ZERO));
@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn means_are_over_the_last_hundred() {
+    fn window_means_cover_last_hundred() {
         let mut window = window(0);
         for i in 0..WINDOW {
             window.record(Some(Duration::from_millis(if i % 2 == 0 { 1 } else { 3 })));

@@ -1,4 +1,4 @@
-//! Two ends of an in-process link for tests and examples. It never blocks: with it, time is what the caller says.
+//! Both endpoints of an in-process link for tests and examples. It never blocks; the caller sets the time.
 
 use super::Link;
 use std::collections::VecDeque;
@@ -6,14 +6,14 @@ use std::io;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-/// Datagrams that may wait in one direction; more are dropped, as by a full socket buffer.
+/// Queued datagrams per direction; further ones are dropped, as by a full socket buffer.
 const CAPACITY: usize = 64;
-/// Longest datagram carried whole, bytes; longer ones are cut.
+/// Longest datagram carried whole, bytes; longer ones are truncated.
 const LONGEST: usize = 1500;
 
 type Queue = Arc<Mutex<VecDeque<(usize, [u8; LONGEST])>>>;
 
-/// One end of a [`pair`].
+/// One endpoint of a [`pair`].
 #[derive(Debug)]
 pub struct Memory {
     outbound: Queue,
@@ -21,7 +21,7 @@ pub struct Memory {
     now: Duration,
 }
 
-/// Two connected ends; all memory is taken here.
+/// Returns two connected endpoints; all memory is allocated here.
 #[must_use]
 pub fn pair() -> (Memory, Memory) {
     let queue = || Arc::new(Mutex::new(VecDeque::with_capacity(CAPACITY)));
@@ -42,7 +42,7 @@ pub fn pair() -> (Memory, Memory) {
 }
 
 impl Memory {
-    /// Sets the clock that stamps what this end receives.
+    /// Sets the clock that stamps what this endpoint receives.
     pub fn set_now(&mut self, now: Duration) {
         self.now = now;
     }
@@ -76,7 +76,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn datagrams_keep_their_order_and_borders() {
+    fn pair_keeps_datagram_order_and_boundaries() {
         let (mut a, mut b) = pair();
         a.send(&[1, 2]).unwrap();
         a.send(&[3]).unwrap();
@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn a_full_queue_drops_and_a_short_buffer_cuts() {
+    fn pair_full_queue_drops_short_buffer_truncates() {
         let (mut a, mut b) = pair();
         for _ in 0..CAPACITY + 5 {
             assert_eq!(a.send(&[7; 4]).unwrap(), 4);

@@ -1,4 +1,4 @@
-//! A UDP socket as a [`Link`]. No allocation after opening, no kernel time stamps: those are on the clock that ntp moves.
+//! A UDP socket as a [`Link`]. It does not allocate after opening, and uses no kernel time stamps: NTP adjusts their clock.
 
 use super::monotonic;
 use crate::link::Link;
@@ -10,10 +10,10 @@ use std::net::{SocketAddr, UdpSocket};
 use std::os::fd::AsFd;
 use std::time::Duration;
 
-/// Datagrams of foreign senders skipped in one call before it gives up.
+/// Datagrams of other senders skipped per call.
 const FOREIGN_MAX: usize = 16;
 
-/// A UDP socket that talks to one peer.
+/// A UDP socket with one peer.
 #[derive(Debug)]
 pub struct UdpLink {
     socket: UdpSocket,
@@ -23,7 +23,7 @@ pub struct UdpLink {
 }
 
 impl UdpLink {
-    /// The PC's end: listens on `local` and answers whoever sent the last datagram, as every FRI client does.
+    /// The client's endpoint: listens on `local` and answers the sender of the last datagram, as every FRI client does.
     pub fn bind(local: SocketAddr) -> io::Result<Self> {
         let socket = UdpSocket::bind(local)?;
         socket.set_nonblocking(true)?;
@@ -35,9 +35,9 @@ impl UdpLink {
         })
     }
 
-    /// The controller's end: sends from `local` to `peer` and hears nobody else.
+    /// The controller's endpoint: sends from `local` to `peer` and ignores all other senders.
     ///
-    /// The socket is not connected: a client that is not there yet would make the kernel report errors on a later send.
+    /// The socket is not connected: while no client is running, the kernel would report errors on a later send.
     pub fn connect(local: SocketAddr, peer: SocketAddr) -> io::Result<Self> {
         Ok(Self {
             peer: Some(peer),
@@ -46,25 +46,25 @@ impl UdpLink {
         })
     }
 
-    /// Address this end is bound to.
+    /// Local address of the socket.
     pub fn local_addr(&self) -> io::Result<SocketAddr> {
         self.socket.local_addr()
     }
 
-    /// To whom the next datagram goes.
+    /// Receiver of the next datagram.
     #[must_use]
     pub fn peer(&self) -> Option<SocketAddr> {
         self.peer
     }
 
-    /// Sends to `peer` from now on, until another sends here: for owners who know strangers when they hear them.
+    /// Sends to `peer` until another sender's datagram arrives: for callers that recognise foreign datagrams.
     pub fn answer_to(&mut self, peer: SocketAddr) {
         if !self.fixed {
             self.peer = Some(peer);
         }
     }
 
-    /// Datagrams ignored because they came from another address than the fixed peer.
+    /// Datagrams ignored because the fixed peer did not send them.
     #[must_use]
     pub fn foreign(&self) -> u64 {
         self.foreign
@@ -89,7 +89,7 @@ impl UdpLink {
     }
 }
 
-/// Nothing there, a signal, or the echo of a datagram nobody took: the wire is still usable.
+/// No datagram, a signal, or an ICMP error about an undelivered datagram: the socket is still usable.
 fn is_transient(kind: ErrorKind) -> bool {
     matches!(
         kind,
@@ -111,7 +111,7 @@ impl Link for UdpLink {
         buf: &mut [u8],
         timeout: Duration,
     ) -> io::Result<Option<(usize, Duration)>> {
-        // Not the socket's own timeout: changing it costs a system call, and it is rounded to scheduler ticks.
+        // Not the socket's own timeout: changing it costs a system call, and the kernel rounds it to scheduler ticks.
         if !timeout.is_zero() {
             let mut fds = [PollFd::new(self.socket.as_fd(), PollFlags::POLLIN)];
             match ppoll(&mut fds, Some(TimeSpec::from_duration(timeout)), None) {
@@ -130,10 +130,10 @@ mod tests {
     use std::net::Ipv4Addr;
 
     const ANY: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
-    const PATIENCE: Duration = Duration::from_secs(5);
+    const TIMEOUT: Duration = Duration::from_secs(5);
 
     #[test]
-    fn the_pc_answers_whoever_sent_last() {
+    fn udp_bound_socket_answers_last_sender() {
         let mut pc = UdpLink::bind(ANY).unwrap();
         let mut buf = [0; 8];
         assert_eq!(pc.send(&[1]).unwrap(), 0);
@@ -141,52 +141,52 @@ mod tests {
             let mut krc = UdpLink::connect(ANY, pc.local_addr().unwrap()).unwrap();
             krc.send(&[byte]).unwrap();
             let before = monotonic().unwrap();
-            let (len, stamp) = pc.receive(&mut buf, PATIENCE).unwrap().unwrap();
+            let (len, stamp) = pc.receive(&mut buf, TIMEOUT).unwrap().unwrap();
             assert!(stamp >= before);
             assert_eq!(buf[..len], [byte]);
             assert_eq!(pc.send(&[byte + 10]).unwrap(), 1);
-            assert!(krc.receive(&mut buf, PATIENCE).unwrap().is_some());
+            assert!(krc.receive(&mut buf, TIMEOUT).unwrap().is_some());
             assert_eq!(buf[0], byte + 10);
         }
     }
 
     #[test]
-    fn who_spoke_last_need_not_be_who_is_answered() {
+    fn udp_answer_to_overrides_last_sender() {
         let mut pc = UdpLink::bind(ANY).unwrap();
         let mut buf = [0; 8];
         let mut ends = [(); 2].map(|()| UdpLink::connect(ANY, pc.local_addr().unwrap()).unwrap());
         for end in &mut ends {
             end.send(&[1]).unwrap();
-            pc.receive(&mut buf, PATIENCE).unwrap().unwrap();
+            pc.receive(&mut buf, TIMEOUT).unwrap().unwrap();
         }
         pc.answer_to(ends[0].local_addr().unwrap());
         pc.send(&[7]).unwrap();
-        assert!(ends[0].receive(&mut buf, PATIENCE).unwrap().is_some());
+        assert!(ends[0].receive(&mut buf, TIMEOUT).unwrap().is_some());
         let other = ends[1].local_addr().unwrap();
         ends[0].answer_to(other);
         assert_ne!(ends[0].peer(), Some(other));
     }
 
     #[test]
-    fn a_fixed_peer_hears_nobody_else() {
+    fn udp_connected_socket_ignores_other_senders() {
         let mut pc = UdpLink::bind(ANY).unwrap();
         let mut krc = UdpLink::connect(ANY, pc.local_addr().unwrap()).unwrap();
         let stranger = UdpSocket::bind(ANY).unwrap();
         stranger.send_to(&[9], krc.local_addr().unwrap()).unwrap();
         krc.send(&[0]).unwrap();
         let mut buf = [0; 8];
-        pc.receive(&mut buf, PATIENCE).unwrap().unwrap();
+        pc.receive(&mut buf, TIMEOUT).unwrap().unwrap();
         pc.send(&[5]).unwrap();
-        // The first wait may end with the stranger's datagram, which counts as nothing.
-        let heard = (0..2).find_map(|_| krc.receive(&mut buf, PATIENCE).unwrap());
-        assert_eq!(heard.map(|(len, _)| buf[..len].to_vec()), Some(vec![5]));
+        // The first wait may end with the foreign datagram, which is not returned.
+        let received = (0..2).find_map(|_| krc.receive(&mut buf, TIMEOUT).unwrap());
+        assert_eq!(received.map(|(len, _)| buf[..len].to_vec()), Some(vec![5]));
         assert_eq!(krc.foreign(), 1);
     }
 
     #[test]
-    fn an_absent_peer_is_no_error() {
-        let gone = UdpSocket::bind(ANY).unwrap().local_addr().unwrap();
-        let mut krc = UdpLink::connect(ANY, gone).unwrap();
+    fn udp_absent_peer_is_no_error() {
+        let unbound = UdpSocket::bind(ANY).unwrap().local_addr().unwrap();
+        let mut krc = UdpLink::connect(ANY, unbound).unwrap();
         let mut buf = [0; 8];
         for _ in 0..3 {
             krc.send(&[1]).unwrap();

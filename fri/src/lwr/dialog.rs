@@ -1,27 +1,27 @@
 //! The PC's side of a handshake with the KRL program over user data. It commands no motion and sends nothing: its owner
-//! copies the user data it sets into the session's answers.
+//! copies the user data into the session's answers.
 
 use super::protocol::{Load, Protocol, parameter, strategy_number};
 use super::wire::{Control, Krl, Msr, Quality, State};
 use super::{AXES, JOINT_NAMES};
 use std::time::Duration;
 
-/// How far the robot may be from its set-point when tool, load or strategy change, rad.
+/// Largest distance from the set-point at which tool, load or strategy may change, rad.
 const DEVIATION_MAX_RAD: f64 = 0.01;
-/// How long a KRL program may take for one step of a handshake; moves to the present position take their time.
-const PATIENCE: Duration = Duration::from_secs(10);
+/// Timeout of one handshake step; moves of the KRL program to the present position take their time.
+const STEP_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// What the KRL program shall do.
+/// Request to the KRL program.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Request {
     /// friStart, with a control strategy if the protocol carries one.
     Start {
-        /// `None` leaves it.
+        /// `None` keeps the strategy.
         strategy: Option<Control>,
     },
     /// friStop.
     Stop,
-    /// Change strategy, tool or load; the program leaves command mode for that and enters it again.
+    /// Changes strategy, tool or load; the program leaves command mode for this and enters it again.
     Configure(Settings),
     /// friClose, then friOpen with another period, 1 ms to 100 ms.
     Reopen {
@@ -30,7 +30,7 @@ pub enum Request {
     },
 }
 
-/// What [`Request::Configure`] changes; `None` leaves a thing as it is.
+/// Settings that [`Request::Configure`] changes; `None` keeps a setting.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Settings {
     /// Control strategy.
@@ -41,7 +41,7 @@ pub struct Settings {
     pub load: Option<Load>,
 }
 
-/// Why a request was refused or given up.
+/// Why a request failed.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DialogError {
@@ -54,12 +54,12 @@ pub enum DialogError {
         protocol: Protocol,
     },
     /// One request at a time.
-    #[error("another request is under way")]
+    #[error("another request is in progress")]
     Busy,
     /// The drives are off.
     #[error("drives without power: release the brakes at the pendant first")]
     Power,
-    /// A joint is not where it is told to be.
+    /// A joint deviates from its set-point.
     #[error("{} is {delta:.4} rad from its set-point, more than 0.01 rad: relieve the robot first", JOINT_NAMES.get(*joint).copied().unwrap_or("?"))]
     Deviation {
         /// Index of the joint.
@@ -67,33 +67,33 @@ pub enum DialogError {
         /// Measured minus set-point, rad.
         delta: f64,
     },
-    /// The KRL program did not go on.
+    /// The KRL program did not respond.
     #[error(
-        "no reaction of the KRL program ({protocol}) for 10 s while waiting for {waits_for}: does it run, with these indices?"
+        "no reaction of the KRL program ({protocol}) for 10 s while waiting for {waits_for}: check that it runs and uses these indices"
     )]
     Silent {
         /// The convention in use.
         protocol: Protocol,
-        /// What was due.
+        /// Expected reaction.
         waits_for: &'static str,
     },
 }
 
-/// How far a request is.
+/// Progress of a request.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Progress {
-    /// None under way.
+    /// No request.
     Idle,
-    /// Under way.
+    /// In progress.
     Running,
-    /// Done; told once.
+    /// Completed; returned once.
     Done,
-    /// Given up; told once.
+    /// Failed; returned once.
     Failed(DialogError),
 }
 
-/// Steps of a request. Those of [`Protocol::Rcc`]: `Open`, then `Parameter` for each, then `Close`; those of [`Protocol::Tum`]:
-/// `Ask`, then `Release`; all others have one step, `Await`.
+/// Steps of a request. [`Protocol::Rcc`]: `Open`, then `Parameter` for each, then `Close`. [`Protocol::Tum`]: `Ask`,
+/// then `Release`. All others: `Await`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Step {
     /// Waits for the program to be ready for parameters.
@@ -120,7 +120,7 @@ pub struct Dialog {
 }
 
 impl Dialog {
-    /// A dialog in a convention; the KRL program must use the same.
+    /// A handshake in a convention; the KRL program must use the same.
     #[must_use]
     pub fn new(protocol: Protocol) -> Self {
         Self {
@@ -135,7 +135,7 @@ impl Dialog {
         self.protocol
     }
 
-    /// Begins a request. `msr` is the newest measurement, `krl` the user data of the answers.
+    /// Starts a request. `msr` is the newest measurement, `krl` the user data of the answers.
     pub fn request(
         &mut self,
         request: &Request,
@@ -155,7 +155,7 @@ impl Dialog {
         let protocol = self.protocol;
         match (protocol, request) {
             (Protocol::Rcc, Request::Configure(settings)) => {
-                still(msr)?;
+                check_at_rest(msr)?;
                 krl.int[15] = 0;
                 krl.set_bool(15, true);
                 return Ok(Step::Open(*settings));
@@ -208,7 +208,7 @@ impl Dialog {
     ) -> Result<Step, DialogError> {
         let protocol = self.protocol;
         if strategy.is_some() {
-            still(msr)?;
+            check_at_rest(msr)?;
         }
         let present = strategy_number(msr.robot.control).unwrap_or(10);
         let number = strategy.and_then(strategy_number).unwrap_or(present);
@@ -223,14 +223,14 @@ impl Dialog {
         Ok(Step::Await(State::Cmd))
     }
 
-    /// Goes on with the request under way. Clears what would start the robot again by itself.
+    /// Advances the current request. Clears user data that would start the robot again by itself.
     pub fn poll(&mut self, msr: &Msr, krl: &mut Krl, now: Duration) -> Progress {
         let Some((step, since)) = self.step else {
             return Progress::Idle;
         };
         match self.next(step, msr, krl) {
-            Next::Wait(waits_for) if now.saturating_sub(since) >= PATIENCE => {
-                self.give_up(krl);
+            Next::Wait(waits_for) if now.saturating_sub(since) >= STEP_TIMEOUT => {
+                self.cancel(krl);
                 let protocol = self.protocol;
                 Progress::Failed(DialogError::Silent {
                     protocol,
@@ -274,16 +274,16 @@ impl Dialog {
         }
     }
 
-    /// The controller fell silent or began anew: who starts its program then must not start the robot by what was asked
-    /// for before. Returns whether a request was under way; it counts as given up.
+    /// The controller fell silent or restarted: a program started now must not start the robot because of an earlier
+    /// request. Returns whether a request was in progress; it is cancelled.
     pub fn handle_silence(&mut self, krl: &mut Krl) -> bool {
         let was_busy = self.step.is_some();
-        self.give_up(krl);
+        self.cancel(krl);
         was_busy
     }
 
-    /// Takes back what still asks for a start, by its level too.
-    fn give_up(&mut self, krl: &mut Krl) {
+    /// Withdraws the request, also one expressed by a level.
+    fn cancel(&mut self, krl: &mut Krl) {
         self.end(krl);
         match self.protocol {
             Protocol::KukaLwr => krl.int[1] = 0,
@@ -292,14 +292,15 @@ impl Dialog {
         }
     }
 
-    /// Leaves no word in the user data that asks for a start. Levels stay: the program follows them.
+    /// Clears user data that requests a start. Levels stay: the program follows them.
     fn end(&mut self, krl: &mut Krl) {
         self.step = None;
         match self.protocol {
             Protocol::Rcc => krl.set_bool(15, false),
             Protocol::Stanford => krl.int[15] = 0,
             Protocol::Tum => krl.set_bool(0, false),
-            // FRM_INT[2] = 0 would be friStop; a fall needs 0 and 1 again. FRM_INT[1] = 10 is said as long as it runs.
+            // FRM_INT[2] = 0 would be friStop, and leaving command mode requires 0 and 1 again. FRM_INT[1] = 10 stays
+            // while the program runs.
             Protocol::KukaLwr | Protocol::FirstApp => {}
         }
     }
@@ -321,14 +322,14 @@ fn first_app(msr: &Msr, krl: &mut Krl) {
     krl.real[0] = msr.krl.real[1];
 }
 
-/// Power on, and every joint where it is told to be.
-fn still(msr: &Msr) -> Result<(), DialogError> {
+/// Checks that the drives have power and every joint is at its set-point.
+fn check_at_rest(msr: &Msr) -> Result<(), DialogError> {
     if msr.robot.power == 0 {
         return Err(DialogError::Power);
     }
     let set_point: [f64; AXES] = msr.set_point();
-    for (joint, (measured, told)) in msr.measured_joints.iter().zip(set_point).enumerate() {
-        let delta = f64::from(*measured) - told;
+    for (joint, (measured, commanded)) in msr.measured_joints.iter().zip(set_point).enumerate() {
+        let delta = f64::from(*measured) - commanded;
         if delta.abs() >= DEVIATION_MAX_RAD {
             return Err(DialogError::Deviation { joint, delta });
         }
@@ -336,7 +337,7 @@ fn still(msr: &Msr) -> Result<(), DialogError> {
     Ok(())
 }
 
-/// Puts the next parameter after `sent` into the user data; ends when there is none.
+/// Writes the next parameter after `sent` to the user data; closes when there is none.
 fn send(settings: Settings, sent: i32, krl: &mut Krl) -> Next {
     for number in sent + 1..=parameter::LAST {
         if let Some(value) = value(&settings, number) {

@@ -1,5 +1,5 @@
-//! FRI 1.0, the generation of the LWR 4 and 4+ (KRC2 lr). [`Session`] answers measurements, [`Dialog`] talks to the KRL
-//! program.
+//! FRI 1.0, the generation of the LWR 4 and 4+ (KRC2 lr). [`Session`] answers measurements, [`Dialog`] exchanges user
+//! data with the KRL program.
 
 mod dialog;
 #[cfg(feature = "emulator")]

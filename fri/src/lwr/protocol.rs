@@ -1,5 +1,5 @@
-//! What PC and KRL program tell each other in their user data: the scripts found in the field. FRI itself knows nothing of
-//! them. Both sides are here: [`super::Dialog`] speaks for the PC, the emulated KRC runs the scripts.
+//! The user-data conventions of PC and KRL program, from published scripts. FRI itself does not interpret them. Both
+//! sides are here: [`super::Dialog`] is the PC's, the emulated KRC runs the scripts.
 
 use super::wire::Control;
 use std::fmt;
@@ -10,12 +10,12 @@ pub enum Protocol {
     /// Robot Control Core, `fri2.src`: parameters one by one in FRM_INT\[16\], FRM_INT\[15\] and FRM_REA\[15\] while
     /// FRM_BOOL\[16\], echoed in TO_INT\[16\]; the program stops FRI before and starts it after. Sets strategy, tool and load.
     Rcc,
-    /// Stanford and LIRMM: FRM_INT\[16\] 10 starts, 20 stops, 30 or 40 closes; strategy in FRM_INT\[15\]; the state comes
-    /// back in TO_INT\[16\] as 10 (MON), 20 (CMD), 30 (closed).
+    /// Stanford and LIRMM: FRM_INT\[16\] 10 starts, 20 stops, 30 or 40 closes; strategy in FRM_INT\[15\]; the state is
+    /// returned in TO_INT\[16\] as 10 (MON), 20 (CMD), 30 (closed).
     Stanford,
     /// kuka-lwr: FRM_INT\[2\] 1 starts, 0 stops, echoed in TO_INT\[2\] (10 at the beginning); strategy in FRM_INT\[1\].
     KukaLwr,
-    /// TUM and RCPRG: FRM_BOOL\[1\] asks, TO_BOOL\[1\] says busy; FRM_INT\[1\] 1 starts, 2 stops, 3 opens again with the
+    /// TUM and RCPRG: FRM_BOOL\[1\] requests, TO_BOOL\[1\] is busy; FRM_INT\[1\] 1 starts, 2 stops, 3 opens again with the
     /// period FRM_INT\[2\] in ms.
     Tum,
     /// KUKA's demonstration program: FRM_INT\[1\] 10 starts (1 while quality is below OK), FRM_REA\[1\] mirrors TO_REA\[2\];
@@ -24,7 +24,7 @@ pub enum Protocol {
 }
 
 impl Protocol {
-    /// All of them.
+    /// All conventions.
     pub const ALL: [Self; 5] = [
         Self::Rcc,
         Self::Stanford,
@@ -59,7 +59,7 @@ pub(crate) mod parameter {
     pub(crate) const LAST: i32 = 17;
 }
 
-/// `$STIFFNESS.STRATEGY` of a control strategy; `None` for what is none.
+/// `$STIFFNESS.STRATEGY` of a control strategy; `None` for an unspecified one.
 pub(crate) fn strategy_number(control: Control) -> Option<i32> {
     match control {
         Control::Position => Some(10),

@@ -1,5 +1,5 @@
-//! The PC's side of one FRI connection: takes measurements, builds answers. It moves no bytes and plans no motion:
-//! how the commanded values change from cycle to cycle is its owner's duty.
+//! The PC's side of one FRI connection: handles measurements, builds answers. It moves no bytes and plans no motion: the
+//! owner decides how commanded values change from cycle to cycle.
 
 use super::wire::{Cmd, CmdFlags, Header, Krl, Msr, Quality, State};
 use super::{AXES, AnswerError, JOINT_NAMES};
@@ -16,18 +16,18 @@ mod tests;
 
 pub use fields::{ChooseError, Fields};
 
-/// What friOpen accepts, seconds; a wilder period on the wire must not make the silence timer absurd.
+/// Periods that friOpen accepts, seconds; a corrupt period on the wire must not distort the receive timeout.
 const PERIOD_RANGE_S: std::ops::RangeInclusive<f32> = 0.001..=0.1;
 
 /// Settings of a [`Session`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SessionConfig {
-    /// Number of periods without a datagram after which the controller counts as gone, from 1. Counter jumps up to this
+    /// Number of periods without a datagram after which the controller is offline, from 1. Counter jumps up to this
     /// width are loss or reordering, wider ones a restart of the controller.
     pub offline_after: u16,
     /// Counter of the first answer.
     pub first_sequence: u16,
-    /// Limits of what is sent in command mode.
+    /// Limits of answers in command mode.
     pub guard: Guard,
 }
 
@@ -41,7 +41,7 @@ impl Default for SessionConfig {
     }
 }
 
-/// Where the connection stands, in our eyes.
+/// Phase of the connection, as the client sees it.
 ///
 /// ```text
 ///            (1) new datagram, not commanding          (2) new datagram in CMD with power
@@ -50,9 +50,9 @@ impl Default for SessionConfig {
 ///     │ └──(4) silence ───────────────────────┘    └──(3) MON, or power 0 ────────────┘ │
 ///     └────(4) silence ─────────────────────────────────────────────────────────────────┘
 /// ```
-/// Transitions 1 to 3 are made by [`Session::handle_datagram`] (Offline to Command directly when the first datagram says
-/// so), transition 4 by [`Session::handle_timeout`]. A controller that started again in command mode is entered
-/// as one that was offline.
+/// [`Session::handle_datagram`] makes transitions 1 to 3 (Offline to Command directly if the first datagram reports so),
+/// [`Session::handle_timeout`] makes transition 4. A controller that restarted in command mode is entered as one that
+/// was offline.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Phase {
     /// No datagram for [`SessionConfig::offline_after`] periods, or none yet.
@@ -70,56 +70,56 @@ pub enum Event {
     Online,
     /// The robot follows from now on; start from [`Session::mirror`].
     CommandEntered,
-    /// The robot follows no longer: the controller left command mode, or its drives lost power.
+    /// The robot no longer follows: the controller left command mode, or its drives lost power.
     CommandLeft,
 }
 
-/// What one datagram told.
+/// Result of one datagram.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Reception {
-    /// Place in the controller's sequence; if not [`Order::is_new`], the datagram was ignored.
+    /// Order in the controller's sequence; if not [`Order::is_new`], the datagram was ignored.
     pub order: Order,
-    /// State it carries.
+    /// Reported state.
     pub state: State,
-    /// Quality it carries.
+    /// Reported quality.
     pub quality: Quality,
-    /// Powered drives, one bit each.
+    /// Drives with power, one bit each.
     pub power: u16,
     /// Number of measurements lost since the previous one.
     pub lost: u16,
-    /// Change of phase it caused.
+    /// Resulting change of phase.
     pub event: Option<Event>,
 }
 
-/// Totals since the session was made.
+/// Totals since the session was created.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Counters {
     /// Datagrams accepted as new.
     pub received: u64,
     /// Answers built.
     pub answered: u64,
-    /// Measurements that never came, by the controller's counter.
+    /// Measurements lost, by the controller's counter.
     pub lost: u64,
-    /// Datagrams ignored as copies or as older than the newest.
+    /// Datagrams ignored as duplicates or as older than the newest.
     pub old: u64,
-    /// Datagrams refused by the decoder.
+    /// Datagrams rejected by the decoder.
     pub malformed: u64,
-    /// Restarts of the controller seen in its counter.
+    /// Restarts of the controller, by its counter.
     pub restarts: u64,
-    /// Times the controller fell silent.
+    /// Number of silences of the controller.
     pub silences: u64,
-    /// Answers that held the robot, or added nothing, because a guard refused what was asked for.
+    /// Answers that held the robot, or added nothing, because the guard rejected the command.
     pub withheld: u64,
 }
 
 /// One FRI connection, client side.
 ///
-/// Per cycle: [`handle_datagram`](Self::handle_datagram), then [`answer`](Self::answer), and send what it wrote. If several
-/// datagrams wait in the socket, handle all and answer once: an answer to a stale measurement comes too late anyway, and
-/// a client that answers each stays behind for ever.
+/// Per cycle: [`handle_datagram`](Self::handle_datagram), then [`answer`](Self::answer), then send the bytes. If several
+/// datagrams wait in the socket, handle all and answer once: an answer to a stale measurement is late anyway, and a
+/// client that answers each one stays behind for ever.
 ///
 /// While the robot does not follow, every answer mirrors the controller's own set-point (`cmdJntPos +
-/// cmdJntPosFriOffset`), whatever the caller asks for: with another value the controller reports an interpolation error
+/// cmdJntPosFriOffset`), whatever the caller passes: with another value the controller reports an interpolation error
 /// and brakes. See [`Phase`] for the state machine.
 #[derive(Debug, Clone)]
 pub struct Session {
@@ -127,7 +127,7 @@ pub struct Session {
     phase: Phase,
     tracker: Tracker,
     msr: Option<Msr>,
-    heard: Duration,
+    received_at: Duration,
     pending: bool,
     next_sequence: u16,
     held: [f64; AXES],
@@ -141,14 +141,14 @@ pub struct Session {
 }
 
 impl Session {
-    /// A session that has heard nothing yet.
+    /// A session that has received nothing yet.
     #[must_use]
     pub fn new(config: SessionConfig) -> Self {
         Self {
             phase: Phase::Offline,
             tracker: Tracker::new(config.offline_after.max(1)),
             msr: None,
-            heard: Duration::ZERO,
+            received_at: Duration::ZERO,
             pending: false,
             next_sequence: config.first_sequence,
             held: [0.0; AXES],
@@ -162,7 +162,7 @@ impl Session {
         }
     }
 
-    /// Takes a received datagram; `now` is its time of arrival. Copies and old ones are counted, else ignored.
+    /// Handles a received datagram; `now` is its time of arrival. Duplicates and old ones are only counted.
     pub fn handle_datagram(
         &mut self,
         bytes: &[u8],
@@ -175,7 +175,7 @@ impl Session {
         let order = self.tracker.accept(msr.header.sequence);
         let lost = self.count(order);
         if order == Order::Restart && msr.is_commanding() {
-            // Nothing that was commanded before means anything to one that began anew: entered, not gone on with.
+            // A restarted controller has lost all earlier commands: it is entered again.
             self.phase = Phase::Offline;
         }
         let event = if order.is_new() {
@@ -219,7 +219,7 @@ impl Session {
             Phase::Monitor
         };
         self.msr = Some(*msr);
-        self.heard = now;
+        self.received_at = now;
         self.pending = true;
         let event = match (before, self.phase) {
             (Phase::Offline, Phase::Monitor) => Some(Event::Online),
@@ -238,10 +238,10 @@ impl Session {
 
     /// Builds the answer to the last measurement at the front of `buf` and returns its length.
     ///
-    /// `joints` in rad are used in [`Phase::Command`] only; `None` repeats the last commanded value there, which stops a
-    /// moving robot at once, so brake first. Every measurement gets one answer: a second call before the next measurement
-    /// is [`AnswerError::NothingToAnswer`].
-    /// What a guard refuses is not sent: the answer holds, and [`violation`](Self::violation) says why.
+    /// `joints` in rad are used in [`Phase::Command`] only; `None` repeats the last command there, which stops a moving
+    /// robot at once, so brake first. Every measurement gets one answer: a second call before the next measurement
+    /// returns [`AnswerError::NothingToAnswer`].
+    /// If the guard rejects the command, the answer holds the robot, and [`violation`](Self::violation) gives the reason.
     pub fn answer(
         &mut self,
         joints: Option<&[f64; AXES]>,
@@ -286,11 +286,11 @@ impl Session {
         Ok(len)
     }
 
-    /// Whether the guard lets these positions into the next answer, rad: it holds what it refuses at once, so ask before and
-    /// brake. Compares with what was commanded last; the controller counts its own cycles, so the time between is theirs.
+    /// Checks the next positions, rad, against the guard. The session holds the robot at once if the guard rejects a
+    /// command, so check before and brake. The reference is the last command and the controller's cycle count since.
     pub fn check_joints(&self, wanted: &[f64; AXES]) -> Result<(), Violation> {
-        let heard = self.msr.as_ref().filter(|_| self.phase == Phase::Command);
-        let Some(msr) = heard else {
+        let commanding = self.msr.as_ref().filter(|_| self.phase == Phase::Command);
+        let Some(msr) = commanding else {
             return Ok(());
         };
         let sequence = msr.header.sequence;
@@ -300,43 +300,43 @@ impl Session {
         self.config.guard.check_joints(&self.held, wanted, span)
     }
 
-    /// Why the last answer held the robot or added nothing; `None` if it said what was asked for.
+    /// Why the last answer held the robot or added nothing; `None` if it carried the command.
     #[must_use]
     pub fn violation(&self) -> Option<Violation> {
         self.violation
     }
 
-    /// When the controller counts as gone if nothing comes; `None` while it does already.
+    /// Time at which the controller becomes offline if no datagram arrives; `None` while it is offline.
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Duration> {
         if self.phase == Phase::Offline {
             return None;
         }
-        Some(self.heard + self.period()? * u32::from(self.config.offline_after.max(1)))
+        Some(self.received_at + self.period()? * u32::from(self.config.offline_after.max(1)))
     }
 
-    /// Tells the time; returns whether the controller has just been found gone.
+    /// Checks the receive timeout at `now`; returns whether the controller has just become offline.
     pub fn handle_timeout(&mut self, now: Duration) -> bool {
-        let gone = self.poll_timeout().is_some_and(|at| now >= at);
-        if gone {
+        let is_lost = self.poll_timeout().is_some_and(|at| now >= at);
+        if is_lost {
             self.phase = Phase::Offline;
             self.pending = false;
             self.tracker.forget();
             self.counters.silences += 1;
         }
-        gone
+        is_lost
     }
 
-    /// The newest measurement; it stays readable when the controller is gone.
+    /// The newest measurement; kept while the controller is offline.
     #[must_use]
     pub fn measurement(&self) -> Option<&Msr> {
         self.msr.as_ref()
     }
 
-    /// When the newest measurement came.
+    /// Time of arrival of the newest measurement.
     #[must_use]
     pub fn arrival(&self) -> Option<Duration> {
-        self.msr.as_ref().map(|_| self.heard)
+        self.msr.as_ref().map(|_| self.received_at)
     }
 
     /// Period of measurements as the controller states it, 1 ms to 100 ms; `None` before the first one.
@@ -345,7 +345,7 @@ impl Session {
         self.msr.as_ref().map(stated_period)
     }
 
-    /// Where the connection stands.
+    /// Phase of the connection.
     #[must_use]
     pub fn phase(&self) -> Phase {
         self.phase
@@ -357,7 +357,7 @@ impl Session {
         self.phase == Phase::Command
     }
 
-    /// Whether a measurement waits for its answer.
+    /// Whether an answer is due.
     #[must_use]
     pub fn is_pending(&self) -> bool {
         self.pending
@@ -375,23 +375,23 @@ impl Session {
         &mut self.krl
     }
 
-    /// Counter of the answer written last; before the first one, the number before its.
+    /// Counter of the last answer; before the first one, its predecessor.
     #[must_use]
     pub fn sent_sequence(&self) -> u16 {
         self.next_sequence.wrapping_sub(1)
     }
 
-    /// Totals since the session was made.
+    /// Totals since the session was created.
     #[must_use]
     pub fn counters(&self) -> Counters {
         self.counters
     }
 }
 
-/// Period of measurements as one of them states it, 1 ms to 100 ms whatever stands there.
+/// Measurement period that `msr` states, clamped to 1 ms to 100 ms.
 pub(crate) fn stated_period(msr: &Msr) -> Duration {
     let (shortest, longest) = (*PERIOD_RANGE_S.start(), *PERIOD_RANGE_S.end());
-    // `max` first: it also replaces a value that is not a number.
+    // `max` first: it also replaces NaN.
     let seconds = msr.interface.msr_period_s.max(shortest).min(longest);
     Duration::from_secs_f32(seconds)
 }

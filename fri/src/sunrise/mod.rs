@@ -9,7 +9,7 @@ pub use crate::error::AnswerError;
 pub use crate::sequence::Order;
 pub(crate) use session::PERIOD_MS;
 pub use session::{
-    Answer, Counters, Demand, Event, IoError, IoLevel, Phase, PlaceError, Reception, Session,
+    Answer, Counters, Demand, Event, FrameError, IoError, IoLevel, Phase, Reception, Session,
     SessionConfig, Withheld,
 };
 

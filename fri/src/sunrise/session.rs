@@ -1,5 +1,5 @@
-//! The client's side of one FRI connection to Sunrise: takes monitoring messages, builds answers. It moves no bytes and plans
-//! no motion: how commanded values change from cycle to cycle is its owner's duty.
+//! The client's side of one FRI connection to Sunrise: handles monitoring messages, builds answers. It moves no bytes
+//! and plans no motion: the owner decides how commanded values change from cycle to cycle.
 
 use super::wire::{
     Command, CommandData, CommandMode, Dialect, Header, IOS_MAX, IoValue, Joints, List, Monitoring,
@@ -19,27 +19,27 @@ mod phase;
 mod tests;
 
 pub use demand::{Demand, Withheld};
-pub use exchange::{IoError, IoLevel, PlaceError};
+pub use exchange::{FrameError, IoError, IoLevel};
 pub use phase::{Event, Phase};
 
-/// What a controller's sendPeriod may be, ms; a wilder one on the wire must not make the silence timer absurd.
+/// Allowed sendPeriod, ms; a corrupt one on the wire must not distort the receive timeout.
 pub(crate) const PERIOD_MS: std::ops::RangeInclusive<u32> = 1..=100;
 
 /// Settings of a [`Session`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SessionConfig {
-    /// What the controller must speak; `None` finds out.
+    /// Dialect of the controller; `None` detects it.
     pub dialect: Option<Dialect>,
-    /// Number of periods without a datagram after which the controller counts as gone, from 1. Counter jumps up to this
+    /// Number of periods without a datagram after which the controller is offline, from 1. Counter jumps up to this
     /// width are loss or reordering, wider ones a restart of the controller.
     pub offline_after: u16,
-    /// Limits of what is sent.
+    /// Limits of answers.
     pub guard: Guard,
-    /// Share of the distance to the measured positions, 0..=1, that the centre of the impedance makes up per answer when
+    /// Share of the distance to the measured positions, 0..=1, by which the impedance centre follows per answer when
     /// torques are commanded without joint positions.
     ///
     /// Positions far from the measured ones are an illegal axis delta to the controller; the measured ones themselves
-    /// switch its friction observer off. A delayed copy is neither.
+    /// disable its friction observer. A delayed copy is neither.
     pub torque_follow: f64,
 }
 
@@ -54,20 +54,20 @@ impl Default for SessionConfig {
     }
 }
 
-/// What one datagram told.
+/// Result of one datagram.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Reception {
-    /// Place in the controller's sequence; if not [`Order::is_new`], the datagram was ignored.
+    /// Order in the controller's sequence; if not [`Order::is_new`], the datagram was ignored.
     pub order: Order,
-    /// State it carries.
+    /// Reported state.
     pub state: SessionState,
-    /// Quality it carries.
+    /// Reported quality.
     pub quality: Quality,
     /// Number of messages lost since the previous one.
     pub lost: u16,
     /// Whether an answer is due now.
     pub is_due: bool,
-    /// Change of phase it caused.
+    /// Resulting change of phase.
     pub event: Option<Event>,
 }
 
@@ -76,28 +76,28 @@ pub struct Reception {
 pub struct Answer {
     /// Bytes to send.
     pub len: usize,
-    /// Why the demand was not in it, if it was not.
+    /// Why the answer does not carry the demand, if so.
     pub withheld: Option<Withheld>,
 }
 
-/// Totals since the session was made.
+/// Totals since the session was created.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Counters {
     /// Datagrams accepted as new.
     pub received: u64,
     /// Answers built.
     pub answered: u64,
-    /// Messages that never came, by the controller's counter.
+    /// Messages lost, by the controller's counter.
     pub lost: u64,
-    /// Messages whose answer was due and that were followed by the next before they had it: this host was late.
+    /// Messages that were due for an answer and overtaken by the next one first: this host was late.
     pub skipped: u64,
-    /// Datagrams ignored as copies or as older than the newest.
+    /// Datagrams ignored as duplicates or as older than the newest.
     pub old: u64,
-    /// Datagrams refused by the decoder.
+    /// Datagrams rejected by the decoder.
     pub malformed: u64,
-    /// Restarts of the controller seen in its counter.
+    /// Restarts of the controller, by its counter.
     pub restarts: u64,
-    /// Times the controller fell silent.
+    /// Number of silences of the controller.
     pub silences: u64,
     /// Demands withheld.
     pub withheld: u64,
@@ -106,14 +106,13 @@ pub struct Counters {
 /// One FRI connection to a Sunrise controller, client side.
 ///
 /// Per cycle: [`handle_datagram`](Self::handle_datagram), then, if [`is_pending`](Self::is_pending),
-/// [`answer`](Self::answer), and send what it wrote. If several datagrams wait in the socket, handle all and answer once.
+/// [`answer`](Self::answer), then send the bytes. If several datagrams wait in the socket, handle all and answer once.
 ///
 /// * Outside the COMMANDING states an answer commands nothing: commandedJointPosition mirrored (1.x), or empty (2.x).
-/// * In COMMANDING_WAIT it mirrors the interpolator, with a zero wrench or torque where the overlay wants one.
-/// * In COMMANDING_ACTIVE it carries the demand, after [`engage`](Self::engage): whoever was moving before a fall back to
-///   monitoring does not go on by itself. Until then it mirrors the interpolator.
-/// * A demand that cannot be followed is [`Withheld`] and the answer holds: an answer goes out in every case, for a missing
-///   one costs quality.
+/// * In COMMANDING_WAIT it mirrors the interpolator, with a zero wrench or torque where the overlay expects one.
+/// * In COMMANDING_ACTIVE it carries the demand, after [`engage`](Self::engage); until then it mirrors the interpolator.
+///   A motion that was interrupted by a return to monitoring therefore does not resume by itself.
+/// * A demand that cannot be executed is [`Withheld`], and the answer holds the robot: a missing answer would cost quality.
 ///
 /// See [`Phase`] for the state machine.
 #[derive(Debug, Clone)]
@@ -123,10 +122,10 @@ pub struct Session {
     dialect: Option<Dialect>,
     tracker: Tracker,
     message: Monitoring,
-    heard: Option<Duration>,
+    received_at: Option<Duration>,
     is_pending: bool,
     is_engaged: bool,
-    /// Whether the overlay was active already when the first message came.
+    /// Whether the overlay was already active in the first message.
     has_joined: bool,
     next_sequence: u32,
     /// Sequence number of the message answered last.
@@ -138,7 +137,7 @@ pub struct Session {
 }
 
 impl Session {
-    /// A session that has heard nothing yet.
+    /// A session that has received nothing yet.
     #[must_use]
     pub fn new(config: SessionConfig) -> Self {
         Self {
@@ -146,7 +145,7 @@ impl Session {
             dialect: None,
             tracker: Tracker::wide(config.offline_after.max(1)),
             message: Monitoring::default(),
-            heard: None,
+            received_at: None,
             is_pending: false,
             is_engaged: false,
             has_joined: false,
@@ -160,7 +159,7 @@ impl Session {
         }
     }
 
-    /// Takes a received datagram; `now` is its time of arrival. Copies and old ones are counted, else ignored.
+    /// Handles a received datagram; `now` is its time of arrival. Duplicates and old ones are only counted.
     pub fn handle_datagram(
         &mut self,
         datagram: &[u8],
@@ -173,7 +172,7 @@ impl Session {
         let order = self.tracker.accept(message.header.sequence);
         let lost = self.count(order);
         if order == Order::Restart && Phase::from(message.state()).is_commanding() {
-            // Nothing that was commanded before means anything to one that began anew: entered, not gone on with.
+            // A restarted controller has lost all earlier commands: it is entered again.
             self.phase = Phase::Offline;
             self.is_engaged = false;
         }
@@ -200,8 +199,8 @@ impl Session {
             let is_framed = self.config.dialect.is_some_and(Dialect::is_framed);
             Kind::explain(Kind::SunriseMonitoring { is_framed }, datagram, error)
         })?;
-        let told = Dialect::of(is_framed, &message);
-        match (self.config.dialect, told) {
+        let detected = Dialect::of(is_framed, &message);
+        match (self.config.dialect, detected) {
             (Some(expected), Some(actual)) if expected != actual => {
                 Err(DecodeError::Dialect { expected, actual })
             }
@@ -229,7 +228,7 @@ impl Session {
 
     fn note_dialect(&mut self, order: Order, is_framed: bool, message: &Monitoring) {
         if matches!(order, Order::First | Order::Restart) {
-            // Who starts again may have got another version of its software.
+            // The software of a restarted controller may have another version.
             self.dialect = self.config.dialect;
             self.answered = None;
         }
@@ -243,7 +242,7 @@ impl Session {
             self.counters.skipped += 1;
         }
         self.message = message;
-        self.heard = Some(now);
+        self.received_at = Some(now);
         self.is_pending = self.phase != Phase::Idle && self.is_due();
         let is_active = self.phase == Phase::CommandingActive;
         self.has_joined = is_active && (self.has_joined || from == Phase::Offline);
@@ -254,7 +253,8 @@ impl Session {
         from.event(self.phase)
     }
 
-    /// Every `receiveMultiplier`-th message wants an answer, counted by the controller's counter so that loss shifts nothing.
+    /// Every `receiveMultiplier`-th message is due for an answer, by the controller's counter, so that loss does not
+    /// shift the phase.
     fn is_due(&self) -> bool {
         let connection = self.message.connection;
         let times = connection.and_then(|it| it.receive_multiplier).unwrap_or(1);
@@ -263,9 +263,9 @@ impl Session {
             .is_none_or(|last| sequence.wrapping_sub(last) >= times)
     }
 
-    /// Where the controller itself would have the joints: the interpolator's position, else the commanded (1.x), else the
-    /// measured one. Under an overlay that was active already when this session began, somebody may have brought the arm
-    /// away from the interpolator's position, which then would be a jump.
+    /// The controller's own set-point: the interpolator's position, else the commanded (1.x), else the measured one. If
+    /// the overlay was already active when this session began, another client may have moved the arm away from the
+    /// interpolator's position, which then would be a jump.
     fn reference(&self) -> Joints {
         let ipo = self.message.ipo.and_then(|ipo| ipo.joints);
         let commanded = self.message.monitor.and_then(|data| data.commanded);
@@ -276,7 +276,7 @@ impl Session {
             .unwrap_or(self.held)
     }
 
-    /// Lets demands through from now on; they start at [`mirror`](Self::mirror). Refused unless the overlay is active.
+    /// Enables demands from now on; they start at [`mirror`](Self::mirror). Refused unless the overlay is active.
     pub fn engage(&mut self) -> Result<(), Withheld> {
         if self.phase != Phase::CommandingActive {
             return Err(Withheld::NotCommanding { phase: self.phase });
@@ -285,14 +285,14 @@ impl Session {
         Ok(())
     }
 
-    /// Mirrors the interpolator again until the next [`engage`](Self::engage). The robot goes there as fast as the
-    /// controller lets it, so bring it back first.
+    /// Mirrors the interpolator again until the next [`engage`](Self::engage). The robot moves there as fast as the
+    /// controller allows, so bring it back first.
     pub fn disengage(&mut self) {
         self.is_engaged = false;
     }
 
     /// Builds the answer to the last message at the front of `buf`. Every message gets one answer: a second call before
-    /// the next message is [`AnswerError::NothingToAnswer`].
+    /// the next message returns [`AnswerError::NothingToAnswer`].
     pub fn answer(&mut self, demand: &Demand, buf: &mut [u8]) -> Result<Answer, AnswerError> {
         if !self.is_pending {
             return Err(AnswerError::NothingToAnswer);
@@ -393,19 +393,19 @@ impl Session {
         data.redundancy = ipo.and_then(|ipo| ipo.redundancy);
     }
 
-    /// When the controller counts as gone if nothing comes; `None` while it does already.
+    /// Time at which the controller becomes offline if no datagram arrives; `None` while it is offline.
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Duration> {
         if self.phase == Phase::Offline {
             return None;
         }
-        Some(self.heard? + self.period()? * u32::from(self.config.offline_after.max(1)))
+        Some(self.received_at? + self.period()? * u32::from(self.config.offline_after.max(1)))
     }
 
-    /// Tells the time; returns whether the controller has just been found gone.
+    /// Checks the receive timeout at `now`; returns whether the controller has just become offline.
     pub fn handle_timeout(&mut self, now: Duration) -> bool {
-        let gone = self.poll_timeout().is_some_and(|at| now >= at);
-        if gone {
+        let is_lost = self.poll_timeout().is_some_and(|at| now >= at);
+        if is_lost {
             self.phase = Phase::Offline;
             self.is_pending = false;
             self.is_engaged = false;
@@ -413,26 +413,26 @@ impl Session {
             self.tracker.forget();
             self.counters.silences += 1;
         }
-        gone
+        is_lost
     }
 
-    /// The newest message; it stays readable when the controller is gone. `None` before the first one.
+    /// The newest message; kept while the controller is offline. `None` before the first one.
     #[must_use]
     pub fn message(&self) -> Option<&Monitoring> {
-        self.heard.map(|_| &self.message)
+        self.received_at.map(|_| &self.message)
     }
 
-    /// When the newest message came.
+    /// Time of arrival of the newest message.
     #[must_use]
     pub fn arrival(&self) -> Option<Duration> {
-        self.heard
+        self.received_at
     }
 
     /// Period of messages as the controller states it, 1 ms to 100 ms; `None` before the first one. Answers are due every
     /// `receiveMultiplier`-th time.
     #[must_use]
     pub fn period(&self) -> Option<Duration> {
-        self.heard?;
+        self.received_at?;
         let connection = self.message.connection;
         let stated = connection
             .and_then(|it| it.send_period_ms)
@@ -441,19 +441,19 @@ impl Session {
         Some(Duration::from_millis(ms.into()))
     }
 
-    /// What the controller speaks, once told.
+    /// Dialect of the controller, once known.
     #[must_use]
     pub fn dialect(&self) -> Option<Dialect> {
         self.dialect
     }
 
-    /// Where the connection stands.
+    /// Phase of the connection.
     #[must_use]
     pub fn phase(&self) -> Phase {
         self.phase
     }
 
-    /// What the overlay of the robot program wants.
+    /// Values that the overlay of the robot program expects.
     #[must_use]
     pub fn command_mode(&self) -> CommandMode {
         self.message.command_mode()
@@ -465,7 +465,7 @@ impl Session {
         self.is_engaged
     }
 
-    /// Whether a message waits for its answer.
+    /// Whether an answer is due.
     #[must_use]
     pub fn is_pending(&self) -> bool {
         self.is_pending
@@ -478,13 +478,13 @@ impl Session {
         self.held
     }
 
-    /// Counter of the answer written last; before the first one, the number before its.
+    /// Counter of the last answer; before the first one, its predecessor.
     #[must_use]
     pub fn sent_sequence(&self) -> u32 {
         self.next_sequence.wrapping_sub(1)
     }
 
-    /// Totals since the session was made.
+    /// Totals since the session was created.
     #[must_use]
     pub fn counters(&self) -> Counters {
         self.counters

@@ -1,5 +1,5 @@
-//! Ethernet frames of a recording, without what a capture probe wrote around them: ERF records (link type 197) and the 16 bytes
-//! of an ET2000. Frames are not decoded here.
+//! Ethernet frames of a recording, without what a capture probe added: ERF records (link type 197) and the 16 bytes of
+//! an ET2000. Frames are not decoded here.
 #![warn(clippy::indexing_slicing)]
 
 use std::io::Read;
@@ -10,15 +10,15 @@ use super::{CaptureError, Cut, LinkType, Packet, Reader};
 /// A frame of a recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct EthernetFrame {
-    /// When it was recorded; by the probe's time where one recorded it.
+    /// Time of the recording; the probe's time if it is known.
     pub at: Duration,
-    /// The interface it was recorded on, by its place in the file or the number in its ERF record; 0 where there is but one.
+    /// Index of the recording interface in the file, or its number in the ERF record; 0 if there is only one.
     pub interface: u32,
-    /// The port of an ET2000 at which it arrived, from 0; ports 2n and 2n + 1 are the ends of line n.
+    /// The ET2000 port at which the frame arrived, from 0; ports 2n and 2n + 1 are the two sides of line n.
     pub port: Option<u8>,
-    /// The probe found its check sum wrong.
+    /// Whether the probe found a checksum error.
     pub is_corrupt: bool,
-    /// From its destination on, as much as was recorded.
+    /// The frame from its destination address on, as far as recorded.
     pub bytes: Vec<u8>,
 }
 
@@ -34,7 +34,7 @@ impl<R: Read> Frames<R> {
     /// Reads the header of the file.
     ///
     /// # Errors
-    /// If it cannot be read or begins like no recording.
+    /// If it cannot be read or is not a recording.
     pub fn new(from: R) -> Result<Self, CaptureError> {
         Ok(Self {
             reader: Reader::new(from)?,
@@ -43,13 +43,13 @@ impl<R: Read> Frames<R> {
         })
     }
 
-    /// Where the recording is cut off; known when the reading has ended.
+    /// Where the recording is cut off; known once reading has ended.
     #[must_use]
     pub const fn cut(&self) -> Option<Cut> {
         self.reader.cut()
     }
 
-    /// The frame of a packet; `None` for a record of ERF that holds none.
+    /// The frame of a packet; `None` for an ERF record without one.
     fn frame(&mut self, packet: Packet) -> Option<Result<EthernetFrame, CaptureError>> {
         let mut frame = EthernetFrame {
             at: packet.at,
@@ -69,7 +69,7 @@ impl<R: Read> Frames<R> {
             }
             other => return Some(Err(CaptureError::LinkType(other))),
         }
-        if let Some((mark, bytes)) = Mark::take_off(&frame.bytes) {
+        if let Some((mark, bytes)) = Mark::strip(&frame.bytes) {
             let bytes = bytes.to_vec();
             frame.at = self.probe.time(frame.at, mark.at);
             frame.port = mark.port;
@@ -98,7 +98,7 @@ impl<R: Read> Iterator for Frames<R> {
     }
 }
 
-/// A record of ERF with an Ethernet frame.
+/// An ERF record with an Ethernet frame.
 ///
 /// | offset | bytes | field |
 /// |---|---|---|
@@ -109,7 +109,7 @@ impl<R: Read> Iterator for Frames<R> {
 /// | 12 | 2 | records lost, or colour |
 /// | 14 | 2 | length on the wire |
 /// | 16 | 8 each | extension headers; bit 7 of the first byte: another follows |
-/// | behind | 2 | padding |
+/// | after the frame | 2 | padding |
 struct Erf<'a> {
     at: Duration,
     interface: u8,
@@ -120,7 +120,7 @@ struct Erf<'a> {
 impl<'a> Erf<'a> {
     const EXTENSION: usize = 8;
     const PADDING: usize = 2;
-    /// Types of records with Ethernet frames: plain, coloured, filtered and coloured, hashed and coloured.
+    /// Record types with Ethernet frames: plain, coloured, filtered and coloured, hashed and coloured.
     const ETHERNET: [u8; 4] = [2, 11, 16, 20];
     const MORE: u8 = 0x80;
     const ERRORS: u8 = 0x30;
@@ -155,7 +155,7 @@ fn fixed_point(raw: u64) -> Duration {
     Duration::from_secs(raw >> 32) + Duration::from_nanos(nanos)
 }
 
-/// What an ET2000 puts behind a frame, or in front of it.
+/// What an ET2000 adds after a frame, or before it.
 ///
 /// | offset | bytes | field |
 /// |---|---|---|
@@ -175,8 +175,8 @@ impl Mark {
     /// Ports 8 to 11 by their bit in the second byte.
     const HIGH_PORTS: [(u8, u8); 4] = [(0x80, 8), (0x40, 9), (0x04, 10), (0x02, 11)];
 
-    /// The mark and the frame without it.
-    fn take_off(bytes: &[u8]) -> Option<(Self, &[u8])> {
+    /// The mark, and the frame without it.
+    fn strip(bytes: &[u8]) -> Option<(Self, &[u8])> {
         let before = bytes
             .split_first_chunk()
             .and_then(|(mark, rest)| Some((Self::decode(mark)?, rest)));
@@ -203,15 +203,15 @@ impl Mark {
     }
 }
 
-/// Puts the time that a probe counts on the time of the host that recorded.
+/// Converts the probe's time to the time of the recording host.
 #[derive(Debug, Default)]
 struct ProbeClock {
-    /// When both were the same: of the host, of the probe.
+    /// Times of host and probe at the first frame.
     origin: Option<(Duration, Duration)>,
 }
 
 impl ProbeClock {
-    /// The probe was restarted where the two differ by more since they were the same.
+    /// A larger difference between the two clocks is a restart of the probe.
     const JUMP: Duration = Duration::from_secs(1);
 
     fn time(&mut self, host: Duration, probe: Duration) -> Duration {

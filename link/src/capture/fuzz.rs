@@ -1,11 +1,11 @@
-//! What must hold for any file, in one function for tests and fuzzers. It makes no input of its own.
+//! What must hold for any file, in one function for tests and fuzzers. It generates no input itself.
 
 use super::{Frames, PACKET_MAX, Reader};
 
-/// Takes `bytes` for a recording and reads it to its end.
+/// Reads `bytes` as a recording to its end.
 ///
 /// # Panics
-/// If the reader goes on after an error, or gives more than the file holds.
+/// If the reader continues after an error, or returns more than the file holds.
 pub fn fuzz(bytes: &[u8]) {
     let Ok(mut reader) = Reader::new(bytes) else {
         return;
@@ -13,7 +13,10 @@ pub fn fuzz(bytes: &[u8]) {
     let mut total = 0;
     while let Some(packet) = reader.next() {
         let Ok(packet) = packet else {
-            assert!(reader.next().is_none(), "the reader goes on after an error");
+            assert!(
+                reader.next().is_none(),
+                "the reader continues after an error"
+            );
             break;
         };
         assert!(

@@ -1,17 +1,17 @@
-//! The bytes of a file as a window that grows to what a record needs. It knows no format; what records may need is bounded by
-//! its callers.
+//! The bytes of a file as a window that grows to the size of a record. It knows no format; its callers limit the size of
+//! records.
 
 use std::io::{self, Read};
 
-/// Bytes that are asked of the file at once.
+/// Bytes per read.
 const CHUNK: usize = 1 << 16;
 
 pub(super) struct Input<R> {
     from: R,
     buffer: Vec<u8>,
-    /// Bytes of the buffer that were taken.
+    /// Number of consumed bytes in the buffer.
     taken: usize,
-    /// Of the first byte that was not taken, in the file.
+    /// File offset of the first unconsumed byte.
     offset: u64,
     is_ended: bool,
 }
@@ -31,7 +31,7 @@ impl<R: Read> Input<R> {
         self.offset
     }
 
-    /// At least so many bytes, fewer only at the end of the file.
+    /// Returns at least `wanted` bytes, fewer only at the end of the file.
     pub(super) fn fill(&mut self, wanted: usize) -> io::Result<&[u8]> {
         while self.buffer.len() - self.taken < wanted && !self.is_ended {
             self.buffer.drain(..self.taken);
@@ -39,7 +39,7 @@ impl<R: Read> Input<R> {
             let more = u64::try_from(wanted.max(CHUNK)).unwrap_or(u64::MAX);
             let before = self.buffer.len();
             let read = self.from.by_ref().take(more).read_to_end(&mut self.buffer);
-            // What came before an error is given first; the file is asked again for what follows.
+            // Bytes before an error are returned first; the next call reads again.
             if self.buffer.len() == before {
                 read?;
                 self.is_ended = true;
@@ -48,7 +48,7 @@ impl<R: Read> Input<R> {
         Ok(self.buffer.get(self.taken..).unwrap_or_default())
     }
 
-    /// Goes on behind so many bytes of what [`Self::fill`] gave.
+    /// Consumes `count` bytes of what [`Self::fill`] returned.
     pub(super) fn take(&mut self, count: usize) {
         let count = count.min(self.buffer.len() - self.taken);
         self.taken += count;

@@ -1,4 +1,4 @@
-//! Records of a pcap file. Time stamps are taken as they are: one with more than a second of fraction is a time all the same.
+//! Records of a pcap file. Time stamps are not validated: a fraction of more than a second is accepted.
 
 use std::io::Read;
 use std::time::Duration;
@@ -18,7 +18,7 @@ pub(super) fn begin<R: Read>(input: &mut Input<R>) -> Result<PcapParser, Capture
     let magic = bytes.first_chunk().copied().unwrap_or_default();
     let parser = match PcapParser::new(bytes) {
         Ok((_, parser)) => parser,
-        // The length is looked at before the first bytes.
+        // The library checks the length before the magic number.
         Err(PcapError::IncompleteBuffer) if is_pcap(magic) => {
             return Err(CaptureError::Short(bytes.len()));
         }
@@ -35,7 +35,7 @@ fn is_pcap(magic: [u8; 4]) -> bool {
         .any(|word| matches!(word, 0xA1B2_C3D4 | 0xA1B2_3C4D))
 }
 
-/// The packet of the next record.
+/// Returns the packet of the next record.
 pub(super) fn next<R: Read>(
     input: &mut Input<R>,
     parser: &PcapParser,

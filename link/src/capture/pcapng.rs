@@ -1,5 +1,5 @@
-//! Blocks of a pcapng file. Blocks without packets are passed over unread, so that a name or a statistic in a form of its own
-//! stops nobody.
+//! Blocks of a pcapng file. Blocks without packets are skipped unread, so that an unusual name or statistics block does
+//! not stop reading.
 
 use std::io::Read;
 use std::time::Duration;
@@ -13,21 +13,21 @@ use pcap_file::pcapng::{Block, PcapNgParser};
 use super::input::Input;
 use super::{BLOCK_MAX, CaptureError, LinkType, PCAPNG, Packet, Step, damaged, too_long};
 
-/// Type and length before, length behind.
+/// Type and length before the content, length after it.
 const AROUND: usize = 12;
 const SECTION: u32 = u32::from_be_bytes(PCAPNG);
 const INTERFACE: u32 = 1;
-/// An obsolete block, whose interface has 16 bits.
+/// Obsolete packet block with a 16-bit interface.
 const PACKET: u32 = 2;
-/// Without time and interface.
+/// Simple packet block without time and interface.
 const SIMPLE: u32 = 3;
 const ENHANCED: u32 = 6;
-/// Interfaces that a section may have; Wireshark's counts are far lower.
+/// Maximum number of interfaces in a section; Wireshark's limits are far lower.
 const INTERFACES_MAX: usize = 4096;
-/// Unit of time where an interface says nothing: 10^-6 s.
+/// Default time resolution of an interface: 10^-6 s.
 const MICROSECONDS: u8 = 6;
 
-/// Reads the section that the file begins with.
+/// Reads the first section header of the file.
 pub(super) fn begin<R: Read>(input: &mut Input<R>) -> Result<PcapNgParser, CaptureError> {
     let Some((_, len)) = head(input, Endianness::Big)? else {
         return Err(CaptureError::Short(input.fill(AROUND)?.len()));
@@ -41,7 +41,7 @@ pub(super) fn begin<R: Read>(input: &mut Input<R>) -> Result<PcapNgParser, Captu
     Ok(parser)
 }
 
-/// Type and length of the next block; `None` if fewer bytes than those of the smallest are left.
+/// Type and length of the next block; `None` if fewer bytes than the smallest block are left.
 fn head<R: Read>(
     input: &mut Input<R>,
     order: Endianness,
@@ -52,7 +52,7 @@ fn head<R: Read>(
     let (Some(kind), Some(len), Some(magic)) = (at(0), at(4), at(8)) else {
         return Ok(None);
     };
-    // A section tells its own byte order.
+    // A section header states its own byte order.
     let is_big = if kind == PCAPNG {
         magic == 0x1A2B_3C4D_u32.to_be_bytes()
     } else {
@@ -72,13 +72,13 @@ fn head<R: Read>(
     }
     let len = usize::try_from(len).unwrap_or(usize::MAX);
     if len < AROUND || !len.is_multiple_of(4) {
-        let what = format!("a block of {len} bytes");
-        return Err(CaptureError::Damaged { offset, what });
+        let cause = format!("a block of {len} bytes");
+        return Err(CaptureError::Damaged { offset, cause });
     }
     Ok(Some((kind, len)))
 }
 
-/// The next packet; `last` is when the one before was recorded.
+/// Returns the next packet; `last` is the time of the previous one.
 pub(super) fn next<R: Read>(
     input: &mut Input<R>,
     parser: &mut PcapNgParser,
@@ -101,16 +101,16 @@ pub(super) fn next<R: Read>(
                 .map_err(|error| damaged(offset, &error))?;
             packet = of_block(block, parser.interfaces(), order, last);
             if parser.interfaces().len() > INTERFACES_MAX {
-                let what = format!("more than {INTERFACES_MAX} interfaces");
-                return Err(CaptureError::Damaged { offset, what });
+                let cause = format!("more than {INTERFACES_MAX} interfaces");
+                return Err(CaptureError::Damaged { offset, cause });
             }
         }
         input.take(len);
         match packet {
             Some(Some(packet)) => return Ok(Step::Packet(packet)),
             Some(None) => {
-                let what = "a packet of an interface that is not described".to_owned();
-                return Err(CaptureError::Damaged { offset, what });
+                let cause = "a packet of an interface without description".to_owned();
+                return Err(CaptureError::Damaged { offset, cause });
             }
             None => {}
         }
@@ -144,7 +144,7 @@ fn of_block(
     };
     match block {
         Block::EnhancedPacket(it) => {
-            // The library takes the number in the file for nanoseconds whatever the interface says.
+            // The library reads the time in the file as nanoseconds, whatever the interface's resolution.
             let ticks = u64::try_from(it.timestamp.as_nanos()).unwrap_or(u64::MAX);
             Some(packet(
                 it.interface_id,
@@ -192,7 +192,7 @@ fn time(ticks: u64, interface: &InterfaceDescriptionBlock<'_>) -> Duration {
     let per_second = base.checked_pow(exponent).unwrap_or(u128::MAX);
     let nanos = u128::from(ticks).saturating_mul(1_000_000_000) / per_second;
     let at = Duration::from_nanos(u64::try_from(nanos).unwrap_or(u64::MAX));
-    // Negative offsets are recordings from before 1970.
+    // Negative offsets belong to recordings from before 1970.
     let offset = i64::from_ne_bytes(offset.to_ne_bytes());
     at.saturating_add(Duration::from_secs(u64::try_from(offset).unwrap_or(0)))
 }

@@ -72,7 +72,7 @@ fn written(packets: &[&[u8]]) -> Vec<u8> {
 }
 
 #[test]
-fn written_recording_reads_back() {
+fn capture_roundtrip() {
     let packets = read(&written(&[&[1, 2, 3], &[4; 60]]));
     assert_eq!(
         (packets[0].at, &packets[0].data[..]),
@@ -82,7 +82,7 @@ fn written_recording_reads_back() {
 }
 
 #[test]
-fn pcap_byte_orders_and_resolutions_are_read() {
+fn pcap_reads_byte_orders_and_resolutions() {
     for to in [u32::to_le_bytes, u32::to_be_bytes] {
         for (magic, nanos) in [(0xA1B2_C3D4, 5000), (0xA1B2_3C4D, 5)] {
             let file = pcap(magic, 1, &[(1, 5, &[9, 9])], to);
@@ -97,19 +97,19 @@ fn pcap_byte_orders_and_resolutions_are_read() {
 }
 
 #[test]
-fn pcapng_interfaces_keep_their_own_time() {
+fn pcapng_interfaces_use_their_resolution() {
     let file = [
         section(),
         interface(1, &[]),
         interface(197, &[(9, &[9]), (14, &100_u64.to_le_bytes())]),
-        // A name resolution block of rubbish, a statistic, one of an unknown kind.
+        // A name resolution block with invalid content, a statistics block, an unknown block.
         block(4, &[0xFF; 8]),
         block(5, &[0xFF; 8]),
         block(0x0BAD, &[1, 2, 3, 4]),
         enhanced(0, 2_000_001, &[1]),
         enhanced(1, 3, &[2, 2]),
         block(3, &words(&[3, 0x0003_0303])),
-        // Sections begin anew: interface 0 is another one.
+        // A new section: interface 0 is another one.
         section(),
         interface(101, &[(9, &[0x8A])]),
         enhanced(0, 512, &[4; 4]),
@@ -137,9 +137,9 @@ fn pcapng_interfaces_keep_their_own_time() {
 }
 
 #[test]
-fn obsolete_packet_block_keeps_its_time() {
+fn pcapng_obsolete_packet_block_has_time() {
     let len = 2_u32;
-    // Interface and drops, then the higher half of the time first.
+    // Interface and drops, then the upper half of the time first.
     let body = [words(&[0, 1, 7, len, len]), vec![5, 6]].concat();
     let file = [section(), interface(1, &[]), block(2, &body)].concat();
     let at = Duration::from_micros((1 << 32) + 7);
@@ -150,7 +150,7 @@ fn obsolete_packet_block_keeps_its_time() {
 }
 
 #[test]
-fn cut_file_is_read_up_to_the_cut() {
+fn reader_cut_file_returns_whole_packets() {
     let pcapng = [
         section(),
         interface(1, &[]),
@@ -184,7 +184,7 @@ fn cut_file_is_read_up_to_the_cut() {
 }
 
 #[test]
-fn reader_ends_after_an_error() {
+fn reader_error_ends_reading() {
     let huge = pcap(0xA1B2_C3D4, 1, &[(1, 1, &[1])], u32::to_le_bytes);
     let mut too_long = huge.clone();
     too_long.extend(words(&[1, 1, PACKET_MAX + 1, 1]));
@@ -211,7 +211,7 @@ fn reader_ends_after_an_error() {
 }
 
 #[test]
-fn failing_file_gives_its_error_once() {
+fn reader_io_error_is_returned_once() {
     struct Failing;
     impl Read for Failing {
         fn read(&mut self, _: &mut [u8]) -> io::Result<usize> {
@@ -230,10 +230,10 @@ fn failing_file_gives_its_error_once() {
 }
 
 #[test]
-fn other_files_are_refused_by_what_they_are() {
+fn reader_other_formats_are_rejected_by_name() {
     let erf_only = [0; 40];
     for (file, why) in [
-        (&b""[..], "0 bytes are there"),
+        (&b""[..], "header: 0 bytes"),
         (
             &[0xD4, 0xC3, 0xB2, 0xA1, 2][..],
             "cut off in its header: 5 bytes",
@@ -251,7 +251,7 @@ fn other_files_are_refused_by_what_they_are() {
     }
 }
 
-/// A disk with so many bytes left.
+/// A disk with that many bytes left.
 struct Disk(usize, Vec<u8>);
 
 impl Write for Disk {
@@ -271,7 +271,7 @@ impl Write for Disk {
 }
 
 #[test]
-fn recording_on_a_full_disk_stays_readable() {
+fn writer_full_disk_leaves_readable_file() {
     for room in 24..=(24 + 3 * 20) {
         let mut writer = Writer::new(Disk(room, Vec::new()), LinkType::RAW).unwrap();
         let results: Vec<_> = (0..4)
@@ -281,7 +281,7 @@ fn recording_on_a_full_disk_stays_readable() {
         assert_eq!(good, (room - 24) / 20, "{room}");
         let first = results.iter().find_map(|result| result.as_ref().err());
         assert_eq!(first.map(io::Error::kind), Some(io::ErrorKind::StorageFull));
-        // Room that comes later does not help: nothing follows half a record.
+        // Space that becomes free later does not help: nothing follows half a record.
         assert!(results[good..].iter().all(Result::is_err));
         let mut disk = writer.into_inner();
         disk.0 = 100;
@@ -313,12 +313,12 @@ fn frames(file: &[u8]) -> Vec<EthernetFrame> {
 }
 
 #[test]
-fn erf_records_give_their_ethernet_frames() {
+fn erf_records_yield_ethernet_frames() {
     let frame = [7; 61];
     let records = [
         erf(2, 4, &[], &frame),
         erf(0x80 | 2, 4 | 3, &[[0x80 | 5; 8], [5; 8]], &frame),
-        // Not Ethernet: passed over.
+        // Not Ethernet: skipped.
         erf(1, 4, &[], &frame),
         // Extension headers without an end.
         erf(0x80 | 2, 4, &[[0x85; 8]], &[0x85; 6]),
@@ -348,7 +348,7 @@ fn erf_records_give_their_ethernet_frames() {
 }
 
 #[test]
-fn et2000_marks_give_port_and_time() {
+fn et2000_marks_yield_port_and_time() {
     let frame = [7; 60];
     let packets = [
         [&frame[..], &mark(0x80, 0, 5_000)].concat(),
@@ -379,7 +379,7 @@ fn et2000_marks_give_port_and_time() {
 }
 
 #[test]
-fn other_link_types_end_the_frames() {
+fn frames_other_link_type_ends_reading() {
     let file = pcap(
         0xA1B2_C3D4,
         227,
@@ -394,7 +394,7 @@ fn other_link_types_end_the_frames() {
 
 proptest! {
     #[test]
-    fn any_bytes_are_answered(bytes in prop::collection::vec(any::<u8>(), 0..400), which in 0..4_usize) {
+    fn reader_any_bytes_accepted_or_rejected(bytes in prop::collection::vec(any::<u8>(), 0..400), which in 0..4_usize) {
         let head = match which {
             0 => written(&[]),
             1 => section(),
@@ -405,7 +405,7 @@ proptest! {
     }
 
     #[test]
-    fn flipped_bytes_are_answered(at in 0..300_usize, value: u8) {
+    fn reader_flipped_bytes_accepted_or_rejected(at in 0..300_usize, value: u8) {
         let record = erf(2, 4, &[[5; 8]], &[7; 60]);
         let ng = [section(), interface(197, &[(9, &[9])]), enhanced(0, 3, &record)].concat();
         let classic = written(&[&[1; 60], &[2; 60]]);

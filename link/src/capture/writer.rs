@@ -1,5 +1,5 @@
-//! Writes recordings as pcap with nanoseconds. What was written before an error stays readable: records go out whole, and none
-//! follows one that failed.
+//! Writes recordings as pcap with nanoseconds. What was written before an error stays readable: only whole records are
+//! written, and none after a failed one.
 
 use std::fmt;
 use std::io::{self, Write};
@@ -10,7 +10,7 @@ use super::LinkType;
 const NANOSECONDS: u32 = 0xA1B2_3C4D;
 const HEADER: usize = 24;
 const RECORD: usize = 16;
-/// Longest packet that readers may expect, bytes.
+/// Longest packet stated to readers, bytes.
 const SNAPLEN: u32 = 0x0004_0000;
 
 /// Writes a recording, each packet at once: after a crash at most the last one is missing.
@@ -42,10 +42,10 @@ impl<W: Write> Writer<W> {
     /// Writes a packet; times beyond the year 2106 are written as zero.
     ///
     /// # Errors
-    /// If it cannot be written, or one before could not: what follows half a record would be lost anyway.
+    /// If it cannot be written, or an earlier packet could not: records after half a record are unreadable anyway.
     pub fn write(&mut self, at: Duration, packet: &[u8]) -> io::Result<()> {
         if self.has_failed {
-            let why = "the recording has ended by an error before";
+            let why = "an earlier error ended the recording";
             return Err(io::Error::other(why));
         }
         let packet = packet.get(..SNAPLEN as usize).unwrap_or(packet);
@@ -64,7 +64,7 @@ impl<W: Write> Writer<W> {
         written
     }
 
-    /// Writes out what is buffered behind it.
+    /// Flushes the buffers of the inner writer.
     ///
     /// # Errors
     /// If it cannot be written.
@@ -74,7 +74,7 @@ impl<W: Write> Writer<W> {
         flushed
     }
 
-    /// Gives back what was written to.
+    /// Returns the inner writer.
     #[must_use]
     pub fn into_inner(self) -> W {
         self.to

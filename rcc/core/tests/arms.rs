@@ -28,7 +28,7 @@ fn a_net_moves_an_arm_and_ends() {
             info.end,
             None,
             "{:?}",
-            cell.robots[0].status.last_fall().map(|f| f.to_string())
+            cell.robots[0].status.last_exit().map(|f| f.to_string())
         );
         assert_eq!(
             info.states,

@@ -99,8 +99,8 @@ macro_rules! emulator {
         }
     };
 }
-emulator!(Krc, takt_fri::lwr::emulator::Leave::FriStop);
-emulator!(Cabinet, takt_fri::sunrise::emulator::Leave::Cancelled);
+emulator!(Krc, takt_fri::lwr::emulator::ExitReason::FriStop);
+emulator!(Cabinet, takt_fri::sunrise::emulator::ExitReason::Cancelled);
 
 /// One cycle of an emulator.
 #[derive(Clone, Copy)]
@@ -193,7 +193,7 @@ fn turn<E: Emulator>(
 fn wall(height: f64) -> Contact {
     Contact {
         shape: Shape::Wall,
-        place: [0.0, 0.0, height - GAP],
+        point: [0.0, 0.0, height - GAP],
         normal: [0.0, 0.0, 1.0],
         stiffness: 5000.0,
         damping: 100.0,

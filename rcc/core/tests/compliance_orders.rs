@@ -22,7 +22,7 @@ use takt_core::device::{
     DeviceCommand, DeviceDescription, DeviceState, DeviceStatus, iiwa, lwr, parts,
 };
 use takt_fri::lwr::Protocol as Handshake;
-use takt_fri::lwr::emulator::{Krc, KrcConfig, Leave, Script};
+use takt_fri::lwr::emulator::{ExitReason, Krc, KrcConfig, Script};
 use takt_fri::lwr::wire::{Cmd, CmdFlags, Control, State};
 use takt_fri::sunrise::IoLevel;
 use takt_fri::sunrise::emulator::{Cabinet, CabinetConfig, Control as Mode, Io, Overlay, Program};
@@ -284,7 +284,10 @@ fn a_net_switches_the_control_strategy_through_the_krl_program() {
             rig.until_operational();
         }
         let mut reasons = rig.robot.log().map(|left| left.reason);
-        assert!(reasons.all(|reason| reason == Leave::FriStop), "{protocol}");
+        assert!(
+            reasons.all(|reason| reason == ExitReason::FriStop),
+            "{protocol}"
+        );
     }
 }
 
@@ -359,7 +362,7 @@ fn what_a_net_orders_before_command_mode_is_in_force_with_it() {
     rig.stand.end(net);
     rig.steps(10);
     assert_eq!(rig.cmd().joint_stiffness[1], 300.0, "it stays");
-    assert_eq!(rig.robot.falls(), 0);
+    assert_eq!(rig.robot.exits(), 0);
 }
 
 #[test]
@@ -374,7 +377,7 @@ fn fields_that_are_not_chosen_wait_until_command_mode_is_entered_anew() {
     rig.enter();
     assert_eq!(rig.stand.out(net, "error"), "0");
     assert!(rig.cmd().flags.contains(CmdFlags::JNTSTIFF));
-    assert_eq!(rig.robot.falls(), 1, "friStop alone");
+    assert_eq!(rig.robot.exits(), 1, "friStop alone");
 }
 
 #[test]
@@ -600,7 +603,7 @@ fn what_an_overlay_does_not_take_is_refused() {
     assert_eq!(rig.ordered(&joint(&[("inAddTorque", 321.0)])), "1");
     let push = tool_gives_way("inAddTorque", "{force:{z:-20}}");
     assert_eq!(rig.ordered(&push), "4");
-    assert_eq!(rig.robot.falls(), 0);
+    assert_eq!(rig.robot.exits(), 0);
 }
 
 #[test]

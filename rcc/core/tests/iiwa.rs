@@ -120,7 +120,7 @@ fn move_it(config: CabinetConfig) {
         let net = cell.load(&swing("arm", 1.0));
         cell.controller.start_net(net).unwrap();
         let end = cell.wait_for_end(net).end;
-        let fall = cabinet.status.last_fall().map(|why| why.to_string());
+        let fall = cabinet.status.last_exit().map(|why| why.to_string());
         assert_eq!(end, None, "{fall:?}");
         cell.wait("the arm at its goal", |_| {
             (cabinet.status.measured()[6] - before - 0.5).abs() < 1e-3

@@ -1,8 +1,8 @@
-//! What makes a cycle keep phase with a device's clock instead of running by the host's alone.
+//! Keeps a cycle in phase with a device's clock.
 //!
-//! It measures nothing: the driver that talks to the device does, and hands its servo's estimate here by
-//! a [`latest`](crate::latest) cell. So a net thread follows a device of another thread, and a driver
-//! thread its own, by the same few lines.
+//! It measures nothing: the device's driver does, and passes its servo's estimate by a
+//! [`latest`](crate::latest) cell. A net thread thus follows a device of another thread in the same way as
+//! a driver thread its own.
 
 use super::{Grid, Tick};
 use crate::{
@@ -17,17 +17,17 @@ use crate::{
 pub struct Follow {
     estimates: LatestReader<Estimate>,
     phase: Nanos,
-    /// The newest estimate that could be followed. When its maker loses the clock, the cycle runs on by
-    /// this one: its rate is the best guess, and no jump.
+    /// The newest estimate that could be followed. If the clock is lost, the cycle continues with this
+    /// one: its rate is the best guess and causes no jump.
     line: Estimate,
-    /// State of the newest estimate, as last noted.
+    /// State of the newest estimate, as last recorded.
     state: State,
 }
 
 impl Follow {
-    /// Follow the clock of `estimates` so that slots begin `phase` after the instants at which it shows
-    /// whole multiples of the cycle's period: 300 µs after SYNC0, if the clock's zero is such a SYNC0
-    /// and its period the cycle's or a whole multiple of it.
+    /// Follows the clock of `estimates` so that slots begin `phase` after the instants at which it shows
+    /// whole multiples of the cycle's period: 300 µs after SYNC0, if the clock's zero is such a SYNC0 and
+    /// its period the cycle's or a whole multiple of it.
     pub fn new(estimates: LatestReader<Estimate>, phase: Nanos) -> Self {
         Self {
             estimates,
@@ -37,7 +37,7 @@ impl Follow {
         }
     }
 
-    /// Before the next slot, at `now`: takes the newest estimate and moves the slot.
+    /// Reads the newest estimate and moves the next slot, at `now`.
     pub(super) fn steer(&mut self, grid: &mut Grid, now: Nanos, flight: Option<&FlightRecorder>) {
         let newest = self.estimates.read();
         let state = if newest.state.is_followed() && !newest.is_valid_at(now) {
@@ -59,7 +59,7 @@ impl Follow {
         }
     }
 
-    /// How far from its place on the device's clock the thread came to `tick`, while that is known.
+    /// Distance of the wake-up of `tick` from its nominal time on the device's clock, while that is known.
     pub(super) fn phase_error(&self, grid: &Grid, tick: &Tick) -> Option<Nanos> {
         let error = || self.line.phase_error(tick.woken, grid.period(), self.phase);
         self.line.is_valid_at(tick.woken).then(error)
@@ -81,7 +81,7 @@ mod tests {
         }
     }
 
-    /// Deadlines after each estimate, of a grid that would run at multiples of 100 000.
+    /// Deadlines after each estimate, of a grid at multiples of 100 000.
     fn deadlines(estimates: &[Estimate], flight: &FlightRecorder) -> Vec<i64> {
         let (mut writer, reader) = latest(1, Estimate::default);
         let mut follow = Follow::new(reader, Nanos::ZERO);
@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn only_a_locked_clock_is_followed_and_a_lost_one_kept() {
+    fn follow_requires_lock_and_keeps_lost_clock() {
         let flight = FlightRecorder::new(8);
         let far = i64::MAX;
         let found = deadlines(
@@ -115,12 +115,12 @@ mod tests {
             found,
             [100_000, 200_000, 299_900, 399_900, 499_800, 599_800]
         );
-        let notes: Vec<_> = flight.entries().map(|entry| entry.what).collect();
+        let notes: Vec<_> = flight.entries().map(|entry| entry.event).collect();
         assert_eq!(notes, ["jump", "locked", "jump", "holdover", "unlocked"]);
     }
 
     #[test]
-    fn phase_errors_are_told_while_the_clock_is_known() {
+    fn follow_reports_phase_error_of_known_clock() {
         let (mut writer, reader) = latest(1, Estimate::default);
         let mut follow = Follow::new(reader, Nanos(30));
         let mut grid = Grid::new(Nanos::ZERO, Duration::from_nanos(1_000));

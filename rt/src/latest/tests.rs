@@ -1,4 +1,4 @@
-//! One thread plays all parts here; the interleavings are explored in `tests/loom.rs`.
+//! Single-threaded tests; `tests/loom.rs` explores the interleavings.
 
 use std::{
     panic::{AssertUnwindSafe, catch_unwind},
@@ -11,7 +11,7 @@ use std::{
 use super::{ONE_READ, latest};
 
 #[test]
-fn holds_the_made_value_until_the_first_write() {
+fn cell_holds_initial_value_until_first_write() {
     let (mut writer, mut reader) = latest(1, || 7);
     assert_eq!((reader.version(), reader.read()), (0, 7));
     writer.write(8);
@@ -20,7 +20,7 @@ fn holds_the_made_value_until_the_first_write() {
 }
 
 #[test]
-fn the_writer_goes_on_while_every_reader_sits_in_a_slot() {
+fn cell_writer_continues_with_all_readers_busy() {
     let (mut writer, mut first) = latest(2, || 0);
     let mut second = first.another().unwrap();
     writer.write(1);
@@ -37,7 +37,7 @@ fn the_writer_goes_on_while_every_reader_sits_in_a_slot() {
 }
 
 #[test]
-fn handles_are_limited_and_come_back() {
+fn cell_handles_are_limited_and_reusable() {
     let (_writer, reader) = latest(2, || 0);
     let second = reader.another().unwrap();
     assert!(reader.another().is_none());
@@ -46,7 +46,7 @@ fn handles_are_limited_and_come_back() {
 }
 
 #[test]
-fn a_cell_for_no_reader_has_one() {
+fn cell_for_zero_readers_has_one() {
     let (mut writer, mut reader) = latest(0, || 0);
     writer.write(1);
     assert_eq!(reader.read(), 1);
@@ -54,7 +54,7 @@ fn a_cell_for_no_reader_has_one() {
 }
 
 #[test]
-fn a_panicking_reader_gives_its_slot_back() {
+fn cell_panicking_reader_releases_slot() {
     let (mut writer, mut reader) = latest(1, || 0);
     for value in 1..10 {
         writer.write(value);
@@ -65,7 +65,7 @@ fn a_panicking_reader_gives_its_slot_back() {
 }
 
 #[test]
-fn a_panicking_writer_publishes_nothing() {
+fn cell_panicking_writer_publishes_nothing() {
     let (mut writer, mut reader) = latest(1, || (0, 0));
     writer.write((1, 1));
     let write = AssertUnwindSafe(|| {
@@ -81,7 +81,7 @@ fn a_panicking_writer_publishes_nothing() {
 }
 
 #[test]
-fn counts_wrap_together() {
+fn cell_counts_wrap_together() {
     let (mut writer, mut reader) = latest(1, || 0);
     // As if slot 0 had been read 2^48 - 1 times since it was published.
     let almost = 0_u64.wrapping_sub(ONE_READ);
@@ -98,7 +98,7 @@ fn counts_wrap_together() {
 }
 
 #[test]
-fn values_with_drop_glue_are_dropped_once_each() {
+fn cell_values_are_dropped_once() {
     let token = Arc::new(());
     let (mut writer, mut reader) = latest(3, || Arc::clone(&token));
     assert_eq!(Arc::strong_count(&token), 6);
@@ -109,9 +109,9 @@ fn values_with_drop_glue_are_dropped_once_each() {
     assert_eq!(Arc::strong_count(&token), 1);
 }
 
-/// The model checker sees few steps exactly; this sees many by chance.
+/// The model checker explores few steps exactly; this runs many at random.
 #[test]
-fn readers_in_threads_never_see_a_torn_or_older_value() {
+fn cell_readers_never_see_torn_or_older_values() {
     const WORDS: usize = 64;
     let (mut writer, reader) = latest(2, || [0_u64; WORDS]);
     let readers = [reader.another().unwrap(), reader];

@@ -1,11 +1,11 @@
-//! The one clock and the one sleep of the crate.
+//! The only clock and the only sleep of the crate.
 //!
-//! Not wall-clock time: that one is stepped by administrators and time servers.
+//! Not wall-clock time, which administrators and time servers step.
 //!
-//! Both are inlined into the loop that calls them, and call the C library themselves. Between two cycles a busy host
-//! takes caches and address translations away; each further page of code between waking and reading the
-//! clock then costs up to a microsecond.
-#![expect(unsafe_code, reason = "the safe forms lie in other pages of code")]
+//! Both are inlined into the calling loop and call the C library directly. Between two cycles a busy host
+//! evicts caches and address translations; each further page of code between waking and reading the clock
+//! then costs up to a microsecond.
+#![expect(unsafe_code, reason = "the safe wrappers lie in other pages of code")]
 
 use std::{io, ptr};
 
@@ -15,7 +15,7 @@ use crate::Nanos;
 
 const NANOS_PER_SECOND: i64 = 1_000_000_000;
 
-/// Now, on `CLOCK_MONOTONIC`. No system call on common hosts (vDSO), no allocation.
+/// Current time of `CLOCK_MONOTONIC`. No system call on common hosts (vDSO), no allocation.
 ///
 /// # Panics
 /// Never on Linux, where this clock always exists.
@@ -32,14 +32,14 @@ pub fn monotonic() -> Nanos {
     Nanos(now.tv_sec * NANOS_PER_SECOND + now.tv_nsec)
 }
 
-/// Sleeps until `deadline` on `CLOCK_MONOTONIC`; signals do not shorten it. A past deadline still
-/// costs a system call of up to 20 µs: who knows the time should not call then.
+/// Sleeps until `deadline` on `CLOCK_MONOTONIC`; signals do not shorten it. A past deadline still costs a
+/// system call of up to 20 µs: a caller that knows the time should not call then.
 ///
-/// An absolute `clock_nanosleep`, because its timer is the one that PREEMPT_RT serves in hard interrupt
-/// context for real-time threads; a timerfd would wait for a kernel thread.
+/// It uses an absolute `clock_nanosleep`, whose timer PREEMPT_RT handles in hard interrupt context for
+/// real-time threads; a timerfd would wait for a kernel thread.
 ///
 /// # Errors
-/// If the kernel refuses the call, which only a system call filter brings about.
+/// If the kernel rejects the call, which only a system call filter does.
 #[inline]
 pub fn sleep_until(deadline: Nanos) -> io::Result<()> {
     let deadline = deadline.max(Nanos::ZERO);
@@ -48,8 +48,8 @@ pub fn sleep_until(deadline: Nanos) -> io::Result<()> {
         tv_nsec: deadline.0 % NANOS_PER_SECOND,
     };
     loop {
-        // SAFETY: `request` is a valid timespec, nanoseconds below a second; nothing is to be written for
-        // an absolute time, so the null pointer is as it should be.
+        // SAFETY: `request` is a valid timespec, nanoseconds below a second; with an absolute time nothing
+        // is written, so the null pointer is allowed.
         let status = unsafe {
             libc::clock_nanosleep(
                 libc::CLOCK_MONOTONIC,
@@ -58,7 +58,7 @@ pub fn sleep_until(deadline: Nanos) -> io::Result<()> {
                 ptr::null_mut(),
             )
         };
-        // The error is this call's value; errno is not set.
+        // The call returns the error; errno is not set.
         match status {
             0 => return Ok(()),
             libc::EINTR => {}
@@ -72,7 +72,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sleeps_to_the_deadline_and_not_for_a_span() {
+    fn sleep_until_uses_absolute_deadline() {
         let deadline = monotonic() + Nanos::from_micros(200);
         sleep_until(deadline).unwrap();
         assert!(monotonic() >= deadline);

@@ -1,9 +1,9 @@
-//! What a network adapter is set to and able to: interrupt coalescing, receive offloads, energy saving, flow
-//! control, time stamping. Latency on a field bus is decided here as much as in the scheduler, and
-//! sysfs shows none of it.
+//! Settings and capabilities of a network adapter: interrupt coalescing, receive offloads, energy saving,
+//! flow control, time stamping. They affect latency on a field bus as much as the scheduler does, and
+//! sysfs shows none of them.
 //!
-//! It reads and never sets: an adapter that is reconfigured may drop its link, which is for a person to decide.
-#![expect(unsafe_code, reason = "the ioctl SIOCETHTOOL has no safe form")]
+//! It never changes settings: a reconfigured adapter may drop its link, so that decision is the user's.
+#![expect(unsafe_code, reason = "the ioctl SIOCETHTOOL has no safe wrapper")]
 
 use std::{
     ffi::c_char,
@@ -16,7 +16,7 @@ use nix::{
     sys::socket::{AddressFamily, SockFlag, SockType, socket},
 };
 
-/// Commands of `linux/ethtool.h`; each answers with a structure of 32-bit words that begins with it.
+/// Commands of `linux/ethtool.h`; each answer is a structure of 32-bit words that begins with the command.
 mod command {
     pub(super) const COALESCING: u32 = 0x0e;
     pub(super) const PAUSE: u32 = 0x12;
@@ -26,21 +26,20 @@ mod command {
     pub(super) const EEE: u32 = 0x44;
 }
 
-/// The bit of the flags' answer that is large receive offload.
+/// Bit of large receive offload in the answer of the flags.
 const FLAG_LRO: u32 = 1 << 15;
 
-/// 32-bit words of room for an answer. The longest of the commands above, coalescing, has 23.
+/// Size of an answer in 32-bit words. The longest of the commands above, coalescing, needs 23.
 const WORDS: usize = 64;
 
-/// One network interface that can be asked. Each question is a system call, and a driver refuses what it
-/// does not know (`EOPNOTSUPP`).
+/// One network interface. Each query is a system call; drivers reject unsupported ones (`EOPNOTSUPP`).
 #[derive(Debug)]
 pub struct Ethtool {
     socket: OwnedFd,
     name: [c_char; libc::IFNAMSIZ],
 }
 
-/// How long and for how many frames the adapter holds back an interrupt.
+/// Interrupt coalescing: delay and number of frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Coalescing {
     /// Longest delay after a received frame, in µs; 0 for none.
@@ -49,36 +48,36 @@ pub struct Coalescing {
     pub rx_frames: u32,
     /// Longest delay after a sent frame, in µs; 0 for none.
     pub tx_usecs: u32,
-    /// Whether the driver changes the values for reception by itself.
+    /// Whether the driver adapts the values for reception.
     pub adaptive_rx: bool,
-    /// Whether the driver changes the values for sending by itself.
+    /// Whether the driver adapts the values for transmission.
     pub adaptive_tx: bool,
 }
 
 /// Energy-efficient Ethernet (IEEE 802.3az): the link sleeps between frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct EnergyEfficient {
-    /// Switched on here.
+    /// Enabled on this host.
     pub enabled: bool,
-    /// In use, since the other end has it too.
+    /// Active: the link partner supports it too.
     pub active: bool,
 }
 
-/// Flow control (IEEE 802.3x): who sends pause frames, who obeys them.
+/// Flow control (IEEE 802.3x): sending and honouring pause frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Pause {
-    /// Obeys pause frames of the other end.
+    /// Honours received pause frames.
     pub rx: bool,
     /// Sends pause frames.
     pub tx: bool,
 }
 
-/// Which time stamps `SO_TIMESTAMPING` can give.
+/// Time stamps available by `SO_TIMESTAMPING`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TimeStamping {
-    /// By the kernel, when a frame has been handed to the adapter.
+    /// By the kernel, when it passes a frame to the adapter.
     pub software_transmit: bool,
-    /// By the kernel, when a frame has come.
+    /// By the kernel, on reception of a frame.
     pub software_receive: bool,
     /// By the adapter, on the wire.
     pub hardware_transmit: bool,
@@ -89,10 +88,10 @@ pub struct TimeStamping {
 }
 
 impl Ethtool {
-    /// Prepares to ask the interface of that name; whether it exists the first question tells.
+    /// Opens a query socket for an interface; the first query shows whether the interface exists.
     ///
     /// # Errors
-    /// If the name is longer than 15 bytes or holds a zero, or no socket is to be had.
+    /// If the name is longer than 15 bytes or contains a zero byte, or no socket can be opened.
     pub fn open(interface: &str) -> io::Result<Self> {
         let bytes = interface.as_bytes();
         if bytes.len() >= libc::IFNAMSIZ || bytes.contains(&0) {
@@ -110,7 +109,7 @@ impl Ethtool {
     /// Interrupt coalescing.
     ///
     /// # Errors
-    /// As the driver says.
+    /// The driver's error.
     pub fn coalescing(&self) -> io::Result<Coalescing> {
         let words = self.ask(command::COALESCING)?;
         Ok(Coalescing {
@@ -125,7 +124,7 @@ impl Ethtool {
     /// Generic receive offload: whether the kernel merges frames before a program sees them.
     ///
     /// # Errors
-    /// As the driver says.
+    /// The driver's error.
     pub fn generic_receive_offload(&self) -> io::Result<bool> {
         Ok(self.ask(command::GRO)?[1] != 0)
     }
@@ -133,7 +132,7 @@ impl Ethtool {
     /// Large receive offload: whether the adapter merges frames.
     ///
     /// # Errors
-    /// As the driver says.
+    /// The driver's error.
     pub fn large_receive_offload(&self) -> io::Result<bool> {
         Ok(self.ask(command::FLAGS)?[1] & FLAG_LRO != 0)
     }
@@ -141,7 +140,7 @@ impl Ethtool {
     /// Energy-efficient Ethernet.
     ///
     /// # Errors
-    /// As the driver says.
+    /// The driver's error.
     pub fn energy_efficient(&self) -> io::Result<EnergyEfficient> {
         let words = self.ask(command::EEE)?;
         Ok(EnergyEfficient {
@@ -153,7 +152,7 @@ impl Ethtool {
     /// Flow control.
     ///
     /// # Errors
-    /// As the driver says.
+    /// The driver's error.
     pub fn pause(&self) -> io::Result<Pause> {
         let words = self.ask(command::PAUSE)?;
         Ok(Pause {
@@ -162,10 +161,10 @@ impl Ethtool {
         })
     }
 
-    /// What time stamps there are.
+    /// Available time stamps.
     ///
     /// # Errors
-    /// As the kernel says.
+    /// The kernel's error.
     pub fn time_stamping(&self) -> io::Result<TimeStamping> {
         Ok(time_stamping(&self.ask(command::TIME_STAMPING)?))
     }
@@ -179,8 +178,8 @@ impl Ethtool {
                 ifru_data: words.as_mut_ptr().cast::<c_char>(),
             },
         };
-        // SAFETY: the request is live and names a live buffer; the kernel writes the answer of a command at
-        // its fixed length, which for those of `command` is below that of `words`.
+        // SAFETY: the request is live and refers to a live buffer; the kernel writes the answer of a
+        // command at its fixed length, which for all of `command` is below that of `words`.
         let status =
             unsafe { libc::ioctl(self.socket.as_raw_fd(), libc::SIOCETHTOOL, &raw mut request) };
         Errno::result(status)?;
@@ -206,14 +205,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_loopback_interface_stamps_in_software_and_has_no_clock() {
+    fn ethtool_loopback_stamps_in_software_only() {
         let stamping = Ethtool::open("lo").unwrap().time_stamping().unwrap();
         assert!(stamping.software_receive && !stamping.hardware_receive);
         assert_eq!(stamping.clock, None);
     }
 
     #[test]
-    fn what_is_not_there_is_an_error() {
+    fn ethtool_missing_interface_is_an_error() {
         let nowhere = Ethtool::open("nowhere0").unwrap();
         let error = nowhere.coalescing().unwrap_err();
         assert_eq!(error.raw_os_error(), Some(libc::ENODEV));
@@ -222,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn an_adapter_with_a_clock_is_read_as_such() {
+    fn ethtool_adapter_clock_is_read() {
         let mut words = [0; WORDS];
         words[1] = libc::SOF_TIMESTAMPING_TX_HARDWARE | libc::SOF_TIMESTAMPING_RX_HARDWARE;
         let stamping = time_stamping(&words);

@@ -1,7 +1,7 @@
-//! Page faults of threads while they are real-time, counted by the kernel and read from outside, so that a
-//! cycle need not ask. A fault there means memory that was not resident when the cycles began.
+//! Page faults of threads while they are real-time, counted by the kernel and read by other threads, so
+//! that a cycle needs no query. A fault there means memory that was not resident when the cycles began.
 //!
-//! It cannot say what was touched; `perf trace -F all` can.
+//! It does not report the address; `perf trace -F all` does.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -10,16 +10,16 @@ use super::usage::thread_usage;
 /// Page faults by kind.
 #[derive(Debug, Default, Clone, Copy, PartialEq, Eq)]
 pub struct PageFaults {
-    /// Served without the disk.
+    /// Resolved without disk access.
     pub minor: u64,
-    /// Waited for the disk.
+    /// Resolved with disk access.
     pub major: u64,
 }
 
 impl PageFaults {
     const NONE: Self = Self { minor: 0, major: 0 };
 
-    /// Of both kinds.
+    /// Sum of both kinds.
     #[must_use]
     pub const fn all(self) -> u64 {
         self.minor + self.major
@@ -54,14 +54,14 @@ impl PageFaults {
         }
     }
 
-    /// Those of a thread of this process; `None` once it is gone.
+    /// Page faults of a thread of this process; `None` once it has ended.
     fn of_thread(id: u32) -> Option<Self> {
         let stat = std::fs::read_to_string(format!("/proc/self/task/{id}/stat"));
         in_stat(&stat.ok()?)
     }
 }
 
-/// The counts in the text of a thread's `stat` (proc(5)): minflt is the eighth field behind the name in
+/// Counts in the text of a thread's `stat` (proc(5)): minflt is the eighth field after the name in
 /// brackets, majflt the tenth.
 fn in_stat(stat: &str) -> Option<PageFaults> {
     let (_, fields) = stat.rsplit_once(')')?;
@@ -71,21 +71,20 @@ fn in_stat(stat: &str) -> Option<PageFaults> {
     Some(PageFaults { minor, major })
 }
 
-/// The threads that are real-time now, each with its faults when that began, and the faults of those that
-/// were.
+/// The threads that are real-time now, each with its faults at that start, and the faults of those that were.
 #[derive(Default)]
 struct Table {
     running: Vec<(u32, PageFaults)>,
     over: PageFaults,
-    /// What was told last. A thread that ends while it is asked for its faults is missed that time.
-    told: PageFaults,
+    /// Last reported sum. A thread that ends during the query is missed that time.
+    reported: PageFaults,
 }
 
 impl Table {
     const NEW: Self = Self {
         running: Vec::new(),
         over: PageFaults::NONE,
-        told: PageFaults::NONE,
+        reported: PageFaults::NONE,
     };
 }
 
@@ -95,7 +94,7 @@ fn table() -> MutexGuard<'static, Table> {
     TABLE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Counts the calling thread's faults from now on. Allocates and locks: for the set-up.
+/// Counts the calling thread's faults from now on. Allocates and locks: for set-up only.
 pub(crate) fn begin() {
     let thread = nix::unistd::gettid().as_raw().unsigned_abs();
     let mut table = table();
@@ -103,7 +102,7 @@ pub(crate) fn begin() {
     table.running.push((thread, PageFaults::of_this_thread()));
 }
 
-/// Ends that.
+/// Stops counting the calling thread's faults.
 pub(crate) fn end() {
     let now = PageFaults::of_this_thread();
     let thread = nix::unistd::gettid().as_raw().unsigned_abs();
@@ -115,8 +114,8 @@ pub(crate) fn end() {
     table.over = table.over.plus(now.since(before));
 }
 
-/// Page faults of all threads of this process while they were real-time, up to now. Reads a file for each
-/// that is, while none of them has to wait for it; not for the real-time path.
+/// Page faults of all threads of this process while they were real-time, up to now. Reads a file per
+/// real-time thread, without blocking any of them; not for the real-time path.
 pub fn real_time_page_faults() -> PageFaults {
     let running = table().running.clone();
     let since = |(id, before): &(u32, PageFaults)| {
@@ -124,12 +123,12 @@ pub fn real_time_page_faults() -> PageFaults {
     };
     let read: Vec<_> = running.iter().map(since).collect();
     let mut table = table();
-    // One that ended meanwhile is counted in `over` by now.
+    // A thread that ended meanwhile is already counted in `over`.
     let still = running.iter().zip(read);
     let still = still.filter(|(entry, _)| table.running.contains(entry));
     let sum = still.fold(table.over, |sum, (_, faults)| sum.plus(faults));
-    table.told = table.told.at_least(sum);
-    table.told
+    table.reported = table.reported.at_least(sum);
+    table.reported
 }
 
 #[cfg(test)]
@@ -137,7 +136,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_fields_are_found_behind_any_name() {
+    fn page_fault_fields_found_after_any_name() {
         let stat = "12 (a ) b) S 1 2 3 4 5 6 70 80 9 100 11";
         let faults = PageFaults {
             minor: 70,
@@ -149,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn fresh_memory_counts_while_the_scope_lasts_and_stays_counted() {
+    fn page_faults_count_within_scope_only() {
         let scope = crate::alloc::enter_real_time();
         let before = real_time_page_faults().all();
         let pages = std::hint::black_box(vec![1_u8; 4 << 20]);

@@ -1,8 +1,6 @@
-//! Everything that asks the kernel for something: clocks, sleep, scheduler, memory, the last words of
-//! a run.
+//! All calls to the kernel: clocks, sleep, scheduler, memory, the last line before an abort.
 //!
-//! It decides no policy: what to ask for, and what to say when it is refused, stands in `host` and
-//! `thread`.
+//! It makes no policy: `host` and `thread` decide what to request and how to report refusals.
 
 pub(crate) mod clock;
 pub mod ethtool;

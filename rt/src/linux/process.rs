@@ -1,6 +1,6 @@
-//! The thread's name and the process's end, for a caller that must not allocate, lock or return.
+//! The thread's name and the process's end, for callers that must not allocate, lock or return.
 //!
-//! It runs no exit handlers: after an allocation was refused there is no telling what they would do.
+//! It runs no exit handlers: they might allocate.
 #![expect(
     unsafe_code,
     reason = "prctl, write and _exit for use inside an allocator"
@@ -8,7 +8,7 @@
 
 use std::ffi::c_char;
 
-/// The calling thread's name as the kernel has it: up to 15 bytes, then zeros.
+/// The calling thread's name in the kernel: up to 15 bytes, then zeros.
 pub(crate) fn thread_name() -> [u8; 16] {
     let mut name = [0_u8; 16];
     // SAFETY: this operation writes at most 16 bytes, which `name` has.

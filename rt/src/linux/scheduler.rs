@@ -1,9 +1,9 @@
-//! Where and how urgently a thread runs.
+//! Policy, priority and affinity of a thread.
 //!
-//! No rlimit is read: only trying tells, since capabilities, cgroups and system call filters decide too.
+//! It reads no rlimit: capabilities, cgroups and system call filters matter too, so only an attempt shows.
 #![expect(
     unsafe_code,
-    reason = "sched_setscheduler and prctl have no safe form in nix"
+    reason = "sched_setscheduler and prctl have no safe wrapper in nix"
 )]
 
 use std::fs;
@@ -14,7 +14,7 @@ use nix::{
     unistd::Pid,
 };
 
-/// Puts the calling thread under `SCHED_FIFO`. Threads it creates later start out ordinary.
+/// Sets `SCHED_FIFO` for the calling thread. Threads it creates later start as ordinary ones.
 pub(crate) fn set_fifo(priority: u8) -> Result<(), Errno> {
     let parameters = libc::sched_param {
         sched_priority: i32::from(priority),
@@ -24,7 +24,7 @@ pub(crate) fn set_fifo(priority: u8) -> Result<(), Errno> {
     Errno::result(unsafe { libc::sched_setscheduler(0, policy, &raw const parameters) }).map(drop)
 }
 
-/// Lets the calling thread run on `cpus` only.
+/// Restricts the calling thread to `cpus`.
 pub(crate) fn set_affinity(cpus: &[usize]) -> Result<(), Errno> {
     let mut set = CpuSet::new();
     for &cpu in cpus {
@@ -33,15 +33,15 @@ pub(crate) fn set_affinity(cpus: &[usize]) -> Result<(), Errno> {
     sched_setaffinity(Pid::from_raw(0), &set)
 }
 
-/// Sets by how much the kernel may delay this thread's sleeps, and those of threads it creates later,
-/// to save wake-ups. Real-time policies have none.
+/// Sets the timer slack: how long the kernel may delay sleeps of this thread and of threads it creates
+/// later to save wake-ups. Real-time policies have none.
 pub(crate) fn set_timer_slack(slack_ns: libc::c_ulong) -> Result<(), Errno> {
     // SAFETY: this operation takes an integer and no pointer.
     Errno::result(unsafe { libc::prctl(libc::PR_SET_TIMERSLACK, slack_ns) }).map(drop)
 }
 
-/// Whether this process seems to have the right that `set_fifo` needs, so that a refusal has another
-/// cause. A hint for the remedy's text only.
+/// Whether this process seems to have the right for `set_fifo`, so that a refusal has another cause. Used
+/// in the remedy's text only.
 pub(crate) fn has_cap_sys_nice() -> bool {
     fs::read_to_string("/proc/thread-self/status")
         .is_ok_and(|status| has_capability(&status, CAP_SYS_NICE))
@@ -60,7 +60,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn capabilities_are_read_from_the_status_text() {
+    fn capability_is_read_from_status_text() {
         let status = "Name:\tx\nCapPrm:\tffffffffffffffff\nCapEff:\t0000000000800000\n";
         assert!(has_capability(status, CAP_SYS_NICE));
         assert!(!has_capability(status, 14));
@@ -69,7 +69,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cpu_that_cannot_be_is_an_error() {
+    fn affinity_impossible_cpu_is_an_error() {
         assert_eq!(set_affinity(&[usize::MAX]), Err(Errno::EINVAL));
     }
 }

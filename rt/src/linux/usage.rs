@@ -1,25 +1,25 @@
-//! What the kernel counted for one thread: page faults and context switches. Flat counters over a run
-//! are the field's proof that memory was resident and that nobody took the processor away.
+//! The kernel's counters of one thread: page faults and context switches. Constant counters over a run
+//! show that memory was resident and that no other thread preempted this one.
 //!
-//! It names no cause and judges nothing; a cycle that calls it makes a system call.
+//! It gives no cause; each query is a system call.
 
 use nix::sys::resource::{UsageWho, getrusage};
 
 /// Counts since the start of a thread, or between two readings of it.
 #[derive(Debug, Default, Clone, Copy, PartialEq, Eq)]
 pub struct Usage {
-    /// Page faults served without the disk.
+    /// Page faults resolved without disk access.
     pub page_faults_minor: u64,
-    /// Page faults that waited for the disk.
+    /// Page faults resolved with disk access.
     pub page_faults_major: u64,
-    /// How often the thread went to sleep or waited.
+    /// Number of times the thread slept or waited.
     pub context_switches_voluntary: u64,
-    /// How often it was taken off its processor.
+    /// Number of times the thread was preempted.
     pub context_switches_involuntary: u64,
 }
 
 impl Usage {
-    /// What was added since `earlier`.
+    /// Difference since `earlier`.
     #[must_use]
     pub fn since(&self, earlier: &Self) -> Self {
         let difference = |count: fn(&Self) -> u64| count(self).saturating_sub(count(earlier));
@@ -32,8 +32,8 @@ impl Usage {
     }
 }
 
-/// The counts of the calling thread. A system call; all zero should the kernel refuse it, which only
-/// a system call filter brings about.
+/// The counters of the calling thread. A system call; all zero if the kernel rejects it, which only a
+/// system call filter does.
 #[must_use]
 pub fn thread_usage() -> Usage {
     let Ok(usage) = getrusage(UsageWho::RUSAGE_THREAD) else {
@@ -53,7 +53,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn fresh_memory_and_a_sleep_are_counted() {
+    fn usage_counts_fresh_memory_and_sleep() {
         let before = thread_usage();
         let pages = std::hint::black_box(vec![1_u8; 1 << 20]);
         let deadline = crate::monotonic() + crate::Nanos::from_millis(20);

@@ -1,4 +1,4 @@
-//! What a servo is told once, in the units of people; and the same in those of the arithmetic.
+//! Settings of a servo in engineering units, and their internal form.
 //!
 //! It has no gains: they follow from the memory (theory in [`servo`](super)).
 
@@ -6,25 +6,25 @@ use std::time::Duration;
 
 use crate::Nanos;
 
-/// How a servo is to work. [`ServoConfig::new`] fits all to the time between samples; few need more.
+/// Settings of a servo. [`ServoConfig::new`] derives all from the time between samples; few programs need
+/// more.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ServoConfig {
     /// Time between two samples when none is lost.
     pub period: Duration,
-    /// Samples it remembers, 32 to 65,536; other numbers are taken as the nearer bound. Four times as many
-    /// halve the noise that gets through and quadruple the time to follow a change of rate.
+    /// Number of samples it remembers, clamped to 32..=65,536. Four times as many halve the noise and
+    /// quadruple the time to follow a change of rate.
     pub memory: u32,
-    /// Largest difference of rates that it believes, ppb.
+    /// Largest accepted difference of rates, ppb.
     pub drift_max_ppb: u32,
-    /// How much faster or slower than its rate its clock may run to make good an error once it is locked,
-    /// ppb.
+    /// Largest rate change of its clock while it slews an error once it is locked, ppb.
     pub slew_max_ppb: u32,
-    /// Steps of the remote clock above this are stepped after, smaller ones slewed.
+    /// Larger steps of the remote clock are stepped, smaller ones slewed.
     pub step_above: Nanos,
-    /// Least mean deviation of samples it assumes, so that a quiet second does not make outliers of all
-    /// that follows.
+    /// Lower bound of the mean deviation of samples, so that a quiet second does not turn all later
+    /// samples into outliers.
     pub noise_min: Nanos,
-    /// Smoothed error within which it is stable.
+    /// Smoothed error up to which it is stable.
     pub stable_within: Nanos,
     /// Uncertainty (three standard deviations) up to which it is locked, and at which holdover ends.
     pub uncertainty_max: Nanos,
@@ -49,7 +49,7 @@ impl ServoConfig {
     }
 }
 
-/// The same, checked, in ns and as ratios.
+/// The settings, checked, in ns and as ratios.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Bounds {
     pub(super) period: Nanos,
@@ -77,7 +77,7 @@ impl Bounds {
     }
 }
 
-/// At most 0.4: a clock that may stand still is none.
+/// At most 0.4: a larger value would permit a clock that nearly stops.
 fn ratio(ppb: u32) -> f64 {
     (f64::from(ppb) * 1e-9).min(0.4)
 }

@@ -1,30 +1,30 @@
-//! A servo's clock as a plain value: small enough to be handed from the thread that measures to those
-//! that follow, by a [`latest`](crate::latest) cell, every cycle.
+//! A servo's clock as a plain value: small enough to be passed every cycle from the measuring thread to
+//! its followers, by a [`latest`](crate::latest) cell.
 //!
-//! It does not change by itself; that its maker has gone silent shows by its end.
+//! It does not change by itself; followers detect the silence of its source by `expires`.
 
 use std::fmt;
 
 use crate::Nanos;
 
-/// How well a servo follows; the diagram stands in [`servo`](super).
+/// State of a servo; [`servo`](super) has the diagram.
 #[derive(Debug, Default, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum State {
     /// No clock to follow.
     #[default]
     Unlocked,
-    /// The clock was set, and is not yet sure.
+    /// The clock was set, and is still uncertain.
     Jump,
-    /// It is followed.
+    /// The clock is followed.
     Locked,
-    /// It is followed, and errors have been small for a while.
+    /// The clock is followed, and errors have been small for a while.
     Stable,
-    /// Samples stopped; the last rate is kept while it can be trusted.
+    /// Samples stopped; the last rate is kept while its uncertainty is within the bound.
     Holdover,
 }
 
 impl State {
-    /// Its name, as shown to people.
+    /// Display name.
     pub const fn as_str(self) -> &'static str {
         match self {
             Self::Unlocked => "unlocked",
@@ -50,42 +50,41 @@ impl fmt::Display for State {
     }
 }
 
-/// How a remote clock runs, as a line over the local one. The default is that of nobody. Displays as one
-/// line.
+/// A remote clock as a line over the local one. The default is unlocked. Displays as one line.
 #[derive(Debug, Default, Clone, Copy, PartialEq)]
 pub struct Estimate {
-    /// How well it is known.
+    /// State of the servo.
     pub state: State,
     /// An instant of the local clock.
     pub local: Nanos,
-    /// What the remote clock shows then.
+    /// Remote time at that instant.
     pub remote: Nanos,
-    /// How much faster than the local clock it runs, ppb.
+    /// Frequency offset from the local clock, ppb.
     pub frequency_ppb: f64,
-    /// How far off `remote` may be: three standard deviations, and what is being slewed.
+    /// Uncertainty of `remote`: three standard deviations, and the phase being slewed.
     pub uncertainty: Nanos,
-    /// How fast that grows while no samples come, ppb of the time since `local`.
+    /// Growth of the uncertainty while no samples arrive, ppb of the time since `local`.
     pub uncertainty_ppb: f64,
-    /// From this local instant on it is too old to rely on.
+    /// Local time from which it is too old to rely on.
     pub expires: Nanos,
 }
 
 impl Estimate {
-    /// What the remote clock shows at `local`.
+    /// Remote time at `local`.
     pub fn remote_at(&self, local: Nanos) -> Nanos {
         let span = local - self.local;
         self.remote + span + Nanos::from_f64(span.to_f64() * self.frequency_ppb * 1e-9)
     }
 
-    /// When the remote clock shows `remote`.
+    /// Local time at which the remote clock shows `remote`.
     pub fn local_at(&self, remote: Nanos) -> Nanos {
         let span = remote - self.remote;
         let rate = self.frequency_ppb * 1e-9;
         self.local + span - Nanos::from_f64(span.to_f64() * rate / (1.0 + rate))
     }
 
-    /// By how much `local` lies behind the nearest instant at which the remote clock shows
-    /// `n · period + phase`: from minus half a period (not included) to half a period.
+    /// Delay of `local` after the nearest instant at which the remote clock shows `n · period + phase`:
+    /// from minus half a period (exclusive) to half a period.
     pub fn phase_error(&self, local: Nanos, period: Nanos, phase: Nanos) -> Nanos {
         let period = period.0.max(1);
         let behind = (self.remote_at(local) - phase).0.rem_euclid(period);
@@ -96,7 +95,7 @@ impl Estimate {
         }
     }
 
-    /// How far off it may be at `local`, if no sample has come since.
+    /// Uncertainty at `local`, if no sample has arrived since.
     pub fn uncertainty_at(&self, local: Nanos) -> Nanos {
         let span = (local - self.local).to_f64().max(0.0);
         self.uncertainty + Nanos::from_f64(span * self.uncertainty_ppb * 1e-9)
@@ -143,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn the_line_and_its_inverse() {
+    fn estimate_remote_and_local_are_inverse() {
         let fast = line(100_000.0);
         assert_eq!(fast.remote_at(Nanos(1_000_000)), Nanos(5_000_000));
         assert_eq!(fast.remote_at(Nanos(11_000_000)), Nanos(15_001_000));
@@ -152,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn phase_errors_fold_to_the_nearest() {
+    fn estimate_phase_error_folds_to_nearest() {
         let steady = line(0.0);
         let period = Nanos(1_000);
         for (local, phase, error) in [
@@ -171,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn uncertainty_grows_and_the_estimate_ends() {
+    fn estimate_uncertainty_grows_until_expiry() {
         let line = line(0.0);
         assert_eq!(line.uncertainty_at(Nanos::ZERO), Nanos(100));
         assert_eq!(line.uncertainty_at(Nanos(1_001_000_000)), Nanos(1_100));
@@ -187,14 +186,14 @@ mod tests {
 
     proptest! {
         #[test]
-        fn there_and_back_again(ppb in -500_000.0..500_000.0_f64, local in -1_000_000_000_000..1_000_000_000_000_i64) {
+        fn estimate_roundtrip(ppb in -500_000.0..500_000.0_f64, local in -1_000_000_000_000..1_000_000_000_000_i64) {
             let line = line(ppb);
             let back = line.local_at(line.remote_at(Nanos(local)));
             prop_assert!((back - Nanos(local)).abs() <= Nanos(2));
         }
 
         #[test]
-        fn absurd_times_do_no_harm(local: i64, period: i64, phase: i64) {
+        fn estimate_extreme_times_do_not_panic(local: i64, period: i64, phase: i64) {
             let error = line(1e5).phase_error(Nanos(local), Nanos(period), Nanos(phase));
             prop_assert!(error.abs().0 <= period.max(1) / 2);
         }

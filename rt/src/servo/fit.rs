@@ -1,37 +1,37 @@
-//! A line through few samples of which some may be wrong, by medians: the first line of a servo, and the
-//! proof that outliers are a step.
+//! A robust line through few samples, by medians: the first line of a servo, and the proof that outliers
+//! are a step.
 //!
-//! No least squares: one late datagram among sixteen would turn that line by more than the noise of all
-//! others. The median of all pairwise slopes stands four such.
+//! Not least squares: one late datagram among sixteen would turn that line by more than the noise of all
+//! others. The median of all pairwise slopes tolerates four.
 
 /// Samples in a window.
 pub(super) const WINDOW: usize = 16;
 const PAIRS: usize = WINDOW * (WINDOW - 1) / 2;
 
-/// The samples until there are enough, as (ns since some instant, error in ns).
+/// Samples of an incomplete window, as (ns since some instant, error in ns).
 #[derive(Debug, Default, Clone)]
 pub(super) struct Window {
     samples: [(f64, f64); WINDOW],
     len: usize,
 }
 
-/// What a full window shows.
+/// The line through a full window.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Fit {
-    /// Of the line.
+    /// Slope of the line.
     pub(super) slope: f64,
-    /// The line at the newest sample.
+    /// Value of the line at the newest sample.
     pub(super) last: f64,
     /// Median of the errors, ns.
     pub(super) median: f64,
-    /// Mean deviation of the errors from the line as the median tells it, ns.
+    /// Mean deviation of the errors from the line, estimated by the median, ns.
     pub(super) deviation: f64,
     /// From the oldest to the newest sample, ns.
     span: f64,
 }
 
 impl Fit {
-    /// How far noise moves a slope: mean deviation.
+    /// Mean deviation of a slope due to noise.
     pub(super) fn slope_deviation(&self) -> f64 {
         #[expect(clippy::cast_precision_loss, reason = "16")]
         let samples = WINDOW as f64;
@@ -44,7 +44,7 @@ impl Window {
         self.len = 0;
     }
 
-    /// Adds a sample, later than all before. Fits the line if that fills the window.
+    /// Adds a sample, later than all before. Returns the line if the window is full.
     pub(super) fn push(&mut self, at: f64, error: f64) -> Option<Fit> {
         let slot = self.samples.get_mut(self.len)?;
         *slot = (at, error);
@@ -63,7 +63,7 @@ impl Window {
         let newest = self.samples[WINDOW - 1].0;
         let mut heights = self.samples.map(|(x, y)| y + slope * (newest - x));
         let last = median(&mut heights);
-        // Of white noise, the mean of the deviations is 1.18 times their median.
+        // For white noise, the mean of the deviations is 1.18 times their median.
         let deviation = 1.18 * median(&mut heights.map(|height| (height - last).abs()));
         Fit {
             slope,
@@ -75,7 +75,7 @@ impl Window {
     }
 }
 
-/// Of an even number of values.
+/// Median of an even number of values.
 fn median(values: &mut [f64]) -> f64 {
     values.sort_unstable_by(f64::total_cmp);
     let middle = values.len() / 2;
@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_is_found() {
+    fn fit_finds_line() {
         let fit = fit(ramp);
         assert!((fit.slope - 1e-4).abs() < 1e-12, "{fit:?}");
         assert!((fit.last - 1550.0).abs() < 1e-6 && (fit.median - 800.0).abs() < 1e-6);
@@ -110,14 +110,14 @@ mod tests {
     }
 
     #[test]
-    fn four_wrong_ones_do_not_turn_it() {
+    fn fit_tolerates_four_outliers() {
         let fit = fit(|i| ramp(i) - if i % 4 == 3 { 5e6 } else { 0.0 });
         assert!((fit.slope - 1e-4).abs() < 1e-9, "{fit:?}");
         assert!((fit.last - 1550.0).abs() < 1.0, "{fit:?}");
     }
 
     #[test]
-    fn a_full_window_takes_no_more() {
+    fn window_full_ignores_samples() {
         let mut window = Window::default();
         for _ in 0..WINDOW {
             window.push(1.0, 1e300);

@@ -1,6 +1,6 @@
 //! The counters of one histogram, shared by one writer and any number of readers.
 //!
-//! No quantiles here: a reader fills a library histogram from the counters.
+//! No quantiles: a reader fills a library histogram from the counters.
 //!
 //! The bucket of a value: below 256 the value itself; above, its leading eight bits, which is 128
 //! buckets per power of two and a width below 1 % of the value. `hdrhistogram` with two significant
@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::add;
 
-/// Values above, 10 s in ns, are counted in the last bucket.
+/// Larger values than this, 10 s in ns, are counted in the last bucket.
 pub(super) const HIGHEST: u64 = 10_000_000_000;
 
 const BUCKETS: usize = bucket_of(HIGHEST) + 1;
@@ -32,8 +32,7 @@ fn upper_bound(bucket: usize) -> u64 {
     ((leading + 1) << shift) - 1
 }
 
-/// Counts of values in ns. Stored to by one thread, that of the [`Recorder`](super::Recorder) that owns
-/// the right to; loaded by any.
+/// Counts of values in ns. Written by one thread, the owner of the [`Recorder`](super::Recorder); read by any.
 #[derive(Debug)]
 pub(super) struct Counters {
     buckets: Box<[AtomicU64]>,
@@ -77,7 +76,7 @@ impl Counters {
         }
     }
 
-    /// Sum, least and largest of the values. Read after the buckets.
+    /// Sum, minimum and maximum of the values. Read after the buckets.
     pub(super) fn sum_min_max(&self) -> (u64, u64, u64) {
         let load = |figure: &AtomicU64| figure.load(Ordering::Relaxed);
         (load(&self.sum), load(&self.min), load(&self.max))
@@ -92,7 +91,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn buckets_are_contiguous() {
+    fn counters_buckets_are_contiguous() {
         let mut lowest = 0;
         for bucket in 0..BUCKETS {
             assert_eq!(bucket_of(lowest), bucket);
@@ -103,14 +102,14 @@ mod tests {
     }
 
     #[test]
-    fn values_beyond_the_range_fall_into_the_last_bucket() {
+    fn counters_excess_values_use_last_bucket() {
         assert_eq!(bucket_of(u64::MAX), BUCKETS - 1);
         assert_eq!(bucket_of(HIGHEST), BUCKETS - 1);
     }
 
     proptest! {
         #[test]
-        fn bounds_are_those_of_the_library(value in 0..=HIGHEST) {
+        fn counters_bounds_match_hdrhistogram(value in 0..=HIGHEST) {
             let library = Histogram::<u64>::new_with_bounds(1, HIGHEST, 2).unwrap();
             prop_assert_eq!(upper_bound(bucket_of(value)), library.highest_equivalent(value));
         }

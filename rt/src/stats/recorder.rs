@@ -1,7 +1,7 @@
-//! One histogram: written by one thread, read by others. The cycle statistics are three of them; drivers
-//! keep their own, of reply times say.
+//! One histogram, written by one thread and read by others. The cycle statistics consist of three; drivers
+//! have their own, for example of reply times.
 //!
-//! It names no unit but the nanosecond: a recorder for anything but times would mislead its readers.
+//! Its only unit is the nanosecond: a recorder of other quantities would mislead its readers.
 
 use std::{fmt, sync::Arc};
 
@@ -10,7 +10,7 @@ use hdrhistogram::Histogram;
 use super::counters::{Counters, HIGHEST};
 use crate::Nanos;
 
-/// Counts times from 1 ns to 10 s to two significant digits: wait-free, no allocation. Negative ones
+/// Counts times from 1 ns to 10 s to two significant digits: wait-free, no allocation. Negative times
 /// count as zero, longer ones as 10 s.
 #[derive(Debug)]
 pub struct Recorder {
@@ -19,10 +19,10 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// An empty one. All memory, 28 KiB, is taken here.
+    /// An empty recorder. All memory, 28 KiB, is allocated here.
     #[expect(
         clippy::new_without_default,
-        reason = "it takes memory; that should be seen"
+        reason = "it allocates; that should be visible"
     )]
     pub fn new() -> Self {
         Self {
@@ -35,7 +35,7 @@ impl Recorder {
         self.counters.count(value.0.max(0).unsigned_abs());
     }
 
-    /// A reading end; any number can exist.
+    /// A reading endpoint; any number can exist.
     pub fn reader(&self) -> RecorderReader {
         RecorderReader {
             counters: Arc::clone(&self.counters),
@@ -43,14 +43,14 @@ impl Recorder {
     }
 }
 
-/// Reads what a [`Recorder`] has counted, at any time and from any thread.
+/// Reads the counts of a [`Recorder`], at any time and from any thread.
 #[derive(Debug, Clone)]
 pub struct RecorderReader {
     counters: Arc<Counters>,
 }
 
 impl RecorderReader {
-    /// The counts as of now. Allocates; not for the real-time path.
+    /// The current counts. Allocates; not for the real-time path.
     ///
     /// # Panics
     /// Never: the bounds are constants within the library's.
@@ -80,7 +80,7 @@ pub struct Distribution {
 }
 
 impl Distribution {
-    /// Its main figures.
+    /// Its summary.
     pub fn summary(&self) -> Summary {
         let count = self.histogram.len();
         if count == 0 {
@@ -98,7 +98,7 @@ impl Distribution {
         }
     }
 
-    /// The time that a share of `quantile` (0 to 1) of all stay within, to two significant digits.
+    /// The quantile `quantile` (0 to 1), to two significant digits.
     pub fn quantile(&self, quantile: f64) -> Nanos {
         nanos(self.histogram.value_at_quantile(quantile).min(self.max))
     }
@@ -115,24 +115,24 @@ fn nanos(value: u64) -> Nanos {
     Nanos(i64::try_from(value).unwrap_or(i64::MAX))
 }
 
-/// The main figures of a distribution of times; all zero if it is empty. Displays as one line.
+/// Summary of a distribution of times; all zero if it is empty. Displays as one line.
 #[derive(Debug, Default, Clone, Copy, PartialEq, Eq)]
 pub struct Summary {
-    /// The least, exact.
+    /// Minimum, exact.
     pub min: Nanos,
-    /// The median, to two significant digits.
+    /// Median, to two significant digits.
     pub p50: Nanos,
-    /// 99 % are within this, to two significant digits.
+    /// 99th percentile, to two significant digits.
     pub p99: Nanos,
-    /// 99.9 % are within this, to two significant digits.
+    /// 99.9th percentile, to two significant digits.
     pub p999: Nanos,
-    /// The largest, exact.
+    /// Maximum, exact.
     pub max: Nanos,
-    /// The mean, rounded down to a nanosecond.
+    /// Mean, rounded down to a nanosecond.
     pub mean: Nanos,
-    /// All together, exact. It never goes down from one reading to the next.
+    /// Sum, exact. It never decreases from one reading to the next.
     pub sum: Nanos,
-    /// How many there are.
+    /// Number of times.
     pub count: u64,
 }
 
@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn quantiles_of_a_thousand() {
+    fn recorder_quantiles_of_1000_values() {
         let summary = distribution((1..=1000).map(|us| us * 1_000)).summary();
         assert_eq!((summary.min, summary.max), (Nanos(1_000), Nanos(1_000_000)));
         assert_eq!((summary.mean, summary.count), (Nanos(500_500), 1_000));
@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn the_sum_is_exact_where_the_mean_is_rounded() {
+    fn recorder_sum_is_exact() {
         let mut recorder = Recorder::new();
         let reader = recorder.reader();
         for ns in [10, 10, 0] {
@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn the_range_saturates_but_the_extremes_are_exact() {
+    fn recorder_range_saturates_extremes_are_exact() {
         let distribution = distribution([-5, 0, i64::MAX]);
         let summary = distribution.summary();
         assert_eq!(
@@ -209,9 +209,9 @@ mod tests {
     }
 
     proptest! {
-        /// Against the library recording the same values itself.
+        /// Compares with the library recording the same values.
         #[test]
-        fn agrees_with_the_library(values in proptest::collection::vec(0_i64..20_000_000_000, 1..300)) {
+        fn recorder_matches_hdrhistogram(values in proptest::collection::vec(0_i64..20_000_000_000, 1..300)) {
             let mut library = Histogram::<u64>::new_with_bounds(1, HIGHEST, 2).unwrap();
             for &value in &values {
                 library.saturating_record(value.unsigned_abs().min(HIGHEST));

@@ -313,13 +313,13 @@ impl Report {
 /// Whether the host granted that memory is locked.
 fn is_memory_locked(host: &Host) -> bool {
     let mut grants = host.grants().iter();
-    grants.any(|grant| grant.what == takt_rt::host::MEMORY && !grant.is_refused())
+    grants.any(|grant| grant.item == takt_rt::host::MEMORY && !grant.is_refused())
 }
 
 /// Whether nothing was refused that real-time threads ask for. The kernel is told apart.
 fn is_real_time(controller: &Controller, host: &Host) -> bool {
     let threads = controller.grants();
-    let kernel = |grant: &&takt_rt::Grant| grant.what == takt_rt::host::KERNEL;
+    let kernel = |grant: &&takt_rt::Grant| grant.item == takt_rt::host::KERNEL;
     let refused = host.grants().iter().filter(|grant| !kernel(grant));
     !refused
         .chain(threads.iter().map(|(_, grant)| grant))

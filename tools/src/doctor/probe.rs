@@ -55,7 +55,7 @@ fn permissions() -> String {
     };
     let host = prepare(&config);
     let granted = |what: &str| {
-        let grant = host.grants().iter().find(|grant| grant.what.contains(what));
+        let grant = host.grants().iter().find(|grant| grant.item.contains(what));
         grant.map_or("not asked", answer).to_owned()
     };
     let mut lines = format!("fifo {}\n", fifo());
@@ -82,7 +82,7 @@ fn fifo() -> String {
         return "no thread to be had".to_owned();
     };
     let grants = thread.grants().iter();
-    let grant = grants.max_by_key(|grant| grant.what.contains("FIFO"));
+    let grant = grants.max_by_key(|grant| grant.item.contains("FIFO"));
     let answer = grant.map_or("not asked", answer).to_owned();
     let _ = thread.join();
     answer

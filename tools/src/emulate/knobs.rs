@@ -105,7 +105,7 @@ impl Knobs {
         let [x, y, z] = flange;
         self.contact.map(|touch| Contact {
             shape: touch.shape,
-            place: [x, y, z - touch.depth],
+            point: [x, y, z - touch.depth],
             normal: [0.0, 0.0, 1.0],
             stiffness: touch.stiffness,
             damping: CONTACT_DAMPING,

@@ -143,7 +143,7 @@ mod tests {
         assert!((told.faults.drift_ppm - 20.0).abs() < 1e-12);
         let contact = told.contact.unwrap();
         let flange = Krc::new(resting(told.period), Duration::ZERO).flange();
-        assert!((flange[2] - contact.place[2] - 0.02).abs() < 1e-9);
+        assert!((flange[2] - contact.point[2] - 0.02).abs() < 1e-9);
         assert_eq!(told.timing.misses_max, MISSES_MAX);
         assert_eq!(config("--strict").timing, emulator::Timing::default());
     }

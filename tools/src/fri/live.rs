@@ -7,11 +7,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::Context as _;
+use takt_fri::client::{AXES, Client, ClientConfig, Phase, Status, Withheld};
 use takt_fri::diagnosis::Observed;
 use takt_fri::generation::Kind;
 use takt_fri::link::Link as _;
 use takt_fri::linux::{UdpLink, monotonic};
-use takt_fri::partner::{AXES, Partner, PartnerConfig, Phase, Status, Withheld};
 use takt_fri::sunrise::wire::MESSAGE_MAX;
 use takt_rt::Nanos;
 use takt_rt::host::{Host, HostConfig, prepare};
@@ -34,7 +34,7 @@ const ROOM: usize = MESSAGE_MAX + 1;
 /// What the robot is told.
 pub(super) trait Task: Send + 'static {
     /// Positions for the answer that is due, rad, `cycles` of the controller after the last; `None` asks for nothing.
-    fn joints(&mut self, partner: &mut Partner, cycles: u32) -> Option<[f64; AXES]>;
+    fn joints(&mut self, partner: &mut Client, cycles: u32) -> Option<[f64; AXES]>;
 
     /// The answer did not carry them.
     fn handle_withheld(&mut self, withheld: Withheld);
@@ -47,7 +47,7 @@ pub(super) trait Task: Send + 'static {
 pub(super) struct Watch;
 
 impl Task for Watch {
-    fn joints(&mut self, _partner: &mut Partner, _cycles: u32) -> Option<[f64; AXES]> {
+    fn joints(&mut self, _partner: &mut Client, _cycles: u32) -> Option<[f64; AXES]> {
         None
     }
 
@@ -87,7 +87,7 @@ impl Live {
     /// Opens the port and starts.
     pub(super) fn start(
         listen: SocketAddr,
-        mut config: PartnerConfig,
+        mut config: ClientConfig,
         task: impl Task,
     ) -> anyhow::Result<Self> {
         let link = port::open(listen)?;
@@ -104,7 +104,7 @@ impl Live {
         // Boxed, so that the thread's small stack does not hold it as it is moved there.
         let mut worker = Box::new(Worker {
             link,
-            partner: Partner::new(config),
+            partner: Client::new(config),
             task,
             seen: Seen::default(),
             cycles: 0,
@@ -165,7 +165,7 @@ fn first_sequence() -> anyhow::Result<u16> {
 
 struct Worker<T> {
     link: UdpLink,
-    partner: Partner,
+    partner: Client,
     task: T,
     seen: Seen,
     /// The controller's cycles since the last answer.

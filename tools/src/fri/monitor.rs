@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use takt_fri::capture::Decoded;
+use takt_fri::client::{ClientConfig, Phase, Status};
 use takt_fri::diagnosis::judge;
-use takt_fri::partner::{PartnerConfig, Phase, Status};
 use takt_rt::stats::Summary;
 
 use super::live::{Live, Seen, Watch};
@@ -87,7 +87,7 @@ impl Monitor {
     }
 
     fn watch(&self, listen: SocketAddr) -> anyhow::Result<Verdict> {
-        let mut watched = Watched::start(&self.port, listen, PartnerConfig::default(), Watch)?;
+        let mut watched = Watched::start(&self.port, listen, ClientConfig::default(), Watch)?;
         let shown = self.show(&mut watched);
         watched.live.stop()?;
         shown?;
@@ -247,7 +247,7 @@ fn line(
     deviation: &Summary,
 ) -> String {
     let us = |time: takt_rt::Nanos| time.0 / 1000;
-    let told = status.told;
+    let told = status.statistics;
     let told = told.map_or_else(String::new, |it| format!(", in time {:.3}", it.answer_rate));
     format!(
         "{:>6} s {:>5.0}/s answered {:.3}{told}, after us p50 {} p99 {} max {}, jitter us p50 {} p99 {}, lost {}",
@@ -275,13 +275,13 @@ fn degrees(joints: &[f64]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use takt_fri::client::{AnswerStatistics, Quality, State, Version};
     use takt_fri::lwr::wire::{Quality as LwrQuality, State as LwrState};
-    use takt_fri::partner::{Quality, State, Told, Version};
 
     #[test]
     fn a_line_names_what_it_counts() {
         let status = Status {
-            told: Some(Told {
+            statistics: Some(AnswerStatistics {
                 answer_rate: 0.99,
                 latency_s: 0.0,
                 jitter_s: 0.0,

@@ -14,7 +14,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
 
-use takt_fri::partner::{AXES, Partner, Phase, Quality, Withheld};
+use takt_fri::client::{AXES, Client, Phase, Quality, Withheld};
 use takt_fri::sunrise::wire::CommandMode;
 
 use super::live::Task;
@@ -199,7 +199,7 @@ impl Motion {
     }
 
     /// Begins, if all is ready for it.
-    fn begin(&mut self, partner: &mut Partner, is_sound: bool) {
+    fn begin(&mut self, partner: &mut Client, is_sound: bool) {
         let takes = takes_positions(partner.status().overlay);
         let follows = partner.phase() == Phase::Command && takes;
         let is_ready = self.remote.wish() == Wish::Go && is_sound && follows;
@@ -237,7 +237,7 @@ impl Motion {
         }
     }
 
-    fn next(&mut self, partner: &mut Partner, cycles: u32) -> Option<[f64; AXES]> {
+    fn next(&mut self, partner: &mut Client, cycles: u32) -> Option<[f64; AXES]> {
         let is_sound = partner.status().quality.is_some_and(Quality::is_sound);
         match self.stage {
             Stage::Idle => self.begin(partner, is_sound),
@@ -271,7 +271,7 @@ pub(super) fn takes_positions(overlay: Option<CommandMode>) -> bool {
 }
 
 impl Task for Motion {
-    fn joints(&mut self, partner: &mut Partner, cycles: u32) -> Option<[f64; AXES]> {
+    fn joints(&mut self, partner: &mut Client, cycles: u32) -> Option<[f64; AXES]> {
         self.next(partner, cycles)
     }
 
@@ -295,15 +295,15 @@ impl Task for Motion {
 mod tests {
     use super::*;
     use std::time::Duration;
+    use takt_fri::client::ClientConfig;
     use takt_fri::lwr::emulator::{Krc, KrcConfig};
-    use takt_fri::partner::PartnerConfig;
     use takt_fri::sunrise::emulator::{Cabinet, CabinetConfig};
     use takt_fri::sunrise::wire::MESSAGE_MAX;
 
     /// An emulated controller in virtual time and the motion of its client; positions commanded, cycle by cycle.
     struct Bench<C> {
         controller: C,
-        partner: Partner,
+        partner: Client,
         motion: Motion,
         remote: Arc<Remote>,
         path: Vec<f64>,
@@ -360,7 +360,7 @@ mod tests {
             remote.go();
             Self {
                 controller,
-                partner: Partner::new(PartnerConfig::default()),
+                partner: Client::new(ClientConfig::default()),
                 motion: Motion::new(goal, Arc::clone(&remote)),
                 remote,
                 path: Vec::new(),

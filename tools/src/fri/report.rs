@@ -4,8 +4,8 @@
 use std::time::Duration;
 
 use serde_json::{Value, json};
+use takt_fri::client::Status;
 use takt_fri::diagnosis::{Observed, Verdict, judge};
-use takt_fri::partner::Status;
 use takt_rt::Nanos;
 use takt_rt::stats::Summary;
 
@@ -141,8 +141,8 @@ impl Connection {
             "restarts": seen.restarts,
             "answers": seen.answers,
             "late": seen.late,
-            "heard": seen.heard,
-            "strange": seen.strange,
+            "heard": seen.acknowledged,
+            "strange": seen.foreign,
             "answer_time_max_us": us(seen.answer_time_max),
             "arrival_jitter_us": us(seen.arrival_jitter),
             "stamp_jitter_us": seen.stamp_jitter.map(us),
@@ -186,7 +186,7 @@ impl Answered {
             text(self.status.state.map(|it| it.to_string())),
             text(self.status.quality.map(|it| it.to_string()))
         );
-        if let Some(it) = self.status.told {
+        if let Some(it) = self.status.statistics {
             let (latency, jitter) = (it.latency_s * 1e3, it.jitter_s * 1e3);
             told += &format!(
                 "; it counts latency {latency:.2} ms, jitter {jitter:.2} ms, missed {}",

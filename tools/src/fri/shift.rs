@@ -7,10 +7,10 @@ use std::time::{Duration, Instant};
 
 use anyhow::ensure;
 use clap::Args;
+use takt_fri::client::{AXES, ClientConfig, Phase, Quality, Version};
 use takt_fri::diagnosis::judge;
 use takt_fri::guard::Guard;
 use takt_fri::lwr;
-use takt_fri::partner::{AXES, PartnerConfig, Phase, Quality, Version};
 use takt_fri::sunrise;
 
 use super::live::Seen;
@@ -135,12 +135,12 @@ impl Shift {
     }
 
     /// Sessions whose guards let no more pass than was asked for.
-    fn config(&self) -> PartnerConfig {
+    fn config(&self) -> ClientConfig {
         let guard = |names| Guard {
             speed_rad_per_s: [self.velocity * SPEED_SLACK; AXES],
             ..Guard::open(names)
         };
-        PartnerConfig {
+        ClientConfig {
             lwr: lwr::SessionConfig {
                 guard: guard(lwr::JOINT_NAMES),
                 ..lwr::SessionConfig::default()
@@ -149,7 +149,7 @@ impl Shift {
                 guard: guard(sunrise::JOINT_NAMES),
                 ..sunrise::SessionConfig::default()
             },
-            ..PartnerConfig::default()
+            ..ClientConfig::default()
         }
     }
 
@@ -352,7 +352,7 @@ fn rest(watched: &mut Watched) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use takt_fri::partner::Status;
+    use takt_fri::client::Status;
     use takt_fri::sunrise::wire::CommandMode;
 
     #[test]
@@ -413,7 +413,9 @@ mod tests {
         assert!(told.contains("left command mode"), "{told}");
         let bad = unsound(&Seen::default());
         assert!(
-            bad.starts_with("quality is unknown, too bad to move anything: no measurement came"),
+            bad.starts_with(
+                "quality is unknown, too bad to move anything: no measurement received"
+            ),
             "{bad}"
         );
     }

@@ -7,8 +7,8 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr, SocketAddrV4};
 use std::time::Duration;
 
 use takt_fri::capture::Datagram;
+use takt_fri::client::DatagramError;
 use takt_fri::generation::Kind;
-use takt_fri::partner::Refusal;
 
 use super::port::{Address, list};
 
@@ -35,7 +35,7 @@ pub(super) struct Evidence {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Cause {
     /// Something comes, but no measurement, or of another version than asked for.
-    Refused(Refusal),
+    Refused(DatagramError),
     /// Sent to another port of this host.
     Port { from: Ipv4Addr, to: SocketAddrV4 },
     /// Sent to another address of this host.
@@ -94,7 +94,7 @@ impl Evidence {
     pub(super) fn judge(
         &self,
         listen: SocketAddr,
-        refusal: Option<Refusal>,
+        refusal: Option<DatagramError>,
         ours: Vec<Address>,
         has_route: impl Fn(Ipv4Addr) -> bool,
         is_taken: impl Fn(u16) -> bool,

@@ -10,8 +10,8 @@ use anyhow::Context as _;
 use clap::Args;
 use serde_json::json;
 use takt_fri::capture::{Datagram, Decoded};
+use takt_fri::client::{ClientConfig, Phase};
 use takt_fri::diagnosis::Observer;
-use takt_fri::partner::{PartnerConfig, Phase};
 
 use super::live::Watch;
 use super::recording::Recording;
@@ -95,7 +95,7 @@ impl Stat {
 
     /// Is the robot's partner for a while; Ctrl-C ends it early and keeps what was seen.
     fn observe(&self, listen: SocketAddr) -> anyhow::Result<Findings> {
-        let mut watched = Watched::start(&self.port, listen, PartnerConfig::default(), Watch)?;
+        let mut watched = Watched::start(&self.port, listen, ClientConfig::default(), Watch)?;
         if !self.quiet {
             complain(&format!(
                 "waiting for a controller at {}",
@@ -119,7 +119,7 @@ impl Stat {
         }
         let seen = watched.live.seen();
         let refused = seen.status.counters.refused;
-        if let Some(why) = seen.status.refusal.filter(|_| since.is_some()) {
+        if let Some(why) = seen.status.last_error.filter(|_| since.is_some()) {
             findings.refusal = Some(format!("{refused} datagrams were refused, the last: {why}"));
         }
         if since.is_some() {

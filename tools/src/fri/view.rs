@@ -9,8 +9,8 @@ use ratatui::style::{Style, Stylize as _};
 use ratatui::text::Line;
 use ratatui::widgets::{Row, Table};
 use ratatui::{DefaultTerminal, Frame};
+use takt_fri::client::Version;
 use takt_fri::diagnosis::Verdict;
-use takt_fri::partner::Version;
 use takt_rt::stats::Distribution;
 
 use super::live::Seen;
@@ -158,7 +158,7 @@ fn figures(scene: &Scene<'_>) -> Table<'static> {
     };
     let row = |name: &str, [a, b, c, d]: [String; 4]| Row::new([name.to_owned(), a, b, c, d]);
     let counts = |all: [u64; 4]| all.map(|it| it.to_string());
-    let told = status.told.map_or_else(
+    let told = status.statistics.map_or_else(
         || ["not told", "", "", ""].map(str::to_owned),
         |it| {
             [
@@ -217,8 +217,8 @@ mod tests {
     use super::*;
     use ratatui::Terminal;
     use ratatui::backend::TestBackend;
+    use takt_fri::client::{AnswerStatistics, Counters, Phase, State, Status};
     use takt_fri::diagnosis::Observed;
-    use takt_fri::partner::{Counters, Phase, State, Status, Told};
     use takt_rt::Nanos;
     use takt_rt::stats::Recorder;
 
@@ -249,7 +249,7 @@ mod tests {
             phase: Phase::Command,
             state: Some(State::Lwr(takt_fri::lwr::wire::State::Cmd)),
             measured: Some([0.0, 0.5, 0.0, -1.2, 0.0, 0.8, 0.0]),
-            told: Some(Told {
+            statistics: Some(AnswerStatistics {
                 answer_rate: 0.987,
                 latency_s: 0.000_4,
                 jitter_s: 0.000_1,
@@ -280,7 +280,7 @@ mod tests {
             "answers by time",
             "early or late, us",
             "answers cannot leave",
-            "verdict: no measurement came",
+            "verdict: no measurement received",
             "Ctrl-C",
         ] {
             assert!(text.contains(part), "{part} is missing:\n{text}");

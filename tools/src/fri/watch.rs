@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use clap::builder::PossibleValue;
 use clap::{Args, ValueEnum};
 use nix::errno::Errno;
-use takt_fri::partner::{PartnerConfig, Phase, Version};
+use takt_fri::client::{ClientConfig, Phase, Version};
 use takt_fri::sunrise::wire::Dialect;
 
 use super::live::{Live, Seen, Task};
@@ -108,7 +108,7 @@ impl Silence {
                 .get_or_insert_with(Wire::open)
                 .look(&mut self.evidence);
         }
-        let refusal = seen.status.refusal;
+        let refusal = seen.status.last_error;
         let refusal = refusal.filter(|_| seen.status.counters.refused > self.refused);
         let due = refusal.map_or(patience, |_| REFUSED_AFTER.min(patience));
         if self.is_told || silent < due {
@@ -127,11 +127,11 @@ impl Watched {
     pub(super) fn start(
         port: &Port,
         listen: SocketAddr,
-        config: PartnerConfig,
+        config: ClientConfig,
         task: impl Task,
     ) -> anyhow::Result<Self> {
         let expected = port.expect.map(|Expected(version)| version);
-        let config = PartnerConfig { expected, ..config };
+        let config = ClientConfig { expected, ..config };
         Ok(Self {
             interrupt: Interrupt::new()?,
             live: Live::start(listen, config, task)?,

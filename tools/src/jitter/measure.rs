@@ -166,7 +166,7 @@ impl Probe {
         self.flight.record(Entry {
             cycle: tick.index,
             source: "jitter",
-            what: "latency_ns",
+            event: "latency_ns",
             value: latency.0,
         });
         if latency > self.break_at {

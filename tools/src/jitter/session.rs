@@ -387,7 +387,7 @@ fn warnings(
     let mut warnings = Vec::new();
     let mut fifo = None;
     for grant in refused {
-        if grant.what.starts_with("SCHED_FIFO") {
+        if grant.item.starts_with("SCHED_FIFO") {
             report.priority = None;
             fifo = Some(grant.to_string());
         } else {
@@ -399,7 +399,7 @@ fn warnings(
         warnings.push(Warning::NoFifo { refusal: fifo });
     }
     for grant in prepared.grants().iter().filter(|grant| grant.is_refused()) {
-        warnings.push(if grant.what == KERNEL {
+        warnings.push(if grant.item == KERNEL {
             Warning::NoRealTimeKernel
         } else {
             let grant = grant.to_string();

@@ -1,4 +1,4 @@
-//! Runs the benchmarks of a part. Judges no number: shared machines differ too much for a bound.
+//! Runs the benchmarks of a part. It checks no value: shared machines differ too much for a bound.
 
 use std::path::Path;
 
@@ -32,8 +32,8 @@ pub(crate) fn run(root: &Path, name: &str, json: bool) -> anyhow::Result<bool> {
     Ok(good)
 }
 
-/// One cargo line per bench binary. Named one by one, as `cargo bench` alone would hand `--json` to
-/// the unit tests too, which refuse it.
+/// One cargo line per bench binary. Each is named, as `cargo bench` alone would pass `--json` to the unit tests too,
+/// which reject it.
 fn lines(part: &Part, workspace: &Workspace, json: bool) -> Vec<Cargo> {
     let wanted = |name: &str| part.packages.is_empty() || part.packages.contains(&name);
     let mut lines = Vec::new();
@@ -61,7 +61,7 @@ mod tests {
     use crate::metadata::Package;
 
     #[test]
-    fn names_each_binary_and_passes_json_on() {
+    fn bench_line_names_binary_and_passes_json() {
         let package = |name: &str, benches: &[&str]| Package {
             name: name.to_owned(),
             benches: benches.iter().map(ToString::to_string).collect(),

@@ -1,5 +1,4 @@
-//! Test binaries as cargo built them, and the tests that are in them. Runs none: that is done by a
-//! script, so that it can be done in another place than here.
+//! Test binaries that cargo built, and their tests. It runs none: a script does, so that it can run in another environment.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -13,11 +12,11 @@ use crate::shell::quoted;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Binary {
     pub(crate) program: PathBuf,
-    /// Of its package, where cargo runs it.
+    /// Folder of its package, where cargo runs it.
     pub(crate) folder: PathBuf,
 }
 
-/// What cargo lines built.
+/// Binaries built by cargo lines.
 #[derive(Debug, Default)]
 pub(crate) struct Built {
     pub(crate) tests: Vec<Binary>,
@@ -26,14 +25,14 @@ pub(crate) struct Built {
 }
 
 impl Built {
-    /// Asks cargo for what these lines have built.
+    /// Queries cargo for the binaries of these lines.
     pub(crate) fn by(root: &Path, lines: &[Cargo]) -> anyhow::Result<Self> {
         let mut built = Self::default();
         for line in lines {
             let line = line.clone().arg("--no-run").arg("--message-format=json");
             let good = line.lines(root, |text| built.take(text))?;
             if !good {
-                note("not all of it builds: what does not runs nowhere else either");
+                note("some targets do not build and are not run in other environments");
             }
         }
         Ok(built)
@@ -68,7 +67,7 @@ fn binary(message: &str) -> Option<Binary> {
 }
 
 impl Binary {
-    /// Full names of its tests; none if it does not tell them as libtest does.
+    /// Full names of its tests; empty if it does not list them as libtest does.
     pub(crate) fn tests(&self) -> Vec<String> {
         let mut list = Command::new(&self.program);
         list.args(["--list", "--format=terse"])
@@ -82,17 +81,16 @@ impl Binary {
     }
 }
 
-/// Tests of a binary that are to run.
+/// Tests of a binary to run.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Errand {
+pub(crate) struct TestRun {
     pub(crate) binary: Binary,
-    /// Full names; all of the binary if there are none.
+    /// Full names; empty for all tests of the binary.
     pub(crate) tests: Vec<String>,
 }
 
-impl Errand {
-    /// As a line of a script that notes a failure in its variable `bad`. Single tests are run one at a
-    /// time, as they share what they were chosen for.
+impl TestRun {
+    /// A script line that sets the variable `bad` on failure. Selected tests run one at a time, as they share the bus.
     fn line(&self) -> String {
         let folder = quoted(&self.binary.folder.to_string_lossy());
         let program = quoted(&self.binary.program.to_string_lossy());
@@ -108,10 +106,10 @@ impl Errand {
     }
 }
 
-/// The script that runs them one after the other; its exit status is 1 if one failed.
-pub(crate) fn script(errands: &[Errand], skips: &Path) -> String {
+/// The script that runs all of them in sequence; its exit status is 1 if one failed.
+pub(crate) fn script(test_runs: &[TestRun], skips: &Path) -> String {
     let skips = quoted(&skips.to_string_lossy());
-    let lines: String = errands.iter().map(Errand::line).collect();
+    let lines: String = test_runs.iter().map(TestRun::line).collect();
     format!("export TAKT_SKIPS={skips}\nbad=0\n{lines}exit $bad\n")
 }
 
@@ -120,7 +118,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn message_of_cargo_names_a_binary_and_its_folder() {
+    fn cargo_message_names_binary_and_folder() {
         let message = r#"{"reason":"compiler-artifact","manifest_path":"/c/can/Cargo.toml",
             "target":{"name":"vcan"},"profile":{"test":true},"executable":"/t/vcan-1"}"#;
         let found = binary(message).unwrap();
@@ -134,28 +132,28 @@ mod tests {
     }
 
     #[test]
-    fn message_of_cargo_names_a_program() {
+    fn cargo_message_names_program() {
         let message = r#"{"reason":"compiler-artifact","manifest_path":"/c/tools/Cargo.toml",
             "target":{"name":"takt","kind":["bin"]},"profile":{"test":false},"executable":"/t/takt"}"#;
         assert_eq!(program_of(message, "takt"), Some("/t/takt".into()));
         assert_eq!(program_of(message, "other"), None);
-        // The program's own tests are a binary of the same name.
+        // The program's own test binary has the same name.
         assert_eq!(program_of(&message.replace("false", "true"), "takt"), None);
     }
 
     #[test]
-    fn binary_tells_its_tests() {
+    fn binary_lists_its_tests() {
         let this = Binary {
             program: std::env::current_exe().unwrap(),
             folder: env!("CARGO_MANIFEST_DIR").into(),
         };
-        let name = "binaries::tests::binary_tells_its_tests";
+        let name = "binaries::tests::binary_lists_its_tests";
         assert!(this.tests().iter().any(|test| test == name));
     }
 
     #[test]
-    fn one_bad_binary_makes_the_whole_bad_and_hides_no_other() {
-        let errand = |name: &str, tests: &[&str]| Errand {
+    fn script_bad_binary_fails_and_hides_none() {
+        let test_run = |name: &str, tests: &[&str]| TestRun {
             binary: Binary {
                 program: PathBuf::from(format!("/t/{name}")),
                 folder: "/c".into(),
@@ -163,7 +161,7 @@ mod tests {
             tests: tests.iter().map(ToString::to_string).collect(),
         };
         let text = script(
-            &[errand("a", &[]), errand("b", &["x::y", "z"])],
+            &[test_run("a", &[]), test_run("b", &["x::y", "z"])],
             Path::new("/t/s"),
         );
         assert_eq!(text.matches("|| bad=1").count(), 2);

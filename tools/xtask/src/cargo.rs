@@ -1,5 +1,4 @@
-//! Child processes and printed lines. Each cargo line is shown before it runs, so that it can be
-//! repeated by hand; nothing here knows what the lines are for.
+//! Child processes and printed lines. Each cargo line is shown before it runs, so that it can be repeated by hand.
 
 use std::ffi::OsString;
 use std::fmt;
@@ -17,7 +16,7 @@ pub(crate) struct Cargo {
 }
 
 impl Cargo {
-    /// `line` is split at blanks; arguments that contain one go through [`Cargo::arg`].
+    /// Splits `line` at blanks; for arguments with blanks use [`Cargo::arg`].
     pub(crate) fn new(line: &str) -> Self {
         let args = line.split_whitespace().map(String::from).collect();
         Self {
@@ -40,14 +39,14 @@ impl Cargo {
         self
     }
 
-    /// Runs to the end; true if cargo was content.
+    /// Runs to the end; true on success.
     pub(crate) fn succeeds(&self, root: &Path) -> anyhow::Result<bool> {
         note(&format!("+ {self}"));
         let status = self.command(root).status().context("cannot start cargo")?;
         Ok(status.success())
     }
 
-    /// As [`Cargo::succeeds`], giving each line of its standard output to `take`.
+    /// As [`Cargo::succeeds`], passing each line of its standard output to `take`.
     pub(crate) fn lines(&self, root: &Path, mut take: impl FnMut(&str)) -> anyhow::Result<bool> {
         note(&format!("+ {self}"));
         let mut child = self
@@ -89,7 +88,7 @@ impl fmt::Display for Cargo {
     }
 }
 
-/// As a shell would need it.
+/// Quotes a word for a shell.
 fn quoted(word: &str) -> String {
     if word.contains([' ', '*']) {
         format!("'{word}'")
@@ -109,17 +108,17 @@ pub(crate) fn workspace_root() -> anyhow::Result<PathBuf> {
     Ok(root.to_owned())
 }
 
-/// Where cargo builds, as a path that holds in every working directory.
+/// Cargo's target directory, as an absolute path.
 pub(crate) fn target_dir(root: &Path) -> PathBuf {
     root.join(std::env::var_os("CARGO_TARGET_DIR").unwrap_or_else(|| OsString::from("target")))
 }
 
-/// A result, on standard output. A reader that went away is no error.
+/// Prints a result on standard output. A closed pipe is no error.
 pub(crate) fn say(line: &str) {
     let _ = writeln!(io::stdout(), "{line}");
 }
 
-/// Progress, on standard error.
+/// Prints progress on standard error.
 pub(crate) fn note(line: &str) {
     let _ = writeln!(io::stderr(), "{line}");
 }
@@ -129,7 +128,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn shows_the_line_as_a_shell_takes_it() {
+    fn cargo_line_displays_in_shell_syntax() {
         let cargo = Cargo::new("test -p takt-rt")
             .arg("fri*")
             .env("RUSTFLAGS", "--cfg loom");

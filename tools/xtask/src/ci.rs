@@ -1,5 +1,5 @@
-//! Everything that must hold before a change goes in, on any machine with the toolchain. Each step
-//! runs even if one before it failed, so that one run tells all; nothing is mended here.
+//! Everything that must hold before a change goes in, on any machine with the toolchain. All steps run even if one
+//! fails, so that one run reports everything; nothing is fixed here.
 
 use std::path::Path;
 use std::process::Command;
@@ -9,8 +9,8 @@ use crate::fuzz;
 use crate::test::{self, Golden};
 use crate::tidy;
 
-/// Runs all steps and ends in the line that counts the tests; a failed step of another kind is
-/// named before it and counted as one failure.
+/// Runs all steps and ends with the line that counts the tests; a failed step of another kind is named before it and
+/// counted as one failure.
 pub(crate) fn run(root: &Path) -> anyhow::Result<bool> {
     let before = snapshot(root);
     let mut broken = Vec::new();
@@ -45,13 +45,13 @@ pub(crate) fn run(root: &Path) -> anyhow::Result<bool> {
     for name in broken {
         say(&format!("failed: {name}"));
     }
-    for line in tally.closing() {
+    for line in tally.summary() {
         say(&line);
     }
     Ok(tally.failed == 0)
 }
 
-/// Status and difference as git tells them; `None` where there is no git or no repository.
+/// Status and diff of git; `None` without git or repository.
 type Snapshot = Option<(String, String)>;
 
 fn snapshot(root: &Path) -> Snapshot {
@@ -76,11 +76,11 @@ fn git(root: &Path, args: &[&str]) -> Option<String> {
         .then(|| String::from_utf8_lossy(&output.stdout).into_owned())
 }
 
-/// What to tell if the run changed a file.
+/// The status to report if the run changed a file.
 fn changed<'a>(before: &Snapshot, after: &'a Snapshot) -> Option<&'a str> {
     let status = after
         .as_ref()
-        .map_or("git no longer answers", |(status, _)| status);
+        .map_or("git no longer responds", |(status, _)| status);
     (before != after).then_some(status)
 }
 
@@ -89,7 +89,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn change_of_a_file_already_dirty_is_seen() {
+    fn snapshot_change_of_dirty_file_is_seen() {
         let state = |diff: &str| Some((" M a.rs\n".to_owned(), diff.to_owned()));
         assert_eq!(changed(&state("-1 +2"), &state("-1 +2")), None);
         assert_eq!(changed(&state("-1 +2"), &state("-1 +3")), Some(" M a.rs\n"));
@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn failing_git_gives_no_snapshot() {
+    fn snapshot_without_git_is_none() {
         let root = crate::cargo::workspace_root().unwrap();
         assert_eq!(git(&root, &["no-such-subcommand"]), None);
     }

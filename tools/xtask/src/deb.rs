@@ -1,5 +1,5 @@
-//! `cargo xtask deb`: the Debian package. What is in it stands in `deploy/Cargo.toml`; this builds the
-//! program, its manual pages and the package, and fetches `cargo-deb` if it is not there.
+//! `cargo xtask deb`: the Debian package. `deploy/Cargo.toml` lists its content; this builds the program, its manual
+//! pages and the package, and installs `cargo-deb` if it is missing.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -9,23 +9,23 @@ use anyhow::Context;
 use crate::cargo::{self, Cargo, say};
 use crate::shell::{self, Line};
 
-/// The releases of `cargo-deb` that read our manifest.
+/// Versions of `cargo-deb` that read our manifest.
 const CARGO_DEB: &str = "~3.8";
 
-/// A package to be made.
+/// A package to build.
 #[derive(Debug)]
 pub(crate) struct Package<'a> {
     /// The program `takt`.
     pub(crate) program: &'a Path,
-    /// Files are gathered and packages are made below it.
+    /// Folder for collected files and packages.
     pub(crate) folder: &'a Path,
-    /// Another version than the workspace's.
+    /// Version, if not the workspace's.
     pub(crate) version: Option<&'a str>,
-    /// Best compression and a package of debug symbols, for who installs it; else in a hurry.
+    /// Best compression and a package of debug symbols, for release; otherwise fast.
     pub(crate) release: bool,
 }
 
-/// The package as it goes to people, checked by lintian where that is installed.
+/// Builds the release package; lintian checks it if installed.
 pub(crate) fn run(root: &Path) -> anyhow::Result<bool> {
     if !shell::exists("dpkg-deb") {
         say("skipped: needs dpkg-deb, of Debian's package dpkg");
@@ -50,14 +50,14 @@ pub(crate) fn run(root: &Path) -> anyhow::Result<bool> {
     check.arg(&path).succeeds()
 }
 
-/// The bug that a first upload to Debian closes, which there is none of.
+/// Lintian tag of a first upload that closes no bug; there is none to close.
 const UNCHECKED: &str = "initial-upload-closes-no-bugs";
 
 impl Package<'_> {
-    /// Makes it; returns its path.
+    /// Builds it; returns its path.
     pub(crate) fn make(&self, root: &Path) -> anyhow::Result<PathBuf> {
-        // cargo-deb takes what stands as `target/release/` in the manifest from below its target
-        // directory, so that a folder of our own can stand for that.
+        // cargo-deb reads what the manifest calls `target/release/` from below its target directory, so a folder of our
+        // own can take that place.
         let files = self.folder.join("release");
         self.gather(&files)?;
         let version = self.version.unwrap_or(env!("CARGO_PKG_VERSION"));
@@ -76,13 +76,13 @@ impl Package<'_> {
             &["--strip", "--fast"]
         };
         let made = line.args(how).quiet().within(root).succeeds()?;
-        anyhow::ensure!(made, "cargo-deb failed; its text above says why");
+        anyhow::ensure!(made, "cargo-deb failed; see its output above");
         Ok(path)
     }
 
-    /// Program and manual.
+    /// Collects program and manual.
     fn gather(&self, files: &Path) -> anyhow::Result<()> {
-        // A page of a subcommand that is gone must not stay.
+        // Pages of removed subcommands must not stay.
         let _ = fs::remove_dir_all(files);
         fs::create_dir_all(files)?;
         let program = files.join("takt");
@@ -91,7 +91,7 @@ impl Package<'_> {
         let manual = files.join("manual");
         let pages = Line::new(&program).arg("manual").arg(&manual);
         anyhow::ensure!(pages.succeeds()?, "takt cannot write its manual");
-        // Debian wants pages packed, without the time of day.
+        // Debian requires compressed pages, without time stamps.
         let pack = "gzip -9 --no-name ./*.1";
         let packed = Line::new("sh").args(["-c", pack]).within(&manual);
         anyhow::ensure!(packed.succeeds()?, "gzip failed");
@@ -99,7 +99,7 @@ impl Package<'_> {
     }
 }
 
-/// The program `cargo-deb`, one that is installed or one of our own.
+/// The program `cargo-deb`: the installed one, or one in the target directory.
 fn cargo_deb(root: &Path) -> anyhow::Result<PathBuf> {
     if shell::exists("cargo-deb") {
         return Ok(PathBuf::from("cargo-deb"));
@@ -107,11 +107,14 @@ fn cargo_deb(root: &Path) -> anyhow::Result<PathBuf> {
     let tools = cargo::target_dir(root).join("tools");
     let program = tools.join("bin/cargo-deb");
     if !program.is_file() {
-        // Unoptimized, as that is there in a quarter of the time.
+        // Unoptimized: it builds in a quarter of the time.
         let install = "install cargo-deb --quiet --locked --debug --no-default-features --version";
         let install = Cargo::new(install).args([CARGO_DEB, "--root", &tools.to_string_lossy()]);
         let fetched = install.succeeds(root).context("cannot install cargo-deb")?;
-        anyhow::ensure!(fetched, "cannot install cargo-deb: is crates.io reachable?");
+        anyhow::ensure!(
+            fetched,
+            "cannot install cargo-deb: check the connection to crates.io"
+        );
     }
     Ok(program)
 }

@@ -1,19 +1,19 @@
-//! Runs the fuzz tests with more inputs than `cargo test` has time for; many of them in code that is optimized but keeps
-//! its checks.
-//! What must hold of each format stands with the crates; the inputs are made by `takt_tests::fuzz`.
+//! Runs the fuzz tests with more inputs than `cargo test` has time for; large counts in optimized code that keeps its
+//! checks.
+//! Each crate defines what must hold of its formats; `takt_tests::fuzz` generates the inputs.
 
 use std::path::Path;
 
 use crate::cargo::Cargo;
 
-/// Inputs for each target if nothing else is said.
+/// Default number of inputs for each target.
 pub(crate) const COUNT: u64 = 100_000;
 
-/// From so many on, optimized code saves more time than building it takes.
+/// From this count on, optimized code saves more time than building it takes.
 const MANY: u64 = 1_000_000;
 
-/// Crates that the inputs go through. Those that others wrote are optimized in test builds too, so that nothing but
-/// these has to be built again.
+/// Crates that process the inputs. Third-party crates are optimized in test builds anyway, so that only these must be
+/// built again.
 const OPTIMIZED: [&str; 8] = [
     "takt-can",
     "takt-cia402",
@@ -25,12 +25,12 @@ const OPTIMIZED: [&str; 8] = [
     "takt-tests",
 ];
 
-/// Feeds each target whose test contains `filter`; true if all promises were kept.
+/// Runs each target whose test contains `filter`; true if all succeeded.
 pub(crate) fn run(root: &Path, filter: &str, count: u64, seed: u64) -> anyhow::Result<bool> {
     line(filter, count, seed).succeeds(root)
 }
 
-/// Packages and features are those of the other tests, so that these are built already.
+/// Packages and features are those of the other tests, so that they are built already.
 fn line(filter: &str, count: u64, seed: u64) -> Cargo {
     let line =
         Cargo::new("test --no-fail-fast --all-features --workspace --test net_fuzz --test fuzz");

@@ -6,7 +6,7 @@ mod binaries;
 mod cargo;
 mod ci;
 mod deb;
-mod elsewhere;
+mod environments;
 mod fuzz;
 mod metadata;
 mod parts;
@@ -49,10 +49,10 @@ enum Task {
         #[arg(long)]
         json: bool,
     },
-    /// Feed every format that comes from outside with seeded inputs
+    /// Run every input format with seeded random inputs
     ///
-    /// The same functions as in `cargo xtask test`, but more inputs; from a million on in optimized code. Prints how
-    /// many a second each took; what fails shows its input.
+    /// The same functions as in `cargo xtask test`, but more inputs; from a million on in optimized code. Prints the
+    /// inputs per second of each target; a failure prints its input.
     Fuzz {
         /// Only the tests whose names contain this
         #[arg(default_value = "stand")]
@@ -67,11 +67,10 @@ enum Task {
     /// The Debian package, checked by lintian where that is installed
     Deb,
     /// Run a command in a virtual machine with Debian's PREEMPT_RT kernel and this checkout
-    ///
-    /// Installs what it needs on Debian and the like when run by root. The exit status is the command's,
-    /// 124 if the time is up, 2 if there can be no machine here.
+    /// Installs missing packages on Debian and derivatives if run by root. Exits with the command's status, 124 on
+    /// timeout, 2 if no machine can run here.
     Vm {
-        /// End it after this many seconds
+        /// Timeout, s
         #[arg(long, default_value_t = 600)]
         seconds: u64,
         /// The command, with vcan0 and vcan1 up

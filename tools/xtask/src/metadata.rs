@@ -1,5 +1,4 @@
-//! What `cargo metadata` says about the workspace, reduced to what the tasks ask. Sources are read
-//! by [`crate::tree`], not here.
+//! `cargo metadata` of the workspace, reduced to what the tasks need. [`crate::tree`] reads the sources.
 
 use std::path::Path;
 
@@ -8,7 +7,7 @@ use serde_json::Value;
 
 use crate::cargo::Cargo;
 
-/// The workspace's own packages, and those it takes from elsewhere.
+/// The workspace's own packages, and third-party ones.
 #[derive(Debug, Default)]
 pub(crate) struct Workspace {
     pub(crate) packages: Vec<Package>,
@@ -30,10 +29,10 @@ pub(crate) struct Package {
 #[derive(Debug, Default)]
 pub(crate) struct Dependency {
     pub(crate) name: String,
-    /// As the package's sources see it: the new name of a renamed dependency.
-    pub(crate) seen_as: String,
+    /// Name in the package's sources: the new name of a renamed dependency.
+    pub(crate) source_name: String,
     pub(crate) dev: bool,
-    /// True for a path, that is, for a package of this workspace.
+    /// True for a path dependency, that is, a package of this workspace.
     pub(crate) local: bool,
 }
 
@@ -45,12 +44,12 @@ pub(crate) struct ThirdParty {
 }
 
 impl Workspace {
-    /// Asks cargo. Only packages built for this host are listed: others need not be downloaded.
+    /// Runs cargo. Only packages built for this host are listed: others need not be downloaded.
     pub(crate) fn load(root: &Path) -> anyhow::Result<Self> {
         let cargo = Cargo::new("metadata --format-version 1 --filter-platform").arg(&host());
         let mut text = String::new();
         let good = cargo.lines(root, |line| text.push_str(line))?;
-        anyhow::ensure!(good, "cargo metadata failed; its text above says why");
+        anyhow::ensure!(good, "cargo metadata failed; see its output above");
         Self::parse(&serde_json::from_str(&text).context("cargo metadata is not JSON")?)
     }
 
@@ -109,7 +108,7 @@ fn own(package: &Value, root: &str) -> anyhow::Result<Package> {
 fn dependency(value: &Value) -> Dependency {
     let name = text(&value["name"]);
     Dependency {
-        seen_as: value["rename"]
+        source_name: value["rename"]
             .as_str()
             .map_or_else(|| name.clone(), String::from),
         name,
@@ -126,7 +125,7 @@ fn text(value: &Value) -> String {
     value.as_str().unwrap_or_default().to_owned()
 }
 
-/// The target triple this xtask was built for, near enough for a dependency list.
+/// The target triple of this xtask, close enough for a dependency list.
 fn host() -> String {
     let env = if cfg!(target_env = "musl") {
         "musl"
@@ -148,7 +147,7 @@ mod tests {
         {"name": "serde", "version": "1.2.3", "source": "registry+x", "license": "MIT"}]}"#;
 
     #[test]
-    fn keeps_what_the_tasks_ask() {
+    fn metadata_keeps_required_fields() {
         let workspace = Workspace::parse(&serde_json::from_str(SAMPLE).unwrap()).unwrap();
         let package = workspace.package("takt-a").unwrap();
         assert_eq!(package.manifest(), "x/a/Cargo.toml");
@@ -158,14 +157,14 @@ mod tests {
         };
         assert!(b.dev && b.local && !yaml.dev && !yaml.local);
         assert_eq!(
-            (yaml.name.as_str(), yaml.seen_as.as_str()),
+            (yaml.name.as_str(), yaml.source_name.as_str()),
             ("serde_yaml", "yaml")
         );
         assert_eq!(workspace.third_party[0].version, "1.2.3");
     }
 
     #[test]
-    fn package_outside_the_root_is_refused() {
+    fn metadata_package_outside_root_is_rejected() {
         let text = SAMPLE.replace("/w/x/a", "/elsewhere/a");
         assert!(Workspace::parse(&serde_json::from_str(&text).unwrap()).is_err());
     }

@@ -1,5 +1,5 @@
-# Buses for tests, made in a network namespace or a virtual machine of its own: read by its shell as root.
-# Tests are told by variables, and skip themselves without. Nothing is made on a host.
+# Creates buses for tests in a network namespace or a virtual machine; its root shell reads this file.
+# Variables name the buses; tests skip themselves without them. Nothing is created on a host.
 #
 #   TAKT_VCAN, TAKT_VCAN_SECOND   two virtual CAN interfaces, of one bus each
 #   TAKT_CAN_PAIR=can0,can1       two CAN controllers on one bus, 500 kbit/s (virtual machine only)
@@ -7,7 +7,7 @@
 
 exists() { ip link show "$1" >/dev/null 2>&1; }
 ip link set lo up
-# Fails where modules are built in, or loaded by who may.
+# Fails if modules are built in, or without the right to load them.
 modprobe --all --quiet can-raw can-bcm vcan veth kvaser_pci 2>/dev/null
 
 for name in vcan0 vcan1; do
@@ -25,7 +25,7 @@ if exists can0 && exists can1; then
 fi
 
 if ip link add takt0 type veth peer name takt1 2>/dev/null; then
-    # Only what tests send is to be on the cable.
+    # Only the tests' frames may be on the cable.
     for name in takt0 takt1; do
         echo 1 2>/dev/null >"/proc/sys/net/ipv6/conf/$name/disable_ipv6"
         ip link set "$name" up

@@ -1,5 +1,4 @@
-//! Short names for what is tested and measured together. The cargo packages behind them may change;
-//! these names do not.
+//! Short names for groups of packages that are tested and measured together. The packages may change; these names do not.
 
 /// A part and its packages; an empty list is the whole workspace.
 #[derive(Debug)]
@@ -37,7 +36,7 @@ const PARTS: &[Part] = &[
     part("tests", &["takt-tests"]),
 ];
 
-/// What the command line accepts.
+/// Names that the command line accepts.
 pub(crate) fn names() -> Vec<&'static str> {
     PARTS.iter().map(|part| part.name).collect()
 }
@@ -52,7 +51,7 @@ mod tests {
     use crate::{cargo, metadata::Workspace};
 
     #[test]
-    fn every_package_belongs_to_a_part_and_exists() {
+    fn parts_cover_existing_packages() {
         let workspace = Workspace::load(&cargo::workspace_root().unwrap()).unwrap();
         let named: Vec<&str> = PARTS
             .iter()

@@ -1,5 +1,5 @@
-//! Programs other than cargo: each line is shown before it runs, so that it can be repeated by hand.
-//! Interprets no output.
+//! Programs other than cargo: each line is shown before it runs, so that it can be repeated by hand. Output is not
+//! interpreted.
 
 use std::ffi::{OsStr, OsString};
 use std::fmt;
@@ -12,8 +12,8 @@ use anyhow::Context;
 
 use crate::cargo::note;
 
-/// Exit status of a line whose time was up, see [`Line::limited`].
-pub(crate) const TIME_IS_UP: u8 = 124;
+/// Exit status on timeout, see [`Line::limited`].
+pub(crate) const TIMEOUT_STATUS: u8 = 124;
 
 /// A program with its arguments.
 #[derive(Clone, Debug)]
@@ -50,26 +50,26 @@ impl Line {
         self
     }
 
-    /// Shows nothing of its standard output.
+    /// Hides its standard output.
     pub(crate) fn quiet(mut self) -> Self {
         self.quiet = true;
         self
     }
 
-    /// Gives it pipes, and passes on what comes out of them: for a program that opens its standard streams by
-    /// name, and so would cut off files that they lead to.
+    /// Runs it on pipes and copies their content: for a program that opens its standard streams by name, and so would
+    /// truncate files behind them.
     pub(crate) fn relayed(mut self) -> Self {
         self.relayed = true;
         self
     }
 
-    /// Runs it in that folder.
+    /// Sets the working directory.
     pub(crate) fn within(mut self, folder: &Path) -> Self {
         self.folder = Some(folder.to_owned());
         self
     }
 
-    /// The same under a time limit; its exit status is [`TIME_IS_UP`] then.
+    /// Adds a timeout; the exit status is then [`TIMEOUT_STATUS`].
     pub(crate) fn limited(self, seconds: u64) -> Self {
         let mut words = vec!["timeout".into(), "--kill-after=10".into()];
         words.push(seconds.to_string().into());
@@ -91,19 +91,19 @@ impl Line {
         end(child, errors)
     }
 
-    /// Runs to the end; true if it was content.
+    /// Runs to the end; true on success.
     pub(crate) fn succeeds(&self) -> anyhow::Result<bool> {
         Ok(self.status()? == 0)
     }
 
-    /// As [`Line::succeeds`], and nobody sees that it ran: for asking what there is.
+    /// As [`Line::succeeds`], without showing the line: for queries.
     pub(crate) fn answers(self) -> bool {
         let mut command = self.quiet().command();
         let status = command.stderr(Stdio::null()).status();
         status.is_ok_and(|status| status.success())
     }
 
-    /// As [`Line::status`], giving each line of its standard output to `take` as it comes.
+    /// As [`Line::status`], passing each line of its standard output to `take`.
     pub(crate) fn lines(&self, mut take: impl FnMut(&str)) -> anyhow::Result<u8> {
         note(&format!("+ {self}"));
         let mut command = self.command();
@@ -117,12 +117,12 @@ impl Line {
         end(child, errors)
     }
 
-    /// Starts it, with whoever passes its errors on.
+    /// Starts it, with a thread that copies its standard error if relayed.
     fn spawn(&self, command: &mut Command) -> anyhow::Result<(Child, Option<JoinHandle<()>>)> {
         if self.relayed {
             command.stderr(Stdio::piped());
         }
-        let mut child = command.spawn().with_context(|| self.trouble())?;
+        let mut child = command.spawn().with_context(|| self.failure())?;
         let errors = child.stderr.take();
         let errors = errors.map(|stderr| std::thread::spawn(|| relay(stderr, std::io::stderr())));
         Ok((child, errors))
@@ -141,12 +141,12 @@ impl Line {
         command
     }
 
-    fn trouble(&self) -> String {
+    fn failure(&self) -> String {
         format!("cannot start {}", self.words[0].to_string_lossy())
     }
 }
 
-/// Passes on what comes, until nothing comes any more. A reader that went away is no error.
+/// Copies until the end of the input. A closed pipe is no error.
 fn relay(mut from: impl Read, mut to: impl Write) {
     let mut buffer = [0; 4096];
     while let Ok(len @ 1..) = from.read(&mut buffer) {
@@ -158,7 +158,7 @@ fn relay(mut from: impl Read, mut to: impl Write) {
 fn end(mut child: Child, errors: Option<JoinHandle<()>>) -> anyhow::Result<u8> {
     let status = child.wait().context("cannot wait for it")?;
     if let Some(errors) = errors {
-        // A panic while passing on has been told.
+        // A panic in that thread has already been reported.
         let _ = errors.join();
     }
     Ok(code(status))
@@ -184,7 +184,7 @@ impl fmt::Display for Line {
     }
 }
 
-/// A word as a shell takes it.
+/// Quotes a word for a shell.
 pub(crate) fn quoted(word: &str) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "-_./=:,+@%".contains(c);
     if !word.is_empty() && word.chars().all(plain) {
@@ -194,7 +194,7 @@ pub(crate) fn quoted(word: &str) -> String {
     }
 }
 
-/// Whether a program is found in the search path.
+/// Whether a program is in the search path.
 pub(crate) fn exists(program: &str) -> bool {
     let path = std::env::var_os("PATH").unwrap_or_default();
     std::env::split_paths(&path).any(|folder| folder.join(program).is_file())
@@ -205,7 +205,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn words_are_quoted_as_a_shell_reads_them() {
+    fn shell_words_are_quoted() {
         assert_eq!(quoted("--memory=1G"), "--memory=1G");
         assert_eq!(quoted(""), "''");
         assert_eq!(quoted("it's $HOME"), r"'it'\''s $HOME'");
@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn exit_status_and_output_come_through() {
+    fn shell_line_returns_status_and_output() {
         let line = Line::new("sh").args(["-c", "echo one; echo two; exit 7"]);
         let mut lines = Vec::new();
         assert_eq!(line.lines(|line| lines.push(line.to_owned())).unwrap(), 7);

@@ -1,6 +1,6 @@
-//! Runs tests and counts them: what passed, what failed, and what was skipped and why. The counting
-//! reads libtest's own text (`tally`), so that nothing but the toolchain is needed; a test that
-//! cannot run here says so by a line in the file that `TAKT_SKIPS` names. Compares no golden itself.
+//! Runs tests and counts passed, failed and skipped ones. Counting reads libtest's own text (`tally`), so that only the
+//! toolchain is needed; a test that cannot run here writes a line to the file named by `TAKT_SKIPS`. Goldens are
+//! compared by the tests themselves.
 
 pub(crate) mod tally;
 
@@ -10,39 +10,39 @@ use std::path::Path;
 use anyhow::Context;
 
 use crate::cargo::{self, Cargo, note, say};
-use crate::elsewhere;
+use crate::environments;
 use crate::parts::{self, Part};
 use tally::{Reader, Tally};
 
-/// What tests do with a golden file that differs.
+/// Handling of golden files that differ.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Golden {
     /// Fail.
     Compare,
-    /// Write what they got.
+    /// Write the actual output.
     Rewrite,
 }
 
-/// What makes the golden libraries, and our own golden tests, write instead of compare.
+/// Variables that make the golden libraries, and our own golden tests, write instead of compare.
 const REWRITE: [(&str, &str); 3] = [
     ("INSTA_UPDATE", "always"),
     ("TRYCMD", "overwrite"),
     ("TAKT_BLESS", "1"),
 ];
 
-/// Tests the parts (none named: all) and ends in the one line that counts.
+/// Tests the parts (none named: all) and ends with the line that counts.
 pub(crate) fn run(root: &Path, parts: &[String], golden: Golden) -> anyhow::Result<bool> {
     let tally = count(root, parts, golden)?;
-    for line in tally.closing() {
+    for line in tally.summary() {
         say(&line);
     }
     Ok(tally.failed == 0)
 }
 
-/// As [`run`], without the closing lines.
+/// As [`run`], without the summary.
 pub(crate) fn count(root: &Path, parts: &[String], golden: Golden) -> anyhow::Result<Tally> {
     let skips = cargo::target_dir(root).join(format!("xtask-skips-{}", std::process::id()));
-    fs::create_dir_all(cargo::target_dir(root)).context("cannot make the target directory")?;
+    fs::create_dir_all(cargo::target_dir(root)).context("cannot create the target directory")?;
     fs::write(&skips, "").with_context(|| format!("cannot write {}", skips.display()))?;
     let mut tally = Tally::default();
     let lines = lines(root, parts)?;
@@ -65,9 +65,9 @@ pub(crate) fn count(root: &Path, parts: &[String], golden: Golden) -> anyhow::Re
     tally.skip_passed(&skipped);
     if golden == Golden::Compare {
         let parts: Vec<&Part> = parts.iter().filter_map(|name| parts::find(name)).collect();
-        match elsewhere::test(root, &parts, &lines, &skipped) {
-            Ok(there) => tally.add_elsewhere(there),
-            // What was counted here is told all the same.
+        match environments::test(root, &parts, &lines, &skipped) {
+            Ok(there) => tally.add_environment(there),
+            // The counts so far are reported all the same.
             Err(error) => {
                 note(&format!("error: {error:#}"));
                 tally.failed += 1;
@@ -112,8 +112,8 @@ fn lines(root: &Path, names: &[String]) -> anyhow::Result<Vec<Cargo>> {
     Ok(lines)
 }
 
-/// The loom models need a cfg over the whole tree, hence a target directory of their own, and
-/// release code to end in seconds.
+/// The loom models need a cfg for the whole tree, hence a target directory of their own, and release code to finish in
+/// seconds.
 fn loom(root: &Path) -> Cargo {
     let flags = std::env::var("RUSTFLAGS").unwrap_or_default();
     Cargo::new("test --no-fail-fast -p takt-rt --test loom --release --target-dir")
@@ -121,7 +121,7 @@ fn loom(root: &Path) -> Cargo {
         .env("RUSTFLAGS", format!("{flags} --cfg loom").trim())
 }
 
-/// The test target that a file, or a folder with a `main.rs`, makes.
+/// The test target of a file, or of a folder with a `main.rs`.
 fn target(path: &Path) -> Option<String> {
     let is_target =
         path.extension().is_some_and(|kind| kind == "rs") || path.join("main.rs").is_file();
@@ -129,7 +129,7 @@ fn target(path: &Path) -> Option<String> {
     Some(name.to_str()?.to_owned())
 }
 
-/// Tests across crates belong to the part their file's name begins with.
+/// Tests across crates belong to the part with which their file's name begins.
 fn cross_crate(root: &Path, parts: &[&Part]) -> Option<Cargo> {
     let mut names: Vec<String> = fs::read_dir(root.join("tests/tests"))
         .into_iter()
@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn no_part_is_every_part() {
+    fn test_without_part_runs_all() {
         assert_eq!(
             shown(&[]),
             ["cargo test --no-fail-fast --all-features --workspace"]
@@ -174,19 +174,19 @@ mod tests {
     }
 
     #[test]
-    fn packages_of_two_parts_are_tested_once() {
+    fn test_package_in_two_parts_runs_once() {
         let expected = "cargo test --no-fail-fast --all-features \
                         -p takt-can -p takt-cia402 -p takt-core -p takt-ethercat -p takt-tools";
         assert_eq!(shown(&["can", "ecat"]), [expected]);
     }
 
     #[test]
-    fn unknown_part_is_refused() {
+    fn test_unknown_part_is_rejected() {
         assert!(lines(Path::new("/nowhere"), &["frit".to_owned()]).is_err());
     }
 
     #[test]
-    fn tests_across_crates_are_found_as_files_and_as_folders() {
+    fn cross_crate_tests_are_files_or_folders() {
         let root = cargo::workspace_root().unwrap();
         let part = parts::find("ecat").unwrap();
         let line = cross_crate(&root, &[part]).unwrap().to_string();
@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn loom_builds_in_a_place_of_its_own() {
+    fn loom_uses_own_target_directory() {
         let line = loom(Path::new("/nowhere")).to_string();
         assert!(
             line.contains("--cfg loom") && line.ends_with("/loom"),

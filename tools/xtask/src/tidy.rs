@@ -1,5 +1,5 @@
-//! The rules of this workspace that neither compiler nor clippy knows. All findings are told at
-//! once, each with its place, its cause and what to do; nothing is changed.
+//! The rules of this workspace that neither compiler nor clippy checks. All findings are reported at once, each with
+//! location, cause and remedy; nothing is changed.
 
 mod arrows;
 mod bans;
@@ -17,11 +17,11 @@ use crate::cargo::say;
 use crate::metadata::Workspace;
 use crate::tree::Tree;
 
-/// Something that must be put right.
+/// A violation of a rule.
 #[derive(Debug, PartialEq, Eq)]
 struct Finding {
     path: String,
-    /// From 1.
+    /// Line number, from 1.
     line: usize,
     cause: String,
     remedy: String,
@@ -48,7 +48,7 @@ impl fmt::Display for Finding {
     }
 }
 
-/// A rule looks at everything and gives its findings.
+/// A rule checks the whole workspace and returns its findings.
 type Rule = fn(&Workspace, &Tree) -> Vec<Finding>;
 
 const RULES: &[Rule] = &[
@@ -61,7 +61,7 @@ const RULES: &[Rule] = &[
     sources::check,
 ];
 
-/// Prints all findings; true if there is none.
+/// Prints all findings; true if there are none.
 pub(crate) fn run(root: &Path) -> anyhow::Result<bool> {
     let (workspace, tree) = (Workspace::load(root)?, Tree::load(root)?);
     let mut findings: Vec<Finding> = RULES
@@ -80,7 +80,7 @@ pub(crate) fn run(root: &Path) -> anyhow::Result<bool> {
     Ok(findings.is_empty())
 }
 
-/// The line a text begins on that contains `needle`, for the place of a finding; 1 if none does.
+/// The first line of a text that contains `needle`, for the location of a finding; 1 if none does.
 fn line_of(text: &str, needle: &str) -> usize {
     text.lines()
         .position(|line| line.contains(needle))
@@ -92,7 +92,7 @@ mod tests {
     use super::*;
     use crate::metadata::Package;
 
-    /// A workspace of packages in folders named as they are.
+    /// A workspace of packages in folders named like them.
     pub(super) fn workspace(packages: Vec<Package>) -> Workspace {
         Workspace {
             packages,
@@ -111,7 +111,7 @@ mod tests {
         }
     }
 
-    /// Place and cause of each finding, in order.
+    /// Location and cause of each finding, in order.
     pub(super) fn causes(findings: &[Finding]) -> Vec<String> {
         findings
             .iter()
@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn finding_is_one_line_an_editor_can_follow() {
+    fn finding_displays_as_one_line() {
         let finding = Finding::new("rt/src/lib.rs", 3, "no head", "write one");
         assert_eq!(finding.to_string(), "rt/src/lib.rs:3: no head; write one");
     }

@@ -1,5 +1,5 @@
-//! The files of the checkout as text, so that every rule is a pure function over them and its tests
-//! need no disk. Reads no build output and follows no symbolic link.
+//! The text files of the checkout, so that every rule is a pure function over them and its tests need no disk. Build
+//! output and symbolic links are skipped.
 
 use std::fs;
 use std::path::Path;
@@ -44,7 +44,7 @@ impl Tree {
         Ok(())
     }
 
-    /// For the rules' tests.
+    /// A tree for the rules' tests.
     #[cfg(test)]
     pub(crate) fn of(files: &[(&str, &str)]) -> Self {
         let file = |(path, text): &(&str, &str)| File {
@@ -84,13 +84,13 @@ pub(crate) fn file_name(path: &str) -> &str {
     path.rsplit('/').next().unwrap_or(path)
 }
 
-/// The folder a path lies in; empty for the root.
+/// The folder of a path; empty for the root.
 pub(crate) fn parent(path: &str) -> &str {
     path.rsplit_once('/').map_or("", |(parent, _)| parent)
 }
 
-/// Folders that are not the project's text: version control, virtual environments, build output
-/// (which cargo marks as a cache).
+/// Folders that are not part of the project: version control, virtual environments, build output (which cargo marks as a
+/// cache).
 fn is_foreign(dir: &Path) -> bool {
     let name = dir.file_name().unwrap_or_default();
     name == ".git" || name == ".venv" || dir.join("CACHEDIR.TAG").is_file()
@@ -102,7 +102,7 @@ mod tests {
     use crate::cargo;
 
     #[test]
-    fn finds_files_and_folders() {
+    fn tree_finds_files_and_folders() {
         let tree = Tree::of(&[("a/b.rs", "x"), ("README.md", "")]);
         assert!(tree.exists("a") && tree.exists("a/") && tree.exists("a/b.rs"));
         assert!(!tree.exists("a/b") && !tree.exists("b.rs"));
@@ -115,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn reads_this_checkout_without_build_output() {
+    fn tree_excludes_build_output() {
         let tree = Tree::load(&cargo::workspace_root().unwrap()).unwrap();
         assert!(tree.exists("tools/xtask/src/tree.rs"));
         assert!(

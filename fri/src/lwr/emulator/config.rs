@@ -13,25 +13,25 @@ pub struct KrcConfig {
     pub period: Duration,
     /// Joint positions at the start, rad.
     pub joints: [f64; AXES],
-    /// What the axes can do.
+    /// Axis limits.
     pub limits: Limits,
     /// Time constant with which measured positions follow the set-point.
     pub lag: Duration,
-    /// How answers are judged.
+    /// How answers are rated.
     pub timing: Timing,
-    /// How far a mirrored position may lie from the set-point, rad; *assumption*: 0.01.
+    /// Largest deviation of a mirrored position from the set-point, rad; *assumption*: 0.01.
     pub mirror_tolerance_rad: f64,
     /// Control strategy at the start.
     pub control: Control,
-    /// `$STIFFNESS`: what the impedance modes use unless the client commands something else.
+    /// `$STIFFNESS`: used by the impedance modes unless the client commands other values.
     pub stiffness: Stiffness,
     /// What the flange touches.
     pub contact: Option<Contact>,
-    /// What the KRL program does.
+    /// The KRL program.
     pub script: Script,
-    /// What goes wrong.
+    /// Faults.
     pub faults: Faults,
-    /// Seed of all that is random.
+    /// Random seed.
     pub seed: u64,
 }
 
@@ -54,17 +54,17 @@ impl Default for KrcConfig {
     }
 }
 
-/// What the axes can do, symmetric about zero. The ranges are published; speed and acceleration are those that existing
-/// drivers use for every axis.
+/// Axis limits, symmetric about zero. The ranges are published; existing drivers use this speed and acceleration for
+/// every axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Limits {
-    /// Largest absolute position, rad: 170 and 120 degrees by turns.
+    /// Largest absolute position, rad: alternating 170 and 120 degrees.
     pub position_rad: [f64; AXES],
     /// Largest absolute speed, rad/s, scaled by the argument of friStart: 112.5 degrees per second.
     pub speed_rad_per_s: [f64; AXES],
-    /// Deceleration of braking, rad/s2. Commanded accelerations are not checked: no such check is known.
+    /// Braking deceleration, rad/s2. Commanded accelerations are not checked: no such check is known.
     pub acceleration_rad_per_s2: [f64; AXES],
-    /// Largest absolute added torque, Nm: the joints' own by the data sheet of the LWR 4+.
+    /// Largest absolute added torque, Nm: the joint torques in the data sheet of the LWR 4+.
     pub torque_nm: [f64; AXES],
 }
 
@@ -104,7 +104,7 @@ impl Default for Stiffness {
     }
 }
 
-/// What the KRL program does after friOpen.
+/// The KRL program after friOpen.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Script {
     /// Nothing: the owner calls [`super::Krc::fri_start`] and [`super::Krc::fri_stop`].
@@ -118,7 +118,7 @@ pub enum Script {
         /// Pause before the next friStart after command mode was lost; `None` stays in monitor mode.
         restart: Option<Duration>,
     },
-    /// Does what the client asks for in user data.
+    /// Executes the client's requests in user data.
     Handshake(Protocol),
 }
 
@@ -133,16 +133,16 @@ impl Default for Script {
     }
 }
 
-/// What goes wrong.
+/// Fault settings.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Faults {
-    /// On the way of measurements to the client.
+    /// Measurements on the way to the client.
     pub to_client: LineFaults,
-    /// On the way of answers to the controller.
+    /// Answers on the way to the controller.
     pub to_krc: LineFaults,
     /// A loss of drive power.
     pub power_off: Option<PowerOff>,
-    /// Reported and acted upon instead of the computed quality.
+    /// Replaces the computed quality.
     pub quality: Option<Quality>,
     /// How slow the controller's clock runs, parts per million; at most 100,000 either way. Read at the start only.
     pub drift_ppm: f64,

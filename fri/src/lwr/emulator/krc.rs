@@ -1,8 +1,9 @@
-//! The emulated controller as a machine without I/O: sends a measurement per period, judges the answers, runs a KRL program.
+//! The emulated controller as a state machine without I/O: sends a measurement per period, checks the answers, runs a
+//! KRL program.
 
 use super::config::{Faults, KrcConfig, Script, Stiffness};
+use super::exit::ExitReason;
 use super::krl::{Call, Program};
-use super::leave::Leave;
 use crate::emulator::{Arm, Body, Chain, Contact, Grid, History, Line, Rng, Sent, Window};
 use crate::error::DecodeError;
 use crate::generation::Kind;
@@ -14,33 +15,33 @@ use std::collections::VecDeque;
 use std::fmt;
 use std::time::Duration;
 
-mod judge;
+mod check;
 mod message;
 mod motion;
 #[cfg(test)]
 mod tests;
 
-/// Entries kept in the log of reasons.
+/// Capacity of the log of exits.
 const LOG_LEN: usize = 16;
 /// Jumps of a client's counter up to this width are loss or reordering, wider ones a new client.
 const COUNTER_WINDOW: u16 = 50;
 /// All seven drives have power.
 const ALL_DRIVES: u16 = 0x7f;
 
-/// One fall from command mode.
+/// One exit from command mode.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Left {
-    /// When, since the controller's start.
+pub struct Exit {
+    /// Time since the controller's start.
     pub at: Duration,
-    /// Why.
-    pub reason: Leave,
+    /// Reason.
+    pub reason: ExitReason,
 }
 
-/// Why friStart was refused; the state stays as it was.
+/// Why friStart was refused; the state does not change.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[non_exhaustive]
-pub enum StartRefused {
-    /// Command mode is on already.
+pub enum StartError {
+    /// Command mode is already active.
     #[error("already in command mode")]
     Commanding,
     /// Quality is UNACCEPTABLE.
@@ -49,13 +50,13 @@ pub enum StartRefused {
         /// Share of answers in time, 0..=1.
         answer_rate: f64,
     },
-    /// Nobody answers at the moment.
+    /// No client answers.
     #[error("no answer for {cycles} cycles")]
     Misses {
         /// Number of cycles.
         cycles: u32,
     },
-    /// The robot is still braking.
+    /// The robot is braking.
     #[error("the robot still brakes")]
     Moving,
 }
@@ -63,25 +64,25 @@ pub enum StartRefused {
 /// Totals since the controller's start.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct KrcCounters {
-    /// Measurements sent, whatever the line's faults did to them then.
+    /// Measurements sent, including those lost by the line.
     pub sent: u64,
     /// New answers received.
     pub answers: u64,
     /// Cycles without an answer in time.
     pub missed: u32,
-    /// Answers ignored as copies or as older than the newest.
+    /// Answers ignored as duplicates or as older than the newest.
     pub old: u64,
-    /// Datagrams refused by the decoder.
+    /// Datagrams rejected by the decoder.
     pub malformed: u64,
-    /// Datagrams lost by the fault knobs, both ways.
+    /// Datagrams lost by fault settings, both directions.
     pub dropped: u64,
-    /// Measurements not sent because the emulator's own host was late; not the client's fault.
+    /// Measurements not sent because the emulator's host stalled; not the client's fault.
     pub stalls: u64,
 }
 
 struct Received {
     cmd: Cmd,
-    /// The measurement it reflects, if that is not too old.
+    /// The measurement that the answer reflects, if not too old.
     sent: Option<Sent>,
 }
 
@@ -93,29 +94,29 @@ struct Received {
 ///    ▲                                                              │
 ///    └──(2) friStop  (3) misses, quality  (4) a limit or rule ──────┘
 /// ```
-/// 1 is [`Krc::fri_start`], called by the script or the owner; 2 is [`Krc::fri_stop`]; 3 and 4 are judged once per cycle.
-/// Whichever way it leaves, the robot brakes and the reason stands in [`Krc::log`]. A loss of drive power brakes too but
-/// leaves the state alone: in CMD without power answers must mirror, as in MON.
+/// [`Krc::fri_start`] makes transition 1, called by the script or the owner, and [`Krc::fri_stop`] transition 2; 3 and 4
+/// are checked once per cycle. After each of 2 to 4 the robot brakes, and [`Krc::log`] has the reason. A loss of drive
+/// power brakes, too, but does not change the state: in CMD without power answers must mirror, as in MON.
 ///
-/// The owner calls [`poll_transmit`](Self::poll_transmit) at [`poll_timeout`](Self::poll_timeout) until it returns `None`,
-/// and [`handle_datagram`](Self::handle_datagram) when something comes.
+/// The owner calls [`poll_transmit`](Self::poll_transmit) at [`poll_timeout`](Self::poll_timeout) until it returns
+/// `None`, and [`handle_datagram`](Self::handle_datagram) for each received datagram.
 ///
-/// **Time.** The controller has its own clock: its grid starts at the time given to [`Krc::new`] and never shifts. When
-/// the owner comes a period or more too late, the sends in between are skipped and counted as `stalls`, not made up for
-/// and not numbered. A cycle that was begun or ended more than a quarter period late and has no answer goes into no
-/// statistics: a real controller does not stall with the PC's processor, so blaming the client would invent a fault that
-/// the real pair does not have.
+/// **Time.** The controller has its own clock: its grid starts at the time given to [`Krc::new`] and never shifts. If
+/// the owner calls a period or more too late, the missed measurements are skipped and counted as `stalls`; they are
+/// neither sent later nor numbered. A cycle that began or ended more than a quarter period late and has no answer is
+/// excluded from the statistics: a real controller does not stall with the PC's processor, so counting it would report a
+/// fault that the real pair does not have.
 ///
 /// **Commands.** Each cycle uses the newest command received. A missing one is replaced by extrapolation at the last
 /// speed. Speed is the change between two received commands over the time between the measurements they reflect, so late
-/// and lost answers do not look like jumps.
+/// and lost answers do not appear as jumps.
 pub struct Krc {
     config: KrcConfig,
     grid: Grid,
     state: State,
     power: bool,
     scale: f64,
-    /// What the KRL interpolator commands; FRI adds to it in command mode.
+    /// Position of the KRL interpolator; FRI adds to it in command mode.
     base: [f64; AXES],
     arm: Arm,
     brake_step: [f64; AXES],
@@ -139,19 +140,19 @@ pub struct Krc {
     krl_in: Krl,
     program: Option<Program>,
     control: Control,
-    /// In force: `$STIFFNESS`, or what the client commands.
+    /// Active parameters: `$STIFFNESS`, or the client's.
     stiffness: Stiffness,
     added_torque: [f64; AXES],
     added_wrench: [f64; 6],
     tool: [f32; 6],
     load: Load,
     counters: KrcCounters,
-    log: VecDeque<Left>,
-    falls: u64,
+    log: VecDeque<Exit>,
+    exits: u64,
 }
 
 impl Krc {
-    /// A controller in monitor mode that sends its first measurement at `start`. All memory is taken here.
+    /// A controller in monitor mode that sends its first measurement at `start`. All memory is allocated here.
     #[must_use]
     pub fn new(config: KrcConfig, start: Duration) -> Self {
         let grid = Grid::new(start, config.period, config.faults.drift_ppm);
@@ -198,12 +199,12 @@ impl Krc {
             load: Load::default(),
             counters: KrcCounters::default(),
             log: VecDeque::with_capacity(LOG_LEN),
-            falls: 0,
+            exits: 0,
             config,
         }
     }
 
-    /// Writes the next datagram due by `now` to `buf` (at least [`Msr::LEN`] bytes, else it is lost).
+    /// Writes the next datagram due by `now` to `buf` (at least [`Msr::LEN`] bytes, else the datagram is lost).
     pub fn poll_transmit(&mut self, now: Duration, buf: &mut [u8]) -> Option<usize> {
         self.deliver(now);
         if now >= self.grid.next() {
@@ -214,7 +215,7 @@ impl Krc {
         Some(Msr::LEN)
     }
 
-    /// Takes an answer that left the client's side of the wire at `now`; the line's faults come on top.
+    /// Handles an answer that the client sent at `now`; the line's faults apply on top.
     pub fn handle_datagram(&mut self, bytes: &[u8], now: Duration) -> Result<(), DecodeError> {
         Cmd::decode(bytes)
             .map_err(|error| Kind::explain(Kind::LwrCommand, bytes, error))
@@ -225,7 +226,7 @@ impl Krc {
         Ok(())
     }
 
-    /// When the controller next has something to do.
+    /// Time of the next action.
     #[must_use]
     pub fn poll_timeout(&self) -> Duration {
         [self.to_client.next_due(), self.to_krc.next_due()]
@@ -234,23 +235,23 @@ impl Krc {
             .fold(self.grid.next(), Duration::min)
     }
 
-    /// Enters command mode with limits scaled by `scale`, 0..=1; the next measurement says so.
-    pub fn fri_start(&mut self, scale: f64) -> Result<(), StartRefused> {
+    /// Enters command mode with limits scaled by `scale`, 0..=1; the next measurement reports it.
+    pub fn fri_start(&mut self, scale: f64) -> Result<(), StartError> {
         if self.state == State::Cmd {
-            return Err(StartRefused::Commanding);
+            return Err(StartError::Commanding);
         }
         if self.quality == Quality::Unacceptable {
-            return Err(StartRefused::Quality {
+            return Err(StartError::Quality {
                 answer_rate: self.window.answer_rate(),
             });
         }
         if self.misses >= self.misses_max() {
-            return Err(StartRefused::Misses {
+            return Err(StartError::Misses {
                 cycles: self.misses,
             });
         }
         if !self.arm.is_at_rest() {
-            return Err(StartRefused::Moving);
+            return Err(StartError::Moving);
         }
         self.state = State::Cmd;
         self.scale = scale.clamp(0.0, 1.0);
@@ -261,52 +262,51 @@ impl Krc {
 
     /// Leaves command mode; an automatic script does not start again by itself.
     pub fn fri_stop(&mut self) {
-        self.leave(Leave::FriStop);
+        self.leave(ExitReason::FriStop);
         self.may_start_at = None;
     }
 
     /// Sets the control strategy, as `$STIFFNESS.STRATEGY` with `$STIFFNESS.COMMIT` does.
-    pub fn set_strategy(&mut self, control: Control) -> Result<(), StartRefused> {
+    pub fn set_strategy(&mut self, control: Control) -> Result<(), StartError> {
         if self.state == State::Cmd {
-            return Err(StartRefused::Commanding);
+            return Err(StartError::Commanding);
         }
         if !self.arm.is_at_rest() {
-            return Err(StartRefused::Moving);
+            return Err(StartError::Moving);
         }
         self.control = control;
         self.stiffness = self.config.stiffness;
-        self.arm.take_up();
+        self.arm.sync_set_point();
         Ok(())
     }
 
-    /// Control strategy in force.
+    /// Active control strategy.
     #[must_use]
     pub fn control(&self) -> Control {
         self.control
     }
 
-    /// `$TOOL` as set by the KRL program: X, Y, Z in mm, A, B, C in degrees. The emulated arm ends at its flange all the
-    /// same.
+    /// `$TOOL` as set by the KRL program: X, Y, Z in mm, A, B, C in degrees. It does not move the emulated arm's end point.
     #[must_use]
     pub fn tool(&self) -> [f32; 6] {
         self.tool
     }
 
-    /// `$LOAD` as set by the KRL program. The emulated arm carries nothing all the same.
+    /// `$LOAD` as set by the KRL program. It has no effect on the emulated arm.
     #[must_use]
     pub fn load(&self) -> Load {
         self.load
     }
 
-    /// What the flange touches; to be changed at any time.
+    /// What the flange touches; may change at any time.
     pub fn contact_mut(&mut self) -> &mut Option<Contact> {
         &mut self.arm.body.contact
     }
 
-    /// Place of the flange in the base frame, m.
+    /// Flange position in the base frame, m.
     #[must_use]
     pub fn flange(&self) -> [f64; 3] {
-        self.arm.body.place().position.into()
+        self.arm.body.pose().position.into()
     }
 
     /// Force of the contact on the flange in the base frame, N.
@@ -320,14 +320,14 @@ impl Krc {
         self.power = power;
     }
 
-    /// Whether the drives have power: switched on, and no fault takes it away now.
+    /// Whether the drives have power: switched on and not interrupted by a fault setting.
     #[must_use]
     pub fn has_power(&self) -> bool {
         let off = self.config.faults.power_off;
         self.power && !off.is_some_and(|off| off.covers(self.grid.time()))
     }
 
-    /// The fault knobs.
+    /// Fault settings.
     pub fn faults_mut(&mut self) -> &mut Faults {
         &mut self.config.faults
     }
@@ -378,22 +378,22 @@ impl Krc {
         }
     }
 
-    /// The last falls from command mode, at most 16, oldest first.
-    pub fn log(&self) -> impl DoubleEndedIterator<Item = &Left> {
+    /// The last exits from command mode, at most 16, oldest first.
+    pub fn log(&self) -> impl DoubleEndedIterator<Item = &Exit> {
         self.log.iter()
     }
 
-    /// Times command mode was left since the start, friStop included.
+    /// Number of exits from command mode since the start, friStop included.
     #[must_use]
-    pub fn falls(&self) -> u64 {
-        self.falls
+    pub fn exits(&self) -> u64 {
+        self.exits
     }
 
     fn misses_max(&self) -> u32 {
         self.config.timing.misses_max.max(1)
     }
 
-    /// How long a reordered datagram is held back.
+    /// Delay of a reordered datagram.
     fn behind(&self) -> Duration {
         self.grid.period() * 3 / 2
     }
@@ -430,7 +430,7 @@ impl Krc {
         if !first {
             self.close_cycle(began_late || self.grid.is_late());
         }
-        self.judge_timing();
+        self.check_timing();
         self.run_script();
         self.run_program();
         self.move_joints();
@@ -446,23 +446,23 @@ impl Krc {
         }
         self.window.record(latency);
         if self.misses >= self.misses_max() {
-            // Who answers after such a silence may be somebody else, with another counter.
+            // After such a silence another client may answer, with another counter.
             self.tracker.forget();
         }
     }
 
-    fn judge_timing(&mut self) {
+    fn check_timing(&mut self) {
         let forced = self.config.faults.quality;
         self.quality =
             forced.unwrap_or_else(|| u16::from(self.window.rank(&self.config.timing)).into());
         if self.misses >= self.misses_max() {
             let span_ms = self.grid.period().as_secs_f64() * 1e3 * f64::from(self.misses);
-            self.leave(Leave::Misses {
+            self.leave(ExitReason::Misses {
                 cycles: self.misses,
                 span_ms,
             });
         } else if self.quality == Quality::Unacceptable {
-            self.leave(Leave::Quality {
+            self.leave(ExitReason::Quality {
                 answer_rate: self.window.answer_rate(),
             });
         }
@@ -481,7 +481,7 @@ impl Krc {
                     let _refused = self.fri_start(1.0);
                 }
                 Call::Start => {}
-                Call::Stop => self.leave(Leave::FriStop),
+                Call::Stop => self.leave(ExitReason::FriStop),
                 Call::Strategy(control) => {
                     let _refused = self.set_strategy(control);
                 }
@@ -492,7 +492,7 @@ impl Krc {
         }
     }
 
-    /// friClose and friOpen with another period: quality must be earned anew.
+    /// friClose and friOpen with another period: quality starts from zero.
     fn reopen(&mut self, period: Duration) {
         self.grid.set_period(period);
         let period_s = self.grid.period().as_secs_f64();
@@ -510,12 +510,12 @@ impl Krc {
         let waits = self.may_start_at.is_none_or(|at| self.grid.time() < at);
         let is_good = self.quality.code() >= quality.code();
         if self.state == State::Mon && !waits && is_good && self.has_power() {
-            // Refused while the robot brakes or nobody answers: the script tries again in the next cycle.
+            // Refused while the robot brakes or no client answers: the script tries again in the next cycle.
             let _refused = self.fri_start(scale);
         }
     }
 
-    fn leave(&mut self, reason: Leave) {
+    fn leave(&mut self, reason: ExitReason) {
         if self.state != State::Cmd {
             return;
         }
@@ -528,8 +528,8 @@ impl Krc {
         if self.log.len() == LOG_LEN {
             self.log.pop_front();
         }
-        self.log.push_back(Left { at, reason });
-        self.falls += 1;
+        self.log.push_back(Exit { at, reason });
+        self.exits += 1;
     }
 
     fn follows(&self) -> bool {

@@ -1,14 +1,14 @@
-//! The KRL programs that an emulated KRC may run: what they do in one cycle, given the user data of the client. They move
-//! nothing themselves.
+//! The KRL programs of an emulated KRC: their actions in one cycle, given the user data of the client. They do not move
+//! the robot.
 
 use crate::lwr::protocol::{Load, Protocol, parameter, strategy_of};
 use crate::lwr::wire::{Control, Krl, State};
 use std::time::Duration;
 
-/// What a program wants of the controller.
+/// An action of the program on the controller.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Call {
-    /// friStart(1.0), again and again until it succeeds.
+    /// friStart(1.0), repeated until it succeeds.
     Start,
     /// friStop.
     Stop,
@@ -22,7 +22,7 @@ pub(super) enum Call {
     Reopen(Duration),
 }
 
-/// Calls of one cycle at most.
+/// Maximum number of calls per cycle.
 const CALLS_MAX: usize = 4;
 pub(super) type Calls = [Option<Call>; CALLS_MAX];
 
@@ -32,13 +32,13 @@ enum Phase {
     Boot,
     /// Waits for the client.
     Wait,
-    /// Takes parameters.
+    /// Receives parameters.
     Parameters,
-    /// Has asked for friStart; waits for command mode.
+    /// Has called friStart; waits for command mode.
     Starting,
 }
 
-/// A program under way.
+/// A running program.
 #[derive(Debug, Clone)]
 pub(super) struct Program {
     protocol: Protocol,
@@ -49,7 +49,7 @@ pub(super) struct Program {
     load: Load,
 }
 
-/// How long RCC's program waits after friOpen.
+/// Delay of RCC's program after friOpen.
 const RCC_BOOT: Duration = Duration::from_secs(2);
 
 impl Program {
@@ -64,7 +64,7 @@ impl Program {
         }
     }
 
-    /// One turn of the program's loop.
+    /// One iteration of the program's loop.
     pub(super) fn step(&mut self, from: &Krl, to: &mut Krl, state: State, time: Duration) -> Calls {
         match self.protocol {
             Protocol::Rcc => self.rcc(from, to, state, time),
@@ -117,8 +117,8 @@ impl Program {
         let value = from.real[14];
         let set = |values: &mut [f32], first: i32| {
             let index = usize::try_from(number - first).unwrap_or(usize::MAX);
-            if let Some(place) = values.get_mut(index) {
-                *place = value;
+            if let Some(slot) = values.get_mut(index) {
+                *slot = value;
             }
         };
         match number {
@@ -161,7 +161,7 @@ impl Program {
             10 => Self::start(state, from.int[14]),
             20 => Self::stop(state),
             30 | 40 => {
-                // friClose ends the program; the emulator goes on measuring so that its end is seen.
+                // friClose ends the program; the emulator keeps sending measurements so that the client sees the end.
                 self.phase = Phase::Parameters;
                 Self::stop(state)
             }
@@ -244,7 +244,7 @@ impl Program {
             }
             Phase::Starting => Self::start(state, 0),
             Phase::Parameters if state != State::Cmd => {
-                // Whatever ended command mode ends the program.
+                // Any end of command mode ends the program.
                 to.int[0] = -1;
                 Calls::default()
             }

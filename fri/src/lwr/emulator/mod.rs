@@ -1,14 +1,15 @@
-//! The other end of the wire: an emulated KRC2 lr for tests, examples and demonstrations.
+//! An emulated KRC2 lr for tests, examples and demonstrations.
 //!
-//! It speaks the real datagrams and judges a client as the real controller is known to, with knobs for what goes wrong on
-//! wires and in cabinets. In position control joints follow their set-point with a first-order lag; in impedance
-//! control the arm gives way, with a constant inertia per joint, and feels a [`Contact`]: no model of the real dynamics. Numbers that KUKA does not publish (thresholds of quality, tolerated misses,
-//! tolerance of the mirror) are marked *assumption* in [`KrcConfig`] and can be set.
+//! It exchanges the real datagrams and checks a client as the real controller is known to, with settings for faults of
+//! wires and cabinets. In position control joints follow their set-point with a first-order lag. In impedance control
+//! the arm is compliant, with a constant inertia per joint, and reacts to a [`Contact`]; the real dynamics are not
+//! modelled. Numbers that KUKA does not publish (quality thresholds, tolerated misses, mirror tolerance) are marked
+//! *assumption* in [`KrcConfig`] and can be set.
 
 mod config;
+mod exit;
 mod krc;
 mod krl;
-mod leave;
 mod parameter;
 mod status;
 
@@ -16,7 +17,7 @@ mod status;
 pub use crate::emulator::serve;
 pub use crate::emulator::{Contact, LineFaults, PowerOff, Served, Shape, Status, Timing};
 pub use config::{Faults, KrcConfig, Limits, Script, Stiffness};
-pub use krc::{Krc, KrcCounters, Left, StartRefused};
-pub use leave::Leave;
+pub use exit::ExitReason;
+pub use krc::{Exit, Krc, KrcCounters, StartError};
 pub use parameter::Parameter;
 pub use status::KrcStatus;

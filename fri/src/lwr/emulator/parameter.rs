@@ -1,11 +1,11 @@
-//! The fields of a command beside its position, as a controller judges them: which flag declares them valid, and what they
-//! may say. It applies none of them.
+//! The fields of a command besides its position, as a controller checks them: the flag that declares each valid, and its
+//! range. It applies none of them.
 
 use crate::lwr::JOINT_NAMES;
 use crate::lwr::wire::{Cmd, CmdFlags};
 use std::fmt;
 
-/// A field of a command beside its position.
+/// A field of a command besides its position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Parameter {
     /// Added torque of a joint, Nm.
@@ -26,7 +26,7 @@ pub enum Parameter {
 const COMPONENTS: [&str; 6] = ["X", "Y", "Z", "about Z", "about Y", "about X"];
 
 impl Parameter {
-    /// All of them, in the order of their numbers.
+    /// All fields, in the order of their numbers.
     pub const ALL: [Self; 6] = [
         Self::JointTorque,
         Self::JointStiffness,
@@ -36,7 +36,7 @@ impl Parameter {
         Self::CartesianDamping,
     ];
 
-    /// The flag that declares it valid.
+    /// The flag that declares the field valid.
     pub(super) const fn flag(self) -> CmdFlags {
         match self {
             Self::JointTorque => CmdFlags::JNTTRQ,
@@ -48,7 +48,7 @@ impl Parameter {
         }
     }
 
-    /// What a command says of it: of 7 joints or 6 components.
+    /// Values of the field in a command: 7 joints or 6 components.
     pub(super) const fn values(self, cmd: &Cmd) -> &[f32] {
         match self {
             Self::JointTorque => &cmd.joint_torque,
@@ -60,7 +60,7 @@ impl Parameter {
         }
     }
 
-    /// Lowest and highest value; infinite ones are refused all the same. `torque_max` is the joint's, Nm.
+    /// Lowest and highest value; infinite values are rejected in any case. `torque_max` is the joint's, Nm.
     pub(super) fn range(self, torque_max: Option<f64>) -> [f64; 2] {
         match self {
             Self::JointTorque => {
@@ -73,8 +73,8 @@ impl Parameter {
         }
     }
 
-    /// Name of the joint or component of that index.
-    pub(super) fn place(self, index: usize) -> &'static str {
+    /// Name of the joint or component at `index`.
+    pub(super) fn component_name(self, index: usize) -> &'static str {
         let names: &[&str] = match self {
             Self::JointTorque | Self::JointStiffness | Self::JointDamping => &JOINT_NAMES,
             Self::Wrench | Self::CartesianStiffness | Self::CartesianDamping => &COMPONENTS,
@@ -82,7 +82,7 @@ impl Parameter {
         names.get(index).copied().unwrap_or("?")
     }
 
-    /// What it may be, in words.
+    /// The range in words.
     pub(super) const fn bounds(self) -> &'static str {
         match self {
             Self::JointTorque => "(Nm, a number within the joint's torque)",

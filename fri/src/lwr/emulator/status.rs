@@ -1,11 +1,11 @@
-//! What other threads see of a served controller, as the status that both generations share shows it. No words of its own.
+//! Status of a served KRC for other threads, by the type that both generations share.
 
+use super::exit::ExitReason;
 use super::krc::Krc;
-use super::leave::Leave;
 use crate::emulator::{Status, served};
 use crate::lwr::wire::{Quality, State};
 
 /// Live state of a controller in [`super::serve`], shared by an `Arc`.
 pub type KrcStatus = Status<Krc>;
 
-served!(Krc, State, Quality, Leave, u16, to_krc);
+served!(Krc, State, Quality, ExitReason, u16, to_krc);

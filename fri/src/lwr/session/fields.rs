@@ -1,11 +1,11 @@
-//! The fields of a command beside joint positions: frame, added torques, stiffness and damping. They decide nothing.
+//! The fields of a command besides joint positions: frame, added torques, stiffness and damping.
 
 use super::Session;
 use crate::guard::Violation;
 use crate::lwr::wire::{Cmd, CmdFlags, Msr};
 use crate::lwr::{AXES, Phase};
 
-/// Values of the fields that [`Session::choose`] selects; they go out with every answer until changed.
+/// Values of the fields that [`Session::choose`] selects; sent with every answer until changed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Fields {
     /// Tool frame, 3x4 row-major, translation in m at indices 3, 7, 11; `None` mirrors the controller's.
@@ -39,13 +39,13 @@ impl Default for Fields {
     }
 }
 
-/// Fields may not be chosen while the robot follows.
+/// Fields may not be chosen in command mode.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("command flags may change in monitor mode only: let the KRL program call friStop first")]
 pub struct ChooseError;
 
 impl Session {
-    /// Chooses the fields of the next answers. Those that the control strategy in force does not allow are left out; if no
+    /// Chooses the fields of the next answers. Fields that the active control strategy does not allow are omitted; if no
     /// position is left, joint positions are sent.
     pub fn choose(&mut self, flags: CmdFlags) -> Result<(), ChooseError> {
         if self.phase == Phase::Command {
@@ -74,7 +74,7 @@ impl Session {
         }
     }
 
-    /// Writes the chosen fields. Outside command mode frames mirror and nothing is added.
+    /// Writes the chosen fields. Outside command mode frames mirror the controller's, and nothing is added.
     pub(super) fn fill(&self, cmd: &mut Cmd, msr: &Msr) -> Option<Violation> {
         cmd.flags = self.flags();
         let fields = &self.fields;
@@ -104,7 +104,7 @@ impl Session {
     }
 }
 
-/// The frame in force: KRL's command, moved by the part of FRI.
+/// The active frame: KRL's command plus FRI's offset.
 fn mirrored_frame(msr: &Msr) -> [f32; 12] {
     let at = |frame: &[f32; 12], row: usize, column: usize| match (row, column) {
         (3, 3) => 1.0,

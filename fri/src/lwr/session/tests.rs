@@ -52,7 +52,7 @@ fn offline() -> Session {
     Session::new(SessionConfig::default())
 }
 
-/// Has heard measurement 10 at time 0 and answered it.
+/// Has received measurement 10 at time 0 and answered it.
 fn monitor() -> Session {
     let mut session = offline();
     session
@@ -62,7 +62,7 @@ fn monitor() -> Session {
     session
 }
 
-/// Has heard measurement 10 at time 0 and answered it with 0.76 rad.
+/// Has received measurement 10 at time 0 and answered it with 0.76 rad.
 fn command() -> Session {
     let mut session = offline();
     session
@@ -74,7 +74,7 @@ fn command() -> Session {
     session
 }
 
-/// Has lost the controller.
+/// Offline after a silence.
 fn lost() -> Session {
     let mut session = command();
     assert!(session.handle_timeout(PERIOD * 50));
@@ -104,7 +104,7 @@ fn assert_joints(cmd: &Cmd, expected: f32) {
 type Row = (fn() -> Session, [(Phase, Option<Event>); 2]);
 
 #[test]
-fn every_measurement_leads_where_the_diagram_says() {
+fn session_measurement_transitions_match_diagram() {
     use Event::{CommandEntered, CommandLeft, Online};
     use Phase::{Command, Monitor};
     let inputs = [
@@ -147,7 +147,7 @@ fn every_measurement_leads_where_the_diagram_says() {
 }
 
 #[test]
-fn silence_leads_from_every_phase_to_offline() {
+fn session_silence_in_any_phase_is_offline() {
     for make in [monitor, command] {
         let mut session = make();
         assert_eq!(session.poll_timeout(), Some(MS * 100));
@@ -165,7 +165,7 @@ fn silence_leads_from_every_phase_to_offline() {
 }
 
 #[test]
-fn a_late_datagram_counts_as_silence_without_any_timer_call() {
+fn session_late_datagram_counts_as_silence() {
     let mut session = command();
     let got = session
         .handle_datagram(&msr(11, State::Cmd, 0x7f), MS * 100)
@@ -179,7 +179,7 @@ fn a_late_datagram_counts_as_silence_without_any_timer_call() {
 // ---- order of datagrams
 
 #[test]
-fn copies_and_old_ones_change_nothing() {
+fn session_duplicates_and_old_are_ignored() {
     for (sequence, order) in [
         (10, Order::Duplicate),
         (9, Order::Old),
@@ -199,7 +199,7 @@ fn copies_and_old_ones_change_nothing() {
 }
 
 #[test]
-fn a_controller_that_starts_again_in_command_mode_is_entered_anew() {
+fn session_controller_restart_in_command_enters_again() {
     let mut session = command();
     let got = session
         .handle_datagram(&msr(65000, State::Cmd, 0x7f), PERIOD)
@@ -212,7 +212,7 @@ fn a_controller_that_starts_again_in_command_mode_is_entered_anew() {
 }
 
 #[test]
-fn lost_measurements_are_counted_by_the_gap() {
+fn session_lost_measurements_are_counted_by_gap() {
     let mut session = monitor();
     let got = session
         .handle_datagram(&msr(14, State::Mon, 0), PERIOD)
@@ -225,7 +225,7 @@ fn lost_measurements_are_counted_by_the_gap() {
 }
 
 #[test]
-fn a_malformed_datagram_is_counted_and_changes_nothing() {
+fn session_malformed_datagram_is_only_counted() {
     let mut session = command();
     assert!(session.handle_datagram(&[0; 12], PERIOD).is_err());
     assert_eq!(
@@ -237,7 +237,7 @@ fn a_malformed_datagram_is_counted_and_changes_nothing() {
 // ---- answers
 
 #[test]
-fn answers_mirror_unless_commanding() {
+fn session_answers_mirror_unless_commanding() {
     for (state, power) in [(State::Mon, 0x7f), (State::Cmd, 0)] {
         let mut session = command();
         session
@@ -250,7 +250,7 @@ fn answers_mirror_unless_commanding() {
 }
 
 #[test]
-fn command_mode_begins_at_the_mirror_and_holds_what_was_commanded() {
+fn session_command_starts_at_mirror_and_holds() {
     let mut session = monitor();
     session
         .handle_datagram(&msr(11, State::Cmd, 0x7f), PERIOD)
@@ -279,7 +279,7 @@ fn command_mode_begins_at_the_mirror_and_holds_what_was_commanded() {
 }
 
 #[test]
-fn each_measurement_has_one_answer_and_each_answer_its_number() {
+fn session_measurement_gets_one_numbered_answer() {
     let mut session = Session::new(SessionConfig {
         first_sequence: u16::MAX,
         ..SessionConfig::default()
@@ -301,7 +301,7 @@ fn each_measurement_has_one_answer_and_each_answer_its_number() {
 }
 
 #[test]
-fn nothing_infinite_leaves_and_the_answer_can_be_repeated() {
+fn session_non_finite_command_is_rejected_and_retried() {
     let mut session = command();
     session
         .handle_datagram(&msr(11, State::Cmd, 0x7f), PERIOD)
@@ -318,7 +318,7 @@ fn nothing_infinite_leaves_and_the_answer_can_be_repeated() {
 }
 
 #[test]
-fn a_wild_period_on_the_wire_is_bounded() {
+fn session_extreme_period_is_clamped() {
     for (stated, expected) in [(f32::NAN, 1), (-1.0, 1), (0.012, 12), (f32::INFINITY, 100)] {
         let mut bytes = msr(1, State::Mon, 0);
         bytes[148..152].copy_from_slice(&stated.to_le_bytes());

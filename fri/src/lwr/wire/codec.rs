@@ -2,7 +2,7 @@
 
 use crate::error::{DecodeError, EncodeError};
 
-/// Takes fields off the front of a received datagram.
+/// Reads fields from the front of a received datagram.
 #[derive(Debug)]
 pub(super) struct Reader<'a> {
     rest: &'a [u8],
@@ -63,7 +63,7 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// Puts fields at the front of a buffer.
+/// Writes fields to the front of a buffer.
 #[derive(Debug)]
 pub(super) struct Writer<'a> {
     rest: &'a mut [u8],

@@ -1,4 +1,4 @@
-//! The coded fields of a measurement. Codes we do not know are kept, not judged.
+//! The coded fields of a measurement. Unknown codes are kept.
 
 use crate::codes::codes;
 
@@ -16,7 +16,7 @@ codes! {
 }
 
 codes! {
-    /// The controller's judgement of our timing, as KRL `$FRIQUALITY`.
+    /// The controller's rating of our timing, as KRL `$FRIQUALITY`.
     #[doc(alias = "FRI_QUALITY")]
     Quality: u16 {
         /// Command mode is not allowed.
@@ -25,7 +25,7 @@ codes! {
         Bad = 1 "BAD",
         /// Command mode is allowed; some answers are missing.
         Ok = 2 "OK",
-        /// Command mode is allowed; what most KRL programs wait for.
+        /// Command mode is allowed; most KRL programs wait for this.
         Perfect = 3 "PERFECT",
     }
 }
@@ -34,7 +34,7 @@ codes! {
     /// Control strategy in force, as KRL `$STIFFNESS.STRATEGY` / 10.
     #[doc(alias = "FRI_CTRL")]
     Control: u16 {
-        /// None of those below.
+        /// Another strategy.
         Unspecified = 0 "other",
         /// Joint position control.
         Position = 1 "position",
@@ -50,7 +50,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_code_survives() {
+    fn codes_roundtrip() {
         for code in 0..=u16::MAX {
             assert_eq!(State::from(code).code(), code);
             assert_eq!(Quality::from(code).code(), code);
@@ -59,7 +59,7 @@ mod tests {
     }
 
     #[test]
-    fn unknown_codes_are_shown_as_such() {
+    fn codes_unknown_display() {
         assert_eq!(State::from(0xffff).to_string(), "?65535");
         assert_eq!(Quality::Perfect.to_string(), "PERFECT");
     }

@@ -46,19 +46,19 @@ impl CmdFlags {
     /// [`super::Cmd::cartesian_damping`] is valid.
     pub const CARTDAMP: Self = Self(0x2000);
 
-    /// The flags with exactly these bits.
+    /// Flags from raw bits.
     #[must_use]
     pub const fn from_bits(bits: u32) -> Self {
         Self(bits)
     }
 
-    /// The bits as on the wire.
+    /// Raw bits as on the wire.
     #[must_use]
     pub const fn bits(self) -> u32 {
         self.0
     }
 
-    /// The fields that a controller accepts under a control strategy; under an unknown one joint positions only.
+    /// The fields that a controller accepts under a control strategy; joint positions only under an unknown one.
     #[must_use]
     pub fn allowed(control: Control) -> Self {
         match control {
@@ -70,7 +70,7 @@ impl CmdFlags {
         }
     }
 
-    /// The bits that both have.
+    /// The bits set in both.
     #[must_use]
     pub const fn intersection(self, other: Self) -> Self {
         Self(self.0 & other.0)
@@ -119,7 +119,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn named_and_unknown_bits_are_shown() {
+    fn flags_display_named_and_unknown_bits() {
         assert_eq!(CmdFlags::NONE.to_string(), "none");
         assert_eq!(
             (CmdFlags::JNTPOS | CmdFlags::CARTDAMP).to_string(),
@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn contains_asks_for_every_bit() {
+    fn flags_contains_requires_every_bit() {
         let flags = CmdFlags::JNTPOS | CmdFlags::JNTSTIFF;
         assert!(flags.contains(CmdFlags::JNTPOS));
         assert!(!flags.contains(CmdFlags::JNTPOS | CmdFlags::JNTDAMP));

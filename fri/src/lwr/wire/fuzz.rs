@@ -1,11 +1,11 @@
-//! What must hold for any received bytes, in one function for tests and fuzzers. It makes no input of its own.
+//! What must hold for any received bytes, in one function for tests and fuzzers. It generates no input itself.
 
 use super::{Cmd, Msr};
 
-/// Feeds `bytes` to both decoders; if one accepts, encoding and decoding again must give the same bytes.
+/// Passes `bytes` to both decoders; if one accepts, encoding and decoding again must give the same bytes.
 ///
 /// # Panics
-/// When a decoder accepts bytes that its encoder cannot give back: a bug of this crate.
+/// If a decoder accepts bytes that its encoder cannot reproduce: a bug of this crate.
 pub fn fuzz(bytes: &[u8]) {
     if let Ok(msr) = Msr::decode(bytes) {
         let mut once = [0; Msr::LEN];

@@ -1,4 +1,4 @@
-//! The eight bytes both datagrams begin with. It does not judge sequence numbers; the session does.
+//! The eight bytes at the start of both datagrams. The session evaluates the sequence numbers.
 
 use super::codec::{Reader, Writer};
 use crate::error::{DecodeError, EncodeError};
@@ -11,7 +11,7 @@ const DATAGRAM_ID_OFFSET: usize = 6;
 /// | offset | type | field | meaning |
 /// |--:|---|---|---|
 /// | 0 | u16 | sendSeqCount | the sender's counter |
-/// | 2 | u16 | reflSeqCount | last sendSeqCount the sender had received |
+/// | 2 | u16 | reflSeqCount | last sendSeqCount that the sender received |
 /// | 4 | u16 | packetSize | length of the whole datagram in bytes |
 /// | 6 | u16 | datagramId | kind and version |
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -19,7 +19,7 @@ pub struct Header {
     /// The sender's own counter, +1 per datagram, wraps at 65535.
     #[doc(alias = "sendSeqCount")]
     pub sequence: u16,
-    /// The counter of the last datagram the sender had received.
+    /// Counter of the last datagram that the sender received.
     #[doc(alias = "reflSeqCount")]
     pub reflected: u16,
 }

@@ -1,4 +1,4 @@
-//! The user variables that a KRL program and the PC exchange. It gives them no meaning: handshakes are the owner's.
+//! User variables exchanged by KRL program and PC. Handshakes interpret them, this module does not.
 
 use super::codec::{Reader, Writer};
 use crate::error::{DecodeError, EncodeError};
@@ -17,19 +17,19 @@ pub struct Krl {
     pub real: [f32; 16],
     /// Integers; element i is KRL index i + 1.
     pub int: [i32; 16],
-    /// Truth values, one per bit; bit i is KRL index i + 1.
+    /// Booleans, one per bit; bit i is KRL index i + 1.
     pub bools: u16,
 }
 
 impl Krl {
-    /// The truth value at `index` 0..=15 (KRL index minus one); `false` beyond.
+    /// The boolean at `index` 0..=15 (KRL index minus one); `false` beyond.
     #[must_use]
     pub fn bool(&self, index: u32) -> bool {
         1u16.checked_shl(index)
             .is_some_and(|bit| self.bools & bit != 0)
     }
 
-    /// Sets the truth value at `index` 0..=15 (KRL index minus one); nothing happens beyond.
+    /// Sets the boolean at `index` 0..=15 (KRL index minus one); no effect beyond.
     pub fn set_bool(&mut self, index: u32, value: bool) {
         let bit = 1u16.checked_shl(index).unwrap_or(0);
         self.bools = if value {
@@ -62,7 +62,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_truth_value_is_one_bit() {
+    fn krl_bool_is_one_bit() {
         let mut krl = Krl::default();
         krl.set_bool(15, true);
         krl.set_bool(0, true);

@@ -21,7 +21,7 @@ pub use msr::{Interface, Msr, Robot, Statistics};
 use crate::lwr::AXES;
 use std::fmt;
 
-/// Joint values for a one-line display, four decimals.
+/// Formats joint values in one line, four decimals.
 struct Joints<'a>(&'a [f32; AXES]);
 
 impl fmt::Display for Joints<'_> {

@@ -1,4 +1,4 @@
-//! The measurement datagram, controller to PC. It does not relate one measurement to the next.
+//! The measurement datagram, controller to PC. Successive measurements are related elsewhere.
 
 use super::codec::{Reader, Writer};
 use super::{Control, Header, Joints, Krl, Quality, State};
@@ -31,7 +31,7 @@ pub struct Msr {
     pub krl: Krl,
     /// State and periods of the interface.
     pub interface: Interface,
-    /// What the controller thinks of our answers.
+    /// The controller's statistics of our answers.
     pub statistics: Statistics,
     /// Drives and control strategy.
     pub robot: Robot,
@@ -41,16 +41,16 @@ pub struct Msr {
     /// Measured tool frame, 3x4 row-major, translation in m at indices 3, 7, 11.
     #[doc(alias = "msrCartPos")]
     pub measured_frame: [f32; 12],
-    /// Joint positions the KRL interpolator commands before FRI adds to them, rad.
+    /// Joint positions commanded by the KRL interpolator, before FRI's offset, rad.
     #[doc(alias = "cmdJntPos")]
     pub commanded_joints: [f32; AXES],
-    /// Part of the joint set-point that comes from FRI, rad.
+    /// FRI's part of the joint set-point, rad.
     #[doc(alias = "cmdJntPosFriOffset")]
     pub joint_offset: [f32; AXES],
-    /// Commanded tool frame before FRI, 3x4 row-major, m.
+    /// Commanded tool frame before FRI's offset, 3x4 row-major, m.
     #[doc(alias = "cmdCartPos")]
     pub commanded_frame: [f32; 12],
-    /// Part of the commanded frame that comes from FRI, 3x4 row-major, m.
+    /// FRI's part of the commanded frame, 3x4 row-major, m.
     #[doc(alias = "cmdCartPosFriOffset")]
     pub frame_offset: [f32; 12],
     /// Measured joint torques, Nm.
@@ -78,7 +78,7 @@ pub struct Interface {
     pub timestamp_s: f32,
     /// Monitor or command mode.
     pub state: State,
-    /// The controller's judgement of our timing.
+    /// The controller's rating of our timing.
     pub quality: Quality,
     /// Period of measurements, s, above 0.
     #[doc(alias = "desiredMsrSampleTime")]
@@ -86,7 +86,7 @@ pub struct Interface {
     /// Period in which commands are expected, s, above 0.
     #[doc(alias = "desiredCmdSampleTime")]
     pub cmd_period_s: f32,
-    /// Scale on the controller's limits given to friStart, 0..=1.
+    /// Scale of the controller's limits given to friStart, 0..=1.
     #[doc(alias = "safetyLimits")]
     pub safety_scale: f32,
 }
@@ -110,11 +110,11 @@ pub struct Statistics {
 /// Drives and strategy, at offset 180 of [`Msr`]: u16 power, u16 control, u16 error, u16 warning, f32\[7\] temperature.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Robot {
-    /// One bit per drive that has power; 0x7f is all seven.
+    /// One bit per drive with power; 0x7f is all seven.
     pub power: u16,
     /// Control strategy in force.
     pub control: Control,
-    /// Drive errors, one bit each; they take the power away.
+    /// Drive errors, one bit each; they switch the power off.
     pub error: u16,
     /// Drive warnings, one bit each.
     pub warning: u16,
@@ -129,7 +129,7 @@ impl Msr {
     pub const ID: u16 = 0x2006;
     const PACKET_SIZE: u16 = 916;
 
-    /// The joint set-point in force: KRL's command plus the part of FRI, rad. What a client mirrors.
+    /// The joint set-point: KRL's command plus FRI's offset, rad. Clients mirror it.
     #[must_use]
     pub fn set_point(&self) -> [f64; AXES] {
         let mut sum = self.commanded_joints.map(f64::from);

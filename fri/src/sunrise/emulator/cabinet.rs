@@ -1,7 +1,8 @@
-//! The emulated cabinet as a machine without I/O: sends a monitoring message per period, judges the answers, moves the arm.
+//! The emulated cabinet as a state machine without I/O: sends a monitoring message per period, checks the answers, moves
+//! the arm.
 
 use super::config::{CabinetConfig, Control, Faults, Overlay};
-use super::leave::Leave;
+use super::exit::ExitReason;
 use crate::emulator::{Arm, Body, Contact, Grid, History, Law, Line, Rng, Sent, Window};
 use crate::error::DecodeError;
 use crate::generation::Kind;
@@ -15,44 +16,44 @@ use std::collections::VecDeque;
 use std::fmt;
 use std::time::Duration;
 
-mod judge;
+mod check;
 mod message;
 mod program;
 #[cfg(test)]
 mod tests;
 
-/// Entries kept in the log of reasons.
+/// Capacity of the log of exits.
 const LOG_LEN: usize = 16;
 /// Jumps of a client's counter up to this width are loss or reordering, wider ones a new client.
 const COUNTER_WINDOW: u16 = 50;
-/// How long `session.await` waits for quality.
+/// Timeout of `session.await` for quality.
 const AWAIT: Duration = Duration::from_secs(10);
-/// How long a controller needs after a closed session before the next one works; reported by users.
+/// Delay of a controller from closing a session to accepting the next one; reported by users.
 const REOPEN: Duration = Duration::from_secs(5);
 
 /// One end of an overlay, or of waiting for one.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Left {
-    /// When, since the cabinet's start.
+pub struct Exit {
+    /// Time since the cabinet's start.
     pub at: Duration,
-    /// Why.
-    pub reason: Leave,
+    /// Reason.
+    pub reason: ExitReason,
 }
 
-/// Why a motion or a session was refused; the state stays as it was.
+/// Why a motion or a session was refused; the state does not change.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
-pub enum StartRefused {
-    /// The session is in another state than MONITORING_READY.
+pub enum StartError {
+    /// The session state is not MONITORING_READY.
     #[error("session is {state}, not MONITORING_READY")]
     NotReady {
         /// State of the session.
         state: SessionState,
     },
-    /// A drive has no power, or the safety controller asks for a stop.
-    #[error("drives are off, or the safety controller asks for a stop")]
+    /// A drive has no power, or the safety controller requests a stop.
+    #[error("drives are off, or the safety controller requests a stop")]
     Drives,
-    /// The robot is still braking.
+    /// The robot is braking.
     #[error("the robot still brakes")]
     Moving,
     /// The command mode does not fit control mode or dialect.
@@ -60,10 +61,10 @@ pub enum StartRefused {
         "command mode {command} does not fit the control mode of the motion, or this version of FRI"
     )]
     Mismatch {
-        /// What the client was to command.
+        /// Requested command mode.
         command: CommandMode,
     },
-    /// There is a session, or the last one was closed too short ago.
+    /// A session is open, or the last one was closed too recently.
     #[error("the last session was closed less than 5 s ago, or is still open")]
     NotClosed,
 }
@@ -71,27 +72,27 @@ pub enum StartRefused {
 /// Totals since the cabinet's start.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct CabinetCounters {
-    /// Messages sent, whatever the line's faults did to them then.
+    /// Messages sent, including those lost by the line.
     pub sent: u64,
     /// New answers received.
     pub answers: u64,
     /// Command periods without an answer in time.
     pub missed: u32,
-    /// Answers ignored as copies or as older than the newest.
+    /// Answers ignored as duplicates or as older than the newest.
     pub old: u64,
-    /// Datagrams refused by the decoder, or in another framing.
+    /// Datagrams rejected by the decoder, or in another framing.
     pub malformed: u64,
-    /// Datagrams lost by the fault knobs, both ways.
+    /// Datagrams lost by fault settings, both directions.
     pub dropped: u64,
-    /// Messages not sent because the emulator's own host was late; not the client's fault.
+    /// Messages not sent because the emulator's host stalled; not the client's fault.
     pub stalls: u64,
-    /// Outputs written by the client that are none.
+    /// Outputs written by the client that do not exist.
     pub refused_ios: u64,
 }
 
 struct Received {
     command: Command,
-    /// The message it reflects, if that is not too old.
+    /// The message that the answer reflects, if not too old.
     sent: Option<Sent>,
 }
 
@@ -110,13 +111,13 @@ struct Added {
 ///        └──────────────────────┴────────(4)─────────────┴────────────────────────┘
 ///  any ──(5)──▶ IDLE ──(6)──▶ MONITORING_WAIT
 /// ```
-/// 1 is judged once per period; 2 is [`Cabinet::start_overlay`], called by the program or the owner; 3 is the first answer that
-/// agrees with the interpolator; 4 is [`Cabinet::cancel`] or any other [`Leave`]; 5 and 6 are [`Cabinet::close_session`] and
-/// [`Cabinet::open_session`].
+/// 1 is evaluated once per period. 2 is [`Cabinet::start_overlay`], called by the program or the owner. 3 is the first
+/// answer that agrees with the interpolator. 4 is [`Cabinet::cancel`] or any other [`ExitReason`]. 5 and 6 are
+/// [`Cabinet::close_session`] and [`Cabinet::open_session`].
 ///
-/// The owner calls [`poll_transmit`](Self::poll_transmit) at [`poll_timeout`](Self::poll_timeout) until it returns `None`,
-/// and [`handle_datagram`](Self::handle_datagram) when something comes. Time and commands are treated as in the emulated
-/// KRC, see [`crate::lwr::emulator::Krc`].
+/// The owner calls [`poll_transmit`](Self::poll_transmit) at [`poll_timeout`](Self::poll_timeout) until it returns
+/// `None`, and [`handle_datagram`](Self::handle_datagram) for each received datagram. Time and commands are handled as
+/// in the emulated KRC, see [`crate::lwr::emulator::Krc`].
 pub struct Cabinet {
     config: CabinetConfig,
     grid: Grid,
@@ -126,7 +127,7 @@ pub struct Cabinet {
     safety: Safety,
     arm: Arm,
     brake_step: [f64; AXES],
-    /// Where the interpolator holds the arm while there is an overlay.
+    /// Position of the interpolator during an overlay.
     ipo: [f64; AXES],
     added: Added,
     window: Window,
@@ -141,9 +142,9 @@ pub struct Cabinet {
     latency: Option<Duration>,
     /// Cycle and position of the last command followed.
     last: (u64, [f64; AXES]),
-    /// When COMMANDING_WAIT began, and why it still waits.
-    waiting: (Duration, Leave),
-    /// When the program goes on; `None` when it has ended.
+    /// Start of COMMANDING_WAIT, and the reason of the wait.
+    waiting: (Duration, ExitReason),
+    /// Time of the program's next action; `None` when it has ended.
     program_at: Option<Duration>,
     closed_at: Option<Duration>,
     says_farewell: bool,
@@ -153,12 +154,12 @@ pub struct Cabinet {
     ios: List<IoValue, IOS_MAX>,
     frames: List<Transformation, TRANSFORMATIONS_MAX>,
     counters: CabinetCounters,
-    log: VecDeque<Left>,
-    falls: u64,
+    log: VecDeque<Exit>,
+    exits: u64,
 }
 
 impl Cabinet {
-    /// A cabinet in MONITORING_WAIT that sends its first message at `start`. All memory is taken here.
+    /// A cabinet in MONITORING_WAIT that sends its first message at `start`. All memory is allocated here.
     #[must_use]
     pub fn new(config: CabinetConfig, start: Duration) -> Self {
         let grid = Grid::new(start, config.send_period, config.faults.drift_ppm);
@@ -186,7 +187,7 @@ impl Cabinet {
             inbox: None,
             latency: None,
             last: (0, config.joints),
-            waiting: (Duration::ZERO, Leave::Cancelled),
+            waiting: (Duration::ZERO, ExitReason::Cancelled),
             program_at: Some(Duration::ZERO),
             closed_at: None,
             says_farewell: false,
@@ -197,7 +198,7 @@ impl Cabinet {
             frames: message::frames(&config.requested_frames),
             counters: CabinetCounters::default(),
             log: VecDeque::with_capacity(LOG_LEN),
-            falls: 0,
+            exits: 0,
             config,
         }
     }
@@ -213,7 +214,7 @@ impl Cabinet {
         Some(bytes.len())
     }
 
-    /// Takes an answer that left the client's side of the wire at `now`; the line's faults come on top.
+    /// Handles an answer that the client sent at `now`; the line's faults apply on top.
     pub fn handle_datagram(&mut self, bytes: &[u8], now: Duration) -> Result<(), DecodeError> {
         decode(self.config.dialect, bytes).inspect_err(|_| self.counters.malformed += 1)?;
         let (behind, faults) = (self.behind(), &mut self.config.faults.to_cabinet);
@@ -223,7 +224,7 @@ impl Cabinet {
         Ok(())
     }
 
-    /// When the cabinet next has something to do.
+    /// Time of the next action.
     #[must_use]
     pub fn poll_timeout(&self) -> Duration {
         [self.to_client.next_due(), self.to_cabinet.next_due()]
@@ -232,26 +233,26 @@ impl Cabinet {
             .fold(self.grid.next(), Duration::min)
     }
 
-    /// Begins a motion with an overlay; the next message says COMMANDING_WAIT.
-    pub fn start_overlay(&mut self, overlay: Overlay) -> Result<(), StartRefused> {
+    /// Starts a motion with an overlay; the next message reports COMMANDING_WAIT.
+    pub fn start_overlay(&mut self, overlay: Overlay) -> Result<(), StartError> {
         let state = self.state;
         if state != SessionState::MonitoringReady {
-            return Err(StartRefused::NotReady { state });
+            return Err(StartError::NotReady { state });
         }
         if !self.can_move() {
-            return Err(StartRefused::Drives);
+            return Err(StartError::Drives);
         }
         if !self.arm.is_at_rest() {
-            return Err(StartRefused::Moving);
+            return Err(StartError::Moving);
         }
         if !self.fits(&overlay) {
             let command = overlay.command;
-            return Err(StartRefused::Mismatch { command });
+            return Err(StartError::Mismatch { command });
         }
         self.state = SessionState::CommandingWait;
         self.overlay = overlay;
         self.ipo = self.arm.set_point;
-        let nothing = Leave::NotSynchronised {
+        let nothing = ExitReason::NotSynchronised {
             joint: 0,
             commanded: f64::NAN,
             expected: self.ipo[0],
@@ -274,29 +275,29 @@ impl Cabinet {
 
     /// Cancels the motion; an automatic program ends with it.
     pub fn cancel(&mut self) {
-        self.leave(Leave::Cancelled);
+        self.leave(ExitReason::Cancelled);
         self.program_at = None;
     }
 
-    /// Closes the session; one more message says so, then nothing is sent.
+    /// Closes the session; one more message reports it, then nothing is sent.
     pub fn close_session(&mut self) {
         if self.state == SessionState::Idle {
             return;
         }
-        self.leave(Leave::Closed);
+        self.leave(ExitReason::Closed);
         self.state = SessionState::Idle;
         self.says_farewell = true;
         self.closed_at = Some(self.grid.time());
         self.program_at = None;
     }
 
-    /// Opens a session again, with counters from 0, as a robot program does that is started anew.
-    pub fn open_session(&mut self) -> Result<(), StartRefused> {
+    /// Opens a session again, with counters from 0, like a restarted robot program.
+    pub fn open_session(&mut self) -> Result<(), StartError> {
         let waited = self
             .closed_at
             .is_some_and(|at| self.grid.time() >= at + REOPEN);
         if !waited || self.state != SessionState::Idle {
-            return Err(StartRefused::NotClosed);
+            return Err(StartError::NotClosed);
         }
         self.state = SessionState::MonitoringWait;
         self.closed_at = None;
@@ -314,12 +315,12 @@ impl Cabinet {
         self.is_switched_on = is_on;
     }
 
-    /// Sets what the safety controller asks for.
+    /// Sets the request of the safety controller.
     pub fn set_safety(&mut self, safety: Safety) {
         self.safety = safety;
     }
 
-    /// Whether the drives have power: switched on, and no fault takes it away now.
+    /// Whether the drives have power: switched on and not interrupted by a fault setting.
     #[must_use]
     pub fn has_power(&self) -> bool {
         let off = self.config.faults.power_off;
@@ -330,12 +331,12 @@ impl Cabinet {
         self.has_power() && self.safety == Safety::Normal
     }
 
-    /// The fault knobs.
+    /// Fault settings.
     pub fn faults_mut(&mut self) -> &mut Faults {
         &mut self.config.faults
     }
 
-    /// What the flange touches; to be changed at any time.
+    /// What the flange touches; may change at any time.
     pub fn contact_mut(&mut self) -> &mut Option<Contact> {
         &mut self.arm.body.contact
     }
@@ -364,10 +365,10 @@ impl Cabinet {
         self.arm.set_point
     }
 
-    /// Place of the flange in the base frame, m.
+    /// Flange position in the base frame, m.
     #[must_use]
     pub fn flange(&self) -> [f64; 3] {
-        self.arm.body.place().position.into()
+        self.arm.body.pose().position.into()
     }
 
     /// Force of the contact on the flange in the base frame, N.
@@ -383,7 +384,7 @@ impl Cabinet {
         IoLevel::of(io)
     }
 
-    /// What the client sent for a frame that the program asks for.
+    /// Frame that the client sent for a request of the program.
     #[must_use]
     pub fn frame(&self, name: &str) -> Option<Placement> {
         let frame = self.frames.iter().find(|frame| frame.name.is(name))?;
@@ -402,14 +403,14 @@ impl Cabinet {
     }
 
     /// The last ends of overlays, at most 16, oldest first.
-    pub fn log(&self) -> impl DoubleEndedIterator<Item = &Left> {
+    pub fn log(&self) -> impl DoubleEndedIterator<Item = &Exit> {
         self.log.iter()
     }
 
-    /// Entries ever made in the log.
+    /// Number of log entries ever made.
     #[must_use]
-    pub fn falls(&self) -> u64 {
-        self.falls
+    pub fn exits(&self) -> u64 {
+        self.exits
     }
 
     fn multiplier(&self) -> u32 {
@@ -420,7 +421,7 @@ impl Cabinet {
         self.config.timing.misses_max.max(1)
     }
 
-    /// How long a reordered datagram is held back.
+    /// Delay of a reordered datagram.
     fn behind(&self) -> Duration {
         self.grid.period() * 3 / 2
     }
@@ -460,7 +461,7 @@ impl Cabinet {
         self.inbox = Some(Received { command, sent });
     }
 
-    /// Takes outputs and frames; they need no command mode.
+    /// Handles outputs and frames; they need no command mode.
     fn exchange(&mut self, command: &Command) {
         let Some(data) = &command.data else { return };
         for written in data.ios.iter() {
@@ -487,7 +488,7 @@ impl Cabinet {
         self.grid.advance(now);
         if self.state == SessionState::Idle {
             self.inbox = None;
-            self.stand();
+            self.stop();
             if std::mem::take(&mut self.says_farewell) {
                 self.send(now);
             }
@@ -498,23 +499,23 @@ impl Cabinet {
             self.in_period = 0;
         }
         self.in_period += 1;
-        // First the program: it acts upon what the last message said.
+        // The program first: it reacts to the last message.
         self.run_program();
-        self.judge_timing();
-        self.judge_drives();
+        self.check_timing();
+        self.check_drives();
         self.move_joints();
         self.send(now);
     }
 
-    /// Brakes, and stands with closed brakes when the drives have no power.
-    fn stand(&mut self) {
+    /// Brakes; without power the brakes are closed and the arm stops.
+    fn stop(&mut self) {
         self.arm.brake(&self.brake_step);
         if self.has_power() || !self.arm.is_at_rest() {
             self.arm
                 .settle(&Law::Position, self.grid.period().as_secs_f64());
         } else {
             self.arm.body.freeze();
-            self.arm.take_up();
+            self.arm.sync_set_point();
         }
     }
 

@@ -8,7 +8,7 @@ use crate::sunrise::wire::{
 };
 use std::time::Duration;
 
-/// Which arm hangs at the cabinet.
+/// Robot arm of the cabinet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Robot {
     /// LBR iiwa 7 R800.
@@ -29,41 +29,41 @@ impl Robot {
 /// Settings of an emulated cabinet.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CabinetConfig {
-    /// Which arm.
+    /// Robot arm.
     pub robot: Robot,
-    /// What its FRI option speaks.
+    /// Dialect of its FRI option.
     pub dialect: Dialect,
     /// Period of monitoring messages, 1 ms to 100 ms, whole milliseconds; values beyond are clamped.
     pub send_period: Duration,
-    /// Every how many messages an answer is wanted, from 1.
+    /// An answer is due to every n-th message, from 1.
     pub receive_multiplier: u32,
     /// Joint positions at the start, rad.
     pub joints: [f64; AXES],
-    /// What the axes can do.
+    /// Axis limits.
     pub limits: Limits,
     /// Time constant with which measured positions follow the set-point in position control.
     pub lag: Duration,
-    /// How answers are judged.
+    /// How answers are rated.
     pub timing: Timing,
-    /// How far the first commands of an overlay may lie from the interpolator, rad; *assumption*: 0.01.
+    /// Largest deviation of the first commands of an overlay from the interpolator, rad; *assumption*: 0.01.
     pub synchronisation_tolerance_rad: f64,
-    /// How far positions commanded beside torques may lie from the measured ones, rad; *assumption*: 0.2.
+    /// Largest deviation of positions commanded with torques from the measured ones, rad; *assumption*: 0.2.
     pub axis_delta_max_rad: f64,
-    /// How long an overlay waits for commands that agree with the interpolator; *assumption*: 10 s.
+    /// Timeout for commands that agree with the interpolator; *assumption*: 10 s.
     pub synchronisation_timeout: Duration,
     /// Operation mode at the smartPAD; in T1 the flange is limited to 250 mm/s.
     pub operation_mode: OperationMode,
     /// Inputs and outputs that the robot program shares, at most 10, with their values at the start.
     pub ios: Vec<Io>,
-    /// Names of frames that the robot program asks for, at most 5.
+    /// Names of frames that the robot program requests, at most 5.
     pub requested_frames: Vec<String>,
     /// What the flange touches.
     pub contact: Option<Contact>,
-    /// What the robot program does.
+    /// The robot program.
     pub program: Program,
-    /// What goes wrong.
+    /// Faults.
     pub faults: Faults,
-    /// Seed of all that is random.
+    /// Random seed.
     pub seed: u64,
 }
 
@@ -103,19 +103,19 @@ pub struct Io {
     pub level: IoLevel,
 }
 
-/// What the axes can do, symmetric about zero; data sheets, but for the acceleration.
+/// Axis limits, symmetric about zero; from data sheets except the acceleration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Limits {
     /// Largest absolute position, rad.
     pub position_rad: [f64; AXES],
     /// Largest absolute speed, rad/s.
     pub speed_rad_per_s: [f64; AXES],
-    /// Deceleration of braking, rad/s2; *assumption*: 10. Commanded accelerations are not checked: no such check is known.
+    /// Braking deceleration, rad/s2; *assumption*: 10. Commanded accelerations are not checked: no such check is known.
     pub acceleration_rad_per_s2: [f64; AXES],
 }
 
 impl Limits {
-    /// Those of an arm.
+    /// Limits of an arm.
     #[must_use]
     pub fn of(robot: Robot) -> Self {
         let degrees = [170.0, 120.0, 170.0, 120.0, 170.0, 120.0, 175.0_f64];
@@ -164,12 +164,13 @@ impl Control {
     }
 }
 
-/// A motion that holds its position and lets the client overlay it: `positionHold(control)` with an `FRIJointOverlay`.
+/// A motion that holds its position, with a client overlay: `positionHold(control)` with an `FRIJointOverlay`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Overlay {
     /// Control mode of the motion.
     pub control: Control,
-    /// What the client has to command. WRENCH wants Cartesian impedance, TORQUE joint impedance, CARTESIAN_POSE FRI 2.
+    /// Values that the client has to command. WRENCH requires Cartesian impedance, TORQUE joint impedance,
+    /// CARTESIAN_POSE FRI 2.
     pub command: CommandMode,
 }
 
@@ -182,12 +183,12 @@ impl Default for Overlay {
     }
 }
 
-/// What the robot program does.
+/// The robot program.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Program {
     /// Nothing: the owner calls [`super::Cabinet::start_overlay`] and [`super::Cabinet::cancel`].
     Manual,
-    /// Awaits quality and moves with an overlay, again and again.
+    /// Awaits quality and moves with an overlay, repeatedly.
     Auto {
         /// The motion.
         overlay: Overlay,
@@ -205,16 +206,16 @@ impl Default for Program {
     }
 }
 
-/// What goes wrong.
+/// Fault settings.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Faults {
-    /// On the way of messages to the client.
+    /// Messages on the way to the client.
     pub to_client: LineFaults,
-    /// On the way of commands to the cabinet.
+    /// Commands on the way to the cabinet.
     pub to_cabinet: LineFaults,
     /// A loss of drive power.
     pub power_off: Option<PowerOff>,
-    /// Reported and acted upon instead of the computed quality.
+    /// Replaces the computed quality.
     pub quality: Option<Quality>,
     /// How slow the controller's clock runs, parts per million; at most 100,000 either way. Read at the start only.
     pub drift_ppm: f64,

@@ -1,4 +1,4 @@
-//! What the owner of a session wants the robot to do, and why that was withheld. It does not build messages.
+//! The owner's demand on the robot for one cycle, and why it was withheld. It does not build messages.
 
 use super::Session;
 use crate::guard::Violation;
@@ -6,11 +6,10 @@ use crate::sunrise::Phase;
 use crate::sunrise::wire::{CommandMode, Joints, Redundancy};
 use std::time::Duration;
 
-/// What the robot shall do in this cycle. Which kinds are possible says the overlay of the robot program: its
-/// [`CommandMode`].
+/// Motion demanded in this cycle. The overlay of the robot program determines the possible kinds: its [`CommandMode`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Demand {
-    /// Nothing new: stay where the last command was. A moving robot stops at once, so brake first.
+    /// No new command: stay at the last one. A moving robot stops at once, so brake first.
     Hold,
     /// Joint positions, rad.
     Position(Joints),
@@ -18,7 +17,7 @@ pub enum Demand {
     Wrench {
         /// Fx, Fy, Fz in N, torques about A, B, C in Nm.
         wrench: [f64; 6],
-        /// Centre of the impedance, rad; `None` leaves it.
+        /// Centre of the impedance, rad; `None` keeps it.
         joints: Option<Joints>,
     },
     /// Torques on top of joint impedance control.
@@ -45,21 +44,21 @@ pub enum Withheld {
     /// The overlay is not active.
     #[error("the robot does not follow: {phase}")]
     NotCommanding {
-        /// Where the connection stands.
+        /// Phase of the connection.
         phase: Phase,
     },
-    /// Command mode was entered anew and nobody asked for motion since.
-    #[error("command mode was entered anew: engage, starting from the mirrored position")]
+    /// Command mode was entered again, and the program has not engaged since.
+    #[error("command mode was entered again: engage, starting from the mirrored position")]
     NotEngaged,
-    /// The overlay of the robot program wants something else.
-    #[error("{demanded} commanded, the overlay of the robot program wants {wanted}")]
+    /// The overlay of the robot program expects other values.
+    #[error("{demanded} commanded, the overlay of the robot program expects {wanted}")]
     Mode {
-        /// What the overlay wants.
+        /// Mode of the overlay.
         wanted: CommandMode,
-        /// What was demanded.
+        /// Mode of the demand.
         demanded: CommandMode,
     },
-    /// A value is beyond its guard.
+    /// A value exceeds a limit of the guard.
     #[error(transparent)]
     Guard(Violation),
 }
@@ -87,7 +86,7 @@ impl Demand {
 }
 
 impl Session {
-    /// Whether a demand may go out with the answer that is due.
+    /// Checks whether the due answer may carry a demand.
     pub(super) fn admit(&self, demand: &Demand) -> Result<(), Withheld> {
         let Some(demanded) = demand.mode() else {
             return Ok(());
@@ -105,8 +104,8 @@ impl Session {
         self.guard(demand).map_err(Withheld::Guard)
     }
 
-    /// Whether the guard lets these positions into the next answer, rad: it holds what it refuses at once, so ask before and
-    /// brake. Compares with what was commanded last; the controller counts its own cycles, so the time between is theirs.
+    /// Checks the next positions, rad, against the guard. The session holds the robot at once if the guard rejects a
+    /// command, so check before and brake. The reference is the last command and the controller's cycle count since.
     pub fn check_joints(&self, wanted: &Joints) -> Result<(), Violation> {
         if !self.is_engaged {
             return Ok(());
@@ -128,7 +127,7 @@ impl Session {
         }
     }
 
-    /// Time between the measurement answered last and the one to be answered now.
+    /// Time between the message answered last and the current one.
     fn span(&self) -> Duration {
         let period = self.period().unwrap_or_default();
         let sequence = self.message.header.sequence;

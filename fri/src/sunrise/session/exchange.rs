@@ -1,4 +1,4 @@
-//! Inputs, outputs and frames that a robot program shares with its client. They hold no command.
+//! Inputs, outputs and frames that a robot program shares with its client. They carry no motion command.
 
 use super::Session;
 use crate::sunrise::wire::{
@@ -8,7 +8,7 @@ use crate::sunrise::wire::{
 /// Value of an input or output.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum IoLevel {
-    /// Truth value.
+    /// Boolean.
     Boolean(bool),
     /// Unsigned integer.
     Digital(u64),
@@ -34,25 +34,25 @@ pub enum IoError {
         /// Type of the value given.
         given: IoType,
     },
-    /// All places for outputs are taken.
+    /// All output slots are in use.
     #[error("more than 10 outputs")]
     Full,
 }
 
-/// Why a frame was not taken.
+/// Why a frame was rejected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
-pub enum PlaceError {
-    /// No robot program asks for it.
+pub enum FrameError {
+    /// No robot program requests it.
     #[error("not requested by the robot program")]
     NotRequested,
-    /// The controller's generation wants the other form.
-    #[error("{dialect} wants frames as {}", if *dialect == Dialect::V1 { "matrix" } else { "quaternion" })]
+    /// The dialect of the controller requires the other form.
+    #[error("{dialect} requires frames as {}", if *dialect == Dialect::V1 { "matrix" } else { "quaternion" })]
     Form {
-        /// What the controller speaks.
+        /// Dialect of the controller.
         dialect: Dialect,
     },
-    /// All places for frames are taken.
+    /// All frame slots are in use.
     #[error("more than 5 frames")]
     Full,
 }
@@ -66,7 +66,7 @@ impl IoLevel {
         }
     }
 
-    /// The level in a message; `None` if the message has none of the type it states.
+    /// The level in a message; `None` if the message has no value of the stated type.
     #[must_use]
     pub fn of(io: &IoValue) -> Option<Self> {
         match io.kind {
@@ -105,7 +105,7 @@ impl Session {
         self.listed(name.as_bytes()).and_then(IoLevel::of)
     }
 
-    /// Writes an output with every answer from now on, as long as the controller lists it.
+    /// Writes an output with every answer from now on, while the controller lists it.
     pub fn write(&mut self, name: &str, level: IoLevel) -> Result<(), IoError> {
         let io = self.listed(name.as_bytes()).ok_or(IoError::NotListed)?;
         let given = level.kind();
@@ -128,21 +128,21 @@ impl Session {
         self.outputs.push(output).map_err(|_| IoError::Full)
     }
 
-    /// Sends a frame that the robot program asks for with every answer from now on, as long as it asks.
-    pub fn place(
+    /// Sends a requested frame with every answer from now on, while the robot program requests it.
+    pub fn send_frame(
         &mut self,
         name: &str,
         placement: Placement,
         stamp: Option<TimeStamp>,
-    ) -> Result<(), PlaceError> {
+    ) -> Result<(), FrameError> {
         let requested = self.message.requested.iter().find(|it| it.name.is(name));
-        let name = requested.ok_or(PlaceError::NotRequested)?.name;
+        let name = requested.ok_or(FrameError::NotRequested)?.name;
         let is_matrix = match placement {
             Placement::Matrix(_) => true,
             Placement::Quaternion(_) => false,
         };
         if let Some(dialect) = self.dialect.filter(|it| (*it == Dialect::V1) != is_matrix) {
-            return Err(PlaceError::Form { dialect });
+            return Err(FrameError::Form { dialect });
         }
         let frame = Transformation {
             name,
@@ -153,10 +153,10 @@ impl Session {
             *known = frame;
             return Ok(());
         }
-        self.frames.push(frame).map_err(|_| PlaceError::Full)
+        self.frames.push(frame).map_err(|_| FrameError::Full)
     }
 
-    /// Adds what the newest message wants or allows to an answer.
+    /// Adds the frames and outputs of the newest message to an answer.
     pub(super) fn exchange(&self, data: &mut CommandData) {
         for output in self.outputs.iter() {
             let io = self.listed(output.name.as_bytes());

@@ -1,9 +1,9 @@
-//! Where a connection stands in the client's eyes, and what a change of it is called. No data of messages.
+//! Phases of a connection as the client sees them, and the events of their changes.
 
 use crate::sunrise::wire::SessionState;
 use std::fmt;
 
-/// Where the connection stands: the five states of a session as last reported, or silence.
+/// Phase of the connection: the five session states as last reported, or offline.
 ///
 /// ```text
 ///            (1)                  quality           motion with overlay        commands consistent
@@ -12,17 +12,17 @@ use std::fmt;
 ///     │                 │  └───── quality lost, motion over ────────┴────────────────────────┘
 ///     └─(2) silence     └──────▶ Idle (closed by the robot program; not answered)
 /// ```
-/// The controller makes all transitions but 1 and 2; [`super::Session::handle_datagram`] follows, whatever the order.
-/// Transition 2 is made by [`super::Session::handle_timeout`].
+/// The controller makes all transitions but 1 and 2; [`super::Session::handle_datagram`] follows in any order.
+/// [`super::Session::handle_timeout`] makes transition 2.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Phase {
     /// No datagram for some periods, or none yet.
     Offline,
-    /// The session was closed; there is no answer to this.
+    /// The session is closed; no answer is due.
     Idle,
-    /// Measurements flow, quality does not suffice.
+    /// Measurements flow, quality is insufficient.
     MonitoringWait,
-    /// Measurements flow, quality suffices.
+    /// Measurements flow, quality is sufficient.
     MonitoringReady,
     /// The overlay is about to begin; answers agree with the interpolator.
     CommandingWait,
@@ -30,21 +30,21 @@ pub enum Phase {
     CommandingActive,
 }
 
-/// A change of [`Phase`] that its owner may want to act upon.
+/// A change of [`Phase`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Event {
     /// Measurements flow after silence or after a closed session.
     Online,
-    /// Quality suffices from now on.
+    /// Quality is sufficient from now on.
     Ready,
-    /// Quality suffices no longer.
+    /// Quality is no longer sufficient.
     QualityLost,
     /// An overlay is about to begin.
     Synchronising,
     /// The robot follows from now on, once [`super::Session::engage`] was called; start from
     /// [`super::Session::mirror`].
     CommandEntered,
-    /// The robot follows no longer, or the overlay never became active.
+    /// The robot no longer follows, or the overlay never became active.
     CommandLeft,
     /// The robot program closed the session.
     Closed,
@@ -70,7 +70,7 @@ impl Phase {
         }
     }
 
-    /// What the change from `self` to `to` is called.
+    /// The event of a change from `self` to `to`.
     pub(super) fn event(self, to: Self) -> Option<Event> {
         use Phase::{
             CommandingActive, CommandingWait, Idle, MonitoringReady, MonitoringWait, Offline,
@@ -102,7 +102,7 @@ impl Phase {
 }
 
 impl From<SessionState> for Phase {
-    /// A state that this crate does not know commands nothing: it is answered like MONITORING_WAIT.
+    /// A state unknown to this crate commands nothing: it is answered like MONITORING_WAIT.
     fn from(state: SessionState) -> Self {
         match state {
             SessionState::Idle => Self::Idle,

@@ -86,7 +86,7 @@ fn bytes(dialect: Dialect, message: &Monitoring) -> Vec<u8> {
     buf[..len].to_vec()
 }
 
-/// A session and what it heard last.
+/// A session and its last message.
 struct Bench {
     session: Session,
     dialect: Dialect,
@@ -118,10 +118,10 @@ impl Bench {
             Phase::CommandingActive => SessionState::CommandingActive,
         };
         if phase == Phase::CommandingActive {
-            bench.hear(SessionState::CommandingWait);
+            bench.receive(SessionState::CommandingWait);
             bench.answer(&Demand::Hold);
         }
-        bench.hear(state);
+        bench.receive(state);
         if phase != Phase::Idle {
             bench.answer(&Demand::Hold);
         }
@@ -132,11 +132,11 @@ impl Bench {
     fn active(mode: CommandMode) -> Self {
         let mut bench = Self::at(Phase::CommandingActive, Dialect::V2, mode);
         bench.session.engage().unwrap();
-        bench.hear(SessionState::CommandingActive);
+        bench.receive(SessionState::CommandingActive);
         bench
     }
 
-    fn hear(&mut self, state: SessionState) -> Reception {
+    fn receive(&mut self, state: SessionState) -> Reception {
         self.sequence += 1;
         self.now += MS;
         let message = message(self.dialect, self.sequence, state, self.mode);
@@ -161,7 +161,7 @@ impl Bench {
 
 #[test]
 #[expect(clippy::too_many_lines, reason = "a table")]
-fn every_state_leads_from_every_phase_where_the_diagram_says() {
+fn session_state_transitions_match_diagram() {
     use Event::{Closed, CommandEntered, CommandLeft, Online, QualityLost, Ready, Synchronising};
     let rows = [
         (
@@ -235,7 +235,7 @@ fn every_state_leads_from_every_phase_where_the_diagram_says() {
         for (phase, events) in rows {
             for (state, event) in STATES.into_iter().zip(events) {
                 let mut bench = Bench::at(phase, dialect, CommandMode::Position);
-                let reception = bench.hear(state);
+                let reception = bench.receive(state);
                 assert_eq!(reception.event, event, "{phase:?} {state}");
                 assert_eq!(bench.session.phase(), Phase::from(state));
                 assert_eq!(reception.is_due, state != SessionState::Idle);
@@ -246,21 +246,25 @@ fn every_state_leads_from_every_phase_where_the_diagram_says() {
 }
 
 #[test]
-fn silence_leads_from_every_phase_to_offline() {
+fn session_silence_in_any_phase_is_offline() {
     for phase in Phase::ALL {
         let mut bench = Bench::at(phase, Dialect::V2, CommandMode::Position);
         let due = bench.session.poll_timeout();
-        let gone = bench.now + MS * 50;
-        assert_eq!(due, (phase != Phase::Offline).then_some(gone), "{phase:?}");
-        assert!(!bench.session.handle_timeout(gone - MS));
-        assert_eq!(bench.session.handle_timeout(gone), due.is_some());
+        let deadline = bench.now + MS * 50;
+        assert_eq!(
+            due,
+            (phase != Phase::Offline).then_some(deadline),
+            "{phase:?}"
+        );
+        assert!(!bench.session.handle_timeout(deadline - MS));
+        assert_eq!(bench.session.handle_timeout(deadline), due.is_some());
         assert_eq!(bench.session.phase(), Phase::Offline);
         assert_eq!(bench.session.counters().silences, u64::from(due.is_some()));
     }
 }
 
 #[test]
-fn every_phase_answers_what_the_controller_expects() {
+fn session_answers_as_expected_in_every_phase() {
     // Joint positions answered by 1.x and by 2.x, and whether there is an answer at all.
     for (state, v1, v2) in [
         (SessionState::MonitoringWait, Some(COMMANDED), None),
@@ -271,7 +275,7 @@ fn every_phase_answers_what_the_controller_expects() {
     ] {
         for (dialect, joints) in [(Dialect::V1, v1), (Dialect::V2, v2), (Dialect::V3, v2)] {
             let mut bench = Bench::at(Phase::MonitoringReady, dialect, CommandMode::Position);
-            bench.hear(state);
+            bench.receive(state);
             let (command, withheld) = bench.answer(&Demand::Position([9.0; AXES]));
             assert_eq!(
                 command.data.and_then(|data| data.joints),
@@ -293,7 +297,7 @@ fn every_phase_answers_what_the_controller_expects() {
         }
     }
     let mut bench = Bench::new(Dialect::V2, CommandMode::Position);
-    bench.hear(SessionState::Idle);
+    bench.receive(SessionState::Idle);
     let refused = bench.session.answer(&Demand::Hold, &mut [0; MESSAGE_MAX]);
     assert_eq!(refused, Err(AnswerError::NothingToAnswer));
 }
@@ -301,7 +305,7 @@ fn every_phase_answers_what_the_controller_expects() {
 // ----------------------------------------------------------------------------------------------- rules of command modes
 
 #[test]
-fn synchronising_carries_all_that_the_overlay_wants() {
+fn session_synchronising_answers_all_overlay_values() {
     for (mode, joints, wrench, torque, has_pose) in [
         (CommandMode::Position, Some(IPO), None, None, false),
         (CommandMode::Wrench, Some(IPO), Some([0.0; 6]), None, false),
@@ -318,7 +322,7 @@ fn synchronising_carries_all_that_the_overlay_wants() {
     ] {
         for state in [SessionState::CommandingWait, SessionState::CommandingActive] {
             let mut bench = Bench::at(Phase::MonitoringReady, Dialect::V3, mode);
-            bench.hear(state);
+            bench.receive(state);
             let data = bench.answer(&Demand::Hold).0.data.unwrap();
             assert_eq!(
                 (data.joints, data.wrench, data.torque),
@@ -362,7 +366,7 @@ fn demands() -> [(CommandMode, Demand); 4] {
 }
 
 #[test]
-fn a_demand_goes_out_only_in_its_command_mode() {
+fn session_demand_requires_its_command_mode() {
     for (wanted, _) in demands() {
         for (demanded, demand) in demands() {
             let mut bench = Bench::active(wanted);
@@ -396,7 +400,7 @@ fn a_demand_goes_out_only_in_its_command_mode() {
 }
 
 #[test]
-fn torques_without_positions_follow_the_measured_ones_from_behind() {
+fn session_torque_without_positions_trails_measured() {
     let mut bench = Bench::active(CommandMode::Torque);
     let demand = Demand::Torque {
         torque: [1.0; AXES],
@@ -407,12 +411,12 @@ fn torques_without_positions_follow_the_measured_ones_from_behind() {
         let joints = bench.answer(&demand).0.data.unwrap().joints.unwrap();
         distance *= 0.9;
         assert!((joints[3] - MEASURED[3] - distance).abs() < 1e-12);
-        bench.hear(SessionState::CommandingActive);
+        bench.receive(SessionState::CommandingActive);
     }
 }
 
 #[test]
-fn guards_withhold_and_hold() {
+fn session_guard_violation_withholds_and_holds() {
     let mut bench = Bench::active(CommandMode::Position);
     bench.session.config.guard.speed_rad_per_s = [1.0; AXES];
     let mut joints = IPO;
@@ -424,8 +428,8 @@ fn guards_withhold_and_hold() {
         "A2 commanded 2.000 rad/s, limit 1.000 rad/s"
     );
     // Two messages later the same step is slow enough.
-    bench.hear(SessionState::CommandingActive);
-    bench.hear(SessionState::CommandingActive);
+    bench.receive(SessionState::CommandingActive);
+    bench.receive(SessionState::CommandingActive);
     let (command, withheld) = bench.answer(&Demand::Position(joints));
     assert_eq!(
         (command.data.unwrap().joints, withheld),
@@ -467,29 +471,29 @@ fn guards_withhold_and_hold() {
 // ------------------------------------------------------------------------------------------------ entering and re-entering
 
 #[test]
-fn nothing_moves_after_a_re_entry_until_the_program_asks_again() {
+fn session_re_entry_requires_engage() {
     let mut bench = Bench::active(CommandMode::Position);
     let far = Demand::Position([0.9; AXES]);
     assert_eq!(bench.answer(&far).0.data.unwrap().joints, Some([0.9; AXES]));
-    bench.hear(SessionState::MonitoringReady);
+    bench.receive(SessionState::MonitoringReady);
     assert_eq!(bench.answer(&far).0.data, None);
     for _ in 0..3 {
-        bench.hear(SessionState::CommandingActive);
+        bench.receive(SessionState::CommandingActive);
         let (command, withheld) = bench.answer(&far);
         assert_eq!(command.data.unwrap().joints, Some(IPO));
         assert_eq!(withheld, Some(Withheld::NotEngaged));
     }
     assert_eq!(Some(bench.session.mirror()), Some(IPO));
     bench.session.engage().unwrap();
-    bench.hear(SessionState::CommandingActive);
+    bench.receive(SessionState::CommandingActive);
     assert_eq!(bench.answer(&far).1, None);
     bench.session.disengage();
-    bench.hear(SessionState::CommandingActive);
+    bench.receive(SessionState::CommandingActive);
     assert_eq!(bench.answer(&far).0.data.unwrap().joints, Some(IPO));
 }
 
 #[test]
-fn an_overlay_under_way_is_joined_where_the_arm_is() {
+fn session_joins_active_overlay_at_arm_position() {
     for (dialect, place) in [(Dialect::V1, COMMANDED), (Dialect::V2, MEASURED)] {
         // The first message, the first after silence, and the first of a controller that started again.
         let fresh = Bench::new(dialect, CommandMode::Position);
@@ -500,7 +504,7 @@ fn an_overlay_under_way_is_joined_where_the_arm_is() {
         restarted.session.engage().unwrap();
         restarted.sequence += 1_000_000;
         for mut bench in [fresh, silent, restarted] {
-            let reception = bench.hear(SessionState::CommandingActive);
+            let reception = bench.receive(SessionState::CommandingActive);
             assert_eq!(reception.event, Some(Event::CommandEntered));
             assert!(!bench.session.is_engaged());
             let far = Demand::Position([0.9; AXES]);
@@ -512,7 +516,7 @@ fn an_overlay_under_way_is_joined_where_the_arm_is() {
 }
 
 #[test]
-fn engaging_is_refused_in_every_phase_but_active() {
+fn session_engage_requires_active_phase() {
     for phase in Phase::ALL {
         let mut bench = Bench::at(phase, Dialect::V2, CommandMode::Position);
         let engaged = bench.session.engage();
@@ -527,7 +531,7 @@ fn engaging_is_refused_in_every_phase_but_active() {
 // ------------------------------------------------------------------------------------- counting, multiplier, lost and late
 
 #[test]
-fn every_nth_message_is_answered_and_loss_shifts_nothing() {
+fn session_multiplier_phase_survives_loss() {
     let mut bench = Bench::new(Dialect::V2, CommandMode::Position);
     let mut answered = Vec::new();
     for sequence in [10, 11, 12, 13, 14, 17, 18, 20] {
@@ -555,10 +559,10 @@ fn every_nth_message_is_answered_and_loss_shifts_nothing() {
 }
 
 #[test]
-fn the_newest_message_is_answered_and_late_hosts_show() {
+fn session_answers_newest_and_counts_skipped() {
     let mut bench = Bench::new(Dialect::V1, CommandMode::Position);
     for _ in 0..3 {
-        bench.hear(SessionState::MonitoringReady);
+        bench.receive(SessionState::MonitoringReady);
     }
     assert_eq!(bench.answer(&Demand::Hold).0.header.reflected, 3);
     assert_eq!(bench.session.counters().skipped, 2);
@@ -567,7 +571,7 @@ fn the_newest_message_is_answered_and_late_hosts_show() {
 }
 
 #[test]
-fn copies_and_old_messages_change_nothing() {
+fn session_duplicates_and_old_are_ignored() {
     let mut bench = Bench::active(CommandMode::Position);
     let before = bench.sequence;
     for sequence in [before, before - 1] {
@@ -589,13 +593,13 @@ fn copies_and_old_messages_change_nothing() {
 }
 
 #[test]
-fn a_controller_that_starts_again_may_speak_another_dialect() {
+fn session_restarted_controller_may_change_dialect() {
     let mut bench = Bench::at(Phase::MonitoringReady, Dialect::V1, CommandMode::Position);
     assert_eq!(bench.session.dialect(), Some(Dialect::V1));
     bench.dialect = Dialect::V3;
     bench.sequence = 1_000_000;
     assert_eq!(
-        bench.hear(SessionState::MonitoringWait).order,
+        bench.receive(SessionState::MonitoringWait).order,
         Order::Restart
     );
     assert_eq!(bench.session.dialect(), Some(Dialect::V3));
@@ -606,7 +610,7 @@ fn a_controller_that_starts_again_may_speak_another_dialect() {
 // ------------------------------------------------------------------------------------------------------- what else may come
 
 #[test]
-fn foreign_datagrams_and_dialects_are_named() {
+fn session_foreign_datagram_or_dialect_is_named() {
     let mut bench = Bench::new(Dialect::V2, CommandMode::Position);
     let mut take = |datagram: &[u8]| {
         let refused = bench.session.handle_datagram(datagram, MS);
@@ -616,15 +620,15 @@ fn foreign_datagrams_and_dialects_are_named() {
     msr[4..8].copy_from_slice(&[0x94, 0x03, 0x06, 0x20]);
     assert_eq!(
         take(&msr),
-        "a measurement of FRI 1.0 (LWR), expected a monitoring message of Sunrise FRI 1.x or 2.0 to 2.5: the other \
-         generation of robot talks to this port: check device kind and the controller's target port"
+        "a measurement of FRI 1.0 (LWR), expected a monitoring message of Sunrise FRI 1.x or 2.0 to 2.5: the \
+         other robot generation uses this port: check the device kind and the controller's target port"
     );
     let mut buf = [0; 64];
     let len = Command::default().encode(&mut buf).unwrap();
     assert_eq!(
         take(&buf[..len]),
         "a command message of Sunrise FRI 1.x or 2.0 to 2.5, expected a monitoring message of Sunrise FRI 1.x or 2.0 to \
-         2.5: a client talks to this port, not a controller: look for a second client and for equal addresses"
+         2.5: a client sends to this port, not a controller: check for a second client and for equal addresses"
     );
     assert_eq!(
         take(b"hello"),
@@ -647,13 +651,13 @@ fn foreign_datagrams_and_dialects_are_named() {
     );
     assert_eq!(
         bench.take(&message).unwrap_err().to_string(),
-        "the controller speaks FRI 2.7 (3.0), this session was told to speak FRI 1.x: correct the setting or leave it to \
+        "the controller speaks FRI 2.7 (3.0), this session is configured for FRI 1.x: correct the setting or leave it to \
          detection"
     );
 }
 
 #[test]
-fn outputs_are_written_as_long_as_they_are_listed() {
+fn session_outputs_sent_while_listed() {
     let mut bench = Bench::at(Phase::MonitoringReady, Dialect::V2, CommandMode::Position);
     let session = &mut bench.session;
     assert_eq!(session.read("G.in"), Some(IoLevel::Digital(3)));
@@ -670,7 +674,7 @@ fn outputs_are_written_as_long_as_they_are_listed() {
     session.write("G.out", IoLevel::Boolean(false)).unwrap();
     session.write("G.out", on).unwrap();
     session.write("G.level", IoLevel::Analog(1.5)).unwrap();
-    bench.hear(SessionState::MonitoringReady);
+    bench.receive(SessionState::MonitoringReady);
     let data = bench.answer(&Demand::Hold).0.data.unwrap();
     let sent: Vec<_> = data
         .ios
@@ -695,36 +699,36 @@ fn outputs_are_written_as_long_as_they_are_listed() {
 }
 
 #[test]
-fn requested_frames_are_sent_in_the_form_of_the_dialect() {
+fn session_requested_frames_use_dialect_form() {
     for (dialect, right, wrong, text) in [
         (
             Dialect::V1,
             Placement::Matrix([0.5; 12]),
             Placement::Quaternion([0.5; 7]),
-            "FRI 1.x wants frames as matrix",
+            "FRI 1.x requires frames as matrix",
         ),
         (
             Dialect::V2,
             Placement::Quaternion([0.5; 7]),
             Placement::Matrix([0.5; 12]),
-            "FRI 2.0 to 2.5 wants frames as quaternion",
+            "FRI 2.0 to 2.5 requires frames as quaternion",
         ),
     ] {
         let mut bench = Bench::at(Phase::MonitoringReady, dialect, CommandMode::Position);
         assert_eq!(
-            bench.session.place("Other", right, None),
-            Err(PlaceError::NotRequested)
+            bench.session.send_frame("Other", right, None),
+            Err(FrameError::NotRequested)
         );
         assert_eq!(
             bench
                 .session
-                .place("Frame", wrong, None)
+                .send_frame("Frame", wrong, None)
                 .unwrap_err()
                 .to_string(),
             text
         );
-        bench.session.place("Frame", right, None).unwrap();
-        bench.hear(SessionState::MonitoringReady);
+        bench.session.send_frame("Frame", right, None).unwrap();
+        bench.receive(SessionState::MonitoringReady);
         let data = bench.answer(&Demand::Hold).0.data.unwrap();
         assert_eq!(data.transformations[0].placement, Some(right));
         assert!(data.transformations[0].name.is("Frame"));

@@ -1,10 +1,10 @@
-//! Lists and names of bounded length in place of the schema's repeated fields and strings. Nothing here allocates.
+//! Lists and names of bounded length in place of the schema's repeated fields and strings. They do not allocate.
 
 use crate::error::DecodeError;
 use std::fmt;
 use std::ops::Deref;
 
-/// Up to `N` values in place.
+/// Up to `N` values, stored in place.
 #[derive(Clone, Copy)]
 pub struct List<T, const N: usize> {
     items: [T; N],
@@ -21,22 +21,22 @@ impl<T: Copy + Default, const N: usize> List<T, N> {
         }
     }
 
-    /// Appends a value; gives it back if the list is full.
+    /// Appends a value; returns it if the list is full.
     pub fn push(&mut self, item: T) -> Result<(), T> {
-        let Some(place) = self.items.get_mut(self.len) else {
+        let Some(slot) = self.items.get_mut(self.len) else {
             return Err(item);
         };
-        *place = item;
+        *slot = item;
         self.len += 1;
         Ok(())
     }
 
-    /// Forgets all values.
+    /// Removes all values.
     pub fn clear(&mut self) {
         self.len = 0;
     }
 
-    /// The values, to be changed.
+    /// Mutable iterator over the values.
     pub fn iter_mut(&mut self) -> impl Iterator<Item = &mut T> {
         self.items.iter_mut().take(self.len)
     }
@@ -138,7 +138,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_full_list_gives_the_value_back() {
+    fn list_full_returns_value() {
         let mut list = List::<u8, 2>::new();
         assert_eq!(
             (list.push(1), list.push(2), list.push(3)),
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn names_have_63_bytes_at_most() {
+    fn name_is_limited_to_63_bytes() {
         assert!(Name::new(&"x".repeat(63)).is_some());
         assert!(Name::new(&"x".repeat(64)).is_none());
         assert_eq!(

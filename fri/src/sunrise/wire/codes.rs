@@ -1,4 +1,4 @@
-//! The enumerations of the FRI schema. Codes we do not know are kept, not judged.
+//! The enumerations of the FRI schema. Unknown codes are kept.
 
 use crate::codes::codes;
 
@@ -6,7 +6,7 @@ codes! {
     /// State of a session, `FRISessionState`.
     #[doc(alias = "ESessionState")]
     SessionState: i32 {
-        /// No session; the controller sends at most one datagram that says so.
+        /// No session; the controller sends at most one datagram in this state.
         Idle = 0 "IDLE",
         /// Measurements flow, quality does not suffice for commands yet.
         MonitoringWait = 1 "MONITORING_WAIT",
@@ -20,7 +20,7 @@ codes! {
 }
 
 codes! {
-    /// The controller's judgement of our timing, `FRIConnectionQuality`.
+    /// The controller's rating of our timing, `FRIConnectionQuality`.
     Quality: i32 {
         /// Commands are not allowed.
         Poor = 0 "POOR",
@@ -34,7 +34,7 @@ codes! {
 }
 
 codes! {
-    /// What the safety controller asks for, `SafetyState`.
+    /// Request of the safety controller, `SafetyState`.
     Safety: i32 {
         /// Nothing.
         Normal = 0 "normal",
@@ -86,7 +86,7 @@ codes! {
 }
 
 codes! {
-    /// What the overlay wants from us every cycle, `ClientCommandMode`.
+    /// Values that the overlay expects in every command, `ClientCommandMode`.
     CommandMode: i32 {
         /// No overlay active.
         None = 0 "none",
@@ -116,7 +116,7 @@ codes! {
 codes! {
     /// Type of an input or output, `FriIOType`.
     IoType: i32 {
-        /// Truth value.
+        /// Boolean.
         Boolean = 0 "bool",
         /// Unsigned integer.
         Digital = 1 "digital",
@@ -145,7 +145,7 @@ codes! {
     }
 }
 
-/// As the code of that number: what `Default` means in a field that never was on the wire.
+/// Implements `Default` as the code 0, for fields missing on the wire.
 macro_rules! zero_by_default {
     ($($name:ident),+) => { $(impl Default for $name {
         fn default() -> Self {
@@ -160,7 +160,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_code_survives() {
+    fn codes_roundtrip() {
         for code in (-3..300).chain([i32::MIN, i32::MAX]) {
             assert_eq!(SessionState::from(code).code(), code);
             assert_eq!(Quality::from(code).code(), code);

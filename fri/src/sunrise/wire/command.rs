@@ -48,7 +48,7 @@ pub struct CommandData {
     pub wrench: Option<[f64; 6]>,
     /// Added joint torques, Nm.
     pub torque: Option<Joints>,
-    /// Frames that the robot program asked for.
+    /// Frames that the robot program requested.
     pub transformations: List<Transformation, TRANSFORMATIONS_MAX>,
     /// Outputs to be written.
     #[doc(alias = "writeIORequest")]

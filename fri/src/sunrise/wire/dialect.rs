@@ -1,5 +1,5 @@
-//! The three forms that FRI of Sunrise has on the wire, and the frame around messages of the third. It keeps no history:
-//! [`crate::sunrise::Session`] remembers what a controller speaks.
+//! The three wire formats of Sunrise FRI, and the framing of the third. They keep no history:
+//! [`crate::sunrise::Session`] stores the dialect of a controller.
 
 use super::Monitoring;
 use crate::error::{DecodeError, EncodeError};
@@ -7,10 +7,10 @@ use std::fmt;
 
 /// Bytes before the message in a framed datagram: its length, u32 little endian.
 const HEAD: usize = 4;
-/// Bytes behind the message: CRC-32 (IEEE 802.3) of the message alone, u32 little endian.
+/// Bytes after the message: CRC-32 (IEEE 802.3) of the message alone, u32 little endian.
 const TAIL: usize = 4;
 
-/// What a controller speaks, by the version of its FRI option.
+/// Wire format of a controller, by the version of its FRI option.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Dialect {
     /// FRI 1.7 to 1.17: the datagram is the message; measurements carry commandedJointPosition, commands in monitor mode
@@ -22,7 +22,7 @@ pub enum Dialect {
     V3,
 }
 
-/// Takes the message out of a datagram and tells whether it was framed, as 2.7 does:
+/// Returns the message in a datagram and whether it was framed, as in 2.7:
 ///
 /// | offset | type | field |
 /// |--:|---|---|
@@ -44,7 +44,7 @@ pub fn unframe(datagram: &[u8]) -> Result<(bool, &[u8]), DecodeError> {
     Ok((true, message))
 }
 
-/// The message in a frame whose length agrees with the datagram's.
+/// The message in a frame whose length matches the datagram's.
 fn framed(datagram: &[u8]) -> Option<&[u8]> {
     let (head, rest) = datagram.split_first_chunk::<HEAD>()?;
     let (message, _) = rest.split_last_chunk::<TAIL>()?;
@@ -62,7 +62,7 @@ fn bare(datagram: &[u8]) -> Result<(bool, &[u8]), DecodeError> {
 }
 
 impl Dialect {
-    /// What the sender of a monitoring message speaks; `None` if this message fits more than one.
+    /// Dialect of the sender of a monitoring message; `None` if it fits more than one.
     #[must_use]
     pub fn of(is_framed: bool, message: &Monitoring) -> Option<Self> {
         if is_framed {
@@ -81,8 +81,8 @@ impl Dialect {
         self == Self::V3
     }
 
-    /// Writes a datagram: the message that `encode` puts at the front of its buffer, with a frame if there is one. Returns
-    /// the datagram's length.
+    /// Writes a datagram: the message that `encode` writes to the front of its buffer, framed if the dialect has a
+    /// frame. Returns the datagram's length.
     pub fn frame(
         self,
         buf: &mut [u8],

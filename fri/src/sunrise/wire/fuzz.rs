@@ -1,12 +1,12 @@
-//! What must hold for any received bytes, in one function for tests and fuzzers. It makes no input of its own.
+//! What must hold for any received bytes, in one function for tests and fuzzers. It generates no input itself.
 
 use super::{Command, MESSAGE_MAX, Monitoring, unframe};
 use crate::generation::Kind;
 
-/// Feeds `bytes` to both decoders, with and without framing; if one accepts, what it read is encoded and read again the same.
+/// Passes `bytes` to both decoders, framed and bare; what one accepts must be the same after encoding and decoding.
 ///
 /// # Panics
-/// When a decoder accepts what its encoder cannot give back: a bug of this crate.
+/// If a decoder accepts what its encoder cannot reproduce: a bug of this crate.
 pub fn fuzz(bytes: &[u8]) {
     let _named = Kind::of(bytes);
     messages(bytes);
@@ -16,7 +16,7 @@ pub fn fuzz(bytes: &[u8]) {
 }
 
 fn messages(bytes: &[u8]) {
-    // Numbers that were not packed take more room than before when written packed, names of five frames too.
+    // Unpacked numbers get longer when written packed, and so do names of five frames.
     let mut buf = [0; 4 * MESSAGE_MAX];
     if let Ok(value) = Monitoring::decode(bytes) {
         let len = value.encode(&mut buf);
@@ -32,7 +32,7 @@ fn messages(bytes: &[u8]) {
     }
 }
 
-/// Equal, or equal but for numbers that are none and so never equal themselves.
+/// Equal, or equal except for NaN.
 fn same<T: PartialEq + std::fmt::Debug>(a: &T, b: &T) -> bool {
     a == b || format!("{a:?}") == format!("{b:?}")
 }

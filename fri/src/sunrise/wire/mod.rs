@@ -28,13 +28,13 @@ use std::fmt;
 /// Longest datagram of either direction, bytes.
 pub const MESSAGE_MAX: usize = 1500;
 
-/// Frames in one message at most.
+/// Maximum number of frames in one message.
 pub const TRANSFORMATIONS_MAX: usize = 5;
 
-/// Inputs and outputs in one message at most.
+/// Maximum number of inputs and outputs in one message.
 pub const IOS_MAX: usize = 10;
 
-/// Numbers for a one-line display, four decimals.
+/// Formats numbers in one line, four decimals.
 struct ShowJoints<'a>(&'a [f64]);
 
 impl fmt::Display for ShowJoints<'_> {

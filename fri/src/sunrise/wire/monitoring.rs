@@ -1,4 +1,4 @@
-//! The monitoring message, controller to client. It does not relate one message to the next.
+//! The monitoring message, controller to client. Successive messages are related elsewhere.
 
 use super::bounded::List;
 use super::codes::{
@@ -37,9 +37,9 @@ pub struct Monitoring {
     pub monitor: Option<MonitorData>,
     /// State of the session.
     pub connection: Option<ConnectionInfo>,
-    /// What the interpolator wants.
+    /// State of the interpolator.
     pub ipo: Option<IpoData>,
-    /// Frames that the robot program wants from the client.
+    /// Frames that the robot program requests from the client.
     #[doc(alias = "requestedTransformations")]
     pub requested: List<Transformation, TRANSFORMATIONS_MAX>,
     /// Present in messages of some old controllers.
@@ -59,9 +59,9 @@ pub struct Monitoring {
 pub struct RobotInfo {
     /// Number of axes; 7.
     pub joints: Option<i32>,
-    /// What the safety controller asks for.
+    /// Request of the safety controller.
     pub safety: Option<Safety>,
-    /// State of each drive; `None` if there is no word about them.
+    /// State of each drive; `None` if not reported.
     pub drives: Option<[Drive; AXES]>,
     /// Operation mode at the smartPAD.
     pub operation_mode: Option<OperationMode>,
@@ -104,7 +104,7 @@ pub struct MonitorData {
     pub pose: Option<Transformation>,
     /// Redundant axis of that pose (2.x).
     pub redundancy: Option<Redundancy>,
-    /// When this was measured, on the controller's clock.
+    /// Time of the measurement, on the controller's clock.
     pub stamp: Option<TimeStamp>,
 }
 
@@ -120,12 +120,12 @@ pub struct MonitorData {
 pub struct ConnectionInfo {
     /// State of the session.
     pub state: SessionState,
-    /// The controller's judgement of our timing.
+    /// The controller's rating of our timing.
     pub quality: Quality,
     /// Period of monitoring messages, ms, 1..=100.
     #[doc(alias = "sendPeriod")]
     pub send_period_ms: Option<u32>,
-    /// Every how many messages an answer is wanted, from 1.
+    /// An answer is due to every n-th message, from 1.
     pub receive_multiplier: Option<u32>,
 }
 
@@ -147,11 +147,11 @@ pub struct IpoData {
     pub pose: Option<Transformation>,
     /// Redundant axis of that pose (2.x).
     pub redundancy: Option<Redundancy>,
-    /// What the client has to command.
+    /// Values that the client has to command.
     pub command_mode: Option<CommandMode>,
     /// Kind of overlay.
     pub overlay: Option<Overlay>,
-    /// How well the robot follows, 0..=1; 0 unless COMMANDING_ACTIVE.
+    /// Tracking performance of the robot, 0..=1; 0 unless COMMANDING_ACTIVE.
     #[doc(alias = "trackingPerformance")]
     pub tracking: Option<f64>,
 }
@@ -169,7 +169,7 @@ impl Monitoring {
             match field.tag {
                 1 => header = Some(Header::read(&field, Self::ID)?),
                 2 => monitoring.robot = Some(RobotInfo::read(&field)?),
-                // In place: it is large.
+                // In place: the value is large.
                 3 => monitoring
                     .monitor
                     .insert(MonitorData::default())
@@ -226,7 +226,7 @@ impl Monitoring {
             .map_or(Quality::Poor, |connection| connection.quality)
     }
 
-    /// What the client has to command.
+    /// Values that the client has to command.
     #[must_use]
     pub fn command_mode(&self) -> CommandMode {
         self.ipo

@@ -1,4 +1,4 @@
-//! The messages inside both datagrams: joint values, vectors, frames, inputs and outputs. They know no session.
+//! The messages nested in both datagrams: joint values, vectors, frames, inputs and outputs.
 
 use super::bounded::Name;
 use super::codes::{IoDirection, IoType, RedundancyStrategy};
@@ -9,7 +9,7 @@ use crate::sunrise::AXES;
 /// Numbers of all axes.
 pub type Joints = [f64; AXES];
 
-/// Collects exactly `N` doubles from fields of one tag, packed or not; an empty message is one that is not there.
+/// Collects exactly `N` doubles from fields of one tag, packed or not; an empty message counts as missing.
 struct Collector<const N: usize> {
     values: [f64; N],
     len: usize,
@@ -104,7 +104,7 @@ pub struct Header {
     /// The sender's own counter, +1 per datagram.
     #[doc(alias = "sequenceCounter")]
     pub sequence: u32,
-    /// The counter of the last datagram the sender had received; in a command, of the one it answers.
+    /// Counter of the last datagram that the sender received; in a command, of the one it answers.
     #[doc(alias = "reflectedSequenceCounter")]
     pub reflected: u32,
 }
@@ -174,7 +174,7 @@ impl TimeStamp {
     }
 }
 
-/// Where a frame is: the form depends on the generation of the SDK.
+/// Pose of a frame: the form depends on the generation of the SDK.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Placement {
     /// 1.x: 3x4 row-major; translation at indices 3, 7, 11 in mm.
@@ -183,7 +183,7 @@ pub enum Placement {
     Quaternion([f64; 7]),
 }
 
-/// `Transformation` of 1.x and `QuaternionTransformation` of 2.x, told apart by the number of elements.
+/// `Transformation` of 1.x and `QuaternionTransformation` of 2.x, distinguished by the number of elements.
 ///
 /// | tag | type | field |
 /// |--:|---|---|
@@ -194,9 +194,9 @@ pub enum Placement {
 pub struct Transformation {
     /// Name of the frame in the robot program.
     pub name: Name,
-    /// Where it is; a request carries none.
+    /// Pose; missing in a request.
     pub placement: Option<Placement>,
-    /// When it was there.
+    /// Time of the pose.
     pub stamp: Option<TimeStamp>,
 }
 
@@ -285,7 +285,7 @@ impl Redundancy {
 /// | 1 | required string, 63 bytes | name, `Group.Name` |
 /// | 2 | required enum | type |
 /// | 3 | required enum | direction |
-/// | 4 | optional uint64 | digitalValue, also of truth values |
+/// | 4 | optional uint64 | digitalValue, also of booleans |
 /// | 5 | optional double | analogValue |
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct IoValue {
@@ -295,7 +295,7 @@ pub struct IoValue {
     pub kind: IoType,
     /// Whether the client may write it.
     pub direction: IoDirection,
-    /// Value of a truth value (0, 1) or of an integer.
+    /// Value of a boolean (0, 1) or of an integer.
     pub digital: Option<u64>,
     /// Value of a real number.
     pub analog: Option<f64>,
@@ -336,8 +336,8 @@ impl IoValue {
     }
 }
 
-/// `MessageEndOf` (until 2.5): optional int32 messageLength = 1, optional `Checksum` { optional int32 crc32 = 1 } = 2. Controllers
-/// and SDKs leave it empty or away; Takt sends none.
+/// `MessageEndOf` (until 2.5): optional int32 messageLength = 1, optional `Checksum` { optional int32 crc32 = 1 } = 2.
+/// Controllers and SDKs leave it empty or omit it; Takt does not send it.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct EndOf {
     /// Length of the message, bytes.

@@ -1,12 +1,12 @@
-//! The part of protobuf that FRI uses: fields off a slice and onto a slice, checked and without allocation. It knows no
-//! message and no groups (wire types 3 and 4), which no FRI schema has.
+//! The part of protobuf that FRI uses: reads and writes fields, checked and without allocation. It has no groups (wire
+//! types 3 and 4), which no FRI schema uses.
 
 use crate::error::{DecodeError, EncodeError};
 
 /// Bytes of the longest varint.
 const VARINT_MAX: usize = 10;
 
-/// What a field carries, by its wire type.
+/// Content of a field, by its wire type.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Value<'a> {
     /// Wire type 0.
@@ -24,15 +24,15 @@ pub(super) enum Value<'a> {
 pub(super) struct Field<'a> {
     pub(super) tag: u64,
     pub(super) value: Value<'a>,
-    /// Where the field begins in the datagram.
+    /// Offset of the field in the datagram.
     pub(super) offset: usize,
 }
 
-/// Takes fields off the front of a message.
+/// Reads fields from the front of a message.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Reader<'a> {
     rest: &'a [u8],
-    /// Place of `rest` in the datagram.
+    /// Offset of `rest` in the datagram.
     offset: usize,
 }
 
@@ -44,7 +44,7 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// What is left, as bytes.
+    /// The remaining bytes.
     pub(super) fn bytes(&self) -> &'a [u8] {
         self.rest
     }
@@ -57,7 +57,7 @@ impl<'a> Reader<'a> {
         let offset = self.offset;
         let key = self.varint()?;
         if key >> 3 == 0 {
-            // No field has this number; zeros are what padding and damage look like.
+            // Field number 0 does not exist; zeros come from padding and damage.
             let wire_type = key & 7;
             return Err(DecodeError::WireType { offset, wire_type });
         }
@@ -107,7 +107,7 @@ impl<'a> Reader<'a> {
         Ok(inner)
     }
 
-    /// A double of field 1, if the next field is one: what joint values consist of, without the detour over [`Field`].
+    /// Fast path: a double of field 1, if the next field is one. Joint values consist of these.
     pub(super) fn double(&mut self) -> Option<f64> {
         let ([0x09, value @ ..], rest) = self.rest.split_first_chunk::<9>()? else {
             return None;
@@ -118,7 +118,7 @@ impl<'a> Reader<'a> {
         Some(value)
     }
 
-    /// Nearly all have one byte.
+    /// Nearly all varints have one byte.
     #[inline]
     fn varint(&mut self) -> Result<u64, DecodeError> {
         if let [byte @ 0..=0x7f, rest @ ..] = self.rest {
@@ -170,7 +170,7 @@ impl<'a> Field<'a> {
         }
     }
 
-    /// A uint32; as in every protobuf decoder, bits above 32 are cut.
+    /// A uint32; as in every protobuf decoder, bits above 32 are dropped.
     pub(super) fn u32(&self) -> Result<u32, DecodeError> {
         let [a, b, c, d, ..] = self.u64()?.to_le_bytes();
         Ok(u32::from_le_bytes([a, b, c, d]))
@@ -199,7 +199,7 @@ impl<'a> Field<'a> {
         }
     }
 
-    /// Hands over the doubles of a repeated field, packed into one field or one to each.
+    /// Passes on the doubles of a repeated field, packed or one field each.
     pub(super) fn f64s(
         &self,
         mut take: impl FnMut(f64) -> Result<(), DecodeError>,
@@ -216,7 +216,7 @@ impl<'a> Field<'a> {
         }
     }
 
-    /// Hands over the enum values of a repeated field, packed into one field or one to each.
+    /// Passes on the enum values of a repeated field, packed or one field each.
     pub(super) fn i32s(
         &self,
         mut take: impl FnMut(i32) -> Result<(), DecodeError>,
@@ -235,7 +235,7 @@ impl<'a> Field<'a> {
     }
 }
 
-/// Puts fields at the front of a buffer.
+/// Writes fields to the front of a buffer.
 #[derive(Debug)]
 pub(super) struct Writer<'a> {
     buf: &'a mut [u8],
@@ -262,8 +262,8 @@ impl<'a> Writer<'a> {
     pub(super) fn raw(&mut self, bytes: &[u8]) -> Result<(), EncodeError> {
         let full = self.full(bytes.len());
         let end = self.len + bytes.len();
-        let place = self.buf.get_mut(self.len..end).ok_or(full)?;
-        place.copy_from_slice(bytes);
+        let slot = self.buf.get_mut(self.len..end).ok_or(full)?;
+        slot.copy_from_slice(bytes);
         self.len = end;
         Ok(())
     }
@@ -319,28 +319,28 @@ impl<'a> Writer<'a> {
         })
     }
 
-    /// A message in a message. Its length is known when it is written: it is written behind a length of one byte and moved
-    /// up if that does not suffice, which only the outermost messages need.
+    /// Writes a nested message. Its length is known only afterwards: one byte is reserved for it, and the message is
+    /// moved if that is not enough, which only the outermost messages need.
     pub(super) fn nested(
         &mut self,
         tag: u32,
         fill: impl FnOnce(&mut Self) -> Result<(), EncodeError>,
     ) -> Result<(), EncodeError> {
         self.key(tag, 2)?;
-        let place = self.len;
+        let start = self.len;
         self.raw(&[0])?;
         fill(self)?;
         let end = self.len;
-        let len = end - place - 1;
+        let len = end - start - 1;
         let mut prefix = [0; VARINT_MAX];
         let mut head = Writer::new(&mut prefix);
         head.varint(len as u64)?;
         let width = head.len;
         self.raw(prefix.get(..width - 1).unwrap_or_default())?;
-        self.buf.copy_within(place + 1..end, place + width);
-        self.len = place;
+        self.buf.copy_within(start + 1..end, start + width);
+        self.len = start;
         self.raw(prefix.get(..width).unwrap_or_default())?;
-        self.len = place + width + len;
+        self.len = start + width + len;
         Ok(())
     }
 }
@@ -351,7 +351,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn varints_of_every_width_survive() {
+    fn proto_varints_roundtrip() {
         for bits in 0..64 {
             let value = u64::MAX >> bits;
             let mut buf = [0; 16];
@@ -364,7 +364,7 @@ mod tests {
     }
 
     #[test]
-    fn negative_enum_values_take_ten_bytes_and_survive() {
+    fn proto_negative_enum_roundtrips_in_ten_bytes() {
         let mut buf = [0; 16];
         let mut to = Writer::new(&mut buf);
         to.i32(1, -2).unwrap();
@@ -374,7 +374,7 @@ mod tests {
     }
 
     #[test]
-    fn nested_lengths_widen_at_128_bytes() {
+    fn proto_nested_length_widens_at_128_bytes() {
         for len in [0, 1, 127, 128, 300] {
             let mut buf = [0xaa; 320];
             let content = vec![7; len];
@@ -388,7 +388,7 @@ mod tests {
     }
 
     #[test]
-    fn a_buffer_too_small_is_refused_wherever_it_ends() {
+    fn proto_small_buffer_is_rejected_at_any_offset() {
         let write = |buf: &mut [u8]| {
             let mut to = Writer::new(buf);
             to.bytes(3, &[7; 130])?;
@@ -404,7 +404,7 @@ mod tests {
     }
 
     #[test]
-    fn malformed_fields_name_their_place() {
+    fn proto_malformed_field_names_offset() {
         for (bytes, error) in [
             (&[0x80][..], DecodeError::Truncated { offset: 0 }),
             (

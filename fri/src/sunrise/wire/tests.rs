@@ -10,7 +10,7 @@ use proptest::prelude::*;
 
 const Q: Joints = [0.25, -0.5, 1.0, -1.5, 0.0, 2.0, -0.125];
 
-/// Little-endian bytes of `values`, each behind `key` if there is one.
+/// Little-endian bytes of `values`, each after `key` if there is one.
 fn doubles(key: Option<u8>, values: &[f64]) -> Vec<u8> {
     let one = |value: &f64| {
         key.into_iter()
@@ -100,7 +100,7 @@ fn typical(is_commanding: bool) -> Monitoring {
 
 #[test]
 #[expect(clippy::too_many_lines, reason = "a table")]
-fn a_monitoring_message_byte_for_byte() {
+fn monitoring_v1_matches_golden_bytes() {
     let golden = [
         &MONITORING_HEADER[..],
         // robotInfo: 7 joints, stop 1, two kinds of drive states, T2, joint impedance
@@ -190,7 +190,7 @@ fn a_monitoring_message_byte_for_byte() {
 }
 
 #[test]
-fn a_monitoring_message_of_2_7_byte_for_byte() {
+fn monitoring_v3_matches_golden_bytes() {
     let pose = [10.0, 20.0, 30.0, 1.0, 0.0, 0.0, 0.0];
     let quaternion = [field(1, b"tcp"), field(2, &doubles(None, &pose))].concat();
     let redundancy = [&[0x08, 0, 0x11][..], &0.75_f64.to_le_bytes()].concat();
@@ -237,7 +237,7 @@ fn a_monitoring_message_of_2_7_byte_for_byte() {
 }
 
 #[test]
-fn commands_byte_for_byte() {
+fn command_matches_golden_bytes() {
     let joints = field(1, &doubles(Some(0x09), &Q));
     let wrench_values = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0];
     let wrench = field(2, &field(1, &doubles(None, &wrench_values)));
@@ -292,7 +292,7 @@ fn commands_byte_for_byte() {
 
 /// The lengths that clients and controllers of 1.x were measured to send.
 #[test]
-fn lengths_are_those_measured() {
+fn message_lengths_match_measured_ones() {
     let command = |data| {
         let header = header(200, 200);
         encode_command(&Command {
@@ -329,7 +329,7 @@ fn lengths_are_those_measured() {
 // -------------------------------------------------------------------------------------------- what else is accepted
 
 #[test]
-fn packed_and_unpacked_numbers_are_the_same() {
+fn message_packed_and_unpacked_decode_alike() {
     let packed = field(1, &field(1, &doubles(None, &Q)));
     let split = [
         field(1, &doubles(None, &Q[..3])),
@@ -365,7 +365,7 @@ fn packed_and_unpacked_numbers_are_the_same() {
 }
 
 #[test]
-fn unknown_fields_are_skipped_and_missing_ones_are_none() {
+fn message_unknown_skipped_missing_is_none() {
     let unknown = [
         &[0x80, 0x7d, 5, 0x75, 1, 2, 3, 4, 0x71][..],
         &[0; 8],
@@ -393,7 +393,7 @@ fn unknown_fields_are_skipped_and_missing_ones_are_none() {
 }
 
 #[test]
-fn what_the_schema_forbids_is_named() {
+fn message_schema_violation_is_named() {
     let decode = |parts: &[&[u8]]| Monitoring::decode(&parts.concat()).unwrap_err().to_string();
     assert_eq!(decode(&[]), "required field header is missing");
     assert_eq!(
@@ -444,7 +444,7 @@ fn what_the_schema_forbids_is_named() {
 // ------------------------------------------------------------------------------------------------ frames and dialects
 
 #[test]
-fn the_frame_of_2_7_byte_for_byte() {
+fn frame_v3_matches_golden_bytes() {
     let mut buf = [0xaa; 64];
     let command = Command {
         header: header(2, 300),
@@ -483,12 +483,12 @@ fn the_frame_of_2_7_byte_for_byte() {
 }
 
 #[test]
-fn the_checksum_is_that_of_ieee_802_3() {
+fn frame_checksum_is_ieee_802_3() {
     assert_eq!(crc32fast::hash(b"123456789"), 0xcbf4_3926);
 }
 
 #[test]
-fn dialects_are_told_by_their_messages() {
+fn dialect_is_detected_from_message() {
     let v1 = typical(true);
     let mut v2 = v1;
     v2.monitor.as_mut().unwrap().commanded = None;
@@ -501,7 +501,7 @@ fn dialects_are_told_by_their_messages() {
 }
 
 #[test]
-fn every_kind_of_datagram_is_told() {
+fn kind_of_every_datagram_is_detected() {
     let mut buf = [0; Msr::LEN];
     Cmd::default().encode(&mut buf).unwrap();
     assert_eq!(Kind::of(&buf[..Cmd::LEN]), Kind::LwrCommand);
@@ -688,14 +688,14 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
     #[test]
-    fn commands_survive(command in command()) {
+    fn command_roundtrip(command in command()) {
         let mut buf = [0; 4 * MESSAGE_MAX];
         let len = command.encode(&mut buf).unwrap();
         prop_assert_eq!(Command::decode(&buf[..len]), Ok(command));
     }
 
     #[test]
-    fn monitoring_messages_survive_framed_and_bare(monitoring in monitoring()) {
+    fn monitoring_roundtrip_framed_and_bare(monitoring in monitoring()) {
         let mut buf = [0; 4 * MESSAGE_MAX];
         for dialect in [Dialect::V1, Dialect::V3] {
             let len = dialect.frame(&mut buf, |buf| monitoring.encode(buf)).unwrap();
@@ -706,16 +706,16 @@ proptest! {
     }
 
     #[test]
-    fn any_bytes_are_taken_or_refused(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
+    fn message_any_bytes_accepted_or_rejected(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
         fuzz(&bytes);
     }
 
     #[test]
-    fn damaged_messages_are_taken_or_refused(monitoring in monitoring(), at in any::<prop::sample::Index>(), to in any::<u8>()) {
+    fn message_damaged_accepted_or_rejected(monitoring in monitoring(), at in any::<prop::sample::Index>(), to in any::<u8>()) {
         let mut bytes = encode(&monitoring);
-        let place = at.index(bytes.len());
-        bytes[place] = to;
+        let cut = at.index(bytes.len());
+        bytes[cut] = to;
         fuzz(&bytes);
-        fuzz(&bytes[..place]);
+        fuzz(&bytes[..cut]);
     }
 }

@@ -242,7 +242,7 @@ fn run(count: usize) -> Value {
     };
     let in_time = |counts: &Counts| 1.0 - ratio(counts.missed, counts.sent);
     let stalls: u64 = watched.robots.iter().map(|[all, _]| all.stalls).sum();
-    let falls: u64 = robots.iter().map(|robot| robot.status.falls()).sum();
+    let falls: u64 = robots.iter().map(|robot| robot.status.exits()).sum();
     let times = controller.with_drivers(|driver: &Lwr| driver.answer_time.read());
     let slowest = |quantile: f64| {
         us(times

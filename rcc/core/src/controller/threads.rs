@@ -188,7 +188,7 @@ impl Desk {
     /// Whether each thread has room for so many commands. It stays true while the desk is locked,
     /// until they are given.
     pub(super) fn has_room(&mut self, commands: usize) -> Result<(), Error> {
-        let rooms = self.threads.iter_mut().map(|t| t.commands.room());
+        let rooms = self.threads.iter_mut().map(|t| t.commands.free_slots());
         match rooms.min() {
             Some(room) if room >= commands => Ok(()),
             _ => Err(busy()),

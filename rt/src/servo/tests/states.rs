@@ -1,9 +1,9 @@
-//! Every state against everything that can happen to it.
+//! Every state with every event.
 
 use super::sim::Bench;
 use crate::{
     Nanos,
-    servo::{Fate, STRIKES, Servo, State, WINDOW},
+    servo::{STRIKES, SampleOutcome, Servo, State, WINDOW},
 };
 
 const STATES: [State; 5] = [
@@ -96,7 +96,7 @@ fn happen(bench: &mut Bench, event: Event) {
 
 /// One row per event, one column per state in the order of `STATES`.
 #[test]
-fn every_cell() {
+fn servo_state_table() {
     use State::{Holdover, Jump, Locked, Stable, Unlocked};
     let table = [
         (Event::Good, [Jump, Jump, Locked, Stable, Locked]),
@@ -124,7 +124,7 @@ fn every_cell() {
 // Locked has two faces: with a short memory a step casts doubt on all, with a full one it does not.
 
 #[test]
-fn a_small_step_of_a_clock_long_locked_is_slewed() {
+fn servo_small_step_after_long_lock_is_slewed() {
     let mut bench = locked_for_long();
     happen(&mut bench, Event::SmallStep);
     assert_eq!(bench.servo.state(), State::Locked);
@@ -136,7 +136,7 @@ fn a_small_step_of_a_clock_long_locked_is_slewed() {
 // Transitions that take time.
 
 #[test]
-fn from_the_first_sample_to_stable() {
+fn servo_first_sample_to_stable() {
     let mut bench = Bench::usual();
     let mut seen = vec![bench.servo.state()];
     for _ in 0..1_000 {
@@ -152,7 +152,7 @@ fn from_the_first_sample_to_stable() {
 }
 
 #[test]
-fn too_much_noise_is_never_locked() {
+fn servo_excessive_noise_never_locks() {
     let mut bench = Bench::usual();
     for i in 0..5_000 {
         bench.sample(if i % 2 == 0 { 450e3 } else { -450e3 });
@@ -161,7 +161,7 @@ fn too_much_noise_is_never_locked() {
 }
 
 #[test]
-fn stable_ends_when_errors_keep_to_one_side() {
+fn servo_one_sided_errors_end_stable() {
     let mut bench = in_state(State::Stable);
     let mut seen = Vec::new();
     for _ in 0..1_000 {
@@ -174,20 +174,20 @@ fn stable_ends_when_errors_keep_to_one_side() {
 }
 
 #[test]
-fn the_first_samples_of_no_clock_lead_back() {
+fn servo_invalid_first_samples_return_to_unlocked() {
     let mut bench = Bench::usual();
-    let fates: Vec<_> = (0..WINDOW)
-        .map(|i| bench.sample(if i % 2 == 0 { 0.0 } else { 9e6 }).fate)
+    let outcomes: Vec<_> = (0..WINDOW)
+        .map(|i| bench.sample(if i % 2 == 0 { 0.0 } else { 9e6 }).outcome)
         .collect();
-    assert_eq!(fates[0], Fate::Restarted);
-    assert_eq!(fates[WINDOW - 1], Fate::Outlier);
+    assert_eq!(outcomes[0], SampleOutcome::Restarted);
+    assert_eq!(outcomes[WINDOW - 1], SampleOutcome::Outlier);
     assert_eq!(bench.servo.state(), State::Unlocked, "transition 2");
 }
 
 #[test]
-fn the_first_line_has_offset_and_rate() {
+fn servo_first_line_has_offset_and_rate() {
     let mut bench = Bench::usual();
-    assert_eq!(bench.sample(0.0).fate, Fate::Restarted);
+    assert_eq!(bench.sample(0.0).outcome, SampleOutcome::Restarted);
     assert!(
         bench.error_ns().abs() < 1.0,
         "the first sample sets the phase"
@@ -201,7 +201,7 @@ fn the_first_line_has_offset_and_rate() {
 }
 
 #[test]
-fn an_unused_servo_has_no_clock() {
+fn servo_without_samples_has_no_clock() {
     let mut servo = Servo::new(&crate::servo::ServoConfig::new(
         std::time::Duration::from_millis(1),
     ));

@@ -1,4 +1,4 @@
-//! What the servo promises, against clocks that drift and step, delays with tails, and silence.
+//! The servo's promises with drifting and stepping clocks, delays with tails, and silence.
 
 use std::time::Duration;
 
@@ -8,7 +8,7 @@ use super::sim::{Bench, Random, Rms};
 use crate::{
     Nanos,
     cycle::Grid,
-    servo::{Fate, Servo, ServoConfig, State, phase_gain, rate_gain},
+    servo::{SampleOutcome, Servo, ServoConfig, State, phase_gain, rate_gain},
 };
 
 fn config(period_us: u64) -> ServoConfig {
@@ -17,7 +17,7 @@ fn config(period_us: u64) -> ServoConfig {
 
 /// From 1 ms and up to 200 ppm, with 20 us rms of noise: within 2 us rms two seconds later, at 1 kHz.
 #[test]
-fn settles_within_two_seconds_to_two_microseconds() {
+fn servo_settles_within_2_s_to_2_us() {
     for (seed, drift_ppm) in [(1, 100.0), (2, -100.0), (3, 200.0), (4, -200.0), (5, 0.0)] {
         for offset in [Nanos::from_millis(1), Nanos::from_millis(-1)] {
             let mut bench = Bench::new(&config(1_000), offset, drift_ppm * 1e3);
@@ -37,9 +37,9 @@ fn settles_within_two_seconds_to_two_microseconds() {
     }
 }
 
-/// The noise that gets through is what the theory says, at every period: sqrt(2.75 / N).
+/// The noise gain matches the theory at every period: sqrt(2.75 / N).
 #[test]
-fn noise_gets_through_as_the_theory_says_at_every_period() {
+fn servo_noise_gain_matches_theory() {
     for period_us in [250, 1_000, 4_000, 12_000, 50_000] {
         let config = config(period_us);
         let mut bench = Bench::new(&config, Nanos::from_millis(1), 100e3);
@@ -61,7 +61,7 @@ fn noise_gets_through_as_the_theory_says_at_every_period() {
 
 /// A network: each sample a little late, one in a hundred much, and now and then ten in a row.
 #[test]
-fn queues_hardly_move_it() {
+fn servo_tolerates_queueing_delays() {
     let mut bench = Bench::usual();
     let mut random = Random::new(11);
     let mut rms = Rms::default();
@@ -84,7 +84,7 @@ fn queues_hardly_move_it() {
         };
         bench.sample(-(5e3 * random.exponential() + tail + queue));
         if cycle >= 2_000 {
-            // The mean delay of 5 us cannot be told from an offset.
+            // The mean delay of 5 us cannot be distinguished from an offset.
             rms.add(bench.error_ns() + 5e3);
         }
     }
@@ -94,7 +94,7 @@ fn queues_hardly_move_it() {
 
 /// A queue may spoil the very first samples too.
 #[test]
-fn late_samples_at_the_start_do_not_spoil_it() {
+fn servo_tolerates_late_first_samples() {
     for seed in 0..50 {
         let mut bench = Bench::usual();
         let mut random = Random::new(seed);
@@ -116,7 +116,7 @@ fn late_samples_at_the_start_do_not_spoil_it() {
 }
 
 #[test]
-fn lost_samples_do_no_harm() {
+fn servo_tolerates_lost_samples() {
     let mut bench = Bench::usual();
     let mut random = Random::new(13);
     let mut rms = Rms::default();
@@ -134,10 +134,10 @@ fn lost_samples_do_no_harm() {
     assert_eq!(bench.servo.state(), State::Stable);
 }
 
-/// Without samples the clock stays within the uncertainty it states, until it says that it is lost; and
-/// comes back without a step.
+/// Without samples the clock stays within its stated uncertainty until it expires; and it returns
+/// without a step.
 #[test]
-fn holdover_states_how_far_off_it_may_be() {
+fn servo_holdover_stays_within_uncertainty() {
     let mut bench = Bench::stable();
     let drift = bench.drift_ppb;
     let mut seconds = 0;
@@ -156,8 +156,8 @@ fn holdover_states_how_far_off_it_may_be() {
         if seconds == 2 {
             let back = bench.sample(0.0);
             assert_eq!(
-                (back.fate, bench.servo.state()),
-                (Fate::Used, State::Locked)
+                (back.outcome, bench.servo.state()),
+                (SampleOutcome::Used, State::Locked)
             );
             bench.run(5_000, || 0.0);
             assert_eq!(bench.servo.state(), State::Stable);
@@ -169,22 +169,22 @@ fn holdover_states_how_far_off_it_may_be() {
 
 /// Steps are followed within 16 samples and the time to find the line; small ones at 0.5 %.
 #[test]
-fn real_steps_are_not_rejected_for_ever() {
-    for (step_us, fate) in [
-        (300, Fate::Slewing),
-        (-900, Fate::Slewing),
-        (1_100, Fate::Stepped),
-        (-20_000, Fate::Stepped),
-        (3_600_000_000, Fate::Stepped),
+fn servo_real_steps_are_followed() {
+    for (step_us, outcome) in [
+        (300, SampleOutcome::Slewing),
+        (-900, SampleOutcome::Slewing),
+        (1_100, SampleOutcome::Stepped),
+        (-20_000, SampleOutcome::Stepped),
+        (3_600_000_000, SampleOutcome::Stepped),
     ] {
         let mut bench = Bench::stable();
         let mut random = Random::new(17);
         bench.step(Nanos::from_micros(step_us));
-        let fates: Vec<_> = (0..16)
-            .map(|_| bench.sample(random.normal() * 20e3).fate)
+        let outcomes: Vec<_> = (0..16)
+            .map(|_| bench.sample(random.normal() * 20e3).outcome)
             .collect();
-        assert_eq!(fates[..15], [Fate::Outlier; 15], "{step_us} us");
-        assert_eq!(fates[15], fate, "{step_us} us");
+        assert_eq!(outcomes[..15], [SampleOutcome::Outlier; 15], "{step_us} us");
+        assert_eq!(outcomes[15], outcome, "{step_us} us");
         bench.run(1_500, || random.normal() * 20e3);
         assert!(
             bench.error_ns().abs() < 8e3,
@@ -195,9 +195,9 @@ fn real_steps_are_not_rejected_for_ever() {
     }
 }
 
-/// Another device takes over the clock: another rate, another phase.
+/// Another device becomes the clock source: another rate, another phase.
 #[test]
-fn a_new_rate_is_found() {
+fn servo_new_rate_is_found() {
     for (period_us, ppm) in [(1_000, 300.0), (50_000, 300.0), (50_000, -50.0)] {
         let mut bench = Bench::new(&config(period_us), Nanos::ZERO, 100e3);
         let mut random = Random::new(19);
@@ -213,22 +213,22 @@ fn a_new_rate_is_found() {
     }
 }
 
-/// Noise that grows for good widens the gate.
+/// Lasting noise widens the gate.
 #[test]
-fn more_noise_is_let_in() {
+fn servo_increased_noise_widens_gate() {
     let mut bench = Bench::stable();
     let mut random = Random::new(23);
     bench.run(10_000, || random.normal() * 200e3);
     assert!(bench.servo.state().is_followed());
-    let outliers =
-        (0..1_000).filter(|_| bench.sample(random.normal() * 200e3).fate == Fate::Outlier);
+    let outliers = (0..1_000)
+        .filter(|_| bench.sample(random.normal() * 200e3).outcome == SampleOutcome::Outlier);
     assert!(outliers.count() < 5);
     assert!(bench.error_ns().abs() < 80e3, "{}", bench.error_ns());
 }
 
-/// A driver that hands in the same stamp again and again is not locked for long.
+/// A driver with a repeating time stamp does not stay locked.
 #[test]
-fn a_clock_that_stands_still_is_none() {
+fn servo_stopped_clock_is_rejected() {
     let mut bench = Bench::stable();
     let stuck = bench.remote();
     for _ in 0..64 {
@@ -243,7 +243,7 @@ fn a_clock_that_stands_still_is_none() {
 }
 
 #[test]
-fn a_clock_beyond_the_bound_is_none_and_the_rate_is_clamped() {
+fn servo_excessive_drift_is_rejected_rate_clamped() {
     let mut bench = Bench::new(&config(1_000), Nanos::ZERO, 2e6);
     for _ in 0..5_000 {
         bench.sample(0.0);
@@ -259,14 +259,17 @@ fn a_clock_beyond_the_bound_is_none_and_the_rate_is_clamped() {
 }
 
 #[test]
-fn local_time_that_goes_back_is_ignored_and_then_believed() {
+fn servo_local_time_step_back_is_finally_accepted() {
     let mut bench = Bench::stable();
     let (now, remote) = (bench.now, bench.remote());
     for back in 0..15 {
         let at = now - Nanos::from_millis(back);
-        assert_eq!(bench.servo.handle_sample(at, remote).fate, Fate::Disordered);
+        assert_eq!(
+            bench.servo.handle_sample(at, remote).outcome,
+            SampleOutcome::Disordered
+        );
     }
-    assert_eq!(bench.sample(0.0).fate, Fate::Used);
+    assert_eq!(bench.sample(0.0).outcome, SampleOutcome::Used);
     bench.now = Nanos::ZERO;
     bench.run(1_000, || 0.0);
     assert!(bench.servo.state().is_followed());
@@ -278,7 +281,7 @@ fn local_time_that_goes_back_is_ignored_and_then_believed() {
 
 /// A grid that follows all of the above keeps its least distance, and its phase within 2 us rms.
 #[test]
-fn a_cycle_thread_keeps_its_phase_and_its_spacing() {
+fn servo_steered_grid_keeps_phase_and_spacing() {
     for (period_us, offset_us) in [
         (250, 100),
         (1_000, 499),
@@ -328,7 +331,7 @@ fn a_cycle_thread_keeps_its_phase_and_its_spacing() {
 /// After holdover the phase is found at once, not with the gains of a full memory; and a clock that has
 /// wandered no further than stated is let in.
 #[test]
-fn the_way_back_from_holdover_is_short() {
+fn servo_recovers_quickly_from_holdover() {
     let mut bench = Bench::stable();
     bench.drift_ppb += 20_000.0;
     (0..3_000).for_each(|_| bench.lose());
@@ -345,12 +348,12 @@ fn the_way_back_from_holdover_is_short() {
     bench.servo.handle_time(bench.now);
     let back = bench.sample(0.0);
     assert!(back.error > Nanos::from_micros(10), "{}", back.error);
-    assert_eq!(back.fate, Fate::Used);
+    assert_eq!(back.outcome, SampleOutcome::Used);
 }
 
-/// Samples that come all at once say little about the rate.
+/// Samples in a burst contain little information about the rate.
 #[test]
-fn a_burst_does_not_turn_the_clock() {
+fn servo_burst_keeps_rate() {
     let mut bench = Bench::stable();
     for _ in 0..10 {
         bench.now += Nanos::from_micros(1);
@@ -365,13 +368,13 @@ fn a_burst_does_not_turn_the_clock() {
 
 /// Outliers count in a row only: with a good sample among them they are neither a step nor the end.
 #[test]
-fn a_good_sample_acquits_the_clock() {
+fn servo_good_sample_resets_outlier_count() {
     let mut bench = Bench::stable();
     for _ in 0..5 {
         for _ in 0..15 {
-            assert_eq!(bench.sample(5e6).fate, Fate::Outlier);
+            assert_eq!(bench.sample(5e6).outcome, SampleOutcome::Outlier);
         }
-        assert_eq!(bench.sample(0.0).fate, Fate::Used);
+        assert_eq!(bench.sample(0.0).outcome, SampleOutcome::Used);
     }
     let mut bench = Bench::usual();
     bench.run(2_000, || 0.0);
@@ -379,14 +382,14 @@ fn a_good_sample_acquits_the_clock() {
         for i in 0..20 {
             bench.sample(if i % 2 == 0 { 50e6 } else { -50e6 });
         }
-        assert_eq!(bench.sample(0.0).fate, Fate::Used);
+        assert_eq!(bench.sample(0.0).outcome, SampleOutcome::Used);
         assert!(bench.error_ns().abs() < 10e3, "{}", bench.error_ns());
     }
 }
 
 /// A large step while a small one is still being slewed leaves nothing behind.
 #[test]
-fn a_step_ends_the_slew() {
+fn servo_step_ends_slew() {
     let config = ServoConfig {
         slew_max_ppb: 100_000,
         ..config(1_000)
@@ -403,7 +406,7 @@ fn a_step_ends_the_slew() {
 
 /// The gains are those of the least-squares line.
 #[test]
-fn the_gains_draw_the_least_squares_line() {
+fn servo_gains_match_least_squares() {
     let mut random = Random::new(37);
     let samples: Vec<f64> = (0..100).map(|_| random.normal()).collect();
     let (mut phase, mut rate) = (0.0, 0.0);
@@ -423,7 +426,7 @@ fn the_gains_draw_the_least_squares_line() {
     assert!((phase - (mean + 49.5 * slope)).abs() < 1e-12);
 }
 
-/// The clock given out never runs faster than it may while it is followed.
+/// The published clock never exceeds the slew limit while it is followed.
 fn assert_smooth(config: &ServoConfig, samples: impl IntoIterator<Item = (Nanos, Nanos)>) {
     let mut servo = Servo::new(config);
     for (local, remote) in samples {
@@ -432,7 +435,10 @@ fn assert_smooth(config: &ServoConfig, samples: impl IntoIterator<Item = (Nanos,
         let after = servo.estimate();
         assert!(correction.frequency_ppb.abs() <= 500_000.001);
         assert!(after.uncertainty >= Nanos::ZERO && after.uncertainty_ppb.is_finite());
-        let is_step = matches!(correction.fate, Fate::Stepped | Fate::Restarted);
+        let is_step = matches!(
+            correction.outcome,
+            SampleOutcome::Stepped | SampleOutcome::Restarted
+        );
         if before.state.is_followed() && after.state.is_followed() && !is_step {
             let moved = (after.remote_at(after.local) - before.remote_at(after.local)).abs();
             let room = (after.local - before.local).to_f64() * 0.005 + 3.0;
@@ -444,9 +450,9 @@ fn assert_smooth(config: &ServoConfig, samples: impl IntoIterator<Item = (Nanos,
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Nonsense in, no panic and no nonsense out.
+    /// Invalid input causes neither a panic nor invalid output.
     #[test]
-    fn absurd_samples_do_no_harm(
+    fn servo_extreme_samples_do_not_panic(
         samples in proptest::collection::vec((any::<i64>(), any::<i64>()), 1..200),
         period in any::<u64>(),
     ) {
@@ -456,7 +462,7 @@ proptest! {
 
     /// Clocks with noise, losses and steps of all kinds.
     #[test]
-    fn the_clock_given_out_is_smooth(
+    fn servo_published_clock_is_smooth(
         seed: u64,
         noise_us in 0.0..200.0_f64,
         loss in 0.0..0.5_f64,

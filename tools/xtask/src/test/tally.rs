@@ -1,7 +1,7 @@
-//! Reads the text libtest prints and counts. Knows nothing of processes; a run that died shows as a
-//! group of tests without a result.
+//! Reads and counts the text that libtest prints. It knows no processes; a run that crashed appears as a group of tests
+//! without a result.
 
-/// What a run came to.
+/// Result of a run.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub(crate) struct Tally {
     pub(crate) passed: usize,
@@ -20,7 +20,7 @@ impl Tally {
         self.names.extend(other.names);
     }
 
-    /// What could not be had at all, and why.
+    /// Result of an environment that is not available, with the reason.
     pub(crate) fn skipped(why: &str) -> Self {
         Self {
             skips: vec![why.to_owned()],
@@ -28,8 +28,8 @@ impl Tally {
         }
     }
 
-    /// Takes the lines of the skip file. libtest counted each such test as passed, as it has no
-    /// way for a running test to say otherwise.
+    /// Applies the lines of the skip file. libtest counted each such test as passed, as a running test cannot report
+    /// otherwise.
     pub(crate) fn skip_passed(&mut self, lines: &str) {
         for line in lines.lines().filter(|line| !line.trim().is_empty()) {
             self.passed = self.passed.saturating_sub(1);
@@ -39,20 +39,20 @@ impl Tally {
         }
     }
 
-    /// Adds what came of tests in another place: a test that was skipped here and ran there is skipped no
-    /// more, and of one that was skipped in both the reason of that place counts.
-    pub(crate) fn add_elsewhere(&mut self, other: Self) {
-        let told = |name: &str| other.skips.iter().any(|skip| test_name(skip) == name);
+    /// Adds the results of another environment: a test that was skipped here and ran there is no longer skipped; if it
+    /// was skipped in both, that environment's reason counts.
+    pub(crate) fn add_environment(&mut self, other: Self) {
+        let skipped = |name: &str| other.skips.iter().any(|skip| test_name(skip) == name);
         let ran = |name: &str| other.names.iter().any(|other| other == name);
         self.skips.retain(|skip| {
             let name = test_name(skip);
-            !ran(name) && !told(name)
+            !ran(name) && !skipped(name)
         });
         self.add(other);
     }
 
-    /// Each skip with its reason, then the count.
-    pub(crate) fn closing(&self) -> Vec<String> {
+    /// One line per skip with its reason, then the count.
+    pub(crate) fn summary(&self) -> Vec<String> {
         let mut lines: Vec<String> = self
             .skips
             .iter()
@@ -66,21 +66,21 @@ impl Tally {
     }
 }
 
-/// The name of the test that a line `modules::name: reason` is about, without its modules.
+/// Test name of a line `modules::name: reason`, without modules.
 pub(crate) fn test_name(line: &str) -> &str {
     let name = line.split(": ").next().unwrap_or(line);
     name.rsplit("::").next().unwrap_or(name)
 }
 
-/// Where the reader is in the text of one test binary.
+/// Section of a test binary's text.
 #[derive(Debug, Default, PartialEq, Eq)]
-enum Place {
+enum Section {
     /// Between two binaries.
     #[default]
     Outside,
     /// Among the lines `test … ok`.
     Tests,
-    /// In the output of failed tests, which is shown and not read.
+    /// In the output of failed tests, which is shown but not parsed.
     Failures,
 }
 
@@ -88,31 +88,31 @@ enum Place {
 #[derive(Debug, Default)]
 pub(crate) struct Reader {
     tally: Tally,
-    place: Place,
+    section: Section,
 }
 
 impl Reader {
-    /// Takes one line; true if a person should see it.
+    /// Parses one line; true if it is to be shown.
     pub(crate) fn line(&mut self, line: &str) -> bool {
         if let Some(counts) = line.strip_prefix("test result: ") {
             return self.result(counts);
         }
-        match self.place {
-            Place::Outside => {
+        match self.section {
+            Section::Outside => {
                 if line.starts_with("running ") {
-                    self.place = Place::Tests;
+                    self.section = Section::Tests;
                 }
                 let dull = line.is_empty() || line.starts_with("all doctests ran");
-                !dull && self.place == Place::Outside
+                !dull && self.section == Section::Outside
             }
-            Place::Tests => self.test_line(line),
-            Place::Failures => true,
+            Section::Tests => self.test_line(line),
+            Section::Failures => true,
         }
     }
 
     fn test_line(&mut self, line: &str) -> bool {
         if line == "failures:" {
-            self.place = Place::Failures;
+            self.section = Section::Failures;
             return true;
         }
         let Some((name, verdict)) = line
@@ -136,7 +136,7 @@ impl Reader {
         verdict != "ok" && !verdict.starts_with("ignored")
     }
 
-    /// `ok. 3 passed; 0 failed; 1 ignored; …`. Ignored tests were taken by their own lines.
+    /// `ok. 3 passed; 0 failed; 1 ignored; …`. Ignored tests were counted by their own lines.
     fn result(&mut self, counts: &str) -> bool {
         let count = |what: &str| {
             let before = counts.split(what).next()?;
@@ -146,14 +146,14 @@ impl Reader {
         let failed = count(" failed;").unwrap_or(0);
         self.tally.passed += passed;
         self.tally.failed += failed;
-        self.place = Place::Outside;
+        self.section = Section::Outside;
         passed + failed > 0
     }
 
-    /// `good` is cargo's exit status. A binary that died, or code that did not compile, counts as
-    /// one failure: it must not vanish from the count.
+    /// `good` is cargo's exit status. A binary that crashed, or code that did not compile, counts as one failure, so
+    /// that it does not vanish from the count.
     pub(crate) fn finish(mut self, good: bool) -> Tally {
-        if self.place != Place::Outside || (!good && self.tally.failed == 0) {
+        if self.section != Section::Outside || (!good && self.tally.failed == 0) {
             self.tally.failed += 1;
         }
         self.tally
@@ -206,7 +206,7 @@ test result: FAILED. 1 passed; 1 failed; 0 ignored; 0 measured; 0 filtered out; 
 ";
 
     #[test]
-    fn adds_binaries_and_keeps_the_reason_of_an_ignored_test() {
+    fn tally_adds_binaries_and_keeps_ignore_reason() {
         let (tally, shown) = read(TWO_BINARIES, true);
         assert_eq!((tally.passed, tally.failed), (3, 0));
         assert_eq!(tally.skips, ["a::two: needs a bus"]);
@@ -218,7 +218,7 @@ test result: FAILED. 1 passed; 1 failed; 0 ignored; 0 measured; 0 filtered out; 
     }
 
     #[test]
-    fn shows_all_of_a_failure_and_counts_none_of_its_text() {
+    fn tally_shows_failure_text_without_counting_it() {
         let (tally, shown) = read(FAILURE, false);
         assert_eq!((tally.passed, tally.failed), (1, 1));
         assert!(tally.skips.is_empty());
@@ -227,12 +227,12 @@ test result: FAILED. 1 passed; 1 failed; 0 ignored; 0 measured; 0 filtered out; 
     }
 
     #[test]
-    fn build_error_is_one_failure() {
+    fn tally_build_error_is_one_failure() {
         assert_eq!(read("", false).0.failed, 1);
     }
 
     #[test]
-    fn binary_that_dies_is_one_failure() {
+    fn tally_crashed_binary_is_one_failure() {
         assert_eq!(
             read("running 2 tests\ntest good ... ok\n", false).0.failed,
             1
@@ -240,11 +240,11 @@ test result: FAILED. 1 passed; 1 failed; 0 ignored; 0 measured; 0 filtered out; 
     }
 
     #[test]
-    fn skipping_test_is_no_longer_passed() {
+    fn tally_skipping_test_is_not_passed() {
         let (mut tally, _) = read(TWO_BINARIES, true);
         tally.skip_passed("skipped: three: needs CAP_NET_RAW\n\n");
         assert_eq!(
-            tally.closing(),
+            tally.summary(),
             [
                 "skipped: a::two: needs a bus",
                 "skipped: three: needs CAP_NET_RAW",
@@ -254,16 +254,16 @@ test result: FAILED. 1 passed; 1 failed; 0 ignored; 0 measured; 0 filtered out; 
     }
 
     #[test]
-    fn test_that_ran_elsewhere_is_skipped_no_more() {
+    fn tally_test_run_in_environment_is_not_skipped() {
         let (mut here, _) = read(TWO_BINARIES, true);
         here.skip_passed("three: needs vcan\n");
         let there = "running 2 tests\ntest b::three ... ok\ntest b::four ... ok\n\
                      test result: ok. 2 passed; 0 failed; 0 ignored;";
         let (mut there, _) = read(there, true);
         there.skip_passed("four: needs a peer");
-        here.add_elsewhere(there);
+        here.add_environment(there);
         assert_eq!(
-            here.closing(),
+            here.summary(),
             [
                 "skipped: a::two: needs a bus",
                 "skipped: four: needs a peer",
@@ -273,16 +273,16 @@ test result: FAILED. 1 passed; 1 failed; 0 ignored; 0 measured; 0 filtered out; 
     }
 
     #[test]
-    fn test_skipped_in_both_places_is_told_once_with_the_last_reason() {
+    fn tally_skip_in_both_environments_uses_last_reason() {
         let mut here = Tally::default();
         let mut there = Tally::default();
         for (tally, why) in [(&mut here, "vcan"), (&mut there, "python-can")] {
             tally.passed = 1;
             tally.skip_passed(&format!("three: needs {why}"));
         }
-        here.add_elsewhere(there);
+        here.add_environment(there);
         assert_eq!(
-            here.closing(),
+            here.summary(),
             [
                 "skipped: three: needs python-can",
                 "0 passed, 0 failed, 1 skipped"
@@ -291,18 +291,18 @@ test result: FAILED. 1 passed; 1 failed; 0 ignored; 0 measured; 0 filtered out; 
     }
 
     #[test]
-    fn test_that_failed_elsewhere_is_not_skipped() {
+    fn tally_test_failed_in_environment_is_not_skipped() {
         let mut here = Tally {
             passed: 1,
             ..Tally::default()
         };
         here.skip_passed("bad: needs vcan");
-        here.add_elsewhere(read(FAILURE, false).0);
-        assert_eq!(here.closing(), ["1 passed, 1 failed, 0 skipped"]);
+        here.add_environment(read(FAILURE, false).0);
+        assert_eq!(here.summary(), ["1 passed, 1 failed, 0 skipped"]);
     }
 
     #[test]
-    fn ignored_without_reason_is_told() {
+    fn tally_ignore_without_reason_is_reported() {
         let (tally, _) = read(
             "running 1 test\ntest a ... ignored\ntest result: ok. 0 passed; 0 failed; 1 ignored;",
             true,

@@ -1,15 +1,14 @@
-//! Which crate may use which. The table is written here once; it says nothing about crates from
-//! elsewhere.
+//! Allowed dependencies between crates. The table does not cover third-party crates.
 
 use super::{Finding, line_of};
 use crate::metadata::{Dependency, Package, Workspace};
 use crate::tree::Tree;
 
-/// Stands for every crate but the developers' own two.
+/// Every crate except the two developer crates.
 const ALL: &[&str] = &["*"];
 
-/// Each crate and those it may use. A dev-dependency may go to any crate that can be reached by
-/// these arrows, as tests are wired across layers that code is not, and to what all tests share.
+/// Each crate and its allowed dependencies. A dev-dependency may use any crate that these arrows reach, as tests may
+/// cross layers, and the shared test crate.
 const ALLOWED: &[(&str, &[&str])] = &[
     ("takt-rt", &[]),
     ("takt-link", &[]),
@@ -64,7 +63,7 @@ fn check_package(package: &Package, tree: &Tree) -> Vec<Finding> {
         .filter(|d| d.local && !is_allowed(name, d));
     bad.map(|dependency| {
         let cause = format!("{name} may not use {}", dependency.name);
-        let remedy = "move the code to where both may see it, or remove the dependency";
+        let remedy = "move the code to a crate that both may use, or remove the dependency";
         Finding::new(&manifest, line_of(text, &dependency.name), cause, remedy)
     })
     .collect()
@@ -78,7 +77,7 @@ fn is_allowed(from: &str, dependency: &Dependency) -> bool {
     by_arrow || (dependency.dev && (reaches(from, to) || to == "takt-tests"))
 }
 
-/// True for the crate itself, too: a dev-dependency on oneself switches features on for the tests.
+/// True for the crate itself, too: a dev-dependency on oneself enables features for tests.
 fn reaches(from: &str, to: &str) -> bool {
     from == to
         || arrows(from)
@@ -100,11 +99,11 @@ mod tests {
     use super::*;
 
     fn arrow(from: &str, to: &str, dev: bool) -> Vec<String> {
-        let (name, seen_as) = (to.to_owned(), to.to_owned());
+        let (name, source_name) = (to.to_owned(), to.to_owned());
         let mut package = package(from);
         package.dependencies = vec![Dependency {
             name,
-            seen_as,
+            source_name,
             dev,
             local: true,
         }];
@@ -114,14 +113,14 @@ mod tests {
     }
 
     #[test]
-    fn arrows_of_the_table_are_allowed() {
+    fn arrows_in_table_are_allowed() {
         assert!(arrow("takt-can", "takt-cia402", false).is_empty());
         assert!(arrow("takt-tools", "takt-deploy", false).is_empty());
         assert!(arrow("takt-tests", "takt-tools", false).is_empty());
     }
 
     #[test]
-    fn other_arrows_are_found_at_their_line() {
+    fn arrows_outside_table_are_found() {
         let expected = ["fri/Cargo.toml:2 takt-fri may not use takt-rt"];
         assert_eq!(arrow("takt-fri", "takt-rt", false), expected);
         assert_eq!(arrow("takt-net", "takt-motion", false).len(), 1);
@@ -130,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn dev_arrow_may_skip_layers_but_not_turn_back() {
+    fn arrows_dev_may_skip_layers_not_reverse() {
         assert!(arrow("takt-server", "takt-net", true).is_empty());
         assert!(arrow("takt-fri", "takt-fri", true).is_empty());
         assert!(arrow("takt-can", "takt-tests", true).is_empty());
@@ -138,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn crate_outside_the_table_is_found() {
+    fn arrows_unknown_crate_is_found() {
         let found = check(&workspace(vec![package("takt-new")]), &Tree::default());
         assert_eq!(
             causes(&found),
@@ -147,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn table_has_no_circle() {
+    fn arrows_table_has_no_cycle() {
         for (from, to) in ALLOWED {
             assert!(
                 to.iter().all(|next| !reaches(next, from)),

@@ -1,11 +1,11 @@
-//! What the clippy.toml files must say. Clippy takes the nearest file and forgets the root's, so the
-//! common lines are repeated in each; whether code obeys them is clippy's own business.
+//! Required content of the clippy.toml files. Clippy reads only the nearest file, not the root's too, so the common
+//! lines are repeated in each; clippy itself checks the code.
 
 use super::Finding;
 use crate::metadata::Workspace;
 use crate::tree::{File, Tree};
 
-/// Crates whose machines get time as an argument.
+/// Crates whose state machines get time as an argument.
 const SANS_IO: &[&str] = &[
     "takt-link",
     "takt-cia402",
@@ -94,18 +94,18 @@ mod tests {
     }
 
     #[test]
-    fn complete_file_is_good() {
+    fn bans_complete_file_passes() {
         assert!(found(BANS).is_empty());
     }
 
     #[test]
-    fn common_line_that_differs_is_found() {
+    fn bans_differing_common_line_is_found() {
         let found = found(&BANS.replace("a = 1", "a = 2"));
         assert_eq!(found, ["fri/clippy.toml:1 lacks the common line `a = 1`"]);
     }
 
     #[test]
-    fn ban_that_is_missing_or_a_comment_is_found() {
+    fn bans_missing_or_commented_ban_is_found() {
         let expected = ["fri/clippy.toml:1 takt-fri does not forbid std::thread::sleep"];
         assert_eq!(found(&BANS.replace("::sleep", "::spawn")), expected);
         let comment = BANS.replace("{ path = \"std::thread", "# { path = \"std::thread");

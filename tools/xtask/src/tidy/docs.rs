@@ -1,5 +1,4 @@
-//! Links in the documents lead to files that exist. Links between items of the code are rustdoc's
-//! business, and links to the network nobody's here.
+//! Links in documents lead to existing files. rustdoc checks links between items; links to the network are not checked.
 
 use super::{Finding, markdown};
 use crate::metadata::Workspace;
@@ -12,7 +11,7 @@ pub(super) fn check(_: &Workspace, tree: &Tree) -> Vec<Finding> {
         .collect()
 }
 
-/// READMEs anywhere, and every Markdown page of the root.
+/// READMEs everywhere, and every Markdown page of the root.
 pub(super) fn is_document(path: &str) -> bool {
     path.ends_with(".md") && (file_name(path) == "README.md" || !path.contains('/'))
 }
@@ -30,7 +29,7 @@ fn broken_links(file: &File, tree: &Tree) -> Vec<Finding> {
                     &file.path,
                     number,
                     cause,
-                    "mend or remove the link",
+                    "fix or remove the link",
                 ));
             }
         }
@@ -38,7 +37,7 @@ fn broken_links(file: &File, tree: &Tree) -> Vec<Finding> {
     findings
 }
 
-/// The file a link means; `None` if it means none, `Some(None)` if it leaves the checkout.
+/// The target file of a link; `None` if it has none, `Some(None)` if it lies outside the checkout.
 fn linked_path(file: &File, target: &str) -> Option<Option<String>> {
     let path = target.split('#').next().unwrap_or_default();
     let is_item = file.path.contains('/') && !path.contains(['/', '.']);
@@ -71,7 +70,7 @@ mod tests {
     }
 
     #[test]
-    fn links_to_files_folders_items_and_the_network_are_good() {
+    fn docs_valid_links_pass() {
         assert!(
             found(
                 "README.md",
@@ -89,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn broken_link_is_found_at_its_line() {
+    fn docs_broken_link_is_found() {
         let cause = ["rt/README.md:2 link to src/none.rs, which does not exist"];
         assert_eq!(found("rt/README.md", "x\n[a](src/none.rs)\n"), cause);
         assert_eq!(found("README.md", "[a](none)").len(), 1);
@@ -97,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn other_markdown_and_code_blocks_are_left_alone() {
+    fn docs_other_markdown_and_code_is_ignored() {
         assert!(found("rt/notes.md", "[a](none.md)").is_empty());
         assert!(found("README.md", "```\n[a](none.md)\n```\n").is_empty());
     }

@@ -1,10 +1,10 @@
-//! Licences of the crates we take: only those listed. Reads what each crate declares, not its files.
+//! Licences of third-party crates: only those listed. It reads each crate's declaration, not its files.
 
 use super::{Finding, line_of};
 use crate::metadata::{ThirdParty, Workspace};
 use crate::tree::Tree;
 
-/// All permissive: a binary may be passed on under the project's own terms with their notices.
+/// All permissive: a binary may be distributed under the project's own terms with their notices.
 const ALLOWED: &[&str] = &[
     "0BSD",
     "Apache-2.0",
@@ -49,8 +49,8 @@ fn is_allowed(package: &ThirdParty) -> bool {
     package.licence.as_deref().is_some_and(expression_allowed)
 }
 
-/// An SPDX expression. The old `/` means OR; AND binds tighter than OR; an exception (WITH) only
-/// adds rights. Text that does not read as an expression is not allowed.
+/// An SPDX expression. The old `/` means OR; AND binds tighter than OR; an exception (WITH) only adds rights. Text that
+/// is no expression is not allowed.
 fn expression_allowed(expression: &str) -> bool {
     let spaced = expression
         .replace('/', " OR ")
@@ -105,7 +105,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn expressions_are_read_as_spdx_means_them() {
+    fn licence_expressions_follow_spdx() {
         for good in [
             "MIT",
             "MIT/Apache-2.0",
@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn crate_is_found_at_its_place_in_the_lock_file() {
+    fn licence_finding_points_to_lock_file() {
         let package = |name: &str, licence: Option<&str>| ThirdParty {
             name: name.to_owned(),
             version: "1.0.0".to_owned(),

@@ -1,11 +1,11 @@
-//! What every crate of ours has: workspace lints, the licence, a README that is its crate doc, and
-//! no dependency it does not use. The latter is judged by name only, not by what the compiler sees.
+//! What every crate of the workspace has: workspace lints, the licence, a README as crate doc, and no unused dependency.
+//! The latter is checked by name only, not by the compiler's view.
 
 use super::{Finding, line_of};
 use crate::metadata::{Dependency, Package, Workspace};
 use crate::tree::Tree;
 
-/// What every crate of the workspace declares.
+/// Licence that every crate of the workspace declares.
 pub(super) const LICENCE: &str = "MIT OR Apache-2.0";
 
 pub(super) fn check(workspace: &Workspace, tree: &Tree) -> Vec<Finding> {
@@ -88,12 +88,12 @@ fn doc_is_readme(package: &Package, tree: &Tree) -> Option<Finding> {
 
 /// True if a source of the package contains the name as a word.
 fn is_used(d: &Dependency, package: &Package, workspace: &Workspace, tree: &Tree) -> bool {
-    // A dev-dependency on oneself only switches features on.
-    let word = d.seen_as.replace('-', "_");
+    // A dev-dependency on oneself only enables features.
+    let word = d.source_name.replace('-', "_");
     d.name == package.name || sources(package, workspace, tree).any(|text| has_word(text, &word))
 }
 
-/// The package's own sources, without those of a package in a folder below.
+/// The package's own sources, without those of a package in a subfolder.
 pub(super) fn sources<'a>(
     package: &'a Package,
     workspace: &'a Workspace,
@@ -139,10 +139,10 @@ mod tests {
 
     fn with_dependency(name: &str) -> Package {
         let mut package = package("takt-fri");
-        let (name, seen_as) = (name.to_owned(), name.to_owned());
+        let (name, source_name) = (name.to_owned(), name.to_owned());
         package.dependencies = vec![Dependency {
             name,
-            seen_as,
+            source_name,
             ..Dependency::default()
         }];
         package
@@ -158,13 +158,13 @@ mod tests {
     }
 
     #[test]
-    fn complete_crate_is_good() {
+    fn manifest_complete_crate_passes() {
         assert!(found(package("takt-fri"), LINTS, LIB).is_empty());
         assert!(found(with_dependency("serde-json"), LINTS, LIB).is_empty());
     }
 
     #[test]
-    fn missing_lints_are_found() {
+    fn manifest_missing_lints_are_found() {
         let cause = ["fri/Cargo.toml:1 no workspace lints"];
         assert_eq!(found(package("takt-fri"), "[package]\n", LIB), cause);
         assert_eq!(
@@ -178,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn other_licence_and_missing_readme_are_found() {
+    fn manifest_other_licence_or_missing_readme_is_found() {
         let mut package = package("takt-fri");
         package.licence = Some("GPL-3.0".to_owned());
         package.readme = Some("READ.md".to_owned());
@@ -192,20 +192,20 @@ mod tests {
     }
 
     #[test]
-    fn library_whose_doc_is_not_the_readme_is_found() {
+    fn manifest_library_without_readme_doc_is_found() {
         let cause = ["fri/src/lib.rs:1 the README is not the crate's documentation"];
         assert_eq!(found(package("takt-fri"), LINTS, "//! Own text.\n"), cause);
     }
 
     #[test]
-    fn dependency_named_only_inside_another_word_is_unused() {
+    fn manifest_dependency_within_word_is_unused() {
         let manifest = format!("{LINTS}[dependencies]\njson = \"1\"\n");
         let cause = ["fri/Cargo.toml:5 json is not used"];
         assert_eq!(found(with_dependency("json"), &manifest, LIB), cause);
     }
 
     #[test]
-    fn sources_of_a_crate_in_a_folder_below_do_not_count() {
+    fn manifest_nested_crate_sources_do_not_count() {
         let mut inner = package("xtask");
         inner.dir = "fri/inner".to_owned();
         let workspace = workspace(vec![with_dependency("serde-json"), inner]);

@@ -1,5 +1,4 @@
-//! As much of Markdown as the rules need: lines outside code blocks, code spans, link targets, table
-//! rows. No renderer.
+//! The part of Markdown that the rules need: lines outside code blocks, code spans, link targets, table rows.
 
 /// The lines outside fenced code, with their numbers from 1.
 pub(super) fn prose(text: &str) -> impl Iterator<Item = (usize, &str)> {
@@ -12,7 +11,7 @@ pub(super) fn prose(text: &str) -> impl Iterator<Item = (usize, &str)> {
     })
 }
 
-/// What stands between backticks.
+/// Text between backticks.
 pub(super) fn code_spans(line: &str) -> impl Iterator<Item = &str> {
     line.split('`').skip(1).step_by(2)
 }
@@ -26,7 +25,7 @@ pub(super) fn link_targets(line: &str) -> Vec<String> {
         .collect()
 }
 
-/// The body rows of every table under a heading that `wanted` accepts, with their numbers.
+/// The body rows of every table below a heading that `wanted` accepts, with line numbers.
 pub(super) fn table_rows(text: &str, wanted: impl Fn(&str) -> bool) -> Vec<(usize, &str)> {
     let mut under = wanted("");
     let mut row_of_table = 0;
@@ -40,7 +39,7 @@ pub(super) fn table_rows(text: &str, wanted: impl Fn(&str) -> bool) -> Vec<(usiz
         } else {
             0
         };
-        // The first two are the header and the rule below it.
+        // The first two rows are the header and its rule.
         if under && row_of_table > 2 {
             rows.push((number, line));
         }
@@ -55,7 +54,7 @@ mod tests {
     const PAGE: &str = "# A\n| h |\n|--|\n| no |\n```\n| code |\n```\n## What works\n\n| h |\n|---|\n| one |\n| two |\n\nend\n";
 
     #[test]
-    fn rows_of_the_wanted_heading_only() {
+    fn table_rows_below_wanted_heading_only() {
         let rows = table_rows(PAGE, |heading| heading == "What works");
         assert_eq!(rows, [(12, "| one |"), (13, "| two |")]);
         assert_eq!(table_rows(PAGE, |_| true).len(), 3);
@@ -68,7 +67,7 @@ mod tests {
     }
 
     #[test]
-    fn spans_and_links_of_a_line() {
+    fn code_spans_and_links_of_line() {
         let line = "`a` [b](c.md) `[no](link)` [![img](d.svg)](e#f)";
         assert_eq!(code_spans(line).collect::<Vec<_>>(), ["a", "[no](link)"]);
         assert_eq!(link_targets(line), ["c.md", "d.svg", "e#f"]);

@@ -1,7 +1,7 @@
-//! What a document claims names the test that shows it. In every README, and in the pages of the
-//! root, a test is written in backticks as `package::test`, modules between the two or not; each
-//! such test must exist. A row of a table under "What works", and of SPECIFICATION.md, must name a
-//! test or a capture, or say `pending`. Whether a test shows what the row says, a reader judges.
+//! Claims of documents name the tests that prove them. In every README, and in the pages of the root, a test is written
+//! in backticks as `package::test`, with or without modules in between, and must exist. A row of a table under "What
+//! works", and of SPECIFICATION.md, must name a test or a capture, or say `pending`. Whether the test proves the row is
+//! up to the reader.
 
 use super::{Finding, docs, manifests, markdown};
 use crate::metadata::Workspace;
@@ -32,7 +32,7 @@ fn missing_tests(file: &File, workspace: &Workspace, tree: &Tree) -> Vec<Finding
     findings
 }
 
-/// Why a code span that looks like a test is none.
+/// Why a code span with the form of a test name is invalid.
 fn wrong_name(span: &str, workspace: &Workspace, tree: &Tree) -> Option<String> {
     let (head, rest) = span.split_once("::")?;
     if head.ends_with(".rs") {
@@ -48,7 +48,7 @@ fn wrong_name(span: &str, workspace: &Workspace, tree: &Tree) -> Option<String> 
     (!exists).then(|| format!("{head} has no test {name}"))
 }
 
-/// True for a function of that name with a test attribute among the lines right above it.
+/// True for a function of that name with a test attribute directly above it.
 fn has_test(text: &str, name: &str) -> bool {
     let lines: Vec<&str> = text.lines().map(str::trim).collect();
     let opening = format!("fn {name}(");
@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn test_that_exists_is_good_with_modules_or_without() {
+    fn proof_existing_test_passes() {
         assert!(found("README.md", "`takt-fri::loss_is_counted`").is_empty());
         assert!(
             found(
@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn name_that_is_no_test_is_found() {
+    fn proof_missing_test_is_found() {
         let of = |span: &str| found("README.md", &format!("a\n`{span}`\n"));
         assert_eq!(
             of("takt-fri::none"),
@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn claim_needs_a_test_or_says_pending() {
+    fn proof_claim_requires_test_or_pending() {
         let page = |proof: &str| format!("## What works\n| a | b |\n|--|--|\n| loss | {proof} |\n");
         assert!(found("fri/README.md", &page("`takt-fri::loss_is_counted`")).is_empty());
         assert!(found("fri/README.md", &page("pending")).is_empty());

@@ -1,15 +1,15 @@
-//! The shape of files: a head that says why, a length one can read, no folder of captures without
-//! their story, no path of somebody's machine. Content is not judged.
+//! Form of files: a module doc, a limit on length, a README for each folder of captures, no path of a developer's
+//! machine. Content is not checked.
 
 use super::Finding;
 use crate::metadata::Workspace;
 use crate::tree::{File, Tree, file_name, parent};
 
-/// Lines of code in a file, without those of its tests.
+/// Maximum lines of code in a file, without its tests.
 const LINES_MAX: usize = 600;
 
-/// Written in halves, as this file is read by its own rule.
-const PLACES: &[&str] = &[
+/// Split strings, as this file is subject to its own rule.
+const MACHINE_PATHS: &[&str] = &[
     concat!("/wo", "rk/"),
     concat!("/t", "mp/"),
     concat!("/ro", "ot/"),
@@ -36,7 +36,7 @@ fn head(file: &File) -> Option<Finding> {
         .lines()
         .find(|line| !line.trim().is_empty())
         .unwrap_or_default();
-    let remedy = "say in `//!` why the file exists and one thing it does not do";
+    let remedy = "state in `//!` why the file exists and one thing it does not do";
     let good = first.starts_with("//!") || first.starts_with("#![");
     (!good).then(|| Finding::new(&file.path, 1, "no head", remedy))
 }
@@ -60,18 +60,18 @@ fn length(file: &File) -> Option<Finding> {
 
 fn machine_paths(file: &File) -> Vec<Finding> {
     let hit = |line: &str| {
-        PLACES
+        MACHINE_PATHS
             .iter()
             .copied()
-            .find(|place| begins_path(line, place))
+            .find(|path| begins_path(line, path))
     };
     let hits = file
         .text
         .lines()
         .enumerate()
         .filter_map(|(n, line)| Some((n + 1, hit(line)?)));
-    hits.map(|(line, place)| {
-        let cause = format!("path of one machine ({place})");
+    hits.map(|(line, path)| {
+        let cause = format!("path of one machine ({path})");
         Finding::new(
             &file.path,
             line,
@@ -82,9 +82,9 @@ fn machine_paths(file: &File) -> Vec<Finding> {
     .collect()
 }
 
-/// True if `place` stands at the start of an absolute path, not inside a relative one or a link.
-fn begins_path(line: &str, place: &str) -> bool {
-    line.match_indices(place).any(|(start, _)| {
+/// True if `path` begins an absolute path, not part of a relative path or a link.
+fn begins_path(line: &str, path: &str) -> bool {
+    line.match_indices(path).any(|(start, _)| {
         let before = line.get(..start).and_then(|text| text.chars().next_back());
         !before.is_some_and(|c| c.is_alphanumeric() || "._-/*".contains(c))
     })
@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn length_counts_code_only() {
+    fn file_length_counts_code_only() {
         let long = format!("//! Why.\n{}", "x();\n".repeat(600));
         assert_eq!(
             found("a.rs", &long),
@@ -148,21 +148,21 @@ mod tests {
     }
 
     #[test]
-    fn absolute_paths_of_a_machine_are_found_in_every_text() {
-        let place = PLACES[0];
-        let text = format!("fine\nsee {place}notes\n");
+    fn machine_paths_are_found_in_any_text() {
+        let path = MACHINE_PATHS[0];
+        let text = format!("fine\nsee {path}notes\n");
         assert_eq!(
             found("a.md", &text),
-            [format!("a.md:2 path of one machine ({place})")]
+            [format!("a.md:2 path of one machine ({path})")]
         );
         assert!(found("a.md", &format!("frame{place}x https://host{place}y\n")).is_empty());
     }
 
     #[test]
-    fn captures_need_their_story() {
+    fn captures_require_readme() {
         let cause = ["fri/tests/captures/README.md:1 captures without a README"];
         assert_eq!(found("fri/tests/captures/a.pcapng", ""), cause);
-        let told = [("x/captures/README.md", ""), ("x/captures/a.pcapng", "")];
-        assert!(check(&Workspace::default(), &Tree::of(&told)).is_empty());
+        let described = [("x/captures/README.md", ""), ("x/captures/a.pcapng", "")];
+        assert!(check(&Workspace::default(), &Tree::of(&described)).is_empty());
     }
 }

@@ -1,24 +1,24 @@
-//! A machine around the host's own files: what was built on the host runs in it as it is. Files of the
-//! host are read-only to it but for the checkout and the target directory.
+//! A machine with the host's own files: what the host built runs in it unchanged. It can write only to the checkout and
+//! the target directory.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 
 use super::system::Processors;
-use super::{Had, needs};
+use super::{Availability, needs};
 use crate::cargo::{self, note};
-use crate::elsewhere::NETWORKS;
-use crate::shell::{Line, TIME_IS_UP, quoted};
+use crate::environments::NETWORKS;
+use crate::shell::{Line, TIMEOUT_STATUS, quoted};
 
-/// How long tests may take together, s.
-const TESTS_WITHIN: u64 = 600;
+/// Timeout of all tests together, s.
+const TESTS_TIMEOUT_S: u64 = 600;
 
-/// Two CAN controllers on a bus of their own.
+/// Two CAN controllers on a common bus.
 const CONTROLLERS: &str = "--qemu-opts=-object can-bus,id=takt \
     -device kvaser_pci,canbus=takt -device kvaser_pci,canbus=takt";
 
-/// How to boot a machine.
+/// Boot settings of a machine.
 #[derive(Debug)]
 pub(crate) struct Guest {
     root: PathBuf,
@@ -29,23 +29,23 @@ pub(crate) struct Guest {
 }
 
 impl Guest {
-    /// Fetches what is missing.
-    pub(crate) fn prepare(root: &Path) -> Had<Self> {
-        if let Err(obstacle) = super::refused() {
-            return Ok(Err(obstacle));
+    /// Installs missing packages.
+    pub(crate) fn prepare(root: &Path) -> Availability<Self> {
+        if let Err(unavailable) = super::refused() {
+            return Ok(Err(unavailable));
         }
         for packages in [needs::MACHINE, needs::GUEST] {
-            if let Err(obstacle) = needs::packages(packages)? {
-                return Ok(Err(obstacle));
+            if let Err(unavailable) = needs::packages(packages)? {
+                return Ok(Err(unavailable));
             }
         }
         let vng = match needs::vng(root)? {
             Ok(vng) => vng,
-            Err(obstacle) => return Ok(Err(obstacle)),
+            Err(unavailable) => return Ok(Err(unavailable)),
         };
         let kernel = match needs::kernel() {
             Ok(kernel) => kernel,
-            Err(obstacle) => return Ok(Err(obstacle)),
+            Err(unavailable) => return Ok(Err(unavailable)),
         };
         let target = cargo::target_dir(root);
         std::fs::create_dir_all(target.join("vm"))?;
@@ -66,21 +66,21 @@ impl Guest {
         let script = self.script(&format!("exec {}\n", words.join(" ")))?;
         let status = self.boot(&script).limited(seconds).status();
         std::fs::remove_file(script)?;
-        self.tell_if_late(*status.as_ref().unwrap_or(&0), seconds);
+        self.report_timeout(*status.as_ref().unwrap_or(&0), seconds);
         status
     }
 
     /// Runs a script in the checkout; returns its exit status.
     pub(crate) fn test(&self, script: &str, show: impl FnMut(&str)) -> anyhow::Result<u8> {
         let script = self.script(script)?;
-        let status = self.boot(&script).limited(TESTS_WITHIN).lines(show);
+        let status = self.boot(&script).limited(TESTS_TIMEOUT_S).lines(show);
         std::fs::remove_file(script)?;
-        self.tell_if_late(*status.as_ref().unwrap_or(&0), TESTS_WITHIN);
+        self.report_timeout(*status.as_ref().unwrap_or(&0), TESTS_TIMEOUT_S);
         status
     }
 
-    fn tell_if_late(&self, status: u8, seconds: u64) {
-        if status == TIME_IS_UP {
+    fn report_timeout(&self, status: u8, seconds: u64) {
+        if status == TIMEOUT_STATUS {
             let processors = match self.processors {
                 Processors::Emulated => " on emulated processors",
                 Processors::Kvm => "",
@@ -100,7 +100,7 @@ impl Guest {
 
     fn line(&self, processors: Processors, command: &str) -> Line {
         let line = Line::new(&self.vng).relayed();
-        // It finds the rest of itself in the search path.
+        // virtme-ng finds its other programs in the search path.
         let line = match self.vng.parent().filter(|folder| folder.is_absolute()) {
             Some(folder) => line.env("PATH", &format!("{}:{}", folder.display(), path())),
             None => line,
@@ -110,7 +110,7 @@ impl Guest {
             Processors::Emulated => line.arg("--disable-kvm"),
             Processors::Kvm => line,
         };
-        // Named, as the machine has folders of its own in places where these may lie.
+        // Given explicitly, as the machine has its own folders at some of these paths.
         let line = line
             .arg("--rwdir")
             .arg(&self.root)
@@ -122,7 +122,7 @@ impl Guest {
             .within(&self.root)
     }
 
-    /// A file with what the machine is to do, so that no shell between here and there changes a word.
+    /// A file with the machine's commands, so that no shell in between changes a word.
     fn script(&self, body: &str) -> anyhow::Result<PathBuf> {
         let path = self
             .target
@@ -132,7 +132,7 @@ impl Guest {
         Ok(path)
     }
 
-    /// The host's environment as far as cargo and its toolchain need it.
+    /// The part of the host's environment that cargo and its toolchain need.
     fn environment(&self) -> String {
         let mut text = format!("cd {}\n", quoted(&self.root.to_string_lossy()));
         for name in [
@@ -169,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn machine_may_write_only_to_checkout_and_target() {
+    fn guest_writes_only_checkout_and_target() {
         let line = guest().boot(Path::new("/cache/vm/a b.sh")).to_string();
         assert!(
             line.contains("--disable-kvm --rwdir /checkout --rwdir /cache "),
@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn machine_of_our_own_finds_the_rest_of_itself() {
+    fn guest_own_vng_extends_search_path() {
         let guest = Guest {
             vng: "/cache/vm/python/bin/vng".into(),
             ..guest()

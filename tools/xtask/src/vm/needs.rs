@@ -1,23 +1,23 @@
-//! What machines are made of, fetched from Debian's and Python's registries where it is missing. On
-//! other systems, or without root, nothing is touched and the obstacle is told.
+//! Requirements of machines, installed from Debian's and Python's registries if missing. On other systems, or without
+//! root, nothing is installed and the missing requirement is reported.
 
 use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use super::{Had, Obstacle};
+use super::{Availability, Unavailable};
 use crate::cargo;
 use crate::shell::{self, Line};
 
 /// Debian packages of every machine.
 pub(super) const MACHINE: &[&str] = &["linux-image-rt-amd64", "qemu-system-x86"];
-/// And of one around the host's files.
+/// Debian packages of a machine with the host's files.
 pub(super) const GUEST: &[&str] = &["busybox-static", "iproute2", "kmod"];
-/// And of one around a Debian of its own.
+/// Debian packages of a machine with a Debian of its own.
 pub(super) const SERVICE: &[&str] = &["debootstrap", "e2fsprogs"];
 
-/// Installs what is missing of these packages.
-pub(super) fn packages(names: &[&str]) -> Had<()> {
+/// Installs those packages that are missing.
+pub(super) fn packages(names: &[&str]) -> Availability<()> {
     let missing: Vec<&str> = names
         .iter()
         .copied()
@@ -28,16 +28,16 @@ pub(super) fn packages(names: &[&str]) -> Had<()> {
     }
     let list = missing.join(" ");
     if !is_debian(&std::fs::read_to_string("/etc/os-release").unwrap_or_default()) {
-        return Ok(Err(Obstacle(format!(
+        return Ok(Err(Unavailable(format!(
             "needs Debian or the like for {list}"
         ))));
     }
     if !is_root() {
-        return Ok(Err(Obstacle(format!(
+        return Ok(Err(Unavailable(format!(
             "needs root to apt-get install {list}"
         ))));
     }
-    // Another apt may be at work.
+    // Another apt may be running.
     let apt = || Line::new("apt-get").args(["--quiet", "--quiet", "-o", "DPkg::Lock::Timeout=600"]);
     let install = apt()
         .args(["install", "--yes", "--no-install-recommends"])
@@ -46,7 +46,7 @@ pub(super) fn packages(names: &[&str]) -> Had<()> {
     if apt().arg("update").succeeds()? && install.succeeds()? {
         Ok(Ok(()))
     } else {
-        Ok(Err(Obstacle(format!(
+        Ok(Err(Unavailable(format!(
             "needs {list}, and apt-get cannot install it"
         ))))
     }
@@ -66,55 +66,54 @@ fn is_debian(os_release: &str) -> bool {
     })
 }
 
-/// Whether this process may do what only root may.
+/// Whether this process has root rights.
 pub(crate) fn is_root() -> bool {
     std::fs::metadata("/proc/self").is_ok_and(|process| process.uid() == 0)
 }
 
-/// virtme-ng: one that is installed, or one of our own.
-pub(super) fn vng(root: &Path) -> Had<PathBuf> {
+/// virtme-ng: the installed one, or one in the target directory.
+pub(super) fn vng(root: &Path) -> Availability<PathBuf> {
     if shell::exists("vng") {
         return Ok(Ok(PathBuf::from("vng")));
     }
     Ok(python(root)?.map(|python| python.with_file_name("vng")))
 }
 
-/// Debian packages that tests on a bus talk to, or look at it with.
+/// Debian packages of the tests' peers and monitors on a bus.
 const PEERS: &[&str] = &["can-utils", "iproute2", "tshark"];
-/// What our own Python has beside itself: virtme-ng, and what tests on a bus talk to.
+/// Modules of our own Python environment: virtme-ng, and the tests' peers.
 const MODULES: [&str; 3] = ["virtme-ng~=1.42", "python-can~=4.0", "canopen~=2.0"];
-/// The same for EtherCAT, as a person installs it too.
+/// EtherCAT masters, from the list that users install too.
 const MASTERS: &str = include_str!("../../../../ethercat/tests/peers/requirements.txt");
 
-/// Fetches what tests on a bus talk to; returns the Python that has such modules. Of what cannot be
-/// had the tests say so themselves.
+/// Installs the tests' peers; returns the Python that has their modules. Tests report missing peers themselves.
 pub(crate) fn peers(root: &Path) -> anyhow::Result<Option<PathBuf>> {
-    let told = |Obstacle(why)| cargo::note(&format!("tests on a bus miss peers: {why}"));
-    packages(PEERS)?.unwrap_or_else(told);
-    Ok(python(root)?.map_err(told).ok())
+    let report = |Unavailable(why)| cargo::note(&format!("tests on a bus miss peers: {why}"));
+    packages(PEERS)?.unwrap_or_else(report);
+    Ok(python(root)?.map_err(report).ok())
 }
 
-/// A Python in a virtual environment of our own, as Debian's refuses to be added to.
-fn python(root: &Path) -> Had<PathBuf> {
+/// A Python in a virtual environment of our own, as Debian's is externally managed.
+fn python(root: &Path) -> Availability<PathBuf> {
     let folder = cargo::target_dir(root).join("vm/python");
     let python = folder.join("bin/python3");
     let complete = folder.join("complete");
     let wanted = format!("{} {MASTERS}", MODULES.join(" "));
-    // One that was made for other modules is added to.
+    // An environment with other modules is extended.
     if std::fs::read_to_string(&complete).is_ok_and(|has| has == wanted) {
         return Ok(Ok(python));
     }
-    if let Err(obstacle) = packages(&["python3-venv"])? {
-        return Ok(Err(obstacle));
+    if let Err(unavailable) = packages(&["python3-venv"])? {
+        return Ok(Err(unavailable));
     }
     let make = Line::new("/usr/bin/python3").args(["-m", "venv"]);
     let fetch = Line::new(folder.join("bin/pip")).args(["install", "--quiet"]);
     if !make.arg(&folder).succeeds()? || !fetch.clone().args(MODULES).succeeds()? {
         let modules = MODULES.join(" ");
         let why = format!("needs {modules}, and pip cannot install it");
-        return Ok(Err(Obstacle(why)));
+        return Ok(Err(Unavailable(why)));
     }
-    // Nothing else needs the masters of EtherCAT, and their tests say so themselves.
+    // Only tests need the EtherCAT masters, and these report missing ones themselves.
     if fetch.args(MASTERS.lines()).succeeds()? {
         std::fs::write(complete, wanted)?;
     } else {
@@ -124,12 +123,12 @@ fn python(root: &Path) -> Had<PathBuf> {
 }
 
 /// The newest real-time kernel of the host.
-pub(super) fn kernel() -> Result<PathBuf, Obstacle> {
+pub(super) fn kernel() -> Result<PathBuf, Unavailable> {
     let files = std::fs::read_dir("/boot").into_iter().flatten().flatten();
     let names = files.filter_map(|file| file.file_name().into_string().ok());
     newest(names)
         .map(|name| Path::new("/boot").join(name))
-        .ok_or_else(|| Obstacle("needs a kernel /boot/vmlinuz-*-rt-amd64".to_owned()))
+        .ok_or_else(|| Unavailable("needs a kernel /boot/vmlinuz-*-rt-amd64".to_owned()))
 }
 
 fn newest(names: impl Iterator<Item = String>) -> Option<String> {
@@ -148,7 +147,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn debian_and_what_is_made_of_it_are_known() {
+    fn os_debian_and_derivatives_are_recognised() {
         assert!(is_debian("NAME=x\nID=debian\n"));
         assert!(is_debian("ID=pop\nID_LIKE=\"ubuntu debian\"\n"));
         assert!(!is_debian("ID=fedora\nHOME_URL=\"debian\"\n"));
@@ -156,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn newest_kernel_is_the_one_with_the_highest_numbers() {
+    fn kernel_highest_version_is_newest() {
         let names = [
             "vmlinuz-6.1.0-9-rt-amd64",
             "vmlinuz-6.1.0-56-rt-amd64",

@@ -1,6 +1,5 @@
-//! A machine around a Debian of its own, made by debootstrap: systemd is its first process, and the
-//! package is installed in it as an administrator would. What is done there stands in
-//! `tests/vm/service.sh`.
+//! A machine with a Debian of its own, made by debootstrap: systemd is its first process, and the package is installed
+//! as an administrator would. `tests/vm/service.sh` has the steps.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -8,20 +7,20 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 
 use super::system::Processors;
-use super::{Had, Obstacle, needs};
+use super::{Availability, Unavailable, needs};
 use crate::cargo::{self, Cargo, note, say};
 use crate::deb::Package;
 use crate::shell::Line;
 use crate::test::tally::{Reader, Tally};
 
-/// Where Debian is fetched from.
+/// Debian mirror.
 const MIRROR: &str = "http://deb.debian.org/debian";
-/// What the userland holds beside the least there is.
+/// Packages of the userland besides the minimum.
 const USERLAND: &str = "--include=systemd-sysv,dbus,udev,procps,kmod,iproute2";
-/// How long all steps may take together, s.
-const WITHIN: u64 = 900;
+/// Timeout of all steps together, s.
+const TIMEOUT_S: u64 = 900;
 
-/// Starts what the second disk holds, once everything else has started, and switches off.
+/// Runs the content of the second disk once everything else has started, and switches off.
 const UNIT: &str = "\
 [Unit]
 Description=Test of the package
@@ -42,7 +41,7 @@ Requires=multi-user.target
 Wants=takt-test.service
 AllowIsolate=yes
 ";
-/// Services of a lasting installation; here they only take time.
+/// Services of a permanent installation; here they only take time.
 const MASKED: [&str; 7] = [
     "apt-daily.timer",
     "apt-daily-upgrade.timer",
@@ -54,22 +53,22 @@ const MASKED: [&str; 7] = [
 ];
 
 /// Builds the package, boots the machine and counts what its script prints.
-pub(super) fn test(root: &Path, takt: Option<&Path>) -> Had<Tally> {
-    if let Err(obstacle) = super::refused() {
-        return Ok(Err(obstacle));
+pub(super) fn test(root: &Path, takt: Option<&Path>) -> Availability<Tally> {
+    if let Err(unavailable) = super::refused() {
+        return Ok(Err(unavailable));
     }
     for packages in [needs::MACHINE, needs::SERVICE] {
-        if let Err(obstacle) = needs::packages(packages)? {
-            return Ok(Err(obstacle));
+        if let Err(unavailable) = needs::packages(packages)? {
+            return Ok(Err(unavailable));
         }
     }
     let kernel = match needs::kernel() {
         Ok(kernel) => kernel,
-        Err(obstacle) => return Ok(Err(obstacle)),
+        Err(unavailable) => return Ok(Err(unavailable)),
     };
     let image = match image(root)? {
         Ok(image) => image,
-        Err(obstacle) => return Ok(Err(obstacle)),
+        Err(unavailable) => return Ok(Err(unavailable)),
     };
     let folder = cargo::target_dir(root).join("vm");
     let machine = Machine {
@@ -93,7 +92,7 @@ pub(super) fn test(root: &Path, takt: Option<&Path>) -> Had<Tally> {
         }
     };
     let line = machine.line(processors, "systemd.unit=takt-test.target");
-    let status = line.limited(WITHIN).lines(show)?;
+    let status = line.limited(TIMEOUT_S).lines(show)?;
     if !ended {
         let console = machine.console.display();
         note(&format!(
@@ -103,8 +102,7 @@ pub(super) fn test(root: &Path, takt: Option<&Path>) -> Had<Tally> {
     Ok(Ok(reader.finish(ended)))
 }
 
-/// The package of this checkout, and the same as a later version. The program is the one that the tests
-/// were built with.
+/// The package of this checkout, and the same as a later version. Its program is the one that the tests were built with.
 fn packages(root: &Path, folder: &Path, takt: Option<&Path>) -> anyhow::Result<[PathBuf; 2]> {
     let program = match takt {
         Some(program) => program.to_owned(),
@@ -125,7 +123,7 @@ fn packages(root: &Path, folder: &Path, takt: Option<&Path>) -> anyhow::Result<[
     Ok([package(None).make(root)?, package(Some(next)).make(root)?])
 }
 
-/// The second disk: what goes into the machine, as an archive. There is nothing to mount.
+/// The second disk: the machine's input, as an archive without file system.
 fn disk(root: &Path, folder: &Path, packages: &[PathBuf; 2]) -> anyhow::Result<PathBuf> {
     let content = folder.join("content");
     let _ = fs::remove_dir_all(&content);
@@ -142,7 +140,7 @@ fn disk(root: &Path, folder: &Path, packages: &[PathBuf; 2]) -> anyhow::Result<P
         fs::copy(from, content.join(name)).with_context(|| format!("no {}", from.display()))?;
     }
     let disk = folder.join("content.tar");
-    // Whole sectors: a disk has nothing else.
+    // A disk consists of whole sectors.
     let tar = Line::new("tar")
         .arg("--blocking-factor=20")
         .arg("-C")
@@ -152,30 +150,30 @@ fn disk(root: &Path, folder: &Path, packages: &[PathBuf; 2]) -> anyhow::Result<P
 }
 
 /// The first disk, with Debian; made once and kept in the target directory.
-fn image(root: &Path) -> Had<PathBuf> {
+fn image(root: &Path) -> Availability<PathBuf> {
     let folder = cargo::target_dir(root).join("vm");
     fs::create_dir_all(&folder)?;
     let os = fs::read_to_string("/etc/os-release").unwrap_or_default();
-    // The package is made for the host's libraries.
+    // The package is built for the host's libraries.
     let Some(suite) = codename(&os) else {
-        return Ok(Err(Obstacle("needs a release of Debian".to_owned())));
+        return Ok(Err(Unavailable("needs a release of Debian".to_owned())));
     };
     let image = folder.join(format!("{suite}.ext4"));
     if image.is_file() {
         return Ok(Ok(image));
     }
     if !needs::is_root() {
-        return Ok(Err(Obstacle("needs root for debootstrap".to_owned())));
+        return Ok(Err(Unavailable("needs root for debootstrap".to_owned())));
     }
     let tree = folder.join(suite);
     let _ = fs::remove_dir_all(&tree);
     let fetch = Line::new("debootstrap").args(["--variant=minbase", USERLAND, suite]);
     if !fetch.arg(&tree).arg(MIRROR).quiet().succeeds()? {
-        return Ok(Err(Obstacle(format!(
+        return Ok(Err(Unavailable(format!(
             "needs {MIRROR}, where debootstrap fails"
         ))));
     }
-    furnish(&tree)?;
+    install_units(&tree)?;
     let new = folder.join("new.ext4");
     fs::File::create(&new)?.set_len(800 << 20)?;
     let make = Line::new("mkfs.ext4").args(["-q", "-O", "^has_journal", "-d"]);
@@ -185,8 +183,8 @@ fn image(root: &Path) -> Had<PathBuf> {
     Ok(Ok(image))
 }
 
-/// Puts the units of the test into the tree.
-fn furnish(tree: &Path) -> anyhow::Result<()> {
+/// Copies the test's units into the tree.
+fn install_units(tree: &Path) -> anyhow::Result<()> {
     let units = tree.join("etc/systemd/system");
     fs::write(units.join("takt-test.service"), UNIT)?;
     fs::write(units.join("takt-test.target"), TARGET)?;
@@ -212,7 +210,7 @@ struct Machine {
     kernel: PathBuf,
     image: PathBuf,
     disk: PathBuf,
-    /// Takes what kernel and systemd say.
+    /// Output of kernel and systemd.
     console: PathBuf,
 }
 
@@ -231,7 +229,7 @@ impl Machine {
             "root=/dev/vda rw console=ttyS0 quiet panic=-1 mitigations=off net.ifnames=0 {what}"
         );
         let drive = |path: &Path, option: &str| {
-            // A comma ends a value, and is written twice within one.
+            // A comma separates values, and is doubled within one.
             let path = path.to_string_lossy().replace(',', ",,");
             format!("file={path},format=raw,if=virtio,{option}")
         };
@@ -252,7 +250,7 @@ impl Machine {
             .arg("-kernel")
             .arg(&self.kernel)
             .args(["-initrd", &initrd, "-append", &append])
-            // Nothing that happens in the machine is kept.
+            // The machine's writes are discarded.
             .args(["-drive", &drive(&self.image, "snapshot=on")])
             .args(["-drive", &drive(&self.disk, "readonly=on")])
             .args(["-serial", &format!("file:{console}"), "-serial", "stdio"])
@@ -264,7 +262,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn machine_keeps_nothing_and_ends_with_its_system() {
+    fn service_machine_discards_writes_and_powers_off() {
         let machine = Machine {
             kernel: "/boot/vmlinuz-1-rt-amd64".into(),
             image: "/cache/a,b.ext4".into(),
@@ -291,7 +289,7 @@ mod tests {
     }
 
     #[test]
-    fn only_debian_gives_the_release_of_the_userland() {
+    fn service_codename_requires_debian() {
         let debian = "ID=debian\nVERSION_CODENAME=bookworm\n";
         assert_eq!(codename(debian), Some("bookworm"));
         assert_eq!(codename("ID=ubuntu\nVERSION_CODENAME=noble\n"), None);

@@ -1,27 +1,26 @@
-//! Whether processors are emulated or lent by the host. What runs within does not see the difference, but
-//! waits ten times as long.
+//! Whether processors are emulated or provided by KVM. Programs in the machine see no difference, but take ten times as
+//! long.
 
 use std::path::Path;
 
 use crate::cargo::{self, note};
 use crate::shell::Line;
 
-/// How processors come to a machine.
+/// Processors of a machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Processors {
     /// Emulated, on any host.
     Emulated,
-    /// By the host's KVM.
+    /// Provided by the host's KVM.
     Kvm,
 }
 
-/// A kernel on a good KVM has booted long before, s.
-const BOOT_WITHIN: u64 = 25;
+/// Boot timeout, s; a kernel on a working KVM needs far less.
+const BOOT_TIMEOUT_S: u64 = 25;
 
 impl Processors {
-    /// The better kind that works here. That the device can be opened says little: there are hosts that
-    /// run a boot loader in KVM and never get through the kernel, so that a kernel is booted to see. The
-    /// answer is kept in the target directory.
+    /// The faster kind that works here. Opening the device proves little: some hosts run a boot loader in KVM and never
+    /// get through the kernel, so a kernel is booted to check. The result is kept in the target directory.
     pub(super) fn of_host(root: &Path, boot: impl FnOnce(Self) -> Line) -> anyhow::Result<Self> {
         if std::fs::File::options()
             .read(true)
@@ -36,9 +35,9 @@ impl Processors {
             Ok(text) => text == "works",
             Err(_) => {
                 note(&format!(
-                    "does the host's KVM boot a kernel within {BOOT_WITHIN} s?"
+                    "does the host's KVM boot a kernel within {BOOT_TIMEOUT_S} s?"
                 ));
-                let works = boot(Self::Kvm).limited(BOOT_WITHIN).answers();
+                let works = boot(Self::Kvm).limited(BOOT_TIMEOUT_S).answers();
                 std::fs::write(&answer, if works { "works" } else { "fails" })?;
                 works
             }

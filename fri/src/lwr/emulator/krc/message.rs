@@ -1,8 +1,8 @@
-//! The measurement of an emulated KRC. It decides nothing.
+//! The measurement of an emulated KRC.
 
 use super::motion::turned;
 use super::{ALL_DRIVES, Krc};
-use crate::emulator::{INERTIA, Place, Sent, Window};
+use crate::emulator::{INERTIA, Pose, Sent, Window};
 use crate::lwr::AXES;
 use crate::lwr::wire::{Header, Interface, Msr, Robot, State, Statistics};
 use std::time::Duration;
@@ -36,7 +36,7 @@ impl Krc {
             *offset -= base;
         }
         let body = &self.arm.body;
-        let commanded = body.place_of(&self.base);
+        let commanded = body.pose_of(&self.base);
         let [x, y, z] = body.force().map(to_f32);
         Msr {
             header: Header {
@@ -48,11 +48,11 @@ impl Krc {
             statistics: statistics(&self.window),
             robot: self.robot(),
             measured_joints: body.joints().map(to_f32),
-            measured_frame: frame(&body.place()),
+            measured_frame: frame(&body.pose()),
             commanded_joints: self.base.map(to_f32),
             joint_offset: offset.map(to_f32),
             commanded_frame: frame(&commanded),
-            frame_offset: frame(&commanded.to(&body.place_of(&self.arm.set_point))),
+            frame_offset: frame(&commanded.to(&body.pose_of(&self.arm.set_point))),
             measured_torque: body.torque().map(to_f32),
             external_torque: body.external().map(to_f32),
             external_wrench: [x, y, z, 0.0, 0.0, 0.0],
@@ -105,8 +105,8 @@ fn mass_matrix() -> [f32; 49] {
 }
 
 /// As 3x4 row-major.
-fn frame(place: &Place) -> [f32; 12] {
-    let (r, p) = (&place.rotation, &place.position);
+fn frame(pose: &Pose) -> [f32; 12] {
+    let (r, p) = (&pose.rotation, &pose.position);
     std::array::from_fn(|i| {
         let (row, column) = (i / 4, i % 4);
         to_f32(if column == 3 {

@@ -1,9 +1,9 @@
-//! How the arm follows commands under each control strategy. Rules and timing are judged elsewhere.
+//! How the arm follows commands under each control strategy. Rules and timing are checked elsewhere.
 
 use super::{Krc, Received};
-use crate::emulator::{Law, Place};
+use crate::emulator::{Law, Pose};
 use crate::lwr::AXES;
-use crate::lwr::emulator::{Leave, Stiffness};
+use crate::lwr::emulator::{ExitReason, Stiffness};
 use crate::lwr::wire::{Cmd, CmdFlags, Control};
 use nalgebra::{Matrix3, Vector3};
 
@@ -15,7 +15,7 @@ impl Krc {
         }
         if let Some(reason) = received
             .as_ref()
-            .and_then(|received| self.judge(received).err())
+            .and_then(|received| self.check(received).err())
         {
             self.leave(reason);
         }
@@ -28,12 +28,12 @@ impl Krc {
         let followed = self.following;
         self.following = self.follows();
         if followed && !self.following {
-            self.let_go();
+            self.drop_additions();
         }
         match received {
             _ if !self.following => self.arm.brake(&self.brake_step),
             Some(received) => self.follow(&received),
-            None => self.arm.go_on(&self.config.limits.position_rad),
+            None => self.arm.extrapolate(&self.config.limits.position_rad),
         }
         self.settle();
     }
@@ -44,29 +44,29 @@ impl Krc {
             let law = self.law();
             self.arm.settle(&law, span_s);
         } else {
-            // Brakes hold the joints where they are, and that is where they are to be when power comes back.
+            // Brakes hold the joints; the set-point stays there for the return of power.
             self.arm.body.freeze();
-            self.arm.take_up();
+            self.arm.sync_set_point();
         }
     }
 
-    /// Forgets what the client added. A compliant arm stays where its contact has pushed it.
-    pub(super) fn let_go(&mut self) {
+    /// Drops the client's additions. A compliant arm stays where its contact has pushed it.
+    pub(super) fn drop_additions(&mut self) {
         self.stiffness = self.config.stiffness;
         (self.added_torque, self.added_wrench) = ([0.0; AXES], [0.0; 6]);
         if self.control != Control::Position {
-            self.arm.take_up();
+            self.arm.sync_set_point();
         }
     }
 
-    /// Where a command wants the joints; `None` when it says nothing about that.
-    pub(super) fn target(&self, cmd: &Cmd) -> Result<Option<[f64; AXES]>, Leave> {
+    /// Joint positions that a command requests; `None` if it has no position.
+    pub(super) fn target(&self, cmd: &Cmd) -> Result<Option<[f64; AXES]>, ExitReason> {
         let flags = cmd.flags.intersection(CmdFlags::allowed(self.control));
         let joints = cmd.joints.map(f64::from);
         if flags.contains(CmdFlags::CARTPOS) {
             let frame = cmd.frame.map(f64::from);
             if let Some(joint) = frame.iter().position(|value| !value.is_finite()) {
-                return Err(Leave::NotFinite {
+                return Err(ExitReason::NotFinite {
                     joint: joint.min(AXES - 1),
                 });
             }
@@ -75,8 +75,8 @@ impl Krc {
             } else {
                 self.arm.set_point
             };
-            let reached = self.arm.body.reach(&near, &place(&frame));
-            return reached.map(Some).ok_or(Leave::OutOfReach);
+            let reached = self.arm.body.reach(&near, &pose(&frame));
+            return reached.map(Some).ok_or(ExitReason::OutOfReach);
         }
         Ok(flags.contains(CmdFlags::JNTPOS).then_some(joints))
     }
@@ -92,11 +92,11 @@ impl Krc {
             }
             None => self.arm.hold(),
         }
-        self.take_parameters(&received.cmd);
+        self.apply_parameters(&received.cmd);
     }
 
-    /// Takes the fields that flags declare valid and the strategy allows; the others keep what `$STIFFNESS` says.
-    fn take_parameters(&mut self, cmd: &Cmd) {
+    /// Applies the fields that flags declare valid and the strategy allows; the others keep their `$STIFFNESS` value.
+    fn apply_parameters(&mut self, cmd: &Cmd) {
         let flags = cmd.flags.intersection(CmdFlags::allowed(self.control));
         let has = |flag| flags.contains(flag);
         let Stiffness {
@@ -162,16 +162,16 @@ impl Krc {
     }
 }
 
-/// Between the order X, Y, Z, Rz, Ry, Rx of the datagrams and X, Y, Z, Rx, Ry, Rz.
+/// Converts between the order X, Y, Z, Rz, Ry, Rx of the datagrams and X, Y, Z, Rx, Ry, Rz.
 pub(super) fn turned(values: &[f64; 6]) -> [f64; 6] {
     let [x, y, z, c, b, a] = *values;
     [x, y, z, a, b, c]
 }
 
-/// From 3x4 row-major.
-fn place(frame: &[f64; 12]) -> Place {
+/// Pose from a 3x4 row-major frame.
+fn pose(frame: &[f64; 12]) -> Pose {
     let [a, b, c, x, d, e, f, y, g, h, i, z] = *frame;
-    Place {
+    Pose {
         rotation: Matrix3::new(a, b, c, d, e, f, g, h, i),
         position: Vector3::new(x, y, z),
     }

@@ -1,4 +1,4 @@
-//! Every transition and rule of the emulated controller against a hand-made client. Behaviour with the session of this
+//! Every transition and rule of the emulated controller against a manual client. Behaviour with the session of this
 //! crate: tests/lwr_behaviour.rs.
 
 use super::super::{LineFaults, PowerOff};
@@ -9,7 +9,7 @@ use crate::lwr::wire::Header;
 const PERIOD: Duration = Duration::from_millis(2);
 const START: Duration = Duration::from_secs(5);
 
-/// A controller and a client in lock-step; the client answers with what the test says.
+/// A controller and a client in lock-step; the test sets the client's answers.
 struct Bench {
     krc: Krc,
     now: Duration,
@@ -27,7 +27,7 @@ impl Bench {
         }
     }
 
-    /// One cycle: takes the measurement, then sends what `change` makes of the mirrored answer.
+    /// One cycle: receives the measurement, then sends the mirrored answer after `change`.
     fn cycle(&mut self, change: impl FnOnce(&mut Cmd)) -> &mut Self {
         self.receive();
         let cmd = self.mirrored(change);
@@ -80,7 +80,7 @@ impl Bench {
         self
     }
 
-    fn reason(&self) -> Option<Leave> {
+    fn reason(&self) -> Option<ExitReason> {
         self.krc.log().next_back().map(|left| left.reason)
     }
 }
@@ -115,7 +115,7 @@ fn cmd() -> Bench {
 // ---- MON x inputs
 
 #[test]
-fn mon_and_fri_start_is_command_mode_from_the_next_measurement() {
+fn krc_mon_fri_start_enters_cmd_next_cycle() {
     let mut bench = mon();
     assert_eq!(bench.krc.fri_start(0.5), Ok(()));
     bench.cycle(|_| {});
@@ -127,30 +127,30 @@ fn mon_and_fri_start_is_command_mode_from_the_next_measurement() {
 }
 
 #[test]
-fn mon_refuses_fri_start_while_timing_is_bad_or_the_robot_brakes() {
+fn krc_mon_bad_timing_or_braking_refuses_start() {
     let mut bench = Bench::new(manual());
     bench.cycles(50);
     let refused = bench.krc.fri_start(1.0);
-    assert_eq!(refused, Err(StartRefused::Quality { answer_rate: 0.49 }));
+    assert_eq!(refused, Err(StartError::Quality { answer_rate: 0.49 }));
     bench.cycles(1);
     assert_eq!(bench.krc.fri_start(1.0), Ok(()));
-    assert_eq!(bench.krc.fri_start(1.0), Err(StartRefused::Commanding));
+    assert_eq!(bench.krc.fri_start(1.0), Err(StartError::Commanding));
 
     let mut bench = mon();
     bench.silent(11);
     assert_eq!(
         bench.krc.fri_start(1.0),
-        Err(StartRefused::Misses { cycles: 10 })
+        Err(StartError::Misses { cycles: 10 })
     );
 
     let mut bench = cmd();
     bench.cycle(|cmd| cmd.joints[0] += 0.003).receive();
     bench.krc.fri_stop();
-    assert_eq!(bench.krc.fri_start(1.0), Err(StartRefused::Moving));
+    assert_eq!(bench.krc.fri_start(1.0), Err(StartError::Moving));
 }
 
 #[test]
-fn mon_stays_on_everything_else() {
+fn krc_mon_ignores_other_inputs() {
     let inputs: [fn(&mut Bench); 7] = [
         |bench| bench.krc.fri_stop(),
         |bench| bench.krc.set_power(false),
@@ -176,7 +176,7 @@ fn mon_stays_on_everything_else() {
 // ---- CMD x inputs
 
 /// Runs `input` in CMD, ends the cycle and returns the reason of leaving, if it left.
-fn cmd_after(input: impl FnOnce(&mut Bench)) -> Option<Leave> {
+fn cmd_after(input: impl FnOnce(&mut Bench)) -> Option<ExitReason> {
     let mut bench = cmd();
     input(&mut bench);
     bench.receive();
@@ -187,24 +187,24 @@ fn cmd_after(input: impl FnOnce(&mut Bench)) -> Option<Leave> {
 }
 
 #[test]
-fn cmd_is_left_for_every_reason() {
+fn krc_cmd_exits_for_every_reason() {
     let fall = cmd_after(|bench| bench.krc.fri_stop());
-    assert_eq!(fall, Some(Leave::FriStop));
+    assert_eq!(fall, Some(ExitReason::FriStop));
     let fall = cmd_after(|bench| _ = bench.silent(10));
     assert_eq!(
         fall,
-        Some(Leave::Misses {
+        Some(ExitReason::Misses {
             cycles: 10,
             span_ms: 20.0
         })
     );
     let fall = cmd_after(|bench| bench.krc.faults_mut().quality = Some(Quality::Unacceptable));
-    assert_eq!(fall, Some(Leave::Quality { answer_rate: 1.0 }));
+    assert_eq!(fall, Some(ExitReason::Quality { answer_rate: 1.0 }));
     let fall = cmd_after(|bench| _ = bench.cycle(|cmd| cmd.joints[6] = f32::INFINITY));
-    assert_eq!(fall, Some(Leave::NotFinite { joint: 6 }));
+    assert_eq!(fall, Some(ExitReason::NotFinite { joint: 6 }));
     let fall = cmd_after(|bench| _ = bench.cycle(|cmd| cmd.flags = CmdFlags::NONE));
     let (from, to) = (CmdFlags::JNTPOS, CmdFlags::NONE);
-    assert_eq!(fall, Some(Leave::FlagsChanged { from, to }));
+    assert_eq!(fall, Some(ExitReason::FlagsChanged { from, to }));
     let fall = cmd_after(|bench| _ = bench.cycle(|cmd| cmd.joints[3] = 0.004_62));
     assert_eq!(
         fall.unwrap().to_string(),
@@ -213,7 +213,7 @@ fn cmd_is_left_for_every_reason() {
 }
 
 #[test]
-fn cmd_survives_what_the_controller_bridges() {
+fn krc_cmd_survives_bridged_faults() {
     let inputs: [fn(&mut Bench); 6] = [
         |bench| _ = bench.silent(9),
         |bench| _ = bench.cycle(|cmd| cmd.joints = [0.0039; AXES]),
@@ -228,7 +228,7 @@ fn cmd_survives_what_the_controller_bridges() {
 }
 
 #[test]
-fn a_position_beyond_the_range_names_joint_and_limit() {
+fn krc_position_out_of_range_names_limit() {
     let mut joints = [0.0; AXES];
     joints[1] = 2.093;
     let mut bench = Bench::new(KrcConfig { joints, ..manual() });
@@ -244,18 +244,20 @@ fn a_position_beyond_the_range_names_joint_and_limit() {
 }
 
 #[test]
-fn the_scale_of_fri_start_scales_the_speed_limit() {
+fn krc_fri_start_scale_scales_speed_limit() {
     let mut bench = mon();
     bench.krc.fri_start(0.1).unwrap();
     bench
         .cycles(3)
         .cycle(|cmd| cmd.joints[0] = 0.0005)
         .receive();
-    assert!(matches!(bench.reason(), Some(Leave::Speed { joint: 0, limit, .. }) if limit < 0.2));
+    assert!(
+        matches!(bench.reason(), Some(ExitReason::Speed { joint: 0, limit, .. }) if limit < 0.2)
+    );
 }
 
 #[test]
-fn a_client_that_does_not_mirror_falls_on_entry() {
+fn krc_client_without_mirror_exits_on_entry() {
     let mut bench = mon();
     bench
         .cycle(|cmd| cmd.joints[2] = 0.4)
@@ -268,7 +270,7 @@ fn a_client_that_does_not_mirror_falls_on_entry() {
 }
 
 #[test]
-fn without_power_command_mode_wants_the_mirror() {
+fn krc_cmd_without_power_requires_mirror() {
     let mut bench = cmd();
     bench.krc.set_power(false);
     bench.cycles(5);
@@ -277,12 +279,12 @@ fn without_power_command_mode_wants_the_mirror() {
     bench.cycle(|cmd| cmd.joints[0] = 0.02).receive();
     assert!(matches!(
         bench.reason(),
-        Some(Leave::Interpolation { joint: 0, .. })
+        Some(ExitReason::Interpolation { joint: 0, .. })
     ));
 }
 
 #[test]
-fn power_lost_in_motion_brakes_and_returns_to_following() {
+fn krc_power_loss_in_motion_brakes_then_follows() {
     let mut bench = cmd();
     for _ in 0..20 {
         bench.cycle(|cmd| cmd.joints[0] += 0.002);
@@ -304,7 +306,7 @@ fn power_lost_in_motion_brakes_and_returns_to_following() {
 }
 
 #[test]
-fn the_first_command_after_power_returns_is_judged_from_the_set_point() {
+fn krc_first_command_after_power_starts_at_set_point() {
     let mut bench = cmd();
     bench.krc.set_power(false);
     bench.cycles(100);
@@ -312,14 +314,14 @@ fn the_first_command_after_power_returns_is_judged_from_the_set_point() {
     bench.cycle(|cmd| cmd.joints[4] = 0.2).receive();
     assert!(matches!(
         bench.reason(),
-        Some(Leave::Speed { joint: 4, .. })
+        Some(ExitReason::Speed { joint: 4, .. })
     ));
 }
 
-// ---- what clients are known to do
+// ---- known client behaviour
 
 #[test]
-fn a_client_of_frils_kind_is_accepted() {
+fn krc_fril_style_client_is_accepted() {
     let mut bench = Bench::new(KrcConfig {
         joints: [0.3; AXES],
         ..KrcConfig::default()
@@ -340,7 +342,7 @@ fn a_client_of_frils_kind_is_accepted() {
 }
 
 #[test]
-fn a_client_one_behind_is_in_time() {
+fn krc_client_one_cycle_behind_is_in_time() {
     let mut bench = Bench::new(KrcConfig::default());
     bench.receive();
     for _ in 0..150 {
@@ -370,12 +372,12 @@ fn a_client_one_behind_is_in_time() {
 }
 
 #[test]
-fn a_new_client_with_another_counter_is_accepted() {
+fn krc_new_client_counter_is_accepted() {
     let mut bench = cmd();
     bench.sequence = 7;
     bench.cycles(5);
     assert_eq!((bench.krc.misses, bench.reason()), (0, None));
-    // A jump within the window looks like old datagrams until silence ends them.
+    // A jump within the window appears as old datagrams until a silence.
     let old = bench.krc.counters().old;
     bench.sequence = bench.sequence.wrapping_sub(45);
     bench.cycles(200);
@@ -384,7 +386,7 @@ fn a_new_client_with_another_counter_is_accepted() {
 }
 
 #[test]
-fn lost_answers_are_extrapolated_and_do_not_look_like_jumps() {
+fn krc_lost_answers_are_extrapolated_without_jump() {
     let mut bench = cmd();
     let speed = 0.003;
     let mut position = 0.0;
@@ -406,7 +408,7 @@ fn lost_answers_are_extrapolated_and_do_not_look_like_jumps() {
 }
 
 #[test]
-fn a_fall_in_motion_brakes_to_rest() {
+fn krc_exit_in_motion_brakes_to_rest() {
     let mut bench = cmd();
     for _ in 0..20 {
         bench.cycle(|cmd| cmd.joints[5] += 0.002);
@@ -429,21 +431,21 @@ fn a_fall_in_motion_brakes_to_rest() {
 // ---- script, time, faults
 
 #[test]
-fn the_script_starts_again_after_its_pause_but_not_after_fri_stop() {
+fn krc_script_restarts_after_pause_except_fri_stop() {
     let mut bench = Bench::new(KrcConfig::default());
     bench.cycles(105);
     assert_eq!(bench.krc.state(), State::Cmd);
     bench.cycle(|cmd| cmd.joints[0] = 1.0).cycles(500);
     assert_eq!(bench.krc.state(), State::Mon);
     bench.cycles(5);
-    assert_eq!((bench.krc.state(), bench.krc.falls()), (State::Cmd, 1));
+    assert_eq!((bench.krc.state(), bench.krc.exits()), (State::Cmd, 1));
     bench.krc.fri_stop();
     bench.cycles(1000);
-    assert_eq!((bench.krc.state(), bench.krc.falls()), (State::Mon, 2));
+    assert_eq!((bench.krc.state(), bench.krc.exits()), (State::Mon, 2));
 }
 
 #[test]
-fn a_stall_of_the_emulator_is_no_fault_of_the_client() {
+fn krc_emulator_stall_is_not_counted() {
     let mut bench = cmd();
     let (missed, next) = (bench.krc.counters().missed, bench.krc.poll_timeout());
     let (sequence, mut buf) = (bench.msr.unwrap().header.sequence, [0; Msr::LEN]);
@@ -462,7 +464,7 @@ fn a_stall_of_the_emulator_is_no_fault_of_the_client() {
 }
 
 #[test]
-fn motion_through_a_stall_is_not_a_jump() {
+fn krc_motion_through_stall_is_no_jump() {
     let mut bench = cmd();
     let next = bench.krc.poll_timeout();
     let mut buf = [0; Msr::LEN];
@@ -479,17 +481,17 @@ fn motion_through_a_stall_is_not_a_jump() {
 }
 
 #[test]
-fn the_log_keeps_the_last_sixteen() {
+fn krc_log_keeps_last_sixteen() {
     let mut bench = mon();
     for _ in 0..20 {
         bench.krc.fri_start(1.0).unwrap();
         bench.krc.fri_stop();
     }
-    assert_eq!((bench.krc.log().count(), bench.krc.falls()), (LOG_LEN, 20));
+    assert_eq!((bench.krc.log().count(), bench.krc.exits()), (LOG_LEN, 20));
 }
 
 #[test]
-fn the_same_seed_gives_the_same_run() {
+fn krc_same_seed_repeats_run() {
     let run = |seed| {
         let line = LineFaults {
             drop: 0.1,
@@ -517,7 +519,7 @@ fn the_same_seed_gives_the_same_run() {
 }
 
 #[test]
-fn user_data_goes_both_ways() {
+fn krc_user_data_is_exchanged() {
     let mut bench = mon();
     bench.krc.krl_mut().set_bool(3, true);
     bench.cycle(|cmd| cmd.krl.int[15] = 10);

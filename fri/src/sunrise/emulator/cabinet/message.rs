@@ -1,7 +1,7 @@
-//! The monitoring message of an emulated cabinet, in its dialect. It decides nothing.
+//! The monitoring message of an emulated cabinet, in its dialect.
 
 use super::Cabinet;
-use crate::emulator::{Place, Sent};
+use crate::emulator::{Pose, Sent};
 use crate::sunrise::emulator::Io;
 use crate::sunrise::wire::{
     CommandMode, ConnectionInfo, ControlMode, Dialect, Header, IOS_MAX, IoValue, IpoData, List,
@@ -92,7 +92,7 @@ impl Cabinet {
             external_torque: Some(body.external()),
             external_force: (dialect == Dialect::V3).then_some([x, y, z, 0.0, 0.0, 0.0]),
             ios: self.ios,
-            pose: (dialect != Dialect::V1).then(|| pose(&body.place())),
+            pose: (dialect != Dialect::V1).then(|| pose(&body.pose())),
             redundancy: (dialect != Dialect::V1).then(|| elbow(body.joints()[2])),
             stamp: Some(TimeStamp {
                 seconds: EPOCH_S.wrapping_add(u32::try_from(time.as_secs()).unwrap_or(0)),
@@ -115,7 +115,7 @@ impl Cabinet {
         let is_cartesian = self.overlay.command == CommandMode::CartesianPose;
         IpoData {
             joints: Some(self.ipo),
-            pose: has_pose.then(|| pose(&self.arm.body.place_of(&self.ipo))),
+            pose: has_pose.then(|| pose(&self.arm.body.pose_of(&self.ipo))),
             redundancy: has_pose.then(|| elbow(self.ipo[2])),
             command_mode: Some(self.overlay.command),
             overlay: Some(if is_cartesian {
@@ -132,10 +132,10 @@ impl Cabinet {
     }
 }
 
-fn pose(place: &Place) -> Transformation {
-    let rotation = Rotation3::from_matrix_unchecked(place.rotation);
+fn pose(flange: &Pose) -> Transformation {
+    let rotation = Rotation3::from_matrix_unchecked(flange.rotation);
     let turn = UnitQuaternion::from_rotation_matrix(&rotation);
-    let [x, y, z] = (place.position * 1e3).into();
+    let [x, y, z] = (flange.position * 1e3).into();
     Transformation {
         name: Name::new("flange").unwrap_or_default(),
         placement: Some(Placement::Quaternion([
@@ -145,7 +145,7 @@ fn pose(place: &Place) -> Transformation {
     }
 }
 
-/// The third axis stands for the elbow angle, which the emulator does not compute.
+/// The third axis stands in for the elbow angle, which the emulator does not compute.
 fn elbow(value: f64) -> Redundancy {
     Redundancy {
         strategy: RedundancyStrategy::E1,

@@ -1,7 +1,7 @@
-//! What ends and begins overlays: timing, drives, the robot program. It judges no command.
+//! Causes for overlays to begin and end: timing, drives, the robot program. Commands are checked elsewhere.
 
-use super::{AWAIT, Added, Cabinet, LOG_LEN, Left};
-use crate::sunrise::emulator::{Control, Leave, Program};
+use super::{AWAIT, Added, Cabinet, Exit, LOG_LEN};
+use crate::sunrise::emulator::{Control, ExitReason, Program};
 use crate::sunrise::wire::{Quality, Safety, SessionState};
 
 impl Cabinet {
@@ -14,12 +14,12 @@ impl Cabinet {
         }
         self.window.record(latency);
         if self.misses >= self.misses_max() {
-            // Who answers after such a silence may be somebody else, with another counter.
+            // After such a silence another client may answer, with another counter.
             self.tracker.forget();
         }
     }
 
-    pub(super) fn judge_timing(&mut self) {
+    pub(super) fn check_timing(&mut self) {
         let forced = self.config.faults.quality;
         let rank = i32::from(self.window.rank(&self.config.timing));
         self.quality = forced.unwrap_or_else(|| rank.into());
@@ -28,9 +28,9 @@ impl Cabinet {
             let cycles = self.misses;
             let period = self.grid.period() * self.multiplier();
             let span_ms = period.as_secs_f64() * 1e3 * f64::from(cycles);
-            self.leave(Leave::Misses { cycles, span_ms });
+            self.leave(ExitReason::Misses { cycles, span_ms });
         } else if !self.is_good() {
-            self.leave(Leave::Quality { answer_rate });
+            self.leave(ExitReason::Quality { answer_rate });
         }
         if !self.is_commanding() {
             self.state = self.monitoring();
@@ -49,11 +49,11 @@ impl Cabinet {
         }
     }
 
-    pub(super) fn judge_drives(&mut self) {
+    pub(super) fn check_drives(&mut self) {
         if !self.has_power() {
-            self.leave(Leave::Power);
+            self.leave(ExitReason::Power);
         } else if self.safety != Safety::Normal {
-            self.leave(Leave::Safety(self.safety));
+            self.leave(ExitReason::Safety(self.safety));
         }
     }
 
@@ -72,23 +72,23 @@ impl Cabinet {
             let _refused = self.start_overlay(overlay);
         } else if now >= at + AWAIT {
             let answer_rate = self.window.answer_rate();
-            self.note(Leave::Await { answer_rate });
+            self.note(ExitReason::Await { answer_rate });
         }
     }
 
-    pub(super) fn leave(&mut self, reason: Leave) {
+    pub(super) fn leave(&mut self, reason: ExitReason) {
         if !self.is_commanding() {
             return;
         }
         if self.overlay.control != Control::Position {
-            self.arm.take_up();
+            self.arm.sync_set_point();
         }
         self.added = Added::default();
         self.state = self.monitoring();
         self.note(reason);
     }
 
-    fn note(&mut self, reason: Leave) {
+    fn note(&mut self, reason: ExitReason) {
         let at = self.grid.time();
         self.program_at = match self.config.program {
             Program::Manual => None,
@@ -97,7 +97,7 @@ impl Cabinet {
         if self.log.len() == LOG_LEN {
             self.log.pop_front();
         }
-        self.log.push_back(Left { at, reason });
-        self.falls += 1;
+        self.log.push_back(Exit { at, reason });
+        self.exits += 1;
     }
 }

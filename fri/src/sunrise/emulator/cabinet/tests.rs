@@ -1,14 +1,14 @@
 //! Every transition and rule of the emulated cabinet against a hand-made client. Behaviour with the session of this crate:
 //! tests/sunrise_behaviour.rs.
 
-use super::super::{Io, Lacking, PowerOff, Program};
+use super::super::{Io, MissingValue, PowerOff, Program};
 use super::*;
 use crate::sunrise::wire::{CommandData, Header, Monitoring, Name, OperationMode};
 
 const PERIOD: Duration = Duration::from_millis(2);
 const START: Duration = Duration::from_secs(5);
 
-/// A cabinet and a client in lock-step; the client answers with what the test says.
+/// A cabinet and a client in lock-step; the test sets the client's answers.
 struct Bench {
     cabinet: Cabinet,
     now: Duration,
@@ -26,7 +26,7 @@ impl Bench {
         }
     }
 
-    /// One cycle: takes the message, then sends what `change` makes of the mirrored answer.
+    /// One cycle: receives the message, then sends the mirrored answer after `change`.
     fn cycle(&mut self, change: impl FnOnce(&mut CommandData)) -> &mut Self {
         if self.receive() {
             let mut data = self.mirrored();
@@ -36,7 +36,7 @@ impl Bench {
         self
     }
 
-    /// Whether something came.
+    /// Whether a message was sent.
     fn receive(&mut self) -> bool {
         self.now = self.cabinet.poll_timeout();
         let mut buf = [0; MESSAGE_MAX];
@@ -49,7 +49,7 @@ impl Bench {
         came
     }
 
-    /// What the SDK's default client answers, with zeros where the overlay wants more.
+    /// The answer of the SDK's default client, with zeros where the overlay expects more.
     fn mirrored(&self) -> CommandData {
         let ipo = self.message.ipo.unwrap_or_default();
         let joints = ipo.joints.or_else(|| self.message.measured());
@@ -94,7 +94,7 @@ impl Bench {
         self
     }
 
-    fn reason(&self) -> Option<Leave> {
+    fn reason(&self) -> Option<ExitReason> {
         self.cabinet.log().next_back().map(|left| left.reason)
     }
 
@@ -161,7 +161,7 @@ fn active_position() -> Bench {
     active(Control::Position, CommandMode::Position)
 }
 
-/// The position the robot was last told, `delta` further in joint A1.
+/// The last set-point of the robot, `delta` further in joint A1.
 fn ahead(bench: &Bench, delta: f64) -> [f64; AXES] {
     let mut joints = bench.cabinet.last.1;
     joints[0] += delta;
@@ -171,7 +171,7 @@ fn ahead(bench: &Bench, delta: f64) -> [f64; AXES] {
 // ------------------------------------------------------------------------------------------------ quality and monitoring
 
 #[test]
-fn quality_leads_through_the_monitoring_states() {
+fn cabinet_quality_drives_monitoring_states() {
     let mut bench = Bench::new(manual());
     bench.cycles(90);
     assert_eq!(
@@ -193,7 +193,7 @@ fn quality_leads_through_the_monitoring_states() {
 }
 
 #[test]
-fn each_dialect_says_what_it_has() {
+fn cabinet_dialect_determines_message_fields() {
     for (dialect, has_commanded, has_pose, has_force) in [
         (Dialect::V1, true, false, false),
         (Dialect::V2, false, true, false),
@@ -222,7 +222,7 @@ fn each_dialect_says_what_it_has() {
 }
 
 #[test]
-fn a_client_in_another_framing_is_refused_by_name() {
+fn cabinet_other_framing_is_rejected_by_name() {
     let mut bench = ready();
     let mut buf = [0; 64];
     let command = Command::default();
@@ -236,7 +236,7 @@ fn a_client_in_another_framing_is_refused_by_name() {
     assert_eq!(
         refused.to_string(),
         "a command message of Sunrise FRI 2.7 (3.0), expected a command message of Sunrise FRI 1.x or 2.0 to 2.5: the \
-         other generation of robot talks to this port: check device kind and the controller's target port"
+         the other robot generation uses this port: check the device kind and the controller's target port"
     );
     let mut cmd = [0; crate::lwr::wire::Cmd::LEN];
     crate::lwr::wire::Cmd::default().encode(&mut cmd).unwrap();
@@ -253,7 +253,7 @@ fn a_client_in_another_framing_is_refused_by_name() {
 // ----------------------------------------------------------------------------------------------------- starting an overlay
 
 #[test]
-fn motions_are_refused_with_their_reason() {
+fn cabinet_motion_refusal_has_reason() {
     let start = |bench: &mut Bench, control, command| {
         let refused = bench.cabinet.start_overlay(overlay(control, command));
         refused.map_err(|error| error.to_string())
@@ -290,7 +290,7 @@ fn motions_are_refused_with_their_reason() {
 }
 
 #[test]
-fn an_overlay_waits_until_commands_agree_with_the_interpolator() {
+fn cabinet_overlay_waits_for_matching_commands() {
     let mut bench = ready();
     bench.cabinet.start_overlay(Overlay::default()).unwrap();
     for _ in 0..50 {
@@ -302,7 +302,7 @@ fn an_overlay_waits_until_commands_agree_with_the_interpolator() {
 }
 
 #[test]
-fn an_overlay_that_never_synchronises_ends_with_the_reason() {
+fn cabinet_unsynchronised_overlay_ends_with_reason() {
     let mut bench = ready();
     bench.cabinet.start_overlay(Overlay::default()).unwrap();
     for _ in 0..5001 {
@@ -310,17 +310,21 @@ fn an_overlay_that_never_synchronises_ends_with_the_reason() {
     }
     let reason = bench.reason().unwrap();
     assert!(
-        matches!(reason, Leave::NotSynchronised { joint: 4, .. }),
+        matches!(reason, ExitReason::NotSynchronised { joint: 4, .. }),
         "{reason}"
     );
     assert_eq!(bench.cabinet.state(), SessionState::MonitoringReady);
 }
 
 #[test]
-fn torque_and_wrench_are_wanted_while_synchronising() {
-    for (control, command, what) in [
-        (joint_impedance(), CommandMode::Torque, Lacking::Torque),
-        (cartesian_impedance(), CommandMode::Wrench, Lacking::Wrench),
+fn cabinet_synchronising_requires_torque_or_wrench() {
+    for (control, command, value) in [
+        (joint_impedance(), CommandMode::Torque, MissingValue::Torque),
+        (
+            cartesian_impedance(),
+            CommandMode::Wrench,
+            MissingValue::Wrench,
+        ),
     ] {
         let mut bench = ready();
         bench
@@ -331,7 +335,7 @@ fn torque_and_wrench_are_wanted_while_synchronising() {
             bench.cycle(|data| (data.torque, data.wrench) = (None, None));
         }
         assert_eq!(bench.cabinet.state(), SessionState::CommandingWait);
-        assert_eq!(bench.cabinet.waiting.1, Leave::Missing { what });
+        assert_eq!(bench.cabinet.waiting.1, ExitReason::Missing { value });
         bench.cycles(2);
         assert_eq!(bench.cabinet.state(), SessionState::CommandingActive);
     }
@@ -339,8 +343,8 @@ fn torque_and_wrench_are_wanted_while_synchronising() {
 
 // ----------------------------------------------------------------------------------------------------- rules while active
 
-/// Sends one command in COMMANDING_ACTIVE and tells why the overlay ended.
-fn verdict(bench: &mut Bench, change: impl FnOnce(&mut CommandData)) -> Option<Leave> {
+/// Sends one command in COMMANDING_ACTIVE and returns why the overlay ended.
+fn verdict(bench: &mut Bench, change: impl FnOnce(&mut CommandData)) -> Option<ExitReason> {
     bench.cycles(1);
     bench.cycle(change);
     bench.cycles(1);
@@ -352,7 +356,7 @@ fn verdict(bench: &mut Bench, change: impl FnOnce(&mut CommandData)) -> Option<L
 }
 
 #[test]
-fn positions_are_followed_within_limits_only() {
+fn cabinet_positions_beyond_limits_end_overlay() {
     // 85 degrees per second are 2.97 mrad in 2 ms.
     let mut bench = active_position();
     let joints = ahead(&bench, 0.0029);
@@ -361,7 +365,7 @@ fn positions_are_followed_within_limits_only() {
     let joints = ahead(&bench, 0.0031);
     let reason = verdict(&mut bench, |data| data.joints = Some(joints));
     assert!(
-        matches!(reason, Some(Leave::Speed { joint: 0, .. })),
+        matches!(reason, Some(ExitReason::Speed { joint: 0, .. })),
         "{reason:?}"
     );
     let mut beyond = active_position();
@@ -369,26 +373,26 @@ fn positions_are_followed_within_limits_only() {
     let joints = ahead(&beyond, 0.0015);
     let reason = verdict(&mut beyond, |data| data.joints = Some(joints));
     assert!(
-        matches!(reason, Some(Leave::Position { joint: 0, .. })),
+        matches!(reason, Some(ExitReason::Position { joint: 0, .. })),
         "{reason:?}"
     );
     for value in [f64::NAN, f64::INFINITY] {
         let reason = verdict(&mut active_position(), |data| {
             data.joints = Some([value; AXES]);
         });
-        assert_eq!(reason, Some(Leave::NotFinite { joint: 0 }));
+        assert_eq!(reason, Some(ExitReason::NotFinite { joint: 0 }));
     }
     let reason = verdict(&mut active_position(), |data| data.joints = None);
     assert_eq!(
         reason,
-        Some(Leave::Missing {
-            what: Lacking::Joints
+        Some(ExitReason::Missing {
+            value: MissingValue::Joints
         })
     );
 }
 
 #[test]
-fn torques_want_positions_near_the_measured_ones() {
+fn cabinet_torque_requires_positions_near_measured() {
     let mut bench = active(joint_impedance(), CommandMode::Torque);
     let joints = ahead(&bench, 0.19);
     assert_eq!(verdict(&mut bench, |data| data.joints = Some(joints)), None);
@@ -402,11 +406,11 @@ fn torques_want_positions_near_the_measured_ones() {
     );
     let mut bench = active(joint_impedance(), CommandMode::Torque);
     let reason = verdict(&mut bench, |data| data.torque = Some([f64::NAN; AXES]));
-    assert_eq!(reason, Some(Leave::NotFinite { joint: 0 }));
+    assert_eq!(reason, Some(ExitReason::NotFinite { joint: 0 }));
 }
 
 #[test]
-fn torques_move_a_compliant_joint_by_torque_over_stiffness() {
+fn cabinet_torque_deflects_joint_by_stiffness() {
     let mut bench = active(joint_impedance(), CommandMode::Torque);
     let before = bench.cabinet.joints();
     for _ in 0..1000 {
@@ -421,12 +425,12 @@ fn torques_move_a_compliant_joint_by_torque_over_stiffness() {
 }
 
 #[test]
-fn a_wrench_presses_against_a_wall_and_the_loss_of_contact_is_felt() {
+fn cabinet_wrench_presses_wall_and_reports_loss() {
     let mut bench = active(cartesian_impedance(), CommandMode::Wrench);
     let flange = bench.cabinet.flange();
     *bench.cabinet.contact_mut() = Some(Contact {
         shape: crate::emulator::Shape::Wall,
-        place: [0.0, 0.0, flange[2] - 0.002],
+        point: [0.0, 0.0, flange[2] - 0.002],
         normal: [0.0, 0.0, 1.0],
         stiffness: 20_000.0,
         damping: 50.0,
@@ -443,7 +447,7 @@ fn a_wrench_presses_against_a_wall_and_the_loss_of_contact_is_felt() {
 }
 
 #[test]
-fn poses_are_followed_and_unreachable_ones_refused() {
+fn cabinet_poses_followed_unreachable_rejected() {
     let mut bench = active(Control::Position, CommandMode::CartesianPose);
     let before = bench.cabinet.flange();
     let mut pose = bench.message.ipo.unwrap().pose.unwrap();
@@ -468,11 +472,11 @@ fn poses_are_followed_and_unreachable_ones_refused() {
     for _ in 0..2 {
         bench.cycle(|data| data.pose = Some(pose));
     }
-    assert_eq!(bench.reason(), Some(Leave::OutOfReach));
+    assert_eq!(bench.reason(), Some(ExitReason::OutOfReach));
 }
 
 #[test]
-fn t1_limits_the_flange_to_250_mm_per_second() {
+fn cabinet_t1_limits_flange_to_250_mm_per_s() {
     let mut bench = ready_with(CabinetConfig {
         operation_mode: OperationMode::T1,
         ..manual()
@@ -487,7 +491,7 @@ fn t1_limits_the_flange_to_250_mm_per_second() {
         }
     }
     assert!(
-        matches!(bench.reason(), Some(Leave::T1Speed { .. })),
+        matches!(bench.reason(), Some(ExitReason::T1Speed { .. })),
         "{:?}",
         bench.reason()
     );
@@ -496,7 +500,7 @@ fn t1_limits_the_flange_to_250_mm_per_second() {
 // ------------------------------------------------------------------------------------------------ silence, power and safety
 
 #[test]
-fn missing_commands_are_bridged_and_too_many_end_the_overlay() {
+fn cabinet_missing_commands_bridged_then_end_overlay() {
     let mut bench = active_position();
     let mut joints = ahead(&bench, 0.0);
     for _ in 0..10 {
@@ -510,7 +514,7 @@ fn missing_commands_are_bridged_and_too_many_end_the_overlay() {
     assert!((bench.cabinet.set_point()[0] - before - 9.0 * 0.002).abs() < 1e-9);
     bench.silent(3);
     assert!(
-        matches!(bench.reason(), Some(Leave::Misses { cycles: 10, .. })),
+        matches!(bench.reason(), Some(ExitReason::Misses { cycles: 10, .. })),
         "{:?}",
         bench.reason()
     );
@@ -532,11 +536,11 @@ fn missing_commands_are_bridged_and_too_many_end_the_overlay() {
 }
 
 #[test]
-fn power_and_safety_end_an_overlay() {
+fn cabinet_power_loss_or_safety_stop_ends_overlay() {
     let mut bench = active_position();
     bench.cabinet.set_power(false);
     bench.cycles(2);
-    assert_eq!(bench.reason(), Some(Leave::Power));
+    assert_eq!(bench.reason(), Some(ExitReason::Power));
     assert_eq!(
         bench.message.robot.unwrap().drives,
         Some([super::super::super::wire::Drive::Off; AXES])
@@ -544,17 +548,17 @@ fn power_and_safety_end_an_overlay() {
     let mut bench = active_position();
     bench.cabinet.set_safety(Safety::Stop1);
     bench.cycles(2);
-    assert_eq!(bench.reason(), Some(Leave::Safety(Safety::Stop1)));
+    assert_eq!(bench.reason(), Some(ExitReason::Safety(Safety::Stop1)));
     assert_eq!(bench.message.robot.unwrap().safety, Some(Safety::Stop1));
     let mut bench = active_position();
     bench.cabinet.faults_mut().quality = Some(Quality::Fair);
     bench.cycles(1);
-    assert!(matches!(bench.reason(), Some(Leave::Quality { .. })));
+    assert!(matches!(bench.reason(), Some(ExitReason::Quality { .. })));
     assert_eq!(bench.cabinet.state(), SessionState::MonitoringWait);
 }
 
 #[test]
-fn an_arm_without_power_stands_where_it_is() {
+fn cabinet_arm_without_power_stays_in_place() {
     let mut bench = active(cartesian_impedance(), CommandMode::Wrench);
     for _ in 0..100 {
         bench.cycle(|data| data.wrench = Some([0.0, 20.0, 0.0, 0.0, 0.0, 0.0]));
@@ -575,7 +579,7 @@ fn an_arm_without_power_stands_where_it_is() {
 // -------------------------------------------------------------------------------------------------- program and session
 
 #[test]
-fn the_program_awaits_quality_and_says_so_in_its_own_words() {
+fn cabinet_program_quality_timeout_has_original_text() {
     let mut bench = Bench::new(CabinetConfig::default());
     bench.silent(5002);
     let reason = bench.reason().unwrap().to_string();
@@ -593,19 +597,19 @@ fn the_program_awaits_quality_and_says_so_in_its_own_words() {
     bench.cycles(2000);
     assert_eq!(
         (bench.reason(), bench.cabinet.state()),
-        (Some(Leave::Cancelled), SessionState::MonitoringReady)
+        (Some(ExitReason::Cancelled), SessionState::MonitoringReady)
     );
 }
 
 #[test]
-fn a_closed_session_says_so_once_and_may_be_opened_after_five_seconds() {
+fn cabinet_closed_session_reports_once_reopens_after_5_s() {
     let mut bench = active_position();
     bench.cabinet.close_session();
-    assert_eq!(bench.reason(), Some(Leave::Closed));
+    assert_eq!(bench.reason(), Some(ExitReason::Closed));
     assert!(bench.receive());
     assert_eq!(bench.message.state(), SessionState::Idle);
     assert!(!bench.receive());
-    assert_eq!(bench.cabinet.open_session(), Err(StartRefused::NotClosed));
+    assert_eq!(bench.cabinet.open_session(), Err(StartError::NotClosed));
     bench.silent(2500);
     bench.cabinet.open_session().unwrap();
     bench.cycles(1);
@@ -613,13 +617,13 @@ fn a_closed_session_says_so_once_and_may_be_opened_after_five_seconds() {
         (bench.message.state(), bench.message.header.sequence),
         (SessionState::MonitoringWait, 1)
     );
-    assert_eq!(bench.cabinet.open_session(), Err(StartRefused::NotClosed));
+    assert_eq!(bench.cabinet.open_session(), Err(StartError::NotClosed));
     bench.cycles(101);
     assert_eq!(bench.cabinet.state(), SessionState::MonitoringReady);
 }
 
 #[test]
-fn every_second_message_wants_an_answer_and_the_way_between_is_interpolated() {
+fn cabinet_multiplier_two_interpolates_between_answers() {
     let mut bench = ready_with(CabinetConfig {
         receive_multiplier: 2,
         ..manual()
@@ -647,7 +651,7 @@ fn every_second_message_wants_an_answer_and_the_way_between_is_interpolated() {
 }
 
 #[test]
-fn outputs_and_frames_are_taken() {
+fn cabinet_accepts_outputs_and_frames() {
     let io = |name: &str, direction, level| Io {
         name: name.into(),
         direction,

@@ -165,7 +165,7 @@ fn a_successor_that_ends_at_once_is_told_to_have_run() {
 fn cycles_for(bench: &mut Bench, command: fn(u32) -> Command) -> usize {
     (0..16).for_each(|id| bench.command(command(id)));
     let mut cycles = 0;
-    while bench.commands.room() < COMMANDS {
+    while bench.commands.free_slots() < COMMANDS {
         bench.run();
         cycles += 1;
     }

@@ -1,6 +1,6 @@
-//! Tests that this host cannot run as it is: those that skipped themselves for want of a bus run once more
-//! where there is one, and those of real time on a real-time kernel. A network namespace of our own is
-//! preferred to a virtual machine, as it costs nothing. Tests that lack anything else stay skipped.
+//! Runs tests that the host cannot run: those skipped for a missing bus run again where the bus exists, and real-time
+//! tests run on a real-time kernel. A network namespace is preferred to a virtual machine, as it costs nothing. Tests
+//! with other missing requirements stay skipped.
 
 mod namespace;
 
@@ -10,24 +10,24 @@ use std::path::Path;
 
 use anyhow::Context;
 
-use crate::binaries::{self, Binary, Built, Errand};
+use crate::binaries::{self, Binary, Built, TestRun};
 use crate::cargo::{self, Cargo, note};
 use crate::metadata::Workspace;
 use crate::parts::Part;
 use crate::shell::quoted;
 use crate::test::tally::{Reader, Tally, test_name};
-use crate::vm::{self, Guest, Obstacle};
+use crate::vm::{self, Guest, Unavailable};
 
-/// How buses come to a shell that runs as root in a place of its own.
+/// Sets up buses in a root shell of an isolated environment.
 pub(crate) const NETWORKS: &str = include_str!("networks.sh");
 
-/// The packages whose tests are run on the real-time kernel too.
+/// The packages whose tests also run on the real-time kernel.
 const ON_THE_KERNEL: &[&str] = &["takt-rt"];
 
-/// Tells tests which Python has the modules they speak to.
+/// Variable with the Python that has the test peers' modules.
 const PYTHON: &str = "TAKT_PYTHON";
 
-/// A bus that tests ask for.
+/// A bus that tests need.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Bus {
     /// A virtual CAN interface.
@@ -39,7 +39,7 @@ enum Bus {
 }
 
 impl Bus {
-    /// What a reason for a skip asks for.
+    /// The buses that the reason of a skip names.
     fn wanted_by(reason: &str) -> BTreeSet<Self> {
         let reason = reason.to_lowercase();
         let words = [
@@ -52,15 +52,15 @@ impl Bus {
     }
 }
 
-/// Where tests run that cannot run on the host.
+/// Where tests run that the host cannot run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Place {
+enum Environment {
     Namespace,
     Machine,
 }
 
-/// Runs what the parts (none: all) want elsewhere. `lines` are the cargo lines that built the tests,
-/// `skipped` is what their tests wrote into the file of skips.
+/// Runs the tests of the parts (none: all) that need another environment. `lines` are the cargo lines that built the
+/// tests, `skipped` is the content of the skip file.
 pub(crate) fn test(
     root: &Path,
     parts: &[&Part],
@@ -79,7 +79,7 @@ pub(crate) fn test(
         return Ok(tally);
     }
     let built = Built::by(root, lines)?;
-    let (here, mut there) = errands(&built.tests, &asked, namespace::has);
+    let (here, mut there) = test_runs(&built.tests, &asked, namespace::has);
     if kernel {
         there.extend(of_kernel(root, built.tests)?);
     }
@@ -88,20 +88,20 @@ pub(crate) fn test(
         _ => vm::peers(root)?,
     };
     let python = python.as_deref();
-    tally.add(run(root, Place::Namespace, &here, python)?);
-    tally.add(run(root, Place::Machine, &there, python)?);
+    tally.add(run(root, Environment::Namespace, &here, python)?);
+    tally.add(run(root, Environment::Machine, &there, python)?);
     if service {
         tally.add(vm::service(root, built.takt.as_deref())?);
     }
     Ok(tally)
 }
 
-/// Which tests run in a namespace, and which in a machine.
-fn errands(
+/// Splits the tests between namespace and machine.
+fn test_runs(
     binaries: &[Binary],
     asked: &[(&str, BTreeSet<Bus>)],
     namespace_has: impl Fn(Bus) -> bool,
-) -> (Vec<Errand>, Vec<Errand>) {
+) -> (Vec<TestRun>, Vec<TestRun>) {
     if asked.is_empty() {
         return (Vec::new(), Vec::new());
     }
@@ -114,12 +114,12 @@ fn errands(
     let (mut here, mut there) = (Vec::new(), Vec::new());
     for binary in binaries {
         let tests = binary.tests();
-        for (asked, errands) in [(&near, &mut here), (&far, &mut there)] {
+        for (asked, test_runs) in [(&near, &mut here), (&far, &mut there)] {
             let asked = |test: &&String| asked.iter().any(|(name, _)| *name == last(test));
             let tests: Vec<String> = tests.iter().filter(asked).cloned().collect();
             if !tests.is_empty() {
                 let binary = binary.clone();
-                errands.push(Errand { binary, tests });
+                test_runs.push(TestRun { binary, tests });
             }
         }
     }
@@ -131,9 +131,9 @@ fn last(test: &str) -> &str {
     test.rsplit("::").next().unwrap_or(test)
 }
 
-/// All tests of the crates of real time, but for models of what threads may do: those are the same on
-/// any kernel, and take long.
-fn of_kernel(root: &Path, mut binaries: Vec<Binary>) -> anyhow::Result<Vec<Errand>> {
+/// All tests of the real-time crates except models of thread interleavings: those do not depend on the kernel, and take
+/// long.
+fn of_kernel(root: &Path, mut binaries: Vec<Binary>) -> anyhow::Result<Vec<TestRun>> {
     let packages = Workspace::load(root)?.packages;
     let folders: Vec<_> = packages
         .iter()
@@ -142,53 +142,51 @@ fn of_kernel(root: &Path, mut binaries: Vec<Binary>) -> anyhow::Result<Vec<Erran
         .collect();
     let is_model = |binary: &Binary| binary.program.iter().any(|part| part == "loom");
     binaries.retain(|binary| folders.contains(&binary.folder) && !is_model(binary));
-    let all = |binary| Errand {
+    let all = |binary| TestRun {
         binary,
         tests: Vec::new(),
     };
     Ok(binaries.into_iter().map(all).collect())
 }
 
-/// Runs them in that place and counts. A test that skips itself there too has not passed. Tests that speak
-/// to a peer in Python are told which, unless a person has.
+/// Runs the tests in an environment and counts them. A test that skips itself there too has not passed. Tests with a
+/// Python peer get its path, unless the user has set it.
 fn run(
     root: &Path,
-    place: Place,
-    errands: &[Errand],
+    environment: Environment,
+    test_runs: &[TestRun],
     python: Option<&Path>,
 ) -> anyhow::Result<Tally> {
-    if errands.is_empty() {
+    if test_runs.is_empty() {
         return Ok(Tally::default());
     }
     let skips = cargo::target_dir(root).join(format!("xtask-skips-there-{}", std::process::id()));
     fs::write(&skips, "").with_context(|| format!("cannot write {}", skips.display()))?;
     let given = std::env::var(PYTHON).ok();
     let python = given.or_else(|| Some(python?.to_string_lossy().into_owned()));
-    let script = binaries::script(errands, &skips);
+    let script = binaries::script(test_runs, &skips);
     let script = match python {
         Some(python) => format!("export {PYTHON}={}\n{script}", quoted(&python)),
         None => script,
     };
-    let count = errands.len();
+    let count = test_runs.len();
     let mut reader = Reader::default();
     let show = |text: &str| {
         if reader.line(text) {
             cargo::say(text);
         }
     };
-    let status = match place {
-        Place::Namespace => {
-            note(&format!(
-                "{count} test binaries go into a network namespace"
-            ));
+    let status = match environment {
+        Environment::Namespace => {
+            note(&format!("{count} test binaries run in a network namespace"));
             namespace::run(root, &script, show)?
         }
-        Place::Machine => match Guest::prepare(root)? {
+        Environment::Machine => match Guest::prepare(root)? {
             Ok(guest) => {
-                note(&format!("{count} test binaries go into a virtual machine"));
+                note(&format!("{count} test binaries run in a virtual machine"));
                 guest.test(&script, show)?
             }
-            Err(Obstacle(why)) => {
+            Err(Unavailable(why)) => {
                 fs::remove_file(&skips)?;
                 return Ok(Tally::skipped(&format!(
                     "tests in a virtual machine: {why}"
@@ -208,7 +206,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn reason_of_a_skip_names_the_bus() {
+    fn skip_reason_names_bus() {
         let wanted = |reason| Vec::from_iter(Bus::wanted_by(reason));
         assert_eq!(wanted("a: needs vcan"), [Bus::Vcan]);
         assert_eq!(wanted("a: needs TAKT_VCAN=vcan0"), [Bus::Vcan]);
@@ -222,27 +220,27 @@ mod tests {
     }
 
     #[test]
-    fn skipped_test_goes_to_the_nearest_place_that_has_its_bus() {
-        // This very binary is the one that is asked for its tests.
+    fn skipped_test_uses_nearest_environment_with_bus() {
+        // This binary itself lists its tests.
         let binary = Binary {
             program: std::env::current_exe().unwrap(),
             folder: env!("CARGO_MANIFEST_DIR").into(),
         };
-        let near = "reason_of_a_skip_names_the_bus";
-        let far = "skipped_test_goes_to_the_nearest_place_that_has_its_bus";
+        let near = "skip_reason_names_bus";
+        let far = "skipped_test_uses_nearest_environment_with_bus";
         let asked = [
             (near, BTreeSet::from([Bus::Veth])),
             (far, BTreeSet::from([Bus::Veth, Bus::Vcan])),
             ("elsewhere_there_is_none", BTreeSet::from([Bus::Vcan])),
         ];
-        let (here, there) = errands(&[binary], &asked, |bus| bus == Bus::Veth);
-        let tests = |errands: &[Errand]| -> Vec<String> {
-            errands
+        let (here, there) = test_runs(&[binary], &asked, |bus| bus == Bus::Veth);
+        let tests = |test_runs: &[TestRun]| -> Vec<String> {
+            test_runs
                 .iter()
-                .flat_map(|errand| errand.tests.clone())
+                .flat_map(|test_run| test_run.tests.clone())
                 .collect()
         };
-        assert_eq!(tests(&here), [format!("elsewhere::tests::{near}")]);
-        assert_eq!(tests(&there), [format!("elsewhere::tests::{far}")]);
+        assert_eq!(tests(&here), [format!("environments::tests::{near}")]);
+        assert_eq!(tests(&there), [format!("environments::tests::{far}")]);
     }
 }

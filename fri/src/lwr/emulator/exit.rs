@@ -1,13 +1,13 @@
-//! Why the emulated controller left command mode, as a value with the joint, the number and its limit. No policy.
+//! Why the emulated controller left command mode, with joint, value and limit.
 
 use super::parameter::Parameter;
 use crate::lwr::JOINT_NAMES;
 use crate::lwr::wire::CmdFlags;
 use std::fmt;
 
-/// A reason to leave command mode. All but [`Leave::FriStop`] are faults.
+/// A reason to leave command mode. All but [`ExitReason::FriStop`] are faults.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Leave {
+pub enum ExitReason {
     /// The KRL program called friStop.
     FriStop,
     /// Quality fell to UNACCEPTABLE.
@@ -22,7 +22,7 @@ pub enum Leave {
         /// Their duration, ms.
         span_ms: f64,
     },
-    /// A joint was commanded to move too fast.
+    /// Commanded speed of a joint too large.
     Speed {
         /// Joint, 0..=6.
         joint: usize,
@@ -31,7 +31,7 @@ pub enum Leave {
         /// Limit in force, rad/s.
         limit: f64,
     },
-    /// A joint was commanded out of its range.
+    /// Commanded position of a joint out of range.
     Position {
         /// Joint, 0..=6.
         joint: usize,
@@ -49,7 +49,7 @@ pub enum Leave {
         /// Set-point in the measurement that the answer reflects, rad.
         expected: f64,
     },
-    /// A commanded position is infinite or not a number.
+    /// A commanded position is infinite or NaN.
     NotFinite {
         /// Joint, 0..=6.
         joint: usize,
@@ -63,13 +63,13 @@ pub enum Leave {
     },
     /// A commanded frame is out of reach.
     OutOfReach,
-    /// A field beside the position that flags declare valid is no number or out of its range.
+    /// Another field that flags declare valid is NaN or out of range.
     Parameter {
         /// Which field.
         parameter: Parameter,
         /// Joint, 0..=6, or component, 0..=5.
         index: usize,
-        /// Commanded, in the field's unit.
+        /// Commanded value, in the field's unit.
         value: f64,
     },
 }
@@ -78,7 +78,7 @@ fn name(joint: usize) -> &'static str {
     JOINT_NAMES.get(joint).copied().unwrap_or("?")
 }
 
-impl fmt::Display for Leave {
+impl fmt::Display for ExitReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
             Self::FriStop => write!(f, "friStop"),
@@ -144,7 +144,11 @@ impl fmt::Display for Leave {
                 index,
                 value,
             } => {
-                write!(f, "{} commanded {parameter} ", parameter.place(index))?;
+                write!(
+                    f,
+                    "{} commanded {parameter} ",
+                    parameter.component_name(index)
+                )?;
                 write!(f, "{value:.3} {}", parameter.bounds())
             }
         }
@@ -156,23 +160,23 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_reason_names_its_joint() {
+    fn exit_reason_names_joint() {
         let flags = CmdFlags::JNTPOS;
         for (reason, text) in [
-            (Leave::FriStop, "friStop"),
+            (ExitReason::FriStop, "friStop"),
             (
-                Leave::Quality { answer_rate: 0.49 },
+                ExitReason::Quality { answer_rate: 0.49 },
                 "quality UNACCEPTABLE: 49 % of answers in time",
             ),
             (
-                Leave::Misses {
+                ExitReason::Misses {
                     cycles: 10,
                     span_ms: 20.0,
                 },
                 "no answer for 10 cycles (20.0 ms)",
             ),
             (
-                Leave::Speed {
+                ExitReason::Speed {
                     joint: 3,
                     speed: 2.31,
                     limit: 1.9635,
@@ -180,7 +184,7 @@ mod tests {
                 "A3 commanded 2.31 rad/s, limit 1.96 rad/s",
             ),
             (
-                Leave::Position {
+                ExitReason::Position {
                     joint: 2,
                     position: -3.0,
                     limit: 2.967,
@@ -188,7 +192,7 @@ mod tests {
                 "E1 commanded -3.000 rad, limit 2.967 rad",
             ),
             (
-                Leave::Interpolation {
+                ExitReason::Interpolation {
                     joint: 0,
                     commanded: 0.0,
                     expected: 0.5,
@@ -196,12 +200,15 @@ mod tests {
                 "FRI interpolation error: A1 commanded 0.0000 rad, set-point 0.5000 rad",
             ),
             (
-                Leave::NotFinite { joint: 6 },
+                ExitReason::NotFinite { joint: 6 },
                 "A6 commanded a position that is not a number",
             ),
-            (Leave::OutOfReach, "the commanded frame is out of reach"),
             (
-                Leave::Parameter {
+                ExitReason::OutOfReach,
+                "the commanded frame is out of reach",
+            ),
+            (
+                ExitReason::Parameter {
                     parameter: Parameter::JointDamping,
                     index: 2,
                     value: 1.5,
@@ -209,7 +216,7 @@ mod tests {
                 "E1 commanded damping 1.500 (0 to 1)",
             ),
             (
-                Leave::FlagsChanged {
+                ExitReason::FlagsChanged {
                     from: flags,
                     to: CmdFlags::NONE,
                 },

@@ -1,4 +1,4 @@
-//! A partner of unknown controllers: emulators of both generations, in virtual time.
+//! A client of unknown controllers: emulators of both generations, in virtual time.
 
 use super::*;
 use crate::diagnosis::{Verdict, judge};
@@ -54,23 +54,23 @@ impl Controller {
     }
 }
 
-/// `cycles` of a controller from `start`, each answered with what `wanted` says; false sends no answer.
+/// `cycles` of a controller from `start`, each answered with the positions that `wanted` returns; without any, no answer is sent.
 fn run(
     controller: &mut Controller,
-    partner: &mut Partner,
+    client: &mut Client,
     cycles: u32,
-    mut wanted: impl FnMut(&mut Partner) -> Option<[f64; AXES]>,
+    mut wanted: impl FnMut(&mut Client) -> Option<[f64; AXES]>,
 ) {
     let (mut message, mut answer) = ([0; MESSAGE_MAX], [0; MESSAGE_MAX]);
     for _ in 0..cycles {
         let now = controller.due();
         while let Some(len) = controller.send(now, &mut message) {
-            partner.handle_datagram(&message[..len], now).unwrap();
-            let joints = wanted(partner);
-            let Ok(built) = partner.answer(joints.as_ref(), &mut answer) else {
+            client.handle_datagram(&message[..len], now).unwrap();
+            let joints = wanted(client);
+            let Ok(built) = client.answer(joints.as_ref(), &mut answer) else {
                 continue;
             };
-            partner.handle_sent(now + Duration::from_micros(50));
+            client.handle_sent(now + Duration::from_micros(50));
             controller.take(&answer[..built.len], now);
         }
     }
@@ -95,13 +95,13 @@ fn everyone() -> [(Controller, Version); 4] {
 }
 
 #[test]
-fn whoever_comes_is_found_out_and_kept_at_rest() {
+fn client_detects_version_and_holds_robot() {
     for (mut controller, version) in everyone() {
         let before = controller.joints();
-        let mut partner = Partner::new(PartnerConfig::default());
-        assert_eq!(partner.status(), Status::default());
-        run(&mut controller, &mut partner, 1_000, |_| None);
-        let status = partner.status();
+        let mut client = Client::new(ClientConfig::default());
+        assert_eq!(client.status(), Status::default());
+        run(&mut controller, &mut client, 1_000, |_| None);
+        let status = client.status();
         assert_eq!(status.version, Some(version));
         assert_eq!(status.phase, Phase::Command, "{version}");
         assert!(
@@ -114,22 +114,22 @@ fn whoever_comes_is_found_out_and_kept_at_rest() {
         for (now, before) in controller.joints().iter().zip(before) {
             assert!((now - before).abs() < 1e-6, "{version}");
         }
-        let verdict = judge(&partner.observed());
+        let verdict = judge(&client.observed());
         assert_eq!(verdict, Verdict::Good, "{version}");
-        assert!(partner.observed().heard > 900, "{version}");
+        assert!(client.observed().acknowledged > 900, "{version}");
     }
 }
 
 #[test]
-fn positions_move_the_robot_once_it_follows() {
+fn client_positions_move_robot_in_command() {
     for (mut controller, version) in everyone() {
-        let mut partner = Partner::new(PartnerConfig::default());
+        let mut client = Client::new(ClientConfig::default());
         let before = controller.joints();
-        run(&mut controller, &mut partner, 1_000, |partner| {
-            partner.engage().ok()?;
-            let mut joints = partner.mirror();
+        run(&mut controller, &mut client, 1_000, |client| {
+            client.engage().ok()?;
+            let mut joints = client.mirror();
             joints[3] += 1e-4;
-            (partner.phase() == Phase::Command).then_some(joints)
+            (client.phase() == Phase::Command).then_some(joints)
         });
         let moved = controller.joints()[3] - before[3];
         assert!((0.03..0.1).contains(&moved), "{version}: {moved}");
@@ -137,90 +137,90 @@ fn positions_move_the_robot_once_it_follows() {
 }
 
 #[test]
-fn a_controller_that_comes_back_may_be_of_the_other_generation() {
-    let mut partner = Partner::new(PartnerConfig::default());
-    run(&mut Controller::krc(), &mut partner, 10, |_| None);
-    assert_eq!(partner.version(), Some(Version::Lwr));
-    assert!(partner.handle_timeout(Duration::from_secs(3)));
-    assert_eq!(partner.phase(), Phase::Offline);
+fn client_accepts_other_generation_after_silence() {
+    let mut client = Client::new(ClientConfig::default());
+    run(&mut Controller::krc(), &mut client, 10, |_| None);
+    assert_eq!(client.version(), Some(Version::Lwr));
+    assert!(client.handle_timeout(Duration::from_secs(3)));
+    assert_eq!(client.phase(), Phase::Offline);
     run(
         &mut Controller::cabinet(Dialect::V3),
-        &mut partner,
+        &mut client,
         10,
         |_| None,
     );
-    assert_eq!(partner.version(), Some(Version::Sunrise(Some(Dialect::V3))));
-    let counters = partner.status().counters;
+    assert_eq!(client.version(), Some(Version::Sunrise(Some(Dialect::V3))));
+    let counters = client.status().counters;
     assert_eq!((counters.answered, counters.silences), (20, 1));
-    assert_eq!(partner.observed().measurements, 10);
+    assert_eq!(client.observed().measurements, 10);
 }
 
 #[test]
-fn what_is_not_the_version_asked_for_is_named() {
-    let refusal = |expected, controller: &mut Controller| {
-        let mut partner = Partner::new(PartnerConfig {
+fn client_unexpected_version_is_reported() {
+    let error_text = |expected, controller: &mut Controller| {
+        let mut client = Client::new(ClientConfig {
             expected: Some(expected),
-            ..PartnerConfig::default()
+            ..ClientConfig::default()
         });
         let mut message = [0; MESSAGE_MAX];
         let len = controller.send(controller.due(), &mut message).unwrap();
-        let refused = partner.handle_datagram(&message[..len], Duration::ZERO);
-        assert_eq!(partner.status().refusal, refused.err());
-        assert_eq!(partner.status().counters.refused, 1);
+        let refused = client.handle_datagram(&message[..len], Duration::ZERO);
+        assert_eq!(client.status().last_error, refused.err());
+        assert_eq!(client.status().counters.refused, 1);
         refused.unwrap_err().to_string()
     };
     assert_eq!(
-        refusal(Version::Sunrise(None), &mut Controller::krc()),
-        "the controller speaks FRI 1.0 (LWR), FRI of Sunrise was asked for: the client's SDK must be of the \
+        error_text(Version::Sunrise(None), &mut Controller::krc()),
+        "the controller speaks FRI 1.0 (LWR), expected FRI of Sunrise: the client's SDK must have the \
          controller's version"
     );
     assert_eq!(
-        refusal(
+        error_text(
             Version::Sunrise(Some(Dialect::V1)),
             &mut Controller::cabinet(Dialect::V3)
         ),
-        "the controller speaks FRI 2.7 (3.0), this session was told to speak FRI 1.x: correct the setting or leave \
+        "the controller speaks FRI 2.7 (3.0), this session is configured for FRI 1.x: correct the setting or leave \
          it to detection"
     );
 }
 
 #[test]
-fn strangers_are_named_and_do_not_disturb() {
-    let mut partner = Partner::new(PartnerConfig::default());
+fn client_rejects_foreign_datagrams_and_continues() {
+    let mut client = Client::new(ClientConfig::default());
     let mut refused = |bytes: &[u8]| {
-        let heard = partner.handle_datagram(bytes, Duration::ZERO);
-        heard.unwrap_err().to_string()
+        let result = client.handle_datagram(bytes, Duration::ZERO);
+        result.unwrap_err().to_string()
     };
     assert_eq!(
         refused(b"hello"),
-        "no FRI datagram came, where only a controller's measurements are due: another program uses this port; \
-         choose a port of the controller's own"
+        "expected a controller's measurements, received no FRI datagram: another program uses this port; \
+         choose a port that only the controller uses"
     );
     let mut cmd = [0; lwr::wire::Cmd::LEN];
     lwr::wire::Cmd::default().encode(&mut cmd).unwrap();
     assert!(
-        refused(&cmd).contains("a second client takes this host for a controller"),
+        refused(&cmd).contains("a second client sends to this host instead of a controller"),
         "{}",
         refused(&cmd)
     );
     let mut krc = Controller::krc();
-    run(&mut krc, &mut partner, 100, |_| None);
-    assert!(partner.handle_datagram(&cmd, krc.due()).is_err());
-    run(&mut krc, &mut partner, 100, |_| None);
-    assert_eq!(partner.status().counters.answered, 200);
+    run(&mut krc, &mut client, 100, |_| None);
+    assert!(client.handle_datagram(&cmd, krc.due()).is_err());
+    run(&mut krc, &mut client, 100, |_| None);
+    assert_eq!(client.status().counters.answered, 200);
 }
 
 #[test]
-fn a_second_client_is_seen_in_what_the_controller_reflects() {
+fn client_second_client_is_detected_by_reflection() {
     for (mut controller, version) in everyone() {
-        let mut partner = Partner::new(PartnerConfig::default());
-        // Runs longer than the partner: its counters are far ahead.
-        let mut second = Partner::new(PartnerConfig {
+        let mut client = Client::new(ClientConfig::default());
+        // Runs longer than the client: its counters are far ahead.
+        let mut second = Client::new(ClientConfig {
             lwr: lwr::SessionConfig {
                 first_sequence: 30_000,
                 ..lwr::SessionConfig::default()
             },
-            ..PartnerConfig::default()
+            ..ClientConfig::default()
         });
         run(&mut controller, &mut second, 500, |_| None);
         let (mut message, mut answer) = ([0; MESSAGE_MAX], [0; MESSAGE_MAX]);
@@ -229,7 +229,7 @@ fn a_second_client_is_seen_in_what_the_controller_reflects() {
             let Some(len) = controller.send(now, &mut message) else {
                 continue;
             };
-            for (client, comes) in [(&mut partner, true), (&mut second, cycle % 2 == 0)] {
+            for (client, comes) in [(&mut client, true), (&mut second, cycle % 2 == 0)] {
                 let _taken = client.handle_datagram(&message[..len], now);
                 let built = client.answer(None, &mut answer).unwrap();
                 client.handle_sent(now);
@@ -238,9 +238,9 @@ fn a_second_client_is_seen_in_what_the_controller_reflects() {
                 }
             }
         }
-        let verdict = judge(&partner.observed());
+        let verdict = judge(&client.observed());
         assert!(
-            matches!(verdict, Verdict::SecondClient { strange } if (0.3..=0.7).contains(&strange)),
+            matches!(verdict, Verdict::SecondClient { foreign } if (0.3..=0.7).contains(&foreign)),
             "{version}: {verdict}"
         );
     }

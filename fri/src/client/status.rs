@@ -1,15 +1,15 @@
-//! What is to be known of a connection at one moment, in one value for both generations. It draws no conclusion.
+//! A snapshot of a connection, in one type for both generations. It draws no conclusion.
 
-use super::{AXES, Partner, Refusal, Version};
+use super::{AXES, Client, DatagramError, Version};
 use crate::lwr::{self, wire as lwr_wire};
 use crate::sunrise::{self, wire};
 use std::fmt;
 use std::time::Duration;
 
-/// Where the connection stands, whatever the generation calls it.
+/// Phase of the connection, common to both generations.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Phase {
-    /// Nothing came yet, or not for a while.
+    /// No measurement yet, or none for a while.
     #[default]
     Offline,
     /// Measurements flow; the robot does not follow.
@@ -20,7 +20,7 @@ pub enum Phase {
     Command,
 }
 
-/// State as the controller tells it.
+/// State that the controller reports.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum State {
     /// Of FRI 1.0.
@@ -29,7 +29,7 @@ pub enum State {
     Sunrise(wire::SessionState),
 }
 
-/// Quality as the controller tells it.
+/// Quality that the controller reports.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Quality {
     /// Of FRI 1.0.
@@ -38,9 +38,9 @@ pub enum Quality {
     Sunrise(wire::Quality),
 }
 
-/// What an LWR's controller says of our answers: averages over its last 100 measurements.
+/// Statistics of our answers that an LWR's controller reports: averages over its last 100 measurements.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Told {
+pub struct AnswerStatistics {
     /// Share of measurements answered in time, 0..=1.
     pub answer_rate: f32,
     /// Time from measurement to answer, s.
@@ -51,58 +51,58 @@ pub struct Told {
     pub missed: u32,
 }
 
-/// Totals since the partner was made.
+/// Totals since the client was created.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Counters {
     /// Measurements accepted as new.
     pub received: u64,
     /// Answers built.
     pub answered: u64,
-    /// Measurements that never came.
+    /// Measurements lost.
     pub lost: u64,
-    /// Copies, and measurements overtaken by newer ones.
+    /// Duplicates, and measurements overtaken by newer ones.
     pub old: u64,
     /// Restarts of the controller.
     pub restarts: u64,
-    /// Times the controller fell silent.
+    /// Number of silences of the controller.
     pub silences: u64,
-    /// Datagrams refused.
+    /// Datagrams rejected.
     pub refused: u64,
 }
 
-/// A connection at one moment.
+/// Snapshot of a connection.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Status {
-    /// What the controller speaks; `None` before the first measurement, as all that follows.
+    /// Version of the controller; `None` before the first measurement, as all that follows.
     pub version: Option<Version>,
-    /// Where the connection stands.
+    /// Phase of the connection.
     pub phase: Phase,
-    /// State as told.
+    /// Reported state.
     pub state: Option<State>,
-    /// Quality as told.
+    /// Reported quality.
     pub quality: Option<Quality>,
     /// Whether the drives have power.
     pub has_power: Option<bool>,
-    /// What an overlay of Sunrise has the client command; `None` without one, and for an LWR.
+    /// Values that an overlay of Sunrise expects from the client; `None` without one, and for an LWR.
     pub overlay: Option<wire::CommandMode>,
     /// Time between measurements.
     pub period: Option<Duration>,
     /// Measured joint positions, rad.
     pub measured: Option<[f64; AXES]>,
-    /// Where the controller itself has the joints, rad.
+    /// The controller's joint set-point, rad.
     pub set_point: Option<[f64; AXES]>,
     /// Estimated external torques, Nm.
     pub external_torque: Option<[f64; AXES]>,
-    /// What an LWR's controller says of our answers.
-    pub told: Option<Told>,
+    /// Statistics of our answers that an LWR's controller reports.
+    pub statistics: Option<AnswerStatistics>,
     /// Totals.
     pub counters: Counters,
-    /// Why a datagram was refused last.
-    pub refusal: Option<Refusal>,
+    /// Error of the last rejected datagram.
+    pub last_error: Option<DatagramError>,
 }
 
 impl Quality {
-    /// Whether it suffices for commands with something to spare: OK or PERFECT, GOOD or EXCELLENT.
+    /// Whether it suffices for commands with a margin: OK or PERFECT, GOOD or EXCELLENT.
     #[must_use]
     pub fn is_sound(self) -> bool {
         match self {
@@ -120,8 +120,8 @@ impl Quality {
     }
 }
 
-impl Partner {
-    /// Where the connection stands.
+impl Client {
+    /// Phase of the connection.
     #[must_use]
     pub fn phase(&self) -> Phase {
         match self.version {
@@ -142,10 +142,10 @@ impl Partner {
         }
     }
 
-    /// All that is known at this moment.
+    /// Snapshot of the connection.
     #[must_use]
     pub fn status(&self) -> Status {
-        let told = match self.version {
+        let reported = match self.version {
             None => None,
             Some(Version::Lwr) => self.lwr.measurement().map(of_lwr),
             Some(Version::Sunrise(_)) => self.sunrise.message().map(of_sunrise),
@@ -155,12 +155,12 @@ impl Partner {
             phase: self.phase(),
             period: self.period(),
             counters: self.counters(),
-            refusal: self.refusal,
-            ..told.unwrap_or_default()
+            last_error: self.last_error,
+            ..reported.unwrap_or_default()
         }
     }
 
-    /// Totals of both generations: a port may have met either.
+    /// Totals of both generations: both may have used the port.
     fn counters(&self) -> Counters {
         let (lwr, sunrise) = (self.lwr.counters(), self.sunrise.counters());
         Counters {
@@ -184,7 +184,7 @@ fn of_lwr(msr: &lwr_wire::Msr) -> Status {
         measured: Some(msr.measured_joints.map(f64::from)),
         set_point: Some(msr.set_point()),
         external_torque: Some(msr.external_torque.map(f64::from)),
-        told: Some(Told {
+        statistics: Some(AnswerStatistics {
             answer_rate: statistics.answer_rate,
             latency_s: statistics.latency_s,
             jitter_s: statistics.jitter_s,

@@ -1,9 +1,9 @@
-//! What commands must be, and how the arm follows them. Timing is judged elsewhere, once per command period.
+//! Checks commands and moves the arm. Timing is checked once per command period, elsewhere.
 
 use super::{Added, Cabinet, Received};
-use crate::emulator::Place;
+use crate::emulator::Pose;
 use crate::sunrise::AXES;
-use crate::sunrise::emulator::{Control, Lacking, Leave};
+use crate::sunrise::emulator::{Control, ExitReason, MissingValue};
 use crate::sunrise::wire::{
     CommandData, CommandMode, Drive, OperationMode, Placement, SessionState,
 };
@@ -11,7 +11,7 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 /// Speed of the flange in T1, m/s; ISO 10218-1.
 const T1_SPEED: f64 = 0.25;
-/// How far a first commanded pose may lie from the interpolator, m and rad; *assumption*.
+/// Largest deviation of the first commanded pose from the interpolator, m and rad; *assumption*.
 const POSE_TOLERANCE: f64 = 0.002;
 
 impl Cabinet {
@@ -19,18 +19,18 @@ impl Cabinet {
         let received = self.inbox.take();
         match self.state {
             SessionState::CommandingWait => self.synchronise(received),
-            SessionState::CommandingActive => self.obey(received),
+            SessionState::CommandingActive => self.execute(received),
             SessionState::Idle
             | SessionState::MonitoringWait
             | SessionState::MonitoringReady
             | SessionState::Other(_) => {}
         }
         if !self.is_commanding() {
-            return self.stand();
+            return self.stop();
         }
         let law = self.law();
         self.arm.settle(&law, self.grid.period().as_secs_f64());
-        self.judge_t1();
+        self.check_t1();
     }
 
     /// Waits for the first command that agrees with the interpolator.
@@ -52,7 +52,7 @@ impl Cabinet {
         }
     }
 
-    fn agrees(&self, data: Option<&CommandData>) -> Result<(), Leave> {
+    fn agrees(&self, data: Option<&CommandData>) -> Result<(), ExitReason> {
         let target = self.target(data, &self.ipo)?;
         let tolerance = match self.overlay.command {
             CommandMode::CartesianPose => POSE_TOLERANCE,
@@ -65,7 +65,7 @@ impl Cabinet {
         for (joint, (commanded, expected)) in target.iter().zip(self.ipo).enumerate() {
             if (commanded - expected).abs() > tolerance {
                 let commanded = *commanded;
-                return Err(Leave::NotSynchronised {
+                return Err(ExitReason::NotSynchronised {
                     joint,
                     commanded,
                     expected,
@@ -75,28 +75,28 @@ impl Cabinet {
         Ok(())
     }
 
-    /// Follows a command, or goes on without one.
-    fn obey(&mut self, received: Option<Received>) {
+    /// Executes a command, or continues without one.
+    fn execute(&mut self, received: Option<Received>) {
         let Some(received) = received else {
-            return self.arm.go_on(&self.config.limits.position_rad);
+            return self.arm.extrapolate(&self.config.limits.position_rad);
         };
         if received.sent.is_some_and(|sent| !sent.following) {
-            // The answer to a message of COMMANDING_WAIT: it agrees with the interpolator, there is nothing to follow.
+            // The answer to a COMMANDING_WAIT message: it agrees with the interpolator, so there is nothing to follow.
             return self.arm.hold();
         }
-        match self.judge(&received) {
+        match self.check(&received) {
             Ok(target) => self.follow(&received, &target),
             Err(reason) => self.leave(reason),
         }
     }
 
-    fn judge(&self, received: &Received) -> Result<[f64; AXES], Leave> {
+    fn check(&self, received: &Received) -> Result<[f64; AXES], ExitReason> {
         let target = self.target(received.command.data.as_ref(), &self.last.1)?;
         let limits = &self.config.limits;
         for (joint, position) in target.iter().enumerate() {
             let (position, limit) = (*position, limits.position_rad[joint]);
             if position.abs() > limit {
-                return Err(Leave::Position {
+                return Err(ExitReason::Position {
                     joint,
                     position,
                     limit,
@@ -104,20 +104,20 @@ impl Cabinet {
             }
         }
         if self.overlay.command == CommandMode::Torque {
-            self.judge_delta(&target)?;
+            self.check_delta(&target)?;
         } else {
-            self.judge_speed(received, &target)?;
+            self.check_speed(received, &target)?;
         }
         Ok(target)
     }
 
-    fn judge_speed(&self, received: &Received, target: &[f64; AXES]) -> Result<(), Leave> {
+    fn check_speed(&self, received: &Received, target: &[f64; AXES]) -> Result<(), ExitReason> {
         let span_s = self.cycles_since_last(received) * self.grid.period().as_secs_f64();
         for (joint, position) in target.iter().enumerate() {
             let speed = (position - self.last.1[joint]) / span_s;
             let limit = self.config.limits.speed_rad_per_s[joint];
             if speed.abs() > limit * (1.0 + 1e-9) {
-                return Err(Leave::Speed {
+                return Err(ExitReason::Speed {
                     joint,
                     speed,
                     limit,
@@ -127,12 +127,12 @@ impl Cabinet {
         Ok(())
     }
 
-    fn judge_delta(&self, target: &[f64; AXES]) -> Result<(), Leave> {
+    fn check_delta(&self, target: &[f64; AXES]) -> Result<(), ExitReason> {
         let limit = self.config.axis_delta_max_rad;
         for (joint, (position, measured)) in target.iter().zip(self.joints()).enumerate() {
             let delta = position - measured;
             if delta.abs() > limit {
-                return Err(Leave::AxisDelta {
+                return Err(ExitReason::AxisDelta {
                     joint,
                     delta,
                     limit,
@@ -142,48 +142,56 @@ impl Cabinet {
         Ok(())
     }
 
-    fn judge_t1(&mut self) {
+    fn check_t1(&mut self) {
         let speed = self.arm.body.flange_speed();
         let is_t1 = self.config.operation_mode == OperationMode::T1;
         if is_t1 && speed > T1_SPEED {
             let limit = T1_SPEED;
-            self.leave(Leave::T1Speed { speed, limit });
+            self.leave(ExitReason::T1Speed { speed, limit });
         }
     }
 
-    /// Joint positions that a command wants, all that the overlay needs being there and finite.
-    fn target(&self, data: Option<&CommandData>, near: &[f64; AXES]) -> Result<[f64; AXES], Leave> {
+    /// Joint positions of a command that has all values the overlay expects, all finite.
+    fn target(
+        &self,
+        data: Option<&CommandData>,
+        near: &[f64; AXES],
+    ) -> Result<[f64; AXES], ExitReason> {
         let data = data.copied().unwrap_or_default();
-        let lacks = |what| Leave::Missing { what };
+        let lacks = |value| ExitReason::Missing { value };
         match self.overlay.command {
-            CommandMode::Wrench => finite(&data.wrench.ok_or_else(|| lacks(Lacking::Wrench))?)?,
-            CommandMode::Torque => finite(&data.torque.ok_or_else(|| lacks(Lacking::Torque))?)?,
+            CommandMode::Wrench => {
+                finite(&data.wrench.ok_or_else(|| lacks(MissingValue::Wrench))?)?
+            }
+            CommandMode::Torque => {
+                finite(&data.torque.ok_or_else(|| lacks(MissingValue::Torque))?)?
+            }
             CommandMode::CartesianPose => {
                 let placement = data.pose.and_then(|pose| pose.placement);
-                return self.reach(placement.ok_or_else(|| lacks(Lacking::Pose))?, near);
+                return self.reach(placement.ok_or_else(|| lacks(MissingValue::Pose))?, near);
             }
             CommandMode::Position | CommandMode::None | CommandMode::Other(_) => {}
         }
-        let joints = data.joints.ok_or_else(|| lacks(Lacking::Joints))?;
+        let joints = data.joints.ok_or_else(|| lacks(MissingValue::Joints))?;
         finite(&joints)?;
         Ok(joints)
     }
 
-    fn reach(&self, placement: Placement, near: &[f64; AXES]) -> Result<[f64; AXES], Leave> {
+    fn reach(&self, placement: Placement, near: &[f64; AXES]) -> Result<[f64; AXES], ExitReason> {
         let Placement::Quaternion(pose) = placement else {
-            return Err(Leave::Missing {
-                what: Lacking::Pose,
+            return Err(ExitReason::Missing {
+                value: MissingValue::Pose,
             });
         };
         finite(&pose)?;
         let [x, y, z, w, i, j, k] = pose;
         let rotation = UnitQuaternion::from_quaternion(Quaternion::new(w, i, j, k));
-        let goal = Place {
+        let goal = Pose {
             rotation: *rotation.to_rotation_matrix().matrix(),
             position: Vector3::new(x, y, z) / 1e3,
         };
         let joints = self.arm.body.reach(near, &goal);
-        joints.ok_or(Leave::OutOfReach)
+        joints.ok_or(ExitReason::OutOfReach)
     }
 
     fn follow(&mut self, received: &Received, target: &[f64; AXES]) {
@@ -222,7 +230,7 @@ impl Cabinet {
     }
 }
 
-fn finite(values: &[f64]) -> Result<(), Leave> {
+fn finite(values: &[f64]) -> Result<(), ExitReason> {
     let bad = values.iter().position(|value| !value.is_finite());
-    bad.map_or(Ok(()), |joint| Err(Leave::NotFinite { joint }))
+    bad.map_or(Ok(()), |joint| Err(ExitReason::NotFinite { joint }))
 }

@@ -1,6 +1,6 @@
-//! The client's side of a connection whose generation is not known beforehand: found out from the first datagrams, then
-//! answered as its [session](crate) prescribes, and [observed](crate::diagnosis). For tools; a driver knows its robot
-//! and keeps the session itself.
+//! The client's side of a connection whose generation is not known in advance: detects it from the first datagrams,
+//! answers as its [session](crate) prescribes, and [observes](crate::diagnosis) the timing. For tools; a driver knows
+//! its robot and owns the session itself.
 
 use crate::diagnosis::{Measurement, Observed, Observer};
 use crate::error::{AnswerError, DecodeError};
@@ -15,12 +15,12 @@ mod status;
 #[cfg(test)]
 mod tests;
 
-pub use status::{Counters, Phase, Quality, State, Status, Told};
+pub use status::{AnswerStatistics, Counters, Phase, Quality, State, Status};
 
 /// Number of axes of both generations.
 pub const AXES: usize = 7;
 
-/// A generation of FRI, and the dialect of Sunrise as far as it is known.
+/// A generation of FRI, and the dialect of Sunrise once known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Version {
     /// FRI 1.0.
@@ -29,38 +29,38 @@ pub enum Version {
     Sunrise(Option<Dialect>),
 }
 
-/// Settings of a [`Partner`].
+/// Settings of a [`Client`].
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct PartnerConfig {
-    /// What the controller must speak; `None` takes any.
+pub struct ClientConfig {
+    /// Version that the controller must have; `None` accepts any.
     pub expected: Option<Version>,
-    /// Settings for an LWR.
+    /// Session settings for an LWR.
     pub lwr: lwr::SessionConfig,
-    /// Settings for Sunrise; what is expected overrides their dialect.
+    /// Session settings for Sunrise; `expected` overrides their dialect.
     pub sunrise: sunrise::SessionConfig,
 }
 
-/// Why a datagram was refused.
+/// Why a datagram was rejected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
-pub enum Refusal {
-    /// It is no measurement.
-    #[error("{found} came, where only a controller's measurements are due{}", remedy(*found))]
+pub enum DatagramError {
+    /// The datagram is no measurement.
+    #[error("expected a controller's measurements, received {found}{}", remedy(*found))]
     NoMeasurement {
-        /// What it is.
+        /// Received kind.
         found: Kind,
     },
-    /// The controller speaks another generation than the one asked for.
+    /// The controller has another version than configured.
     #[error(
-        "the controller speaks {actual}, {expected} was asked for: the client's SDK must be of the controller's version"
+        "the controller speaks {actual}, expected {expected}: the client's SDK must have the controller's version"
     )]
     Version {
-        /// What was asked for.
+        /// Configured version.
         expected: Version,
-        /// What the controller speaks.
+        /// Version of the controller.
         actual: Version,
     },
-    /// It is damaged, or of another dialect than the one asked for.
+    /// The datagram is damaged, or of another dialect than configured.
     #[error(transparent)]
     Decode(#[from] DecodeError),
 }
@@ -68,32 +68,32 @@ pub enum Refusal {
 fn remedy(found: Kind) -> &'static str {
     match found {
         Kind::LwrCommand | Kind::SunriseCommand { .. } => {
-            ": a second client takes this host for a controller; correct the address it answers to"
+            ": a second client sends to this host instead of a controller; correct its target address"
         }
         Kind::Unknown | Kind::LwrMeasurement | Kind::SunriseMonitoring { .. } => {
-            ": another program uses this port; choose a port of the controller's own"
+            ": another program uses this port; choose a port that only the controller uses"
         }
     }
 }
 
-/// What one datagram told.
+/// Result of one datagram.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Heard {
-    /// Whether it is newer than those before it; else it means nothing.
+pub struct Reception {
+    /// Whether it is newer than those before; otherwise it was ignored.
     pub is_new: bool,
-    /// Measurements lost since the one before.
+    /// Number of measurements lost since the previous one.
     pub lost: u16,
-    /// Whether the robot follows our answers from now on; they start at [`Partner::mirror`].
+    /// Whether the robot follows our answers from now on; they start at [`Client::mirror`].
     pub has_entered: bool,
 }
 
-/// Why what was asked for is not in an answer.
+/// Why the commanded values are not in an answer.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum Withheld {
-    /// A value is beyond its guard.
+    /// A value exceeds a limit of the guard.
     #[error(transparent)]
     Guard(Violation),
-    /// Sunrise does not let it through.
+    /// The Sunrise session withheld it.
     #[error(transparent)]
     Sunrise(sunrise::Withheld),
 }
@@ -101,32 +101,31 @@ pub enum Withheld {
 /// An answer that was built.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Answer {
-    /// Bytes to send.
+    /// Length of the answer, bytes.
     pub len: usize,
-    /// Why the positions asked for are not in it, if they are not.
+    /// Why the commanded positions are not in the answer, if so.
     pub withheld: Option<Withheld>,
 }
 
 /// The client of a controller of either generation.
 ///
-/// Per cycle as the sessions themselves: [`handle_datagram`](Self::handle_datagram), [`answer`](Self::answer), send what
-/// it wrote, tell when by [`handle_sent`](Self::handle_sent). A controller that comes back after silence may be of the
-/// other generation.
+/// Per cycle, as with the sessions: [`handle_datagram`](Self::handle_datagram), [`answer`](Self::answer), send the
+/// bytes, then [`handle_sent`](Self::handle_sent). A controller that returns after a silence may be of the other generation.
 #[derive(Debug, Clone)]
-pub struct Partner {
-    config: PartnerConfig,
+pub struct Client {
+    config: ClientConfig,
     version: Option<Version>,
     lwr: lwr::Session,
     sunrise: sunrise::Session,
     observer: Observer,
     refused: u64,
-    refusal: Option<Refusal>,
+    last_error: Option<DatagramError>,
 }
 
-impl Partner {
-    /// One that has heard nothing yet.
+impl Client {
+    /// A client that has received nothing yet.
     #[must_use]
-    pub fn new(mut config: PartnerConfig) -> Self {
+    pub fn new(mut config: ClientConfig) -> Self {
         if let Some(Version::Sunrise(dialect)) = config.expected {
             config.sunrise.dialect = dialect;
         }
@@ -136,20 +135,24 @@ impl Partner {
             sunrise: sunrise::Session::new(config.sunrise),
             observer: Observer::lwr(),
             refused: 0,
-            refusal: None,
+            last_error: None,
             config,
         }
     }
 
-    /// Takes a received datagram; `now` is its time of arrival.
-    pub fn handle_datagram(&mut self, bytes: &[u8], now: Duration) -> Result<Heard, Refusal> {
-        self.take(bytes, now).inspect_err(|refusal| {
+    /// Handles a received datagram; `now` is its time of arrival.
+    pub fn handle_datagram(
+        &mut self,
+        bytes: &[u8],
+        now: Duration,
+    ) -> Result<Reception, DatagramError> {
+        self.take(bytes, now).inspect_err(|error| {
             self.refused += 1;
-            self.refusal = Some(*refusal);
+            self.last_error = Some(*error);
         })
     }
 
-    fn take(&mut self, bytes: &[u8], now: Duration) -> Result<Heard, Refusal> {
+    fn take(&mut self, bytes: &[u8], now: Duration) -> Result<Reception, DatagramError> {
         self.handle_timeout(now);
         if self.phase() == Phase::Offline {
             self.detect(bytes)?;
@@ -160,18 +163,18 @@ impl Partner {
         }
     }
 
-    /// Finds out what to talk to.
-    fn detect(&mut self, bytes: &[u8]) -> Result<(), Refusal> {
+    /// Detects the version of the controller.
+    fn detect(&mut self, bytes: &[u8]) -> Result<(), DatagramError> {
         let found = Kind::of(bytes);
         let actual = match found {
             Kind::LwrMeasurement => Version::Lwr,
             Kind::SunriseMonitoring { .. } => Version::Sunrise(None),
             Kind::LwrCommand | Kind::SunriseCommand { .. } | Kind::Unknown => {
-                return Err(Refusal::NoMeasurement { found });
+                return Err(DatagramError::NoMeasurement { found });
             }
         };
         if let Some(expected) = self.config.expected.filter(|it| !it.is_same(actual)) {
-            return Err(Refusal::Version { expected, actual });
+            return Err(DatagramError::Version { expected, actual });
         }
         if self.version.is_none_or(|before| !before.is_same(actual)) {
             self.observer = actual.observer();
@@ -180,20 +183,20 @@ impl Partner {
         Ok(())
     }
 
-    fn take_lwr(&mut self, bytes: &[u8], now: Duration) -> Result<Heard, Refusal> {
+    fn take_lwr(&mut self, bytes: &[u8], now: Duration) -> Result<Reception, DatagramError> {
         let reception = self.lwr.handle_datagram(bytes, now)?;
-        // Of a copy or an old one the newest is told again, and counted as such.
+        // After a duplicate or an old one this is the newest again, counted as a duplicate.
         if let Some(msr) = self.lwr.measurement() {
             self.observer.handle_measurement(Measurement::lwr(now, msr));
         }
-        Ok(Heard {
+        Ok(Reception {
             is_new: reception.order.is_new(),
             lost: reception.lost,
             has_entered: reception.event == Some(lwr::Event::CommandEntered),
         })
     }
 
-    fn take_sunrise(&mut self, bytes: &[u8], now: Duration) -> Result<Heard, Refusal> {
+    fn take_sunrise(&mut self, bytes: &[u8], now: Duration) -> Result<Reception, DatagramError> {
         let reception = self.sunrise.handle_datagram(bytes, now)?;
         self.version = Some(Version::Sunrise(self.sunrise.dialect()));
         if let Some(message) = self.sunrise.message() {
@@ -202,15 +205,14 @@ impl Partner {
                 ..Measurement::sunrise(now, message)
             });
         }
-        Ok(Heard {
+        Ok(Reception {
             is_new: reception.order.is_new(),
             lost: reception.lost,
             has_entered: reception.event == Some(sunrise::Event::CommandEntered),
         })
     }
 
-    /// Lets positions through from now on, in command mode; on an LWR that needs no word. They start at
-    /// [`mirror`](Self::mirror).
+    /// Enables positions from now on, in command mode; not needed for an LWR. They start at [`mirror`](Self::mirror).
     pub fn engage(&mut self) -> Result<(), Withheld> {
         match self.version {
             Some(Version::Sunrise(_)) => self.sunrise.engage().map_err(Withheld::Sunrise),
@@ -218,8 +220,8 @@ impl Partner {
         }
     }
 
-    /// Builds the answer to the last measurement. `None` asks for nothing: an LWR in command mode is held where it is,
-    /// an iiwa where its interpolator has it.
+    /// Builds the answer to the last measurement. `None` commands nothing: in command mode an LWR holds its position, an
+    /// iiwa follows its interpolator.
     pub fn answer(
         &mut self,
         joints: Option<&[f64; AXES]>,
@@ -251,12 +253,12 @@ impl Partner {
         }
     }
 
-    /// The answer built last left at `at`.
+    /// Records that the answer built last left at `at`.
     pub fn handle_sent(&mut self, at: Duration) {
         self.observer.handle_answer(at, self.sent_sequence());
     }
 
-    /// Tells the time; returns whether the controller has just been found gone.
+    /// Checks the receive timeout at `now`; returns whether the controller has just become offline.
     pub fn handle_timeout(&mut self, now: Duration) -> bool {
         match self.version {
             Some(Version::Sunrise(_)) => self.sunrise.handle_timeout(now),
@@ -265,7 +267,7 @@ impl Partner {
         }
     }
 
-    /// Whether a measurement waits for its answer.
+    /// Whether an answer is due.
     #[must_use]
     pub fn is_pending(&self) -> bool {
         match self.version {
@@ -293,13 +295,13 @@ impl Partner {
         }
     }
 
-    /// What the controller speaks; `None` before the first measurement.
+    /// Version of the controller; `None` before the first measurement.
     #[must_use]
     pub fn version(&self) -> Option<Version> {
         self.version
     }
 
-    /// What was observed so far.
+    /// Timing observed so far.
     #[must_use]
     pub fn observed(&self) -> Observed {
         self.observer.observed()

@@ -1,5 +1,5 @@
-//! A network namespace of its own for tests, on the host's kernel: cables, and virtual CAN where the kernel
-//! has it. It needs root, or a host that lets anybody make user namespaces, and ends with its last process.
+//! A network namespace for tests, on the host's kernel: veth pairs, and virtual CAN if the kernel has it. It needs root
+//! or unprivileged user namespaces, and ends with its last process.
 
 use std::path::Path;
 
@@ -10,15 +10,15 @@ use crate::cargo;
 use crate::shell::{self, Line, quoted};
 use crate::vm;
 
-/// How long all tests in the namespace may take together, s.
-const WITHIN: u64 = 600;
+/// Timeout of all tests in the namespace together, s.
+const TIMEOUT_S: u64 = 600;
 
-/// Whether a namespace here has that bus.
+/// Whether a namespace can have that bus.
 pub(super) fn has(bus: Bus) -> bool {
     let variable = match bus {
         Bus::Vcan => "TAKT_VCAN",
         Bus::Veth => "TAKT_VETH",
-        // A controller is hardware, be it emulated.
+        // A controller is hardware, even if emulated.
         Bus::Can => return false,
     };
     if !(shell::exists("ip") && shell::exists("unshare")) {
@@ -28,7 +28,7 @@ pub(super) fn has(bus: Bus) -> bool {
     line().args(["-c", &script]).answers()
 }
 
-/// Runs a script in it; returns its exit status.
+/// Runs a script in a namespace; returns its exit status.
 pub(super) fn run(root: &Path, script: &str, show: impl FnMut(&str)) -> anyhow::Result<u8> {
     let path = cargo::target_dir(root).join(format!("xtask-namespace-{}.sh", std::process::id()));
     let text = format!(
@@ -36,7 +36,11 @@ pub(super) fn run(root: &Path, script: &str, show: impl FnMut(&str)) -> anyhow::
         quoted(&root.to_string_lossy())
     );
     std::fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))?;
-    let status = line().arg(&path).within(root).limited(WITHIN).lines(show);
+    let status = line()
+        .arg(&path)
+        .within(root)
+        .limited(TIMEOUT_S)
+        .lines(show);
     std::fs::remove_file(&path)?;
     status
 }

@@ -1,13 +1,13 @@
-//! Why the emulated cabinet ended an overlay, as a value with the joint, the number and its limit. No policy. Where the
-//! controller's own words are known from its users' reports they begin the text.
+//! Why the emulated cabinet ended an overlay, with joint, value and limit. Known texts of the controller, from its
+//! users' reports, begin the message.
 
 use crate::sunrise::JOINT_NAMES;
 use crate::sunrise::wire::Safety;
 use std::fmt;
 
-/// A reason to end an overlay, or to give up waiting for one. All but [`Leave::Cancelled`] and [`Leave::Closed`] are faults.
+/// A reason to end an overlay, or to stop waiting for one. All but [`ExitReason::Cancelled`] and [`ExitReason::Closed`] are faults.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Leave {
+pub enum ExitReason {
     /// The robot program cancelled its motion.
     Cancelled,
     /// The robot program closed the session.
@@ -33,17 +33,17 @@ pub enum Leave {
     NotSynchronised {
         /// Joint, 0..=6.
         joint: usize,
-        /// Commanded last, rad; not a number if nothing was.
+        /// Last command, rad; NaN without one.
         commanded: f64,
-        /// Interpolator, rad.
+        /// Position of the interpolator, rad.
         expected: f64,
     },
-    /// A command lacks what the overlay wants.
+    /// A command lacks values that the overlay expects.
     Missing {
-        /// Which.
-        what: Lacking,
+        /// The missing values.
+        value: MissingValue,
     },
-    /// A joint was commanded to move too fast.
+    /// Commanded speed of a joint too large.
     Speed {
         /// Joint, 0..=6.
         joint: usize,
@@ -52,7 +52,7 @@ pub enum Leave {
         /// Limit, rad/s.
         limit: f64,
     },
-    /// A joint was commanded out of its range.
+    /// Commanded position of a joint out of range.
     Position {
         /// Joint, 0..=6.
         joint: usize,
@@ -61,7 +61,7 @@ pub enum Leave {
         /// Limit, rad, absolute.
         limit: f64,
     },
-    /// A position beside torques lies too far from the measured one.
+    /// A position commanded with torques deviates too far from the measured one.
     AxisDelta {
         /// Joint, 0..=6.
         joint: usize,
@@ -70,14 +70,14 @@ pub enum Leave {
         /// Limit, rad.
         limit: f64,
     },
-    /// A commanded value is infinite or not a number.
+    /// A commanded value is infinite or NaN.
     NotFinite {
         /// Joint or component.
         joint: usize,
     },
     /// A commanded pose is out of reach.
     OutOfReach,
-    /// The flange was too fast for T1.
+    /// Flange speed above the limit in T1.
     T1Speed {
         /// m/s.
         speed: f64,
@@ -90,9 +90,9 @@ pub enum Leave {
     Safety(Safety),
 }
 
-/// What a command lacks.
+/// Values missing in a command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Lacking {
+pub enum MissingValue {
     /// Joint positions.
     Joints,
     /// Joint torques.
@@ -103,7 +103,7 @@ pub enum Lacking {
     Pose,
 }
 
-impl fmt::Display for Lacking {
+impl fmt::Display for MissingValue {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.pad(match self {
             Self::Joints => "joint positions",
@@ -118,7 +118,7 @@ fn name(joint: usize) -> &'static str {
     JOINT_NAMES.get(joint).copied().unwrap_or("?")
 }
 
-impl fmt::Display for Leave {
+impl fmt::Display for ExitReason {
     #[expect(clippy::too_many_lines, reason = "one arm per reason")]
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
@@ -153,7 +153,9 @@ impl fmt::Display for Leave {
                     "commanded {commanded:.4} rad, interpolator {expected:.4} rad"
                 )
             }
-            Self::Missing { what } => write!(f, "a command lacks {what}, which the overlay wants"),
+            Self::Missing { value } => {
+                write!(f, "a command lacks {value}, which the overlay expects")
+            }
             Self::Speed {
                 joint,
                 speed,
@@ -197,7 +199,7 @@ impl fmt::Display for Leave {
                 write!(f, "{:.0} mm/s", limit * 1e3)
             }
             Self::Power => write!(f, "the drives lost their power"),
-            Self::Safety(safety) => write!(f, "the safety controller asks for {safety}"),
+            Self::Safety(safety) => write!(f, "the safety controller requests {safety}"),
         }
     }
 }
@@ -207,31 +209,31 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_reason_says_what_it_is() {
+    fn exit_reason_displays_cause() {
         let awaited = "Timeout before FRI connection quality reached GOOD or EXCELLENT";
         let wrong_state = "CK_COMPOUND_RETURN_ERROR: WRONG_SESSION_STATE_MONITORING_WAIT";
         for (reason, text) in [
-            (Leave::Cancelled, "motion cancelled".to_owned()),
-            (Leave::Closed, "session closed".into()),
-            (Leave::Await { answer_rate: 0.25 }, format!("{awaited}: 25 % of answers in time")),
-            (Leave::Quality { answer_rate: 0.5 }, format!("{wrong_state}: quality below GOOD, 50 % of answers in time")),
-            (Leave::Misses { cycles: 10, span_ms: 20.0 }, format!("{wrong_state}: no answer for 10 periods (20.0 ms)")),
+            (ExitReason::Cancelled, "motion cancelled".to_owned()),
+            (ExitReason::Closed, "session closed".into()),
+            (ExitReason::Await { answer_rate: 0.25 }, format!("{awaited}: 25 % of answers in time")),
+            (ExitReason::Quality { answer_rate: 0.5 }, format!("{wrong_state}: quality below GOOD, 50 % of answers in time")),
+            (ExitReason::Misses { cycles: 10, span_ms: 20.0 }, format!("{wrong_state}: no answer for 10 periods (20.0 ms)")),
             (
-                Leave::NotSynchronised { joint: 6, commanded: 0.5, expected: 0.25 },
+                ExitReason::NotSynchronised { joint: 6, commanded: 0.5, expected: 0.25 },
                 "commands do not agree with the interpolator: A7 commanded 0.5000 rad, interpolator 0.2500 rad".into(),
             ),
-            (Leave::Missing { what: Lacking::Torque }, "a command lacks joint torques, which the overlay wants".into()),
-            (Leave::Speed { joint: 3, speed: 2.31, limit: 1.9635 }, "A4 commanded 2.31 rad/s, limit 1.96 rad/s".into()),
-            (Leave::Position { joint: 2, position: -3.0, limit: 2.967 }, "A3 commanded -3.000 rad, limit 2.967 rad".into()),
+            (ExitReason::Missing { value: MissingValue::Torque }, "a command lacks joint torques, which the overlay expects".into()),
+            (ExitReason::Speed { joint: 3, speed: 2.31, limit: 1.9635 }, "A4 commanded 2.31 rad/s, limit 1.96 rad/s".into()),
+            (ExitReason::Position { joint: 2, position: -3.0, limit: 2.967 }, "A3 commanded -3.000 rad, limit 2.967 rad".into()),
             (
-                Leave::AxisDelta { joint: 0, delta: 0.3, limit: 0.2 },
+                ExitReason::AxisDelta { joint: 0, delta: 0.3, limit: 0.2 },
                 "Illegal axis delta: A1 commanded 0.300 rad from the measured position, limit 0.200 rad".into(),
             ),
-            (Leave::NotFinite { joint: 6 }, "value 6 of a command is not a finite number".into()),
-            (Leave::OutOfReach, "the commanded pose is out of reach".into()),
-            (Leave::T1Speed { speed: 0.3, limit: 0.25 }, "flange at 300 mm/s in T1, limit 250 mm/s".into()),
-            (Leave::Power, "the drives lost their power".into()),
-            (Leave::Safety(Safety::Stop1), "the safety controller asks for stop-1".into()),
+            (ExitReason::NotFinite { joint: 6 }, "value 6 of a command is not a finite number".into()),
+            (ExitReason::OutOfReach, "the commanded pose is out of reach".into()),
+            (ExitReason::T1Speed { speed: 0.3, limit: 0.25 }, "flange at 300 mm/s in T1, limit 250 mm/s".into()),
+            (ExitReason::Power, "the drives lost their power".into()),
+            (ExitReason::Safety(Safety::Stop1), "the safety controller requests stop-1".into()),
         ] {
             assert_eq!(reason.to_string(), text);
         }
