@@ -19,7 +19,7 @@ use takt_can::canopen::network::{
 };
 use takt_cia402::emulator::Distortion;
 use takt_cia402::proof::Objects;
-use takt_cia402::{Goal, Obstacle, State};
+use takt_cia402::{Goal, DriveFault, State};
 
 const CSP: i8 = 8;
 const SECOND: Duration = Duration::from_secs(1);
@@ -61,7 +61,7 @@ fn state(bus: &mut Bus) -> State {
 }
 
 /// Requests power until the proof has a result; returns its duration or the fault.
-fn prove(bus: &mut Bus) -> Result<Duration, Option<Obstacle>> {
+fn prove(bus: &mut Bus) -> Result<Duration, Option<DriveFault>> {
     let axis = bus.master.axis_mut(node(1), 0).unwrap();
     let position = axis.state().position;
     axis.command(AxisCommand {
@@ -83,20 +83,20 @@ fn prove(bus: &mut Bus) -> Result<Duration, Option<Obstacle>> {
     }
     bus.run(SECOND / 5);
     match bus.master.axis(node(1), 0).unwrap().fault() {
-        Some(AxisFault::Drive(obstacle)) => Err(Some(obstacle)),
+        Some(AxisFault::Drive(drive_fault)) => Err(Some(drive_fault)),
         Some(_) | None => Err(None),
     }
 }
 
 #[track_caller]
 fn is_refused(mut bus: Bus) -> String {
-    let obstacle = prove(&mut bus).unwrap_err();
+    let drive_fault = prove(&mut bus).unwrap_err();
     let state = state(&mut bus);
     let unpowered = [State::SwitchOnDisabled, State::ReadyToSwitchOn];
-    assert!(unpowered.contains(&state), "{state} {obstacle:?}");
-    let obstacle = obstacle.expect("a reason");
-    assert!(matches!(obstacle, Obstacle::NotProven(_)), "{obstacle}");
-    obstacle.to_string()
+    assert!(unpowered.contains(&state), "{state} {drive_fault:?}");
+    let drive_fault = drive_fault.expect("a reason");
+    assert!(matches!(drive_fault, DriveFault::NotProven(_)), "{drive_fault}");
+    drive_fault.to_string()
 }
 
 #[test]

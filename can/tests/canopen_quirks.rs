@@ -24,7 +24,7 @@ use takt_can::canopen::{NmtState, heartbeat};
 use takt_can::{Frame, LogLine};
 use takt_cia402::dictionary::{AbortCode, Address};
 use takt_cia402::emulator::Quirks;
-use takt_cia402::{Goal, Obstacle, State};
+use takt_cia402::{Goal, DriveFault, State};
 
 const CSP: i8 = 8;
 const SECOND: Duration = Duration::from_secs(1);
@@ -320,7 +320,7 @@ fn enabling_that_faults_shows_each_emergency_and_stops() {
     let faults: Vec<_> = emergencies(&bus);
     assert_eq!(faults, [0x5201, 0, 0x5201, 0, 0x5201]);
     let axis = bus.master.axis(node(1), 0).unwrap();
-    let fails = Obstacle::EnablingFails(3);
+    let fails = DriveFault::EnablingFails(3);
     assert_eq!(axis.fault(), Some(AxisFault::Drive(fails)));
     assert_eq!(axis.state().status.raw() & 0x044F, 0x0408, "0638h");
     // Another goal is a new request, and its cause is repaired.

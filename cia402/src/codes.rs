@@ -1,5 +1,5 @@
-//! Error codes in words: object 603Fh and the first two bytes of an emergency (CiA 301, clause 7.2.7; CiA 402-1 and IEC
-//! 61800-7-201 for drives). What a maker means by codes of its own, its manual says.
+//! Error codes as text: object 603Fh and the first two bytes of an emergency (CiA 301, clause 7.2.7; CiA 402-1 and IEC
+//! 61800-7-201 for drives). Manufacturer-specific codes are explained in the manual of the device.
 
 /// Code and text of the profiles.
 const CODES: [(u16, &str); 106] = [
@@ -57,7 +57,7 @@ const CODES: [(u16, &str); 106] = [
     (0x5510, "RAM"),
     (0x5520, "program memory"),
     (0x5530, "parameter memory failed"),
-    (0x6010, "watchdog of the software"),
+    (0x6010, "software watchdog"),
     (0x6310, "parameters lost"),
     (0x6320, "parameter error"),
     (0x7110, "brake chopper"),
@@ -90,7 +90,7 @@ const CODES: [(u16, &str); 106] = [
     (0x8220, "PDO longer than its mapping"),
     (0x8230, "multiplexed PDO not processed"),
     (0x8240, "SYNC of unexpected length"),
-    (0x8250, "PDO did not come in time"),
+    (0x8250, "PDO timeout"),
     (0x8311, "torque too high"),
     (0x8312, "difficult start-up"),
     (0x8313, "standstill torque"),
@@ -160,7 +160,7 @@ const GROUPS: [(u8, &str); 45] = [
     (0xFF, "device specific"),
 ];
 
-/// An error code in words: the profile's, else those of its group.
+/// The text of an error code: that of the profile, else that of its group.
 #[must_use]
 #[doc(alias = "603Fh")]
 pub fn error_text(code: u16) -> &'static str {
@@ -170,7 +170,7 @@ pub fn error_text(code: u16) -> &'static str {
     let exact = exact.map(|(_, text)| *text);
     exact
         .or_else(|| of_group().map(|(_, text)| *text))
-        .unwrap_or("an error of the device's own")
+        .unwrap_or("manufacturer-specific error")
 }
 
 #[cfg(test)]
@@ -178,14 +178,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn error_code_unknown_has_words_of_its_group() {
+    fn error_code_unknown_has_text_of_its_group() {
         for (code, text) in [
             (0x0000, "no error"),
             (0x8611, "following error"),
             (0x5201, "control hardware"),
             (0x81B0, "communication"),
             (0xFF42, "device specific"),
-            (0x0001, "an error of the device's own"),
+            (0x0001, "manufacturer-specific error"),
         ] {
             assert_eq!(error_text(code), text, "{code:04X}h");
         }

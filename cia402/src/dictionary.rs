@@ -1,10 +1,9 @@
-//! The object dictionary of CiA 301 (clause 7.4): what a device lets others read and write, by
-//! index and sub-index. CANopen and EtherCAT CoE use the same one; it knows neither of them.
+//! The object dictionary of CiA 301 (clause 7.4): the objects that a device exposes, by index and sub-index. CANopen
+//! and EtherCAT CoE share it; it knows neither bus.
 //!
-//! It is built once, with all its memory; reading and writing allocate nothing. A read or write
-//! from the bus goes through [`Dictionary::upload`] and [`Dictionary::download`], which check
-//! access, length and limits and ask the owner's [`Hooks`]; the owner itself uses typed [`Key`]s,
-//! for which no rule holds.
+//! It is built once, with all its memory; reading and writing allocate nothing. A read or write from the bus goes
+//! through [`Dictionary::upload`] and [`Dictionary::download`], which check access, length and limits and call the
+//! owner's [`Hooks`]; the owner itself uses typed [`Key`]s without these checks.
 
 mod abort;
 mod address;
@@ -26,64 +25,64 @@ pub use mapping::{MAPPED_MAX, Mapped, Mapping};
 pub use object::{Access, Entry, Object, ObjectCode, PdoUse};
 pub use text::TextError;
 
-/// Most bytes of one value: a string or a domain; numbers have at most 8.
+/// Maximum length of a value (string or domain), bytes; numbers have at most 8.
 pub const VALUE_MAX: usize = 1 << 20;
 
-/// Why objects make no dictionary.
+/// Why a dictionary cannot be built or accessed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DictionaryError {
-    /// An object or a sub-index is there twice.
-    #[error("{0} is there twice; keep one of them")]
+    /// An object or a sub-index is defined twice.
+    #[error("{0} is defined twice; keep one of them")]
     Twice(Address),
     /// A default value does not fit its type or its limits.
     #[error("{address}: the default value is refused ({why})")]
     Default {
-        /// Of which entry.
+        /// The entry.
         address: Address,
-        /// As a write of it would be.
+        /// The abort code of such a write.
         why: AbortCode,
     },
     /// There is no such entry.
     #[error("there is no {0}")]
     Missing(Address),
-    /// The entry has another type than was asked for.
+    /// The entry has another type than requested.
     #[error("{address} is {actual}, not {wanted}")]
     Type {
-        /// Which entry.
+        /// The entry.
         address: Address,
         /// Its type.
         actual: DataType,
-        /// What was asked for.
+        /// The requested type.
         wanted: DataType,
     },
 }
 
-/// What the owner of a dictionary has to say to reads and writes from the bus. `()` says nothing.
+/// Callbacks of the owner of a dictionary for reads and writes from the bus. `()` accepts everything.
 pub trait Hooks {
-    /// Before a read: bring the value up to date, or refuse.
+    /// Before a read: updates the value, or refuses the read.
     ///
     /// # Errors
-    /// The reason is sent to who asked.
+    /// The abort code is sent to the client.
     fn before_upload(&mut self, _: &mut Dictionary, _: Address) -> Result<(), AbortCode> {
         Ok(())
     }
 
-    /// Before a write of data that access, length and limits allow: the last word on it.
+    /// Before a write that passed the checks of access, length and limits: a final check.
     ///
     /// # Errors
-    /// The reason is sent to who asked; nothing is written.
+    /// The abort code is sent to the client; nothing is written.
     fn before_download(&mut self, _: &Dictionary, _: Address, _: &[u8]) -> Result<(), AbortCode> {
         Ok(())
     }
 
-    /// After a write: act on it.
+    /// After a write: applies it.
     fn after_download(&mut self, _: &mut Dictionary, _: Address) {}
 }
 
 impl Hooks for () {}
 
-/// Where a number lies in one dictionary: found once, then read and written without a search.
+/// Location of a number in one dictionary: looked up once, then read and written without a search.
 pub struct Key<T> {
     offset: usize,
     number: PhantomData<fn() -> T>,
@@ -103,11 +102,11 @@ impl<T> fmt::Debug for Key<T> {
     }
 }
 
-/// Where a value lies.
+/// Storage of a value.
 #[derive(Clone, Copy, Debug)]
-struct Place {
+struct Slot {
     offset: usize,
-    /// Bytes it has now; those of strings and domains vary.
+    /// Present length, bytes; variable for strings and domains.
     len: usize,
     capacity: usize,
 }
@@ -117,9 +116,9 @@ struct Place {
 pub struct Dictionary {
     /// By ascending index.
     objects: Vec<Object>,
-    /// Where each entry of each object lies, in their order.
-    places: Vec<Place>,
-    /// Number of the first place of each object.
+    /// The slot of each entry of each object, in their order.
+    slots: Vec<Slot>,
+    /// Number of the first slot of each object.
     firsts: Vec<usize>,
     values: Vec<u8>,
 }
@@ -128,7 +127,7 @@ impl Dictionary {
     /// A dictionary of these objects, in any order, each entry with its default value.
     ///
     /// # Errors
-    /// If one is there twice, or a default value does not fit.
+    /// If an object is defined twice, or a default value does not fit.
     pub fn new(mut objects: Vec<Object>) -> Result<Self, DictionaryError> {
         objects.sort_by_key(|object| object.index);
         for pair in objects.windows(2) {
@@ -139,7 +138,7 @@ impl Dictionary {
         let mut dictionary = Self::default();
         for mut object in objects {
             object.entries.sort_by_key(|(sub, _)| *sub);
-            dictionary.firsts.push(dictionary.places.len());
+            dictionary.firsts.push(dictionary.slots.len());
             for (number, (sub, entry)) in object.entries.iter().enumerate() {
                 let address = Address::new(object.index, *sub);
                 if number > 0 && object.entries[number - 1].0 == *sub {
@@ -147,16 +146,16 @@ impl Dictionary {
                 }
                 let why = |why| DictionaryError::Default { address, why };
                 entry.check(&entry.default).map_err(why)?;
-                dictionary.place(entry);
+                dictionary.slot(entry);
             }
             dictionary.objects.push(object);
         }
         Ok(dictionary)
     }
 
-    fn place(&mut self, entry: &Entry) {
+    fn slot(&mut self, entry: &Entry) {
         let capacity = entry.capacity();
-        self.places.push(Place {
+        self.slots.push(Slot {
             offset: self.values.len(),
             len: entry.default.len(),
             capacity,
@@ -182,13 +181,13 @@ impl Dictionary {
         self.objects.get(at)
     }
 
-    /// What is known of an entry.
+    /// The definition of an entry.
     #[must_use]
     pub fn entry(&self, address: Address) -> Option<&Entry> {
         self.find(address).ok().map(|(entry, _)| entry)
     }
 
-    /// The entry and the number of its place.
+    /// The entry and the number of its slot.
     fn find(&self, address: Address) -> Result<(&Entry, usize), AbortCode> {
         let at = self
             .objects
@@ -201,15 +200,15 @@ impl Dictionary {
         Ok((&entries[sub].1, self.firsts[at] + sub))
     }
 
-    /// The value of an entry as it lies there, little-endian; no rule is asked.
+    /// The stored value of an entry, little-endian; nothing is checked.
     #[must_use]
     pub fn bytes(&self, address: Address) -> Option<&[u8]> {
-        let (_, place) = self.find(address).ok()?;
-        let Place { offset, len, .. } = self.places[place];
+        let (_, slot) = self.find(address).ok()?;
+        let Slot { offset, len, .. } = self.slots[slot];
         self.values.get(offset..offset + len)
     }
 
-    /// Answers a read from the bus.
+    /// Handles a read from the bus.
     ///
     /// # Errors
     /// If there is no such entry, it is not readable, or the hooks refuse.
@@ -218,16 +217,16 @@ impl Dictionary {
         address: Address,
         hooks: &mut H,
     ) -> Result<&[u8], AbortCode> {
-        let (entry, place) = self.find(address)?;
+        let (entry, slot) = self.find(address)?;
         if !entry.access.is_readable() {
             return Err(AbortCode::WriteOnly);
         }
         hooks.before_upload(self, address)?;
-        let Place { offset, len, .. } = self.places[place];
+        let Slot { offset, len, .. } = self.slots[slot];
         Ok(&self.values[offset..offset + len])
     }
 
-    /// Whether a write from the bus is allowed as far as the dictionary knows.
+    /// Whether the dictionary allows a write from the bus.
     ///
     /// # Errors
     /// If there is no such entry, it is not writable, or length or value do not fit.
@@ -239,10 +238,10 @@ impl Dictionary {
         entry.check(data)
     }
 
-    /// Answers a write from the bus.
+    /// Handles a write from the bus.
     ///
     /// # Errors
-    /// As [`Self::check_download`], and if the hooks refuse; the value then stays as it was.
+    /// As [`Self::check_download`], and if the hooks refuse; the value is then unchanged.
     pub fn download<H: Hooks>(
         &mut self,
         address: Address,
@@ -256,17 +255,17 @@ impl Dictionary {
         Ok(())
     }
 
-    /// Sets a value as its owner does: access and limits do not matter, the length does.
+    /// Sets a value on behalf of the owner: checks the length, but neither access nor limits.
     ///
     /// # Errors
-    /// If there is no such entry, or it has no room for so many bytes.
+    /// If there is no such entry, or the value exceeds its capacity.
     pub fn store(&mut self, address: Address, data: &[u8]) -> Result<(), AbortCode> {
-        let (entry, place) = self.find(address)?;
+        let (entry, slot) = self.find(address)?;
         entry.check_length(data.len())?;
-        let place = &mut self.places[place];
-        place.len = data.len();
-        debug_assert!(data.len() <= place.capacity);
-        self.values[place.offset..place.offset + data.len()].copy_from_slice(data);
+        let slot = &mut self.slots[slot];
+        slot.len = data.len();
+        debug_assert!(data.len() <= slot.capacity);
+        self.values[slot.offset..slot.offset + data.len()].copy_from_slice(data);
         Ok(())
     }
 
@@ -282,23 +281,23 @@ impl Dictionary {
             let within = indices.contains(&object.index);
             object.entries.iter().map(move |(_, entry)| (within, entry))
         });
-        for ((within, entry), place) in entries.zip(&mut self.places) {
+        for ((within, entry), slot) in entries.zip(&mut self.slots) {
             if !within {
                 continue;
             }
-            place.len = entry.default.len();
-            let room = &mut self.values[place.offset..place.offset + place.len];
-            room.copy_from_slice(&entry.default);
+            slot.len = entry.default.len();
+            let value = &mut self.values[slot.offset..slot.offset + slot.len];
+            value.copy_from_slice(&entry.default);
         }
     }
 
-    /// Where a number lies.
+    /// The key of a number.
     ///
     /// # Errors
     /// If there is no such entry or it has another type.
     pub fn key<T: Number>(&self, address: Address) -> Result<Key<T>, DictionaryError> {
         let found = self.find(address);
-        let (entry, place) = found.map_err(|_| DictionaryError::Missing(address))?;
+        let (entry, slot) = found.map_err(|_| DictionaryError::Missing(address))?;
         if entry.data_type != T::TYPE {
             return Err(DictionaryError::Type {
                 address,
@@ -307,7 +306,7 @@ impl Dictionary {
             });
         }
         Ok(Key {
-            offset: self.places[place].offset,
+            offset: self.slots[slot].offset,
             number: PhantomData,
         })
     }
@@ -318,7 +317,7 @@ impl Dictionary {
         T::from_le(&self.values[key.offset..])
     }
 
-    /// Sets the number at a key of this dictionary; access and limits do not matter.
+    /// Sets the number at a key of this dictionary; access and limits are not checked.
     pub fn set<T: Number>(&mut self, key: Key<T>, value: T) {
         value.to_le(&mut self.values[key.offset..]);
     }

@@ -1,5 +1,5 @@
-//! A drive with a motor behind an object dictionary: the other side of the profile, for tests,
-//! labs and demonstrations. Which bus its dictionary hangs on is not known here.
+//! A drive with a motor behind an object dictionary: the other side of the profile, for tests, labs and demonstrations.
+//! It does not know which bus its dictionary is attached to.
 //!
 //! ```text
 //! bus node -> Dictionary <- keys -> Drive: power (state machine, option codes)
@@ -8,7 +8,7 @@
 //!                                          Motor (inertia, friction, brake, switches, heat)
 //! ```
 //!
-//! Time is what [`Drive::step`] is told; nothing happens between two steps.
+//! Time is an argument of [`Drive::step`]; nothing happens between two steps.
 
 mod distortion;
 mod drive;

@@ -1,8 +1,8 @@
-//! What can be wrong with what a drive tells. A drive's fault is not here: it is a state.
+//! Decoding errors of received words. The fault of a drive is not an error but a state.
 
 use crate::StatusWord;
 
-/// Why a word from a drive has no meaning.
+/// Why a received word cannot be decoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DecodeError {

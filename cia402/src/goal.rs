@@ -1,26 +1,26 @@
-//! The master's side: which word to send so that a drive comes to where it is wanted. Total over
-//! states and goals, and without memory: it never asks whether the drive is slow to follow.
+//! The master's side: the controlword that brings a drive towards its goal. Total over states and goals and without
+//! memory: it does not check whether the drive is slow to follow.
 
 use crate::{ControlWord, State};
 
-/// Where a master wants a drive to be.
+/// The state in which a master wants a drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Goal {
-    /// Without power, at once. A moving motor is left to its brake.
+    /// No power, at once. A moving motor is stopped by its brake alone.
     SwitchOnDisabled,
-    /// Power may come.
+    /// Power may be switched on.
     ReadyToSwitchOn,
-    /// Power on, motor without.
+    /// Power on, motor without current.
     SwitchedOn,
     /// Following set-points.
     OperationEnabled,
-    /// Standing as soon as the quick stop option code allows.
+    /// Stopped, as the quick stop option code says.
     QuickStop,
 }
 
 impl Goal {
-    /// True if the drive is where it is wanted. A quick stop is reached in Quick stop active and in
-    /// Switch on disabled; whether the motor stands, the drive's velocity tells.
+    /// True if the drive has reached the goal. A quick stop is reached in Quick stop active and in Switch on disabled;
+    /// whether the motor has stopped, the actual velocity shows.
     #[must_use]
     pub fn is_reached(self, state: State) -> bool {
         match self {
@@ -37,9 +37,8 @@ impl Goal {
 
 /// The controlword for this cycle, mode bits low; sent again each cycle until the state changes.
 ///
-/// In Fault and Fault reaction active it is *disable voltage* for every goal: a reset is asked for
-/// by [`ControlWord::FAULT_RESET`], never by a goal. In Quick stop active the stop is held, unless
-/// [`Goal::SwitchOnDisabled`] cuts the power.
+/// In Fault and Fault reaction active it is *disable voltage* for every goal: [`ControlWord::FAULT_RESET`] requests a
+/// reset, a goal never does. In Quick stop active the stop is held, unless [`Goal::SwitchOnDisabled`] cuts the power.
 #[must_use]
 pub fn next_control_word(state: State, goal: Goal) -> ControlWord {
     match goal {
@@ -104,7 +103,7 @@ mod tests {
     ];
 
     #[test]
-    fn every_state_and_goal() {
+    fn control_word_for_every_state_and_goal() {
         for (state, row) in State::ALL.into_iter().zip(CELLS) {
             for (goal, raw) in GOALS.into_iter().zip(row) {
                 let word = next_control_word(state, goal);
@@ -113,7 +112,7 @@ mod tests {
         }
     }
 
-    /// The states a drive passes that obeys each word at once and does nothing by itself.
+    /// The states that a drive passes which executes each word at once and makes no transition by itself.
     fn states_passed(from: State, goal: Goal) -> Vec<State> {
         let mut passed = vec![from];
         let mut state = from;
@@ -158,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn fault_is_left_by_a_reset_alone() {
+    fn fault_is_left_by_reset_only() {
         for goal in GOALS {
             assert_eq!(
                 states_passed(State::Fault, goal),

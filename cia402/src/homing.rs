@@ -1,5 +1,5 @@
-//! The master's side of a homing run: when to start it, and what the statusword says of it. How the
-//! drive finds home, 6098h says; nothing here.
+//! The master's side of a homing run: when to start it, and what the statusword reports. 6098h selects how the drive
+//! finds home.
 
 use std::fmt;
 use std::time::Duration;
@@ -8,30 +8,30 @@ use crate::StatusWord;
 
 /// Bit 4 of the controlword: homing runs while it is high.
 pub const HOMING_START: u16 = 1 << 4;
-/// The mode of operation in which drives home.
+/// The homing mode of operation (6060h).
 pub const HOMING_MODE: i8 = 6;
 
 /// Bits 13, 12 and 10 of the statusword in homing mode (CiA 402-2, clause on homing).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HomingStatus {
-    /// 000: under way.
+    /// 000: in progress.
     Running,
-    /// 001: not started, or interrupted; it stands.
+    /// 001: not started or interrupted; at rest.
     Stopped,
-    /// 010: home is found, it still moves.
+    /// 010: home is found, still moving.
     Attained,
-    /// 011: done.
+    /// 011: completed.
     Done,
-    /// 100: an error, it still moves.
+    /// 100: an error, still moving.
     FailedMoving,
-    /// 101: an error, it stands.
+    /// 101: an error, at rest.
     Failed,
     /// 110, 111: reserved.
     Reserved,
 }
 
 impl HomingStatus {
-    /// What a statusword says in homing mode.
+    /// The status that a statusword shows in homing mode.
     #[must_use]
     pub fn of(status: StatusWord) -> Self {
         let bit = |n: u16| status.raw() >> n & 1 == 1;
@@ -50,11 +50,11 @@ impl HomingStatus {
 /// Why a homing run failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HomingError {
-    /// Bit 13: the drive says so.
+    /// Bit 13: the drive reports an error.
     Reported,
-    /// It stopped before it was home.
+    /// The drive stopped before it was home.
     Interrupted,
-    /// It was not done in time.
+    /// The run timed out.
     TimedOut(Duration),
 }
 
@@ -84,9 +84,9 @@ impl std::error::Error for HomingError {}
 enum Phase {
     /// Not yet enabled in homing mode.
     Waits,
-    /// Bit 4 is high since then; what the statusword shows may still be of before.
+    /// Bit 4 is high since this time; the statusword may still show the previous run.
     Started(Duration),
-    /// It was seen running; since when it shows home without standing.
+    /// The run was observed; the time is since when it shows home without standstill.
     Runs(Duration, Option<Duration>),
     Over,
 }
@@ -104,12 +104,12 @@ pub struct Homing {
 }
 
 impl Homing {
-    /// For so long the statusword may show the run before.
+    /// How long the statusword may still show the previous run.
     const GRACE: Duration = Duration::from_millis(100);
-    /// A drive that is home for so long is done, even if it never shows target reached.
+    /// After this time at home a run is complete, even if the drive never shows target reached.
     const SETTLED: Duration = Duration::from_millis(500);
 
-    /// A run that has not begun, and may take so long.
+    /// A run that has not started; `timeout` is its longest duration.
     #[must_use]
     pub const fn new(timeout: Duration) -> Self {
         Self {
@@ -118,8 +118,8 @@ impl Homing {
         }
     }
 
-    /// One cycle. `ready`: the drive is enabled and 6061h shows homing mode. Returns whether bit 4
-    /// is to be high, and, once, how the run ended.
+    /// One cycle. `ready`: the drive is enabled and 6061h shows homing mode. Returns whether to set bit 4, and, once,
+    /// how the run ended.
     pub fn step(
         &mut self,
         status: StatusWord,
@@ -210,7 +210,7 @@ mod tests {
 
     /// Each of the eight patterns while it runs.
     #[test]
-    fn every_pattern_while_running() {
+    fn homing_run_handles_every_status_pattern() {
         for (digits, expected) in [
             (0b000, (true, None)),
             (0b001, (false, Some(Err(HomingError::Interrupted)))),
@@ -235,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn the_run_before_is_not_mistaken_for_this_one() {
+    fn homing_run_ignores_status_of_previous_run() {
         let mut homing = Homing::new(1000 * MS);
         homing.step(shows(0b011), true, MS);
         assert_eq!(
@@ -244,7 +244,7 @@ mod tests {
             "still old"
         );
         assert_eq!(homing.step(shows(0b011), true, 101 * MS), (true, None));
-        // A method without a motion may be done between two cycles.
+        // A method without motion may complete between two cycles.
         assert_eq!(
             homing.step(shows(0b011), true, 102 * MS),
             (false, Some(Ok(())))
@@ -252,7 +252,7 @@ mod tests {
     }
 
     #[test]
-    fn drives_without_target_reached_are_waited_for() {
+    fn homing_run_completes_without_target_reached() {
         let mut homing = running();
         assert_eq!(homing.step(shows(0b010), true, 10 * MS), (true, None));
         assert_eq!(homing.step(shows(0b010), true, 509 * MS), (true, None));
@@ -263,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn runs_end_in_time_and_with_their_drive() {
+    fn homing_run_ends_by_timeout_or_interruption() {
         let mut homing = running();
         let timed_out = Err(HomingError::TimedOut(1000 * MS));
         assert_eq!(

@@ -1,15 +1,15 @@
-//! The master's side over time: brings one axis to a goal, keeps its targets where the motor is
-//! until it follows, resets faults by an edge, and tells why a drive does not come. It sends
-//! nothing itself, and it never resets a fault unasked.
+//! The master's side over time: brings one axis to a goal, keeps its target at the actual position until the drive
+//! follows, resets faults by an edge, and reports why a drive does not reach its goal. It sends nothing itself, and it
+//! never resets a fault without a request.
 //!
 //! ```text
-//! each cycle: Feedback (6041h, 6061h, 6064h) -> step -> Orders (6040h, 6060h, may the target move)
+//! each cycle: Feedback (6041h, 6061h, 6064h) -> step -> DriveCommand (6040h, 6060h, may the target move)
 //!
 //!             set_goal         1 mode first: 6060h until 6061h shows it (mode_after_enable: last)
-//! Operation   ---------->      2 one command a state, by next_control_word
+//! Operation   ---------->      2 one command per state, by next_control_word
 //! enabled                      3 target = actual until Operation enabled, and in cyclic modes
-//!                                until bit 12 says that the drive follows
-//! reset_fault ---------->      bit 7 low, high for two cycles, low; at most so many tries
+//!                                until bit 12 shows that the drive follows
+//! reset_fault ---------->      bit 7 low, high for two cycles, low; bounded number of tries
 //! ```
 
 use std::fmt;
@@ -18,7 +18,7 @@ use std::time::Duration;
 use crate::proof::ProofFault;
 use crate::{ControlWord, DecodeError, Goal, State, StatusWord, next_control_word};
 
-/// What a master hears of an axis in a cycle.
+/// What a master receives from an axis in a cycle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Feedback {
     /// 6041h.
@@ -31,26 +31,26 @@ pub struct Feedback {
 
 /// What a master sends to an axis in a cycle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Orders {
-    /// 6040h without the bits of the mode.
+pub struct DriveCommand {
+    /// 6040h without the mode-specific bits.
     pub control: ControlWord,
     /// 6060h.
     pub mode: i8,
     /// Whether the drive follows its target. While it does not, the target must be the actual
     /// value: [`Self::hold`] for 607Ah, zero for 60FFh and 6071h.
     pub follows: bool,
-    /// The actual position as last heard, user units.
+    /// The actual position as last received, user units.
     pub hold: i32,
 }
 
-/// In what a drive may depart from the profile, and how patient the master is.
+/// Tolerated deviations of a drive from the profile, and timeouts of the master.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Patience {
     /// 0020h in the statusword is Switch on disabled (slaves on an old sample stack).
     pub sod_as_0020: bool,
-    /// The mode is taken only in Operation enabled.
+    /// The mode changes only in Operation enabled.
     pub mode_after_enable: bool,
-    /// Bit 12 does not tell whether a cyclic mode follows.
+    /// Bit 12 does not show whether a cyclic mode follows.
     pub no_follow_bit: bool,
     /// Longest time from a command to the state it leads to; that of enabling, with its brake and
     /// its DC link, is [`Self::enable`].
@@ -59,13 +59,13 @@ pub struct Patience {
     pub enable: Duration,
     /// Longest time from 6060h to 6061h.
     pub mode: Duration,
-    /// How often a fault reset is tried.
+    /// Number of attempts of a fault reset.
     pub resets: u8,
-    /// After so many enablings in a row that ended in a fault no further fault is reset.
+    /// After this many consecutive enablings that ended in a fault, no further fault is reset.
     pub enablings: u8,
 }
 
-/// A drive that stayed enabled for so long was enabled well: a later fault has another cause.
+/// Time after which an enabling counts as successful: a later fault has another cause.
 const ENABLED_WELL: Duration = Duration::from_millis(500);
 
 impl Default for Patience {
@@ -83,18 +83,18 @@ impl Default for Patience {
     }
 }
 
-/// Why an axis is not where it is wanted.
+/// Why an axis has not reached its goal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Obstacle {
+pub enum DriveFault {
     /// The statusword shows no state.
     Undefined(DecodeError),
     /// A fault is present; 603Fh says which.
     Fault,
-    /// The fault stayed after so many resets.
+    /// The fault remained after this many resets.
     ResetRefused(u8),
-    /// So many enablings in a row ended in a fault; it is not reset again.
+    /// This many consecutive enablings ended in a fault; it is not reset again.
     EnablingFails(u8),
-    /// Bit 9 is low: the drive obeys somebody else.
+    /// Bit 9 is low: the drive is controlled locally.
     NotRemote,
     /// Bit 4 is low: the power stage has no voltage.
     NoVoltage,
@@ -107,29 +107,29 @@ pub enum Obstacle {
     },
     /// The state did not follow the controlword.
     Stuck {
-        /// Where it is.
+        /// Present state.
         state: State,
-        /// What was sent.
+        /// Controlword that was sent.
         sent: ControlWord,
-        /// For how long.
+        /// Time since then.
         waited: Duration,
     },
     /// A quick stop is held: the option code leaves the drive in Quick stop active.
     QuickStopHeld,
-    /// Enabled, but bit 12 says that it does not follow its target.
+    /// Enabled, but bit 12 shows that the drive does not follow its target.
     NotFollowing,
-    /// Its process data are not proven: it gets no power.
+    /// The process data are not proven: the axis gets no power.
     NotProven(ProofFault),
 }
 
-impl fmt::Display for Obstacle {
+impl fmt::Display for DriveFault {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Undefined(error) => error.fmt(f),
-            Self::Fault => f.write_str("the drive is in fault: read 603Fh, mend the cause, reset"),
+            Self::Fault => f.write_str("the drive is in fault: read 603Fh, fix the cause, reset"),
             Self::ResetRefused(tries) => write!(
                 f,
-                "the fault stayed after {tries} resets: its cause is still there; see 603Fh"
+                "the fault remained after {tries} resets: its cause is still present; see 603Fh"
             ),
             Self::EnablingFails(times) => write!(
                 f,
@@ -157,10 +157,10 @@ impl fmt::Display for Obstacle {
                  received?"
             ),
             Self::QuickStopHeld => f.write_str(
-                "a quick stop is held (605Ah is 5 to 8); ask for Switch on disabled to leave it",
+                "a quick stop is held (605Ah is 5 to 8); command Switch on disabled to leave it",
             ),
             Self::NotFollowing => f.write_str(
-                "enabled, but bit 12 of 6041h says that the target is ignored; check the mode and that set-points \
+                "enabled, but bit 12 of 6041h shows that the target is ignored; check the mode and that set-points \
                  come in every cycle, or set the quirk no_follow_bit if its manual gives bit 12 no meaning",
             ),
             Self::NotProven(fault) => fault.fmt(f),
@@ -168,14 +168,14 @@ impl fmt::Display for Obstacle {
     }
 }
 
-/// Where a fault reset is.
+/// State of a fault reset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Reset {
-    /// Nobody asked.
+    /// No reset requested.
     Idle,
-    /// Bit 7 is low for so many cycles more, to make an edge.
+    /// Bit 7 is low for this many more cycles, to make an edge.
     Low(u8),
-    /// Bit 7 is high for so many cycles more.
+    /// Bit 7 is high for this many more cycles.
     High(u8),
 }
 
@@ -184,24 +184,24 @@ enum Reset {
 pub struct Master {
     patience: Patience,
     goal: Goal,
-    /// How far it may be brought on the way to its goal.
+    /// Highest state allowed on the path to the goal.
     ceiling: Goal,
     mode: i8,
     reset: Reset,
     tries: u8,
-    /// The state last seen and since when.
+    /// The last observed state and since when.
     seen: Option<(State, Duration)>,
     /// Since when the mode has been wanted.
     mode_since: Option<Duration>,
-    obstacle: Option<Obstacle>,
-    /// The state of the last cycle and since when, whatever was wanted.
+    drive_fault: Option<DriveFault>,
+    /// The state of the last cycle and since when, independent of the goal.
     last: Option<(State, Duration)>,
-    /// Enablings in a row that ended in a fault.
+    /// Consecutive enablings that ended in a fault.
     failures: u8,
 }
 
 impl Master {
-    /// An axis that is to be without power.
+    /// A master of an axis whose goal is to be without power.
     #[must_use]
     pub const fn new(patience: Patience) -> Self {
         Self {
@@ -213,13 +213,13 @@ impl Master {
             tries: 0,
             seen: None,
             mode_since: None,
-            obstacle: None,
+            drive_fault: None,
             last: None,
             failures: 0,
         }
     }
 
-    /// Says where the axis is wanted from now on.
+    /// Sets the goal of the axis.
     pub fn set_goal(&mut self, goal: Goal) {
         if goal != self.goal {
             self.goal = goal;
@@ -230,7 +230,7 @@ impl Master {
         }
     }
 
-    /// How far the axis may be brought for the time being; its goal stays as it is. A quick stop knows no ceiling.
+    /// Limits the state of the axis for the time being; the goal is unchanged. A quick stop is not limited.
     pub fn set_ceiling(&mut self, ceiling: Goal) {
         if ceiling != self.ceiling {
             self.ceiling = ceiling;
@@ -238,7 +238,7 @@ impl Master {
         }
     }
 
-    /// Where it is wanted, as far as it may.
+    /// The goal, limited by the ceiling.
     fn allowed(&self) -> Goal {
         let rank = |goal| match goal {
             Goal::SwitchOnDisabled => 0,
@@ -253,19 +253,19 @@ impl Master {
         }
     }
 
-    /// Where it is wanted.
+    /// The goal.
     #[must_use]
     pub const fn goal(&self) -> Goal {
         self.goal
     }
 
-    /// Which mode of operation is wanted.
+    /// The commanded mode of operation.
     #[must_use]
     pub const fn mode(&self) -> i8 {
         self.mode
     }
 
-    /// Says which mode of operation is wanted (6060h).
+    /// Sets the mode of operation (6060h).
     pub fn set_mode(&mut self, mode: i8) {
         if mode != self.mode {
             self.mode = mode;
@@ -273,20 +273,20 @@ impl Master {
         }
     }
 
-    /// Asks for a fault to be reset; what the drive does after that, the goal says.
+    /// Requests a fault reset; afterwards the drive is brought to the goal.
     pub const fn reset_fault(&mut self) {
         self.reset = Reset::Low(2);
         self.tries = 0;
     }
 
-    /// Why the axis is not where it is wanted; `None` while it is, or is on its way in time.
+    /// Why the axis has not reached its goal; `None` while it has, or is on schedule.
     #[must_use]
-    pub const fn obstacle(&self) -> Option<Obstacle> {
-        self.obstacle
+    pub const fn drive_fault(&self) -> Option<DriveFault> {
+        self.drive_fault
     }
 
     /// One cycle at time `now` of any clock that does not go back.
-    pub fn step(&mut self, feedback: &Feedback, now: Duration) -> Orders {
+    pub fn step(&mut self, feedback: &Feedback, now: Duration) -> DriveCommand {
         let (control, follows) = match self.state(feedback.status) {
             Ok(state) => {
                 self.note(state, now);
@@ -300,11 +300,11 @@ impl Master {
                 )
             }
             Err(error) => {
-                self.obstacle = Some(Obstacle::Undefined(error));
+                self.drive_fault = Some(DriveFault::Undefined(error));
                 (ControlWord::DISABLE_VOLTAGE, false)
             }
         };
-        Orders {
+        DriveCommand {
             control,
             mode: self.mode,
             follows,
@@ -312,10 +312,10 @@ impl Master {
         }
     }
 
-    /// The state that a statusword shows, by the drive's own way of showing it.
+    /// The state that a statusword shows, with the quirks of the drive.
     ///
     /// # Errors
-    /// If it shows none.
+    /// If it shows no state.
     pub fn state(&self, status: StatusWord) -> Result<State, DecodeError> {
         if self.patience.sod_as_0020 && status.raw() & 0x6F == 0x20 {
             return Ok(State::SwitchOnDisabled);
@@ -323,7 +323,7 @@ impl Master {
         status.state()
     }
 
-    /// Cyclic modes tell by bit 12 whether the target is used.
+    /// Cyclic modes show by bit 12 whether the target is used.
     fn is_followed(&self, status: StatusWord) -> bool {
         let cyclic = (8..=11).contains(&self.mode);
         !cyclic || self.patience.no_follow_bit || status.raw() & 0x1000 != 0
@@ -344,8 +344,8 @@ impl Master {
         }
     }
 
-    /// A fault on the way to Operation enabled, or soon behind it, is an enabling that failed. A fault that somebody
-    /// else reset counts no more.
+    /// A fault before Operation enabled, or soon after it, is a failed enabling. A fault that was reset by others does
+    /// not count.
     fn count_failure(&mut self, before: State, state: State, well: bool) {
         let in_fault = |state| matches!(state, State::Fault | State::FaultReactionActive);
         let on_its_way = matches!(before, State::ReadyToSwitchOn | State::SwitchedOn)
@@ -357,7 +357,7 @@ impl Master {
         }
     }
 
-    /// Whether a fault may be reset once more.
+    /// Whether a fault may be reset again.
     const fn may_reset(&self) -> bool {
         self.failures < self.patience.enablings
     }
@@ -376,15 +376,15 @@ impl Master {
         let since = *self.mode_since.get_or_insert(now);
         let late = now.saturating_sub(since) > self.patience.mode;
         let wrong = shown != self.mode && allowed == Goal::OperationEnabled;
-        let mode = (wrong && late).then_some(Obstacle::Mode {
+        let mode = (wrong && late).then_some(DriveFault::Mode {
             wanted: self.mode,
             shown,
         });
-        // With the wrong mode the drive comes up to Switched on and waits there.
+        // With the wrong mode the drive goes up to Switched on and waits there.
         let enables = state == State::SwitchedOn && wrong && mode_first;
         let goal = if enables { Goal::SwitchedOn } else { allowed };
         let control = next_control_word(state, goal);
-        self.obstacle = mode.or_else(|| self.judge(state, feedback.status, control, now));
+        self.drive_fault = mode.or_else(|| self.judge(state, feedback.status, control, now));
         control
     }
 
@@ -394,7 +394,7 @@ impl Master {
         status: StatusWord,
         sent: ControlWord,
         now: Duration,
-    ) -> Option<Obstacle> {
+    ) -> Option<DriveFault> {
         let since = self.seen.map_or(now, |(_, since)| since);
         let waited = now.saturating_sub(since);
         let slow = matches!(state, State::ReadyToSwitchOn | State::SwitchedOn);
@@ -406,22 +406,22 @@ impl Master {
         let late = waited > patience;
         if self.allowed().is_reached(state) {
             let ignored = self.goal == Goal::OperationEnabled && !self.is_followed(status);
-            return (ignored && late).then_some(Obstacle::NotFollowing);
+            return (ignored && late).then_some(DriveFault::NotFollowing);
         }
         if state == State::FaultReactionActive {
-            return Some(Obstacle::Fault);
+            return Some(DriveFault::Fault);
         }
         if !late {
             return None;
         }
         Some(if state == State::QuickStopActive {
-            Obstacle::QuickStopHeld
+            DriveFault::QuickStopHeld
         } else if !status.remote() {
-            Obstacle::NotRemote
+            DriveFault::NotRemote
         } else if !status.voltage_enabled() && state != State::NotReadyToSwitchOn {
-            Obstacle::NoVoltage
+            DriveFault::NoVoltage
         } else {
-            Obstacle::Stuck {
+            DriveFault::Stuck {
                 state,
                 sent,
                 waited,
@@ -429,20 +429,20 @@ impl Master {
         })
     }
 
-    /// In Fault: bit 7 low unless a reset was asked for, then an edge.
+    /// In Fault: bit 7 low unless a reset was requested, then an edge.
     fn reset(&mut self) -> ControlWord {
         if !self.may_reset() {
             self.reset = Reset::Idle;
-            self.obstacle = Some(Obstacle::EnablingFails(self.failures));
+            self.drive_fault = Some(DriveFault::EnablingFails(self.failures));
             return ControlWord::DISABLE_VOLTAGE;
         }
-        self.obstacle = Some(if self.tries >= self.patience.resets {
-            Obstacle::ResetRefused(self.tries)
+        self.drive_fault = Some(if self.tries >= self.patience.resets {
+            DriveFault::ResetRefused(self.tries)
         } else {
-            Obstacle::Fault
+            DriveFault::Fault
         });
         match self.reset {
-            // What would be its edge does not get to the drive now.
+            // The edge would not reach the drive now.
             _ if self.ceiling == Goal::SwitchOnDisabled => ControlWord::DISABLE_VOLTAGE,
             Reset::Idle => ControlWord::DISABLE_VOLTAGE,
             Reset::Low(0) if self.tries >= self.patience.resets => {

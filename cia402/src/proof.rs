@@ -1,27 +1,27 @@
 //! Proof of the process data: before an axis gets power, what its PDOs carry is compared with SDO uploads of the same
 //! objects, in both directions. A drive may acknowledge a mapping and go on using another one; reading the mapping back
-//! shows nothing, and such a drive takes a byte of one object for that of another. It knows no bus: uploads are its
-//! owner's, and so are the PDOs.
+//! does not reveal this, and such a drive takes a byte of one object for that of another. This module knows no bus: its
+//! owner makes the uploads and exchanges the PDOs.
 //!
 //! ```text
 //!          1 power wanted        2 no power, by SDO         3 all equal           4 Ready to switch on, by PDO
 //! Quiet ------------------> Resting ---------------> Pattern ------------> Release ------------------> Proven
 //!   ^  zeros                  zeros       pattern      |        targets      |        and SDO, equal      |
 //!   |                                                  +--> Refused <--------+ 5 differs, five times      |
-//!   +------ 6 the device was away, from any state ----------------------------------------------------------+
+//!   +------ 6 device was offline, from any state ----------------------------------------------------------+
 //! ```
 //!
 //! 1 to 3 and 5: [`Proof::step`] and [`Proof::handle_upload`]; 4 in the latter; 6 [`Proof::restart`].
 //!
-//! Until the pattern goes out an unproven axis receives zeros: whatever byte its drive takes for 6040h, that is *disable
-//! voltage*. Why nothing moves by the pattern stands in `proof/pattern.rs`. After it the drive is brought to Ready to switch on,
-//! without power: that statusword changes by PDO and by SDO alike, and the pattern gives way to targets, so that process data
-//! that stand still or come late are seen.
+//! Until the pattern goes out an unproven axis receives zeros: whatever byte its drive takes for 6040h, that is
+//! *disable voltage*. `proof/pattern.rs` explains why the pattern cannot move anything. After the pattern the drive is
+//! brought to Ready to switch on, without power: its statusword changes by PDO and by SDO alike, and targets replace
+//! the pattern. This reveals process data that are frozen or late.
 //!
 //! What is received may change while it is read: 6064h of a shaft that is turned, bits of 6041h that toggle. The upload
-//! must lie among the PDOs from before it to three after it, with as much room beyond them as they differ among themselves.
-//! Bits that differ among these PDOs are not compared. A value is refused after five uploads that all differ, 10 ms apart: a
-//! drive that delays its process data by less than that is let through.
+//! must lie among the PDOs from before it to three after it, with a margin as wide as their own spread. Bits that
+//! differ among these PDOs are not compared. A value is refused after five uploads that all differ, 10 ms apart: a
+//! drive that delays its process data by less than that passes.
 
 mod objects;
 mod pattern;
@@ -39,15 +39,15 @@ pub use objects::{Object, Objects, Values};
 use pattern::pattern;
 use window::Window;
 
-/// Cycles with PDOs before outputs that do not change count as arrived.
+/// Cycles with PDOs after which unchanged outputs count as received by the drive.
 const SETTLE: u32 = 4;
-/// Cycles with PDOs after an upload of a received object that it may be as new as.
+/// Cycles with PDOs after an upload whose values the upload may already show.
 const AFTER: u32 = 3;
-/// Uploads that differ before the proof is refused.
+/// Differing uploads after which the proof fails.
 const ATTEMPTS: u32 = 5;
 /// Time between two uploads of the same object.
 const AGAIN: Duration = Duration::from_millis(10);
-/// Uploads without an answer before that is a fault, and the time after which the proof is tried again then.
+/// Unanswered uploads that make a fault, and the time after which the proof is then retried.
 const SILENT: u32 = 3;
 const RETRY: Duration = Duration::from_secs(5);
 
@@ -56,27 +56,27 @@ const RETRY: Duration = Duration::from_secs(5);
 pub enum ProofFault {
     /// The PDO carries another value than the object has.
     Differs {
-        /// Which.
+        /// The object.
         object: Object,
         /// Axis, 0 to 7.
         axis: u8,
-        /// By PDO: as sent, or as last received.
+        /// Value by PDO: as sent, or as last received.
         pdo: u32,
-        /// By SDO.
+        /// Value by SDO.
         sdo: u32,
     },
     /// The drive does not let the object be read.
     Unreadable {
-        /// Which.
+        /// The object.
         object: Object,
         /// Axis, 0 to 7.
         axis: u8,
-        /// Why.
+        /// Abort code.
         code: AbortCode,
     },
-    /// The drive does not answer an upload of it.
+    /// The drive does not answer an upload of the object.
     Silent {
-        /// Which.
+        /// The object.
         object: Object,
         /// Axis, 0 to 7.
         axis: u8,
@@ -124,7 +124,7 @@ impl fmt::Display for ProofFault {
             ),
             Self::Silent { object, axis } => write!(
                 f,
-                "{:04X}h by SDO: no answer; the process data are not proven\nhint: see whether another master or tool \
+                "{:04X}h by SDO: no answer; the process data are not proven\nhint: check whether another master or tool \
                  keeps its mailbox or SDO server busy",
                 index(object, axis)
             ),
@@ -143,9 +143,9 @@ impl fmt::Display for ProofFault {
 pub enum Denied {
     /// The drive refused.
     Abort(AbortCode),
-    /// No answer came.
+    /// No answer was received.
     Silent,
-    /// It could not be asked: there was no place in the queue.
+    /// The request could not be queued: the queue is full.
     Busy,
 }
 
@@ -154,15 +154,15 @@ pub enum Denied {
 pub struct Exchanged {
     /// Received by PDO.
     pub received: Values,
-    /// Sent by PDO, as last.
+    /// Last values sent by PDO.
     pub sent: Values,
-    /// `received` came since the last cycle.
+    /// `received` is new since the last cycle.
     pub fresh: bool,
-    /// What 6041h by PDO shows.
+    /// State that 6041h shows by PDO.
     pub state: Option<State>,
-    /// Power is wanted, and the device would take it: it is in OP or Operational.
+    /// Power is wanted and the device can accept it: it is in OP or Operational.
     pub wanted: bool,
-    /// 6060h as it will be.
+    /// 6060h that will be commanded.
     pub mode: i8,
 }
 
@@ -181,12 +181,12 @@ enum Stage {
 enum Upload {
     /// None is due before then.
     Idle(Duration),
-    /// It is to be asked for.
+    /// To be requested.
     Due,
-    /// It was asked for.
-    Asked,
-    /// It brought this; so many fresh PDOs are still waited for.
-    Brought(u32, u32),
+    /// Requested.
+    Sent,
+    /// The uploaded value, and how many fresh PDOs are still awaited.
+    Received(u32, u32),
 }
 
 /// The proof of the process data of one axis.
@@ -196,10 +196,10 @@ pub struct Proof {
     carried: Objects,
     not_mirrored: Objects,
     stage: Stage,
-    /// The object under way, counted in the order of the stage.
+    /// Index of the current object in the order of the stage.
     at: usize,
     upload: Upload,
-    /// Uploads of it that differed, and that had no answer.
+    /// Uploads of the current object that differed, and uploads without an answer.
     differed: u32,
     silent: u32,
     /// Fresh PDOs since the stage began.
@@ -209,18 +209,18 @@ pub struct Proof {
     seed: u32,
     /// When the stage began.
     since: Duration,
-    /// From when power was wanted to the end of the proof.
+    /// Time from the request for power to the end of the proof.
     began: Duration,
     took: Option<Duration>,
     fault: Option<ProofFault>,
 }
 
-/// Objects that are compared once the pattern has given way to targets.
+/// Objects that are compared once targets have replaced the pattern.
 const RELEASE: [Object; 2] = [Object::STATUS, Object::TARGET];
 
 impl Proof {
-    /// The proof for an axis (0 to 7) whose PDOs carry these objects, of which some do not show by SDO what PDOs
-    /// carry: they are not compared, on the word of whoever configured them.
+    /// The proof for an axis (0 to 7) whose PDOs carry these objects. `not_mirrored` are those of which SDO does not
+    /// show what PDOs carry: they are not compared, on the authority of the configuration.
     #[must_use]
     pub fn new(axis: u8, carried: Objects, not_mirrored: Objects) -> Self {
         Self {
@@ -243,34 +243,33 @@ impl Proof {
         }
     }
 
-    /// The device was away, or may be another one: it is proven again before it gets power. An upload that is under way
-    /// is forgotten.
+    /// The device was offline, or was exchanged: it is proven again before it gets power. A pending upload is dropped.
     pub fn restart(&mut self) {
         let fresh = Self::new(self.axis, self.carried, self.not_mirrored);
-        // Another pattern than the last.
+        // A pattern that differs from the last.
         let seed = self.seed.wrapping_mul(0x9E37_79B9).wrapping_add(1);
         *self = Self { seed, ..fresh };
     }
 
-    /// Whether it may get power.
+    /// Whether the axis may get power.
     #[must_use]
     pub const fn is_proven(&self) -> bool {
         matches!(self.stage, Stage::Proven)
     }
 
-    /// Whether it is under way.
+    /// Whether the proof is running.
     #[must_use]
     pub const fn is_running(&self) -> bool {
         matches!(self.stage, Stage::Resting | Stage::Pattern | Stage::Release)
     }
 
-    /// Why it is not proven; `None` while that is not known.
+    /// Why the proof failed; `None` while it has not.
     #[must_use]
     pub const fn fault(&self) -> Option<ProofFault> {
         self.fault
     }
 
-    /// How long the proof took, once it is proven.
+    /// How long the proof took, once it is complete.
     #[must_use]
     pub const fn took(&self) -> Option<Duration> {
         self.took
@@ -282,7 +281,7 @@ impl Proof {
         self.carried.common(self.not_mirrored)
     }
 
-    /// How far the axis may be brought.
+    /// Highest state that the axis may reach.
     #[must_use]
     pub const fn ceiling(&self) -> Goal {
         match self.stage {
@@ -294,7 +293,7 @@ impl Proof {
         }
     }
 
-    /// What is sent instead of controlword and targets; `None` if those are.
+    /// Values to send instead of controlword and targets; `None` to send those.
     #[must_use]
     pub const fn instead(&self) -> Option<&Values> {
         match self.stage {
@@ -334,12 +333,12 @@ impl Proof {
                     self.enter(Stage::Resting, now);
                 }
             }
-            // Once begun it goes on: what it sends gives no power, and frames that are late for a while prove nothing.
+            // A started proof continues: what it sends gives no power, and a few late frames prove nothing.
             Stage::Resting | Stage::Pattern | Stage::Release => self.compare(exchanged, now),
         }
     }
 
-    /// The object under way.
+    /// The current object.
     fn object(&self) -> Option<Object> {
         let mirrored = |object: &Object| {
             self.carried.contains(*object) && !self.not_mirrored.contains(*object)
@@ -363,7 +362,7 @@ impl Proof {
             exchanged.received.get(object)
         };
         let asking = !matches!(self.upload, Upload::Idle(_));
-        // Of targets all that was sent since the pattern counts: which of them a drive has is its own business.
+        // Any target sent since the pattern is accepted: which of them the drive currently holds is not known.
         if exchanged.fresh && (asking || object.is_sent()) {
             self.window.take(object, pdo);
         }
@@ -375,11 +374,11 @@ impl Proof {
                 }
                 self.upload = Upload::Due;
             }
-            Upload::Brought(sdo, 0) => self.judge(object, sdo, exchanged, now),
-            Upload::Brought(sdo, left) if exchanged.fresh => {
-                self.upload = Upload::Brought(sdo, left - 1);
+            Upload::Received(sdo, 0) => self.judge(object, sdo, exchanged, now),
+            Upload::Received(sdo, left) if exchanged.fresh => {
+                self.upload = Upload::Received(sdo, left - 1);
             }
-            Upload::Idle(_) | Upload::Due | Upload::Asked | Upload::Brought(..) => {}
+            Upload::Idle(_) | Upload::Due | Upload::Sent | Upload::Received(..) => {}
         }
     }
 
@@ -392,14 +391,14 @@ impl Proof {
             self.window.holds(object, sdo)
         };
         if resting && !good && state.ok() == exchanged.state {
-            // It still stops, and says so both ways.
+            // The drive is still stopping, and reports that by PDO and by SDO.
             self.upload = Upload::Idle(now + AGAIN);
             return;
         }
         if good {
             let status = self.stage == Stage::Release && object == Object::STATUS;
             if status && exchanged.state != Some(State::ReadyToSwitchOn) {
-                // The drive has not come yet, and says so by PDO and by SDO. Its master tells why.
+                // The drive is not there yet, and reports that by PDO and by SDO. Its master reports why.
                 self.upload = Upload::Idle(now + AGAIN);
                 (self.differed, self.silent) = (0, 0);
                 return;
@@ -461,19 +460,19 @@ impl Proof {
             return None;
         }
         let object = self.object()?;
-        self.upload = Upload::Asked;
+        self.upload = Upload::Sent;
         Some(object.address(self.axis))
     }
 
-    /// Whether an object waits to be uploaded.
+    /// Whether an upload is due.
     #[must_use]
     pub fn has_upload(&self) -> bool {
         self.upload == Upload::Due
     }
 
-    /// What an upload brought.
+    /// Handles the result of an upload.
     pub fn handle_upload(&mut self, answer: Result<&[u8], Denied>, now: Duration) {
-        let Some(object) = self.object().filter(|_| self.upload == Upload::Asked) else {
+        let Some(object) = self.object().filter(|_| self.upload == Upload::Sent) else {
             return;
         };
         let axis = self.axis;
@@ -485,7 +484,7 @@ impl Proof {
                     .take(object.bytes())
                     .for_each(|(to, from)| *to = *from);
                 let after = if object.is_sent() { 0 } else { AFTER };
-                self.upload = Upload::Brought(u32::from_le_bytes(raw), after);
+                self.upload = Upload::Received(u32::from_le_bytes(raw), after);
             }
             Err(Denied::Abort(code)) => {
                 self.refuse(ProofFault::Unreadable { object, axis, code }, now);
@@ -502,7 +501,8 @@ impl Proof {
     }
 }
 
-/// Whether a drive has no power and is not on its way to it. A word of no state, as old stacks show it, is no power either.
+/// Whether a drive has no power and is not about to get it. A statusword without a state, as old stacks show it, counts
+/// as no power.
 const fn is_unpowered(state: Result<State, DecodeError>) -> bool {
     match state {
         Ok(State::NotReadyToSwitchOn | State::SwitchOnDisabled | State::Fault) | Err(_) => true,

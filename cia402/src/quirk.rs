@@ -1,18 +1,18 @@
-//! Quirks of drives that a master can be told of, by name: cells and tools set them with the same words. What each
-//! changes is the master's; emulated drives have quirks of their own.
+//! Named drive quirks for the master: cells and tools configure them with the same names. What each one changes is up
+//! to the master; emulated drives have their own set of quirks.
 
 use std::str::FromStr;
 
 use crate::Patience;
 
-/// Something that a drive does not do as CiA 402 wants it.
+/// A deviation of a drive from CiA 402.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Quirk {
     /// Bit 12 of 6041h stays low although a cyclic mode follows its target.
     NoFollowBit,
     /// 6041h is 0020h in Switch on disabled, as an old sample stack shows it.
     SodAs0020,
-    /// 6061h shows the mode that 6060h wants only in Operation enabled.
+    /// 6061h shows the mode commanded by 6060h only in Operation enabled.
     ModeAfterEnable,
 }
 
@@ -31,7 +31,7 @@ impl Quirk {
     }
 }
 
-/// A name that no quirk has.
+/// An unknown quirk name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "there is no quirk `{0}`; quirks are no_follow_bit (bit 12 of 6041h stays low in cyclic modes), sod_as_0020 (6041h is \
@@ -49,7 +49,7 @@ impl FromStr for Quirk {
 }
 
 impl Patience {
-    /// The same for a drive that has these quirks too.
+    /// These settings plus those for the given quirks.
     #[must_use]
     pub fn with_quirks(mut self, quirks: &[Quirk]) -> Self {
         for quirk in quirks {

@@ -1,15 +1,15 @@
-//! Whether an enabled motor goes where its target is: a monitor of its own, whatever the drive's 6065h says. A drive that
-//! takes its targets for something else runs at full speed and reports no error. It ends no power itself.
+//! Checks whether an enabled motor follows its target, independently of the drive's 6065h. A drive that misinterprets
+//! its targets runs at full speed and reports no error. The monitor does not remove power itself.
 
 use std::fmt;
 use std::time::Duration;
 
 /// Positions over which speed is measured.
 const SAMPLES: usize = 8;
-/// Increments by which a position may be wrong.
+/// Tolerated error of a position, increments.
 const NOISE: f64 = 16.0;
 
-/// How far and how fast a motor may be away from its target.
+/// Largest distance from the target and largest speed of a motor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RunawayLimits {
     /// Largest distance of 6064h from the target, increments.
@@ -18,10 +18,10 @@ pub struct RunawayLimits {
     pub speed: f64,
 }
 
-/// What a motor did that it was not told.
+/// An uncommanded motion of a motor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Runaway {
-    /// It is too far from its target.
+    /// The motor is too far from its target.
     Following {
         /// Target, increments.
         target: i32,
@@ -30,7 +30,7 @@ pub enum Runaway {
         /// Largest distance, increments.
         limit: f64,
     },
-    /// It is faster than it can be commanded.
+    /// The motor is faster than any command allows.
     Speed {
         /// By 6064h, increments/s.
         speed: f64,
@@ -48,12 +48,12 @@ impl fmt::Display for Runaway {
                 limit,
             } => write!(
                 f,
-                "6064h is {actual}, its target {target}: more than the {limit:.0} increments that it may lag; its power was \
+                "6064h is {actual}, its target {target}: more than the {limit:.0} increments of allowed lag; its power was \
                  taken\nhint: check brake, load, limits and mapping of the drive, then power-cycle it"
             ),
             Self::Speed { speed, limit } => write!(
                 f,
-                "6064h moves by {speed:.0} increments/s, {limit:.0} are the most that it can be commanded; its power was \
+                "6064h moves by {speed:.0} increments/s, more than the largest commanded {limit:.0}; its power was \
                  taken\nhint: check encoder, increments_per_turn and mapping of the drive, then power-cycle it"
             ),
         }
@@ -85,8 +85,7 @@ impl Monitor {
         self.limits
     }
 
-    /// One cycle of a motor that has power, or `None` for its target if it has none: where it was told to be, and where
-    /// it is.
+    /// One cycle: `target` and actual position of a motor; `None` as target while it has no power.
     pub fn step(&mut self, target: Option<i32>, actual: i32, now: Duration) -> Option<Runaway> {
         let Some(target) = target else {
             self.count = 0;
@@ -112,10 +111,10 @@ impl Monitor {
     fn speed(&self, actual: i32, now: Duration) -> Option<Runaway> {
         let (at, from) = *self.samples.last().filter(|_| self.count == SAMPLES)?;
         let time = now.saturating_sub(at).as_secs_f64();
-        let way = f64::from(actual.wrapping_sub(from)).abs();
+        let moved = f64::from(actual.wrapping_sub(from)).abs();
         let limit = self.limits.speed;
-        (way > limit * time + NOISE).then(|| Runaway::Speed {
-            speed: way / time.max(1e-9),
+        (moved > limit * time + NOISE).then(|| Runaway::Speed {
+            speed: moved / time.max(1e-9),
             limit,
         })
     }
@@ -134,17 +133,17 @@ mod tests {
         })
     }
 
-    /// Runs until it strikes; where and when.
-    fn run(mut way: impl FnMut(u32) -> (i32, i32)) -> Option<(u32, Runaway)> {
+    /// Runs until the monitor trips; returns the cycle and the cause.
+    fn run(mut moved: impl FnMut(u32) -> (i32, i32)) -> Option<(u32, Runaway)> {
         let mut monitor = monitor();
         (1..2000).find_map(|n| {
-            let (target, actual) = way(n);
+            let (target, actual) = moved(n);
             Some((n, monitor.step(Some(target), actual, n * MS)?))
         })
     }
 
     #[test]
-    fn motor_that_follows_is_left_alone() {
+    fn motor_that_follows_trips_no_monitor() {
         let lagging = |n: u32| {
             let target = n.cast_signed() * 90;
             (target, (target - 450).max(0) + n.cast_signed() % 7)
@@ -153,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn motor_that_runs_at_full_speed_is_seen_within_eight_cycles() {
+    fn motor_at_full_speed_is_detected_within_eight_cycles() {
         // 2.5 million increments in a second.
         let (n, runaway) = run(|n| (9992, 9999 + 90 * n.cast_signed())).unwrap();
         assert!(n <= 12, "{n} {runaway}");
@@ -165,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn motor_that_stands_under_a_moving_target_is_seen() {
+    fn motor_at_rest_under_moving_target_is_detected() {
         let (_, runaway) = run(|n| (n.cast_signed() * 50, 0)).unwrap();
         let text = runaway.to_string();
         assert!(
@@ -175,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn monitor_forgets_while_there_is_no_target() {
+    fn monitor_without_target_resets() {
         let mut monitor = monitor();
         for n in 1..200 {
             // Fast, but never eight cycles in a row with power.

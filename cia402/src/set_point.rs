@@ -1,31 +1,32 @@
-//! The master's side of profile position: how a set-point is handed over (CiA 402-2, clause on profile position). Where
-//! the motor is on its way, the statusword tells; when the next one is to come, the caller knows.
+//! The master's side of profile position: the hand-shake of set-points (CiA 402-2, clause on profile position). The
+//! statusword shows the progress of the motion; the caller decides when the next set-point is due.
 
 use std::fmt;
 use std::time::Duration;
 
 use crate::StatusWord;
 
-/// Bit 4 of the controlword: its rise hands a set-point over.
+/// Bit 4 of the controlword, new set-point: its rising edge hands a set-point over.
 const NEW: u16 = 1 << 4;
-/// Bit 5: it replaces the one that is under way.
+/// Bit 5, change immediately: the set-point replaces the current one.
 const AT_ONCE: u16 = 1 << 5;
-/// Bit 6: it counts from where 60F2h says.
+/// Bit 6, relative: the target is relative to the position that 60F2h selects.
 const RELATIVE: u16 = 1 << 6;
-/// Bit 9: the one before is passed without a stop.
+/// Bit 9, change on set-point: the previous target is passed without a stop.
 const PASS: u16 = 1 << 9;
-/// Bit 12 of the statusword: it is taken; low again, there is room for the next.
+/// Bit 12 of the statusword, set-point acknowledge: high once the set-point is accepted, low when the drive can accept
+/// the next.
 const TAKEN: u16 = 1 << 12;
 
-/// When a set-point becomes the one that is moved to.
+/// When a set-point becomes the current target.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Change {
-    /// When the one before is reached, and the motor stands (set of set-points).
+    /// Once the previous target is reached and the motor has stopped (set of set-points).
     #[default]
     AfterStop,
-    /// When the one before is reached, without a stop there (change on set-point).
+    /// Once the previous target is reached, without a stop (change on set-point).
     InPassing,
-    /// Now (change immediately); what waits is given up.
+    /// Now (change immediately); waiting set-points are dropped.
     AtOnce,
 }
 
@@ -34,9 +35,9 @@ pub enum Change {
 pub struct SetPoint {
     /// 607Ah, user units.
     pub target: i32,
-    /// Whether it is a way rather than a place.
+    /// Whether the target is a distance rather than a position.
     pub relative: bool,
-    /// When it counts.
+    /// When it becomes active.
     pub change: Change,
 }
 
@@ -52,7 +53,7 @@ impl SetPoint {
     }
 }
 
-/// Why a set-point was not taken.
+/// Why a set-point was not accepted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SetPointError {
     /// Bit 12 did not rise.
@@ -66,11 +67,11 @@ impl fmt::Display for SetPointError {
         match self {
             Self::NotTaken(after) => write!(
                 f,
-                "the drive did not take a set-point within {after:?} (bit 12 of 6041h stays low); is halt (bit 8) low, \
+                "the drive did not accept a set-point within {after:?} (bit 12 of 6041h stays low); is halt (bit 8) low, \
                  607Ah within 607Dh, and do 6040h and 607Ah come with the same PDO?"
             ),
             Self::Interrupted => f.write_str(
-                "the drive left Operation enabled or profile position before it took a set-point; set-points that \
+                "the drive left Operation enabled or profile position before it accepted a set-point; set-points that \
                  waited in it are lost",
             ),
         }
@@ -82,11 +83,11 @@ impl std::error::Error for SetPointError {}
 /// What to send in a cycle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Offer {
-    /// 607Ah; `None` while there is nothing to say.
+    /// 607Ah; `None` to leave it unchanged.
     pub target: Option<i32>,
     /// Bits 4, 5, 6 and 9 of 6040h.
     pub bits: u16,
-    /// How the last set-point ended; told once.
+    /// How the last set-point ended; reported once.
     pub outcome: Option<Result<(), SetPointError>>,
 }
 
@@ -103,9 +104,9 @@ impl Offer {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
     Idle,
-    /// The drive has one that waits: there is no room.
+    /// The drive holds a waiting set-point and accepts no other.
     Full(SetPoint),
-    /// Bit 4 is high since then.
+    /// Bit 4 is high since this time.
     Offered(SetPoint, Duration),
 }
 
@@ -113,21 +114,21 @@ enum Phase {
 ///
 /// ```text
 ///       offer            bit 12 low                 bit 12 high
-/// Idle -------> Full ------------------> Offered ---------------> Idle (taken)
+/// Idle -------> Full ------------------> Offered ---------------> Idle (accepted)
 ///                 \--- not ready, or no answer in time ---------> Idle (error)
 /// ```
-/// Bit 4 is low for a cycle between two of them: the drive needs the edge. A set-point to be moved to at once does not wait
-/// for room; as bit 12 is high already, nothing shows that it was taken, and it is taken for granted.
+/// Bit 4 is low for a cycle between two set-points: the drive needs the edge. An immediate set-point does not wait
+/// until the drive can accept another; as bit 12 is high already, its acceptance is not visible and is assumed.
 #[derive(Clone, Copy, Debug)]
 pub struct HandShake {
     phase: Phase,
-    /// Bit 4 of the last cycle.
+    /// Bit 4 in the last cycle.
     high: bool,
     timeout: Duration,
 }
 
 impl HandShake {
-    /// Nothing is offered; a drive may take so long to take a set-point for which it has room.
+    /// An idle hand-shake; `timeout` is how long a drive may take to accept a set-point.
     #[must_use]
     pub const fn new(timeout: Duration) -> Self {
         Self {
@@ -143,7 +144,7 @@ impl HandShake {
         self.phase == Phase::Idle
     }
 
-    /// Offers a set-point; one that was not yet taken is replaced.
+    /// Offers a set-point; it replaces one that was not yet accepted.
     pub const fn offer(&mut self, set_point: SetPoint) {
         self.phase = Phase::Full(set_point);
     }
@@ -157,7 +158,7 @@ impl HandShake {
             Phase::Full(_) | Phase::Offered(..) if !ready => {
                 self.end(Err(SetPointError::Interrupted))
             }
-            // A full drive cannot show that it has taken one more. One to be moved to at once it takes all the same.
+            // A drive with a waiting set-point cannot acknowledge another, but accepts an immediate one.
             Phase::Full(set_point) if taken && set_point.change == Change::AtOnce && !was_high => {
                 self.high = true;
                 self.end(Ok(())).with(set_point)
@@ -165,18 +166,18 @@ impl HandShake {
             Phase::Full(_) if was_high || taken => Offer::default(),
             Phase::Full(set_point) => {
                 self.phase = Phase::Offered(set_point, now);
-                self.say(set_point)
+                self.present(set_point)
             }
             Phase::Offered(..) if taken => self.end(Ok(())),
             Phase::Offered(_, since) if now.saturating_sub(since) > self.timeout => {
                 let after = now.saturating_sub(since);
                 self.end(Err(SetPointError::NotTaken(after)))
             }
-            Phase::Offered(set_point, _) => self.say(set_point),
+            Phase::Offered(set_point, _) => self.present(set_point),
         }
     }
 
-    fn say(&mut self, set_point: SetPoint) -> Offer {
+    fn present(&mut self, set_point: SetPoint) -> Offer {
         self.high = true;
         Offer::default().with(set_point)
     }

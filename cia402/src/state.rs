@@ -1,5 +1,4 @@
-//! The eight states and how a statusword shows them. What leads from one to another is in
-//! [`crate::transition()`]'s table, not here.
+//! The eight states and how a statusword shows them. The transitions are in the table of [`crate::transition()`].
 
 use std::fmt;
 
@@ -8,21 +7,21 @@ use crate::{DecodeError, StatusWord};
 /// A state of the drive (the power drive system of IEC 61800-7-201).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum State {
-    /// Starting: self test, no command is obeyed.
+    /// Initialization and self test; commands are ignored.
     NotReadyToSwitchOn,
-    /// Ready for parameters, power may not be switched on.
+    /// Parameters may be set; power may not be switched on.
     SwitchOnDisabled,
     /// Power may be switched on.
     ReadyToSwitchOn,
-    /// Power is on, the motor gets none.
+    /// Power is on; the motor gets no current.
     SwitchedOn,
     /// The motor follows its set-points.
     OperationEnabled,
-    /// Stopping by 605Ah, or standing after it.
+    /// Stopping as 605Ah says, or stopped.
     QuickStopActive,
-    /// A fault was found and is being answered by 605Eh.
+    /// A fault was detected; the drive stops as 605Eh says.
     FaultReactionActive,
-    /// A fault was answered; only a fault reset leads out.
+    /// The fault reaction is complete; only a fault reset leads out.
     Fault,
 }
 
@@ -51,7 +50,7 @@ impl State {
         Self::Fault,
     ];
 
-    /// The bits a drive shows in this state; those the state leaves open are low.
+    /// The statusword bits of this state; bits that the state does not define are low.
     #[must_use]
     pub fn status_bits(self) -> u16 {
         SHOWN
@@ -117,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn words_drives_really_show() {
+    fn recorded_statuswords_show_their_states() {
         for (raw, state) in [
             (0x0200, State::NotReadyToSwitchOn),
             (0x0250, State::SwitchOnDisabled),
@@ -169,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn undefined_word_says_what_to_check() {
+    fn undefined_statusword_error_names_the_mapping() {
         let text = StatusWord::new(0x0001).state().unwrap_err().to_string();
         assert!(
             text.starts_with("statusword 0x0001 ready-to-switch-on shows no state"),

@@ -1,11 +1,11 @@
-//! Transitions 0 to 16 of the profile as data, and which of them a controlword causes: the drive's
-//! side of the state machine. What a drive does on the way (ramps, brakes) is not here.
+//! Transitions 0 to 16 of the profile as data, and which of them a controlword causes: the drive's side of the state
+//! machine. What a drive does during a transition (ramps, brakes) is not here.
 
 use std::fmt;
 
 use crate::{ControlWord, State};
 
-/// What a controlword asks for.
+/// The command in a controlword.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Command {
     /// `cw & 0x87 == 0x06`
@@ -18,33 +18,33 @@ pub enum Command {
     DisableVoltage,
     /// `cw & 0x86 == 0x02`
     QuickStop,
-    /// Rising edge of bit 7; while the bit stays high the word asks for nothing.
+    /// Rising edge of bit 7; while the bit stays high the word commands nothing.
     FaultReset,
 }
 
-/// What makes a transition happen.
+/// The cause of a transition.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Trigger {
     /// Power came on, or the application was reset.
     Start,
-    /// What the state was for is done: the self test, the quick stop, the fault reaction.
+    /// The activity of the state is complete: the self test, the quick stop, the fault reaction.
     Done,
-    /// The drive found a fault.
+    /// The drive detected a fault.
     Fault,
-    /// The master asked.
+    /// The master commanded it.
     Command(Command),
 }
 
-/// One numbered arrow of the profile's diagram.
+/// A numbered transition of the profile's state diagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Transition {
     /// 0 to 16, as in the profile.
     pub number: u8,
-    /// Where it may start; none for the one that begins everything.
+    /// Its source states; none for the initial transition.
     pub from: &'static [State],
-    /// Where it ends.
+    /// Its target state.
     pub to: State,
-    /// Any of these.
+    /// Its triggers: any of these.
     pub triggers: &'static [Trigger],
 }
 
@@ -69,8 +69,8 @@ const fn arrow(
     }
 }
 
-/// By number. Transition 12 by itself needs a 605Ah of 0 to 4, transition 16 one of 5 to 8, and
-/// many drives have no 16.
+/// All transitions by number. An automatic transition 12 needs a 605Ah of 0 to 4, transition 16 one of 5 to 8; many
+/// drives do not support 16.
 pub const TRANSITIONS: [Transition; 17] = {
     use State::{
         Fault, FaultReactionActive, NotReadyToSwitchOn, OperationEnabled, QuickStopActive,
@@ -135,8 +135,7 @@ pub const TRANSITIONS: [Transition; 17] = {
 };
 
 impl ControlWord {
-    /// What the word asks for, given the one before it (for the edge of bit 7). `None` while bit 7
-    /// stays high.
+    /// The command in the word, given the previous word (for the edge of bit 7). `None` while bit 7 stays high.
     #[must_use]
     pub const fn command(self, previous: Self) -> Option<Command> {
         if self.fault_reset() {
@@ -147,7 +146,7 @@ impl ControlWord {
             };
         }
         let raw = self.raw();
-        // The safer bit decides first: voltage, then quick stop, then the way up.
+        // The safer bit has priority: voltage, then quick stop, then the commands upwards.
         Some(if raw & 0x02 == 0 {
             Command::DisableVoltage
         } else if raw & 0x04 == 0 {
@@ -212,7 +211,7 @@ mod tests {
     ];
 
     #[test]
-    fn every_command_in_every_state() {
+    fn commands_in_every_state() {
         for (state, row) in State::ALL.into_iter().zip(CELLS) {
             for (word, number) in COMMANDS.into_iter().zip(row) {
                 let command = word.command(ControlWord::DISABLE_VOLTAGE).unwrap();
@@ -223,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_drive_does_by_itself_in_every_state() {
+    fn automatic_transitions_in_every_state() {
         let by_itself = [1, 0, 0, 0, 0, 12, 14, 0];
         let on_fault = [13, 13, 13, 13, 13, 13, 0, 0];
         for (index, state) in State::ALL.into_iter().enumerate() {
@@ -266,7 +265,7 @@ mod tests {
     }
 
     #[test]
-    fn fault_reset_held_high_asks_for_nothing() {
+    fn fault_reset_held_high_commands_nothing() {
         assert_eq!(
             ControlWord::FAULT_RESET.command(ControlWord::FAULT_RESET),
             None

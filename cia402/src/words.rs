@@ -3,12 +3,12 @@
 
 use std::fmt;
 
-/// What a master asks of a drive, object 6040h.
+/// The controlword, object 6040h: the command of the master.
 #[doc(alias = "6040h")]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct ControlWord(u16);
 
-/// What a drive says of itself, object 6041h.
+/// The statusword, object 6041h: the status of the drive.
 #[doc(alias = "6041h")]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct StatusWord(u16);
@@ -56,7 +56,7 @@ const STATUS_BITS: [&str; 16] = [
 impl ControlWord {
     /// Power off at once; the motor is free unless a brake holds it.
     pub const DISABLE_VOLTAGE: Self = Self(0x0000);
-    /// Stop by the quick stop option code (605Ah). The bit is low when the stop is asked for.
+    /// Stop by the quick stop option code (605Ah). The bit is active low.
     pub const QUICK_STOP: Self = Self(0x0002);
     /// To Ready to switch on.
     pub const SHUTDOWN: Self = Self(0x0006);
@@ -67,7 +67,7 @@ impl ControlWord {
     /// Acts by its rising edge only: the word before must have had bit 7 low.
     pub const FAULT_RESET: Self = Self(0x0080);
 
-    /// Any 16 bits are a controlword.
+    /// From the raw value; any 16 bits are a controlword.
     #[must_use]
     pub const fn new(raw: u16) -> Self {
         Self(raw)
@@ -85,7 +85,7 @@ impl ControlWord {
         self.0 & 0x0080 != 0
     }
 
-    /// True if bit 8 asks the drive to stop and stay enabled (605Dh says how).
+    /// True if bit 8 commands the drive to stop and stay enabled (605Dh selects how).
     #[must_use]
     pub const fn halt(self) -> bool {
         self.0 & 0x0100 != 0
@@ -93,7 +93,7 @@ impl ControlWord {
 }
 
 impl StatusWord {
-    /// Any 16 bits can be received; see [`StatusWord::state`] for those that mean a state.
+    /// From the raw value; any 16 bits can be received. [`StatusWord::state`] decodes those that show a state.
     #[must_use]
     pub const fn new(raw: u16) -> Self {
         Self(raw)
@@ -117,19 +117,19 @@ impl StatusWord {
         self.0 & 0x0080 != 0
     }
 
-    /// True if the drive obeys the controlword (bit 9).
+    /// True if the drive accepts the controlword (bit 9).
     #[must_use]
     pub const fn remote(self) -> bool {
         self.0 & 0x0200 != 0
     }
 
-    /// True if the target is reached, or, while halted, the drive stands (bit 10).
+    /// True if the target is reached or, during halt, the drive has stopped (bit 10).
     #[must_use]
     pub const fn target_reached(self) -> bool {
         self.0 & 0x0400 != 0
     }
 
-    /// True if the drive limits what was asked (bit 11).
+    /// True if the drive limits the commanded value (bit 11).
     #[must_use]
     pub const fn internal_limit(self) -> bool {
         self.0 & 0x0800 != 0
@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn each_getter_looks_at_its_bit_alone() {
+    fn getters_read_their_bit_only() {
         let check = |getter: fn(StatusWord) -> bool, bit: u16| {
             assert!(getter(StatusWord::new(1 << bit)), "bit {bit}");
             assert!(!getter(StatusWord::new(!(1 << bit))), "bit {bit}");

@@ -1,12 +1,13 @@
-//! A cycle kept over minutes on a veth pair: how late it woke up, how many of its answers came after the next cycle
-//! began, how many working counters were other than expected. Axes of two drives follow a slow sine meanwhile, and the
-//! emulated segment answers on the other end. It asks for no priority: run it by `chrt` and `taskset`.
+//! A cycle kept over minutes on a veth pair: how late it woke up, how many of its answers arrived after the next cycle
+//! started, how many working counters were unexpected. Axes of two drives follow a slow sine meanwhile, and the
+//! emulated segment answers on the other end. It sets no priority: run it with `chrt` and `taskset`.
 //!
-//! What the host does is told apart: on either processor a bare thread wakes up once a cycle, in its middle, and does
-//! nothing else. Of what came late it is counted how often one of them was late at that time too; of working counters,
-//! at that time or within 50 cycles before, as slaves are set up anew after some frames are lost in a row. Where there
-//! is cyclictest, it runs before and after on the same processor with the same period, half of the time each. As takt
-//! and cyclictest do, this keeps processors out of deep sleep; with `sleepy` it does not, to show what that is worth.
+//! The influence of the host is separated: on either processor a bare thread wakes up once per cycle, in its middle,
+//! and does nothing else. For late cycles the example counts how often one of these threads was late at that time too;
+//! for working counters, at that time or within 50 cycles before, as slaves are reconfigured after several consecutive
+//! lost frames. Where there is cyclictest, it runs before and after on the same processor with the same period, half of
+//! the time each. As takt and cyclictest do, this keeps processors out of deep sleep; with `sleepy` it does not, to
+//! show the effect.
 //!
 //! ```console
 //! # cargo build --release -p takt-ethercat --example cycle
@@ -36,7 +37,7 @@ use nix::unistd::Pid;
 use takt_cia402::emulator::DriveConfig;
 use takt_cia402::{Goal, Patience};
 use takt_ethercat::axis::{self, Axis, AxisState, Target};
-use takt_ethercat::config::{MasterConfig, Place, SlaveSpec};
+use takt_ethercat::config::{Location, MasterConfig, SlaveSpec};
 use takt_ethercat::emulator::{Coupler, Segment, Server, ServoConfig, ServoDrive, SharedSegment};
 use takt_ethercat::link::Port;
 use takt_ethercat::linux::{PacketLink, monotonic};
@@ -46,32 +47,32 @@ const ENDS: [&str; 2] = ["tkcy-master", "tkcy-slaves"];
 
 /// Priority of cyclictest, as this is to be run.
 const PRIORITY: u8 = 80;
-/// Cycles from one time that an axis is asked to go on to the next.
+/// Cycles between two fault reset requests of an axis.
 const ASK_EACH: u64 = 100;
 /// Events that are printed.
 const EVENTS: usize = 32;
-/// Cycles after a stall within which slaves that were taken for gone are in OP again.
+/// Cycles after a stall within which lost slaves return to OP.
 const AFTERMATH: u32 = 50;
 
-/// A coupler and drives of up to eight axes each, and what a master is to make of them.
-fn stand(axes: u8, cycle: Duration) -> Result<(Segment, MasterConfig), Box<dyn Error>> {
+/// A coupler and drives of up to eight axes each, and the master's configuration.
+fn fixture(axes: u8, cycle: Duration) -> Result<(Segment, MasterConfig), Box<dyn Error>> {
     let mut slaves = vec![Coupler::slave()];
-    let mut specs = vec![SlaveSpec::new("coupler", Place::Position(0))];
+    let mut specs = vec![SlaveSpec::new("coupler", Location::Position(0))];
     let mut left = axes;
     while left > 0 {
         let count = left.min(8);
         left -= count;
         let mut axis = DriveConfig::default();
-        // Hosts that stall are counted, not punished.
+        // Stalls of the host are counted, not penalised.
         axis.quirks.missing_set_points = None;
         let (slave, _) = ServoDrive::slave(ServoConfig::with_axes(vec![axis; count.into()]))?;
         let (outputs, inputs) = axis::pdos(count);
-        let place = Place::Position(u16::try_from(slaves.len())?);
+        let index = Location::Position(u16::try_from(slaves.len())?);
         specs.push(SlaveSpec {
             outputs: Some(outputs),
             inputs: Some(inputs),
             watchdog: Some(Duration::from_secs(1)),
-            ..SlaveSpec::new(format!("drive {}", slaves.len()), place)
+            ..SlaveSpec::new(format!("drive {}", slaves.len()), index)
         });
         slaves.push(slave);
     }
@@ -83,21 +84,21 @@ fn stand(axes: u8, cycle: Duration) -> Result<(Segment, MasterConfig), Box<dyn E
     Ok((Segment::line(slaves), config))
 }
 
-/// What came of the cycles.
+/// Results of the cycles.
 #[derive(Debug, Default)]
 struct Figures {
     late: Vec<Duration>,
     trips: Vec<Duration>,
-    /// When the cycles began whose answers were not there when the next was to begin.
+    /// Start times of cycles whose answers arrived after the next cycle was due.
     missed: Vec<Duration>,
-    /// When those were to begin that were left out.
+    /// Due times of skipped cycles.
     skipped: Vec<Duration>,
-    /// When working counters were other than expected.
+    /// Times of unexpected working counters.
     miscounted: Vec<Duration>,
 }
 
 impl Figures {
-    fn with_room(cycles: usize) -> Self {
+    fn with_capacity(cycles: usize) -> Self {
         let room = || Vec::with_capacity(cycles + 16);
         Self {
             late: room(),
@@ -109,14 +110,14 @@ impl Figures {
     }
 }
 
-/// A bare thread that wakes up in the middle of each cycle, and what it saw.
-struct Witness {
+/// A bare thread that wakes up in the middle of each cycle, and its recorded wake-ups.
+struct Observer {
     stop: Arc<AtomicBool>,
     thread: JoinHandle<Vec<(Duration, Duration)>>,
 }
 
-impl Witness {
-    /// On a processor, `first` and every period after; more than `cycles` are not kept.
+impl Observer {
+    /// On a processor, `first` and every period after; at most `cycles` are recorded.
     fn start(cpu: usize, first: Duration, period: Duration, cycles: usize) -> Self {
         let stop = Arc::new(AtomicBool::new(false));
         let stopped = stop.clone();
@@ -137,14 +138,14 @@ impl Witness {
         Self { stop, thread }
     }
 
-    /// Each time that it was to wake up, and when it did.
+    /// Each due time and actual wake-up time.
     fn end(self) -> Vec<(Duration, Duration)> {
         self.stop.store(true, Ordering::Relaxed);
         self.thread.join().unwrap_or_default()
     }
 }
 
-/// Keeps the calling thread on a processor; where there is no such one it stays where it is.
+/// Keeps the calling thread on a processor; if it exists.
 fn stay_on(cpu: usize) {
     let mut set = CpuSet::new();
     let _placed = set
@@ -152,7 +153,7 @@ fn stay_on(cpu: usize) {
         .and_then(|()| sched_setaffinity(Pid::from_raw(0), &set));
 }
 
-/// How many of these cycles, or of so long before them, met a bare thread that was late.
+/// How many of these cycles, or of the time before them, coincide with a late bare thread.
 fn shared(
     cycles: &[Duration],
     stalls: &[(Duration, Duration)],
@@ -165,7 +166,7 @@ fn shared(
     cycles.iter().filter(met).count()
 }
 
-/// One cycle that was to begin at `due`.
+/// One cycle that is due at `due`.
 fn cycle(
     master: &mut Master,
     port: &mut Port<PacketLink>,
@@ -198,11 +199,11 @@ fn cycle(
 
 fn wait(due: Duration) {
     let flags = ClockNanosleepFlags::TIMER_ABSTIME;
-    // A signal that wakes it early is seen as a wake-up that is not late.
+    // An early wake-up by a signal counts as not late.
     let _woken = clock_nanosleep(ClockId::CLOCK_MONOTONIC, flags, &due.into());
 }
 
-/// An axis, and where and in which cycle it began to follow.
+/// An axis, and the position and cycle at which it started to follow.
 type Follower = (Axis, Option<(i32, u64)>);
 
 fn followers(master: &Master, axes: u8) -> Result<Vec<Follower>, Box<dyn Error>> {
@@ -217,7 +218,7 @@ fn followers(master: &Master, axes: u8) -> Result<Vec<Follower>, Box<dyn Error>>
     Ok(all)
 }
 
-/// One cycle of all axes; how many follow, how many ceased to, and one that does not.
+/// One cycle of all axes; returns how many follow, how many stopped following, and one that does not.
 fn lead(
     all: &mut [Follower],
     master: &mut Master,
@@ -227,7 +228,7 @@ fn lead(
     let period = master.config().cycle;
     let (mut following, mut losses, mut last) = (0, 0, None);
     while let Some(reply) = master.poll_reply() {
-        // Nobody else asks for anything here.
+        // No other requests are pending here.
         let mut axes = all.iter_mut();
         axes.try_fold(reply, |reply, (axis, _)| {
             axis.handle_reply(reply, due).err()
@@ -245,8 +246,8 @@ fn lead(
         }
         last = Some(state);
         losses += u64::from(start.take().is_some());
-        // What was gone does not move by itself, and a drive whose slave fell out of OP is in fault: here it is to
-        // go on all the same.
+        // A returning axis does not move by itself, and a drive whose slave left OP is in fault: here both are
+        // restarted automatically.
         if n.is_multiple_of(ASK_EACH) {
             axis.set_goal(Goal::OperationEnabled);
             axis.reset_fault();
@@ -255,14 +256,14 @@ fn lead(
     (following, losses, last)
 }
 
-/// A master on its way, and what it saw.
+/// A master on its way, and its recorded wake-ups.
 struct Run {
     master: Master,
     port: Port<PacketLink>,
     frame: [u8; 1500],
     all: Vec<Follower>,
     figures: Figures,
-    told: Vec<(u64, Event)>,
+    events: Vec<(u64, Event)>,
     /// How many follow, and one that does not.
     following: usize,
     last: Option<AxisState>,
@@ -270,7 +271,7 @@ struct Run {
 }
 
 impl Run {
-    /// With all axes asked to follow.
+    /// With all axes commanded to follow.
     fn start(axes: u8, config: MasterConfig, cycles: usize) -> Result<Self, Box<dyn Error>> {
         let link = PacketLink::open(ENDS[0])?;
         let mac = link.mac();
@@ -289,8 +290,8 @@ impl Run {
             port,
             frame,
             all,
-            figures: Figures::with_room(cycles),
-            told: Vec::with_capacity(EVENTS),
+            figures: Figures::with_capacity(cycles),
+            events: Vec::with_capacity(EVENTS),
             following: 0,
             last: None,
             losses: 0,
@@ -312,8 +313,8 @@ impl Run {
                 self.figures.miscounted.push(due);
             }
             while let Some(event) = self.master.poll_event() {
-                if self.told.len() < EVENTS {
-                    self.told.push((n, event));
+                if self.events.len() < EVENTS {
+                    self.events.push((n, event));
                 }
             }
             let (following, lost, not) = lead(&mut self.all, &mut self.master, n, due);
@@ -330,7 +331,7 @@ impl Run {
     }
 }
 
-/// What is asked for.
+/// Command line options.
 struct Options {
     axes: u8,
     period: Duration,
@@ -346,10 +347,10 @@ fn run(options: &Options, config: MasterConfig) -> Result<(), Box<dyn Error>> {
     let frames = run.master.frames();
     let before = run.misses();
     let first = monotonic()? + 2 * period;
-    let bare = |cpu| Witness::start(cpu, first + period / 2, period, 2 * count);
-    let witnesses = [bare(sched_getcpu()?), bare(options.cpu)];
+    let bare = |cpu| Observer::start(cpu, first + period / 2, period, 2 * count);
+    let observers = [bare(sched_getcpu()?), bare(options.cpu)];
     let done = run.cycles(first, count);
-    let seen = witnesses.map(Witness::end);
+    let seen = observers.map(Observer::end);
     done?;
     println!(
         "{} axes, {} following, {period:?}, {count} cycles, axes lost and taken again {}",
@@ -358,7 +359,7 @@ fn run(options: &Options, config: MasterConfig) -> Result<(), Box<dyn Error>> {
     if let Some(last) = run.last {
         println!("one that does not follow: {last}");
     }
-    for (n, event) in &run.told {
+    for (n, event) in &run.events {
         println!("cycle {n}: {event}");
     }
     report(&mut run.figures, &seen, period);
@@ -370,18 +371,18 @@ fn run(options: &Options, config: MasterConfig) -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// Times and counts, and what of them came with a bare thread that was late by a quarter of a period too.
+/// Times and counts, and how many coincide with a bare thread that was late by a quarter of a period.
 fn report(figures: &mut Figures, seen: &[Vec<(Duration, Duration)>; 2], period: Duration) {
-    tell("wake-up late", &mut figures.late);
+    print_times("wake-up late", &mut figures.late);
     for (seen, name) in seen.iter().zip(["bare there", "bare, segment"]) {
         let late = seen.iter().map(|(due, at)| at.saturating_sub(*due));
-        tell(name, &mut late.collect::<Vec<_>>());
+        print_times(name, &mut late.collect::<Vec<_>>());
     }
-    tell("round trip", &mut figures.trips);
+    print_times("round trip", &mut figures.trips);
     let late = |(due, at): &&(Duration, Duration)| at.saturating_sub(*due) >= period / 4;
     let stalls: Vec<_> = seen.iter().flatten().filter(late).copied().collect();
     let none = Duration::ZERO;
-    for (what, cycles, before) in [
+    for (label, cycles, before) in [
         ("answers after the cycle", &figures.missed, none),
         ("cycles left out", &figures.skipped, none),
         (
@@ -392,7 +393,7 @@ fn report(figures: &mut Figures, seen: &[Vec<(Duration, Duration)>; 2], period: 
     ] {
         let host = shared(cycles, &stalls, (before, period));
         println!(
-            "{what:23} {:6}, {host} of them with a bare thread late too",
+            "{label:23} {:6}, {host} of them with a bare thread late too",
             cycles.len()
         );
     }
@@ -406,12 +407,12 @@ fn sine(cycles: u64, period: Duration) -> i32 {
     increments
 }
 
-fn tell(name: &str, times: &mut [Duration]) {
+fn print_times(name: &str, times: &mut [Duration]) {
     times.sort_unstable();
-    let at = |share: usize| {
-        let place = times.len().saturating_sub(1) * share / 10_000;
+    let at = |quantile: usize| {
+        let index = times.len().saturating_sub(1) * quantile / 10_000;
         times
-            .get(place)
+            .get(index)
             .map_or(0.0, |time| time.as_secs_f64() * 1e6)
     };
     println!(
@@ -423,7 +424,7 @@ fn tell(name: &str, times: &mut [Duration]) {
     );
 }
 
-/// How late cyclictest wakes up, which inherits processor and priority; nothing where there is none.
+/// How late cyclictest wakes up, which inherits processor and priority; nothing if it is not installed.
 fn cyclictest(period: Duration, seconds: u64) {
     let arguments = format!(
         "--mlockall --quiet --histogram=20000 --policy=fifo --priority={PRIORITY} --interval={} --duration={}s",
@@ -446,13 +447,13 @@ fn cyclictest(period: Duration, seconds: u64) {
             late.extend(std::iter::repeat_n(Duration::from_micros(us), count));
         }
     }
-    // What the histogram does not hold is in this line.
+    // Values beyond the histogram are in this line.
     let most = text
         .lines()
         .find_map(|line| line.strip_prefix("# Max Latencies:"));
     let most = most.and_then(|text| text.trim().parse().ok());
     late.extend(most.map(Duration::from_micros));
-    tell("cyclictest", &mut late);
+    print_times("cyclictest", &mut late);
 }
 
 fn ip(arguments: &str) -> io::Result<()> {
@@ -465,7 +466,7 @@ fn ip(arguments: &str) -> io::Result<()> {
     ))
 }
 
-/// Interfaces, and a segment that answers at one of them until `during` is over.
+/// Interfaces, and a segment that answers at one of them until `during` returns.
 fn with_segment<T>(
     segment: Segment,
     cpu: usize,
@@ -512,7 +513,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     if let Err(error) = &awake {
         println!("processors may sleep deeply: /dev/cpu_dma_latency: {error}");
     }
-    let (segment, config) = stand(options.axes, options.period)?;
+    let (segment, config) = fixture(options.axes, options.period)?;
     with_segment(segment, options.cpu, || {
         cyclictest(options.period, options.seconds / 2);
         let done = run(&options, config);

@@ -39,7 +39,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let input = std::io::stdin();
     loop {
         server.turn(Duration::from_millis(10), &mut monotonic)?;
-        // What the master sets comes back to it.
+        // Outputs of the master are returned as inputs.
         io.set_inputs(&io.outputs());
         channels.set_inputs(&channels.outputs());
         let mut ended = [PollFd::new(input.as_fd(), PollFlags::POLLIN)];

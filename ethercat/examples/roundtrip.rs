@@ -1,8 +1,8 @@
-//! How long a cycle takes on a veth pair, from asking the master for its frame to having its answer taken: ours, a bare
-//! loop that sends the same frame by the same socket and waits for it, ethercrab, and SOEM by pysoem. Each master has a
-//! pair and an emulated segment of its own, of the same slaves in OP; short slices of each alternate, so that a busy
-//! host is busy for all. Segments answer on processor 0, masters ask on processor 1; ethercrab's thread for its socket
-//! may run on both. Processors are kept out of deep sleep, as takt does. Needs to be allowed to make interfaces and raw
+//! How long a cycle takes on a veth pair, from getting the master's frame to handling its answer: ours, a bare loop
+//! that sends the same frame by the same socket and waits for it, ethercrab, and SOEM by pysoem. Each master has a pair
+//! and an emulated segment of its own, of the same slaves in OP; short slices of each alternate, so that load on the
+//! host affects all. Segments answer on processor 0, masters run on processor 1; ethercrab's thread for its socket may
+//! run on both. Processors are kept out of deep sleep, as takt does. Needs to be allowed to make interfaces and raw
 //! sockets.
 //!
 //! ```console
@@ -11,8 +11,8 @@
 //! # TAKT_PYTHON=target/peers/bin/python chrt -f 60 target/release/examples/roundtrip [CYCLES] [SPIN_US]
 //! ```
 //!
-//! With `SPIN_US` ours and the bare loop ask so long for their answer before they sleep (`PacketLink::spinning`). SOEM's
-//! cycle is timed in Python around two calls into it, which costs some microseconds of it.
+//! With `SPIN_US` ours and the bare loop poll for this time before they sleep (`PacketLink::spinning`). SOEM's cycle is
+//! timed in Python around two calls into it, which adds some microseconds.
 #![expect(
     clippy::print_stdout,
     clippy::disallowed_methods,
@@ -47,7 +47,7 @@ use takt_ethercat::linux::{PacketLink, monotonic};
 use takt_ethercat::master::Master;
 
 const PATIENCE: Duration = Duration::from_millis(20);
-/// Cycles of a slice: all four slices are over before a watchdog of 100 ms is.
+/// Cycles of a slice: all four slices end before a watchdog of 100 ms expires.
 const SLICE: usize = 50;
 const SLAVES: usize = 8;
 const IMAGE: usize = 512;
@@ -76,7 +76,7 @@ fn segment() -> Anything<Segment> {
     ]))
 }
 
-/// Keeps the calling thread on processors; where there is no such one it stays where it is.
+/// Keeps the calling thread on processors; if they exist.
 fn stay_on(cpus: &[usize]) {
     let mut set = CpuSet::new();
     let all = cpus.iter().try_for_each(|cpu| set.set(*cpu));
@@ -117,7 +117,7 @@ impl Served {
     }
 }
 
-/// Our master, and the socket that the bare loop has too.
+/// Our master, and the socket that the bare loop shares.
 struct Ours {
     master: Master,
     port: Port<PacketLink>,
@@ -142,7 +142,7 @@ impl Ours {
         Ok(ours)
     }
 
-    /// One cycle of the master; how long it took, if its answer came.
+    /// One cycle of the master; its duration, if the answer was received.
     fn cycle(&mut self) -> io::Result<Option<Duration>> {
         let begin = monotonic()?;
         let Some(len) = self.master.poll_transmit(begin, &mut self.frame) else {
@@ -158,7 +158,7 @@ impl Ours {
         Ok(None)
     }
 
-    /// Sends the frame of the last cycle and waits for it; how long that took, if it came back.
+    /// Sends the frame of the last cycle and waits for it; its duration, if it returned.
     fn bare(&mut self) -> io::Result<Option<Duration>> {
         let begin = monotonic()?;
         self.port
@@ -207,7 +207,7 @@ impl Crab {
     }
 }
 
-/// SOEM in a Python of its own.
+/// SOEM in a separate Python process.
 struct Soem {
     child: Child,
     to: ChildStdin,
@@ -256,7 +256,7 @@ impl Soem {
     }
 }
 
-/// How long each took, of one kind of master.
+/// Durations of the cycles of one master.
 #[derive(Default)]
 struct Figures {
     name: &'static str,
@@ -269,14 +269,14 @@ impl Figures {
         Self { name, times }
     }
 
-    fn at(&self, share: usize) -> f64 {
-        let place = self.times.len() * share / 1000;
-        let time = self.times.get(place).copied().unwrap_or_default();
+    fn at(&self, quantile: usize) -> f64 {
+        let index = self.times.len() * quantile / 1000;
+        let time = self.times.get(index).copied().unwrap_or_default();
         time.as_secs_f64() * 1e6
     }
 
     /// Sorts them and prints them, with their ratios to others.
-    fn tell(&mut self, bare: Option<(f64, f64)>) -> (f64, f64) {
+    fn print_times(&mut self, bare: Option<(f64, f64)>) -> (f64, f64) {
         self.times.sort_unstable();
         let (half, most) = (self.at(500), self.at(990));
         let ratio = bare.map_or_else(String::new, |(p50, p99)| {
@@ -321,11 +321,11 @@ fn measure(cycles: usize, spin: Duration, served: &[Served]) -> Anything<()> {
             soem.slice(&mut third.times)?;
         }
     }
-    let reference = bare.tell(None);
-    own.tell(Some(reference));
-    other.tell(Some(reference));
+    let reference = bare.print_times(None);
+    own.print_times(Some(reference));
+    other.print_times(Some(reference));
     if let Some(soem) = soem {
-        third.tell(Some(reference));
+        third.print_times(Some(reference));
         soem.end()?;
     }
     println!("ours: {:?}", ours.master.frames());

@@ -1,6 +1,6 @@
-//! An axis of a CiA 402 drive over CoE (ETG.6010): where its objects lie in the process data, and one cycle of it:
-//! feedback in, targets out, through the profile's own master ([`takt_cia402::Master`]). Several axes in one slave lie
-//! 800h apart. It interpolates nothing: a target is sent as it is given, each cycle.
+//! An axis of a CiA 402 drive over CoE (ETG.6010): locates its objects in the process data and runs its cycle: feedback
+//! in, targets out, through the master of the profile ([`takt_cia402::Master`]). The objects of several axes in one
+//! slave are 800h apart. It does not interpolate: each cycle sends the given target.
 
 use std::fmt;
 use std::time::Duration;
@@ -8,18 +8,19 @@ use std::time::Duration;
 use takt_cia402::dictionary::{Address, Mapped};
 use takt_cia402::proof::{Objects, Proof, Values};
 use takt_cia402::{
-    ControlWord, Feedback, Goal, Master as Profile, Obstacle, Orders, Patience, State, StatusWord,
+    ControlWord, DriveCommand, DriveFault, Feedback, Goal, Master as Profile, Patience, State,
+    StatusWord,
 };
 
 use crate::config::{PdoSpec, StartupSdo};
 use crate::master::{Master, ProcessData, Reply};
-use places::Places;
+use layout::Layout;
 use prover::Prover;
 
-mod places;
+mod layout;
 mod prover;
 
-/// Modes of operation (6060h) that an axis is led in.
+/// Supported modes of operation (6060h).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mode {
     /// Cyclic synchronous position.
@@ -45,11 +46,10 @@ impl Mode {
     }
 }
 
-/// What an axis is to do in this cycle. Numbers are the drive's own units, in a mode that it is not in they are not
-/// sent.
+/// The command of an axis in this cycle. Values are in units of the drive; they are sent only in their mode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Target {
-    /// Stay where it is, in CSP.
+    /// Hold the position, in CSP.
     Hold,
     /// 607Ah in CSP.
     Position(i32),
@@ -57,7 +57,7 @@ pub enum Target {
     Velocity(i32),
     /// 6071h in CST, per mille of the rated torque.
     Torque(i16),
-    /// Find home, by the method in 6098h.
+    /// Home, by the method in 6098h.
     Home,
 }
 
@@ -72,33 +72,33 @@ impl Target {
     }
 }
 
-/// Where homing is (6041h, bits 10, 12 and 13).
+/// State of homing (6041h, bits 10, 12 and 13).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Homing {
-    /// It is not asked for.
+    /// Not requested.
     Idle,
-    /// Under way.
+    /// In progress.
     Running,
-    /// Home is found, the axis stands.
+    /// Home is found, the axis has stopped.
     Done,
-    /// The drive gave up.
+    /// The drive reports a homing error.
     Failed,
 }
 
-/// What is known of an axis.
+/// State of an axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct AxisState {
-    /// Its slave answers, and what follows is of this cycle or of the last few.
+    /// Its slave answers; the other fields are of this cycle or of the last few.
     pub online: bool,
     /// State of the drive; `None` if its statusword shows none.
     pub state: Option<State>,
     /// 6041h.
     pub status: StatusWord,
-    /// 6040h as it is sent for it, without the bits of the mode.
+    /// 6040h as sent, without the mode-specific bits.
     pub control: ControlWord,
-    /// Why it is not where it is wanted.
-    pub obstacle: Option<Obstacle>,
-    /// It follows its target.
+    /// Why it has not reached its goal.
+    pub drive_fault: Option<DriveFault>,
+    /// Whether it follows its target.
     pub follows: bool,
     /// 6064h.
     pub position: i32,
@@ -108,11 +108,11 @@ pub struct AxisState {
     pub torque: Option<i16>,
     /// 603Fh; `None` if it is not mapped.
     pub error_code: Option<u16>,
-    /// Where homing is.
+    /// State of homing.
     pub homing: Homing,
 }
 
-/// An object of an axis that must be mapped and is not.
+/// A required object of an axis is not mapped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{address} is not in the PDOs; map it, or give the slave the PDOs of `axis::pdos`")]
 pub struct NotMapped {
@@ -129,44 +129,45 @@ fn short(value: u32) -> u16 {
     u16::from_le_bytes([a, b])
 }
 
-/// Cycles without inputs after which an axis counts as gone.
-const GONE: u32 = 4;
-/// Bit 4 of 6040h: in homing, begin.
+/// Cycles without inputs after which an axis counts as offline.
+const OFFLINE_AFTER: u32 = 4;
+/// Bit 4 of 6040h: start of homing.
 const HOMING_START: u16 = 0x0010;
 
 /// An axis.
 #[derive(Debug)]
 pub struct Axis {
     slave: usize,
-    places: Places,
+    layout: Layout,
     profile: Profile,
     prover: Prover,
     target: Target,
-    /// Where it is held while it is enabled and has no position to go to. The actual position of every cycle would give
-    /// way to any load.
+    /// Position to hold while it is enabled without a target position. The actual position of each cycle would yield to
+    /// any load.
     held: Option<i32>,
-    /// What was sent last.
+    /// The values that were last sent.
     sent: Values,
-    /// Homing was begun by bit 4 so many cycles ago.
+    /// Number of cycles since homing was started by bit 4.
     begun: Option<u32>,
     online: bool,
 }
 
 impl Axis {
-    /// An axis (0 to 7) of a slave whose process data is known; without power until [`Self::set_goal`], and until its
-    /// process data are proven. The owner of the master gives replies to [`Self::handle_reply`], or no axis gets power.
+    /// An axis (0 to 7) of a slave whose process data is known; without power until [`Self::set_goal`] and until its
+    /// process data are proven. The owner of the master must pass replies to [`Self::handle_reply`]; otherwise no axis
+    /// gets power.
     pub fn new(
         slave: usize,
         process: &ProcessData,
         axis: u8,
         patience: Patience,
     ) -> Result<Self, NotMapped> {
-        let places = Places::find(process, axis)?;
+        let layout = Layout::find(process, axis)?;
         Ok(Self {
             slave,
-            places,
+            layout,
             profile: Profile::new(patience),
-            prover: Prover::new(slave, axis, places.carried(), Objects::default()),
+            prover: Prover::new(slave, axis, layout.carried(), Objects::default()),
             target: Target::Hold,
             held: None,
             sent: Values::default(),
@@ -175,17 +176,17 @@ impl Axis {
         })
     }
 
-    /// The same, of a drive whose SDO server does not show these objects as its PDOs carry them: they are taken on trust.
+    /// The same, for a drive whose SDO server does not mirror these objects of its PDOs: they are not proven.
     #[must_use]
     pub fn not_mirrored(self, objects: Objects) -> Self {
-        let (carried, number) = (self.places.carried(), self.prover.axis());
+        let (carried, number) = (self.layout.carried(), self.prover.axis());
         Self {
             prover: Prover::new(self.slave, number, carried, objects),
             ..self
         }
     }
 
-    /// The slave that it is in.
+    /// Its slave.
     #[must_use]
     pub const fn slave(&self) -> usize {
         self.slave
@@ -197,41 +198,41 @@ impl Axis {
         self.prover.proof()
     }
 
-    /// Takes the reply to an upload of its own; gives back what is another's.
+    /// Handles the reply to one of its uploads; returns other replies.
     ///
     /// # Errors
-    /// A reply that is not to this axis.
+    /// A reply to another job.
     pub fn handle_reply(&mut self, reply: Reply, now: Duration) -> Result<(), Reply> {
         self.prover.handle_reply(reply, now)
     }
 
-    /// Where it is wanted. An axis that was gone is wanted without power from then on: what comes back does not move
-    /// by itself.
+    /// Sets the goal. The goal of an axis that was offline is reset to no power: a returning axis does not move by
+    /// itself.
     pub fn set_goal(&mut self, goal: Goal) {
         self.profile.set_goal(goal);
     }
 
-    /// Asks for a fault to be reset.
+    /// Requests a fault reset.
     pub const fn reset_fault(&mut self) {
         self.profile.reset_fault();
     }
 
-    /// One cycle: inputs of the last frame in, outputs of the next out.
+    /// One cycle: reads the inputs of the last frame and writes the outputs of the next.
     pub fn cycle(&mut self, master: &mut Master, target: Target, now: Duration) -> AxisState {
         let (inputs, age) = master.inputs(self.slave);
-        let received = self.places.read(inputs);
-        let mapped = |index| self.places.has(index).then(|| received.at(index));
+        let received = self.layout.read(inputs);
+        let mapped = |index| self.layout.has(index).then(|| received.at(index));
         let feedback = Feedback {
             status: StatusWord::new(short(received.at(0x6041))),
             mode: mapped(0x6061).map(|raw| raw.to_le_bytes()[0].cast_signed()),
             position: signed(received.at(0x6064)),
         };
         let mut state = AxisState {
-            online: age <= GONE,
+            online: age <= OFFLINE_AFTER,
             state: feedback.status.state().ok(),
             status: feedback.status,
             control: ControlWord::DISABLE_VOLTAGE,
-            obstacle: None,
+            drive_fault: None,
             follows: false,
             position: feedback.position,
             velocity: mapped(0x606C).map(signed),
@@ -245,24 +246,24 @@ impl Axis {
         self.online = state.online;
         self.prover
             .cycle(master, &mut self.profile, &received, &self.sent, age, now);
-        let orders = self.lead(&feedback, target, now);
-        (state.follows, state.control) = (orders.follows, orders.control);
-        let refused = self.prover.proof().fault().map(Obstacle::NotProven);
-        let obstacle = refused.or_else(|| self.profile.obstacle());
-        state.obstacle = obstacle.filter(|_| state.online);
-        state.homing = self.homing(&feedback, &orders);
-        self.hold(&orders, state.state);
-        self.sent = self.outputs(&orders);
+        let drive_command = self.lead(&feedback, target, now);
+        (state.follows, state.control) = (drive_command.follows, drive_command.control);
+        let refused = self.prover.proof().fault().map(DriveFault::NotProven);
+        let drive_fault = refused.or_else(|| self.profile.drive_fault());
+        state.drive_fault = drive_fault.filter(|_| state.online);
+        state.homing = self.homing(&feedback, &drive_command);
+        self.hold(&drive_command, state.state);
+        self.sent = self.outputs(&drive_command);
         if let Some(instead) = self.prover.proof().instead() {
             self.sent = *instead;
             state.control = ControlWord::new(short(instead.at(0x6040)));
         }
-        self.places
+        self.layout
             .write(master.outputs_mut(self.slave), &self.sent);
         state
     }
 
-    fn lead(&mut self, feedback: &Feedback, target: Target, now: Duration) -> Orders {
+    fn lead(&mut self, feedback: &Feedback, target: Target, now: Duration) -> DriveCommand {
         if target.mode() != self.target.mode() {
             self.begun = None;
         }
@@ -271,12 +272,12 @@ impl Axis {
         self.profile.step(feedback, now)
     }
 
-    /// The first target that an enabled drive has is where it is.
-    fn hold(&mut self, orders: &Orders, state: Option<State>) {
+    /// The first target of an enabled drive is its actual position.
+    fn hold(&mut self, drive_command: &DriveCommand, state: Option<State>) {
         let enabled = state == Some(State::OperationEnabled);
         self.held = match self.target {
-            Target::Position(position) if enabled && orders.follows => Some(position),
-            Target::Position(_) | Target::Hold if enabled => self.held.or(Some(orders.hold)),
+            Target::Position(position) if enabled && drive_command.follows => Some(position),
+            Target::Position(_) | Target::Hold if enabled => self.held.or(Some(drive_command.hold)),
             Target::Position(_)
             | Target::Hold
             | Target::Velocity(_)
@@ -285,9 +286,9 @@ impl Axis {
         };
     }
 
-    /// Homing begins by the edge of bit 4 once the drive is enabled in that mode.
-    fn homing(&mut self, feedback: &Feedback, orders: &Orders) -> Homing {
-        if self.target != Target::Home || !orders.follows {
+    /// Homing starts with the edge of bit 4 once the drive is enabled in homing mode.
+    fn homing(&mut self, feedback: &Feedback, drive_command: &DriveCommand) -> Homing {
+        if self.target != Target::Home || !drive_command.follows {
             self.begun = None;
             return Homing::Idle;
         }
@@ -295,7 +296,7 @@ impl Axis {
         self.begun = Some(cycles);
         let bit = |n: u16| feedback.status.raw() >> n & 1 != 0;
         match (bit(10), bit(12), bit(13)) {
-            // What the bits show before the drive has seen the edge is of the time before.
+            // Before the drive has seen the edge, the bits show the previous run.
             _ if cycles < 8 => Homing::Running,
             (_, _, true) => Homing::Failed,
             (true, true, false) => Homing::Done,
@@ -303,25 +304,25 @@ impl Axis {
         }
     }
 
-    fn outputs(&self, orders: &Orders) -> Values {
-        // Low for two cycles first, so that there is an edge.
+    fn outputs(&self, drive_command: &DriveCommand) -> Values {
+        // Low for two cycles first, to make an edge.
         let begins = self.begun.is_some_and(|cycles| cycles >= 2);
-        let word = orders.control.raw() | if begins { HOMING_START } else { 0 };
-        let position = self.held.unwrap_or(orders.hold);
+        let word = drive_command.control.raw() | if begins { HOMING_START } else { 0 };
+        let position = self.held.unwrap_or(drive_command.hold);
         let (mut velocity, mut torque) = (0, 0);
         if let Target::Velocity(wanted) = self.target
-            && orders.follows
+            && drive_command.follows
         {
             velocity = wanted;
         }
         if let Target::Torque(wanted) = self.target
-            && orders.follows
+            && drive_command.follows
         {
             torque = wanted;
         }
         let mut values = Values::default();
         values.put(0x6040, word.into());
-        values.put(0x6060, orders.mode.cast_unsigned().into());
+        values.put(0x6060, drive_command.mode.cast_unsigned().into());
         values.put(0x607A, position.cast_unsigned());
         values.put(0x60FF, velocity.cast_unsigned());
         values.put(0x6071, torque.cast_unsigned().into());
@@ -330,20 +331,20 @@ impl Axis {
 }
 
 impl fmt::Display for AxisState {
-    /// `Operation enabled, position 4096`, and what is in the way.
+    /// `Operation enabled, position 4096`, and the fault, if any.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match (self.online, self.state) {
             (false, _) => f.write_str("offline")?,
             (true, Some(state)) => write!(f, "{state}, position {}", self.position)?,
             (true, None) => write!(f, "statusword {} shows no state", self.status)?,
         }
-        self.obstacle
-            .map_or(Ok(()), |obstacle| write!(f, ": {obstacle}"))
+        self.drive_fault
+            .map_or(Ok(()), |drive_fault| write!(f, ": {drive_fault}"))
     }
 }
 
-/// PDOs that carry what [`Axis`] uses of so many axes (1 to 8) in one slave: one RxPDO and one TxPDO for each, 10h apart
-/// as ETG.6010 has them.
+/// PDOs with the objects that [`Axis`] uses, for `axes` axes (1 to 8) in one slave: one RxPDO and one TxPDO for each,
+/// 10h apart as ETG.6010 has them.
 #[must_use]
 pub fn pdos(axes: u8) -> (Vec<PdoSpec>, Vec<PdoSpec>) {
     let one = |first: u16, axis: u8, objects: &[(u16, u8)]| PdoSpec {
@@ -382,8 +383,8 @@ pub fn pdos(axes: u8) -> (Vec<PdoSpec>, Vec<PdoSpec>) {
     (all(0x1600, &outputs), all(0x1A00, &inputs))
 }
 
-/// Start-up objects of an axis for cyclic modes: the interpolation time (60C2h) of a cycle, in its largest unit.
-/// Drives that have no 60C2h take the cycle from SYNC0, so a refusal is no fault.
+/// Start-up objects of an axis for cyclic modes: the interpolation time (60C2h) of a cycle, in its largest unit. Drives
+/// without 60C2h take the cycle from SYNC0, so that a refusal is not a fault.
 #[must_use]
 pub fn interpolation(axis: u8, cycle: Duration) -> Vec<StartupSdo> {
     let mut value = cycle.as_micros();
@@ -408,8 +409,8 @@ pub fn interpolation(axis: u8, cycle: Duration) -> Vec<StartupSdo> {
         .collect()
 }
 
-/// Start-up objects of an axis for homing: method (6098h), speeds towards the switch and away from it (6099h), in the
-/// drive's units.
+/// Start-up objects of an axis for homing: method (6098h), speeds towards the switch and away from it (6099h), in units
+/// of the drive.
 #[must_use]
 pub fn homing(axis: u8, method: i8, speeds: (u32, u32)) -> Vec<StartupSdo> {
     let write = |index, sub, data: &[u8]| {

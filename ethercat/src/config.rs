@@ -1,4 +1,4 @@
-//! What a master expects on its segment and what it is to set up there. Plain values: no file is read here.
+//! Configuration of a master: expected slaves and their set-up. Plain values: no file is read here.
 
 use std::fmt;
 use std::time::Duration;
@@ -8,22 +8,22 @@ use takt_cia402::dictionary::{Address, Mapped};
 use crate::AlState;
 use crate::coe::Whole;
 
-/// Longest process image of one frame, bytes: what an Ethernet frame holds beside the frame header, the clock's
+/// Longest process image of one frame, bytes: the capacity of an Ethernet frame beside the frame header, the clock's
 /// datagram (20 bytes), the census (14 bytes), one datagram of 152 bytes for a mailbox, and the image's own headers.
 pub const IMAGE_MAX: usize = 1500 - 2 - 20 - 14 - 152 - 4 * 12;
-/// Most slaves of a segment that this master takes; ETG.1000.4 allows 65,535.
+/// Maximum number of slaves of a segment; ETG.1000.4 allows 65,535.
 pub const SLAVES_MAX: usize = 512;
 
-/// What a master is to do.
+/// Configuration of a master.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct MasterConfig {
     /// Period of the cyclic frame.
     pub cycle: Duration,
-    /// After this long a frame counts as lost while no cycle says so (start-up).
+    /// Frame timeout during start-up, when no cycle limits it.
     pub frame_timeout: Duration,
-    /// The slaves that are expected; empty takes what is there, with its own process data.
+    /// The expected slaves; empty accepts any slaves with their own process data.
     pub slaves: Vec<SlaveSpec>,
-    /// How far to bring the segment: PRE-OP, SAFE-OP or OP.
+    /// Goal of the segment: PRE-OP, SAFE-OP or OP.
     pub goal: AlState,
     /// A second port at the end of the line.
     pub redundant: bool,
@@ -31,12 +31,12 @@ pub struct MasterConfig {
     pub acyclic: u8,
     /// Distributed clocks.
     pub clocks: ClockConfig,
-    /// Longest wait for a state, beyond what [`Patience`] says of each.
+    /// Longest wait for a state, beyond the individual timeouts of [`Patience`].
     pub patience: Patience,
 }
 
 impl Default for MasterConfig {
-    /// 1 ms, one port, whatever is there, to OP.
+    /// 1 ms, one port, any slaves, to OP.
     fn default() -> Self {
         Self {
             cycle: Duration::from_millis(1),
@@ -51,20 +51,20 @@ impl Default for MasterConfig {
     }
 }
 
-/// How long slaves are waited for.
+/// Timeouts of slaves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Patience {
     /// From AL control to PRE-OP.
     pub pre_op: Duration,
     /// From AL control to SAFE-OP or OP.
     pub op: Duration,
-    /// For an answer in a mailbox.
+    /// Mailbox answer.
     pub mailbox: Duration,
-    /// For an answer to [`RawMailbox`](crate::master::JobKind::RawMailbox), whose sender repeats what was lost.
+    /// Answer to [`RawMailbox`](crate::master::JobKind::RawMailbox), whose sender repeats lost requests.
     pub raw: Duration,
-    /// For the SII.
+    /// SII access.
     pub sii: Duration,
-    /// Before a failed slave is tried again; doubled each time, up to 32 times as long.
+    /// Retry delay of a failed slave; doubled each time, up to 32 times as long.
     pub again: Duration,
 }
 
@@ -81,16 +81,16 @@ impl Default for Patience {
     }
 }
 
-/// How clocks are brought together (ETG.1000.4, clause 9.1.3).
+/// Synchronisation of clocks (ETG.1000.4, clause 9.1.3).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ClockConfig {
     /// System time at the master's time zero, ns since 2000-01-01.
     pub epoch_ns: u64,
     /// Largest difference to the reference clock (092Ch) at which a clock counts as locked, ns.
     pub window_ns: u32,
-    /// How long a slave's clock is waited for before SYNC0 is begun.
+    /// Lock timeout of a slave's clock before SYNC0 is started.
     pub lock: Duration,
-    /// What becomes of a slave whose clock does not lock in time.
+    /// Handling of a slave whose clock does not lock in time.
     pub unlocked: Unlocked,
     /// From setting SYNC0 up to its first pulse.
     pub lead: Duration,
@@ -108,18 +108,18 @@ impl Default for ClockConfig {
     }
 }
 
-/// What becomes of a slave whose clock does not lock.
+/// Handling of a slave whose clock does not lock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Unlocked {
     /// It is not brought beyond PRE-OP.
     Refuse,
-    /// It is started all the same; its difference is told.
+    /// It is started nevertheless; its difference is reported.
     Start,
 }
 
-/// Where an expected slave is.
+/// Location of an expected slave.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Place {
+pub enum Location {
     /// In the ring, counted from 0 among the slaves that are not optional.
     Position(u16),
     /// By its station alias (SII word 4).
@@ -128,7 +128,7 @@ pub enum Place {
     Name(String),
 }
 
-impl fmt::Display for Place {
+impl fmt::Display for Location {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Position(position) => write!(f, "position {position}"),
@@ -141,21 +141,21 @@ impl fmt::Display for Place {
 /// A slave that is expected.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SlaveSpec {
-    /// What the cell calls it.
+    /// Its name in the cell.
     pub name: String,
-    /// Where it is.
-    pub place: Place,
+    /// Its location.
+    pub location: Location,
     /// Vendor as in object 1018h:01; `None` takes any.
     pub vendor: Option<u32>,
     /// Product code as in object 1018h:02; `None` takes any.
     pub product: Option<u32>,
     /// Revision as in object 1018h:03; `None` takes any.
     pub revision: Option<u32>,
-    /// It may be missing at start, and come and go (hot connect). Placed by alias or name.
+    /// It may be missing at start, and be connected or removed at any time (hot connect). Located by alias or name.
     pub optional: bool,
     /// Slaves of one group share a datagram and its working counter, 0 to 7.
     pub group: u8,
-    /// How far to bring it: PRE-OP, SAFE-OP or OP, but not farther than the segment.
+    /// Its goal: PRE-OP, SAFE-OP or OP, but not farther than the segment.
     pub goal: AlState,
     /// PDOs that it is to receive; `None` leaves what the slave has assigned.
     pub outputs: Option<Vec<PdoSpec>>,
@@ -163,23 +163,23 @@ pub struct SlaveSpec {
     pub inputs: Option<Vec<PdoSpec>>,
     /// Objects written in PRE-OP, in order, before PDOs are assigned.
     pub startup: Vec<StartupSdo>,
-    /// Its SYNC signals; `None` for a slave that runs free or by frames.
+    /// Its SYNC signals; `None` for free run or synchronisation by frames.
     pub sync: Option<SyncSpec>,
     /// Process data watchdog; `None` leaves it at 100 ms, zero switches it off. Up to 6.5 s, in steps of 100 us.
     pub watchdog: Option<Duration>,
-    /// Allows complete access where the SII says that the slave has it.
+    /// Allows complete access where the SII announces it.
     pub complete_access: bool,
-    /// How long this slave is waited for; `None` as all others are.
+    /// Timeouts of this slave; `None` for the defaults.
     pub patience: Option<Patience>,
 }
 
 impl SlaveSpec {
-    /// A slave at a place, of any make, to be brought to OP as it is.
+    /// A slave at a location, of any vendor, brought to OP with its defaults.
     #[must_use]
-    pub fn new(name: impl Into<String>, place: Place) -> Self {
+    pub fn new(name: impl Into<String>, location: Location) -> Self {
         Self {
             name: name.into(),
-            place,
+            location,
             vendor: None,
             product: None,
             revision: None,
@@ -202,20 +202,20 @@ impl SlaveSpec {
 pub struct PdoSpec {
     /// 1600h or 1A00h and following.
     pub index: u16,
-    /// What it is to carry; empty leaves the mapping as it is.
+    /// Its entries; empty leaves the mapping unchanged.
     pub entries: Vec<Mapped>,
 }
 
-/// An object to write at start.
+/// A start-up object.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct StartupSdo {
-    /// Which.
+    /// The object.
     pub address: Address,
     /// By complete access or entry by entry.
     pub whole: Whole,
     /// Its bytes, little-endian.
     pub data: Vec<u8>,
-    /// Go on if the slave refuses it.
+    /// Continue if the slave refuses it.
     pub may_fail: bool,
 }
 
@@ -241,7 +241,7 @@ pub struct SyncSpec {
     pub sync0: Duration,
     /// Delay of SYNC1 behind SYNC0; zero without SYNC1.
     pub sync1: Duration,
-    /// SYNC0 behind the beginning of the cycle, ns; negative is before.
+    /// Shift of SYNC0 after the start of the cycle, ns; negative is before.
     pub shift_ns: i32,
 }
 
@@ -251,7 +251,7 @@ impl SyncSpec {
     /// AssignActivate for SYNC0 and SYNC1.
     pub const BOTH: u16 = 0x0700;
 
-    /// SYNC0 each cycle.
+    /// SYNC0 in each cycle.
     #[must_use]
     pub const fn sync0(cycle: Duration) -> Self {
         Self {
@@ -263,14 +263,14 @@ impl SyncSpec {
     }
 }
 
-/// Why a configuration cannot be.
+/// Why a configuration is invalid.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ConfigError {
-    /// The cycle is zero or longer than SYNC registers hold.
+    /// The cycle is zero or exceeds the SYNC registers.
     #[error("a cycle of {0:?}: write 50 us to 1 s")]
     Cycle(Duration),
-    /// More slaves than are taken.
+    /// Too many slaves.
     #[error("{0} slaves are more than the {SLAVES_MAX} of one segment")]
     Slaves(usize),
     /// A group is not one of eight.
@@ -278,31 +278,31 @@ pub enum ConfigError {
     Group {
         /// Its name.
         slave: String,
-        /// As given.
+        /// The given value.
         group: u8,
     },
-    /// A goal is a state that is none.
+    /// A goal is not one of the three states.
     #[error("slave \"{slave}\": goal {goal}; write PRE-OP, SAFE-OP or OP")]
     Goal {
         /// Its name, or "segment".
         slave: String,
-        /// As given.
+        /// The given value.
         goal: AlState,
     },
-    /// Two slaves have one name or place.
-    #[error("slaves \"{first}\" and \"{second}\" share {what}")]
+    /// Two slaves have the same name or location.
+    #[error("slaves \"{first}\" and \"{second}\" share {item}")]
     Twice {
-        /// Earlier one.
+        /// The earlier one.
         first: String,
-        /// Later one.
+        /// The later one.
         second: String,
-        /// Name or place.
-        what: String,
+        /// The shared name or location.
+        item: String,
     },
     /// An optional slave cannot be recognised by its position.
-    #[error("slave \"{0}\" is optional and placed by position; place it by alias or name")]
+    #[error("slave \"{0}\" is optional and located by position; locate it by alias or name")]
     OptionalPosition(String),
-    /// A PDO has more entries than one can have.
+    /// A PDO has too many entries.
     #[error("slave \"{slave}\": {index:04X}h has {count} entries; {max} are possible")]
     Entries {
         /// Its name.
@@ -356,7 +356,7 @@ impl SlaveSpec {
             });
         }
         check_goal(&self.name, self.goal)?;
-        if self.optional && matches!(self.place, Place::Position(_)) {
+        if self.optional && matches!(self.location, Location::Position(_)) {
             return Err(ConfigError::OptionalPosition(slave()));
         }
         let pdos = [&self.outputs, &self.inputs];
@@ -374,17 +374,17 @@ impl SlaveSpec {
     }
 
     fn check_against(&self, earlier: &Self) -> Result<(), ConfigError> {
-        let what = if self.name == earlier.name {
+        let item = if self.name == earlier.name {
             format!("the name \"{}\"", self.name)
-        } else if self.place == earlier.place && !matches!(self.place, Place::Name(_)) {
-            self.place.to_string()
+        } else if self.location == earlier.location && !matches!(self.location, Location::Name(_)) {
+            self.location.to_string()
         } else {
             return Ok(());
         };
         Err(ConfigError::Twice {
             first: earlier.name.clone(),
             second: self.name.clone(),
-            what,
+            item,
         })
     }
 }
@@ -404,10 +404,13 @@ mod tests {
     }
 
     #[test]
-    fn each_wrong_configuration_is_told() {
-        let at = |name: &str, place| SlaveSpec::new(name, place);
-        let first = at("a", Place::Position(0));
-        assert_eq!(with(vec![first.clone(), at("b", Place::Alias(7))]), "good");
+    fn configuration_errors_are_each_reported() {
+        let at = |name: &str, location| SlaveSpec::new(name, location);
+        let first = at("a", Location::Position(0));
+        assert_eq!(
+            with(vec![first.clone(), at("b", Location::Alias(7))]),
+            "good"
+        );
         for (slaves, text) in [
             (
                 vec![SlaveSpec {
@@ -428,14 +431,14 @@ mod tests {
                     optional: true,
                     ..first.clone()
                 }],
-                "placed by position",
+                "located by position",
             ),
             (
-                vec![first.clone(), at("a", Place::Position(1))],
+                vec![first.clone(), at("a", Location::Position(1))],
                 "share the name \"a\"",
             ),
             (
-                vec![first.clone(), at("b", Place::Position(0))],
+                vec![first.clone(), at("b", Location::Position(0))],
                 "share position 0",
             ),
             (
@@ -450,13 +453,13 @@ mod tests {
             ),
             (
                 (0..513)
-                    .map(|n| at(&n.to_string(), Place::Position(n)))
+                    .map(|n| at(&n.to_string(), Location::Position(n)))
                     .collect(),
                 "513 slaves",
             ),
         ] {
-            let told = with(slaves);
-            assert!(told.contains(text), "{told}");
+            let message = with(slaves);
+            assert!(message.contains(text), "{message}");
         }
         let cycle = Duration::from_micros(49);
         let config = MasterConfig {

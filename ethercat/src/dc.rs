@@ -1,6 +1,6 @@
 //! Arithmetic of distributed clocks (ETG.1000.4, clause 9.1.3): propagation delays from receive times, start times of
-//! SYNC0, and figures of the phase between a master's frames and SYNC0. It disciplines nothing: who owns the cycle
-//! gets [`Sample`]s.
+//! SYNC0, and phase statistics between a master's frames and SYNC0. It contains no servo: the owner of the cycle gets
+//! [`Sample`]s.
 
 use std::time::Duration;
 
@@ -11,14 +11,13 @@ use crate::topology::Topology;
 pub struct Sample {
     /// When the frame was sent, on the master's clock.
     pub sent: Duration,
-    /// When its answer came, on the master's clock.
+    /// When its answer was received, on the master's clock.
     pub received: Duration,
-    /// System time as it passed the reference clock, ns since 2000-01-01.
+    /// System time when it passed the reference clock, ns since 2000-01-01.
     pub system_ns: u64,
 }
 
-/// Where in a period a system time is, ns from 0 to the period; the period begins at multiples of itself and `shift`
-/// behind.
+/// Phase of a system time in a period, ns from 0 to the period; periods start `shift` after multiples of the period.
 #[must_use]
 pub fn phase_ns(system_ns: u64, period: Duration, shift_ns: i32) -> u64 {
     let period = u64::try_from(period.as_nanos()).unwrap_or(u64::MAX).max(1);
@@ -28,8 +27,8 @@ pub fn phase_ns(system_ns: u64, period: Duration, shift_ns: i32) -> u64 {
     (system_ns % period + period - shift) % period
 }
 
-/// The first beginning of a period that is at least `lead` after a system time, shifted, ns. All slaves that are
-/// started with the same period and shift thus pulse together, whenever they are started.
+/// The first shifted start of a period that is at least `lead` after a system time, ns. Slaves with the same period and
+/// shift thus pulse simultaneously, whenever they are started.
 #[must_use]
 pub fn start_time(system_ns: u64, lead: Duration, period: Duration, shift_ns: i32) -> u64 {
     let ns = |time: Duration| u64::try_from(time.as_nanos()).unwrap_or(u64::MAX);
@@ -38,7 +37,7 @@ pub fn start_time(system_ns: u64, lead: Duration, period: Duration, shift_ns: i3
     earliest.saturating_add(left)
 }
 
-/// The time whose lower 32 bits a clock of 32 bits shows, nearest to one that is known to within two seconds, ns.
+/// Extends the time of a 32 bit clock to 64 bits, given the time to within two seconds, ns.
 #[must_use]
 pub fn extended(low: u32, near_ns: u64) -> u64 {
     let [a, b, c, d, ..] = near_ns.to_le_bytes();
@@ -46,15 +45,15 @@ pub fn extended(low: u32, near_ns: u64) -> u64 {
     near_ns.wrapping_add_signed(ahead.cast_signed().into())
 }
 
-/// The order in which frames leave by the ports of a slave, after having come in by port 0.
+/// The order in which frames leave by the ports of a slave, after entering by port 0.
 pub(crate) const ORDER: [usize; 3] = [3, 1, 2];
 
 /// Delay of each slave from the first one in the ring, ns, from the receive times of its ports.
 ///
-/// A frame that leaves by a port and comes back to the next has passed the cable twice and all that is behind it; what
-/// it needed there the slave behind knows. Half of the rest is one way. Times wrap at 32 bits. A slave without clock,
-/// whose `times` are `None`, is a part of the way from the nearest one with a clock before it; what hangs on branches of
-/// its own is counted as if it lay on that way.
+/// A frame that leaves by a port and returns has passed the cable twice and all slaves behind it; the next slave
+/// measures the time spent there. Half of the rest is the delay of one direction. Times wrap at 32 bits. A slave
+/// without clock (`times` is `None`) counts as part of the path from the nearest slave with a clock before it; its
+/// branches count as part of this path.
 #[must_use]
 pub fn delays(topology: &Topology, times: &[Option<[u32; 4]>]) -> Vec<u32> {
     let mut delays = vec![0_u32; times.len()];
@@ -73,7 +72,7 @@ pub fn delays(topology: &Topology, times: &[Option<[u32; 4]>]) -> Vec<u32> {
             let hop = hop(topology, (above, by, &before), (number, &here));
             (above, hop)
         });
-        // Without a clock its own delay is of no use to anybody.
+        // Without a clock its own delay is not used.
         let (above, hop) = hop.unwrap_or((parent, 0));
         let before = delays.get(above).copied().unwrap_or(0);
         if let Some(delay) = delays.get_mut(number) {
@@ -83,11 +82,11 @@ pub fn delays(topology: &Topology, times: &[Option<[u32; 4]>]) -> Vec<u32> {
     delays
 }
 
-/// From a slave to one behind one of its ports.
+/// Delay from a slave to the next one behind one of its ports.
 fn hop(topology: &Topology, above: (usize, usize, &[u32; 4]), here: (usize, &[u32; 4])) -> u32 {
     let (parent, port, times) = above;
     let used = |p: &usize| topology.has_child(parent, *p);
-    // The port by which the frame came back before it left by this one.
+    // The port by which the frame returned before it left by this one.
     let earlier = ORDER
         .iter()
         .copied()
@@ -102,12 +101,12 @@ fn hop(topology: &Topology, above: (usize, usize, &[u32; 4]), here: (usize, &[u3
         .copied()
         .rfind(|p| topology.has_child(number, *p));
     let inside = end.map_or(0, |end| below[end].wrapping_sub(below[0]));
-    let way = out.wrapping_sub(inside) / 2;
-    // What passed behind earlier ports lies before.
-    way.wrapping_add(times[earlier].wrapping_sub(times[0]))
+    let one_way = out.wrapping_sub(inside) / 2;
+    // Includes the time behind earlier ports.
+    one_way.wrapping_add(times[earlier].wrapping_sub(times[0]))
 }
 
-/// Figures of a phase over time: how far from where it is wanted, ns.
+/// Statistics of a phase: deviations from the wanted value, ns.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PhaseFigures {
     count: u64,
@@ -115,7 +114,7 @@ pub struct PhaseFigures {
     squares: f64,
     least: i64,
     most: i64,
-    /// Counts by distance: below -50 us, 20 bins of 5 us, above 50 us.
+    /// Histogram of deviations: below -50 us, 20 bins of 5 us, above 50 us.
     bins: [u64; 22],
 }
 
@@ -136,11 +135,11 @@ impl Default for PhaseFigures {
 pub const BIN_NS: i64 = 5_000;
 
 impl PhaseFigures {
-    /// Takes a distance, ns; positive is late.
+    /// Adds a deviation, ns; positive is late.
     pub fn add(&mut self, distance_ns: i64) {
         #[expect(
             clippy::cast_precision_loss,
-            reason = "distances are far below 2^52 ns"
+            reason = "deviations are far below 2^52 ns"
         )]
         let exact = distance_ns as f64;
         self.count += 1;
@@ -154,19 +153,19 @@ impl PhaseFigures {
         }
     }
 
-    /// How many were taken.
+    /// Number of values.
     #[must_use]
     pub const fn count(&self) -> u64 {
         self.count
     }
 
-    /// Their mean, ns; zero of none.
+    /// Mean, ns; zero without values.
     #[must_use]
     pub fn mean_ns(&self) -> f64 {
         self.per(self.sum)
     }
 
-    /// Their root mean square, ns; zero of none.
+    /// Root mean square, ns; zero without values.
     #[must_use]
     pub fn rms_ns(&self) -> f64 {
         self.per(self.squares).sqrt()
@@ -178,7 +177,7 @@ impl PhaseFigures {
         sum / count
     }
 
-    /// Least and most, ns; `None` of none.
+    /// Minimum and maximum, ns; `None` without values.
     #[must_use]
     pub const fn range_ns(&self) -> Option<(i64, i64)> {
         if self.count == 0 {
@@ -188,7 +187,7 @@ impl PhaseFigures {
         }
     }
 
-    /// Counts by distance: below -50 us, then 20 bins of [`BIN_NS`], then above 50 us.
+    /// Histogram of deviations: below -50 us, then 20 bins of [`BIN_NS`], then above 50 us.
     #[must_use]
     pub const fn bins(&self) -> &[u64; 22] {
         &self.bins
@@ -202,7 +201,7 @@ mod tests {
     const MS: Duration = Duration::from_millis(1);
 
     #[test]
-    fn sync0_begins_on_a_common_grid_in_the_future() {
+    fn sync0_start_is_on_a_common_future_grid() {
         let lead = Duration::from_millis(100);
         for (now, shift, start) in [
             (0, 0, 101_000_000),
@@ -222,7 +221,7 @@ mod tests {
     /// Receive times of a line in which each slave needs 300 ns and each cable 100 ns, as from local clocks that have
     /// nothing to do with each other.
     #[test]
-    fn delays_in_a_line() {
+    fn line_delays_follow_from_receive_times() {
         let line = Topology::line(3);
         let times = [
             Some([u32::MAX - 100, 1500_u32.wrapping_sub(100), 0, 0]),
@@ -240,7 +239,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_of_32_bits_is_extended_over_its_wraps() {
+    fn clock_of_32_bits_is_extended_over_wraps() {
         let wrap = 1_u64 << 32;
         for near in [0, 5, wrap - 3, wrap + 2, 7 * wrap - 1, u64::MAX - 1] {
             for away in [-2_000_000_000_i64, -5, 0, 5, 2_000_000_000] {
@@ -252,7 +251,7 @@ mod tests {
     }
 
     #[test]
-    fn delays_in_a_tree_count_the_branches_before() {
+    fn tree_delays_include_earlier_branches() {
         // Slave 0 with 1 at port 3, 2 at port 1 and 3 at port 2; each way 400 ns.
         let tree = Topology::new(&[
             [true, true, true, true],
@@ -270,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn figures_of_a_phase() {
+    fn phase_figures_accumulate() {
         let mut figures = PhaseFigures::default();
         assert_eq!((figures.range_ns(), figures.count()), (None, 0));
         for distance in [-4000, 4000, 60_000, -60_000] {

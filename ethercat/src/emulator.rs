@@ -1,6 +1,5 @@
-//! The other end of the wire: a segment of emulated slave controllers with the applications of
-//! real kinds of slaves, for tests, labs and demonstrations. A frame goes in and comes back as the
-//! slaves would leave it; time is an argument.
+//! The other side of the wire: a segment of emulated slave controllers with typical applications, for tests, labs and
+//! demonstrations. A frame goes in and returns as the slaves would leave it; time is an argument.
 //!
 //! ```text
 //! frame -> Segment: topology, delays, faults, order of slaves

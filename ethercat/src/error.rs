@@ -1,27 +1,26 @@
-//! What can be wrong with bytes received and with a frame that is written. What a slave reports of
-//! itself is not here.
+//! Errors of decoding received bytes and of encoding a frame. Faults that a slave reports are not here.
 
-/// Why bytes are no EtherCAT frame.
+/// Why bytes are not an EtherCAT frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DecodeError {
-    /// The bytes end inside something.
-    #[error("{what} needs {expected} bytes, {actual} are left")]
+    /// The bytes end within an item.
+    #[error("{item} needs {expected} bytes, {actual} are left")]
     Truncated {
-        /// What was being read.
-        what: &'static str,
-        /// Bytes it needs.
+        /// The item being decoded.
+        item: &'static str,
+        /// Bytes required.
         expected: usize,
-        /// Bytes there are.
+        /// Bytes available.
         actual: usize,
     },
-    /// The last datagram says that one more follows, and none does.
+    /// The last datagram announces another one, but none follows.
     #[error("a datagram announces another one, and the frame ends")]
     MissingDatagram,
-    /// The last datagram says that none follows, and there are bytes left in the frame's length.
+    /// The last datagram announces none, but bytes are left within the frame's length.
     #[error("{count} bytes follow the last datagram")]
     TrailingBytes {
-        /// How many.
+        /// Number of bytes.
         count: usize,
     },
     /// The frame holds something else, as network variables (4) or a mailbox (5).
@@ -32,11 +31,11 @@ pub enum DecodeError {
     },
 }
 
-/// Why a frame cannot be written.
+/// Why a frame cannot be encoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum EncodeError {
-    /// The buffer ends, or the longest Ethernet frame does.
+    /// The buffer or the longest Ethernet frame is exceeded.
     #[error("{expected} bytes are needed, {actual} are free")]
     Full {
         /// Bytes needed.
@@ -44,10 +43,10 @@ pub enum EncodeError {
         /// Bytes free.
         actual: usize,
     },
-    /// A length has eleven bits.
+    /// A length exceeds eleven bits.
     #[error("length {len} does not fit 11 bits")]
     Length {
-        /// As given.
+        /// The given length.
         len: u16,
     },
 }

@@ -1,5 +1,5 @@
-//! The smallest thing a master or a segment needs: move one Ethernet frame, with its time of arrival. It never
-//! retries, and it does not know what an answer is.
+//! The smallest interface that a master or a segment needs: sends and receives one Ethernet frame, with its time of
+//! arrival. It never retries, and it does not match answers to requests.
 
 use std::io;
 use std::time::Duration;
@@ -21,14 +21,14 @@ pub const FRAME_MIN: usize = 60;
 /// Longest Ethernet frame without its check sequence.
 pub const FRAME_MAX: usize = HEADER_LEN + 1500;
 
-/// One end of a cable. Frames are whole Ethernet frames without check sequence.
+/// An endpoint of a cable. Frames are complete Ethernet frames without check sequence.
 pub trait Link {
     /// Sends one frame.
     fn send(&mut self, frame: &[u8]) -> io::Result<()>;
 
-    /// Waits at most `timeout` for one frame; `None` when none came. Zero asks without waiting.
+    /// Waits at most `timeout` for one frame; `None` on timeout. Zero polls without waiting.
     ///
-    /// On success the length and the time of arrival on the link's clock. A frame longer than `buf` is cut.
+    /// Returns the length and the time of arrival on the link's clock. A frame longer than `buf` is cut.
     fn receive(
         &mut self,
         buf: &mut [u8],

@@ -1,4 +1,4 @@
-//! The host: its monotonic clock and its network interfaces. The only room with unsafe code and with a clock; it
+//! The host: its monotonic clock and its network interfaces. The only module with unsafe code and with a clock; it
 //! makes no thread.
 
 mod cable;

@@ -1,5 +1,5 @@
-//! The master of a segment: sans-I/O, one thread, one frame at a time. Its owner asks it for a frame each cycle
-//! ([`Master::poll_transmit`]), sends it, gives it what comes back ([`Master::handle_frame`]), and reads and writes
+//! The master of a segment: sans-I/O, one thread, one frame at a time. Its owner gets a frame each cycle
+//! ([`Master::poll_transmit`]), sends it, passes received frames to [`Master::handle_frame`], and reads and writes
 //! process data in between. It reads no clock, opens no socket, and once the segment runs it allocates nothing.
 //!
 //! ```text
@@ -9,11 +9,11 @@
 //! Scan (count, address, identify, compare, process image)       scan.rs
 //!   Unit, one for each slave: INIT -> PRE-OP -> SAFE-OP -> OP    unit/steps.rs
 //!     Mailbox, Transfer: CoE                                     unit/mailbox.rs, unit/transfer.rs
-//! Presence: who is there, what fell, which cable                 presence.rs
+//! Presence: lost and returning slaves, fallen states, cables     presence.rs
 //! ```
 //!
-//! The census (how many answer, and the OR of their states) is in every frame: a slave that is gone or fell is seen in
-//! the cycle in which it happens, and only then each is asked for its own state.
+//! The census (how many answer, and the OR of their states) is in every frame: a slave that is lost or leaves its state
+//! is detected in that very cycle, and only then each slave is inspected.
 
 mod compare;
 mod diagnosis;
@@ -34,7 +34,7 @@ pub(crate) mod tests;
 use std::time::Duration;
 
 use crate::AlState;
-use crate::config::{ConfigError, MasterConfig, Place, SlaveSpec};
+use crate::config::{ConfigError, Location, MasterConfig, SlaveSpec};
 use crate::dc::{self, Sample};
 use crate::topology::Topology;
 
@@ -71,14 +71,14 @@ pub struct Master {
     presence: Presence,
     clock: ReferenceClock,
     out: Outbox,
-    /// Jobs that were taken and not yet replied to.
+    /// Number of pending jobs.
     jobs: usize,
-    /// Whose turn it is to send beside the process data.
+    /// The slave whose turn it is to send an acyclic datagram.
     turn: usize,
     /// Frames of the running segment.
     cycles: u64,
     next_census: Duration,
-    /// All slaves reached their goals once.
+    /// All slaves have reached their goals once.
     started: bool,
     too_large: Option<usize>,
 }
@@ -89,13 +89,13 @@ struct ReferenceClock {
     slave: Option<usize>,
     /// The newest sample.
     last: Option<Sample>,
-    /// It was not given out yet.
+    /// The sample was not fetched yet.
     fresh: bool,
-    /// Frames in a row without an answer of the reference.
+    /// Consecutive frames without an answer of the reference.
     silent: u8,
 }
 
-/// Frames without an answer of the reference after which another clock is taken.
+/// Frames without an answer of the reference after which another clock replaces it.
 const REFERENCE_SILENT: u8 = 20;
 
 impl ReferenceClock {
@@ -108,7 +108,7 @@ impl ReferenceClock {
 }
 
 impl Master {
-    /// A master that knows nothing yet.
+    /// A master that has not scanned its segment yet.
     pub fn new(config: MasterConfig) -> Result<Self, ConfigError> {
         config.check()?;
         Ok(Self {
@@ -132,12 +132,12 @@ impl Master {
         })
     }
 
-    /// Forgets the segment and begins anew; outputs are no longer sent, so watchdogs of slaves stop them.
+    /// Drops the segment and restarts the scan; outputs are no longer sent, so that the watchdogs of the slaves expire.
     pub fn restart(&mut self) {
         let frames = self.exchange.counters();
         let running = self.scan.phase == Phase::Running;
         for unit in &mut self.units {
-            // What never ran is not lost.
+            // A slave that never ran is not lost.
             if running {
                 unit.lose(&mut self.out);
             } else {
@@ -152,7 +152,7 @@ impl Master {
         (self.started, self.turn) = (false, 0);
     }
 
-    /// What the segment is brought to begins with the scan; this goes on from one phase to the next.
+    /// Advances the start of the segment from one phase to the next.
     fn advance(&mut self, now: Duration) {
         match self.scan.phase {
             Phase::Count | Phase::Quiet | Phase::Address | Phase::Refused | Phase::Latch => {}
@@ -196,7 +196,7 @@ impl Master {
         }
     }
 
-    /// All addresses are given: a machine for each slave.
+    /// All addresses are set: creates the state machines of the slaves.
     fn addressed(&mut self, cx_now: Duration) {
         let Self {
             config,
@@ -216,7 +216,7 @@ impl Master {
         };
         for position in 0..scan.count() {
             let number = usize::from(position);
-            let spec = SlaveSpec::new(format!("slave {position}"), Place::Position(position));
+            let spec = SlaveSpec::new(format!("slave {position}"), Location::Position(position));
             let mut unit = Unit::new(number, STATION_FIRST + position, spec, config);
             unit.position = Some(position);
             unit.begin(&cx, out);
@@ -224,7 +224,7 @@ impl Master {
         }
     }
 
-    /// All are known: are they those that are expected, and where do they hang?
+    /// All slaves are identified: compares them with the configuration and determines the topology.
     fn identified(&mut self) {
         let ports: Vec<_> = self
             .units
@@ -250,9 +250,9 @@ impl Master {
         ring.sort_unstable();
         self.ring = ring.into_iter().map(|(_, number)| number).collect();
         self.presence.set_homes(&self.ring, self.units.len());
-        // With the first cable cut the loop at the end is the only way in.
-        let (_, heard) = self.exchange.halves();
-        let whole = self.config.redundant && heard == [true, true];
+        // With the first cable cut, the loop at the end is the only entry.
+        let (_, received) = self.exchange.halves();
+        let whole = self.config.redundant && received == [true, true];
         let last = self
             .ring
             .len()
@@ -262,7 +262,7 @@ impl Master {
             .begin_latch(last.and_then(|last| u16::try_from(last).ok()));
     }
 
-    /// Slaves in the order of the configuration, with those that may come later.
+    /// Sorts slaves in the order of the configuration, including those that may appear later.
     fn arrange(&mut self, matched: &[Option<usize>]) {
         let mut found: Vec<_> = std::mem::take(&mut self.units)
             .into_iter()
@@ -276,7 +276,7 @@ impl Master {
                     let later = STATION_FIRST + count + u16::try_from(number).unwrap_or(0);
                     let mut unit = Unit::new(number, later, spec.clone(), &self.config);
                     unit.gate = Gate::Goal;
-                    // What its place in the image will hold, so that who looks for objects finds them.
+                    // The contents of its future region in the image, so that its objects can be located.
                     unit.process = ProcessData::from_spec(&unit.spec).unwrap_or_default();
                     unit
                 },
@@ -289,7 +289,7 @@ impl Master {
         }
     }
 
-    /// Receive times are latched: each slave reads its own and sets up what it exchanges.
+    /// Receive times are latched: each slave reads its own and configures its process data.
     fn latched(&mut self, now: Duration) {
         self.scan.phase = Phase::Process;
         let Self {
@@ -312,7 +312,7 @@ impl Master {
         }
     }
 
-    /// All that is exchanged is known: delays, the process image, the reference clock.
+    /// All process data is known: computes delays, the process image, the reference clock.
     fn lay_out(&mut self, now: Duration) {
         let times: Vec<_> = self
             .ring
@@ -353,25 +353,30 @@ impl Master {
                 return;
             }
         }
-        let room = self.image.mailbox_room();
+        let capacity = self.image.mailbox_capacity();
         for unit in &mut self.units {
             unit.gate = Gate::Goal;
             let (slave, size) = (unit.number, unit.mailbox_size());
-            if size > room && self.config.goal != AlState::PreOp {
-                self.out.event(Event::MailboxTooLong { slave, size, room });
+            if size > capacity && self.config.goal != AlState::PreOp {
+                self.out.event(Event::MailboxTooLong {
+                    slave,
+                    size,
+                    capacity,
+                });
             }
         }
         self.scan.phase = Phase::Running;
         self.next_census = now;
     }
 
-    /// Process data is exchanged: one frame each cycle.
+    /// Whether process data is exchanged: one frame each cycle.
     #[must_use]
     pub fn is_exchanging(&self) -> bool {
         self.scan.phase == Phase::Running && self.config.goal != AlState::PreOp
     }
 
-    /// Takes a job for a slave; its reply comes by [`Self::poll_reply`]. A job that cannot be taken comes back at once.
+    /// Queues a job for a slave; [`Self::poll_reply`] returns its reply. A job that cannot be queued is returned at
+    /// once.
     pub fn submit(&mut self, job: Job) -> Result<(), Reply> {
         if self.jobs >= QUEUE_MAX {
             return Err(Reply {
@@ -415,7 +420,7 @@ impl Master {
             .flatten()
     }
 
-    /// Outputs of a slave, to be written before [`Self::poll_transmit`]; empty before the process image is made.
+    /// Outputs of a slave, to be written before [`Self::poll_transmit`]; empty before the process image is laid out.
     pub fn outputs_mut(&mut self, slave: usize) -> &mut [u8] {
         self.image.outputs_mut(slave)
     }
@@ -427,7 +432,7 @@ impl Master {
     }
 }
 
-/// What a slave needs in the image; `None` if that is not known.
+/// The requirement of a slave in the image; `None` if not known.
 fn need(unit: &Unit) -> Option<Need> {
     let lrw = !unit.info.no_lrw();
     if unit.mapped {

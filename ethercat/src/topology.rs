@@ -1,20 +1,20 @@
-//! How slaves hang on each other: from which ports of each are open follows the tree, as frames pass ports in the
-//! order 0, 3, 1, 2 (ETG.1000.4). Which cable is bad is not decided here.
+//! The topology of a segment: the tree follows from the open ports of the slaves, as frames pass ports in the order 0,
+//! 3, 1, 2 (ETG.1000.4). Bad cables are located elsewhere.
 
 /// The tree of a segment; slaves are numbered by their position in the ring.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Topology {
     ports: Vec<[bool; 4]>,
-    /// The slave and the port that each hangs on.
+    /// Parent slave and port of each slave.
     parents: Vec<Option<(usize, usize)>>,
 }
 
 impl Topology {
-    /// From the open ports of the slaves, by position in the ring. A slave for which no port is left hangs on none.
+    /// From the open ports of the slaves, by position in the ring. A slave for which no port is left has no parent.
     #[must_use]
     pub fn new(ports: &[[bool; 4]]) -> Self {
         let mut parents = Vec::with_capacity(ports.len());
-        // Ports that frames are still to leave by, the nearest last.
+        // Ports that frames have yet to leave by, the nearest last.
         let mut free: Vec<(usize, usize)> = Vec::new();
         for (number, open) in ports.iter().enumerate() {
             parents.push(free.pop());
@@ -30,7 +30,7 @@ impl Topology {
         }
     }
 
-    /// A line of so many slaves.
+    /// A line of `count` slaves.
     #[must_use]
     pub fn line(count: usize) -> Self {
         let ports: Vec<_> = (0..count)
@@ -39,38 +39,38 @@ impl Topology {
         Self::new(&ports)
     }
 
-    /// The slave and the port that a slave hangs on; `None` for the first, which hangs on the master.
+    /// Parent slave and port of a slave; `None` for the first, which is connected to the master.
     #[must_use]
     pub fn parent(&self, number: usize) -> Option<(usize, usize)> {
         self.parents.get(number).copied().flatten()
     }
 
-    /// Which of its ports are open.
+    /// The open ports of a slave.
     #[must_use]
     pub fn ports(&self, number: usize) -> [bool; 4] {
         self.ports.get(number).copied().unwrap_or_default()
     }
 
-    /// Whether a slave hangs on a port of another. An open port without one leads back to the master, as at the end of
-    /// a ring of two ports.
+    /// Whether a slave is connected to a port of another. An open port without a slave leads back to the master, as at
+    /// the end of a ring of two ports.
     #[must_use]
     pub fn has_child(&self, number: usize, port: usize) -> bool {
         self.parents.contains(&Some((number, port)))
     }
 
-    /// How many slaves there are.
+    /// Number of slaves.
     #[must_use]
     pub fn len(&self) -> usize {
         self.ports.len()
     }
 
-    /// Whether there is none.
+    /// Whether the segment is empty.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.ports.is_empty()
     }
 
-    /// Whether a slave hangs on another, directly or not.
+    /// Whether a slave is behind another, directly or indirectly.
     #[must_use]
     pub fn is_behind(&self, number: usize, other: usize) -> bool {
         let mut at = number;
@@ -89,7 +89,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_line_is_a_line() {
+    fn line_topology_has_consecutive_parents() {
         let line = Topology::line(3);
         let parents: Vec<_> = (0..4).map(|number| line.parent(number)).collect();
         assert_eq!(parents, [None, Some((0, 1)), Some((1, 1)), None]);
@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn branches_are_passed_in_the_order_of_the_ports() {
+    fn branches_follow_the_port_order() {
         // 0 has a line of two at port 3, one at port 1, one at port 2.
         let tree = Topology::new(&[
             [true, true, true, true],

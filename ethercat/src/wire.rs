@@ -1,6 +1,6 @@
-//! Bytes to values and back, one file per layer. No clock, no socket, no allocation.
+//! Encoding and decoding of the wire formats, one file per layer. No clock, no socket, no allocation.
 
-// Bytes come from outside; tests index their own.
+// Received bytes are untrusted; tests index their own.
 #![cfg_attr(not(test), warn(clippy::indexing_slicing))]
 
 mod al;

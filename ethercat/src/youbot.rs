@@ -1,6 +1,6 @@
-//! The KUKA youBot from the master's side: what its drives exchange each cycle, TMCL over the raw mailbox, and the
-//! machines that lead a drive, an arm to its stops, a base and a gripper. Sans-I/O, without allocation; it decides
-//! no motion by itself: its owner says when a drive may move.
+//! The KUKA youBot from the master's side: process data of its drives, TMCL over the raw mailbox, and state machines
+//! for a drive, the homing of an arm, a base and a gripper. Sans-I/O, without allocation; it starts no motion by
+//! itself: its owner permits motion.
 //!
 //! ```text
 //! Drive: firmware, time-out and I2t flags, commutation, current clamp      drive.rs
@@ -26,19 +26,19 @@ mod weight;
 mod wire;
 
 pub use base::{Mecanum, Odometry, Ramp};
-pub use drive::{Counters, Drive, DriveConfig, DriveState, Obstacle};
+pub use drive::{Counters, Drive, DriveConfig, DriveFault, DriveState};
 pub use gripper::{BarConfig, Gripper, GripperError, GripperState};
 pub use homing::{Homing, HomingConfig, HomingError, HomingState};
 pub use joint::{ARM, HOMING, Impedance, JointGeometry};
 pub use mailbox::{CallError, Mailbox};
-pub use tmcl::{Answer, Refusal, Request, Version};
+pub use tmcl::{Answer, Request, TmclError, Version};
 pub use weight::holding;
 pub use wire::{Command, Feedback, Flags, Mode, Targets};
 
-/// Vendor number of Trinamic, who made the drives.
+/// Vendor number of Trinamic, the manufacturer of the drives.
 pub const TRINAMIC: u32 = 0x0000_0286;
 
-/// Firmware of a drive: it decides the process data and how commutation is found.
+/// Firmware of a drive: it determines the process data and the commutation search.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Firmware {
     /// 1.48: 20 bytes of inputs; mode 7 finds the commutation.
@@ -58,7 +58,7 @@ impl Firmware {
         }
     }
 
-    /// The one that has inputs of this length.
+    /// The firmware with inputs of this length.
     #[must_use]
     pub const fn of_inputs(len: usize) -> Option<Self> {
         match len {

@@ -1,5 +1,5 @@
 //! Proof that the master of a running segment does not allocate: cycles with objects, emergencies, lost frames, a cut
-//! cable and a slave that comes back, under a counting allocator.
+//! cable and a returning slave, under a counting allocator.
 #![expect(unsafe_code, reason = "a global allocator is an unsafe trait")]
 #![expect(
     clippy::unwrap_used,
@@ -23,7 +23,7 @@ thread_local! {
 
 struct Counting;
 
-// SAFETY: every request is handed to the system allocator unchanged; the counter is a plain thread-local without a
+// SAFETY: every request is passed to the system allocator unchanged; the counter is a plain thread-local without a
 // destructor and allocates nothing.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
@@ -42,10 +42,10 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// What `what` allocates and frees.
-fn counted<R>(total: &mut u64, what: impl FnOnce() -> R) -> R {
+/// What `body` allocates and frees.
+fn counted<R>(total: &mut u64, body: impl FnOnce() -> R) -> R {
     let before = ALLOCATIONS.get();
-    let result = what();
+    let result = body();
     *total += ALLOCATIONS.get() - before;
     result
 }

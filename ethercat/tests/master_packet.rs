@@ -1,5 +1,5 @@
 //! The master on a real network interface: a veth pair with the emulated segment on its other end, each by a packet
-//! socket. Needs such a pair; without, it says that it was skipped.
+//! socket. Needs such a pair; without one it reports that it was skipped.
 #![cfg(target_os = "linux")]
 #![expect(
     clippy::unwrap_used,
@@ -24,18 +24,18 @@ use takt_ethercat::link::{Link, Port};
 use takt_ethercat::linux::{PacketLink, TapLink, monotonic};
 use takt_ethercat::master::Master;
 
-/// The ends of a cable that the runner has laid.
+/// The interfaces of the runner's veth pair.
 fn cable() -> Option<(String, String)> {
     let end = |name| std::env::var(name).ok();
     Some((end("TAKT_VETH")?, end("TAKT_VETH_SECOND")?))
 }
 
-/// One line into the file of the runner, which runs the test once more where there is a cable.
+/// Writes one line to the runner's file, which runs the test again where there is a cable.
 fn skipped(test: &str) {
     takt_tests::skip(test, "needs a veth pair (TAKT_VETH, TAKT_VETH_SECOND)");
 }
 
-/// Serves a segment at the far end until told to stop.
+/// Serves a segment at the far end until stopped.
 fn serve<L: Link + Send + 'static>(
     link: L,
     segment: Segment,
@@ -52,9 +52,9 @@ fn serve<L: Link + Send + 'static>(
 }
 
 #[test]
-fn a_segment_behind_an_interface_comes_to_op() {
+fn segment_behind_interface_reaches_op() {
     let Some((near, far)) = cable() else {
-        return skipped("a_segment_behind_an_interface_comes_to_op");
+        return skipped("segment_behind_interface_reaches_op");
     };
     let (terminal, io) = Io::digital(8, 8);
     let (drive, _) = ServoDrive::slave(ServoConfig::default()).unwrap();
@@ -65,7 +65,7 @@ fn a_segment_behind_an_interface_comes_to_op() {
         stop.clone(),
     );
     exchange(PacketLink::open(&near).unwrap(), &io);
-    // The same when answers are asked for without sleeping, and sleep begins when they do not come.
+    // The same with polling instead of sleeping, and sleeping after the polling time.
     let spinning = PacketLink::open(&near).unwrap();
     exchange(spinning.spinning(Duration::from_millis(2)), &io);
     stop.store(true, Ordering::Relaxed);
@@ -73,8 +73,8 @@ fn a_segment_behind_an_interface_comes_to_op() {
 }
 
 #[test]
-fn a_segment_behind_a_tap_comes_to_op() {
-    let test = "a_segment_behind_a_tap_comes_to_op";
+fn segment_behind_tap_reaches_op() {
+    let test = "segment_behind_tap_reaches_op";
     let name = format!("tkt{}", std::process::id());
     let Ok(tap) = TapLink::open(&name) else {
         let why = "needs to make a TAP, as root may, and where a veth pair is";
@@ -107,7 +107,7 @@ fn exchange(link: PacketLink, io: &Io) {
     };
     let mut master = Master::new(config).unwrap();
     let mut frame = [0; 1500];
-    // Turns, not time: a slow host takes longer for them.
+    // Counts turns instead of time: a slow host takes longer.
     for turn in 0..20_000 {
         if let Some(len) = master.poll_transmit(monotonic().unwrap(), &mut frame) {
             port.send(&frame[..len]).unwrap();

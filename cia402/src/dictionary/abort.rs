@@ -77,17 +77,21 @@ pub enum AbortCode {
     NoDictionary,
     /// 0800 0024h
     NoData,
-    /// Any other, as it came.
+    /// Any other code, as received.
     Other(u32),
 }
 
 use AbortCode as A;
 
-/// Code, number and text of each.
+/// Code, number and text.
 const TABLE: [(AbortCode, u32, &str); 35] = [
     (A::Toggle, 0x0503_0000, "the toggle bit did not change"),
     (A::TimedOut, 0x0504_0000, "the transfer timed out"),
-    (A::CommandSpecifier, 0x0504_0001, "the command is not known"),
+    (
+        A::CommandSpecifier,
+        0x0504_0001,
+        "unknown command specifier",
+    ),
     (A::BlockSize, 0x0504_0002, "the block size is not valid"),
     (
         A::SequenceNumber,
@@ -95,7 +99,7 @@ const TABLE: [(AbortCode, u32, &str); 35] = [
         "the sequence number is not valid",
     ),
     (A::Crc, 0x0504_0004, "the checksum is wrong"),
-    (A::OutOfMemory, 0x0504_0005, "there is no memory for it"),
+    (A::OutOfMemory, 0x0504_0005, "out of memory"),
     (
         A::UnsupportedAccess,
         0x0601_0000,
@@ -111,7 +115,7 @@ const TABLE: [(AbortCode, u32, &str); 35] = [
     (
         A::NoCompleteAccess,
         0x0601_0004,
-        "complete access is not supported for it",
+        "complete access is not supported for this object",
     ),
     (
         A::ExceedsMailbox,
@@ -137,12 +141,12 @@ const TABLE: [(AbortCode, u32, &str); 35] = [
     (
         A::ParameterIncompatible,
         0x0604_0043,
-        "the parameters do not go together",
+        "the parameters are incompatible",
     ),
     (
         A::InternalIncompatible,
         0x0604_0047,
-        "it does not go together with the device's insides",
+        "incompatible with the internals of the device",
     ),
     (A::Hardware, 0x0606_0000, "the device's hardware failed"),
     (A::Length, 0x0607_0010, "the length does not match the type"),
@@ -193,18 +197,18 @@ impl AbortCode {
         found.map_or(0, |(_, raw, _)| *raw)
     }
 
-    /// The code of that number.
+    /// From the number on the wire.
     #[must_use]
     pub fn from_raw(raw: u32) -> Self {
         let found = TABLE.iter().find(|(_, known, _)| *known == raw);
         found.map_or(Self::Other(raw), |(code, ..)| *code)
     }
 
-    /// What it says, without its number.
+    /// The text, without the number.
     #[must_use]
     pub fn text(self) -> &'static str {
         let found = TABLE.iter().find(|(code, ..)| *code == self);
-        found.map_or("a reason of the device's own", |(.., text)| text)
+        found.map_or("manufacturer-specific reason", |(.., text)| text)
     }
 }
 

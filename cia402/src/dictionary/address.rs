@@ -1,4 +1,4 @@
-//! Index and sub-index. Which objects there are is not known here.
+//! Index and sub-index. Which objects exist is not known here.
 
 use std::fmt;
 use std::str::FromStr;
@@ -12,17 +12,19 @@ pub struct Address {
     pub sub: u8,
 }
 
-/// The text is no address.
+/// The text is not an address.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is no object; write index and sub-index in hexadecimal, such as 6041 or 1018:02")]
+#[error(
+    "`{0}` is not an object; write index and sub-index in hexadecimal, such as 6041 or 1018:02"
+)]
 pub struct AddressError(String);
 
 impl Address {
-    /// From one logical device of a multi-axis drive to the next (CiA 402-2, clause on multiple
-    /// device modules).
+    /// Distance between the objects of two logical devices of a multi-axis drive (CiA 402-2, clause on multiple device
+    /// modules).
     pub const AXIS: u16 = 0x800;
 
-    /// The address of that index and sub-index.
+    /// The address with this index and sub-index.
     #[must_use]
     pub const fn new(index: u16, sub: u8) -> Self {
         Self { index, sub }

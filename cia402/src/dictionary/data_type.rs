@@ -1,4 +1,4 @@
-//! The data types of CiA 301 (clause 7.4.7) and the numbers among them. It converts no texts.
+//! The data types of CiA 301 (clause 7.4.7) and the numeric ones among them. Conversion to text is in `text.rs`.
 
 use std::fmt;
 
@@ -31,13 +31,13 @@ pub enum DataType {
     Unsigned48,
     Unsigned56,
     Unsigned64,
-    /// Any other code, as it came.
+    /// Any other code, as received.
     Other(u16),
 }
 
 use DataType as T;
 
-/// Type, code, bytes (0: they vary), whether it is an integer and then whether a signed one, name.
+/// Type, code, size in bytes (0 if variable), signedness of an integer, name.
 const TABLE: [(DataType, u16, usize, Option<bool>, &str); 25] = [
     (T::Boolean, 0x01, 1, None, "BOOLEAN"),
     (T::Integer8, 0x02, 1, Some(true), "INTEGER8"),
@@ -80,27 +80,27 @@ impl DataType {
         self.row().map_or(0, |row| row.1)
     }
 
-    /// The type of that code.
+    /// From the code of the standard.
     #[must_use]
     pub fn from_raw(raw: u16) -> Self {
         let found = TABLE.iter().find(|row| row.1 == raw);
         found.map_or(Self::Other(raw), |row| row.0)
     }
 
-    /// How many bytes a value has; `None` if that varies.
+    /// Size of a value, bytes; `None` if variable.
     #[must_use]
     pub fn size(self) -> Option<usize> {
         self.row().map(|row| row.2).filter(|size| *size > 0)
     }
 
-    /// How many bits a value has in a PDO; `None` if that varies. A BOOLEAN has one.
+    /// Size of a value in a PDO, bits; `None` if variable. A BOOLEAN has one.
     #[must_use]
     pub fn bits(self) -> Option<usize> {
         let size = self.size()?;
         Some(if self == Self::Boolean { 1 } else { 8 * size })
     }
 
-    /// The integer that little-endian bytes stand for; `None` if this is no integer type.
+    /// The integer in little-endian bytes; `None` if this is not an integer type.
     #[must_use]
     pub fn integer(self, bytes: &[u8]) -> Option<i128> {
         let signed = self.row()?.3?;
@@ -123,7 +123,7 @@ impl fmt::Display for DataType {
     }
 }
 
-/// A number that an entry can be.
+/// A numeric type of an entry.
 pub trait Number: Copy {
     /// Its type.
     const TYPE: DataType;
@@ -131,7 +131,7 @@ pub trait Number: Copy {
     /// The number in the first bytes, little-endian; zero if they are too few.
     fn from_le(bytes: &[u8]) -> Self;
 
-    /// Puts the number into the first bytes, little-endian, if there are enough.
+    /// Writes the number to the first bytes, little-endian, if there are enough.
     fn to_le(self, bytes: &mut [u8]);
 }
 

@@ -1,18 +1,17 @@
-//! Which entries a PDO carries, bit by bit (CiA 301, 1600h and 1A00h; ETG.1000.6 alike). When a
-//! PDO is sent is not known here.
+//! Which entries a PDO carries, bit by bit (CiA 301, 1600h and 1A00h; ETG.1000.6 alike). The transmission of PDOs is
+//! not handled here.
 
 use super::{AbortCode, Address, DataType, Dictionary, PdoUse};
 
-/// Most entries of one PDO.
+/// Maximum number of entries of one PDO.
 pub const MAPPED_MAX: usize = 64;
 
 /// One mapped entry, as sub-indices of 1600h and 1A00h hold it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Mapped {
-    /// What is mapped. Index 0 is a gap; 1h to 1Fh are gaps named by a data type (CiA 301 dummy
-    /// mapping).
+    /// The mapped entry. Index 0 is a gap; 1h to 1Fh are gaps named by a data type (CiA 301 dummy mapping).
     pub address: Address,
-    /// How many bits of it.
+    /// Number of mapped bits.
     pub bits: u8,
 }
 
@@ -34,14 +33,14 @@ impl Mapped {
         u32::from_le_bytes([self.bits, self.address.sub, low, high])
     }
 
-    /// Whether it stands for no entry.
+    /// Whether it is a gap.
     #[must_use]
     pub const fn is_gap(self) -> bool {
         self.address.index < 0x20
     }
 }
 
-/// A mapped entry and where its value lies.
+/// A mapped entry and the offset of its value.
 #[derive(Clone, Copy, Debug, Default)]
 struct Item {
     mapped: Mapped,
@@ -71,8 +70,7 @@ impl Mapping {
     /// device, or else transmitted.
     ///
     /// # Errors
-    /// If an entry is not there or not mappable, a length is not its own, or there are too many
-    /// bits or entries.
+    /// If an entry does not exist or is not mappable, a length does not match, or there are too many bits or entries.
     pub fn new(
         dictionary: &Dictionary,
         entries: &[Mapped],
@@ -103,7 +101,7 @@ impl Mapping {
         if mapped.is_gap() {
             let named = DataType::from_raw(mapped.address.index).bits();
             let other = mapped.address.index != 0 && named != Some(mapped.bits.into());
-            // Nobody reads a transmitted gap that a type names; index 0 is EtherCAT's way.
+            // A gap named by a type makes no sense in a transmitted PDO; EtherCAT uses index 0 for gaps.
             if other || (mapped.address.index != 0 && !received) {
                 return Err(AbortCode::NotMappable);
             }
@@ -116,37 +114,37 @@ impl Mapping {
     }
 
     fn find(dictionary: &Dictionary, mapped: Mapped, received: bool) -> Result<usize, AbortCode> {
-        let (entry, place) = dictionary.find(mapped.address)?;
+        let (entry, slot) = dictionary.find(mapped.address)?;
         let allowed = match entry.pdo {
             PdoUse::Both => true,
             PdoUse::Receive => received,
             PdoUse::Transmit => !received,
             PdoUse::None => false,
         };
-        let place = dictionary.places[place];
+        let slot = dictionary.slots[slot];
         let bits = usize::from(mapped.bits);
-        // A BOOLEAN may take a whole byte; strings take the room they have.
-        let fits = entry.data_type.bits() == Some(bits) || bits == 8 * place.capacity;
+        // A BOOLEAN may take a whole byte; strings take their capacity.
+        let fits = entry.data_type.bits() == Some(bits) || bits == 8 * slot.capacity;
         if allowed && fits && bits > 0 {
-            Ok(place.offset)
+            Ok(slot.offset)
         } else {
             Err(AbortCode::NotMappable)
         }
     }
 
-    /// How many bits the PDO has.
+    /// Length of the PDO, bits.
     #[must_use]
     pub const fn bits(&self) -> usize {
         self.bits
     }
 
-    /// How many bytes the PDO has.
+    /// Length of the PDO, bytes.
     #[must_use]
     pub const fn len(&self) -> usize {
         self.bits.div_ceil(8)
     }
 
-    /// Whether the PDO carries nothing.
+    /// Whether the PDO is empty.
     #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.bits == 0
@@ -157,8 +155,8 @@ impl Mapping {
         self.items[..self.count].iter().map(|item| item.mapped)
     }
 
-    /// Writes the values of the dictionary it was made with into a PDO, gaps as zero; what does not
-    /// fit is left out.
+    /// Writes the values of the dictionary that the mapping was made for into a PDO, gaps as zero; excess bytes are
+    /// dropped.
     pub fn pack(&self, dictionary: &Dictionary, pdo: &mut [u8]) {
         let mut at = 0;
         for item in &self.items[..self.count] {
@@ -172,8 +170,8 @@ impl Mapping {
         }
     }
 
-    /// Takes the values of a received PDO into the dictionary it was made with. Limits are not
-    /// asked: what a value beyond them does is the device's to say.
+    /// Copies the values of a received PDO into the dictionary that the mapping was made for. Limits are not checked:
+    /// the device decides how to handle a value beyond them.
     pub fn unpack(&self, dictionary: &mut Dictionary, pdo: &[u8]) {
         let mut at = 0;
         for item in &self.items[..self.count] {
@@ -192,15 +190,15 @@ fn set_bit(bytes: &mut [u8], at: usize, value: bool) {
     }
 }
 
-/// Copies bits, the lowest of a byte first; those beyond either end are left out.
+/// Copies bits, the lowest of a byte first; bits beyond either end are dropped.
 fn copy_bits(from: &[u8], from_bit: usize, to: &mut [u8], to_bit: usize, bits: usize) {
     if [from_bit, to_bit, bits]
         .iter()
         .all(|at| at.is_multiple_of(8))
     {
         let bytes = from.get(from_bit / 8..).unwrap_or_default().iter();
-        let room = to.get_mut(to_bit / 8..).unwrap_or_default();
-        for (to, from) in room.iter_mut().zip(bytes.take(bits / 8)) {
+        let value = to.get_mut(to_bit / 8..).unwrap_or_default();
+        for (to, from) in value.iter_mut().zip(bytes.take(bits / 8)) {
             *to = *from;
         }
         return;

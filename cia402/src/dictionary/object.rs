@@ -1,12 +1,11 @@
-//! What is known of objects and their entries beside their values: type, access, limits. Values
-//! are in [`super::Dictionary`].
+//! Metadata of objects and their entries: type, access, limits. Values are in [`super::Dictionary`].
 
 use std::borrow::Cow;
 use std::fmt;
 
 use super::{AbortCode, DataType, Number, VALUE_MAX};
 
-/// What an object is made of.
+/// Object code: the structure of an object.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ObjectCode {
     /// DOMAIN, 2h
@@ -18,7 +17,7 @@ pub enum ObjectCode {
     Array,
     /// RECORD, 9h
     Record,
-    /// Any other code, as it came.
+    /// Any other code, as received.
     Other(u8),
 }
 
@@ -35,7 +34,7 @@ impl ObjectCode {
         }
     }
 
-    /// What that code stands for.
+    /// From the code of the standard.
     #[must_use]
     pub const fn from_raw(raw: u8) -> Self {
         match raw {
@@ -48,16 +47,16 @@ impl ObjectCode {
     }
 }
 
-/// Who may do what from the bus.
+/// Access from the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Access {
-    /// It never changes.
+    /// Constant: readable, never changes.
     Const,
-    /// It can be read.
+    /// Read only.
     ReadOnly,
-    /// It can be written.
+    /// Write only.
     WriteOnly,
-    /// Both.
+    /// Read and write.
     ReadWrite,
 }
 
@@ -86,43 +85,43 @@ impl fmt::Display for Access {
     }
 }
 
-/// Which PDOs an entry can be mapped to, seen from the device.
+/// PDOs that an entry can be mapped to, seen from the device.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum PdoUse {
     /// None.
     #[default]
     None,
-    /// Those it receives.
+    /// PDOs that the device receives.
     Receive,
-    /// Those it transmits.
+    /// PDOs that the device transmits.
     Transmit,
-    /// Both.
+    /// Read and write.
     Both,
 }
 
 /// One entry of an object.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Entry {
-    /// What it is called.
+    /// Its name.
     pub name: Cow<'static, str>,
     /// Its type.
     pub data_type: DataType,
-    /// Who may do what with it.
+    /// Its access.
     pub access: Access,
-    /// Which PDOs it can be mapped to.
+    /// PDOs that it can be mapped to.
     pub pdo: PdoUse,
     /// Smallest value that can be written, of an integer type; in the entry's own unit.
     pub low: Option<i128>,
     /// Largest value that can be written, of an integer type; in the entry's own unit.
     pub high: Option<i128>,
-    /// Most bytes, of a type whose length varies.
+    /// Maximum length in bytes, of a type of variable length.
     pub max_len: usize,
     /// Its value after a reset, little-endian.
     pub default: Vec<u8>,
 }
 
 impl Entry {
-    /// A number with that value after a reset.
+    /// A number with this value after a reset.
     #[must_use]
     pub fn number<T: Number>(name: &'static str, access: Access, default: T) -> Self {
         let mut bytes = vec![0; T::TYPE.size().unwrap_or(0)];
@@ -130,14 +129,14 @@ impl Entry {
         Self::of(name, T::TYPE, access, bytes)
     }
 
-    /// A VISIBLE_STRING that can be read.
+    /// A read-only VISIBLE_STRING.
     #[must_use]
     pub fn text(name: &'static str, text: &str) -> Self {
         Self::of(name, DataType::VisibleString, Access::Const, text.into())
     }
 
-    /// An entry of any type with that value after a reset. Strings and domains have room for just
-    /// that value.
+    /// An entry of any type with this value after a reset. The capacity of strings and domains is the length of this
+    /// value.
     #[must_use]
     pub fn of(
         name: impl Into<Cow<'static, str>>,
@@ -157,7 +156,7 @@ impl Entry {
         }
     }
 
-    /// The same with limits on what can be written.
+    /// The same with limits on written values.
     #[must_use]
     pub fn within(mut self, low: impl Into<i128>, high: impl Into<i128>) -> Self {
         (self.low, self.high) = (Some(low.into()), Some(high.into()));
@@ -171,7 +170,7 @@ impl Entry {
         self
     }
 
-    /// Bytes to keep for it.
+    /// Bytes to reserve for it.
     pub(super) fn capacity(&self) -> usize {
         let varying = self.max_len.max(self.default.len()).min(VALUE_MAX);
         self.data_type.size().unwrap_or(varying)
@@ -209,16 +208,16 @@ impl Entry {
 pub struct Object {
     /// Its index.
     pub index: u16,
-    /// What it is called.
+    /// Its name.
     pub name: Cow<'static, str>,
-    /// What it is made of.
+    /// Its object code.
     pub code: ObjectCode,
     /// Its entries; a VAR has one, of sub-index 0.
     pub entries: Vec<(u8, Entry)>,
 }
 
 impl Object {
-    /// A plain variable, called as its entry.
+    /// A plain variable, named as its entry.
     #[must_use]
     pub fn var(index: u16, entry: Entry) -> Self {
         Self {
@@ -229,8 +228,7 @@ impl Object {
         }
     }
 
-    /// A record of these entries from sub-index 1 on, with their number in sub-index 0, which can
-    /// only be read.
+    /// A record of these entries from sub-index 1 on, with their number in sub-index 0, which is read only.
     #[must_use]
     pub fn record(index: u16, name: &'static str, entries: Vec<Entry>) -> Self {
         let count = u8::try_from(entries.len()).unwrap_or(u8::MAX);

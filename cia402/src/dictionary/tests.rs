@@ -134,7 +134,7 @@ impl Hooks for Owner {
 }
 
 #[test]
-fn the_owner_has_the_last_word() {
+fn hooks_can_refuse_reads_and_writes() {
     let mut d = dictionary();
     let mut owner = Owner { seen: vec![] };
     assert_eq!(d.upload(at("6041"), &mut owner), Ok(&[1, 2][..]));
@@ -147,7 +147,7 @@ fn the_owner_has_the_last_word() {
 }
 
 #[test]
-fn what_makes_no_dictionary() {
+fn invalid_objects_make_no_dictionary() {
     let var = |index| Object::var(index, Entry::number("x", Access::ReadWrite, 0_u8));
     let twice = Dictionary::new(vec![var(1), var(2), var(1)]).unwrap_err();
     assert_eq!(twice, DictionaryError::Twice(Address::new(1, 0)));
@@ -198,7 +198,7 @@ fn mappings_are_checked() {
 }
 
 #[test]
-fn bits_go_where_they_are_mapped() {
+fn mapping_copies_bits_to_their_entries() {
     let mut d = dictionary();
     let mapping = map(
         &[0x2000_0001, 0x0000_0003, 0x6060_0008, 0x2000_0001],
@@ -268,7 +268,7 @@ fn addresses() {
 }
 
 #[test]
-fn defaults_come_back_for_the_indices_that_are_asked_for() {
+fn defaults_are_restored_for_requested_indices() {
     let number = |name| Entry::number(name, Access::ReadWrite, 1_u8);
     let objects = [0x1FFF, 0x2000, 0x6000].map(|index| Object::var(index, number("value")));
     let mut d = Dictionary::new(objects.to_vec()).unwrap();

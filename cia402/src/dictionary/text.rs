@@ -1,11 +1,11 @@
-//! Values as people read and write them, by their data type: numbers decimal or hexadecimal, text, bytes.
-//! Data sheets have a notation of their own (CiA 306-1), which is not this one.
+//! Values as text for users, by data type: numbers decimal or hexadecimal, text, bytes. This is not the notation of
+//! electronic data sheets (CiA 306-1).
 
 use std::fmt::Write as _;
 
 use super::DataType;
 
-/// Short names, as programmers write them.
+/// Short type names, as in programming languages.
 const SHORT: [(&str, DataType); 14] = [
     ("bool", DataType::Boolean),
     ("i8", DataType::Integer8),
@@ -23,7 +23,7 @@ const SHORT: [(&str, DataType); 14] = [
     ("bytes", DataType::OctetString),
 ];
 
-/// A text that is no data type, or no value of one.
+/// A text that is neither a data type nor a value of one.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum TextError {
@@ -33,43 +33,43 @@ pub enum TextError {
     /// Not a value of that type.
     #[error("`{text}` is no {data_type}: write {wanted}")]
     Value {
-        /// What was written.
+        /// The text.
         text: String,
-        /// What it should be.
+        /// The expected type.
         data_type: DataType,
-        /// How that is written.
+        /// The expected notation.
         wanted: &'static str,
     },
     /// A number beyond what the type holds.
     #[error("{text} does not fit {data_type}, which has {size} bytes")]
     Range {
-        /// What was written.
+        /// The text.
         text: String,
-        /// What it should be.
+        /// The expected type.
         data_type: DataType,
-        /// Bytes that it has.
+        /// Size of the type, bytes.
         size: usize,
     },
 }
 
 impl DataType {
-    /// The type of a short name: `u16`, `i32`, `f32`, `string`, `bytes`, ..
+    /// The type with a short name: `u16`, `i32`, `f32`, `string`, `bytes`, ..
     ///
     /// # Errors
-    /// If there is none of that name.
+    /// If there is no type of this name.
     pub fn named(name: &str) -> Result<Self, TextError> {
         let found = SHORT.iter().find(|(short, _)| *short == name);
         let found = found.map(|(_, data_type)| *data_type);
         found.ok_or_else(|| TextError::Type(name.to_owned()))
     }
 
-    /// Whether its values are whole numbers.
+    /// Whether its values are integers.
     fn is_integer(self) -> bool {
         self.integer(&[]).is_some()
     }
 
-    /// A value for readers: a number with its hexadecimal form, text in quotes, or bytes where the type
-    /// says no more or the length does not fit it.
+    /// A value as text: a number with its hexadecimal form, text in quotes, or bytes if the type has no other notation
+    /// or the length does not match it.
     #[must_use]
     pub fn show(self, bytes: &[u8]) -> String {
         if self.size().is_some_and(|size| size != bytes.len()) {
@@ -97,11 +97,11 @@ impl DataType {
         }
     }
 
-    /// The bytes of a value that somebody wrote, little-endian: a whole number decimal or with `0x`,
-    /// `true`, `1.5`, text, or bytes as in `0A 1B`.
+    /// The bytes of a value given as text, little-endian: an integer, decimal or with `0x`, `true`, `1.5`, text, or
+    /// bytes as in `0A 1B`.
     ///
     /// # Errors
-    /// If it is no value of this type, or does not fit it.
+    /// If it is not a value of this type, or does not fit it.
     pub fn read(self, text: &str) -> Result<Vec<u8>, TextError> {
         let wrong = |wanted| TextError::Value {
             text: text.to_owned(),
@@ -148,7 +148,7 @@ impl DataType {
         let size = self.size().unwrap_or_default();
         let bytes = number.to_le_bytes();
         let bytes = bytes.get(..size).unwrap_or_default();
-        // What reads back as the same number fits.
+        // A number fits if it reads back unchanged.
         if self.integer(bytes) == Some(number) {
             return Ok(bytes.to_vec());
         }
@@ -187,7 +187,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn values_read_back_as_they_are_shown() {
+    fn values_shown_as_text_read_back() {
         for (name, text, bytes, shown) in [
             ("u16", "0x231", &[0x31, 2][..], "561 (0231h)"),
             ("i32", "-2", &[0xFE, 0xFF, 0xFF, 0xFF], "-2 (FFFFFFFEh)"),
@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_is_told() {
+    fn values_that_do_not_fit_are_errors() {
         for (kind, text, why) in [
             (DataType::Unsigned8, "256", "256 does not fit UNSIGNED8"),
             (DataType::Unsigned8, "-1", "-1 does not fit"),
@@ -224,10 +224,10 @@ mod tests {
             (DataType::Domain, "xy", "write bytes"),
             (DataType::Real32, "one", "write a number"),
         ] {
-            let told = kind.read(text).unwrap_err().to_string();
-            assert!(told.contains(why), "{told}");
+            let message = kind.read(text).unwrap_err().to_string();
+            assert!(message.contains(why), "{message}");
         }
-        let told = DataType::named("word").unwrap_err().to_string();
-        assert!(told.contains("i8 to i64"), "{told}");
+        let message = DataType::named("word").unwrap_err().to_string();
+        assert!(message.contains("i8 to i64"), "{message}");
     }
 }

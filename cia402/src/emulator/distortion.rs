@@ -1,27 +1,27 @@
-//! Process data that a drive does not use as it acknowledged them: in another order, shifted, late, or not at all. Which
-//! message carries them is not known here.
+//! Process data that a drive uses differently than acknowledged: in another order, shifted, late, or not at all. It
+//! does not know which message carries them.
 
 use std::collections::VecDeque;
 
 use crate::dictionary::{AbortCode, Address, Dictionary};
 
-/// What becomes of the bytes of a PDO between wire and objects.
+/// Distortion of the bytes of a PDO between wire and objects.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Distortion {
-    /// The order in which the drive has the mapped entries, by their numbers in the acknowledged mapping; empty for that one.
+    /// The drive's order of the mapped entries, by their numbers in the acknowledged mapping; empty for the same order.
     pub order: Vec<usize>,
-    /// By so many bytes all of them are shifted around.
+    /// Number of bytes by which all are rotated.
     pub shift: usize,
-    /// They count so many cycles late.
+    /// Delay, cycles.
     pub delay: usize,
-    /// They stay as they are from now on.
+    /// The bytes are frozen from now on.
     pub frozen: bool,
     queue: VecDeque<Vec<u8>>,
     held: Option<Vec<u8>>,
 }
 
 impl Distortion {
-    /// The drive has the entries in that order.
+    /// A distortion with the entries in this order.
     #[must_use]
     pub fn order(order: impl Into<Vec<usize>>) -> Self {
         Self {
@@ -30,7 +30,7 @@ impl Distortion {
         }
     }
 
-    /// All bytes are shifted around by so many.
+    /// A distortion that rotates all bytes by `shift`.
     #[must_use]
     pub fn shifted(shift: usize) -> Self {
         Self {
@@ -39,7 +39,7 @@ impl Distortion {
         }
     }
 
-    /// They count so many cycles late.
+    /// Delay, cycles.
     #[must_use]
     pub fn delayed(delay: usize) -> Self {
         Self {
@@ -48,7 +48,7 @@ impl Distortion {
         }
     }
 
-    /// They stay as they are at the first cycle.
+    /// A distortion that freezes the bytes of the first cycle.
     #[must_use]
     pub fn frozen() -> Self {
         Self {
@@ -57,7 +57,7 @@ impl Distortion {
         }
     }
 
-    /// Whether the bytes are used as they come.
+    /// Whether there is no distortion.
     #[must_use]
     pub fn is_none(&self) -> bool {
         self.order.is_empty() && self.shift == 0 && self.delay == 0 && !self.frozen
@@ -124,21 +124,21 @@ impl Distortion {
     }
 }
 
-/// What a drive makes of its process data.
+/// How a drive distorts its process data.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ProcessDataFaults {
-    /// Of what it receives.
+    /// Distortion of received data.
     pub outputs: Distortion,
-    /// Of what it transmits.
+    /// Distortion of transmitted data.
     pub inputs: Distortion,
-    /// Objects (of the first axis) that SDO does not read.
+    /// Objects (of the first axis) that SDO cannot read.
     pub unreadable: Vec<u16>,
     /// Objects (of the first axis) that it sets to zero while it is not enabled.
     pub cleared: Vec<u16>,
 }
 
 impl ProcessDataFaults {
-    /// What the drive says to a read from the bus: what it does not mirror, it refuses or has cleared.
+    /// Handles a read from the bus: objects that are not mirrored are refused or read as zero.
     pub(super) fn before_upload(
         &self,
         axis: u8,
@@ -177,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn distortion_by_delay_and_freezing_repeats_old_bytes() {
+    fn distortion_by_delay_and_freezing_repeats_stale_bytes() {
         let mut late = Distortion {
             delay: 2,
             ..Distortion::default()

@@ -1,5 +1,5 @@
-//! One axis of a drive: the objects of the profile, the state machine, the modes, the servo and
-//! the motor, put together. Which messages carry its objects is not known here.
+//! One axis of a drive: the objects of the profile, the state machine, the modes, the servo and the motor, put
+//! together. It does not know which messages carry its objects.
 
 mod report;
 
@@ -11,34 +11,34 @@ use crate::{ControlWord, State};
 use super::distortion::ProcessDataFaults;
 use super::guards::{DC_LINK, FaultCode, Guards, WARM, Watched};
 use super::homing::Method;
-use super::modes::{Follow, Modes, Said, View, is_supported, shown, wrap};
+use super::modes::{Follow, ModeOutput, Modes, View, is_supported, shown, wrap};
 use super::motor::{Motor, MotorConfig, Switches};
 use super::objects::{Keys, objects};
-use super::power::{Motion, Options, Power, Seen};
+use super::power::{Motion, Options, Power, PowerInput};
 use super::quirks::Quirks;
 use super::servo::{Demand, Limits, Servo};
 use report::milli;
 
-/// The drive computes in steps of at most this, s.
+/// Longest computation step, s.
 pub(super) const TICK: f64 = 250e-6;
-/// Longest time that one [`Drive::step`] makes up for.
+/// Longest time that one [`Drive::step`] simulates.
 const STEP_MAX: Duration = Duration::from_millis(100);
-/// Slower than this the motor stands, rad/s.
+/// Below this speed the motor counts as stopped, rad/s.
 const REST: f64 = 0.1;
 
-/// What an emulated axis is like.
+/// Configuration of an emulated axis.
 #[derive(Clone, Debug, Default)]
 pub struct DriveConfig {
     /// The motor and what it moves.
     pub motor: MotorConfig,
-    /// In what the drive departs from the profile.
+    /// Deviations of the drive from the profile.
     pub quirks: Quirks,
-    /// Where the motor is when power comes on, rad.
+    /// Position of the motor at power-on, rad.
     pub position: f64,
 }
 
 impl DriveConfig {
-    /// The objects of such an axis (0 to 7), to be put into the node's dictionary.
+    /// The objects of such an axis (0 to 7), for the dictionary of the node.
     #[must_use]
     pub fn objects(&self, axis: u8) -> Vec<Object> {
         let mut objects = objects(axis);
@@ -63,18 +63,18 @@ impl DriveConfig {
     }
 }
 
-/// What a drive is told in a step.
+/// Inputs of a step.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Step {
-    /// Time since the last step; at most 100 ms of it are made up for.
+    /// Time since the last step; at most 100 ms of it are simulated.
     pub dt: Duration,
-    /// New cyclic set-points came (SYNC, SYNC0 or the PDO).
+    /// New cyclic set-points were received (SYNC, SYNC0 or the PDO).
     pub set_point: bool,
-    /// The master is silent; 6007h says what then.
+    /// The master is lost; 6007h selects the reaction.
     pub link_lost: bool,
 }
 
-/// What a drive says in a step.
+/// Outputs of a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Stepped {
     /// An emergency to send: a new fault, or [`FaultCode::NONE`] for a fault that was reset.
@@ -95,9 +95,9 @@ pub struct Drive {
     /// User position is motor position times this, plus [`Self::origin`]; user units/rad.
     scale: f64,
     origin: f64,
-    /// A fault that was found or put in from outside, and is not answered yet.
+    /// A fault that was detected or injected and not handled yet.
     new_fault: Option<FaultCode>,
-    /// A cause put in from outside that is still there.
+    /// An injected cause that is still present.
     cause: Option<FaultCode>,
     link_was_lost: bool,
     probes: u16,
@@ -105,15 +105,15 @@ pub struct Drive {
     pub dc_link: f64,
     /// Digital inputs 16 to 31 of 60FDh.
     pub inputs: u16,
-    /// A service tool has it: bit 9 of 6041h is low, and 6040h is not looked at.
+    /// A service tool controls the drive: bit 9 of 6041h is low, and 6040h is ignored.
     pub local: bool,
     /// Its interlock (a guard, safe torque off) keeps power off: bit 3 of 60FDh, no transition 3.
     pub interlock: bool,
-    /// The controlword that was obeyed last.
-    obeyed: ControlWord,
-    /// Enablings that still end in a fault.
+    /// The controlword that was last executed.
+    applied_word: ControlWord,
+    /// How many more enablings end in a fault.
     faults_on_enable: u32,
-    /// What it makes of its process data; its node asks.
+    /// How it distorts its process data; its node applies this.
     pub process_data: ProcessDataFaults,
 }
 
@@ -121,7 +121,7 @@ impl Drive {
     /// An axis over the objects of [`DriveConfig::objects`] in a dictionary.
     ///
     /// # Errors
-    /// If the dictionary lacks one of them.
+    /// If the dictionary lacks one of these objects.
     pub fn new(
         config: DriveConfig,
         axis: u8,
@@ -148,7 +148,7 @@ impl Drive {
             inputs: 0,
             local: false,
             interlock: false,
-            obeyed: ControlWord::DISABLE_VOLTAGE,
+            applied_word: ControlWord::DISABLE_VOLTAGE,
             process_data: ProcessDataFaults::default(),
         })
     }
@@ -165,32 +165,32 @@ impl Drive {
         &self.motor
     }
 
-    /// The motor, to push it around.
+    /// The motor, to apply external torques.
     pub const fn motor_mut(&mut self) -> &mut Motor {
         &mut self.motor
     }
 
-    /// Puts in a fault whose cause stays until [`Self::mend`].
+    /// Injects a fault whose cause stays until [`Self::clear_cause`].
     pub const fn fault(&mut self, code: FaultCode) {
         self.new_fault = Some(code);
         self.cause = Some(code);
     }
 
-    /// Takes away the cause that was put in; the fault still has to be reset.
-    pub const fn mend(&mut self) {
+    /// Removes the injected cause; the fault still has to be reset.
+    pub const fn clear_cause(&mut self) {
         self.cause = None;
     }
 
-    /// The bus wrote a data record of interpolated position (60C1h:01), which counts if records are buffered
-    /// (60C4h). Returns whether there was a place for it.
+    /// The bus wrote a data record of interpolated position (60C1h:01), which is used if records are buffered (60C4h).
+    /// Returns whether the buffer had a free slot.
     pub fn take_record(&mut self, dictionary: &Dictionary, record: i32) -> bool {
         self.modes.take_record(dictionary, &self.keys, record)
     }
 
-    /// What the drive says to a write from the bus beyond what its dictionary says.
+    /// Checks a write from the bus beyond the checks of the dictionary.
     ///
     /// # Errors
-    /// If it refuses: a mode it has not, a homing method or an option code it does not know.
+    /// If the mode, homing method or option code is not supported.
     pub fn check_download(
         &self,
         dictionary: &Dictionary,
@@ -201,7 +201,7 @@ impl Drive {
         let number = |data: &[u8]| data.first().map_or(0, |byte| byte.cast_signed());
         let allowed = match address.index.checked_sub(offset) {
             Some(0x6060) => is_supported(number(data), dictionary.get(self.keys.supported_modes)),
-            // Sin² and jerk-free ramps it has not.
+            // Sin² and jerk-free ramps are not supported.
             Some(0x6086) => matches!(data.first_chunk(), Some(&[0 | 3, 0])),
             Some(0x6098) => {
                 let number = number(data);
@@ -220,23 +220,22 @@ impl Drive {
         }
     }
 
-    /// What the drive says to a read from the bus.
+    /// Checks a read from the bus.
     ///
     /// # Errors
-    /// If SDO does not read that object.
+    /// If the object cannot be read by SDO.
     pub fn before_upload(&self, d: &mut Dictionary, address: Address) -> Result<(), AbortCode> {
         let enabled = self.power.state == State::OperationEnabled;
         self.process_data
             .before_upload(self.axis, enabled, d, address)
     }
 
-    /// Lets time pass: reads what the master wrote, moves the motor, and writes what the master
-    /// may read.
+    /// Advances time: reads what the master wrote, moves the motor, and writes the objects that the master reads.
     pub fn step(&mut self, dictionary: &mut Dictionary, step: &Step) -> Stepped {
         let mut left = step.dt.min(STEP_MAX).as_secs_f64().max(1e-9);
         let word = self.word(dictionary, step.link_lost);
         self.read_units(dictionary);
-        // One transition a step, so that whoever looks once a step sees each state.
+        // One transition per step, so that a check once per step sees each state.
         let (motion, emergency) = self.step_power(dictionary, word, left);
         let mut set_point = step.set_point;
         while left > 0.0 {
@@ -258,9 +257,9 @@ impl Drive {
     ) {
         let halt = word.halt();
         self.modes.switch(d, &self.keys, halt, &self.quirks, dt);
-        let said = self.move_motor(d, word, motion, set_point, dt);
-        self.guard(d, &said, motion, dt);
-        self.tell(d, &said, motion);
+        let output = self.move_motor(d, word, motion, set_point, dt);
+        self.guard(d, &output, motion, dt);
+        self.report(d, &output, motion);
     }
 
     /// The factor group: user units per rad of the motor.
@@ -276,7 +275,7 @@ impl Drive {
         };
         let scale = sign * turn / std::f64::consts::TAU;
         if scale.total_cmp(&self.scale).is_ne() && scale.is_finite() && scale != 0.0 {
-            // The same place in other units.
+            // The same position in other units.
             self.origin *= scale / self.scale;
             self.modes.shift(self.position_at(scale) - self.position());
             self.scale = scale;
@@ -292,12 +291,12 @@ impl Drive {
         self.position_at(self.scale)
     }
 
-    /// The controlword, or what 6007h makes of it while the master is silent.
+    /// The controlword, or what 6007h makes of it while the master is lost.
     fn word(&mut self, d: &Dictionary, link_lost: bool) -> ControlWord {
         if !self.local {
-            self.obeyed = ControlWord::new(d.get(self.keys.control_word));
+            self.applied_word = ControlWord::new(d.get(self.keys.control_word));
         }
-        let word = self.obeyed;
+        let word = self.applied_word;
         let newly = link_lost && !std::mem::replace(&mut self.link_was_lost, link_lost);
         if !link_lost {
             return word;
@@ -313,7 +312,7 @@ impl Drive {
         }
     }
 
-    /// The state machine; returns what the motor is to do, and an emergency.
+    /// The state machine; returns the commanded motion, and an emergency.
     fn step_power(
         &mut self,
         d: &mut Dictionary,
@@ -328,7 +327,7 @@ impl Drive {
             fault: d.get(k.fault_option),
         };
         let (low, high) = DC_LINK;
-        let seen = Seen {
+        let input = PowerInput {
             at_rest: self.is_at_rest(),
             fault: self.new_fault.is_some(),
             cause: self.cause.is_some() || self.dc_link > high || self.motor.heat > 1.0,
@@ -336,11 +335,11 @@ impl Drive {
             dt,
         };
         let before = self.power.state;
-        let motion = self.power.step(word, &seen, &options, &self.quirks);
+        let motion = self.power.step(word, &input, &options, &self.quirks);
         let after = self.power.state;
         let enabled = before != after && after == State::OperationEnabled;
         if enabled && self.faults_on_enable > 0 {
-            // Counted down unless it is for ever. The statusword shows Operation enabled once.
+            // Counted down unless unlimited. The statusword shows Operation enabled once.
             if self.faults_on_enable < u32::MAX {
                 self.faults_on_enable -= 1;
             }
@@ -368,7 +367,7 @@ impl Drive {
         motion: Motion,
         set_point: bool,
         dt: f64,
-    ) -> Said {
+    ) -> ModeOutput {
         let limits = self.limits(d);
         let ramp = self.modes.ramp.velocity.abs();
         let index = self.probe(d, dt);
@@ -385,12 +384,12 @@ impl Drive {
             turn: self.scale * std::f64::consts::TAU,
             dt,
         };
-        let said = self.modes.step(d, &self.keys, &self.quirks, &view);
-        let demand = self.demand(d, &said);
+        let output = self.modes.step(d, &self.keys, &self.quirks, &view);
+        let demand = self.demand(d, &output);
         let torque = self.servo.torque(demand, &self.motor, &limits, dt);
         self.motor.braked = matches!(motion, Motion::Off | Motion::Opening);
         self.motor.step(torque, dt);
-        if let Some(home) = said.home {
+        if let Some(home) = output.home {
             let offset = f64::from(d.get(self.keys.home_offset));
             let sign = if self.quirks.home_offset_positive {
                 1.0
@@ -401,7 +400,7 @@ impl Drive {
             self.origin += shift;
             self.modes.shift(shift);
         }
-        said
+        output
     }
 
     /// Torque limits 6072h, 60E0h and 60E1h, and the speed that motor and profile allow.
@@ -419,13 +418,13 @@ impl Drive {
         }
     }
 
-    /// What the servo is to do, in the motor's units.
-    fn demand(&self, d: &Dictionary, said: &Said) -> Demand {
+    /// The demand for the servo, in motor units.
+    fn demand(&self, d: &Dictionary, output: &ModeOutput) -> Demand {
         let rated = self.motor.config().rated_torque / 1000.0;
         let ramp = self.modes.ramp;
         let velocity = ramp.velocity / self.scale;
         let offset = f64::from(d.get(self.keys.torque_offset)) * rated;
-        match said.follow {
+        match output.follow {
             Follow::Nothing => Demand::Off,
             Follow::Position => {
                 let position = (ramp.position - self.origin) / self.scale;
@@ -436,7 +435,7 @@ impl Drive {
         }
     }
 
-    /// The switches in user directions.
+    /// The switches in user direction.
     fn switches(&self) -> Switches {
         let switches = self.motor.switches();
         if self.scale > 0.0 {
@@ -449,8 +448,8 @@ impl Drive {
         }
     }
 
-    /// Touch probes 60B8h to 60BDh: probe 1 is the home switch, probe 2 the negative limit; each
-    /// may take the index pulse instead. Returns where the last tick met an index pulse.
+    /// Touch probes 60B8h to 60BDh: probe 1 is the home switch, probe 2 the negative limit; each may take the index
+    /// pulse instead. Returns the position of an index pulse met in the last tick.
     fn probe(&mut self, d: &mut Dictionary, dt: f64) -> Option<f64> {
         let k = self.keys;
         let to = self.motor.position;
@@ -495,9 +494,9 @@ impl Drive {
         index
     }
 
-    fn guard(&mut self, d: &Dictionary, said: &Said, motion: Motion, dt: f64) {
+    fn guard(&mut self, d: &Dictionary, output: &ModeOutput, motion: Motion, dt: f64) {
         let k = &self.keys;
-        let position = said.follow == Follow::Position;
+        let position = output.follow == Follow::Position;
         let watched = Watched {
             following_error: position.then(|| self.modes.ramp.position - self.position()),
             window: d.get(k.following_window),
@@ -508,7 +507,7 @@ impl Drive {
             dt,
         };
         let found = self.guards.step(&watched);
-        let found = found.or_else(|| said.missing.then_some(FaultCode::SYNC));
+        let found = found.or_else(|| output.missing.then_some(FaultCode::SYNC));
         let answered = matches!(
             self.power.state,
             State::FaultReactionActive | State::Fault | State::NotReadyToSwitchOn

@@ -1,5 +1,5 @@
-//! What makes the drive fault by itself: following error, heat, voltage, silence of the master. It
-//! does not decide how the drive stops.
+//! Fault detection of the drive: following error, temperature, voltage, loss of the master. How the drive stops is
+//! decided elsewhere.
 
 use std::fmt;
 
@@ -11,7 +11,7 @@ use crate::error_text;
 pub struct FaultCode(pub u16);
 
 impl FaultCode {
-    /// Nothing is wrong (any more).
+    /// No error, or the error is reset.
     pub const NONE: Self = Self(0x0000);
     /// Short circuit at the output.
     pub const SHORT_CIRCUIT: Self = Self(0x2320);
@@ -29,14 +29,14 @@ impl FaultCode {
     pub const HEARTBEAT: Self = Self(0x8130);
     /// A received PDO is too short.
     pub const PDO_LENGTH: Self = Self(0x8210);
-    /// An expected PDO did not come.
+    /// An expected PDO is missing.
     pub const PDO_TIMEOUT: Self = Self(0x8250);
     /// The position does not follow.
     pub const FOLLOWING_ERROR: Self = Self(0x8611);
-    /// A cyclic set-point did not come.
+    /// A cyclic set-point is missing.
     pub const SYNC: Self = Self(0x8700);
 
-    /// Bits of the error register 1001h that go with it.
+    /// The bits of the error register 1001h for this code.
     #[must_use]
     pub const fn register(self) -> u8 {
         match self.0 >> 8 {
@@ -58,7 +58,7 @@ impl fmt::Display for FaultCode {
     }
 }
 
-/// What the guards look at, once a step.
+/// Values that the guards check in each step.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Watched {
     /// Demand less actual position, user units; `None` where no position is followed.
@@ -66,7 +66,7 @@ pub(super) struct Watched {
     pub(super) window: u32,
     /// s
     pub(super) timeout: f64,
-    /// 1 is as hot as it may be.
+    /// 1 is the temperature limit.
     pub(super) heat: f64,
     /// V
     pub(super) dc_link: f64,
@@ -76,9 +76,9 @@ pub(super) struct Watched {
     pub(super) dt: f64,
 }
 
-/// The DC link of the drive may have these voltages, V.
+/// Allowed DC link voltages, V.
 pub(super) const DC_LINK: (f64, f64) = (20.0, 60.0);
-/// From this share of the allowed heat on the drive warns.
+/// Fraction of the temperature limit above which the drive warns.
 pub(super) const WARM: f64 = 0.8;
 
 /// Timers of the guards.
@@ -94,7 +94,7 @@ impl Guards {
         self.outside > 0.0
     }
 
-    /// The fault that is there, if any.
+    /// The present fault, if any.
     pub(super) fn step(&mut self, seen: &Watched) -> Option<FaultCode> {
         let off = seen.window == u32::MAX;
         let outside = |error: f64| !off && error.abs() > f64::from(seen.window);

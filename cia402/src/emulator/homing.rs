@@ -1,27 +1,26 @@
-//! Homing methods 1 to 14, 17 to 30, 33 to 35 and 37 (6098h): a search over switches and the
-//! encoder's index pulse. Negative is left, as in the profile. It moves nothing itself: it says at
-//! which velocity to go.
+//! Homing methods 1 to 14, 17 to 30, 33 to 35 and 37 (6098h): a search over switches and the encoder's index pulse.
+//! Negative is left, as in the profile. It moves nothing itself, but requests a velocity.
 
 use super::motor::Switches;
 
-/// Which switch a method looks for.
+/// The switch that a method searches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Which {
+enum SwitchKind {
     Negative,
     Positive,
     Home,
 }
 
-/// What a method does.
+/// Definition of a method.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Method {
     /// The switch to find; `None` if the index pulse alone counts.
-    switch: Option<Which>,
+    switch: Option<SwitchKind>,
     /// Direction in which the switch is searched: -1.0 left, 1.0 right.
     seek: i8,
-    /// Whether a limit switch met while searching turns the search round.
+    /// Whether a limit switch reverses the search.
     turns: bool,
-    /// Direction in which the edge is crossed in the end.
+    /// Direction in which the edge is finally crossed.
     last: i8,
     /// Whether the switch is on behind that edge.
     on: bool,
@@ -46,20 +45,20 @@ impl Method {
             _ => return None,
         };
         let (switch, seek, turns, last, on) = match base {
-            1 => (Which::Negative, L, false, R, false),
-            2 => (Which::Positive, R, false, L, false),
-            3 => (Which::Home, R, false, L, false),
-            4 => (Which::Home, R, false, R, true),
-            5 => (Which::Home, L, false, R, false),
-            6 => (Which::Home, L, false, L, true),
-            7 => (Which::Home, R, true, L, false),
-            8 => (Which::Home, R, true, R, true),
-            9 => (Which::Home, R, true, L, true),
-            10 => (Which::Home, R, true, R, false),
-            11 => (Which::Home, L, true, R, false),
-            12 => (Which::Home, L, true, L, true),
-            13 => (Which::Home, L, true, R, true),
-            _ => (Which::Home, L, true, L, false),
+            1 => (SwitchKind::Negative, L, false, R, false),
+            2 => (SwitchKind::Positive, R, false, L, false),
+            3 => (SwitchKind::Home, R, false, L, false),
+            4 => (SwitchKind::Home, R, false, R, true),
+            5 => (SwitchKind::Home, L, false, R, false),
+            6 => (SwitchKind::Home, L, false, L, true),
+            7 => (SwitchKind::Home, R, true, L, false),
+            8 => (SwitchKind::Home, R, true, R, true),
+            9 => (SwitchKind::Home, R, true, L, true),
+            10 => (SwitchKind::Home, R, true, R, false),
+            11 => (SwitchKind::Home, L, true, R, false),
+            12 => (SwitchKind::Home, L, true, L, true),
+            13 => (SwitchKind::Home, L, true, R, true),
+            _ => (SwitchKind::Home, L, true, L, false),
         };
         Some(Self {
             switch: Some(switch),
@@ -93,23 +92,23 @@ impl Method {
 
     fn is_on(&self, switches: Switches) -> bool {
         match self.switch {
-            Some(Which::Negative) => switches.negative,
-            Some(Which::Positive) => switches.positive,
-            Some(Which::Home) => switches.home,
+            Some(SwitchKind::Negative) => switches.negative,
+            Some(SwitchKind::Positive) => switches.positive,
+            Some(SwitchKind::Home) => switches.home,
             None => false,
         }
     }
 }
 
-/// What homing sees in a step, in user units and directions.
+/// Inputs of a homing step, in user units and directions.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Sight {
+pub(super) struct HomingInput {
     pub(super) position: f64,
     pub(super) velocity: f64,
     pub(super) switches: Switches,
-    /// Where the last step met an index pulse.
+    /// Position of an index pulse met in the last step.
     pub(super) index: Option<f64>,
-    /// The motor stands.
+    /// The motor is at rest.
     pub(super) at_rest: bool,
 }
 
@@ -128,13 +127,13 @@ enum Phase {
         direction: i8,
         seen: bool,
     },
-    /// Slowly over the edge. `seen` once the switch was as before the edge in this direction.
+    /// Slowly over the edge. `seen` once the switch had its state before the edge in this direction.
     Cross {
         seen: bool,
     },
     /// Slowly to the next index pulse.
     Index,
-    /// Home is found; coming to rest.
+    /// Home is found; stopping.
     Rest {
         home: f64,
     },
@@ -142,35 +141,35 @@ enum Phase {
     Failed,
 }
 
-/// A homing under way.
+/// A homing run.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Homing {
     phase: Phase,
     method: Option<Method>,
 }
 
-/// What homing wants in a step.
+/// Motion that homing requests in a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Wish {
+pub(super) struct HomingRequest {
     /// 6099h:1 rather than 6099h:2.
     pub(super) fast: bool,
-    /// -1 left, 0 stand, 1 right.
+    /// -1 left, 0 stop, 1 right.
     pub(super) direction: i8,
-    /// Home is there, user units, and the motor stands: the origin moves now.
+    /// Home position, user units, once the motor has stopped: the origin moves now.
     pub(super) home: Option<f64>,
 }
 
 impl Homing {
-    /// Begins, by the method of that number; an unknown one fails.
-    pub(super) fn start(&mut self, number: i8, sight: &Sight) {
+    /// Starts the method of that number; an unknown one fails.
+    pub(super) fn start(&mut self, number: i8, input: &HomingInput) {
         self.method = Method::new(number);
         self.phase = match self.method {
             None => Phase::Failed,
             Some(Method { here: true, .. }) => Phase::Rest {
-                home: sight.position,
+                home: input.position,
             },
             Some(Method { switch: None, .. }) => Phase::Index,
-            Some(method) => match (method.is_on(sight.switches), method.on) {
+            Some(method) => match (method.is_on(input.switches), method.on) {
                 (true, true) => Phase::Leave {
                     direction: -method.last,
                     seen: false,
@@ -184,14 +183,14 @@ impl Homing {
         };
     }
 
-    /// Ends a search that is under way; what was found stays.
+    /// Aborts a running search; a home that was found stays.
     pub(super) fn interrupt(&mut self) {
         if !matches!(self.phase, Phase::Done | Phase::Failed) {
             self.phase = Phase::Idle;
         }
     }
 
-    /// Statusword bits 10, 12 and 13 while it moves or not.
+    /// Statusword bits 10, 12 and 13, at rest or moving.
     pub(super) fn bits(&self, at_rest: bool) -> (bool, bool, bool) {
         match self.phase {
             Phase::Idle => (at_rest, false, false),
@@ -205,12 +204,12 @@ impl Homing {
     }
 
     /// One step.
-    pub(super) fn step(&mut self, sight: &Sight) -> Wish {
+    pub(super) fn step(&mut self, input: &HomingInput) -> HomingRequest {
         let Some(method) = self.method else {
-            return Wish::default();
+            return HomingRequest::default();
         };
-        self.advance(&method, sight);
-        let go = |fast, direction| Wish {
+        self.advance(&method, input);
+        let go = |fast, direction| HomingRequest {
             fast,
             direction,
             home: None,
@@ -219,25 +218,27 @@ impl Homing {
             Phase::Seek { direction, .. } => go(true, direction),
             Phase::Leave { direction, .. } => go(true, direction),
             Phase::Cross { .. } | Phase::Index => go(false, method.last),
-            Phase::Rest { home } if sight.at_rest => {
+            Phase::Rest { home } if input.at_rest => {
                 self.phase = Phase::Done;
-                Wish {
+                HomingRequest {
                     home: Some(home),
-                    ..Wish::default()
+                    ..HomingRequest::default()
                 }
             }
-            Phase::Idle | Phase::Rest { .. } | Phase::Done | Phase::Failed => Wish::default(),
+            Phase::Idle | Phase::Rest { .. } | Phase::Done | Phase::Failed => {
+                HomingRequest::default()
+            }
         }
     }
 
-    fn advance(&mut self, method: &Method, sight: &Sight) {
-        let on = method.is_on(sight.switches);
-        let moves = |direction: i8| sight.velocity * f64::from(direction) > 0.0;
+    fn advance(&mut self, method: &Method, input: &HomingInput) {
+        let on = method.is_on(input.switches);
+        let moves = |direction: i8| input.velocity * f64::from(direction) > 0.0;
         let blocked = |direction: i8| {
             let limit = if direction < 0 {
-                sight.switches.negative
+                input.switches.negative
             } else {
-                sight.switches.positive
+                input.switches.positive
             };
             limit && moves(direction)
         };
@@ -275,15 +276,15 @@ impl Homing {
                         Phase::Index
                     } else {
                         Phase::Rest {
-                            home: sight.position,
+                            home: input.position,
                         }
                     };
-                } else if blocked(method.last) && method.switch == Some(Which::Home) {
+                } else if blocked(method.last) && method.switch == Some(SwitchKind::Home) {
                     self.phase = Phase::Failed;
                 }
             }
             Phase::Index if moves(method.last) => {
-                if let Some(home) = sight.index {
+                if let Some(home) = input.index {
                     self.phase = Phase::Rest { home };
                 } else if blocked(method.last) {
                     self.phase = Phase::Failed;

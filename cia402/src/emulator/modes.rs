@@ -1,5 +1,5 @@
-//! Modes of operation: from the objects of a mode to a demand for the servo, and the bits of the
-//! statusword that the mode owns. Whether the motor may follow at all is said by the power state.
+//! Modes of operation: from the objects of a mode to a demand for the servo, and the bits of the statusword that the
+//! mode owns. The power state decides whether the motor may follow.
 
 mod cyclic;
 mod position;
@@ -8,7 +8,7 @@ mod velocity;
 use crate::ControlWord;
 use crate::dictionary::{Dictionary, Key};
 
-use super::homing::{Homing, Sight};
+use super::homing::{Homing, HomingInput};
 use super::motor::Switches;
 use super::objects::Keys;
 use super::power::{Motion, Stop};
@@ -38,10 +38,10 @@ pub(super) const CSV: i8 = 9;
 /// Cyclic synchronous torque.
 pub(super) const CST: i8 = 10;
 
-/// Jerk-limited ramp, of the profile types of 6086h.
+/// Profile type of 6086h: jerk-limited ramp.
 pub(super) const JERK_LIMITED: i16 = 3;
 
-/// Whether a drive with that 6502h has a mode; 0 is no mode and always there.
+/// Whether a drive with that 6502h supports a mode; 0 is no mode and always supported.
 pub(super) fn is_supported(mode: i8, supported: u32) -> bool {
     match mode {
         0 => true,
@@ -50,12 +50,12 @@ pub(super) fn is_supported(mode: i8, supported: u32) -> bool {
     }
 }
 
-/// What a mode sees in a step; positions and velocities in user units.
+/// Inputs of a mode in a step; positions and velocities in user units.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct View {
     pub(super) word: ControlWord,
     pub(super) motion: Motion,
-    /// The master gave new cyclic set-points.
+    /// The master sent new cyclic set-points.
     pub(super) set_point: bool,
     pub(super) position: f64,
     pub(super) velocity: f64,
@@ -70,7 +70,7 @@ pub(super) struct View {
     pub(super) dt: f64,
 }
 
-/// What the servo is to follow.
+/// The demand that the servo follows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Follow {
     /// Nothing.
@@ -83,9 +83,9 @@ pub(super) enum Follow {
     Torque,
 }
 
-/// What a mode says in a step.
+/// Outputs of a mode in a step.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Said {
+pub(super) struct ModeOutput {
     pub(super) follow: Follow,
     /// Statusword bit 10.
     pub(super) reached: bool,
@@ -96,11 +96,11 @@ pub(super) struct Said {
     pub(super) limited: bool,
     /// Too many cyclic set-points are missing.
     pub(super) missing: bool,
-    /// Home was found there: the origin moves.
+    /// Home position that was found: the origin moves.
     pub(super) home: Option<f64>,
 }
 
-impl Said {
+impl ModeOutput {
     const fn new(follow: Follow) -> Self {
         Self {
             follow,
@@ -114,18 +114,18 @@ impl Said {
     }
 }
 
-/// The modes' memory.
+/// State of the modes.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Modes {
     /// The mode that 6061h shows.
     pub(super) mode: i8,
-    /// The mode that is to come, and the time until then, s.
+    /// The next mode, and the time until it is active, s.
     coming: Option<(i8, f64)>,
     /// The demand in user units.
     pub(super) ramp: Ramp,
     /// The demanded torque, per mille of 6076h.
     pub(super) torque: f64,
-    /// What the servo followed in the last step.
+    /// The demand that the servo followed in the last step.
     follow: Option<Follow>,
     set_points: SetPoints,
     cyclic: Cyclic,
@@ -144,7 +144,7 @@ impl Modes {
         self.ramp.position += by;
     }
 
-    /// Takes over a change of 6060h; returns whether the mode is another than before.
+    /// Applies a change of 6060h; returns whether the mode changed.
     pub(super) fn switch(
         &mut self,
         dictionary: &Dictionary,
@@ -175,7 +175,7 @@ impl Modes {
         true
     }
 
-    /// Drops all targets, as a change of mode and leaving Operation enabled do.
+    /// Drops all targets, on a change of mode and on leaving Operation enabled.
     fn forget(&mut self) {
         self.set_points = SetPoints::default();
         self.cyclic = Cyclic::default();
@@ -186,24 +186,30 @@ impl Modes {
     }
 
     /// One step.
-    pub(super) fn step(&mut self, d: &Dictionary, k: &Keys, quirks: &Quirks, see: &View) -> Said {
+    pub(super) fn step(
+        &mut self,
+        d: &Dictionary,
+        k: &Keys,
+        quirks: &Quirks,
+        see: &View,
+    ) -> ModeOutput {
         if self.follow != Some(Follow::Position) {
-            // Whoever begins to follow a position begins where the motor is.
+            // Position control starts at the actual position.
             if self.follow != Some(Follow::Velocity) {
                 (self.ramp.velocity, self.ramp.acceleration) = (see.velocity, 0.0);
             }
             self.ramp.position = see.position;
         }
-        let said = match see.motion {
+        let output = match see.motion {
             Motion::Off => {
                 self.forget();
                 self.torque = 0.0;
                 (self.ramp.velocity, self.ramp.acceleration) = (0.0, 0.0);
-                Said::new(Follow::Nothing)
+                ModeOutput::new(Follow::Nothing)
             }
             Motion::Opening => {
                 (self.ramp.velocity, self.ramp.acceleration) = (0.0, 0.0);
-                Said::new(Follow::Position)
+                ModeOutput::new(Follow::Position)
             }
             Motion::Stopping(stop) => {
                 self.forget();
@@ -211,24 +217,24 @@ impl Modes {
             }
             Motion::Follow => self.follow(d, k, quirks, see),
         };
-        if said.follow != Follow::Torque {
+        if output.follow != Follow::Torque {
             self.torque = 0.0;
         }
         self.follow = match see.motion {
             Motion::Off => None,
-            Motion::Opening | Motion::Follow | Motion::Stopping(_) => Some(said.follow),
+            Motion::Opening | Motion::Follow | Motion::Stopping(_) => Some(output.follow),
         };
-        said
+        output
     }
 
-    fn follow(&mut self, d: &Dictionary, k: &Keys, quirks: &Quirks, see: &View) -> Said {
+    fn follow(&mut self, d: &Dictionary, k: &Keys, quirks: &Quirks, see: &View) -> ModeOutput {
         let halted = see.word.halt() && matches!(self.mode, PP | VL | PV | TQ | HM);
         if halted {
             self.homing.interrupt();
             let stop = Stop::from_option(d.get(k.halt_option));
-            let mut said = self.stop(stop, d, k, see);
-            said.reached = see.at_rest;
-            return said;
+            let mut output = self.stop(stop, d, k, see);
+            output.reached = see.at_rest;
+            return output;
         }
         match self.mode {
             PP => self.profile_position(d, k, see),
@@ -255,7 +261,7 @@ impl Modes {
         }
     }
 
-    fn stop(&mut self, stop: Stop, d: &Dictionary, k: &Keys, see: &View) -> Said {
+    fn stop(&mut self, stop: Stop, d: &Dictionary, k: &Keys, see: &View) -> ModeOutput {
         let mut bounds = Self::bounds(d, k, see);
         bounds.velocity = f64::INFINITY;
         bounds.deceleration = match stop {
@@ -263,13 +269,13 @@ impl Modes {
             Stop::QuickRamp => f64::from(d.get(k.quick_stop_deceleration)).max(1.0),
             Stop::Limit => f64::from(d.get(k.max_deceleration)).max(1.0),
         };
-        // Who stops in a hurry does not mind the jerk.
+        // Quick stops are not jerk-limited.
         bounds.jerk = bounds.jerk.filter(|_| stop == Stop::Ramp);
         self.ramp.toward_velocity(0.0, &bounds, see.dt);
-        Said::new(Follow::Position)
+        ModeOutput::new(Follow::Position)
     }
 
-    fn profile_velocity(&mut self, d: &Dictionary, k: &Keys, see: &View) -> Said {
+    fn profile_velocity(&mut self, d: &Dictionary, k: &Keys, see: &View) -> ModeOutput {
         let target = f64::from(d.get(k.target_velocity));
         let mut bounds = Self::bounds(d, k, see);
         bounds.velocity = see.velocity_max;
@@ -277,35 +283,35 @@ impl Modes {
         let window = f64::from(d.get(k.velocity_window));
         let within = (see.velocity - target).abs() <= window;
         let slow = see.velocity.abs() <= f64::from(d.get(k.velocity_threshold));
-        let mut said = Said::new(Follow::Velocity);
-        said.reached = held(
+        let mut output = ModeOutput::new(Follow::Velocity);
+        output.reached = held(
             &mut self.inside,
             within,
             d.get(k.velocity_window_time),
             see.dt,
         );
-        said.bit_12 = held(
+        output.bit_12 = held(
             &mut self.slow,
             slow,
             d.get(k.velocity_threshold_time),
             see.dt,
         );
-        said.limited = target.abs() > see.velocity_max;
-        said
+        output.limited = target.abs() > see.velocity_max;
+        output
     }
 
-    fn profile_torque(&mut self, d: &Dictionary, k: &Keys, see: &View) -> Said {
+    fn profile_torque(&mut self, d: &Dictionary, k: &Keys, see: &View) -> ModeOutput {
         let target = f64::from(d.get(k.target_torque));
         let change = f64::from(d.get(k.torque_slope)) * see.dt;
         self.torque += (target - self.torque).clamp(-change, change);
-        let mut said = Said::new(Follow::Torque);
-        said.reached = self.torque.total_cmp(&target).is_eq();
-        said
+        let mut output = ModeOutput::new(Follow::Torque);
+        output.reached = self.torque.total_cmp(&target).is_eq();
+        output
     }
 
-    fn home(&mut self, d: &Dictionary, k: &Keys, quirks: &Quirks, see: &View) -> Said {
+    fn home(&mut self, d: &Dictionary, k: &Keys, quirks: &Quirks, see: &View) -> ModeOutput {
         let bit = see.word.raw() & 0x0010 != 0;
-        let sight = Sight {
+        let input = HomingInput {
             position: see.position,
             velocity: see.velocity,
             switches: see.switches,
@@ -313,13 +319,13 @@ impl Modes {
             at_rest: see.at_rest,
         };
         match (self.homing_bit, bit) {
-            (false, true) => self.homing.start(d.get(k.homing_method), &sight),
+            (false, true) => self.homing.start(d.get(k.homing_method), &input),
             (true, false) => self.homing.interrupt(),
             (false, false) | (true, true) => {}
         }
         self.homing_bit = bit;
-        let wish = self.homing.step(&sight);
-        let speed = if wish.fast {
+        let request = self.homing.step(&input);
+        let speed = if request.fast {
             k.homing_fast
         } else {
             k.homing_slow
@@ -331,17 +337,17 @@ impl Modes {
             deceleration: rate,
             jerk: None,
         };
-        let velocity = f64::from(wish.direction) * f64::from(d.get(speed));
+        let velocity = f64::from(request.direction) * f64::from(d.get(speed));
         self.ramp.toward_velocity(velocity, &bounds, see.dt);
-        let mut said = Said::new(Follow::Position);
-        (said.reached, said.bit_12, said.bit_13) = self.homing.bits(see.at_rest);
-        said.reached &= !(quirks.homing_without_target_reached && said.bit_12);
-        said.home = wish.home;
-        said
+        let mut output = ModeOutput::new(Follow::Position);
+        (output.reached, output.bit_12, output.bit_13) = self.homing.bits(see.at_rest);
+        output.reached &= !(quirks.homing_without_target_reached && output.bit_12);
+        output.home = request.home;
+        output
     }
 }
 
-/// Counts how long something is so; returns whether it has been for `wanted` ms.
+/// Counts how long a condition holds; returns whether it has held for `wanted` ms.
 fn held(since: &mut f64, so: bool, wanted: u16, dt: f64) -> bool {
     *since = if so { *since + dt } else { 0.0 };
     so && *since * 1000.0 >= f64::from(wanted)
@@ -358,7 +364,7 @@ fn extend(reference: f64, raw: i32) -> f64 {
 pub(super) fn wrap(position: f64) -> i32 {
     #[expect(
         clippy::cast_possible_truncation,
-        reason = "positions stay far within 2^53; the lowest 32 bits are what is wanted"
+        reason = "positions stay far within 2^53; the lowest 32 bits are needed"
     )]
     let bits = position.round() as i64 as i32;
     bits

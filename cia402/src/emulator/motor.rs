@@ -1,4 +1,4 @@
-//! The motor, its load, brake, encoder and switches. It knows no object and no control loop.
+//! The motor, its load, brake, encoder and switches. It knows neither objects nor control loops.
 
 use std::f64::consts::TAU;
 
@@ -7,19 +7,19 @@ use std::f64::consts::TAU;
 pub struct MotorConfig {
     /// Inertia of motor and load, kg m².
     pub inertia: f64,
-    /// Friction that grows with speed, N m s/rad.
+    /// Viscous friction, N m s/rad.
     pub viscous: f64,
-    /// Friction that does not, N m.
+    /// Dry friction, N m.
     pub coulomb: f64,
     /// Torque of the load, positive when it drives towards positive positions, N m.
     pub load: f64,
-    /// Torque that the motor bears for ever, N m.
+    /// Continuous (rated) torque of the motor, N m.
     pub rated_torque: f64,
     /// Torque of the closed brake, N m.
     pub brake_torque: f64,
-    /// From the command to open the brake until it is open, s.
+    /// Opening time of the brake, s.
     pub brake_release: f64,
-    /// Time in which twice the rated torque overheats the cold motor is a third of this, roughly, s.
+    /// Thermal time constant, s; twice the rated torque overheats a cold motor in roughly a third of it.
     pub thermal_time: f64,
     /// Encoder increments in a revolution.
     pub increments: u32,
@@ -31,7 +31,7 @@ pub struct MotorConfig {
     pub positive_limit: f64,
     /// Between these positions the home switch is on, rad.
     pub home: (f64, f64),
-    /// Between these positions the axis can move at all, rad.
+    /// Mechanical stops: the axis moves between these positions, rad.
     pub stops: (f64, f64),
 }
 
@@ -72,17 +72,17 @@ pub struct Switches {
 #[derive(Clone, Debug)]
 pub struct Motor {
     config: MotorConfig,
-    /// Position since power came on, rad.
+    /// Position since power-on, rad.
     pub position: f64,
     /// Velocity, rad/s.
     pub velocity: f64,
-    /// Torque that the motor gave in the last step, N m.
+    /// Torque of the motor in the last step, N m.
     pub torque: f64,
-    /// Torque from outside beside that of the load, N m.
+    /// External torque in addition to the load, N m.
     pub external: f64,
     /// Whether the brake holds the shaft.
     pub braked: bool,
-    /// How hot the winding is: 0 cold, 1 as hot as it may be.
+    /// Temperature of the winding: 0 cold, 1 at the limit.
     pub heat: f64,
 }
 
@@ -107,7 +107,7 @@ impl Motor {
         &self.config
     }
 
-    /// Lets `dt` (s, at most a millisecond or so) pass with that torque (N m).
+    /// Advances by `dt` (s, at most about a millisecond) with this torque (N m).
     pub fn step(&mut self, torque: f64, dt: f64) {
         let c = &self.config;
         self.torque = torque;
@@ -116,7 +116,7 @@ impl Motor {
         let dry = c.coulomb + brake;
         let free = self.velocity + driving / c.inertia * dt;
         let slowed = dry / c.inertia * dt;
-        // Dry friction brings to rest, never to reverse.
+        // Dry friction stops a motion, it never reverses it.
         self.velocity = free.signum() * (free.abs() - slowed).max(0.0);
         self.position += self.velocity * dt;
         let (low, high) = c.stops;
@@ -140,7 +140,7 @@ impl Motor {
         }
     }
 
-    /// Where an index pulse lies between two positions, the first on the way, rad.
+    /// The first index pulse on the path between two positions, rad.
     #[must_use]
     pub fn index_between(&self, from: f64, to: f64) -> Option<f64> {
         let index = self.config.index;
@@ -192,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn stops_stop() {
+    fn mechanical_stops_end_motion() {
         let mut motor = Motor::new(MotorConfig::default(), 0.0);
         motor.braked = false;
         (0..100_000).for_each(|_| motor.step(1.0, 1e-4));
@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn rated_torque_heats_to_the_bound_and_no_further() {
+    fn rated_torque_heats_exactly_to_the_limit() {
         let mut motor = Motor::new(MotorConfig::default(), 0.0);
         for _ in 0..100_000 {
             motor.step(0.64, 1e-3);

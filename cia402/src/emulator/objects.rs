@@ -1,4 +1,4 @@
-//! The profile's objects that the emulated drive has: one row each. What they do is elsewhere.
+//! The objects of the profile that the emulated drive supports, one row each. Their behaviour is elsewhere.
 
 use crate::dictionary::{Access, Address, Dictionary, DictionaryError, Entry, Key, Object, PdoUse};
 
@@ -6,9 +6,9 @@ use crate::dictionary::{Access, Address, Dictionary, DictionaryError, Entry, Key
 macro_rules! objects {
     ($($(#[doc = $doc:literal])* $key:ident: $number:ty =
        $index:literal $sub:literal $name:literal $access:ident $pdo:ident $default:expr;)*) => {
-        /// Where the drive's objects lie in a dictionary.
+        /// Keys of the drive's objects in a dictionary.
         #[derive(Clone, Copy, Debug)]
-        #[expect(dead_code, reason = "some objects matter to the bus alone")]
+        #[expect(dead_code, reason = "some objects are used by the bus alone")]
         pub(super) struct Keys {
             $($(#[doc = $doc])* pub(super) $key: Key<$number>,)*
         }

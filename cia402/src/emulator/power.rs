@@ -1,6 +1,6 @@
-//! The drive's side of the state machine: which transition a controlword, a fault or the end of a
-//! stop causes, and what the option codes make of it. The table of transitions is in
-//! [`crate::transition()`]; how the motor stops is for the modes.
+//! The drive's side of the state machine: which transition a controlword, a fault or the end of a stop causes, as the
+//! option codes select it. The table of transitions is in [`crate::transition()`]; how the motor stops is for the
+//! modes.
 
 use crate::{Command, ControlWord, State, Trigger, transition};
 
@@ -9,7 +9,7 @@ use super::quirks::Quirks;
 /// How the motor is brought to rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Stop {
-    /// The power stage goes off at once; friction or the brake does it.
+    /// The power stage is switched off at once; friction or the brake stops the motor.
     Coast,
     /// By the profile deceleration 6084h.
     Ramp,
@@ -20,7 +20,7 @@ pub(super) enum Stop {
 }
 
 impl Stop {
-    /// By the numbers that 605Ah to 605Eh share; 5 to 8 of 605Ah are 1 to 4.
+    /// From the common values of 605Ah to 605Eh; 5 to 8 of 605Ah are 1 to 4.
     pub(super) const fn from_option(option: i16) -> Self {
         match option {
             1 | 5 => Self::Ramp,
@@ -31,16 +31,16 @@ impl Stop {
     }
 }
 
-/// What the motor is to do.
+/// The commanded motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Motion {
     /// Nothing: the power stage is off and the brake closed.
     Off,
-    /// The brake opens; the motor holds its place.
+    /// The brake opens; the motor holds its position.
     Opening,
     /// Follow the mode of operation.
     Follow,
-    /// Come to rest and stay there.
+    /// Stop and hold.
     Stopping(Stop),
 }
 
@@ -53,16 +53,16 @@ pub(super) struct Options {
     pub(super) fault: i16,
 }
 
-/// What the drive sees of itself.
+/// Status of the drive.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Seen {
-    /// The motor stands.
+pub(super) struct PowerInput {
+    /// The motor has stopped.
     pub(super) at_rest: bool,
-    /// A new fault was found.
+    /// A new fault was detected.
     pub(super) fault: bool,
-    /// The cause of a fault is still there.
+    /// The cause of a fault is still present.
     pub(super) cause: bool,
-    /// The DC link has its voltage.
+    /// The DC link voltage is present.
     pub(super) voltage: bool,
     /// Time since the last step, s.
     pub(super) dt: f64,
@@ -73,7 +73,7 @@ pub(super) struct Seen {
 pub(super) struct Power {
     pub(super) state: State,
     previous: ControlWord,
-    /// The transition out of Operation enabled that waits for the motor to stand, and how it stops.
+    /// The transition out of Operation enabled that waits for the motor to stop, and how it stops.
     leaving: Option<(State, Stop)>,
     /// How the motor stops in Quick stop active and Fault reaction active.
     stop: Stop,
@@ -83,7 +83,7 @@ pub(super) struct Power {
 }
 
 impl Power {
-    /// A drive in its self test, whose brake opens in so many s.
+    /// A drive in its self test, whose brake takes `opening` s to open.
     pub(super) const fn new(brake_release: f64) -> Self {
         Self {
             state: State::NotReadyToSwitchOn,
@@ -95,21 +95,21 @@ impl Power {
         }
     }
 
-    /// One step with the present controlword. At most one transition happens, so that each state
-    /// is seen; a quick stop without a ramp (605Ah = 0) alone makes two.
+    /// One step with the present controlword. At most one transition is made, so that each state is visible; only a
+    /// quick stop without a ramp (605Ah = 0) makes two.
     pub(super) fn step(
         &mut self,
         word: ControlWord,
-        seen: &Seen,
+        input: &PowerInput,
         options: &Options,
         quirks: &Quirks,
     ) -> Motion {
         let before = self.state;
-        if seen.fault && !matches!(before, State::FaultReactionActive | State::Fault) {
+        if input.fault && !matches!(before, State::FaultReactionActive | State::Fault) {
             self.stop = Stop::from_option(options.fault);
             self.go(State::FaultReactionActive);
-        } else if !self.finish(seen, options) {
-            self.obey(word, seen, options, quirks);
+        } else if !self.finish(input, options) {
+            self.apply_command(word, input, options, quirks);
         }
         self.previous = word;
         self.motion(before)
@@ -121,14 +121,14 @@ impl Power {
         self.opening = None;
     }
 
-    /// Transitions that the drive does by itself; returns whether there was one.
-    fn finish(&mut self, seen: &Seen, options: &Options) -> bool {
-        if let Some((to, _)) = self.leaving.filter(|_| seen.at_rest) {
+    /// Makes transitions that need no command; returns whether there was one.
+    fn finish(&mut self, input: &PowerInput, options: &Options) -> bool {
+        if let Some((to, _)) = self.leaving.filter(|_| input.at_rest) {
             self.go(to);
             return true;
         }
         if let Some(left) = &mut self.opening {
-            *left -= seen.dt;
+            *left -= input.dt;
             if *left <= 0.0 {
                 self.go(State::OperationEnabled);
                 return true;
@@ -136,8 +136,8 @@ impl Power {
         }
         let done = match self.state {
             State::NotReadyToSwitchOn => true,
-            State::QuickStopActive => seen.at_rest && options.quick_stop < 5,
-            State::FaultReactionActive => seen.at_rest || self.stop == Stop::Coast,
+            State::QuickStopActive => input.at_rest && options.quick_stop < 5,
+            State::FaultReactionActive => input.at_rest || self.stop == Stop::Coast,
             State::SwitchOnDisabled
             | State::ReadyToSwitchOn
             | State::SwitchedOn
@@ -150,7 +150,13 @@ impl Power {
         done
     }
 
-    fn obey(&mut self, word: ControlWord, seen: &Seen, options: &Options, quirks: &Quirks) {
+    fn apply_command(
+        &mut self,
+        word: ControlWord,
+        input: &PowerInput,
+        options: &Options,
+        quirks: &Quirks,
+    ) {
         let word = if quirks.no_quick_stop {
             ControlWord::new(word.raw() | 0x0004)
         } else {
@@ -172,7 +178,7 @@ impl Power {
             return;
         };
         match arrow.number {
-            3 if !seen.voltage => {}
+            3 if !input.voltage => {}
             4 => self.opening = self.opening.or(Some(self.brake_release)),
             5 if options.disable != 0 => self.leaving = Some((arrow.to, Stop::Ramp)),
             8 if options.shutdown != 0 => self.leaving = Some((arrow.to, Stop::Ramp)),
@@ -185,13 +191,13 @@ impl Power {
                     State::SwitchOnDisabled
                 });
             }
-            15 if seen.cause => {}
+            15 if input.cause => {}
             16 if !quirks.transition_16 || !(5..=8).contains(&options.quick_stop) => {}
             _ => self.go(arrow.to),
         }
     }
 
-    /// What the motor does now; a fault out of a state without power has nothing to stop.
+    /// The present motion; a fault in a state without power has nothing to stop.
     fn motion(&mut self, before: State) -> Motion {
         match self.state {
             State::OperationEnabled => match self.leaving {

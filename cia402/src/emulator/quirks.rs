@@ -1,11 +1,14 @@
-//! In what real drives differ from the profile, as switches. Each row is a tolerance that a master
-//! needs; the profile itself is [`Quirks::default`].
+//! Deviations of real drives from the profile, as switches. Each is one that a master must tolerate; the profile itself
+//! is [`Quirks::default`].
 
 use std::time::Duration;
 
 /// How a drive departs from the profile.
 #[derive(Clone, Debug, PartialEq, Eq)]
-#[expect(clippy::struct_excessive_bools, reason = "each is a switch of its own")]
+#[expect(
+    clippy::struct_excessive_bools,
+    reason = "each is an independent switch"
+)]
 pub struct Quirks {
     /// Switch on disabled is shown as 0020h (slaves on a sample stack before version 5.12).
     pub sod_as_0020: bool,
@@ -13,13 +16,13 @@ pub struct Quirks {
     pub fault_reset_by_level: bool,
     /// Transition 16 exists.
     pub transition_16: bool,
-    /// Bit 2 of the controlword (quick stop) is not looked at.
+    /// Bit 2 of the controlword (quick stop) is ignored.
     pub no_quick_stop: bool,
-    /// Quick stop option codes that can be written; empty for all of the profile.
+    /// Supported quick stop option codes; empty for all of the profile.
     pub quick_stop_options: &'static [i16],
     /// The mode changes only while halt is low.
     pub mode_needs_no_halt: bool,
-    /// From 6060h to 6061h.
+    /// Delay from 6060h to 6061h.
     pub mode_delay: Duration,
     /// Cyclic modes follow only while controlword bits 4 to 6 are high.
     pub cyclic_needs_bits_4_to_6: bool,
@@ -27,11 +30,11 @@ pub struct Quirks {
     pub no_follow_bit: bool,
     /// Homing ends without target reached.
     pub homing_without_target_reached: bool,
-    /// 6098h does not take 0.
+    /// 6098h does not accept 0.
     pub no_homing_method_0: bool,
     /// After homing the home position reads as + 607Ch; by the profile it is - 607Ch.
     pub home_offset_positive: bool,
-    /// In how many cycles without a set-point cyclic modes go on before they fault; `None` for ever.
+    /// Cycles without a set-point after which cyclic modes fault; `None` for never.
     pub missing_set_points: Option<u32>,
     /// Modes of 6502h.
     pub supported_modes: u32,
@@ -41,7 +44,7 @@ pub struct Quirks {
     pub never_remote: bool,
     /// Bit 10 of 6041h is high in a fault (0638h).
     pub reached_in_fault: bool,
-    /// So many enablings end in a fault (5201h) right behind Operation enabled; `u32::MAX` is all of them.
+    /// Number of enablings that end in a fault (5201h) right after Operation enabled; `u32::MAX` for all.
     pub faults_on_enable: u32,
 }
 
@@ -125,7 +128,7 @@ impl Quirks {
         })
     }
 
-    /// Names that [`Self::named`] knows.
+    /// Names for [`Self::named`].
     pub const NAMES: [&'static str; 10] = [
         "profile",
         "epos4",

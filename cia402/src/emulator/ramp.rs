@@ -1,6 +1,6 @@
-//! A ramp towards a position or a velocity, limited in velocity and acceleration and, if asked, in jerk; planned
-//! anew in every step, so that targets and bounds may change at any time. Of the profile types of 6086h it has the
-//! trapezoid and the jerk-limited ramp.
+//! A ramp towards a position or a velocity, limited in velocity, acceleration and optionally jerk; re-planned in every
+//! step, so that targets and bounds may change at any time. It supports the trapezoidal and the jerk-limited profile
+//! types of 6086h.
 
 /// Bounds of a motion, in user units per second, per second squared and per second cubed.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -12,22 +12,23 @@ pub(super) struct Bounds {
     pub(super) jerk: Option<f64>,
 }
 
-/// A demand in motion, in user units.
+/// The demand values, in user units.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Ramp {
     pub(super) position: f64,
     pub(super) velocity: f64,
-    /// What the last step did to the velocity, per second.
+    /// Acceleration of the last step.
     pub(super) acceleration: f64,
 }
 
-/// Halvings of the range in which the next acceleration is looked for.
+/// Bisection steps of the search for the next acceleration.
 const HALVINGS: u32 = 40;
 
-/// The largest rate at which `way` can still be gone by a rate that falls by `fall` a second, in steps of `dt` s.
-fn stoppable(way: f64, fall: f64, dt: f64) -> f64 {
+/// The largest rate from which `remaining` is enough to stop with a deceleration of `fall` per second, in steps of `dt`
+/// s.
+fn stoppable(remaining: f64, fall: f64, dt: f64) -> f64 {
     let half = fall * dt / 2.0;
-    (half * half + 2.0 * fall * way).sqrt() - half
+    (half * half + 2.0 * fall * remaining).sqrt() - half
 }
 
 impl Ramp {
@@ -48,7 +49,7 @@ impl Ramp {
         self.change(change, dt);
     }
 
-    /// One step of `dt` s towards a position, to pass it at `end_velocity` (its size; 0 to stand).
+    /// One step of `dt` s towards a position, to pass it at `end_velocity` (its magnitude; 0 to stop).
     pub(super) fn toward_position(
         &mut self,
         target: f64,
@@ -60,16 +61,17 @@ impl Ramp {
             return self.glide(target, end_velocity, bounds, jerk, dt);
         }
         let distance = target - self.position;
-        let way = distance.abs();
+        let remaining = distance.abs();
         let d = bounds.deceleration.max(f64::MIN_POSITIVE);
         // The largest velocity from which stopping in steps of dt still ends at the target.
         let half = d * dt / 2.0;
-        let stoppable = (half * half + 2.0 * d * way + end_velocity * end_velocity).sqrt() - half;
-        let wanted = stoppable.min(bounds.velocity).min(way / dt);
+        let stoppable =
+            (half * half + 2.0 * d * remaining + end_velocity * end_velocity).sqrt() - half;
+        let wanted = stoppable.min(bounds.velocity).min(remaining / dt);
         let step = distance.signum() * wanted;
         let slower = step.abs() < self.velocity.abs() || step * self.velocity < 0.0;
         let rate = if slower { d } else { bounds.acceleration };
-        // A hair more, so that rounding does not make the last step miss.
+        // Slightly more, so that rounding does not make the last step miss.
         let most = rate * dt * (1.0 + 1e-9);
         self.change((step - self.velocity).clamp(-most, most), dt);
     }
@@ -81,7 +83,7 @@ impl Ramp {
         self.position += self.velocity * dt;
     }
 
-    /// Where it is after a step in which the acceleration changes evenly.
+    /// The ramp after a step in which the acceleration changes linearly.
     fn after(&self, acceleration: f64, dt: f64) -> Self {
         let mean = (self.acceleration + acceleration) / 2.0;
         let early = (2.0 * self.acceleration + acceleration) / 6.0;
@@ -96,11 +98,11 @@ impl Ramp {
         *self = self.after(acceleration, dt);
     }
 
-    /// The acceleration at the end of the next step of a jerk-limited way to a velocity.
+    /// The acceleration at the end of the next step of a jerk-limited ramp to a velocity.
     fn acceleration_toward(&self, velocity: f64, bounds: &Bounds, jerk: f64, dt: f64) -> f64 {
-        // The change that is left once this step has been gone with the acceleration as it is.
+        // The change that remains after this step with the present acceleration.
         let left = velocity - self.velocity - self.acceleration * dt / 2.0;
-        // The last bit of it is gone in two steps.
+        // The remainder is covered in two steps.
         let most = left.abs() / dt;
         let wanted = stoppable(left.abs(), jerk, dt).min(most).copysign(left);
         let slower = wanted * self.velocity < 0.0;
@@ -114,10 +116,10 @@ impl Ramp {
         self.acceleration + change
     }
 
-    /// One step of a jerk-limited way to a position.
+    /// One step of a jerk-limited ramp to a position.
     fn glide(&mut self, target: f64, end_velocity: f64, bounds: &Bounds, jerk: f64, dt: f64) {
         let sign = if target < self.position { -1.0 } else { 1.0 };
-        // As if the target lay ahead in positive direction, at zero.
+        // Transformed so that the target lies ahead in positive direction, at zero.
         let mut seen = Self {
             position: sign * (self.position - target),
             velocity: sign * self.velocity,
@@ -132,17 +134,17 @@ impl Ramp {
             return;
         }
         if seen.velocity < -still {
-            // It goes away, or has gone past: first it comes to rest.
+            // Moving away from the target or past it: stop first.
             return self.toward_velocity(0.0, bounds, dt);
         }
         let stops = |acceleration| {
             let then = seen.after(acceleration, dt);
-            let way = then.way_to(end_velocity, bounds.deceleration, jerk);
-            then.position + way <= 0.0
+            let remaining = then.distance_to(end_velocity, bounds.deceleration, jerk);
+            then.position + remaining <= 0.0
         };
         let mut high = seen.acceleration_toward(bounds.velocity, bounds, jerk, dt);
         if !stops(high) {
-            // Not beyond what the deceleration allows, unless it already is.
+            // Within what the deceleration allows, unless already beyond it.
             let least = (-bounds.deceleration).min(seen.acceleration);
             let mut low = (seen.acceleration - jerk * dt).max(least).min(high);
             for _ in 0..HALVINGS {
@@ -161,15 +163,15 @@ impl Ramp {
         self.acceleration = sign * seen.acceleration;
     }
 
-    /// How far it still goes in positive direction until its velocity is `end` and its acceleration zero.
-    fn way_to(&self, end: f64, deceleration: f64, jerk: f64) -> f64 {
+    /// Distance in positive direction until the velocity is `end` and the acceleration zero.
+    fn distance_to(&self, end: f64, deceleration: f64, jerk: f64) -> f64 {
         let (v, a) = (self.velocity, self.acceleration);
-        // A whole deceleration begins at the velocity from which this acceleration came or to which it leads.
+        // A full deceleration starts at the velocity from which this acceleration came or to which it leads.
         let top = v + a * a / (2.0 * jerk);
         let excess = top - end;
         let time = a.abs() / jerk;
         if a < 0.0 && v - a * a / (2.0 * jerk) <= end {
-            // It brakes harder than it has to: it can let go at once.
+            // It brakes harder than necessary: the deceleration can be reduced at once.
             return v * time + a * time * time / 2.0 + jerk * time.powi(3) / 6.0;
         }
         if excess <= 0.0 {
@@ -182,14 +184,14 @@ impl Ramp {
         };
         let whole = f64::midpoint(top, end) * span;
         if a >= 0.0 {
-            // Until there it still gains.
+            // Until then the velocity still increases.
             whole + v * time + a * time * time / 3.0
         } else {
             whole - (top * time - jerk * time.powi(3) / 6.0)
         }
     }
 
-    /// Whether it stands at the target.
+    /// Whether it is at rest at the target.
     pub(super) fn is_at(&self, target: f64) -> bool {
         (self.position - target).abs() < 1e-6 * target.abs().max(1.0)
     }
@@ -212,7 +214,7 @@ mod tests {
     };
 
     #[test]
-    fn a_position_is_reached_within_bounds_and_without_overshoot() {
+    fn ramp_to_position_stays_within_bounds_without_overshoot() {
         for target in [0.01, 3.0, 700.0, -12_345.0] {
             let mut ramp = Ramp::default();
             let mut last = 0.0_f64;
@@ -231,10 +233,12 @@ mod tests {
         }
     }
 
-    /// Bounds hold in every step, jerk from difference quotients, and none is much slower than the fastest way.
+    /// All bounds hold in every step, jerk from difference quotients, and no profile is much slower than the fastest
+    /// one.
     #[test]
-    fn a_position_is_reached_without_jumps_of_the_acceleration() {
-        // Way, and seconds of the fastest profile with these bounds: only jerk; jerk and acceleration; all of them.
+    fn ramp_to_position_with_jerk_limit_is_smooth() {
+        // Distance, and seconds of the fastest profile with these bounds: only jerk; jerk and acceleration; all of
+        // them.
         for (target, fastest) in [
             (0.05, 0.0200),
             (20.0, 0.1508),
@@ -253,7 +257,7 @@ mod tests {
                     assert!(ramp.velocity.abs() <= 1000.0 * 1.001, "{why}");
                     assert!(ramp.acceleration.abs() <= 8000.0 * 1.001, "{why}");
                     let jerk = (ramp.acceleration - before.acceleration) / dt;
-                    // The last step ends all motion, which by then is a rest of rounding.
+                    // The last step ends all motion, which by then is rounding error.
                     let ends = ramp.is_at(target) && ramp.velocity.abs() < 1e-9;
                     assert!(ends || jerk.abs() <= JERK * 1.001, "{jerk}: {why}");
                     let beyond = (ramp.position - target) * target.signum();
@@ -267,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn a_target_behind_is_reached_after_turning() {
+    fn ramp_reverses_to_a_target_behind() {
         for bounds in [BOUNDS, SMOOTH] {
             let mut ramp = Ramp {
                 velocity: 900.0,
@@ -285,7 +289,7 @@ mod tests {
     }
 
     #[test]
-    fn velocities_are_approached_at_their_rates() {
+    fn ramp_to_velocity_keeps_its_rates() {
         let mut ramp = Ramp::default();
         (0..100).for_each(|_| ramp.toward_velocity(2000.0, &BOUNDS, 1e-3));
         assert!((ramp.velocity - 500.0).abs() < 1e-6);
@@ -296,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn velocities_are_approached_without_jumps_of_the_acceleration() {
+    fn ramp_to_velocity_with_jerk_limit_is_smooth() {
         let mut ramp = Ramp::default();
         for (velocity, steps) in [(700.0, 170), (-300.0, 270), (-299.9, 10), (0.0, 90)] {
             for _ in 0..steps {

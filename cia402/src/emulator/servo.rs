@@ -1,18 +1,18 @@
-//! The drive's control loops: position P, velocity PI, ideal current. All in the motor's own
-//! units; where the demand comes from is not known here.
+//! The drive's control loops: position P, velocity PI, ideal current. All in motor units; where the demand comes from
+//! is not known here.
 
 use super::motor::Motor;
 
-/// What the motor is to do, at its shaft.
+/// The demand at the motor shaft.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Demand {
     /// No torque.
     Off,
-    /// Be there (rad) at that velocity (rad/s), with that torque on top (N m).
+    /// Position (rad) at a velocity (rad/s), with an additional torque (N m).
     Position(f64, f64, f64),
-    /// Go at that velocity (rad/s), with that torque on top (N m).
+    /// Velocity (rad/s), with an additional torque (N m).
     Velocity(f64, f64),
-    /// Give that torque (N m).
+    /// Torque (N m).
     Torque(f64),
 }
 
@@ -30,7 +30,7 @@ const POSITION_GAIN: f64 = 80.0;
 const VELOCITY_GAIN: f64 = 800.0;
 const INTEGRAL_GAIN: f64 = 40_000.0;
 
-/// The loops' memory.
+/// State of the control loops.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Servo {
     /// Torque of the integral part, N m.
@@ -55,7 +55,7 @@ impl Servo {
             }
             Demand::Torque(torque) => {
                 self.integral = 0.0;
-                // Beyond the largest speed only braking torque is given.
+                // Beyond the largest speed only braking torque is applied.
                 let over = motor.velocity.abs() > limits.speed;
                 let torque = if over && torque * motor.velocity > 0.0 {
                     0.0
@@ -75,7 +75,7 @@ impl Servo {
         let proportional = inertia * VELOCITY_GAIN * error;
         let wanted = proportional + self.integral + on_top;
         let torque = self.limit(wanted, limits);
-        // The integral part waits while the limit is what holds the motor back.
+        // Anti-windup: the integral part is held while the torque is limited.
         if !self.limited || wanted * error < 0.0 {
             self.integral += inertia * INTEGRAL_GAIN * error * dt;
         }

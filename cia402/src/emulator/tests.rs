@@ -1,4 +1,4 @@
-//! The emulated drive as a master sees it: through its objects alone.
+//! The emulated drive from the master's side: through its objects only.
 
 mod homing;
 mod modes;
@@ -12,14 +12,14 @@ use crate::{Goal, State, StatusWord, next_control_word};
 
 const MS: Duration = Duration::from_millis(1);
 
-/// A drive, its dictionary, and what it last said.
+/// A drive, its dictionary, and its recorded outputs.
 struct Rig {
     drive: Drive,
     d: Dictionary,
     emergencies: Vec<FaultCode>,
-    /// States in the order they were seen, without repeats.
+    /// Observed states in order, without repeats.
     states: Vec<State>,
-    /// New cyclic set-points come with every step.
+    /// New cyclic set-points are sent with every step.
     cyclic: bool,
     lost: bool,
 }
@@ -92,7 +92,7 @@ impl Rig {
         (0..ms).for_each(|_| self.step());
     }
 
-    /// Leads the drive to a goal as a master does, for at most a second.
+    /// Brings the drive to a goal as a master does, within a second.
     fn reach(&mut self, goal: Goal) {
         for _ in 0..1000 {
             self.step();
@@ -105,7 +105,7 @@ impl Rig {
         panic!("{goal:?} was not reached: {:?}", self.states);
     }
 
-    /// Steps until the statusword has these bits, for at most so many ms.
+    /// Steps until the statusword has these bits, for at most `ms`.
     fn until(&mut self, mask: u16, value: u16, ms: u32) {
         for _ in 0..ms {
             self.step();
@@ -113,7 +113,10 @@ impl Rig {
                 return;
             }
         }
-        panic!("{mask:04X}h = {value:04X}h did not come; {}", self.status());
+        panic!(
+            "{mask:04X}h = {value:04X}h did not appear; {}",
+            self.status()
+        );
     }
 
     fn position(&self) -> i32 {
@@ -126,7 +129,7 @@ impl Rig {
 }
 
 #[test]
-fn every_object_can_be_on_every_axis() {
+fn objects_exist_on_every_axis() {
     for axis in 0..8 {
         let config = DriveConfig::default();
         let d = Dictionary::new(config.objects(axis)).unwrap();
@@ -137,7 +140,7 @@ fn every_object_can_be_on_every_axis() {
 }
 
 #[test]
-fn every_named_quirk_is_there() {
+fn quirks_exist_for_every_name() {
     for name in Quirks::NAMES {
         assert!(Quirks::named(name).is_some(), "{name}");
     }

@@ -1,4 +1,4 @@
-//! The master against the emulated drive, with every quirk, and against words made by hand.
+//! The master against the emulated drive, with every quirk, and against hand-made statuswords.
 
 #![cfg(feature = "emulator")]
 
@@ -11,7 +11,7 @@ struct Pair {
     drive: Drive,
     d: Dictionary,
     now: Duration,
-    orders: Orders,
+    drive_command: DriveCommand,
     /// Controlwords in order, without repeats.
     sent: Vec<u16>,
     states: Vec<State>,
@@ -28,7 +28,7 @@ impl Pair {
         let drive = Drive::new(config, 0, &d).unwrap();
         let mut master = Master::new(patience);
         master.set_mode(8);
-        let orders = Orders {
+        let drive_command = DriveCommand {
             control: ControlWord::DISABLE_VOLTAGE,
             mode: 0,
             follows: false,
@@ -39,7 +39,7 @@ impl Pair {
             drive,
             d,
             now: Duration::ZERO,
-            orders,
+            drive_command,
             sent: vec![],
             states: vec![],
         }
@@ -58,17 +58,17 @@ impl Pair {
             mode: Some(self.d.get(self.key(0x6061))),
             position: self.d.get(self.key(0x6064)),
         };
-        self.orders = self.master.step(&feedback, self.now);
-        let target = if self.orders.follows {
-            self.orders.hold + further
+        self.drive_command = self.master.step(&feedback, self.now);
+        let target = if self.drive_command.follows {
+            self.drive_command.hold + further
         } else {
-            self.orders.hold
+            self.drive_command.hold
         };
         self.d.set(
             self.key(0x6040),
-            self.orders.control.raw() | 0x0070 & self.cyclic_bits(),
+            self.drive_command.control.raw() | 0x0070 & self.cyclic_bits(),
         );
-        self.d.set(self.key(0x6060), self.orders.mode);
+        self.d.set(self.key(0x6060), self.drive_command.mode);
         self.d.set(self.key(0x607A), target);
         let step = Step {
             dt,
@@ -76,7 +76,7 @@ impl Pair {
             link_lost: false,
         };
         let _ = self.drive.step(&mut self.d, &step);
-        let raw = self.orders.control.raw();
+        let raw = self.drive_command.control.raw();
         if self.sent.last() != Some(&raw) {
             self.sent.push(raw);
         }
@@ -87,7 +87,7 @@ impl Pair {
 
     /// The mode's bits are the caller's; some drives want them high in cyclic modes.
     fn cyclic_bits(&self) -> u16 {
-        if self.orders.control == ControlWord::ENABLE_OPERATION {
+        if self.drive_command.control == ControlWord::ENABLE_OPERATION {
             0x0070
         } else {
             0
@@ -102,16 +102,16 @@ impl Pair {
         self.master.set_goal(Goal::OperationEnabled);
         for _ in 0..1000 {
             self.step(0);
-            if self.orders.follows {
+            if self.drive_command.follows {
                 return;
             }
         }
-        panic!("{:?} in {}", self.master.obstacle(), self.drive.state());
+        panic!("{:?} in {}", self.master.drive_fault(), self.drive.state());
     }
 }
 
 #[test]
-fn every_quirky_drive_comes_up_without_moving_and_goes_down() {
+fn quirky_drives_enable_without_motion_and_disable() {
     for name in Quirks::NAMES {
         let patience = Patience {
             sod_as_0020: name == "ssc-5.11",
@@ -124,16 +124,16 @@ fn every_quirky_drive_comes_up_without_moving_and_goes_down() {
         pair.run(100);
         let moved = pair.drive.motor().position - here;
         assert!(moved.abs() < 0.01, "{name}: {moved}");
-        assert_eq!(pair.master.obstacle(), None, "{name}");
+        assert_eq!(pair.master.drive_fault(), None, "{name}");
         pair.master.set_goal(Goal::SwitchOnDisabled);
         pair.run(5);
         assert_eq!(pair.drive.state(), State::SwitchOnDisabled, "{name}");
-        assert!(!pair.orders.follows);
+        assert!(!pair.drive_command.follows);
     }
 }
 
 #[test]
-fn a_quick_stop_ends_where_its_option_says_and_is_never_undone() {
+fn quick_stop_ends_as_its_option_code_says() {
     for (option, last) in [
         (2_i16, State::SwitchOnDisabled),
         (6, State::QuickStopActive),
@@ -154,26 +154,26 @@ fn a_quick_stop_ends_where_its_option_says_and_is_never_undone() {
             .position(|s| *s != State::OperationEnabled);
         let after = &pair.states[stop.unwrap()..];
         assert!(!after.contains(&State::OperationEnabled), "{after:?}");
-        // Wanting to be enabled does not end a held stop; it says so.
+        // The goal of being enabled does not end a held stop; it is reported.
         if option == 6 {
             pair.master.set_goal(Goal::OperationEnabled);
             pair.run(1500);
             assert_eq!(pair.drive.state(), State::QuickStopActive);
-            assert_eq!(pair.master.obstacle(), Some(Obstacle::QuickStopHeld));
+            assert_eq!(pair.master.drive_fault(), Some(DriveFault::QuickStopHeld));
         }
     }
 }
 
 #[test]
-fn a_fault_waits_for_a_reset_that_is_an_edge_and_is_given_up() {
+fn fault_reset_is_an_edge_with_bounded_tries() {
     let mut pair = Pair::new(Quirks::default(), Patience::default());
     pair.enable();
     pair.drive.fault(FaultCode::ENCODER);
     pair.run(50);
-    assert_eq!(pair.master.obstacle(), Some(Obstacle::Fault));
+    assert_eq!(pair.master.drive_fault(), Some(DriveFault::Fault));
     pair.sent.clear();
     pair.run(50);
-    assert_eq!(pair.sent, [0x0000], "no reset unasked");
+    assert_eq!(pair.sent, [0x0000], "no reset without a request");
     pair.sent.clear();
     pair.master.reset_fault();
     pair.run(100);
@@ -181,33 +181,33 @@ fn a_fault_waits_for_a_reset_that_is_an_edge_and_is_given_up() {
         pair.sent,
         [0x0000, 0x0080, 0x0000, 0x0080, 0x0000, 0x0080, 0x0000]
     );
-    assert_eq!(pair.master.obstacle(), Some(Obstacle::ResetRefused(3)));
-    pair.drive.mend();
+    assert_eq!(pair.master.drive_fault(), Some(DriveFault::ResetRefused(3)));
+    pair.drive.clear_cause();
     pair.master.set_goal(Goal::SwitchOnDisabled);
     pair.master.reset_fault();
     pair.run(10);
     assert_eq!(pair.drive.state(), State::SwitchOnDisabled);
-    assert_eq!(pair.master.obstacle(), None);
+    assert_eq!(pair.master.drive_fault(), None);
 }
 
 #[test]
-fn each_obstacle_is_told_with_its_bit_or_object() {
+fn drive_fault_text_names_its_bit_or_object() {
     let mut pair = Pair::new(Quirks::default(), Patience::default());
     pair.drive.dc_link = 0.0;
     pair.master.set_goal(Goal::OperationEnabled);
     pair.run(3500);
-    assert_eq!(pair.master.obstacle(), Some(Obstacle::NoVoltage));
+    assert_eq!(pair.master.drive_fault(), Some(DriveFault::NoVoltage));
     let mut pair = Pair::new(Quirks::default(), Patience::default());
     pair.drive.local = true;
     pair.master.set_goal(Goal::OperationEnabled);
     pair.run(1500);
-    assert_eq!(pair.master.obstacle(), Some(Obstacle::NotRemote));
+    assert_eq!(pair.master.drive_fault(), Some(DriveFault::NotRemote));
     pair.drive.local = false;
     pair.drive.interlock = true;
     pair.run(4500);
-    let stuck = pair.master.obstacle();
+    let stuck = pair.master.drive_fault();
     assert!(
-        matches!(stuck, Some(Obstacle::Stuck { state, .. }) if state == State::SwitchOnDisabled || state == State::ReadyToSwitchOn),
+        matches!(stuck, Some(DriveFault::Stuck { state, .. }) if state == State::SwitchOnDisabled || state == State::ReadyToSwitchOn),
         "{stuck:?}"
     );
     let inputs = pair.d.get(pair.key::<u32>(0x60FD));
@@ -216,17 +216,17 @@ fn each_obstacle_is_told_with_its_bit_or_object() {
     pair.master.set_mode(5);
     pair.master.set_goal(Goal::OperationEnabled);
     pair.run(1500);
-    let mode = Obstacle::Mode {
+    let mode = DriveFault::Mode {
         wanted: 5,
         shown: 0,
     };
-    assert_eq!(pair.master.obstacle(), Some(mode));
+    assert_eq!(pair.master.drive_fault(), Some(mode));
     assert_eq!(pair.drive.state(), State::SwitchedOn);
     assert!(mode.to_string().contains("6502h"), "{mode}");
 }
 
-/// Shows the same words for so long; what is the obstacle then?
-fn shown(raw: u16, goal: Goal, seconds: u64) -> Option<Obstacle> {
+/// Shows the same statusword for a time; returns the fault.
+fn shown(raw: u16, goal: Goal, seconds: u64) -> Option<DriveFault> {
     let mut master = Master::new(Patience::default());
     master.set_goal(goal);
     master.set_mode(8);
@@ -238,11 +238,11 @@ fn shown(raw: u16, goal: Goal, seconds: u64) -> Option<Obstacle> {
         };
         master.step(&feedback, Duration::from_millis(ms));
     }
-    master.obstacle()
+    master.drive_fault()
 }
 
 #[test]
-fn words_that_do_not_change() {
+fn statuswords_that_never_change_report_their_fault() {
     let up = Goal::OperationEnabled;
     for (raw, text) in [
         (0x0001, "shows no state"),
@@ -254,15 +254,15 @@ fn words_that_do_not_change() {
         (0x0218, "603Fh"),
         (0x0217, "605Ah"),
     ] {
-        let told = shown(raw, up, 4).map(|o| o.to_string()).unwrap_or_default();
-        assert!(told.contains(text), "{raw:04X}h: {told}");
+        let message = shown(raw, up, 4).map(|o| o.to_string()).unwrap_or_default();
+        assert!(message.contains(text), "{raw:04X}h: {message}");
     }
     assert_eq!(shown(0x1237, up, 4), None);
     assert_eq!(shown(0x0250, Goal::SwitchOnDisabled, 4), None);
 }
 
 #[test]
-fn no_statusword_at_all_makes_the_master_stumble() {
+fn master_handles_every_statusword() {
     for goal in [
         Goal::OperationEnabled,
         Goal::QuickStop,
@@ -276,12 +276,16 @@ fn no_statusword_at_all_makes_the_master_stumble() {
                 mode: None,
                 position: 7,
             };
-            let orders = master.step(&feedback, Duration::from_millis(raw.into()));
-            assert_eq!(orders.hold, 7);
+            let drive_command = master.step(&feedback, Duration::from_millis(raw.into()));
+            assert_eq!(drive_command.hold, 7);
             let enabled = feedback.status.state() == Ok(State::OperationEnabled);
-            assert!(!orders.follows || (enabled && goal == Goal::OperationEnabled));
+            assert!(!drive_command.follows || (enabled && goal == Goal::OperationEnabled));
             if goal != Goal::OperationEnabled {
-                assert_ne!(orders.control, ControlWord::ENABLE_OPERATION, "{raw:04X}h");
+                assert_ne!(
+                    drive_command.control,
+                    ControlWord::ENABLE_OPERATION,
+                    "{raw:04X}h"
+                );
             }
         }
     }

@@ -183,9 +183,9 @@ impl Bench {
             mode: Some(self.received.at(0x6061).to_le_bytes()[0].cast_signed()),
             position: self.received.at(0x6064).cast_signed(),
         };
-        let orders = self.master.step(&feedback, self.now);
+        let drive_command = self.master.step(&feedback, self.now);
         let mut targets = Values::default();
-        targets.put(0x6040, orders.control.raw().into());
+        targets.put(0x6040, drive_command.control.raw().into());
         targets.put(0x6060, 8);
         targets.put(0x607A, self.received.at(0x6064));
         let next = *self.proof.instead().unwrap_or(&targets);
@@ -238,7 +238,7 @@ impl Bench {
     }
 }
 
-fn orders(of: usize) -> Vec<Vec<usize>> {
+fn drive_command(of: usize) -> Vec<Vec<usize>> {
     let mut all = vec![vec![]];
     for _ in 0..of {
         all = all
@@ -268,7 +268,7 @@ fn proof_of_a_faithful_drive_leads_to_power() {
 
 #[test]
 fn proof_refuses_all_119_other_orders_of_outputs() {
-    for order in orders(5) {
+    for order in drive_command(5) {
         let mut model = Model::new(9999);
         model.outputs = Distortion::order(order.clone());
         let mut bench = Bench::new(model);
@@ -283,7 +283,7 @@ fn proof_refuses_all_119_other_orders_of_outputs() {
 #[test]
 fn proof_refuses_all_orders_of_inputs_that_misplace_a_value() {
     let mut seen = 0;
-    for order in orders(6) {
+    for order in drive_command(6) {
         let mut model = Model::new(9999);
         model.inputs = Distortion::order(order.clone());
         let mut bench = Bench::new(model);
@@ -358,7 +358,7 @@ fn proof_refuses_frozen_process_data_of_either_direction() {
 }
 
 #[test]
-fn proof_says_both_values_and_what_to_do() {
+fn proof_error_shows_both_values_and_hint() {
     let mut model = Model::new(9999);
     // As a mapping of an earlier use: 607Ah first, behind 6040h.
     model.outputs = Distortion::order([0, 2, 1, 3, 4]);

@@ -1,4 +1,4 @@
-//! The hand-shake with the emulated drive, and with words made by hand.
+//! The hand-shake with the emulated drive, and with hand-made statuswords.
 
 #![cfg(feature = "emulator")]
 
@@ -54,12 +54,14 @@ impl Pair {
             mode: Some(self.d.get(self.key(0x6061))),
             position: self.position(),
         };
-        let orders = self.master.step(&feedback, self.now);
-        let offer = self.shake.step(feedback.status, orders.follows, self.now);
+        let drive_command = self.master.step(&feedback, self.now);
+        let offer = self
+            .shake
+            .step(feedback.status, drive_command.follows, self.now);
         self.outcomes.extend(offer.outcome);
-        let word = orders.control.raw() | offer.bits;
+        let word = drive_command.control.raw() | offer.bits;
         self.d.set(self.key(0x6040), word);
-        self.d.set(self.key(0x6060), orders.mode);
+        self.d.set(self.key(0x6060), drive_command.mode);
         if let Some(target) = offer.target {
             self.d.set(self.key(0x607A), target);
         }
@@ -86,7 +88,7 @@ impl Pair {
         StatusWord::new(self.d.get(self.key(0x6041))).target_reached()
     }
 
-    /// Offers as soon as there is room on this side.
+    /// Offers as soon as the hand-shake is idle.
     fn offer(&mut self, set_point: SetPoint) {
         self.shake.offer(set_point);
         for _ in 0..5_000 {
@@ -111,7 +113,7 @@ fn near(position: i32, target: i32) -> bool {
 }
 
 #[test]
-fn single_set_points_are_taken_and_reached() {
+fn single_set_points_are_accepted_and_reached() {
     let mut pair = Pair::new();
     for target in [10_000, -5_000, -5_000] {
         pair.offer(to(target));
@@ -128,15 +130,15 @@ fn single_set_points_are_taken_and_reached() {
     assert!(near(pair.position(), -4_300), "{}", pair.position());
 }
 
-/// The third has to wait until the drive has room; none is lost.
+/// The third waits until the drive can accept it; none is lost.
 #[test]
-fn a_set_of_set_points_stops_at_each() {
+fn set_of_set_points_stops_at_each() {
     let mut pair = Pair::new();
     let begun = pair.now;
     for target in [8_000, 16_000, 24_000] {
         pair.offer(to(target));
     }
-    assert!(pair.now - begun > 100 * MS, "the third waited for room");
+    assert!(pair.now - begun > 100 * MS, "the third waited");
     pair.slowest = i32::MAX;
     pair.run(3000);
     assert_eq!(pair.outcomes, [Ok(()); 3]);
@@ -144,7 +146,7 @@ fn a_set_of_set_points_stops_at_each() {
 }
 
 #[test]
-fn set_points_in_passing_do_not_stop() {
+fn change_on_set_point_passes_without_stop() {
     for (change, stops) in [(Change::InPassing, false), (Change::AfterStop, true)] {
         let mut pair = Pair::new();
         pair.offer(to(16_000));
@@ -166,7 +168,7 @@ fn set_points_in_passing_do_not_stop() {
 }
 
 #[test]
-fn a_set_point_at_once_replaces_all_others() {
+fn immediate_set_point_replaces_all_others() {
     let mut pair = Pair::new();
     pair.offer(to(30_000));
     pair.offer(to(40_000));
@@ -178,7 +180,7 @@ fn a_set_point_at_once_replaces_all_others() {
     pair.run(3000);
     assert_eq!(pair.outcomes, [Ok(()); 3]);
     assert!(near(pair.position(), -2_000), "{}", pair.position());
-    // And with a drive that has room.
+    // And with a drive that can accept another.
     pair.offer(SetPoint {
         change: Change::AtOnce,
         ..to(5_000)
@@ -188,7 +190,7 @@ fn a_set_point_at_once_replaces_all_others() {
 }
 
 #[test]
-fn a_drive_that_does_not_answer_or_leaves_is_told() {
+fn set_point_unanswered_or_interrupted_is_reported() {
     let mut shake = HandShake::new(10 * MS);
     shake.offer(to(1));
     let mut last = Offer::default();
@@ -208,9 +210,9 @@ fn a_drive_that_does_not_answer_or_leaves_is_told() {
     assert!(shake.is_idle());
 }
 
-/// Bit 4 is seen low between two set-points, however fast they come.
+/// Bit 4 is seen low between two set-points, at any rate.
 #[test]
-fn every_set_point_is_an_edge() {
+fn every_set_point_makes_an_edge() {
     let mut shake = HandShake::new(10 * MS);
     let (mut edges, mut before) = (0, false);
     for ms in 0..40 {

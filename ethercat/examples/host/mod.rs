@@ -1,4 +1,4 @@
-//! What examples that measure ask of the host. They go on where it refuses.
+//! Host settings of measuring examples. They continue if the host refuses.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write as _};

@@ -1,5 +1,5 @@
-//! The proof of an axis' process data over the mailbox of its slave: who uploads for it, and when it begins again. What is
-//! compared is decided in `takt_cia402::proof`.
+//! The proof of an axis' process data over the mailbox of its slave: submits the uploads and restarts the proof. The
+//! comparison is in `takt_cia402::proof`.
 
 use std::time::Duration;
 
@@ -12,10 +12,10 @@ use crate::master::{Job, JobError, JobKind, Master, Reply};
 
 use super::short;
 
-/// Marks the jobs of proofs; the lowest byte is the axis.
+/// Tag of the jobs of proofs; the lowest byte is the axis.
 const TOKEN: u64 = u64::from_be_bytes(*b"proven-\0");
 /// Longest object that is compared, bytes.
-const ROOM: usize = 8;
+const BUFFER_LEN: usize = 8;
 
 /// The proof and its upload.
 #[derive(Debug)]
@@ -23,8 +23,8 @@ pub(super) struct Prover {
     slave: usize,
     axis: u8,
     proof: Proof,
-    /// Room for an answer; `None` while an upload is under way.
-    room: Option<Vec<u8>>,
+    /// Buffer for an answer; `None` while an upload is pending.
+    buffer: Option<Vec<u8>>,
     running: bool,
 }
 
@@ -34,7 +34,7 @@ impl Prover {
             slave,
             axis,
             proof: Proof::new(axis, carried, not_mirrored),
-            room: Some(Vec::with_capacity(ROOM)),
+            buffer: Some(Vec::with_capacity(BUFFER_LEN)),
             running: false,
         }
     }
@@ -51,7 +51,7 @@ impl Prover {
         TOKEN | self.axis as u64
     }
 
-    /// One cycle, before the profile's.
+    /// One cycle, before that of the profile.
     pub(super) fn cycle(
         &mut self,
         master: &mut Master,
@@ -64,7 +64,7 @@ impl Prover {
         let slave = master.slave(self.slave);
         let in_op =
             slave.is_some_and(|slave| slave.is_running() && slave.al().0.state == AlState::Op);
-        // Frames that are lost for some cycles change no mapping.
+        // Frames lost for some cycles do not change the mapping.
         if self.running && !in_op {
             self.proof.restart();
         }
@@ -82,19 +82,19 @@ impl Prover {
         };
         self.proof.step(&exchanged, now);
         profile.set_ceiling(self.proof.ceiling());
-        self.ask(master, now);
+        self.submit_upload(master, now);
     }
 
-    fn ask(&mut self, master: &mut Master, now: Duration) {
+    fn submit_upload(&mut self, master: &mut Master, now: Duration) {
         if !self.proof.has_upload() {
             return;
         }
-        // Until an upload of before a restart has ended there is no room for another.
-        let Some(mut data) = self.room.take() else {
+        // The buffer is in use until an upload from before a restart has ended.
+        let Some(mut data) = self.buffer.take() else {
             return;
         };
         let Some(address) = self.proof.poll_upload() else {
-            self.room = Some(data);
+            self.buffer = Some(data);
             return;
         };
         data.clear();
@@ -128,6 +128,6 @@ impl Prover {
             Err(_) => Err(Denied::Silent),
         };
         self.proof.handle_upload(answer, now);
-        self.room = Some(reply.job.data);
+        self.buffer = Some(reply.job.data);
     }
 }

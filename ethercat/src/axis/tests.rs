@@ -1,8 +1,8 @@
 //! Axes against the emulated drive on the emulated segment, in virtual time.
 
-use super::places::Bits;
+use super::layout::Bits;
 use super::*;
-use crate::config::{MasterConfig, Place, SlaveSpec, SyncSpec};
+use crate::config::{Location, MasterConfig, SlaveSpec, SyncSpec};
 use crate::emulator::{Segment, ServoConfig, ServoDrive, Slave};
 use crate::master::tests::Rig;
 use takt_cia402::emulator::FaultCode;
@@ -12,14 +12,14 @@ mod proof;
 const OVERCURRENT: FaultCode = FaultCode(0x2310);
 
 /// A segment of one drive with its axes, in OP.
-struct Stand {
+struct Fixture {
     rig: Rig,
     drive: ServoDrive,
     axes: Vec<Axis>,
     states: Vec<AxisState>,
 }
 
-impl Stand {
+impl Fixture {
     fn new((slave, drive): (Slave, ServoDrive), count: u8, cycle: Duration, sync: bool) -> Self {
         let (outputs, inputs) = pdos(count);
         let mut startup: Vec<_> = (0..count)
@@ -31,7 +31,7 @@ impl Stand {
             inputs: Some(inputs),
             startup,
             sync: sync.then(|| SyncSpec::sync0(cycle)),
-            ..SlaveSpec::new("drive", Place::Position(0))
+            ..SlaveSpec::new("drive", Location::Position(0))
         };
         let config = MasterConfig {
             slaves: vec![spec],
@@ -81,9 +81,9 @@ impl Stand {
                 return;
             }
         }
-        let told: Vec<_> = self.states.iter().map(ToString::to_string).collect();
+        let texts: Vec<_> = self.states.iter().map(ToString::to_string).collect();
         let proofs: Vec<_> = self.axes.iter().map(Axis::proof).collect();
-        panic!("{told:?} {:?} {proofs:?}", self.rig.events);
+        panic!("{texts:?} {:?} {proofs:?}", self.rig.events);
     }
 
     #[track_caller]
@@ -96,121 +96,127 @@ impl Stand {
 }
 
 #[test]
-fn an_axis_is_enabled_and_follows_positions() {
-    let mut stand = Stand::one();
-    let start = stand.axes[0]
-        .cycle(&mut stand.rig.master, Target::Hold, stand.rig.now)
+fn axis_is_enabled_and_follows_positions() {
+    let mut fixture = Fixture::one();
+    let start = fixture.axes[0]
+        .cycle(&mut fixture.rig.master, Target::Hold, fixture.rig.now)
         .position;
-    stand.enable(Target::Hold);
-    assert_eq!(stand.states[0].state, Some(State::OperationEnabled));
+    fixture.enable(Target::Hold);
+    assert_eq!(fixture.states[0].state, Some(State::OperationEnabled));
     for n in 0..1000 {
-        stand.cycle(|_, _| Target::Position(start + n));
+        fixture.cycle(|_, _| Target::Position(start + n));
     }
     let there = start + 999;
-    stand.until(500, Target::Position(there), |state| {
+    fixture.until(500, Target::Position(there), |state| {
         (state.position - there).abs() <= 2
     });
-    stand.axes[0].set_goal(Goal::SwitchOnDisabled);
-    stand.until(2000, Target::Hold, |state| {
+    fixture.axes[0].set_goal(Goal::SwitchOnDisabled);
+    fixture.until(2000, Target::Hold, |state| {
         state.state == Some(State::SwitchOnDisabled)
     });
 }
 
 #[test]
-fn velocity_and_torque_modes_are_read_back_before_they_count() {
-    let mut stand = Stand::one();
-    stand.enable(Target::Velocity(0));
-    stand.until(2000, Target::Velocity(2000), |state| {
+fn velocity_and_torque_modes_require_6061h() {
+    let mut fixture = Fixture::one();
+    fixture.enable(Target::Velocity(0));
+    fixture.until(2000, Target::Velocity(2000), |state| {
         state.velocity.unwrap().abs_diff(2000) < 100
     });
-    stand.until(2000, Target::Velocity(0), |state| {
+    fixture.until(2000, Target::Velocity(0), |state| {
         state.velocity.unwrap().abs() < 20
     });
-    stand.cycle(|_, _| Target::Torque(50));
-    assert!(!stand.states[0].follows, "6061h shows CSV still");
-    stand.until(500, Target::Torque(50), |state| {
+    fixture.cycle(|_, _| Target::Torque(50));
+    assert!(!fixture.states[0].follows, "6061h shows CSV still");
+    fixture.until(500, Target::Torque(50), |state| {
         state.follows && state.torque.unwrap() >= 49
     });
 }
 
 #[test]
-fn homing_runs_by_its_bits() {
-    let mut stand = Stand::one();
-    stand.axes[0].set_goal(Goal::OperationEnabled);
-    stand.until(4000, Target::Home, |state| state.homing == Homing::Running);
+fn homing_follows_its_status_bits() {
+    let mut fixture = Fixture::one();
+    fixture.axes[0].set_goal(Goal::OperationEnabled);
+    fixture.until(4000, Target::Home, |state| state.homing == Homing::Running);
     // Method 35: home is here, and now zero.
-    stand.until(4000, Target::Home, |state| state.homing == Homing::Done);
-    assert_eq!(stand.states[0].position, 0);
+    fixture.until(4000, Target::Home, |state| state.homing == Homing::Done);
+    assert_eq!(fixture.states[0].position, 0);
 }
 
 #[test]
-fn a_fault_is_told_and_reset_only_when_asked() {
-    let mut stand = Stand::one();
-    stand.enable(Target::Hold);
-    stand.drive.axis(0, |axis| axis.fault(OVERCURRENT));
-    stand.until(1000, Target::Hold, |state| {
+fn fault_is_reported_and_reset_on_request_only() {
+    let mut fixture = Fixture::one();
+    fixture.enable(Target::Hold);
+    fixture.drive.axis(0, |axis| axis.fault(OVERCURRENT));
+    fixture.until(1000, Target::Hold, |state| {
         state.state == Some(State::Fault)
     });
-    stand.until(10, Target::Hold, |state| {
+    fixture.until(10, Target::Hold, |state| {
         state.error_code == Some(OVERCURRENT.0)
     });
     let emergency = (0..100).find_map(|_| {
-        stand.cycle(|_, _| Target::Hold);
-        stand.rig.master.poll_emergency()
+        fixture.cycle(|_, _| Target::Hold);
+        fixture.rig.master.poll_emergency()
     });
     assert_eq!(emergency.unwrap().emergency.code, OVERCURRENT.0);
-    assert_eq!(stand.states[0].obstacle, Some(Obstacle::Fault));
-    stand.drive.axis(0, takt_cia402::emulator::Drive::mend);
+    assert_eq!(fixture.states[0].drive_fault, Some(DriveFault::Fault));
+    fixture
+        .drive
+        .axis(0, takt_cia402::emulator::Drive::clear_cause);
     for _ in 0..500 {
-        stand.cycle(|_, _| Target::Hold);
+        fixture.cycle(|_, _| Target::Hold);
     }
-    assert_eq!(stand.states[0].state, Some(State::Fault), "nobody asked");
-    stand.axes[0].reset_fault();
-    stand.until(4000, Target::Hold, |state| state.follows);
+    assert_eq!(
+        fixture.states[0].state,
+        Some(State::Fault),
+        "no reset requested"
+    );
+    fixture.axes[0].reset_fault();
+    fixture.until(4000, Target::Hold, |state| state.follows);
 }
 
 #[test]
-fn an_axis_that_was_gone_does_not_move_by_itself() {
-    let mut stand = Stand::one();
-    stand.enable(Target::Hold);
-    stand.rig.segment.set_link(0, false);
+fn axis_after_loss_does_not_move_by_itself() {
+    let mut fixture = Fixture::one();
+    fixture.enable(Target::Hold);
+    fixture.rig.segment.set_link(0, false);
     for _ in 0..300 {
-        stand.cycle(|_, _| Target::Hold);
+        fixture.cycle(|_, _| Target::Hold);
     }
-    assert!(!stand.states[0].online);
-    assert_eq!(stand.states[0].to_string(), "offline");
-    stand.rig.segment.set_link(0, true);
-    stand.until(6000, Target::Hold, |state| state.online);
+    assert!(!fixture.states[0].online);
+    assert_eq!(fixture.states[0].to_string(), "offline");
+    fixture.rig.segment.set_link(0, true);
+    fixture.until(6000, Target::Hold, |state| state.online);
     for _ in 0..2000 {
-        stand.cycle(|_, _| Target::Hold);
-        assert_ne!(stand.states[0].state, Some(State::OperationEnabled));
+        fixture.cycle(|_, _| Target::Hold);
+        assert_ne!(fixture.states[0].state, Some(State::OperationEnabled));
     }
-    stand.axes[0].reset_fault();
-    stand.enable(Target::Hold);
+    fixture.axes[0].reset_fault();
+    fixture.enable(Target::Hold);
 }
 
 #[test]
 fn six_axes_in_one_slave_move_in_step_with_sync0() {
     for cycle in [Duration::from_millis(2), Duration::from_millis(1)] {
-        let mut stand = Stand::new(
+        let mut fixture = Fixture::new(
             ServoDrive::slave(ServoConfig::tx90()).unwrap(),
             6,
             cycle,
             true,
         );
-        stand.enable(Target::Hold);
-        let starts: Vec<_> = stand.states.iter().map(|state| state.position).collect();
+        fixture.enable(Target::Hold);
+        let starts: Vec<_> = fixture.states.iter().map(|state| state.position).collect();
         for n in 0..500 {
-            stand.cycle(|axis, _| {
+            fixture.cycle(|axis, _| {
                 Target::Position(starts[axis] + n * (1 + i32::try_from(axis).unwrap()))
             });
         }
         for _ in 0..300 {
-            stand.cycle(|axis, _| {
+            fixture.cycle(|axis, _| {
                 Target::Position(starts[axis] + 499 * (1 + i32::try_from(axis).unwrap()))
             });
         }
-        for (axis, state) in stand.states.iter().enumerate() {
+        for (axis, state) in fixture.states.iter().enumerate() {
             let wanted = starts[axis] + 499 * (1 + i32::try_from(axis).unwrap());
             assert!(
                 (state.position - wanted).abs() <= 2,
@@ -218,12 +224,16 @@ fn six_axes_in_one_slave_move_in_step_with_sync0() {
                 state.position
             );
         }
-        assert!(stand.rig.master.is_operational(), "{:?}", stand.rig.events);
+        assert!(
+            fixture.rig.master.is_operational(),
+            "{:?}",
+            fixture.rig.events
+        );
     }
 }
 
 #[test]
-fn what_is_not_mapped_is_named() {
+fn missing_mapping_is_named() {
     let process = ProcessData::default();
     let error = Axis::new(0, &process, 2, Patience::default()).unwrap_err();
     assert_eq!(
@@ -233,7 +243,7 @@ fn what_is_not_mapped_is_named() {
 }
 
 #[test]
-fn interpolation_times_are_in_the_largest_unit() {
+fn interpolation_time_uses_the_largest_unit() {
     let bytes = |us| -> Vec<u8> {
         interpolation(0, Duration::from_micros(us))
             .iter()
@@ -248,7 +258,7 @@ fn interpolation_times_are_in_the_largest_unit() {
 }
 
 #[test]
-fn bits_lie_anywhere() {
+fn objects_are_read_at_any_bit_offset() {
     let bits = Bits {
         first: 3,
         count: 16,

@@ -1,25 +1,25 @@
-//! What a slave does beyond its controller: the firmware. The controller's own rules are not here.
+//! The firmware of a slave. The rules of the controller are not here.
 
 use std::fmt;
 
 use crate::{AlState, AlStatusCode};
 
-/// What the firmware sees when its cycle comes: at SYNC0, or with each frame of outputs.
+/// Inputs of a firmware cycle: at SYNC0, or with each frame of outputs.
 #[derive(Clone, Copy, Debug)]
 pub struct Cycle<'a> {
     /// The newest outputs; `None` before the first, and outside of OP.
     pub outputs: Option<&'a [u8]>,
-    /// They came since the last cycle.
+    /// The outputs are new since the last cycle.
     pub fresh: bool,
     /// Time since the last cycle, ns.
     pub dt: u64,
     /// The state of the slave.
     pub state: AlState,
-    /// It is SYNC0 that made this cycle, rather than outputs or the passing of time.
+    /// The cycle was triggered by SYNC0, rather than by outputs or time.
     pub synchronous: bool,
 }
 
-/// What the master has set up when it asks for a state.
+/// Set-up by the master at a state request.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Setup {
     /// Length of the outputs, bytes; 0 if their SyncManager is off.
@@ -37,37 +37,35 @@ pub trait Application: fmt::Debug + Send {
     /// Whether a step to a state is allowed, beyond what the controller itself checks.
     ///
     /// # Errors
-    /// The code with which the slave refuses.
+    /// The code of the refusal.
     fn enter(&mut self, state: AlState, setup: &Setup) -> Result<(), AlStatusCode> {
         let _ = (state, setup);
         Ok(())
     }
 
-    /// The slave goes from a state to another.
+    /// Called at a state change.
     fn leave(&mut self, from: AlState, to: AlState) {
         let _ = (from, to);
     }
 
-    /// After how many SYNC0 in a row without new outputs it leaves OP (10F1h:02), if that can be set.
+    /// Number of consecutive SYNC0 without new outputs after which it leaves OP (10F1h:02), if configurable.
     fn sync_errors(&self) -> Option<u32> {
         None
     }
 
-    /// Whether its mailbox carries no mailbox header: [`Self::mailbox`] then gets the whole of it,
-    /// and the answer is put there as it is.
+    /// Whether its mailbox carries no mailbox header: [`Self::mailbox`] then gets the complete content, and the answer
+    /// is written unchanged.
     fn has_raw_mailbox(&self) -> bool {
         false
     }
 
-    /// Answers what is inside a mailbox of the kind CoE, into `reply`; returns whether there is an
-    /// answer.
+    /// Handles the content of a CoE mailbox and writes the answer to `reply`; returns whether there is one.
     fn mailbox(&mut self, request: &[u8], reply: &mut Vec<u8>) -> bool {
         let _ = (request, reply);
         false
     }
 
-    /// Something to say without being asked (an emergency, a fragment), into `message`; returns
-    /// whether there is.
+    /// Writes an unsolicited message (an emergency, a fragment) to `message`; returns whether there is one.
     fn unasked(&mut self, message: &mut Vec<u8>) -> bool {
         let _ = message;
         false
@@ -76,7 +74,7 @@ pub trait Application: fmt::Debug + Send {
     /// One cycle: takes outputs, writes `inputs`, whose length is that of the process data.
     fn cycle(&mut self, cycle: &Cycle<'_>, inputs: &mut [u8]);
 
-    /// Power came on, or the slave was reset.
+    /// Called at power-on or reset.
     fn reset(&mut self) {}
 }
 

@@ -1,16 +1,16 @@
 //! The distributed clock of a slave (ETG.1000.4, clause 9.1.3; register block 0900h): a local
 //! clock that drifts, the loop that follows the reference, and SYNC0. It latches nothing by itself.
 
-/// Pulses of SYNC0 or SYNC1 to come, system time in ns.
+/// Future pulses of SYNC0 or SYNC1, system time in ns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Pulses {
     next: u64,
-    /// 0 for one alone.
+    /// 0 for a single shot.
     period: u64,
 }
 
 impl Pulses {
-    /// The pulse that was due, if one was; then the next.
+    /// Returns the pulse that was due, if any, and advances to the next.
     const fn take(pulses: &mut Option<Self>, system_time: u64) -> Option<u64> {
         let Some(Self { next, period }) = *pulses else {
             return None;
@@ -34,13 +34,13 @@ impl Pulses {
 pub struct Clock {
     /// Segment time at which `local` was exact.
     at: u64,
-    /// Local time then.
+    /// Local time at that instant.
     local: u64,
-    /// Local time when power comes on.
+    /// Local time at power-on.
     first: u64,
-    /// How much faster than the segment's time its crystal is, ppb.
+    /// Drift of its crystal against the segment's time, ppb.
     drift_ppb: i64,
-    /// How much faster the loop makes it run on top, ppb.
+    /// Frequency correction of the loop, ppb.
     trim_ppb: i64,
     /// Filtered difference to the reference, ns; positive when this clock is ahead.
     difference: Option<f64>,
@@ -52,7 +52,7 @@ pub struct Clock {
 const STEP_MAX: i64 = 2000;
 
 impl Clock {
-    /// A clock that shows `local` ns when power comes on and gains `drift_ppb` ns a second.
+    /// A clock that shows `local` ns at power-on and gains `drift_ppb` ns per second.
     #[must_use]
     pub const fn new(local: u64, drift_ppb: i64) -> Self {
         Self {
@@ -67,7 +67,7 @@ impl Clock {
         }
     }
 
-    /// Power comes on.
+    /// Resets at power-on.
     pub(super) const fn restart(&mut self, now: u64) {
         *self = Self {
             at: now,
@@ -85,7 +85,7 @@ impl Clock {
         u64::try_from(local & i128::from(u64::MAX)).unwrap_or(0)
     }
 
-    /// Brings the clock's crystal to another drift from now on.
+    /// Changes the drift of the crystal from now on.
     pub fn set_drift(&mut self, drift_ppb: i64, now: u64) {
         (self.local, self.at) = (self.local(now), now);
         self.drift_ppb = drift_ppb;
@@ -96,17 +96,17 @@ impl Clock {
         (self.local, self.at) = (self.local(now).wrapping_add_signed(by_ns), now);
     }
 
-    /// Follows a system time datagram that arrived at `now` and differed by so many ns, positive
-    /// when this clock is ahead; `depth` is that of the filter. Returns the filtered difference, ns.
+    /// Follows a system time datagram that arrived at `now` and differed by `difference` ns, positive when this clock
+    /// is ahead; `depth` is that of the filter. Returns the filtered difference, ns.
     pub fn follow(&mut self, difference: i64, depth: u8, now: u64) -> i64 {
         #[expect(clippy::cast_precision_loss, reason = "a difference of clocks in ns")]
         let exact = difference as f64;
         let weight = 0.5_f64.powi(depth.min(16).into());
-        // A fresh filter begins at what it sees.
+        // A reset filter starts with the first difference.
         let before = self.difference.unwrap_or(exact);
         let filtered = before + (exact - before) * weight;
         self.difference = Some(filtered);
-        // Phase by a bounded step, frequency by a small share of the same.
+        // Phase by a bounded step, frequency by a small fraction of it.
         let step = (-difference / 8).clamp(-STEP_MAX, STEP_MAX);
         (self.local, self.at) = (self.local(now).wrapping_add_signed(step), now);
         self.trim_ppb = (self.trim_ppb + step * 16).clamp(-1_000_000, 1_000_000);
@@ -115,19 +115,19 @@ impl Clock {
         filtered
     }
 
-    /// Begins the loop anew, as a write to its settings does.
+    /// Resets the loop, as a write to its settings does.
     pub(super) const fn reset_loop(&mut self) {
         self.difference = None;
         self.trim_ppb = 0;
     }
 
-    /// How much the loop corrects the frequency, in steps of 1 ppm (register 0932h).
+    /// Frequency correction of the loop, in steps of 1 ppm (register 0932h).
     pub(super) fn speed_difference(&self) -> i16 {
         i16::try_from(self.trim_ppb / 1000).unwrap_or(i16::MAX)
     }
 
-    /// Arms SYNC0 for a start in system time; a start that has passed never comes with 64 bits.
-    /// SYNC1 comes so many ns after SYNC0, or after as many whole cycles as that holds.
+    /// Arms SYNC0 for a start in system time; with 64 bits, a start in the past never occurs. SYNC1 follows SYNC0 after
+    /// a delay in ns, which may contain whole cycles.
     pub fn arm(&mut self, start: u64, period: u64, sync1: Option<u64>, system_time: u64) {
         self.disarm();
         if start <= system_time {
@@ -146,24 +146,24 @@ impl Clock {
         });
     }
 
-    /// No SYNC0 any more.
+    /// Disarms SYNC0.
     pub const fn disarm(&mut self) {
         (self.sync0, self.sync1) = (None, None);
     }
 
-    /// The next pulse of SYNC0 in system time, ns; `None` if none will come.
+    /// The next pulse of SYNC0 in system time, ns; `None` if there is none.
     #[must_use]
     pub fn next_sync0(&self) -> Option<u64> {
         self.sync0.map(|pulses| pulses.next)
     }
 
-    /// The next pulse of SYNC1 in system time, ns; `None` if none will come.
+    /// The next pulse of SYNC1 in system time, ns; `None` if there is none.
     #[must_use]
     pub fn next_sync1(&self) -> Option<u64> {
         self.sync1.map(|pulses| pulses.next)
     }
 
-    /// The oldest pulse of SYNC0 that was due up to a system time and was not taken yet.
+    /// The oldest pulse of SYNC0 that was due up to a system time and is not handled yet.
     pub const fn take_sync0(&mut self, system_time: u64) -> Option<u64> {
         Pulses::take(&mut self.sync0, system_time)
     }
@@ -189,7 +189,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_follower_locks_to_its_reference() {
+    fn clock_locks_to_its_reference() {
         for drift in [-100_000, 0, 100_000] {
             let reference = Clock::new(5_000_000_000, 0);
             let mut clock = Clock::new(1000, drift);
@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn sync0_comes_each_period_after_its_start_and_never_for_a_start_that_passed() {
+    fn sync0_with_past_start_never_fires() {
         let mut clock = Clock::new(0, 0);
         clock.arm(10_000, 1000, None, 9000);
         let pulses: Vec<_> = (9000..20_500).filter_map(|t| clock.take_sync0(t)).collect();
@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn sync1_comes_after_sync0_or_each_few_of_it() {
+    fn sync1_follows_sync0_or_multiples_of_it() {
         for (after, expected) in [
             (0, [10_000, 11_000, 12_000]),
             (300, [10_300, 11_300, 12_300]),
@@ -248,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn jumps_and_drifts_take_effect_from_now_on() {
+    fn clock_jumps_and_drifts_apply_immediately() {
         let mut clock = Clock::new(0, 100_000);
         assert_eq!(clock.local(1_000_000_000), 1_000_100_000);
         clock.set_drift(-100_000, 1_000_000_000);

@@ -1,6 +1,5 @@
-//! The CoE side of a slave with an object dictionary (ETG.1000.6, clause 5.6): SDO by expedited,
-//! normal and segmented transfer, complete access, the information service, emergencies. What the
-//! objects do is their owner's.
+//! The CoE side of a slave with an object dictionary (ETG.1000.6, clause 5.6): SDO by expedited, normal and segmented
+//! transfer, complete access, the information service, emergencies. The behaviour of the objects is up to their owner.
 
 use std::collections::VecDeque;
 
@@ -32,10 +31,10 @@ enum Transfer {
 #[derive(Clone, Debug)]
 pub struct CoeServer {
     transfer: Option<Transfer>,
-    /// Messages to send without being asked.
+    /// Unsolicited messages to send.
     pending: VecDeque<Vec<u8>>,
-    /// Bytes of a mailbox behind mailbox header and CoE header.
-    room: usize,
+    /// Capacity of a mailbox after mailbox header and CoE header, bytes.
+    capacity: usize,
     complete_access: bool,
     information: bool,
 }
@@ -44,40 +43,40 @@ pub struct CoeServer {
 const SIZE_MAX: usize = takt_cia402::dictionary::VALUE_MAX;
 
 impl CoeServer {
-    /// A server for mailboxes of so many bytes; complete access is refused unless it has it.
+    /// A server for mailboxes of a given length; complete access is optional.
     #[must_use]
     pub fn new(mailbox_len: u16, complete_access: bool) -> Self {
         let headers = MailboxHeader::LEN + CoeService::LEN;
         Self {
             transfer: None,
             pending: VecDeque::new(),
-            room: usize::from(mailbox_len).saturating_sub(headers).max(16),
+            capacity: usize::from(mailbox_len).saturating_sub(headers).max(16),
             complete_access,
             information: true,
         }
     }
 
-    /// The same with or without the information service.
+    /// Enables or disables the information service.
     #[must_use]
     pub const fn with_information(mut self, information: bool) -> Self {
         self.information = information;
         self
     }
 
-    /// Drops what is under way, as INIT does.
+    /// Aborts transfers, as INIT does.
     pub fn reset(&mut self) {
         self.transfer = None;
         self.pending.clear();
     }
 
-    /// Sends an emergency at the next occasion.
+    /// Queues an emergency.
     pub fn emergency(&mut self, emergency: &Emergency) {
         let mut message = CoeService::Emergency.encode().to_vec();
         message.extend(emergency.encode());
         self.pending.push_back(message);
     }
 
-    /// The next message to send without being asked.
+    /// The next unsolicited message.
     pub fn unasked(&mut self, message: &mut Vec<u8>) -> bool {
         let next = self.pending.pop_front();
         let some = next.is_some();
@@ -85,7 +84,7 @@ impl CoeServer {
         some
     }
 
-    /// Answers what is inside a CoE mailbox; returns whether there is an answer.
+    /// Handles the content of a CoE mailbox; returns whether there is an answer.
     pub fn answer<H: Hooks>(
         &mut self,
         request: &[u8],
@@ -182,7 +181,7 @@ impl CoeServer {
 
     fn begin_upload(&mut self, address: Address, whole: Whole, data: Vec<u8>, reply: &mut Vec<u8>) {
         let size = u32::try_from(data.len()).unwrap_or(u32::MAX);
-        let first = data.len().min(self.room - SDO_LEN);
+        let first = data.len().min(self.capacity - SDO_LEN);
         let part = if data.len() <= 4 { data.len() } else { first };
         respond(
             reply,
@@ -201,7 +200,7 @@ impl CoeServer {
     }
 
     fn upload_segment(&mut self, toggle: bool, reply: &mut Vec<u8>) -> Result<(), AbortCode> {
-        let room = self.room - 1;
+        let capacity = self.capacity - 1;
         let Some(Transfer::Upload {
             toggle: expected,
             data,
@@ -214,7 +213,7 @@ impl CoeServer {
             return Err(AbortCode::Toggle);
         }
         let rest = data.get(*at..).unwrap_or_default();
-        let part = rest.get(..rest.len().min(room)).unwrap_or_default();
+        let part = rest.get(..rest.len().min(capacity)).unwrap_or_default();
         let last = part.len() == rest.len();
         respond(
             reply,
@@ -291,7 +290,7 @@ impl CoeServer {
         Ok(data)
     }
 
-    /// The sub-indices that complete access is about: from 0 or 1 on.
+    /// The sub-indices of a complete access: from 0 or 1 on.
     fn entries(&self, address: Address, dictionary: &Dictionary) -> Result<Vec<u8>, AbortCode> {
         let object = dictionary
             .object(address.index)
@@ -300,7 +299,7 @@ impl CoeServer {
             return Err(AbortCode::NoCompleteAccess);
         }
         let subs = object.entries.iter().map(|(sub, _)| *sub);
-        // As many as sub-index 0 says that there are now.
+        // As many as sub-index 0 presently counts.
         let count = dictionary.bytes(Address::new(address.index, 0));
         let count = count.and_then(<[u8]>::first).copied().unwrap_or(0);
         Ok(subs
@@ -335,7 +334,7 @@ impl CoeServer {
         let mut rest = data;
         let zero = Address::new(address.index, 0);
         if count.is_some() {
-            // The count is changed last, as if each entry were written by itself.
+            // The count is changed last, as if each entry were written separately.
             rest = rest.get(2..).ok_or(AbortCode::TooShort)?;
             dictionary.download(zero, &[0], hooks)?;
         }
@@ -406,7 +405,7 @@ impl CoeServer {
         } else {
             listed(kind)
         };
-        let each = (self.room - Information::LEN - 2) / 2;
+        let each = (self.capacity - Information::LEN - 2) / 2;
         let parts: Vec<&[u16]> = words.chunks(each).collect();
         let count = parts.len().max(1);
         for number in 0..count {

@@ -1,6 +1,6 @@
-//! A CiA 402 drive over CoE with one to eight axes: the profile's emulated drive behind an object
-//! dictionary, with PDOs that can be assigned and mapped anew, and cycles by SYNC0 or by outputs
-//! (ETG.6010). What an axis does is `takt_cia402`'s.
+//! A CiA 402 drive over CoE with one to eight axes: the profile's emulated drive behind an object dictionary, with
+//! configurable PDO assignment and mapping, and cycles by SYNC0 or by outputs (ETG.6010). The behaviour of an axis is
+//! in `takt_cia402`.
 
 mod objects;
 mod pdo;
@@ -26,19 +26,19 @@ use super::terminal::VENDOR;
 
 use pdo::Pdos;
 
-/// Length of each mailbox, bytes, unless told otherwise.
+/// Default length of each mailbox, bytes.
 const MAILBOX: u16 = 128;
 /// CoE details: SDO, information, PDO assignment and configuration, complete access.
 const COE: u8 = 0x2F;
-/// Those of information and of complete access.
+/// The bits of information and of complete access.
 const INFORMATION: u8 = 0x02;
 const COMPLETE: u8 = 0x20;
 /// Cycle times are whole multiples of this, ns.
 const CYCLE_STEP: u32 = 125_000;
-/// Bytes that a mapping may have beyond the default one, for each axis.
+/// Bytes by which a mapping may exceed the default one, per axis.
 const SPARE: u16 = 32;
 
-/// What a drive is like.
+/// Configuration of a drive.
 #[derive(Clone, Debug)]
 pub struct ServoConfig {
     /// Order code and name.
@@ -51,29 +51,28 @@ pub struct ServoConfig {
     pub needs_sync0: bool,
     /// Its clock: what it shows at power-on, ns, and its drift, ppb.
     pub clock: (u64, i64),
-    /// How much of a clock that is.
+    /// Width of its clock.
     pub clock_unit: ClockUnit,
     /// Length of each of its two mailboxes, bytes.
     pub mailbox: u16,
-    /// Who made it and what it is, unless it is the emulated servo of that product code.
+    /// Its identity, unless it is the emulated servo with this product code.
     pub identity: Option<Identity>,
     /// CoE details: bit 0 SDO, 1 information, 2 PDO assignment, 3 PDO configuration, 5 complete access.
     pub coe: u8,
-    /// Which PDOs it has.
+    /// Its PDOs.
     pub pdos: PdoSet,
-    /// It acknowledges a new mapping of the same length, and goes on using the first one that it had since its power
-    /// came on.
+    /// It acknowledges a new mapping of the same length, but continues to use the first one since power-on.
     pub keeps_mapping: bool,
 }
 
 /// The PDOs of a drive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum PdoSet {
-    /// One each way for each axis.
+    /// One per direction and axis.
     #[default]
     One,
-    /// Four each way for one axis, all assigned. An object may not be mapped twice, and by default some are: so it
-    /// refuses SAFE-OP (001Dh) until other PDOs are assigned, though their lengths are right.
+    /// Four per direction for one axis, all assigned. An object may not be mapped twice, but by default some are, so
+    /// that it refuses SAFE-OP (001Dh) until other PDOs are assigned, though their lengths are right.
     Four,
 }
 
@@ -97,7 +96,8 @@ impl Default for ServoConfig {
 }
 
 impl ServoConfig {
-    /// One with these axes. Drives with other PDOs are other products, as a master tells them by their product code.
+    /// A drive with these axes. Drives with other PDOs are other products, as a master distinguishes them by product
+    /// code.
     #[must_use]
     pub fn with_axes(axes: Vec<DriveConfig>) -> Self {
         let more = u32::try_from(axes.len().saturating_sub(1)).unwrap_or(0);
@@ -110,7 +110,7 @@ impl ServoConfig {
         }
     }
 
-    /// Who made it and what it is.
+    /// Its identity.
     fn identity(&self) -> Identity {
         self.identity.unwrap_or(Identity {
             vendor: VENDOR,
@@ -160,7 +160,7 @@ impl ServoConfig {
     }
 }
 
-/// Where the numbers of the sync objects lie.
+/// Keys of the sync objects.
 #[derive(Clone, Copy, Debug)]
 struct Keys {
     error_register: Key<u8>,
@@ -194,14 +194,14 @@ struct Firmware {
     keys: Keys,
     coe: CoeServer,
     pdos: Pdos,
-    /// The first ones since power came on.
+    /// The first PDOs since power-on.
     kept: Option<Pdos>,
     state: AlState,
-    /// OP was left while an axis had power.
+    /// OP ended while an axis had power.
     link_lost: bool,
 }
 
-/// What the dictionary asks before a write from the bus.
+/// Hooks of the dictionary before a write from the bus.
 struct Rules<'a> {
     axes: &'a [Drive],
     state: AlState,
@@ -249,7 +249,7 @@ impl Firmware {
         })
     }
 
-    /// What the master has set up for the way to SAFE-OP.
+    /// Set-up by the master before SAFE-OP.
     fn check(&mut self, setup: &Setup) -> Result<(), AlStatusCode> {
         self.pdos = Pdos::new(&self.dictionary)?;
         if self.config.pdos == PdoSet::Four {
@@ -283,7 +283,7 @@ impl Firmware {
         Ok(())
     }
 
-    /// The next master may come without SYNC0: what the one before had is not kept beyond INIT.
+    /// The next master may not use SYNC0: the set-up of the previous one is dropped in INIT.
     fn forget_sync0(&mut self) {
         for sync_type in self.keys.sync_type {
             self.dictionary.set(sync_type, objects::SYNC_BY_OUTPUTS);
@@ -310,14 +310,14 @@ impl Firmware {
         for number in 0..self.axes.len() {
             let stepped = self.axes[number].step(&mut self.dictionary, &step);
             if let Some(code) = stepped.emergency {
-                self.tell(number, code);
+                self.send_fault(number, code);
             }
         }
         self.pdos.pack(&self.dictionary, &mut self.axes, inputs);
     }
 
     /// Sends an emergency of an axis; its number is in the first byte of the manufacturer.
-    fn tell(&mut self, axis: usize, code: FaultCode) {
+    fn send_fault(&mut self, axis: usize, code: FaultCode) {
         self.dictionary
             .set(self.keys.error_register, code.register());
         let mut data = [0; 5];
@@ -348,10 +348,10 @@ impl Firmware {
 pub struct ServoDrive(Arc<Mutex<Firmware>>);
 
 impl ServoDrive {
-    /// A slave that is such a drive, and a handle to it.
+    /// A slave with this drive, and a handle to it.
     ///
     /// # Errors
-    /// If the axes' objects make no dictionary: there are more than eight.
+    /// If the objects make no dictionary: there are more than eight axes.
     pub fn slave(config: ServoConfig) -> Result<(Slave, Self), DictionaryError> {
         let mut slave = SlaveConfig::new(sii(&config));
         slave.clock = Some(super::Clock::new(config.clock.0, config.clock.1));
@@ -360,7 +360,7 @@ impl ServoDrive {
         Self::with_controller(config, slave)
     }
 
-    /// The same with a controller, an SII and times of another kind.
+    /// The same with another controller, SII and times.
     pub(super) fn with_controller(
         config: ServoConfig,
         slave: SlaveConfig,
@@ -373,17 +373,17 @@ impl ServoDrive {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Looks at an axis, pushes its motor, puts faults in; `None` if there is no such axis.
-    pub fn axis<R>(&self, number: usize, what: impl FnOnce(&mut Drive) -> R) -> Option<R> {
-        self.firmware().axes.get_mut(number).map(what)
+    /// Access to an axis, to push its motor or inject faults; `None` if there is no such axis.
+    pub fn axis<R>(&self, number: usize, f: impl FnOnce(&mut Drive) -> R) -> Option<R> {
+        self.firmware().axes.get_mut(number).map(f)
     }
 
-    /// Looks at its objects, or changes them as their owner.
-    pub fn dictionary<R>(&self, what: impl FnOnce(&mut Dictionary) -> R) -> R {
-        what(&mut self.firmware().dictionary)
+    /// Access to its objects as their owner.
+    pub fn dictionary<R>(&self, f: impl FnOnce(&mut Dictionary) -> R) -> R {
+        f(&mut self.firmware().dictionary)
     }
 
-    /// Sends an emergency that stands for nothing.
+    /// Sends an emergency without a fault.
     pub fn emergency(&self, emergency: &Emergency) {
         self.firmware().coe.emergency(emergency);
     }
@@ -437,7 +437,7 @@ impl Application for ServoDrive {
 
     fn reset(&mut self) {
         let mut firmware = self.firmware();
-        // It could be made before, so it can be made again.
+        // It could be built before, so it can be built again.
         if let Ok(fresh) = Firmware::new(firmware.config.clone()) {
             *firmware = fresh;
         }

@@ -1,4 +1,4 @@
-//! Builds SII images (ETG.2010) for emulated slaves. Reading one is in [`crate::sii`].
+//! Builds SII images (ETG.2010) for emulated slaves. The decoder is in [`crate::sii`].
 
 use crate::register::SyncManager;
 use crate::sii::{self, Category, General, Identity, MailboxAreas, SiiClock, SiiSyncManager};
@@ -10,14 +10,14 @@ pub struct PdoImage {
     pub index: u16,
     /// SyncManager; FFh for none.
     pub sync_manager: u8,
-    /// What it is called.
+    /// Its name.
     pub name: String,
     /// Index, sub-index, bits and data type (as CiA 301 numbers them) of each entry.
     pub entries: Vec<(u16, u8, u8, u8)>,
 }
 
 impl PdoImage {
-    /// How many bits it has.
+    /// Length, bits.
     #[must_use]
     pub fn bits(&self) -> usize {
         self.entries
@@ -27,14 +27,14 @@ impl PdoImage {
     }
 }
 
-/// What an SII is to say.
+/// Content of an SII.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct SiiImage {
-    /// Who made it and what it is.
+    /// Identity.
     pub identity: Identity,
     /// Station alias.
     pub alias: u16,
-    /// Order code; also the first string, which some masters take for the name.
+    /// Order code; also the first string, which some masters use as the name.
     pub order: String,
     /// Name.
     pub name: String,
@@ -48,21 +48,21 @@ pub struct SiiImage {
     pub unwatched: bool,
     /// Whether it has a distributed clock with SYNC outputs; their pulses are 1 µs long.
     pub clock: bool,
-    /// Its controller answers AL control by itself (word 0, bit 8), as there is no firmware.
+    /// Its controller answers AL control by itself (word 0, bit 8), without firmware.
     pub device_emulation: bool,
     /// Current taken from the E-bus; negative is given, mA.
     pub ebus_ma: i16,
-    /// PDOs that it receives.
+    /// RxPDOs.
     pub rx_pdos: Vec<PdoImage>,
-    /// PDOs that it sends.
+    /// TxPDOs.
     pub tx_pdos: Vec<PdoImage>,
-    /// Bytes to leave for outputs and inputs beyond those of the PDOs above.
+    /// Spare bytes for outputs and inputs beyond the PDOs above.
     pub spare: u16,
-    /// Where everything lies and what is listed, instead of what follows from the above.
+    /// Explicit layout instead of the derived one.
     pub layout: Option<SiiLayout>,
 }
 
-/// What an SII says of a chip that was laid out by somebody else.
+/// Explicit layout of the SII of another vendor.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct SiiLayout {
     /// Word 0: PDI control, and in its high byte the ESC configuration.
@@ -71,7 +71,7 @@ pub struct SiiLayout {
     pub mailbox: MailboxAreas,
     /// Protocols of the mailbox.
     pub protocols: u16,
-    /// What each FMMU is for.
+    /// Usage of each FMMU.
     pub fmmus: Vec<u8>,
     /// The SyncManagers; a length of zero is the sum of the PDOs.
     pub sync_managers: Vec<SiiSyncManager>,
@@ -79,11 +79,11 @@ pub struct SiiLayout {
     pub others: Vec<(u16, Vec<u8>)>,
 }
 
-/// Where mailboxes and process data begin.
+/// Start addresses of mailboxes and process data.
 const MAILBOX: u16 = 0x1000;
 
 impl SiiImage {
-    /// The SyncManagers: mailboxes if there are, outputs and inputs.
+    /// The SyncManagers: optional mailboxes, outputs and inputs.
     #[must_use]
     pub fn sync_managers(&self) -> Vec<SiiSyncManager> {
         if let Some(layout) = &self.layout {
@@ -91,7 +91,7 @@ impl SiiImage {
         }
         let mut all = Vec::new();
         let mut at = MAILBOX;
-        let mut add = |len: u16, room: u16, control, enable, kind| {
+        let mut add = |len: u16, reserved: u16, control, enable, kind| {
             all.push(SiiSyncManager {
                 start: at,
                 len,
@@ -99,19 +99,19 @@ impl SiiImage {
                 enable,
                 kind,
             });
-            at += room;
+            at += reserved;
         };
         let mailbox = self.mailbox_len;
         if mailbox > 0 {
             add(mailbox, mailbox, SyncManager::MAILBOX_OUT, 1, 1);
             add(mailbox, mailbox, SyncManager::MAILBOX_IN, 1, 2);
         }
-        // Three buffers behind each; rounded so that addresses look as masters expect them.
-        let room = |len: u16| (3 * (len + self.spare)).next_multiple_of(0x80).max(0x80);
+        // Three buffers each; rounded to addresses that masters expect.
+        let reserve = |len: u16| (3 * (len + self.spare)).next_multiple_of(0x80).max(0x80);
         let (outputs, inputs) = (Self::bytes(&self.rx_pdos), Self::bytes(&self.tx_pdos));
         add(
             outputs,
-            room(outputs),
+            reserve(outputs),
             if self.unwatched {
                 SyncManager::OUTPUTS & !0x40
             } else {
@@ -122,7 +122,7 @@ impl SiiImage {
         );
         add(
             inputs,
-            room(inputs),
+            reserve(inputs),
             SyncManager::INPUTS,
             u8::from(inputs > 0),
             4,
@@ -207,7 +207,7 @@ impl SiiImage {
             let emulation = u16::from(self.device_emulation) << 8;
             return layout.configuration | emulation;
         }
-        // A microcontroller behind the mailbox, digital I/O without.
+        // A microcontroller with a mailbox, digital I/O without.
         let (pdi, clock) = if self.mailbox_len > 0 {
             (0x0008, 0x0C00)
         } else {
@@ -238,7 +238,7 @@ impl SiiImage {
         }
     }
 
-    /// With a clock it runs by its outputs or by SYNC0.
+    /// With a clock: synchronised by outputs or by SYNC0.
     fn clocks(&self, strings: &mut Strings) -> Vec<u8> {
         if !self.clock || self.mailbox_len == 0 {
             return Vec::new();
@@ -262,7 +262,7 @@ impl SiiImage {
             coe: self.coe,
             flags: self.flags,
             ebus_ma: self.ebus_ma,
-            // Two of MII.
+            // Two MII ports.
             ports: 0x0011,
             ..General::default()
         };

@@ -1,6 +1,5 @@
-//! The memory of a slave controller as both sides see it: registers with their access rules, event
-//! requests, and the process data memory (ETG.1000.4, clauses 8 and 9). SyncManagers are in
-//! [`buffers`]; what the application does with events is not here.
+//! The memory of a slave controller as both sides see it: registers with their access rules, event requests, and the
+//! process data memory (ETG.1000.4, clauses 8 and 9). SyncManagers are in [`buffers`]; the application handles events.
 
 mod buffers;
 
@@ -11,14 +10,14 @@ use crate::register::Register;
 use super::slave::Chip;
 use buffers::Channel;
 
-/// SyncManagers of an emulated controller, at most.
+/// Maximum number of SyncManagers of an emulated controller.
 pub(super) const SYNC_MANAGERS: usize = 8;
 /// Bytes of registers and process data memory.
 const SIZE: usize = 0x1000 + 0x2000;
 /// Registers of the distributed clock.
 const CLOCK: std::ops::Range<u16> = 0x0900..0x0A00;
 
-/// Bits of the ECAT event request (0210h) that are kept until the master reads their cause.
+/// Bits of the ECAT event request (0210h) that are latched until the master reads their cause.
 pub(super) mod ecat_event {
     /// DL status changed; reading it clears this.
     pub(in super::super) const DL_STATUS: u16 = 1 << 2;
@@ -26,13 +25,13 @@ pub(super) mod ecat_event {
     pub(in super::super) const AL_STATUS: u16 = 1 << 3;
 }
 
-/// Bits of the AL event request (0220h) that are kept until the firmware has seen to them.
+/// Bits of the AL event request (0220h) that are latched until the firmware handles them.
 pub(super) mod al_event {
     /// AL control was written.
     pub(in super::super) const AL_CONTROL: u32 = 1 << 0;
-    /// SYNC0 came.
+    /// SYNC0 occurred.
     pub(in super::super) const SYNC0: u32 = 1 << 2;
-    /// SYNC1 came.
+    /// SYNC1 occurred.
     pub(in super::super) const SYNC1: u32 = 1 << 3;
     /// A SyncManager was switched on or off.
     pub(in super::super) const ACTIVATION: u32 = 1 << 4;
@@ -40,7 +39,7 @@ pub(super) mod al_event {
     pub(in super::super) const WATCHDOG: u32 = 1 << 6;
 }
 
-/// What the master did since the application last looked.
+/// Actions of the master since the last check of the application.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Events {
     /// It wrote AL control.
@@ -49,11 +48,11 @@ pub(super) struct Events {
     pub(super) sii: bool,
     /// It wrote outputs.
     pub(super) outputs: bool,
-    /// It asks for the last mailbox again.
+    /// It requests a repeat of the last mailbox message.
     pub(super) repeat: bool,
-    /// It wrote to the receive times: they are to be latched.
+    /// It wrote to the receive times: latch them.
     pub(super) latch: bool,
-    /// It wrote so many bytes of the system time, 0 for none.
+    /// Number of bytes of the system time written, 0 for none.
     pub(super) system_time: usize,
     /// It wrote the settings of the loop.
     pub(super) filters: bool,
@@ -66,14 +65,14 @@ pub(super) struct Events {
 pub(super) struct Memory {
     bytes: Vec<u8>,
     channels: [Channel; SYNC_MANAGERS],
-    /// What was last sent from the mailbox, for a repeat.
+    /// The last sent mailbox message, for a repeat.
     last_sent: Vec<u8>,
     chip: Chip,
     /// AL control cannot be written again before the firmware has read it.
     locks: bool,
-    /// It has not read it yet.
+    /// The firmware has not read AL control yet.
     pub(super) al_locked: bool,
-    /// What lies behind a message in a mailbox is what was there before.
+    /// Stale bytes follow a message in a mailbox.
     dirty: bool,
     ecat_events: u16,
     al_events: u32,
@@ -97,7 +96,7 @@ const READ_ONLY: [(Register, Register); 13] = [
     (0x0998, 0x099F),
 ];
 
-/// Whether a write is one to the system time difference alone, which is answered by no working counter.
+/// Whether a write is one to the system time difference alone, which does not increment the working counter.
 const fn is_read_only(at: usize, end: usize) -> bool {
     let register = register::DC_DIFFERENCE as usize;
     at >= register && end <= register + 4
@@ -119,14 +118,14 @@ impl Memory {
         }
     }
 
-    /// The bytes at a register; no rule is asked.
+    /// The bytes of a register, without access checks.
     pub(super) fn get<const N: usize>(&self, at: Register) -> [u8; N] {
         let at = usize::from(at);
         let bytes = self.bytes.get(at..at + N).and_then(|b| b.first_chunk());
         bytes.copied().unwrap_or([0; N])
     }
 
-    /// Sets the bytes at a register; no rule is asked and nothing happens.
+    /// Sets the bytes of a register, without access checks and side effects.
     pub(super) fn set(&mut self, at: Register, bytes: &[u8]) {
         let at = usize::from(at);
         if let Some(to) = self.bytes.get_mut(at..at + bytes.len()) {
@@ -138,14 +137,14 @@ impl Memory {
         u16::from_le_bytes(self.get(at))
     }
 
-    /// Adds one to a counter that stays at 255.
+    /// Increments a counter that saturates at 255.
     pub(super) fn count(&mut self, at: Register) {
         let [counter] = self.get(at);
         self.set(at, &[counter.saturating_add(1)]);
     }
 
-    /// Sets DL status, AL status: what the master is told of by an event if it changed.
-    pub(super) fn set_told(&mut self, at: Register, value: u16, event: u16) {
+    /// Sets a register (DL status, AL status) and raises an event if it changed.
+    pub(super) fn set_with_event(&mut self, at: Register, value: u16, event: u16) {
         if self.word(at) != value {
             self.ecat_events |= event;
         }
@@ -157,7 +156,7 @@ impl Memory {
         self.al_events |= al_event;
     }
 
-    /// The firmware has seen to these events.
+    /// The firmware has handled these events.
     pub(super) const fn acknowledge(&mut self, al_event: u32) {
         self.al_events &= !al_event;
     }
@@ -182,7 +181,7 @@ impl Memory {
         self.al_events | u32::from(self.channel_events(0x20, true)) << 8
     }
 
-    /// Whether anything answers at these addresses.
+    /// Whether these addresses answer.
     fn is_there(&self, at: u16, len: usize) -> bool {
         let at = usize::from(at);
         let clock = usize::from(CLOCK.start)..usize::from(CLOCK.end);
@@ -190,7 +189,7 @@ impl Memory {
         answers && at + len <= self.chip.end()
     }
 
-    /// The master reads. Returns whether the access took place; else `to` is as it was.
+    /// The master reads. Returns whether the access took place; otherwise `to` is unchanged.
     pub(super) fn read(&mut self, at: u16, to: &mut [u8]) -> bool {
         if !self.is_there(at, to.len()) {
             return false;
@@ -296,7 +295,7 @@ impl Memory {
         }
     }
 
-    /// What a write to registers makes happen.
+    /// Side effects of a write to registers.
     fn note(&mut self, at: usize, len: usize, active: &[bool; SYNC_MANAGERS]) {
         let end = at + len;
         let touched = |register: Register, size: usize| {

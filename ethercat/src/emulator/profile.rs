@@ -1,6 +1,6 @@
-//! Slaves that answer as real ones were seen to answer in public recordings: registers, SII, SyncManagers, clocks,
-//! times, and what of it a master would rather not meet. What a device does with its process data is not theirs: beyond
-//! the wire they are the same terminals and drives as all emulated ones.
+//! Slaves that answer as real ones do in public recordings: registers, SII, SyncManagers, clocks, times and deviations
+//! from the standard. Their process data is not specific: beyond the wire they are the same terminals and drives as all
+//! emulated ones.
 
 mod coe;
 mod images;
@@ -22,42 +22,42 @@ use super::{Clock, SiiImage};
 pub enum Profile {
     /// Coupler to E-bus terminals; its controller has no firmware.
     Ek1100,
-    /// Four digital inputs; announces a clock that it has not.
+    /// Four digital inputs; announces a clock that it does not have.
     El1004,
-    /// Four digital outputs, whose SyncManager the SII gives no length.
+    /// Four digital outputs; the SII gives no length for their SyncManager.
     El2004,
     /// Eight digital outputs.
     El2828,
-    /// Sixteen digital outputs: two SyncManagers of one byte, side by side in registers.
+    /// Sixteen digital outputs: two SyncManagers of one byte, adjacent in registers.
     El2889,
     /// Four analogue inputs, with CoE.
     El3004,
-    /// Coupler with a few channels of its own, with CoE.
+    /// Coupler with a few channels, with CoE.
     Ek1914,
     /// Evaluation board: AL control that is read late, mailboxes of 40 ms.
     Lan9252,
-    /// Drive: a clock of 32 bits, AL control that is read late, PDOs that may not be assigned as they are.
+    /// Drive: a clock of 32 bits, AL control that is read late, a default PDO assignment that it refuses.
     Akd,
 }
 
-/// What can be done with a slave of a profile beside its wire.
+/// A slave of a profile and its handles.
 #[derive(Debug)]
 pub struct Profiled {
     /// The slave.
     pub slave: Slave,
-    /// What lies at its terminals, if it has any.
+    /// Its terminals, if it has any.
     pub io: Option<Io>,
-    /// The drive that it is.
+    /// The drive, if it is one.
     pub drive: Option<ServoDrive>,
 }
 
-/// The terminals and the drive of a slave, as far as it has them.
+/// The terminals and the drive of a slave, if present.
 pub type Handles = (Option<Io>, Option<ServoDrive>);
 
-/// A name that no profile has.
+/// An unknown profile name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "`{0}` is no device; known are ek1100, el1004, el2004, el2828, el2889, el3004, ek1914, lan9252, akd"
+    "unknown device `{0}`; known are ek1100, el1004, el2004, el2828, el2889, el3004, ek1914, lan9252, akd"
 )]
 pub struct UnknownProfile(pub String);
 
@@ -89,7 +89,7 @@ impl Profile {
         Self::Lan9252,
         Self::Akd,
     ];
-    /// A usual line: coupler, digital inputs and outputs, outputs in registers, analogue inputs, a drive.
+    /// A typical line: coupler, digital inputs and outputs, outputs in registers, analogue inputs, a drive.
     pub const LINE: [Self; 6] = [
         Self::Ek1100,
         Self::El1004,
@@ -99,7 +99,7 @@ impl Profile {
         Self::Akd,
     ];
 
-    /// How it is written.
+    /// Its name.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -115,10 +115,10 @@ impl Profile {
         }
     }
 
-    /// A slave that is one, whose times are so often as long as those that were seen.
+    /// A slave of this profile, with recorded times multiplied by a factor.
     ///
     /// # Errors
-    /// If the objects of its firmware make no dictionary.
+    /// If the objects of its firmware do not make a dictionary.
     pub fn slave(self, times: u64) -> Result<Profiled, DictionaryError> {
         if self == Self::Akd {
             return akd(times);
@@ -142,7 +142,7 @@ impl Profile {
         })
     }
 
-    /// These in a line, and the handles of each.
+    /// These profiles in a line, and the handles of each.
     ///
     /// # Errors
     /// As [`Self::slave`].
@@ -156,7 +156,7 @@ impl Profile {
         Ok((Segment::line(slaves), handles))
     }
 
-    /// What its EEPROM says.
+    /// The content of its EEPROM.
     fn sii(self) -> SiiImage {
         match self {
             Self::Ek1100 => images::ek1100(),
@@ -185,7 +185,7 @@ impl Profile {
         };
         SlaveConfig {
             chip: self.chip(),
-            // Whatever it showed when its power came on.
+            // The status that it showed at power-on.
             clock: Some(Clock::new(0x0123_4567_89AB, self.drift_ppb())),
             times: self.times(),
             dirty_mailbox: matches!(self, Self::El3004 | Self::Ek1914),
@@ -204,7 +204,8 @@ impl Profile {
         }
     }
 
-    /// Registers 0000h to 0009h, its clock, its SII interface. What was not read of a device is that of its siblings.
+    /// Registers 0000h to 0009h, its clock, its SII interface. Values not recorded of a device are those of similar
+    /// devices.
     const fn chip(self) -> Chip {
         // FMMUs, SyncManagers, KiB, 0007h, 0008h, clock, 0502h at rest.
         let (kind, counts, ports, features, clock, sii_status) = match self {
@@ -267,7 +268,7 @@ impl Profile {
     }
 
     const fn times(self) -> Times {
-        // Terminals and couplers have the same EEPROMs: free at once after a write, and storing behind it.
+        // Terminals and couplers have the same EEPROMs: ready at once after a write, while still storing.
         let terminal = Times {
             al_read: None,
             to_pre_op: Span::micros(300, 700),
@@ -314,7 +315,7 @@ impl Profile {
     }
 }
 
-/// How often a drive sends an Ethernet frame by its mailbox once it has an address, ns.
+/// Period at which a drive sends an Ethernet frame by its mailbox once it has an address, ns.
 const ETHERNET: u64 = 50_000_000;
 
 fn akd(times: u64) -> Result<Profiled, DictionaryError> {

@@ -1,12 +1,11 @@
-//! Slaves in a line or a tree: the order in which a frame passes them, how long that takes, what
-//! becomes of it when a cable is cut, and the faults that can be put in. What a slave does is in
-//! [`Slave`].
+//! Slaves in a line or a tree: the path and delay of a frame, cut cables, and injected faults. The behaviour of a slave
+//! is in [`Slave`].
 
 use crate::{Address, DatagramHeader, Frame, FrameHeader};
 
 use super::slave::{Arrival, Slave};
 
-/// An end of the segment at the master: the second is the redundancy cable at the last slave.
+/// Entry of the segment at the master: the second is the redundancy cable at the last slave.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Entry {
     /// At the first slave.
@@ -16,55 +15,55 @@ pub enum Entry {
     Last,
 }
 
-/// How a frame came back to the master.
+/// How a frame returned to the master.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Returned {
-    /// By which end.
+    /// Its entry.
     pub by: Entry,
-    /// After how many ns.
+    /// Its delay, ns.
     pub after: u64,
 }
 
-/// Faults to put in. All of them are counted down as they happen.
+/// Faults to inject. Each is counted down when it happens.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Faults {
-    /// So many frames are lost before the first slave.
+    /// Number of frames lost before the first slave.
     pub lose: u32,
-    /// So many frames pass all slaves and are lost on their way back.
+    /// Number of frames that pass all slaves and are lost when returning.
     pub lose_returned: u32,
-    /// So many frames are broken on the cable to a port of a slave.
+    /// Frames corrupted on the cable to a port of a slave.
     pub corrupt: Option<Corrupt>,
-    /// So many frames come back late by so many ns.
+    /// Number of frames that return late, and their delay, ns.
     pub late: Option<(u32, u64)>,
 }
 
-/// Frames that are broken on a cable: by bit errors, which the slave behind counts and marks.
+/// Frames corrupted on a cable by bit errors, which the receiving slave counts and marks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Corrupt {
     /// The slave that receives them.
     pub slave: usize,
-    /// By which port: 0 on the way out, another on the way back.
+    /// The receiving port: 0 outbound, another when returning.
     pub port: usize,
-    /// So many frames.
+    /// Number of frames.
     pub frames: u32,
 }
 
-/// A slave in its place.
+/// A slave in the topology.
 #[derive(Debug)]
 struct Node {
     slave: Slave,
-    /// The slave and the port that its cable goes to; `None` at the master.
+    /// Parent slave and port of its cable; `None` at the master.
     parent: Option<(usize, usize)>,
-    /// Whether that cable is whole.
+    /// Whether that cable is intact.
     link: bool,
     powered: bool,
 }
 
 /// Delay of a cable, ns: some 20 m.
 const CABLE: u64 = 100;
-/// Ports in the order in which a frame leaves by them.
+/// Ports in the order in which a frame passes them.
 const ORDER: [usize; 3] = [3, 1, 2];
-/// Bit of the source address that says that a frame has passed the segment.
+/// Bit of the source address that marks a frame that has passed the segment.
 const PASSED: u8 = 0x02;
 /// Ethertype of EtherCAT.
 const ETHERTYPE: [u8; 2] = [0x88, 0xA4];
@@ -77,12 +76,12 @@ pub struct Segment {
     nodes: Vec<Node>,
     /// A cable from the last slave of the line back to the master.
     redundant: bool,
-    /// The way of the present frame.
+    /// The path of the present frame.
     path: Vec<(usize, Arrival)>,
     now: u64,
-    /// Faults to come.
+    /// Pending faults.
     pub faults: Faults,
-    /// Frames that went in.
+    /// Number of processed frames.
     pub frames: u64,
 }
 
@@ -98,8 +97,8 @@ impl Segment {
         segment
     }
 
-    /// Adds a slave at a port (1 to 3) of another, or at the master. Returns its number; the order
-    /// of numbers is that of adding, not that of the ring.
+    /// Adds a slave at a port (1 to 3) of another, or at the master. Returns its number; numbers follow the order of
+    /// insertion, not that of the ring.
     pub fn add(&mut self, slave: Slave, parent: Option<(usize, usize)>) -> usize {
         self.nodes.push(Node {
             slave,
@@ -107,17 +106,17 @@ impl Segment {
             link: true,
             powered: true,
         });
-        self.tell_links();
+        self.update_links();
         self.nodes.len() - 1
     }
 
-    /// Plugs a second cable from the last slave of the line to the master, or pulls it.
+    /// Plugs a second cable from the last slave of the line to the master, or unplugs it.
     pub fn set_redundant(&mut self, redundant: bool) {
         self.redundant = redundant;
-        self.tell_links();
+        self.update_links();
     }
 
-    /// Cuts the cable before a slave, or mends it.
+    /// Cuts or repairs the cable before a slave.
     pub fn set_link(&mut self, number: usize, link: bool) {
         let Some(node) = self.nodes.get_mut(number) else {
             return;
@@ -126,10 +125,10 @@ impl Segment {
         if was && !link {
             self.count_lost_links(number, true);
         }
-        self.tell_links();
+        self.update_links();
     }
 
-    /// Both ends of the cable before a slave see that it is dead; one end if the slave itself is.
+    /// Both ends of the cable before a slave lose the link; only one if the slave itself has no power.
     fn count_lost_links(&mut self, number: usize, at_slave: bool) {
         let Some(node) = self.nodes.get_mut(number) else {
             return;
@@ -144,7 +143,7 @@ impl Segment {
         }
     }
 
-    /// Switches a slave's power off or on; what is behind it cannot be reached meanwhile.
+    /// Switches a slave's power off or on; slaves behind it are unreachable meanwhile.
     pub fn set_power(&mut self, number: usize, on: bool) {
         let now = self.now;
         let Some(node) = self.nodes.get_mut(number) else {
@@ -162,16 +161,16 @@ impl Segment {
                 }
             }
         }
-        self.tell_links();
+        self.update_links();
     }
 
-    /// How many slaves there are.
+    /// Number of slaves.
     #[must_use]
     pub fn len(&self) -> usize {
         self.nodes.len()
     }
 
-    /// Whether there is none.
+    /// Whether the segment is empty.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.nodes.is_empty()
@@ -192,7 +191,7 @@ impl Segment {
         self.nodes.iter().position(here).filter(|_| !closed)
     }
 
-    fn tell_links(&mut self) {
+    fn update_links(&mut self) {
         let last = self.last();
         for number in 0..self.nodes.len() {
             let node = &self.nodes[number];
@@ -216,7 +215,7 @@ impl Segment {
         }
     }
 
-    /// The last slave of the line as it is built, whole or not.
+    /// The last slave of the line as built, intact or not.
     fn last(&self) -> Option<usize> {
         let after = |parent| self.nodes.iter().position(|node| node.parent == parent);
         let mut at = after(None)?;
@@ -226,18 +225,18 @@ impl Segment {
         Some(at)
     }
 
-    /// Where a frame that comes in by an end begins to be processed.
+    /// The slave at which the processing of a frame from an entry starts.
     fn begin(&self, entry: Entry) -> Option<usize> {
         match entry {
             Entry::First => self.child(None),
             Entry::Last if self.is_open_ended() => {
-                // Back along the line until the cut; from there on it is processed.
+                // It passes back along the line to the cut; processing starts there.
                 let mut at = self.last().filter(|last| self.nodes[*last].powered)?;
                 loop {
                     let node = &self.nodes[at];
                     match node.parent {
                         _ if !node.link => return Some(at),
-                        // A whole ring passes it through unprocessed.
+                        // A closed ring forwards it unprocessed.
                         None => return None,
                         Some((parent, _)) if self.nodes[parent].powered => at = parent,
                         Some(_) => return Some(at),
@@ -248,17 +247,17 @@ impl Segment {
         }
     }
 
-    /// Whether frames go from the last slave of the line into the second cable, and the other way.
+    /// Whether frames pass between the last slave of the line and the second cable.
     fn is_open_ended(&self) -> bool {
         let last = self.last().and_then(|last| self.nodes.get(last));
         self.redundant && last.is_some_and(|last| !last.slave.is_closed(1))
     }
 
-    /// By which end a frame leaves that was processed on its path.
+    /// The entry by which a processed frame leaves.
     fn end(&self, entry: Entry) -> Entry {
         let last = self.last();
         let reaches_last = self.path.iter().any(|(n, _)| Some(*n) == last);
-        // From the cut it can only go back to where it came from.
+        // From the cut it can only return to its origin.
         match entry {
             Entry::First if reaches_last && self.is_open_ended() => Entry::Last,
             Entry::First => Entry::First,
@@ -266,7 +265,7 @@ impl Segment {
         }
     }
 
-    /// A frame that leaves by the second cable does not come back to the slaves of the line.
+    /// A frame that leaves by the second cable does not return to the slaves of the line.
     fn forget_return(&mut self) {
         let mut at = self.last();
         while let Some(number) = at {
@@ -281,7 +280,7 @@ impl Segment {
     /// The slaves that a frame passes, with the times at which it passes their ports; returns when
     /// it has passed the last.
     fn route(&self, number: usize, at: u64, path: &mut Vec<(usize, Arrival)>) -> u64 {
-        let place = path.len();
+        let index = path.len();
         let mut arrival = Arrival {
             at,
             ports: [Some(at), None, None, None],
@@ -296,12 +295,12 @@ impl Segment {
                 arrival.ports[port] = Some(now);
             }
         }
-        path[place].1 = arrival;
+        path[index].1 = arrival;
         now + forwarding
     }
 
-    /// Lets time pass for the slaves' firmware, as far as it needs no frame: state changes,
-    /// mailboxes, watchdogs, SYNC0. [`Self::process`] does it too.
+    /// Advances the time of the slaves' firmware independent of frames: state changes, mailboxes, watchdogs, SYNC0.
+    /// [`Self::process`] does this too.
     pub fn poll(&mut self, now: u64) {
         self.now = now;
         for node in self.nodes.iter_mut().filter(|node| node.powered) {
@@ -309,8 +308,7 @@ impl Segment {
         }
     }
 
-    /// Lets an Ethernet frame pass, from its destination address on; one that is not EtherCAT is
-    /// lost.
+    /// Processes an Ethernet frame, from its destination address on; one that is not EtherCAT is lost.
     pub fn process_ethernet(
         &mut self,
         frame: &mut [u8],
@@ -329,7 +327,7 @@ impl Segment {
         Some(returned)
     }
 
-    /// Lets a frame (behind its Ethernet header) pass; `None` if it does not come back.
+    /// Processes a frame (after its Ethernet header); `None` if it does not return.
     pub fn process(&mut self, frame: &mut [u8], entry: Entry, now: u64) -> Option<Returned> {
         self.frames += 1;
         self.poll(now);
@@ -338,7 +336,7 @@ impl Segment {
             return None;
         }
         let Some(first) = self.begin(entry) else {
-            // A whole ring, or nothing there at all: the frame passes, or is lost.
+            // A closed ring forwards the frame; without slaves it is lost.
             return self.pass_back(entry);
         };
         let mut path = std::mem::take(&mut self.path);
@@ -351,8 +349,8 @@ impl Segment {
         }
         let whole = self.corrupt();
         self.pass(frame, whole.unwrap_or(self.path.len()));
-        // Loops that were closed or opened by the frame itself.
-        self.tell_links();
+        // Updates loops that the frame itself closed or opened.
+        self.update_links();
         let lost = whole.is_some() || self.faults.lose_returned > 0;
         if self.faults.lose_returned > 0 {
             self.faults.lose_returned -= 1;
@@ -368,7 +366,7 @@ impl Segment {
         Some(Returned { by, after })
     }
 
-    /// A frame that comes in by the redundancy cable of a whole ring leaves by the other end.
+    /// A frame that enters a closed ring by the redundancy cable leaves by the other end.
     fn pass_back(&self, entry: Entry) -> Option<Returned> {
         let whole = entry == Entry::Last && self.is_open_ended() && self.child(None).is_some();
         let each = |n: &Node| n.slave.config().forwarding + CABLE;
@@ -379,8 +377,8 @@ impl Segment {
         })
     }
 
-    /// Breaks the frame on its way if that is due, and lets all ports behind count it; returns how
-    /// many slaves it passes whole.
+    /// Corrupts the frame if that is due, and counts it at all following ports; returns how many slaves it passes
+    /// intact.
     fn corrupt(&mut self) -> Option<usize> {
         let fault = self.faults.corrupt?;
         let at = self.path.iter().position(|(n, _)| *n == fault.slave)?;
@@ -401,8 +399,8 @@ impl Segment {
         Some(if fault.port == 0 { at } else { self.path.len() })
     }
 
-    /// Each datagram through the first `count` slaves of the path, one after the other. A frame
-    /// whose lengths contradict each other is not processed beyond.
+    /// Processes each datagram in the first `count` slaves of the path, one after the other. A frame with inconsistent
+    /// lengths is not processed beyond the error.
     fn pass(&mut self, frame: &mut [u8], count: usize) {
         let sound = Frame::decode(frame).is_ok_and(|f| {
             f.header.kind == FrameHeader::DATAGRAMS && f.datagrams().all(|d| d.is_ok())
@@ -437,7 +435,7 @@ impl Segment {
     }
 }
 
-/// A whole datagram through one slave.
+/// Processes a complete datagram in one slave.
 fn pass_datagram(datagram: &mut [u8], slave: &mut Slave, arrival: &Arrival) {
     let Ok(mut header) = DatagramHeader::decode(datagram) else {
         return;
@@ -452,10 +450,10 @@ fn pass_datagram(datagram: &mut [u8], slave: &mut Slave, arrival: &Arrival) {
     let gained = slave.execute(command, &mut header.address, irq, data, arrival);
     let sum = u16::from_le_bytes(*counter).wrapping_add(gained);
     *counter = sum.to_le_bytes();
-    if let (Address::Device { adp, .. }, Some(place)) = (header.address, head.get_mut(2..4)) {
-        place.copy_from_slice(&adp.to_le_bytes());
+    if let (Address::Device { adp, .. }, Some(adp_bytes)) = (header.address, head.get_mut(2..4)) {
+        adp_bytes.copy_from_slice(&adp.to_le_bytes());
     }
-    if let Some(place) = head.get_mut(8..10) {
-        place.copy_from_slice(&header.irq.to_le_bytes());
+    if let Some(irq_bytes) = head.get_mut(8..10) {
+        irq_bytes.copy_from_slice(&header.irq.to_le_bytes());
     }
 }

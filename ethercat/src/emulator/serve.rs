@@ -1,6 +1,5 @@
-//! A segment at the end of one or two cables: frames come in by a [`Link`], go through the segment
-//! and back out, in real time or whatever time its caller keeps. It makes no thread and reads no
-//! clock.
+//! A segment at the end of one or two cables: frames are received from a [`Link`], processed by the segment and sent
+//! back, in real time or the caller's time. It makes no thread and reads no clock.
 
 use std::collections::VecDeque;
 use std::io;
@@ -11,16 +10,16 @@ use crate::link::{FRAME_MAX, Link};
 
 use super::segment::{Entry, Segment};
 
-/// A frame that takes longer than this is held back; less is less than a host's own delay.
+/// Frames with a longer delay are held back; shorter delays are below the latency of a host.
 const HELD_FROM: u64 = 100_000;
-/// Frames that are held back; more are lost, as in a switch that is full.
+/// Maximum number of held frames; more are lost, as in a full switch.
 const HELD_MAX: usize = 64;
-/// Frames taken in one turn before held ones are looked at.
+/// Maximum number of frames handled before held ones are checked.
 const BATCH: usize = 16;
-/// With two cables each is asked this often, as neither may wait for the other.
+/// Polling period with two cables, as neither may wait for the other.
 const ALTERNATE: Duration = Duration::from_micros(20);
 
-/// A frame on its late way back.
+/// A frame held back.
 #[derive(Debug)]
 struct Held {
     due: Duration,
@@ -28,7 +27,7 @@ struct Held {
     frame: Vec<u8>,
 }
 
-/// A segment that is served, shared with whoever puts faults in.
+/// A served segment, shared with the code that injects faults.
 #[derive(Clone, Debug)]
 pub struct SharedSegment(Arc<Mutex<Segment>>);
 
@@ -39,7 +38,7 @@ impl SharedSegment {
         Self(Arc::new(Mutex::new(segment)))
     }
 
-    /// The segment; frames wait as long as it is held.
+    /// Locks the segment; frames wait while it is locked.
     pub fn lock(&self) -> MutexGuard<'_, Segment> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -82,11 +81,11 @@ impl<L: Link> Server<L> {
         &self.segment
     }
 
-    /// Waits at most `timeout` for a frame, lets it and those behind it pass, and sends what is
-    /// due; returns how many frames came. `clock` is asked for the time, that of the links' stamps.
+    /// Waits at most `timeout` for a frame, processes it and those queued behind it, and sends due frames; returns the
+    /// number of received frames. `clock` returns the time of the links' time stamps.
     ///
     /// # Errors
-    /// Those of the links.
+    /// Errors of the links.
     pub fn turn(
         &mut self,
         timeout: Duration,
@@ -114,7 +113,7 @@ impl<L: Link> Server<L> {
         Ok(frames)
     }
 
-    /// One frame that comes in by an end; returns whether one came.
+    /// Handles one frame of an entry; returns whether one was received.
     fn pass(&mut self, entry: Entry, wait: Duration) -> io::Result<bool> {
         let link = match (entry, &mut self.second) {
             (Entry::First, _) => &mut self.first,

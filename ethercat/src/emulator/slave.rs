@@ -1,5 +1,5 @@
-//! One slave: which datagrams it acts on and what that adds to the working counter, its states,
-//! its mailboxes, its watchdog and its SYNC0. What it is for is its [`Application`].
+//! One slave: execution of datagrams and working counter, states, mailboxes, watchdog and SYNC0. Its function is its
+//! [`Application`].
 
 mod al;
 mod chip;
@@ -34,38 +34,38 @@ pub(super) struct Arrival {
     pub(super) ports: [Option<u64>; 4],
 }
 
-/// What a slave is like beside its SII.
+/// Configuration of a slave.
 #[derive(Clone, Debug)]
 pub struct SlaveConfig {
-    /// What its EEPROM says.
+    /// The content of its EEPROM.
     pub sii: SiiImage,
     /// Its chip.
     pub chip: Chip,
     /// Its clock; `None` for a slave without distributed clock.
     pub clock: Option<Clock>,
-    /// How long it takes for what.
+    /// Its processing times.
     pub times: Times,
-    /// How long it waits for outputs on the way to OP before it refuses, ns.
+    /// Timeout for outputs before it refuses OP, ns.
     pub op_wait: u64,
-    /// Behind a message in its mailbox lies what was there before, rather than zeros.
+    /// Stale bytes rather than zeros follow a message in its mailbox.
     pub dirty_mailbox: bool,
-    /// The counter of an answer in the mailbox is that of its request; what is sent unasked goes on from there.
+    /// The counter of a mailbox answer is that of its request; unsolicited messages continue from there.
     pub counters_follow: bool,
-    /// How often it sends an Ethernet frame by its mailbox (EoE) once a master has given it an address, ns; `None` for
-    /// a slave without EoE.
+    /// Period at which it sends an Ethernet frame by its mailbox (EoE) once a master has set its address, ns; `None`
+    /// for a slave without EoE.
     pub eoe: Option<u64>,
-    /// From a frame's arrival to its leaving by the next port, ns.
+    /// Forwarding delay of a frame, ns.
     pub forwarding: u64,
-    /// After so many SYNC0 in a row without new outputs it leaves OP.
+    /// Number of consecutive SYNC0 without new outputs after which it leaves OP.
     pub sync_errors: u32,
     /// Whether it needs SYNC0 in OP.
     pub needs_sync0: bool,
-    /// Shortest SYNC0 cycle that it accepts, ns.
+    /// Shortest accepted SYNC0 cycle, ns.
     pub sync0_min: u32,
 }
 
 impl SlaveConfig {
-    /// A slave with usual times, and a clock that begins at zero if the SII has one.
+    /// A slave with typical times, and a clock that starts at zero if the SII has one.
     #[must_use]
     pub fn new(sii: SiiImage) -> Self {
         Self {
@@ -136,10 +136,10 @@ impl Channels {
     }
 }
 
-/// A request in AL control that is being worked on, times in ns.
+/// A request in AL control in progress, times in ns.
 #[derive(Clone, Copy, Debug)]
 struct Request {
-    /// When the firmware reads it, so that AL control takes the next.
+    /// When the firmware reads it, so that AL control accepts the next.
     read: u64,
     due: u64,
     expires: u64,
@@ -159,25 +159,25 @@ pub struct Slave {
     post: Post,
     chance: Chance,
     channels: Channels,
-    /// When outputs last came; `None` before the first.
-    heard: Option<u64>,
+    /// Time of the last outputs; `None` before the first.
+    outputs_at: Option<u64>,
     /// The watchdog of the process data has expired.
     expired: bool,
-    /// When the application last ran.
+    /// Time at which the application last ran.
     ran: u64,
     fresh: bool,
-    /// SYNC0 without outputs in a row.
+    /// Consecutive SYNC0 without outputs.
     missed: u32,
-    /// DC activation as it was when it was last looked at.
+    /// DC activation at the last check.
     activation: u8,
     inputs: Vec<u8>,
-    /// Outputs that the application takes, whole.
+    /// Buffer for the outputs of the application.
     outputs: Vec<u8>,
     scratch: Vec<u8>,
 }
 
 impl Slave {
-    /// A slave whose power has just come on.
+    /// A slave after power-on.
     #[must_use]
     pub fn new(config: SlaveConfig, application: Box<dyn Application>) -> Self {
         let mut slave = Self {
@@ -193,7 +193,7 @@ impl Slave {
             request: None,
             faults: SlaveFaults::default(),
             post: Post::default(),
-            heard: None,
+            outputs_at: None,
             ran: 0,
             fresh: false,
             missed: 0,
@@ -206,7 +206,7 @@ impl Slave {
         slave
     }
 
-    /// Power goes off and on: all registers are as from the factory, the clock begins anew.
+    /// Power cycle: all registers have their defaults, the clock restarts.
     pub fn power_on(&mut self, now: u64) {
         self.memory = self.config.memory();
         self.clock.clone_from(&self.config.clock);
@@ -218,14 +218,14 @@ impl Slave {
         self.post.restart();
         self.eeprom.reset();
         (self.fresh, self.missed, self.activation) = (false, 0, 0);
-        (self.heard, self.ran, self.expired) = (None, now, false);
+        (self.outputs_at, self.ran, self.expired) = (None, now, false);
         self.application.reset();
         self.set_registers();
         self.leave(AlState::Init);
-        self.tell_state(AlStatusCode(0), false);
+        self.show_state(AlStatusCode(0), false);
     }
 
-    /// Registers as the factory and the SII say.
+    /// Sets registers to their defaults and to the SII.
     fn set_registers(&mut self) {
         let chip = &self.config.chip;
         let dc = self.config.clock.is_some();
@@ -281,36 +281,36 @@ impl Slave {
         self.clock.as_mut()
     }
 
-    /// How it is.
+    /// Its configuration.
     #[must_use]
     pub const fn config(&self) -> &SlaveConfig {
         &self.config
     }
 
-    /// What is wrong with it.
+    /// Its faults.
     pub const fn faults(&mut self) -> &mut SlaveFaults {
         &mut self.faults
     }
 
-    /// Makes it refuse a state with a code from now on, or no longer.
+    /// Makes it refuse a state with a code from now on, or ends that.
     pub const fn refuse(&mut self, refused: Option<(AlState, AlStatusCode)>) {
         self.faults.refused = refused;
     }
 
-    /// What its EEPROM holds; writes of the master change it.
+    /// The content of its EEPROM; writes of the master change it.
     #[must_use]
     pub fn eeprom(&self) -> &[u8] {
         self.eeprom.bytes()
     }
 
-    /// Changes its EEPROM: a wrong identity, a broken checksum. The change holds from the next
-    /// power-on or reload on for what is loaded then.
+    /// Changes its EEPROM: a wrong identity, a broken checksum. Values that are loaded at power-on or reload change
+    /// then.
     pub const fn eeprom_mut(&mut self) -> &mut Vec<u8> {
         self.eeprom.bytes_mut()
     }
 
-    /// The same with firmware of its own, that checks what is asked of it and answers AL control; couplers and terminals
-    /// have none unless they get it.
+    /// The same with firmware of its own, that checks state requests and answers AL control; couplers and terminals
+    /// have none by default.
     #[must_use]
     pub fn with_firmware(mut self) -> Self {
         self.config.sii.device_emulation = false;
@@ -322,8 +322,8 @@ impl Slave {
         self
     }
 
-    /// Gives it another name, whose first word is its order code. Its EEPROM is as new; the change holds from the next
-    /// power-on on.
+    /// Gives it another name, whose first word is its order code. Its EEPROM is reset; the change takes effect at the
+    /// next power-on.
     pub fn rename(&mut self, name: &str) {
         let sii = &mut self.config.sii;
         name.clone_into(&mut sii.name);
@@ -334,7 +334,7 @@ impl Slave {
         *self.eeprom.bytes_mut() = sii.encode();
     }
 
-    /// Makes it fall back to a state with a code, as an error of its own does.
+    /// Makes it fall back to a state with a code, as an internal error does.
     pub fn fall(&mut self, state: AlState, code: AlStatusCode) {
         self.leave(state);
         if !self.mirrors() {
@@ -343,20 +343,20 @@ impl Slave {
             }
         }
         self.state = state;
-        self.tell_state(code, true);
+        self.show_state(code, true);
     }
 
     const fn has_no_lrw(&self) -> bool {
         self.config.sii.flags & 0x02 != 0
     }
 
-    /// Whether a loop is closed by hand (DL control): nothing goes out by that port.
+    /// Whether a loop is closed by DL control: nothing is sent by that port.
     pub(super) fn is_closed(&self, port: usize) -> bool {
         let [_, loops, ..] = self.memory.get::<4>(register::DL_CONTROL);
         loops >> (2 * port) & 3 == 3
     }
 
-    /// Says which ports have a link, and which loops are closed; all others have nothing.
+    /// Sets which ports have a link, and which loops are closed; all others have no link.
     pub(super) fn set_links(&mut self, links: [bool; 4]) {
         let mut status = u16::from(self.config.chip.dl_status);
         for (port, link) in links.into_iter().enumerate() {
@@ -370,16 +370,17 @@ impl Slave {
                 };
         }
         let event = ecat_event::DL_STATUS;
-        self.memory.set_told(register::DL_STATUS, status, event);
+        self.memory
+            .set_with_event(register::DL_STATUS, status, event);
     }
 
-    /// Says which ports there are, as types: 3 MII, 2 E-bus, 0 none.
+    /// Sets the port types: 3 MII, 2 E-bus, 0 none.
     pub(super) fn set_ports(&mut self, ports: u8) {
         let ports = self.config.chip.ports.unwrap_or(ports);
         self.memory.set(0x0007, &[ports]);
     }
 
-    /// A frame was broken at a port.
+    /// A corrupted frame was received at a port.
     pub(super) fn count_bad_frame(&mut self, port: u16, forwarded: bool) {
         let at = if forwarded {
             0x0308 + port
@@ -389,7 +390,7 @@ impl Slave {
         self.memory.count(at);
     }
 
-    /// A frame's lengths contradicted each other.
+    /// A frame had inconsistent lengths.
     pub(super) fn count_bad_length(&mut self) {
         self.memory.count(0x030C);
     }
@@ -399,7 +400,7 @@ impl Slave {
         self.memory.count(register::LOST_LINKS + port);
     }
 
-    /// Acts on a datagram; returns what its working counter gains.
+    /// Executes a datagram; returns the increment of its working counter.
     pub(super) fn execute(
         &mut self,
         command: Command,
@@ -487,7 +488,7 @@ impl Slave {
         scratch.extend_from_slice(data);
         if reads {
             let (found, incoming) = (data, &mut scratch);
-            // What came in is written, what was there goes out.
+            // The received data is written, the previous content is returned.
             if self.memory.read(at, found) {
                 gained += 1;
                 if broad {
@@ -504,7 +505,7 @@ impl Slave {
         gained
     }
 
-    /// What follows at once from what a datagram wrote.
+    /// Immediate effects of a datagram's writes.
     fn act(&mut self, arrival: &Arrival) {
         let events = std::mem::take(&mut self.memory.events);
         if events.al_control {
@@ -514,7 +515,7 @@ impl Slave {
             self.begin_sii(arrival.at);
         }
         if events.outputs {
-            self.heard = Some(arrival.at);
+            self.outputs_at = Some(arrival.at);
             self.fresh = true;
         }
         if events.repeat && !self.faults.no_repeat {
@@ -523,7 +524,7 @@ impl Slave {
         self.clock_written(&events, arrival);
     }
 
-    /// What the firmware does between frames. To be called before each frame.
+    /// Runs the firmware between frames. Call it before each frame.
     pub(super) fn poll(&mut self, now: u64) {
         self.poll_al_control(now);
         self.poll_sii(now);

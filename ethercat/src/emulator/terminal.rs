@@ -1,5 +1,5 @@
-//! Slaves without a mailbox: a coupler, and digital or analogue terminals, whose outputs and inputs
-//! a test can look at and set.
+//! Slaves without a mailbox: a coupler, and digital or analogue terminals, whose outputs and inputs a test can read and
+//! set.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -10,7 +10,7 @@ use super::application::{Application, Cycle, Plain};
 use super::image::{PdoImage, SiiImage};
 use super::slave::{Slave, SlaveConfig};
 
-/// Vendor number of the emulated slaves: one that nobody has.
+/// Vendor number of the emulated slaves: an unassigned one.
 pub(super) const VENDOR: u32 = 0x0000_7A87;
 
 /// A coupler: no process data.
@@ -18,7 +18,7 @@ pub(super) const VENDOR: u32 = 0x0000_7A87;
 pub struct Coupler;
 
 impl Coupler {
-    /// A slave that is one.
+    /// A slave with this application.
     #[must_use]
     pub fn slave() -> Slave {
         let sii = SiiImage {
@@ -39,12 +39,12 @@ impl Coupler {
     }
 }
 
-/// What lies at the terminals of an [`Io`] slave; shared with the test.
+/// The terminals of an [`Io`] slave; shared with the test.
 #[derive(Clone, Debug, Default)]
 pub struct Io {
     /// Outputs as last set by the master, bytes; zero outside of OP.
     outputs: Arc<Mutex<Vec<u8>>>,
-    /// Inputs to give, bytes.
+    /// Inputs to send, bytes.
     inputs: Arc<Mutex<Vec<u8>>>,
 }
 

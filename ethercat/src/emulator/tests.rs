@@ -1,4 +1,4 @@
-//! The emulated segment as a master sees it, datagram by datagram, in virtual time.
+//! The emulated segment from the master's side, datagram by datagram, in virtual time.
 
 mod al;
 mod coe;
@@ -24,7 +24,7 @@ use crate::{Address, AlState, AlStatus, Command, Fmmu, Frame, FrameWriter, SyncM
 /// A millisecond, ns.
 const MS: u64 = 1_000_000;
 
-/// What came back of a datagram.
+/// The returned datagram.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Answer {
     data: Vec<u8>,
@@ -66,7 +66,7 @@ impl Bench {
         }
     }
 
-    /// A frame of one datagram; `None` if it does not come back.
+    /// A frame of one datagram; `None` if it does not return.
     fn try_send(&mut self, command: Command, address: Address, data: &[u8]) -> Option<Answer> {
         let mut buffer = [0; 1514];
         let mut writer = FrameWriter::new(&mut buffer).unwrap();
@@ -118,7 +118,7 @@ impl Bench {
         (status.state, status.error, u16::from_le_bytes([a, b]))
     }
 
-    /// Asks for a state and waits for the answer.
+    /// Requests a state and waits for the answer.
     fn request(&mut self, station: u16, state: AlState, acknowledge: bool) -> (AlState, bool, u16) {
         let control = u16::from(state.raw()) | u16::from(acknowledge) << 4;
         self.write(station, register::AL_CONTROL, &control.to_le_bytes());

@@ -1,6 +1,6 @@
-//! The slaves of a KUKA youBot: power boards, four wheel drives, five joint drives and the gripper
-//! behind the last, with the process data of both firmwares and the raw TMCL mailbox. Masses and
-//! friction are plausible rather than measured; joints feel each other's weight, but not each other's motion.
+//! The slaves of a KUKA youBot: power boards, four wheel drives, five joint drives and the gripper behind the last,
+//! with the process data of both firmwares and the raw TMCL mailbox. Masses and friction are plausible rather than
+//! measured; joints are coupled by weight, but not dynamically.
 
 mod gripper;
 mod joint;
@@ -28,7 +28,7 @@ const TRINAMIC: u32 = 0x0000_0286;
 /// Length of each mailbox, bytes; TMCL uses eight of it.
 const MAILBOX: u16 = 16;
 
-/// Firmware as the drives tell it.
+/// Firmware versions of the drives.
 const fn text(firmware: Firmware) -> &'static str {
     match firmware {
         Firmware::V148 => "V148",
@@ -36,7 +36,7 @@ const fn text(firmware: Firmware) -> &'static str {
     }
 }
 
-/// The electronics: by their names in the SII drivers tell what is what.
+/// The electronics: drivers identify it by the names in the SII.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Boards {
     /// TMCM-174 at the wheels, TMCM-KR-841 at the joints.
@@ -55,7 +55,7 @@ impl Boards {
     }
 }
 
-/// What a youBot is made of.
+/// Configuration of a youBot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct YouBotConfig {
     /// Firmware of all drives.
@@ -66,9 +66,9 @@ pub struct YouBotConfig {
     pub base: bool,
     /// Arms with a gripper each, 0 to 2.
     pub arms: usize,
-    /// Product numbers of board, wheel drive and joint drive: not published.
+    /// Product numbers of board, wheel drive and joint drive; the real ones are not published.
     pub products: (u32, u32, u32),
-    /// How far each joint of an arm is from its home stop at power-on, rad.
+    /// Distance of each joint of an arm from its home stop at power-on, rad.
     pub folded: [f64; 5],
 }
 
@@ -168,7 +168,7 @@ fn drive(
     axis: Axis,
     arm: Option<(Posture, usize)>,
 ) -> (Slave, DriveHandle) {
-    // Numbers as CiA 301 counts types: 4 is INTEGER32, 7 UNSIGNED32, 5 UNSIGNED8.
+    // Type codes of CiA 301: 4 is INTEGER32, 7 UNSIGNED32, 5 UNSIGNED8.
     let pdo = |index, sync_manager, name: &str, types: &[(u8, u8)]| PdoImage {
         index,
         sync_manager,
@@ -201,7 +201,7 @@ fn drive(
         tx_pdos: vec![pdo(0x1A00, 3, "feedback", inputs)],
         ..SiiImage::default()
     };
-    // The four digits of the board, as the firmware tells them.
+    // The four digits of the board, as reported by the firmware.
     let digits: String = name.chars().filter(char::is_ascii_digit).collect();
     let version = format!("{digits:0>4}{}", text(firmware));
     let handle = DriveHandle(Arc::new(Mutex::new(Joint::new(
@@ -216,7 +216,7 @@ fn drive(
 pub struct DriveHandle(Arc<Mutex<Joint>>);
 
 impl DriveHandle {
-    /// The drive: looks at it, pushes it, puts faults in.
+    /// Access to the drive, to push it or inject faults.
     pub fn lock(&self) -> MutexGuard<'_, Joint> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }

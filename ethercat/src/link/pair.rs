@@ -1,4 +1,4 @@
-//! Two ends of an in-process cable for tests and examples. It never blocks: with it, time is what the caller says.
+//! An in-process cable with two endpoints for tests and examples. It never blocks: the caller sets the time.
 
 use super::{FRAME_MAX, Link};
 use std::collections::VecDeque;
@@ -6,12 +6,12 @@ use std::io;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-/// Frames that may wait in one direction; more are dropped, as by a full socket buffer.
+/// Maximum number of queued frames in one direction; more are dropped, as by a full socket buffer.
 const CAPACITY: usize = 64;
 
 type Queue = Arc<Mutex<VecDeque<(usize, [u8; FRAME_MAX])>>>;
 
-/// One end of a [`pair`].
+/// An endpoint of a [`pair`].
 #[derive(Debug)]
 pub struct Memory {
     outbound: Queue,
@@ -19,7 +19,7 @@ pub struct Memory {
     now: Duration,
 }
 
-/// Two connected ends; all memory is taken here.
+/// Two connected endpoints; all memory is allocated here.
 #[must_use]
 pub fn pair() -> (Memory, Memory) {
     let queue = || Arc::new(Mutex::new(VecDeque::with_capacity(CAPACITY)));
@@ -33,7 +33,7 @@ pub fn pair() -> (Memory, Memory) {
 }
 
 impl Memory {
-    /// Sets the clock that stamps what this end receives.
+    /// Sets the time that stamps received frames.
     pub const fn set_now(&mut self, now: Duration) {
         self.now = now;
     }

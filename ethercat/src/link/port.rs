@@ -1,26 +1,26 @@
-//! What lies between an EtherCAT frame and a [`Link`]: the Ethernet header. Frames of other kinds are passed over;
-//! who sent one is not checked, as a frame that comes back carries its sender's own address.
+//! Adds and removes the Ethernet header between an EtherCAT frame and a [`Link`]. Frames of other types are skipped;
+//! the source address is not checked, as a returning frame carries the address of its sender.
 
 use std::io;
 use std::time::Duration;
 
 use super::{ETHER_TYPE, FRAME_MAX, FRAME_MIN, HEADER_LEN, Link};
 
-/// Foreign frames passed over in one call before it gives up.
+/// Maximum number of foreign frames skipped in one call.
 const FOREIGN_MAX: usize = 16;
 
-/// A port of a master: a link and the address it sends from.
+/// A port of a master: a link and its source address.
 #[derive(Debug)]
 pub struct Port<L> {
     link: L,
-    /// The frame that is sent or was received, with its header.
+    /// Buffer of the sent or received frame, with its header.
     frame: [u8; FRAME_MAX],
     source: [u8; 6],
     foreign: u64,
 }
 
 impl<L: Link> Port<L> {
-    /// A port that sends from a MAC address, to all.
+    /// A port with a source MAC address; it sends to the broadcast address.
     #[must_use]
     pub const fn new(link: L, source: [u8; 6]) -> Self {
         Self {
@@ -36,14 +36,13 @@ impl<L: Link> Port<L> {
         &mut self.link
     }
 
-    /// Frames passed over because they were not EtherCAT.
+    /// Number of frames skipped because they were not EtherCAT.
     #[must_use]
     pub const fn foreign(&self) -> u64 {
         self.foreign
     }
 
-    /// Sends an EtherCAT frame: puts the header before and the padding behind it. More than an Ethernet frame holds
-    /// is refused.
+    /// Sends an EtherCAT frame: adds header and padding. A frame longer than an Ethernet frame is refused.
     pub fn send(&mut self, frame: &[u8]) -> io::Result<()> {
         let end = HEADER_LEN + frame.len();
         let Some(body) = self.frame.get_mut(HEADER_LEN..end) else {
@@ -60,7 +59,7 @@ impl<L: Link> Port<L> {
         self.link.send(&self.frame[..len])
     }
 
-    /// Waits at most `timeout` for an EtherCAT frame; gives it without its header, and when it came.
+    /// Waits at most `timeout` for an EtherCAT frame; returns it without its header, and its time of arrival.
     pub fn receive(&mut self, timeout: Duration) -> io::Result<Option<(&[u8], Duration)>> {
         for _ in 0..FOREIGN_MAX {
             let Some((len, at)) = self.link.receive(&mut self.frame, timeout)? else {
@@ -81,7 +80,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn short_frames_are_padded_and_foreign_ones_passed_over() {
+    fn short_frames_are_padded_and_foreign_ones_skipped() {
         let (near, mut far) = pair();
         let mut port = Port::new(near, [2, 0, 0, 0, 0, 1]);
         port.send(&[7; 20]).unwrap();

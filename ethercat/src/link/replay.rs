@@ -1,4 +1,4 @@
-//! Plays a recording back as a link. Recordings are read by `takt-link`; nothing is captured or judged here.
+//! Plays back a recording as a link. `takt-link` reads recordings; nothing is captured or checked here.
 
 use std::io;
 use std::time::Duration;
@@ -7,17 +7,17 @@ use takt_link::capture::{CaptureError, Frames};
 
 use super::{FRAME_MAX, Link};
 
-/// Plays a recording: each frame is received at its recorded time, what is sent goes nowhere.
+/// Plays a recording: each frame is received at its recorded time, sent frames are discarded.
 #[derive(Debug)]
 pub struct Replay {
     frames: std::vec::IntoIter<(Duration, Vec<u8>)>,
 }
 
 impl Replay {
-    /// Reads the whole recording and begins before its first frame.
+    /// Reads the whole recording and starts before its first frame.
     ///
     /// # Errors
-    /// If it is none, or damaged; one that is cut off is played up to the cut.
+    /// If it is not a recording, or damaged; a truncated one is played up to its end.
     pub fn new(bytes: &[u8]) -> Result<Self, CaptureError> {
         let frames = Frames::new(bytes)?.map(|frame| frame.map(|frame| (frame.at, frame.bytes)));
         let frames = frames.collect::<Result<Vec<_>, _>>()?.into_iter();

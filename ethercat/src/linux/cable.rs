@@ -1,5 +1,5 @@
-//! A cable inside of this process by the host's clock: two ends for two threads. It stands in for hardware: it
-//! locks, so no promise about real time holds with it.
+//! A cable within this process, on the host's clock: two endpoints for two threads. It replaces hardware in tests: it
+//! uses locks, so it gives no real-time guarantees.
 
 use std::collections::VecDeque;
 use std::io;
@@ -9,7 +9,7 @@ use std::time::Duration;
 use super::monotonic;
 use crate::link::{FRAME_MAX, Link};
 
-/// Frames that may be under way in one direction; more are lost.
+/// Maximum number of frames in transit per direction; more are lost.
 const CAPACITY: usize = 64;
 
 #[derive(Debug)]
@@ -27,14 +27,14 @@ impl Way {
     }
 }
 
-/// One end of a cable.
+/// An endpoint of a cable.
 #[derive(Clone, Debug)]
 pub struct CableEnd {
     to: Arc<Way>,
     from: Arc<Way>,
 }
 
-/// A cable; all memory is taken here.
+/// Creates a cable; all memory is allocated here.
 #[must_use]
 pub fn cable() -> (CableEnd, CableEnd) {
     let (a, b) = (Way::new(), Way::new());

@@ -1,10 +1,10 @@
-//! One master at an interface: a lock that all programs of Takt take before they send on it, and that says who holds it. It
-//! keeps no other make of master away; for that one listens before one speaks ([`super::PacketLink::listen_first`]).
+//! One master at an interface: a lock that all programs of Takt take before they send on it, and that names its holder.
+//! It does not exclude masters of other vendors; [`super::PacketLink::listen_first`] detects those.
 //!
-//! The lock is a listening socket with an abstract name (unix(7)), not a file: such names belong to the network namespace as
-//! the interface does, need no folder that every user may write to, vanish with the process however it ends, and tell the holder
-//! by its credentials. What it costs: whoever runs programs on this host can take a name before the controller does, which
-//! the error then names.
+//! The lock is a listening socket with an abstract name (unix(7)), not a file: such names belong to the network
+//! namespace as the interface does, need no folder that every user may write to, vanish with the process however it
+//! ends, and identify the holder by its credentials. The disadvantage: any program on this host can take the name
+//! before the controller does; the error then names that program.
 
 use std::fmt;
 use std::io;
@@ -66,7 +66,7 @@ impl InterfaceLock {
     }
 }
 
-/// Who listens there. Asking never waits: a queue of many who asked before tells nothing.
+/// The process that listens there. The query never blocks; a full queue gives no answer.
 fn holder(interface: &str) -> Holder {
     let pid = (|| {
         let flags = SockFlag::SOCK_NONBLOCK | SockFlag::SOCK_CLOEXEC;

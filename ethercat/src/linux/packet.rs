@@ -13,7 +13,7 @@ use super::InterfaceLock;
 use super::wait::readable;
 use crate::link::{ETHER_TYPE, Link};
 
-/// Time of CLOCK_MONOTONIC, the clock of every stamp in this room.
+/// Time of CLOCK_MONOTONIC, the clock of every time stamp in this module.
 pub fn monotonic() -> io::Result<Duration> {
     Ok(clock_gettime(ClockId::CLOCK_MONOTONIC)?.into())
 }
@@ -24,24 +24,26 @@ pub struct PacketLink {
     socket: OwnedFd,
     /// Of the interface.
     mac: [u8; 6],
-    /// How long a wait asks again and again before it sleeps.
+    /// How long a wait polls before it sleeps.
     spin: Duration,
-    /// Keeps others away; of one that only listens, or whose caller knows better, there is none.
+    /// Excludes other programs; `None` for a listener or on request of the caller.
     _lock: Option<InterfaceLock>,
 }
 
 impl PacketLink {
-    /// Asks again and again for so long before a wait sleeps; zero, as it is at first, sleeps at once.
+    /// Polls for this time before a wait sleeps; zero, the default, sleeps at once.
     ///
-    /// What comes meanwhile is taken without the system's wake-up, some microseconds earlier and with less jitter. It
-    /// keeps a processor busy for that long in each cycle: give it the round trip and a half, and a processor of its own.
+    /// Frames that arrive meanwhile are received without a wake-up by the kernel, some microseconds earlier and with
+    /// less jitter. Polling keeps a processor busy for this time in each cycle: set it to 1.5 round trips, on a
+    /// dedicated processor.
     #[must_use]
     pub const fn spinning(mut self, spin: Duration) -> Self {
         self.spin = spin;
         self
     }
 
-    /// Opens an interface as [`Self::open`] does, and keeps other programs of Takt from it: what masters and emulated segments do.
+    /// Opens an interface as [`Self::open`] does, and excludes other programs of Takt; used by masters and emulated
+    /// segments.
     ///
     /// # Errors
     /// If it cannot be opened, or another program has it.
@@ -56,7 +58,7 @@ impl PacketLink {
     /// Listens before the first frame goes out.
     ///
     /// # Errors
-    /// If a frame comes in that time (`AddrInUse`): another master sends on that segment. Nothing was sent then.
+    /// If a frame is received in that time (`AddrInUse`): another master sends on that segment. Nothing was sent then.
     pub fn listen_first(&mut self, interface: &str, time: Duration) -> io::Result<()> {
         let mut frame = [0; crate::link::FRAME_MAX];
         if self.receive(&mut frame, time)?.is_none() {
@@ -87,7 +89,7 @@ impl PacketLink {
             let text = "no raw socket: run as root, or `setcap cap_net_raw+ep` the program";
             return Err(told(interface, text, error));
         }
-        // SAFETY: `raw` was just opened, is valid, and is owned by nobody else.
+        // SAFETY: `raw` was just opened, is valid, and has no other owner.
         let socket = unsafe { OwnedFd::from_raw_fd(raw) };
         bind(&socket, index)
             .map_err(|error| told(interface, "the socket cannot be bound", error))?;
@@ -159,7 +161,7 @@ fn checked(done: libc::c_int) -> io::Result<()> {
     }
 }
 
-/// As sysfs has it, `02:00:00:00:00:01`.
+/// As in sysfs, `02:00:00:00:00:01`.
 fn mac_of(interface: &str) -> Option<[u8; 6]> {
     let text = std::fs::read_to_string(format!("/sys/class/net/{interface}/address")).ok()?;
     let mut mac = [0; 6];
@@ -216,7 +218,7 @@ impl PacketLink {
     fn take(&self, buf: &mut [u8]) -> io::Result<Option<(usize, Duration)>> {
         match nix::unistd::read(&self.socket, buf) {
             Ok(len) => Ok(Some((len, monotonic()?))),
-            // The interface went down: as a cable pulled, nothing comes.
+            // The interface went down: nothing is received, as with an unplugged cable.
             Err(
                 nix::errno::Errno::EAGAIN | nix::errno::Errno::ENETDOWN | nix::errno::Errno::EINTR,
             ) => Ok(None),

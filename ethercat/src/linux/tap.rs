@@ -1,5 +1,5 @@
-//! A TAP: a network interface whose cable ends in this process. An emulated segment behind one is found by any master
-//! on this host, without a second interface. It does not bring the interface up: `ip link set NAME up` does.
+//! A TAP: a network interface whose other end is this process. Any master on this host reaches an emulated segment
+//! behind it without a second interface. It does not bring the interface up: use `ip link set NAME up`.
 #![expect(unsafe_code, reason = "nobody wraps TUNSETIFF without a dependency")]
 
 use std::fs::{File, OpenOptions};
@@ -14,7 +14,7 @@ use super::monotonic;
 use super::wait::readable;
 use crate::link::Link;
 
-/// The process's end of a TAP; the interface is there as long as this is.
+/// The process's side of a TAP; the interface exists as long as this value.
 #[derive(Debug)]
 pub struct TapLink {
     file: File,
@@ -47,14 +47,14 @@ impl TapLink {
     fn take(&self, buf: &mut [u8]) -> io::Result<Option<(usize, Duration)>> {
         match nix::unistd::read(&self.file, buf) {
             Ok(len) => Ok(Some((len, monotonic()?))),
-            // Not up, or down again: as a cable pulled, nothing comes.
+            // The interface is down: nothing is received, as with an unplugged cable.
             Err(Errno::EAGAIN | Errno::EINTR | Errno::EIO) => Ok(None),
             Err(error) => Err(error.into()),
         }
     }
 }
 
-/// What is asked for: a TAP of that name, frames without anything before them.
+/// The request: a TAP of this name, frames without a prefix.
 fn request(name: &str) -> io::Result<libc::ifreq> {
     let mut ifr_name = [0; libc::IFNAMSIZ];
     let fits = !name.is_empty() && name.len() < ifr_name.len() && !name.contains('\0');
@@ -75,7 +75,7 @@ fn request(name: &str) -> io::Result<libc::ifreq> {
 impl Link for TapLink {
     fn send(&mut self, frame: &[u8]) -> io::Result<()> {
         match nix::unistd::write(&self.file, frame) {
-            // While it is not up, nobody is there to hear it.
+            // While the interface is down, frames are dropped.
             Ok(_) | Err(Errno::EIO) => Ok(()),
             Err(error) => Err(error.into()),
         }

@@ -1,39 +1,39 @@
-//! What was expected against what was found, slave by slave. What becomes of a difference is not decided here.
+//! Compares configured and detected slaves. The reaction to a difference is not decided here.
 
 use std::fmt;
 
 use super::unit::SlaveInfo;
-use crate::config::{Place, SlaveSpec};
+use crate::config::{Location, SlaveSpec};
 use crate::sii::Identity;
 
 /// A difference between the configuration and the segment.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Difference {
-    /// An expected slave is not there.
+    /// A configured slave is missing.
     Missing {
-        /// What the cell calls it.
+        /// Its name in the cell.
         name: String,
-        /// Where it should be.
-        place: Place,
+        /// Its configured location.
+        location: Location,
     },
-    /// A slave is there that nobody expects.
+    /// A slave that is not configured.
     Unexpected {
-        /// Where in the ring, from 0.
+        /// Position in the ring, from 0.
         position: usize,
         /// Name in its SII.
         name: String,
-        /// Who it is.
+        /// Its identity.
         identity: Identity,
     },
-    /// Another slave is there than expected.
+    /// Another slave than configured.
     Other {
-        /// What the cell calls it.
+        /// Its name in the cell.
         name: String,
-        /// Where in the ring, from 0.
+        /// Position in the ring, from 0.
         position: usize,
-        /// What differs: "vendor", "product" or "revision".
-        what: &'static str,
+        /// The field that differs: "vendor", "product" or "revision".
+        field: &'static str,
         /// As configured.
         expected: u32,
         /// As found.
@@ -46,10 +46,10 @@ pub enum Difference {
 impl fmt::Display for Difference {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Missing { name, place } => {
+            Self::Missing { name, location } => {
                 write!(
                     f,
-                    "\"{name}\" is missing at {place}; see its supply, cable and order in the line"
+                    "\"{name}\" is missing at {location}; see its supply, cable and order in the line"
                 )
             }
             Self::Unexpected {
@@ -63,27 +63,27 @@ impl fmt::Display for Difference {
             Self::Other {
                 name,
                 position,
-                what,
+                field,
                 expected,
                 found,
                 found_name,
             } => write!(
                 f,
-                "position {position}: \"{name}\" should have {what} {expected:08X}h, \"{found_name}\" with \
+                "position {position}: \"{name}\" should have {field} {expected:08X}h, \"{found_name}\" with \
                  {found:08X}h is there; exchanged slaves, or another order in the line?"
             ),
         }
     }
 }
 
-/// For each expected slave the position of the one that is it.
+/// Position of the matching slave for each configured one.
 pub(super) type Matched = Vec<Option<usize>>;
 
-/// Finds each expected slave among those that were found, in the order of the ring.
+/// Matches each configured slave with a detected one, in the order of the ring.
 pub(super) fn compare(specs: &[SlaveSpec], found: &[&SlaveInfo]) -> (Matched, Vec<Difference>) {
     let mut matched: Matched = vec![None; specs.len()];
     let mut taken = vec![false; found.len()];
-    // Those that are known by what they are first; what is left is counted.
+    // First match slaves by alias or name; the rest is counted by position.
     for optional in [true, false] {
         for (spec, slot) in specs
             .iter()
@@ -109,7 +109,7 @@ pub(super) fn compare(specs: &[SlaveSpec], found: &[&SlaveInfo]) -> (Matched, Ve
         .filter(|position| !optional.contains(position))
         .collect();
     for (spec, slot) in specs.iter().zip(&mut matched) {
-        let Place::Position(number) = spec.place else {
+        let Location::Position(number) = spec.location else {
             continue;
         };
         *slot = counted
@@ -124,16 +124,16 @@ pub(super) fn compare(specs: &[SlaveSpec], found: &[&SlaveInfo]) -> (Matched, Ve
     (matched, differences)
 }
 
-/// Whether a slave is the one at that place; positions are counted, not recognised.
+/// Whether a slave matches a location; positions are counted, not matched.
 fn is_at(spec: &SlaveSpec, info: &SlaveInfo) -> bool {
-    match &spec.place {
-        Place::Position(_) => false,
-        Place::Alias(alias) => info.alias == *alias,
-        Place::Name(name) => info.name == *name || info.order == *name,
+    match &spec.location {
+        Location::Position(_) => false,
+        Location::Alias(alias) => info.alias == *alias,
+        Location::Name(name) => info.name == *name || info.order == *name,
     }
 }
 
-/// Whether a slave that came by itself is the one that is meant.
+/// Whether a returning slave matches a configured one.
 pub(super) fn is_expected(spec: &SlaveSpec, info: &SlaveInfo) -> bool {
     is_at(spec, info) && other(spec, 0, info).is_none()
 }
@@ -150,7 +150,7 @@ fn differences(
             None if spec.optional => {}
             None => all.push(Difference::Missing {
                 name: spec.name.clone(),
-                place: spec.place.clone(),
+                location: spec.location.clone(),
             }),
             Some((position, info)) => all.extend(other(spec, position, info)),
         }
@@ -176,11 +176,11 @@ fn other(spec: &SlaveSpec, position: usize, info: &SlaveInfo) -> Option<Differen
     ];
     let differs =
         |(_, expected, found): &(_, Option<u32>, u32)| expected.is_some_and(|e| e != *found);
-    let (what, expected, found) = fields.into_iter().find(differs)?;
+    let (field, expected, found) = fields.into_iter().find(differs)?;
     Some(Difference::Other {
         name: spec.name.clone(),
         position,
-        what,
+        field,
         expected: expected.unwrap_or_default(),
         found,
         found_name: info.name.clone(),
@@ -205,7 +205,7 @@ mod tests {
         }
     }
 
-    fn told(specs: &[SlaveSpec], found: &[SlaveInfo]) -> (Matched, Vec<String>) {
+    fn texts_of(specs: &[SlaveSpec], found: &[SlaveInfo]) -> (Matched, Vec<String>) {
         let found: Vec<_> = found.iter().collect();
         let (matched, differences) = compare(specs, &found);
         (
@@ -217,13 +217,13 @@ mod tests {
     #[test]
     fn positions_are_counted_without_optional_slaves() {
         let specs = [
-            SlaveSpec::new("coupler", Place::Position(0)),
+            SlaveSpec::new("coupler", Location::Position(0)),
             SlaveSpec {
                 optional: true,
-                ..SlaveSpec::new("tool", Place::Alias(7))
+                ..SlaveSpec::new("tool", Location::Alias(7))
             },
-            SlaveSpec::new("axis", Place::Position(1)),
-            SlaveSpec::new("gripper", Place::Name("GR1".to_owned())),
+            SlaveSpec::new("axis", Location::Position(1)),
+            SlaveSpec::new("gripper", Location::Name("GR1".to_owned())),
         ];
         let with_tool = [
             info(1, 0, "a"),
@@ -232,32 +232,32 @@ mod tests {
             info(4, 0, "GR1"),
         ];
         assert_eq!(
-            told(&specs, &with_tool),
+            texts_of(&specs, &with_tool),
             (vec![Some(0), Some(1), Some(2), Some(3)], vec![])
         );
         let without = [info(1, 0, "a"), info(3, 0, "c"), info(4, 0, "GR1")];
         assert_eq!(
-            told(&specs, &without),
+            texts_of(&specs, &without),
             (vec![Some(0), None, Some(1), Some(2)], vec![])
         );
     }
 
     #[test]
-    fn each_difference_is_told_slave_by_slave() {
+    fn differences_are_listed_slave_by_slave() {
         let specs = [
             SlaveSpec {
                 product: Some(1),
-                ..SlaveSpec::new("coupler", Place::Position(0))
+                ..SlaveSpec::new("coupler", Location::Position(0))
             },
             SlaveSpec {
                 product: Some(2),
                 revision: Some(0),
-                ..SlaveSpec::new("axis 1", Place::Position(1))
+                ..SlaveSpec::new("axis 1", Location::Position(1))
             },
-            SlaveSpec::new("axis 2", Place::Alias(9)),
+            SlaveSpec::new("axis 2", Location::Alias(9)),
         ];
         let found = [info(1, 0, "TK1100"), info(5, 0, "TK5"), info(6, 0, "TK6")];
-        let (_, texts) = told(&specs, &found);
+        let (_, texts) = texts_of(&specs, &found);
         assert_eq!(texts.len(), 3);
         assert!(texts[0].starts_with(
             "position 1: \"axis 1\" should have product 00000002h, \"TK5\" with 00000005h is there"

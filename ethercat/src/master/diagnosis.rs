@@ -1,13 +1,13 @@
-//! Which cable is bad, from the error counters of all ports. A broken frame is counted as invalid where it comes in
-//! first, and as forwarded by all behind; so the first port in the ring that counts invalid frames is behind the bad
-//! cable. It allocates: it is not for the cycle.
+//! Locates bad cables by the error counters of all ports. A corrupted frame is counted as invalid by the first port
+//! that receives it, and as forwarded by all behind; so the first port in the ring that counts invalid frames is behind
+//! the bad cable. It allocates: do not call it in the cycle.
 
 use std::fmt;
 
 use super::event::Cable;
 use super::{Master, PortCounters};
 
-/// A cable that errors point to.
+/// A cable with errors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Suspect {
     /// The cable.
@@ -53,7 +53,7 @@ fn at_port(counters: &PortCounters, port: usize) -> (u64, u64) {
 }
 
 impl Master {
-    /// Cables that errors since the start point to, worst first.
+    /// Cables with errors since the start, worst first.
     #[must_use]
     pub fn suspects(&self) -> Vec<Suspect> {
         let mut all = Vec::new();

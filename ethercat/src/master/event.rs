@@ -1,5 +1,5 @@
-//! What a master has to tell: events, emergencies, answers to jobs. All queues are bounded; what does not fit is
-//! counted. Texts are made by who reads them, never here.
+//! Outputs of a master: events, emergencies, replies to jobs. All queues are bounded; dropped entries are counted.
+//! Texts are formatted by the reader, never here.
 
 use std::collections::VecDeque;
 use std::fmt;
@@ -9,45 +9,45 @@ use super::job::Reply;
 use crate::{AlState, AlStatus, AlStatusCode, Emergency, MailboxError};
 use takt_cia402::dictionary::{AbortCode, Address, Mapped};
 
-/// Why a slave is not where it is wanted.
+/// Why a slave has not reached its goal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Fault {
     /// It does not answer.
     Silent {
-        /// The register that was asked for.
+        /// The register.
         register: u16,
     },
-    /// It is gone: nothing of it answers any more.
+    /// It is lost: it does not answer at all.
     Lost,
-    /// It refused a state or fell out of one.
+    /// It refused a state or left one.
     State {
-        /// What was asked for.
+        /// The requested state.
         wanted: AlState,
-        /// What it shows.
+        /// The AL status.
         status: AlStatus,
-        /// Why.
+        /// Its cause.
         code: AlStatusCode,
     },
-    /// It neither came to a state nor said why.
+    /// It neither reached a state nor reported an error.
     Slow {
-        /// What was asked for.
+        /// The requested state.
         wanted: AlState,
-        /// What it shows.
+        /// The AL status.
         status: AlStatus,
-        /// For how long.
+        /// Time since the request.
         waited: Duration,
     },
-    /// Its AL control takes no request, as its firmware has not read the one before.
+    /// Its AL control accepts no request, as its firmware has not read the previous one.
     Unread {
-        /// What was to be asked for.
+        /// The requested state.
         wanted: AlState,
-        /// What it shows.
+        /// The AL status.
         status: AlStatus,
-        /// For how long.
+        /// Time since the request.
         waited: Duration,
     },
-    /// Its SII does not answer, or says that there is none.
+    /// Its SII does not answer, or reports that there is none.
     Sii {
         /// Word address.
         word: u16,
@@ -56,57 +56,57 @@ pub enum Fault {
     },
     /// An object was refused.
     Abort {
-        /// Which.
+        /// The object.
         address: Address,
-        /// Why.
+        /// Its cause.
         code: AbortCode,
     },
     /// An object was refused as an entry of a PDO.
     Entry {
         /// The entry: 1600h or 1A00h and following, with its number.
         address: Address,
-        /// What was to be mapped there.
+        /// The object to map.
         entry: Mapped,
-        /// Why.
+        /// Its cause.
         code: AbortCode,
     },
-    /// A PDO does not carry what was mapped into it.
+    /// A PDO does not carry the object that was mapped.
     Mapped {
         /// The entry: 1600h or 1A00h and following, with its number.
         address: Address,
-        /// What was mapped there; `None` if nothing was.
+        /// The mapped object; `None` if none was.
         wanted: Option<Mapped>,
-        /// What is there; `None` if nothing is.
+        /// The actual object; `None` if there is none.
         found: Option<Mapped>,
     },
     /// Its mailbox did not answer.
     Mailbox {
-        /// The object that was asked for.
+        /// The object.
         address: Address,
-        /// Why.
+        /// Its cause.
         error: JobError,
     },
-    /// What it carries does not fit its SyncManager.
+    /// Its PDOs do not fit its SyncManager.
     Mapping {
         /// The SyncManager.
         sync_manager: u8,
-        /// Bytes of its PDOs.
+        /// Length of its PDOs, bytes.
         bytes: usize,
-        /// Bytes of room.
-        room: usize,
+        /// Capacity, bytes.
+        capacity: usize,
     },
     /// It does not keep the PDOs that were assigned.
     Assignment {
         /// The SyncManager.
         sync_manager: u8,
-        /// Bits of the PDOs that are wanted.
+        /// Length of the wanted PDOs, bits.
         wanted: usize,
-        /// Bits of those that it has.
+        /// Length of its actual PDOs, bits.
         found: usize,
     },
-    /// Its SII has no SyncManager for what is to be exchanged.
+    /// Its SII has no SyncManager for the configured process data.
     NoChannel {
-        /// Outputs, or else inputs.
+        /// Outputs rather than inputs.
         outputs: bool,
     },
     /// It is not the slave that was there before.
@@ -116,22 +116,22 @@ pub enum Fault {
         /// Vendor and product that were found.
         found: (u32, u32),
     },
-    /// Its clock does not come close to the reference clock.
+    /// Its clock does not lock to the reference clock.
     Clock {
         /// Difference, ns.
         difference_ns: i32,
         /// Largest allowed, ns.
         window_ns: u32,
     },
-    /// It is to give SYNC signals, and has no clock that can.
+    /// SYNC signals are configured, but it has no suitable clock.
     NoClock,
     /// The reference clock does not show its time.
     NoReference {
-        /// Whose clock that is.
+        /// The slave of the reference clock.
         slave: usize,
     },
-    /// It came when the process image was made already, and its process data was not known then.
-    NoRoom,
+    /// It appeared after the process image was laid out, and its process data was not known then.
+    NotInImage,
 }
 
 impl fmt::Display for Fault {
@@ -140,13 +140,13 @@ impl fmt::Display for Fault {
         match self {
             Self::Silent { register } => write!(
                 f,
-                "no answer from register {register:04X}h; see its supply and the cable before it"
+                "no answer from register {register:04X}h; check its supply and the cable before it"
             ),
-            Self::Lost => f.write_str("gone from the segment; see its supply and the cable before it"),
+            Self::Lost => f.write_str("lost from the segment; check its supply and the cable before it"),
             Self::State { wanted, status, code } => write!(f, "{wanted} wanted, {status} shown: {code}"),
             Self::Slow { wanted, status, waited } => write!(
                 f,
-                "{wanted} wanted, {status} shown for {waited:?} without a code; is its controller running?"
+                "{wanted} wanted, {status} shown for {waited:?} without a code; is its firmware running?"
             ),
             Self::Unread { wanted, status, waited } => write!(
                 f,
@@ -177,9 +177,9 @@ impl fmt::Display for Fault {
                 MappedText(*wanted)
             ),
             Self::Mailbox { address, error } => write!(f, "object {address}: {error}"),
-            Self::Mapping { sync_manager, bytes, room } => write!(
+            Self::Mapping { sync_manager, bytes, capacity } => write!(
                 f,
-                "its PDOs have {bytes} bytes, SyncManager {sync_manager} has room for {room}; assign fewer"
+                "its PDOs have {bytes} bytes, SyncManager {sync_manager} has a capacity of {capacity}; assign fewer"
             ),
             Self::Assignment { sync_manager, wanted, found } => write!(
                 f,
@@ -208,14 +208,14 @@ impl fmt::Display for Fault {
                 f,
                 "its clock waits for the reference clock, which is not running; see why slave {slave} does not come up"
             ),
-            Self::NoRoom => f.write_str(
-                "it has no place in the process image; give its outputs and inputs in the configuration",
+            Self::NotInImage => f.write_str(
+                "it has no region in the process image; give its outputs and inputs in the configuration",
             ),
         }
     }
 }
 
-/// An entry of a PDO as texts name it.
+/// An entry of a PDO, for error texts.
 struct MappedText(Option<Mapped>);
 
 impl fmt::Display for MappedText {
@@ -234,75 +234,75 @@ pub enum JobError {
     /// The slave refused the object.
     #[error("the slave refuses: {0}")]
     Abort(AbortCode),
-    /// The slave could not take the message.
+    /// The slave could not process the message.
     #[error("{0}")]
     Mailbox(MailboxError),
-    /// Nothing came back in time.
+    /// The answer timed out.
     #[error("no answer within {0:?}; is the slave in PRE-OP or higher, and its firmware running?")]
     Timeout(Duration),
     /// The slave has no mailbox, or no CoE.
     #[error("the slave has no {0}")]
     Unsupported(&'static str),
-    /// The answer is longer than what was given to hold it.
-    #[error("the answer has {size} bytes, {room} were given for it")]
+    /// The answer is longer than the buffer.
+    #[error("the answer has {size} bytes, the buffer holds {capacity}")]
     TooLong {
-        /// Bytes of the answer.
+        /// Length of the answer, bytes.
         size: usize,
-        /// Bytes of room.
-        room: usize,
+        /// Capacity, bytes.
+        capacity: usize,
     },
-    /// A datagram as long as its mailbox has no room in a frame beside the process image.
+    /// A datagram as long as its mailbox does not fit into a frame beside the process image.
     #[error(
-        "its mailbox of {size} bytes does not fit into a frame beside the process image, which leaves {room}; map \
+        "its mailbox of {size} bytes does not fit into a frame beside the process image, which leaves {capacity}; map \
          fewer or smaller PDOs, or split the segment"
     )]
-    NoRoom {
-        /// Bytes of the longer of its two areas.
+    MailboxTooLong {
+        /// Length of the longer of its two areas, bytes.
         size: usize,
-        /// Bytes left for one datagram.
-        room: usize,
+        /// Remaining capacity for one datagram, bytes.
+        capacity: usize,
     },
-    /// The answer is not what the protocol says.
+    /// The answer violates the protocol.
     #[error("the answer is no valid {0}; a fault of the slave's firmware")]
     Protocol(&'static str),
     /// The register did not answer.
     #[error("the register did not answer (working counter 0)")]
     NoAnswer,
-    /// The slave went away, or back to INIT.
-    #[error("the slave is not there")]
+    /// The slave was lost, or fell to INIT.
+    #[error("the slave is offline")]
     Absent,
-    /// Too many jobs wait for this slave.
-    #[error("{0} jobs wait for this slave already; wait for answers first")]
+    /// Too many jobs are queued for this slave.
+    #[error("{0} jobs are queued for this slave; wait for replies first")]
     Busy(usize),
     /// There is no such slave.
     #[error("there is no slave {0}")]
     NoSlave(usize),
 }
 
-/// Something happened.
+/// An event of a segment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Event {
     /// A slave reached its goal.
     Reached {
-        /// Which.
+        /// The slave.
         slave: usize,
         /// The state.
         state: AlState,
     },
-    /// A slave is not where it is wanted.
+    /// A slave failed to reach or left its goal.
     Fault {
-        /// Which.
+        /// The slave.
         slave: usize,
-        /// Why.
+        /// Its cause.
         fault: Fault,
     },
-    /// A slave that was lost answers again, or an optional one came.
+    /// A slave that was lost answers again, or an optional one appeared.
     Returned {
-        /// Which.
+        /// The slave.
         slave: usize,
     },
-    /// Nothing comes through a cable any more.
+    /// A cable is interrupted.
     CableCut {
         /// The cable.
         cable: Cable,
@@ -312,49 +312,49 @@ pub enum Event {
         /// The cable.
         cable: Cable,
     },
-    /// The ring is whole again.
+    /// The ring is closed again.
     RingClosed,
-    /// A slave is there that nobody expects.
-    Stranger {
-        /// Where in the ring, from 0.
+    /// A slave that is not configured.
+    UnexpectedSlave {
+        /// Position in the ring, from 0.
         position: u16,
     },
-    /// At start a ring is open before this position, so that slaves cannot be given addresses by their place; it is
-    /// waited for.
+    /// At start the ring is open before this position, so that slaves cannot be addressed by position; the master waits
+    /// for it to close.
     StartSplit {
-        /// Where, from 0.
+        /// Position, from 0.
         position: u16,
     },
-    /// A slave came back, and which one it is cannot be told: it is left alone. Told once until that changes.
+    /// A slave returned that cannot be identified: it stays in INIT. Reported once until that changes.
     Unplaced {
-        /// Because a ring is open between slaves; else because another one of its kind is missing too.
+        /// True if a ring is open between slaves; false if another slave of its kind is missing too.
         ring: bool,
     },
-    /// A clock that was locked does not follow the reference any more.
+    /// A locked clock lost the reference.
     ClockLost {
-        /// Whose.
+        /// The slave.
         slave: usize,
         /// Difference, ns; positive is ahead.
         difference_ns: i32,
     },
-    /// A clock that was lost follows again.
+    /// A lost clock is locked again.
     ClockBack {
-        /// Whose.
+        /// The slave.
         slave: usize,
     },
-    /// While process data is exchanged, the mailbox of a slave cannot be used: it does not fit beside them. Jobs for it
-    /// end with [`JobError::NoRoom`], and should it come back later, it cannot be set up by objects.
+    /// The mailbox of a slave does not fit beside the process data and cannot be used while they are exchanged. Jobs
+    /// for it end with [`JobError::MailboxTooLong`], and if it returns later, it cannot be configured by objects.
     MailboxTooLong {
-        /// Whose.
+        /// The slave.
         slave: usize,
-        /// Bytes of the longer of its two areas.
+        /// Length of the longer of its two areas, bytes.
         size: usize,
-        /// Bytes left for one datagram.
-        room: usize,
+        /// Remaining capacity for one datagram, bytes.
+        capacity: usize,
     },
     /// The reference clock changed.
     Reference {
-        /// The slave whose clock it is now.
+        /// The slave of the new reference clock.
         slave: usize,
     },
 }
@@ -386,33 +386,33 @@ impl fmt::Display for Event {
         match self {
             Self::Reached { slave, state } => write!(f, "slave {slave}: {state}"),
             Self::Fault { slave, fault } => write!(f, "slave {slave}: {fault}"),
-            Self::Returned { slave } => write!(f, "slave {slave}: there again"),
+            Self::Returned { slave } => write!(f, "slave {slave}: online again"),
             Self::CableCut { cable } => write!(
                 f,
-                "{cable}: nothing comes through; see plugs, cable and supply there"
+                "{cable}: no frames pass; check connectors, cable and supply there"
             ),
             Self::RingOpen { cable } => write!(
                 f,
                 "{cable}: the ring is open there; all slaves are reached still"
             ),
-            Self::RingClosed => f.write_str("the ring is whole again"),
-            Self::Stranger { position } => write!(
+            Self::RingClosed => f.write_str("the ring is closed again"),
+            Self::UnexpectedSlave { position } => write!(
                 f,
                 "position {position}: a slave that the configuration does not know; it stays in INIT"
             ),
             Self::StartSplit { position } => write!(
                 f,
-                "the ring is open before position {position}: slaves get their addresses by their place, which two \
-                 ends at once do not show; see plugs, cable and supply there, or start without the second port"
+                "the ring is open before position {position}: slaves are addressed by position, which is ambiguous from \
+                 both ends; check connectors, cable and supply there, or start without the second port"
             ),
             Self::Unplaced { ring: true } => f.write_str(
-                "a slave came back while the ring is open between others, so that its place cannot be told; it stays \
-                 in INIT until the ring is whole",
+                "a slave returned while the ring is open between others, so that its position is ambiguous; it stays \
+                 in INIT until the ring is closed",
             ),
             Self::Unplaced { ring: false } => f.write_str(
-                "a slave came back while another one of its kind is missing, so that its place cannot be told; it \
-                 stays in INIT until all are back: an alias for each (SII word 4), by which they are expected, tells \
-                 them apart",
+                "a slave returned while another one of its kind is missing, so that its position is ambiguous; it \
+                 stays in INIT until all are back: give each an alias (SII word 4) and configure it to distinguish \
+                 them",
             ),
             Self::ClockLost {
                 slave,
@@ -425,13 +425,13 @@ impl fmt::Display for Event {
             Self::ClockBack { slave } => {
                 write!(f, "slave {slave}: its clock follows the reference again")
             }
-            Self::MailboxTooLong { slave, size, room } => {
+            Self::MailboxTooLong { slave, size, capacity } => {
                 write!(
                     f,
                     "slave {slave}: {}",
-                    JobError::NoRoom {
+                    JobError::MailboxTooLong {
                         size: *size,
-                        room: *room
+                        capacity: *capacity
                     }
                 )
             }
@@ -445,22 +445,22 @@ impl fmt::Display for Event {
 pub struct EmergencyReport {
     /// Which slave.
     pub slave: usize,
-    /// What it said.
+    /// Its content.
     pub emergency: Emergency,
-    /// When it was fetched.
+    /// Time at which it was fetched.
     pub at: Duration,
 }
 
-/// Most of each kind that wait to be fetched.
+/// Maximum number of queued entries of each kind.
 pub(super) const QUEUE_MAX: usize = 128;
 
-/// What waits to be fetched.
+/// Queued outputs.
 #[derive(Debug)]
 pub(super) struct Outbox {
     pub(super) events: VecDeque<Event>,
     pub(super) emergencies: VecDeque<EmergencyReport>,
     pub(super) replies: VecDeque<Reply>,
-    /// Events and emergencies that did not fit.
+    /// Dropped events and emergencies.
     pub(super) dropped: u64,
 }
 
@@ -482,7 +482,7 @@ impl Outbox {
         }
     }
 
-    /// The oldest goes when there are too many: the newest tells what is wrong now.
+    /// The oldest is dropped when the queue is full: the newest shows the present fault.
     pub(super) fn emergency(&mut self, report: EmergencyReport) {
         if self.emergencies.len() == QUEUE_MAX {
             self.emergencies.pop_front();
@@ -492,7 +492,7 @@ impl Outbox {
     }
 
     pub(super) fn reply(&mut self, reply: Reply) {
-        // As many can be under way as fit; see `Master::submit`.
+        // `Master::submit` limits pending jobs to the capacity.
         if self.replies.len() < QUEUE_MAX {
             self.replies.push_back(reply);
         } else {

@@ -1,75 +1,75 @@
-//! One frame at a time: what was sent, and which answer belongs to it. A frame that is not back when the next one
-//! goes is lost; what comes back later than that is counted and dropped. What the datagrams mean is not known here.
+//! One frame at a time: matches answers to the sent frame. A frame that has not returned when the next one is sent is
+//! lost; a later answer is counted and dropped. The meaning of the datagrams is not known here.
 
 use std::time::Duration;
 
 use crate::wire::FrameWriter;
 use crate::{Address, Command, DatagramHeader, Frame};
 
-/// Most datagrams of one frame.
+/// Maximum number of datagrams per frame.
 pub(super) const DATAGRAMS_MAX: usize = 72;
 
-/// Who asked for a datagram, and so gets its answer.
+/// The requester of a datagram, which gets its answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Owner {
     /// Distribution of the system time.
     Clock,
     /// Process data of a group; outputs, inputs or both.
     Process(u8),
-    /// How many there are, and their states.
+    /// Number of slaves, and their states.
     Census,
-    /// The AL status of a slave, out of turn.
+    /// The AL status of one slave, when the census differs.
     Inspection(u16),
     /// The scan.
     Scan,
-    /// Who is at a position.
+    /// The slave at a position.
     Survey(u16),
-    /// A slave is to get its address back.
+    /// Gives a slave its address back.
     Adoption(u16),
-    /// A slave is to lose an address that is another's.
+    /// Clears an address that belongs to another slave.
     Release(u16),
-    /// Whatever a slave's own machine does.
+    /// A request of a slave's own state machine.
     Unit(u16),
 }
 
-/// A datagram of the frame under way.
+/// A datagram of the pending frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Sent {
     pub(super) owner: Owner,
     pub(super) command: Command,
     address: Address,
     len: u16,
-    /// Where its data begins in the frame.
+    /// Offset of its data in the frame.
     at: usize,
 }
 
-/// What became of the frames, since the start.
+/// Frame counters since the start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FrameCounters {
     /// Sent; with two ports a frame counts once.
     pub sent: u64,
     /// Answered in time.
     pub answered: u64,
-    /// Not back when the next one went.
+    /// Not returned when the next one was sent.
     pub lost: u64,
-    /// Back too late, or twice.
+    /// Returned late, or twice.
     pub stale: u64,
     /// Unreadable, or not what was sent.
     pub foreign: u64,
 }
 
-/// What a received frame was.
+/// Kind of a received frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Heard {
-    /// Nothing to do with the frame under way.
+pub(super) enum Received {
+    /// Unrelated to the pending frame.
     Nothing,
-    /// One half; the other port's frame is waited for.
+    /// One half of a ring; the frame of the other port is pending.
     Half,
     /// The answer is complete.
     Whole,
 }
 
-/// The frame under way and its answer.
+/// The pending frame and its answer.
 #[derive(Debug)]
 pub(super) struct Exchange {
     sent: Vec<Sent>,
@@ -79,16 +79,16 @@ pub(super) struct Exchange {
     sent_at: Duration,
     open: bool,
     ports: u8,
-    heard: [bool; 2],
-    /// Frames in a row that a port did not deliver.
-    deaf: [u8; 2],
-    /// Working counter of the census, by the port that it came in by.
+    received: [bool; 2],
+    /// Consecutive frames that a port did not deliver.
+    silent: [u8; 2],
+    /// Working counter of the census, by receiving port.
     census: [u16; 2],
     counters: FrameCounters,
 }
 
-/// After so many frames a silent port is no longer waited for.
-const DEAF: u8 = 3;
+/// Number of frames after which a silent port is no longer awaited.
+const SILENT_MAX: u8 = 3;
 
 impl Exchange {
     pub(super) fn new(redundant: bool) -> Self {
@@ -100,8 +100,8 @@ impl Exchange {
             sent_at: Duration::ZERO,
             open: false,
             ports: if redundant { 2 } else { 1 },
-            heard: [false; 2],
-            deaf: [0; 2],
+            received: [false; 2],
+            silent: [0; 2],
             census: [0; 2],
             counters: FrameCounters::default(),
         }
@@ -111,14 +111,14 @@ impl Exchange {
         self.counters
     }
 
-    /// Goes on counting from here.
+    /// Continues counting from these values.
     pub(super) const fn keep(&mut self, counters: FrameCounters) {
         self.counters = counters;
     }
 
     /// Both ports delivered this frame.
     pub(super) const fn is_complete(&self) -> bool {
-        self.heard[0] && self.heard[1]
+        self.received[0] && self.received[1]
     }
 
     pub(super) const fn is_open(&self) -> bool {
@@ -129,13 +129,17 @@ impl Exchange {
         self.sent_at
     }
 
-    /// Slaves that answered, by the port that their half of the ring ends at; and which ports are heard.
+    /// Number of slaves that answered, by the port at which their half of the ring ends; and which ports receive
+    /// frames.
     pub(super) const fn halves(&self) -> ([u16; 2], [bool; 2]) {
-        (self.census, [self.deaf[0] < DEAF, self.deaf[1] < DEAF])
+        (
+            self.census,
+            [self.silent[0] < SILENT_MAX, self.silent[1] < SILENT_MAX],
+        )
     }
 
-    /// Where a ring is open, if slaves are reached from both of its ends: position 0 is then another slave from either
-    /// end, and nothing can be asked by position.
+    /// Position at which a ring is open with slaves on both ends: position 0 is then a different slave from either end,
+    /// and addressing by position is impossible.
     pub(super) const fn split(&self) -> Option<u16> {
         let [first, last] = self.census;
         if first > 0 && last > 0 {
@@ -145,32 +149,36 @@ impl Exchange {
         }
     }
 
-    /// Closes the frame under way: `Whole` if one half of the ring answered, `Nothing` if it is lost or there was none.
-    pub(super) fn close(&mut self) -> Heard {
+    /// Closes the pending frame: `Whole` if one half of the ring answered, `Nothing` if it is lost or there was none.
+    pub(super) fn close(&mut self) -> Received {
         if !std::mem::take(&mut self.open) {
-            return Heard::Nothing;
+            return Received::Nothing;
         }
-        self.note_deaf();
-        if self.heard.contains(&true) {
+        self.count_silent();
+        if self.received.contains(&true) {
             self.counters.answered += 1;
-            return Heard::Whole;
+            return Received::Whole;
         }
         self.counters.lost += 1;
-        Heard::Nothing
+        Received::Nothing
     }
 
-    fn note_deaf(&mut self) {
-        for (deaf, heard) in self.deaf.iter_mut().zip(self.heard) {
-            *deaf = if heard { 0 } else { deaf.saturating_add(1) };
+    fn count_silent(&mut self) {
+        for (silent, received) in self.silent.iter_mut().zip(self.received) {
+            *silent = if received {
+                0
+            } else {
+                silent.saturating_add(1)
+            };
         }
     }
 
-    /// Begins a new frame.
+    /// Starts a new frame.
     pub(super) fn begin(&mut self, now: Duration) -> Batch<'_> {
         self.index = self.index.wrapping_add(1);
         self.sent.clear();
         self.sent_at = now;
-        self.heard = [false; 2];
+        self.received = [false; 2];
         self.census = [0; 2];
         Batch {
             index: self.index,
@@ -180,8 +188,8 @@ impl Exchange {
         }
     }
 
-    /// Ends the frame of so many bytes and copies it to where its owner sends it from; `None` if nothing is in it,
-    /// or the buffer is too short.
+    /// Ends the frame of `len` bytes and copies it to the owner's send buffer; `None` if it is empty or the buffer is
+    /// too short.
     pub(super) fn finish(&mut self, len: usize, to: &mut [u8]) -> Option<usize> {
         if self.sent.is_empty() {
             return None;
@@ -193,48 +201,49 @@ impl Exchange {
         Some(len)
     }
 
-    /// Takes a frame that came in by a port.
-    pub(super) fn handle(&mut self, port: usize, bytes: &[u8]) -> Heard {
+    /// Handles a frame received on a port.
+    pub(super) fn handle(&mut self, port: usize, bytes: &[u8]) -> Received {
         let port = port.min(1);
         let Ok(frame) = Frame::decode(bytes) else {
             self.counters.foreign += 1;
-            return Heard::Nothing;
+            return Received::Nothing;
         };
         let first = frame.datagrams().next().and_then(Result::ok);
         let current = first.is_some_and(|datagram| datagram.header.index == self.index);
-        if !self.open || !current || self.heard.get(port) == Some(&true) {
+        if !self.open || !current || self.received.get(port) == Some(&true) {
             self.counters.stale += 1;
-            return Heard::Nothing;
+            return Received::Nothing;
         }
         if !self.is_answer(&frame) {
             self.counters.foreign += 1;
-            return Heard::Nothing;
+            return Received::Nothing;
         }
-        if self.heard.contains(&true) {
+        if self.received.contains(&true) {
             self.merge(bytes);
         } else if let Some(to) = self.answer.get_mut(..bytes.len()) {
             to.copy_from_slice(bytes);
         } else {
-            // Padding beyond the longest frame: nobody sends that.
+            // Padding beyond the longest frame is never sent.
             self.counters.foreign += 1;
-            return Heard::Nothing;
+            return Received::Nothing;
         }
         self.note_census(port, &frame);
-        self.heard
+        self.received
             .iter_mut()
             .skip(port)
             .take(1)
-            .for_each(|heard| *heard = true);
+            .for_each(|received| *received = true);
         let waits = |n: usize| {
-            self.heard.get(n) == Some(&false) && self.deaf.get(n).is_some_and(|d| *d < DEAF)
+            self.received.get(n) == Some(&false)
+                && self.silent.get(n).is_some_and(|d| *d < SILENT_MAX)
         };
         if self.ports == 2 && (waits(0) || waits(1)) {
-            return Heard::Half;
+            return Received::Half;
         }
         self.open = false;
-        self.note_deaf();
+        self.count_silent();
         self.counters.answered += 1;
-        Heard::Whole
+        Received::Whole
     }
 
     /// Same datagrams in the same order: command, index, length and address. Of a position only the register counts,
@@ -255,7 +264,7 @@ impl Exchange {
     fn note_census(&mut self, port: usize, frame: &Frame<'_>) {
         let counted = self.sent.iter().zip(frame.datagrams());
         for (sent, datagram) in counted {
-            // While slaves are only counted, that is the census.
+            // While slaves are only counted, this is the census.
             let counts = sent.owner == Owner::Census
                 || (sent.owner == Owner::Scan && sent.command == Command::Brd);
             if let (true, Ok(datagram), Some(to)) = (counts, datagram, self.census.get_mut(port)) {
@@ -293,7 +302,7 @@ impl Exchange {
         }
     }
 
-    /// How many datagrams the frame has.
+    /// Number of datagrams of the frame.
     pub(super) const fn len(&self) -> usize {
         self.sent.len()
     }
@@ -325,7 +334,7 @@ impl Sent {
     }
 
     fn matches(&self, header: &DatagramHeader, index: u8) -> bool {
-        let place = match (self.address, header.address) {
+        let same_address = match (self.address, header.address) {
             (Address::Device { adp: a, ado: x }, Address::Device { adp: b, ado: y }) => {
                 x == y && (a == b || self.command.is_positional())
             }
@@ -333,7 +342,10 @@ impl Sent {
             (Address::Device { .. }, Address::Logical(_))
             | (Address::Logical(_), Address::Device { .. }) => false,
         };
-        place && header.index == index && header.command == self.command && header.len == self.len
+        same_address
+            && header.index == index
+            && header.command == self.command
+            && header.len == self.len
     }
 }
 
@@ -347,15 +359,15 @@ pub(super) struct Batch<'a> {
 }
 
 impl Batch<'_> {
-    /// Bytes of data that one more datagram can have.
-    pub(super) const fn room(&self) -> usize {
+    /// Data capacity of one more datagram, bytes.
+    pub(super) const fn remaining(&self) -> usize {
         if self.sent.len() == DATAGRAMS_MAX {
             return 0;
         }
         FrameWriter::LEN_MAX.saturating_sub(self.used + DatagramHeader::LEN + 2)
     }
 
-    /// Adds a datagram; returns whether there was room for it.
+    /// Adds a datagram; returns whether it fitted.
     pub(super) fn push(
         &mut self,
         owner: Owner,
@@ -420,37 +432,37 @@ mod tests {
     }
 
     #[test]
-    fn only_the_frame_under_way_is_answered() {
+    fn only_the_pending_frame_is_matched() {
         let mut exchange = Exchange::new(false);
         let first = sent(&mut exchange);
         let second = sent(&mut exchange);
-        assert_eq!(exchange.handle(0, &first), Heard::Nothing, "late");
+        assert_eq!(exchange.handle(0, &first), Received::Nothing, "late");
         for (at, byte) in [(2, 8), (6, 0x31), (8, 3), (16, 5), (18, 7)] {
             let mut other = second.clone();
             other[at] = byte;
-            assert_eq!(exchange.handle(0, &other), Heard::Nothing, "byte {at}");
+            assert_eq!(exchange.handle(0, &other), Received::Nothing, "byte {at}");
         }
-        assert_eq!(exchange.handle(0, &second[..9]), Heard::Nothing, "cut");
-        assert_eq!(exchange.handle(0, &second), Heard::Whole);
-        assert_eq!(exchange.handle(0, &second), Heard::Nothing, "twice");
+        assert_eq!(exchange.handle(0, &second[..9]), Received::Nothing, "cut");
+        assert_eq!(exchange.handle(0, &second), Received::Whole);
+        assert_eq!(exchange.handle(0, &second), Received::Nothing, "twice");
         let counters = exchange.counters();
         assert_eq!((counters.sent, counters.lost, counters.answered), (2, 1, 1));
         assert_eq!((counters.stale, counters.foreign), (2, 6));
     }
 
     #[test]
-    fn a_position_counts_up_on_its_way() {
+    fn position_address_increments_along_the_ring() {
         let mut exchange = Exchange::new(false);
         let mut frame = sent(&mut exchange);
         frame[4] = 9;
         frame[14] = 9;
-        assert_eq!(exchange.handle(0, &frame), Heard::Whole);
+        assert_eq!(exchange.handle(0, &frame), Received::Whole);
         let census = exchange.sent(0).unwrap();
         assert_eq!(exchange.answer(&census), (&[0, 0][..], 9));
     }
 
     #[test]
-    fn halves_of_a_cut_ring_are_put_together() {
+    fn halves_of_a_cut_ring_are_merged() {
         let mut exchange = Exchange::new(true);
         let frame = sent(&mut exchange);
         let (mut a, mut b) = (frame.clone(), frame);
@@ -458,8 +470,8 @@ mod tests {
         (b[12], b[14]) = (0x04, 3);
         b[26..32].copy_from_slice(&[4, 0, 0, 0, 0x1B, 0]);
         b[32] = 1;
-        assert_eq!(exchange.handle(0, &a), Heard::Half);
-        assert_eq!(exchange.handle(1, &b), Heard::Whole);
+        assert_eq!(exchange.handle(0, &a), Received::Half);
+        assert_eq!(exchange.handle(1, &b), Received::Whole);
         let census = exchange.sent(0).unwrap();
         assert_eq!(exchange.answer(&census), (&[0x0C, 0][..], 5));
         let status = exchange.sent(1).unwrap();
@@ -468,15 +480,15 @@ mod tests {
     }
 
     #[test]
-    fn a_port_that_is_cut_off_is_not_waited_for() {
+    fn port_that_is_cut_off_causes_no_wait() {
         let mut exchange = Exchange::new(true);
-        for _ in 0..DEAF {
+        for _ in 0..SILENT_MAX {
             let frame = sent(&mut exchange);
-            assert_eq!(exchange.handle(1, &frame), Heard::Half);
-            assert_eq!(exchange.close(), Heard::Whole);
+            assert_eq!(exchange.handle(1, &frame), Received::Half);
+            assert_eq!(exchange.close(), Received::Whole);
         }
         let frame = sent(&mut exchange);
-        assert_eq!(exchange.handle(1, &frame), Heard::Whole);
+        assert_eq!(exchange.handle(1, &frame), Received::Whole);
         assert_eq!(exchange.halves().1, [false, true]);
     }
 }

@@ -1,6 +1,6 @@
-//! The process image: outputs and inputs of all slaves, where each lies, and the datagrams that carry them. Outputs
-//! and inputs of a group lie side by side in logical memory, never over each other, so that the halves of a cut ring
-//! can be put together again. Who is there is not known here.
+//! The process image: outputs and inputs of all slaves, their regions, and the datagrams that carry them. Outputs and
+//! inputs of a group are adjacent in logical memory and never overlap, so that the halves of a cut ring can be merged.
+//! Which slaves are present is not known here.
 
 use std::ops::Range;
 
@@ -10,10 +10,10 @@ use crate::config::IMAGE_MAX;
 use crate::wire::FrameWriter;
 use crate::{Address, Command, DatagramHeader, FrameHeader};
 
-/// Groups of slaves, each with a working counter of its own.
+/// Number of slave groups, each with its own working counter.
 pub(super) const GROUPS: usize = 8;
 
-/// What a slave needs in the image.
+/// What a slave requires in the image.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Need {
     pub(super) group: u8,
@@ -35,7 +35,7 @@ impl Need {
 }
 
 #[derive(Clone, Debug, Default)]
-struct Place {
+struct Region {
     outputs: Range<usize>,
     inputs: Range<usize>,
     group: usize,
@@ -43,25 +43,25 @@ struct Place {
     age: u32,
 }
 
-/// A group's part of the image, and how its datagrams fare.
+/// A group's part of the image, and the status of its datagrams.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Group {
     outputs: Range<usize>,
     inputs: Range<usize>,
-    /// One datagram for both directions.
+    /// One LRW datagram for both directions.
     lrw: bool,
     /// Working counter of the last cycle, summed over its datagrams.
     pub counter: u16,
-    /// Least and most that it should be, by the states of its slaves.
+    /// Expected minimum and maximum, by the states of its slaves.
     pub expected: (u16, u16),
-    /// Cycles with another working counter than expected.
+    /// Cycles with an unexpected working counter.
     pub misses: u64,
-    /// Datagrams of the cycle that came back so far.
+    /// Datagrams of the cycle that have returned.
     parts: u8,
 }
 
 impl Group {
-    /// Lengths of the datagrams that carry it.
+    /// Lengths of its datagrams.
     fn datagrams(&self) -> impl Iterator<Item = usize> + use<> {
         let (out, back) = (self.outputs.len(), self.inputs.len());
         let two = if self.lrw && out > 0 && back > 0 {
@@ -84,11 +84,11 @@ pub(super) struct TooLarge {
 pub(super) struct Image {
     outputs: Vec<u8>,
     inputs: Vec<u8>,
-    /// Inputs of the cycle under way, until its working counter is known.
+    /// Inputs of the current cycle, until its working counter is known.
     incoming: Vec<u8>,
-    places: Vec<Place>,
+    regions: Vec<Region>,
     groups: [Group; GROUPS],
-    /// Data of a datagram.
+    /// Buffer for the data of a datagram.
     data: Vec<u8>,
 }
 
@@ -96,10 +96,10 @@ impl Image {
     /// Lays out the image: group by group, in each the slaves in their order.
     pub(super) fn new(needs: &[Option<Need>]) -> Result<Self, TooLarge> {
         let mut image = Self {
-            places: vec![
-                Place {
+            regions: vec![
+                Region {
                     age: u32::MAX,
-                    ..Place::default()
+                    ..Region::default()
                 };
                 needs.len()
             ],
@@ -109,13 +109,13 @@ impl Image {
         for (number, group) in image.groups.iter_mut().enumerate() {
             let begin = (outputs, inputs);
             group.lrw = true;
-            for (place, need) in image.places.iter_mut().zip(needs) {
+            for (region, need) in image.regions.iter_mut().zip(needs) {
                 let Some(need) = need.filter(|need| usize::from(need.group) == number) else {
                     continue;
                 };
-                place.group = number;
-                place.outputs = outputs..outputs + need.outputs;
-                place.inputs = inputs..inputs + need.inputs;
+                region.group = number;
+                region.outputs = outputs..outputs + need.outputs;
+                region.inputs = inputs..inputs + need.inputs;
                 (outputs, inputs) = (outputs + need.outputs, inputs + need.inputs);
                 group.lrw &= need.lrw;
             }
@@ -133,35 +133,36 @@ impl Image {
         Ok(image)
     }
 
-    /// Logical address of a slave's outputs or inputs; `None` if it has no place.
+    /// Logical address of a slave's outputs or inputs; `None` if it has no region.
     pub(super) fn logical(&self, slave: usize, outputs: bool) -> Option<u32> {
-        let place = self.places.get(slave)?;
-        let group = self.groups.get(place.group)?;
+        let region = self.regions.get(slave)?;
+        let group = self.groups.get(region.group)?;
         let (range, base, before) = if outputs {
-            (&place.outputs, &group.outputs, 0)
+            (&region.outputs, &group.outputs, 0)
         } else {
-            (&place.inputs, &group.inputs, group.outputs.len())
+            (&region.inputs, &group.inputs, group.outputs.len())
         };
         if range.is_empty() {
             return None;
         }
         let at = u32::try_from(range.start - base.start + before).ok()?;
-        Some(Self::base(place.group) + at)
+        Some(Self::base(region.group) + at)
     }
 
-    /// Whether a slave's place is as large as it needs.
-    pub(super) fn has_room(&self, slave: usize, (outputs, inputs): (usize, usize)) -> bool {
-        let place = self.places.get(slave);
-        place.is_some_and(|place| place.outputs.len() == outputs && place.inputs.len() == inputs)
+    /// Whether a slave's region has the required size.
+    pub(super) fn fits(&self, slave: usize, (outputs, inputs): (usize, usize)) -> bool {
+        let region = self.regions.get(slave);
+        region
+            .is_some_and(|region| region.outputs.len() == outputs && region.inputs.len() == inputs)
     }
 
-    /// Bytes that the datagram of a mailbox can have in a frame with the clock's datagram, the census and this image;
-    /// before there is an image nothing else need be in its frame.
-    pub(super) fn mailbox_room(&self) -> usize {
+    /// Capacity of a mailbox datagram in a frame with the clock's datagram, the census and this image, bytes; before
+    /// there is an image its frame contains nothing else.
+    pub(super) fn mailbox_capacity(&self) -> usize {
         const CYCLIC: [usize; 2] = [8, 2];
         let overhead = DatagramHeader::LEN + 2;
         let whole = FrameWriter::LEN_MAX - FrameHeader::LEN - overhead;
-        if self.places.is_empty() {
+        if self.regions.is_empty() {
             return whole;
         }
         let lens = self.groups.iter().flat_map(Group::datagrams);
@@ -181,28 +182,28 @@ impl Image {
 
     pub(super) fn outputs_mut(&mut self, slave: usize) -> &mut [u8] {
         let range = self
-            .places
+            .regions
             .get(slave)
-            .map(|place| place.outputs.clone())
+            .map(|region| region.outputs.clone())
             .unwrap_or_default();
         self.outputs.get_mut(range).unwrap_or_default()
     }
 
     /// Inputs of a slave as last read, and how many cycles ago that was.
     pub(super) fn inputs(&self, slave: usize) -> (&[u8], u32) {
-        let Some(place) = self.places.get(slave) else {
+        let Some(region) = self.regions.get(slave) else {
             return (&[], u32::MAX);
         };
         (
-            self.inputs.get(place.inputs.clone()).unwrap_or_default(),
-            place.age,
+            self.inputs.get(region.inputs.clone()).unwrap_or_default(),
+            region.age,
         )
     }
 
-    /// Puts the datagrams of all groups into a frame.
+    /// Adds the datagrams of all groups to a frame.
     pub(super) fn send(&mut self, batch: &mut Batch<'_>) {
-        for place in &mut self.places {
-            place.age = place.age.saturating_add(1);
+        for region in &mut self.regions {
+            region.age = region.age.saturating_add(1);
         }
         for (number, group) in self.groups.iter_mut().enumerate() {
             group.parts = 0;
@@ -239,7 +240,7 @@ impl Image {
         }
     }
 
-    /// Takes the answer to a datagram of a group; returns whether it was the last of this cycle.
+    /// Handles the answer to a datagram of a group; returns whether it was the last of this cycle.
     pub(super) fn receive(
         &mut self,
         group: u8,
@@ -268,8 +269,8 @@ impl Image {
         group.parts == if lrw { 1 } else { parts }
     }
 
-    /// All of a group is there: with the working counter that its slaves should give (least and most, slave by
-    /// slave), their inputs are taken; else those before are kept. Returns whether all of its slaves took part.
+    /// Completes a group: if the working counter matches that of its slaves (minimum and maximum per slave), their
+    /// inputs are accepted; else the previous ones are kept. Returns whether all of its slaves took part.
     pub(super) fn settle(
         &mut self,
         number: u8,
@@ -281,8 +282,8 @@ impl Image {
         };
         let lrw = group.lrw && !group.outputs.is_empty() && !group.inputs.is_empty();
         let mut expected = (0, 0);
-        for (slave, place) in self.places.iter().enumerate() {
-            if place.group == number {
+        for (slave, region) in self.regions.iter().enumerate() {
+            if region.group == number {
                 let (least, most) = contributions(slave, lrw);
                 expected = (expected.0 + least, expected.1 + most);
             }
@@ -294,18 +295,18 @@ impl Image {
             return false;
         }
         let all = group.counter == expected.1;
-        for (slave, place) in self.places.iter_mut().enumerate() {
+        for (slave, region) in self.regions.iter_mut().enumerate() {
             let (least, most) = contributions(slave, lrw);
-            // Of one that may or may not have answered, inputs are taken only if all did.
-            if place.group != number || most == 0 || !(least == most || all) {
+            // Inputs of a slave that may not have answered are accepted only if all answered.
+            if region.group != number || most == 0 || !(least == most || all) {
                 continue;
             }
-            let range = place.inputs.clone();
+            let range = region.inputs.clone();
             if let (Some(to), Some(from)) =
                 (self.inputs.get_mut(range.clone()), self.incoming.get(range))
             {
                 to.copy_from_slice(from);
-                place.age = 0;
+                region.age = 0;
             }
         }
         all
@@ -348,13 +349,13 @@ mod tests {
     }
 
     #[test]
-    fn a_mailbox_shares_the_frame_with_clock_and_census_even_without_process_data() {
+    fn mailbox_fits_beside_clock_and_census_without_image() {
         let whole = FrameWriter::LEN_MAX - FrameHeader::LEN - 12;
-        assert_eq!(Image::default().mailbox_room(), whole);
+        assert_eq!(Image::default().mailbox_capacity(), whole);
         let without = Image::new(&[need(0, 0, 0, true)]).unwrap();
-        assert_eq!(without.mailbox_room(), whole - 20 - 14);
+        assert_eq!(without.mailbox_capacity(), whole - 20 - 14);
         let with = Image::new(&[need(0, 5, 5, true)]).unwrap();
-        assert_eq!(with.mailbox_room(), whole - 20 - 14 - 22);
+        assert_eq!(with.mailbox_capacity(), whole - 20 - 14 - 22);
     }
 
     #[test]
@@ -371,14 +372,14 @@ mod tests {
             (image.inputs(0), image.groups[0].misses),
             ((&[0][..], u32::MAX), 1)
         );
-        // It is known to be gone: the other one goes on.
+        // Known to be lost: the other one continues.
         let all = image.settle(0, |slave, _| if slave == 0 { (3, 3) } else { (0, 3) });
         assert!(!all);
         assert_eq!(
             (image.inputs(0), image.inputs(1).0),
             ((&[7][..], 0), &[0][..])
         );
-        // It is coming back, and may answer or not.
+        // It is returning and may answer or not.
         receive(&mut image, 6);
         assert!(image.settle(0, |slave, _| if slave == 0 { (3, 3) } else { (0, 3) }));
         assert_eq!(image.inputs(1).0, [8]);

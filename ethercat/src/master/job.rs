@@ -1,24 +1,24 @@
-//! What can be asked of a slave beside its process data, at any time: objects, registers, SII words, raw mailboxes.
-//! A job brings the memory for its answer with it, so that nothing is allocated where it is done.
+//! Acyclic requests to a slave: objects, registers, SII words, raw mailboxes. A job owns the buffer for its answer, so
+//! that its execution allocates nothing.
 
 use takt_cia402::dictionary::Address;
 
 use super::event::JobError;
 use crate::coe::{Information, Whole};
 
-/// What is asked of a slave.
+/// The kind of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum JobKind {
     /// Read an object into `data`, as far as its capacity goes.
     Upload {
-        /// Which.
+        /// The object.
         address: Address,
         /// One entry, or all from the sub-index on.
         whole: Whole,
     },
     /// Write an object from `data`.
     Download {
-        /// Which.
+        /// The object.
         address: Address,
         /// One entry, or all from the sub-index on.
         whole: Whole,
@@ -30,36 +30,36 @@ pub enum JobKind {
     DescribeObject(u16),
     /// Describe an entry: data type, bits, access, name; see [`EntryDescription`].
     DescribeEntry(Address),
-    /// Put `data` into the mailbox as it is and take whatever comes, without any header.
+    /// Write `data` to the mailbox unchanged and return the next message, both without mailbox header.
     RawMailbox,
     /// Read a register of the slave controller.
     ReadRegister {
-        /// Where.
+        /// The register address.
         at: u16,
-        /// Bytes, up to 128.
+        /// Length in bytes, up to 128.
         len: u16,
     },
     /// Write `data` (up to 128 bytes) to a register of the slave controller.
     WriteRegister {
-        /// Where.
+        /// The register address.
         at: u16,
     },
     /// Read words of the SII.
     ReadSii {
         /// First word.
         word: u16,
-        /// How many.
+        /// Number of words.
         words: u16,
     },
     /// Write one word of the SII, the first two bytes of `data`.
     WriteSii {
-        /// Which.
+        /// Word address.
         word: u16,
     },
 }
 
 impl JobKind {
-    /// The operation of the SDO information service that asks this; `None` for what is not asked by it.
+    /// The operation of the SDO information service for this request; `None` if it is not one of this service.
     pub(super) const fn information(self) -> Option<u8> {
         match self {
             Self::List(_) => Some(Information::LIST),
@@ -75,7 +75,7 @@ impl JobKind {
         }
     }
 
-    /// Whether it goes through the mailbox.
+    /// Whether it uses the mailbox.
     pub(super) const fn is_mailbox(self) -> bool {
         match self {
             Self::Upload { .. }
@@ -92,29 +92,29 @@ impl JobKind {
     }
 }
 
-/// Something asked of a slave.
+/// A request to a slave.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Job {
     /// Number of the slave.
     pub slave: usize,
-    /// What is asked.
+    /// The request.
     pub kind: JobKind,
-    /// What is written; or room for what is read, as much as its capacity.
+    /// Data to write, or the buffer for data to read, limited by its capacity.
     pub data: Vec<u8>,
-    /// The asker's own mark, given back with the reply.
+    /// A tag of the caller, returned with the reply.
     pub token: u64,
 }
 
-/// What became of a job.
+/// The reply to a job.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Reply {
     /// The job with its data.
     pub job: Job,
-    /// Whether it was done.
+    /// Its result.
     pub result: Result<(), JobError>,
 }
 
-/// What an object is, from the answer to [`JobKind::DescribeObject`].
+/// Description of an object, from the answer to [`JobKind::DescribeObject`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ObjectDescription<'a> {
     /// Its index.
@@ -125,7 +125,7 @@ pub struct ObjectDescription<'a> {
     pub highest: u8,
     /// Object code: 7 variable, 8 array, 9 record.
     pub code: u8,
-    /// Its name; bytes that are no text are left out.
+    /// Its name; bytes that are not text are skipped.
     pub name: &'a str,
 }
 
@@ -144,7 +144,7 @@ impl<'a> ObjectDescription<'a> {
     }
 }
 
-/// What an entry is, from the answer to [`JobKind::DescribeEntry`].
+/// Description of an entry, from the answer to [`JobKind::DescribeEntry`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct EntryDescription<'a> {
     /// Its address.
@@ -155,7 +155,7 @@ pub struct EntryDescription<'a> {
     pub bits: u16,
     /// Bits 0 to 2 readable, 3 to 5 writable in PRE-OP, SAFE-OP, OP; 6 RxPDO, 7 TxPDO.
     pub access: u16,
-    /// Its name; bytes that are no text are left out.
+    /// Its name; bytes that are not text are skipped.
     pub name: &'a str,
 }
 
@@ -174,7 +174,7 @@ impl<'a> EntryDescription<'a> {
     }
 }
 
-/// As much of it as is text, without the zeros that some slaves put behind.
+/// The valid text, without the trailing zeros that some slaves send.
 fn text(bytes: &[u8]) -> &str {
     let good = match std::str::from_utf8(bytes) {
         Ok(text) => text,

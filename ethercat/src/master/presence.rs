@@ -1,9 +1,9 @@
-//! Who is there. Each cycle's census (how many answered, and the OR of their states) is compared with what is known;
-//! if they differ, all are asked one by one, who is gone is told with the cable before it, and who is there and has no
-//! address is given one. Bringing back whoever came is its own machine's.
+//! Presence of slaves. Each cycle's census (how many answered, and the OR of their states) is compared with the known
+//! slaves; if they differ, all are inspected one by one, lost slaves are reported with the cable before them, and
+//! slaves without address get one. The slave's own state machine then brings it back.
 //!
 //! ```text
-//!        1 census differs            2 all asked, more are there than answered
+//!        1 census differs            2 all inspected, count exceeds answers
 //! Calm -------------------> Inspect --------------------------> Survey --> 3 Adopt: gets its address back
 //!   ^ 4 as known, or pause     |                                   |
 //!   +--------------------------+-----------------------------------+
@@ -17,60 +17,60 @@ use super::exchange::{Batch, Owner, Sent};
 use super::scan::{Phase, Scan};
 use super::transmit::context;
 use super::unit::{Step, Unit};
-use crate::config::Place;
+use crate::config::Location;
 use crate::register;
 use crate::{Address, AlStatusCode, Command};
 
-/// Slaves that are asked in one frame.
-const ASKED: usize = 16;
-/// Frames lost in a row after which nothing is there any more.
+/// Slaves inspected in one frame.
+const INSPECTED_MAX: usize = 16;
+/// Consecutive lost frames after which the whole segment counts as lost.
 const FRAMES_LOST: u8 = 3;
-/// Cycles between rounds of questions that change nothing.
+/// Cycles between rounds of inspections without a change.
 const PAUSE: u8 = 16;
-/// Questions in a row that a slave may leave unanswered while the census is complete.
+/// Consecutive inspections that a slave may leave unanswered while the census is complete.
 const SILENT: u8 = 3;
 
-/// What is going on.
+/// The present activity.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum State {
     #[default]
     Calm,
-    /// All slaves are asked, this one next.
+    /// All slaves are inspected, this one next.
     Inspect(usize),
-    /// All positions are asked, this one next.
+    /// All positions are read, this one next.
     Survey(u16),
-    /// The slave at this position is to get the address of this one.
+    /// Give the slave at this position the address of this one.
     Adopt(u16, usize),
-    /// The slave at this position is not this one after all, and is to lose its address.
+    /// The slave at this position is not this one after all: clear its address.
     Release(u16, usize),
 }
 
-/// What is known of who is there.
+/// Known presence of slaves.
 #[derive(Debug, Default)]
 pub(super) struct Presence {
     state: State,
-    /// How many there are that are not expected.
+    /// Number of unexpected slaves.
     strangers: u16,
-    /// Of the survey under way.
+    /// Unexpected slaves of the current survey.
     strange: u16,
-    /// The slave that was last met in the survey.
+    /// The last slave found in the survey.
     met: Option<usize>,
-    /// The next to be adopted.
+    /// The next slave to adopt.
     found: Option<(u16, usize)>,
     /// Position of each slave at start.
     homes: Vec<Option<u16>>,
-    /// Questions that each left unanswered, in a row.
+    /// Consecutive unanswered inspections of each slave.
     silent: Vec<u8>,
     /// The count of the last census, and of the one before it.
     counted: u16,
     pause: u8,
-    /// Slaves that turned out not to be what came; nobody is taken for them until somebody has gone.
+    /// Slaves that a returning one turned out not to be; they are not matched again until a slave is lost.
     rejected: Vec<bool>,
-    /// Slaves whose cable was told, until they are there again.
-    told: Vec<bool>,
-    /// It was told that somebody's place cannot be.
+    /// Slaves whose cable was reported, until they are back.
+    reported: Vec<bool>,
+    /// An ambiguous position was reported.
     unplaced: bool,
-    /// Something was lost in this frame.
+    /// A slave was lost in this frame.
     newly_lost: bool,
     frames_lost: u8,
     /// The ring is open before this position.
@@ -81,7 +81,7 @@ impl Presence {
     pub(super) fn set_homes(&mut self, ring: &[usize], slaves: usize) {
         self.homes = vec![None; slaves];
         self.silent = vec![0; slaves];
-        self.told = vec![false; slaves];
+        self.reported = vec![false; slaves];
         self.rejected = vec![false; slaves];
         for (position, number) in (0..).zip(ring) {
             if let Some(home) = self.homes.get_mut(*number) {
@@ -91,19 +91,21 @@ impl Presence {
     }
 
     fn is_back(&mut self, slave: usize) {
-        if let Some(told) = self.told.get_mut(slave) {
-            *told = false;
+        if let Some(reported) = self.reported.get_mut(slave) {
+            *reported = false;
         }
     }
 
-    /// Puts what is to be asked into the frame.
+    /// Adds the due inspections to the frame.
     pub(super) fn send(&mut self, units: &[Unit], batch: &mut Batch<'_>) {
         match self.state {
             State::Calm => {}
             State::Inspect(from) => {
                 let mut at = from;
-                let mut asked = 0;
-                while let Some(unit) = units.get(at).filter(|_| asked < ASKED && batch.room() >= 6)
+                let mut inspected = 0;
+                while let Some(unit) = units
+                    .get(at)
+                    .filter(|_| inspected < INSPECTED_MAX && batch.remaining() >= 6)
                 {
                     let owner = Owner::Inspection(u16::try_from(at).unwrap_or(u16::MAX));
                     let address = Address::Device {
@@ -112,14 +114,14 @@ impl Presence {
                     };
                     batch.push(owner, Command::Fprd, address, &[0; 6]);
                     at += 1;
-                    asked += 1;
+                    inspected += 1;
                 }
                 self.state = State::Inspect(at);
             }
             State::Survey(from) => {
                 let end = self.counted.min(from.saturating_add(16));
                 let mut at = from;
-                while at < end && batch.room() >= 4 {
+                while at < end && batch.remaining() >= 4 {
                     let address = Scan::position(at, register::STATION_ADDRESS);
                     batch.push(Owner::Survey(at), Command::Aprd, address, &[0; 4]);
                     at += 1;
@@ -144,11 +146,11 @@ impl Presence {
 }
 
 impl Master {
-    /// One that came is not what it was taken for.
+    /// A returning slave is not the one it was matched with.
     fn reject(&mut self) {
         let wrong = |unit: &&Unit| {
-            let told = matches!(unit.fault, Some(Fault::Identity { .. }));
-            told && unit.step() == Step::Failed
+            let other_identity = matches!(unit.fault, Some(Fault::Identity { .. }));
+            other_identity && unit.step() == Step::Failed
         };
         let found = self
             .units
@@ -171,7 +173,7 @@ impl Master {
         }
     }
 
-    /// How many answered, and the OR of their states.
+    /// Handles the census: how many answered, and the OR of their states.
     pub(super) fn handle_census(&mut self, count: u16, states: u8) {
         self.presence.frames_lost = 0;
         self.presence.counted = count;
@@ -189,7 +191,7 @@ impl Master {
             self.presence.unplaced &= strangers > 0;
             return;
         }
-        // Fewer than known is urgent; of what stays as it is one look a while is enough.
+        // Fewer than known is urgent; an unchanged count is checked only once in a while.
         let fewer = usize::from(count) < known;
         if fewer {
             self.presence.rejected.fill(false);
@@ -201,7 +203,7 @@ impl Master {
         self.presence.state = State::Inspect(0);
     }
 
-    /// The answer to a question of [`Presence::send`].
+    /// Handles the answer to a datagram of [`Presence::send`].
     pub(super) fn take_presence(
         &mut self,
         sent: &Sent,
@@ -271,19 +273,19 @@ impl Master {
             return;
         }
         *silent += 1;
-        // With a census that says so once is enough; else it may just have lost its address.
+        // If the census confirms the loss, once is enough; else the slave may have lost only its address.
         let fewer = census.is_some_and(|(count, _)| {
             usize::from(count) < present + usize::from(presence.strangers)
         });
         if fewer || *silent >= SILENT {
             *silent = 0;
             unit.lose(out);
-            // One that only lost its address had no power for a moment; its cables are good.
+            // A slave that only lost its address had a power interruption; its cables are good.
             presence.newly_lost |= fewer;
         }
     }
 
-    /// Who is at a position.
+    /// Handles the address of the slave at a position.
     fn surveyed(&mut self, position: u16, bytes: [u8; 6]) {
         let [a, b, c, d, _, _] = bytes;
         let (station, alias) = (u16::from_le_bytes([a, b]), u16::from_le_bytes([c, d]));
@@ -303,29 +305,29 @@ impl Master {
             Some(slave) if self.presence.found.is_none() => {
                 self.presence.found = Some((position, slave));
             }
-            // The next survey finds it a place.
+            // The next survey finds its position.
             Some(_) => {}
             None => {
                 self.presence.strange += 1;
                 if self.presence.strange > self.presence.strangers {
-                    self.out.event(Event::Stranger { position });
+                    self.out.event(Event::UnexpectedSlave { position });
                 }
             }
         }
     }
 
-    /// Whether the one that was found may as well be another one that is missing: of the same kind, not told by an
-    /// alias, and where not all are back the order of the ring does not tell either. In a line it does, as nothing is
-    /// reached behind one that is missing.
+    /// Whether the detected slave may also be another missing one: of the same kind, without a distinct alias, and not
+    /// all slaves are back, so that the order of the ring does not distinguish them. In a line the order is sufficient,
+    /// as nothing behind a missing slave is reachable.
     fn is_unclear(&self, slave: usize, alias: u16) -> bool {
         let Some(unit) = self.units.get(slave) else {
             return false;
         };
-        let told =
-            alias != 0 && (unit.spec.place == Place::Alias(alias) || unit.info.alias == alias);
+        let known_by_alias = alias != 0
+            && (unit.spec.location == Location::Alias(alias) || unit.info.alias == alias);
         let missing = || self.units.iter().filter(|unit| !unit.is_present());
         let alike = missing().filter(|other| kind(other) == kind(unit)).count();
-        // Those of another kind that were never there are not waited for.
+        // Slaves of another kind that were never present are not awaited.
         let never = missing()
             .filter(|other| other.spec.optional && !other.known && kind(other) != kind(unit))
             .count();
@@ -334,17 +336,17 @@ impl Master {
             (1..self.topology.len())
                 .all(|number| self.topology.parent(number) == Some((number - 1, 1)))
         };
-        !told && alike > 1 && !all_back && (self.config.redundant || !is_line())
+        !known_by_alias && alike > 1 && !all_back && (self.config.redundant || !is_line())
     }
 
-    /// Tells, once, that somebody's place cannot be told.
+    /// Reports, once, that the position of a slave is ambiguous.
     fn unplaced(&mut self, ring: bool) {
         if !std::mem::replace(&mut self.presence.unplaced, true) {
             self.out.event(Event::Unplaced { ring });
         }
     }
 
-    /// The missing slave that one without address most probably is: by alias, or the next in the order of the ring.
+    /// The missing slave that most likely matches one without address: by alias, or the next in the order of the ring.
     fn missing_at(&self, alias: u16) -> Option<usize> {
         let rejected = |unit: &Unit| self.presence.rejected.get(unit.number) == Some(&true);
         let missing = || {
@@ -353,14 +355,14 @@ impl Master {
                 .filter(|unit| !unit.is_present() && !rejected(unit))
         };
         let aliased = |unit: &&Unit| {
-            alias != 0 && (unit.spec.place == Place::Alias(alias) || unit.info.alias == alias)
+            alias != 0 && (unit.spec.location == Location::Alias(alias) || unit.info.alias == alias)
         };
         let after = self
             .presence
             .met
             .and_then(|met| self.presence.homes.get(met).copied().flatten());
         let home = |unit: &Unit| self.presence.homes.get(unit.number).copied().flatten();
-        let plain = |unit: &&Unit| !matches!(unit.spec.place, Place::Alias(_));
+        let plain = |unit: &&Unit| !matches!(unit.spec.location, Location::Alias(_));
         let next = || {
             missing()
                 .filter(plain)
@@ -375,7 +377,7 @@ impl Master {
             .map(|unit| unit.number)
     }
 
-    /// A slave has got its address back.
+    /// A slave received its address again.
     fn adopted(&mut self, slave: usize, counter: u16, reference: Option<u64>, now: Duration) {
         let State::Adopt(position, _) = self.presence.state else {
             return;
@@ -401,14 +403,14 @@ impl Master {
         }
     }
 
-    /// All answers of a frame are in.
+    /// All answers of a frame are handled.
     pub(super) fn after_frame(&mut self) {
         if self.scan.phase != Phase::Running {
             return;
         }
         self.go_on();
         if std::mem::take(&mut self.presence.newly_lost) {
-            self.tell_cables();
+            self.report_cables();
         }
         self.watch_ring();
     }
@@ -448,17 +450,17 @@ impl Master {
         }
     }
 
-    /// Those that are lost although what they hang on is there: the cables before them.
-    fn tell_cables(&mut self) {
+    /// Reports the cables before lost slaves whose parents are present.
+    fn report_cables(&mut self) {
         for (position, number) in self.ring.iter().enumerate() {
-            let gone = |number: usize| {
+            let lost = |number: usize| {
                 self.units
                     .get(number)
                     .is_some_and(|unit| !unit.is_present())
             };
             let from = self.topology.parent(position);
             let above = from.and_then(|(parent, port)| Some((*self.ring.get(parent)?, port)));
-            if !gone(*number) || above.is_some_and(|(parent, _)| gone(parent)) {
+            if !lost(*number) || above.is_some_and(|(parent, _)| lost(parent)) {
                 continue;
             }
             let port = |port: usize| u8::try_from(port).unwrap_or(0);
@@ -466,17 +468,17 @@ impl Master {
                 from: above.map(|(parent, at)| (parent, port(at))),
                 to: Some(*number),
             };
-            if let Some(told @ false) = self.presence.told.get_mut(*number) {
-                *told = true;
+            if let Some(reported @ false) = self.presence.reported.get_mut(*number) {
+                *reported = true;
                 self.out.event(Event::CableCut { cable });
             }
         }
     }
 
-    /// A frame did not come back at all.
+    /// A frame was lost.
     pub(super) fn frame_lost(&mut self) {
         self.presence.frames_lost = self.presence.frames_lost.saturating_add(1);
-        // What was asked in it is asked again.
+        // Its inspections are repeated.
         if self.scan.phase == Phase::Running {
             self.presence.state = State::Calm;
         }
@@ -486,10 +488,10 @@ impl Master {
         for unit in self.units.iter_mut().filter(|unit| unit.is_present()) {
             unit.lose(&mut self.out);
         }
-        self.tell_cables();
+        self.report_cables();
     }
 
-    /// Where a ring of two ports is open.
+    /// The cable at which a ring of two ports is open.
     fn watch_ring(&mut self) {
         if !self.config.redundant {
             return;
@@ -530,26 +532,26 @@ impl Master {
         self.presence.open
     }
 
-    /// The position before which a ring of two ports is open at start, where slaves wait for it; `None` once they have
-    /// their addresses.
+    /// The position before which a ring of two ports is open at start, while the master waits for it; `None` once
+    /// slaves have their addresses.
     #[must_use]
     pub fn ring_split(&self) -> Option<u16> {
         self.scan.split.filter(|_| self.scan.phase == Phase::Count)
     }
 
-    /// Slaves that are there and not expected.
+    /// Number of unexpected slaves.
     #[must_use]
     pub const fn strangers(&self) -> u16 {
         self.presence.strangers
     }
 }
 
-/// What a slave is; if its SII was never read, whom the cell expects there.
-fn kind(unit: &Unit) -> (u32, u32, Option<&Place>) {
+/// The kind of a slave; if its SII was never read, its configured location.
+fn kind(unit: &Unit) -> (u32, u32, Option<&Location>) {
     let read = &unit.info.identity;
     if unit.known {
         (read.vendor, read.product, None)
     } else {
-        (0, 0, Some(&unit.spec.place))
+        (0, 0, Some(&unit.spec.location))
     }
 }

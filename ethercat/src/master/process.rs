@@ -1,5 +1,5 @@
-//! The process data of a slave: which SyncManager carries which PDOs, what must be written to have it so, and where
-//! an object lies. Where the slave lies in the process image is the image's.
+//! The process data of a slave: which SyncManager carries which PDOs, the writes that configure it, and the location of
+//! an object. The region of the slave in the process image is managed by the image.
 
 use takt_cia402::dictionary::{Address, Mapped};
 
@@ -13,12 +13,12 @@ use crate::{Fmmu, SyncManager};
 pub struct Pdo {
     /// 1600h or 1A00h and following.
     pub index: u16,
-    /// What it carries; empty if only its length is known.
+    /// Its entries; empty if only its length is known.
     pub entries: Vec<Mapped>,
 }
 
 impl Pdo {
-    /// How many bits it has.
+    /// Length, bits.
     #[must_use]
     pub fn bits(&self) -> usize {
         self.entries
@@ -33,15 +33,15 @@ impl Pdo {
 pub struct Channel {
     /// Its number.
     pub number: u8,
-    /// The master writes it.
+    /// Written by the master.
     pub outputs: bool,
     /// Physical start address.
     pub start: u16,
     /// Control register.
     pub control: u8,
-    /// What it carries, in order.
+    /// Its PDOs, in order.
     pub pdos: Vec<Pdo>,
-    /// It is to be switched on in OP only.
+    /// To be enabled in OP only.
     op_only: bool,
     /// Bits of a slave that names no PDOs.
     unnamed: usize,
@@ -63,7 +63,7 @@ impl Channel {
         }
     }
 
-    /// How many bits it carries.
+    /// Length of its data, bits.
     #[must_use]
     pub fn bits(&self) -> usize {
         if self.pdos.is_empty() {
@@ -73,31 +73,31 @@ impl Channel {
         }
     }
 
-    /// How many bytes it has.
+    /// Length, bytes.
     #[must_use]
     pub fn len(&self) -> usize {
         self.bits().div_ceil(8)
     }
 
-    /// Whether it carries nothing.
+    /// Whether it is empty.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.bits() == 0
     }
 
-    /// The object that lists its PDOs.
+    /// The PDO assignment object.
     pub(super) const fn assignment(&self) -> u16 {
         0x1C10 + self.number as u16
     }
 
-    /// What it carries is now known to be this, and nothing else.
+    /// Replaces its PDOs.
     pub(super) fn set_pdos(&mut self, pdos: Vec<Pdo>) {
         self.pdos = pdos;
         self.unnamed = 0;
     }
 
-    /// What of PDOs that a slave has is not as wanted: another PDO, another entry where entries are wanted, or else
-    /// another length than was known before.
+    /// The difference between actual and wanted PDOs: another PDO, another entry where entries are given, or else
+    /// another length than known before.
     pub(super) fn difference(&self, wanted: &[PdoSpec], found: &[Pdo]) -> Option<Fault> {
         let lengths = Fault::Assignment {
             sync_manager: self.number,
@@ -127,7 +127,7 @@ impl Channel {
         }
     }
 
-    /// Whether it is to be switched on as the last thing before OP.
+    /// Whether it is enabled immediately before OP.
     pub(super) fn waits_for_op(&self) -> bool {
         self.op_only && !self.is_empty()
     }
@@ -148,14 +148,14 @@ impl Channel {
     }
 }
 
-/// Where an object lies in a slave's outputs or inputs.
+/// Location of an object in a slave's outputs or inputs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Located {
     /// In the outputs, or else in the inputs.
     pub outputs: bool,
-    /// First bit, counted from the beginning of the slave's outputs or inputs.
+    /// First bit, from the start of the slave's outputs or inputs.
     pub bit: usize,
-    /// How many bits.
+    /// Length, bits.
     pub bits: u8,
 }
 
@@ -168,7 +168,7 @@ pub(super) struct Assignment {
 }
 
 impl Assignment {
-    /// The object that it maps into a PDO; `None` if it writes a count or a list.
+    /// The object that this write maps into a PDO; `None` for a count or an assignment.
     pub(super) const fn entry(&self) -> Option<Mapped> {
         if self.len == 4 && self.address.sub > 0 {
             Some(Mapped::from_raw(self.value))
@@ -190,7 +190,7 @@ pub struct ProcessData {
 }
 
 impl ProcessData {
-    /// What the SII says that the slave has without being asked.
+    /// The default process data according to the SII.
     pub(super) fn from_sii(sii: &Sii<'_>) -> Self {
         let mut data = Self::default();
         for (number, sm) in (0..).zip(sii.sync_managers()).take(16) {
@@ -208,7 +208,7 @@ impl ProcessData {
         data
     }
 
-    /// Takes what is wanted instead: entries as given, or as the SII has them for that index.
+    /// Replaces it by the configured PDOs: entries as given, or from the SII for that index.
     pub(super) fn want(&mut self, spec: &SlaveSpec, sii: &Sii<'_>) -> Result<(), Fault> {
         for (outputs, wanted) in [(true, &spec.outputs), (false, &spec.inputs)] {
             let Some(wanted) = wanted else {
@@ -222,9 +222,9 @@ impl ProcessData {
             if channels.is_empty() && !wanted.is_empty() {
                 return Err(Fault::NoChannel { outputs });
             }
-            // A slave with several has each PDO in that which its SII says, and the first takes all others.
+            // With several SyncManagers, each PDO goes to that of the SII, all others go to the first.
             let numbers: Vec<u8> = channels.iter().map(|channel| channel.number).collect();
-            let place = |pdo: &PdoSpec| {
+            let sync_manager_of = |pdo: &PdoSpec| {
                 let mut listed = sii_pdos(sii, outputs);
                 let listed = listed.find(|(listed, _)| listed.index == pdo.index);
                 let listed = listed.map(|(_, number)| number);
@@ -235,14 +235,14 @@ impl ProcessData {
             for channel in &mut channels {
                 let here = wanted
                     .iter()
-                    .filter(|pdo| place(pdo) == Some(channel.number));
+                    .filter(|pdo| sync_manager_of(pdo) == Some(channel.number));
                 channel.set_pdos(here.map(|pdo| known(pdo, sii, outputs)).collect());
             }
         }
         self.check()
     }
 
-    /// Without a look at the slave: what a slave that is not there yet will have; `None` if that is not said.
+    /// The process data of a slave that is not present yet, from its configuration alone; `None` if that is incomplete.
     pub(super) fn from_spec(spec: &SlaveSpec) -> Option<Self> {
         let (outputs, inputs) = (spec.outputs.as_ref()?, spec.inputs.as_ref()?);
         let empty = |pdo: &PdoSpec| pdo.entries.is_empty();
@@ -269,8 +269,8 @@ impl ProcessData {
         })
     }
 
-    /// Three buffers of each SyncManager must fit before the next one begins. The output registers of digital
-    /// terminals (0F00h to 0F03h) are no buffered memory: there one byte lies beside the other.
+    /// Three buffers of each SyncManager must fit before the next one begins. The output registers of digital terminals
+    /// (0F00h to 0F03h) are no buffered memory: there bytes are adjacent.
     pub(super) fn check(&self) -> Result<(), Fault> {
         let buffered = |channel: &&Channel| channel.start >= crate::register::PROCESS_DATA;
         for channel in self.channels.iter().filter(buffered) {
@@ -282,25 +282,25 @@ impl ProcessData {
             let Some(next) = after.min() else {
                 continue;
             };
-            let room = usize::from(next - channel.start) / 3;
-            if channel.len() > room && channel.control & 3 == 0 {
+            let capacity = usize::from(next - channel.start) / 3;
+            if channel.len() > capacity && channel.control & 3 == 0 {
                 return Err(Fault::Mapping {
                     sync_manager: channel.number,
                     bytes: channel.len(),
-                    room,
+                    capacity,
                 });
             }
         }
         Ok(())
     }
 
-    /// Bytes of outputs.
+    /// Length of the outputs, bytes.
     #[must_use]
     pub fn outputs_len(&self) -> usize {
         self.len_of(true)
     }
 
-    /// Bytes of inputs.
+    /// Length of the inputs, bytes.
     #[must_use]
     pub fn inputs_len(&self) -> usize {
         self.len_of(false)
@@ -314,7 +314,7 @@ impl ProcessData {
         channels.map(Channel::len).sum()
     }
 
-    /// Where an object lies; `None` if no PDO carries it.
+    /// The location of an object; `None` if no PDO carries it.
     #[must_use]
     pub fn locate(&self, address: Address, outputs: bool) -> Option<Located> {
         let mut bytes = 0;
@@ -339,7 +339,7 @@ impl ProcessData {
         None
     }
 
-    /// All writes that make a CoE slave have the PDOs that are wanted.
+    /// The writes that configure the wanted PDOs of a CoE slave.
     pub(super) fn assignments(&self, spec: &SlaveSpec) -> Vec<Assignment> {
         let mut all = Vec::new();
         for (outputs, wanted) in [(true, &spec.outputs), (false, &spec.inputs)] {
@@ -360,7 +360,7 @@ impl ProcessData {
     }
 }
 
-/// The first entry of a PDO that is not the one that was written there.
+/// The first entry of a PDO that differs from the written one.
 fn mapping_difference(wanted: &PdoSpec, found: &Pdo) -> Option<Fault> {
     let longest = wanted.entries.len().max(found.entries.len());
     let written = !wanted.entries.is_empty();
@@ -374,7 +374,8 @@ fn mapping_difference(wanted: &PdoSpec, found: &Pdo) -> Option<Fault> {
     })
 }
 
-/// The list is emptied, each PDO is emptied and filled, the list is filled: the order that slaves insist on.
+/// The assignment is cleared, each PDO is cleared and written, then the assignment is written: the order that slaves
+/// require.
 fn assign(list: u16, pdos: &[&PdoSpec], all: &mut Vec<Assignment>) {
     let mut write = |index: u16, sub: usize, value: u32, len: u8| {
         let sub = u8::try_from(sub).unwrap_or(u8::MAX);
@@ -443,7 +444,7 @@ fn known(wanted: &PdoSpec, sii: &Sii<'_>, outputs: bool) -> Pdo {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Place;
+    use crate::config::Location;
 
     fn mapped(index: u16, bits: u8) -> Mapped {
         Mapped {
@@ -462,7 +463,7 @@ mod tests {
                 index: 0x1A01,
                 entries: vec![],
             }]),
-            ..SlaveSpec::new("axis", Place::Position(0))
+            ..SlaveSpec::new("axis", Location::Position(0))
         }
     }
 
@@ -478,7 +479,7 @@ mod tests {
     }
 
     #[test]
-    fn lists_are_emptied_before_they_are_filled() {
+    fn pdo_lists_are_cleared_before_they_are_written() {
         let mut data = ProcessData {
             channels: vec![channel(2, 0x1100), channel(3, 0x1200)],
         };
@@ -526,7 +527,7 @@ mod tests {
         let fault = Fault::Mapping {
             sync_manager: 2,
             bytes: 6,
-            room: 5,
+            capacity: 5,
         };
         assert_eq!(data.check(), Err(fault));
         data.channels.remove(0);

@@ -1,8 +1,9 @@
-//! The start of a segment: how many slaves there are, an address for each, who they are, whether they are those that
-//! are expected, where they hang, and the process image. From then on each slave goes its own way.
+//! The start of a segment: counts the slaves, gives each an address, identifies them, compares them with the
+//! configuration, determines the topology, and lays out the process image. From then on each slave has its own state
+//! machine.
 //!
 //! ```text
-//!        1 counted thrice alike     2 all there still   3 all addressed      4 all known, as expected
+//!        1 three equal counts       2 all still there   3 all addressed      4 all known, as expected
 //! Count ----------------------> Quiet ----------> Address ----------> Identify ----------> Latch
 //!   ^                             | not all there    |                   | 5 they differ      |
 //!   +-----------------------------+------------------+                   v                    v
@@ -13,22 +14,22 @@ use super::exchange::{Batch, Owner};
 use crate::register;
 use crate::{Address, Command};
 
-/// Where the start is.
+/// Phase of the start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Phase {
     /// Counting slaves.
     Count,
-    /// Bringing all to INIT.
+    /// Bringing all slaves to INIT.
     Quiet,
-    /// Giving addresses.
+    /// Setting station addresses.
     Address,
-    /// Reading who they are.
+    /// Reading the identities.
     Identify,
-    /// The slaves are not those that are expected; see the differences.
+    /// The slaves differ from the configuration; see the differences.
     Refused,
     /// Latching receive times.
     Latch,
-    /// Reading and setting up what they exchange.
+    /// Reading and configuring process data.
     Process,
     /// The process image is exchanged (with a goal of PRE-OP: the segment is watched).
     Running,
@@ -36,15 +37,15 @@ pub enum Phase {
 
 /// The address of the slave at the first position.
 pub(super) const STATION_FIRST: u16 = 0x1001;
-/// Counts alike that are believed.
+/// Number of equal counts that are accepted.
 const ALIKE: u8 = 3;
-/// Addresses given in one frame.
+/// Addresses set in one frame.
 const ADDRESSES: u16 = 48;
 
-/// What was done with the answers of a frame.
+/// Result of the answers of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Scanned {
-    /// Go on.
+    /// Continue.
     On,
     /// All slaves have an address.
     Addressed,
@@ -58,19 +59,19 @@ pub(super) struct Scan {
     pub(super) phase: Phase,
     count: u16,
     alike: u8,
-    /// INIT was asked for, and what follows is whether all are there still.
-    asked: bool,
-    /// Slaves that have an address.
+    /// INIT was requested; next, all slaves are checked for presence.
+    init_requested: bool,
+    /// Number of slaves that have an address.
     addressed: u16,
-    /// The last slave of a whole ring of two ports. Its loop is closed while receive times are latched: in a whole
-    /// ring no frame comes back, and there would be nothing to measure.
+    /// The last slave of a whole ring of two ports. Its loop is closed while receive times are latched: in a whole ring
+    /// no frame returns to its port, and delays could not be measured.
     tail: Option<u16>,
     latch: Latch,
-    /// Where the ring was open when slaves were counted last.
+    /// Position at which the ring was open at the last count.
     pub(super) split: Option<u16>,
 }
 
-/// Where the latching is.
+/// Phase of the latching.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Latch {
     Close,
@@ -88,7 +89,7 @@ impl Scan {
             phase: Phase::Count,
             count: 0,
             alike: 0,
-            asked: false,
+            init_requested: false,
             addressed: 0,
             tail: None,
             latch: Latch::Now,
@@ -96,12 +97,12 @@ impl Scan {
         }
     }
 
-    /// How many slaves there are.
+    /// Number of slaves.
     pub(super) const fn count(&self) -> u16 {
         self.count
     }
 
-    /// All are known: receive times are next. `tail` is the last slave of a whole ring.
+    /// All slaves are known; receive times follow. `tail` is the last slave of a whole ring.
     pub(super) const fn begin_latch(&mut self, tail: Option<u16>) {
         self.phase = Phase::Latch;
         self.tail = tail;
@@ -112,7 +113,7 @@ impl Scan {
         };
     }
 
-    /// What a slave is called by its position: each adds one as the datagram passes.
+    /// The position address of a slave: each slave adds one as the datagram passes.
     pub(super) const fn position(position: u16, ado: u16) -> Address {
         Address::Device {
             adp: position.wrapping_neg(),
@@ -124,7 +125,7 @@ impl Scan {
         let mut push =
             |command, address, data: &[u8]| batch.push(Owner::Scan, command, address, data);
         match self.phase {
-            Phase::Quiet if !self.asked => {
+            Phase::Quiet if !self.init_requested => {
                 push(
                     Command::Bwr,
                     Self::position(0, register::AL_CONTROL),
@@ -158,13 +159,13 @@ impl Scan {
         }
     }
 
-    /// The answer to a datagram of [`Self::send`].
+    /// Handles the answer to a datagram of [`Self::send`].
     pub(super) fn handle(&mut self, counter: u16) -> Scanned {
         match self.phase {
             Phase::Count => self.counted(counter),
-            // A firmware that has not read AL control yet takes no other request. Its own machine asks it again, and
-            // says so if that is in vain; here it holds up nobody.
-            Phase::Quiet if !self.asked => self.asked = true,
+            // Firmware that has not read AL control yet accepts no other request. The slave's own state machine repeats
+            // the request and reports a failure; the scan does not wait.
+            Phase::Quiet if !self.init_requested => self.init_requested = true,
             Phase::Quiet if counter == self.count => {
                 (self.phase, self.addressed) = (Phase::Address, 0);
             }
@@ -175,7 +176,7 @@ impl Scan {
                     return Scanned::Addressed;
                 }
             }
-            // Somebody came or went meanwhile.
+            // The number of slaves changed meanwhile.
             Phase::Quiet | Phase::Address => *self = Self::new(),
             Phase::Latch => return self.latched(counter),
             Phase::Identify | Phase::Refused | Phase::Process | Phase::Running => {}
@@ -189,7 +190,7 @@ impl Scan {
             (Latch::Now, Some(_)) => Latch::Open,
             (Latch::Now, None) => return Scanned::Latched,
             (Latch::Open, _) if counter == 1 => return Scanned::Latched,
-            // A closed loop is not left behind.
+            // The loop must be opened again.
             (Latch::Open, _) => Latch::Open,
         };
         Scanned::On
@@ -218,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn a_count_is_believed_when_it_stays() {
+    fn slave_count_is_accepted_once_stable() {
         let mut scan = Scan::new();
         let counts = [0, 0, 0, 2, 3, 3, 3];
         let phases: Vec<_> = counts
@@ -233,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn a_whole_ring_is_opened_while_times_are_latched() {
+    fn whole_ring_is_opened_while_times_are_latched() {
         let mut scan = at(Phase::Identify, 3);
         scan.begin_latch(Some(2));
         assert_eq!((scan.handle(1), scan.latch), (Scanned::On, Latch::Now));
@@ -247,17 +248,17 @@ mod tests {
     }
 
     #[test]
-    fn quiet_slow_firmware_holds_up_nobody() {
+    fn slow_firmware_does_not_delay_the_scan() {
         let mut scan = at(Phase::Quiet, 3);
         assert_eq!((scan.handle(2), scan.phase), (Scanned::On, Phase::Quiet));
         assert_eq!((scan.handle(3), scan.phase), (Scanned::On, Phase::Address));
     }
 
     #[test]
-    fn whoever_comes_or_goes_meanwhile_makes_it_begin_anew() {
+    fn slave_count_change_restarts_the_scan() {
         for phase in [Phase::Quiet, Phase::Address] {
             let mut scan = at(phase, 3);
-            scan.asked = true;
+            scan.init_requested = true;
             assert_eq!(scan.handle(2), Scanned::On);
             assert_eq!(scan.phase, Phase::Count);
         }

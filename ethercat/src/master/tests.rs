@@ -1,4 +1,4 @@
-//! The master against the emulated segment, in virtual time: one main job after the other, then what goes wrong.
+//! The master against the emulated segment, in virtual time: the main functions first, then faults.
 
 use super::*;
 use crate::emulator::{Coupler, Entry, Io, Segment};
@@ -13,14 +13,14 @@ mod recovery;
 mod start;
 mod stuck;
 
-/// A master, a segment, and the time that both live in.
+/// A master, a segment, and their common time.
 pub(crate) struct Rig {
     pub(crate) master: Master,
     pub(crate) segment: Segment,
     pub(crate) now: Duration,
-    /// Events, as they are told.
+    /// Recorded events.
     pub(crate) events: Vec<Event>,
-    /// Most cycles that passed without inputs of slave 0.
+    /// Largest number of cycles without inputs of slave 0.
     pub(crate) oldest: u32,
     redundant: bool,
 }
@@ -75,7 +75,7 @@ impl Rig {
         }
     }
 
-    /// Runs until something holds, at most so many cycles; returns how many it took.
+    /// Runs until a condition holds, at most `most` cycles; returns the number of cycles.
     #[track_caller]
     pub(crate) fn until(&mut self, most: usize, holds: impl Fn(&Master) -> bool) -> usize {
         for count in 0..most {
@@ -84,7 +84,7 @@ impl Rig {
             }
             self.cycle();
         }
-        let told: Vec<_> = self
+        let texts: Vec<_> = self
             .master
             .units
             .iter()
@@ -101,7 +101,7 @@ impl Rig {
         let (phase, groups) = (self.master.phase(), &self.master.groups()[0]);
         let events: Vec<_> = self.events.iter().rev().take(12).collect();
         panic!(
-            "not within {most} cycles: {phase:?}, {told:#?}, {groups:?}, {:?}, {events:?}",
+            "not within {most} cycles: {phase:?}, {texts:#?}, {groups:?}, {:?}, {events:?}",
             self.master.presence
         );
     }

@@ -1,27 +1,27 @@
-//! The frame of a cycle: what is in it, and who gets its answers.
+//! The frame of a cycle: its datagrams and the dispatch of the answers.
 
 use std::time::Duration;
 
 use super::event::Event;
-use super::exchange::{Heard, Owner, Sent};
+use super::exchange::{Owner, Received, Sent};
 use super::scan::{Phase, Scanned};
 use super::unit::{Answer, Context, Request};
 use super::{Exchange, Master, REFERENCE_SILENT, Sample, Unit};
 use crate::{Address, Command};
 use crate::{dc, register};
 
-/// Bytes that a slave's machine reads at most at once: a whole mailbox.
+/// Longest read of a slave's state machine: a whole mailbox.
 static ZEROS: [u8; 1486] = [0; 1486];
-/// Acyclic datagrams of a frame while the segment starts.
+/// Acyclic datagrams per frame while the segment starts.
 const STARTING: usize = 32;
-/// Each so many cycles the watch goes before mailboxes.
+/// Period in cycles at which the watch has priority over mailboxes.
 const WATCH_EACH: u64 = 8;
 
 impl Master {
     /// The frame to send now, behind its Ethernet header, into `to` (1,500 bytes); `None` if nothing is to be sent.
     ///
-    /// Once [`Self::is_exchanging`] it is to be called once each cycle. What has not come back by then is lost. Before, it
-    /// may be called at any time; a frame that is under way is waited for.
+    /// Once [`Self::is_exchanging`], call it once per cycle; a frame that has not returned by then is lost. Before, it
+    /// may be called at any time; a pending frame is awaited.
     pub fn poll_transmit(&mut self, now: Duration, to: &mut [u8]) -> Option<usize> {
         if self.exchange.is_open() {
             let due = self.exchange.sent_at() + self.config.frame_timeout;
@@ -35,27 +35,27 @@ impl Master {
         self.exchange.finish(len, to)
     }
 
-    /// The wait for what is under way is over.
+    /// Whether the wait for the pending frame is over.
     pub fn handle_timeout(&mut self, now: Duration) {
         let was_open = self.exchange.is_open();
         match self.exchange.close() {
-            Heard::Whole => self.dispatch(now),
-            Heard::Nothing | Heard::Half if was_open => self.lost(now),
-            Heard::Nothing | Heard::Half => {}
+            Received::Whole => self.dispatch(now),
+            Received::Nothing | Received::Half if was_open => self.lost(now),
+            Received::Nothing | Received::Half => {}
         }
     }
 
-    /// Takes a frame, behind its Ethernet header, that came in by a port (0, or 1 with redundancy) at `now`. Returns
+    /// Handles a frame, without its Ethernet header, received on a port (0, or 1 with redundancy) at `now`. Returns
     /// whether the answer of the cycle is complete.
     pub fn handle_frame(&mut self, port: usize, bytes: &[u8], now: Duration) -> bool {
-        let whole = self.exchange.handle(port, bytes) == Heard::Whole;
+        let whole = self.exchange.handle(port, bytes) == Received::Whole;
         if whole {
             self.dispatch(now);
         }
         whole
     }
 
-    /// Whether a frame is under way whose answer can still come.
+    /// Whether the answer to a frame is pending.
     #[must_use]
     pub const fn awaits_frame(&self) -> bool {
         self.exchange.is_open()
@@ -104,14 +104,14 @@ impl Master {
             .and_then(|slave| units.get(slave))
             .filter(|u| u.clock.locked)
         {
-            // Slaves that are cut off from the reference, as those behind the other end of an open ring, get the time
-            // that it will show; the reference itself puts its own there.
+            // Slaves that are cut off from the reference, such as those behind the other end of an open ring, get the
+            // expected time; the reference inserts its own.
             let predicted = clock.predict(now).unwrap_or(0).to_le_bytes();
             let address = Address::Device {
                 adp: unit.station,
                 ado: register::DC_SYSTEM_TIME,
             };
-            // A reference of 32 bits has no higher half to give: none goes to those who would compare it.
+            // A reference of 32 bits has no higher half; none is sent to slaves that would compare it.
             let len = usize::from(unit.info.clock_bits() / 8);
             let predicted = predicted.get(..len).unwrap_or_default();
             batch.push(Owner::Clock, Command::Frmw, address, predicted);
@@ -152,7 +152,7 @@ impl Master {
         batch.finish()
     }
 
-    /// The frame is gone, and with it the answers to all that was in it.
+    /// The frame is lost, and with it the answers to all its datagrams.
     fn lost(&mut self, now: Duration) {
         let Self {
             exchange,
@@ -175,7 +175,7 @@ impl Master {
         self.frame_lost();
     }
 
-    /// Gives each its answer.
+    /// Dispatches the answers.
     fn dispatch(&mut self, now: Duration) {
         let reference = self.take_time(now);
         let mut census = None;
@@ -213,7 +213,7 @@ impl Master {
         self.after_frame();
     }
 
-    /// How many slaves answered to the scan; none, and that is told, if a ring is open between them.
+    /// The number of slaves that answered the scan; zero, with an event, if a ring is open between them.
     fn whole(&mut self, counter: u16) -> u16 {
         let split = self.exchange.split();
         if self.scan.phase != Phase::Count || split.is_none() {
@@ -227,7 +227,7 @@ impl Master {
         0
     }
 
-    /// The reference clock, if this frame passed it.
+    /// The sample of the reference clock, if this frame passed it.
     fn take_time(&mut self, now: Duration) -> Option<u64> {
         let sent = self
             .exchange
@@ -243,7 +243,7 @@ impl Master {
         let system_ns = if let Some(eight) = data.first_chunk() {
             u64::from_le_bytes(*eight)
         } else {
-            // What it was set up to show, until there is a sample.
+            // The configured time, until there is a sample.
             let epoch = self.config.clocks.epoch_ns;
             let sent = u64::try_from(sent_at.as_nanos()).unwrap_or(u64::MAX);
             let near = self.clock.predict(sent_at);
@@ -259,8 +259,7 @@ impl Master {
         Some(system_ns)
     }
 
-    /// A reference that was there and has not answered for a while is given up; one that was never there, as soon as
-    /// it fails.
+    /// A reference that stopped answering is replaced after a while; one that was never present, as soon as it fails.
     fn check_reference(&mut self) {
         if self.scan.phase != Phase::Running {
             return;
@@ -279,9 +278,9 @@ impl Master {
         }
     }
 
-    /// The reference is gone: the next clock in the ring that follows it still is the reference from now on. What lies
-    /// between the two, some microseconds, its followers are off from then on. If none follows, there is nobody to
-    /// disturb, and the first that can be the reference is.
+    /// The reference is lost: the next clock in the ring that still follows it becomes the reference. The followers
+    /// then have the offset between the two, some microseconds. If no clock follows, none can be disturbed, and the
+    /// first suitable clock becomes the reference.
     fn change_reference(&mut self) {
         let Self {
             config,
@@ -301,7 +300,7 @@ impl Master {
             return;
         };
         if let Some(unit) = units.get_mut(next) {
-            // One that runs already is not set up again: its time is taken as it is.
+            // A running clock is not set up again: its time is used unchanged.
             unit.clock.locked |= unit.is_running();
         }
         clock.silent = 0;
@@ -370,7 +369,7 @@ pub(super) const fn context<'a>(
     }
 }
 
-/// Puts the datagram of the next slave that has one into the frame; returns whether there was one.
+/// Adds the datagram of the next slave that has one to the frame; returns whether there was one.
 fn one(
     units: &mut [Unit],
     turn: &mut usize,
@@ -382,7 +381,7 @@ fn one(
         let Some(unit) = units.get_mut(*turn).filter(|unit| watch || unit.is_busy()) else {
             continue;
         };
-        let (number, station, room) = (unit.number, unit.station, batch.room());
+        let (number, station, remaining) = (unit.number, unit.station, batch.remaining());
         let owner = Owner::Unit(u16::try_from(number).unwrap_or(u16::MAX));
         let (command, at, data) = match unit.request(watch) {
             Some(Request::Read { at, len }) => (
@@ -393,8 +392,8 @@ fn one(
             Some(Request::Write { at, data }) => (Command::Fpwr, at, data),
             None => continue,
         };
-        if data.len() > room {
-            // Its turn comes in the next frame.
+        if data.len() > remaining {
+            // It is sent in the next frame.
             continue;
         }
         let address = Address::Device {

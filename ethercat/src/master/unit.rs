@@ -1,6 +1,6 @@
-//! One slave as its master sees it: carries out one small operation after the other (a register, a state, words of
-//! the SII, a mailbox message) with one datagram under way at most. Which operation follows is in [`steps`]; in which
-//! frame its datagram travels is the master's.
+//! The master's state machine of one slave. It executes one small operation after the other (a register, a state, words
+//! of the SII, a mailbox message) with at most one pending datagram. The sequence of operations is in [`steps`]; the
+//! master decides in which frame a datagram is sent.
 
 mod clock;
 mod identity;
@@ -31,7 +31,7 @@ use operation::Op;
 pub(super) use steps::Step;
 pub use watch::PortCounters;
 
-/// A datagram that a slave's machine wants sent.
+/// A datagram that a slave's state machine requests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Request<'a> {
     Read { at: u16, len: u16 },
@@ -48,16 +48,16 @@ impl<'a> Request<'a> {
     }
 }
 
-/// What came of a datagram.
+/// The result of a datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Answer<'a> {
-    /// Its frame did not come back.
+    /// Its frame was lost.
     Lost,
-    /// It came back.
+    /// It returned.
     Data { counter: u16, data: &'a [u8] },
 }
 
-/// What a slave's machine may know of the world.
+/// What a slave's state machine knows of the segment.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Context<'a> {
     pub(super) now: Duration,
@@ -65,45 +65,45 @@ pub(super) struct Context<'a> {
     pub(super) sent_at: Duration,
     /// System time of the reference clock as the frame of this answer passed it, ns.
     pub(super) reference_ns: Option<u64>,
-    /// Whose clock is the reference.
+    /// The slave whose clock is the reference.
     pub(super) reference: Option<usize>,
     pub(super) config: &'a MasterConfig,
     pub(super) image: &'a Image,
 }
 
 impl Context<'_> {
-    /// Bytes that one datagram of a mailbox can have, beside the image if that is exchanged.
-    fn mailbox_room(&self) -> usize {
+    /// Capacity of a mailbox datagram, beside the image if that is exchanged, bytes.
+    fn mailbox_capacity(&self) -> usize {
         if self.config.goal == AlState::PreOp {
-            Image::default().mailbox_room()
+            Image::default().mailbox_capacity()
         } else {
-            self.image.mailbox_room()
+            self.image.mailbox_capacity()
         }
     }
 }
 
-/// What a datagram under way is for.
+/// The purpose of a pending datagram.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-enum Asked {
-    /// There is none.
+enum Pending {
+    /// No pending datagram.
     #[default]
     Nothing,
     Operation,
     Mailbox,
     Watch,
-    /// For something that has been given up.
+    /// For an operation that was aborted.
     Past,
 }
 
-/// How far a slave may go by itself.
+/// The step up to which a slave may proceed by itself.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Gate {
-    /// To where it is known who it is.
+    /// Until it is identified.
     #[default]
     Identity,
-    /// To where its process data is known.
+    /// Until its process data is known.
     Process,
-    /// To its goal.
+    /// Up to its goal.
     Goal,
 }
 
@@ -112,17 +112,17 @@ pub(super) enum Gate {
 pub(super) struct UnitClock {
     /// Receive times of its ports, as latched at start, ns of local time.
     pub(super) times: [u32; 4],
-    /// They were read.
+    /// The receive times were read.
     pub(super) latched: bool,
     /// Propagation delay from the reference, ns.
     pub(super) delay_ns: u32,
-    /// What is added to its local time, ns.
+    /// Offset added to its local time, ns.
     offset: u64,
     /// System time difference as last read, ns; positive is ahead.
     pub(super) difference_ns: Option<i32>,
     /// Differences beyond the window since it was locked.
     pub(super) violations: u64,
-    /// Differences beyond the window in a row.
+    /// Consecutive differences beyond the window.
     outside: u8,
     /// It follows the reference.
     pub(super) locked: bool,
@@ -131,15 +131,15 @@ pub(super) struct UnitClock {
 }
 
 impl UnitClock {
-    /// What locked before is outside of the window, for longer than chance has it.
+    /// A locked clock is outside of the window for longer than noise explains.
     pub(super) const fn is_lost(&self) -> bool {
         self.outside >= OUTSIDE
     }
 }
 
-/// Differences beyond the window in a row after which a clock is told to be lost.
+/// Consecutive differences beyond the window after which a clock is reported as lost.
 const OUTSIDE: u8 = 3;
-/// Firmware that shows OP may still switch its SyncManagers on; after this long it must take part.
+/// Firmware that shows OP may still be enabling its SyncManagers; after this time its working counter must be complete.
 const COUNT_GRACE: Duration = Duration::from_millis(100);
 /// Longest write to registers, bytes.
 const WRITE_MAX: usize = 256;
@@ -149,54 +149,54 @@ const WRITE_MAX: usize = 256;
 pub(super) struct Unit {
     pub(super) number: usize,
     pub(super) station: u16,
-    /// In the ring; `None` while it is not there.
+    /// Position in the ring; `None` while it is offline.
     pub(super) position: Option<u16>,
     pub(super) spec: SlaveSpec,
     pub(super) info: SlaveInfo,
     pub(super) process: ProcessData,
-    /// The process data is known, so that the image has room for it.
+    /// The process data is known and has a region in the image.
     pub(super) mapped: bool,
     pub(super) gate: Gate,
     step: Step,
     op: Op,
     since: Duration,
     misses: u8,
-    /// What the datagram under way is for.
-    waiting: Asked,
-    /// What the datagram that was last offered is for.
-    offered: Asked,
+    /// The purpose of the pending datagram.
+    waiting: Pending,
+    /// The purpose of the datagram that was last offered.
+    offered: Pending,
     write: [u8; WRITE_MAX],
     write_len: usize,
     sii: Vec<u8>,
     assignments: Vec<Assignment>,
-    /// The first assignment that was refused; whether it matters, what the slave has then tells.
+    /// The first assignment that was refused; whether it matters shows when the PDOs are read back.
     refused: Option<Fault>,
     learn: learn::Learn,
-    /// Memory of the transfers that the steps make.
+    /// Buffer for the transfers of the steps.
     scratch: Vec<u8>,
     mailbox: Mailbox,
     jobs: VecDeque<Job>,
-    /// A job that is about registers, while its operation runs.
+    /// A register job, while its operation runs.
     job: Option<Job>,
-    /// AL status by its meaning, and its code.
+    /// Interpreted AL status, and its code.
     pub(super) al: AlStatus,
     pub(super) code: AlStatusCode,
-    /// The lower five bits of AL status as they were read, for the census.
+    /// The lower five bits of AL status as read, for the census.
     pub(super) shown: u8,
     /// SII status as last read.
     sii_status: u16,
     pub(super) fault: Option<Fault>,
     failures: u8,
     again: Duration,
-    /// When it last reached its goal.
+    /// Time at which it last reached its goal.
     reached_at: Duration,
     /// The working counter was complete since then.
     counted: bool,
-    /// It was brought to its goal, and its set-up is in it.
+    /// It has reached its goal and holds its set-up.
     set_up: bool,
     /// Its SII was read.
     pub(super) known: bool,
-    /// Good answers in a row.
+    /// Consecutive good answers.
     streak: u8,
     pub(super) clock: UnitClock,
     watch: watch::Watch,
@@ -222,8 +222,8 @@ impl Unit {
             op: Op::Rest,
             since: Duration::ZERO,
             misses: 0,
-            waiting: Asked::Nothing,
-            offered: Asked::Nothing,
+            waiting: Pending::Nothing,
+            offered: Pending::Nothing,
             write: [0; WRITE_MAX],
             write_len: 0,
             sii: Vec::new(),
@@ -252,12 +252,12 @@ impl Unit {
         }
     }
 
-    /// How long it is waited for.
+    /// Its timeouts.
     fn patience(&self, config: &MasterConfig) -> Patience {
         self.spec.patience.unwrap_or(config.patience)
     }
 
-    /// Gives a slave that was found its place in the configuration.
+    /// Assigns a detected slave to its entry in the configuration.
     pub(super) fn assign(&mut self, number: usize, spec: SlaveSpec) {
         let longest = spec
             .startup
@@ -284,7 +284,7 @@ impl Unit {
         self.position.is_some()
     }
 
-    /// How far it is to be brought.
+    /// The state to bring it to.
     pub(super) fn goal(&self, config: &MasterConfig) -> AlState {
         if config.goal.raw() < self.spec.goal.raw() {
             config.goal
@@ -293,12 +293,12 @@ impl Unit {
         }
     }
 
-    /// Bytes of the longest datagram that its mailbox needs; zero without one.
+    /// Longest datagram of its mailbox, bytes; zero without a mailbox.
     pub(super) fn mailbox_size(&self) -> usize {
         self.mailbox.size()
     }
 
-    /// It failed more than once, so that nobody should wait for it.
+    /// It failed more than once, so that others do not wait for it.
     pub(super) const fn has_failed(&self) -> bool {
         matches!(self.step, Step::Failed) && self.failures >= 2
     }
@@ -307,7 +307,7 @@ impl Unit {
         matches!(self.step, Step::Run)
     }
 
-    /// What its process data adds to the working counter of LRW, as far as its state tells: least and most.
+    /// What its process data adds to the working counter of LRW, by its state: minimum and maximum.
     pub(super) fn contribution(&self, lrw: bool, now: Duration) -> (u16, u16) {
         let out = if self.process.outputs_len() == 0 {
             0
@@ -322,36 +322,36 @@ impl Unit {
         if self.is_present() && is_up && settled {
             (most, most)
         } else {
-            // On its way up or down a slave switches its SyncManagers when it likes, and one that is not reached may
-            // still take part with the FMMUs that it has. Nobody else is to suffer from that.
+            // During a state change a slave switches its SyncManagers at any time, and an unreachable one may still
+            // take part with its old FMMUs. Other slaves must not suffer from that.
             (0, most)
         }
     }
 
-    /// Its whole group counted: from now on it is missed if it does not.
+    /// The working counter of its group was complete: from now on its share is required.
     pub(super) const fn take_part(&mut self) {
         self.counted = self.is_running();
     }
 
-    /// A slave is there and begins from INIT.
+    /// A slave is present and starts from INIT.
     pub(super) fn begin(&mut self, cx: &Context<'_>, out: &mut Outbox) {
         self.fault = None;
         self.enter(Step::Init, cx, out);
     }
 
-    /// It answers again; what is to be done depends on the state that it is in.
+    /// It answers again; the next step depends on its state.
     pub(super) fn returned(&mut self, position: u16, cx: &Context<'_>, out: &mut Outbox) {
         self.position = Some(position);
         out.event(Event::Returned { slave: self.number });
-        self.enter(Step::Look, cx, out);
+        self.enter(Step::Check, cx, out);
     }
 
-    /// It is gone.
+    /// It is lost.
     pub(super) fn lose(&mut self, out: &mut Outbox) {
         self.position = None;
         self.show(0, AlStatusCode::default());
         (self.clock.locked, self.clock.outside) = (false, 0);
-        (self.step, self.op, self.waiting) = (Step::Absent, Op::Rest, Asked::Nothing);
+        (self.step, self.op, self.waiting) = (Step::Absent, Op::Rest, Pending::Nothing);
         self.fault = Some(Fault::Lost);
         out.event(Event::Fault {
             slave: self.number,
@@ -360,14 +360,14 @@ impl Unit {
         self.abandon(out);
     }
 
-    /// What came is another one.
+    /// A different slave appeared in its position.
     pub(super) fn release(&mut self) {
         self.position = None;
         self.show(0, AlStatusCode::default());
-        (self.step, self.op, self.waiting) = (Step::Absent, Op::Rest, Asked::Nothing);
+        (self.step, self.op, self.waiting) = (Step::Absent, Op::Rest, Pending::Nothing);
     }
 
-    /// It is not where it is wanted.
+    /// It failed to reach its goal.
     pub(super) fn fail(&mut self, fault: Fault, cx: &Context<'_>, out: &mut Outbox) {
         if matches!(self.step, Step::Run)
             && cx.now.saturating_sub(self.reached_at) > Duration::from_secs(1)
@@ -377,7 +377,7 @@ impl Unit {
         let wait = self.patience(cx.config).again * (1 << self.failures.min(5));
         self.failures = self.failures.saturating_add(1);
         self.again = cx.now + wait;
-        // What comes back once more is told once.
+        // A repeated fault is reported once.
         if self.fault != Some(fault) {
             out.event(Event::Fault {
                 slave: self.number,
@@ -386,13 +386,13 @@ impl Unit {
         }
         self.fault = Some(fault);
         (self.step, self.op, self.since) = (Step::Failed, Op::Rest, cx.now);
-        // Its operation ends here, and it must not wait for it before it is tried again.
+        // Its operation is aborted, so that the retry does not wait for it.
         if let Some(job) = self.job.take() {
             self.give_back(job, Err(JobError::Absent), out);
         }
     }
 
-    /// What the census or an inspection saw of its state.
+    /// Handles its state as the census or an inspection read it.
     pub(super) fn seen(
         &mut self,
         status: u16,
@@ -416,13 +416,13 @@ impl Unit {
         }
     }
 
-    /// Time passes; to be called before each frame.
+    /// Handles timeouts; called before each frame.
     pub(super) fn poll(&mut self, cx: &Context<'_>, out: &mut Outbox) {
         if !self.is_present() {
             return;
         }
         if matches!(self.step, Step::Failed) && cx.now >= self.again && self.job.is_none() {
-            self.enter(Step::Look, cx, out);
+            self.enter(Step::Check, cx, out);
         }
         if let Some(output) = self.mailbox.check(cx.now) {
             self.handle_mailbox(output, cx, out);
@@ -434,7 +434,7 @@ impl Unit {
         }
     }
 
-    /// No operation of the steps runs.
+    /// Whether no operation of the steps runs.
     fn is_at_rest(&self) -> bool {
         matches!(
             self.step,
@@ -442,29 +442,28 @@ impl Unit {
         ) && self.op == Op::Rest
     }
 
-    /// Whether something waits to be sent that is not mere watching.
+    /// Whether a datagram other than one of the watch is due.
     pub(super) fn is_busy(&self) -> bool {
-        self.waiting == Asked::Nothing
+        self.waiting == Pending::Nothing
             && self.is_present()
             && (self.op != Op::Rest || !self.mailbox.is_idle())
     }
 
-    /// The datagram that is due, if none is under way: of an operation, of the mailbox, or, if it is its turn, of
-    /// the watch.
+    /// The next datagram, if none is pending: of an operation, of the mailbox or, in its turn, of the watch.
     pub(super) fn request(&mut self, watch: bool) -> Option<Request<'_>> {
-        if self.waiting != Asked::Nothing || !self.is_present() {
+        if self.waiting != Pending::Nothing || !self.is_present() {
             return None;
         }
         if !matches!(self.op, Op::Rest | Op::Mailbox) {
-            self.offered = Asked::Operation;
+            self.offered = Pending::Operation;
             return self.operation_request();
         }
         if self.mailbox.request().is_some() {
-            self.offered = Asked::Mailbox;
+            self.offered = Pending::Mailbox;
             return self.mailbox.request();
         }
         if watch && self.is_running() {
-            self.offered = Asked::Watch;
+            self.offered = Pending::Watch;
             return self
                 .watch
                 .request(self.mailbox.exists(), self.info.has_clock());
@@ -472,18 +471,18 @@ impl Unit {
         None
     }
 
-    /// The datagram that was offered is in a frame.
+    /// The offered datagram was put into a frame.
     pub(super) const fn sent(&mut self) {
         self.waiting = self.offered;
     }
 
-    /// What came of the datagram.
+    /// Handles the result of the pending datagram.
     pub(super) fn handle(&mut self, answer: Answer<'_>, cx: &Context<'_>, out: &mut Outbox) {
         match std::mem::take(&mut self.waiting) {
-            Asked::Nothing | Asked::Past => {}
-            Asked::Operation => self.operation_answer(answer, cx, out),
-            Asked::Watch => self.watched(answer, cx, out),
-            Asked::Mailbox => {
+            Pending::Nothing | Pending::Past => {}
+            Pending::Operation => self.operation_answer(answer, cx, out),
+            Pending::Watch => self.watched(answer, cx, out),
+            Pending::Mailbox => {
                 if let Some(output) = self.mailbox.answer(answer, cx.now) {
                     self.handle_mailbox(output, cx, out);
                 }
@@ -494,7 +493,7 @@ impl Unit {
     fn watched(&mut self, answer: Answer<'_>, cx: &Context<'_>, out: &mut Outbox) {
         let found = self.watch.answer(answer);
         if found.mailbox_full {
-            self.mailbox.look(true, cx.now);
+            self.mailbox.check_full(true, cx.now);
         }
         if let Some(difference) = found.difference_ns {
             let is_reference = cx.reference == Some(self.number);
@@ -503,8 +502,8 @@ impl Unit {
         }
     }
 
-    /// A clock that was locked and is outside of the window three times in a row is told, once; what becomes of its
-    /// slave is the slave's own business, which leaves OP by itself when it cannot go on.
+    /// A locked clock that is outside of the window three times in a row is reported once. The slave itself leaves OP
+    /// when it cannot continue.
     fn judge_clock(&mut self, difference_ns: i32, cx: &Context<'_>, out: &mut Outbox) {
         let clock = &mut self.clock;
         clock.difference_ns = Some(difference_ns);

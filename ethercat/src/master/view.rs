@@ -1,4 +1,4 @@
-//! What can be seen of a master and its slaves from outside. Nothing is changed here.
+//! Read access to the state of a master and its slaves.
 
 use super::unit::Unit;
 use super::{
@@ -17,31 +17,31 @@ pub struct SlaveView<'a> {
 }
 
 impl<'a> SlaveView<'a> {
-    /// Its number: in the configuration, or without one in the ring.
+    /// Its number in the configuration or, without one, in the ring.
     #[must_use]
     pub const fn number(&self) -> usize {
         self.unit.number
     }
 
-    /// What it is expected to be.
+    /// Its configuration.
     #[must_use]
     pub const fn spec(&self) -> &'a SlaveSpec {
         &self.unit.spec
     }
 
-    /// What it says of itself.
+    /// Its information, as reported by the slave.
     #[must_use]
     pub const fn info(&self) -> &'a SlaveInfo {
         &self.unit.info
     }
 
-    /// What it exchanges.
+    /// Its process data.
     #[must_use]
     pub const fn process(&self) -> &'a ProcessData {
         &self.unit.process
     }
 
-    /// Its position in the ring, from 0; `None` while it is not there.
+    /// Its position in the ring, from 0; `None` while it is offline.
     #[must_use]
     pub const fn position(&self) -> Option<u16> {
         self.unit.position
@@ -53,19 +53,19 @@ impl<'a> SlaveView<'a> {
         self.unit.station
     }
 
-    /// Its state as last seen, and the code of an error.
+    /// Its state as last read, and the code of an error.
     #[must_use]
     pub const fn al(&self) -> (AlStatus, AlStatusCode) {
         (self.unit.al, self.unit.code)
     }
 
-    /// It is where it is wanted.
+    /// Whether it has reached its goal.
     #[must_use]
     pub const fn is_running(&self) -> bool {
         self.unit.is_running()
     }
 
-    /// Why it is not where it is wanted.
+    /// Why it has not reached its goal.
     #[must_use]
     pub const fn fault(&self) -> Option<Fault> {
         self.unit.fault
@@ -83,7 +83,7 @@ impl<'a> SlaveView<'a> {
         self.unit.clock.difference_ns
     }
 
-    /// Its clock was locked, and was outside of the window the last three times that it was read or more.
+    /// Whether its locked clock was outside of the window in at least the last three readings.
     #[must_use]
     pub const fn clock_is_lost(&self) -> bool {
         self.unit.clock.is_lost()
@@ -95,7 +95,7 @@ impl<'a> SlaveView<'a> {
         self.unit.clock.delay_ns
     }
 
-    /// How often its clock was seen outside of the window since it was locked.
+    /// Number of readings outside of the window since its clock was locked.
     #[must_use]
     pub const fn clock_violations(&self) -> u64 {
         self.unit.clock.violations
@@ -107,7 +107,7 @@ impl<'a> SlaveView<'a> {
         self.unit.clock.start_ns
     }
 
-    /// Messages of its mailbox that belonged to nothing, and messages that were asked for again.
+    /// Unsolicited messages of its mailbox, and repeat requests.
     #[must_use]
     pub const fn mailbox_counters(&self) -> (u32, u32) {
         self.unit.mailbox_counters()
@@ -115,13 +115,13 @@ impl<'a> SlaveView<'a> {
 }
 
 impl Master {
-    /// Where the start is.
+    /// Phase of the start.
     #[must_use]
     pub const fn phase(&self) -> Phase {
         self.scan.phase
     }
 
-    /// All slaves are where they are wanted; optional ones may be missing.
+    /// Whether all slaves have reached their goals; optional ones may be missing.
     #[must_use]
     pub fn is_operational(&self) -> bool {
         let good = |unit: &Unit| unit.is_running() || (unit.spec.optional && !unit.is_present());
@@ -134,26 +134,26 @@ impl Master {
         &self.config
     }
 
-    /// What differs between configuration and segment, slave by slave.
+    /// Differences between configuration and segment, slave by slave.
     #[must_use]
     pub fn differences(&self) -> &[Difference] {
         &self.differences
     }
 
-    /// Bytes of a process image that does not fit one frame; `None` if it fits. Fewer PDOs, or more than one segment,
-    /// help.
+    /// Bytes of a process image that does not fit one frame; `None` if it fits. Remedies are fewer PDOs or several
+    /// segments.
     #[must_use]
     pub const fn image_too_large(&self) -> Option<usize> {
         self.too_large
     }
 
-    /// How many slaves are known, there or not.
+    /// Number of known slaves, online or not.
     #[must_use]
     pub fn len(&self) -> usize {
         self.units.len()
     }
 
-    /// Whether none is known.
+    /// Whether no slave is known.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.units.is_empty()
@@ -189,7 +189,7 @@ impl Master {
         self.clock.slave
     }
 
-    /// What became of the frames.
+    /// Frame counters.
     #[must_use]
     pub const fn frames(&self) -> FrameCounters {
         self.exchange.counters()
@@ -207,7 +207,7 @@ impl Master {
         self.cycles
     }
 
-    /// Events and emergencies that nobody fetched in time.
+    /// Events and emergencies that were dropped because they were not fetched in time.
     #[must_use]
     pub const fn dropped(&self) -> u64 {
         self.out.dropped

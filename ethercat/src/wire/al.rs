@@ -1,5 +1,5 @@
-//! The states of a slave's application and why it leaves them (ETG.1000.6, clause 6.4; codes in
-//! ETG.1020). What a slave checks on the way is not here.
+//! The states of a slave's application layer and its status codes (ETG.1000.6, clause 6.4; codes in ETG.1020). The
+//! checks during state changes are not here.
 
 use std::fmt;
 
@@ -17,7 +17,7 @@ pub enum AlState {
     SafeOp,
     /// Mailbox, inputs and outputs.
     Op,
-    /// Any other, as it came.
+    /// Any other, as received.
     Other(u8),
 }
 
@@ -65,9 +65,9 @@ impl fmt::Display for AlState {
 /// AL status (0130h), and AL control (0120h), which has the same bits.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AlStatus {
-    /// The state that is, or is wanted.
+    /// The actual or requested state.
     pub state: AlState,
-    /// Status: the slave fell or refused. Control: that is acknowledged.
+    /// In AL status: the slave left a state or refused one. In AL control: acknowledges the error.
     pub error: bool,
 }
 
@@ -127,7 +127,7 @@ const CODES: [(u16, &str, &str); 42] = [
     (
         0x0012,
         "unknown requested state",
-        "the master asked for a state that there is not",
+        "the master requested an unknown state",
     ),
     (
         0x0013,
@@ -291,11 +291,11 @@ const CODES: [(u16, &str, &str); 42] = [
 ];
 
 impl AlStatusCode {
-    /// What it says.
+    /// The text.
     #[must_use]
     pub fn text(self) -> &'static str {
         let found = CODES.iter().find(|(code, ..)| *code == self.0);
-        found.map_or("a code of the slave's own", |(_, text, _)| text)
+        found.map_or("vendor specific code", |(_, text, _)| text)
     }
 
     /// The probable cause, or what to do.
@@ -327,12 +327,12 @@ mod tests {
     }
 
     #[test]
-    fn codes_are_in_order_and_told_with_their_cause() {
+    fn al_status_codes_are_sorted_and_show_cause() {
         assert!(CODES.windows(2).all(|pair| pair[0].0 < pair[1].0));
         assert_eq!(
             AlStatusCode(0x001B).to_string(),
             "SyncManager watchdog (001Bh): no outputs within the watchdog time; see cycle and cable"
         );
-        assert_eq!(AlStatusCode(0x8001).text(), "a code of the slave's own");
+        assert_eq!(AlStatusCode(0x8001).text(), "vendor specific code");
     }
 }

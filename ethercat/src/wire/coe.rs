@@ -6,7 +6,7 @@ use std::fmt;
 
 use takt_cia402::dictionary::{AbortCode, Address};
 
-/// How much of an object a transfer is about.
+/// The part of an object that is transferred.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Whole {
     /// One entry.
@@ -17,12 +17,9 @@ pub enum Whole {
 
 /// An SDO message behind its CoE header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[expect(
-    missing_docs,
-    reason = "the fields are those of the clause, by their names"
-)]
+#[expect(missing_docs, reason = "the fields have the names of the clause")]
 pub enum Sdo<'a> {
-    /// Request: write; all of `size` bytes, or as many of them as are here, segments follow.
+    /// Request: write; `size` bytes in total; if `data` is shorter, segments follow.
     Download {
         address: Address,
         whole: Whole,
@@ -39,11 +36,11 @@ pub enum Sdo<'a> {
     Upload { address: Address, whole: Whole },
     /// Request: read, next segment.
     UploadSegment { toggle: bool },
-    /// Response: written, or go on with segments.
+    /// Response: written, or ready for segments.
     Downloaded { address: Address, whole: Whole },
-    /// Response: segment taken.
+    /// Response: segment accepted.
     DownloadedSegment { toggle: bool },
-    /// Response: all of `size` bytes, or as many of them as are here, segments follow.
+    /// Response: `size` bytes in total; if `data` is shorter, segments follow.
     Uploaded {
         address: Address,
         whole: Whole,
@@ -56,15 +53,15 @@ pub enum Sdo<'a> {
         last: bool,
         data: &'a [u8],
     },
-    /// Either gives up.
+    /// Abort from either side.
     Abort { address: Address, code: AbortCode },
 }
 
-/// Bytes of an SDO message without data: command, address, four bytes.
+/// Length of an SDO message without data, bytes: command, address, four bytes.
 pub const SDO_LEN: usize = 8;
 
 impl<'a> Sdo<'a> {
-    /// A request, from what follows the CoE header; `None` if it is none.
+    /// Decodes a request from the bytes after the CoE header; `None` if it is not one.
     #[must_use]
     pub fn decode_request(bytes: &'a [u8]) -> Option<Self> {
         let (first, address, rest) = split(bytes)?;
@@ -95,7 +92,7 @@ impl<'a> Sdo<'a> {
         })
     }
 
-    /// A response, from what follows the CoE header; `None` if it is none.
+    /// Decodes a response from the bytes after the CoE header; `None` if it is not one.
     #[must_use]
     pub fn decode_response(bytes: &'a [u8]) -> Option<Self> {
         let (first, address, rest) = split(bytes)?;
@@ -126,8 +123,8 @@ impl<'a> Sdo<'a> {
         })
     }
 
-    /// Writes the message; returns its length, or `None` if `to` is too short. Of a first message
-    /// with more data than its size says, or a segment, all data is written.
+    /// Writes the message; returns its length, or `None` if `to` is too short. Data beyond the size of a first message,
+    /// and all data of a segment, is written.
     #[must_use]
     pub fn encode(&self, to: &mut [u8]) -> Option<usize> {
         match *self {
@@ -190,7 +187,7 @@ fn abort<'a>(address: Address, rest: &[u8]) -> Option<Sdo<'a>> {
     Some(Sdo::Abort { address, code })
 }
 
-/// Toggle, last, data of a segment. Beyond seven bytes the mailbox's length alone counts.
+/// Toggle, last, data of a segment. Beyond seven bytes only the length of the mailbox counts.
 fn segment(bytes: &[u8]) -> Option<(bool, bool, &[u8])> {
     let (first, data) = bytes.split_first()?;
     let unused = if data.len() > 7 {
@@ -288,23 +285,23 @@ pub struct Information {
     pub operation: u8,
     /// More fragments follow.
     pub incomplete: bool,
-    /// How many.
+    /// Number of fragments left.
     pub left: u16,
 }
 
 impl Information {
     /// Bytes on the wire.
     pub const LEN: usize = 4;
-    /// Ask for a list of indices.
+    /// Request: list of indices.
     pub const LIST: u8 = 1;
-    /// Ask what an object is.
+    /// Request: object description.
     pub const OBJECT: u8 = 3;
-    /// Ask what an entry is.
+    /// Request: entry description.
     pub const ENTRY: u8 = 5;
-    /// Refused, by an abort code.
+    /// Error, with an abort code.
     pub const ERROR: u8 = 7;
 
-    /// The header and what follows it; `None` if the bytes end before.
+    /// Decodes the header and the bytes after it; `None` if truncated.
     #[must_use]
     pub fn decode(bytes: &[u8]) -> Option<(Self, &[u8])> {
         let ([operation, _, low, high], rest) = bytes.split_first_chunk()?;
@@ -316,7 +313,7 @@ impl Information {
         Some((header, rest))
     }
 
-    /// The bytes.
+    /// The encoded bytes.
     #[must_use]
     pub fn encode(&self) -> [u8; Self::LEN] {
         let [low, high] = self.left.to_le_bytes();

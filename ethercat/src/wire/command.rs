@@ -1,5 +1,5 @@
-//! What a datagram asks of the slaves it passes. Which slave acts, and what that adds to the working
-//! counter, is the emulator's knowledge and the master's expectation, not this file's.
+//! Commands of datagrams. Which slave executes them, and what that adds to the working counter, is known to the
+//! emulator and the master, not here.
 
 use std::fmt;
 
@@ -36,7 +36,7 @@ pub enum Command {
     Armw,
     /// Read one slave by station address, write all others.
     Frmw,
-    /// A code of no known meaning, kept as it came.
+    /// An unknown code, as received.
     Other(u8),
 }
 

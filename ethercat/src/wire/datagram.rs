@@ -1,11 +1,11 @@
-//! One datagram: header, data, working counter. Data is carried, never looked into.
+//! One datagram: header, data, working counter. The data is not interpreted.
 
 use std::fmt;
 
 use super::{Command, LENGTH_MASK};
 use crate::{DecodeError, EncodeError};
 
-/// How many slaves did what a datagram asked, weighted by the command.
+/// Working counter: number of slaves that executed a datagram, weighted by the command.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct WorkingCounter(u16);
 
@@ -13,7 +13,7 @@ impl WorkingCounter {
     /// Bytes on the wire.
     pub(crate) const LEN: usize = 2;
 
-    /// Any 16 bits are a counter.
+    /// From the raw value; any 16 bits are a counter.
     #[must_use]
     pub const fn new(raw: u16) -> Self {
         Self(raw)
@@ -32,17 +32,17 @@ impl fmt::Display for WorkingCounter {
     }
 }
 
-/// Where a datagram goes.
+/// Address of a datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Address {
-    /// A slave and a place in its memory.
+    /// A slave and an address in its memory.
     Device {
         /// Position (each slave adds one) or station address, by the command.
         adp: u16,
         /// Register or memory address.
         ado: u16,
     },
-    /// A place in the logical address space, which the slaves' FMMUs map.
+    /// An address in the logical address space, which the slaves' FMMUs map.
     Logical(u32),
 }
 
@@ -78,7 +78,7 @@ impl fmt::Display for Address {
     }
 }
 
-/// What stands before a datagram's data. All numbers little-endian (ETG.1000.4):
+/// Header of a datagram. All numbers little-endian (ETG.1000.4):
 ///
 /// | byte | field |
 /// |--:|---|
@@ -90,15 +90,15 @@ impl fmt::Display for Address {
 /// | 10 | data, then the working counter |
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DatagramHeader {
-    /// What is asked.
+    /// The command.
     pub command: Command,
-    /// Chosen by the master to know the answer by; slaves leave it alone.
+    /// Chosen by the master to match the answer; slaves do not change it.
     pub index: u8,
-    /// Where it goes.
+    /// The address.
     pub address: Address,
     /// Bytes of data, 0 to 2047.
     pub len: u16,
-    /// Set by a slave that passes the frame on with the ring broken; seen twice, it is dropped.
+    /// Set by a slave that forwards the frame in an interrupted ring; a frame that returns with it is dropped.
     pub circulating: bool,
     /// Another datagram follows in the frame.
     pub more: bool,
@@ -116,7 +116,7 @@ impl DatagramHeader {
     /// Reads the header at the start of `bytes`.
     pub fn decode(bytes: &[u8]) -> Result<Self, DecodeError> {
         let truncated = DecodeError::Truncated {
-            what: "datagram header",
+            item: "datagram header",
             expected: Self::LEN,
             actual: bytes.len(),
         };
@@ -146,7 +146,7 @@ impl DatagramHeader {
         })
     }
 
-    /// Writes the header at the start of `buffer`; gives its length.
+    /// Writes the header at the start of `buffer`; returns its length.
     pub fn encode(&self, buffer: &mut [u8]) -> Result<usize, EncodeError> {
         if self.len > LENGTH_MASK {
             return Err(EncodeError::Length { len: self.len });
@@ -171,22 +171,22 @@ impl DatagramHeader {
 /// A datagram as received.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Datagram<'a> {
-    /// What was asked of whom.
+    /// The header.
     pub header: DatagramHeader,
     /// `header.len` bytes.
     pub data: &'a [u8],
-    /// How many did it.
+    /// The working counter.
     pub working_counter: WorkingCounter,
 }
 
 impl<'a> Datagram<'a> {
-    /// Reads the datagram at the start of `bytes`; gives also what follows it.
+    /// Reads the datagram at the start of `bytes`; also returns the remaining bytes.
     pub fn decode(bytes: &'a [u8]) -> Result<(Self, &'a [u8]), DecodeError> {
         let header = DatagramHeader::decode(bytes)?;
         let rest = bytes.get(DatagramHeader::LEN..).unwrap_or_default();
         let len = usize::from(header.len);
         let truncated = DecodeError::Truncated {
-            what: "datagram data and working counter",
+            item: "datagram data and working counter",
             expected: len + WorkingCounter::LEN,
             actual: rest.len(),
         };
@@ -286,19 +286,19 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn each_missing_byte_is_told() {
+    fn datagram_truncated_anywhere_is_an_error() {
         for len in 0..10 {
             let expected = DecodeError::Truncated {
-                what: "datagram header",
+                item: "datagram header",
                 expected: 10,
                 actual: len,
             };
             assert_eq!(Datagram::decode(&FPRD[..len]), Err(expected));
         }
         for len in 10..14 {
-            let what = "datagram data and working counter";
+            let item = "datagram data and working counter";
             let expected = DecodeError::Truncated {
-                what,
+                item,
                 expected: 4,
                 actual: len - 10,
             };
@@ -307,7 +307,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_is_refused() {
+    fn datagram_that_does_not_fit_is_refused() {
         let mut header = DatagramHeader::decode(&FPRD).unwrap();
         let full = EncodeError::Full {
             expected: 10,

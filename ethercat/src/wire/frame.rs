@@ -1,5 +1,5 @@
-//! An EtherCAT frame as received: its header and the way from datagram to datagram. Begins after the
-//! Ethernet header; does not check who sent it.
+//! An EtherCAT frame as received: its header and an iterator over its datagrams. It starts after the Ethernet header;
+//! the sender is not checked.
 
 use std::fmt;
 use std::iter::FusedIterator;
@@ -11,9 +11,9 @@ use crate::{DecodeError, EncodeError};
 /// to 15 type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrameHeader {
-    /// Bytes that follow, without padding; 0 to 2047.
+    /// Length of the following data without padding, bytes; 0 to 2047.
     pub len: u16,
-    /// What follows; 1 for datagrams. 0 to 15.
+    /// Type, 0 to 15; 1 for datagrams.
     pub kind: u8,
 }
 
@@ -26,7 +26,7 @@ impl FrameHeader {
     /// Reads the header at the start of `bytes`.
     pub fn decode(bytes: &[u8]) -> Result<Self, DecodeError> {
         let truncated = DecodeError::Truncated {
-            what: "frame header",
+            item: "frame header",
             expected: Self::LEN,
             actual: bytes.len(),
         };
@@ -37,8 +37,7 @@ impl FrameHeader {
         })
     }
 
-    /// Writes the header at the start of `buffer`; gives its length. Of `kind` the low four bits go
-    /// out.
+    /// Writes the header at the start of `buffer`; returns its length. Only the low four bits of `kind` are written.
     pub fn encode(&self, buffer: &mut [u8]) -> Result<usize, EncodeError> {
         if self.len > LENGTH_MASK {
             return Err(EncodeError::Length { len: self.len });
@@ -63,14 +62,13 @@ pub struct Frame<'a> {
 }
 
 impl<'a> Frame<'a> {
-    /// Reads a frame from the payload of an Ethernet frame; what lies behind the declared length is
-    /// padding.
+    /// Reads a frame from the payload of an Ethernet frame; bytes after the declared length are padding.
     pub fn decode(bytes: &'a [u8]) -> Result<Self, DecodeError> {
         let header = FrameHeader::decode(bytes)?;
         let rest = bytes.get(FrameHeader::LEN..).unwrap_or_default();
         let expected = usize::from(header.len);
         let truncated = DecodeError::Truncated {
-            what: "frame payload",
+            item: "frame payload",
             expected,
             actual: rest.len(),
         };
@@ -94,7 +92,7 @@ impl<'a> Frame<'a> {
     }
 }
 
-/// Goes through the datagrams of a frame.
+/// Iterator over the datagrams of a frame.
 #[derive(Clone, Debug)]
 pub struct Datagrams<'a> {
     next: Next<'a>,
@@ -123,7 +121,7 @@ impl<'a> Iterator for Datagrams<'a> {
 
 impl FusedIterator for Datagrams<'_> {}
 
-/// What the `more` flag and the bytes left agree or disagree on.
+/// Compares the `more` flag with the remaining bytes.
 const fn after<'a>(datagram: &Datagram<'_>, rest: &'a [u8]) -> Next<'a> {
     match (datagram.header.more, rest.len()) {
         (true, 0) => Next::Error(DecodeError::MissingDatagram),
@@ -206,8 +204,8 @@ mod tests {
 
     #[test]
     fn each_wrong_length_has_its_error() {
-        let truncated = |what, expected, actual| DecodeError::Truncated {
-            what,
+        let truncated = |item, expected, actual| DecodeError::Truncated {
+            item,
             expected,
             actual,
         };

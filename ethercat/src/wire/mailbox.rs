@@ -1,12 +1,12 @@
-//! The mailbox header and what is inside a CoE mailbox (ETG.1000.6, clauses 5.6 and 5.7): SDO,
-//! SDO information, emergency. Who asks and who answers is not here.
+//! The mailbox header and the content of a CoE mailbox (ETG.1000.6, clauses 5.6 and 5.7): SDO, SDO information,
+//! emergency. Client and server are not here.
 
 use std::fmt;
 
-/// What a mailbox carries.
+/// Type of a mailbox message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum MailboxKind {
-    /// The slave could not take the last one.
+    /// Error: the slave could not process the last message.
     Error,
     /// ADS.
     Aoe,
@@ -18,9 +18,9 @@ pub enum MailboxKind {
     Foe,
     /// SERCOS.
     Soe,
-    /// Of a vendor.
+    /// Vendor specific.
     Voe,
-    /// Any other, as it came.
+    /// Any other, as received.
     Other(u8),
 }
 
@@ -68,18 +68,18 @@ impl fmt::Display for MailboxKind {
 /// | bytes | what |
 /// |---|---|
 /// | 0, 1 | length of what follows the header |
-/// | 2, 3 | station address of the one who sends; 0 is the master |
+/// | 2, 3 | station address of the sender; 0 is the master |
 /// | 4 | channel and priority, zero |
 /// | 5 | bits 0 to 3 kind, 4 to 6 counter |
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MailboxHeader {
     /// Bytes that follow the header.
     pub len: u16,
-    /// Station address of the one who sends; 0 is the master.
+    /// Station address of the sender; 0 is the master.
     pub address: u16,
-    /// What follows.
+    /// Type of the message.
     pub kind: MailboxKind,
-    /// 1 to 7 in turn; 0 switches the check for repeats off.
+    /// 1 to 7 in turn; 0 disables the detection of repeats.
     pub counter: u8,
 }
 
@@ -87,7 +87,7 @@ impl MailboxHeader {
     /// Bytes on the wire.
     pub const LEN: usize = 6;
 
-    /// The header and what it announces; `None` if the bytes do not hold it.
+    /// Decodes the header and the announced bytes; `None` if truncated.
     #[must_use]
     pub fn decode(bytes: &[u8]) -> Option<(Self, &[u8])> {
         let ([a, b, c, d, _, kind], rest) = bytes.split_first_chunk()?;
@@ -108,14 +108,14 @@ impl MailboxHeader {
         [a, b, c, d, 0, self.kind.raw() | (self.counter & 0x07) << 4]
     }
 
-    /// The counter that follows one: 1 to 7, then 1 again.
+    /// The next counter: 1 to 7, then 1 again.
     #[must_use]
     pub const fn next_counter(counter: u8) -> u8 {
         counter % 7 + 1
     }
 }
 
-/// What a CoE message is: bits 12 to 15 of its header.
+/// Service of a CoE message: bits 12 to 15 of its header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum CoeService {
     /// An emergency of the slave.
@@ -124,19 +124,19 @@ pub enum CoeService {
     SdoRequest,
     /// An SDO response.
     SdoResponse,
-    /// PDOs by mailbox, in either direction, or asked for by remote request: 4 to 7.
+    /// PDOs by mailbox, in either direction or by remote request: 4 to 7.
     Pdo(u8),
     /// SDO information.
     SdoInformation,
-    /// Any other, as it came.
+    /// Any other, as received.
     Other(u8),
 }
 
 impl CoeService {
-    /// Bytes of a CoE header.
+    /// Length of a CoE header, bytes.
     pub const LEN: usize = 2;
 
-    /// The service and what follows its header; `None` if the bytes end before.
+    /// Decodes the service and the bytes after its header; `None` if truncated.
     #[must_use]
     pub fn decode(bytes: &[u8]) -> Option<(Self, &[u8])> {
         let ([_, high], rest) = bytes.split_first_chunk()?;
@@ -172,15 +172,15 @@ pub struct Emergency {
     pub code: u16,
     /// Error register, as object 1001h.
     pub register: u8,
-    /// Of the manufacturer.
+    /// Manufacturer specific.
     pub data: [u8; 5],
 }
 
 impl Emergency {
-    /// Bytes behind the CoE header.
+    /// Length after the CoE header, bytes.
     pub const LEN: usize = 8;
 
-    /// From what follows the CoE header; `None` if it is too short.
+    /// From the bytes after the CoE header; `None` if too short.
     #[must_use]
     pub fn decode(bytes: &[u8]) -> Option<Self> {
         let [a, b, register, data @ ..] = *bytes.first_chunk::<{ Self::LEN }>()?;
@@ -200,7 +200,7 @@ impl Emergency {
     }
 }
 
-/// Why a slave could not take a mailbox message, as the `Error` kind carries it.
+/// Why a slave could not process a mailbox message, from the `Error` kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct MailboxError(pub u16);
 
@@ -212,12 +212,12 @@ const ERRORS: [&str; 9] = [
     "its service is not supported",
     "its header does not fit its protocol",
     "it is too short",
-    "there is no memory for it",
+    "out of memory",
     "its size is inconsistent",
 ];
 
 impl MailboxError {
-    /// From what follows a mailbox header of the kind `Error`; `None` if it is something else.
+    /// From the bytes after a mailbox header of the kind `Error`; `None` if they are something else.
     #[must_use]
     pub fn decode(bytes: &[u8]) -> Option<Self> {
         let [1, 0, low, high] = *bytes.first_chunk()? else {

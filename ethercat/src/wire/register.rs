@@ -1,6 +1,5 @@
-//! Where the registers of a slave controller are, and the two structures that are written there
-//! whole: FMMU and SyncManager (ETG.1000.4, clause 8 and 9). What a register does is the
-//! emulator's knowledge.
+//! Register addresses of a slave controller, and its two register structures: FMMU and SyncManager (ETG.1000.4, clauses
+//! 8 and 9). The behaviour of registers is in the emulator.
 
 /// A register address.
 pub type Register = u16;
@@ -23,7 +22,7 @@ pub const AL_CONTROL: Register = 0x0120;
 pub const AL_STATUS: Register = 0x0130;
 /// AL status code, 2 bytes.
 pub const AL_STATUS_CODE: Register = 0x0134;
-/// PDI control, 1 byte: what the slave's own side of the controller is.
+/// PDI control, 1 byte: type of the process data interface.
 pub const PDI_CONTROL: Register = 0x0140;
 /// ESC configuration, 1 byte, from SII word 0: bit 0 AL status is AL control (device emulation), 2 SYNC outputs,
 /// 3 latch inputs of the clock.
@@ -43,7 +42,7 @@ pub const WATCHDOG_DIVIDER: Register = 0x0400;
 pub const WATCHDOG_PROCESS_DATA: Register = 0x0420;
 /// Process data watchdog status, 2 bytes; its expiry counter is at 0442h.
 pub const WATCHDOG_STATUS: Register = 0x0440;
-/// Who owns the SII, 2 bytes.
+/// SII access: owner of the SII, 2 bytes.
 pub const SII_ACCESS: Register = 0x0500;
 /// SII control and status, 2 bytes; the address follows.
 pub const SII_CONTROL: Register = 0x0502;
@@ -83,10 +82,10 @@ pub const DC_SYNC0_CYCLE: Register = 0x09A0;
 pub const DC_SYNC1_CYCLE: Register = 0x09A4;
 /// Output registers of digital terminals, 4 bytes; SyncManagers may lie over them.
 pub const OUTPUT_REGISTERS: Register = 0x0F00;
-/// Begin of the process data memory.
+/// Start of the process data memory.
 pub const PROCESS_DATA: Register = 0x1000;
 
-/// A fieldbus memory management unit: which logical bits are which physical bits.
+/// A fieldbus memory management unit: maps logical bits to physical bits.
 ///
 /// | bytes | what |
 /// |---|---|
@@ -102,7 +101,7 @@ pub const PROCESS_DATA: Register = 0x1000;
 pub struct Fmmu {
     /// Logical start address.
     pub logical: u32,
-    /// How many logical bytes it touches.
+    /// Length in logical bytes.
     pub len: u16,
     /// First bit in the first logical byte, 0 to 7.
     pub start_bit: u8,
@@ -112,11 +111,11 @@ pub struct Fmmu {
     pub physical: u16,
     /// First bit in the first physical byte, 0 to 7.
     pub physical_bit: u8,
-    /// The master reads through it.
+    /// Read access of the master.
     pub reads: bool,
-    /// The master writes through it.
+    /// Write access of the master.
     pub writes: bool,
-    /// It is in use.
+    /// Active.
     pub active: bool,
 }
 
@@ -155,7 +154,7 @@ impl Fmmu {
         ]
     }
 
-    /// How many bits it maps.
+    /// Number of mapped bits.
     #[must_use]
     pub fn bits(&self) -> usize {
         let whole = usize::from(self.len).saturating_sub(1) * 8;
@@ -163,7 +162,7 @@ impl Fmmu {
     }
 }
 
-/// A SyncManager channel: a guarded piece of process data memory.
+/// A SyncManager channel: a guarded area of process data memory.
 ///
 /// | bytes | what |
 /// |---|---|
@@ -172,7 +171,7 @@ impl Fmmu {
 /// | 4 | control: bits 0, 1 mode (0 three buffers, 2 mailbox), 2, 3 direction (0 read, 1 write), 6 watchdog |
 /// | 5 | status: bit 0 written, 1 read, 3 mailbox full, 4, 5 last buffer |
 /// | 6 | activate: bit 0 enabled, 1 repeat request |
-/// | 7 | of the slave: bit 0 disabled, 1 repeat acknowledge |
+/// | 7 | PDI control:  bit 0 disabled, 1 repeat acknowledge |
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SyncManager {
     /// Physical start address.
@@ -181,11 +180,11 @@ pub struct SyncManager {
     pub len: u16,
     /// Mode, direction, events.
     pub control: u8,
-    /// What happened to the buffer.
+    /// Status of the buffer.
     pub status: u8,
-    /// Set by the master.
+    /// Activation by the master.
     pub activate: u8,
-    /// Set by the slave.
+    /// Control by the slave.
     pub pdi: u8,
 }
 
@@ -232,7 +231,7 @@ impl SyncManager {
         ]
     }
 
-    /// Whether it is in use.
+    /// Whether it is enabled.
     #[must_use]
     pub const fn is_enabled(&self) -> bool {
         self.activate & 1 != 0 && self.pdi & 1 == 0 && self.len > 0

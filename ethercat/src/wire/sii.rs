@@ -1,18 +1,18 @@
-//! The slave information interface: what a slave's EEPROM says of it (ETG.2010). A reader over
-//! words that were fetched, and the image of one; how words are fetched is not here.
+//! The slave information interface: the content of a slave's EEPROM (ETG.2010). A decoder of an image that was read;
+//! reading the words is not here.
 
 use std::fmt;
 
 /// A word address in the SII.
 pub type Word = u16;
 
-/// Where the fixed part holds what; 16-bit words.
+/// Word addresses of the fixed part; 16-bit words.
 pub mod word {
     use super::Word;
 
     /// Station alias.
     pub const ALIAS: Word = 0x04;
-    /// Checksum over the words before, in the low byte.
+    /// Checksum over the preceding words, in the low byte.
     pub const CHECKSUM: Word = 0x07;
     /// Vendor, product, revision, serial number: two words each.
     pub const IDENTITY: Word = 0x08;
@@ -20,13 +20,13 @@ pub mod word {
     pub const BOOT_MAILBOX: Word = 0x14;
     /// Mailbox: receive offset and size, send offset and size, then the protocols.
     pub const MAILBOX: Word = 0x18;
-    /// Size of the EEPROM in Kibit, less one.
+    /// Size of the EEPROM in Kibit, minus one.
     pub const SIZE: Word = 0x3E;
     /// First category.
     pub const CATEGORIES: Word = 0x40;
 }
 
-/// Who made the slave and what it is.
+/// Identity of a slave.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Identity {
     /// Vendor, as object 1018h:01.
@@ -58,11 +58,11 @@ impl fmt::Display for Identity {
 /// A kind of category.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Category {
-    /// Names.
+    /// Strings.
     Strings,
     /// General.
     General,
-    /// Uses of FMMUs.
+    /// Usage of FMMUs.
     Fmmu,
     /// SyncManagers.
     SyncManager,
@@ -72,7 +72,7 @@ pub enum Category {
     RxPdo,
     /// Distributed clock settings.
     Dc,
-    /// Any other, as it came.
+    /// Any other, as received.
     Other(u16),
 }
 
@@ -108,26 +108,26 @@ impl Category {
     }
 }
 
-/// An SII image, or as much of it as was read.
+/// An SII image, or the part of it that was read.
 #[derive(Clone, Copy, Debug)]
 pub struct Sii<'a> {
     bytes: &'a [u8],
 }
 
-/// Mailbox areas, as the fixed part has them.
+/// Mailbox areas of the fixed part.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct MailboxAreas {
-    /// Where the master writes.
+    /// Address that the master writes.
     pub receive: u16,
     /// Its length, bytes.
     pub receive_len: u16,
-    /// Where the master reads.
+    /// Address that the master reads.
     pub send: u16,
     /// Its length, bytes.
     pub send_len: u16,
 }
 
-/// What the category General says (ETG.2010, table 7).
+/// The category General (ETG.2010, table 7).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct General {
     /// Number of the string with the group's name; 0 for none.
@@ -144,38 +144,38 @@ pub struct General {
     pub foe: u8,
     /// EoE, if not 0.
     pub eoe: u8,
-    /// Bit 0: SAFE-OP may be asked for; 1: it does not do LRW; 2: the data link layer repeats mailboxes; 3, 4: how it
-    /// tells its identification.
+    /// Bit 0: SAFE-OP may be requested; 1: LRW not supported; 2: the data link layer repeats mailboxes; 3, 4: type of
+    /// explicit identification.
     pub flags: u8,
     /// Current taken from the E-bus; negative is given, mA.
     pub ebus_ma: i16,
-    /// What its ports 0 to 3 are, four bits each: 0 none, 1 MII, 3 E-bus, 4 fast hot connect.
+    /// Types of ports 0 to 3, four bits each: 0 none, 1 MII, 3 E-bus, 4 fast hot connect.
     pub ports: u16,
 }
 
-/// How a slave runs by its clock: an operation mode of the category DC (ETG.2010, table 16), 24 bytes.
+/// An operation mode of the category DC (ETG.2010, table 16), 24 bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SiiClock {
     /// Period of SYNC0, ns; 0 for that of the master's cycle.
     pub cycle_ns: u32,
-    /// SYNC0 behind the beginning of the cycle, ns.
+    /// Shift of SYNC0 after the start of the cycle, ns.
     pub shift_ns: u32,
-    /// SYNC1 behind SYNC0, ns.
+    /// Delay of SYNC1 after SYNC0, ns.
     pub shift1_ns: u32,
-    /// Period of SYNC1 by that of SYNC0; 0 without.
+    /// Period of SYNC1 as a multiple of that of SYNC0; 0 without SYNC1.
     pub sync1_factor: i16,
-    /// AssignActivate: 0300h SYNC0, 0700h SYNC0 and SYNC1, 0 runs without its clock.
+    /// AssignActivate: 0300h SYNC0, 0700h SYNC0 and SYNC1, 0 for no distributed clock.
     pub assign_activate: u16,
-    /// Period of SYNC0 by the master's cycle; negative for its inverse.
+    /// Period of SYNC0 as a multiple of the master's cycle; negative for its inverse.
     pub sync0_factor: i16,
     /// Number of the string with its name; 0 for none.
     pub name: u8,
-    /// Number of the string that describes it; 0 for none.
+    /// Number of the string with its description; 0 for none.
     pub description: u8,
 }
 
 impl SiiClock {
-    /// Bytes in the SII.
+    /// Length in the SII, bytes.
     pub const LEN: usize = 24;
 
     fn decode(bytes: &[u8]) -> Option<Self> {
@@ -195,7 +195,7 @@ impl SiiClock {
         })
     }
 
-    /// As in the SII.
+    /// From the SII.
     #[must_use]
     pub fn encode(&self) -> [u8; Self::LEN] {
         let mut bytes = [0; Self::LEN];
@@ -211,7 +211,7 @@ impl SiiClock {
     }
 }
 
-/// A SyncManager as its category describes it.
+/// A SyncManager of the category SyncManager.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SiiSyncManager {
     /// Physical start address.
@@ -226,7 +226,7 @@ pub struct SiiSyncManager {
     pub kind: u8,
 }
 
-/// A PDO as its category describes it.
+/// A PDO of the categories TxPDO and RxPDO.
 #[derive(Clone, Copy, Debug)]
 pub struct SiiPdo<'a> {
     /// Index, 1600h or 1A00h and following.
@@ -242,7 +242,7 @@ pub struct SiiPdo<'a> {
     entries: &'a [u8],
 }
 
-/// An entry of a PDO as its category describes it.
+/// An entry of a PDO category.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SiiEntry {
     /// Index of the object; 0 is a gap.
@@ -265,7 +265,7 @@ fn u16_at(bytes: &[u8], at: usize) -> Option<u16> {
 }
 
 impl<'a> Sii<'a> {
-    /// Over the bytes of the EEPROM from its beginning.
+    /// A decoder of the bytes of the EEPROM from its start.
     #[must_use]
     pub const fn new(bytes: &'a [u8]) -> Self {
         Self { bytes }
@@ -313,11 +313,11 @@ impl<'a> Sii<'a> {
     /// Whether the checksum over the first seven words is right.
     #[must_use]
     pub fn is_checked(&self) -> bool {
-        let told = self.bytes.get(14).copied();
-        self.bytes.get(..14).map(checksum) == told
+        let stored = self.bytes.get(14).copied();
+        self.bytes.get(..14).map(checksum) == stored
     }
 
-    /// The categories with their data, as far as the bytes go.
+    /// The categories with their data, as far as they were read.
     pub fn categories(&self) -> impl Iterator<Item = (Category, &'a [u8])> + use<'a> {
         let bytes = self.bytes;
         let mut at = 2 * usize::from(word::CATEGORIES);
@@ -336,7 +336,7 @@ impl<'a> Sii<'a> {
             .map(|(_, data)| data)
     }
 
-    /// The string of a number, from 1; `None` if there is none or it is not text.
+    /// The string with a number, from 1; `None` if there is none or it is not text.
     #[must_use]
     pub fn string(&self, number: u8) -> Option<&'a str> {
         let (count, mut rest) = self.category(Category::Strings)?.split_first()?;
@@ -370,26 +370,26 @@ impl<'a> Sii<'a> {
             eoe,
             flags,
             ebus_ma: ebus.cast_signed(),
-            // Older images end before them.
+            // Older images lack them.
             ports: u16_at(data, 16).unwrap_or(0),
         })
     }
 
-    /// How the slave runs by its clock, each way.
+    /// The operation modes of the distributed clock.
     pub fn clocks(&self) -> impl Iterator<Item = SiiClock> + use<'a> {
         let data = self.category(Category::Dc).unwrap_or_default();
         data.chunks_exact(SiiClock::LEN)
             .filter_map(SiiClock::decode)
     }
 
-    /// Size of the EEPROM, bytes, as word 3Eh tells; `None` if that word was not read or cannot be.
+    /// Size of the EEPROM, bytes, from word 3Eh; `None` if that word was not read or is invalid.
     #[must_use]
     pub fn size(&self) -> Option<usize> {
         let kibit = usize::from(self.word(word::SIZE)?) + 1;
         (kibit <= 512).then_some(128 * kibit)
     }
 
-    /// Bytes up to the mark that ends the categories, with it; `None` if there is none.
+    /// Length up to and including the end mark of the categories, bytes; `None` if there is none.
     #[must_use]
     pub fn used(&self) -> Option<usize> {
         let categories = self.categories().map(|(_, data)| 4 + data.len());
@@ -397,7 +397,7 @@ impl<'a> Sii<'a> {
         (u16_at(self.bytes, end)? == 0xFFFF).then_some(end + 2)
     }
 
-    /// What each FMMU is for: 1 outputs, 2 inputs, 3 state of the mailbox.
+    /// The usage of each FMMU: 1 outputs, 2 inputs, 3 state of the mailbox.
     #[must_use]
     pub fn fmmus(&self) -> &'a [u8] {
         self.category(Category::Fmmu).unwrap_or_default()
@@ -453,14 +453,14 @@ impl SiiPdo<'_> {
         })
     }
 
-    /// How many bits it has.
+    /// Length, bits.
     #[must_use]
     pub fn bits(&self) -> usize {
         self.entries().map(|entry| usize::from(entry.bits)).sum()
     }
 }
 
-/// The checksum of the first seven words: CRC-8 with polynomial 07h, begun at FFh.
+/// The checksum of the first seven words: CRC-8 with polynomial 07h, initial value FFh.
 #[must_use]
 pub fn checksum(bytes: &[u8]) -> u8 {
     let bit = |crc: u8| crc << 1 ^ if crc & 0x80 == 0 { 0 } else { 0x07 };
@@ -520,7 +520,7 @@ mod tests {
     }
 
     #[test]
-    fn an_image_is_read() {
+    fn sii_image_is_decoded() {
         let image = image();
         let sii = Sii::new(&image);
         assert!(sii.is_checked());
@@ -552,7 +552,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cut_image_gives_what_it_has() {
+    fn sii_image_truncated_gives_its_rest() {
         let image = image();
         for len in 0..image.len() {
             let sii = Sii::new(&image[..len]);

@@ -1,20 +1,19 @@
-//! Writes a frame datagram by datagram, so that lengths and `more` flags cannot be wrong. Sends
-//! nothing.
+//! Writes a frame datagram by datagram, with consistent lengths and `more` flags. It sends nothing.
 
 use super::datagram::{Address, DatagramHeader, WorkingCounter};
 use super::{Command, FrameHeader};
 use crate::EncodeError;
 
-/// A frame being written into a buffer of its owner.
+/// A frame being written to a buffer of its owner.
 ///
-/// Begins after the Ethernet header. A frame without a datagram is what [`FrameWriter::finish`]
-/// leaves if nothing was pushed; no slave acts on it.
+/// Starts after the Ethernet header. Without a pushed datagram, [`FrameWriter::finish`] leaves an empty frame, which no
+/// slave processes.
 #[derive(Debug)]
 pub struct FrameWriter<'a> {
     buffer: &'a mut [u8],
-    /// Bytes of all datagrams.
+    /// Length of all datagrams, bytes.
     len: u16,
-    /// The header of the last datagram and where it stands, to set its `more` flag.
+    /// The header of the last datagram and its offset, to set its `more` flag.
     last: Option<(usize, DatagramHeader)>,
 }
 
@@ -22,7 +21,7 @@ impl<'a> FrameWriter<'a> {
     /// Longest frame in bytes, with its header: the payload of an Ethernet frame.
     pub const LEN_MAX: usize = 1500;
 
-    /// Begins a frame. Of the buffer at most [`FrameWriter::LEN_MAX`] bytes are used.
+    /// Starts a frame. It uses at most [`FrameWriter::LEN_MAX`] bytes of the buffer.
     pub fn new(buffer: &'a mut [u8]) -> Result<Self, EncodeError> {
         let len = buffer.len().min(Self::LEN_MAX);
         let mut writer = Self {
@@ -34,8 +33,7 @@ impl<'a> FrameWriter<'a> {
         Ok(writer)
     }
 
-    /// Adds a datagram with a working counter of zero. If it does not fit, the frame stays as it
-    /// was.
+    /// Adds a datagram with a working counter of zero. If it does not fit, the frame is unchanged.
     pub fn push(
         &mut self,
         command: Command,
@@ -50,11 +48,11 @@ impl<'a> FrameWriter<'a> {
             expected: added,
             actual: free.len(),
         };
-        // Fits 16 bits, as it fits the buffer; checked all the same.
+        // Fits 16 bits, as it fits the buffer; checked nevertheless.
         let (Ok(len), Ok(added_len)) = (u16::try_from(data.len()), u16::try_from(added)) else {
             return Err(full);
         };
-        let place = free.get_mut(..added).ok_or(full)?;
+        let slot = free.get_mut(..added).ok_or(full)?;
         let header = DatagramHeader {
             command,
             index,
@@ -64,9 +62,9 @@ impl<'a> FrameWriter<'a> {
             more: false,
             irq: 0,
         };
-        place.fill(0);
-        header.encode(place)?;
-        for (to, from) in place.iter_mut().skip(DatagramHeader::LEN).zip(data) {
+        slot.fill(0);
+        header.encode(slot)?;
+        for (to, from) in slot.iter_mut().skip(DatagramHeader::LEN).zip(data) {
             *to = *from;
         }
         self.announce()?;
@@ -75,21 +73,21 @@ impl<'a> FrameWriter<'a> {
         self.write_frame_header()
     }
 
-    /// Length of the frame in bytes, with its header. Ethernet's minimum is the sender's business.
+    /// Length of the frame in bytes, with its header. The sender adds the padding to Ethernet's minimum.
     #[must_use]
     pub fn finish(self) -> usize {
         FrameHeader::LEN + usize::from(self.len)
     }
 
-    /// Sets the `more` flag of what is no longer the last datagram.
+    /// Sets the `more` flag of the previous datagram.
     fn announce(&mut self) -> Result<(), EncodeError> {
         if let Some((start, header)) = self.last {
-            let place = self.buffer.get_mut(start..).unwrap_or_default();
+            let slot = self.buffer.get_mut(start..).unwrap_or_default();
             DatagramHeader {
                 more: true,
                 ..header
             }
-            .encode(place)?;
+            .encode(slot)?;
         }
         Ok(())
     }

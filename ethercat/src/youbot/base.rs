@@ -1,6 +1,5 @@
-//! The base on four mecanum wheels: wheel speeds against the base's velocity, a ramp, and where the wheels say that
-//! it went. Drives are in the order left front, right front, left back, right back; the motors of the left side are
-//! mirrored.
+//! The base on four mecanum wheels: converts wheel speeds to base velocity, ramps velocities, and computes odometry.
+//! Drives are in the order left front, right front, left back, right back; the motors of the left side are mirrored.
 
 use std::f64::consts::TAU;
 
@@ -14,7 +13,7 @@ pub struct Mecanum {
     pub radius: f64,
     /// Half of the distance of the axles plus half of that of the wheels on one, m.
     pub lever: f64,
-    /// Revolutions of a motor in one of its wheel.
+    /// Gear ratio: motor revolutions per wheel revolution.
     pub gear: f64,
     /// Largest speed of a motor, rpm.
     pub rpm_max: f64,
@@ -51,7 +50,7 @@ impl Mecanum {
         ]
     }
 
-    /// Motor speeds, rpm. If one would be too fast, all are slower by the same factor: the way stays the same.
+    /// Motor speeds, rpm. If one would be too fast, all are scaled by the same factor: the path stays the same.
     #[must_use]
     pub fn rpm(&self, velocity: [f64; 3]) -> [i32; 4] {
         let rpm = self.exact_rpm(velocity);
@@ -63,7 +62,7 @@ impl Mecanum {
         rpm.map(|one| (one * self.rpm_max / fastest).round() as i32)
     }
 
-    /// To what share of a velocity the motors can drive it: 1, or less where one would be too fast.
+    /// Fraction of a velocity that the motors can reach: 1, or less if one would be too fast.
     #[must_use]
     pub fn reach(&self, velocity: [f64; 3]) -> f64 {
         self.rpm_max / self.fastest(self.exact_rpm(velocity))
@@ -74,7 +73,7 @@ impl Mecanum {
         rates.map(|rate| rate * self.gear * 60.0 / TAU)
     }
 
-    /// The speed of the fastest motor, at least the largest that one has.
+    /// The speed of the fastest motor, at least the largest allowed.
     fn fastest(&self, rpm: [f64; 4]) -> f64 {
         rpm.iter()
             .fold(self.rpm_max, |most, one| most.max(one.abs()))
@@ -86,13 +85,13 @@ impl Mecanum {
         f64::from(rpm) * TAU / 60.0 / self.gear
     }
 
-    /// Angle of a wheel for so many ticks, rad.
+    /// Angle of a wheel for a number of ticks, rad.
     fn angle(&self, ticks: i32) -> f64 {
         f64::from(ticks) * TAU / TICKS / self.gear
     }
 }
 
-/// A velocity that changes within an acceleration.
+/// A velocity with limited acceleration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ramp {
     velocity: [f64; 3],
@@ -113,44 +112,44 @@ impl Ramp {
         }
     }
 
-    /// The velocity that it has reached.
+    /// The present velocity.
     #[must_use]
     pub const fn velocity(&self) -> [f64; 3] {
         self.velocity
     }
 
-    /// At rest at once: the base is not ours to move.
+    /// Stops at once: the base is not under control.
     pub const fn rest(&mut self) {
         self.velocity = [0.0; 3];
     }
 
-    /// Goes towards a velocity for so long, s.
+    /// Ramps towards a velocity for a time, s.
     pub fn step(&mut self, wanted: [f64; 3], dt: f64) {
         let change = [0, 1, 2].map(|i| wanted[i] - self.velocity[i]);
-        let share = |most: f64, change: f64| {
+        let fraction = |most: f64, change: f64| {
             if change.abs() > most * dt {
                 most * dt / change.abs()
             } else {
                 1.0
             }
         };
-        let planar = share(self.translation, change[0].hypot(change[1]));
-        let turn = share(self.rotation, change[2]);
-        for (i, share) in [planar, planar, turn].into_iter().enumerate() {
-            self.velocity[i] += share * change[i];
+        let planar = fraction(self.translation, change[0].hypot(change[1]));
+        let turn = fraction(self.rotation, change[2]);
+        for (i, fraction) in [planar, planar, turn].into_iter().enumerate() {
+            self.velocity[i] += fraction * change[i];
         }
     }
 }
 
-/// Where the wheels say that the base is. They slip; it is no measurement of the floor.
+/// Odometry of the base. Wheels slip, so it is not a measurement of the true pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Odometry {
     last: Option<[i32; 4]>,
-    /// x and y (m) and heading (rad) in the frame in which it began.
+    /// x and y (m) and heading (rad) relative to the start pose.
     pose: [f64; 3],
     /// Angles of the wheels since then, rad, in their motors' sense.
     wheels: [f64; 4],
-    /// Counters that stood elsewhere all of a sudden.
+    /// Number of counter jumps.
     jumps: u64,
 }
 
@@ -158,16 +157,16 @@ pub struct Odometry {
 const JUMP: u32 = 40_000;
 
 impl Odometry {
-    /// Takes the encoders of the wheels. The heading is that in the middle of the way.
+    /// Takes the encoders of the wheels. The heading is that in the middle of the step.
     pub fn advance(&mut self, mecanum: &Mecanum, ticks: [i32; 4]) {
         let last = self.last.replace(ticks).unwrap_or(ticks);
-        let ways: [i32; 4] = std::array::from_fn(|i| ticks[i].wrapping_sub(last[i]));
-        // A drive that lost its power counts from 0 again; where the wheels went meanwhile nobody knows.
-        if ways.iter().any(|way| way.unsigned_abs() > JUMP) {
+        let steps: [i32; 4] = std::array::from_fn(|i| ticks[i].wrapping_sub(last[i]));
+        // A drive that lost its power counts from 0 again; the motion meanwhile is unknown.
+        if steps.iter().any(|step| step.unsigned_abs() > JUMP) {
             self.jumps += 1;
             return;
         }
-        let angles = ways.map(|way| mecanum.angle(way));
+        let angles = steps.map(|step| mecanum.angle(step));
         let [x, y, turn] = mecanum.velocity(angles);
         let (sin, cos) = (self.pose[2] + turn / 2.0).sin_cos();
         self.pose[0] += cos * x - sin * y;
@@ -178,7 +177,7 @@ impl Odometry {
         }
     }
 
-    /// The drives are gone: what they count when they are back is a new beginning.
+    /// The drives are offline: their counters restart when they are back.
     pub const fn forget(&mut self) {
         self.last = None;
     }
@@ -195,7 +194,7 @@ impl Odometry {
         self.wheels
     }
 
-    /// How often counters stood elsewhere all of a sudden.
+    /// Number of counter jumps.
     #[must_use]
     pub const fn jumps(&self) -> u64 {
         self.jumps
@@ -206,9 +205,9 @@ impl Odometry {
 mod tests {
     use super::*;
 
-    /// What the vendor's own driver was seen to send.
+    /// Values recorded from the vendor's driver.
     #[test]
-    fn velocities_have_the_speeds_of_the_vendors_driver() {
+    fn velocities_match_speeds_of_the_vendor_driver() {
         let mecanum = Mecanum::default();
         assert_eq!(mecanum.rpm([0.2, 0.0, 0.0]), [-1039, 1039, -1039, 1039]);
         assert_eq!(mecanum.rpm([0.0, 0.2, 0.0]), [1039, 1039, -1039, -1039]);
@@ -216,11 +215,11 @@ mod tests {
         let fast = mecanum.rpm([10.0, 0.0, 10.0]);
         assert_eq!(fast.iter().map(|rpm| rpm.abs()).max(), Some(6000));
         let [x, _, turn] = mecanum.velocity(fast.map(|rpm| mecanum.rate(rpm)));
-        assert!((x - turn).abs() < 1e-3, "slower on the same way");
+        assert!((x - turn).abs() < 1e-3, "slower on the same path");
     }
 
     #[test]
-    fn velocities_come_back() {
+    fn velocities_convert_back() {
         let mecanum = Mecanum::default();
         let velocity = [0.3, -0.2, 0.7];
         let back = mecanum.velocity(mecanum.rates(velocity));
@@ -230,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn a_quarter_circle_ends_where_it_should() {
+    fn odometry_of_a_quarter_circle_is_exact() {
         let (mecanum, mut odometry) = (Mecanum::default(), Odometry::default());
         // At the upper end of the counters, so that they wrap.
         let mut ticks = [f64::from(i32::MAX) - 10.0; 4];
@@ -238,7 +237,7 @@ mod tests {
         let wrapped = |ticks: [f64; 4]| ticks.map(|one| one as i64 as i32);
         odometry.advance(&mecanum, wrapped(ticks));
         let turn = std::f64::consts::FRAC_PI_2;
-        // In steps so long that it matters where in them the heading is taken.
+        // In steps long enough that the choice of the heading matters.
         for _ in 0..20 {
             let rates = mecanum.rates([0.5 * turn, 0.0, turn]);
             for (one, rate) in ticks.iter_mut().zip(rates) {
@@ -255,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ramp_keeps_to_its_acceleration_and_direction() {
+    fn base_ramp_keeps_acceleration_and_direction() {
         let mut ramp = Ramp::new(1.0, 2.0);
         ramp.step([0.3, 0.4, 1.0], 0.1);
         let [x, y, turn] = ramp.velocity();

@@ -1,22 +1,22 @@
-//! One drive of a youBot: brought from whatever it is in to where it does what it is told, and back there after
-//! faults. What it is told is its owner's business; it moves by itself only to find its commutation, and only while
-//! its owner allows that.
+//! One drive of a youBot: brings it from any state to where it executes commands, and back there after faults. Its
+//! owner chooses the commands; the drive moves by itself only to find its commutation, and only while its owner permits
+//! that.
 //!
 //! ```text
 //!          1 inputs         2 version         3 set up                  5 may move
 //! Absent ----------> Identify -----> Prepare -----+----> Uncommutated ------------> Commutate
 //!   ^                   |               |         |           ^    ^-- 6 blocked ---- |   | 7 flag 15
-//!   | 4 no inputs,      | 8 unknown,    | 8       | 3 flag 15 | 10 flag 15 gone       |   v
+//!   | 4 no inputs,      | 8 unknown,    | 8       | 3 flag 15 | 10 flag 15 lost       |   v
 //!   |   from any        v refused       v         +--> Ready -+<-- 9 200 ms ---------------- Settle
 //!   +---------------- Refused(why) <---- 8 too long --|-------------------------------+
 //!                                                     | 11 flag 16 or 17
-//!                         13 a clearing is due again  v        12 flag gone
+//!                         13 a clearing is available  v        12 flag lost
 //!                     Exhausted ----------------> Clear ------------------> Ready
 //!                         ^------ 14 none left ------+
 //! ```
 //! All in [`Drive::cycle`]: 1 and 4 at the top, 2 in `identify`, 3 in `prepare`, 5 to 7 in `commutate`, 9 to 14 in
-//! `watch` and `clear`, 8 in each. What a mailbox lost is tried again 2 s later; other refusals stand until the drive
-//! is gone and back.
+//! `watch` and `clear`, 8 in each. A request lost by the mailbox is retried 2 s later; other errors persist until the
+//! drive was offline.
 
 use std::time::Duration;
 
@@ -25,77 +25,77 @@ use super::tmcl::{Answer, Request, Version};
 use super::wire::{Command, Feedback, Flags, Mode};
 use super::{Firmware, parameters};
 
-/// Before a mailbox that failed is tried again.
+/// Retry delay after a mailbox error.
 const AGAIN: Duration = Duration::from_secs(2);
-/// Longest search for the commutation.
+/// Timeout of the commutation search.
 const COMMUTATION_MAX: Duration = Duration::from_secs(5);
-/// How long a motor comes to rest behind it.
+/// Settling time of the motor after it.
 const SETTLE: Duration = Duration::from_millis(200);
-/// Speed at which firmware 2.00 finds it, rpm.
+/// Speed of the search with firmware 2.00, rpm.
 const COMMUTATION_RPM: i32 = 100;
-/// Flags that may be cleared in a row.
+/// Number of flags that may be cleared in a row.
 const CLEARINGS: u8 = 5;
-/// After so long one more may.
+/// Time after which one more may be cleared.
 const CLEARING_EACH: Duration = Duration::from_secs(10);
-/// How long a flag may stay behind its clearing.
+/// Timeout until a cleared flag is reset.
 const CLEAR_MAX: Duration = Duration::from_secs(1);
 
-/// How a drive is led.
+/// Configuration of a drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DriveConfig {
-    /// Largest current, mA: written to the drive, which applies it to its own loops, and kept here for currents that it
-    /// is told, which it does not limit.
+    /// Largest current, mA: written to the drive, which applies it to its own control loops, and applied here to
+    /// commanded currents, which the drive does not limit.
     pub current_max_ma: i32,
-    /// The commutation is found turning this way, 1 or -1.
+    /// Direction of the commutation search, 1 or -1.
     pub direction: i32,
 }
 
-/// Where a drive is.
+/// State of a drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DriveState {
-    /// No inputs come.
+    /// No inputs are received.
     Absent,
-    /// Its firmware is asked for.
+    /// Its firmware is requested.
     Identify,
     /// Parameters are written.
     Prepare(u8),
-    /// Its commutation is not known, and it may not move.
+    /// Its commutation is unknown, and it may not move.
     Uncommutated,
-    /// It finds its commutation, since then.
+    /// It searches its commutation, since this time.
     Commutate(Duration),
-    /// It comes to rest, since then.
+    /// It settles, since this time.
     Settle(Duration),
-    /// It does what it is told.
+    /// It executes commands.
     Ready,
-    /// Its time-out or I2t flag is being cleared, since then.
+    /// Its timeout or I2t flag is being cleared, since this time.
     Clear(Duration),
-    /// It set such flags too often.
+    /// It set these flags too often.
     Exhausted,
-    /// It cannot be used, since then.
-    Refused(Obstacle, Duration),
+    /// It cannot be used, since this time.
+    Refused(DriveFault, Duration),
 }
 
-/// Why a drive does not do what it is told.
+/// Why a drive does not execute commands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum Obstacle {
+pub enum DriveFault {
     /// It does not answer.
-    #[error("no inputs come; look at its cable and power")]
+    #[error("no inputs are received; check its cable and power")]
     Absent,
-    /// It is on its way.
+    /// It is being set up.
     #[error("it is being set up")]
     Starting,
     /// It may not move to find its commutation.
-    #[error("its commutation is not known; it has to turn a bit to find it")]
+    #[error("its commutation is unknown; it must turn slightly to find it")]
     Uncommutated,
-    /// Its firmware is none of those known, or its inputs are those of another.
+    /// Its firmware is unknown, or its inputs do not match.
     #[error(
         "board {} has firmware {}.{:02} with {inputs} bytes of inputs; 1.48 (20) and 2.xx (32) are known",
         version.board, version.number / 100, version.number % 100
     )]
     Firmware {
-        /// As it says.
+        /// As reported.
         version: Version,
-        /// Bytes of inputs.
+        /// Length of the inputs, bytes.
         inputs: usize,
     },
     /// Turning did not show the commutation.
@@ -106,31 +106,31 @@ pub enum Obstacle {
     /// Its mailbox.
     #[error("{0}")]
     Call(CallError),
-    /// A flag came back at once.
+    /// A flag could not be cleared.
     #[error("it does not clear: {0}")]
     Stuck(Flags),
-    /// Time-outs or I2t too often.
-    #[error("time-out or I2t more than 5 times, one forgotten each 10 s: look for its cause")]
+    /// Too many timeouts or I2t flags.
+    #[error("more than 5 EtherCAT timeouts or I2t faults (one expires every 10 s): find the cause")]
     TooOften,
     /// Flags that stop it.
     #[error("{0}")]
     Flags(Flags),
 }
 
-/// What happened to a drive.
+/// Counters of a drive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
-    /// EtherCAT time-outs (flag 16).
+    /// EtherCAT timeouts (flag 16).
     pub timeouts: u64,
     /// I2t (flag 17).
     pub i2t: u64,
-    /// Currents that were cut to the largest one.
+    /// Commanded currents that were limited.
     pub clamped: u64,
-    /// Commutations.
+    /// Commutation searches.
     pub commutations: u64,
 }
 
-/// How many flags may still be cleared.
+/// Budget of flags that may be cleared.
 #[derive(Clone, Copy, Debug)]
 struct Budget {
     left: u8,
@@ -170,7 +170,7 @@ pub struct Drive {
 }
 
 impl Drive {
-    /// That of a slave, by its number with the master.
+    /// The drive of a slave, by its number at the master.
     #[must_use]
     pub fn new(slave: usize, config: DriveConfig) -> Self {
         Self {
@@ -194,42 +194,42 @@ impl Drive {
         self.mailbox.slave()
     }
 
-    /// Where it is.
+    /// Its state.
     #[must_use]
     pub const fn state(&self) -> DriveState {
         self.state
     }
 
-    /// What it told in this cycle.
+    /// Its inputs of this cycle.
     #[must_use]
     pub fn feedback(&self) -> Option<&Feedback> {
         self.feedback.as_ref().map(|(_, feedback)| feedback)
     }
 
-    /// Its firmware, once it said.
+    /// Its firmware, once reported.
     #[must_use]
     pub const fn version(&self) -> Option<Version> {
         self.version
     }
 
-    /// What happened to it.
+    /// Its counters.
     #[must_use]
     pub const fn counters(&self) -> Counters {
         self.counters
     }
 
-    /// How often a request of its mailbox was asked again.
+    /// Number of repeated mailbox requests.
     #[must_use]
     pub const fn repeats(&self) -> u64 {
         self.mailbox.repeats()
     }
 
-    /// Its mailbox, for what else is to be asked.
+    /// Its mailbox, for other requests.
     pub const fn mailbox(&mut self) -> &mut Mailbox {
         &mut self.mailbox
     }
 
-    /// Puts it into a state, as if at that time.
+    /// Sets its state, as if entered at this time.
     #[cfg(test)]
     pub(super) fn force(&mut self, state: DriveState, since: Duration) {
         self.state = state;
@@ -239,42 +239,46 @@ impl Drive {
     }
 
     fn flags(&self) -> Flags {
-        self.feedback().map(|told| told.flags).unwrap_or_default()
+        self.feedback()
+            .map(|feedback| feedback.flags)
+            .unwrap_or_default()
     }
 
-    /// Whether it does what it is told.
+    /// Whether it executes commands.
     #[must_use]
     pub fn follows(&self) -> bool {
-        self.obstacle().is_none()
+        self.drive_fault().is_none()
     }
 
-    /// Why it does not; `None` if it does.
+    /// Why it does not execute commands; `None` if it does.
     #[must_use]
-    pub fn obstacle(&self) -> Option<Obstacle> {
+    pub fn drive_fault(&self) -> Option<DriveFault> {
         let blocking = Flags::BLOCKING | Flags::TIMEOUT | Flags::I2T;
         match self.state {
-            DriveState::Absent => Some(Obstacle::Absent),
+            DriveState::Absent => Some(DriveFault::Absent),
             DriveState::Identify
             | DriveState::Prepare(_)
             | DriveState::Commutate(_)
-            | DriveState::Settle(_) => Some(Obstacle::Starting),
+            | DriveState::Settle(_) => Some(DriveFault::Starting),
             DriveState::Uncommutated if self.flags().any(Flags::BLOCKING) => {
-                Some(Obstacle::Flags(self.flags()))
+                Some(DriveFault::Flags(self.flags()))
             }
-            DriveState::Uncommutated => Some(Obstacle::Uncommutated),
-            DriveState::Exhausted => Some(Obstacle::TooOften),
+            DriveState::Uncommutated => Some(DriveFault::Uncommutated),
+            DriveState::Exhausted => Some(DriveFault::TooOften),
             DriveState::Refused(why, _) => Some(why),
-            DriveState::Clear(_) => Some(Obstacle::Flags(self.flags())),
-            DriveState::Ready if self.flags().any(blocking) => Some(Obstacle::Flags(self.flags())),
+            DriveState::Clear(_) => Some(DriveFault::Flags(self.flags())),
+            DriveState::Ready if self.flags().any(blocking) => {
+                Some(DriveFault::Flags(self.flags()))
+            }
             DriveState::Ready if !self.flags().any(Flags::INITIALIZED) => {
-                Some(Obstacle::Uncommutated)
+                Some(DriveFault::Uncommutated)
             }
             DriveState::Ready => None,
         }
     }
 
-    /// One cycle: takes the inputs, `None` if there are none of late, and gives the outputs. `wanted` is done if it
-    /// [follows](Self::follows); else it holds. It turns to find its commutation only if it `may_move`.
+    /// One cycle: takes the inputs, `None` if there are no recent ones, and returns the outputs. It executes `wanted`
+    /// if it [follows](Self::follows); otherwise it holds. It turns to find its commutation only if it `may_move`.
     pub fn cycle(
         &mut self,
         inputs: Option<&[u8]>,
@@ -327,7 +331,9 @@ impl Drive {
                     DriveState::Exhausted
                 }
             }
-            DriveState::Refused(Obstacle::Call(_), since) if now.saturating_sub(since) >= AGAIN => {
+            DriveState::Refused(DriveFault::Call(_), since)
+                if now.saturating_sub(since) >= AGAIN =>
+            {
                 DriveState::Identify
             }
             DriveState::Refused(why, since) => DriveState::Refused(why, since),
@@ -339,7 +345,7 @@ impl Drive {
             None => return DriveState::Identify,
             Some(Ok(Answer::Version(version))) => version,
             Some(Ok(Answer::Value(_))) => return DriveState::Identify,
-            Some(Err(error)) => return DriveState::Refused(Obstacle::Call(error), now),
+            Some(Err(error)) => return DriveState::Refused(DriveFault::Call(error), now),
         };
         self.version = Some(version);
         let of_inputs = self.feedback.map(|(firmware, _)| firmware);
@@ -347,7 +353,7 @@ impl Drive {
             return DriveState::Prepare(0);
         }
         let inputs = self.inputs;
-        DriveState::Refused(Obstacle::Firmware { version, inputs }, now)
+        DriveState::Refused(DriveFault::Firmware { version, inputs }, now)
     }
 
     fn prepare(&mut self, step: u8, now: Duration) -> DriveState {
@@ -359,7 +365,7 @@ impl Drive {
         match self.mailbox.call(request) {
             None => DriveState::Prepare(step),
             Some(Ok(_)) => DriveState::Prepare(step + 1),
-            Some(Err(error)) => DriveState::Refused(Obstacle::Call(error), now),
+            Some(Err(error)) => DriveState::Refused(DriveFault::Call(error), now),
         }
     }
 
@@ -375,7 +381,7 @@ impl Drive {
         match self.state {
             _ if blocked => DriveState::Uncommutated,
             DriveState::Commutate(since) if now.saturating_sub(since) > COMMUTATION_MAX => {
-                DriveState::Refused(Obstacle::Commutation, now)
+                DriveState::Refused(DriveFault::Commutation, now)
             }
             DriveState::Commutate(since) => DriveState::Commutate(since),
             DriveState::Absent
@@ -404,7 +410,7 @@ impl Drive {
         }
     }
 
-    /// A flag came that is to be cleared.
+    /// A flag that must be cleared is set.
     fn trip(&mut self, now: Duration) -> DriveState {
         let counts = self.state != DriveState::Exhausted;
         let flags = self.flags();
@@ -427,10 +433,10 @@ impl Drive {
             return self.watch(now);
         };
         match self.mailbox.call(request) {
-            Some(Err(error)) => DriveState::Refused(Obstacle::Call(error), now),
-            // A drive that answers and keeps its flag; lost requests have a longer time-out of their own.
+            Some(Err(error)) => DriveState::Refused(DriveFault::Call(error), now),
+            // The drive answers but keeps its flag; lost requests have their own longer timeout.
             Some(Ok(_)) if now.saturating_sub(since) > CLEAR_MAX => {
-                DriveState::Refused(Obstacle::Stuck(flags), now)
+                DriveState::Refused(DriveFault::Stuck(flags), now)
             }
             None | Some(Ok(_)) => DriveState::Clear(since),
         }

@@ -1,19 +1,19 @@
-//! The gripper behind the last joint: two bars that stepper motors move without seeing where they are, reached through
-//! that joint's mailbox. It is known where they are once they were opened to their stops; that is a motion, and done
-//! only when it is allowed.
+//! The gripper behind the last joint: two bars moved by stepper motors without position feedback, reached through the
+//! mailbox of that joint. Their positions are known once they were opened to their stops; this is a motion, done only
+//! when permitted.
 //!
 //! ```text
 //!          1 start       2           3 not calibrated, may move         4 open     5 closed
-//! Idle ------------> Setup --> Ask ----------------------------> Origin --> Open --> Close --> Preset
+//! Idle ------------> Setup --> Query --------------------------> Origin --> Open --> Close --> Preset
 //!   ^                  ^       | 7 calibrated                                                    | 6
 //!   | 11 forget,       |       v          8 order          9 both there                          v
 //!   |    from any      |     Ready <-------------------> Order ---13 too long---> Short         Mark --> Ready
 //!                      |                                   ^---------8 order--------+
 //!                      +-- 12 lost, 2 s later -- Failed(why) <--10 refused, or too long on the way to the stops-- any
 //! ```
-//! An order that is withdrawn on its way leads from Order over Stop, bar by bar, to Ready ([`Gripper::stop`]).
-//! 1 and 12 in [`Gripper::start`], 8 in [`Gripper::order`], 11 in [`Gripper::forget`], the others in [`Gripper::cycle`].
-//! Bars that did not reach their stops are not sent there again by themselves: what is in their way may be a hand.
+//! An order that is stopped in motion leads from Order through Stop, bar by bar, to Ready ([`Gripper::stop`]). 1 and 12
+//! in [`Gripper::start`], 8 in [`Gripper::order`], 11 in [`Gripper::forget`], the others in [`Gripper::cycle`]. Bars
+//! that did not reach their stops are not sent there again automatically: a hand may block them.
 
 use std::time::Duration;
 
@@ -21,40 +21,40 @@ use super::mailbox::{CallError, Mailbox};
 use super::parameters::GRIPPER_CALIBRATED;
 use super::tmcl::Request;
 
-/// Longest way of a bar.
+/// Timeout of a bar motion.
 const MOVE_MAX: Duration = Duration::from_secs(8);
-/// Before a mailbox that failed is tried again.
+/// Retry delay after a mailbox error.
 const AGAIN: Duration = Duration::from_secs(2);
-/// What is written at the start: bar, parameter, value (stallGuard).
+/// Start-up parameters: bar, parameter, value (stallGuard).
 const SETUP: [(u8, u8, i32); 4] = [(0, 174, 50), (1, 174, 50), (0, 173, 1), (1, 173, 1)];
 
 /// A bar.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BarConfig {
-    /// Steps of all of its way; it counts down when it opens.
+    /// Stroke, steps; it counts down when it opens.
     pub steps: i32,
-    /// All of its way, m.
-    pub way: f64,
+    /// Stroke, m.
+    pub stroke: f64,
 }
 
 impl Default for BarConfig {
     fn default() -> Self {
         Self {
             steps: 67_000,
-            way: 0.0115,
+            stroke: 0.0115,
         }
     }
 }
 
-/// Where the gripper is.
+/// State of the gripper.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GripperState {
     /// Not begun.
     Idle,
     /// Parameters are written.
     Setup(u8),
-    /// It is asked whether it was calibrated since power came on.
-    Ask,
+    /// Queries whether it was calibrated since power-on.
+    Query,
     /// The counter of a bar is read.
     Origin(u8),
     /// It opens to its stops.
@@ -63,17 +63,17 @@ pub enum GripperState {
     Close,
     /// The counter of a bar is set to 0.
     Preset(u8),
-    /// The drive is told that it was calibrated.
+    /// The drive is marked as calibrated.
     Mark,
-    /// It rests where it was told.
+    /// It is at its commanded position.
     Ready,
-    /// It moves where it was told.
+    /// It moves to its commanded position.
     Order,
-    /// Something is in its way: it presses, short of where it was told.
+    /// It is blocked: it presses before its commanded position.
     Short,
-    /// A bar is stopped where it is.
+    /// A bar is being stopped.
     Stop(u8),
-    /// It cannot be used, since then.
+    /// It cannot be used, since this time.
     Failed(GripperError, Duration),
 }
 
@@ -82,7 +82,7 @@ pub enum GripperState {
 pub enum GripperError {
     /// A bar did not reach its stop.
     #[error(
-        "a finger did not reach its stop within 8 s; clear its way, then take the power of the arm off and on"
+        "a finger did not reach its stop within 8 s; remove the obstruction, then power-cycle the arm"
     )]
     Late,
     /// The drive refused, or did not answer.
@@ -90,9 +90,9 @@ pub enum GripperError {
     Call(CallError),
 }
 
-/// Bars on their way.
+/// A motion of the bars.
 #[derive(Clone, Copy, Debug, Default)]
-struct Way {
+struct Motion {
     targets: [i32; 2],
     step: u8,
     reached: bool,
@@ -104,7 +104,7 @@ struct Way {
 pub struct Gripper {
     config: BarConfig,
     state: GripperState,
-    way: Way,
+    motion: Motion,
     origin: [i32; 2],
     /// Counters of the bars as last read, steps.
     counts: [Option<i32>; 2],
@@ -117,19 +117,19 @@ impl Gripper {
         Self {
             config,
             state: GripperState::Idle,
-            way: Way::default(),
+            motion: Motion::default(),
             origin: [0; 2],
             counts: [None; 2],
         }
     }
 
-    /// Where it is.
+    /// Its state.
     #[must_use]
     pub const fn state(&self) -> GripperState {
         self.state
     }
 
-    /// Whether it takes orders.
+    /// Whether it accepts orders.
     #[must_use]
     pub const fn is_ready(&self) -> bool {
         match self.state {
@@ -139,7 +139,7 @@ impl Gripper {
             | GripperState::Stop(_) => true,
             GripperState::Idle
             | GripperState::Setup(_)
-            | GripperState::Ask
+            | GripperState::Query
             | GripperState::Origin(_)
             | GripperState::Open
             | GripperState::Close
@@ -152,7 +152,7 @@ impl Gripper {
     /// Largest distance between the fingers, m.
     #[must_use]
     pub fn distance_max(&self) -> f64 {
-        2.0 * self.config.way
+        2.0 * self.config.stroke
     }
 
     /// Distance between the fingers, m; `None` while it is not known.
@@ -161,7 +161,7 @@ impl Gripper {
         let [one, other] = self.counts;
         let steps = -(f64::from(one?) + f64::from(other?));
         self.is_ready()
-            .then(|| steps / f64::from(self.config.steps) * self.config.way)
+            .then(|| steps / f64::from(self.config.steps) * self.config.stroke)
     }
 
     #[cfg(test)]
@@ -169,8 +169,8 @@ impl Gripper {
         (self.state, self.counts) = (state, counts);
     }
 
-    /// Begins, unless it did; again, if its mailbox failed two seconds ago. What else failed stays so until it is
-    /// [forgotten](Self::forget).
+    /// Starts, unless already started; retries two seconds after a mailbox error. Other errors persist until
+    /// [`Self::forget`].
     pub fn start(&mut self, now: Duration) {
         match self.state {
             GripperState::Idle => self.state = GripperState::Setup(0),
@@ -181,7 +181,7 @@ impl Gripper {
             }
             GripperState::Failed(..)
             | GripperState::Setup(_)
-            | GripperState::Ask
+            | GripperState::Query
             | GripperState::Origin(_)
             | GripperState::Open
             | GripperState::Close
@@ -194,24 +194,27 @@ impl Gripper {
         }
     }
 
-    /// Its drive was gone: nothing is known any more. The bars stop where they were sent.
+    /// Its drive was offline: its state is unknown. The bars stop at their last targets.
     pub fn forget(&mut self) {
         self.state = GripperState::Idle;
         self.counts = [None; 2];
     }
 
-    /// Moves the fingers to a distance, m, from now on. False if it takes no orders, or not this one.
+    /// Moves the fingers to a distance, m, from now on. False if it does not accept orders, or not this one.
     pub fn order(&mut self, distance: f64, now: Duration) -> bool {
         if !self.is_ready() || !(0.0..=self.distance_max()).contains(&distance) {
             return false;
         }
-        #[expect(clippy::cast_possible_truncation, reason = "within the way of a bar")]
+        #[expect(
+            clippy::cast_possible_truncation,
+            reason = "within the stroke of a bar"
+        )]
         let steps = (distance / self.distance_max() * f64::from(self.config.steps)).round() as i32;
         self.go([-steps; 2], GripperState::Order, now);
         true
     }
 
-    /// Stops the fingers where they are, if they are on their way because of an order.
+    /// Stops the fingers where they are, if an order moves them.
     pub fn stop(&mut self) {
         if self.state == GripperState::Order {
             self.state = GripperState::Stop(0);
@@ -219,7 +222,7 @@ impl Gripper {
     }
 
     fn go(&mut self, targets: [i32; 2], state: GripperState, now: Duration) {
-        self.way = Way {
+        self.motion = Motion {
             targets,
             step: 0,
             reached: false,
@@ -233,11 +236,11 @@ impl Gripper {
         let (bank, number) = GRIPPER_CALIBRATED;
         match self.state {
             GripperState::Idle | GripperState::Failed(..) => {}
-            GripperState::Ready | GripperState::Short => self.look(mailbox, now),
+            GripperState::Ready | GripperState::Short => self.read_positions(mailbox, now),
             GripperState::Setup(step) => {
                 let next = SETUP.get(usize::from(step));
                 let Some((bar, parameter, value)) = next.copied() else {
-                    self.state = GripperState::Ask;
+                    self.state = GripperState::Query;
                     return;
                 };
                 if self
@@ -247,7 +250,8 @@ impl Gripper {
                     self.state = GripperState::Setup(step + 1);
                 }
             }
-            GripperState::Ask => match self.call(mailbox, Request::get_global(bank, number), now) {
+            GripperState::Query => match self.call(mailbox, Request::get_global(bank, number), now)
+            {
                 Some(1) => self.state = GripperState::Ready,
                 Some(_) if may_move => self.state = GripperState::Origin(0),
                 Some(_) | None => {}
@@ -290,7 +294,7 @@ impl Gripper {
             }
             GripperState::Stop(bar) => {
                 if self.call(mailbox, Request::stop_bar(bar), now).is_some() {
-                    // Where they came to rest is read again.
+                    // Their final positions are read again.
                     self.counts = [None; 2];
                     self.state = if bar == 0 {
                         GripperState::Stop(1)
@@ -302,7 +306,7 @@ impl Gripper {
         }
     }
 
-    /// Each bar's counter to 0, then its target too, so that it does not go where 0 was before.
+    /// Each bar's counter to 0, then its target too, so that it does not move to the previous zero.
     fn preset(&mut self, mailbox: &mut Mailbox, step: u8, now: Duration) {
         let bar = step / 2;
         let request = if step.is_multiple_of(2) {
@@ -319,8 +323,8 @@ impl Gripper {
         }
     }
 
-    /// Reads where the bars are, in turn.
-    fn look(&mut self, mailbox: &mut Mailbox, now: Duration) {
+    /// Reads the positions of the bars, in turn.
+    fn read_positions(&mut self, mailbox: &mut Mailbox, now: Duration) {
         let bar = u8::from(self.counts[0].is_some());
         if self.counts[usize::from(bar)].is_some() {
             return;
@@ -330,9 +334,9 @@ impl Gripper {
         }
     }
 
-    /// Sends both bars, then asks in turn where they are and whether they are there; true when both are.
+    /// Sends both bars, then queries in turn their positions and whether they have arrived; true when both have.
     fn travel(&mut self, mailbox: &mut Mailbox, now: Duration) -> bool {
-        let Way { targets, step, .. } = self.way;
+        let Motion { targets, step, .. } = self.motion;
         let request = match step {
             0 => Request::move_bar(0, targets[0]),
             1 => Request::move_bar(1, targets[1]),
@@ -342,19 +346,19 @@ impl Gripper {
             _ => Request::get_bar(1, 1),
         };
         if let Some(value) = self.call(mailbox, request, now) {
-            self.way.step = if step >= 5 { 2 } else { step + 1 };
+            self.motion.step = if step >= 5 { 2 } else { step + 1 };
             match step {
-                2 => self.way.reached = value == 1,
-                3 => self.way.reached &= value == 1,
+                2 => self.motion.reached = value == 1,
+                3 => self.motion.reached &= value == 1,
                 4 => self.counts[0] = Some(value),
                 5 => {
                     self.counts[1] = Some(value);
-                    return self.way.reached;
+                    return self.motion.reached;
                 }
                 _ => {}
             }
         }
-        if now.saturating_sub(self.way.since) > MOVE_MAX {
+        if now.saturating_sub(self.motion.since) > MOVE_MAX {
             self.state = if self.state == GripperState::Order {
                 GripperState::Short
             } else {

@@ -1,12 +1,12 @@
-//! Homing of one joint to its stop: towards it until the motor presses, then the encoder is set to 0 there. It can be
-//! cancelled in each of its states; whether a joint may move at all is decided before it is started.
+//! Homing of one joint to its stop: moves until the motor presses against it, then sets the encoder to 0 there. It can
+//! be cancelled in any state; motion must be permitted before it starts.
 //!
 //! ```text
 //!         1 start        2 not homed           3 presses        4 100 ms          5            6
-//! Idle ----------> Ask -------------> Approach ---------> Rest ---------> Preset ---> Mark ---> Done
+//! Idle ----------> Query -----------> Approach ---------> Rest ---------> Preset ---> Mark ---> Done
 //!                   | 7 homed                                                                    ^
 //!                   +----------------------------------------------------------------------------+
-//! any of Ask to Mark --8 cancel--> Cancelled        --9 too long, refused--> Failed(why)
+//! any of Query to Mark --8 cancel--> Cancelled        --9 too long, refused--> Failed(why)
 //! ```
 //! 1 in [`Homing::start`], 8 in [`Homing::cancel`], the others in [`Homing::cycle`].
 
@@ -17,16 +17,16 @@ use super::parameters::{ACTUAL_POSITION, CALIBRATED};
 use super::tmcl::Request;
 use super::wire::{Command, Feedback};
 
-/// The motor starts; its current says nothing yet.
+/// The motor accelerates; its current is not significant yet.
 const START: Duration = Duration::from_millis(200);
-/// Cycles in a row that show the stop.
+/// Consecutive cycles that detect the stop.
 const PRESSED: u8 = 5;
-/// Without current at the stop.
+/// Time without current at the stop.
 const REST: Duration = Duration::from_millis(100);
-/// Longest way to the stop: at 1 rad/s the longest joint needs 6 s.
+/// Timeout of the motion to the stop: at 1 rad/s the longest joint needs 6 s.
 const APPROACH_MAX: Duration = Duration::from_secs(15);
 
-/// How a joint is homed.
+/// Homing configuration of a joint.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HomingConfig {
     /// Speed of the motor towards the stop, rpm.
@@ -36,29 +36,29 @@ pub struct HomingConfig {
 }
 
 impl HomingConfig {
-    /// At this speed of the motor (rpm), up to this current (mA).
+    /// With this motor speed (rpm), up to this current (mA).
     #[must_use]
     pub const fn new(rpm: i32, current_ma: i32) -> Self {
         Self { rpm, current_ma }
     }
 }
 
-/// Where homing is.
+/// State of homing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HomingState {
-    /// Not asked for.
+    /// Not started.
     Idle,
-    /// The drive is asked whether it was homed since power came on.
-    Ask,
-    /// Towards the stop, since then; pressing for so many cycles.
+    /// Queries whether the drive was homed since power-on.
+    Query,
+    /// Moving towards the stop, since this time; pressing for a number of cycles.
     Approach(Duration, u8),
-    /// Without current, since then.
+    /// Without current, since this time.
     Rest(Duration),
     /// The encoder is set to 0.
     Preset,
-    /// The drive is told that it was homed.
+    /// The drive is marked as homed.
     Mark,
-    /// It is known where the joint is.
+    /// The position of the joint is known.
     Done,
     /// It was cancelled.
     Cancelled,
@@ -69,7 +69,7 @@ pub enum HomingState {
 /// Why homing failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum HomingError {
-    /// The stop did not come.
+    /// The stop was not reached.
     #[error("no stop within 15 s; does the joint turn at all, is its stop there?")]
     NoStop,
     /// The drive refused.
@@ -94,23 +94,23 @@ impl Homing {
         }
     }
 
-    /// Where it is.
+    /// Its state.
     #[must_use]
     pub const fn state(&self) -> HomingState {
         self.state
     }
 
-    /// Whether it is known where the joint is.
+    /// Whether the position of the joint is known.
     #[must_use]
     pub const fn is_done(&self) -> bool {
         matches!(self.state, HomingState::Done)
     }
 
-    /// Whether it is under way.
+    /// Whether it is running.
     #[must_use]
     pub const fn is_active(&self) -> bool {
         match self.state {
-            HomingState::Ask
+            HomingState::Query
             | HomingState::Approach(..)
             | HomingState::Rest(_)
             | HomingState::Preset
@@ -127,30 +127,30 @@ impl Homing {
         self.state = state;
     }
 
-    /// Begins, unless it is under way.
+    /// Starts, unless it is running.
     pub const fn start(&mut self) {
         if !self.is_active() {
-            self.state = HomingState::Ask;
+            self.state = HomingState::Query;
         }
     }
 
-    /// Ends it wherever it is; the joint holds.
+    /// Cancels it in any state; the joint holds.
     pub const fn cancel(&mut self) {
         if self.is_active() {
             self.state = HomingState::Cancelled;
         }
     }
 
-    /// The drive was gone or without power: nothing is known any more.
+    /// The drive was offline or without power: its position is unknown.
     pub const fn forget(&mut self) {
         self.state = HomingState::Idle;
     }
 
-    /// One cycle while the drive follows; gives what it is to do. `may_move` is asked before it sets out and all the
-    /// way: without, it stays where it asks, or is cancelled.
+    /// One cycle while the drive follows; returns the command. `may_move` is required before and during motion: without
+    /// it, homing stays in Query or is cancelled.
     pub fn cycle(
         &mut self,
-        told: &Feedback,
+        feedback: &Feedback,
         mailbox: &mut Mailbox,
         may_move: bool,
         now: Duration,
@@ -160,14 +160,14 @@ impl Homing {
             | HomingState::Done
             | HomingState::Cancelled
             | HomingState::Failed(_) => None,
-            HomingState::Ask => {
+            HomingState::Query => {
                 if let Some(homed) =
                     self.call(mailbox, Request::get_global(CALIBRATED.0, CALIBRATED.1))
                 {
                     self.state = match (homed, may_move) {
                         (1, _) => HomingState::Done,
                         (_, true) => HomingState::Approach(now, 0),
-                        (_, false) => HomingState::Ask,
+                        (_, false) => HomingState::Query,
                     };
                 }
                 Some(Command::HOLD)
@@ -176,7 +176,9 @@ impl Homing {
                 self.state = HomingState::Cancelled;
                 Some(Command::HOLD)
             }
-            HomingState::Approach(since, pressed) => Some(self.approach(told, since, pressed, now)),
+            HomingState::Approach(since, pressed) => {
+                Some(self.approach(feedback, since, pressed, now))
+            }
             HomingState::Rest(since) => {
                 if now.saturating_sub(since) >= REST {
                     self.state = HomingState::Preset;
@@ -207,16 +209,17 @@ impl Homing {
 
     fn approach(
         &mut self,
-        told: &Feedback,
+        feedback: &Feedback,
         since: Duration,
         pressed: u8,
         now: Duration,
     ) -> Command {
         let spent = now.saturating_sub(since);
         let HomingConfig { rpm, current_ma } = self.config;
-        // A motor that speeds up draws current too.
-        let stands = told.velocity_rpm.saturating_abs() < rpm.saturating_abs() / 4;
-        let presses = spent >= START && stands && told.current_ma.saturating_abs() > current_ma;
+        // An accelerating motor draws current too.
+        let stopped = feedback.velocity_rpm.saturating_abs() < rpm.saturating_abs() / 4;
+        let presses =
+            spent >= START && stopped && feedback.current_ma.saturating_abs() > current_ma;
         let pressed = if presses { pressed + 1 } else { 0 };
         self.state = if pressed >= PRESSED {
             HomingState::Rest(now)
@@ -229,7 +232,7 @@ impl Homing {
             HomingState::Approach(..) => Command::velocity(rpm),
             HomingState::Rest(_) => Command::current(0),
             HomingState::Idle
-            | HomingState::Ask
+            | HomingState::Query
             | HomingState::Preset
             | HomingState::Mark
             | HomingState::Done

@@ -1,5 +1,5 @@
-//! A joint of the arm: encoder ticks, motor speed and motor current against angle, speed and torque of the joint, and
-//! the law of a joint that gives way. Limits and set-points are the device's.
+//! A joint of the arm: converts encoder ticks, motor speed and motor current to angle, speed and torque of the joint,
+//! and computes joint impedance. Limits and set-points belong to the device.
 
 use std::f64::consts::TAU;
 
@@ -7,18 +7,17 @@ use super::HomingConfig;
 
 /// Encoder ticks in a revolution of the motor.
 const TICKS: f64 = 4000.0;
-/// Inertia of a motor's rotor, kg m²: a figure of its class, as its data sheet was not at hand. It decides damping
-/// only.
+/// Inertia of a motor's rotor, kg m²: a typical value, as its data sheet was not available. It affects damping only.
 const ROTOR: f64 = 1.35e-5;
 
-/// How a motor moves its joint.
+/// Transmission from a motor to its joint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct JointGeometry {
-    /// Revolutions of the motor in one of the joint.
+    /// Gear ratio: motor revolutions per joint revolution.
     pub gear: f64,
-    /// 1 if both count the same way, else -1.
+    /// 1 if both count in the same direction, else -1.
     pub sign: f64,
-    /// Angle of the joint at its home stop, where the encoder is set to 0, rad.
+    /// Angle of the joint at its home stop, where the encoder is zero, rad.
     pub offset: f64,
     /// Torque constant of the motor, N m/A.
     pub torque_constant: f64,
@@ -33,7 +32,7 @@ const fn joint(gear: f64, sign: f64, torque_constant: f64) -> JointGeometry {
     }
 }
 
-/// The joints of the arm, from the base. At the home stop all angles are 0, as the kinematics `kuka_youbot` counts.
+/// The joints of the arm, from the base. At the home stop all angles are 0, as in the kinematics `kuka_youbot`.
 pub const ARM: [JointGeometry; 5] = [
     joint(156.0, -1.0, 0.0335),
     joint(156.0, -1.0, 0.0335),
@@ -42,7 +41,7 @@ pub const ARM: [JointGeometry; 5] = [
     joint(71.0, -1.0, 0.049),
 ];
 
-/// How each joint is homed: about 1 rad/s towards its stop, until so much current flows.
+/// Homing of each joint: about 1 rad/s towards its stop, up to a current threshold.
 pub const HOMING: [HomingConfig; 5] = [
     HomingConfig::new(156, 2000),
     HomingConfig::new(156, 500),
@@ -84,7 +83,7 @@ impl JointGeometry {
         self.sign * f64::from(rpm) * TAU / (60.0 * self.gear)
     }
 
-    /// Motor current for a torque at the joint, N m; losses in the gear are not known.
+    /// Motor current for a torque at the joint, N m; gear losses are unknown.
     #[must_use]
     pub fn current_ma(&self, torque: f64) -> i32 {
         whole(self.sign * torque / (self.gear * self.torque_constant) * 1000.0)
@@ -96,14 +95,14 @@ impl JointGeometry {
         self.sign * f64::from(current_ma) / 1000.0 * self.torque_constant * self.gear
     }
 
-    /// Inertia of the rotor as the joint feels it, kg m².
+    /// Inertia of the rotor at the joint, kg m².
     #[must_use]
     pub fn inertia(&self) -> f64 {
         ROTOR * self.gear * self.gear
     }
 }
 
-/// How a joint gives way: a spring to where it is commanded and a damper.
+/// Joint impedance: a spring to the commanded position and a damper.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Impedance {
     /// N m/rad, from 0.
@@ -112,7 +111,7 @@ pub struct Impedance {
     pub damping: f64,
     /// Largest torque of spring and damper, N m; none up to 0.
     pub torque_max: f64,
-    /// Torque on top of them, N m.
+    /// Additional torque, N m.
     pub added: f64,
 }
 
@@ -128,8 +127,7 @@ impl Default for Impedance {
 }
 
 impl Impedance {
-    /// Torque at the joint for a deviation from where it is commanded (rad) and a difference of speed (rad/s), both
-    /// commanded minus measured.
+    /// Torque at the joint for a position error (rad) and a speed error (rad/s), both commanded minus measured.
     #[must_use]
     pub fn torque(&self, joint: &JointGeometry, deviation: f64, speed: f64) -> f64 {
         let damper = 2.0 * self.damping * (self.stiffness * joint.inertia()).sqrt();
@@ -147,9 +145,9 @@ impl Impedance {
 mod tests {
     use super::*;
 
-    /// What the vendor's own driver was seen to send for these angles.
+    /// Values recorded from the vendor's driver for these angles.
     #[test]
-    fn angles_have_the_ticks_of_the_vendors_driver() {
+    fn angles_match_ticks_of_the_vendor_driver() {
         let cases = [
             (1.0, -99_313),
             (0.5, -49_656),
@@ -164,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn speeds_and_torques_come_back() {
+    fn speeds_and_torques_convert_back() {
         for joint in ARM {
             let turned = JointGeometry {
                 offset: 0.3,
@@ -174,13 +172,13 @@ mod tests {
             assert!((joint.speed(joint.rpm(1.0)) - 1.0).abs() < 0.01);
             assert!((joint.torque(joint.current_ma(2.0)) - 2.0).abs() < 0.01);
             assert!(joint.torque(joint.current_ma(-1.0)) < 0.0);
-            // Homing goes towards the stop: away from where the joint's range lies.
+            // Homing moves towards the stop, away from the joint's range.
         }
         assert!((ARM[0].torque(1000) + 5.226).abs() < 1e-9, "156 * 0.0335");
     }
 
     #[test]
-    fn a_spring_pulls_back_within_its_torque() {
+    fn impedance_spring_stays_within_its_torque() {
         let law = Impedance {
             stiffness: 20.0,
             damping: 0.5,

@@ -1,35 +1,34 @@
-//! TMCL requests of one drive, one at a time, through the master's mailbox while the cycle runs. What was lost is
-//! asked again. What a request means is its asker's business.
+//! TMCL requests of one drive, one at a time, through the master's mailbox while the cycle runs. Lost requests are
+//! repeated. The meaning of a request is up to the caller.
 //!
 //! ```text
 //!          1 call              2 poll                3 reply
-//! Free -----------> Due -----------------> Asked -----------------> Answered --4 the same call, or two polls--> Free
+//! Free -----------> Due -----------------> Sent ------------------> Answered --4 the same call, or two polls--> Free
 //!                    ^                       |
-//!                    +---- 5 time-out, or no reply to this; up to three times
+//!                    +---- 5 timeout, or another reply; up to three times
 //! ```
 //! 1 and 4 in [`Mailbox::call`] and [`Mailbox::poll`], 2 in [`Mailbox::poll`], 3 and 5 in [`Mailbox::handle_reply`].
-//! Before 2 a mailbox that saw a time-out lets 100 ms pass: an answer that comes late is there by then, and the
-//! master throws it away.
+//! After a timeout, 2 is delayed by 100 ms: a late answer has arrived by then, and the master discards it.
 
 use std::time::Duration;
 
-use super::tmcl::{Answer, Refusal, Request};
+use super::tmcl::{Answer, Request, TmclError};
 use crate::master::{Job, JobError, JobKind, Master, Reply};
 
 /// Longest mailbox, bytes.
-const ROOM: usize = 1486;
-/// How often a request is asked before it fails.
+const MAILBOX_MAX: usize = 1486;
+/// Maximum number of attempts of a request.
 const ATTEMPTS: u8 = 4;
-/// How long late answers are waited for.
+/// Delay for late answers.
 const SETTLE: Duration = Duration::from_millis(100);
 
-/// Why there is no answer.
+/// Why a request failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CallError {
     /// The drive refused it.
     #[error(transparent)]
-    Refused(#[from] Refusal),
-    /// It did not get there or back, whatever often it was asked.
+    Refused(#[from] TmclError),
+    /// It or its answer was lost in all attempts.
     #[error("{0}")]
     Lost(JobError),
 }
@@ -40,8 +39,8 @@ type Outcome = Result<Answer, CallError>;
 enum State {
     Free,
     Due(Request),
-    Asked(Request),
-    /// Nobody has fetched it for so many polls.
+    Sent(Request),
+    /// Number of polls since it was available.
     Answered(Request, Outcome, u8),
 }
 
@@ -50,7 +49,7 @@ enum State {
 pub struct Mailbox {
     slave: usize,
     state: State,
-    /// Lent to the master while a request is under way.
+    /// Lent to the master while a request is pending.
     memory: Option<Vec<u8>>,
     attempts: u8,
     not_before: Duration,
@@ -58,13 +57,13 @@ pub struct Mailbox {
 }
 
 impl Mailbox {
-    /// That of a slave, by its number with the master.
+    /// The mailbox of a slave, by its number at the master.
     #[must_use]
     pub fn new(slave: usize) -> Self {
         Self {
             slave,
             state: State::Free,
-            memory: Some(Vec::with_capacity(ROOM)),
+            memory: Some(Vec::with_capacity(MAILBOX_MAX)),
             attempts: 0,
             not_before: Duration::ZERO,
             repeats: 0,
@@ -77,14 +76,14 @@ impl Mailbox {
         self.slave
     }
 
-    /// How often a request was asked again.
+    /// Number of repeated requests.
     #[must_use]
     pub const fn repeats(&self) -> u64 {
         self.repeats
     }
 
-    /// To be called with the same request in every cycle until its outcome is there. Nothing, too, while another
-    /// request is under way.
+    /// Call it with the same request in every cycle until it returns the outcome. It also returns `None` while another
+    /// request is pending.
     pub fn call(&mut self, request: Request) -> Option<Outcome> {
         match self.state {
             State::Free => self.state = State::Due(request),
@@ -92,13 +91,13 @@ impl Mailbox {
                 self.state = State::Free;
                 return Some(outcome);
             }
-            State::Due(_) | State::Asked(_) | State::Answered(..) => {}
+            State::Due(_) | State::Sent(_) | State::Answered(..) => {}
         }
         None
     }
 
-    /// Once a cycle, behind all calls: an outcome that nobody fetched for two cycles is forgotten, a request that is due goes to the
-    /// master.
+    /// Call it once per cycle, after all calls: an outcome not fetched for two cycles is dropped, a due request goes to
+    /// the master.
     pub fn poll(&mut self, master: &mut Master, now: Duration) {
         match self.state {
             State::Answered(request, outcome, 0) => {
@@ -106,7 +105,7 @@ impl Mailbox {
             }
             State::Answered(..) => self.state = State::Free,
             State::Due(request) if now >= self.not_before => self.submit(request, master),
-            State::Free | State::Due(_) | State::Asked(_) => {}
+            State::Free | State::Due(_) | State::Sent(_) => {}
         }
     }
 
@@ -123,11 +122,11 @@ impl Mailbox {
             token: 0,
         };
         match master.submit(job) {
-            Ok(()) => self.state = State::Asked(request),
+            Ok(()) => self.state = State::Sent(request),
             Err(Reply { job, result }) => {
                 self.memory = Some(job.data);
                 match result {
-                    // The next cycle tries again.
+                    // Retried in the next cycle.
                     Ok(()) | Err(JobError::Busy(_)) => {}
                     Err(error) => self.end(request, Err(CallError::Lost(error))),
                 }
@@ -135,17 +134,17 @@ impl Mailbox {
         }
     }
 
-    /// A reply of the master to a job for this slave.
+    /// Handles a reply of the master to a job for this slave.
     pub fn handle_reply(&mut self, reply: Reply, now: Duration) {
         let Reply { job, result } = reply;
-        if let State::Asked(request) = self.state {
+        if let State::Sent(request) = self.state {
             let outcome = match result {
                 Ok(()) => request.answer(&job.data).map_err(CallError::Refused),
                 Err(error) => Err(CallError::Lost(error)),
             };
             let lost = matches!(
                 outcome,
-                Err(CallError::Lost(JobError::Timeout(_)) | CallError::Refused(Refusal::Foreign))
+                Err(CallError::Lost(JobError::Timeout(_)) | CallError::Refused(TmclError::Foreign))
             );
             if lost {
                 self.not_before = now + SETTLE;
@@ -164,7 +163,7 @@ impl Mailbox {
         self.memory = Some(job.data);
     }
 
-    /// The request that is due, answered so.
+    /// Ends the current request with this outcome.
     #[cfg(test)]
     pub(super) fn pretend(&mut self, outcome: Outcome) -> Option<Request> {
         let State::Due(request) = self.state else {

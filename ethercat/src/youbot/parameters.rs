@@ -1,11 +1,11 @@
-//! Parameters of the drives and of the gripper by name, with unit, range and who may write them. Nothing is asked
-//! for here: [`Parameter::get`] and [`Parameter::set`] give the request.
+//! Parameters of the drives and of the gripper by name, with unit, range and write access. Nothing is sent here:
+//! [`Parameter::get`] and [`Parameter::set`] return the request.
 
 use super::tmcl::Request;
 
-/// Where a parameter is.
+/// Group of a parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Place {
+pub enum ParameterGroup {
     /// Axis parameter of a drive.
     Drive,
     /// Global parameter of a drive, in this bank.
@@ -14,34 +14,34 @@ pub enum Place {
     Bar,
 }
 
-/// Who may write a parameter.
+/// Write access of a parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Access {
-    /// Whoever wants.
+    /// Always writable.
     Free,
-    /// Whoever unlocked the drive by `unlock` before.
+    /// Writable after the drive was unlocked by `unlock`.
     Protected,
-    /// Nobody.
+    /// Read only.
     ReadOnly,
 }
 
 use Access::{Free, Protected, ReadOnly};
-use Place::{Bank, Bar, Drive};
+use ParameterGroup::{Bank, Bar, Drive};
 
 /// A parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Parameter {
-    /// As people write it.
+    /// Its name.
     pub name: &'static str,
-    /// Where it is.
-    pub place: Place,
-    /// Its number there.
+    /// Its group.
+    pub group: ParameterGroup,
+    /// Its number in the group.
     pub number: u8,
-    /// Unit; empty for a mere number.
+    /// Unit; empty for a plain number.
     pub unit: &'static str,
     /// Smallest and largest value.
     pub range: (i32, i32),
-    /// Who may write it.
+    /// Its write access.
     pub access: Access,
 }
 
@@ -59,7 +59,7 @@ pub enum RangeError {
         high: i32,
         /// Unit.
         unit: &'static str,
-        /// As given.
+        /// The given value.
         value: i32,
     },
     /// It shows a measurement.
@@ -68,7 +68,7 @@ pub enum RangeError {
 }
 
 impl Parameter {
-    /// The one of that name.
+    /// The parameter with this name.
     #[must_use]
     pub fn named(name: &str) -> Option<&'static Self> {
         ALL.iter().find(|parameter| parameter.name == name)
@@ -77,7 +77,7 @@ impl Parameter {
     /// The request that reads it; `bar` matters to those of the gripper.
     #[must_use]
     pub const fn get(&self, bar: u8) -> Request {
-        match self.place {
+        match self.group {
             Drive => Request::get(self.number),
             Bank(bank) => Request::get_global(bank, self.number),
             Bar => Request::get_bar(bar, self.number),
@@ -87,7 +87,7 @@ impl Parameter {
     /// The request that writes it; `bar` matters to those of the gripper.
     ///
     /// # Errors
-    /// If it cannot have that value.
+    /// If the value is not allowed.
     pub fn set(&self, bar: u8, value: i32) -> Result<Request, RangeError> {
         let (low, high) = self.range;
         if self.access == ReadOnly {
@@ -103,7 +103,7 @@ impl Parameter {
                 value,
             });
         }
-        Ok(match self.place {
+        Ok(match self.group {
             Drive => Request::set(self.number, value),
             Bank(bank) => Request::set_global(bank, self.number, value),
             Bar => Request::set_bar(bar, self.number, value),
@@ -115,13 +115,13 @@ const ANY: (i32, i32) = (i32::MIN, i32::MAX);
 const POSITIVE: (i32, i32) = (0, i32::MAX);
 const FLAG: (i32, i32) = (0, 1);
 const GAIN: (i32, i32) = (0, 65_535);
-/// Speeds and currents: more is a slip of a unit.
+/// Range of speeds and currents; larger values suggest a wrong unit.
 const LARGE: (i32, i32) = (0, 100_000);
-/// Ticks and times: the same.
+/// Range of ticks and times; likewise.
 const HUGE: (i32, i32) = (0, 1_000_000);
 
 const fn of(
-    place: Place,
+    group: ParameterGroup,
     name: &'static str,
     number: u8,
     unit: &'static str,
@@ -130,7 +130,7 @@ const fn of(
 ) -> Parameter {
     Parameter {
         name,
-        place,
+        group,
         number,
         unit,
         range,
@@ -138,7 +138,7 @@ const fn of(
     }
 }
 
-/// All that are known.
+/// All known parameters.
 pub const ALL: &[Parameter] = &[
     of(Drive, "target_position", 0, "ticks", ANY, Free),
     of(Drive, "actual_position", 1, "ticks", ANY, Free),
@@ -244,7 +244,7 @@ mod tests {
         for (n, one) in ALL.iter().enumerate() {
             for other in &ALL[..n] {
                 assert_ne!(one.name, other.name);
-                assert_ne!((one.place, one.number), (other.place, other.number));
+                assert_ne!((one.group, one.number), (other.group, other.number));
             }
             assert!(one.range.0 < one.range.1, "{}", one.name);
             assert_eq!(Parameter::named(one.name), Some(one));
@@ -253,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn requests_go_where_the_parameter_is() {
+    fn parameter_requests_address_their_group() {
         let request = |name: &str, value| Parameter::named(name).unwrap().set(1, value);
         assert_eq!(request("max_current", 500), Ok(Request::set(6, 500)));
         assert_eq!(request("timeout", 90), Ok(Request::set_global(0, 90, 90)));

@@ -1,5 +1,5 @@
-//! The youBot's machines against the emulated one, in virtual time: the truth is where its motors are. Cells of the
-//! drive's and the homing's state tables are tried one by one in `cells`.
+//! The youBot's state machines against the emulated one, in virtual time: reference are the positions of its motors.
+//! Each cell of the state tables of drive and homing is tested in `cells`.
 
 use std::time::Duration;
 
@@ -16,7 +16,7 @@ mod gripper;
 /// Cycles of inputs that may be missing.
 const OLD: u32 = 4;
 
-/// A youBot led cycle by cycle: drives 0 to 3 wheels, 4 to 8 joints.
+/// A youBot controlled cycle by cycle: drives 0 to 3 wheels, 4 to 8 joints.
 struct Lead {
     rig: Rig,
     bot: YouBot,
@@ -76,13 +76,13 @@ impl Lead {
         }
         for (n, drive) in self.drives.iter_mut().enumerate() {
             let mut wanted = self.wanted[n];
-            let told = drive.feedback().copied().filter(|_| drive.follows());
+            let reported = drive.feedback().copied().filter(|_| drive.follows());
             if n >= 4
-                && let Some(told) = told
+                && let Some(reported) = reported
             {
                 let homing = &mut self.homing[n - 4];
                 let may_move = self.may_move;
-                if let Some(order) = homing.cycle(&told, drive.mailbox(), may_move, now) {
+                if let Some(order) = homing.cycle(&reported, drive.mailbox(), may_move, now) {
                     wanted = Some(order);
                 }
             }
@@ -141,7 +141,7 @@ impl Lead {
 }
 
 #[test]
-fn drives_of_either_firmware_are_brought_to_follow() {
+fn drives_of_either_firmware_become_ready() {
     for (firmware, number) in [(Firmware::V148, 148), (Firmware::V200, 200)] {
         let lead = Lead::ready(firmware);
         for (n, drive) in lead.drives.iter().enumerate() {
@@ -158,12 +158,12 @@ fn drives_of_either_firmware_are_brought_to_follow() {
 }
 
 #[test]
-fn nothing_turns_for_its_commutation_before_it_may() {
+fn commutation_search_waits_for_permission() {
     let mut lead = Lead::new(Firmware::V200);
     lead.may_move = false;
     lead.cycles(1500);
     for drive in &lead.drives {
-        assert_eq!(drive.obstacle(), Some(Obstacle::Uncommutated));
+        assert_eq!(drive.drive_fault(), Some(DriveFault::Uncommutated));
     }
     let before = lead.bot.wheels[0].lock().angle();
     lead.cycles(500);
@@ -173,7 +173,7 @@ fn nothing_turns_for_its_commutation_before_it_may() {
 }
 
 #[test]
-fn wheels_move_the_base_and_odometry_tells_how_far() {
+fn odometry_measures_the_motion_of_the_base() {
     let mut lead = Lead::ready(Firmware::V200);
     let (mecanum, mut odometry) = (Mecanum::default(), Odometry::default());
     let mut ramp = Ramp::new(1.0, 2.0);
@@ -195,8 +195,8 @@ fn wheels_move_the_base_and_odometry_tells_how_far() {
     let turned = std::array::from_fn(|n| before[n] - after[n]);
     let truth = mecanum.velocity(turned);
     let pose = odometry.pose();
-    for (told, truth) in pose.into_iter().zip(truth) {
-        assert!((told - truth).abs() < 0.003, "{pose:?} {truth:?}");
+    for (reported, truth) in pose.into_iter().zip(truth) {
+        assert!((reported - truth).abs() < 0.003, "{pose:?} {truth:?}");
     }
     assert!(
         (pose[0] - 0.4).abs() < 0.02 && (pose[1] - 0.2).abs() < 0.01,
@@ -205,7 +205,7 @@ fn wheels_move_the_base_and_odometry_tells_how_far() {
 }
 
 #[test]
-fn an_arm_is_homed_at_its_stops_once() {
+fn arm_is_homed_at_its_stops_once() {
     for firmware in [Firmware::V148, Firmware::V200] {
         let mut lead = Lead::ready(firmware);
         lead.homing.iter_mut().for_each(Homing::start);
@@ -216,11 +216,11 @@ fn an_arm_is_homed_at_its_stops_once() {
                 "{joint} at {}",
                 lead.angle(joint)
             );
-            let told = lead.drives[4 + joint].feedback().unwrap().position;
-            let angle = geometry.angle(told);
+            let reported = lead.drives[4 + joint].feedback().unwrap().position;
+            let angle = geometry.angle(reported);
             assert!(
                 (angle - lead.angle(joint)).abs() < 0.02,
-                "{joint} told {angle}"
+                "{joint} reported {angle}"
             );
         }
         // Positions are those of the joints.
@@ -232,7 +232,7 @@ fn an_arm_is_homed_at_its_stops_once() {
         for (joint, target) in targets.into_iter().enumerate() {
             assert!((lead.angle(joint) - target).abs() < 0.02, "{joint}");
         }
-        // The drives know that they were homed.
+        // The drives are marked as homed.
         lead.homing.iter_mut().for_each(Homing::forget);
         lead.homing.iter_mut().for_each(Homing::start);
         lead.may_move = false;
@@ -242,7 +242,7 @@ fn an_arm_is_homed_at_its_stops_once() {
 }
 
 #[test]
-fn homing_is_cancelled_on_its_way() {
+fn homing_in_progress_is_cancelled() {
     let mut lead = Lead::ready(Firmware::V200);
     lead.homing[0].start();
     lead.until(500, |lead| {
@@ -258,7 +258,7 @@ fn homing_is_cancelled_on_its_way() {
 }
 
 #[test]
-fn a_time_out_is_cleared_and_counted_until_there_are_too_many() {
+fn drive_timeout_is_cleared_up_to_the_limit() {
     let mut lead = Lead::ready(Firmware::V200);
     let mut first = None;
     for count in 1..=7_u64 {
@@ -284,7 +284,7 @@ fn a_time_out_is_cleared_and_counted_until_there_are_too_many() {
 }
 
 #[test]
-fn too_much_current_for_too_long_is_cleared_five_times_then_waits() {
+fn i2t_flag_is_cleared_five_times_then_waits() {
     let mut lead = Lead::ready(Firmware::V200);
     let order = Command::current(100_000);
     lead.wanted[0] = Some(order);
@@ -301,26 +301,26 @@ fn too_much_current_for_too_long_is_cleared_five_times_then_waits() {
         assert_eq!(drive.counters().i2t, count);
         assert_eq!(drive.follows(), count <= 5, "{count}: {:?}", drive.state());
     }
-    assert_eq!(lead.drives[0].obstacle(), Some(Obstacle::TooOften));
-    // One is forgotten each ten seconds.
+    assert_eq!(lead.drives[0].drive_fault(), Some(DriveFault::TooOften));
+    // One expires each ten seconds.
     lead.until(11_000, |lead| lead.drives[0].follows());
     assert_eq!(lead.drives[0].counters().i2t, 6);
 }
 
 #[test]
-fn an_emergency_stop_holds_and_ends_where_the_joint_is_then() {
+fn emergency_stop_holds_and_resumes_at_actual_position() {
     let mut lead = Lead::ready(Firmware::V148);
     lead.bot.wheels[1].lock().emergency_stop = true;
     lead.cycles(20);
-    let why = lead.drives[1].obstacle();
-    assert!(matches!(why, Some(Obstacle::Flags(flags)) if flags.any(Flags::EMERGENCY_STOP)));
+    let why = lead.drives[1].drive_fault();
+    assert!(matches!(why, Some(DriveFault::Flags(flags)) if flags.any(Flags::EMERGENCY_STOP)));
     lead.bot.wheels[1].lock().emergency_stop = false;
     lead.cycles(20);
     assert!(lead.drives[1].follows());
 }
 
 #[test]
-fn whatever_frame_is_lost_a_request_has_its_own_answer() {
+fn tmcl_request_with_any_lost_frame_gets_its_answer() {
     let mut lead = Lead::ready(Firmware::V200);
     for lost in 0..12 {
         let other = Request::set(11, 4000 + lost);
@@ -346,9 +346,9 @@ fn whatever_frame_is_lost_a_request_has_its_own_answer() {
 }
 
 #[test]
-fn a_late_answer_is_not_taken_for_that_of_the_next_request() {
+fn tmcl_late_answer_is_not_matched_to_next_request() {
     let mut lead = Lead::ready(Firmware::V200);
-    // For longer than a request is waited for.
+    // For longer than the request timeout.
     lead.rig.segment.slave(1).unwrap().faults().hung = true;
     let slow = Request::get(250);
     assert_eq!(lead.drives[0].mailbox().call(slow), None);
@@ -360,13 +360,13 @@ fn a_late_answer_is_not_taken_for_that_of_the_next_request() {
 }
 
 #[test]
-fn refused_parameters_say_why() {
+fn parameter_errors_name_their_cause() {
     let mut lead = Lead::ready(Firmware::V200);
     for (request, refusal) in [
-        (Request::set(26, 5), Refusal::Protected),
-        (Request::set(4, -1), Refusal::Value),
-        (Request::get(99), Refusal::Type),
-        (Request::get_bar(0, 8), Refusal::Command),
+        (Request::set(26, 5), TmclError::Protected),
+        (Request::set(4, -1), TmclError::Value),
+        (Request::get(99), TmclError::Type),
+        (Request::get_bar(0, 8), TmclError::Command),
     ] {
         assert_eq!(lead.call(0, request), Err(CallError::Refused(refusal)));
     }
@@ -377,7 +377,7 @@ fn refused_parameters_say_why() {
 }
 
 #[test]
-fn a_joint_gives_way_to_a_push_and_comes_back() {
+fn compliant_joint_yields_to_a_push_and_returns() {
     let mut lead = Lead::ready(Firmware::V200);
     let joint = ARM[0];
     let law = Impedance {
@@ -390,11 +390,11 @@ fn a_joint_gives_way_to_a_push_and_comes_back() {
     let home = joint.angle(start) + 0.5;
     let spring = |lead: &mut Lead, cycles: usize| {
         for _ in 0..cycles {
-            let told = lead.drives[4].feedback().unwrap();
+            let reported = lead.drives[4].feedback().unwrap();
             let torque = law.torque(
                 &joint,
-                home - joint.angle(told.position),
-                -joint.speed(told.velocity_rpm),
+                home - joint.angle(reported.position),
+                -joint.speed(reported.velocity_rpm),
             );
             lead.wanted[4] = Some(Command::current(joint.current_ma(torque)));
             lead.cycle();
@@ -412,28 +412,28 @@ fn a_joint_gives_way_to_a_push_and_comes_back() {
 }
 
 #[test]
-fn homing_without_a_stop_ends() {
+fn homing_without_stop_times_out() {
     let mut homing = Homing::new(HOMING[0]);
     let mut mailbox = Mailbox::new(0);
     homing.start();
-    let told = Feedback {
+    let reported = Feedback {
         velocity_rpm: 156,
         ..Feedback::default()
     };
     let mut now = Duration::from_secs(1);
-    homing.cycle(&told, &mut mailbox, true, now);
+    homing.cycle(&reported, &mut mailbox, true, now);
     mailbox.pretend(Ok(Answer::Value(0)));
     for _ in 0..16_000 {
-        homing.cycle(&told, &mut mailbox, true, now);
+        homing.cycle(&reported, &mut mailbox, true, now);
         now += Duration::from_millis(1);
     }
     assert_eq!(homing.state(), HomingState::Failed(HomingError::NoStop));
 }
 
 #[test]
-fn what_lies_in_a_raw_mailbox_is_thrown_away_before_a_request() {
+fn raw_mailbox_is_emptied_before_a_request() {
     let mut rig = Lead::ready(Firmware::V200).rig;
-    let ask = |rig: &mut Rig, request: Request| {
+    let transact = |rig: &mut Rig, request: Request| {
         let mut data = Vec::with_capacity(64);
         data.extend_from_slice(&request.encode());
         let (slave, kind, token) = (1, JobKind::RawMailbox, 0);
@@ -453,13 +453,13 @@ fn what_lies_in_a_raw_mailbox_is_thrown_away_before_a_request() {
         panic!("no reply");
     };
     rig.segment.slave(1).unwrap().faults().hung = true;
-    let late = ask(&mut rig, Request::get(250));
+    let late = transact(&mut rig, Request::get(250));
     assert!(matches!(late, Err(JobError::Timeout(_))), "{late:?}");
     rig.segment.slave(1).unwrap().faults().hung = false;
     rig.cycles(2);
     assert_eq!(
-        ask(&mut rig, Request::get(253)),
+        transact(&mut rig, Request::get(253)),
         Ok(Ok(Answer::Value(16))),
-        "not 4000, which was asked for before"
+        "not 4000, the answer to the previous request"
     );
 }

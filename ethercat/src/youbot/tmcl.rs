@@ -1,5 +1,5 @@
-//! TMCL over the raw mailbox: eight bytes each way, values big-endian. Which parameters there are is told in
-//! [`super::parameters`]; how a request gets there is the mailbox's.
+//! TMCL over the raw mailbox: eight bytes each way, values big-endian. The parameters are in [`super::parameters`]; the
+//! mailbox transports requests.
 #![warn(clippy::indexing_slicing)]
 
 use super::Firmware;
@@ -18,16 +18,16 @@ const SGP: u8 = 9;
 const GGP: u8 = 10;
 const FIRMWARE: u8 = 136;
 
-/// Status of what was done.
+/// Status of success.
 const OK: u8 = 100;
 
-/// A request. All that are made here may be repeated: none is relative to what was before.
+/// A request. All requests may be repeated: none is relative to previous values.
 ///
-/// | byte | what |
+/// | byte | meaning |
 /// |---|---|
 /// | 0 | module: 0 the drive, 1 the gripper |
 /// | 1 | command |
-/// | 2 | type: parameter, or way of moving |
+/// | 2 | type: parameter, or kind of motion |
 /// | 3 | motor, or bank of a global parameter |
 /// | 4..8 | value, big-endian |
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -53,13 +53,13 @@ impl Request {
         }
     }
 
-    /// The firmware's name (136).
+    /// Requests the firmware name (136).
     #[must_use]
     pub const fn firmware() -> Self {
         Self::new(DRIVE, FIRMWARE, 0, 0, 0)
     }
 
-    /// An axis parameter (GAP).
+    /// Reads an axis parameter (GAP).
     #[must_use]
     pub const fn get(number: u8) -> Self {
         Self::new(DRIVE, GAP, number, 0, 0)
@@ -71,13 +71,13 @@ impl Request {
         Self::new(DRIVE, SAP, number, 0, value)
     }
 
-    /// Keeps an axis parameter beyond power-off (STAP).
+    /// Stores an axis parameter permanently (STAP).
     #[must_use]
     pub const fn store(number: u8) -> Self {
         Self::new(DRIVE, STAP, number, 0, 0)
     }
 
-    /// A global parameter (GGP).
+    /// Reads a global parameter (GGP).
     #[must_use]
     pub const fn get_global(bank: u8, number: u8) -> Self {
         Self::new(DRIVE, GGP, number, bank, 0)
@@ -89,7 +89,7 @@ impl Request {
         Self::new(DRIVE, SGP, number, bank, value)
     }
 
-    /// A parameter of a bar of the gripper, 0 or 1.
+    /// Reads a parameter of a bar of the gripper, 0 or 1.
     #[must_use]
     pub const fn get_bar(bar: u8, number: u8) -> Self {
         Self::new(GRIPPER, GAP, number, bar, 0)
@@ -107,7 +107,7 @@ impl Request {
         Self::new(GRIPPER, MVP, 0, bar, steps)
     }
 
-    /// Stops a bar of the gripper where it is (MST).
+    /// Stops a bar of the gripper (MST).
     #[must_use]
     pub const fn stop_bar(bar: u8) -> Self {
         Self::new(GRIPPER, MST, 0, bar, 0)
@@ -120,39 +120,39 @@ impl Request {
         [self.module, self.command, self.kind, self.motor, a, b, c, d]
     }
 
-    /// What a mailbox answers to it: `reply address | module | status | command | value`; the firmware's name is
-    /// eight letters instead.
+    /// Decodes the answer: `reply address | module | status | command | value`; the firmware's name is eight letters
+    /// instead.
     ///
     /// # Errors
-    /// [`Refusal::Foreign`] if it is no answer to this, else what the drive says.
-    pub fn answer(self, bytes: &[u8]) -> Result<Answer, Refusal> {
+    /// [`TmclError::Foreign`] if it is not an answer to this request, else the error of the drive.
+    pub fn answer(self, bytes: &[u8]) -> Result<Answer, TmclError> {
         let Some(eight) = bytes.first_chunk::<8>() else {
-            return Err(Refusal::Foreign);
+            return Err(TmclError::Foreign);
         };
         if self.command == FIRMWARE {
-            let version = Version::decode(*eight).ok_or(Refusal::Foreign)?;
+            let version = Version::decode(*eight).ok_or(TmclError::Foreign)?;
             return Ok(Answer::Version(version));
         }
         let [_, module, status, command, a, b, c, d] = *eight;
         let value = i32::from_be_bytes([a, b, c, d]);
         let writes = matches!(self.command, SAP | SGP | MVP | MST);
         if module != self.module || command != self.command {
-            return Err(Refusal::Foreign);
+            return Err(TmclError::Foreign);
         }
         if status != OK {
-            return Err(Refusal::of_status(status));
+            return Err(TmclError::of_status(status));
         }
         if writes && value != self.value {
-            return Err(Refusal::Foreign);
+            return Err(TmclError::Foreign);
         }
         Ok(Answer::Value(value))
     }
 }
 
-/// What a drive answered.
+/// The answer of a drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Answer {
-    /// The value of a parameter, or that which was written.
+    /// The value of a parameter, as read or written.
     Value(i32),
     /// The firmware.
     Version(Version),
@@ -169,9 +169,9 @@ impl Answer {
     }
 }
 
-/// Why a request was not done: the status byte of a reply.
+/// Why a request failed: the status byte of a reply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum Refusal {
+pub enum TmclError {
     /// 2.
     #[error("the drive has no such command (status 2)")]
     Command,
@@ -193,12 +193,12 @@ pub enum Refusal {
     /// Any other.
     #[error("the drive refuses (status {0})")]
     Other(u8),
-    /// The reply belongs to another request, or its bytes make no sense.
+    /// The reply belongs to another request, or is invalid.
     #[error("the reply is not to this request")]
     Foreign,
 }
 
-impl Refusal {
+impl TmclError {
     const fn of_status(status: u8) -> Self {
         match status {
             2 => Self::Command,
@@ -212,7 +212,7 @@ impl Refusal {
     }
 }
 
-/// The firmware as it names itself, such as `1610V200`.
+/// The firmware version, such as `1610V200`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Version {
     /// Number of the board, such as 1610 for a joint, 1632 for a wheel.
@@ -231,7 +231,7 @@ impl Version {
         })
     }
 
-    /// The process data and commutation that it has; `None` for one that is not known.
+    /// Its process data and commutation; `None` if unknown.
     #[must_use]
     pub const fn firmware(self) -> Option<Firmware> {
         match self.number {
@@ -267,31 +267,31 @@ mod tests {
     }
 
     #[test]
-    fn each_answer_is_understood() {
+    fn tmcl_answers_are_decoded() {
         let set = Request::set(6, 1000);
         let get = Request::get(6);
         let of = |status, command| [0, 0, status, command, 0, 0, 3, 0xE8];
         for (request, bytes, answer) in [
             (set, of(100, 5), Ok(Answer::Value(1000))),
             (get, of(100, 6), Ok(Answer::Value(1000))),
-            (set, of(100, 6), Err(Refusal::Foreign)),
-            (Request::set(6, 999), of(100, 5), Err(Refusal::Foreign)),
-            (get, of(2, 6), Err(Refusal::Command)),
-            (get, of(3, 6), Err(Refusal::Type)),
-            (set, of(4, 5), Err(Refusal::Value)),
-            (set, of(5, 5), Err(Refusal::Locked)),
-            (set, of(6, 5), Err(Refusal::Unavailable)),
-            (set, of(8, 5), Err(Refusal::Protected)),
-            (set, of(77, 5), Err(Refusal::Other(77))),
-            (Request::get_bar(0, 6), of(100, 6), Err(Refusal::Foreign)),
+            (set, of(100, 6), Err(TmclError::Foreign)),
+            (Request::set(6, 999), of(100, 5), Err(TmclError::Foreign)),
+            (get, of(2, 6), Err(TmclError::Command)),
+            (get, of(3, 6), Err(TmclError::Type)),
+            (set, of(4, 5), Err(TmclError::Value)),
+            (set, of(5, 5), Err(TmclError::Locked)),
+            (set, of(6, 5), Err(TmclError::Unavailable)),
+            (set, of(8, 5), Err(TmclError::Protected)),
+            (set, of(77, 5), Err(TmclError::Other(77))),
+            (Request::get_bar(0, 6), of(100, 6), Err(TmclError::Foreign)),
         ] {
             assert_eq!(request.answer(&bytes), answer, "{request:?} {bytes:?}");
         }
-        assert_eq!(get.answer(&[0; 7]), Err(Refusal::Foreign));
+        assert_eq!(get.answer(&[0; 7]), Err(TmclError::Foreign));
     }
 
     #[test]
-    fn firmware_is_found_by_its_name() {
+    fn firmware_version_is_parsed_from_its_name() {
         let of = |text: &[u8; 8]| Request::firmware().answer(text);
         for (text, board, number, firmware) in [
             (b"1610V148", 1610, 148, Some(Firmware::V148)),
@@ -304,7 +304,7 @@ mod tests {
             assert_eq!(version.firmware(), firmware);
         }
         for text in [b"1610x200", b"V2000000", b"\xFF\xFF\xFF\xFFV200"] {
-            assert_eq!(of(text), Err(Refusal::Foreign));
+            assert_eq!(of(text), Err(TmclError::Foreign));
         }
     }
 }

@@ -1,16 +1,16 @@
-//! What it takes to hold the arm's own weight, for joints that are told torques. It stands upright on level ground; what
-//! it carries is not known here, and neither is what a slope adds.
+//! Torques that hold the arm's own weight, for torque-controlled joints. The arm is assumed upright on level ground;
+//! payload and slope are not included.
 
 /// m/s².
 const GRAVITY: f64 = 9.81;
 /// Mass times distance beyond the axis, kg m, of upper arm, forearm and hand when they lie flat: the masses of the
-/// vendor's model of the arm, those behind a segment at its end.
+/// vendor's arm model, with the masses behind a segment at its end.
 const MOMENTS: [f64; 3] = [
     1.318 * 0.114 + (0.821 + HAND) * 0.155,
     0.821 * 0.104 + HAND * 0.135,
     0.769 * 0.0535 + 0.687 * 0.1135 + 0.119 * 0.156,
 ];
-/// All behind axis 4, kg.
+/// Mass behind axis 4, kg.
 const HAND: f64 = 0.769 + 0.687 + 0.119;
 /// Angles of axes 2 to 4 at the home stop, degrees; 0 is upright.
 const HOME: [f64; 3] = [-65.0, 146.0, -102.5];
@@ -35,14 +35,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_upright_arm_needs_nothing_and_a_flat_one_what_its_data_sheet_allows() {
+    fn holding_torques_stay_within_the_data_sheet() {
         let upright = [0.0, 65.0, -146.0, 102.5, 0.0].map(f64::to_radians);
         assert!(holding(&upright).iter().all(|torque| torque.abs() < 1e-9));
         let flat = [0.0, 155.0, -146.0, 102.5, 0.0].map(f64::to_radians);
         let [_, shoulder, elbow, wrist, _] = holding(&flat);
         assert!((-9.5..-9.0).contains(&shoulder), "{shoulder}");
         assert!((-6.0..-4.0).contains(&elbow) && (-2.0..-1.0).contains(&wrist));
-        // An upright forearm on a flat upper arm weighs as much as if it hung from its end.
+        // An upright forearm on a flat upper arm loads it like a mass at its end.
         let bent = [0.0, 155.0, -146.0 - 90.0, 102.5, 0.0].map(f64::to_radians);
         let [_, shoulder, elbow, ..] = holding(&bent);
         assert!(elbow.abs() < 1e-9 && (shoulder + GRAVITY * MOMENTS[0]).abs() < 1e-9);

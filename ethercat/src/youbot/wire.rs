@@ -5,27 +5,27 @@ use std::fmt;
 
 use super::Firmware;
 
-/// What the value of a [`Command`] means (byte 4 of the outputs).
+/// Mode of a [`Command`]: the meaning of its value (byte 4 of the outputs).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Mode {
-    /// The motor stops; the value does not matter.
+    /// The motor stops; the value is ignored.
     #[default]
     Stop,
     /// Encoder ticks to go to.
     Position,
     /// Motor revolutions per minute.
     Velocity,
-    /// Whatever was in force goes on.
+    /// The previous command stays in force.
     NoAction,
-    /// The present position is to be called so, ticks.
+    /// Sets the present position, ticks.
     SetPosition,
     /// Duty; firmware 1.48 only.
     Pwm,
-    /// mA of the motor.
+    /// Motor current, mA.
     Current,
     /// Find the commutation; firmware 1.48 only.
     Initialize,
-    /// A number that stands for none of these.
+    /// Any other number.
     Other(u8),
 }
 
@@ -46,7 +46,7 @@ impl Mode {
         }
     }
 
-    /// What a number stands for.
+    /// From the number on the wire.
     #[must_use]
     pub const fn from_raw(raw: u8) -> Self {
         match raw {
@@ -65,7 +65,7 @@ impl Mode {
 
 /// Outputs of a drive.
 ///
-/// | bytes | what |
+/// | bytes | meaning |
 /// |---|---|
 /// | 0..4 | value, i32 |
 /// | 4 | mode |
@@ -73,17 +73,17 @@ impl Mode {
 pub struct Command {
     /// In the unit of its mode.
     pub value: i32,
-    /// What the value means.
+    /// Meaning of the value.
     pub mode: Mode,
 }
 
 impl Command {
     /// Length, bytes.
     pub const LEN: usize = 5;
-    /// Held by the velocity loop: an arm does not sag, a wheel does not roll.
+    /// Holds by the velocity loop: an arm does not sag, a wheel does not roll.
     pub const HOLD: Self = Self::velocity(0);
 
-    /// Turn so fast, rpm of the motor.
+    /// Motor speed, rpm.
     #[must_use]
     pub const fn velocity(rpm: i32) -> Self {
         Self {
@@ -92,7 +92,7 @@ impl Command {
         }
     }
 
-    /// Go there, ticks.
+    /// Target position, ticks.
     #[must_use]
     pub const fn position(ticks: i32) -> Self {
         Self {
@@ -101,7 +101,7 @@ impl Command {
         }
     }
 
-    /// So much current, mA.
+    /// Motor current, mA.
     #[must_use]
     pub const fn current(ma: i32) -> Self {
         Self {
@@ -117,7 +117,7 @@ impl Command {
         [a, b, c, d, self.mode.raw()]
     }
 
-    /// From its bytes; `None` if they are too few.
+    /// From its bytes; `None` if too short.
     #[must_use]
     pub fn decode(bytes: &[u8]) -> Option<Self> {
         let [a, b, c, d, mode] = *bytes.first_chunk()?;
@@ -128,7 +128,7 @@ impl Command {
     }
 }
 
-/// Flags of a drive, as parameter 156 has them too.
+/// Flags of a drive, as in parameter 156.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Flags(pub u32);
 
@@ -141,11 +141,11 @@ impl Flags {
     pub const POSITION_REACHED: u32 = 1 << 14;
     /// The commutation is known.
     pub const INITIALIZED: u32 = 1 << 15;
-    /// Frames stopped coming for longer than global parameter 90; it stands until parameter 158 is written.
+    /// No frames for longer than global parameter 90; latched until parameter 158 is written.
     pub const TIMEOUT: u32 = 1 << 16;
-    /// Too much current for too long; it stands until parameter 29 is written.
+    /// Overload (I2t); latched until parameter 29 is written.
     pub const I2T: u32 = 1 << 17;
-    /// Those with which a drive does not do what it is told, but for time-out and I2t.
+    /// Flags that keep a drive from executing commands, except timeout and I2t.
     pub const BLOCKING: u32 = 0b1110_1110 | Self::EMERGENCY_STOP;
 
     /// Whether any of these is set.
@@ -198,7 +198,7 @@ impl fmt::Display for Flags {
     }
 }
 
-/// What firmware 2.00 tells of its targets.
+/// Targets reported by firmware 2.00.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Targets {
     /// Ticks.
@@ -207,7 +207,7 @@ pub struct Targets {
     pub current_ma: i32,
     /// rpm.
     pub velocity_rpm: i32,
-    /// What the ramp has reached, rpm.
+    /// Present velocity of the ramp, rpm.
     pub ramp_rpm: i32,
 }
 
@@ -238,7 +238,7 @@ pub struct Feedback {
 }
 
 impl Feedback {
-    /// From the inputs of a drive; `None` if they are too few for its firmware.
+    /// From the inputs of a drive; `None` if too short for its firmware.
     #[must_use]
     pub fn decode(firmware: Firmware, bytes: &[u8]) -> Option<Self> {
         let word = |at: usize| {
@@ -269,13 +269,13 @@ impl Feedback {
 }
 
 #[cfg(test)]
-#[expect(clippy::indexing_slicing, reason = "of what the test itself made")]
+#[expect(clippy::indexing_slicing, reason = "of bytes made by the test")]
 mod tests {
     use super::*;
 
-    /// What the vendor's own driver was seen to send.
+    /// Values recorded from the vendor's driver.
     #[test]
-    fn commands_have_the_bytes_of_the_vendors_driver() {
+    fn commands_match_bytes_of_the_vendor_driver() {
         for (command, bytes) in [
             (Command::velocity(-1039), [0xF1, 0xFB, 0xFF, 0xFF, 2]),
             (Command::velocity(1039), [0x0F, 0x04, 0, 0, 2]),
@@ -325,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn flags_are_told_by_name() {
+    fn flags_are_shown_by_name() {
         assert_eq!(Flags(0).to_string(), "no flag");
         let flags = Flags(Flags::TIMEOUT | Flags::I2T | 1 << 30);
         assert_eq!(flags.to_string(), "EtherCAT time-out, I2t exceeded, bit 30");

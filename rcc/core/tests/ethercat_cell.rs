@@ -18,7 +18,7 @@ use takt_core::cell::EthercatConfig;
 use takt_core::device::DeviceStatus;
 use takt_core::device::ethercat::master_config;
 use takt_core::{CellConfig, NetId};
-use takt_ethercat::config::{Place, Unlocked};
+use takt_ethercat::config::{Location, Unlocked};
 use takt_ethercat::emulator::{Coupler, Io, PdoImage, Segment, ServoConfig, ServoDrive, Slave};
 use takt_ethercat::linux::monotonic;
 use takt_tests::steady;
@@ -88,8 +88,8 @@ fn all_that_a_file_says_of_a_slave_reaches_the_master() {
     );
     let slave = &master.slaves[0];
     assert_eq!(
-        (&slave.place, slave.revision),
-        (&Place::Alias(7), Some(0x10000))
+        (&slave.location, slave.revision),
+        (&Location::Alias(7), Some(0x10000))
     );
     assert_eq!(
         (slave.optional, slave.group, slave.complete_access),
@@ -122,7 +122,10 @@ fn what_cannot_be_is_refused_with_its_slave() {
             "slave a: it needs one of `position`, `alias` and `sii_name`",
         ),
         (slave("position = 0\nalias = 3"), "it needs one of"),
-        (slave("position = 0\noptional = true"), "placed by position"),
+        (
+            slave("position = 0\noptional = true"),
+            "located by position",
+        ),
         (slave("position = 0\ngroup = 8"), "groups are 0 to 7"),
         (slave("position = 0\nsync1 = '1us'"), "need `sync0 = true`"),
         (

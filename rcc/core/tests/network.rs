@@ -232,7 +232,7 @@ fn a_drive_that_faults_ends_the_net_and_the_arm_comes_back_at_rest() {
         let net = hall.cell().swinging("arm", 0);
         hall.axis(2, 0, |drive| drive.fault(FaultCode::TEMPERATURE));
         hall.cell().wait_for_end(net);
-        hall.axis(2, 0, Drive::mend);
+        hall.axis(2, 0, Drive::clear_cause);
         hall.cell().wait_for("arm", DeviceStatus::Operational);
         let rest = hall.cell().position("arm", 0);
         std::thread::sleep(Duration::from_millis(300));
@@ -401,7 +401,7 @@ fn a_fault_of_one_axis_leaves_the_other_arm_of_its_drives_alone() {
         let undisturbed = !cell.is_over(right) && faults("right") == before;
         let _ = cell.controller.abort(right);
         cell.wait_for_end(right);
-        hall.axis(0, 0, Drive::mend);
+        hall.axis(0, 0, Drive::clear_cause);
         cell.wait_for("left", DeviceStatus::Operational);
         cell.wait_for("right", DeviceStatus::Operational);
         if undisturbed {

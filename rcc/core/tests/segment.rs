@@ -184,7 +184,8 @@ fn a_drive_that_faults_ends_the_net_and_the_arm_comes_back_at_rest() {
         hall.drives.axis(1, |drive| drive.fault(too_hot));
         hall.cell().wait_for_end(net);
         assert_ne!(hall.cell().status("tx90"), DeviceStatus::Operational);
-        hall.drives.axis(1, takt_can::cia402::emulator::Drive::mend);
+        hall.drives
+            .axis(1, takt_can::cia402::emulator::Drive::clear_cause);
         hall.cell().wait_for("tx90", DeviceStatus::Operational);
         let rest = hall.cell().position("tx90", 3);
         std::thread::sleep(Duration::from_millis(300));

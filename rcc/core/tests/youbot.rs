@@ -254,7 +254,7 @@ fn without_leave_an_arm_does_not_move_to_find_its_stops() {
     let why = hall.cell().controller.with_drivers(Ethercat::waits_for);
     let why = why[0].clone().unwrap();
     assert!(
-        why.starts_with("arm joint 0: its commutation is not known"),
+        why.starts_with("arm joint 0: its commutation is unknown"),
         "{why}"
     );
     for (joint, before) in before.into_iter().enumerate() {

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use takt_cia402::dictionary::{AbortCode, Address};
 use takt_ethercat::coe::Whole;
-use takt_ethercat::config::{MasterConfig, Place, SlaveSpec, SyncSpec};
+use takt_ethercat::config::{Location, MasterConfig, SlaveSpec, SyncSpec};
 use takt_ethercat::emulator::SharedSegment;
 use takt_ethercat::link::Port;
 use takt_ethercat::linux::{PacketLink, monotonic};
@@ -36,7 +36,7 @@ fn config() -> MasterConfig {
             .then(|| SyncSpec::sync0(CYCLE)),
         // Longer than a host stalls, too.
         watchdog: (position > 0).then_some(10 * PATIENCE),
-        ..SlaveSpec::new(*name, Place::Position(position))
+        ..SlaveSpec::new(*name, Location::Position(position))
     };
     MasterConfig {
         cycle: CYCLE,

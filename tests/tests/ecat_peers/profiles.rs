@@ -8,7 +8,7 @@ use ethercrab::std::ethercat_now;
 use ethercrab::subdevice_group::DcConfiguration;
 use ethercrab::{DcSync, MainDevice, MainDeviceConfig};
 use takt_cia402::dictionary::{Address, Mapped};
-use takt_ethercat::config::{MasterConfig, PdoSpec, Place, SlaveSpec, SyncSpec};
+use takt_ethercat::config::{Location, MasterConfig, PdoSpec, SlaveSpec, SyncSpec};
 use takt_ethercat::emulator::Profile;
 use takt_ethercat::link::Port;
 use takt_ethercat::linux::{PacketLink, monotonic};
@@ -89,7 +89,7 @@ fn drive() -> SlaveSpec {
         outputs: pdo(0x1600, [(0x6040, 16), (0x607A, 32)]),
         inputs: pdo(0x1A00, [(0x6041, 16), (0x6064, 32)]),
         sync: Some(SyncSpec::sync0(CYCLE)),
-        ..SlaveSpec::new("drive", Place::Position(5))
+        ..SlaveSpec::new("drive", Location::Position(5))
     }
 }
 
@@ -98,7 +98,7 @@ pub(crate) fn ours(interface: &str) {
     let link = PacketLink::open(interface).unwrap();
     let mac = link.mac();
     let mut port = Port::new(link, mac);
-    let terminal = |position| SlaveSpec::new(format!("{position}"), Place::Position(position));
+    let terminal = |position| SlaveSpec::new(format!("{position}"), Location::Position(position));
     let mut slaves: Vec<_> = (0..5).map(terminal).collect();
     slaves.push(drive());
     let mut master = Master::new(MasterConfig {

@@ -15,7 +15,7 @@ use clap::Args;
 use takt_cia402::dictionary::Address;
 use takt_cia402::emulator::FaultCode;
 use takt_cia402::proof::{Object, Objects};
-use takt_cia402::{ControlWord, Goal, Obstacle, Patience, Quirk, State, StatusWord};
+use takt_cia402::{ControlWord, DriveFault, Goal, Patience, Quirk, State, StatusWord};
 use takt_ethercat::AlState;
 use takt_ethercat::axis::{Axis, AxisState, Target};
 
@@ -343,9 +343,9 @@ impl<W: Wire> Bench<'_, W> {
                 reset = false;
                 continue;
             }
-            let resetting = self.order.reset && state.obstacle == Some(Obstacle::Fault);
+            let resetting = self.order.reset && state.drive_fault == Some(DriveFault::Fault);
             let silent = !state.online && self.session.now()?.saturating_sub(begin) > ONLINE;
-            if silent || (state.obstacle.is_some() && !resetting) {
+            if silent || (state.drive_fault.is_some() && !resetting) {
                 return Ok(Err(self.failure(&state)?));
             }
         }
@@ -408,7 +408,7 @@ impl<W: Wire> Bench<'_, W> {
     /// What the axis says of why it is not where it is wanted.
     fn failure(&mut self, state: &AxisState) -> anyhow::Result<Outcome> {
         let number = self.order.axis;
-        let mut why = match (state.online, state.obstacle, state.state) {
+        let mut why = match (state.online, state.drive_fault, state.state) {
             (false, ..) => match self.session.master().slave(self.order.slave) {
                 Some(slave) => slave.fault().map_or_else(
                     || "its process data stopped coming".to_owned(),
@@ -416,7 +416,7 @@ impl<W: Wire> Bench<'_, W> {
                 ),
                 None => "its slave is gone".to_owned(),
             },
-            (true, Some(obstacle), _) => obstacle.to_string(),
+            (true, Some(drive_fault), _) => drive_fault.to_string(),
             (true, None, Some(shown)) => format!("it left Operation enabled: {shown}"),
             (true, None, None) => format!("its statusword {} shows no state", state.status),
         };

@@ -330,7 +330,7 @@ fn late_frames_are_a_warning_and_a_cut_cable_is_a_failure() {
     session.wire().segment.set_link(1, false);
     let measured = stat::Measured::take(&mut session, Duration::from_millis(200)).unwrap();
     let text = stat::verdict("emulated0", &measured.findings(session.master()));
-    assert!(text.contains("slave 2: gone from the segment"), "{text}");
+    assert!(text.contains("slave 2: lost from the segment"), "{text}");
     assert!(
         text.contains("the cable from slave 0 port 1 to slave 2 port 0"),
         "{text}"

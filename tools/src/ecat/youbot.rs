@@ -12,8 +12,8 @@ use anyhow::{Context as _, bail, ensure};
 use clap::{Args, Subcommand};
 use takt_ethercat::AlState;
 use takt_ethercat::master::{JobError, JobKind};
-use takt_ethercat::youbot::parameters::{Access, Parameter, Place};
-use takt_ethercat::youbot::{Answer, CallError, Flags, Refusal, Request, TRINAMIC, parameters};
+use takt_ethercat::youbot::parameters::{Access, Parameter, ParameterGroup};
+use takt_ethercat::youbot::{Answer, CallError, Flags, Request, TRINAMIC, TmclError, parameters};
 
 use super::session::{Session, Wire};
 use super::{ASKING, Target};
@@ -190,7 +190,7 @@ fn writing(
     requests.push(parameter.set(bar, value)?);
     if store {
         ensure!(
-            parameter.place == Place::Drive,
+            parameter.group == ParameterGroup::Drive,
             "{} cannot be kept: only axis parameters of drives can",
             parameter.name
         );
@@ -223,10 +223,10 @@ fn tell(
 fn list() -> String {
     let mut text = String::from("parameter                   number  where    unit    range\n");
     for parameter in parameters::ALL {
-        let place = match parameter.place {
-            Place::Drive => "drive".to_owned(),
-            Place::Bank(bank) => format!("bank {bank}"),
-            Place::Bar => "gripper".to_owned(),
+        let group = match parameter.group {
+            ParameterGroup::Drive => "drive".to_owned(),
+            ParameterGroup::Bank(bank) => format!("bank {bank}"),
+            ParameterGroup::Bar => "gripper".to_owned(),
         };
         let range = match (parameter.access, parameter.range) {
             (Access::ReadOnly, _) => "read only".to_owned(),
@@ -245,7 +245,7 @@ fn list() -> String {
         // A text takes whatever is written.
         let _ = writeln!(
             text,
-            "{name:<27} {number:>6}  {place:<8} {unit:<7} {range}{lock}"
+            "{name:<27} {number:>6}  {group:<8} {unit:<7} {range}{lock}"
         );
     }
     text
@@ -257,7 +257,7 @@ fn call<W: Wire>(
     slave: usize,
     request: Request,
 ) -> anyhow::Result<Result<Answer, CallError>> {
-    let mut last = Err(CallError::Refused(Refusal::Foreign));
+    let mut last = Err(CallError::Refused(TmclError::Foreign));
     for _ in 0..ATTEMPTS {
         let mut data = Vec::with_capacity(ROOM);
         data.extend_from_slice(&request.encode());
@@ -266,7 +266,7 @@ fn call<W: Wire>(
             Err(error) => Err(CallError::Lost(error)),
         };
         match last {
-            Err(CallError::Lost(JobError::Timeout(_)) | CallError::Refused(Refusal::Foreign)) => {
+            Err(CallError::Lost(JobError::Timeout(_)) | CallError::Refused(TmclError::Foreign)) => {
                 session.run_for(SETTLE)?;
             }
             Ok(_) | Err(_) => break,
@@ -325,7 +325,7 @@ fn row<W: Wire>(
 ) -> anyhow::Result<Result<(String, bool), CallError>> {
     let version = match call(session, slave, Request::firmware())? {
         Ok(Answer::Version(version)) => version,
-        Ok(Answer::Value(_)) => return Ok(Err(CallError::Refused(Refusal::Foreign))),
+        Ok(Answer::Value(_)) => return Ok(Err(CallError::Refused(TmclError::Foreign))),
         Err(error) => return Ok(Err(error)),
     };
     let mut values = [0; 5];

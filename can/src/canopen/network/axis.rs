@@ -6,8 +6,8 @@ use std::time::Duration;
 use takt_cia402::dictionary::{Address, Dictionary, Key, Number};
 use takt_cia402::proof::{Denied, Exchanged, Object, Objects, Proof, Values};
 use takt_cia402::{
-    ControlWord, Feedback, Goal, HOMING_MODE, HOMING_START, HandShake, Homing, Master, Obstacle,
-    Orders, SetPoint, SetPointError, State, StatusWord,
+    ControlWord, Feedback, Goal, HOMING_MODE, HOMING_START, HandShake, Homing, Master, DriveFault,
+    DriveCommand, SetPoint, SetPointError, State, StatusWord,
 };
 
 use super::AxisFault;
@@ -432,39 +432,39 @@ impl Axis {
             self.master.set_goal(Goal::QuickStop);
         }
         self.prove(image, fresh, now);
-        let orders = self.orders(now);
-        self.latch(orders.follows);
-        self.write(image, orders.control, orders.follows);
+        let drive_command = self.drive_command(now);
+        self.latch(drive_command.follows);
+        self.write(image, drive_command.control, drive_command.follows);
         newly
     }
 
-    fn orders(&mut self, now: Duration) -> Orders {
+    fn drive_command(&mut self, now: Duration) -> DriveCommand {
         let feedback = Feedback {
             status: self.state.status,
             mode: self.state.mode,
             position: self.state.position,
         };
-        let mut orders = self.master.step(&feedback, now);
-        let not_proven = self.proof.fault().map(Obstacle::NotProven);
-        let obstacle = not_proven.or_else(|| self.master.obstacle());
-        self.fault = obstacle.map(AxisFault::Drive);
+        let mut drive_command = self.master.step(&feedback, now);
+        let not_proven = self.proof.fault().map(DriveFault::NotProven);
+        let drive_fault = not_proven.or_else(|| self.master.drive_fault());
+        self.fault = drive_fault.map(AxisFault::Drive);
         // In the cycle in which homing ends the targets are still in the old coordinates.
         let homing = self.homing.is_some();
-        let start = self.run_homing(&orders, now);
+        let start = self.run_homing(&drive_command, now);
         let bits = if start { HOMING_START } else { 0 };
-        orders.follows &= !homing;
-        self.align(&mut orders);
-        let handed = self.hand_over(&orders, now);
+        drive_command.follows &= !homing;
+        self.align(&mut drive_command);
+        let handed = self.hand_over(&drive_command, now);
         let bits = match handed {
             Some(handed) => self.command.mode_bits & HALT | handed,
-            None if orders.follows && orders.mode == INTERPOLATED_POSITION => {
+            None if drive_command.follows && drive_command.mode == INTERPOLATED_POSITION => {
                 self.command.mode_bits & 0x0370 | ENABLE_INTERPOLATION
             }
-            None if orders.follows => self.command.mode_bits & 0x0370,
+            None if drive_command.follows => self.command.mode_bits & 0x0370,
             None => bits,
         };
-        orders.control = ControlWord::new(orders.control.raw() | bits);
-        self.state.follows = orders.follows;
+        drive_command.control = ControlWord::new(drive_command.control.raw() | bits);
+        self.state.follows = drive_command.follows;
         if self.held_back {
             self.fault = Some(AxisFault::HeldBack);
         } else if let Some(error) = self.homing_failed
@@ -475,13 +475,13 @@ impl Axis {
         } else if let Some(error) = self.not_taken {
             self.fault = self.fault.or(Some(AxisFault::SetPoint(error)));
         }
-        orders
+        drive_command
     }
 
     /// Controlword bits of the profile position handshake.
-    fn hand_over(&mut self, orders: &Orders, now: Duration) -> Option<u16> {
+    fn hand_over(&mut self, drive_command: &DriveCommand, now: Duration) -> Option<u16> {
         self.handed_over?;
-        let ready = orders.follows && orders.mode == PROFILE_POSITION;
+        let ready = drive_command.follows && drive_command.mode == PROFILE_POSITION;
         let offer = self.hand_shake.step(self.state.status, ready, now);
         self.handed_over = offer.target.or(self.handed_over);
         match offer.outcome {
@@ -493,12 +493,12 @@ impl Axis {
     }
 
     /// Controlword bit 4 during homing; ends the run.
-    fn run_homing(&mut self, orders: &Orders, now: Duration) -> bool {
+    fn run_homing(&mut self, drive_command: &DriveCommand, now: Duration) -> bool {
         let Some(homing) = &mut self.homing else {
             return false;
         };
         let shown = self.state.mode.is_none_or(|mode| mode == HOMING_MODE);
-        let (start, outcome) = homing.step(self.state.status, orders.follows && shown, now);
+        let (start, outcome) = homing.step(self.state.status, drive_command.follows && shown, now);
         if let Some(outcome) = outcome {
             self.homing = None;
             self.homing_failed = outcome.err();
@@ -512,17 +512,17 @@ impl Axis {
     }
 
     /// In position modes it follows only after its target was close to its position.
-    fn align(&mut self, orders: &mut Orders) {
-        if !orders.follows {
+    fn align(&mut self, drive_command: &mut DriveCommand) {
+        if !drive_command.follows {
             self.aligned = false;
             return;
         }
         let (target, actual) = (self.command.position, self.state.position);
-        let positions = matches!(orders.mode, 1 | 7 | 8);
+        let positions = matches!(drive_command.mode, 1 | 7 | 8);
         let far = target.wrapping_sub(actual).unsigned_abs() > self.plan.jump_max;
         // A profile position target may be far away; the handshake starts the motion.
-        if positions && orders.mode != 1 && far && !self.aligned {
-            orders.follows = false;
+        if positions && drive_command.mode != 1 && far && !self.aligned {
+            drive_command.follows = false;
             self.fault = Some(AxisFault::NotAligned { target, actual });
             return;
         }

@@ -4,7 +4,7 @@ use std::fmt;
 use std::time::Duration;
 
 use takt_cia402::dictionary::{AbortCode, Address};
-use takt_cia402::{HomingError, Obstacle, SetPointError};
+use takt_cia402::{HomingError, DriveFault, SetPointError};
 
 use crate::canopen::{Emergency, NmtState};
 
@@ -170,7 +170,7 @@ pub enum AxisFault {
     /// Its node does not run.
     NodeDown,
     /// A fault at the level of the drive profile.
-    Drive(Obstacle),
+    Drive(DriveFault),
     /// The drive could follow, but its target is too far from its position: it would jump.
     NotAligned {
         /// 607Ah, user units.
@@ -190,7 +190,7 @@ impl fmt::Display for AxisFault {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::NodeDown => f.write_str("its node does not run; see the node's fault"),
-            Self::Drive(obstacle) => obstacle.fmt(f),
+            Self::Drive(drive_fault) => drive_fault.fmt(f),
             Self::NotAligned { target, actual } => write!(
                 f,
                 "its target {target} is too far from its position {actual} and it would jump: start from \

@@ -1,10 +1,10 @@
-//! What an axis shows its master: the statusword and what it measures. Nothing is decided here.
+//! Reports the statusword and the actual values of an axis to its master. Nothing is decided here.
 
 use super::*;
 
 impl Drive {
-    /// Writes what the master may read.
-    pub(super) fn tell(&mut self, d: &mut Dictionary, said: &Said, motion: Motion) {
+    /// Writes the objects that the master reads.
+    pub(super) fn report(&mut self, d: &mut Dictionary, output: &ModeOutput, motion: Motion) {
         let k = self.keys;
         let ramp = self.modes.ramp;
         let rated = self.motor.config().rated_torque / 1000.0;
@@ -12,8 +12,8 @@ impl Drive {
         let velocity = self.motor.velocity * self.scale;
         let increments = f64::from(self.motor.config().increments) / std::f64::consts::TAU;
         let torque = self.motor.torque / rated;
-        let next_place = self.modes.next_place(d, &k);
-        d.set(k.buffer_position, next_place);
+        let next_record = self.modes.next_record(d, &k);
+        d.set(k.buffer_position, next_record);
         d.set(k.mode_display, self.modes.mode);
         d.set(k.position_actual, wrap(position));
         d.set(k.position_internal, wrap(self.motor.position * increments));
@@ -40,10 +40,10 @@ impl Drive {
             | u32::from(self.interlock) << 3
             | u32::from(self.inputs) << 16;
         d.set(k.digital_inputs, inputs);
-        d.set(k.status_word, self.status(said, motion));
+        d.set(k.status_word, self.status(output, motion));
     }
 
-    fn status(&self, said: &Said, motion: Motion) -> u16 {
+    fn status(&self, output: &ModeOutput, motion: Motion) -> u16 {
         let state = self.power.state;
         let mut word = state.status_bits();
         if self.quirks.sod_as_0020 && state == State::SwitchOnDisabled {
@@ -59,21 +59,21 @@ impl Drive {
             (9, !self.local && !self.quirks.never_remote),
             (
                 10,
-                (said.reached && following)
-                    || self.stands_after_stop(motion)
+                (output.reached && following)
+                    || self.is_stopped(motion)
                     || (self.quirks.reached_in_fault && state == State::Fault),
             ),
-            (11, said.limited || self.servo.limited),
-            (12, said.bit_12 && following && !hides_follow),
-            (13, (said.bit_13 || outside) && following),
+            (11, output.limited || self.servo.limited),
+            (12, output.bit_12 && following && !hides_follow),
+            (13, (output.bit_13 || outside) && following),
         ] {
             word |= u16::from(so) << bit;
         }
         word
     }
 
-    /// A quick stop that is held shows that the motor stands.
-    fn stands_after_stop(&self, motion: Motion) -> bool {
+    /// Target reached during a held quick stop: the motor has stopped.
+    fn is_stopped(&self, motion: Motion) -> bool {
         matches!(motion, Motion::Stopping(_)) && self.is_at_rest()
     }
 }

@@ -1,11 +1,11 @@
-//! Profile position mode: the hand-shake of set-points and the way from one to the next. The ramp
-//! itself is elsewhere.
+//! Profile position mode: the hand-shake of set-points and the motion from one to the next. The ramp itself is
+//! elsewhere.
 
 use crate::dictionary::Dictionary;
 
 use super::super::objects::Keys;
 use super::super::ramp::Bounds;
-use super::{Follow, Modes, Said, View, extend, held};
+use super::{Follow, ModeOutput, Modes, View, extend, held};
 
 /// A set-point as it was latched.
 #[derive(Clone, Copy, Debug)]
@@ -15,7 +15,7 @@ struct Target {
     end_velocity: f64,
 }
 
-/// One set-point under way and one behind it.
+/// The current set-point and the next one.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct SetPoints {
     active: Option<Target>,
@@ -23,13 +23,13 @@ pub(super) struct SetPoints {
     /// Bit 4 of the last controlword.
     bit: bool,
     acknowledged: bool,
-    /// The next one is taken without a stop.
+    /// The next set-point starts without a stop.
     blends: bool,
     limited: bool,
 }
 
 impl Modes {
-    pub(super) fn profile_position(&mut self, d: &Dictionary, k: &Keys, see: &View) -> Said {
+    pub(super) fn profile_position(&mut self, d: &Dictionary, k: &Keys, see: &View) -> ModeOutput {
         self.take_set_point(d, k, see);
         if let Some(active) = self.set_points.active {
             let next = self.set_points.next;
@@ -65,16 +65,16 @@ impl Modes {
             off || (see.position - target).abs() <= f64::from(window)
         });
         let within = within && self.set_points.next.is_none();
-        let mut said = Said::new(Follow::Position);
-        said.reached = held(
+        let mut output = ModeOutput::new(Follow::Position);
+        output.reached = held(
             &mut self.inside,
             within,
             d.get(k.position_window_time),
             see.dt,
         );
-        said.bit_12 = self.set_points.acknowledged;
-        said.limited = self.set_points.limited;
-        said
+        output.bit_12 = self.set_points.acknowledged;
+        output.limited = self.set_points.limited;
+        output
     }
 
     /// The hand-shake of bits 4 (new set-point), 5 (change at once), 6 (relative) and 9 (change on

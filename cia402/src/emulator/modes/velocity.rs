@@ -1,9 +1,9 @@
-//! Velocity mode VL, the mode of frequency converters: speeds in revolutions per minute, ramps as a
-//! change of speed in a time. It regulates no position.
+//! Velocity mode VL, the mode of frequency converters: speeds in revolutions per minute, ramps as a change of speed in
+//! a time. It does not control position.
 //!
 //! | bit of 6040h | low | high |
 //! |---|---|---|
-//! | 4 enable ramp | to rest by the deceleration | the ramp is followed |
+//! | 4 enable ramp | stop with the deceleration | follow the ramp |
 //! | 5 unlock ramp | the ramp stays where it is | the ramp runs |
 //! | 6 reference ramp | towards zero | towards 6042h |
 
@@ -11,9 +11,9 @@ use crate::dictionary::{Dictionary, Key};
 
 use super::super::objects::Keys;
 use super::super::ramp::Bounds;
-use super::{Follow, Modes, Said, View};
+use super::{Follow, ModeOutput, Modes, View};
 
-/// rpm of a number in the unit of VL, by 604Ch.
+/// rpm of a value in the unit of VL, by 604Ch.
 fn dimension(d: &Dictionary, k: &Keys) -> f64 {
     let (numerator, denominator) = (d.get(k.vl_numerator), d.get(k.vl_denominator));
     let factor = f64::from(numerator) / f64::from(denominator);
@@ -41,7 +41,12 @@ pub(in super::super) fn shown(d: &Dictionary, k: &Keys, turn: f64, velocity: f64
 }
 
 impl Modes {
-    pub(super) fn converter_velocity(&mut self, d: &Dictionary, k: &Keys, see: &View) -> Said {
+    pub(super) fn converter_velocity(
+        &mut self,
+        d: &Dictionary,
+        k: &Keys,
+        see: &View,
+    ) -> ModeOutput {
         let bit = |n: u16| see.word.raw() >> n & 1 == 1;
         let unit = dimension(d, k) * of_rpm(see);
         let rate = |speed: Key<u32>, time: Key<u16>| {
@@ -54,13 +59,13 @@ impl Modes {
             deceleration: rate(k.vl_deceleration_speed, k.vl_deceleration_time),
             jerk: None,
         };
-        let told = f64::from(d.get(k.vl_target));
+        let target = f64::from(d.get(k.vl_target));
         let (low, high) = (f64::from(d.get(k.vl_min)), f64::from(d.get(k.vl_max)));
-        let amount = told.abs().max(low).min(high.max(low));
-        let limited = told.abs().total_cmp(&amount).is_ne() && told.abs() > 0.0;
-        // Without a target there is no direction in which to turn at the least speed.
-        let wanted = if told.abs() > 0.0 {
-            amount.copysign(told) * unit
+        let amount = target.abs().max(low).min(high.max(low));
+        let limited = target.abs().total_cmp(&amount).is_ne() && target.abs() > 0.0;
+        // A target of zero gives no direction for the minimum speed.
+        let wanted = if target.abs() > 0.0 {
+            amount.copysign(target) * unit
         } else {
             0.0
         };
@@ -68,9 +73,9 @@ impl Modes {
         let frozen = bit(4) && !bit(5);
         let target = if frozen { self.ramp.velocity } else { target };
         self.ramp.toward_velocity(target, &bounds, see.dt);
-        let mut said = Said::new(Follow::Velocity);
-        said.reached = (self.ramp.velocity - wanted).abs() < 1e-6 * wanted.abs().max(1.0);
-        said.limited = limited;
-        said
+        let mut output = ModeOutput::new(Follow::Velocity);
+        output.reached = (self.ramp.velocity - wanted).abs() < 1e-6 * wanted.abs().max(1.0);
+        output.limited = limited;
+        output
     }
 }

@@ -1,10 +1,10 @@
-//! Every homing method from every kind of place, against where home must be by geometry.
+//! Every homing method from every kind of position, against the geometric home.
 
 use std::f64::consts::TAU;
 
 use super::*;
 
-/// Where home is by the words of the profile, rad: the switch's edge, or the index beyond it.
+/// Home by the definition of the profile, rad: the switch's edge, or the index beyond it.
 #[expect(clippy::unreachable, reason = "a wrong test")]
 fn expected(method: i8, motor: &MotorConfig) -> f64 {
     let (home_on, home_off) = motor.home;
@@ -62,13 +62,13 @@ fn home(method: i8, from: f64, offset: i32, quirks: Quirks) -> Rig {
 }
 
 #[test]
-fn all_methods_find_home_from_everywhere() {
+fn homing_methods_find_home_from_everywhere() {
     let per_rad = 4096.0 / TAU;
     for method in (1..=14).chain(17..=30) {
         for from in [-24.0, -6.0, -0.3, 0.0, 0.5, 0.85, 3.0, 24.0] {
             let mut rig = home(method, from, 0, Quirks::default());
             rig.until(0x3400, 0x1400, 20_000);
-            // Home reads as zero; so the motor is where the position says, from home.
+            // Home reads as zero, so the position is the distance from home.
             let motor = rig.drive.motor();
             let home = motor.position - f64::from(rig.position()) / per_rad;
             let expected = expected(method, motor.config());
@@ -82,7 +82,7 @@ fn all_methods_find_home_from_everywhere() {
 }
 
 #[test]
-fn index_alone_and_here() {
+fn homing_methods_33_to_37_use_index_or_position() {
     for (method, from, expected) in [
         (33, 0.0, 1.0 - TAU),
         (34, 0.0, 1.0),
@@ -97,7 +97,7 @@ fn index_alone_and_here() {
 }
 
 #[test]
-fn the_offset_has_the_sign_of_the_profile_or_of_the_drive() {
+fn home_offset_has_sign_of_profile_or_quirk() {
     for (quirks, sign) in [("profile", -1), ("epos4", 1)] {
         let mut rig = home(37, 2.0, 1000, Quirks::named(quirks).unwrap());
         rig.until(0x3400, 0x1400, 1000);
@@ -106,7 +106,7 @@ fn the_offset_has_the_sign_of_the_profile_or_of_the_drive() {
 }
 
 #[test]
-fn a_home_switch_that_is_not_there_is_a_homing_error() {
+fn homing_without_switch_is_an_error() {
     let mut motor = geometry(7);
     motor.home = (100.0, 101.0);
     let config = DriveConfig {
@@ -139,7 +139,7 @@ fn homing_is_interrupted_by_its_bit_and_by_halt() {
 }
 
 #[test]
-fn some_drives_do_not_say_target_reached() {
+fn homing_quirk_omits_target_reached() {
     let mut rig = home(37, 0.0, 0, Quirks::named("mis").unwrap());
     rig.until(0x3400, 0x1000, 100);
     rig.run(50);

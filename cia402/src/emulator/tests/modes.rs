@@ -1,4 +1,4 @@
-//! Each mode of operation but homing.
+//! Each mode of operation except homing.
 
 use super::*;
 
@@ -15,14 +15,14 @@ fn profile_position_hand_shake() {
     );
     rig.word(0x000F);
     rig.step();
-    assert_eq!(rig.status().raw() & 0x1000, 0, "room for the next");
-    // One more fits behind the one under way.
+    assert_eq!(rig.status().raw() & 0x1000, 0, "the next is accepted");
+    // One more set-point is accepted behind the current one.
     rig.set(0x607A, 12_000_i32);
     rig.word(0x001F);
     rig.step();
     rig.word(0x000F);
     rig.step();
-    assert_eq!(rig.status().raw() & 0x1000, 0x1000, "no room");
+    assert_eq!(rig.status().raw() & 0x1000, 0x1000, "the buffer is full");
     rig.set(0x607A, -5_i32);
     rig.word(0x001F);
     rig.step();
@@ -74,9 +74,9 @@ fn profile_position_changes_at_once_relative_and_blended() {
     assert!((rig.position() - 40_000).abs() <= 10, "{}", rig.position());
 }
 
-/// 6086h = 3: the demanded velocity has no corners, in PP and in PV, and a ramp without such a limit has.
+/// 6086h = 3: the demanded velocity is smooth in PP and PV, unlike a ramp without jerk limit.
 #[test]
-fn jerk_is_limited_where_asked() {
+fn jerk_limited_profile_limits_jerk() {
     for (profile, mode, jerk_max) in [
         (3_i16, 1_i8, 2_000_000.0),
         (3, 3, 2_000_000.0),
@@ -97,7 +97,7 @@ fn jerk_is_limited_where_asked() {
             largest = largest.max((acceleration - last.1).abs() / 1e-3);
             last = (velocity, acceleration);
         }
-        // The demand is told in whole numbers: twice half a unit over a ms, over a ms.
+        // The demand is an integer: twice half a unit over a ms, over a ms.
         let rounding = 2e6;
         if profile == 3 {
             assert!(largest <= jerk_max + rounding, "mode {mode}: {largest}");
@@ -113,7 +113,7 @@ fn jerk_is_limited_where_asked() {
 }
 
 #[test]
-fn profile_types_that_it_has_not_are_refused() {
+fn profile_types_unsupported_are_refused() {
     let rig = Rig::new(DriveConfig::default());
     for (kind, allowed) in [(0_i16, true), (1, false), (2, false), (3, true)] {
         let address = Address::new(0x6086, 0);
@@ -125,7 +125,7 @@ fn profile_types_that_it_has_not_are_refused() {
 }
 
 #[test]
-fn homing_methods_that_it_has_not_are_refused() {
+fn homing_methods_unsupported_are_refused() {
     let rig = Rig::new(DriveConfig::default());
     for method in i8::MIN..=i8::MAX {
         let has = matches!(method, 0..=14 | 17..=30 | 33..=35 | 37);
@@ -154,7 +154,7 @@ fn halt_keeps_the_target() {
 }
 
 #[test]
-fn software_limits_clamp_and_say_so() {
+fn software_limits_clamp_and_set_internal_limit() {
     let mut rig = Rig::enabled(DriveConfig::default(), 1);
     rig.set_sub(0x607D, 1, -3000_i32);
     rig.set_sub(0x607D, 2, 3000_i32);
@@ -166,7 +166,7 @@ fn software_limits_clamp_and_say_so() {
 }
 
 #[test]
-fn profile_velocity_ramps_and_says_when_it_stands() {
+fn profile_velocity_ramps_and_reports_standstill() {
     let mut rig = Rig::enabled(DriveConfig::default(), 3);
     rig.run(50);
     assert_eq!(rig.status().raw() & 0x1000, 0x1000, "speed is zero");
@@ -180,7 +180,7 @@ fn profile_velocity_ramps_and_says_when_it_stands() {
 
 /// VL: revolutions per minute, its ramps, its limits and its three bits.
 #[test]
-fn velocity_mode_of_converters() {
+fn velocity_mode_follows_ramps_limits_and_bits() {
     let mut rig = Rig::enabled(DriveConfig::default(), 2);
     rig.set(0x6042, 600_i16);
     rig.word(0x003F);
@@ -196,7 +196,7 @@ fn velocity_mode_of_converters() {
     assert_eq!(
         rig.get::<i16>(0x6043),
         demand,
-        "bit 5 is low: the ramp stands"
+        "bit 5 is low: the ramp is frozen"
     );
     rig.word(0x007F);
     rig.until(0x0400, 0x0400, 200);
@@ -259,7 +259,7 @@ fn cyclic_position_follows_a_sine() {
 }
 
 #[test]
-fn enabling_does_not_jump_to_a_stale_target_before_the_first_set_point() {
+fn enabling_ignores_stale_target_until_first_set_point() {
     let config = DriveConfig {
         position: 30.0,
         ..DriveConfig::default()
@@ -281,7 +281,7 @@ fn enabling_does_not_jump_to_a_stale_target_before_the_first_set_point() {
 }
 
 #[test]
-fn missing_set_points_are_a_fault_when_there_are_too_many() {
+fn missing_set_points_beyond_the_limit_fault() {
     let mut rig = Rig::enabled(DriveConfig::default(), 8);
     rig.run(10);
     rig.cyclic = false;
@@ -318,9 +318,9 @@ fn interpolated_position_waits_for_its_bit() {
     assert_eq!(rig.status().raw() & 0x1000, 0x1000);
 }
 
-/// Set-points of a constant velocity every 4 ms, each up to 0.5 ms early or late: the demand goes on evenly.
+/// Set-points of a constant velocity every 4 ms, each up to 0.5 ms early or late: the demand is even.
 #[test]
-fn jitter_of_set_points_is_not_passed_on() {
+fn cyclic_set_points_with_jitter_are_smoothed() {
     for early in [-2_i32, -1, 0, 1, 2] {
         let mut rig = Rig::enabled(DriveConfig::default(), 8);
         rig.set_sub(0x60C2, 1, 4_u8);
@@ -353,9 +353,9 @@ fn jitter_of_set_points_is_not_passed_on() {
     }
 }
 
-/// Records come in bursts and are gone through one in each period.
+/// Records arrive in bursts; one is consumed in each period.
 #[test]
-fn interpolated_position_may_have_a_buffer() {
+fn interpolated_position_buffer_queues_records() {
     let mut rig = Rig::enabled(DriveConfig::default(), 7);
     rig.cyclic = false;
     rig.set_sub(0x60C2, 1, 20_u8);
@@ -374,31 +374,31 @@ fn interpolated_position_may_have_a_buffer() {
         rig.run(20);
         assert!((demand(&rig) - 100 * n).abs() <= 1, "{n}: {}", demand(&rig));
         if n == 2 {
-            assert!(taken(&mut rig, 900), "there is room again");
+            assert!(taken(&mut rig, 900), "a slot is free again");
         }
     }
     rig.run(20);
     assert_eq!(demand(&rig), 900);
     rig.run(100);
-    assert_eq!(demand(&rig), 900, "it waits for more at the last one");
+    assert_eq!(demand(&rig), 900, "it holds the last one");
     assert!(taken(&mut rig, 700));
     rig.run(20);
     assert!((demand(&rig) - 700).abs() <= 1, "{}", demand(&rig));
 }
 
-/// What 60C4h tells and does.
+/// Values and effects of 60C4h.
 #[test]
-fn a_ring_loses_the_oldest_record_and_a_closed_buffer_all() {
+fn interpolated_position_ring_overwrites_the_oldest_record() {
     let mut rig = Rig::enabled(DriveConfig::default(), 7);
     rig.cyclic = false;
-    let place = |rig: &Rig| -> u16 { rig.d.get(rig.d.key(Address::new(0x60C4, 4)).unwrap()) };
+    let next_record = |rig: &Rig| -> u16 { rig.d.get(rig.d.key(Address::new(0x60C4, 4)).unwrap()) };
     rig.set_sub(0x60C4, 2, 3_u32);
     rig.set_sub(0x60C4, 3, 1_u8);
     rig.set_sub(0x60C4, 6, 1_u8);
     for (record, next) in [(10, 1), (20, 2), (30, 0), (40, 1)] {
         assert!(rig.drive.take_record(&rig.d, record));
         rig.step();
-        assert_eq!(place(&rig), next, "{record}");
+        assert_eq!(next_record(&rig), next, "{record}");
     }
     rig.word(0x001F);
     rig.step();
@@ -410,11 +410,11 @@ fn a_ring_loses_the_oldest_record_and_a_closed_buffer_all() {
     rig.run(1);
     rig.set_sub(0x60C4, 6, 1_u8);
     rig.run(20);
-    assert_eq!((rig.get::<i32>(0x6062), place(&rig)), (40, 0));
+    assert_eq!((rig.get::<i32>(0x6062), next_record(&rig)), (40, 0));
 }
 
 #[test]
-fn modes_change_late_and_not_while_halted_where_the_drive_is_so() {
+fn mode_change_quirks_delay_and_halt_apply() {
     let mut rig = Rig::quirky(Quirks::named("halt-before-mode").unwrap());
     rig.run(5);
     rig.set(0x6060, 3_i8);
@@ -429,7 +429,7 @@ fn modes_change_late_and_not_while_halted_where_the_drive_is_so() {
 }
 
 #[test]
-fn a_mode_or_method_that_is_not_there_is_refused() {
+fn mode_or_method_unsupported_is_refused() {
     use crate::dictionary::AbortCode;
     let rig = Rig::quirky(Quirks::named("epos4").unwrap());
     for (index, byte, expected) in [
@@ -490,7 +490,7 @@ fn gear_feed_and_polarity_scale_what_the_master_sees() {
         rig.step();
     }
     rig.run(100);
-    // A tenth of a turn of the shaft is one of the motor, and the other way round.
+    // A tenth of a turn of the shaft is one of the motor, and vice versa.
     let turns = rig.drive.motor().position / std::f64::consts::TAU;
     assert!((turns - 0.999).abs() < 0.01, "{turns}");
     assert!((rig.position() + 35_964).abs() < 100, "{}", rig.position());

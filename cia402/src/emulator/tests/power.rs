@@ -1,4 +1,4 @@
-//! States, option codes, faults and the silence of the master.
+//! States, option codes, faults and loss of the master.
 
 use super::*;
 
@@ -19,7 +19,7 @@ fn moving(options: &[(u16, i16)]) -> Rig {
     rig
 }
 
-/// Time until the motor stands, ms, and how far it went.
+/// Stopping time, ms, and distance.
 fn stopping(rig: &mut Rig) -> (u32, i32) {
     let from = rig.position();
     for ms in 0..5000 {
@@ -32,7 +32,7 @@ fn stopping(rig: &mut Rig) -> (u32, i32) {
 }
 
 #[test]
-fn all_states_up_and_down_are_seen() {
+fn power_states_up_and_down_are_all_visible() {
     let mut rig = Rig::new(DriveConfig::default());
     rig.reach(Goal::OperationEnabled);
     let up = [
@@ -51,7 +51,7 @@ fn all_states_up_and_down_are_seen() {
 }
 
 #[test]
-fn the_brake_opens_before_operation_is_enabled() {
+fn brake_opens_before_operation_enabled() {
     let mut rig = Rig::new(DriveConfig::default());
     rig.reach(Goal::SwitchedOn);
     rig.word(0x000F);
@@ -64,7 +64,7 @@ fn the_brake_opens_before_operation_is_enabled() {
 }
 
 #[test]
-fn every_quick_stop_option() {
+fn quick_stop_follows_every_option_code() {
     for (option, ends_in, slowest_ms) in [
         (0, SwitchOnDisabled, 2000),
         (1, SwitchOnDisabled, 130),
@@ -83,7 +83,7 @@ fn every_quick_stop_option() {
         rig.run(100);
         assert_eq!(rig.drive.state(), ends_in, "605Ah = {option}");
         assert_eq!(rig.drive.motor().braked, ends_in == SwitchOnDisabled);
-        // The master's word stays; nothing comes back by itself.
+        // The controlword is unchanged; nothing restarts by itself.
         rig.run(50);
         assert_eq!(rig.drive.state(), ends_in, "605Ah = {option}");
         rig.word(0x000F);
@@ -118,7 +118,7 @@ fn shutdown_and_disable_operation_ramp_or_coast() {
 }
 
 #[test]
-fn a_disable_under_way_is_taken_back_or_overruled() {
+fn disable_in_progress_is_cancelled_or_overruled() {
     let mut rig = moving(&[]);
     rig.word(0x0007);
     rig.run(20);
@@ -134,7 +134,7 @@ fn a_disable_under_way_is_taken_back_or_overruled() {
 }
 
 #[test]
-fn a_fault_passes_its_reaction_and_is_reset_by_an_edge_once_its_cause_is_gone() {
+fn fault_is_reset_by_edge_once_its_cause_clears() {
     let mut rig = moving(&[]);
     rig.drive.fault(FaultCode::ENCODER);
     rig.run(100);
@@ -146,7 +146,7 @@ fn a_fault_passes_its_reaction_and_is_reset_by_an_edge_once_its_cause_is_gone() 
     rig.word(0x0080);
     rig.run(5);
     assert_eq!(rig.drive.state(), Fault, "the cause is still there");
-    rig.drive.mend();
+    rig.drive.clear_cause();
     rig.run(5);
     assert_eq!(rig.drive.state(), Fault, "the bit was high before");
     rig.word(0x0000);
@@ -159,7 +159,7 @@ fn a_fault_passes_its_reaction_and_is_reset_by_an_edge_once_its_cause_is_gone() 
 }
 
 #[test]
-fn a_fault_without_power_has_nothing_to_stop() {
+fn fault_without_power_skips_the_reaction() {
     let mut rig = Rig::new(DriveConfig::default());
     rig.reach(Goal::ReadyToSwitchOn);
     rig.states.clear();
@@ -169,7 +169,7 @@ fn a_fault_without_power_has_nothing_to_stop() {
 }
 
 #[test]
-fn level_reset_and_the_old_look_of_switch_on_disabled() {
+fn quirks_level_reset_and_sod_as_0020_apply() {
     let mut rig = Rig::quirky(Quirks::named("ssc-5.11").unwrap());
     rig.run(5);
     assert_eq!(rig.drive.state(), SwitchOnDisabled);
@@ -177,13 +177,13 @@ fn level_reset_and_the_old_look_of_switch_on_disabled() {
     rig.word(0x0080);
     rig.drive.fault(FaultCode::ENCODER);
     rig.run(5);
-    rig.drive.mend();
+    rig.drive.clear_cause();
     rig.run(2);
     assert_eq!(rig.drive.state(), SwitchOnDisabled);
 }
 
 #[test]
-fn a_drive_without_quick_stop_ignores_the_bit() {
+fn quick_stop_bit_is_ignored_where_unsupported() {
     let mut rig = Rig::quirky(Quirks::named("el7411").unwrap());
     rig.reach(Goal::OperationEnabled);
     rig.word(0x000B);
@@ -192,7 +192,7 @@ fn a_drive_without_quick_stop_ignores_the_bit() {
 }
 
 #[test]
-fn a_silent_master_is_answered_by_6007h() {
+fn master_lost_triggers_6007h() {
     for (option, ends_in) in [
         (0, OperationEnabled),
         (1, Fault),
@@ -209,7 +209,7 @@ fn a_silent_master_is_answered_by_6007h() {
             &[]
         };
         assert_eq!(rig.emergencies, expected);
-        // The master is back with its old word: nothing moves.
+        // The master is back with its stale controlword: nothing moves.
         rig.lost = false;
         rig.run(50);
         assert_eq!(rig.drive.state(), ends_in, "6007h = {option}");
@@ -217,7 +217,7 @@ fn a_silent_master_is_answered_by_6007h() {
 }
 
 #[test]
-fn voltage_is_needed_to_switch_on_and_watched_after() {
+fn voltage_is_required_and_monitored() {
     let mut rig = Rig::new(DriveConfig::default());
     rig.drive.dc_link = 5.0;
     rig.reach(Goal::ReadyToSwitchOn);
@@ -234,7 +234,7 @@ fn voltage_is_needed_to_switch_on_and_watched_after() {
 }
 
 #[test]
-fn a_pushed_axis_faults_by_its_following_error() {
+fn following_error_of_pushed_axis_faults() {
     let mut rig = Rig::enabled(DriveConfig::default(), 8);
     rig.set(0x6065, 100_u32);
     rig.drive.motor_mut().external = 3.0;
@@ -248,7 +248,7 @@ fn a_pushed_axis_faults_by_its_following_error() {
 }
 
 #[test]
-fn an_overloaded_motor_warns_and_then_faults() {
+fn motor_overload_warns_then_faults() {
     let config = DriveConfig {
         motor: MotorConfig {
             thermal_time: 0.5,
@@ -269,7 +269,7 @@ fn an_overloaded_motor_warns_and_then_faults() {
 }
 
 #[test]
-fn power_comes_on_in_not_ready() {
+fn power_on_starts_in_not_ready_to_switch_on() {
     let rig = Rig::new(DriveConfig::default());
     assert_eq!(rig.drive.state(), NotReadyToSwitchOn);
 }

@@ -21,19 +21,19 @@ fn orders(of: usize) -> Vec<Vec<usize>> {
     all
 }
 
-impl Stand {
+impl Fixture {
     /// A drive whose shaft is not at zero, where all bytes are alike.
     fn with(change: impl FnOnce(&mut Drive)) -> Self {
         let mut config = ServoConfig::default();
         config.axes[0].position = 12.34;
         let drive = ServoDrive::slave(config).unwrap();
-        let stand = Self::new(drive, 1, Duration::from_millis(1), false);
-        stand.drive.axis(0, change);
-        stand
+        let fixture = Self::new(drive, 1, Duration::from_millis(1), false);
+        fixture.drive.axis(0, change);
+        fixture
     }
 
     /// Wants power until its process data are proven or refused, and for a while more; whether they are proven.
-    fn prove(&mut self) -> Result<(), Obstacle> {
+    fn prove(&mut self) -> Result<(), DriveFault> {
         self.axes[0].set_goal(Goal::OperationEnabled);
         let mut left = 3000_u32;
         while left > 0 {
@@ -45,9 +45,9 @@ impl Stand {
                 left = 100;
             }
         }
-        match self.states[0].obstacle {
+        match self.states[0].drive_fault {
             None if self.axes[0].proof().is_proven() => Ok(()),
-            obstacle => Err(obstacle.expect("a reason")),
+            drive_fault => Err(drive_fault.expect("a reason")),
         }
     }
 
@@ -57,11 +57,14 @@ impl Stand {
 
     #[track_caller]
     fn is_refused(&mut self) -> String {
-        let obstacle = self.prove().unwrap_err();
-        assert!(matches!(obstacle, Obstacle::NotProven(_)), "{obstacle}");
-        assert_eq!(self.state(), State::SwitchOnDisabled, "{obstacle}");
+        let drive_fault = self.prove().unwrap_err();
+        assert!(
+            matches!(drive_fault, DriveFault::NotProven(_)),
+            "{drive_fault}"
+        );
+        assert_eq!(self.state(), State::SwitchOnDisabled, "{drive_fault}");
         assert_eq!(self.states[0].state, Some(State::SwitchOnDisabled));
-        obstacle.to_string()
+        drive_fault.to_string()
     }
 }
 
@@ -69,12 +72,12 @@ impl Stand {
 fn drive_with_another_order_of_outputs_gets_no_power() {
     for order in orders(5) {
         let outputs = Distortion::order(order.clone());
-        let mut stand = Stand::with(|drive| drive.process_data.outputs = outputs);
+        let mut fixture = Fixture::with(|drive| drive.process_data.outputs = outputs);
         if order == [0, 1, 2, 3, 4] {
-            assert_eq!(stand.prove(), Ok(()));
-            assert_eq!(stand.state(), State::OperationEnabled);
+            assert_eq!(fixture.prove(), Ok(()));
+            assert_eq!(fixture.state(), State::OperationEnabled);
         } else {
-            stand.is_refused();
+            fixture.is_refused();
         }
     }
 }
@@ -84,10 +87,13 @@ fn drive_with_another_order_of_inputs_gets_no_power() {
     // The statusword, the mode and the position are what leads it.
     for swapped in [[1, 0, 2], [0, 2, 1], [2, 1, 0], [1, 2, 0], [2, 0, 1]] {
         let inputs = Distortion::order([&swapped[..], &[3, 4, 5]].concat());
-        let mut stand = Stand::with(|drive| drive.process_data.inputs = inputs);
-        let obstacle = stand.prove().unwrap_err();
-        assert!(matches!(obstacle, Obstacle::NotProven(_)), "{obstacle}");
-        assert_eq!(stand.state(), State::SwitchOnDisabled, "{swapped:?}");
+        let mut fixture = Fixture::with(|drive| drive.process_data.inputs = inputs);
+        let drive_fault = fixture.prove().unwrap_err();
+        assert!(
+            matches!(drive_fault, DriveFault::NotProven(_)),
+            "{drive_fault}"
+        );
+        assert_eq!(fixture.state(), State::SwitchOnDisabled, "{swapped:?}");
     }
 }
 
@@ -99,91 +105,91 @@ fn drive_that_shifts_delays_or_freezes_gets_no_power() {
         Distortion::frozen(),
     ] {
         let outputs = fault.clone();
-        let mut stand = Stand::with(|drive| drive.process_data.outputs = outputs);
-        let why = stand.is_refused();
+        let mut fixture = Fixture::with(|drive| drive.process_data.outputs = outputs);
+        let why = fixture.is_refused();
         println!("{why}");
-        let mut stand = Stand::with(|drive| drive.process_data.inputs = fault);
-        assert!(stand.prove().is_err());
+        let mut fixture = Fixture::with(|drive| drive.process_data.inputs = fault);
+        assert!(fixture.prove().is_err());
         let unpowered = [State::SwitchOnDisabled, State::ReadyToSwitchOn];
-        assert!(unpowered.contains(&stand.state()));
+        assert!(unpowered.contains(&fixture.state()));
     }
 }
 
 #[test]
 fn drive_that_is_proven_first_receives_its_own_position() {
-    let mut stand = Stand::with(|drive| drive.motor_mut().velocity = 1.0);
-    stand.axes[0].set_goal(Goal::OperationEnabled);
+    let mut fixture = Fixture::with(|drive| drive.motor_mut().velocity = 1.0);
+    fixture.axes[0].set_goal(Goal::OperationEnabled);
     for _ in 0..4000 {
-        stand.cycle(|_, _| Target::Hold);
-        if stand.state() == State::OperationEnabled {
+        fixture.cycle(|_, _| Target::Hold);
+        if fixture.state() == State::OperationEnabled {
             break;
         }
-        assert_ne!(stand.state(), State::FaultReactionActive);
+        assert_ne!(fixture.state(), State::FaultReactionActive);
     }
     let number = |index| {
         let read = |d: &mut takt_cia402::dictionary::Dictionary| {
             let bytes = d.bytes(Address::new(index, 0)).unwrap();
             i32::from_le_bytes(*bytes.first_chunk().unwrap())
         };
-        stand.drive.dictionary(read)
+        fixture.drive.dictionary(read)
     };
     let (target, actual) = (number(0x607A), number(0x6064));
     assert!((target - actual).abs() <= 4, "{target} {actual}");
-    assert_eq!(stand.state(), State::OperationEnabled);
+    assert_eq!(fixture.state(), State::OperationEnabled);
 }
 
 #[test]
 fn drive_whose_object_sdo_does_not_show_needs_a_quirk() {
     let not_mirrored = Objects::of(&[0x60FF, 0x6071]).unwrap();
-    let mut stand = Stand::with(|drive| {
+    let mut fixture = Fixture::with(|drive| {
         drive.process_data.unreadable = vec![0x6071];
         drive.process_data.cleared = vec![0x60FF];
     });
-    let why = stand.is_refused();
+    let why = fixture.is_refused();
     assert!(why.starts_with("60FFh by PDO "), "{why}");
     assert!(why.contains(", by SDO 0: the slave does not use"), "{why}");
-    stand
+    fixture
         .drive
         .axis(0, |drive| drive.process_data.cleared.clear());
-    stand.axes[0].set_goal(Goal::SwitchOnDisabled);
-    let mut stand = Stand {
+    fixture.axes[0].set_goal(Goal::SwitchOnDisabled);
+    let mut fixture = Fixture {
         axes: vec![
-            stand
+            fixture
                 .axes
                 .remove(0)
                 .not_mirrored(Objects::of(&[0x60FF]).unwrap()),
         ],
-        ..stand
+        ..fixture
     };
-    let why = stand.is_refused();
+    let why = fixture.is_refused();
     assert!(why.starts_with("6071h cannot be read by SDO"), "{why}");
-    let mut stand = Stand {
-        axes: vec![stand.axes.remove(0).not_mirrored(not_mirrored)],
-        ..stand
+    let mut fixture = Fixture {
+        axes: vec![fixture.axes.remove(0).not_mirrored(not_mirrored)],
+        ..fixture
     };
-    assert_eq!(stand.prove(), Ok(()));
+    assert_eq!(fixture.prove(), Ok(()));
 }
 
 #[test]
 fn drive_that_comes_back_with_another_mapping_is_proven_again() {
-    let mut stand = Stand::with(|_| ());
-    stand.enable(Target::Hold);
-    stand.rig.segment.set_link(0, false);
+    let mut fixture = Fixture::with(|_| ());
+    fixture.enable(Target::Hold);
+    fixture.rig.segment.set_link(0, false);
     for _ in 0..300 {
-        stand.cycle(|_, _| Target::Hold);
+        fixture.cycle(|_, _| Target::Hold);
     }
-    stand.drive.axis(0, |drive| {
+    fixture.drive.axis(0, |drive| {
         drive.process_data.outputs = Distortion::order([0, 2, 1, 3, 4]);
     });
-    stand.rig.segment.set_link(0, true);
-    stand.until(6000, Target::Hold, |state| state.online);
-    let obstacle = stand.prove().unwrap_err();
+    fixture.rig.segment.set_link(0, true);
+    fixture.until(6000, Target::Hold, |state| state.online);
+    let drive_fault = fixture.prove().unwrap_err();
     assert!(
         matches!(
-            obstacle,
-            Obstacle::NotProven(ProofFault::Differs { axis: 0, .. })
+            drive_fault,
+            DriveFault::NotProven(ProofFault::Differs { axis: 0, .. })
         ),
-        "{obstacle}"
+        "{drive_fault}"
     );
 }
 
@@ -201,7 +207,7 @@ fn set_up_broken_off_after_any_frame_never_leads_to_shifted_targets() {
             slaves: vec![SlaveSpec {
                 outputs: Some(outputs),
                 inputs: Some(inputs),
-                ..SlaveSpec::new("drive", Place::Position(0))
+                ..SlaveSpec::new("drive", Location::Position(0))
             }],
             ..MasterConfig::default()
         }
@@ -221,17 +227,20 @@ fn set_up_broken_off_after_any_frame_never_leads_to_shifted_targets() {
         rig.until(20_000, Master::is_operational);
         let process = rig.master.slave(0).unwrap().process().clone();
         let axis = Axis::new(0, &process, 0, Patience::default()).unwrap();
-        let mut stand = Stand {
+        let mut fixture = Fixture {
             rig,
             drive,
             axes: vec![axis],
             states: Vec::new(),
         };
-        match stand.prove() {
+        match fixture.prove() {
             Ok(()) => proven += 1,
-            Err(obstacle) => {
-                assert!(matches!(obstacle, Obstacle::NotProven(_)), "{obstacle}");
-                assert_eq!(stand.state(), State::SwitchOnDisabled, "{frames}");
+            Err(drive_fault) => {
+                assert!(
+                    matches!(drive_fault, DriveFault::NotProven(_)),
+                    "{drive_fault}"
+                );
+                assert_eq!(fixture.state(), State::SwitchOnDisabled, "{frames}");
                 refused += 1;
             }
         }
@@ -252,9 +261,9 @@ fn proof_of_one_to_eight_axes_takes_less_than_a_second() {
             ..ServoConfig::default()
         };
         let drive = ServoDrive::slave(config).unwrap();
-        let mut stand = Stand::new(drive, count, Duration::from_millis(1), false);
-        stand.enable(Target::Hold);
-        let took = stand
+        let mut fixture = Fixture::new(drive, count, Duration::from_millis(1), false);
+        fixture.enable(Target::Hold);
+        let took = fixture
             .axes
             .iter()
             .filter_map(|axis| axis.proof().took())

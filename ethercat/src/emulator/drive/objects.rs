@@ -1,5 +1,5 @@
-//! The objects of a drive beside those of its axes: identity, PDOs, SyncManagers, synchronisation
-//! (ETG.1000.6, ETG.1020). What is done with them is elsewhere.
+//! The objects of a drive other than those of its axes: identity, PDOs, SyncManagers, synchronisation (ETG.1000.6,
+//! ETG.1020). Their behaviour is elsewhere.
 
 use takt_cia402::dictionary::{
     Access, Address, DataType, Entry, Mapped, Number, Object, ObjectCode,
@@ -9,7 +9,7 @@ use super::ServoConfig;
 use super::pdo::{self, ASSIGNED, ENTRIES};
 use crate::emulator::image::PdoImage;
 
-/// 1C32h:01 from the factory: cycles run with new outputs.
+/// Default of 1C32h:01: cycles run with new outputs.
 pub(super) const SYNC_BY_OUTPUTS: u16 = 1;
 
 /// All objects.
@@ -77,18 +77,18 @@ fn identity(config: &ServoConfig) -> Vec<Object> {
     ]
 }
 
-/// An object whose sub-index 0 says how many of the entries behind it count.
+/// An object whose sub-index 0 is the number of valid entries.
 pub(in crate::emulator) fn counted<T: Number>(
     index: u16,
     name: &str,
     values: &[T],
-    room: u8,
+    entries_max: u8,
     zero: T,
     access: Access,
 ) -> Object {
     let count = u8::try_from(values.len()).unwrap_or(u8::MAX);
-    let count = Entry::number("number of entries", access, count).within(0, room);
-    let entries = (1..=room).map(|sub| {
+    let count = Entry::number("number of entries", access, count).within(0, entries_max);
+    let entries = (1..=entries_max).map(|sub| {
         let value = values.get(usize::from(sub) - 1).copied().unwrap_or(zero);
         (sub, Entry::number("entry", access, value))
     });

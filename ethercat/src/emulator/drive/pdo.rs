@@ -1,5 +1,5 @@
-//! Which PDOs a drive has, how they are assigned to SyncManagers (1C12h, 1C13h) and what they map.
-//! The rules for changing them are those of the standard: in PRE-OP, and with their count at zero.
+//! The PDOs of a drive, their assignment to SyncManagers (1C12h, 1C13h) and their mapping. As in the standard, they can
+//! be changed in PRE-OP only, with their count at zero.
 
 use takt_cia402::dictionary::{AbortCode, Address, Dictionary, Mapped, Mapping};
 use takt_cia402::emulator::Drive;
@@ -8,16 +8,16 @@ use super::PdoSet;
 use crate::emulator::image::PdoImage;
 use crate::{AlState, AlStatusCode};
 
-/// Entries of one PDO at most.
+/// Maximum number of entries of one PDO.
 pub(super) const ENTRIES: u8 = 16;
-/// PDOs of one SyncManager at most.
+/// Maximum number of PDOs of one SyncManager.
 pub(super) const ASSIGNED: u8 = 8;
-/// Longest process data each way, bits.
+/// Longest process data per direction, bits.
 const BITS_MAX: usize = 8 * 512;
-/// From the PDOs of an axis to those of the next (ETG.6010).
+/// Index distance between the PDOs of two axes (ETG.6010).
 pub(super) const PDO_STEP: u16 = 0x10;
 
-/// What an axis receives by default: index, bits, CoE data type.
+/// Default RxPDO of an axis: index, bits, CoE data type.
 const RECEIVED: [(u16, u8, u8); 6] = [
     (0x6040, 16, 6),
     (0x6060, 8, 2),
@@ -26,7 +26,7 @@ const RECEIVED: [(u16, u8, u8); 6] = [
     (0x60FF, 32, 4),
     (0x6071, 16, 3),
 ];
-/// What an axis transmits by default.
+/// Default TxPDO of an axis.
 const TRANSMITTED: [(u16, u8, u8); 7] = [
     (0x6041, 16, 6),
     (0x6061, 8, 2),
@@ -37,7 +37,7 @@ const TRANSMITTED: [(u16, u8, u8); 7] = [
     (0x603F, 16, 6),
 ];
 
-/// The PDO of an axis by default, as the SII lists it.
+/// The default PDO of an axis, as listed in the SII.
 pub(super) fn image(axis: usize, received: bool) -> PdoImage {
     let axis = u16::try_from(axis).unwrap_or(0);
     let entry = |(index, bits, data_type): &(u16, u8, u8)| {
@@ -60,7 +60,7 @@ pub(super) fn image(axis: usize, received: bool) -> PdoImage {
     }
 }
 
-/// All PDOs of a drive one way, by default.
+/// All default PDOs of a drive in one direction.
 pub(super) fn images(set: PdoSet, axes: usize, received: bool) -> Vec<PdoImage> {
     match set {
         PdoSet::One => (0..axes).map(|axis| image(axis, received)).collect(),
@@ -68,7 +68,7 @@ pub(super) fn images(set: PdoSet, axes: usize, received: bool) -> Vec<PdoImage> 
     }
 }
 
-/// Four PDOs of one axis, together 17 bytes: the last maps objects of the first once more.
+/// Four PDOs of one axis, together 17 bytes: the last maps objects of the first again.
 pub(in crate::emulator) fn four(received: bool) -> Vec<PdoImage> {
     let PdoImage {
         index,
@@ -96,7 +96,7 @@ pub(in crate::emulator) fn four(received: bool) -> Vec<PdoImage> {
         .collect()
 }
 
-/// Whether an object is mapped twice among what is assigned.
+/// Whether an object is mapped twice in the assigned PDOs.
 pub(super) fn check_twice(d: &Dictionary) -> Result<(), AlStatusCode> {
     for (list_at, code) in [(0x1C12, 0x001D), (0x1C13, 0x001E)] {
         let pdos = list(d, list_at).unwrap_or_default();
@@ -113,7 +113,7 @@ pub(super) fn check_twice(d: &Dictionary) -> Result<(), AlStatusCode> {
     Ok(())
 }
 
-/// The numbers in an object of which sub-index 0 says how many there are.
+/// The values of an object whose sub-index 0 is their number.
 fn list<const N: usize>(d: &Dictionary, index: u16) -> Option<Vec<[u8; N]>> {
     let count = *d.bytes(Address::new(index, 0))?.first()?;
     (1..=count)
@@ -138,7 +138,7 @@ fn mapping(d: &Dictionary, pdo: u16, received: bool) -> Result<Mapping, AbortCod
     }
 }
 
-/// Whether a write from the bus may change what PDOs are.
+/// Whether a write from the bus may change PDOs.
 pub(in crate::emulator) fn check_download(
     d: &Dictionary,
     at: Address,
@@ -159,7 +159,7 @@ pub(in crate::emulator) fn check_download(
         if count != [0] {
             return Err(AbortCode::UnsupportedAccess);
         }
-        // An object that cannot be mapped is refused here already (CiA 301, clause 7.5.2.36).
+        // An object that cannot be mapped is refused here (CiA 301, clause 7.5.2.36).
         return match data.first_chunk().filter(|_| maps) {
             Some(raw) => {
                 let entry = Mapped::from_raw(u32::from_le_bytes(*raw));
@@ -171,7 +171,7 @@ pub(in crate::emulator) fn check_download(
     check_count(d, at.index, data.first().copied().unwrap_or(0))
 }
 
-/// Whether so many of the entries that were written make sense.
+/// Whether this number of written entries is valid.
 fn check_count(d: &Dictionary, index: u16, count: u8) -> Result<(), AbortCode> {
     let received = index < 0x1A00 || index == 0x1C12;
     let first = if received { 0x1600 } else { 0x1A00 };
@@ -199,7 +199,7 @@ pub(super) struct Pdos {
     transmitted: Vec<Pdo>,
 }
 
-/// A PDO and the axis that it is of.
+/// A PDO and its axis.
 #[derive(Clone, Debug)]
 struct Pdo {
     axis: usize,

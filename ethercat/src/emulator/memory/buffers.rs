@@ -1,5 +1,5 @@
-//! SyncManagers over the process data memory (ETG.1000.4, clause 8.4): mailboxes that are full or
-//! empty, and three buffers of which the newest whole one is read. Registers are not here.
+//! SyncManagers over the process data memory (ETG.1000.4, clause 8.4): mailboxes that are full or empty, and three
+//! buffers of which the newest complete one is read. Registers are not here.
 
 use crate::SyncManager;
 use crate::register;
@@ -9,9 +9,9 @@ use super::{Memory, SYNC_MANAGERS, al_event};
 
 /// Status bits of a SyncManager.
 mod status {
-    /// The buffer was written whole.
+    /// The buffer was written completely.
     pub(super) const WRITTEN: u8 = 0x01;
-    /// The buffer was read whole.
+    /// The buffer was read completely.
     pub(super) const READ: u8 = 0x02;
     /// The mailbox is full.
     pub(super) const FULL: u8 = 0x08;
@@ -19,8 +19,7 @@ mod status {
     pub(super) const LAST: u8 = 0x30;
 }
 
-/// What is behind a SyncManager in process data mode, as far as can be seen, and how far the
-/// master has come with a buffer.
+/// State of a SyncManager in process data mode, and progress of the master's access.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Channel {
     /// The newest complete one.
@@ -29,15 +28,15 @@ pub(super) struct Channel {
     next: Vec<u8>,
     /// The one that is being read: it does not change until its last byte was read.
     reading: Vec<u8>,
-    /// Somebody wrote one whole.
+    /// A buffer was written completely.
     ready: bool,
-    /// Number of the buffer last written, 0 to 2.
+    /// Number of the last written buffer, 0 to 2.
     last: u8,
-    /// The master accessed the first byte, and not yet the last.
+    /// The master accessed the first byte, but not yet the last.
     open: bool,
 }
 
-/// Whether a part of an area may be accessed: it begins at the first byte, or goes on.
+/// Whether a part of an area may be accessed: it starts at the first byte, or continues.
 const fn opens(channel: &mut Channel, offset: usize) -> bool {
     if offset == 0 {
         channel.open = true;
@@ -62,8 +61,8 @@ impl Memory {
         self.set(at, &[status & !clear | set]);
     }
 
-    /// Events of the SyncManagers, a bit each: seen by the master, or by the slave. `enable` is
-    /// the bit of their control that asks for them.
+    /// Events of the SyncManagers, a bit each: seen by the master, or by the slave. `enable` is the control bit that
+    /// enables them.
     pub(super) fn channel_events(&self, enable: u8, to_slave: bool) -> u16 {
         let mut events = 0;
         for number in 0..SYNC_MANAGERS {
@@ -80,13 +79,12 @@ impl Memory {
         events
     }
 
-    /// Which switched-on SyncManager an address belongs to, and how many of `len` bytes from there
-    /// belong to the same.
+    /// The enabled SyncManager of an address, and how many of `len` bytes from there belong to it.
     pub(super) fn piece(&self, at: usize, len: usize) -> (Option<usize>, usize) {
         if at + len <= usize::from(register::OUTPUT_REGISTERS) {
             return (None, len);
         }
-        let mut room = len;
+        let mut limit = len;
         for number in 0..SYNC_MANAGERS {
             let sm = self.sync_manager(number);
             let start = usize::from(sm.start);
@@ -97,9 +95,9 @@ impl Memory {
             if start <= at {
                 return (Some(number), len.min(end - at));
             }
-            room = room.min(start - at);
+            limit = limit.min(start - at);
         }
-        (None, room)
+        (None, limit)
     }
 
     /// The master reads within the area of a SyncManager.
@@ -108,7 +106,7 @@ impl Memory {
         let offset = at - usize::from(sm.start);
         let ends = offset + to.len() == usize::from(sm.len);
         let channel = &mut self.channels[number];
-        // Switched off by the slave, it locks its area.
+        // Disabled by the slave, it locks its area.
         if !sm.is_enabled() || sm.is_written_by_master() {
             return false;
         }
@@ -172,7 +170,7 @@ impl Memory {
         true
     }
 
-    /// A buffer was written whole: it is the newest.
+    /// A buffer was written completely: it is the newest.
     fn written(&mut self, number: usize) {
         let channel = &mut self.channels[number];
         channel.ready = true;
@@ -182,7 +180,7 @@ impl Memory {
         self.set_sm_status(number, status::WRITTEN | last, clear);
     }
 
-    /// The master wrote to the registers of a SyncManager that was switched on or not.
+    /// The master wrote to the registers of a SyncManager , enabled or not.
     pub(super) fn sm_written(&mut self, number: usize, was_active: bool, activation: bool) {
         let sm = self.sync_manager(number);
         let active = sm.activate & 1 != 0;
@@ -190,11 +188,11 @@ impl Memory {
             self.empty(number);
             self.raise(al_event::ACTIVATION);
         }
-        let asks = sm.activate & 0x02 != sm.pdi & 0x02;
-        self.events.repeat |= activation && asks && sm.is_enabled() && sm.is_mailbox();
+        let repeat_requested = sm.activate & 0x02 != sm.pdi & 0x02;
+        self.events.repeat |= activation && repeat_requested && sm.is_enabled() && sm.is_mailbox();
     }
 
-    /// Whatever was in its buffers is gone.
+    /// Its buffers are cleared.
     fn empty(&mut self, number: usize) {
         self.channels[number] = Channel::default();
         let all = status::WRITTEN | status::READ | status::FULL | status::LAST;
@@ -204,7 +202,7 @@ impl Memory {
         self.set_sm_status(number, set, all);
     }
 
-    /// The byte that a write of single bits to an address changes.
+    /// The byte that a bit-wise write to an address changes.
     pub(in super::super) fn pending(&self, at: u16) -> u8 {
         let (guard, _) = self.piece(at.into(), 1);
         let buffered = guard.map(|number| (number, self.sync_manager(number)));
@@ -217,7 +215,7 @@ impl Memory {
         }
     }
 
-    /// The application takes what the master put into a mailbox.
+    /// The application reads a mailbox written by the master.
     pub(in super::super) fn take_mailbox(&mut self, number: usize, to: &mut Vec<u8>) -> bool {
         let sm = self.sync_manager(number);
         if !sm.is_enabled() || !sm.is_full() {
@@ -232,7 +230,7 @@ impl Memory {
         true
     }
 
-    /// The application puts a message into a mailbox; returns whether there was room.
+    /// The application puts a message into a mailbox; returns whether the mailbox was free.
     pub(in super::super) fn put_mailbox(&mut self, number: usize, message: &[u8]) -> bool {
         let sm = self.sync_manager(number);
         if !sm.is_enabled() || sm.is_full() || message.len() > usize::from(sm.len) {
@@ -257,7 +255,7 @@ impl Memory {
         self.set_sm_status(number, set, status::READ);
     }
 
-    /// The application answers a repeat request: the last message is there once more.
+    /// The application answers a repeat request: the last message is available again.
     pub(in super::super) fn repeat(&mut self, number: usize) {
         let sm = self.sync_manager(number);
         if !self.last_sent.is_empty() {
@@ -267,7 +265,7 @@ impl Memory {
         self.set(at, &[sm.pdi & !0x02 | sm.activate & 0x02]);
     }
 
-    /// The newest outputs, once there are any.
+    /// The newest outputs, if any.
     pub(in super::super) fn outputs(&self, number: usize) -> Option<&[u8]> {
         let channel = &self.channels[number];
         let enabled = self.sync_manager(number).is_enabled();
@@ -301,7 +299,7 @@ impl Memory {
     }
 }
 
-/// Copies what there is; the rest stays.
+/// Copies the available bytes; the rest is unchanged.
 fn copy(to: &mut [u8], from: &[u8]) {
     for (to, from) in to.iter_mut().zip(from) {
         *to = *from;

@@ -1,5 +1,5 @@
-//! Firmware of terminals with a mailbox: an object dictionary with identity and PDOs, whose assignment decides how long
-//! their process data is. What lies at their channels is an [`Io`]'s.
+//! Firmware of terminals with a mailbox: an object dictionary with identity and PDOs, whose assignment determines the
+//! length of their process data. The channels belong to an [`Io`].
 
 use takt_cia402::dictionary::{
     AbortCode, Access, Address, Dictionary, DictionaryError, Entry, Hooks, Mapped, Object,
@@ -13,7 +13,7 @@ use crate::emulator::image::{PdoImage, SiiImage};
 use crate::emulator::terminal::Io;
 use crate::{AlState, AlStatusCode};
 
-/// PDOs that can be assigned at once.
+/// Maximum number of assigned PDOs.
 const ASSIGNED: u8 = 8;
 /// CoE details: PDO assignment; complete access.
 const ASSIGNS: u8 = 0x04;
@@ -25,12 +25,12 @@ pub(super) struct Firmware {
     dictionary: Dictionary,
     coe: CoeServer,
     io: Io,
-    /// The PDOs of each way: receive, transmit.
+    /// The PDOs per direction: receive, transmit.
     pdos: [Vec<PdoImage>; 2],
     state: AlState,
 }
 
-/// What is refused before it is written.
+/// Checks before a write.
 struct Rules(AlState);
 
 impl Hooks for Rules {
@@ -55,7 +55,7 @@ impl Firmware {
         })
     }
 
-    /// Bytes of what is assigned one way.
+    /// Length of the assigned PDOs of one direction, bytes.
     fn assigned(&self, received: bool) -> u16 {
         let (list, pdos) = if received {
             (0x1C12, &self.pdos[0])
@@ -121,7 +121,7 @@ fn objects(sii: &SiiImage) -> Vec<Object> {
     let kind = |value: u8| Entry::number("SyncManager", Access::ReadOnly, value);
     let mut all = vec![
         Object::var(0x1000, number("device type", 0x0000_1389)),
-        // The order code alone, so that it is longer than what an expedited answer carries.
+        // The order code alone, so that it is longer than an expedited answer.
         Object::var(0x1008, Entry::text("device name", &sii.order)),
         Object::record(
             0x1018,

@@ -1,5 +1,4 @@
-//! The state machine of a slave (ETG.1000.6, clause 6.4.1): what it checks on the way up, and with
-//! which code it refuses.
+//! The state machine of a slave (ETG.1000.6, clause 6.4.1): its checks for each state, and the codes of refusals.
 //!
 //! ```text
 //!          1 IP         2 PS             3 SO
@@ -27,7 +26,7 @@ impl Slave {
         configuration & 0x01 != 0
     }
 
-    /// Has AL control written as another master may have done before.
+    /// Sets AL control as left by another master.
     pub fn set_al_control(&mut self, control: u16) {
         if self
             .memory
@@ -51,7 +50,7 @@ impl Slave {
         if self.mirrors() {
             let refused = self.faults.refused.filter(|(state, _)| *state == wanted);
             return match refused {
-                Some((_, code)) => self.tell_state(code, true),
+                Some((_, code)) => self.show_state(code, true),
                 None => self.mirror(control),
             };
         }
@@ -63,7 +62,7 @@ impl Slave {
             AlState::Init | AlState::PreOp | AlState::Boot | AlState::Other(_) => times.to_pre_op,
         });
         let delay = delay.max(read);
-        // Firmware looks once a while: it then takes what is there.
+        // Firmware polls periodically and takes the present value.
         let due = self.request.filter(|_| times.al_read.is_none());
         let due = due.map_or(now + delay, |request| request.due);
         self.request = Some(Request {
@@ -73,23 +72,23 @@ impl Slave {
         });
     }
 
-    /// What was written to AL control becomes AL status as it is, with code 0000h.
+    /// Copies AL control to AL status unchanged, with code 0000h.
     fn mirror(&mut self, control: u16) {
         let wanted = AlStatus::from_raw(control).state;
         if self.state != wanted {
             self.application.leave(self.state, wanted);
         }
         if matches!(wanted, AlState::Init | AlState::PreOp) {
-            self.heard = None;
+            self.outputs_at = None;
         }
         self.state = wanted;
         self.memory.set(register::AL_STATUS_CODE, &[0, 0]);
         let event = ecat_event::AL_STATUS;
         self.memory
-            .set_told(register::AL_STATUS, control & MIRRORED, event);
+            .set_with_event(register::AL_STATUS, control & MIRRORED, event);
     }
 
-    /// Firmware reads AL control, and later answers it.
+    /// Firmware reads AL control and answers later.
     pub(super) fn poll_al_control(&mut self, now: u64) {
         let Some(request) = self.request.filter(|_| !self.faults.hung) else {
             return;
@@ -102,16 +101,17 @@ impl Slave {
         }
     }
 
-    pub(super) fn tell_state(&mut self, code: AlStatusCode, error: bool) {
+    pub(super) fn show_state(&mut self, code: AlStatusCode, error: bool) {
         let state = self.state;
         self.memory
             .set(register::AL_STATUS_CODE, &code.0.to_le_bytes());
         let status = AlStatus { state, error }.raw();
         let event = ecat_event::AL_STATUS;
-        self.memory.set_told(register::AL_STATUS, status, event);
+        self.memory
+            .set_with_event(register::AL_STATUS, status, event);
     }
 
-    /// A request in AL control is due.
+    /// Handles a due request in AL control.
     fn poll_state(&mut self, request: &Request, now: u64) {
         let control = self.memory.word(register::AL_CONTROL);
         let wanted = AlStatus::from_raw(control).state;
@@ -138,9 +138,9 @@ impl Slave {
                 if matches!(self.state, AlState::SafeOp | AlState::Op) {
                     self.channels.all().for_each(|channel| self.open(channel));
                 }
-                self.tell_state(AlStatusCode(0), false);
+                self.show_state(AlStatusCode(0), false);
             }
-            Err(code) => self.tell_state(code, true),
+            Err(code) => self.show_state(code, true),
         }
     }
 
@@ -185,7 +185,7 @@ impl Slave {
         self.application.enter(wanted, &self.setup())
     }
 
-    /// What the master has set up.
+    /// The set-up by the master.
     fn setup(&self) -> Setup {
         let len = |number: usize| {
             let sm = self.memory.sync_manager(number);
@@ -201,7 +201,7 @@ impl Slave {
         }
     }
 
-    /// SyncManagers 0 and 1 must be as the SII says.
+    /// SyncManagers 0 and 1 must match the SII.
     fn check_mailboxes(&self) -> Result<(), AlStatusCode> {
         if self.config.sii.mailbox_len == 0 {
             return Ok(());
@@ -209,7 +209,7 @@ impl Slave {
         let own = self.config.sii.sync_managers();
         for (number, own) in own.iter().take(2).enumerate() {
             let set = self.memory.sync_manager(number);
-            // Direction and mode count; which events are raised is the master's choice.
+            // Direction and mode must match; the master chooses the events.
             let same = set.start == own.start
                 && set.len == own.len
                 && set.control & 0x0F == own.control & 0x0F
@@ -232,7 +232,7 @@ impl Slave {
             };
             let enabled = set.activate & 0x01 == 1;
             let used = enabled && set.len > 0;
-            // Without a mailbox nothing can be mapped anew.
+            // Without a mailbox the mapping is fixed.
             let len = if used { set.len } else { 0 };
             let fixed = self.config.sii.mailbox_len == 0 && len != own.len;
             let wrong = set.start != own.start || set.control & 0x0F != own.control & 0x0F;
@@ -261,7 +261,7 @@ impl Slave {
         })
     }
 
-    /// Outputs must have come, and SYNC0 must be on its way.
+    /// Outputs must have been received, and SYNC0 must be armed.
     fn check_running(&self) -> Result<(), AlStatusCode> {
         if self.lacks_outputs() {
             return Err(AlStatusCode(0x0019));
@@ -273,13 +273,13 @@ impl Slave {
         Ok(())
     }
 
-    /// What ends with the present state.
+    /// Ends the activities of the present state.
     pub(super) fn leave(&mut self, to: AlState) {
         if matches!(to, AlState::Init | AlState::PreOp) && !self.mirrors() {
             for channel in self.channels.all() {
                 self.memory.disable(channel, true);
             }
-            self.heard = None;
+            self.outputs_at = None;
         }
         if to == AlState::Init {
             self.post.reset();

@@ -1,10 +1,10 @@
-//! What a slave is as a chip: the registers that only its maker can set, how many FMMUs and SyncManagers it has, how
-//! much memory, how much of a clock. What its firmware does is not here.
+//! The slave controller chip: constant registers, number of FMMUs and SyncManagers, memory and clock. Firmware is not
+//! here.
 
 use crate::register;
 
-/// How much of a distributed clock a chip has. Register 0008h says less than that: chips announce a clock (bit 2)
-/// whose unit is off.
+/// Distributed clock unit of a chip. Register 0008h is not sufficient: chips announce a clock (bit 2) even if the unit
+/// is disabled.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ClockUnit {
     /// Nothing answers from 0900h to 09FFh.
@@ -19,7 +19,7 @@ pub enum ClockUnit {
 }
 
 impl ClockUnit {
-    /// Whether an access at this address, of so many bytes, is answered as far as clocks go.
+    /// Whether the clock unit answers an access of this address and length.
     pub(in crate::emulator) fn answers(self, at: usize, len: usize) -> bool {
         let first = match self {
             Self::Absent => usize::from(register::DC_RECEIVE_TIMES),
@@ -29,7 +29,7 @@ impl ClockUnit {
         at >= 0x0A00 || at + len <= first
     }
 
-    /// The bits of a time that it holds.
+    /// The bits of a time that it implements.
     pub(in crate::emulator) const fn mask(self) -> u64 {
         match self {
             Self::Bits32 => u32::MAX as u64,
@@ -38,7 +38,7 @@ impl ClockUnit {
     }
 }
 
-/// A slave controller as it leaves its factory.
+/// Properties of a slave controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Chip {
     /// Type (0000h).
@@ -51,11 +51,11 @@ pub struct Chip {
     pub fmmus: u8,
     /// SyncManagers, 1 to 8.
     pub sync_managers: u8,
-    /// Process data memory, KiB, 1 to 8; nothing behind it answers.
+    /// Process data memory, KiB, 1 to 8; addresses beyond do not answer.
     pub ram_kib: u8,
-    /// What its ports are (0007h), two bits each; `None` for MII ports as they are wired.
+    /// Port types (0007h), two bits each; `None` for MII ports as wired.
     pub ports: Option<u8>,
-    /// Features (0008h) beside bit 9; `None` for those that its clock makes.
+    /// Features (0008h) except bit 9; `None` for those of its clock.
     pub features: Option<u16>,
     /// Its clock.
     pub clock: ClockUnit,
@@ -64,7 +64,7 @@ pub struct Chip {
     /// SII status at rest, bits 4 to 7: 6 reads eight bytes rather than four, 7 has two address bytes, 5 an EEPROM
     /// that firmware emulates.
     pub sii_status: u16,
-    /// What the receive times of ports without a link hold.
+    /// Receive times of ports without a link.
     pub unused_times: [u8; 4],
 }
 
@@ -99,7 +99,7 @@ impl Chip {
         own & !0x0200 | u16::from(!lrw) << 9
     }
 
-    /// First address behind its memory.
+    /// First address after its memory.
     pub(in crate::emulator) fn end(&self) -> usize {
         usize::from(register::PROCESS_DATA) + 1024 * usize::from(self.ram_kib.clamp(1, 8))
     }

@@ -1,5 +1,5 @@
-//! The SII interface of a slave (ETG.1000.4, clause 8.5; registers 0500h to 050Fh) over its EEPROM.
-//! What the EEPROM says is in the image builder.
+//! The SII interface of a slave (ETG.1000.4, clause 8.5; registers 0500h to 050Fh) over its EEPROM. The content of the
+//! EEPROM is made by the image builder.
 
 use crate::register;
 use crate::sii;
@@ -11,7 +11,7 @@ mod bit {
     pub(super) const WRITE_ENABLE: u16 = 0x0001;
     /// Eight bytes are read at once, rather than four.
     pub(super) const EIGHT_BYTES: u16 = 0x0040;
-    /// Those that say what the interface is like.
+    /// Constant bits: the type of the interface.
     pub(super) const KIND: u16 = 0x00F0;
     pub(super) const CHECKSUM: u16 = 0x0800;
     pub(super) const COMMAND_ERROR: u16 = 0x2000;
@@ -19,13 +19,13 @@ mod bit {
     pub(super) const BUSY: u16 = 0x8000;
 }
 
-/// The EEPROM, and the command that its interface is busy with.
+/// The EEPROM and the pending command.
 #[derive(Clone, Debug)]
 pub(super) struct Eeprom {
     bytes: Vec<u8>,
-    /// SII control as written, and when the command is done, ns.
+    /// SII control as written, and the completion time of the command, ns.
     pending: Option<(u16, u64)>,
-    /// Until when it stores what was written and acknowledges nothing, ns.
+    /// End of the storing time, until which it acknowledges no command, ns.
     stores: u64,
 }
 
@@ -64,7 +64,7 @@ impl Eeprom {
 }
 
 impl Slave {
-    /// Loads what the controller itself takes from the EEPROM: at power-on and by command.
+    /// Loads the configuration area: at power-on and by command.
     pub(super) fn load_configuration(&mut self) {
         let status = self.sii_kind()
             | if self.eeprom.is_sound() {
@@ -97,11 +97,11 @@ impl Slave {
         let held = self.faults.sii_held && access & 0x02 == 0;
         self.memory.set(register::SII_ACCESS + 1, &[u8::from(held)]);
         if command != 0 && (held || access & 0x01 != 0) {
-            self.tell_sii(bit::COMMAND_ERROR);
+            self.set_sii_status(bit::COMMAND_ERROR);
             return;
         }
         if matches!(command, 1 | 2) && now < self.eeprom.stores {
-            self.tell_sii(control & 0x0700 | bit::COMMAND_ERROR);
+            self.set_sii_status(control & 0x0700 | bit::COMMAND_ERROR);
             return;
         }
         let times = self.config.times;
@@ -112,15 +112,16 @@ impl Slave {
         if command == 2 {
             self.eeprom.stores = now + busy + self.chance.draw(times.sii_store);
         }
-        let told = control & 0x0700 | self.sii_kind() | bit::BUSY;
-        self.memory.set(register::SII_CONTROL, &told.to_le_bytes());
+        let status = control & 0x0700 | self.sii_kind() | bit::BUSY;
+        self.memory
+            .set(register::SII_CONTROL, &status.to_le_bytes());
         self.eeprom.pending = Some((control, now + busy));
         if command == 0 {
             self.poll_sii(u64::MAX);
         }
     }
 
-    /// A command is done when its time has passed.
+    /// Completes a command when its time has passed.
     pub(super) fn poll_sii(&mut self, now: u64) {
         if let Some((control, _)) = self.eeprom.pending.filter(|(_, due)| now >= *due) {
             self.eeprom.pending = None;
@@ -132,7 +133,7 @@ impl Slave {
         self.config.chip.sii_status & bit::KIND
     }
 
-    fn tell_sii(&mut self, errors: u16) {
+    fn set_sii_status(&mut self, errors: u16) {
         let status = errors | self.sii_kind();
         self.memory
             .set(register::SII_CONTROL, &status.to_le_bytes());
@@ -171,6 +172,6 @@ impl Slave {
             }
             _ => errors = bit::COMMAND_ERROR,
         }
-        self.tell_sii(errors);
+        self.set_sii_status(errors);
     }
 }

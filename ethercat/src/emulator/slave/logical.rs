@@ -1,5 +1,5 @@
-//! Logical addressing: which bits of a datagram are which bits of the slave's memory
-//! (ETG.1000.4, FMMU). Guards and buffers are the memory's.
+//! Logical addressing: which bits of a datagram are which bits of the slave's memory (ETG.1000.4, FMMU). SyncManagers
+//! and buffers are in the memory.
 
 use crate::register;
 use crate::{AlState, Fmmu, register::Register};
@@ -7,8 +7,8 @@ use crate::{AlState, Fmmu, register::Register};
 use super::Slave;
 use super::faults::happens;
 
-/// The part of a datagram that an FMMU maps: where it begins in the datagram, in the FMMU, and how
-/// many bytes it has.
+/// The part of a datagram that an FMMU maps: its offset in the datagram, its offset in the FMMU, and its length in
+/// bytes.
 fn overlap(fmmu: &Fmmu, logical: u32, len: usize) -> Option<(usize, usize, usize)> {
     let (window, mapped) = (u64::from(logical), u64::from(fmmu.logical));
     let first = window.max(mapped);
@@ -26,12 +26,12 @@ impl Slave {
         Fmmu::decode(&self.memory.get(at))
     }
 
-    /// Acts on a logical datagram; returns what its working counter gains: once per direction.
+    /// Executes a logical datagram; returns the increment of its working counter: once per direction.
     pub(super) fn logical(&mut self, at: u32, data: &mut [u8], reads: bool, writes: bool) -> u16 {
         let (mut read, mut written) = (false, false);
         let writes =
             writes && !(self.state == AlState::Op && happens(&mut self.faults.late_outputs));
-        // Outputs are taken from what came in, before any inputs are merged.
+        // Outputs are taken from the received data, before any inputs are merged.
         for (direction, wanted) in [(false, writes), (true, reads)] {
             for number in 0..usize::from(self.config.chip.fmmus.min(8)) {
                 let fmmu = self.fmmu(number);
@@ -65,8 +65,7 @@ impl Slave {
         fmmu.start_bit == 0 && fmmu.stop_bit == 7 && fmmu.physical_bit == 0
     }
 
-    /// The bits of the part that are mapped: bit in the part, bit in the slave's memory from the
-    /// physical start on.
+    /// The mapped bits of the part: bit in the part, bit in the slave's memory relative to the physical start.
     fn bits(fmmu: &Fmmu, in_fmmu: usize, len: usize) -> impl Iterator<Item = (usize, usize)> {
         let first = usize::from(fmmu.start_bit);
         let end = first + fmmu.bits();

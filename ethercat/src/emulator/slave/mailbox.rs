@@ -1,5 +1,4 @@
-//! Mailboxes of a slave: headers, counters, repeats, errors. What is inside a CoE mailbox is the
-//! application's.
+//! Mailboxes of a slave: headers, counters, repeats, errors. The application handles the content of CoE mailboxes.
 
 use std::collections::VecDeque;
 
@@ -8,19 +7,19 @@ use crate::{MailboxError, MailboxHeader, MailboxKind};
 use super::Slave;
 use super::faults::happens;
 
-/// Messages that wait for the master to fetch them; the oldest go when there are more.
+/// Maximum number of queued messages; the oldest are dropped when there are more.
 const REPLIES_MAX: usize = 16;
 
-/// What a slave received and what it has to send.
+/// Received request and messages to send.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Post {
     replies: VecDeque<Vec<u8>>,
-    /// The request that is being worked on, and when it is done, ns.
+    /// The request in progress, and its completion time, ns.
     request: Vec<u8>,
     due: Option<u64>,
     /// Counter of the last mailbox received, and of the last sent.
     counters: (u8, u8),
-    /// When the next Ethernet frame goes out by EoE, ns; `None` before it has an address.
+    /// Time of the next Ethernet frame by EoE, ns; `None` before it has an address.
     ethernet: Option<u64>,
 }
 
@@ -32,7 +31,7 @@ mod eoe {
     pub(super) const ADDRESS_SET: [u8; 4] = [0x03, 0x00, 0x00, 0x00];
 }
 
-/// The Ethernet frame that a slave sends unasked: an ARP probe, padded.
+/// The unsolicited Ethernet frame of a slave: an ARP probe, padded.
 const ETHERNET: [u8; 60] = {
     let mut frame = [0; 60];
     let mut at = 0;
@@ -47,7 +46,7 @@ const ETHERNET: [u8; 60] = {
 };
 
 impl Post {
-    /// Power comes on.
+    /// Resets at power-on.
     pub(super) fn restart(&mut self) {
         self.reset();
         self.ethernet = None;
@@ -61,8 +60,8 @@ impl Post {
 }
 
 impl Slave {
-    /// Has it send an Ethernet frame by its mailbox each so many ns, as if a master had given it an address before; `None`
-    /// ends that.
+    /// Makes it send an Ethernet frame by its mailbox with a period in ns, as if a master had set its address before;
+    /// `None` ends that.
     pub fn set_ethernet(&mut self, period: Option<u64>) {
         self.config.eoe = period;
         self.post.ethernet = period.map(|_| self.ran);
@@ -116,12 +115,12 @@ impl Slave {
             return;
         };
         if header.counter != 0 && header.counter == self.post.counters.0 {
-            // The master sent it once more; it was done.
+            // The master sent it again; it was already executed.
             return;
         }
         self.post.counters.0 = header.counter;
         if self.config.counters_follow && header.counter != 0 {
-            // That of the answer, which counts one on, is that of the request.
+            // The counter of the answer, which is incremented below, is that of the request.
             self.post.counters.1 = header.counter.wrapping_sub(1);
         }
         if header.kind == MailboxKind::Eoe && self.config.eoe.is_some() {

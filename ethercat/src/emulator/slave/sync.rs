@@ -1,6 +1,5 @@
-//! What makes a slave's application run: SYNC0, new outputs, or the passing of time; and what makes
-//! it stop: the watchdog, outputs that miss SYNC0, SYNC0 that ceases. The clock itself is in
-//! [`crate::emulator::Clock`].
+//! Triggers of a slave's application: SYNC0, new outputs, or time; and causes that stop it: watchdog, outputs that miss
+//! SYNC0, loss of SYNC0. The clock itself is in [`crate::emulator::Clock`].
 
 use crate::register;
 use crate::{AlState, AlStatusCode};
@@ -9,15 +8,15 @@ use super::super::application::Cycle;
 use super::super::memory::{Events, al_event};
 use super::{Arrival, ClockUnit, Slave};
 
-/// Without SYNC0 and without outputs the application runs this often, ns.
+/// Period of the application without SYNC0 and outputs, ns.
 const IDLE: u64 = 1_000_000;
-/// The next system time whose lower 32 bits are those of a start: one that has passed comes with the next wrap.
+/// The next system time whose lower 32 bits are those of a start: one in the past occurs with the next wrap.
 const fn next_like(start: u64, system: u64) -> u64 {
     let ahead = (start.wrapping_sub(system)) & u32::MAX as u64;
     system.wrapping_add(if ahead == 0 { 1 << 32 } else { ahead })
 }
 
-/// Pulses of SYNC0 that are made up for when nobody looked for long.
+/// Maximum number of missed SYNC0 pulses that are simulated at once.
 const PULSES_MAX: u64 = 64;
 
 impl Slave {
@@ -25,7 +24,7 @@ impl Slave {
         u64::from_le_bytes(self.memory.get(register::DC_OFFSET))
     }
 
-    /// Registers that are read fresh: the clock's.
+    /// Updates the clock's registers before a read.
     pub(super) fn refresh(&mut self, at: u16, len: usize, arrival: &Arrival) {
         let (first, end) = (usize::from(at), usize::from(at) + len);
         let Some(clock) = &self.clock else {
@@ -61,8 +60,8 @@ impl Slave {
             for (port, at) in (0..).zip(arrival.ports) {
                 if let Some(at) = at {
                     let [a, b, c, d, ..] = clock.local(at).to_le_bytes();
-                    let place = register::DC_RECEIVE_TIMES + 4 * port;
-                    self.memory.set(place, &[a, b, c, d]);
+                    let address = register::DC_RECEIVE_TIMES + 4 * port;
+                    self.memory.set(address, &[a, b, c, d]);
                 }
             }
             let local = clock.local(arrival.at) & self.config.chip.clock.mask();
@@ -101,12 +100,12 @@ impl Slave {
         };
         let filtered = clock.follow(difference, depth, now);
         let size = u32::try_from(filtered.unsigned_abs()).unwrap_or(u32::MAX >> 1);
-        let told = size.min(u32::MAX >> 1) | u32::from(filtered >= 0) << 31;
+        let written = size.min(u32::MAX >> 1) | u32::from(filtered >= 0) << 31;
         self.memory
-            .set(register::DC_DIFFERENCE, &told.to_le_bytes());
+            .set(register::DC_DIFFERENCE, &written.to_le_bytes());
     }
 
-    /// The activation of SYNC0 and SYNC1 was written: a rising edge of the cyclic operation arms.
+    /// The activation of SYNC0 and SYNC1 was written: a rising edge of the cyclic operation bit arms them.
     fn activate(&mut self, now: u64) {
         let offset = self.offset();
         let [activation] = self.memory.get(register::DC_ACTIVATION);
@@ -143,7 +142,7 @@ impl Slave {
             if lost {
                 self.fall(AlState::SafeOp, AlStatusCode(0x002C));
             } else if self.fresh {
-                self.run(self.heard.unwrap_or(now).max(self.ran), false);
+                self.run(self.outputs_at.unwrap_or(now).max(self.ran), false);
             } else {
                 self.idle(now);
             }
@@ -201,7 +200,9 @@ impl Slave {
         let time = u64::from(self.memory.word(register::WATCHDOG_PROCESS_DATA));
         let limit = divider * 40 * time;
         let watched = limit > 0 && self.channels.outputs().any(triggers);
-        let late = self.heard.is_some_and(|heard| now > heard + limit);
+        let late = self
+            .outputs_at
+            .is_some_and(|outputs_at| now > outputs_at + limit);
         let expired = watched && late;
         let [was_well] = self.memory.get(register::WATCHDOG_STATUS);
         self.memory
@@ -214,7 +215,7 @@ impl Slave {
             self.memory.count(0x0442);
             self.memory.raise(al_event::WATCHDOG);
         }
-        // Without firmware nobody leaves the state: the controller itself keeps its outputs safe.
+        // Without firmware the state is kept: the controller itself sets its outputs to zero.
         if self.state == AlState::Op && !self.mirrors() {
             self.fall(AlState::SafeOp, AlStatusCode(0x001B));
             return false;
@@ -228,7 +229,7 @@ impl Slave {
         let mut whole = true;
         for channel in self.channels.outputs() {
             let outputs = self.memory.outputs(channel);
-            // One that is switched off has none to give, and is not waited for.
+            // A disabled SyncManager has no outputs to wait for.
             whole &= outputs.is_some() || !self.memory.sync_manager(channel).is_enabled();
             self.outputs.extend_from_slice(outputs.unwrap_or_default());
             self.memory.outputs_read(channel);

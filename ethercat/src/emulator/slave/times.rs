@@ -1,7 +1,7 @@
-//! How long a slave takes for what its firmware and its EEPROM do. Each span is drawn from anew, the same way in each
-//! run: what always takes equally long hides what a master must wait for.
+//! Processing times of a slave's firmware and EEPROM. Each duration is drawn pseudo-randomly, with the same sequence in
+//! each run: constant times would hide waits that a master must handle.
 
-/// From the shortest to the longest time that something takes, ns.
+/// Range of a duration, ns.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Span {
     /// The shortest.
@@ -11,7 +11,7 @@ pub struct Span {
 }
 
 impl Span {
-    /// From one time to another, microseconds.
+    /// From a range in microseconds.
     #[must_use]
     pub const fn micros(least: u64, most: u64) -> Self {
         Self {
@@ -20,7 +20,7 @@ impl Span {
         }
     }
 
-    /// Always the same time, ns.
+    /// A constant duration, ns.
     #[must_use]
     pub const fn exactly(ns: u64) -> Self {
         Self {
@@ -40,8 +40,8 @@ impl Span {
 /// The times of a slave.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Times {
-    /// Until the firmware reads AL control, which until then cannot be written again; `None` for a controller that
-    /// takes each write.
+    /// Until the firmware reads AL control, which cannot be written again before; `None` for a controller that accepts
+    /// each write.
     pub al_read: Option<Span>,
     /// From AL control to INIT or PRE-OP.
     pub to_pre_op: Span,
@@ -51,16 +51,16 @@ pub struct Times {
     pub to_op: Span,
     /// From a request in the mailbox to its answer.
     pub mailbox: Span,
-    /// How long the SII interface is busy with a read.
+    /// Busy time of the SII interface for a read.
     pub sii_read: Span,
-    /// How long it is busy with a write.
+    /// Busy time for a write.
     pub sii_write: Span,
-    /// How long the EEPROM stores behind a write, while the interface refuses commands with "no acknowledge".
+    /// Storing time of the EEPROM after a write, while the interface refuses commands with "no acknowledge".
     pub sii_store: Span,
 }
 
 impl Default for Times {
-    /// States in 0.1 ms, mailboxes at once, the SII in 20 us and its writes in 2 ms.
+    /// 0.1 ms for states, none for mailboxes, 20 us for SII reads and 2 ms for SII writes.
     fn default() -> Self {
         let state = Span::exactly(100_000);
         Self {
@@ -77,7 +77,7 @@ impl Default for Times {
 }
 
 impl Times {
-    /// All times so often as long.
+    /// All times multiplied by a factor.
     #[must_use]
     pub fn scaled(self, factor: u64) -> Self {
         Self {
@@ -93,12 +93,12 @@ impl Times {
     }
 }
 
-/// Numbers that look like chance and are the same in each run.
+/// Pseudo-random numbers, the same in each run.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Chance(pub(super) u64);
 
 impl Chance {
-    /// A time of a span, ns.
+    /// A duration from a range, ns.
     pub(super) const fn draw(&mut self, span: Span) -> u64 {
         self.0 = self
             .0

@@ -21,9 +21,9 @@ fn in_state(state: AlState) -> Bench {
 }
 
 #[test]
-fn every_request_in_every_state() {
+fn al_requests_in_every_state() {
     use AlState::{Boot, Init, Op, Other, PreOp, SafeOp};
-    // Rows: from. Columns: Init, PreOp, Boot, SafeOp, Op, 5, 0. A code, or 0 for "goes there".
+    // Rows: from. Columns: Init, PreOp, Boot, SafeOp, Op, 5, 0. A code, or 0 for success.
     let table = [
         (Init, [0, 0, 0x13, 0x11, 0x11, 0x12, 0x12]),
         (PreOp, [0, 0, 0x13, 0, 0x11, 0x12, 0x12]),
@@ -47,7 +47,7 @@ fn every_request_in_every_state() {
             if code == 0 {
                 continue;
             }
-            // With the error bit set, only an acknowledgement or INIT is heard.
+            // With the error bit set, only an acknowledgement or INIT is accepted.
             assert_eq!(bench.request(0x1000, PreOp, false), expected);
             let mut acknowledged = bench.request(0x1000, from, true);
             assert_eq!(acknowledged, (from, false, 0));
@@ -59,7 +59,7 @@ fn every_request_in_every_state() {
 }
 
 #[test]
-fn an_answer_takes_its_time_and_the_last_request_counts() {
+fn al_answer_is_delayed_and_last_request_counts() {
     let mut bench = in_state(AlState::PreOp);
     bench.write(0x1000, register::AL_CONTROL, &[4, 0]);
     assert_eq!(bench.al(0x1000).0, AlState::PreOp, "after some 10 µs");
@@ -80,7 +80,7 @@ fn with_mailbox() -> Bench {
 }
 
 #[test]
-fn mailboxes_must_be_as_the_sii_says() {
+fn mailboxes_must_match_the_sii() {
     let right = [(0x1000, 128, 0x26), (0x1080, 128, 0x22)];
     let mut wrong = vec![];
     for number in 0..2 {
@@ -113,7 +113,7 @@ fn mailboxes_must_be_as_the_sii_says() {
 }
 
 #[test]
-fn process_data_must_be_where_and_as_long_as_the_slave_has_it() {
+fn process_data_must_match_address_and_length() {
     for (outputs, inputs, code) in [
         (None, Some((0x1080, 1, 0x20)), 0x1D),
         (Some((0x1000, 2, 0x64)), Some((0x1080, 1, 0x20)), 0x1D),
@@ -136,7 +136,7 @@ fn process_data_must_be_where_and_as_long_as_the_slave_has_it() {
 }
 
 #[test]
-fn op_waits_for_outputs_and_refuses_without() {
+fn op_requires_outputs_within_timeout() {
     let (mut bench, _) = Bench::small();
     bench.map_terminal();
     bench.request(0x1002, AlState::PreOp, false);
@@ -157,7 +157,7 @@ fn op_waits_for_outputs_and_refuses_without() {
 }
 
 #[test]
-fn a_state_is_refused_on_command_and_an_own_error_falls_back() {
+fn injected_faults_refuse_states_and_fall_back() {
     let (mut bench, _) = Bench::small();
     let slave = bench.segment.slave(2).unwrap();
     slave.refuse(Some((AlState::SafeOp, AlStatusCode(0x0060))));

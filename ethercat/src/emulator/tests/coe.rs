@@ -72,7 +72,7 @@ fn server(mailbox: u16, complete_access: bool) -> Server {
 }
 
 impl Server {
-    /// Sends bytes behind the CoE header; the service and bytes that come back.
+    /// Sends bytes after the CoE header; returns the service and the bytes of the answer.
     fn raw(&mut self, service: u8, bytes: &[u8]) -> Option<(u8, Vec<u8>)> {
         let mut request = vec![0, service << 4];
         request.extend_from_slice(bytes);
@@ -89,7 +89,7 @@ impl Server {
         self.raw(2, &bytes[..len]).unwrap()
     }
 
-    /// Reads to the end, by as many segments as there are.
+    /// Reads to the end, in all segments.
     fn upload(&mut self, address: Object_, whole: Whole) -> Result<(Vec<u8>, usize), AbortCode> {
         let (service, bytes) = self.sdo(&Sdo::Upload { address, whole });
         let Some(Sdo::Uploaded { size, data, .. }) = Sdo::decode_response(&bytes) else {
@@ -175,25 +175,25 @@ fn expedited_normal_and_segmented_uploads() {
 #[test]
 fn golden_bytes_of_short_transfers() {
     let mut server = server(128, false);
-    let ask = |server: &mut Server, bytes: &[u8]| server.raw(2, bytes).unwrap();
+    let query = |server: &mut Server, bytes: &[u8]| server.raw(2, bytes).unwrap();
     let expedited = [0x43, 0, 0x20, 0, 0x78, 0x56, 0x34, 0x12];
     assert_eq!(
-        ask(&mut server, &[0x40, 0, 0x20, 0, 0, 0, 0, 0]),
+        query(&mut server, &[0x40, 0, 0x20, 0, 0, 0, 0, 0]),
         (3, expedited.to_vec())
     );
     let one = [0x4F, 1, 0x20, 0, 7, 0, 0, 0];
     assert_eq!(
-        ask(&mut server, &[0x40, 1, 0x20, 0, 0, 0, 0, 0]),
+        query(&mut server, &[0x40, 1, 0x20, 0, 0, 0, 0, 0]),
         (3, one.to_vec())
     );
     let written = [0x60, 0, 0x20, 0, 0, 0, 0, 0];
     assert_eq!(
-        ask(&mut server, &[0x23, 0, 0x20, 0, 1, 0, 0, 0]),
+        query(&mut server, &[0x23, 0, 0x20, 0, 1, 0, 0, 0]),
         (3, written.to_vec())
     );
     let refused = [0x80, 1, 0x20, 0, 0x02, 0, 0x01, 0x06];
     assert_eq!(
-        ask(&mut server, &[0x2F, 1, 0x20, 0, 1, 0, 0, 0]),
+        query(&mut server, &[0x2F, 1, 0x20, 0, 1, 0, 0, 0]),
         (2, refused.to_vec())
     );
 }
@@ -213,7 +213,7 @@ fn expedited_normal_and_segmented_downloads() {
 }
 
 #[test]
-fn every_refusal_has_its_code() {
+fn sdo_refusals_have_their_abort_codes() {
     use AbortCode as A;
     let mut server = server(64, true);
     let w = Whole::Entry;
@@ -257,7 +257,7 @@ fn every_refusal_has_its_code() {
 }
 
 #[test]
-fn segments_out_of_turn_are_refused_and_end_the_transfer() {
+fn segments_out_of_order_abort_the_transfer() {
     let abort = |bytes: &[u8]| u32::from_le_bytes(bytes[4..8].try_into().unwrap());
     let mut server = server(64, false);
     let (_, none) = server.sdo(&Sdo::UploadSegment { toggle: false });
@@ -269,7 +269,7 @@ fn segments_out_of_turn_are_refused_and_end_the_transfer() {
     assert_eq!(abort(&wrong), AbortCode::Toggle.raw());
     let (_, ended) = server.sdo(&Sdo::UploadSegment { toggle: false });
     assert_eq!(abort(&ended), AbortCode::CommandSpecifier.raw());
-    // The master gives up: nothing is answered.
+    // The master aborts: there is no answer.
     server.sdo(&Sdo::Upload { address, whole });
     let code = AbortCode::General;
     let mut bytes = [0; 8];
@@ -313,7 +313,7 @@ fn complete_access_takes_sub_index_0_as_two_bytes() {
 }
 
 #[test]
-fn the_information_service_lists_and_describes() {
+fn sdo_information_lists_and_describes() {
     let mut server = server(32, false);
     let lengths = server.raw(8, &[1, 0, 0, 0, 0, 0]).unwrap().1;
     assert_eq!(lengths, [2, 0, 0, 0, 0, 0, 8, 0, 1, 0, 1, 0, 6, 0, 6, 0]);
@@ -339,7 +339,7 @@ fn the_information_service_lists_and_describes() {
 }
 
 #[test]
-fn long_lists_come_in_fragments() {
+fn long_lists_are_fragmented() {
     let objects = (0..40).map(|n| Object::var(0x2000 + n, Entry::number("n", Access::Const, 0_u8)));
     let mut server = server(64, false);
     server.d = Dictionary::new(objects.collect()).unwrap();
@@ -356,7 +356,7 @@ fn long_lists_come_in_fragments() {
 }
 
 #[test]
-fn an_emergency_waits_until_it_can_be_sent() {
+fn emergency_waits_until_it_can_be_sent() {
     let mut server = server(64, false);
     let emergency = Emergency {
         code: 0x7320,

@@ -1,9 +1,9 @@
-//! Every command against the table of ETG.1000.4: who acts, what the working counter gains, what
-//! becomes of the address. Logical commands have a file of their own.
+//! Every command against the table of ETG.1000.4: which slaves execute it, the increment of the working counter, and
+//! the change of the address. Logical commands are in `logical.rs`.
 
 use super::*;
 
-/// User RAM of no meaning in the process data memory.
+/// User RAM in the process data memory.
 const RAM: u16 = 0x1F00;
 
 /// Three slaves that hold 1, 2, 4 in their RAM.
@@ -17,8 +17,8 @@ fn bench() -> Bench {
 }
 
 #[test]
-fn every_command_acts_and_counts_as_the_table_says() {
-    // Command, ADP, what comes back of F0h, working counter, ADP after, RAM of the slaves after.
+fn commands_act_and_count_as_the_table() {
+    // Command, ADP, value returned for F0h, working counter, ADP after, RAM of the slaves after.
     let second = 0_u16.wrapping_sub(1);
     let table = [
         (Command::Nop, 0, 0xF0, 0, 0, [1, 2, 4]),
@@ -33,7 +33,7 @@ fn every_command_acts_and_counts_as_the_table_says() {
         (Command::Fprw, 0x1002, 4, 3, 0x1002, [1, 2, 0xF0]),
         (Command::Brd, 0, 0xF7, 3, 3, [1, 2, 4]),
         (Command::Bwr, 0, 0xF0, 3, 3, [0xF0, 0xF0, 0xF0]),
-        // Each slave writes what came to it, then adds what it had.
+        // Each slave writes the received value, then adds its previous one.
         (Command::Brw, 0, 0xF7, 9, 3, [0xF0, 0xF1, 0xF3]),
         (Command::Armw, 0, 1, 3, 3, [1, 1, 1]),
         (Command::Armw, second, 2, 3, 2, [0xF0, 2, 2]),
@@ -53,7 +53,7 @@ fn every_command_acts_and_counts_as_the_table_says() {
 }
 
 #[test]
-fn an_alias_is_an_address_only_when_it_is_enabled() {
+fn alias_is_an_address_only_when_enabled() {
     let mut bench = Bench::new([Coupler::slave()]);
     bench.address();
     let slave = bench.segment.slave(0).unwrap();
@@ -63,14 +63,14 @@ fn an_alias_is_an_address_only_when_it_is_enabled() {
     bench.write(0x1000, register::SII_CONTROL, &0x0400_u16.to_le_bytes());
     bench.now += MS;
     assert_eq!(bench.read(0x1000, register::STATION_ALIAS), [0x42, 0]);
-    let ask = |bench: &mut Bench| bench.device(Command::Fprd, 0x0042, 0, &[0]).counter;
-    assert_eq!(ask(&mut bench), 0);
+    let query = |bench: &mut Bench| bench.device(Command::Fprd, 0x0042, 0, &[0]).counter;
+    assert_eq!(query(&mut bench), 0);
     bench.write(0x1000, register::DL_CONTROL + 3, &[1]);
-    assert_eq!(ask(&mut bench), 1);
+    assert_eq!(query(&mut bench), 1);
 }
 
 #[test]
-fn datagrams_of_a_frame_see_each_other_in_order() {
+fn datagrams_of_a_frame_are_executed_in_order() {
     let mut bench = bench();
     let mut buffer = [0; 200];
     let mut writer = FrameWriter::new(&mut buffer).unwrap();
@@ -97,13 +97,13 @@ fn datagrams_of_a_frame_see_each_other_in_order() {
 }
 
 #[test]
-fn what_is_not_there_reads_zero_and_what_is_constant_stays() {
+fn registers_missing_read_zero_and_constant_ones_persist() {
     let mut bench = bench();
     assert_eq!(bench.read(0x1000, 0x0F00), [0; 4]);
     assert_eq!(bench.read::<1>(0x1000, 0x0000), [0x11]);
     bench.write(0x1000, 0x0000, &[0x99]);
     assert_eq!(bench.read::<1>(0x1000, 0x0000), [0x11]);
-    // Behind its memory, and at the end of the address space.
+    // Beyond its memory, and at the end of the address space.
     for at in [0x2FFF, 0x3000, 0xFFFF] {
         for command in [Command::Fprd, Command::Fpwr] {
             assert_eq!(bench.device(command, 0x1000, at, &[1, 1]).counter, 0);
@@ -112,7 +112,7 @@ fn what_is_not_there_reads_zero_and_what_is_constant_stays() {
 }
 
 #[test]
-fn slaves_without_a_clock_leave_its_registers_alone() {
+fn clock_registers_without_clock_do_not_answer() {
     let (mut bench, _) = Bench::small();
     // Two couplers with a clock, a terminal without.
     assert_eq!(bench.device(Command::Bwr, 0, 0x0900, &[0; 4]).counter, 2);
@@ -123,7 +123,7 @@ fn slaves_without_a_clock_leave_its_registers_alone() {
 }
 
 #[test]
-fn an_ethernet_frame_comes_back_marked_and_others_do_not() {
+fn ethernet_frame_returns_marked_others_are_dropped() {
     let mut bench = bench();
     let mut frame = [0_u8; 60];
     frame[..6].fill(0xFF);
@@ -157,7 +157,7 @@ fn an_ethernet_frame_comes_back_marked_and_others_do_not() {
 }
 
 #[test]
-fn a_frame_of_wrong_lengths_is_counted_and_not_processed_beyond() {
+fn frame_with_wrong_lengths_is_counted_and_truncated() {
     let mut bench = bench();
     let mut buffer = [0; 200];
     let mut writer = FrameWriter::new(&mut buffer).unwrap();

@@ -1,4 +1,4 @@
-//! The servo drive as a master sees it: mailbox, PDOs, SYNC0, faults.
+//! The servo drive from the master's side: mailbox, PDOs, SYNC0, faults.
 
 use takt_cia402::State;
 use takt_cia402::emulator::FaultCode;
@@ -10,12 +10,12 @@ use crate::{Emergency, MailboxHeader, MailboxKind};
 const STATION: u16 = 0x1000;
 const MAILBOX: usize = 128;
 
-/// A drive in a segment of its own, as a master with a mailbox sees it.
+/// A drive in its own segment, accessed by mailbox.
 struct Rig {
     bench: Bench,
     drive: ServoDrive,
     counter: u8,
-    /// CoE messages that nobody asked for.
+    /// Unsolicited CoE messages.
     unasked: Vec<Vec<u8>>,
 }
 
@@ -63,7 +63,7 @@ impl Rig {
         self.bench.write(STATION, 0x1000, &mailbox);
     }
 
-    /// The next mailbox, if there is one.
+    /// The next mailbox message, if there is one.
     fn fetch(&mut self) -> Option<(MailboxHeader, Vec<u8>)> {
         self.bench.now += MS;
         let answer = self
@@ -76,7 +76,7 @@ impl Rig {
         Some((header, inside.to_vec()))
     }
 
-    /// The answer to an SDO; emergencies on the way are put aside.
+    /// The answer to an SDO; emergencies are stored.
     fn sdo(&mut self, request: [u8; 8]) -> Vec<u8> {
         let mut inside = vec![0, 0x20];
         inside.extend(request);
@@ -112,7 +112,7 @@ impl Rig {
         }
     }
 
-    /// Process data where the SII says, mapped to logical address 0 (outputs) and behind.
+    /// Process data at the addresses of the SII, mapped to logical address 0 (outputs) and behind.
     fn map(&mut self, outputs: u16, inputs: u16) {
         let own = self
             .bench
@@ -233,14 +233,14 @@ fn objects_are_read_and_written_by_mailbox() {
 }
 
 #[test]
-fn a_request_that_comes_twice_is_done_once() {
+fn repeated_request_is_executed_once() {
     let mut rig = Rig::new(ServoConfig::default());
     let request = [0, 0x20, 0x40, 0x00, 0x10, 0, 0, 0, 0, 0];
     rig.send(&request);
     let (first, _) = rig.fetch().unwrap();
     rig.send_again(&request);
     assert_eq!(rig.fetch(), None);
-    // The answer was lost: it is asked for again by the repeat bit.
+    // The answer was lost: the repeat bit requests it again.
     rig.bench
         .write(STATION, register::SYNC_MANAGER + 8 + 6, &[3]);
     let [acknowledge] = rig.bench.read(STATION, register::SYNC_MANAGER + 8 + 7);
@@ -264,7 +264,7 @@ fn wrong_mailboxes_are_answered_by_errors() {
 }
 
 #[test]
-fn emergencies_come_unasked_even_before_an_answer() {
+fn emergencies_are_sent_unsolicited_before_an_answer() {
     let mut rig = Rig::new(ServoConfig::default());
     let emergency = Emergency {
         code: 0x7320,
@@ -280,7 +280,7 @@ fn emergencies_come_unasked_even_before_an_answer() {
 }
 
 #[test]
-fn answers_are_late_lost_or_twofold_on_command() {
+fn mailbox_faults_delay_drop_or_duplicate_answers() {
     let mut rig = Rig::new(ServoConfig::default());
     let request = [0, 0x20, 0x40, 0x00, 0x10, 0, 0, 0, 0, 0];
     let faults = |rig: &mut Rig, faults| *rig.bench.segment.slave(0).unwrap().faults() = faults;
@@ -307,7 +307,7 @@ fn answers_are_late_lost_or_twofold_on_command() {
 }
 
 #[test]
-fn pdos_are_changed_in_pre_op_with_their_count_at_zero() {
+fn pdos_change_in_pre_op_with_count_zero() {
     let mut rig = Rig::new(ServoConfig::default());
     assert_eq!(
         rig.download(0x1600, 1, 0x6040_0010, 4),
@@ -356,7 +356,7 @@ fn pdos_are_changed_in_pre_op_with_their_count_at_zero() {
 }
 
 #[test]
-fn a_pdo_that_is_gone_or_a_cycle_that_does_not_fit_is_refused() {
+fn missing_pdo_or_wrong_cycle_is_refused() {
     let mut rig = Rig::new(ServoConfig {
         needs_sync0: true,
         ..ServoConfig::default()
@@ -377,7 +377,7 @@ fn a_pdo_that_is_gone_or_a_cycle_that_does_not_fit_is_refused() {
         (2, 1_000_000)
     );
     rig.bench.request(STATION, AlState::PreOp, false);
-    // SYNC0 wanted by object, but not there.
+    // SYNC0 selected by object, but not active.
     let mut rig = Rig::new(ServoConfig::default());
     rig.download(0x1C32, 1, 2, 2);
     rig.map(14, 16);
@@ -385,7 +385,7 @@ fn a_pdo_that_is_gone_or_a_cycle_that_does_not_fit_is_refused() {
 }
 
 #[test]
-fn an_axis_follows_cyclic_positions_by_sync0() {
+fn axis_follows_cyclic_positions_by_sync0() {
     let mut rig = Rig::new(ServoConfig::default());
     rig.operate();
     let start = rig.enable();
@@ -404,7 +404,7 @@ fn an_axis_follows_cyclic_positions_by_sync0() {
 }
 
 #[test]
-fn it_runs_by_outputs_alone_too() {
+fn drive_runs_by_outputs_without_sync0() {
     let mut rig = Rig::new(ServoConfig::default());
     rig.map(14, 16);
     rig.bench.request(STATION, AlState::SafeOp, false);
@@ -452,7 +452,7 @@ fn outputs_that_miss_sync0_end_op() {
 }
 
 #[test]
-fn sync0_that_ceases_ends_op_of_a_drive_that_needs_it() {
+fn sync0_loss_ends_op_where_required() {
     let mut rig = Rig::new(ServoConfig {
         needs_sync0: true,
         ..ServoConfig::default()
@@ -464,7 +464,7 @@ fn sync0_that_ceases_ends_op_of_a_drive_that_needs_it() {
 }
 
 #[test]
-fn a_fault_is_told_by_status_object_and_emergency() {
+fn drive_fault_shows_in_status_object_and_emergency() {
     let mut rig = Rig::new(ServoConfig::default());
     rig.operate();
     let start = rig.enable();
@@ -483,7 +483,7 @@ fn a_fault_is_told_by_status_object_and_emergency() {
     );
     let (_, message) = rig.fetch().unwrap();
     assert_eq!(message, [0, 0x10, 0x20, 0x23, 0x03, 0, 0, 0, 0, 0]);
-    rig.drive.axis(0, |axis| axis.mend());
+    rig.drive.axis(0, |axis| axis.clear_cause());
     for word in [0, 0x80, 0x80, 0] {
         inputs = rig.cycle(&outputs(word, 8, start), 16);
     }
@@ -496,7 +496,7 @@ fn a_fault_is_told_by_status_object_and_emergency() {
 }
 
 #[test]
-fn an_axis_under_power_stops_when_op_is_left() {
+fn axis_under_power_stops_when_op_ends() {
     let mut rig = Rig::new(ServoConfig::default());
     rig.operate();
     let start = rig.enable();
@@ -516,7 +516,7 @@ fn an_axis_under_power_stops_when_op_is_left() {
 }
 
 #[test]
-fn a_tx90_has_six_axes_in_one_slave() {
+fn tx90_has_six_axes_in_one_slave() {
     let (slave, drive) = ServoDrive::slave(ServoConfig::tx90()).unwrap();
     let mut rig = Rig::of(slave, drive);
     for axis in 0..6_u16 {
@@ -553,7 +553,7 @@ fn a_tx90_has_six_axes_in_one_slave() {
 }
 
 #[test]
-fn power_on_forgets_everything() {
+fn power_on_resets_everything() {
     let mut rig = Rig::new(ServoConfig::default());
     rig.download(0x6083, 0, 1, 4);
     rig.bench.segment.set_power(0, false);

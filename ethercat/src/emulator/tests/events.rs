@@ -7,7 +7,7 @@ fn events(bench: &mut Bench, station: u16) -> u16 {
 }
 
 #[test]
-fn a_change_of_state_is_an_event_until_it_is_read() {
+fn state_change_is_an_event_until_read() {
     let (mut bench, _) = Bench::small();
     bench.device(Command::Brd, 0, register::AL_STATUS, &[0; 2]);
     bench.device(Command::Brd, 0, register::DL_STATUS, &[0; 2]);
@@ -24,7 +24,7 @@ fn a_change_of_state_is_an_event_until_it_is_read() {
 }
 
 #[test]
-fn a_lost_link_is_an_event() {
+fn lost_link_is_an_event() {
     let (mut bench, _) = Bench::small();
     bench.device(Command::Brd, 0, register::DL_STATUS, &[0; 2]);
     assert_eq!(events(&mut bench, 0x1001) & 0x04, 0);
@@ -34,7 +34,7 @@ fn a_lost_link_is_an_event() {
 }
 
 #[test]
-fn the_firmware_sees_its_own_events() {
+fn firmware_has_its_own_events() {
     let (mut bench, _) = Bench::small();
     bench.map_terminal();
     bench.write(0x1002, register::AL_CONTROL, &[2, 0]);

@@ -1,9 +1,9 @@
-//! Faults on command: of frames, and of slaves.
+//! Injected faults of frames and slaves.
 
 use super::*;
 use crate::emulator::{Corrupt, Faults};
 
-fn ask(bench: &mut Bench) -> Option<u16> {
+fn query(bench: &mut Bench) -> Option<u16> {
     let address = Address::Device {
         adp: 0,
         ado: 0x1F00,
@@ -21,7 +21,7 @@ fn counters(bench: &mut Bench, station: u16) -> ([u8; 4], [u8; 4]) {
 }
 
 #[test]
-fn lost_frames_on_the_way_out_do_nothing_and_on_the_way_back_have_done_it() {
+fn lost_frames_have_effect_only_when_returning() {
     for (faults, done) in [
         (
             Faults {
@@ -40,14 +40,14 @@ fn lost_frames_on_the_way_out_do_nothing_and_on_the_way_back_have_done_it() {
     ] {
         let (mut bench, _) = Bench::small();
         bench.segment.faults = faults;
-        assert_eq!([ask(&mut bench), ask(&mut bench)], [None, None]);
+        assert_eq!([query(&mut bench), query(&mut bench)], [None, None]);
         assert_eq!(bench.read(0x1002, 0x1F00), [done]);
-        assert_eq!(ask(&mut bench), Some(3));
+        assert_eq!(query(&mut bench), Some(3));
     }
 }
 
 #[test]
-fn a_frame_broken_on_the_way_out_is_counted_there_and_forwarded_by_all_behind() {
+fn outbound_broken_frame_is_counted_and_forwarded() {
     let (mut bench, _) = Bench::small();
     let corrupt = Corrupt {
         slave: 1,
@@ -56,9 +56,9 @@ fn a_frame_broken_on_the_way_out_is_counted_there_and_forwarded_by_all_behind() 
     };
     bench.segment.faults.corrupt = Some(corrupt);
     for _ in 0..3 {
-        assert_eq!(ask(&mut bench), None);
+        assert_eq!(query(&mut bench), None);
     }
-    // Before the break the frame was whole.
+    // Before the corruption the frame was intact.
     assert_eq!(bench.read(0x1000, 0x1F00), [9]);
     assert_eq!(bench.read(0x1001, 0x1F00), [0]);
     assert_eq!(counters(&mut bench, 0x1000), ([0; 4], [0, 3, 0, 0]));
@@ -69,7 +69,7 @@ fn a_frame_broken_on_the_way_out_is_counted_there_and_forwarded_by_all_behind() 
 }
 
 #[test]
-fn a_frame_broken_on_the_way_back_was_processed_by_all() {
+fn returning_broken_frame_was_processed_by_all() {
     let (mut bench, _) = Bench::small();
     let corrupt = Corrupt {
         slave: 1,
@@ -77,7 +77,7 @@ fn a_frame_broken_on_the_way_back_was_processed_by_all() {
         frames: 1,
     };
     bench.segment.faults.corrupt = Some(corrupt);
-    assert_eq!(ask(&mut bench), None);
+    assert_eq!(query(&mut bench), None);
     assert_eq!(bench.read(0x1002, 0x1F00), [9]);
     assert_eq!(counters(&mut bench, 0x1000), ([0; 4], [0, 1, 0, 0]));
     assert_eq!(counters(&mut bench, 0x1001), ([0, 1, 0, 0], [0; 4]));
@@ -94,14 +94,14 @@ fn counters_stay_at_255() {
     };
     bench.segment.faults.corrupt = Some(corrupt);
     for _ in 0..300 {
-        assert_eq!(ask(&mut bench), None);
+        assert_eq!(query(&mut bench), None);
     }
     assert_eq!(counters(&mut bench, 0x1000).0, [255, 0, 0, 0]);
-    assert_eq!(ask(&mut bench), Some(3));
+    assert_eq!(query(&mut bench), Some(3));
 }
 
 #[test]
-fn late_frames_say_when_they_come() {
+fn delayed_frames_report_their_arrival() {
     let (mut bench, _) = Bench::small();
     let mut buffer = [0; 64];
     let mut writer = FrameWriter::new(&mut buffer).unwrap();

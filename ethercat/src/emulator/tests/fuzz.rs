@@ -1,9 +1,9 @@
-//! Whatever comes in, nothing panics, and the segment goes on working.
+//! No input causes a panic, and the segment keeps working.
 
 use super::*;
 use proptest::prelude::*;
 
-/// Bytes of a frame that is nearly right: commands and addresses that mean something.
+/// Bytes of an almost valid frame: existing commands and addresses.
 fn datagram() -> impl Strategy<Value = Vec<u8>> {
     let place = prop_oneof![0_u16..0x0A00, 0x1000_u16..0x1200, any::<u16>()];
     let adp = prop_oneof![Just(0_u16), 0x1000_u16..0x1004, any::<u16>()];

@@ -1,4 +1,4 @@
-//! Logical addressing: which bits go where, and what the working counter gains.
+//! Logical addressing: the mapping of bits, and the increment of the working counter.
 
 use super::*;
 
@@ -62,7 +62,7 @@ fn outputs_are_taken_before_inputs_overlap_them() {
 }
 
 #[test]
-fn bits_go_where_the_fmmu_says() {
+fn fmmu_maps_bits_to_their_addresses() {
     // Logical start bit, length, stop bit; physical start bit.
     for (start_bit, len, stop_bit, physical_bit) in [
         (0, 1, 3, 0),
@@ -99,7 +99,7 @@ fn bits_go_where_the_fmmu_says() {
 }
 
 #[test]
-fn an_image_may_be_split_over_datagrams() {
+fn image_may_be_split_over_datagrams() {
     let (slave, io) = Io::analogue(0, 4);
     let mut bench = Bench::new([slave]);
     bench.address();
@@ -123,7 +123,7 @@ fn an_image_may_be_split_over_datagrams() {
     bench.now += 2 * MS;
     let second = bench.logical(Command::Lrd, 0x1003, &[0; 5]);
     assert_eq!((first.data, first.counter), (vec![0, 0, 1, 2, 3], 1));
-    // The buffer that was begun is read to its end: the parts fit together.
+    // A started buffer is read to its end: the parts are consistent.
     assert_eq!((second.data, second.counter), (vec![4, 5, 6, 7, 8], 1));
     bench.now += 2 * MS;
     let third = bench.logical(Command::Lrd, 0x1000, &[0; 8]);
@@ -131,7 +131,7 @@ fn an_image_may_be_split_over_datagrams() {
 }
 
 #[test]
-fn an_fmmu_may_point_at_a_register() {
+fn fmmu_may_map_a_register() {
     let (mut bench, _) = Bench::small();
     let fmmu = Fmmu {
         logical: 5,
@@ -148,7 +148,7 @@ fn an_fmmu_may_point_at_a_register() {
 }
 
 #[test]
-fn a_slave_that_says_no_lrw_does_none() {
+fn slave_without_lrw_ignores_lrw() {
     let sii = crate::emulator::SiiImage {
         flags: 0x02,
         ..crate::emulator::SiiImage::default()

@@ -99,7 +99,7 @@ fn clocks_answer_as_far_as_each_device_has_one() {
             *b"Verl",
             "{profile}: latched"
         );
-        // Ports without a link hold what they held.
+        // Ports without a link keep their values.
         assert_eq!(bench.read::<12>(0x1000, 0x0904), *b"VerlVerlVerl");
         let counter = u16::from(whole);
         for (at, len) in [
@@ -149,7 +149,7 @@ fn receive_times_of_lines_are_those_recorded() {
 }
 
 #[test]
-fn fmmus_and_memory_beyond_those_of_a_chip_are_missing() {
+fn fmmus_and_memory_beyond_the_chip_are_missing() {
     let (mut bench, _) = line(&[Profile::El1004]);
     bench.device(Command::Fpwr, 0x1000, register::FMMU + 48, &[1; 16]);
     assert_eq!(bench.read::<16>(0x1000, register::FMMU + 48), [0; 16]);
@@ -159,7 +159,7 @@ fn fmmus_and_memory_beyond_those_of_a_chip_are_missing() {
     assert_eq!(bench.device(Command::Fprd, 0x1000, 0x1400, &[0]).counter, 0);
 }
 
-/// Reads a whole EEPROM by as many bytes as the interface gives at once; how many times it was busy.
+/// Reads a whole EEPROM in units of the interface; returns how many times it was busy.
 fn eeprom(bench: &mut Bench, bytes_at_once: usize) -> (Vec<u8>, u32) {
     let (mut image, mut busy) = (Vec::new(), 0);
     while image.len() < 512 {
@@ -228,7 +228,7 @@ type Row = (Profile, u16, u8, &'static [u8], Rows, &'static [u16]);
 
 #[test]
 #[expect(clippy::too_many_lines, reason = "a table and its comparison")]
-fn eeproms_say_what_those_of_the_devices_say() {
+fn eeproms_match_those_of_the_devices() {
     const MAILBOX: [(u16, u16, u8, u8, u8); 2] =
         [(0x1000, 128, 0x26, 1, 1), (0x1080, 128, 0x22, 1, 2)];
     let table: [Row; 9] = [
@@ -401,7 +401,7 @@ fn in_pre_op(profile: Profile, mailbox: MailboxAreas) -> Bench {
     bench
 }
 
-/// Lets milliseconds pass, in which firmware looks around.
+/// Advances by milliseconds, in which firmware polls.
 fn pass(bench: &mut Bench, ms: u64) {
     for _ in 0..10 * ms {
         bench.now += MS / 10;
@@ -416,7 +416,7 @@ const EL3004: MailboxAreas = MailboxAreas {
     send_len: 128,
 };
 
-/// A mailbox message, zeros behind.
+/// A mailbox message, padded with zeros.
 fn message(len: usize, kind: u8, counter: u8, inside: &[u8]) -> Vec<u8> {
     let mut bytes = vec![
         u8::try_from(inside.len()).unwrap(),
@@ -437,7 +437,7 @@ fn upload(index: u16) -> Vec<u8> {
 }
 
 #[test]
-fn mailboxes_answer_late_in_parts_and_with_old_bytes_behind() {
+fn mailboxes_answer_late_with_stale_bytes_behind() {
     let mut bench = in_pre_op(Profile::El3004, EL3004);
     assert_eq!(
         bench
@@ -467,7 +467,7 @@ fn mailboxes_answer_late_in_parts_and_with_old_bytes_behind() {
         0,
         "turned over by the last byte"
     );
-    // A shorter answer leaves the end of the longer one behind it.
+    // The end of a longer previous answer follows a shorter one.
     bench.write(0x1000, 0x1000, &message(128, 3, 2, &upload(0x1000)));
     pass(&mut bench, 10);
     let answer: [u8; 128] = bench.read(0x1000, 0x1080);
@@ -476,7 +476,7 @@ fn mailboxes_answer_late_in_parts_and_with_old_bytes_behind() {
 }
 
 #[test]
-fn ethernet_comes_unasked_once_an_address_is_set() {
+fn eoe_frames_are_sent_once_addressed() {
     let akd = MailboxAreas {
         receive: 0x1800,
         receive_len: 1024,
@@ -502,7 +502,7 @@ fn ethernet_comes_unasked_once_an_address_is_set() {
     assert_eq!(kind(&mut bench), (2, 2), "a frame");
     bench.write(0x1000, 0x1800, &message(1024, 3, 2, &upload(0x1000)));
     pass(&mut bench, 5);
-    // A frame that was there before comes first.
+    // A queued frame comes first.
     assert_eq!(kind(&mut bench), (2, 3));
     pass(&mut bench, 1);
     assert_eq!(
@@ -524,7 +524,7 @@ fn states_take_the_times_of_their_devices() {
         (Profile::Lan9252, 12_000, 18_600),
     ] {
         let (mut bench, _) = line(&[profile]);
-        // Its mailboxes are not set up: what counts is when it says so.
+        // Its mailboxes are not set up: what counts is the time of the refusal.
         bench.write(0x1000, register::AL_CONTROL, &[2, 0]);
         let begin = bench.now - 10_000;
         while word_at(&mut bench, register::AL_STATUS) == 1 {

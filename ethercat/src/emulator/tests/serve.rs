@@ -16,7 +16,7 @@ fn server(count: usize) -> (Server<Memory>, Port<Memory>) {
     )
 }
 
-fn ask(port: &mut Port<Memory>) {
+fn query(port: &mut Port<Memory>) {
     let mut buffer = [0; 64];
     let mut writer = FrameWriter::new(&mut buffer).unwrap();
     let address = Address::Device { adp: 0, ado: 0 };
@@ -33,26 +33,26 @@ fn counter(port: &mut Port<Memory>) -> Option<u16> {
 }
 
 #[test]
-fn frames_come_back_and_foreign_ones_do_not() {
+fn server_returns_ethercat_frames_only() {
     let (mut server, mut port) = server(3);
     let mut clock = || Ok(Duration::from_millis(5));
-    ask(&mut port);
+    query(&mut port);
     port.link().send(&[0; 60]).unwrap();
-    ask(&mut port);
+    query(&mut port);
     assert_eq!(server.turn(Duration::ZERO, &mut clock).unwrap(), 3);
     assert_eq!([counter(&mut port), counter(&mut port)], [Some(3), Some(3)]);
     assert_eq!(counter(&mut port), None);
     server.segment().lock().set_link(1, false);
-    ask(&mut port);
+    query(&mut port);
     server.turn(Duration::ZERO, &mut clock).unwrap();
     assert_eq!(counter(&mut port), Some(1));
 }
 
 #[test]
-fn late_frames_come_when_they_are_due() {
+fn delayed_frames_return_when_due() {
     let (mut server, mut port) = server(1);
     server.segment().lock().faults.late = Some((1, 2 * MS));
-    ask(&mut port);
+    query(&mut port);
     let mut now = 0;
     let mut turn = |server: &mut Server<Memory>, ms| {
         now += ms;
@@ -68,7 +68,7 @@ fn late_frames_come_when_they_are_due() {
 }
 
 #[test]
-fn a_ring_is_served_at_both_ends() {
+fn ring_is_served_at_both_ends() {
     let (mut server, mut first) = server(3);
     let (near, far) = pair();
     let mut second = Port::new(near, [0, 1, 2, 3, 4, 6]);
@@ -77,12 +77,12 @@ fn a_ring_is_served_at_both_ends() {
         let mut clock = || Ok(Duration::from_millis(5));
         server.turn(Duration::ZERO, &mut clock).unwrap();
     };
-    ask(&mut first);
+    query(&mut first);
     turn(&mut server);
     assert_eq!((counter(&mut first), counter(&mut second)), (None, Some(3)));
     server.segment().lock().set_link(1, false);
-    ask(&mut first);
-    ask(&mut second);
+    query(&mut first);
+    query(&mut second);
     turn(&mut server);
     assert_eq!(
         (counter(&mut first), counter(&mut second)),

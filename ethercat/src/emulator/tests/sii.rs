@@ -18,7 +18,7 @@ fn read(bench: &mut Bench, word: u32) -> [u8; 8] {
 }
 
 #[test]
-fn the_whole_image_can_be_read() {
+fn sii_image_can_be_read_completely() {
     let (mut bench, _) = Bench::small();
     let image: Vec<u8> = (0..1024 / 4)
         .flat_map(|n| read(&mut bench, 4 * n))
@@ -32,7 +32,7 @@ fn the_whole_image_can_be_read() {
 }
 
 #[test]
-fn all_slaves_at_once_and_four_bytes_of_address() {
+fn sii_broadcast_read_and_four_byte_address() {
     let (mut bench, _) = Bench::small();
     // KickCAT commands all slaves by one BWR; IgH writes control and 16 bits of address.
     bench.device(Command::Bwr, 0, register::SII_CONTROL, &[0, 1, 8, 0]);
@@ -52,7 +52,7 @@ fn all_slaves_at_once_and_four_bytes_of_address() {
 }
 
 #[test]
-fn words_are_written_with_leave_only() {
+fn sii_write_requires_write_enable() {
     let (mut bench, _) = Bench::small();
     let mut write = |enable: u8, word: u16, value: u16| {
         let ([a, b], [c, d]) = (word.to_le_bytes(), value.to_le_bytes());
@@ -78,7 +78,7 @@ fn words_are_written_with_leave_only() {
 }
 
 #[test]
-fn an_interface_that_the_firmware_holds_refuses_until_it_is_taken() {
+fn sii_owned_by_firmware_refuses_until_taken() {
     let (mut bench, _) = Bench::small();
     bench.segment.slave(2).unwrap().faults().sii_held = true;
     bench.write(0x1002, register::SII_CONTROL, &[0, 1, 8, 0]);
@@ -102,7 +102,7 @@ fn an_interface_that_the_firmware_holds_refuses_until_it_is_taken() {
 }
 
 #[test]
-fn a_broken_checksum_is_told_at_power_on() {
+fn sii_checksum_error_is_reported_at_power_on() {
     let (mut bench, _) = Bench::small();
     let slave = bench.segment.slave(1).unwrap();
     slave.eeprom_mut()[3] ^= 0xFF;

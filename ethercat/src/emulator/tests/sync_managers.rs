@@ -6,7 +6,7 @@ use crate::emulator::Chip;
 /// The mailbox that the master writes: SyncManager 2, which the coupler itself leaves alone.
 const OUT: Register = register::SYNC_MANAGER + 16;
 
-/// A slave whose memory alone is looked at, with a mailbox of 16 bytes each way.
+/// A slave with a mailbox of 16 bytes in each direction, to test its memory.
 fn mailbox() -> Bench {
     let mut bench = Bench::new([Coupler::slave()]);
     bench.address();
@@ -30,7 +30,7 @@ fn take(bench: &mut Bench, at: u16, len: usize) -> (u16, Vec<u8>) {
 }
 
 #[test]
-fn a_mailbox_is_full_with_its_last_byte_and_then_refuses() {
+fn mailbox_is_full_after_last_byte_then_refuses() {
     let mut bench = mailbox();
     assert_eq!(
         put(&mut bench, 0x1404, &[1; 4]),
@@ -53,7 +53,7 @@ fn a_mailbox_is_full_with_its_last_byte_and_then_refuses() {
 }
 
 #[test]
-fn an_empty_mailbox_gives_nothing_and_a_full_one_is_empty_after_its_last_byte() {
+fn mailbox_is_empty_after_last_byte_is_read() {
     let mut memory = crate::emulator::memory::Memory::new(Chip::default(), false, false);
     let sm = SyncManager {
         start: 0x1000,
@@ -76,7 +76,7 @@ fn an_empty_mailbox_gives_nothing_and_a_full_one_is_empty_after_its_last_byte() 
     assert_eq!(data, [1, 2, 3, 0, 0, 0, 0, 0]);
     assert!(!memory.sync_manager(1).is_full());
     assert!(!memory.read(0x1000, &mut data), "read once");
-    // The master asks for it again, and the slave says that it did so.
+    // The master requests a repeat, and the slave acknowledges it.
     assert!(memory.write(register::SYNC_MANAGER + 8 + 6, &[0x03]));
     assert!(memory.events.repeat);
     memory.repeat(1);
@@ -87,7 +87,7 @@ fn an_empty_mailbox_gives_nothing_and_a_full_one_is_empty_after_its_last_byte() 
 }
 
 #[test]
-fn what_the_master_may_write_of_a_channel() {
+fn sync_manager_write_access_of_the_master() {
     let mut bench = mailbox();
     // Status and the slave's byte never; the rest only while it is off.
     put(&mut bench, OUT, &[0, 0x20, 99, 0, 0x24, 0xFF, 0x01, 0xFF]);
@@ -100,7 +100,7 @@ fn what_the_master_may_write_of_a_channel() {
 }
 
 #[test]
-fn switched_off_by_the_master_an_area_is_memory_and_by_the_slave_it_is_locked() {
+fn sync_manager_off_by_master_unlocks_by_slave_locks() {
     let mut bench = mailbox();
     put(&mut bench, OUT + 6, &[0]);
     assert_eq!(put(&mut bench, 0x1404, &[5]), 1);
@@ -115,7 +115,7 @@ fn switched_off_by_the_master_an_area_is_memory_and_by_the_slave_it_is_locked() 
 }
 
 #[test]
-fn three_buffers_give_the_newest_whole_one() {
+fn three_buffers_return_the_newest_complete_one() {
     let mut memory = crate::emulator::memory::Memory::new(Chip::default(), false, false);
     for (number, control) in [(0, SyncManager::OUTPUTS), (1, SyncManager::INPUTS)] {
         let sm = SyncManager {
@@ -164,7 +164,7 @@ fn three_buffers_give_the_newest_whole_one() {
 }
 
 #[test]
-fn a_datagram_across_two_areas_counts_if_one_was_accessed() {
+fn datagram_across_two_areas_counts_one_access() {
     let mut memory = crate::emulator::memory::Memory::new(Chip::default(), false, false);
     let sm = SyncManager {
         start: 0x1002,

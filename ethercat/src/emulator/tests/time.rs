@@ -23,7 +23,7 @@ fn system_time(bench: &mut Bench, station: u16) -> u64 {
 }
 
 #[test]
-fn receive_times_give_the_delays_of_a_line() {
+fn receive_times_give_line_delays() {
     let mut bench = Bench::new((0..3).map(|n| clocked(n * 1_000_000, 0)));
     bench.address();
     assert_eq!(bench.device(Command::Bwr, 0, 0x0900, &[0; 4]).counter, 3);
@@ -44,7 +44,7 @@ fn receive_times_give_the_delays_of_a_line() {
 }
 
 #[test]
-fn a_branch_is_passed_before_the_port_behind_it() {
+fn branch_is_passed_before_the_next_port() {
     let mut segment = Segment::default();
     let first = segment.add(clocked(0, 0), None);
     segment.add(clocked(0, 0), Some((first, 1)));
@@ -62,7 +62,7 @@ fn a_branch_is_passed_before_the_port_behind_it() {
     assert_eq!(back1.wrapping_sub(back3), 800);
 }
 
-/// Offsets and delays as a master sets them, then so many FRMW a millisecond apart.
+/// Offsets and delays as a master sets them, then a number of FRMW a millisecond apart.
 fn synchronise(bench: &mut Bench, cycles: usize) -> i64 {
     let reference = system_time(bench, 0x1000);
     let copy = system_time(bench, 0x1001);
@@ -74,13 +74,13 @@ fn synchronise(bench: &mut Bench, cycles: usize) -> i64 {
         bench.device(Command::Frmw, 0x1000, register::DC_SYSTEM_TIME, &[0; 8]);
         bench.now += MS - 10_000;
     }
-    let told = u32::from_le_bytes(bench.read(0x1001, register::DC_DIFFERENCE));
-    let size = i64::from(told & 0x7FFF_FFFF);
-    if told >> 31 == 1 { size } else { -size }
+    let difference = u32::from_le_bytes(bench.read(0x1001, register::DC_DIFFERENCE));
+    let size = i64::from(difference & 0x7FFF_FFFF);
+    if difference >> 31 == 1 { size } else { -size }
 }
 
 #[test]
-fn a_clock_that_drifts_is_held_by_the_system_time() {
+fn clock_that_drifts_is_corrected_by_system_time() {
     for drift in [-100_000, -50_000, 0, 50_000, 100_000] {
         let mut bench = Bench::new([clocked(7_000_000_000, 0), clocked(123, drift)]);
         bench.address();
@@ -102,7 +102,7 @@ fn a_clock_that_drifts_is_held_by_the_system_time() {
 }
 
 #[test]
-fn four_bytes_of_system_time_are_enough() {
+fn system_time_of_four_bytes_is_enough() {
     let mut bench = Bench::new([clocked(0xFFFF_FF00_0000, 0), clocked(5, 20_000)]);
     bench.address();
     synchronise(&mut bench, 500);
@@ -116,7 +116,7 @@ fn four_bytes_of_system_time_are_enough() {
 }
 
 #[test]
-fn a_write_that_has_nothing_to_do_with_time_is_undone_by_the_speed_counter() {
+fn speed_counter_write_resets_the_filter() {
     let mut bench = Bench::new([clocked(9_000_000_000, 0)]);
     bench.address();
     // Masters clear the system time of all slaves before they know it.
@@ -127,7 +127,7 @@ fn a_write_that_has_nothing_to_do_with_time_is_undone_by_the_speed_counter() {
 }
 
 #[test]
-fn sync0_is_armed_by_the_rising_edge_and_the_next_pulse_can_be_read() {
+fn sync0_is_armed_by_the_rising_edge() {
     let mut bench = Bench::new([clocked(0, 0)]);
     bench.address();
     let start = system_time(&mut bench, 0x1000) + 5 * MS;
@@ -163,7 +163,7 @@ fn sync0_is_armed_by_the_rising_edge_and_the_next_pulse_can_be_read() {
 }
 
 #[test]
-fn a_sync_that_cannot_be_is_refused_on_the_way_to_safe_op() {
+fn invalid_sync_is_refused_before_safe_op() {
     for (cycle, activation, needs, code) in [
         (1_000_000_u32, 3_u8, true, 0),
         (1_000_000, 0, true, 0x30),

@@ -1,4 +1,4 @@
-//! Cables: which slaves a frame reaches, what they say of their ports, the second cable of a ring.
+//! Cables: which slaves a frame reaches, the port status they report, the second cable of a ring.
 
 use super::*;
 
@@ -10,7 +10,7 @@ fn dl_status(bench: &mut Bench, station: u16) -> u16 {
     u16::from_le_bytes(bench.read(station, register::DL_STATUS))
 }
 
-/// A frame that counts slaves, by an end; the count and by which end it came back.
+/// Sends a counting frame by an entry; returns the count and the entry of return.
 fn count_by(segment: &mut Segment, entry: Entry, now: u64) -> Option<(u16, Entry)> {
     let mut buffer = [0; 64];
     let mut writer = FrameWriter::new(&mut buffer).unwrap();
@@ -41,7 +41,7 @@ fn dl_status_follows_the_cables() {
 }
 
 #[test]
-fn a_slave_that_lost_power_comes_back_as_new() {
+fn slave_after_power_loss_is_reset() {
     let (mut bench, _) = Bench::small();
     bench.request(0x1001, AlState::PreOp, false);
     bench.segment.set_power(1, false);
@@ -64,7 +64,7 @@ fn a_slave_that_lost_power_comes_back_as_new() {
 }
 
 #[test]
-fn nothing_comes_back_from_a_segment_that_is_cut_off() {
+fn frames_to_a_cut_segment_are_lost() {
     let (mut bench, _) = Bench::small();
     bench.segment.set_link(0, false);
     let address = Address::Device { adp: 0, ado: 0 };
@@ -73,7 +73,7 @@ fn nothing_comes_back_from_a_segment_that_is_cut_off() {
 }
 
 #[test]
-fn a_loop_closed_by_hand_ends_the_line() {
+fn loop_closed_by_dl_control_ends_the_line() {
     let (mut bench, _) = Bench::small();
     bench.write(0x1000, register::DL_CONTROL + 1, &[0x0C]);
     assert_eq!(count(&mut bench), 1);
@@ -87,7 +87,7 @@ fn a_loop_closed_by_hand_ends_the_line() {
 }
 
 #[test]
-fn a_ring_is_passed_one_way_and_a_cut_ring_from_both_ends() {
+fn ring_is_passed_once_and_cut_ring_twice() {
     let (mut bench, _) = Bench::small();
     let segment = &mut bench.segment;
     assert_eq!(count_by(segment, Entry::First, MS), Some((3, Entry::First)));
@@ -117,7 +117,7 @@ fn a_ring_is_passed_one_way_and_a_cut_ring_from_both_ends() {
 }
 
 #[test]
-fn a_frame_through_a_ring_does_not_come_back_to_the_ports() {
+fn frame_through_a_ring_does_not_return_to_ports() {
     let (mut bench, _) = Bench::small();
     bench.segment.set_redundant(true);
     let latch = |bench: &mut Bench| {

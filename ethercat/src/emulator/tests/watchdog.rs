@@ -3,7 +3,7 @@
 use super::*;
 
 #[test]
-fn outputs_that_cease_end_op_after_the_time_set() {
+fn output_loss_ends_op_after_watchdog_time() {
     for (divider, time, limit) in [
         (0x09C2, 1000, 100 * MS),
         (0x09C2, 50, 5 * MS),
@@ -36,7 +36,7 @@ fn outputs_that_cease_end_op_after_the_time_set() {
 }
 
 #[test]
-fn a_watchdog_of_zero_is_off_and_others_than_outputs_do_not_trigger_it() {
+fn watchdog_of_zero_is_off_and_needs_outputs() {
     let (mut bench, _) = Bench::small();
     bench.write(0x1002, register::WATCHDOG_PROCESS_DATA, &[0, 0]);
     bench.operate();

@@ -1,4 +1,4 @@
-//! The youBot as its drivers see it: names, process data of both firmwares, TMCL, homing, faults.
+//! The youBot from its drivers' side: names, process data of both firmwares, TMCL, homing, faults.
 
 use super::*;
 use crate::emulator::{Boards, DriveHandle, Firmware, YouBot, YouBotConfig};
@@ -9,7 +9,7 @@ struct Rig {
     bench: Bench,
     bot: YouBot,
     inputs: u16,
-    /// Orders to the drives in order.
+    /// Outputs of the drives in order.
     orders: Vec<(i32, u8)>,
 }
 
@@ -84,7 +84,7 @@ impl Rig {
         }
     }
 
-    /// So many cycles of a millisecond; the inputs of the last.
+    /// Runs cycles of a millisecond; returns the inputs of the last.
     fn cycle(&mut self, count: usize) -> Vec<Vec<u8>> {
         let mut inputs = vec![];
         for _ in 0..count {
@@ -166,7 +166,7 @@ fn flags(inputs: &[u8]) -> u32 {
 }
 
 #[test]
-fn eleven_slaves_have_the_names_that_drivers_look_for() {
+fn youbot_slaves_have_the_expected_names() {
     for (boards, wheel, joint, arm) in [
         (Boards::New, "TMCM-1632", "TMCM-1610", "KR-845"),
         (Boards::Old, "TMCM-174", "TMCM-KR-841", "KR-843"),
@@ -204,7 +204,7 @@ fn eleven_slaves_have_the_names_that_drivers_look_for() {
 }
 
 #[test]
-fn firmware_is_told_as_eight_letters() {
+fn firmware_version_has_eight_letters() {
     for (firmware, wheel, joint) in [
         (Firmware::V148, b"1632V148", b"1610V148"),
         (Firmware::V200, b"1632V200", b"1610V200"),
@@ -246,29 +246,29 @@ fn parameters_are_read_written_refused_and_stored() {
         rig.tmcl(4, [0, 10, 16, 2, 0, 0, 0, 0]),
         [0, 0, 100, 10, 0, 0, 0, 1]
     );
-    // What was stored outlives power, what was not does not.
+    // Stored values survive a power cycle, others do not.
     assert_eq!(rig.tmcl(4, [0, 5, 11, 0, 0, 0, 0x10, 0])[2], 100);
     assert_eq!(rig.tmcl(4, [0, 7, 11, 0, 0, 0, 0, 0])[2], 100);
     rig.set(4, 4, 77);
     rig.bench.segment.set_power(6, false);
     rig.bench.segment.set_power(6, true);
     let mut joint = rig.joint(0).lock();
-    let mut ask = |request: [u8; 8]| {
+    let mut query = |request: [u8; 8]| {
         let mut reply = Vec::new();
         assert!(joint.tmcl(&request, &mut reply));
         reply
     };
-    assert_eq!(ask([0, 6, 11, 0, 0, 0, 0, 0])[4..], [0, 0, 0x10, 0]);
-    assert_eq!(ask([0, 6, 4, 0, 0, 0, 0, 0])[4..], 4000_i32.to_be_bytes());
+    assert_eq!(query([0, 6, 11, 0, 0, 0, 0, 0])[4..], [0, 0, 0x10, 0]);
+    assert_eq!(query([0, 6, 4, 0, 0, 0, 0, 0])[4..], 4000_i32.to_be_bytes());
     assert_eq!(
-        ask([0, 10, 16, 2, 0, 0, 0, 0])[4..],
+        query([0, 10, 16, 2, 0, 0, 0, 0])[4..],
         [0; 4],
-        "calibration is gone"
+        "calibration is lost"
     );
 }
 
 #[test]
-fn wheels_turn_at_the_speed_that_is_asked() {
+fn wheels_turn_at_the_commanded_speed() {
     for firmware in [Firmware::V148, Firmware::V200] {
         let mut rig = Rig::new(firmware);
         // Without commutation 1.48 does not move at all.
@@ -300,7 +300,7 @@ fn wheels_turn_at_the_speed_that_is_asked() {
 }
 
 #[test]
-fn an_arm_is_homed_at_its_stops_and_then_goes_where_it_is_told() {
+fn arm_is_homed_and_reaches_commanded_positions() {
     let firmware = Firmware::V200;
     let mut rig = Rig::new(firmware);
     rig.commutate(firmware);
@@ -348,7 +348,7 @@ fn an_arm_is_homed_at_its_stops_and_then_goes_where_it_is_told() {
 }
 
 #[test]
-fn an_arm_without_current_sags() {
+fn arm_without_current_sags() {
     let firmware = Firmware::V200;
     let mut rig = Rig::new(firmware);
     rig.commutate(firmware);
@@ -360,7 +360,7 @@ fn an_arm_without_current_sags() {
 }
 
 #[test]
-fn silence_stops_a_drive_until_the_timeout_is_cleared() {
+fn output_loss_stops_drive_until_timeout_cleared() {
     let mut rig = Rig::new(Firmware::V200);
     rig.commutate(Firmware::V200);
     rig.orders[0] = (1000, 2);
@@ -384,7 +384,7 @@ fn silence_stops_a_drive_until_the_timeout_is_cleared() {
 }
 
 #[test]
-fn too_much_current_for_too_long_is_i2t() {
+fn overcurrent_sets_i2t_flag() {
     let mut rig = Rig::new(Firmware::V200);
     rig.commutate(Firmware::V200);
     // Against the stop of the joint.
@@ -405,7 +405,7 @@ fn too_much_current_for_too_long_is_i2t() {
 }
 
 #[test]
-fn the_gripper_opens_and_closes_behind_the_last_joint() {
+fn gripper_opens_and_closes() {
     let mut rig = Rig::new(Firmware::V200);
     let value = |n: i32| n.to_be_bytes();
     let go = |rig: &mut Rig, kind: u8, steps: i32| {
@@ -434,7 +434,7 @@ fn the_gripper_opens_and_closes_behind_the_last_joint() {
 }
 
 #[test]
-fn faults_can_be_put_in() {
+fn youbot_faults_can_be_injected() {
     let mut rig = Rig::new(Firmware::V148);
     rig.commutate(Firmware::V148);
     rig.orders[0] = (500, 2);

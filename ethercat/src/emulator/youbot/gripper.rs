@@ -1,42 +1,42 @@
-//! The gripper of a youBot: two bars that stepper motors move without seeing where they are. The
-//! drive of the last joint passes on what is for them.
+//! The gripper of a youBot: two bars moved by stepper motors without position feedback. The drive of the last joint
+//! forwards their requests.
 
 use super::parameters::{Parameters, whole};
-use super::tmcl::{Refusal, Request, command};
+use super::tmcl::{Rejection, Request, command};
 
-/// A bar of the gripper: a stepper motor that does not see where it is.
+/// A bar of the gripper: a stepper motor without position feedback.
 #[derive(Clone, Debug)]
 pub struct Bar {
-    /// What it has counted, steps.
+    /// Its counter, steps.
     count: f64,
     target: f64,
-    /// Where it is: 0 closed, -67000 open, steps.
-    pub(super) place: f64,
+    /// Its position: 0 closed, -67000 open, steps.
+    pub(super) position: f64,
     parameters: Parameters,
-    /// Something holds it: its motor stalls, stops and does not count.
+    /// It is blocked: its motor stalls, stops and does not count.
     pub jammed: bool,
 }
 
-/// Where a bar stops when it opens, steps: 11.5 mm.
+/// Open stop of a bar, steps: 11.5 mm.
 const OPEN: f64 = -67_000.0;
-/// Steps a second for each unit of parameter 4.
+/// Steps per second for each unit of parameter 4.
 const BAR_SPEED: f64 = 25.0;
 
 impl Bar {
-    pub(super) fn new(place: f64) -> Self {
+    pub(super) fn new(position: f64) -> Self {
         Self {
             count: 0.0,
             target: 0.0,
-            place,
+            position,
             parameters: Parameters::bar(),
             jammed: false,
         }
     }
 
-    /// How far it is open, m.
+    /// Opening, m.
     #[must_use]
     pub fn opening(&self) -> f64 {
-        self.place / OPEN * 0.0115
+        self.position / OPEN * 0.0115
     }
 
     pub(super) fn step(&mut self, dt: f64) {
@@ -45,14 +45,14 @@ impl Bar {
         let by = (self.target - self.count).clamp(-most, most);
         self.count += by;
         // At its stop it loses steps.
-        self.place = (self.place + by).clamp(OPEN, 0.0);
+        self.position = (self.position + by).clamp(OPEN, 0.0);
         let reached = (self.target - self.count).abs() < 0.5;
         self.parameters.set(8, i32::from(reached));
         self.parameters.set(1, whole(self.count));
         self.parameters.set(0, whole(self.target));
     }
 
-    pub(super) fn tmcl(&mut self, request: &Request) -> Result<i32, Refusal> {
+    pub(super) fn tmcl(&mut self, request: &Request) -> Result<i32, Rejection> {
         let value = f64::from(request.value);
         match (request.command, request.kind) {
             (command::MVP, 0) => self.target = value,
@@ -71,7 +71,7 @@ impl Bar {
                 let restore = request.command == command::RSAP;
                 return self.parameters.store(number, restore);
             }
-            _ => return Err(Refusal::InvalidCommand),
+            _ => return Err(Rejection::InvalidCommand),
         }
         Ok(request.value)
     }

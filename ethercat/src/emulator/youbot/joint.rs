@@ -1,5 +1,5 @@
-//! One drive of a youBot with its motor: modes, commutation, the EtherCAT timeout, I2t, and what
-//! TMCL asks of it. The frames around it are elsewhere.
+//! One drive of a youBot with its motor: modes, commutation, the EtherCAT timeout, I2t, and TMCL requests. Its frames
+//! are handled elsewhere.
 
 use std::f64::consts::TAU;
 
@@ -8,24 +8,24 @@ use takt_cia402::emulator::{Motor, MotorConfig};
 use super::Firmware;
 use super::gripper::Bar;
 use super::parameters::{Parameters, whole};
-use super::tmcl::{Refusal, Request, command, reply};
+use super::tmcl::{Rejection, Request, command, reply};
 use super::weight::Posture;
 
-/// The loops run this often, s.
+/// Period of the control loops, s.
 const TICK: f64 = 250e-6;
-/// Longest time made up for, s.
+/// Longest time simulated at once, s.
 const STEP_MAX: f64 = 0.1;
 /// Encoder ticks in a revolution of the motor.
 const TICKS: f64 = 4000.0;
-/// How long turning or mode 7 takes to find the commutation, s.
+/// Duration of the commutation search, s.
 const COMMUTATION: f64 = 0.4;
-/// A duty of this many steps is all of the supply: the real number is not published.
+/// Duty of full supply voltage, steps: the real value is not published.
 const PWM_FULL: f64 = 3599.0;
 /// V.
 const SUPPLY: f64 = 24.0;
 /// Of a winding, ohm.
 const RESISTANCE: f64 = 1.0;
-/// No more than this flows, A.
+/// Largest current, A.
 const CURRENT_MAX: f64 = 10.0;
 
 /// Modes of the process data.
@@ -55,11 +55,11 @@ mod flag {
     pub(super) const I2T: u32 = 1 << 17;
 }
 
-/// What a drive moves.
+/// Mechanics of a drive.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Axis {
     motor: MotorConfig,
-    /// Where the motor is at power-on, rad.
+    /// Position of the motor at power-on, rad.
     position: f64,
     /// Torque constant, N m/A.
     torque_constant: f64,
@@ -95,8 +95,8 @@ impl Axis {
         }
     }
 
-    /// A joint of the arm (0 to 4), so far from its home stop at power-on (rad of the joint). The
-    /// home stop is at the positive end of the motor.
+    /// A joint of the arm (0 to 4) with its distance from the home stop at power-on (rad of the joint). The home stop
+    /// is at the positive end of the motor.
     #[must_use]
     pub fn joint(number: usize, folded: f64) -> Self {
         let number = number.min(4);
@@ -121,7 +121,7 @@ impl Axis {
 #[derive(Clone, Debug)]
 pub struct Joint {
     axis: Axis,
-    /// Its arm, and its number there.
+    /// Its arm, and its joint number.
     arm: Option<(Posture, usize)>,
     firmware: Firmware,
     version: String,
@@ -133,14 +133,14 @@ pub struct Joint {
     bars: Option<[Bar; 2]>,
     mode: u8,
     value: i32,
-    /// Velocity that the ramp has reached, rad/s.
+    /// Velocity of the ramp, rad/s.
     ramp: f64,
     integral: f64,
     /// A, of the motor.
     current: f64,
     commuting: f64,
     initialized: bool,
-    /// Since outputs last came, s.
+    /// Time since the last outputs, s.
     silent: f64,
     timeout: bool,
     i2t: bool,
@@ -149,9 +149,9 @@ pub struct Joint {
     heat: f64,
     /// The emergency stop is pressed: the motor gets no current.
     pub emergency_stop: bool,
-    /// Flags that are shown on top of those the drive finds itself.
+    /// Injected flags, shown in addition to those of the drive.
     pub extra_flags: u32,
-    /// Torque from outside at the joint, N m.
+    /// External torque at the joint, N m.
     pub pushed: f64,
 }
 
@@ -195,7 +195,7 @@ impl Joint {
         }
     }
 
-    /// Power comes on: the arm stays where it is, the drive forgets where that is.
+    /// Power-on: the arm stays where it is, the drive loses its position.
     pub(super) fn reset(&mut self) {
         let mut axis = self.axis.clone();
         axis.position = self.motor.position;
@@ -208,7 +208,7 @@ impl Joint {
         *self = Self::new(axis, arm, self.firmware, version);
         (self.parameters, self.banks) = (parameters, banks);
         if let Some(bars) = bars {
-            self.bars = Some(bars.map(|bar| Bar::new(bar.place)));
+            self.bars = Some(bars.map(|bar| Bar::new(bar.position)));
         }
     }
 
@@ -221,8 +221,7 @@ impl Joint {
         self.heat = 2.0 * f64::from(self.parameters.value(26));
     }
 
-    /// How far the joint is from its home stop, or the wheel from where it was, rad; positive
-    /// away from the stop.
+    /// Distance of the joint from its home stop, or of the wheel from its start, rad; positive away from the stop.
     #[must_use]
     pub fn angle(&self) -> f64 {
         -self.motor.position / self.axis.gear
@@ -234,7 +233,7 @@ impl Joint {
         self.bars.as_ref()
     }
 
-    /// The same, to put faults in.
+    /// The same, to inject faults.
     pub const fn bars_mut(&mut self) -> Option<&mut [Bar; 2]> {
         self.bars.as_mut()
     }
@@ -274,9 +273,9 @@ impl Joint {
         self.origin += f64::from(value) - self.ticks();
     }
 
-    /// Lets so many ns pass; `live` while EtherCAT is in OP, `fresh` if outputs came.
+    /// Advances by a time in ns; `live` while EtherCAT is in OP, `fresh` with new outputs.
     pub(super) fn step(&mut self, dt: u64, live: bool, fresh: bool) {
-        #[expect(clippy::cast_precision_loss, reason = "below a second or cut")]
+        #[expect(clippy::cast_precision_loss, reason = "below a second or truncated")]
         let mut left = (dt as f64 * 1e-9).min(STEP_MAX);
         self.silent = if fresh || !live {
             0.0
@@ -309,7 +308,7 @@ impl Joint {
         }
     }
 
-    /// Commutation is found by turning (2.00) or by mode 7 (1.48).
+    /// The commutation search: by turning (2.00) or by mode 7 (1.48).
     fn commute(&mut self, dt: f64) {
         let turns = match self.firmware {
             Firmware::V148 => self.mode == mode::INITIALIZE,
@@ -322,7 +321,7 @@ impl Joint {
         self.initialized = self.commuting >= COMMUTATION;
     }
 
-    /// The current that the mode asks for, A.
+    /// The current demanded by the mode, A.
     fn wanted_current(&mut self, dt: f64, live: bool) -> f64 {
         let finding = self.commuting > 0.0 || self.initialized;
         if self.emergency_stop || self.i2t || !finding {
@@ -353,15 +352,15 @@ impl Joint {
     }
 
     fn current_to(&mut self, target: f64, dt: f64) -> f64 {
-        let way = (target - self.ticks()) / TICKS * TAU;
+        let distance = (target - self.ticks()) / TICKS * TAU;
         let rad = |rpm: i32| f64::from(rpm) * TAU / 60.0;
         let most = rad(self.parameters.value(4));
-        let braking = (2.0 * rad(self.parameters.value(11)) * way.abs()).sqrt();
-        let speed = most.min(braking).min(way.abs() * 30.0);
-        self.current_at(speed.copysign(way), dt)
+        let braking = (2.0 * rad(self.parameters.value(11)) * distance.abs()).sqrt();
+        let speed = most.min(braking).min(distance.abs() * 30.0);
+        self.current_at(speed.copysign(distance), dt)
     }
 
-    /// A PI loop behind a ramp (parameters 146 and 11), limited by parameter 6.
+    /// A PI loop after a ramp (parameters 146 and 11), limited by parameter 6.
     fn current_at(&mut self, target: f64, dt: f64) -> f64 {
         let step = f64::from(self.parameters.value(11)) * TAU / 60.0 * dt;
         self.ramp = if self.parameters.value(146) == 0 {
@@ -378,8 +377,8 @@ impl Joint {
         (gain * error + self.integral).clamp(-most, most)
     }
 
-    /// I2t: a low-pass of the squared current over parameter 25 (ms), compared with parameter 26.
-    /// The unit of the real one is not published; here it is (10 mA)².
+    /// I2t: a low-pass of the squared current over parameter 25 (ms), compared with parameter 26. The unit of the real
+    /// parameter is not published; here it is (10 mA)².
     fn warm(&mut self, dt: f64) {
         let time = f64::from(self.parameters.value(25).max(1)) * 1e-3;
         let squared = (self.current * 100.0).powi(2);
@@ -418,7 +417,7 @@ impl Joint {
         found.fold(shown | self.extra_flags, |all, bit| all | bit)
     }
 
-    /// Brings parameters that show measurements up to date.
+    /// Updates parameters that show measurements.
     fn show(&mut self) {
         let values = [
             (1, whole(self.ticks())),
@@ -480,15 +479,15 @@ impl Joint {
                 }
                 (_, 0) => first.tmcl(&request),
                 (_, 1) => second.tmcl(&request),
-                _ => Err(Refusal::WrongType),
+                _ => Err(Rejection::WrongType),
             },
-            _ => Err(Refusal::InvalidCommand),
+            _ => Err(Rejection::InvalidCommand),
         };
         answer.extend(reply(&request, done));
         true
     }
 
-    fn tmcl_drive(&mut self, request: &Request) -> Result<i32, Refusal> {
+    fn tmcl_drive(&mut self, request: &Request) -> Result<i32, Rejection> {
         let value = request.value;
         let bank = match request.motor {
             0 => Some(0),
@@ -504,31 +503,31 @@ impl Joint {
                 let target = whole(self.ticks()).saturating_add(value);
                 self.order(mode::POSITION, target);
             }
-            command::MVP => return Err(Refusal::WrongType),
+            command::MVP => return Err(Rejection::WrongType),
             command::GAP => return self.parameters.get(request.kind),
             command::SAP => self.set_parameter(request.kind, value)?,
             command::STAP => return self.parameters.store(request.kind, false),
             command::RSAP => return self.parameters.store(request.kind, true),
             command::SGP | command::GGP | command::STGP | command::RSGP => {
                 let bank = bank.and_then(|n: usize| self.banks.get_mut(n));
-                let bank = bank.ok_or(Refusal::WrongType)?;
+                let bank = bank.ok_or(Rejection::WrongType)?;
                 match request.command {
                     command::SGP => bank.write(request.kind, value, self.unlocked)?,
                     command::GGP => return bank.get(request.kind),
-                    // What is volatile stays so.
+                    // Volatile parameters cannot be stored.
                     other if request.kind == 16 => {
                         let _ = other;
-                        return Err(Refusal::InvalidValue);
+                        return Err(Rejection::InvalidValue);
                     }
                     other => return bank.store(request.kind, other == command::RSGP),
                 }
             }
-            _ => return Err(Refusal::InvalidCommand),
+            _ => return Err(Rejection::InvalidCommand),
         }
         Ok(value)
     }
 
-    fn set_parameter(&mut self, number: u8, value: i32) -> Result<(), Refusal> {
+    fn set_parameter(&mut self, number: u8, value: i32) -> Result<(), Rejection> {
         self.parameters.write(number, value, self.unlocked)?;
         match number {
             0 => self.order(mode::POSITION, value),

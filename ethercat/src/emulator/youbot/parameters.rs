@@ -1,9 +1,9 @@
-//! The parameters of a youBot drive: which there are, what they are at power-on, who may write
-//! them. Those that show a measurement are answered by the drive itself.
+//! The parameters of a youBot drive: their values at power-on and write access. Those that show a measurement are
+//! answered by the drive itself.
 
-use super::tmcl::Refusal;
+use super::tmcl::Rejection;
 
-/// Who may write a parameter.
+/// Write access of a parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Access {
     Free,
@@ -23,7 +23,7 @@ const fn row(number: u8, value: i32, access: Access) -> Row {
     (number, value, access, ANY.0, ANY.1)
 }
 
-/// Axis parameters of the drive, but for the gains.
+/// Axis parameters of the drive, except the gains.
 const TABLE: [Row; 40] = [
     row(0, 0, Free),
     row(1, 0, Free),
@@ -94,7 +94,7 @@ const BAR: [Row; 17] = [
 /// Global parameters of the drive: bank, number, value, access.
 const GLOBAL: [(u8, u8, i32, Access); 4] = [
     (0, 90, 100, Protected),
-    // "Calibrated": volatile, and two more that some use.
+    // "Calibrated": volatile, and two more used by some drivers.
     (2, 16, 0, Free),
     (2, 17, 0, Free),
     (2, 18, 0, Free),
@@ -108,7 +108,7 @@ pub(super) struct Parameters {
 }
 
 impl Parameters {
-    /// Those of the drive.
+    /// The parameters of the drive.
     pub(super) fn drive() -> Self {
         let gains = GAINS.iter().flat_map(|(first, last)| *first..=*last);
         let gains = gains.map(|number| (number, 1000, Free, 0, 65_535));
@@ -116,12 +116,12 @@ impl Parameters {
         Self::of(TABLE.into_iter().chain(gains).chain(invert).collect())
     }
 
-    /// Those of a gripper bar.
+    /// The parameters of a gripper bar.
     pub(super) fn bar() -> Self {
         Self::of(BAR.to_vec())
     }
 
-    /// The global ones of a bank.
+    /// The global parameters of a bank.
     pub(super) fn bank(bank: u8) -> Self {
         let own = GLOBAL.iter().filter(|(of, ..)| *of == bank);
         let rows = own.map(|(_, number, value, access)| row(*number, *value, *access));
@@ -137,55 +137,60 @@ impl Parameters {
         }
     }
 
-    pub(super) fn get(&self, number: u8) -> Result<i32, Refusal> {
+    pub(super) fn get(&self, number: u8) -> Result<i32, Rejection> {
         let row = self.rows.iter().find(|row| row.0 == number);
-        row.map(|row| row.1).ok_or(Refusal::WrongType)
+        row.map(|row| row.1).ok_or(Rejection::WrongType)
     }
 
-    /// The value of one that is there, else 0.
+    /// The value of an existing parameter, else 0.
     pub(super) fn value(&self, number: u8) -> i32 {
         self.get(number).unwrap_or(0)
     }
 
-    /// Writes from the bus.
-    pub(super) fn write(&mut self, number: u8, value: i32, unlocked: bool) -> Result<(), Refusal> {
+    /// Handles a write from the bus.
+    pub(super) fn write(
+        &mut self,
+        number: u8,
+        value: i32,
+        unlocked: bool,
+    ) -> Result<(), Rejection> {
         let row = self.rows.iter_mut().find(|row| row.0 == number);
-        let (_, to, access, low, high) = row.ok_or(Refusal::WrongType)?;
+        let (_, to, access, low, high) = row.ok_or(Rejection::WrongType)?;
         match access {
-            ReadOnly => return Err(Refusal::WrongType),
-            Protected if !unlocked => return Err(Refusal::WriteProtected),
+            ReadOnly => return Err(Rejection::WrongType),
+            Protected if !unlocked => return Err(Rejection::WriteProtected),
             Protected | Free => {}
         }
         if value < *low || value > *high {
-            return Err(Refusal::InvalidValue);
+            return Err(Rejection::InvalidValue);
         }
         *to = value;
         Ok(())
     }
 
-    /// Sets what the drive itself knows.
+    /// Sets a measured value.
     pub(super) fn set(&mut self, number: u8, value: i32) {
         if let Some(row) = self.rows.iter_mut().find(|row| row.0 == number) {
             row.1 = value;
         }
     }
 
-    /// Stores one beyond power-off, or takes it back from there.
-    pub(super) fn store(&mut self, number: u8, restore: bool) -> Result<i32, Refusal> {
+    /// Stores a parameter permanently, or restores it.
+    pub(super) fn store(&mut self, number: u8, restore: bool) -> Result<i32, Rejection> {
         let (from, to) = if restore {
             (&self.stored, &mut self.rows)
         } else {
             (&self.rows, &mut self.stored)
         };
         let find = |rows: &[Row]| rows.iter().find(|row| row.0 == number).copied();
-        let found = find(from).ok_or(Refusal::WrongType)?;
+        let found = find(from).ok_or(Rejection::WrongType)?;
         if let Some(row) = to.iter_mut().find(|row| row.0 == number) {
             *row = found;
         }
         Ok(found.1)
     }
 
-    /// Power comes on: what was stored.
+    /// Power-on: restores stored values.
     pub(super) fn reset(&mut self) {
         self.rows.clone_from(&self.stored);
     }

@@ -1,5 +1,4 @@
-//! TMCL over the raw mailbox: eight bytes each way, values big-endian. What a parameter does is the
-//! drive's.
+//! TMCL over the raw mailbox: eight bytes each way, values big-endian. Parameters are handled by the drive.
 
 /// A request: `module | command | type | motor or bank | value`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,28 +51,28 @@ pub(super) mod command {
     pub(in super::super) const STGP: u8 = 11;
     /// Restore a global parameter.
     pub(in super::super) const RSGP: u8 = 12;
-    /// Tell the firmware as text.
+    /// Report the firmware version as text.
     pub(in super::super) const FIRMWARE: u8 = 136;
 }
 
-/// Why a command was not done, as the status byte of a reply.
+/// Why a command was rejected: the status byte of a reply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
-pub(super) enum Refusal {
+pub(super) enum Rejection {
     InvalidCommand = 2,
     WrongType = 3,
     InvalidValue = 4,
     WriteProtected = 8,
 }
 
-/// Status of a command that was done.
+/// Status of a successful command.
 const OK: u8 = 100;
 
 /// A reply: `reply address | module | status | command | value`.
-pub(super) fn reply(request: &Request, done: Result<i32, Refusal>) -> [u8; 8] {
+pub(super) fn reply(request: &Request, done: Result<i32, Rejection>) -> [u8; 8] {
     let (status, value) = match done {
         Ok(value) => (OK, value),
-        Err(refusal) => (refusal as u8, request.value),
+        Err(rejection) => (rejection as u8, request.value),
     };
     let [a, b, c, d] = value.to_be_bytes();
     [0, request.module, status, request.command, a, b, c, d]

@@ -1,5 +1,5 @@
-//! What the weight of an arm's links does to its joints: each joint carries all links behind it, wherever the others
-//! have brought them. Inertia of links is not here: joints do not feel how others move.
+//! Torques by the weight of an arm's links: each joint carries all links behind it, in their present posture. The
+//! inertia of links is not modelled: joints are dynamically decoupled.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 const GRAVITY: f64 = 9.81;
 /// Upper arm and forearm, m.
 const LENGTHS: [f64; 2] = [0.155, 0.135];
-/// Masses, kg, and how far from the beginning of which segment they are, m: as the vendor's model of the arm has them.
+/// Masses, kg, their segment and distance from its start, m: from the vendor's model of the arm.
 const LINKS: [(usize, f64, f64); 5] = [
     (0, 1.318, 0.114),
     (1, 0.821, 0.104),
@@ -16,10 +16,10 @@ const LINKS: [(usize, f64, f64); 5] = [
     (2, 0.687, 0.1135),
     (2, 0.119, 0.156),
 ];
-/// Angles of axes 2 to 4 at the home stop, degrees (0 is upright), and which way they count off the stop.
+/// Angles of axes 2 to 4 at the home stop, degrees (0 is upright), and their sign away from the stop.
 const AXES: [(f64, f64); 3] = [(-65.0, 1.0), (146.0, -1.0), (-102.5, 1.0)];
 
-/// How far the joints of one arm are from their home stops, rad; shared by its drives.
+/// Distances of the joints of one arm from their home stops, rad; shared by its drives.
 #[derive(Clone, Debug)]
 pub(super) struct Posture(Arc<[AtomicU64; 5]>);
 
@@ -30,12 +30,12 @@ impl Posture {
         ))
     }
 
-    /// Joint `number` has come to that angle; gives the torque of the weight there, N m, positive off the stop.
+    /// Sets the angle of joint `number`; returns the torque of the weight there, N m, positive away from the stop.
     pub(super) fn weigh(&self, number: usize, angle: f64) -> f64 {
-        let Some(place) = self.0.get(number) else {
+        let Some(joint) = self.0.get(number) else {
             return 0.0;
         };
-        place.store(angle.to_bits(), Ordering::Relaxed);
+        joint.store(angle.to_bits(), Ordering::Relaxed);
         let angles = self.0.each_ref();
         let torque = weight(angles.map(|angle| f64::from_bits(angle.load(Ordering::Relaxed))));
         torque.get(number).copied().unwrap_or(0.0)
@@ -43,7 +43,7 @@ impl Posture {
 }
 
 fn weight(angles: [f64; 5]) -> [f64; 5] {
-    // Tilt of each segment, and how far in front of axis 2 it begins.
+    // Tilt of each segment, and its start in front of axis 2.
     let (mut tilt, mut begin) = (0.0, 0.0);
     let mut segments = [(0.0, 0.0); 3];
     for (i, segment) in segments.iter_mut().enumerate() {
@@ -71,7 +71,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_upright_arm_weighs_nothing_and_a_flat_one_most() {
+    fn arm_weight_is_zero_upright_and_largest_flat() {
         let upright = [0.0, 65.0, 146.0, 102.5, 0.0].map(f64::to_radians);
         assert!(weight(upright).iter().all(|torque| torque.abs() < 1e-9));
         let flat = [0.0, 155.0, 146.0, 102.5, 0.0].map(f64::to_radians);

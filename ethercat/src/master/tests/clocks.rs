@@ -6,7 +6,7 @@ use crate::dc::{PhaseFigures, phase_ns};
 use crate::emulator::{ServoConfig, ServoDrive};
 
 const CYCLE: Duration = Duration::from_millis(1);
-/// Where in the period a frame is to pass the reference clock, ns before SYNC0.
+/// Phase in the period at which a frame should pass the reference clock, ns before SYNC0.
 const BEFORE_SYNC0: i64 = 500_000;
 
 /// Drives whose clocks show anything and drift by these, ppb.
@@ -26,7 +26,7 @@ fn drives(drifts: &[i64]) -> Segment {
 fn config(count: u16) -> MasterConfig {
     let slave = |position| SlaveSpec {
         sync: Some(SyncSpec::sync0(CYCLE)),
-        ..SlaveSpec::new(format!("axis {position}"), Place::Position(position))
+        ..SlaveSpec::new(format!("axis {position}"), Location::Position(position))
     };
     MasterConfig {
         slaves: (0..count).map(slave).collect(),
@@ -34,7 +34,7 @@ fn config(count: u16) -> MasterConfig {
     }
 }
 
-/// Moves the cycle a little towards where it is to be: a servo as an owner has one, here the simplest that there is.
+/// A simple servo that moves the cycle towards its wanted phase, as an owner would.
 #[derive(Default)]
 struct Servo {
     integral: f64,
@@ -42,7 +42,7 @@ struct Servo {
 }
 
 impl Servo {
-    /// How much later the next cycle is to begin, ns; this one began so much later than it should.
+    /// Delay of the next cycle, ns, given the lateness of this one.
     fn step(&mut self, sample: &Sample, noise: i64) -> f64 {
         let period = i64::try_from(CYCLE.as_nanos()).unwrap();
         let phase = i64::try_from(phase_ns(sample.system_ns, CYCLE, 0)).unwrap();
@@ -57,7 +57,7 @@ impl Servo {
 }
 
 impl Rig {
-    /// Cycles on a grid that a servo disciplines; each begins as much late as `noise` says.
+    /// Cycles on a grid that a servo disciplines; each starts late by `noise`.
     fn disciplined(&mut self, count: usize, servo: &mut Servo, noise: impl Fn(usize) -> u32) {
         for n in 0..count {
             let (grid, late) = (self.now, noise(n));
@@ -74,7 +74,7 @@ impl Rig {
     }
 }
 
-/// How late a cycle begins, up to 20 us, the same in each run.
+/// Lateness of a cycle, up to 20 us, the same in each run.
 fn noise(n: usize) -> u32 {
     let n = u64::try_from(n)
         .unwrap()
@@ -99,7 +99,7 @@ fn delays_are_those_of_the_line() {
 }
 
 #[test]
-fn drifting_clocks_lock_and_sync0_comes_together() {
+fn drifting_clocks_lock_and_sync0_is_simultaneous() {
     let mut rig = Rig::new(config(4), drives(&[50_000, -50_000, 100_000, 0]));
     let mut servo = Servo::default();
     for _ in 0..200 {
@@ -132,7 +132,7 @@ fn drifting_clocks_lock_and_sync0_comes_together() {
 }
 
 #[test]
-fn the_cycle_keeps_its_phase_to_sync0_with_noise_and_drift() {
+fn cycle_keeps_phase_to_sync0_despite_noise_and_drift() {
     let mut rig = Rig::new(config(2), drives(&[50_000, -50_000]));
     let mut servo = Servo::default();
     rig.disciplined(4000, &mut servo, noise);
@@ -151,7 +151,7 @@ fn the_cycle_keeps_its_phase_to_sync0_with_noise_and_drift() {
 }
 
 #[test]
-fn a_clock_that_does_not_lock_is_refused_or_started_as_configured() {
+fn clock_without_lock_is_handled_as_configured() {
     for unlocked in [Unlocked::Refuse, Unlocked::Start] {
         let clocks = ClockConfig {
             window_ns: 0,
@@ -181,7 +181,7 @@ fn a_clock_that_does_not_lock_is_refused_or_started_as_configured() {
 }
 
 #[test]
-fn sync0_of_a_slave_without_a_clock_is_refused_with_a_text() {
+fn sync0_without_clock_is_refused() {
     let (terminal, _) = Io::digital(4, 0);
     let mut rig = Rig::new(config(1), Segment::line([terminal]));
     rig.until(3000, |master| {
@@ -195,7 +195,7 @@ fn sync0_of_a_slave_without_a_clock_is_refused_with_a_text() {
 }
 
 #[test]
-fn slaves_that_need_sync0_say_so_without_it() {
+fn slaves_without_required_sync0_report_it() {
     let mut rig = Rig::new(MasterConfig::default(), drives(&[0]));
     rig.until(6000, |master| {
         master.slave(0).is_some_and(|slave| slave.fault().is_some())
@@ -205,7 +205,7 @@ fn slaves_that_need_sync0_say_so_without_it() {
 }
 
 #[test]
-fn another_clock_takes_over_when_the_reference_is_gone() {
+fn reference_lost_is_replaced_by_another_clock() {
     let mut segment = drives(&[0, 30_000, -30_000]);
     segment.set_redundant(true);
     let mut rig = Rig::new(
@@ -232,7 +232,7 @@ fn another_clock_takes_over_when_the_reference_is_gone() {
 }
 
 #[test]
-fn a_clock_that_jumps_is_told_and_comes_back() {
+fn clock_that_jumps_is_reported_and_recovers() {
     let mut rig = Rig::new(config(2), drives(&[0, 10_000]));
     rig.until(9000, Master::is_operational);
     rig.cycles(200);
@@ -245,14 +245,15 @@ fn a_clock_that_jumps_is_told_and_comes_back() {
         .unwrap()
         .jump(100_000, now);
     rig.cycles(3000);
-    let told: Vec<_> = rig.events.iter().map(ToString::to_string).collect();
+    let texts: Vec<_> = rig.events.iter().map(ToString::to_string).collect();
     assert!(
-        told[0].starts_with("slave 1: its clock is ") && told[0].contains(" ns from the reference"),
-        "{told:?}"
+        texts[0].starts_with("slave 1: its clock is ")
+            && texts[0].contains(" ns from the reference"),
+        "{texts:?}"
     );
     assert!(
-        told.contains(&"slave 1: its clock follows the reference again".to_owned()),
-        "{told:?}"
+        texts.contains(&"slave 1: its clock follows the reference again".to_owned()),
+        "{texts:?}"
     );
     assert!(rig.master.slave(1).unwrap().clock_violations() >= 3);
 }

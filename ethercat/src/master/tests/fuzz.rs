@@ -1,9 +1,9 @@
-//! Whatever comes in by the wire, the master answers; and it finds its way back when the wire is good again.
+//! The master handles any received frame, and recovers when the wire is good again.
 
 use super::*;
 use crate::emulator::{ServoConfig, ServoDrive};
 
-/// Numbers that look like chance and are the same in each run.
+/// Pseudo-random numbers, the same in each run.
 struct Chance(u64);
 
 impl Chance {
@@ -31,7 +31,7 @@ fn segment() -> Segment {
 }
 
 impl Rig {
-    /// A cycle whose answer is changed on its way: one to four bytes behind the frame header.
+    /// A cycle with a modified answer: one to four bytes behind the frame header.
     fn broken_cycle(&mut self, chance: &mut Chance) {
         let mut frame = [0; 1500];
         if let Some(len) = self.master.poll_transmit(self.now, &mut frame) {
@@ -68,8 +68,8 @@ fn random_frames_are_answered() {
     assert!(rig.master.is_operational(), "nothing of it was an answer");
 }
 
-/// Datagrams that are changed are believed, as their check sequence was good: sizes, states, SII, objects, working
-/// counters, all are nonsense now and then, in start-up and later.
+/// Modified datagrams are accepted, as their check sequence is valid: sizes, states, SII, objects and working counters
+/// are sometimes wrong, during start-up and later.
 #[test]
 fn changed_answers_are_survived_and_left_behind() {
     for seed in 0..3 {

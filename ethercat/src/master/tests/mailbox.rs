@@ -1,4 +1,4 @@
-//! Objects over CoE while process data runs, and what can happen to a mailbox on its way.
+//! Objects over CoE while process data runs, and mailbox faults.
 
 use takt_cia402::dictionary::{AbortCode, Address};
 
@@ -16,7 +16,7 @@ fn running() -> (Rig, ServoDrive) {
 }
 
 impl Rig {
-    /// Does a job to its end.
+    /// Runs a job to its end.
     #[track_caller]
     fn job(&mut self, kind: JobKind, data: Vec<u8>) -> Reply {
         self.master
@@ -37,12 +37,12 @@ impl Rig {
         panic!("no reply; {:?}", self.events);
     }
 
-    fn upload(&mut self, index: u16, sub: u8, room: usize) -> (Result<(), JobError>, Vec<u8>) {
+    fn upload(&mut self, index: u16, sub: u8, capacity: usize) -> (Result<(), JobError>, Vec<u8>) {
         let kind = JobKind::Upload {
             address: Address::new(index, sub),
             whole: Whole::Entry,
         };
-        let reply = self.job(kind, Vec::with_capacity(room));
+        let reply = self.job(kind, Vec::with_capacity(capacity));
         (reply.result, reply.job.data)
     }
 
@@ -74,7 +74,7 @@ fn entries_are_read_and_written_while_the_cycle_runs() {
 }
 
 #[test]
-fn refusals_have_their_abort_code_and_text() {
+fn sdo_aborts_have_code_and_text() {
     let (mut rig, _) = running();
     assert_eq!(
         rig.upload(0x5FFF, 0, 4).0,
@@ -85,7 +85,13 @@ fn refusals_have_their_abort_code_and_text() {
         Err(JobError::Abort(AbortCode::ReadOnly))
     );
     let (result, _) = rig.upload(0x1008, 0, 5);
-    assert_eq!(result, Err(JobError::TooLong { size: 12, room: 5 }));
+    assert_eq!(
+        result,
+        Err(JobError::TooLong {
+            size: 12,
+            capacity: 5
+        })
+    );
     assert_eq!(rig.upload(0x1018, 1, 4).0, Ok(()), "the next one works");
     let error = JobError::Abort(AbortCode::NoObject).to_string();
     assert_eq!(
@@ -160,7 +166,7 @@ fn emergencies_inside_a_transfer_go_to_their_queue() {
 }
 
 #[test]
-fn whatever_frame_is_lost_a_transfer_is_done_once() {
+fn transfer_with_any_lost_frame_is_executed_once() {
     for lost in 0..24 {
         for returned in [false, true] {
             let (mut rig, _) = running();
@@ -200,7 +206,7 @@ fn whatever_frame_is_lost_a_transfer_is_done_once() {
 }
 
 #[test]
-fn a_mailbox_that_does_not_answer_times_out_and_works_again() {
+fn mailbox_without_answer_times_out_and_recovers() {
     let (mut rig, _) = running();
     rig.segment.slave(0).unwrap().faults().lose_answers = 3;
     let (result, _) = rig.upload(0x1018, 2, 4);
@@ -209,7 +215,7 @@ fn a_mailbox_that_does_not_answer_times_out_and_works_again() {
 }
 
 #[test]
-fn answers_that_come_twice_or_refuse_the_message_are_told_apart() {
+fn mailbox_duplicates_and_errors_are_distinguished() {
     let (mut rig, _) = running();
     rig.segment.slave(0).unwrap().faults().repeat_answers = 1;
     assert_eq!(
@@ -260,7 +266,7 @@ fn registers_and_sii_are_read_and_written() {
 }
 
 #[test]
-fn jobs_are_bounded_and_end_when_their_slave_goes() {
+fn jobs_are_bounded_and_end_with_their_slave() {
     let (mut rig, _) = running();
     let kind = JobKind::Upload {
         address: Address::new(0x1018, 2),
@@ -301,7 +307,7 @@ fn jobs_are_bounded_and_end_when_their_slave_goes() {
 }
 
 #[test]
-fn a_slave_without_coe_says_so() {
+fn sdo_job_without_coe_is_an_error() {
     let (terminal, _) = Io::digital(4, 0);
     let mut rig = Rig::new(MasterConfig::default(), Segment::line([terminal]));
     rig.until(3000, Master::is_operational);
@@ -312,7 +318,7 @@ fn a_slave_without_coe_says_so() {
 }
 
 #[test]
-fn one_datagram_at_a_time_goes_beside_the_process_data() {
+fn acyclic_datagrams_are_limited_to_one_per_frame() {
     let (mut rig, _) = running();
     let kind = JobKind::Upload {
         address: Address::new(0x1008, 0),
@@ -366,7 +372,7 @@ fn sdo_upload_without_mailbox_repeat_is_requested_again() {
 }
 
 #[test]
-fn sdo_answers_never_sent_are_requested_three_times() {
+fn sdo_answer_missing_is_requested_three_times() {
     let (mut rig, _) = running();
     for (lost, result) in [
         (2, Ok(())),
@@ -377,7 +383,7 @@ fn sdo_answers_never_sent_are_requested_three_times() {
         assert_eq!(rig.upload(0x1018, 2, 4).0, result);
         assert!(rig.now - begin < Duration::from_millis(4100));
     }
-    // A command of a program is never given twice.
+    // A command of a program is never sent twice.
     rig.segment.slave(0).unwrap().faults().lose_answers = 1;
     assert_eq!(
         rig.download(0x6065, 0, &[1, 2, 3, 0]),

@@ -4,7 +4,7 @@ use super::*;
 use crate::emulator::{PdoImage, Plain, SiiImage, Slave, SlaveConfig};
 use crate::{Command, Frame, register};
 
-/// A terminal whose SII says that it cannot do LRW.
+/// A terminal whose SII excludes LRW.
 fn without_lrw() -> Slave {
     let pdo = |index, sm| PdoImage {
         index,
@@ -33,11 +33,11 @@ fn commands(rig: &mut Rig) -> Vec<Command> {
 }
 
 #[test]
-fn a_group_with_a_slave_that_cannot_do_lrw_goes_in_two_datagrams() {
+fn group_with_slave_without_lrw_uses_two_datagrams() {
     let (terminal, _) = Io::digital(8, 8);
-    let mut other = SlaveSpec::new("old", Place::Position(1));
+    let mut other = SlaveSpec::new("old", Location::Position(1));
     other.group = 3;
-    let slaves = vec![SlaveSpec::new("new", Place::Position(0)), other];
+    let slaves = vec![SlaveSpec::new("new", Location::Position(0)), other];
     let config = MasterConfig {
         slaves,
         ..MasterConfig::default()
@@ -61,11 +61,11 @@ fn a_group_with_a_slave_that_cannot_do_lrw_goes_in_two_datagrams() {
 }
 
 #[test]
-fn one_group_that_is_cut_off_leaves_the_other_alone() {
+fn group_cut_off_does_not_disturb_the_other() {
     let slaves: Vec<_> = (0..4).map(|_| Io::digital(8, 8).0).collect();
     let spec = |position: u16| SlaveSpec {
         group: u8::from(position >= 2),
-        ..SlaveSpec::new(format!("io {position}"), Place::Position(position))
+        ..SlaveSpec::new(format!("io {position}"), Location::Position(position))
     };
     let config = MasterConfig {
         slaves: (0..4).map(spec).collect(),
@@ -106,12 +106,12 @@ fn goals_below_op_are_reached_and_held() {
 }
 
 #[test]
-fn the_watchdog_is_set_as_configured() {
+fn watchdog_is_set_as_configured() {
     let terminal = Io::digital(8, 8).0.with_firmware();
     let watchdog = Some(Duration::from_micros(24_950));
     let slaves = vec![SlaveSpec {
         watchdog,
-        ..SlaveSpec::new("io", Place::Position(0))
+        ..SlaveSpec::new("io", Location::Position(0))
     }];
     let mut rig = Rig::new(
         MasterConfig {
@@ -145,7 +145,7 @@ fn the_watchdog_is_set_as_configured() {
 }
 
 #[test]
-fn a_tree_is_found_and_a_cut_branch_named() {
+fn tree_is_scanned_and_cut_branch_named() {
     let mut segment = Segment::default();
     let root = segment.add(Coupler::slave(), None);
     // Ring order: 0, the branch at port 3, the branch at port 1.
@@ -180,7 +180,7 @@ fn a_tree_is_found_and_a_cut_branch_named() {
 }
 
 #[test]
-fn an_image_too_large_for_a_frame_is_refused_with_its_size() {
+fn image_too_large_is_refused_with_its_size() {
     let slaves: Vec<_> = (0..10).map(|_| Io::analogue(40, 40).0).collect();
     let mut rig = Rig::new(MasterConfig::default(), Segment::line(slaves));
     rig.until(6000, |master| master.phase() == Phase::Refused);
@@ -188,7 +188,7 @@ fn an_image_too_large_for_a_frame_is_refused_with_its_size() {
 }
 
 #[test]
-fn a_segment_is_begun_anew() {
+fn restart_scans_the_segment_again() {
     let (terminal, _) = Io::digital(8, 8);
     let mut rig = Rig::new(MasterConfig::default(), Segment::line([terminal]));
     rig.until(3000, Master::is_operational);

@@ -1,5 +1,5 @@
-//! The master and slaves that answer as real ones do: each device alone, the usual line of them, and what their
-//! mailboxes and assignments bring up on the way.
+//! The master and slaves that answer as real ones do: each device alone, the usual line, and peculiarities of their
+//! mailboxes and assignments.
 
 use takt_cia402::dictionary::{Address, Mapped};
 
@@ -7,7 +7,7 @@ use super::*;
 use crate::config::{PdoSpec, SyncSpec};
 use crate::emulator::{Handles, Profile};
 
-/// The state of a segment is to be reached in this time.
+/// Timeout for the state of a segment.
 const SOON: Duration = Duration::from_secs(3);
 
 fn mapped(index: u16, bits: u8) -> Mapped {
@@ -17,9 +17,12 @@ fn mapped(index: u16, bits: u8) -> Mapped {
     }
 }
 
-/// What is expected of a device; a drive gets a mapping of one PDO each way, and SYNC0.
+/// The configuration of a device; a drive gets a mapping of one PDO each way, and SYNC0.
 fn spec(position: u16, profile: Profile, cycle: Duration) -> SlaveSpec {
-    let plain = SlaveSpec::new(format!("{profile} {position}"), Place::Position(position));
+    let plain = SlaveSpec::new(
+        format!("{profile} {position}"),
+        Location::Position(position),
+    );
     if profile != Profile::Akd {
         return plain;
     }
@@ -47,7 +50,7 @@ fn rig(profiles: &[Profile], times: u64, cycle: Duration) -> (Rig, Vec<Handles>)
 }
 
 impl Rig {
-    /// Brings all to OP without a fault, and says how long that took.
+    /// Brings all to OP without a fault; returns the duration.
     #[track_caller]
     fn comes_up(&mut self) -> Duration {
         let begin = self.now;
@@ -201,7 +204,7 @@ fn ethernet_between_sdo_answers_disturbs_no_transfer() {
 }
 
 #[test]
-fn mailboxes_with_old_bytes_behind_answers_are_read() {
+fn mailboxes_with_stale_bytes_behind_answers_are_read() {
     let (mut rig, _) = rig(&[Profile::Ek1914], 1, Duration::from_millis(1));
     rig.comes_up();
     let text = |index, len| {

@@ -1,6 +1,5 @@
-//! What real slaves do and the first emulated ones did not: acknowledgements that are mirrored, clocks that are
-//! announced and missing or of 32 bits, outputs in registers, AL control that firmware has not read, an EEPROM that
-//! stores and does not answer.
+//! Behaviour of real slaves beyond the standard: mirrored acknowledgements, clocks that are announced but missing or
+//! have 32 bits, outputs in registers, AL control unread by firmware, an EEPROM that does not answer while it stores.
 
 use super::*;
 use crate::config::SyncSpec;
@@ -10,9 +9,9 @@ use crate::emulator::{
 };
 use crate::{AlStatusCode, register};
 
-/// Of most tests.
+/// Timeout of most tests.
 const CYCLE: Duration = Duration::from_millis(1);
-/// Of those that run for long.
+/// Timeout of long tests.
 const LONG: Duration = Duration::from_millis(4);
 /// 2^32 ns.
 const WRAP: u64 = 1 << 32;
@@ -56,7 +55,7 @@ fn drive(clock_ns: u64, unit: ClockUnit) -> Slave {
 fn by_sync0(drives: u16) -> MasterConfig {
     let spec = |position| SlaveSpec {
         sync: Some(SyncSpec::sync0(LONG)),
-        ..SlaveSpec::new(format!("axis {position}"), Place::Position(position))
+        ..SlaveSpec::new(format!("axis {position}"), Location::Position(position))
     };
     MasterConfig {
         cycle: LONG,
@@ -88,7 +87,7 @@ fn mirrored_acknowledgement_left_by_another_master_is_no_error() {
 }
 
 #[test]
-fn mirrored_acknowledgement_while_running_asks_nobody_again() {
+fn mirrored_acknowledgement_while_running_causes_no_inspection() {
     let (terminal, _) = Io::digital(8, 8);
     let mut rig = Rig::new(
         MasterConfig::default(),
@@ -96,14 +95,14 @@ fn mirrored_acknowledgement_while_running_asks_nobody_again() {
     );
     rig.until(1000, Master::is_operational);
     rig.events.clear();
-    // As another master, or a tool, may write it.
+    // As another master or a tool may write it.
     rig.segment.slave(1).unwrap().set_al_control(0x0018);
     rig.cycles(100);
     let (status, _) = rig.master.slave(1).unwrap().al();
     assert_eq!((status.state, status.error), (AlState::Op, false));
     assert!(rig.master.is_operational() && rig.events.is_empty());
-    let asked = rig.inspections(100);
-    assert_eq!(asked, 0, "the census knows what it shows");
+    let inspected = rig.inspections(100);
+    assert_eq!(inspected, 0, "the census accounts for its status");
 }
 
 #[test]
@@ -150,7 +149,7 @@ fn announced_clock_without_unit_is_none_and_never_reference() {
         .iter()
         .filter(|e| matches!(e, Event::Fault { .. }));
     assert_eq!(faults.count(), 0, "{:?}", rig.events);
-    // When the reference is gone, the next real clock follows.
+    // When the reference is lost, the next real clock replaces it.
     rig.segment.set_redundant(true);
     rig.segment.set_power(1, false);
     rig.cycles(400);
@@ -258,7 +257,7 @@ fn slow(times: u64) -> Times {
 }
 
 #[test]
-fn al_control_unread_for_long_is_waited_for() {
+fn al_control_unread_for_long_is_retried() {
     for (cycle, times) in [(1000, 1), (250, 1), (1000, 2), (250, 10)] {
         let slow = || slave(Chip::default(), 0, slow(times));
         let config = MasterConfig {
@@ -276,14 +275,14 @@ fn al_control_unread_for_long_is_waited_for() {
 }
 
 #[test]
-fn hung_firmware_holds_up_nobody_and_is_named() {
+fn hung_firmware_is_named_and_blocks_no_slave() {
     let hung = slave(Chip::default(), 0, slow(1));
     let mut rig = Rig::new(
         MasterConfig::default(),
         Segment::line([Coupler::slave(), hung, Coupler::slave()]),
     );
     rig.segment.slave(1).unwrap().faults().hung = true;
-    // It holds a request of a master before this one.
+    // It holds a request of a previous master.
     rig.segment.slave(1).unwrap().set_al_control(0x0002);
     rig.until(12_000, |master| {
         [0, 2]
@@ -298,7 +297,7 @@ fn hung_firmware_holds_up_nobody_and_is_named() {
 }
 
 #[test]
-fn refusal_of_slow_firmware_shows_its_code() {
+fn slow_firmware_refusal_shows_its_code() {
     let mut slave = slave(Chip::default(), 0, slow(1));
     slave.refuse(Some((AlState::SafeOp, AlStatusCode(0x001D))));
     let mut rig = Rig::new(MasterConfig::default(), Segment::line([slave]));
@@ -338,7 +337,7 @@ fn job(rig: &mut Rig, kind: JobKind, data: Vec<u8>) -> Result<Vec<u8>, JobError>
 }
 
 #[test]
-fn eeprom_without_acknowledge_is_asked_again() {
+fn eeprom_without_acknowledge_is_retried() {
     for store_us in [900, 9000] {
         let mut rig = Rig::new(MasterConfig::default(), Segment::line([storing(store_us)]));
         rig.until(3000, Master::is_operational);
@@ -357,7 +356,7 @@ fn eeprom_without_acknowledge_is_asked_again() {
 }
 
 #[test]
-fn eeprom_that_never_acknowledges_is_told_in_the_end() {
+fn eeprom_that_never_acknowledges_is_reported() {
     let mut rig = Rig::new(
         MasterConfig::default(),
         Segment::line([storing(60_000_000)]),
@@ -372,7 +371,7 @@ fn eeprom_that_never_acknowledges_is_told_in_the_end() {
 }
 
 impl Rig {
-    /// Questions to single slaves of their state, in so many cycles.
+    /// Number of inspections of single slaves in a number of cycles.
     fn inspections(&mut self, cycles: usize) -> usize {
         let mut found = 0;
         for _ in 0..cycles {
@@ -381,7 +380,7 @@ impl Rig {
                 continue;
             };
             let sent = crate::Frame::decode(&frame[..len]).unwrap();
-            let asks = |datagram: &crate::Datagram<'_>| {
+            let inspects = |datagram: &crate::Datagram<'_>| {
                 let at = datagram.header.address;
                 matches!(
                     at,
@@ -393,7 +392,7 @@ impl Rig {
             };
             found += sent
                 .datagrams()
-                .filter(|d| d.as_ref().is_ok_and(asks))
+                .filter(|d| d.as_ref().is_ok_and(inspects))
                 .count();
             self.exchange(&frame[..len]);
             self.now += CYCLE;

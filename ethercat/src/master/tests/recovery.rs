@@ -1,11 +1,11 @@
-//! Slaves that go and come back, cables that are cut, rings of two ports.
+//! Slaves that are lost and return, cut cables, rings of two ports.
 
 use super::*;
 use crate::config::SyncSpec;
 use crate::emulator::{Corrupt, ServoConfig, ServoDrive};
 use crate::{AlState, AlStatusCode};
 
-/// A line of a coupler and so many terminals with outputs and inputs, in OP.
+/// A line of a coupler and a number of terminals with outputs and inputs, in OP.
 fn line(count: usize, config: MasterConfig) -> (Rig, Vec<Io>) {
     let (slaves, ios): (Vec<_>, Vec<_>) = (0..count).map(|_| Io::digital(8, 8)).unzip();
     let mut all = vec![Coupler::slave()];
@@ -23,7 +23,7 @@ fn line(count: usize, config: MasterConfig) -> (Rig, Vec<Io>) {
 }
 
 impl Rig {
-    fn told(&self) -> Vec<String> {
+    fn texts(&self) -> Vec<String> {
         self.events.iter().map(ToString::to_string).collect()
     }
 
@@ -33,20 +33,20 @@ impl Rig {
 }
 
 #[test]
-fn a_cut_cable_is_named_within_three_cycles_and_a_mended_one_brings_all_back() {
+fn cut_cable_is_named_within_three_cycles_and_recovers() {
     let (mut rig, ios) = line(6, MasterConfig::default());
     rig.segment.set_link(5, false);
     rig.cycles(3);
-    let told = rig.told();
-    let text = "the cable from slave 4 port 1 to slave 5 port 0: nothing comes through; see plugs, cable and supply there";
-    assert!(told.contains(&text.to_owned()), "{told:?}");
+    let texts = rig.texts();
+    let text = "the cable from slave 4 port 1 to slave 5 port 0: no frames pass; check connectors, cable and supply there";
+    assert!(texts.contains(&text.to_owned()), "{texts:?}");
     let cuts = rig
         .events
         .iter()
         .filter(|event| matches!(event, Event::CableCut { .. }))
         .count();
-    assert_eq!(cuts, 1, "{told:?}");
-    // The others go on; of those behind the cut the last values stay, and their age tells.
+    assert_eq!(cuts, 1, "{texts:?}");
+    // The others continue; those behind the cut keep their last values, with growing age.
     ios[0].set_inputs(&[77]);
     rig.cycles(10);
     assert_eq!((rig.master.inputs(1), rig.age(4)), ((&[77][..], 0), 0));
@@ -61,13 +61,17 @@ fn a_cut_cable_is_named_within_three_cycles_and_a_mended_one_brings_all_back() {
         (rig.age(5), rig.age(6), rig.master.groups()[0].counter),
         (0, 0, 18)
     );
-    assert!(rig.told().iter().any(|text| text == "slave 6: there again"));
+    assert!(
+        rig.texts()
+            .iter()
+            .any(|text| text == "slave 6: online again")
+    );
 }
 
 #[test]
-fn one_that_lost_its_power_is_set_up_anew_without_disturbing_the_rest() {
+fn slave_after_power_loss_is_reconfigured_without_disturbance() {
     let (mut rig, ios) = line(4, MasterConfig::default());
-    // The last one, so that nothing hangs behind it.
+    // The last one, so that no slave is behind it.
     rig.segment.set_power(4, false);
     rig.cycles(200);
     let before = rig.master.groups()[0].misses;
@@ -84,7 +88,7 @@ fn one_that_lost_its_power_is_set_up_anew_without_disturbing_the_rest() {
             break;
         }
     }
-    assert!(rig.master.is_operational(), "{:?}", rig.told());
+    assert!(rig.master.is_operational(), "{:?}", rig.texts());
     rig.master.outputs_mut(4).copy_from_slice(&[0x5A]);
     rig.cycles(3);
     assert_eq!(
@@ -95,7 +99,7 @@ fn one_that_lost_its_power_is_set_up_anew_without_disturbing_the_rest() {
 }
 
 #[test]
-fn a_power_cycle_too_short_to_be_missed_is_found_all_the_same() {
+fn power_cycle_between_two_frames_is_detected() {
     let (mut rig, _) = line(3, MasterConfig::default());
     rig.segment.set_power(2, false);
     rig.segment.set_power(2, true);
@@ -107,33 +111,34 @@ fn a_power_cycle_too_short_to_be_missed_is_found_all_the_same() {
 }
 
 #[test]
-fn one_that_fell_is_told_with_its_code_and_brought_back() {
+fn slave_fallen_is_reported_with_code_and_recovered() {
     let (mut rig, _) = line(3, MasterConfig::default());
     rig.segment
         .slave(2)
         .unwrap()
         .fall(AlState::SafeOp, AlStatusCode(0x001A));
     rig.cycles(4);
-    let told = rig.told();
+    let texts = rig.texts();
     assert!(
-        told[0].starts_with(
+        texts[0].starts_with(
             "slave 2: OP wanted, SAFE-OP + error shown: synchronisation error (001Ah)"
         ),
-        "{told:?}"
+        "{texts:?}"
     );
     rig.until(2000, Master::is_operational);
 }
 
 #[test]
-fn the_whole_segment_gone_and_back() {
+fn whole_segment_lost_recovers() {
     let (mut rig, _) = line(3, MasterConfig::default());
     rig.segment.set_link(0, false);
     rig.cycles(6);
-    let told = rig.told();
+    let texts = rig.texts();
     assert!(
-        told.iter()
+        texts
+            .iter()
             .any(|text| text.starts_with("the cable from the master to slave 0 port 0")),
-        "{told:?}"
+        "{texts:?}"
     );
     rig.cycles(500);
     rig.segment.set_link(0, true);
@@ -143,20 +148,20 @@ fn the_whole_segment_gone_and_back() {
 }
 
 #[test]
-fn single_lost_frames_disturb_nothing_but_their_cycle() {
+fn single_lost_frames_affect_their_cycle_only() {
     let (mut rig, _) = line(3, MasterConfig::default());
     for _ in 0..20 {
         rig.segment.faults.lose = 1;
         rig.cycles(7);
         assert_eq!(rig.age(3), 0);
     }
-    assert!(rig.events.is_empty(), "{:?}", rig.told());
+    assert!(rig.events.is_empty(), "{:?}", rig.texts());
     let frames = rig.master.frames();
     assert_eq!((frames.lost, frames.stale), (20, 0));
 }
 
 #[test]
-fn an_optional_slave_comes_and_goes() {
+fn optional_slave_is_hot_connected_and_removed() {
     let (tool, io) = ServoDrive::slave(ServoConfig::default()).unwrap();
     let _ = io;
     let (gate, _) = Io::digital(8, 8);
@@ -166,12 +171,12 @@ fn an_optional_slave_comes_and_goes() {
     };
     let pdo = |index, entries| Some(vec![crate::config::PdoSpec { index, entries }]);
     let slaves = vec![
-        SlaveSpec::new("gate", Place::Position(0)),
+        SlaveSpec::new("gate", Location::Position(0)),
         SlaveSpec {
             optional: true,
             outputs: pdo(0x1600, vec![mapped(0x6040, 16)]),
             inputs: pdo(0x1A00, vec![mapped(0x6041, 16)]),
-            ..SlaveSpec::new("tool", Place::Name("TK4021 servo".to_owned()))
+            ..SlaveSpec::new("tool", Location::Name("TK4021 servo".to_owned()))
         },
     ];
     let mut rig = Rig::new(
@@ -184,7 +189,7 @@ fn an_optional_slave_comes_and_goes() {
     rig.segment.set_link(1, false);
     rig.until(3000, Master::is_operational);
     assert!(!rig.master.slave(1).unwrap().is_running());
-    // Where its objects will lie is known before it is there.
+    // The location of its objects is known before it is present.
     let statusword = |master: &Master| {
         let address = takt_cia402::dictionary::Address::new(0x6041, 0);
         let process = master.slave(1).unwrap().process();
@@ -208,10 +213,10 @@ fn an_optional_slave_comes_and_goes() {
 }
 
 #[test]
-fn a_stranger_is_told_and_left_alone() {
+fn unexpected_slave_is_reported_and_stays_in_init() {
     let (gate, _) = Io::digital(8, 8);
     let (other, _) = Io::digital(4, 4);
-    let slaves = vec![SlaveSpec::new("gate", Place::Position(0))];
+    let slaves = vec![SlaveSpec::new("gate", Location::Position(0))];
     let mut rig = Rig::new(
         MasterConfig {
             slaves,
@@ -224,7 +229,7 @@ fn a_stranger_is_told_and_left_alone() {
     rig.events.clear();
     rig.segment.set_link(1, true);
     rig.cycles(200);
-    assert_eq!(rig.events, [Event::Stranger { position: 1 }]);
+    assert_eq!(rig.events, [Event::UnexpectedSlave { position: 1 }]);
     assert_eq!(
         (rig.segment.slave(1).unwrap().state(), rig.age(0)),
         (AlState::Init, 0)
@@ -233,7 +238,7 @@ fn a_stranger_is_told_and_left_alone() {
 }
 
 #[test]
-fn a_drive_with_sync0_comes_back_in_step() {
+fn drive_with_sync0_recovers_in_phase() {
     let (a, _) = ServoDrive::slave(ServoConfig {
         needs_sync0: true,
         ..ServoConfig::default()
@@ -247,7 +252,7 @@ fn a_drive_with_sync0_comes_back_in_step() {
     .unwrap();
     let sync = |position| SlaveSpec {
         sync: Some(SyncSpec::sync0(Duration::from_millis(1))),
-        ..SlaveSpec::new(format!("axis {position}"), Place::Position(position))
+        ..SlaveSpec::new(format!("axis {position}"), Location::Position(position))
     };
     let config = MasterConfig {
         slaves: vec![sync(0), sync(1)],
@@ -265,7 +270,7 @@ fn a_drive_with_sync0_comes_back_in_step() {
         assert!(
             rig.master.slave(0).unwrap().is_running(),
             "power {power}: {:?}",
-            rig.told()
+            rig.texts()
         );
         rig.segment.set_power(1, true);
         rig.segment.set_link(1, true);
@@ -274,7 +279,7 @@ fn a_drive_with_sync0_comes_back_in_step() {
 }
 
 #[test]
-fn a_ring_that_is_cut_goes_on_from_both_ends() {
+fn cut_ring_continues_from_both_ends() {
     let config = MasterConfig {
         redundant: true,
         ..MasterConfig::default()
@@ -284,9 +289,9 @@ fn a_ring_that_is_cut_goes_on_from_both_ends() {
     let misses = rig.master.groups()[0].misses;
     rig.segment.set_link(3, false);
     rig.cycles(3);
-    assert_eq!(rig.master.ring_open(), Some(3), "{:?}", rig.told());
+    assert_eq!(rig.master.ring_open(), Some(3), "{:?}", rig.texts());
     let text = "the cable from slave 2 port 1 to slave 3 port 0: the ring is open there; all slaves are reached still";
-    assert_eq!(rig.told(), [text]);
+    assert_eq!(rig.texts(), [text]);
     ios[4].set_inputs(&[99]);
     rig.master.outputs_mut(5).copy_from_slice(&[0x77]);
     rig.cycles(2);
@@ -301,7 +306,7 @@ fn a_ring_that_is_cut_goes_on_from_both_ends() {
 }
 
 #[test]
-fn a_ring_whose_first_cable_is_cut_goes_on_from_the_other_end() {
+fn ring_cut_at_first_cable_continues_from_second_port() {
     let config = MasterConfig {
         redundant: true,
         ..MasterConfig::default()
@@ -309,11 +314,11 @@ fn a_ring_whose_first_cable_is_cut_goes_on_from_the_other_end() {
     let (mut rig, _) = line(3, config);
     rig.segment.set_link(0, false);
     rig.cycles(10);
-    assert_eq!(rig.master.ring_open(), Some(0), "{:?}", rig.told());
+    assert_eq!(rig.master.ring_open(), Some(0), "{:?}", rig.texts());
     assert!(
         rig.master.is_operational() && rig.age(3) <= 1,
         "{:?}",
-        rig.told()
+        rig.texts()
     );
 }
 
@@ -335,7 +340,7 @@ fn ring_of_equals(count: u8) -> Rig {
     rig
 }
 
-/// All are in OP and none is taken for another.
+/// All are in OP and none is confused with another.
 fn are_themselves(rig: &mut Rig, count: usize) {
     rig.until(3000, Master::is_operational);
     rig.cycles(5);
@@ -345,7 +350,7 @@ fn are_themselves(rig: &mut Rig, count: usize) {
 }
 
 #[test]
-fn of_equal_slaves_at_an_end_of_a_ring_one_that_comes_back_is_not_taken_for_the_other() {
+fn equal_slaves_at_ring_end_are_not_confused() {
     let mut rig = ring_of_equals(4);
     rig.segment.set_power(0, false);
     rig.segment.set_power(1, false);
@@ -356,15 +361,15 @@ fn of_equal_slaves_at_an_end_of_a_ring_one_that_comes_back_is_not_taken_for_the_
     for slave in [0, 1] {
         assert_eq!(rig.master.slave(slave).unwrap().position(), None);
     }
-    let told = rig.told();
-    assert_eq!(told.len(), 1, "{told:?}");
-    assert!(told[0].contains("another one of its kind is missing"));
+    let texts = rig.texts();
+    assert_eq!(texts.len(), 1, "{texts:?}");
+    assert!(texts[0].contains("another one of its kind is missing"));
     rig.segment.set_power(0, true);
     are_themselves(&mut rig, 4);
 }
 
 #[test]
-fn one_that_comes_back_into_an_open_ring_waits_until_it_is_whole() {
+fn slave_returning_into_open_ring_waits_for_closure() {
     let mut rig = ring_of_equals(5);
     rig.segment.set_power(2, false);
     rig.segment.set_power(3, false);
@@ -372,11 +377,11 @@ fn one_that_comes_back_into_an_open_ring_waits_until_it_is_whole() {
     rig.events.clear();
     rig.segment.set_power(3, true);
     rig.cycles(500);
-    let told = rig.told();
-    let unplaced = told
+    let texts = rig.texts();
+    let unplaced = texts
         .iter()
-        .filter(|text| text.contains("its place cannot be told"));
-    assert_eq!(unplaced.count(), 1, "{told:?}");
+        .filter(|text| text.contains("its position is ambiguous"));
+    assert_eq!(unplaced.count(), 1, "{texts:?}");
     assert_eq!((rig.age(0), rig.age(4)), (0, 0), "the others go on");
     assert_eq!(rig.master.slave(3).unwrap().position(), None);
     rig.segment.set_power(2, true);
@@ -384,7 +389,7 @@ fn one_that_comes_back_into_an_open_ring_waits_until_it_is_whole() {
 }
 
 #[test]
-fn of_equal_branches_one_that_comes_back_waits_for_the_other() {
+fn equal_branch_returning_waits_for_the_other() {
     let mut segment = Segment::line([Coupler::slave()]);
     for port in [1, 3] {
         segment.add(Io::digital(8, 8).0, Some((0, port)));
@@ -397,13 +402,13 @@ fn of_equal_branches_one_that_comes_back_waits_for_the_other() {
     rig.segment.set_power(1, true);
     rig.cycles(500);
     let there = |rig: &Rig, slave| rig.master.slave(slave).unwrap().position().is_some();
-    assert!(!there(&rig, 1) && !there(&rig, 2), "{:?}", rig.told());
+    assert!(!there(&rig, 1) && !there(&rig, 2), "{:?}", rig.texts());
     rig.segment.set_power(2, true);
     rig.until(3000, Master::is_operational);
 }
 
 #[test]
-fn a_ring_that_is_open_at_start_is_told_and_waited_for() {
+fn ring_open_at_start_is_reported_and_awaited() {
     let slaves = (0..3).map(|_| Io::digital(8, 8).0).collect::<Vec<_>>();
     let mut segment = Segment::line(slaves);
     segment.set_redundant(true);
@@ -452,7 +457,7 @@ fn broken_frames_point_to_the_cable() {
 }
 
 #[test]
-fn what_comes_is_tried_for_each_that_is_missing() {
+fn returning_slave_is_matched_against_each_missing_one() {
     for redundant in [false, true] {
         one_of_two_tools_comes(redundant);
     }
@@ -465,10 +470,10 @@ fn one_of_two_tools_comes(redundant: bool) {
         optional: true,
         outputs: Some(vec![]),
         inputs: Some(vec![]),
-        ..SlaveSpec::new(name, Place::Name(order.to_owned()))
+        ..SlaveSpec::new(name, Location::Name(order.to_owned()))
     };
     let slaves = vec![
-        SlaveSpec::new("gate", Place::Position(0)),
+        SlaveSpec::new("gate", Location::Position(0)),
         named("tool a", "TK1"),
         named("tool b", "TK4021 servo"),
     ];
@@ -486,18 +491,19 @@ fn one_of_two_tools_comes(redundant: bool) {
     rig.until(3000, |master| master.slave(2).unwrap().position().is_some());
     rig.cycles(300);
     assert_eq!(rig.master.slave(1).unwrap().position(), None);
-    let told = rig.told();
+    let texts = rig.texts();
     assert!(
-        told.iter()
+        texts
+            .iter()
             .any(|text| text.starts_with("slave 1: vendor 00007A87h product 00004021h found")),
-        "{told:?}"
+        "{texts:?}"
     );
     assert_eq!((rig.age(0), rig.master.strangers()), (0, 0));
 }
 
 #[test]
-fn another_slave_in_the_place_of_one_is_not_taken_for_it() {
-    let spec = |position| SlaveSpec::new(format!("io {position}"), Place::Position(position));
+fn replaced_slave_is_not_taken_for_the_original() {
+    let spec = |position| SlaveSpec::new(format!("io {position}"), Location::Position(position));
     let config = MasterConfig {
         slaves: vec![spec(0), spec(1)],
         ..MasterConfig::default()
@@ -517,7 +523,7 @@ fn another_slave_in_the_place_of_one_is_not_taken_for_it() {
             Some(Fault::Identity { .. })
         ),
         "{:?}",
-        rig.told()
+        rig.texts()
     );
     assert_eq!((rig.master.strangers(), rig.age(0)), (1, 0));
     rig.segment.set_power(1, false);
@@ -527,7 +533,7 @@ fn another_slave_in_the_place_of_one_is_not_taken_for_it() {
     rig.until(3000, Master::is_operational);
 }
 
-/// What can happen to a slave, by name.
+/// Named disturbances of a slave.
 type Disturbance = (&'static str, fn(&mut Rig));
 
 /// Every change of state of one slave, and back.

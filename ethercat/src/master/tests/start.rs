@@ -1,4 +1,4 @@
-//! From nothing to process data, and what stands in the way.
+//! From an unknown segment to process data, and faults on the way.
 
 use takt_cia402::dictionary::{Address, Mapped};
 
@@ -41,12 +41,12 @@ fn drive_spec() -> SlaveSpec {
             Address::new(0x6065, 0),
             12_345_u32.to_le_bytes(),
         )],
-        ..SlaveSpec::new("axis", Place::Position(0))
+        ..SlaveSpec::new("axis", Location::Position(0))
     }
 }
 
 #[test]
-fn terminals_come_up_and_exchange_process_data() {
+fn terminals_reach_op_and_exchange_process_data() {
     let (segment, [outputs, analogue, inputs]) = terminals();
     let mut rig = Rig::new(MasterConfig::default(), segment);
     rig.until(3000, Master::is_operational);
@@ -80,7 +80,7 @@ fn terminals_come_up_and_exchange_process_data() {
 }
 
 #[test]
-fn a_cycle_is_one_frame_of_clock_process_data_census_and_one_more() {
+fn cycle_frame_has_clock_image_census_and_one_datagram() {
     let (segment, _) = terminals();
     let mut rig = Rig::new(MasterConfig::default(), segment);
     rig.until(3000, Master::is_operational);
@@ -99,7 +99,7 @@ fn a_cycle_is_one_frame_of_clock_process_data_census_and_one_more() {
 }
 
 #[test]
-fn a_drive_is_set_up_as_the_configuration_says() {
+fn drive_is_set_up_as_configured() {
     let (slave, drive) = ServoDrive::slave(ServoConfig::default()).unwrap();
     let config = MasterConfig {
         slaves: vec![drive_spec()],
@@ -123,14 +123,14 @@ fn a_drive_is_set_up_as_the_configuration_says() {
     assert_eq!((group.counter, group.expected), (3, (3, 3)));
     let process = rig.master.slave(0).unwrap().process().clone();
     assert_eq!((process.outputs_len(), process.inputs_len()), (7, 7));
-    let place = process.locate(Address::new(0x6064, 0), false).unwrap();
-    assert_eq!((place.bit, place.bits), (16, 32));
+    let location = process.locate(Address::new(0x6064, 0), false).unwrap();
+    assert_eq!((location.bit, location.bits), (16, 32));
     let (inputs, age) = rig.master.inputs(0);
     assert_eq!((inputs[0] & 0x4F, age), (0x40, 0), "switch on disabled");
 }
 
 #[test]
-fn without_a_configuration_a_drive_keeps_the_pdos_it_has() {
+fn drive_without_configuration_keeps_its_pdos() {
     let (slave, drive) = ServoDrive::slave(ServoConfig::default()).unwrap();
     let mut rig = Rig::new(MasterConfig::default(), Segment::line([slave]));
     rig.until(5000, Master::is_operational);
@@ -146,16 +146,16 @@ fn without_a_configuration_a_drive_keeps_the_pdos_it_has() {
 }
 
 #[test]
-fn other_slaves_than_expected_are_told_and_stay_in_init() {
+fn unexpected_slaves_are_reported_and_stay_in_init() {
     let (segment, _) = terminals();
     let wrong = SlaveSpec {
         product: Some(7),
-        ..SlaveSpec::new("gate", Place::Position(1))
+        ..SlaveSpec::new("gate", Location::Position(1))
     };
     let slaves = vec![
-        SlaveSpec::new("coupler", Place::Position(0)),
+        SlaveSpec::new("coupler", Location::Position(0)),
         wrong,
-        SlaveSpec::new("x", Place::Alias(5)),
+        SlaveSpec::new("x", Location::Alias(5)),
     ];
     let mut rig = Rig::new(
         MasterConfig {
@@ -183,7 +183,7 @@ fn other_slaves_than_expected_are_told_and_stay_in_init() {
 }
 
 #[test]
-fn a_refused_state_is_told_with_its_code_and_tried_again() {
+fn refused_state_is_reported_with_code_and_retried() {
     let (segment, _) = terminals();
     let mut rig = Rig::new(MasterConfig::default(), segment);
     let code = AlStatusCode(0x001E);
@@ -200,7 +200,7 @@ fn a_refused_state_is_told_with_its_code_and_tried_again() {
         "SAFE-OP wanted, PRE-OP + error shown: invalid input configuration (001Eh): length of SyncManager 3 and the \
          sum of 1C13h differ, or 1C13h lists PDOs that may not be assigned together"
     );
-    // The others go on.
+    // The others continue.
     rig.until(1000, |master| {
         (0..3).all(|n| master.slave(n).unwrap().is_running())
     });
@@ -209,7 +209,7 @@ fn a_refused_state_is_told_with_its_code_and_tried_again() {
 }
 
 #[test]
-fn a_segment_without_slaves_is_counted_until_there_are_some() {
+fn empty_segment_is_counted_until_slaves_appear() {
     let (segment, _) = terminals();
     let mut rig = Rig::new(MasterConfig::default(), segment);
     rig.segment.set_link(0, false);
@@ -220,7 +220,7 @@ fn a_segment_without_slaves_is_counted_until_there_are_some() {
 }
 
 #[test]
-fn lost_frames_on_the_way_up_are_sent_again() {
+fn lost_frames_during_start_are_resent() {
     let (slave, _) = ServoDrive::slave(ServoConfig::default()).unwrap();
     let config = MasterConfig {
         slaves: vec![drive_spec()],

@@ -1,5 +1,5 @@
-//! What could keep a segment from coming up or back for ever: one slave that is missing, refuses or falls at the wrong
-//! moment must hold up nobody else, and what cannot be done is told.
+//! Conditions that could block the start or recovery of a segment: a slave that is missing, refuses or falls at the
+//! wrong moment must not block others, and failures are reported.
 
 use takt_cia402::dictionary::Address as Object;
 
@@ -18,7 +18,7 @@ fn drive() -> Slave {
 fn axis(position: u16) -> SlaveSpec {
     SlaveSpec {
         sync: Some(SyncSpec::sync0(CYCLE)),
-        ..SlaveSpec::new(format!("axis {position}"), Place::Position(position))
+        ..SlaveSpec::new(format!("axis {position}"), Location::Position(position))
     }
 }
 
@@ -34,7 +34,7 @@ fn runs(slave: usize) -> impl Fn(&Master) -> bool {
 }
 
 #[test]
-fn a_segment_that_was_refused_is_looked_at_again_without_a_word_of_loss() {
+fn segment_refused_is_rescanned_without_loss_event() {
     let mut rig = Rig::new(
         expecting(vec![axis(0), axis(1)]),
         Segment::line([drive(), drive()]),
@@ -55,7 +55,7 @@ fn a_segment_that_was_refused_is_looked_at_again_without_a_word_of_loss() {
 }
 
 #[test]
-fn a_reference_clock_that_does_not_come_up_holds_up_nobody() {
+fn reference_clock_that_fails_blocks_no_slave() {
     let refused = SlaveSpec {
         startup: vec![StartupSdo::entry(Object::new(0x3000, 0), [0])],
         ..axis(0)
@@ -72,10 +72,10 @@ fn a_reference_clock_that_does_not_come_up_holds_up_nobody() {
 }
 
 #[test]
-fn a_clock_that_is_not_brought_beyond_pre_op_is_no_reference() {
+fn clock_kept_in_pre_op_is_no_reference() {
     let low = SlaveSpec {
         goal: AlState::PreOp,
-        ..SlaveSpec::new("asked only", Place::Position(0))
+        ..SlaveSpec::new("asked only", Location::Position(0))
     };
     let mut rig = Rig::new(
         expecting(vec![low, axis(1)]),
@@ -86,7 +86,7 @@ fn a_clock_that_is_not_brought_beyond_pre_op_is_no_reference() {
 }
 
 #[test]
-fn a_reference_that_goes_before_it_showed_its_time_is_replaced() {
+fn reference_lost_before_first_sample_is_replaced() {
     let mut segment = Segment::line([drive(), drive(), drive()]);
     segment.set_redundant(true);
     let config = MasterConfig {
@@ -105,7 +105,7 @@ fn a_reference_that_goes_before_it_showed_its_time_is_replaced() {
 }
 
 #[test]
-fn all_that_follow_gone_with_the_reference_one_that_returns_is_the_next() {
+fn reference_lost_with_all_followers_next_returner_replaces() {
     let other = ServoConfig {
         product: 0x4022,
         ..ServoConfig::default()
@@ -128,7 +128,7 @@ fn all_that_follow_gone_with_the_reference_one_that_returns_is_the_next() {
 }
 
 #[test]
-fn the_wait_for_the_reference_ends_and_says_whose_clock_it_is() {
+fn reference_clock_timeout_names_its_slave() {
     let clocks = ClockConfig {
         lock: Duration::ZERO,
         unlocked: Unlocked::Start,
@@ -144,13 +144,13 @@ fn the_wait_for_the_reference_ends_and_says_whose_clock_it_is() {
     };
     let mut rig = Rig::new(config, Segment::line([drive(), drive()]));
     rig.until(8000, Master::is_operational);
-    let told: Vec<_> = rig.events.iter().map(ToString::to_string).collect();
+    let texts: Vec<_> = rig.events.iter().map(ToString::to_string).collect();
     let text = "slave 1: its clock waits for the reference clock, which is not running; see why slave 0 does not come up";
-    assert!(told.contains(&text.to_owned()), "{told:?}");
+    assert!(texts.contains(&text.to_owned()), "{texts:?}");
 }
 
 #[test]
-fn a_slave_that_falls_while_its_sii_is_read_answers_and_comes_back() {
+fn sii_job_ends_when_its_slave_falls() {
     let mut rig = Rig::new(MasterConfig::default(), Segment::line([drive()]));
     rig.until(8000, Master::is_operational);
     let job = Job {
@@ -210,24 +210,31 @@ fn device_type(rig: &mut Rig) -> Result<(), JobError> {
 }
 
 #[test]
-fn a_mailbox_without_room_beside_the_image_is_told_with_both_figures() {
+fn mailbox_too_long_beside_image_reports_both_sizes() {
     let mut rig = crowded(512);
     assert_eq!(device_type(&mut rig), Ok(()));
     let mut rig = crowded(1024);
-    let Err(JobError::NoRoom { size: 1024, room }) = device_type(&mut rig) else {
+    let Err(JobError::MailboxTooLong {
+        size: 1024,
+        capacity,
+    }) = device_type(&mut rig)
+    else {
         panic!("it must be refused");
     };
-    assert!((512..1024).contains(&room), "{room}");
-    let told: Vec<_> = rig.events.iter().map(ToString::to_string).collect();
+    assert!((512..1024).contains(&capacity), "{capacity}");
+    let texts: Vec<_> = rig.events.iter().map(ToString::to_string).collect();
     let text = format!(
-        "its mailbox of 1024 bytes does not fit into a frame beside the process image, which leaves {room};"
+        "its mailbox of 1024 bytes does not fit into a frame beside the process image, which leaves {capacity};"
     );
-    assert!(told.iter().any(|told| told.contains(&text)), "{told:?}");
-    // The figure is the truth: a datagram of that size still fits.
+    assert!(texts.iter().any(|texts| texts.contains(&text)), "{texts:?}");
+    // The reported size is exact: a datagram of that size still fits.
     let mut frame = [0; 1500];
     let len = rig.master.poll_transmit(rig.now, &mut frame).unwrap();
     let left = 1500 - len - 12;
-    assert!(left <= room && room - left < 40, "{left} of {room}");
+    assert!(
+        left <= capacity && capacity - left < 40,
+        "{left} of {capacity}"
+    );
 }
 
 #[test]

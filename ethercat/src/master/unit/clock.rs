@@ -1,4 +1,5 @@
-//! The steps that bring a slave's clock to the reference and start its SYNC signals. The arithmetic is in [`crate::dc`].
+//! The steps that synchronise a slave's clock to the reference and start its SYNC signals. The arithmetic is in
+//! [`crate::dc`].
 
 use super::super::event::{Fault, Outbox};
 use super::steps::{Prepared, Step};
@@ -7,11 +8,11 @@ use super::{Context, Op, Unit};
 use crate::config::{MasterConfig, Unlocked};
 use crate::{AlState, dc, register};
 
-/// Differences within the window in a row before a clock counts as locked.
+/// Consecutive differences within the window after which a clock counts as locked.
 const LOCKED: u8 = 16;
 
 impl Unit {
-    /// Its clock can be the reference: it is there, not given up, and brought to where clocks are set up.
+    /// Whether its clock can be the reference: present, not failed, and brought to a state in which clocks are set up.
     pub(in crate::master) fn can_lead(&self, config: &MasterConfig) -> bool {
         self.is_present()
             && self.mapped
@@ -20,12 +21,12 @@ impl Unit {
             && self.goal(config) != AlState::PreOp
     }
 
-    /// Whether its clock is part of the segment's.
+    /// Whether its clock is synchronised.
     pub(super) fn follows(&self, cx: &Context<'_>) -> bool {
         self.info.has_clock() && cx.reference.is_some()
     }
 
-    /// All but the reference wait for the reference.
+    /// All slaves but the reference wait for the reference.
     pub(super) fn clock_wait(&self, cx: &Context<'_>) -> Prepared {
         if self.spec.sync.is_some() && !self.info.has_clock() {
             return Prepared::Fail(Fault::NoClock);
@@ -38,8 +39,8 @@ impl Unit {
         }
     }
 
-    /// Goes on as soon as the reference shows its time. One that is to give SYNC signals fails if that takes as long
-    /// as a clock may take to lock; one that only could has no use for the time, and goes on without.
+    /// Proceeds as soon as the reference shows its time. A slave with SYNC signals fails after the lock timeout; a
+    /// slave without does not need the time and proceeds.
     pub(super) fn pass_clock(&mut self, cx: &Context<'_>, out: &mut Outbox) {
         let first = self.step == Step::ClockWait && cx.reference == Some(self.number);
         let waited = cx.now.saturating_sub(self.since);
@@ -122,12 +123,12 @@ impl Unit {
         true
     }
 
-    /// What must be added to its time so that it shows the reference's; `false` if that is not known from this frame.
+    /// Computes the offset to the reference time; `false` if this frame does not show it.
     pub(super) fn take_offset(&mut self, data: &[u8], cx: &Context<'_>) -> bool {
         let local = data
             .first_chunk()
             .map_or(0, |eight| u64::from_le_bytes(*eight));
-        // What lies beyond the bits of a clock is not part of its time.
+        // Bits beyond the width of a clock are not part of its time.
         let local = local & u64::MAX >> (64 - self.info.clock_bits());
         let wanted = if cx.reference == Some(self.number) {
             let sent = u64::try_from(cx.sent_at.as_nanos()).unwrap_or(u64::MAX);
@@ -141,7 +142,7 @@ impl Unit {
         true
     }
 
-    /// Whether the clock is locked, or is not waited for any longer.
+    /// Whether the clock is locked, or the lock timeout has expired.
     pub(super) fn take_difference(
         &mut self,
         data: &[u8],
@@ -158,7 +159,7 @@ impl Unit {
         } else {
             0
         };
-        // It may have become the reference meanwhile, to which nothing is different from itself.
+        // It may have become the reference meanwhile, which has no difference to itself.
         if self.streak >= LOCKED || cx.reference == Some(self.number) {
             self.clock.locked = true;
             return true;

@@ -1,4 +1,4 @@
-//! The steps that find out who a slave is, the first time and when it comes back.
+//! The steps that identify a slave, at the first start and when it returns.
 
 use super::super::compare;
 use super::super::event::{Fault, Outbox};
@@ -6,11 +6,11 @@ use super::steps::Step;
 use super::{Context, Gate, Op, ProcessData, Unit, info};
 use crate::sii::{self, Sii};
 
-/// Words of an SII that are read at most: 4 KiB.
+/// Maximum number of SII words to read: 4 KiB.
 const SII_WORDS_MAX: u16 = 2048;
 
 impl Unit {
-    /// The whole SII the first time, and who it is whenever it comes back.
+    /// The whole SII at the first start, the identity whenever the slave returns.
     pub(super) fn read_sii(&mut self) -> Op {
         self.sii.clear();
         let (word, end) = if self.known {
@@ -45,17 +45,18 @@ impl Unit {
         let sii = Sii::new(&bytes);
         self.info.take_sii(&sii);
         self.process = ProcessData::from_sii(&sii);
-        self.mailbox.place(self.info.mailbox, self.info.protocols);
+        self.mailbox
+            .configure(self.info.mailbox, self.info.protocols);
         self.sii = bytes;
         self.known = true;
         if self.gate == Gate::Identity {
             return self.enter(Step::Identified, cx, out);
         }
-        self.came_later(cx, out);
+        self.joined_late(cx, out);
     }
 
-    /// An optional slave is there for the first time, and the segment runs.
-    pub(super) fn came_later(&mut self, cx: &Context<'_>, out: &mut Outbox) {
+    /// An optional slave appears for the first time while the segment runs.
+    pub(super) fn joined_late(&mut self, cx: &Context<'_>, out: &mut Outbox) {
         let expected = (
             self.spec.vendor.unwrap_or(0),
             self.spec.product.unwrap_or(0),
@@ -72,7 +73,7 @@ impl Unit {
         }
     }
 
-    /// It must be the one that it was.
+    /// It must be the same slave as before.
     pub(super) fn recognise(&mut self, cx: &Context<'_>, out: &mut Outbox) {
         let number = |at: usize| {
             let four = self.sii.get(at..).and_then(|rest| rest.first_chunk());
@@ -87,7 +88,7 @@ impl Unit {
         }
     }
 
-    /// Its place in the configuration is known: what it is to exchange.
+    /// Its configuration is known: determines its process data.
     pub(in crate::master) fn plan(&mut self, cx: &Context<'_>, out: &mut Outbox) {
         let bytes = std::mem::take(&mut self.sii);
         let planned = self.process.want(&self.spec, &Sii::new(&bytes));

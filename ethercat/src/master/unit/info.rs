@@ -1,31 +1,31 @@
-//! What a slave says of itself: information registers, links, SII. Nothing is asked for here.
+//! Information about a slave: information registers, links, SII. Nothing is requested here.
 
 use crate::sii::{Identity, MailboxAreas, Sii, word};
 
-/// What is known of a slave.
+/// Information about a slave.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct SlaveInfo {
     /// Vendor, product, revision, serial number.
     pub identity: Identity,
     /// Station alias.
     pub alias: u16,
-    /// Name, as its SII has it.
+    /// Name, from the SII.
     pub name: String,
-    /// Order code, as its SII has it.
+    /// Order code, from the SII.
     pub order: String,
     /// Type of the slave controller, register 0000h.
     pub controller: u8,
-    /// FMMUs.
+    /// Number of FMMUs.
     pub fmmus: u8,
-    /// SyncManagers.
+    /// Number of SyncManagers.
     pub sync_managers: u8,
     /// Features, register 0008h.
     pub features: u16,
-    /// What the slave's own side of the controller is, register 0140h.
+    /// PDI type, register 0140h.
     pub pdi: u8,
     /// ESC configuration, register 0141h: bit 0 AL status is AL control.
     pub configuration: u8,
-    /// Whether the system time (0910h) answers: chips announce a clock in 0008h whose unit is off.
+    /// Whether the system time (0910h) answers: chips announce a clock in 0008h even if the unit is disabled.
     pub system_time: bool,
     /// DL status, register 0110h.
     pub dl_status: u16,
@@ -46,9 +46,9 @@ pub struct SlaveInfo {
 /// One port of a slave.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Port {
-    /// There is a signal.
+    /// A link is detected.
     pub link: bool,
-    /// Frames go out there and come back.
+    /// Frames are forwarded and returned there.
     pub open: bool,
 }
 
@@ -58,36 +58,37 @@ impl SlaveInfo {
     pub fn ports(&self) -> [Port; 4] {
         std::array::from_fn(|port| Port {
             link: self.dl_status >> (4 + port) & 1 != 0,
-            // Loop not closed, and communication: the link bit alone says too little.
+            // Loop open and communication established: the link bit alone is not sufficient.
             open: self.dl_status >> (8 + 2 * port) & 3 == 2,
         })
     }
 
-    /// Whether it announces a distributed clock (0008h bit 2). One whose unit is off latches receive times still.
+    /// Whether it announces a distributed clock (0008h bit 2). A disabled unit still latches receive times.
     #[must_use]
     pub const fn announces_clock(&self) -> bool {
         self.features & 0x0004 != 0
     }
 
-    /// Whether it has a distributed clock: it announces one, and that answers.
+    /// Whether it has a distributed clock: announced and answering.
     #[must_use]
     pub const fn has_clock(&self) -> bool {
         self.announces_clock() && self.system_time
     }
 
-    /// Bits of its clock: 64, or 32 (0008h bit 3).
+    /// Width of its clock: 64 or 32 bits (0008h bit 3).
     #[must_use]
     pub const fn clock_bits(&self) -> u8 {
         if self.features & 0x0008 == 0 { 32 } else { 64 }
     }
 
-    /// Whether its controller copies AL control to AL status by itself (device emulation), with the acknowledgement.
+    /// Whether its controller copies AL control to AL status by itself (device emulation), including the
+    /// acknowledgement.
     #[must_use]
     pub const fn mirrors(&self) -> bool {
         self.configuration & 0x01 != 0
     }
 
-    /// Whether LRW is to be avoided with it.
+    /// Whether it does not support LRW.
     #[must_use]
     pub const fn no_lrw(&self) -> bool {
         self.features & 0x0200 != 0 || self.flags & 0x02 != 0
@@ -131,7 +132,7 @@ impl SlaveInfo {
     }
 }
 
-/// How many words of an SII are needed, judged by those that are there: up to the end of its categories.
+/// Number of SII words needed, judged by those already read: up to the end of the categories.
 pub(super) fn words_needed(bytes: &[u8]) -> u16 {
     let mut at = 2 * usize::from(word::CATEGORIES);
     while let Some([a, b, c, d]) = bytes.get(at..).and_then(|rest| rest.first_chunk()) {

@@ -1,18 +1,18 @@
-//! The jobs of a slave: how they wait, begin and end, and who gets what its mailbox brings. What a job does on the
-//! wire is in [`super::operation`] and [`super::transfer`].
+//! The jobs of a slave: queueing, start and end, and the dispatch of its mailbox messages. What a job does on the wire
+//! is in [`super::operation`] and [`super::transfer`].
 
 use super::super::event::{EmergencyReport, JobError, Outbox};
 use super::super::job::{Job, Reply};
 use super::mailbox::Output;
 use super::{Context, Unit, transfer};
 
-/// Jobs that may wait for one slave.
+/// Maximum number of waiting jobs per slave.
 pub(super) const JOBS_MAX: usize = 16;
 /// Marks the transfers that the steps make.
 pub(super) const OWN: usize = usize::MAX;
 
 impl Unit {
-    /// Takes a job; a full queue gives it back.
+    /// Queues a job; a full queue returns it.
     pub(in crate::master) fn submit(&mut self, job: Job) -> Result<(), Reply> {
         let error = if self.jobs.len() == JOBS_MAX {
             JobError::Busy(JOBS_MAX)
@@ -28,7 +28,7 @@ impl Unit {
         })
     }
 
-    /// All jobs end.
+    /// Ends all jobs.
     pub(in crate::master) fn abandon(&mut self, out: &mut Outbox) {
         if let Some(transfer) = self.mailbox.reset() {
             self.give_back(transfer.into_job(), Err(JobError::Absent), out);
@@ -41,7 +41,7 @@ impl Unit {
         }
     }
 
-    /// The reply to a job; what a step's own transfer needed is kept for the next.
+    /// Replies to a job; the buffer of a step's own transfer is kept for the next.
     pub(super) fn give_back(&mut self, job: Job, result: Result<(), JobError>, out: &mut Outbox) {
         if job.slave == OWN {
             self.scratch = job.data;
@@ -63,7 +63,7 @@ impl Unit {
             if let Some(output) = self.mailbox.begin(
                 transfer::Transfer::new(job),
                 kind,
-                cx.mailbox_room(),
+                cx.mailbox_capacity(),
                 cx.now,
             ) {
                 self.handle_mailbox(output, cx, out);
@@ -93,7 +93,7 @@ impl Unit {
         }
     }
 
-    /// Messages of the mailbox that belonged to nothing, and that were asked for again.
+    /// Unsolicited messages of the mailbox, and repeat requests.
     pub(in crate::master) const fn mailbox_counters(&self) -> (u32, u32) {
         (self.mailbox.ignored, self.mailbox.repeated)
     }

@@ -1,42 +1,42 @@
-//! Asks a slave which PDOs it has assigned and what is mapped into them (1C12h, 1C13h, 1600h, 1A00h and following),
-//! object by object. What is wanted instead is not known here.
+//! Reads which PDOs a slave has assigned and what they map (1C12h, 1C13h, 1600h, 1A00h and following), object by
+//! object. The wanted PDOs are not known here.
 
 use takt_cia402::dictionary::{Address, Mapped};
 
 use super::super::process::Pdo;
 
-/// Where the questions are.
+/// The current query.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-enum Place {
-    /// How many PDOs are assigned?
+enum Query {
+    /// Number of assigned PDOs.
     #[default]
     Count,
-    /// Which is the n-th?
+    /// Index of the n-th PDO.
     Index(u8),
-    /// How many entries has it?
+    /// Number of entries.
     Entries,
-    /// Which is the n-th?
+    /// The n-th entry.
     Entry(u8),
 }
 
-/// The questions about one SyncManager.
+/// The queries for one SyncManager.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Learn {
     /// 1C10h and the number of the SyncManager.
     list: u16,
-    place: Place,
+    query: Query,
     pdos: Vec<Pdo>,
-    /// PDOs assigned, and entries of the PDO that is asked about.
+    /// Number of assigned PDOs, and of entries of the current PDO.
     counts: (u8, u8),
-    /// The PDO that is asked about.
+    /// Index of the current PDO.
     at: usize,
 }
 
-/// PDOs of one SyncManager, at most: what a slave says is bounded.
+/// Maximum number of PDOs of one SyncManager: the answers of a slave are bounded.
 const PDOS_MAX: u8 = 64;
 
 impl Learn {
-    /// About the list of a SyncManager.
+    /// Queries for the PDO list of a SyncManager.
     pub(super) fn new(list: u16) -> Self {
         Self {
             list,
@@ -44,64 +44,64 @@ impl Learn {
         }
     }
 
-    /// The object that is asked for next; `None` when all is known.
+    /// The next object to read; `None` when all is known.
     pub(super) fn question(&self) -> Option<Address> {
         let pdo = self.pdos.get(self.at).map(|pdo| pdo.index);
-        match self.place {
-            Place::Count => Some(Address::new(self.list, 0)),
-            Place::Index(number) => Some(Address::new(self.list, number)),
-            Place::Entries => pdo.map(|index| Address::new(index, 0)),
-            Place::Entry(number) => pdo.map(|index| Address::new(index, number)),
+        match self.query {
+            Query::Count => Some(Address::new(self.list, 0)),
+            Query::Index(number) => Some(Address::new(self.list, number)),
+            Query::Entries => pdo.map(|index| Address::new(index, 0)),
+            Query::Entry(number) => pdo.map(|index| Address::new(index, number)),
         }
     }
 
-    /// Whether the next question is about the list itself.
+    /// Whether the next query is for the list itself.
     pub(super) const fn is_at_list(&self) -> bool {
-        matches!(self.place, Place::Count)
+        matches!(self.query, Query::Count)
     }
 
-    /// The answer: as many bytes as the slave gave.
+    /// Handles an answer of any length.
     pub(super) fn answer(&mut self, bytes: &[u8]) {
         let mut four = [0; 4];
         for (to, from) in four.iter_mut().zip(bytes) {
             *to = *from;
         }
         let [low, high, ..] = four;
-        match self.place {
-            Place::Count => {
+        match self.query {
+            Query::Count => {
                 self.counts.0 = low.min(PDOS_MAX);
-                self.place = if self.counts.0 == 0 {
-                    Place::Entries
+                self.query = if self.counts.0 == 0 {
+                    Query::Entries
                 } else {
-                    Place::Index(1)
+                    Query::Index(1)
                 };
             }
-            Place::Index(number) => {
+            Query::Index(number) => {
                 let index = u16::from_le_bytes([low, high]);
                 self.pdos.push(Pdo {
                     index,
                     entries: Vec::new(),
                 });
-                self.place = if number < self.counts.0 {
-                    Place::Index(number + 1)
+                self.query = if number < self.counts.0 {
+                    Query::Index(number + 1)
                 } else {
-                    Place::Entries
+                    Query::Entries
                 };
             }
-            Place::Entries => {
+            Query::Entries => {
                 self.counts.1 = low;
                 if low == 0 {
                     self.next_pdo();
                 } else {
-                    self.place = Place::Entry(1);
+                    self.query = Query::Entry(1);
                 }
             }
-            Place::Entry(number) => {
+            Query::Entry(number) => {
                 if let Some(pdo) = self.pdos.get_mut(self.at) {
                     pdo.entries.push(Mapped::from_raw(u32::from_le_bytes(four)));
                 }
                 if number < self.counts.1 {
-                    self.place = Place::Entry(number + 1);
+                    self.query = Query::Entry(number + 1);
                 } else {
                     self.next_pdo();
                 }
@@ -111,10 +111,10 @@ impl Learn {
 
     const fn next_pdo(&mut self) {
         self.at += 1;
-        self.place = Place::Entries;
+        self.query = Query::Entries;
     }
 
-    /// What was learnt.
+    /// The result.
     pub(super) fn into_pdos(self) -> Vec<Pdo> {
         self.pdos
     }
@@ -125,7 +125,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_object_is_asked_for_once() {
+    fn pdo_discovery_reads_each_object_once() {
         let mut learn = Learn::new(0x1C12);
         let answers: [(u16, u8, &[u8]); 7] = [
             (0x1C12, 0, &[2]),
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_list_asks_no_more() {
+    fn pdo_discovery_of_empty_list_ends() {
         let mut learn = Learn::new(0x1C13);
         learn.answer(&[0]);
         assert_eq!((learn.question(), learn.into_pdos()), (None, vec![]));

@@ -1,19 +1,19 @@
 //! The mailbox of a slave, from the master's side (ETG.1000.4, clause 8; ETG.1000.6, clause 5.1): sends a message,
-//! waits until one is there, fetches it, asks for it again if it was lost on the way, and sorts what comes.
+//! polls for the answer, fetches it, requests a repeat if it was lost, and sorts received messages.
 //!
 //! ```text
-//!            1 begin           2 taken            3 full             4 read
+//!            1 begin           2 accepted         3 full             4 read
 //! Idle ------------> Send ----------> Poll <-------------> Fetch ----------> Idle, Send or Poll
-//!   ^                                  ^ 7 there again       | 5 lost
-//!   | 8 time-out, from any             |                     v         6 read already
-//!                              RepeatWait <---- RepeatAsk <---- RepeatCheck --(still full)--> Fetch
-//!                                  | 9 never there again
+//!   ^                                  ^ 7 repeated          | 5 lost
+//!   | 8 timeout, from any              |                     v         6 already read
+//!                              RepeatWait <-- RepeatRequest <-- RepeatCheck --(still full)--> Fetch
+//!                                  | 9 never repeated
 //!                                  v
-//!                                 Send (a request that may be made twice)
+//!                                 Send (a request that may be repeated)
 //! ```
 //!
-//! Slaves must repeat a message that was lost on its way (ETG.1000.4, clause 8.4.3), and not all do. A request that
-//! may be made twice is then made once more, as it is if no answer comes at all.
+//! Slaves must repeat a lost message (ETG.1000.4, clause 8.4.3), but not all do. A request that may be repeated is then
+//! sent again, as it is if there is no answer at all.
 
 use std::time::Duration;
 
@@ -25,12 +25,11 @@ use crate::register;
 use crate::sii::MailboxAreas;
 use crate::{CoeService, Emergency, MailboxError, MailboxHeader, MailboxKind, SyncManager};
 
-/// Longest mailbox that is used, bytes: what one datagram holds.
+/// Longest mailbox that is used, bytes: the capacity of one datagram.
 const LEN_MAX: usize = 1486;
-/// A lost message that its slave was asked to repeat and that is not there after this long will not come: firmware has
-/// its answers ready within 40 ms.
+/// Timeout of a requested repeat: firmware has its answers ready within 40 ms.
 const REPEAT_TIMEOUT: Duration = Duration::from_millis(150);
-/// How often a request that may be made twice is made.
+/// Maximum number of attempts for a request that may be repeated.
 const ATTEMPTS: u8 = 3;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,16 +41,16 @@ enum Phase {
     Poll,
     Fetch,
     RepeatCheck,
-    RepeatAsk,
+    RepeatRequest,
     RepeatWait,
 }
 
-/// What a mailbox has for its slave.
+/// Output of a mailbox.
 #[derive(Debug)]
 pub(super) enum Output {
     /// An emergency.
     Emergency(Emergency),
-    /// The transfer is over.
+    /// The transfer has ended.
     Done(Transfer, Result<(), JobError>),
 }
 
@@ -59,26 +58,26 @@ pub(super) enum Output {
 #[derive(Debug)]
 pub(super) struct Mailbox {
     areas: MailboxAreas,
-    /// Protocols, as SII word 1Ch has them.
+    /// Protocols, as in SII word 1Ch.
     protocols: u16,
     phase: Phase,
     message: Box<[u8; LEN_MAX]>,
-    /// Counter of what was last sent, and of what was last received.
+    /// Counters of the last sent and the last received message.
     counters: (u8, u8),
-    /// A digest of what was last received, by which a message that is fetched twice is known.
+    /// A digest of the last received message, to detect one that is fetched twice.
     received: u64,
-    /// The repeat bit as it is to be.
+    /// The requested value of the repeat bit.
     repeat: bool,
     transfer: Option<Transfer>,
     since: Duration,
-    /// When the slave was asked to repeat its last message.
+    /// Time of the last repeat request.
     repeat_since: Duration,
-    /// How often the transfer has been begun.
+    /// Number of attempts of the transfer.
     attempts: u8,
     patience: Patience,
-    /// Messages that belonged to nothing.
+    /// Number of unsolicited messages.
     pub(super) ignored: u32,
-    /// Messages that were asked for again, and requests that were made again.
+    /// Number of repeat requests and of repeated requests.
     pub(super) repeated: u32,
 }
 
@@ -102,13 +101,13 @@ impl Mailbox {
         }
     }
 
-    /// How long answers are waited for from now on.
+    /// Sets the timeouts for answers.
     pub(super) const fn set_patience(&mut self, patience: Patience) {
         self.patience = patience;
     }
 
-    /// Where it is, and what it speaks.
-    pub(super) const fn place(&mut self, areas: MailboxAreas, protocols: u16) {
+    /// Sets its areas and protocols.
+    pub(super) const fn configure(&mut self, areas: MailboxAreas, protocols: u16) {
         (self.areas, self.protocols) = (areas, protocols);
     }
 
@@ -126,12 +125,12 @@ impl Mailbox {
         self.transfer.is_none()
     }
 
-    /// Whether nothing at all is going on.
+    /// Whether it is idle.
     pub(super) const fn is_idle(&self) -> bool {
         matches!(self.phase, Phase::Idle) && self.transfer.is_none()
     }
 
-    /// Both SyncManagers as they are set up in INIT.
+    /// The set-up of both SyncManagers, written in INIT.
     pub(super) fn sync_managers(&self) -> [u8; 16] {
         let sm = |start, len, control| {
             let sm = SyncManager {
@@ -156,17 +155,17 @@ impl Mailbox {
         bytes
     }
 
-    /// Forgets all, as the slave does in INIT; gives back the transfer that was under way.
+    /// Resets, as the slave does in INIT; returns the aborted transfer.
     pub(super) fn reset(&mut self) -> Option<Transfer> {
         self.phase = Phase::Idle;
-        // A slave that was lost by its cable alone still knows the counter of the last message, and takes one of the same
-        // for a repetition.
+        // A slave that lost only its link still knows the counter of the last message, and would take a message with
+        // the same counter for a repetition.
         self.counters.1 = 0;
         self.repeat = false;
         self.transfer.take()
     }
 
-    /// Bytes of the longer of its two areas; zero if there are none.
+    /// Length of the longer of its two areas, bytes; zero if there are none.
     pub(super) fn size(&self) -> usize {
         if self.exists() {
             self.areas.receive_len.max(self.areas.send_len).into()
@@ -175,12 +174,12 @@ impl Mailbox {
         }
     }
 
-    /// Begins a transfer, whose datagrams have so much room. To be called only if it is free.
+    /// Starts a transfer with datagrams of at most `capacity` bytes. Call it only if the mailbox is free.
     pub(super) fn begin(
         &mut self,
         transfer: Transfer,
         kind: super::JobKind,
-        room: usize,
+        capacity: usize,
         now: Duration,
     ) -> Option<Output> {
         let missing = match protocol(kind) {
@@ -192,8 +191,11 @@ impl Mailbox {
             return Some(Output::Done(transfer, Err(JobError::Unsupported(missing))));
         }
         let size = self.size();
-        if size > room {
-            return Some(Output::Done(transfer, Err(JobError::NoRoom { size, room })));
+        if size > capacity {
+            return Some(Output::Done(
+                transfer,
+                Err(JobError::MailboxTooLong { size, capacity }),
+            ));
         }
         let raw = transfer.is_raw();
         self.transfer = Some(transfer);
@@ -205,13 +207,13 @@ impl Mailbox {
         output
     }
 
-    /// Whether what is under way has no header.
+    /// Whether the current transfer is raw, without mailbox headers.
     fn is_raw(&self) -> bool {
         self.transfer.as_ref().is_some_and(Transfer::is_raw)
     }
 
-    /// Looks into the mailbox without having asked for anything.
-    pub(super) const fn look(&mut self, full: bool, now: Duration) {
+    /// Fetches an unsolicited message if the mailbox is full.
+    pub(super) const fn check_full(&mut self, full: bool, now: Duration) {
         if full && matches!(self.phase, Phase::Idle) {
             (self.phase, self.since) = (Phase::Fetch, now);
         }
@@ -241,7 +243,10 @@ impl Mailbox {
             Some(())
         });
         if written.is_none() {
-            return self.end(Err(JobError::TooLong { size: 0, room: len }));
+            return self.end(Err(JobError::TooLong {
+                size: 0,
+                capacity: len,
+            }));
         }
         None
     }
@@ -253,7 +258,7 @@ impl Mailbox {
             .map(|transfer| Output::Done(transfer, result))
     }
 
-    /// Ends what takes too long, or makes its request again.
+    /// Handles timeouts: ends the transfer or repeats its request.
     pub(super) fn check(&mut self, now: Duration) -> Option<Output> {
         if self.phase == Phase::Idle {
             return None;
@@ -264,8 +269,8 @@ impl Mailbox {
             self.patience.mailbox
         };
         let again = self.attempts < ATTEMPTS && self.may_restart();
-        // All attempts together take no longer than one that cannot be made again.
-        let share = if again || self.attempts > 1 {
+        // All attempts together take no longer than one request that must not be repeated.
+        let budget = if again || self.attempts > 1 {
             timeout / u32::from(ATTEMPTS)
         } else {
             timeout
@@ -273,7 +278,7 @@ impl Mailbox {
         let waited = now.saturating_sub(self.since);
         let unrepeated = self.phase == Phase::RepeatWait
             && now.saturating_sub(self.repeat_since) > REPEAT_TIMEOUT;
-        if waited <= share && !(again && unrepeated) {
+        if waited <= budget && !(again && unrepeated) {
             return None;
         }
         if self.transfer.is_none() {
@@ -295,7 +300,7 @@ impl Mailbox {
         self.transfer.as_ref().is_some_and(Transfer::may_restart)
     }
 
-    /// The datagram that is due.
+    /// The next datagram.
     pub(super) fn request(&self) -> Option<Request<'_>> {
         let sm1 = register::SYNC_MANAGER + 8;
         Some(match self.phase {
@@ -308,17 +313,17 @@ impl Mailbox {
                 Request::read(sm1, 8)
             }
             Phase::Discard | Phase::Fetch => Request::read(self.areas.send, self.areas.send_len),
-            Phase::RepeatAsk => {
+            Phase::RepeatRequest => {
                 Request::write(sm1 + 6, if self.repeat { &[0x03] } else { &[0x01] })
             }
         })
     }
 
-    /// What came of it.
+    /// Handles its result.
     pub(super) fn answer(&mut self, answer: Answer<'_>, now: Duration) -> Option<Output> {
         let Answer::Data { counter, data } = answer else {
-            // Whether the slave took it is not known: a message is sent again under the same counter, one that was
-            // being fetched is asked for again.
+            // Whether the slave accepted it is unknown: a message is sent again with the same counter; for one that was
+            // being fetched a repeat is requested.
             if self.phase == Phase::Fetch {
                 self.phase = Phase::RepeatCheck;
             }
@@ -360,12 +365,12 @@ impl Mailbox {
                     self.phase = if sm.is_full() {
                         Phase::Fetch
                     } else {
-                        Phase::RepeatAsk
+                        Phase::RepeatRequest
                     };
                 }
                 None
             }
-            Phase::RepeatAsk => {
+            Phase::RepeatRequest => {
                 if done {
                     self.repeated += 1;
                     (self.phase, self.repeat_since) = (Phase::RepeatWait, now);
@@ -385,7 +390,7 @@ impl Mailbox {
         }
     }
 
-    /// What lay in the mailbox before a raw message goes.
+    /// Discards the content of the mailbox before a raw message is sent.
     const fn cleared(&mut self, done: bool, sm: SyncManager) {
         self.phase = match self.phase {
             Phase::Clear if !done => Phase::Clear,
@@ -397,7 +402,7 @@ impl Mailbox {
             | Phase::Poll
             | Phase::Fetch
             | Phase::RepeatCheck
-            | Phase::RepeatAsk
+            | Phase::RepeatRequest
             | Phase::RepeatWait => {
                 self.ignored += done as u32;
                 Phase::Clear
@@ -405,7 +410,7 @@ impl Mailbox {
         };
     }
 
-    /// The slave took the message, or its mailbox is full still.
+    /// The slave accepted the message, or its mailbox is still full.
     fn sent(&mut self, taken: bool) -> Option<Output> {
         if !taken {
             return None;
@@ -427,16 +432,16 @@ impl Mailbox {
             return self.proceed(progress, now);
         }
         let header = MailboxHeader::decode(mailbox);
-        // One that speaks no protocol sends no headers either.
+        // A slave without protocols sends no headers either.
         let Some((header, inside)) = header.filter(|_| self.protocols != 0) else {
             self.ignored += 1;
             return None;
         };
-        // Firmware that counts answers by their requests gives another message the counter of the one before.
+        // Firmware that copies the counter of the request may give a new message the previous counter.
         let digest = digest(mailbox.get(..MailboxHeader::LEN + usize::from(header.len)));
         let twice = header.counter == self.counters.1 && digest == self.received;
         if header.counter != 0 && twice {
-            // Fetched twice: it was there again after all.
+            // Fetched twice: the repeat arrived after all.
             return None;
         }
         (self.counters.1, self.received) = (header.counter, digest);
@@ -466,7 +471,7 @@ impl Mailbox {
     fn received_coe(&mut self, inside: &[u8], now: Duration) -> Option<Output> {
         let (service, bytes) = CoeService::decode(inside)?;
         if service == CoeService::Emergency {
-            // Out of turn; whatever is under way goes on waiting.
+            // Unsolicited; the current transfer keeps waiting.
             return Emergency::decode(bytes).map(Output::Emergency);
         }
         let progress = match &mut self.transfer {

@@ -1,4 +1,4 @@
-//! The steps that go through the mailbox: start-up objects, PDO assignment, and reading back what the slave made of it.
+//! The steps that use the mailbox: start-up objects, PDO assignment, and reading it back.
 
 use takt_cia402::dictionary::{AbortCode, Address};
 
@@ -10,7 +10,7 @@ use super::{Context, OWN, Unit, learn};
 use crate::coe::Whole;
 
 impl Unit {
-    /// A transfer of this step, in the memory that is kept for them.
+    /// Starts a transfer of this step, in the reserved buffer.
     pub(super) fn own(&mut self, kind: JobKind) -> Prepared {
         let data = std::mem::take(&mut self.scratch);
         let job = Job {
@@ -45,7 +45,7 @@ impl Unit {
         })
     }
 
-    /// A write of the PDO set-up was refused: of a mapping or a list the object that was to go in is named too.
+    /// The fault of a refused write of the PDO set-up, with the mapped or assigned object if there is one.
     fn refused_write(&self, at: usize, code: AbortCode) -> Fault {
         let Some(assignment) = self.assignments.get(at) else {
             return Fault::Abort {
@@ -64,9 +64,8 @@ impl Unit {
         }
     }
 
-    /// Asks which PDOs a SyncManager has; a slave without CoE has those of its SII, and one that comes back those
-    /// that it had.
-    pub(super) fn ask(&mut self, at: usize) -> Prepared {
+    /// Queries the PDOs of a SyncManager; a slave without CoE has those of its SII, a returning one those that it had.
+    pub(super) fn query_pdos(&mut self, at: usize) -> Prepared {
         let Some(channel) = self.process.channels.get(at) else {
             return Prepared::Skip;
         };
@@ -86,7 +85,7 @@ impl Unit {
         }))
     }
 
-    /// A transfer of this step is over.
+    /// A transfer of this step has ended.
     pub(super) fn transfer_done(
         &mut self,
         address: Address,
@@ -101,16 +100,16 @@ impl Unit {
         });
         match (self.step, fault) {
             (Step::Learn(at), None) => self.learnt(at.into(), cx, out),
-            // No such list: the slave has what its SII says.
+            // No such list: the slave has the PDOs of its SII.
             (Step::Learn(at), Some(Fault::Abort { .. })) if self.learn.is_at_list() => {
                 self.verify(at.into(), cx, out);
             }
             (Step::Startup(at), Some(_)) if self.may_fail(at.into()) => {
                 self.enter(self.following(self.step), cx, out);
             }
-            // It may have what is wanted all the same; that is seen when it is read back.
+            // The slave may have the wanted PDOs nevertheless; reading back shows it.
             (Step::Assign(_), Some(fault @ (Fault::Abort { .. } | Fault::Entry { .. })))
-                if self.accepts_refusal() =>
+                if self.accepts_abort() =>
             {
                 self.refused = Some(fault);
                 self.enter(Step::Learn(0), cx, out);
@@ -124,7 +123,7 @@ impl Unit {
         self.spec.startup.get(at).is_some_and(|sdo| sdo.may_fail)
     }
 
-    pub(super) const fn accepts_refusal(&self) -> bool {
+    pub(super) const fn accepts_abort(&self) -> bool {
         !self.mapped || self.refused.is_some()
     }
 
@@ -139,7 +138,7 @@ impl Unit {
             };
             if let Some(output) = self
                 .mailbox
-                .begin(transfer, kind, cx.mailbox_room(), cx.now)
+                .begin(transfer, kind, cx.mailbox_capacity(), cx.now)
             {
                 self.handle_mailbox(output, cx, out);
             }
@@ -154,7 +153,7 @@ impl Unit {
         } else {
             &self.spec.inputs
         };
-        // What is wanted stays as it is until the slave has it: the next attempt compares with it again.
+        // The wanted PDOs are kept until the slave has them: the next attempt compares again.
         if let Some(wanted) = wanted
             && let Some(difference) = channel.difference(wanted, &pdos)
         {
@@ -165,7 +164,7 @@ impl Unit {
         self.enter(self.following(self.step), cx, out);
     }
 
-    /// The list of a SyncManager cannot be read: nobody can have wanted to change it.
+    /// The list of a SyncManager cannot be read; acceptable only if no change was configured.
     pub(super) fn verify(&mut self, at: usize, cx: &Context<'_>, out: &mut Outbox) {
         let outputs = self
             .process

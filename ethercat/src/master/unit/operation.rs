@@ -1,5 +1,5 @@
-//! The small operations that steps and jobs are made of, each tried again until it is done or time is up: read or
-//! write a register, come to a state, read or write the SII. What an operation is for is not known here.
+//! The operations that steps and jobs consist of, each retried until it succeeds or times out: read or write a
+//! register, change the state, read or write the SII. The purpose of an operation is not known here.
 
 use std::time::Duration;
 
@@ -16,11 +16,11 @@ pub(super) enum Op {
     Rest,
     /// Read registers.
     Read { at: u16, len: u16 },
-    /// Read registers that may not be there: none that answer are an answer.
+    /// Read registers that may not exist: no answer is a valid result.
     Probe { at: u16, len: u16 },
-    /// Write what is in the write buffer to registers.
+    /// Write the write buffer to registers.
     Write { at: u16 },
-    /// Come to a state.
+    /// Change the state.
     State { wanted: AlState, phase: StatePhase },
     /// Read words of the SII up to one, or write one.
     Sii {
@@ -29,52 +29,53 @@ pub(super) enum Op {
         polls: bool,
         writes: bool,
     },
-    /// Wait for the transfer that was given to the mailbox.
+    /// Wait for the transfer in the mailbox.
     Mailbox,
 }
 
-/// Where a change of state is.
+/// Phase of a state change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum StatePhase {
-    /// An error is acknowledged.
+    /// Acknowledge an error.
     Acknowledge,
-    /// AL control does not take the acknowledgement: see whether the slave is there, then acknowledge again.
+    /// AL control does not accept the acknowledgement: check whether the slave answers, then acknowledge again.
     AcknowledgeBusy,
-    /// Wait until it is gone.
+    /// Wait until the error is cleared.
     Acknowledged,
-    /// The state is asked for.
-    Ask,
-    /// AL control does not take the request, as firmware has not read the one before: see what it shows, then again.
-    AskBusy,
-    /// Wait until it is there.
+    /// Request the state.
+    Request,
+    /// AL control does not accept the request, as firmware has not read the previous one: read AL status, then request
+    /// again.
+    RequestBusy,
+    /// Wait for the state.
     Wait,
 }
 
 impl StatePhase {
-    /// What follows when a write to AL control is not taken; `None` of a phase that reads.
+    /// The next phase when a write to AL control is not accepted; `None` for a phase that reads.
     const fn busy(self) -> Option<Self> {
         match self {
             Self::Acknowledge => Some(Self::AcknowledgeBusy),
-            Self::Ask => Some(Self::AskBusy),
-            Self::AcknowledgeBusy | Self::Acknowledged | Self::AskBusy | Self::Wait => None,
+            Self::Request => Some(Self::RequestBusy),
+            Self::AcknowledgeBusy | Self::Acknowledged | Self::RequestBusy | Self::Wait => None,
         }
     }
 }
 
-/// Working counters of zero in a row before a register counts as silent.
+/// Consecutive working counters of zero after which a register counts as unreachable.
 const MISSES: u8 = 10;
-/// Working counters of zero in a row after which a register that may be missing is.
+/// Consecutive working counters of zero after which an optional register counts as missing.
 const PROBES: u8 = 3;
-/// Bits of the SII status: the EEPROM did not acknowledge the command, as while it stores what was written before; a
-/// write was not enabled.
+/// Bits of the SII status: the EEPROM did not acknowledge the command, as while it stores a previous write; a write was
+/// not enabled.
 const SII_NO_ACKNOWLEDGE: u16 = 0x2000;
 const SII_NOT_ENABLED: u16 = 0x4000;
 const SII_BUSY: u16 = 0x8000;
-/// How long a slave has to take an error acknowledgement.
+/// Timeout of an error acknowledgement.
 const ACKNOWLEDGE: Duration = Duration::from_secs(1);
 
 impl Unit {
-    /// Makes a write of these bytes the operation; more than the buffer holds are cut, and none is longer.
+    /// Starts a write of these bytes, truncated to the buffer; no write is longer.
     pub(super) fn write(&mut self, at: u16, bytes: &[u8]) -> Op {
         self.write_len = bytes.len().min(WRITE_MAX);
         for (to, from) in self.write.iter_mut().zip(bytes) {
@@ -83,14 +84,14 @@ impl Unit {
         Op::Write { at }
     }
 
-    /// Makes a change of state the operation.
+    /// Starts a state change.
     pub(super) const fn change_state(&self, wanted: AlState) -> Op {
-        // INIT is asked for with acknowledgement at once: from there nothing needs to be known.
+        // INIT is requested with acknowledgement at once: no previous status is needed.
         let acknowledge = self.al.error && !matches!(wanted, AlState::Init);
         let phase = if acknowledge {
             StatePhase::Acknowledge
         } else {
-            StatePhase::Ask
+            StatePhase::Request
         };
         Op::State { wanted, phase }
     }
@@ -116,14 +117,14 @@ impl Unit {
             StatePhase::Acknowledged
             | StatePhase::Wait
             | StatePhase::AcknowledgeBusy
-            | StatePhase::AskBusy => {
+            | StatePhase::RequestBusy => {
                 return Request::read(register::AL_STATUS, 6);
             }
             StatePhase::Acknowledge => AlStatus {
                 state: self.al.state,
                 error: true,
             },
-            StatePhase::Ask => AlStatus {
+            StatePhase::Request => AlStatus {
                 state: wanted,
                 error: wanted == AlState::Init,
             },
@@ -137,7 +138,7 @@ impl Unit {
         let [low, high] = word.to_le_bytes();
         let command = if writes { [0x01, 0x02] } else { [0x00, 0x01] };
         let head = [command[0], command[1], low, high, 0, 0];
-        // A word that is written stands behind the address, where its job put it.
+        // The word to write follows the address in the buffer, where its job put it.
         self.write[..6].copy_from_slice(&head);
         Request::write(
             register::SII_CONTROL,
@@ -151,7 +152,7 @@ impl Unit {
         cx: &Context<'_>,
         out: &mut Outbox,
     ) {
-        // A lost frame says nothing of the slave: the same once more.
+        // A lost frame says nothing about the slave: try again.
         let Answer::Data { counter, data } = answer else {
             return;
         };
@@ -186,8 +187,8 @@ impl Unit {
         }
     }
 
-    /// Nobody answered. A write to AL control that is not taken is no silence as long as the slave shows its state: it
-    /// is written again for as long as the slave has for the state.
+    /// Working counter 0. An unaccepted write to AL control is no loss as long as the slave shows its state: it is
+    /// repeated until the state change times out.
     fn missed(&mut self, cx: &Context<'_>, out: &mut Outbox) {
         let busy = match self.op {
             Op::State { wanted, phase } => phase.busy().map(|phase| Op::State { wanted, phase }),
@@ -220,7 +221,7 @@ impl Unit {
         self.failed(Fault::Silent { register }, JobError::NoAnswer, cx, out);
     }
 
-    /// The operation failed: of a job, or of a step.
+    /// The operation of a job or of a step failed.
     fn failed(&mut self, fault: Fault, error: JobError, cx: &Context<'_>, out: &mut Outbox) {
         match self.job.take() {
             Some(job) => {
@@ -241,20 +242,20 @@ impl Unit {
     ) {
         let next = match phase {
             StatePhase::Acknowledge => StatePhase::Acknowledged,
-            StatePhase::Ask => StatePhase::Wait,
+            StatePhase::Request => StatePhase::Wait,
             StatePhase::AcknowledgeBusy => {
                 self.take_status(data);
                 StatePhase::Acknowledge
             }
-            StatePhase::Acknowledged | StatePhase::Wait | StatePhase::AskBusy => {
+            StatePhase::Acknowledged | StatePhase::Wait | StatePhase::RequestBusy => {
                 self.take_status(data);
                 let reached = self.al.state == wanted && !self.al.error;
                 let (waits, error) = (phase == StatePhase::Wait, self.al.error);
                 if waits && reached {
                     return self.done(&[], cx, out);
                 }
-                // In INIT an error that is on its way out may show for a moment.
-                let refuses = waits || phase == StatePhase::AskBusy;
+                // In INIT an error that is being cleared may show for a moment.
+                let refuses = waits || phase == StatePhase::RequestBusy;
                 if refuses && error && wanted != AlState::Init {
                     let (status, code) = (self.al, self.code);
                     return self.fail(
@@ -267,11 +268,11 @@ impl Unit {
                         out,
                     );
                 }
-                let goes_on = phase == StatePhase::AskBusy || !error;
+                let goes_on = phase == StatePhase::RequestBusy || !error;
                 if waits || !goes_on {
                     phase
                 } else {
-                    StatePhase::Ask
+                    StatePhase::Request
                 }
             }
         };
@@ -288,8 +289,8 @@ impl Unit {
         }
     }
 
-    /// AL status as it was read. The bit that says error is no error without a code where the controller copies AL
-    /// control, as the acknowledgement has the same bit; nor in INIT, which a slave enters with its errors acknowledged.
+    /// Handles AL status as read. The error bit is no error without a code where the controller copies AL control, as
+    /// the acknowledgement has the same bit; nor in INIT, which a slave enters with its errors acknowledged.
     pub(super) fn show(&mut self, status: u16, code: AlStatusCode) {
         let mut al = AlStatus::from_raw(status);
         let acknowledgement = self.info.mirrors() || al.state == AlState::Init;
@@ -316,7 +317,7 @@ impl Unit {
         }
         self.sii_status = status;
         if status & SII_NO_ACKNOWLEDGE != 0 {
-            // It stores still, or a firmware reads: the command once more, as long as the SII may take.
+            // The EEPROM still stores, or firmware accesses it: repeat the command until the SII timeout.
             self.op = Op::Sii {
                 polls: false,
                 word,
@@ -336,15 +337,15 @@ impl Unit {
         if writes {
             return self.done(&[], cx, out);
         }
-        // Bit 6: eight bytes at once, or else four.
+        // Bit 6: eight bytes at once, otherwise four.
         let len = if status & 0x0040 == 0 { 4 } else { 8 };
         let left = 2 * usize::from(end.saturating_sub(word));
         let bytes = found.get(..len.min(left)).unwrap_or_default();
         if !self.take_words(bytes) {
-            let room = self.job.as_ref().map_or(0, |job| job.data.capacity());
+            let capacity = self.job.as_ref().map_or(0, |job| job.data.capacity());
             let error = JobError::TooLong {
-                size: room + bytes.len(),
-                room,
+                size: capacity + bytes.len(),
+                capacity,
             };
             return self.failed(Fault::Sii { word, status }, error, cx, out);
         }
@@ -362,7 +363,7 @@ impl Unit {
         }
     }
 
-    /// Words of the SII go to the job, without growing what it brought, or to the step.
+    /// SII words go to the job, without growing its buffer, or to the step.
     fn take_words(&mut self, bytes: &[u8]) -> bool {
         match &mut self.job {
             Some(job) if job.data.len() + bytes.len() > job.data.capacity() => return false,
@@ -372,7 +373,7 @@ impl Unit {
         true
     }
 
-    /// The operation is done.
+    /// The operation succeeded.
     fn done(&mut self, data: &[u8], cx: &Context<'_>, out: &mut Outbox) {
         let Some(mut job) = self.job.take() else {
             return self.advance(data, cx, out);
@@ -380,9 +381,9 @@ impl Unit {
         self.op = Op::Rest;
         let mut result = Ok(());
         if matches!(job.kind, JobKind::ReadRegister { .. }) {
-            let (size, room) = (data.len(), job.data.capacity());
-            if size > room {
-                result = Err(JobError::TooLong { size, room });
+            let (size, capacity) = (data.len(), job.data.capacity());
+            if size > capacity {
+                result = Err(JobError::TooLong { size, capacity });
             } else {
                 job.data.extend_from_slice(data);
             }
@@ -390,7 +391,7 @@ impl Unit {
         self.give_back(job, result, out);
     }
 
-    /// Ends an operation that takes too long; each has its own patience.
+    /// Ends an operation that takes too long; each has its own timeout.
     pub(super) fn check_deadline(&mut self, cx: &Context<'_>, out: &mut Outbox) {
         let patience = self.patience(cx.config);
         let waited = cx.now.saturating_sub(self.since);
@@ -415,7 +416,7 @@ impl Unit {
                 let (status, code) = (self.al, self.code);
                 let unread = matches!(
                     phase,
-                    StatePhase::Ask | StatePhase::AskBusy | StatePhase::AcknowledgeBusy
+                    StatePhase::Request | StatePhase::RequestBusy | StatePhase::AcknowledgeBusy
                 );
                 let fault = if unread {
                     Fault::Unread {
@@ -457,7 +458,7 @@ impl Unit {
         }
     }
 
-    /// Begins a job that is about registers or the SII.
+    /// Starts a register or SII job.
     pub(super) fn begin_register_job(&mut self, mut job: Job, cx: &Context<'_>, out: &mut Outbox) {
         let op = match job.kind {
             JobKind::ReadRegister { at, len } => {
@@ -499,8 +500,8 @@ impl Unit {
             | JobKind::DescribeObject(_)
             | JobKind::DescribeEntry(_)
             | JobKind::RawMailbox => {
-                let (size, room) = (job.data.len(), 128);
-                return self.give_back(job, Err(JobError::TooLong { size, room }), out);
+                let (size, capacity) = (job.data.len(), 128);
+                return self.give_back(job, Err(JobError::TooLong { size, capacity }), out);
             }
         };
         (self.op, self.job, self.misses) = (op, Some(job), 0);

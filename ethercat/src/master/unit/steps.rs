@@ -1,14 +1,14 @@
-//! What follows on what in bringing a slave up, the first time and whenever it comes back. The order is that of
-//! ETG.1000.6, clause 6.4.1: what a state needs is written in the state before.
+//! The sequence of steps that starts a slave, the first time and whenever it returns. The order is that of ETG.1000.6,
+//! clause 6.4.1: the configuration for a state is written in the state before.
 //!
 //! ```text
-//! 1 Init                   INIT acknowledged, registers and SII read        -> Identified (gate 1: who is it?)
+//! 1 Init                   INIT acknowledged, registers and SII read        -> Identified (gate 1: identity)
 //! 2 Identified             port times, FMMUs and SyncManagers cleared, mailboxes set up, PRE-OP, start-up objects,
 //!                          PDOs assigned, mapping read back                 -> Configured (gate 2: process image)
 //! 3 Configured             watchdog, SyncManagers, FMMUs, clock, SYNC0, SAFE-OP, OP            -> Run
-//! 4 Run, any               fault, working counter 0, time-out (fail)        -> Failed
-//! 5 Failed, Absent         time to try again, answers again (returned)      -> Look
-//! 6 Look                   set up still: OP, or PRE-OP for SYNC0 (Fallback) -> 3; else 1
+//! 4 Run, any               fault, working counter 0, timeout (fail)         -> Failed
+//! 5 Failed, Absent         retry time, answers again (returned)             -> Check
+//! 6 Check                  still set up: OP, or PRE-OP for SYNC0 (Fallback) -> 3; else 1
 //! ```
 
 use takt_cia402::dictionary::Address;
@@ -21,7 +21,7 @@ use crate::AlState;
 use crate::coe::Whole;
 use crate::register;
 
-/// A step of the way up. What each does is in [`Unit::prepare`], what follows from its answer in [`Unit::advance`].
+/// A step of the start. [`Unit::prepare`] defines its operation, [`Unit::advance`] handles its answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::master) enum Step {
     Absent,
@@ -62,32 +62,32 @@ pub(in crate::master) enum Step {
     Op,
     Run,
     Failed,
-    Look,
+    Check,
     Fallback,
 }
 
-/// What a step begins with.
+/// How a step starts.
 pub(super) enum Prepared {
     Do(Op),
     Transfer(Transfer),
-    /// Nothing to do: the next one.
+    /// Nothing to do: continue with the next step.
     Skip,
-    /// Something is missing that comes by itself.
+    /// Wait for a condition.
     Wait,
     Fail(Fault),
 }
 
-/// Loop gain of a clock (0930h) and its filter depths (0934h), as all masters write them.
+/// Loop gain of a clock (0930h) and its filter depths (0934h), as other masters write them.
 const SPEED_START: [u8; 2] = 0x1000_u16.to_le_bytes();
 const FILTERS: [u8; 2] = [0x00, 0x0C];
-/// FMMUs and SyncManagers that are cleared at once, at most.
+/// Maximum number of FMMUs and SyncManagers cleared at once.
 const BLOCKS_MAX: u8 = 16;
 
 impl Unit {
-    /// Goes to a step, and on from it as long as there is nothing to do.
+    /// Enters a step, and skips steps with nothing to do.
     pub(super) fn enter(&mut self, step: Step, cx: &Context<'_>, out: &mut Outbox) {
-        if self.waiting != super::Asked::Nothing {
-            self.waiting = super::Asked::Past;
+        if self.waiting != super::Pending::Nothing {
+            self.waiting = super::Pending::Past;
         }
         let mut step = step;
         loop {
@@ -106,7 +106,7 @@ impl Unit {
                     };
                     if let Some(output) =
                         self.mailbox
-                            .begin(transfer, kind, cx.mailbox_room(), cx.now)
+                            .begin(transfer, kind, cx.mailbox_capacity(), cx.now)
                     {
                         self.handle_mailbox(output, cx, out);
                     }
@@ -119,7 +119,7 @@ impl Unit {
         }
     }
 
-    /// Passes what it was waiting at, if that is open now.
+    /// Passes the gate it is waiting at, if it is open now.
     pub(super) fn pass_gate(&mut self, cx: &Context<'_>, out: &mut Outbox) {
         if self.op != Op::Rest || self.job.is_some() {
             return;
@@ -179,13 +179,13 @@ impl Unit {
             Step::Open(at) if more(at.into(), self.process.channels.len()) => Step::Open(at + 1),
             Step::Open(_) => Step::Op,
             Step::Op | Step::Run => Step::Run,
-            Step::Look => Step::Init,
+            Step::Check => Step::Init,
             Step::Absent => Step::Absent,
             Step::Failed => Step::Failed,
         }
     }
 
-    #[expect(clippy::too_many_lines, reason = "a table, one line a step")]
+    #[expect(clippy::too_many_lines, reason = "a table, one line per step")]
     fn prepare(&mut self, step: Step, cx: &Context<'_>, out: &mut Outbox) -> Prepared {
         use Prepared::{Do, Skip, Wait};
         let goes_on = self.goal(cx.config) != AlState::PreOp;
@@ -241,7 +241,7 @@ impl Unit {
             Step::PreOp | Step::Fallback => Do(self.change_state(AlState::PreOp)),
             Step::Startup(at) => self.startup(at.into()),
             Step::Assign(at) => self.assignment(at.into()),
-            Step::Learn(at) => self.ask(at.into()),
+            Step::Learn(at) => self.query_pdos(at.into()),
             Step::Configured => self.configured(cx),
             Step::Watchdog if !goes_on => self.run(cx, out),
             Step::Watchdog => self.watchdog(),
@@ -269,7 +269,7 @@ impl Unit {
             Step::Op if self.goal(cx.config) == AlState::SafeOp => self.run(cx, out),
             Step::Op => Do(self.change_state(AlState::Op)),
             Step::Run => self.run(cx, out),
-            Step::Look => Do(Op::Read {
+            Step::Check => Do(Op::Read {
                 at: register::AL_STATUS,
                 len: 6,
             }),
@@ -303,8 +303,8 @@ impl Unit {
             return Prepared::Fail(fault);
         }
         let lens = (self.process.outputs_len(), self.process.inputs_len());
-        if self.gate == Gate::Goal && !cx.image.has_room(self.number, lens) {
-            return Prepared::Fail(Fault::NoRoom);
+        if self.gate == Gate::Goal && !cx.image.fits(self.number, lens) {
+            return Prepared::Fail(Fault::NotInImage);
         }
         self.mapped = true;
         if self.gate == Gate::Goal {
@@ -318,8 +318,7 @@ impl Unit {
         let Some(time) = self.spec.watchdog else {
             return Prepared::Skip;
         };
-        // In units of the divider as the slave has it from the factory: 100 us. Zero would switch it off, so it is
-        // rounded up.
+        // In units of the divider's factory setting, 100 us. Zero would disable it, so it is rounded up.
         let units = u16::try_from(time.as_nanos().div_ceil(100_000)).unwrap_or(u16::MAX);
         Prepared::Do(self.write(register::WATCHDOG_PROCESS_DATA, &units.to_le_bytes()))
     }
@@ -333,7 +332,7 @@ impl Unit {
         Prepared::Do(self.write(at, &block))
     }
 
-    /// Outputs that are to be on in OP only are switched on when OP is next.
+    /// Outputs that are enabled in OP only are switched on immediately before OP.
     fn open(&mut self, at: usize, cx: &Context<'_>) -> Prepared {
         let opens = self.goal(cx.config) == AlState::Op;
         let channel = self.process.channels.get(at);
@@ -360,7 +359,7 @@ impl Unit {
             .sum();
         let base = cx.image.logical(self.number, channel.outputs);
         let (Some(base), Ok(offset)) = (base, u32::try_from(offset)) else {
-            return Prepared::Fail(Fault::NoRoom);
+            return Prepared::Fail(Fault::NotInImage);
         };
         let number = before().filter(|channel| !channel.is_empty()).count();
         let block = channel.fmmu(base + offset).encode();
@@ -368,10 +367,10 @@ impl Unit {
         Prepared::Do(self.write(at, &block))
     }
 
-    /// The operation of the step is done.
+    /// The operation of the step succeeded.
     #[expect(
         clippy::wildcard_enum_match_arm,
-        reason = "the answers of most steps say nothing"
+        reason = "the answers of most steps carry no data"
     )]
     pub(super) fn advance(&mut self, data: &[u8], cx: &Context<'_>, out: &mut Outbox) {
         let goes_on = match self.step {
@@ -386,8 +385,8 @@ impl Unit {
             Step::ReceiveTimes => self.take_times(data),
             Step::ClockRead => self.take_offset(data, cx),
             Step::ClockLock => self.take_difference(data, cx, out),
-            Step::Look => return self.look(data, cx, out),
-            // Of all others it is enough that they were done.
+            Step::Check => return self.check(data, cx, out),
+            // The others have no result to handle.
             _ => true,
         };
         if goes_on {
@@ -395,15 +394,15 @@ impl Unit {
         }
     }
 
-    /// It is there again, or is to be tried again: how much of its set-up has it still?
-    fn look(&mut self, data: &[u8], cx: &Context<'_>, out: &mut Outbox) {
+    /// The slave is back or is retried: checks how much of its set-up is still valid.
+    fn check(&mut self, data: &[u8], cx: &Context<'_>, out: &mut Outbox) {
         self.take_status(data);
         let kept = self.set_up && self.failures < 3;
         let step = match self.al.state {
             AlState::SafeOp | AlState::Op if kept && self.goal(cx.config) != AlState::PreOp => {
-                // Its clock ran on, and all others are to follow it again.
+                // Its clock continued, and all others follow it again.
                 self.clock.locked |= cx.reference == Some(self.number);
-                // SYNC0 is begun anew: while it was away its clock ran by itself.
+                // SYNC0 is restarted: while the slave was offline its clock ran freely.
                 if self.spec.sync.is_some() {
                     Step::Fallback
                 } else {

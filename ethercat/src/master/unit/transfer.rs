@@ -1,5 +1,5 @@
-//! One job that goes through a mailbox, message by message: SDO expedited, normal and in segments, complete access,
-//! SDO information with its fragments (ETG.1000.6, clause 5.6). How a message reaches the slave is the mailbox's.
+//! One job that goes through a mailbox, message by message: SDO expedited, normal and in segments, complete access, SDO
+//! information with its fragments (ETG.1000.6, clause 5.6). The mailbox transports the messages.
 
 use takt_cia402::dictionary::{AbortCode, Address};
 
@@ -9,38 +9,38 @@ use super::OWN;
 use crate::coe::{Information, SDO_LEN, Sdo};
 use crate::{CoeService, MailboxKind};
 
-/// What follows from a message of the slave.
+/// The result of a message of the slave.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Progress {
-    /// It belongs to something else.
+    /// The message is unrelated.
     Ignored,
     /// Send the next message.
     Next,
-    /// More comes by itself.
+    /// Wait for more messages.
     More,
-    /// That was it.
+    /// The transfer has ended.
     Done(Result<(), JobError>),
 }
 
-/// Where a transfer is.
+/// Phase of a transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
     /// The first message.
     Begin,
     /// Segments follow.
     Segments { toggle: bool },
-    /// Tell the slave that nothing more comes, then end with this.
+    /// Send an abort to the slave, then end with this error.
     Abort(AbortCode, JobError),
 }
 
-/// A job on its way.
+/// A job in transfer.
 #[derive(Debug)]
 pub(in crate::master) struct Transfer {
     job: Job,
     phase: Phase,
-    /// Bytes written so far, or in all to read.
+    /// Bytes written so far, or total bytes to read.
     count: usize,
-    /// Bytes of the segment that was last written.
+    /// Length of the last written segment, bytes.
     part: usize,
 }
 
@@ -61,8 +61,8 @@ impl Transfer {
         self.job
     }
 
-    /// Whether its request may be made twice: what reads changes nothing, and what a slave is set up with has the same
-    /// effect again. Objects that programs write may be commands.
+    /// Whether its request may be repeated: reads change nothing, and start-up writes are idempotent. Objects that
+    /// programs write may be commands.
     pub(super) fn may_restart(&self) -> bool {
         match self.job.kind {
             JobKind::Upload { .. } => !matches!(self.phase, Phase::Abort(..)),
@@ -81,7 +81,7 @@ impl Transfer {
         }
     }
 
-    /// Begins again with its first message.
+    /// Restarts with the first message.
     pub(super) fn restart(&mut self) {
         if !matches!(self.job.kind, JobKind::Download { .. }) {
             self.job.data.clear();
@@ -93,7 +93,7 @@ impl Transfer {
         matches!(self.job.kind, JobKind::RawMailbox)
     }
 
-    /// The object that it is about.
+    /// The object of the transfer.
     pub(in crate::master) const fn address(&self) -> Address {
         match self.job.kind {
             JobKind::Upload { address, .. }
@@ -109,7 +109,7 @@ impl Transfer {
         }
     }
 
-    /// Writes the next message behind the mailbox header into `to`, which is as long as the mailbox allows; gives its
+    /// Writes the next message without mailbox header to `to`, which is as long as the mailbox allows; returns its
     /// length.
     pub(super) fn write(&mut self, to: &mut [u8]) -> Option<usize> {
         let (service, inside) = to.split_first_chunk_mut::<{ CoeService::LEN }>()?;
@@ -135,9 +135,9 @@ impl Transfer {
         match self.job.kind {
             JobKind::Upload { address, whole } => Sdo::Upload { address, whole }.encode(to),
             JobKind::Download { address, whole } => {
-                let room = to.len().checked_sub(SDO_LEN)?;
+                let capacity = to.len().checked_sub(SDO_LEN)?;
                 let size = u32::try_from(self.job.data.len()).ok()?;
-                self.count = self.job.data.len().min(room);
+                self.count = self.job.data.len().min(capacity);
                 if size <= 4 {
                     self.count = self.job.data.len();
                 }
@@ -154,7 +154,7 @@ impl Transfer {
             JobKind::DescribeObject(index) => inform(Information::OBJECT, &index.to_le_bytes(), to),
             JobKind::DescribeEntry(address) => {
                 let [low, high] = address.index.to_le_bytes();
-                // Value info 0: no units, defaults or limits; not every slave has them.
+                // Value info 0: no units, defaults or limits; not every slave supports them.
                 inform(Information::ENTRY, &[low, high, address.sub, 0], to)
             }
             JobKind::RawMailbox
@@ -183,18 +183,18 @@ impl Transfer {
         Some(())
     }
 
-    /// A raw mailbox came.
+    /// Handles a raw mailbox message.
     pub(super) fn handle_raw(&mut self, mailbox: &[u8]) -> Progress {
         self.job.data.clear();
         Progress::Done(self.append(mailbox))
     }
 
-    /// The slave could not take the message.
+    /// Handles a mailbox error.
     pub(super) const fn handle_error(error: crate::MailboxError) -> Progress {
         Progress::Done(Err(JobError::Mailbox(error)))
     }
 
-    /// A CoE message came that is no emergency.
+    /// Handles a CoE message other than an emergency.
     pub(super) fn handle(&mut self, service: CoeService, bytes: &[u8]) -> Progress {
         let informs = self.job.kind.information().is_some();
         match service {
@@ -254,7 +254,7 @@ impl Transfer {
                 self.count += std::mem::take(&mut self.part);
                 self.written(!expected)
             }
-            // Late answers of a transfer that was given up.
+            // Late answers of an aborted transfer.
             _ => Progress::Ignored,
         }
     }
@@ -262,13 +262,13 @@ impl Transfer {
     fn uploaded(&mut self, size: u32, data: &[u8]) -> Progress {
         let size = usize::try_from(size).unwrap_or(usize::MAX);
         self.job.data.clear();
-        let room = self.job.data.capacity();
-        if size > room {
-            return self.give_up(AbortCode::OutOfMemory, JobError::TooLong { size, room });
+        let capacity = self.job.data.capacity();
+        if size > capacity {
+            return self.give_up(AbortCode::OutOfMemory, JobError::TooLong { size, capacity });
         }
         self.count = size;
         if data.len() >= size {
-            // A full mailbox may follow the data proper.
+            // The data may be padded to the length of the mailbox.
             return Progress::Done(self.append(data.get(..size).unwrap_or_default()));
         }
         if let Err(error) = self.append(data) {
@@ -313,7 +313,7 @@ impl Transfer {
         }
     }
 
-    /// So much was taken; what is left goes in segments.
+    /// Handles the confirmed bytes; the rest is sent in segments.
     fn written(&mut self, toggle: bool) -> Progress {
         if self.count == self.job.data.len() {
             return Progress::Done(Ok(()));
@@ -327,7 +327,7 @@ impl Transfer {
         Progress::Next
     }
 
-    /// With what it ends once the message under way is sent; `None` while it goes on.
+    /// The error with which it ends once the pending message is sent; `None` while it continues.
     pub(super) const fn ends(&self) -> Option<JobError> {
         match self.phase {
             Phase::Abort(_, error) => Some(error),
@@ -339,7 +339,7 @@ impl Transfer {
         let Some((header, data)) = Information::decode(bytes) else {
             return Progress::Done(Err(JobError::Protocol("SDO information")));
         };
-        let Some(asked) = self.job.kind.information() else {
+        let Some(requested) = self.job.kind.information() else {
             return Progress::Ignored;
         };
         if header.operation == Information::ERROR {
@@ -348,11 +348,11 @@ impl Transfer {
                 .map_or(0, |four| u32::from_le_bytes(*four));
             return Progress::Done(Err(JobError::Abort(AbortCode::from_raw(code))));
         }
-        if header.operation != asked + 1 {
+        if header.operation != requested + 1 {
             return Progress::Ignored;
         }
         // The first fragment of a list repeats its kind.
-        let skip = if asked == Information::LIST && self.count == 0 {
+        let skip = if requested == Information::LIST && self.count == 0 {
             2
         } else {
             0
@@ -367,12 +367,12 @@ impl Transfer {
         Progress::Done(Ok(()))
     }
 
-    /// Takes bytes without growing.
+    /// Appends bytes without growing the buffer.
     fn append(&mut self, bytes: &[u8]) -> Result<(), JobError> {
-        let room = self.job.data.capacity();
+        let capacity = self.job.data.capacity();
         let size = self.job.data.len() + bytes.len();
-        if size > room {
-            return Err(JobError::TooLong { size, room });
+        if size > capacity {
+            return Err(JobError::TooLong { size, capacity });
         }
         self.job.data.extend_from_slice(bytes);
         Ok(())
@@ -392,7 +392,7 @@ fn inform(operation: u8, data: &[u8], to: &mut [u8]) -> Option<usize> {
     Some(end)
 }
 
-/// What a mailbox must speak for a job.
+/// The mailbox protocol that a job requires.
 pub(super) const fn protocol(kind: JobKind) -> Option<MailboxKind> {
     match kind {
         JobKind::Upload { .. }

@@ -1,5 +1,5 @@
-//! What is looked at in a slave that runs, one small datagram when its turn comes: error counters of its ports, its
-//! mailbox, its clock. Its state is in the census of every cycle. What follows from what is seen is not decided here.
+//! Monitoring of a running slave, one small datagram per turn: error counters of its ports, its mailbox, its clock. Its
+//! state is in the census of every cycle. Reactions are not decided here.
 
 use super::{Answer, Request};
 use crate::SyncManager;
@@ -8,23 +8,23 @@ use crate::register;
 /// Errors since the start, added up beyond the 255 that the registers hold.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PortCounters {
-    /// Invalid frames by port (0300h): what came in was broken.
+    /// Invalid frames by port (0300h): received frames with errors.
     pub invalid: [u64; 4],
-    /// Receive errors by port (0301h): symbols that are none.
+    /// Receive errors by port (0301h): invalid symbols.
     pub receive: [u64; 4],
-    /// Forwarded errors by port (0308h): broken before, and marked so.
+    /// Forwarded errors by port (0308h): frames that were already marked as invalid.
     pub forwarded: [u64; 4],
-    /// Errors of the processing unit (030Ch): frames that are no EtherCAT.
+    /// Errors of the processing unit (030Ch): non-EtherCAT frames.
     pub processing: u64,
-    /// Errors of the slave's own controller (030Dh).
+    /// PDI errors (030Dh).
     pub controller: u64,
-    /// Lost links by port (0310h): plug pulled, cable cut, neighbour without power.
+    /// Lost links by port (0310h): unplugged, cable cut, neighbour without power.
     pub lost_links: [u64; 4],
 }
 
-/// Bytes from 0300h to 0313h.
+/// Length of 0300h to 0313h, bytes.
 const BLOCK: usize = 20;
-/// A register that has counted this far is cleared before it stops at 255.
+/// Count at which a register is cleared, before it saturates at 255.
 const CLEAR_AT: u8 = 128;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,19 +35,19 @@ enum Kind {
     Clock,
 }
 
-/// What was seen.
+/// An observation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Found {
     pub(super) mailbox_full: bool,
     pub(super) difference_ns: Option<i32>,
 }
 
-/// The watch over a slave.
+/// The monitoring of a slave.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Watch {
     turn: u8,
     waiting: Option<Kind>,
-    /// The registers as last read; `None` before the first time, when old errors are in them.
+    /// The registers as last read; `None` before the first reading, which may contain old errors.
     last: Option<[u8; BLOCK]>,
     clear: bool,
     counters: PortCounters,
@@ -116,7 +116,7 @@ impl Watch {
         let Some(last) = last else {
             return;
         };
-        // Registers that went down were cleared by somebody else meanwhile.
+        // Registers that decreased were cleared by another master meanwhile.
         let gained = |at: usize| {
             let (new, old) = (
                 block.get(at).copied().unwrap_or(0),
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn counters_go_on_beyond_255_and_old_errors_are_not_ours() {
+    fn error_counters_exceed_255_and_ignore_old_errors() {
         let mut watch = Watch::default();
         let block = |invalid, lost| {
             let mut block = [0; BLOCK];
@@ -185,8 +185,8 @@ mod tests {
     }
 
     #[test]
-    fn each_kind_has_its_turn_where_it_makes_sense() {
-        let asked = |mailbox, clock| {
+    fn watch_alternates_between_available_checks() {
+        let registers = |mailbox, clock| {
             let mut watch = Watch::default();
             let at: Vec<u16> = (0..4)
                 .map(|_| match watch.request(mailbox, clock) {
@@ -196,9 +196,9 @@ mod tests {
                 .collect();
             at
         };
-        assert_eq!(asked(true, true), [0x0300, 0x0808, 0x092C, 0x0300]);
-        assert_eq!(asked(false, true), [0x0300, 0x092C, 0x0300, 0x092C]);
-        assert_eq!(asked(false, false), [0x0300; 4]);
+        assert_eq!(registers(true, true), [0x0300, 0x0808, 0x092C, 0x0300]);
+        assert_eq!(registers(false, true), [0x0300, 0x092C, 0x0300, 0x092C]);
+        assert_eq!(registers(false, false), [0x0300; 4]);
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Each cell of the drive's and the homing's state tables: a state, what comes, the state behind it.
+//! Each cell of the drive's and the homing's state tables: a state, an input, the next state.
 
 use super::*;
 
@@ -6,14 +6,14 @@ const INIT: u32 = Flags::INITIALIZED;
 const NOW: Duration = Duration::from_secs(100);
 const WANTED: Command = Command::velocity(77);
 
-/// What comes in a cycle.
+/// Input of a cycle.
 #[derive(Clone, Copy, Debug)]
 enum Input {
     /// No inputs.
     Nothing,
     /// Inputs with these flags.
-    Told(u32),
-    /// The mailbox answers well.
+    Reported(u32),
+    /// The mailbox answers.
     Answered,
     /// The mailbox refuses.
     Refused,
@@ -21,15 +21,15 @@ enum Input {
     Late(u32),
 }
 
-use Input::{Answered, Late, Nothing, Refused, Told};
+use Input::{Answered, Late, Nothing, Refused, Reported};
 
 /// The columns of the table.
 const INPUTS: [Input; 9] = [
     Nothing,
-    Told(0),
-    Told(INIT),
-    Told(INIT | Flags::TIMEOUT),
-    Told(Flags::I2T),
+    Reported(0),
+    Reported(INIT),
+    Reported(INIT | Flags::TIMEOUT),
+    Reported(Flags::I2T),
     Answered,
     Refused,
     Late(0),
@@ -68,7 +68,7 @@ fn usual(state: DriveState) -> u32 {
     }
 }
 
-/// The state behind an input. Whatever it is, only a drive that follows does what is wanted.
+/// The next state for an input. In any case, only a drive that follows executes the wanted command.
 fn after(state: DriveState, input: Input) -> DriveState {
     let mut drive = drive_in(state);
     let cycle = |drive: &mut Drive, flags: Option<u32>, now| {
@@ -78,7 +78,7 @@ fn after(state: DriveState, input: Input) -> DriveState {
     };
     match input {
         Nothing => cycle(&mut drive, None, NOW),
-        Told(flags) => cycle(&mut drive, Some(flags), NOW),
+        Reported(flags) => cycle(&mut drive, Some(flags), NOW),
         Late(flags) => cycle(&mut drive, Some(flags), NOW + Duration::from_secs(60)),
         Answered | Refused => {
             cycle(&mut drive, Some(usual(state)), NOW);
@@ -88,7 +88,7 @@ fn after(state: DriveState, input: Input) -> DriveState {
             } else {
                 Answer::Value(1)
             };
-            let refused = CallError::Refused(Refusal::Command);
+            let refused = CallError::Refused(TmclError::Command);
             let is_good = matches!(input, Answered);
             drive
                 .mailbox()
@@ -116,9 +116,9 @@ fn name(state: DriveState) -> &'static str {
 }
 
 #[test]
-fn each_cell_of_the_drive() {
-    let call = Obstacle::Call(CallError::Refused(Refusal::Command));
-    // Expected, in the order of INPUTS: nothing, flags 0, 15, 15 and 16, 17, answer, refusal, late 0, late 15.
+fn drive_state_machine_each_cell() {
+    let call = DriveFault::Call(CallError::Refused(TmclError::Command));
+    // Expected, in the order of INPUTS: nothing, flags 0, 15, 15 and 16, 17, answer, error, late 0, late 15.
     let table = [
         (
             DriveState::Absent,
@@ -165,7 +165,7 @@ fn each_cell_of_the_drive() {
             "absent refused refused refused refused refused refused identify identify",
         ),
         (
-            DriveState::Refused(Obstacle::Commutation, NOW),
+            DriveState::Refused(DriveFault::Commutation, NOW),
             "absent refused refused refused refused refused refused refused refused",
         ),
     ];
@@ -181,9 +181,9 @@ fn each_cell_of_the_drive() {
 }
 
 #[test]
-fn blocked_drives_do_not_look_for_their_commutation() {
+fn blocked_drives_do_not_search_commutation() {
     for bit in [1, 2, 3, 5, 6, 7, 12] {
-        let state = after(DriveState::Commutate(NOW), Told(1 << bit));
+        let state = after(DriveState::Commutate(NOW), Reported(1 << bit));
         assert_eq!(state, DriveState::Uncommutated, "bit {bit}");
     }
     let mut drive = drive_in(DriveState::Uncommutated);
@@ -195,7 +195,7 @@ fn blocked_drives_do_not_look_for_their_commutation() {
 }
 
 #[test]
-fn each_firmware_finds_its_commutation_in_its_own_way() {
+fn commutation_search_depends_on_firmware() {
     let mut drive = drive_in(DriveState::Uncommutated);
     let command = drive.cycle(Some(&inputs(0)), None, true, NOW);
     assert_eq!(command, Command::velocity(-100));
@@ -205,7 +205,7 @@ fn each_firmware_finds_its_commutation_in_its_own_way() {
 }
 
 #[test]
-fn an_unknown_firmware_or_layout_is_refused_and_named() {
+fn unknown_firmware_or_layout_is_refused_and_named() {
     for (number, len, text) in [
         (
             200,
@@ -230,15 +230,15 @@ fn an_unknown_firmware_or_layout_is_refused_and_named() {
             .mailbox()
             .pretend(Ok(Answer::Version(Version { board, number })));
         drive.cycle(Some(&inputs(0)[..len]), None, true, NOW);
-        let why = drive.obstacle().unwrap().to_string();
+        let why = drive.drive_fault().unwrap().to_string();
         assert!(why.contains(text), "{why}");
     }
 }
 
-/// The state of homing behind one cycle, and what the joint is told.
+/// The state of homing after one cycle, and the command of the joint.
 fn homed(
     state: HomingState,
-    told: Feedback,
+    feedback: Feedback,
     outcome: Option<i32>,
     may_move: bool,
     later_ms: u64,
@@ -246,17 +246,17 @@ fn homed(
     let (mut homing, mut mailbox) = (Homing::new(HOMING[1]), Mailbox::new(0));
     homing.force(state);
     if let Some(value) = outcome {
-        homing.cycle(&told, &mut mailbox, may_move, NOW);
+        homing.cycle(&feedback, &mut mailbox, may_move, NOW);
         mailbox.pretend(Ok(Answer::Value(value)));
     }
     let now = NOW + Duration::from_millis(later_ms);
-    let command = homing.cycle(&told, &mut mailbox, may_move, now);
+    let command = homing.cycle(&feedback, &mut mailbox, may_move, now);
     (homing.state(), command)
 }
 
 #[test]
 #[expect(clippy::too_many_lines, reason = "a table")]
-fn each_cell_of_homing() {
+fn homing_state_machine_each_cell() {
     let (free, pressed) = (
         Feedback {
             velocity_rpm: 156,
@@ -282,8 +282,8 @@ fn each_cell_of_homing() {
     let hold = Some(Command::HOLD);
     let (go, limp) = (Some(Command::velocity(156)), Some(Command::current(0)));
     let late = NOW + Duration::from_millis(300);
-    let way = |pressed| HomingState::Approach(NOW, pressed);
-    for (state, told, outcome, may_move, later, expected, command) in [
+    let approach = |pressed| HomingState::Approach(NOW, pressed);
+    for (state, feedback, outcome, may_move, later, expected, command) in [
         (
             HomingState::Idle,
             free,
@@ -312,16 +312,16 @@ fn each_cell_of_homing() {
             None,
         ),
         (
-            HomingState::Ask,
+            HomingState::Query,
             free,
             None,
             true,
             0,
-            HomingState::Ask,
+            HomingState::Query,
             hold,
         ),
         (
-            HomingState::Ask,
+            HomingState::Query,
             free,
             Some(1),
             false,
@@ -330,23 +330,31 @@ fn each_cell_of_homing() {
             hold,
         ),
         (
-            HomingState::Ask,
+            HomingState::Query,
             free,
             Some(0),
             false,
             0,
-            HomingState::Ask,
+            HomingState::Query,
             hold,
         ),
-        (HomingState::Ask, free, Some(0), true, 0, way(0), hold),
-        (way(0), free, None, true, 300, way(0), go),
-        (way(3), free, None, true, 300, way(0), go),
-        (way(3), pressed, None, true, 300, way(4), go),
-        (way(4), pressed, None, true, 100, way(0), go),
-        // Inputs may hold anything.
-        (way(4), fastest, None, true, 300, way(0), go),
         (
-            way(4),
+            HomingState::Query,
+            free,
+            Some(0),
+            true,
+            0,
+            approach(0),
+            hold,
+        ),
+        (approach(0), free, None, true, 300, approach(0), go),
+        (approach(3), free, None, true, 300, approach(0), go),
+        (approach(3), pressed, None, true, 300, approach(4), go),
+        (approach(4), pressed, None, true, 100, approach(0), go),
+        // Inputs may hold anything.
+        (approach(4), fastest, None, true, 300, approach(0), go),
+        (
+            approach(4),
             strongest,
             None,
             true,
@@ -355,7 +363,7 @@ fn each_cell_of_homing() {
             limp,
         ),
         (
-            way(4),
+            approach(4),
             pressed,
             None,
             true,
@@ -363,9 +371,17 @@ fn each_cell_of_homing() {
             HomingState::Rest(late),
             limp,
         ),
-        (way(0), free, None, false, 0, HomingState::Cancelled, hold),
         (
-            way(0),
+            approach(0),
+            free,
+            None,
+            false,
+            0,
+            HomingState::Cancelled,
+            hold,
+        ),
+        (
+            approach(0),
             free,
             None,
             true,
@@ -428,7 +444,7 @@ fn each_cell_of_homing() {
             hold,
         ),
     ] {
-        let found = homed(state, told, outcome, may_move, later);
+        let found = homed(state, feedback, outcome, may_move, later);
         assert_eq!(
             found,
             (expected, command),
@@ -436,8 +452,8 @@ fn each_cell_of_homing() {
         );
     }
     let active = [
-        HomingState::Ask,
-        way(2),
+        HomingState::Query,
+        approach(2),
         HomingState::Rest(NOW),
         HomingState::Preset,
         HomingState::Mark,
@@ -450,6 +466,6 @@ fn each_cell_of_homing() {
         homing.cancel();
         assert_eq!(homing.state(), HomingState::Cancelled);
         homing.start();
-        assert_eq!(homing.state(), HomingState::Ask);
+        assert_eq!(homing.state(), HomingState::Query);
     }
 }

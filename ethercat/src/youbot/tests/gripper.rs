@@ -1,4 +1,4 @@
-//! The gripper against the emulated one, in virtual time: the truth is where its bars are.
+//! The gripper against the emulated one, in virtual time: reference are the positions of its bars.
 
 use super::*;
 use crate::emulator::Bar;
@@ -9,14 +9,14 @@ fn truth(lead: &Lead) -> f64 {
     joint.bars().unwrap().iter().map(Bar::opening).sum()
 }
 
-/// Puts something in the way of a finger, or takes it out.
+/// Blocks or releases a finger.
 fn jam(lead: &Lead, jammed: bool) {
     let mut joint = lead.bot.arms[0][4].lock();
     joint.bars_mut().unwrap()[1].jammed = jammed;
 }
 
 #[test]
-fn the_gripper_finds_its_stops_and_opens_as_told() {
+fn gripper_finds_its_stops_and_opens_as_commanded() {
     let mut lead = Lead::ready(Firmware::V200);
     lead.gripper.start(lead.rig.now);
     lead.until(12_000, |lead| lead.gripper.is_ready());
@@ -36,7 +36,7 @@ fn the_gripper_finds_its_stops_and_opens_as_told() {
 }
 
 #[test]
-fn fingers_that_do_not_reach_their_stops_are_not_sent_there_again_by_themselves() {
+fn gripper_that_missed_its_stops_does_not_retry() {
     let mut lead = Lead::ready(Firmware::V200);
     jam(&lead, true);
     lead.gripper.start(lead.rig.now);
@@ -52,7 +52,7 @@ fn fingers_that_do_not_reach_their_stops_are_not_sent_there_again_by_themselves(
         lead.cycle();
         assert!(late(&lead), "{:?}", lead.gripper.state());
     }
-    // The finger that was held finishes what it was sent for; nothing sends them back.
+    // The blocked finger completes its motion; none is sent back.
     assert!(truth(&lead) >= at);
     lead.gripper.forget();
     lead.gripper.start(lead.rig.now);
@@ -60,7 +60,7 @@ fn fingers_that_do_not_reach_their_stops_are_not_sent_there_again_by_themselves(
 }
 
 #[test]
-fn fingers_on_a_thing_press_and_take_the_next_order() {
+fn gripper_on_an_object_presses_and_accepts_orders() {
     let mut lead = Lead::ready(Firmware::V200);
     lead.gripper.start(lead.rig.now);
     lead.until(12_000, |lead| lead.gripper.is_ready());
@@ -81,7 +81,7 @@ fn fingers_on_a_thing_press_and_take_the_next_order() {
 }
 
 #[test]
-fn gripper_stopped_on_its_way_stays_there() {
+fn gripper_stopped_in_motion_stays() {
     let mut lead = Lead::ready(Firmware::V200);
     lead.gripper.start(lead.rig.now);
     lead.until(12_000, |lead| lead.gripper.is_ready());
@@ -105,13 +105,13 @@ fn gripper_stopped_on_its_way_stays_there() {
 }
 
 #[test]
-fn only_a_mailbox_that_failed_is_tried_again_after_two_seconds() {
+fn gripper_retries_only_mailbox_errors_after_two_seconds() {
     let now = Duration::from_secs(100);
     let lost = CallError::Lost(JobError::Timeout(Duration::from_secs(1)));
     for (error, later_s, again) in [
         (GripperError::Call(lost), 1, false),
         (GripperError::Call(lost), 2, true),
-        (GripperError::Call(Refusal::Command.into()), 60, false),
+        (GripperError::Call(TmclError::Command.into()), 60, false),
         (GripperError::Late, 60, false),
     ] {
         let mut gripper = Gripper::new(BarConfig::default());
@@ -123,7 +123,7 @@ fn only_a_mailbox_that_failed_is_tried_again_after_two_seconds() {
 }
 
 #[test]
-fn any_counts_of_the_bars_make_a_distance() {
+fn gripper_distance_of_any_counts_is_bounded() {
     let mut gripper = Gripper::new(BarConfig::default());
     for count in [i32::MIN, i32::MAX, 0] {
         gripper.force(GripperState::Ready, [Some(count); 2]);

@@ -13,7 +13,7 @@ use takt_can::canopen::network::{
     AxisCommand, AxisFault, AxisPlan, Event, Network, NetworkConfig, NodeFault, NodePlan, Phase,
 };
 use takt_can::canopen::{Emergency, NodeId};
-use takt_can::cia402::Obstacle;
+use takt_can::cia402::DriveFault;
 use takt_can::cia402::proof::Objects;
 use takt_can::linux::{Options, SocketCan};
 use takt_rt::alloc::enter_real_time;
@@ -310,18 +310,18 @@ impl DeviceDriver for Canopen {
 }
 
 /// What a trouble of an axis is, whatever its figures are.
-type Kind = (Discriminant<AxisFault>, Option<Discriminant<Obstacle>>);
+type Kind = (Discriminant<AxisFault>, Option<Discriminant<DriveFault>>);
 
 fn kind(trouble: &AxisFault) -> Kind {
-    let obstacle = if let AxisFault::Drive(obstacle) = trouble {
+    let drive_fault = if let AxisFault::Drive(drive_fault) = trouble {
         // Resets go on as long as the fault does.
-        let of_fault = matches!(obstacle, Obstacle::ResetRefused(_));
-        let obstacle = if of_fault { &Obstacle::Fault } else { obstacle };
-        Some(discriminant(obstacle))
+        let of_fault = matches!(drive_fault, DriveFault::ResetRefused(_));
+        let drive_fault = if of_fault { &DriveFault::Fault } else { drive_fault };
+        Some(discriminant(drive_fault))
     } else {
         None
     };
-    (discriminant(trouble), obstacle)
+    (discriminant(trouble), drive_fault)
 }
 
 /// Where the axis of a joint is in the network.

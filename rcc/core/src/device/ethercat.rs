@@ -154,8 +154,8 @@ impl fmt::Display for News {
             Self::Axis(slave, axis, AxisNews::Lack(lack)) => {
                 write!(f, "slave {slave}: axis {axis} cannot be led: {lack}")
             }
-            Self::Axis(slave, axis, AxisNews::Obstacle(obstacle)) => {
-                write!(f, "slave {slave}, axis {axis}: {obstacle}")
+            Self::Axis(slave, axis, AxisNews::DriveFault(drive_fault)) => {
+                write!(f, "slave {slave}, axis {axis}: {drive_fault}")
             }
             Self::Axis(slave, axis, AxisNews::Proven(took, trusted)) => {
                 write!(

@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-use takt_ethercat::config::{MasterConfig, Place, SlaveSpec, SyncSpec};
+use takt_ethercat::config::{Location, MasterConfig, SlaveSpec, SyncSpec};
 use takt_ethercat::dc::{Sample, phase_ns};
 use takt_ethercat::emulator::{Entry, Segment, ServoConfig, ServoDrive};
 use takt_ethercat::master::Master;
@@ -79,7 +79,7 @@ impl Bench {
         };
         let slave = |position| SlaveSpec {
             sync: Some(SyncSpec::sync0(CYCLE)),
-            ..SlaveSpec::new(format!("axis {position}"), Place::Position(position))
+            ..SlaveSpec::new(format!("axis {position}"), Location::Position(position))
         };
         let count = u16::try_from(drifts_ppb.len()).unwrap();
         let config = MasterConfig {

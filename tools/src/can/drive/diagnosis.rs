@@ -4,7 +4,7 @@
 use std::fmt;
 
 use takt_can::canopen::{Message, NmtState, NodeId};
-use takt_cia402::{Obstacle, State};
+use takt_cia402::{DriveFault, State};
 
 use crate::can::ask::Refusal;
 
@@ -20,7 +20,7 @@ pub(super) enum Cause {
     /// It does not take a write.
     Refused(Refusal),
     /// The state machine does not go where it should.
-    Drive(Obstacle),
+    Drive(DriveFault),
     /// 6040h does not hold what was written: somebody else writes it.
     Overwritten { wrote: u16, holds: u16 },
     /// It began anew meanwhile.
@@ -58,17 +58,17 @@ impl Cause {
             Self::NotADrive(_) => "not-a-drive",
             Self::NoAxis(..) => "no-axis",
             Self::Refused(_) => "refused",
-            Self::Drive(Obstacle::Undefined(_)) => "undefined-state",
-            Self::Drive(Obstacle::Fault) => "fault",
-            Self::Drive(Obstacle::ResetRefused(_)) => "reset-refused",
-            Self::Drive(Obstacle::EnablingFails(_)) => "enabling-fails",
-            Self::Drive(Obstacle::NotRemote) => "not-remote",
-            Self::Drive(Obstacle::NoVoltage) => "no-voltage",
-            Self::Drive(Obstacle::Mode { .. }) => "mode",
-            Self::Drive(Obstacle::Stuck { .. }) => "stuck",
-            Self::Drive(Obstacle::QuickStopHeld) => "quick-stop-held",
-            Self::Drive(Obstacle::NotFollowing) => "not-following",
-            Self::Drive(Obstacle::NotProven(_)) => "not-proven",
+            Self::Drive(DriveFault::Undefined(_)) => "undefined-state",
+            Self::Drive(DriveFault::Fault) => "fault",
+            Self::Drive(DriveFault::ResetRefused(_)) => "reset-refused",
+            Self::Drive(DriveFault::EnablingFails(_)) => "enabling-fails",
+            Self::Drive(DriveFault::NotRemote) => "not-remote",
+            Self::Drive(DriveFault::NoVoltage) => "no-voltage",
+            Self::Drive(DriveFault::Mode { .. }) => "mode",
+            Self::Drive(DriveFault::Stuck { .. }) => "stuck",
+            Self::Drive(DriveFault::QuickStopHeld) => "quick-stop-held",
+            Self::Drive(DriveFault::NotFollowing) => "not-following",
+            Self::Drive(DriveFault::NotProven(_)) => "not-proven",
             Self::Overwritten { .. } => "overwritten",
             Self::Rebooted => "rebooted",
             Self::Left(_) => "left-operational",
@@ -98,11 +98,11 @@ impl fmt::Display for Diagnosis {
                 f,
                 "{refusal}; is the object written by a PDO of another master, or has the drive not this mode?"
             ),
-            Cause::Drive(Obstacle::Stuck { state, sent, .. }) => write!(
+            Cause::Drive(DriveFault::Stuck { state, sent, .. }) => write!(
                 f,
                 "{state} although 6040h is {sent}: an input, the interlock or a parameter of the drive keeps it there"
             ),
-            Cause::Drive(obstacle) => obstacle.fmt(f),
+            Cause::Drive(drive_fault) => drive_fault.fmt(f),
             Cause::Overwritten { wrote, holds } => write!(
                 f,
                 "6040h holds {holds:04X}h although {wrote:04X}h was written: another master writes it; stop that one \

@@ -4,7 +4,7 @@
 use takt_can::canopen::Emergency;
 use takt_cia402::dictionary::Address;
 use takt_cia402::emulator::FaultCode;
-use takt_cia402::{ControlWord, Obstacle};
+use takt_cia402::{ControlWord, DriveFault};
 
 use super::MODES;
 use crate::can::ask::{Asker, number};
@@ -65,17 +65,19 @@ pub(super) fn modes(word: u32) -> String {
 }
 
 /// Which objects explain it.
-fn about(obstacle: Option<Obstacle>) -> &'static [u16] {
-    match obstacle {
-        Some(Obstacle::Fault | Obstacle::ResetRefused(_) | Obstacle::EnablingFails(_)) => {
+fn about(drive_fault: Option<DriveFault>) -> &'static [u16] {
+    match drive_fault {
+        Some(DriveFault::Fault | DriveFault::ResetRefused(_) | DriveFault::EnablingFails(_)) => {
             &[0x603F, 0x1001, 0x1003]
         }
-        Some(Obstacle::NoVoltage) => &[0x6079, 0x60FD],
-        Some(Obstacle::Mode { .. }) => &[0x6502, 0x6040],
-        Some(Obstacle::Stuck { .. }) => &[0x6040, 0x60FD, 0x603F, 0x1001],
-        Some(Obstacle::QuickStopHeld) => &[0x605A],
-        Some(Obstacle::NotFollowing) => &[0x6061, 0x60C2, 0x60FD],
-        Some(Obstacle::Undefined(_) | Obstacle::NotRemote | Obstacle::NotProven(_)) => &[0x1001],
+        Some(DriveFault::NoVoltage) => &[0x6079, 0x60FD],
+        Some(DriveFault::Mode { .. }) => &[0x6502, 0x6040],
+        Some(DriveFault::Stuck { .. }) => &[0x6040, 0x60FD, 0x603F, 0x1001],
+        Some(DriveFault::QuickStopHeld) => &[0x605A],
+        Some(DriveFault::NotFollowing) => &[0x6061, 0x60C2, 0x60FD],
+        Some(DriveFault::Undefined(_) | DriveFault::NotRemote | DriveFault::NotProven(_)) => {
+            &[0x1001]
+        }
         // It is enabled and does not turn.
         None => &[0x60FD, 0x6072, 0x60E0, 0x60E1, 0x607F, 0x6080, 0x6077],
     }
@@ -86,10 +88,10 @@ pub(super) fn facts<W: Wire>(
     wire: &mut W,
     asker: &mut Asker,
     axis: u8,
-    obstacle: Option<Obstacle>,
+    drive_fault: Option<DriveFault>,
 ) -> anyhow::Result<Vec<String>> {
     let mut facts = Vec::new();
-    for index in about(obstacle) {
+    for index in about(drive_fault) {
         let sub = u8::from(matches!(index, 0x1003 | 0x60C2));
         let address = Address::new(*index, sub);
         let address = address.on_axis(axis).unwrap_or(address);

@@ -13,7 +13,7 @@ use std::time::Duration;
 use takt_can::Frame;
 use takt_can::canopen::{HEARTBEAT, NmtCommand, NmtState, NodeId, heartbeat};
 use takt_cia402::dictionary::Address;
-use takt_cia402::{ControlWord, Goal, Master, Obstacle, Patience, StatusWord};
+use takt_cia402::{ControlWord, DriveFault, Goal, Master, Patience, StatusWord};
 
 use super::diagnosis::{Cause, Diagnosis};
 use super::facts::facts;
@@ -222,13 +222,13 @@ impl<'s, W: Wire> Session<'s, W> {
         let Err(End::Because(cause)) = end else {
             return Ok(None);
         };
-        let fault = Some(Obstacle::Fault);
+        let fault = Some(DriveFault::Fault);
         let about = match *cause {
-            Cause::Drive(obstacle) => Some(Some(obstacle)),
+            Cause::Drive(drive_fault) => Some(Some(drive_fault)),
             Cause::DoesNotTurn { .. } | Cause::DoesNotStop { .. } => Some(None),
             Cause::Refused(refusal) if refusal.address() == self.address(0x6060) => {
                 let (wanted, shown) = (self.plan.mode, 0);
-                Some(Some(Obstacle::Mode { wanted, shown }))
+                Some(Some(DriveFault::Mode { wanted, shown }))
             }
             Cause::Dropped(_) | Cause::Left(_) | Cause::Rebooted => Some(fault),
             Cause::Silent(_)

@@ -332,7 +332,7 @@ fn a_fault_that_is_reset_and_one_that_stays() {
         text.contains("after 3 resets") && text.contains("encoder"),
         "{text}"
     );
-    axis(&mut lab.devices).mend();
+    axis(&mut lab.devices).clear_cause();
     let report = run(
         &mut lab,
         Plan {

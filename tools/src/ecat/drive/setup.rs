@@ -4,7 +4,7 @@
 use takt_cia402::dictionary::Address;
 use takt_ethercat::axis::{self, Axis, AxisState};
 use takt_ethercat::coe::Whole;
-use takt_ethercat::config::{MasterConfig, Place, SlaveSpec, SyncSpec};
+use takt_ethercat::config::{Location, MasterConfig, SlaveSpec, SyncSpec};
 use takt_ethercat::master::JobKind;
 
 use super::{Order, error_text};
@@ -64,7 +64,7 @@ pub(super) fn config<W: Wire>(
         }));
     }
     let specs = (0..session.master().len()).map(|other| {
-        let place = Place::Position(u16::try_from(other).unwrap_or(u16::MAX));
+        let place = Location::Position(u16::try_from(other).unwrap_or(u16::MAX));
         let mut spec = SlaveSpec::new(format!("slave {other}"), place);
         if other == number {
             spec.startup = axis::interpolation(order.axis, order.cycle);

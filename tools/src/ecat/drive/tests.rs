@@ -176,7 +176,7 @@ fn a_drive_in_fault_says_why_and_comes_up_after_a_reset() {
 
     let (segment, drive) = line(ServoConfig::default());
     drive.axis(0, |axis| axis.fault(FaultCode(0x2310))).unwrap();
-    drive.axis(0, |axis| axis.mend()).unwrap();
+    drive.axis(0, |axis| axis.clear_cause()).unwrap();
     let reset = Order {
         reset: true,
         ..order()

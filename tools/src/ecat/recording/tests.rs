@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use takt_ethercat::AlState;
-use takt_ethercat::config::{MasterConfig, Place, SlaveSpec, SyncSpec};
+use takt_ethercat::config::{Location, MasterConfig, SlaveSpec, SyncSpec};
 use takt_ethercat::emulator::{Corrupt, Faults};
 
 use super::{Recording, dc, stat};
@@ -110,7 +110,7 @@ fn missed_working_counters_are_put_to_the_slave_that_fell() {
 fn clocks_and_the_phase_of_frames_to_sync0_are_found_in_a_recording() {
     let mut session = session(tree(), AlState::Op);
     let specs = (0..3).map(|number| {
-        let mut spec = SlaveSpec::new(format!("{number}"), Place::Position(number));
+        let mut spec = SlaveSpec::new(format!("{number}"), Location::Position(number));
         spec.sync = (number == 1).then(|| SyncSpec::sync0(CYCLE));
         spec
     });

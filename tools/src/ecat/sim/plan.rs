@@ -483,7 +483,7 @@ mod tests {
         let unknown = toml::from_str::<Plan>("[[slave]]\nkind = 'el9999'\n");
         let told = unknown.unwrap_err().to_string();
         assert!(
-            told.contains("`el9999` is no device; known are ek1100"),
+            told.contains("unknown device `el9999`; known are ek1100"),
             "{told}"
         );
     }

@@ -4,7 +4,9 @@
 use std::time::Duration;
 
 use anyhow::ensure;
-use takt_ethercat::youbot::{Drive, DriveConfig, HOMING, Homing, HomingState, Obstacle, TRINAMIC};
+use takt_ethercat::youbot::{
+    Drive, DriveConfig, DriveFault, HOMING, Homing, HomingState, TRINAMIC,
+};
 
 use crate::ecat::session::{Session, Wire};
 
@@ -75,7 +77,7 @@ pub(super) fn home<W: Wire>(
         }
         if now.saturating_sub(begin) > PATIENCE {
             for joint in joints.iter().filter(|joint| !joint.homing.is_done()) {
-                let why = joint.drive.obstacle();
+                let why = joint.drive.drive_fault();
                 let why = why.map_or_else(|| "not at its stop".to_owned(), |why| why.to_string());
                 say(&format!("joint {}: {why}", joint.number))?;
             }
@@ -121,19 +123,19 @@ impl Joint {
     fn report(&mut self, say: &mut impl FnMut(&str) -> anyhow::Result<()>) -> anyhow::Result<bool> {
         let number = self.number;
         let lost = self.homing.is_active() && !self.drive.follows();
-        if let (true, Some(why)) = (lost, self.drive.obstacle()) {
+        if let (true, Some(why)) = (lost, self.drive.drive_fault()) {
             say(&format!("joint {number}: {why}"))?;
             return Ok(false);
         }
-        if let Some(why @ (Obstacle::Firmware { .. } | Obstacle::Commutation)) =
-            self.drive.obstacle()
+        if let Some(why @ (DriveFault::Firmware { .. } | DriveFault::Commutation)) =
+            self.drive.drive_fault()
         {
             say(&format!("joint {number}: {why}"))?;
             return Ok(false);
         }
         let state = self.homing.state();
         let word = |state| match state {
-            HomingState::Idle | HomingState::Ask | HomingState::Rest(_) => None,
+            HomingState::Idle | HomingState::Query | HomingState::Rest(_) => None,
             HomingState::Preset | HomingState::Mark => None,
             HomingState::Approach(..) => Some("towards its stop".to_owned()),
             HomingState::Done => Some("homed".to_owned()),

@@ -54,7 +54,7 @@ fn parameters_are_read_written_and_kept() {
     // Protected ones are unlocked first.
     let limit = named("i2t_limit").unwrap();
     let refused = call(&mut session, 6, limit.set(0, 5).unwrap()).unwrap();
-    assert_eq!(refused, Err(CallError::Refused(Refusal::Protected)));
+    assert_eq!(refused, Err(CallError::Refused(TmclError::Protected)));
     for request in writing(limit, 0, 5, false).unwrap() {
         assert!(call(&mut session, 6, request).unwrap().is_ok());
     }

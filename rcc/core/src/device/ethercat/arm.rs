@@ -6,7 +6,7 @@ use std::time::Duration;
 use std::mem::{Discriminant, discriminant};
 
 use takt_can::cia402::proof::Objects;
-use takt_can::cia402::{Obstacle, Patience};
+use takt_can::cia402::{DriveFault, Patience};
 use takt_ethercat::axis::{Axis, NotMapped, Target};
 use takt_ethercat::master::{Master, Reply};
 use takt_rt::cycle::Tick;
@@ -27,8 +27,8 @@ struct Place {
     /// Objects that are taken on trust.
     not_mirrored: Objects,
     /// Why it is not where it is wanted, as reported last, and what is still to be reported.
-    hindered: Option<Discriminant<Obstacle>>,
-    obstacle: Option<Obstacle>,
+    hindered: Option<Discriminant<DriveFault>>,
+    drive_fault: Option<DriveFault>,
     /// How long the proof of its process data took, and whether that is still to be reported.
     proven: Option<(Duration, bool)>,
 }
@@ -39,7 +39,7 @@ pub(super) enum AxisNews {
     /// It cannot be led.
     Lack(NotMapped),
     /// It is not where it is wanted.
-    Obstacle(Obstacle),
+    DriveFault(DriveFault),
     /// Its process data are proven, but for these.
     Proven(Duration, Objects),
 }
@@ -61,7 +61,7 @@ impl Arm {
             lack: None,
             not_mirrored: Objects::of(&joint.not_mirrored).unwrap_or_default(),
             hindered: None,
-            obstacle: None,
+            drive_fault: None,
             proven: None,
         };
         Self {
@@ -140,7 +140,7 @@ impl Arm {
             let target = order.target.map_or(Target::Hold, Target::Position);
             let state = axis.cycle(master, target, now);
             let (took, refused) = (axis.proof().took(), axis.proof().fault().is_some());
-            place.note(state.obstacle, took);
+            place.note(state.drive_fault, took);
             Some(Feedback {
                 refused,
                 online: state.online,
@@ -157,10 +157,10 @@ fn time(tick: &Tick) -> Duration {
 }
 
 impl Place {
-    fn note(&mut self, obstacle: Option<Obstacle>, took: Option<Duration>) {
-        let kind = obstacle.as_ref().map(discriminant);
+    fn note(&mut self, drive_fault: Option<DriveFault>, took: Option<Duration>) {
+        let kind = drive_fault.as_ref().map(discriminant);
         if kind != std::mem::replace(&mut self.hindered, kind) {
-            self.obstacle = obstacle;
+            self.drive_fault = drive_fault;
         }
         self.proven = match (self.proven, took) {
             (Some((before, due)), Some(took)) if before == took => Some((before, due)),
@@ -174,8 +174,8 @@ impl Place {
         {
             return Some(AxisNews::Lack(*lack));
         }
-        if let Some(obstacle) = self.obstacle.take() {
-            return Some(AxisNews::Obstacle(obstacle));
+        if let Some(drive_fault) = self.drive_fault.take() {
+            return Some(AxisNews::DriveFault(drive_fault));
         }
         let (took, due) = self.proven.as_mut()?;
         let trusted = self.axis.as_ref()?.proof().taken_on_trust();

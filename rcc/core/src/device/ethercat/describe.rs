@@ -7,7 +7,8 @@ use takt_ethercat::AlState;
 use takt_ethercat::axis;
 use takt_ethercat::coe::Whole;
 use takt_ethercat::config::{
-    ClockConfig, IMAGE_MAX, MasterConfig, PdoSpec, Place, SlaveSpec, StartupSdo, SyncSpec, Unlocked,
+    ClockConfig, IMAGE_MAX, Location, MasterConfig, PdoSpec, SlaveSpec, StartupSdo, SyncSpec,
+    Unlocked,
 };
 use takt_ethercat::master::Master;
 
@@ -113,7 +114,7 @@ fn spec(slave: &EthercatSlave, cycle: Duration) -> SlaveSpec {
         startup: slave.startup.iter().map(startup).collect(),
         sync: slave.sync0.then(|| sync(slave, cycle)),
         patience: (slave.timeouts != SlaveTimeouts::default()).then(|| slave.timeouts.patience()),
-        ..SlaveSpec::new(slave.name.clone(), place(slave))
+        ..SlaveSpec::new(slave.name.clone(), location(slave))
     };
     if slave.axes > 0 {
         let (outputs, inputs) = axis::pdos(slave.axes);
@@ -127,11 +128,11 @@ fn spec(slave: &EthercatSlave, cycle: Duration) -> SlaveSpec {
     spec
 }
 
-fn place(slave: &EthercatSlave) -> Place {
+fn location(slave: &EthercatSlave) -> Location {
     match (slave.alias, &slave.sii_name) {
-        (Some(alias), _) => Place::Alias(alias),
-        (None, Some(name)) => Place::Name(name.clone()),
-        (None, None) => Place::Position(slave.position.unwrap_or_default()),
+        (Some(alias), _) => Location::Alias(alias),
+        (None, Some(name)) => Location::Name(name.clone()),
+        (None, None) => Location::Position(slave.position.unwrap_or_default()),
     }
 }
 

@@ -12,7 +12,7 @@ mod tool;
 use std::time::Duration;
 
 use takt_ethercat::master::{Master, Reply};
-use takt_ethercat::youbot::{Command, Drive, GripperError, HomingError, Obstacle};
+use takt_ethercat::youbot::{Command, Drive, DriveFault, GripperError, HomingError};
 use takt_rt::Nanos;
 use takt_rt::cycle::Tick;
 
@@ -45,7 +45,7 @@ pub struct YouBotFigures {
 pub enum Wait {
     /// A drive does not do what it is told.
     #[error("{0}")]
-    Drive(Obstacle),
+    Drive(DriveFault),
     /// A joint was not homed since power came on.
     #[error("it was not homed since power came on; `homing = true` lets it look for its stop")]
     NotHomed,
@@ -140,7 +140,7 @@ impl YouBots {
         let bases = self.bases.iter().flat_map(|base| &base.drives);
         let arms = self.arms.iter().flat_map(|arm| &arm.drives);
         let blocked = |drive: &Drive| {
-            let why = Wait::Drive(drive.obstacle()?);
+            let why = Wait::Drive(drive.drive_fault()?);
             let slave = drive.slave();
             Some(Waiting { slave, why })
         };

@@ -2,7 +2,7 @@
 //! again.
 
 use takt_can::canopen::NmtState;
-use takt_cia402::{ControlWord, Feedback, Goal, Obstacle, State};
+use takt_cia402::{ControlWord, DriveFault, Feedback, Goal, State};
 
 use super::{
     Cause, Duration, End, Go, Jog, OFF, REST, STANDS, Session, Step, TURN, Wire, low_word,
@@ -51,7 +51,7 @@ impl<W: Wire> Session<'_, W> {
         }
         match state {
             Some(State::Fault | State::FaultReactionActive) if self.enabled => {
-                Err(End::Because(Cause::Drive(Obstacle::Fault)))
+                Err(End::Because(Cause::Drive(DriveFault::Fault)))
             }
             Some(state) if self.enabled && state != State::OperationEnabled => {
                 Err(End::Because(Cause::Dropped(state)))
@@ -107,23 +107,23 @@ impl<W: Wire> Session<'_, W> {
                 self.enabled = true;
                 return Ok(());
             }
-            match self.master.obstacle() {
+            match self.master.drive_fault() {
                 None => {}
                 // The edges of a reset take their time.
-                Some(Obstacle::Fault) if self.plan.reset => {}
-                Some(obstacle) => return Err(End::Because(self.blame(obstacle)?)),
+                Some(DriveFault::Fault) if self.plan.reset => {}
+                Some(drive_fault) => return Err(End::Because(self.blame(drive_fault)?)),
             }
         }
     }
 
     /// A drive that ignores its controlword may hold another one.
-    fn blame(&mut self, obstacle: Obstacle) -> Go<Cause> {
-        let stuck = matches!(obstacle, Obstacle::Stuck { .. });
+    fn blame(&mut self, drive_fault: DriveFault) -> Go<Cause> {
+        let stuck = matches!(drive_fault, DriveFault::Stuck { .. });
         let wrote = self.control.unwrap_or_default().raw();
         let holds = if stuck { self.read(0x6040)? } else { None };
         Ok(match holds.map(low_word) {
             Some(holds) if holds != wrote => Cause::Overwritten { wrote, holds },
-            Some(_) | None => Cause::Drive(obstacle),
+            Some(_) | None => Cause::Drive(drive_fault),
         })
     }
 

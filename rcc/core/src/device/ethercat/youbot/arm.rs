@@ -132,11 +132,11 @@ impl Arm {
         let why = |homing: &Homing| match homing.state() {
             HomingState::Done => None,
             HomingState::Failed(error) => Some(Wait::Failed(error)),
-            HomingState::Idle | HomingState::Ask | HomingState::Cancelled if !self.may_home => {
+            HomingState::Idle | HomingState::Query | HomingState::Cancelled if !self.may_home => {
                 Some(Wait::NotHomed)
             }
             HomingState::Idle
-            | HomingState::Ask
+            | HomingState::Query
             | HomingState::Cancelled
             | HomingState::Approach(..)
             | HomingState::Rest(_)

@@ -1,6 +1,6 @@
 //! From the cell's words on youBots to the slaves that are expected and to devices. It opens nothing.
 
-use takt_ethercat::config::{Place, SlaveSpec};
+use takt_ethercat::config::{Location, SlaveSpec};
 use takt_ethercat::youbot::{BarConfig, Gripper, TRINAMIC};
 use takt_net::JointLimits;
 
@@ -53,7 +53,7 @@ pub(in crate::device::ethercat) fn specs(
                 0 => format!("{name} power board"),
                 n => format!("{name} {what} {}", n - 1),
             };
-            let place = Place::Position(first.saturating_add(n));
+            let place = Location::Position(first.saturating_add(n));
             SlaveSpec {
                 vendor: Some(TRINAMIC),
                 ..SlaveSpec::new(name, place)

@@ -84,10 +84,10 @@ impl Gripper {
     pub(super) const fn waits_for(&self, may_move: bool) -> Option<Wait> {
         match self.fingers.state() {
             GripperState::Failed(error, _) => Some(Wait::Gripper(error)),
-            GripperState::Ask if !may_move => Some(Wait::GripperNotHomed),
+            GripperState::Query if !may_move => Some(Wait::GripperNotHomed),
             GripperState::Idle
             | GripperState::Setup(_)
-            | GripperState::Ask
+            | GripperState::Query
             | GripperState::Origin(_)
             | GripperState::Open
             | GripperState::Close
@@ -129,7 +129,7 @@ impl Gripper {
             GripperState::Ready => self.end(0),
             GripperState::Idle
             | GripperState::Setup(_)
-            | GripperState::Ask
+            | GripperState::Query
             | GripperState::Origin(_)
             | GripperState::Open
             | GripperState::Close

@@ -1,4 +1,4 @@
-//! Where the objects of an axis lie in the process data of its slave, bit by bit. What they mean is not known here.
+//! Locations of the objects of an axis in the process data of its slave, bit by bit. Their meaning is not known here.
 
 use takt_cia402::dictionary::Address;
 use takt_cia402::proof::{Object, Objects, Values};
@@ -7,7 +7,7 @@ use crate::master::ProcessData;
 
 use super::NotMapped;
 
-/// Bits of an object in the process data.
+/// Location of an object in the process data, bits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Bits {
     pub(super) first: usize,
@@ -17,10 +17,10 @@ pub(super) struct Bits {
 impl Bits {
     fn find(process: &ProcessData, index: u16, axis: u8, outputs: bool) -> Option<Self> {
         let address = Address::new(index, 0).on_axis(axis)?;
-        let place = process.locate(address, outputs)?;
+        let location = process.locate(address, outputs)?;
         Some(Self {
-            first: place.bit,
-            count: usize::from(place.bits).min(32),
+            first: location.bit,
+            count: usize::from(location.bits).min(32),
         })
     }
 
@@ -48,31 +48,31 @@ impl Bits {
     }
 }
 
-/// Where the objects of an axis lie.
+/// Locations of the objects of an axis.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Places {
+pub(super) struct Layout {
     /// By object, in the order of [`Object::all`].
     bits: [Option<Bits>; Object::COUNT],
 }
 
-impl Places {
+impl Layout {
     pub(super) fn find(process: &ProcessData, axis: u8) -> Result<Self, NotMapped> {
         let mut bits = [None; Object::COUNT];
-        for (place, object) in bits.iter_mut().zip(Object::all()) {
-            *place = Bits::find(process, object.index(), axis, object.is_sent());
+        for (entry, object) in bits.iter_mut().zip(Object::all()) {
+            *entry = Bits::find(process, object.index(), axis, object.is_sent());
         }
-        let places = Self { bits };
+        let layout = Self { bits };
         for index in [0x6040, 0x6041, 0x6064] {
-            if !places.has(index) {
+            if !layout.has(index) {
                 let plain = Address::new(index, 0);
                 let address = plain.on_axis(axis).unwrap_or(plain);
                 return Err(NotMapped { address });
             }
         }
-        Ok(places)
+        Ok(layout)
     }
 
-    /// Whether that object is mapped.
+    /// Whether an object is mapped.
     pub(super) fn has(&self, index: u16) -> bool {
         Object::of(index).is_some_and(|object| self.carried().contains(object))
     }
@@ -89,7 +89,7 @@ impl Places {
         carried
     }
 
-    /// What inputs hold.
+    /// The values in the inputs.
     pub(super) fn read(&self, inputs: &[u8]) -> Values {
         let mut values = Values::default();
         for (object, bits) in Object::all().zip(&self.bits) {
