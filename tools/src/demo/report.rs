@@ -250,7 +250,7 @@ impl Report {
             faults.push(format!("{rt_page_faults} page faults in real-time threads"));
         }
         for (name, robot) in krcs {
-            if let Some(why) = robot.status.last_fall() {
+            if let Some(why) = robot.status.last_exit() {
                 faults.push(format!("{name} left command mode: {why}"));
             }
         }

@@ -155,7 +155,7 @@ mod tests {
             found("a.md", &text),
             [format!("a.md:2 path of one machine ({path})")]
         );
-        assert!(found("a.md", &format!("frame{place}x https://host{place}y\n")).is_empty());
+        assert!(found("a.md", &format!("frame{path}x https://host{path}y\n")).is_empty());
     }
 
     #[test]
