@@ -1,7 +1,7 @@
 //! Claims of documents name the tests that prove them. In every README, and in the pages of the root, a test is written
 //! in backticks as `package::test`, with or without modules in between, and must exist. A row of a table under "What
-//! works", and of SPECIFICATION.md, must name a test or a capture, or say `pending`. Whether the test proves the row is
-//! up to the reader.
+//! works", and of SPECIFICATION.md, must name a test or a capture, or say `pending`. Tables of constants promise nothing
+//! and need no test. Whether the test proves the row is up to the reader.
 
 use super::{Finding, docs, manifests, markdown};
 use crate::metadata::Workspace;
@@ -65,7 +65,10 @@ fn has_test(text: &str, name: &str) -> bool {
 
 fn claims_without_proof(file: &File, workspace: &Workspace) -> Vec<Finding> {
     let everywhere = file.path == "SPECIFICATION.md";
-    let wanted = |heading: &str| everywhere || heading.to_lowercase().contains("what works");
+    let wanted = |heading: &str| {
+        let heading = heading.to_lowercase();
+        (everywhere && !heading.contains("constants")) || heading.contains("what works")
+    };
     let rows = markdown::table_rows(&file.text, wanted);
     let bare = rows
         .into_iter()
@@ -148,5 +151,12 @@ mod tests {
             1
         );
         assert!(found("README.md", "## Tools\n| a |\n|--|\n| fast |\n").is_empty());
+    }
+
+    #[test]
+    fn table_of_constants_needs_no_test() {
+        let page = |heading: &str| format!("## {heading}\n| a |\n|--|\n| 2 s |\n");
+        assert!(found("SPECIFICATION.md", &page("Safety constants: stop")).is_empty());
+        assert_eq!(found("SPECIFICATION.md", &page("Stop")).len(), 1);
     }
 }
