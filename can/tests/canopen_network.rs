@@ -25,7 +25,7 @@ use takt_can::canopen::sdo::Outcome;
 use takt_can::canopen::{Emergency, emergency};
 use takt_cia402::dictionary::{Address, Mapped};
 use takt_cia402::emulator::FaultCode;
-use takt_cia402::{Change, Goal, HomingError, DriveFault, SetPoint, SetPointError, State};
+use takt_cia402::{Change, DriveFault, Goal, HomingError, SetPoint, SetPointError, State};
 
 const CSP: i8 = 8;
 const PV: i8 = 3;
@@ -154,7 +154,11 @@ fn drive_fault_stays_local_and_resets_by_edge() {
     assert_eq!(axis.fault(), Some(AxisFault::Drive(DriveFault::Fault)));
     let is_reported = |event: &Event| matches!(event, Event::Emergency(n, e, 1) if *n == node(4) && e.code == 0x2320);
     assert!(bus.events.iter().any(is_reported), "{:?}", bus.events);
-    bus.drive(4).application_mut().axis_mut(0).unwrap().clear_cause();
+    bus.drive(4)
+        .application_mut()
+        .axis_mut(0)
+        .unwrap()
+        .clear_cause();
     bus.master.axis_mut(node(4), 0).unwrap().reset_fault();
     bus.until(5 * SECOND, all_follow);
 }

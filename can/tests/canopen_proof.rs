@@ -19,7 +19,7 @@ use takt_can::canopen::network::{
 };
 use takt_cia402::emulator::Distortion;
 use takt_cia402::proof::Objects;
-use takt_cia402::{Goal, DriveFault, State};
+use takt_cia402::{DriveFault, Goal, State};
 
 const CSP: i8 = 8;
 const SECOND: Duration = Duration::from_secs(1);
@@ -95,7 +95,10 @@ fn is_refused(mut bus: Bus) -> String {
     let unpowered = [State::SwitchOnDisabled, State::ReadyToSwitchOn];
     assert!(unpowered.contains(&state), "{state} {drive_fault:?}");
     let drive_fault = drive_fault.expect("a reason");
-    assert!(matches!(drive_fault, DriveFault::NotProven(_)), "{drive_fault}");
+    assert!(
+        matches!(drive_fault, DriveFault::NotProven(_)),
+        "{drive_fault}"
+    );
     drive_fault.to_string()
 }
 

@@ -24,7 +24,7 @@ use takt_can::canopen::{NmtState, heartbeat};
 use takt_can::{Frame, LogLine};
 use takt_cia402::dictionary::{AbortCode, Address};
 use takt_cia402::emulator::Quirks;
-use takt_cia402::{Goal, DriveFault, State};
+use takt_cia402::{DriveFault, Goal, State};
 
 const CSP: i8 = 8;
 const SECOND: Duration = Duration::from_secs(1);

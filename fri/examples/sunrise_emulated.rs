@@ -18,7 +18,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let height = cabinet.flange()[2] - 0.004;
     *cabinet.contact_mut() = Some(Contact {
         shape: Shape::Wall,
-        place: [0.0, 0.0, height],
+        point: [0.0, 0.0, height],
         normal: [0.0, 0.0, 1.0],
         stiffness: 15_000.0,
         damping: 50.0,

@@ -256,7 +256,7 @@ fn observer_reflection_identifies_received_client() {
         measurement.reflected = 70_000;
         (true, soon)
     });
-    assert_eq!(unheard, Verdict::NotReceived);
+    assert_eq!(not_received, Verdict::NotReceived);
     // For a moment only.
     let taken_over = run(|i, measurement| {
         if i < 3 {

@@ -46,7 +46,7 @@ fn unloaded_nets_return_memory_to_host() {
     let locked = host
         .grants()
         .iter()
-        .any(|grant| grant.what == MEMORY && grant.is_granted());
+        .any(|grant| grant.item == MEMORY && grant.is_granted());
     let mut cell = CellConfig::default();
     cell.controller.priority = None;
     cell.controller.nets_memory_mib = 900;

@@ -102,7 +102,11 @@ fn drive_fault_emcy_precedes_statusword() {
         rig.received
     );
     assert_eq!(rig.received.last().unwrap(), "185#1802", "fault");
-    rig.drive.application_mut().axis_mut(0).unwrap().clear_cause();
+    rig.drive
+        .application_mut()
+        .axis_mut(0)
+        .unwrap()
+        .clear_cause();
     rig.send("205#0000");
     rig.run(5);
     rig.received.clear();

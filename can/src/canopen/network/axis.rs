@@ -6,8 +6,8 @@ use std::time::Duration;
 use takt_cia402::dictionary::{Address, Dictionary, Key, Number};
 use takt_cia402::proof::{Denied, Exchanged, Object, Objects, Proof, Values};
 use takt_cia402::{
-    ControlWord, Feedback, Goal, HOMING_MODE, HOMING_START, HandShake, Homing, Master, DriveFault,
-    DriveCommand, SetPoint, SetPointError, State, StatusWord,
+    ControlWord, DriveCommand, DriveFault, Feedback, Goal, HOMING_MODE, HOMING_START, HandShake,
+    Homing, Master, SetPoint, SetPointError, State, StatusWord,
 };
 
 use super::AxisFault;

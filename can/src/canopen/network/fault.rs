@@ -4,7 +4,7 @@ use std::fmt;
 use std::time::Duration;
 
 use takt_cia402::dictionary::{AbortCode, Address};
-use takt_cia402::{HomingError, DriveFault, SetPointError};
+use takt_cia402::{DriveFault, HomingError, SetPointError};
 
 use crate::canopen::{Emergency, NmtState};
 

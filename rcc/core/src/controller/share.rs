@@ -334,19 +334,6 @@ fn nanos(duration: Duration) -> u64 {
 
 #[cfg(test)]
 mod tests {
-    #[test]
-    fn memory_return_follows_large_unloads() {
-        let mut returns = super::MemoryReturn::default();
-        let mib = 1 << 20;
-        assert!(!returns.check(0));
-        assert!(!returns.check(100 * mib));
-        assert!(!returns.check(90 * mib), "too little");
-        assert!(returns.check(84 * mib));
-        assert!(!returns.check(84 * mib), "once");
-        assert!(!returns.check(70 * mib));
-        assert!(returns.check(68 * mib), "in small steps too");
-    }
-
     use std::sync::Arc;
 
     use super::*;
@@ -377,5 +364,18 @@ mod tests {
         // One that is rejected keeps none.
         desk.release_memory(second);
         assert_eq!(desk.keep_memory(first, 1), Some(1));
+    }
+
+    #[test]
+    fn memory_return_follows_large_unloads() {
+        let mut returns = MemoryReturn::default();
+        let mib = 1 << 20;
+        assert!(!returns.check(0));
+        assert!(!returns.check(100 * mib));
+        assert!(!returns.check(90 * mib), "too little");
+        assert!(returns.check(84 * mib));
+        assert!(!returns.check(84 * mib), "once");
+        assert!(!returns.check(70 * mib));
+        assert!(returns.check(68 * mib), "in small steps too");
     }
 }

@@ -316,7 +316,11 @@ fn kind(trouble: &AxisFault) -> Kind {
     let drive_fault = if let AxisFault::Drive(drive_fault) = trouble {
         // Resets go on as long as the fault does.
         let of_fault = matches!(drive_fault, DriveFault::ResetRefused(_));
-        let drive_fault = if of_fault { &DriveFault::Fault } else { drive_fault };
+        let drive_fault = if of_fault {
+            &DriveFault::Fault
+        } else {
+            drive_fault
+        };
         Some(discriminant(drive_fault))
     } else {
         None
