@@ -22,7 +22,7 @@ pub use command::{Command, Config, Gain, Integrators, Mode, SHUTDOWN};
 pub use cycle::{Cycles, Measurement};
 pub use driver::{Driver, DriverConfig, Hindrance, State};
 pub use model::{Model, Scales};
-pub use odometry::{Odometer, Pose};
+pub use odometry::{Jump, Odometer, Pose};
 pub use omni::{BACK, FRONT, Geometry, Omni, OmniConfig, Wheels};
 pub use status::{ControlUnit, Message, StatusWord1, StatusWord2};
 pub use usb::{Channel, Packet, PacketReader};

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use super::command::{TURN_MAX, VELOCITY_MAX};
 use super::model::COUNTS_PER_DEGREE;
-use super::odometry::Counter;
+use super::odometry::{Counter, Jump};
 use super::{Channel, Driver, DriverConfig, Measurement, Odometer, Pose};
 use crate::Frame;
 
@@ -30,6 +30,7 @@ pub struct Base {
     ramp: Ramp,
     odometer: Odometer,
     counters: [Counter; 3],
+    jump: Option<Jump>,
     last: Option<Measurement>,
     /// Distances travelled by the left and the right wheel, m.
     rolled: [f64; 2],
@@ -71,6 +72,7 @@ impl Base {
             },
             odometer: Odometer::default(),
             counters: [Counter::default(); 3],
+            jump: None,
             last: None,
             rolled: [0.0; 2],
             motion: Motion::default(),
@@ -112,6 +114,12 @@ impl Base {
         left.jumps() + right.jumps() + yaw.jumps()
     }
 
+    /// The last of these steps.
+    #[must_use]
+    pub const fn jump(&self) -> Option<Jump> {
+        self.jump
+    }
+
     /// Handles a frame; true if the motion was updated.
     pub fn handle_frame(&mut self, channel: Channel, frame: &Frame, now: Duration) -> bool {
         let Some(measured) = self.driver.handle_frame(channel, frame, now) else {
@@ -142,6 +150,12 @@ impl Base {
         let tolerance = (JUMP_TURNS + 2.0 * turns.abs()) * scales.yaw;
         let turned = yaw.advance(measured.travel[1], turns * scales.yaw, tolerance);
         let rotation = -turned / scales.yaw * std::f64::consts::TAU;
+        let jumped = [
+            l.jump(scales.displacement, false),
+            r.jump(scales.displacement, false),
+            yaw.jump(scales.yaw / std::f64::consts::TAU, true),
+        ];
+        self.jump = jumped.into_iter().flatten().next().or(self.jump);
         self.odometer.add([ahead, 0.0, rotation]);
         self.motion = Motion {
             stamp: measured.stamp,

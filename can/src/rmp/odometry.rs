@@ -38,12 +38,26 @@ impl Odometer {
 pub(super) struct Counter {
     last: Option<i32>,
     jumps: u64,
+    /// The step that was not believed just now, and the largest that would have been, counts.
+    refused: Option<[f64; 2]>,
+}
+
+/// A displacement that a power base cannot have driven since the last one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Jump {
+    /// By how much, m, or rad where the base turns.
+    pub by: f64,
+    /// The largest that is believed.
+    pub most: f64,
+    /// Whether it is of the heading.
+    pub is_turn: bool,
 }
 
 impl Counter {
     /// Counts since the last value. `expected` is the step by the measured speed; it replaces a step that differs by
     /// more than `tolerance`.
     pub(super) fn advance(&mut self, value: i32, expected: f64, tolerance: f64) -> f64 {
+        self.refused = None;
         let Some(last) = self.last.replace(value) else {
             return 0.0;
         };
@@ -52,7 +66,14 @@ impl Counter {
             return step;
         }
         self.jumps += 1;
+        self.refused = Some([step.abs(), expected.abs() + tolerance]);
         expected
+    }
+
+    /// What it did not believe in the last step, where so many counts are one of the unit.
+    pub(super) fn jump(&self, per_unit: f64, is_turn: bool) -> Option<Jump> {
+        let [by, most] = self.refused?.map(|counts| counts / per_unit.abs());
+        Some(Jump { by, most, is_turn })
     }
 
     pub(super) const fn jumps(&self) -> u64 {

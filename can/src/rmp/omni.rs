@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use super::base::{Motion, Ramp, counts, frames_s};
 use super::command::{TURN_MAX, VELOCITY_MAX};
-use super::odometry::Counter;
+use super::odometry::{Counter, Jump};
 use super::{Channel, Driver, DriverConfig, Measurement, Odometer};
 use crate::Frame;
 
@@ -105,6 +105,7 @@ pub struct Omni {
     config: OmniConfig,
     drivers: [Driver; 2],
     counters: [[Counter; 2]; 2],
+    jump: Option<Jump>,
     last: [Option<Measurement>; 2],
     /// Angles of the wheels since the start, as last reported and as last integrated.
     angles: Wheels,
@@ -133,6 +134,7 @@ impl Omni {
             config,
             drivers: [(); 2].map(|()| Driver::new(config.driver)),
             counters: [[Counter::default(); 2]; 2],
+            jump: None,
             last: [None; 2],
             angles: [0.0; 4],
             integrated: [0.0; 4],
@@ -182,6 +184,12 @@ impl Omni {
             .iter()
             .map(Counter::jumps)
             .sum()
+    }
+
+    /// The last of these steps.
+    #[must_use]
+    pub const fn jump(&self) -> Option<Jump> {
+        self.jump
     }
 
     /// Whether both power bases follow commands.
@@ -234,6 +242,8 @@ impl Omni {
                 expected * scale,
                 tolerance * scale,
             ) / scale;
+            let jumped = counters[side].jump(scale / config.geometry.radius, false);
+            self.jump = jumped.or(self.jump);
         }
         for (wheel, side, sign) in wheels_of(part) {
             self.angles[wheel] += sign * steps[side];

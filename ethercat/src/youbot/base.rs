@@ -151,19 +151,38 @@ pub struct Odometry {
     wheels: [f64; 4],
     /// Number of counter jumps.
     jumps: u64,
+    /// The last of these: by how much, and how much it could have been, ticks.
+    jump: Option<[u32; 2]>,
 }
 
 /// A wheel cannot turn by more in a cycle, ticks: 0.1 s at 6000 rpm.
 const JUMP: u32 = 40_000;
+/// Ticks of a motor in a second at one and a half times its largest speed.
+const TICKS_PER_S: f64 = 1.5 * 409_600.0;
+/// What a wheel may turn beside that, ticks: a share of a turn of its motor.
+const PLAY: f64 = 500.0;
 
 impl Odometry {
     /// Takes the encoders of the wheels. The heading is that in the middle of the step.
     pub fn advance(&mut self, mecanum: &Mecanum, ticks: [i32; 4]) {
+        self.advance_within(mecanum, ticks, f64::INFINITY);
+    }
+
+    /// The same so many seconds after the last: what motors cannot turn within them is no way.
+    pub fn advance_within(&mut self, mecanum: &Mecanum, ticks: [i32; 4], span_s: f64) {
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "saturates, and is bounded"
+        )]
+        let most = ((span_s.max(0.0) * TICKS_PER_S + PLAY) as u32).min(JUMP);
         let last = self.last.replace(ticks).unwrap_or(ticks);
         let steps: [i32; 4] = std::array::from_fn(|i| ticks[i].wrapping_sub(last[i]));
         // A drive that lost its power counts from 0 again; the motion meanwhile is unknown.
-        if steps.iter().any(|step| step.unsigned_abs() > JUMP) {
+        let longest = steps.iter().map(|step| step.unsigned_abs()).max();
+        if let Some(longest) = longest.filter(|step| *step > most) {
             self.jumps += 1;
+            self.jump = Some([longest, most]);
             return;
         }
         let angles = steps.map(|step| mecanum.angle(step));
@@ -198,6 +217,16 @@ impl Odometry {
     #[must_use]
     pub const fn jumps(&self) -> u64 {
         self.jumps
+    }
+
+    /// The last of these: by how much a wheel rolled, and how much it could have, m.
+    #[must_use]
+    pub fn jump(&self, mecanum: &Mecanum) -> Option<[f64; 2]> {
+        let rolled = |ticks: u32| {
+            let ticks = i32::try_from(ticks).unwrap_or(i32::MAX);
+            mecanum.angle(ticks).abs() * mecanum.radius
+        };
+        self.jump.map(|ticks| ticks.map(rolled))
     }
 }
 

@@ -48,10 +48,10 @@ use serde::Deserialize;
 pub use crate::device::config::{
     AnalogueChannel, CanopenConfig, DriveArm, DriveJoint, EthercatClocks, EthercatConfig,
     EthercatIo, EthercatSlave, IiwaConfig, IiwaIo, IiwaModel, LinkLoss, LostPolicy, LwrConfig,
-    RmpConfig, SlaveGoal, SlavePdo, SlaveTimeouts, StartupObject, StartupValue, UnlockedPolicy,
-    YouBotArm, YouBotBase, YouBotControl,
+    OnEnd, OutputsOnEnd, RmpConfig, SlaveGoal, SlavePdo, SlaveTimeouts, StartupObject,
+    StartupValue, UnlockedPolicy, YouBotArm, YouBotBase, YouBotControl,
 };
-use crate::device::{canopen, ethercat, iiwa, rmp};
+use crate::device::{canopen, ethercat, iiwa, lwr, rmp};
 use crate::error::Error;
 use crate::{files, span};
 pub use access::{Loopback, OnLoss};
@@ -312,7 +312,7 @@ impl CellConfig {
         self.ethercat.iter().try_for_each(ethercat::check)?;
         self.canopen.iter().try_for_each(canopen::check)?;
         self.devices.iter().try_for_each(|device| match device {
-            DeviceConfig::Lwr(_) => Ok(()),
+            DeviceConfig::Lwr(config) => lwr::check(config),
             DeviceConfig::Iiwa(config) => iiwa::check(config),
             DeviceConfig::Rmp(config) => rmp::check(config),
         })

@@ -324,26 +324,6 @@ impl Controller {
         Ok(())
     }
 
-    /// Aborts and unloads all nets of a session and closes it.
-    ///
-    /// # Errors
-    /// If there is no such session, or the net thread does not answer.
-    pub fn end_session(&self, id: SessionId) -> Result<(), Error> {
-        let nets = self
-            .session_nets(id)
-            .filter(|_| id != SessionId::NONE)
-            .ok_or_else(|| Error::NoSuchSession(id.to_string()))?;
-        for net in nets {
-            // A net that somebody else unloaded meanwhile is what is wanted.
-            match self.abort(net).and_then(|()| self.unload(net)) {
-                Ok(()) | Err(Error::NoSuchNet(_)) => {}
-                Err(error) => return Err(error),
-            }
-        }
-        self.inner.lock().sessions.remove(&id);
-        Ok(())
-    }
-
     /// The nets of a session; `None` if there is no such session.
     #[must_use]
     pub fn session_nets(&self, id: SessionId) -> Option<Vec<NetId>> {

@@ -3,8 +3,11 @@
 
 pub mod canopen;
 pub(crate) mod config;
+pub mod continuity;
 pub mod driver;
 mod drives;
+#[cfg(test)]
+mod ends;
 pub mod ethercat;
 pub mod fri;
 pub mod iiwa;
@@ -24,6 +27,7 @@ use takt_net::device::Base;
 use takt_net::{Image, JointLimits, JointState, Twist};
 use takt_rt::Nanos;
 
+use continuity::Jumped;
 use last_stage::Limited;
 pub use parts::Part;
 pub use table::{Device, DevicePorts, DeviceTable};
@@ -99,6 +103,8 @@ pub struct DeviceState {
     pub joints: [JointState; ARM_JOINTS_MAX],
     /// What the last stages of its driver held back: by joint, or of a base along the floor and turning.
     pub limited: [Limited; ARM_JOINTS_MAX],
+    /// Positions that stood elsewhere all of a sudden; nets that were scheduled before are given back.
+    pub jumped: Jumped,
     /// What else it tells, in the places of its interfaces.
     pub signals: Box<[u64]>,
 }
@@ -153,10 +159,20 @@ impl DeviceState {
     pub fn copy_from(&mut self, other: &Self) {
         (self.stamp, self.status, self.faults) = (other.stamp, other.status, other.faults);
         (self.joints, self.limited) = (other.joints, other.limited);
+        self.jumped = other.jumped;
         for (word, told) in self.signals.iter_mut().zip(&other.signals) {
             *word = *told;
         }
     }
+}
+
+/// A span in seconds.
+#[expect(
+    clippy::cast_precision_loss,
+    reason = "spans of milliseconds are exact"
+)]
+const fn seconds(span: Nanos) -> f64 {
+    span.0 as f64 * 1e-9
 }
 
 /// A position at an instant.

@@ -41,6 +41,8 @@ pub struct DeviceView {
     pub status: DeviceStatus,
     /// How often it ceased to.
     pub faults: u64,
+    /// How often it stood elsewhere all of a sudden while it did: nets that run go on, those that wait do not begin.
+    pub jumps: u64,
 }
 
 impl DeviceView {

@@ -1,6 +1,9 @@
 #![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
+#[cfg(test)]
+extern crate self as takt_core;
+
 pub mod cell;
 pub mod controller;
 pub mod costs;

@@ -129,6 +129,7 @@ impl Stage {
             DeviceView {
                 status: DeviceStatus::Operational,
                 faults: 0,
+                jumps: 0,
             },
         );
         Self {

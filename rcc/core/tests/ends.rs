@@ -20,24 +20,36 @@ const PERIODS: [u64; 3] = [1, 10, 1000];
 /// The net that ends.
 const NET: u32 = 1;
 
-/// How a net ends. Clients that are lost, nets that are unloaded and a controller that shuts down cancel and abort.
+/// A net that is scheduled to follow it when its client is lost or the controller shuts down.
+const WAITS: u32 = 2;
+
+/// How a net ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Ending {
     Itself,
     Cancel,
     Abort,
     Rule,
+    /// What its client scheduled is taken back, what it runs is aborted.
+    LostClient,
+    /// Aborted, and forgotten at once.
+    Unload,
+    /// As the controller does it: nothing that waits begins any more, all that runs is aborted.
+    Shutdown,
     Runaway,
     DeviceFault,
     DeviceLost,
     EmergencyStop,
 }
 
-const ENDINGS: [Ending; 8] = [
+const ENDINGS: [Ending; 11] = [
     Ending::Itself,
     Ending::Cancel,
     Ending::Abort,
     Ending::Rule,
+    Ending::LostClient,
+    Ending::Unload,
+    Ending::Shutdown,
     Ending::Runaway,
     Ending::DeviceFault,
     Ending::DeviceLost,
@@ -179,6 +191,12 @@ fn end(
         Ending::Cancel => assert!(stand.executor.cancel(NET)),
         Ending::Abort => assert!(stand.executor.abort(NET)),
         Ending::Rule => stand.stop_by_rule(9, NET, &[]),
+        Ending::Unload => stand.unload(NET),
+        Ending::LostClient | Ending::Shutdown => {
+            let idle = "{no=Core::BooleanValue(),c=Cancel(),outTerminate=c.outCancel}";
+            stand.start_after(Some(NET), WAITS, idle, 1);
+            stand.lose_client(&[NET, WAITS]);
+        }
         Ending::Runaway => stand.executor.end_runaway(NET),
         Ending::DeviceFault | Ending::DeviceLost => fail(stand),
         Ending::EmergencyStop => stand.set_stop(true),
@@ -188,6 +206,9 @@ fn end(
         Ending::Itself | Ending::Cancel => 5 * period,
         Ending::Abort
         | Ending::Rule
+        | Ending::LostClient
+        | Ending::Unload
+        | Ending::Shutdown
         | Ending::Runaway
         | Ending::DeviceFault
         | Ending::DeviceLost
@@ -199,6 +220,7 @@ fn end(
             break;
         }
     }
+    assert!(!stand.ended.contains_key(&WAITS), "what waited never ran");
     stand.ended.get(&NET).copied()
 }
 
@@ -493,28 +515,76 @@ fn simulated_devices_rest_within_their_stopping_distance() {
     }
 }
 
-/// Outputs are held when their net ends, also when it set them only in its last cycle.
+/// Outputs are held when their net ends, also when it set them only in its last cycle, or take the value that is stated
+/// for that, in the same cycle.
 #[test]
-fn outputs_keep_their_values_after_their_net() {
-    for ending in ENDINGS {
-        if matches!(ending, Ending::DeviceFault | Ending::DeviceLost) {
-            continue;
+fn outputs_follow_their_policy_after_their_net() {
+    let value = [("on_end_bool", "[false]"), ("on_end_real", "[0.5,hold]")];
+    let holds = [("on_end_bool", "hold"), ("on_end_real", "hold")];
+    for (more, expected) in [
+        (&[][..], (true, 2.0)),
+        (&holds, (true, 2.0)),
+        (&value, (false, 0.5)),
+    ] {
+        for (kind, arm) in [("io_sim", false), ("kuka_lwr_sim", true)] {
+            for ending in ENDINGS {
+                if matches!(ending, Ending::DeviceFault | Ending::DeviceLost) {
+                    continue;
+                }
+                let mut stand = Stand::default();
+                let given = if arm {
+                    arm_parameters(7, more)
+                } else {
+                    parameters(more)
+                };
+                stand.add("x", kind, &given);
+                let outputs = KINDS.iter().find(|kind| kind.name == "outputs").unwrap();
+                let text = net(
+                    outputs.children,
+                    10,
+                    (ending == Ending::Itself).then_some(5),
+                );
+                stand.try_start(NET, &text, 10).unwrap();
+                let what = format!("{kind}, {more:?}, {ending:?}");
+                assert!(end(&mut stand, ending, 10, |_| ()).is_some(), "{what}");
+                // The image shows what the cycle of the end left.
+                stand.step();
+                for _ in 0..100 {
+                    let io = stand.table.interfaces("x").unwrap().io.unwrap();
+                    let image = &stand.executor.image;
+                    let (truth, number) = expected;
+                    assert_eq!(io.bool_out[0].state.get(image), Some(truth), "{what}");
+                    assert_eq!(io.real_out[0].state.get(image), Some(number), "{what}");
+                    stand.step();
+                }
+            }
         }
-        let mut stand = Stand::default();
-        stand.add("x", "io_sim", &parameters(&[]));
-        let children = KINDS
-            .iter()
-            .find(|kind| kind.name == "outputs")
-            .unwrap()
-            .children;
-        let text = net(children, 10, (ending == Ending::Itself).then_some(5));
-        stand.try_start(NET, &text, 10).unwrap();
-        assert!(end(&mut stand, ending, 10, |_| ()).is_some(), "{ending:?}");
-        stand.steps(100);
-        let io = stand.table.interfaces("x").unwrap().io.unwrap();
-        let image = &stand.executor.image;
-        assert_eq!(io.bool_out[0].state.get(image), Some(true), "{ending:?}");
-        assert_eq!(io.real_out[0].state.get(image), Some(2.0), "{ending:?}");
+    }
+}
+
+/// What is stated for outputs and makes no sense is refused with its port.
+#[test]
+fn output_policies_of_wrong_type_are_refused() {
+    for (key, value, told) in [
+        (
+            "on_end_bool",
+            "[hold,1]",
+            "`1` of output 1 is neither hold nor true or false",
+        ),
+        (
+            "on_end_real",
+            "[nan]",
+            "`nan` of output 0 is neither hold nor a finite number",
+        ),
+        (
+            "on_end_real",
+            "[0,0,0]",
+            "`on_end.real` states 3 outputs, there are 2",
+        ),
+    ] {
+        let given = parameters(&[(key, value)]);
+        let error = takt_core::device::sim::make("x", "io_sim", &given).unwrap_err();
+        assert!(error.to_string().contains(told), "{error}");
     }
 }
 
@@ -581,15 +651,17 @@ enum Between {
     Fault,
     Lost,
     Stop,
+    /// Its position stands elsewhere all of a sudden, and it goes on following.
+    Jump,
     /// It did not follow commands when the net was scheduled.
     Comes,
 }
 
 #[test]
 fn scheduled_nets_of_a_device_that_failed_are_given_back() {
-    use Between::{Comes, Fault, Lost, Nothing, Stop};
+    use Between::{Comes, Fault, Jump, Lost, Nothing, Stop};
     for kind in KINDS.iter().filter(|kind| kind.claims) {
-        for between in [Nothing, Fault, Lost, Stop, Comes] {
+        for between in [Nothing, Fault, Lost, Stop, Jump, Comes] {
             let what = format!("{}, {between:?}", kind.name);
             let mut bench = Bench::new(kind);
             if matches!(between, Comes) {
@@ -614,6 +686,10 @@ fn scheduled_nets_of_a_device_that_failed_are_given_back() {
                 Fault => bench.fail(DeviceStatus::SafeOperational),
                 Lost => bench.fail(DeviceStatus::Offline),
                 Stop => bench.stand.set_stop(true),
+                Jump => {
+                    bench.state.jumped.count += 1;
+                    bench.tell();
+                }
             }
             bench.stand.steps(3);
             bench.fail(DeviceStatus::Operational);

@@ -148,6 +148,14 @@ impl Powerbase {
         self.command = [0; 2];
     }
 
+    /// Its integrators of displacement go on from so many metres farther, as a disturbance makes them; nothing rolls.
+    pub fn disturb_integrators(&mut self, by: f64) {
+        let counts = by * self.config.model.scales().displacement;
+        let [right, left, ..] = &mut self.offsets;
+        *right -= counts;
+        *left -= counts;
+    }
+
     /// True pose.
     #[must_use]
     pub const fn truth(&self) -> Pose {

@@ -221,6 +221,11 @@ impl Joint {
         self.heat = 2.0 * f64::from(self.parameters.value(26));
     }
 
+    /// Its encoder counts on from so many ticks farther, as a disturbance makes it; nothing turns.
+    pub fn disturb_encoder(&mut self, ticks: f64) {
+        self.origin += ticks;
+    }
+
     /// Distance of the joint from its home stop, or of the wheel from its start, rad; positive away from the stop.
     #[must_use]
     pub fn angle(&self) -> f64 {

@@ -97,6 +97,7 @@ pub(crate) fn run(switches: u32) -> Switched {
     let ready = DeviceView {
         status: DeviceStatus::Operational,
         faults: 0,
+        jumps: 0,
     };
     executor.set_device(0, ready);
     assert!(executor.start(next(0)).is_ok(), "nothing else runs");

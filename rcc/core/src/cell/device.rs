@@ -8,7 +8,7 @@ use crate::device::config::{IiwaConfig, LwrConfig, RmpConfig};
 use crate::device::{DeviceDescription, iiwa, lwr, rmp};
 
 /// A device.
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(tag = "type", deny_unknown_fields)]
 pub enum DeviceConfig {
     /// A KUKA LWR on a KRC2lr, over FRI 1.0.

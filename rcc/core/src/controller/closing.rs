@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use crate::controller::desk::Desk;
 use crate::controller::net::Net;
-use crate::controller::{Controller, NEVER_RAN, NetId, NetState};
+use crate::controller::{Controller, NEVER_RAN, NetId, NetState, SessionId};
 use crate::error::Error;
 use crate::executor::thread::{Command, NetThread};
 
@@ -29,6 +29,34 @@ impl Controller {
         desk.end_nets(nets, false);
         self.inner.announce(&desk);
         desk.are_over(nets)
+    }
+
+    /// Aborts and unloads all nets of a session and closes it.
+    ///
+    /// # Errors
+    /// If there is no such session, or the net thread does not answer.
+    pub fn end_session(&self, id: SessionId) -> Result<(), Error> {
+        let nets = self
+            .session_nets(id)
+            .filter(|_| id != SessionId::NONE)
+            .ok_or_else(|| Error::NoSuchSession(id.to_string()))?;
+        // A net that another client unloaded meanwhile is what is wanted.
+        let unless_gone = |result| match result {
+            Ok(()) | Err(Error::NoSuchNet(_)) => Ok(()),
+            Err(error) => Err(error),
+        };
+        // First those that wait: the end of one that runs may be what would start them.
+        for net in &nets {
+            let state = self.net(*net).map(|net| net.state());
+            if let Some(NetState::Ready | NetState::Scheduled) = state {
+                unless_gone(self.abort(*net))?;
+            }
+        }
+        for net in nets {
+            unless_gone(self.abort(net).and_then(|()| self.unload(net)))?;
+        }
+        self.inner.lock().sessions.remove(&id);
+        Ok(())
     }
 
     /// Whether no device moves, as far as they are in contact.

@@ -72,6 +72,8 @@ pub(super) struct Desk {
     statuses: BTreeMap<String, DeviceStatus>,
     /// What was reported of devices' last stages.
     pub(super) reported: Reported,
+    /// How many jumps of devices' positions were.
+    pub(super) reported_jumps: BTreeMap<String, u64>,
     pub(super) threads: Vec<NetThread>,
     /// Threads of devices, by their name; the first for those that are not here.
     pub(super) serving: BTreeMap<String, usize>,
@@ -120,6 +122,7 @@ impl Desk {
             resources: HashMap::new(),
             statuses: BTreeMap::new(),
             reported: Reported::new(),
+            reported_jumps: BTreeMap::new(),
             threads,
             serving: BTreeMap::new(),
             unannounced: false,
@@ -217,7 +220,8 @@ impl Desk {
             let news = self.news.take(driver.name(), news, now).into_iter();
             lines.extend(news.map(|line| (driver.name().to_owned(), line)));
         }
-        for (device, line) in self.look_at_limits() {
+        let jumps = self.look_at_jumps();
+        for (device, line) in self.look_at_limits().into_iter().chain(jumps) {
             let news = self.news.take(&device, std::iter::once(line), now);
             lines.extend(news.into_iter().map(|line| (device.clone(), line)));
         }

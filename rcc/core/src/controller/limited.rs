@@ -100,6 +100,22 @@ impl Desk {
         }
         lines
     }
+
+    /// The lines on positions that jumped since the last call, with the devices' names.
+    pub(super) fn look_at_jumps(&mut self) -> Vec<(String, String)> {
+        let mut lines = Vec::new();
+        self.reported_jumps
+            .retain(|name, _| self.devices.find(name).is_some());
+        for (_, device) in self.devices.all() {
+            let jumped = device.jumped();
+            let name = &device.name;
+            let before = self.reported_jumps.insert(name.clone(), jumped.count);
+            if jumped.count > before.unwrap_or(0) {
+                lines.push((name.clone(), jumped.to_string()));
+            }
+        }
+        lines
+    }
 }
 
 #[cfg(test)]

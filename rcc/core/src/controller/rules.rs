@@ -511,8 +511,8 @@ impl Desk {
         };
         match failure {
             Failure::DeviceChanged(number) => format!(
-                "device `{}` had a fault or an emergency stop, or began to follow commands, after the net was scheduled; \
-                 schedule it again",
+                "device `{}` had a fault or an emergency stop, stood elsewhere all of a sudden, or began to follow commands, after \
+                 the net was scheduled; schedule it again",
                 device(number)
             ),
             Failure::DeviceNotReady(number) => {

@@ -396,7 +396,13 @@ impl Driver {
     /// One cycle: SYNC and set-points at once, then services and whatever comes until three quarters of it are
     /// over, then what the arms are to do in the next.
     fn cycle(&mut self, tick: &Tick, stopping: bool) -> ControlFlow<()> {
-        let now = since_start(monotonic());
+        self.send_cycle(since_start(monotonic()));
+        self.listen(tick.scheduled + Nanos::from(self.cycle * 3 / 4));
+        self.lead(tick, stopping)
+    }
+
+    /// SYNC and set-points.
+    fn send_cycle(&mut self, now: Duration) {
         if !self.started {
             self.started = true;
             self.network.start(now);
@@ -405,7 +411,10 @@ impl Driver {
         while let Some(frame) = self.network.poll_process() {
             self.send(frame);
         }
-        self.listen(tick.scheduled + Nanos::from(self.cycle * 3 / 4));
+    }
+
+    /// Reports what happened and leads the arms on.
+    fn lead(&mut self, tick: &Tick, stopping: bool) -> ControlFlow<()> {
         while let Some(event) = self.network.poll_event() {
             self.tell(event);
         }
@@ -531,3 +540,6 @@ const MISSING_MAX: u32 = 3;
 fn since_start(time: Nanos) -> Duration {
     Duration::from_nanos(u64::try_from(time.0).unwrap_or_default())
 }
+
+#[cfg(test)]
+mod wire_tests;

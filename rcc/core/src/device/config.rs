@@ -1,10 +1,12 @@
 //! What the file of a cell says of devices: plain data, of which `cell` is read and from which drivers are made.
 
+mod on_end;
 mod robot;
 mod segment;
 mod slave;
 mod youbot;
 
+pub use on_end::{OnEnd, OutputsOnEnd};
 pub use robot::{IiwaConfig, IiwaIo, IiwaModel, LwrConfig, RmpConfig};
 pub use segment::{CanopenConfig, DriveArm, DriveJoint, EthercatConfig, LinkLoss};
 pub use slave::{

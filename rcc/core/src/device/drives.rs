@@ -24,6 +24,7 @@ use takt_rt::cycle::Tick;
 use takt_rt::latest::{LatestReader, LatestWriter};
 
 use crate::device::config::DriveArm;
+use crate::device::continuity::Continuity;
 use crate::device::driver::DeviceEnd;
 use crate::device::{DeviceCommand, DeviceState, DeviceStatus};
 pub(super) use check::{check, describe};
@@ -114,6 +115,7 @@ pub(super) struct Arm {
     stopping: Option<Nanos>,
     stood: Option<Nanos>,
     held: bool,
+    continuity: Continuity,
 }
 
 impl Arm {
@@ -133,6 +135,7 @@ impl Arm {
             stopping: None,
             stood: None,
             held: false,
+            continuity: Continuity::default(),
         }
     }
 
@@ -284,6 +287,10 @@ impl Arm {
         for (limited, driven) in self.told.limited.iter_mut().zip(&self.joints) {
             *limited = *driven.joint.limited();
         }
+        let joints = &self.joints;
+        self.continuity.check(&mut self.told, |number| {
+            Some(joints.get(number)?.joint.limits().velocity_max)
+        });
         let told = &self.told;
         self.state.write_with(|state| state.copy_from(told));
     }

@@ -82,7 +82,10 @@ pub fn check(config: &IiwaConfig) -> Result<(), String> {
         Some(bad) => Err(format!(
             "{name}: io `{bad}` must be `Group.Name` of at most {IO_NAME_MAX} bytes"
         )),
-        None => Ok(()),
+        None => {
+            let checked = config.on_end.check(bool_out.len(), real_out.len());
+            checked.map_err(|what| format!("{name}: {what}"))
+        }
     }
 }
 
@@ -154,7 +157,7 @@ impl Iiwa {
             cpus: config.cpus.clone(),
         };
         let description = describe(&config.name, config.model).with(&parts(&config.io));
-        let end = End::new(config.model, config.io.clone());
+        let end = End::new(config.model, config.io.clone()).on_end(config.on_end.clone());
         Self::launch(end, description, settings, link, ends)
     }
 }

@@ -66,6 +66,15 @@ pub const PARTS: &[Part] = &[
     },
 ];
 
+/// Whether its settings make sense; the first thing that does not.
+///
+/// # Errors
+/// Says what to change.
+pub fn check(config: &LwrConfig) -> Result<(), String> {
+    let checked = config.on_end.check(16, 16);
+    checked.map_err(|what| format!("{}: {what}", config.name))
+}
+
 /// Opens the socket at which the KRC's datagrams arrive.
 ///
 /// # Errors
@@ -87,7 +96,7 @@ impl Lwr {
             cpus: config.cpus.clone(),
         };
         let description = describe(&config.name).with(PARTS);
-        let end = End::new(config.handshake);
+        let end = End::new(config.handshake).on_end(config.on_end.clone());
         Self::launch(end, description, settings, link, ends)
     }
 }

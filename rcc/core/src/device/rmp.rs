@@ -14,6 +14,7 @@ use takt_net::value::{Frame, Rotation, Twist, Vector};
 use takt_rt::latest::{LatestReader, LatestWriter};
 
 use crate::device::config::RmpConfig;
+use crate::device::continuity::JumpPart;
 use crate::device::driver::{DeviceDriver, DriverEnds, DriverThread};
 use crate::device::{DeviceCommand, DeviceDescription, DeviceState, DeviceStatus, Part, parts};
 use crate::error::Error;
@@ -140,6 +141,7 @@ impl Rmp {
             taken: DeviceCommand::new(layout.commands),
             taken_at: Duration::ZERO,
             followed: false,
+            jumps: 0,
             state: end.state,
             command: end.command,
             shared: Arc::clone(&shared),
@@ -232,14 +234,21 @@ struct Driver {
     taken_at: Duration,
     /// Whether it followed commands when it last told.
     followed: bool,
+    /// Steps of wheels that were not believed by then.
+    jumps: u64,
     state: LatestWriter<DeviceState>,
     command: LatestReader<DeviceCommand>,
     shared: Arc<Shared>,
 }
 
 impl Driver {
-    /// Hears for a moment, then sends what is due and tells what is known.
+    /// Receives for a moment, then sends what is due and reports what is known.
     fn serve(&mut self) {
+        self.receive();
+        self.lead(takt_can::linux::monotonic());
+    }
+
+    fn receive(&mut self) {
         let mut wait = WAIT;
         for part in 0..self.wires.len() {
             for _ in 0..BACKLOG {
@@ -255,7 +264,9 @@ impl Driver {
                 self.platform.handle(part, channel, &frame, at);
             }
         }
-        let now = takt_can::linux::monotonic();
+    }
+
+    fn lead(&mut self, now: Duration) {
         let wanted = self.wanted(now).filter(|_| !self.is_stopping);
         let frames = self.platform.command(wanted, now);
         for (frame, wire) in frames.iter().zip(&mut self.wires) {
@@ -284,6 +295,16 @@ impl Driver {
 
     fn tell(&mut self, wanted: Option<[f64; 3]>) {
         let status = self.platform.status();
+        let jumps = self.platform.jumps();
+        let jumped = jumps > std::mem::replace(&mut self.jumps, jumps);
+        if let Some(jump) = self.platform.jump().filter(|_| jumped && self.followed) {
+            let part = if jump.is_turn {
+                JumpPart::Turning
+            } else {
+                JumpPart::Floor
+            };
+            self.told.jumped.add(part, jump.by, jump.most);
+        }
         if self.followed && status != DeviceStatus::Operational {
             self.told.faults += 1;
         }
@@ -362,5 +383,7 @@ fn tell_base(
     base.pose.report(signals, Some(place));
 }
 
+#[cfg(test)]
+mod ends_tests;
 #[cfg(test)]
 mod tests;

@@ -23,6 +23,9 @@ pub trait Simulated: fmt::Debug + Send {
     /// One cycle, `dt` after the last: follows what nets command.
     fn step(&mut self, command: &DeviceCommand, dt: Nanos);
 
+    /// Takes over, behind [`Self::step`] in the same cycle, that commands were withdrawn. What moves sees it in the next.
+    fn retract(&mut self, _command: &DeviceCommand) {}
+
     /// How it is.
     fn state(&self) -> &DeviceState;
 }

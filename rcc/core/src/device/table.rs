@@ -10,6 +10,7 @@ use takt_net::device::{
 use takt_net::{ArmBinding, Devices, JointLimits};
 use takt_rt::latest::{LatestReader, LatestWriter, latest};
 
+use crate::device::continuity::Jumped;
 use crate::device::last_stage::Limited;
 use crate::device::{
     ARM_JOINTS_MAX, ArmDescription, DeviceCommand, DeviceDescription, DeviceState, DeviceStatus,
@@ -55,6 +56,11 @@ impl Device {
     /// Whether it can be used.
     pub fn status(&self) -> DeviceStatus {
         self.read(|state| state.status)
+    }
+
+    /// How often its positions jumped, and the last time.
+    pub fn jumped(&self) -> Jumped {
+        self.read(|state| state.jumped)
     }
 
     /// What the last stages of its driver held back.

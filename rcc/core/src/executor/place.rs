@@ -53,7 +53,8 @@ impl Executor {
         let device = self.devices.get_mut(number);
         if let Some((device, epoch)) = device.zip(self.epochs.get_mut(number)) {
             let begins = view.is_ready() && !device.is_ready();
-            if begins || view.faults != device.faults {
+            let changed = view.faults != device.faults || view.jumps != device.jumps;
+            if begins || changed {
                 *epoch += 1;
                 self.epochs_changed = true;
             }
@@ -61,8 +62,8 @@ impl Executor {
         }
     }
 
-    /// What changes with each fault of a device, and with each time it begins to follow commands: then it may be
-    /// elsewhere than it was.
+    /// What changes with each fault and each jump of a device, and with each time it begins to follow commands: then it
+    /// may be elsewhere than it was.
     pub(super) fn epoch(&self, number: usize) -> u64 {
         self.epochs.get(number).copied().unwrap_or(0)
     }

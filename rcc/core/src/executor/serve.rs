@@ -197,9 +197,14 @@ impl Served {
                 ..
             } = &mut **end;
             gate.pass(command, place, &executor.image, self.stop.is_on());
-            if let Driver::Cells { command, .. } = &mut end.driver {
-                let given = &end.command;
-                command.write_with(|slot| slot.copy_from(given));
+            let given = &end.command;
+            match &mut end.driver {
+                Driver::Cells { command, .. } => command.write_with(|slot| slot.copy_from(given)),
+                Driver::Simulated { device, told } => {
+                    device.retract(given);
+                    told.write_with(|slot| slot.copy_from(device.state()));
+                }
+                Driver::Seen { .. } => {}
             }
         }
     }
@@ -235,6 +240,7 @@ fn show(
         status: state.status.under(stop.is_on()),
         // Those that begin with a stop are counted like any other.
         faults: state.faults + stop.count(),
+        jumps: state.jumped.count,
     };
     executor.set_device(number, view);
     state.show(place, &executor.image);

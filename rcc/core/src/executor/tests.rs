@@ -28,6 +28,7 @@ const ECHO: &str = "{x=Core::IntNetcommIn(Key='x',Value='0'),
 const READY: DeviceView = DeviceView {
     status: DeviceStatus::Operational,
     faults: 0,
+    jumps: 0,
 };
 
 /// A net with the program's end of its values.

@@ -114,7 +114,9 @@ impl Words {
         self.entry([signals.len() as u64, commands.len() as u64]);
         self.entry([executor.fresh().len() as u64]);
         for device in &executor.devices {
-            self.entry([status_word(device.status), device.faults]);
+            // Jumps lie above the status, which leaves the format as it was.
+            let status = status_word(device.status) | device.jumps << 8;
+            self.entry([status, device.faults]);
         }
         for joint in joints {
             self.entry(joint_words(&joint.state.get()));
@@ -206,12 +208,13 @@ impl Inputs<'_> {
         executor
             .devices
             .extend(self.devices.chunks_exact(2).map(|pair| DeviceView {
-                status: match pair[0] {
+                status: match pair[0] & 0xFF {
                     1 => DeviceStatus::SafeOperational,
                     2 => DeviceStatus::Operational,
                     _ => DeviceStatus::Offline,
                 },
                 faults: pair[1],
+                jumps: pair[0] >> 8,
             }));
         // Arms come into use while a recording runs.
         executor.use_joints(self.joints.len() / JOINT_WORDS);

@@ -291,6 +291,23 @@ impl Stand {
         text.parse().unwrap_or_else(|_| panic!("{key} is {text}"))
     }
 
+    /// Aborts a net, and its program forgets it.
+    pub fn unload(&mut self, id: u32) {
+        assert!(self.executor.abort(id));
+        self.nets.remove(&id);
+    }
+
+    /// The client of these nets is lost: those that wait are taken back first, then those that run are aborted.
+    pub fn lose_client(&mut self, nets: &[u32]) {
+        for id in nets {
+            self.executor.take_unscheduled(*id, true);
+        }
+        for id in nets {
+            self.executor.abort(*id);
+            self.nets.remove(id);
+        }
+    }
+
     pub fn end(&mut self, id: u32) {
         assert!(self.executor.abort(id));
         self.step();

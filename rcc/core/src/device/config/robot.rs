@@ -6,10 +6,11 @@ use std::time::Duration;
 use serde::{Deserialize, Deserializer};
 use takt_fri::lwr::Protocol as Handshake;
 
+use super::OutputsOnEnd;
 use crate::span;
 
 /// A KUKA LWR.
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LwrConfig {
     /// Name by which nets find it.
@@ -29,6 +30,9 @@ pub struct LwrConfig {
     /// How the KRL program takes control strategy, tool and load over user data; `None` if it does not.
     #[serde(default, deserialize_with = "handshake")]
     pub handshake: Option<Handshake>,
+    /// What becomes of the user data that a net wrote when it ends.
+    #[serde(default)]
+    pub on_end: OutputsOnEnd,
 }
 
 fn handshake<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Handshake>, D::Error> {
@@ -52,6 +56,7 @@ impl LwrConfig {
             cpus: Vec::new(),
             thread: None,
             handshake: None,
+            on_end: OutputsOnEnd::default(),
         }
     }
 
@@ -84,7 +89,7 @@ pub enum IiwaModel {
 }
 
 /// A KUKA LBR iiwa.
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct IiwaConfig {
     /// Name by which nets find it.
@@ -107,6 +112,9 @@ pub struct IiwaConfig {
     /// Inputs and outputs that the robot program shares, at most 10.
     #[serde(default)]
     pub io: IiwaIo,
+    /// What becomes of the outputs that a net wrote when it ends.
+    #[serde(default)]
+    pub on_end: OutputsOnEnd,
 }
 
 /// Inputs and outputs of a Sunrise cabinet by their names, `Group.Name`; the first of each list is port 0.
@@ -135,6 +143,7 @@ impl IiwaConfig {
             cpus: Vec::new(),
             thread: None,
             io: IiwaIo::default(),
+            on_end: OutputsOnEnd::default(),
         }
     }
 

@@ -6,6 +6,7 @@ use std::time::Duration;
 use serde::{Deserialize, Deserializer};
 use takt_ethercat::config::Patience;
 
+use super::OutputsOnEnd;
 use crate::span;
 
 /// How the clocks of a segment are brought together.
@@ -328,6 +329,8 @@ pub struct EthercatIo {
     pub analogue_in: Vec<AnalogueChannel>,
     /// Analogue outputs.
     pub analogue_out: Vec<AnalogueChannel>,
+    /// What becomes of outputs when the net that wrote them ends: of bits and of channels, in their order.
+    pub on_end: OutputsOnEnd,
 }
 
 /// An analogue channel: a number in the process data of a slave, found by its object or by where it lies. Nets see

@@ -308,7 +308,8 @@ fn check_io(config: &EthercatConfig, io: &EthercatIo) -> Result<(), String> {
     if io.analogue_in.len().max(io.analogue_out.len()) > IMAGE_MAX {
         return Err(format!("at most {IMAGE_MAX} analogue channels fit a frame"));
     }
-    Ok(())
+    io.on_end
+        .check(bits(&io.digital_out), io.analogue_out.len())
 }
 
 fn check_channel(channel: &AnalogueChannel) -> Result<(), String> {

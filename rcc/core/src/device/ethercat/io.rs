@@ -1,5 +1,5 @@
 //! Digital and analogue inputs and outputs: bits and numbers of the process data of slaves. Outputs keep what nets
-//! wrote when those end; when the segment stops, the slaves' watchdogs switch them off.
+//! wrote when those end, or take the value that the cell states for that; when the segment stops, the slaves' watchdogs switch them off.
 
 use std::fmt;
 
@@ -10,7 +10,7 @@ use takt_rt::cycle::Tick;
 use takt_rt::latest::{LatestReader, LatestWriter};
 
 use super::describe::{part, slave};
-use crate::device::config::{AnalogueChannel, EthercatConfig, EthercatIo};
+use crate::device::config::{AnalogueChannel, EthercatConfig, EthercatIo, OutputsOnEnd};
 use crate::device::driver::DeviceEnd;
 use crate::device::{DeviceCommand, DeviceState, DeviceStatus, parts};
 
@@ -206,6 +206,7 @@ pub(super) struct InOut {
     outputs: Vec<Bit>,
     analogue_in: Vec<Number>,
     analogue_out: Vec<Number>,
+    on_end: OutputsOnEnd,
     interfaces: Interfaces,
     told: DeviceState,
     taken: DeviceCommand,
@@ -234,6 +235,7 @@ impl InOut {
             outputs: bits(&io.digital_out),
             analogue_in: numbers(&io.analogue_in),
             analogue_out: numbers(&io.analogue_out),
+            on_end: io.on_end.clone(),
             interfaces,
             told: DeviceState::new(layout.signals),
             taken: DeviceCommand::new(layout.commands),
@@ -305,11 +307,9 @@ impl InOut {
             gone |= age > GONE;
             place.report(&mut self.told.signals, value.filter(|_| age <= GONE));
         }
-        for (place, bit) in io.bool_out.iter().zip(&self.outputs) {
-            let wanted = place
-                .command
-                .read(&self.taken.words)
-                .map(|given| given.value);
+        for (port, (place, bit)) in io.bool_out.iter().zip(&self.outputs).enumerate() {
+            let given = place.command.read(&self.taken.words);
+            let wanted = self.on_end.truth(port, given);
             let bytes = master.outputs_mut(bit.slave);
             let Some(byte) = bytes.get_mut(bit.bit / 8) else {
                 gone = true;
@@ -339,11 +339,9 @@ impl InOut {
             gone |= value.is_none();
             place.report(&mut self.told.signals, value);
         }
-        for (place, number) in io.real_out.iter().zip(&self.analogue_out) {
-            let wanted = place
-                .command
-                .read(&self.taken.words)
-                .map(|given| given.value);
+        for (port, (place, number)) in io.real_out.iter().zip(&self.analogue_out).enumerate() {
+            let given = place.command.read(&self.taken.words);
+            let wanted = self.on_end.number(port, given);
             let bytes = master.outputs_mut(number.slave);
             if let Some(wanted) = wanted.filter(|wanted| wanted.is_finite()) {
                 gone |= !number.write(bytes, wanted);

@@ -14,6 +14,8 @@ use crate::device::config::YouBotControl;
 use crate::device::driver::DeviceEnd;
 use crate::device::{DeviceCommand, DeviceState, DeviceStatus, SetPoint};
 
+mod ends;
+
 /// A device as a net thread sees it.
 struct Seen {
     state: LatestReader<DeviceState>,
@@ -26,6 +28,7 @@ struct Bench {
     master: Master,
     segment: Segment,
     arms: Vec<Arm>,
+    ios: Vec<InOut>,
     youbots: YouBots,
     cycle: Nanos,
     tick: u64,
@@ -34,6 +37,9 @@ struct Bench {
     devices: Vec<Seen>,
     /// The one that moves.
     device: usize,
+    /// Whether a net thread elsewhere gives time and cycle of what is commanded.
+    is_led: bool,
+    is_ending: bool,
 }
 
 fn config(text: &str) -> EthercatConfig {
@@ -69,16 +75,21 @@ impl Bench {
         let mut ends = ends.into_iter();
         let arms = config.arms.iter().zip(&mut ends);
         let arms = arms.map(|(arm, end)| Arm::new(config, arm, end)).collect();
+        let ios = config.ios.iter().zip(&mut ends);
+        let ios = ios.map(|(io, end)| InOut::new(config, io, end)).collect();
         let mut bench = Self {
             master: Master::new(master_config(config)).unwrap(),
             segment,
             arms,
+            ios,
             youbots: YouBots::new(config, &mut ends),
             cycle: config.cycle.into(),
             tick: 1000,
             away: 0,
             devices,
             device,
+            is_led: false,
+            is_ending: false,
         };
         for _ in 0..30_000 {
             bench.cycle();
@@ -122,8 +133,10 @@ impl Bench {
             woken: now,
         };
         for device in &mut self.devices {
-            device.given.time = now;
-            device.given.cycle = self.tick;
+            if !self.is_led {
+                device.given.time = now;
+                device.given.cycle = self.tick;
+            }
             let given = &device.given;
             device
                 .command
@@ -137,9 +150,13 @@ impl Bench {
             }
         }
         for arm in &mut self.arms {
-            arm.cycle(&mut self.master, &tick, false);
+            arm.cycle(&mut self.master, &tick, self.is_ending);
         }
-        self.youbots.cycle(&mut self.master, &tick, false);
+        for io in &mut self.ios {
+            io.cycle(&mut self.master, &tick);
+        }
+        let is_ending = self.is_ending;
+        self.youbots.cycle(&mut self.master, &tick, is_ending);
     }
 
     /// A set-point of a net with one in so many cycles.

@@ -19,6 +19,7 @@ use super::clock::DatagramClock;
 use super::force::ForceByTorques;
 use super::news::{Herald, News};
 use super::{AXES, Joints, Orders, Protocol, Shared};
+use crate::device::continuity::Continuity;
 use crate::device::driver::DeviceEnd;
 use crate::device::setpoint::Joint;
 use crate::device::{DeviceCommand, DeviceDescription, DeviceState, DeviceStatus, parts};
@@ -32,6 +33,7 @@ const MOVES_FROM: f64 = 1e-3;
 #[derive(Default)]
 struct Published {
     state: DeviceState,
+    continuity: Continuity,
     positions: Option<[f64; AXES]>,
     velocities: Option<[f64; AXES]>,
 }
@@ -384,6 +386,11 @@ impl<P: Protocol> Driver<P> {
                 error: error as i32,
             };
         }
+        let limits = &self.limits;
+        let Published {
+            state, continuity, ..
+        } = &mut self.last;
+        continuity.check(state, |number| Some(limits.get(number)?.velocity_max));
         self.tell_torques();
         self.tell();
     }

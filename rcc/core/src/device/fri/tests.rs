@@ -24,6 +24,8 @@ use crate::device::{
     DeviceCommand, DeviceState, DeviceStatus, JointSetPoints, Part, SetPoint, iiwa, lwr,
 };
 
+mod ends;
+
 const MS: Duration = Duration::from_millis(1);
 /// Period of the net thread.
 const NET: Nanos = Nanos(1_000_000);
@@ -41,6 +43,8 @@ trait Controller {
     fn transmit(&mut self, now: Duration, buffer: &mut [u8]) -> Option<usize>;
     /// Takes an answer.
     fn take(&mut self, answer: &[u8], now: Duration);
+    /// Gives its drives power, or takes it.
+    fn power(&mut self, is_on: bool);
     /// What goes wrong on the way to the driver, and back.
     fn lines(&mut self) -> [&mut LineFaults; 2];
     /// Set-point, rad.
@@ -64,6 +68,9 @@ impl Controller for Krc {
     }
     fn take(&mut self, answer: &[u8], now: Duration) {
         self.handle_datagram(answer, now).unwrap();
+    }
+    fn power(&mut self, is_on: bool) {
+        self.set_power(is_on);
     }
     fn lines(&mut self) -> [&mut LineFaults; 2] {
         let faults = self.faults_mut();
@@ -96,6 +103,9 @@ impl Controller for Cabinet {
     }
     fn take(&mut self, answer: &[u8], now: Duration) {
         self.handle_datagram(answer, now).unwrap();
+    }
+    fn power(&mut self, is_on: bool) {
+        self.set_power(is_on);
     }
     fn lines(&mut self) -> [&mut LineFaults; 2] {
         let faults = self.faults_mut();
@@ -134,6 +144,8 @@ struct Rig<C, P> {
     wanted: DeviceCommand,
     /// In how many cycles of the net thread the net gives a set-point.
     every: u64,
+    /// Whether `wanted` comes from a net thread elsewhere.
+    is_led: bool,
     /// Where a net wants the joint, by the time since it began; `None` while none runs.
     net: Option<(Duration, Net)>,
     state: LatestReader<DeviceState>,
@@ -183,6 +195,7 @@ impl<C: Controller, P: Protocol> Rig<C, P> {
             command,
             wanted,
             every: 1,
+            is_led: false,
             net: None,
             state: told,
             path: Vec::new(),
@@ -194,7 +207,7 @@ impl<C: Controller, P: Protocol> Rig<C, P> {
 
     /// All cycles of the net thread that are due.
     fn think(&mut self) {
-        while self.wanted.time + NET <= self.now.into() {
+        while !self.is_led && self.wanted.time + NET <= self.now.into() {
             self.wanted.time += NET;
             self.wanted.cycle += 1;
             let time = self.wanted.time;

@@ -14,7 +14,7 @@ use takt_net::device::{Answer, CartesianImpedance, Interfaces, Io, JointImpedanc
 use takt_net::value::Wrench;
 
 use crate::device::DeviceStatus;
-use crate::device::config::{IiwaIo, IiwaModel};
+use crate::device::config::{IiwaIo, IiwaModel, OutputsOnEnd};
 use crate::device::fri::orders::{Gate, answer, error, first, from_wire, to_wire};
 use crate::device::fri::{Heard, Joints, Orders, Protocol, Totals, guard};
 
@@ -35,6 +35,7 @@ pub struct End {
     wrench_gate: Gate,
     answers: Answers,
     io: IiwaIo,
+    on_end: OutputsOnEnd,
 }
 
 /// What became of the last orders.
@@ -67,7 +68,15 @@ impl End {
             wrench_gate: Gate::default(),
             answers: Answers::default(),
             io,
+            on_end: OutputsOnEnd::default(),
         }
+    }
+
+    /// The same with what becomes of outputs when the net that wrote them ends.
+    #[must_use]
+    pub fn on_end(mut self, on_end: OutputsOnEnd) -> Self {
+        self.on_end = on_end;
+        self
     }
 
     fn told(&self) -> Option<&MonitorData> {
@@ -155,14 +164,18 @@ impl End {
     /// Writes the outputs that nets command. One that the robot program does not share is not written, and its
     /// state stays null.
     fn write(&mut self, io: &Io, orders: &Orders<'_>) {
-        for (name, output) in self.io.bool_out.iter().zip(io.bool_out.iter()) {
-            if let Some(given) = output.command.read(orders.words) {
-                let _not_shared = self.session.write(name, IoLevel::Boolean(given.value));
+        let outputs = self.io.bool_out.iter().zip(io.bool_out.iter());
+        for (port, (name, output)) in outputs.enumerate() {
+            let given = output.command.read(orders.words);
+            if let Some(value) = self.on_end.truth(port, given) {
+                let _not_shared = self.session.write(name, IoLevel::Boolean(value));
             }
         }
-        for (name, output) in self.io.real_out.iter().zip(io.real_out.iter()) {
-            if let Some(given) = output.command.read(orders.words) {
-                let _not_shared = self.session.write(name, IoLevel::Analog(given.value));
+        let outputs = self.io.real_out.iter().zip(io.real_out.iter());
+        for (port, (name, output)) in outputs.enumerate() {
+            let given = output.command.read(orders.words);
+            if let Some(value) = self.on_end.number(port, given) {
+                let _not_shared = self.session.write(name, IoLevel::Analog(value));
             }
         }
     }

@@ -15,6 +15,7 @@ use super::impedance::{Impedance, Standing};
 use super::program::Program;
 use super::{TORQUE_MAX, WRENCH_MAX};
 use crate::device::DeviceStatus;
+use crate::device::config::OutputsOnEnd;
 use crate::device::fri::orders::from_wire;
 use crate::device::fri::{Heard, Joints, Orders, Protocol, Totals, guard};
 
@@ -27,6 +28,7 @@ pub struct End {
     guard: Guard,
     /// User data as it goes out.
     krl: Krl,
+    on_end: OutputsOnEnd,
 }
 
 impl End {
@@ -45,7 +47,15 @@ impl End {
             impedance: Impedance::default(),
             guard,
             krl: Krl::default(),
+            on_end: OutputsOnEnd::default(),
         }
+    }
+
+    /// The same with what becomes of outputs when the net that wrote them ends.
+    #[must_use]
+    pub fn on_end(mut self, on_end: OutputsOnEnd) -> Self {
+        self.on_end = on_end;
+        self
     }
 
     fn standing(&self) -> Standing {
@@ -59,16 +69,16 @@ impl End {
 
     /// Sets the user data that nets command, but for what the handshake uses.
     fn write(&mut self, io: &Io, orders: &Orders<'_>) {
-        for ((at, index), output) in (0..).zip(0_u32..).zip(io.bool_out.iter()) {
-            let given = output.command.read(orders.words);
-            if let Some(given) = given.filter(|_| !self.program.owns_bool(at)) {
-                self.krl.set_bool(index, given.value);
+        for ((at, index), output) in (0_usize..).zip(0_u32..).zip(io.bool_out.iter()) {
+            let wanted = self.on_end.truth(at, output.command.read(orders.words));
+            if let Some(value) = wanted.filter(|_| !self.program.owns_bool(at)) {
+                self.krl.set_bool(index, value);
             }
         }
         for (at, (real, output)) in self.krl.real.iter_mut().zip(io.real_out.iter()).enumerate() {
-            let given = output.command.read(orders.words);
-            if let Some(given) = given.filter(|_| !self.program.owns_real(at)) {
-                *real = super::to_f32(given.value);
+            let wanted = self.on_end.number(at, output.command.read(orders.words));
+            if let Some(value) = wanted.filter(|_| !self.program.owns_real(at)) {
+                *real = super::to_f32(value);
             }
         }
     }

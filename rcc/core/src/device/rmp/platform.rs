@@ -209,6 +209,14 @@ impl Platform {
         }
     }
 
+    /// The last of these.
+    pub(super) const fn jump(&self) -> Option<rmp::Jump> {
+        match self {
+            Self::One(base) => base.jump(),
+            Self::Two(omni) => omni.jump(),
+        }
+    }
+
     /// Angle and rate of each wheel, rad and rad/s.
     pub(super) fn wheels(&self) -> ([f64; 4], [f64; 4]) {
         match self {

@@ -20,6 +20,7 @@ use takt_rt::Nanos;
 use super::compliance::Compliance;
 use super::io::loop_back;
 use super::{Made, Parameters, Simulated, seconds};
+use crate::device::config::OutputsOnEnd;
 use crate::device::setpoint::Joint;
 use crate::device::{
     ARM_JOINTS_MAX, ArmDescription, DeviceCommand, DeviceState, DeviceStatus, JointSetPoints,
@@ -142,6 +143,9 @@ fn make(parameters: &Parameters<'_>, kind: &'static str, model: &Model) -> Resul
     .with(model.parts);
     let mut layout = Layout::default();
     let interfaces = parts::lay(model.parts, model.joints, &mut layout);
+    let outputs = interfaces.io.as_ref();
+    let outputs = outputs.map_or((0, 0), |io| (io.bool_out.len(), io.real_out.len()));
+    let on_end = parameters.on_end(outputs.0, outputs.1)?;
     let mut state = DeviceState::new(layout.signals);
     state.status = DeviceStatus::Operational;
     let joint = |(limits, home): (&JointLimits, &f64)| {
@@ -168,6 +172,7 @@ fn make(parameters: &Parameters<'_>, kind: &'static str, model: &Model) -> Resul
         kinematics: takt_motion::kinematics::limited(model.kinematics, &description.limits),
         interfaces,
         state,
+        on_end,
     };
     arm.tell([0.0; ARM_JOINTS_MAX]);
     Ok((description, Box::new(arm)))
@@ -252,6 +257,7 @@ struct SimulatedArm {
     kinematics: Option<Arc<dyn Kinematics>>,
     interfaces: Interfaces,
     state: DeviceState,
+    on_end: OutputsOnEnd,
 }
 
 impl Simulated for SimulatedArm {
@@ -262,9 +268,7 @@ impl Simulated for SimulatedArm {
             return;
         }
         self.obey(command);
-        if let Some(io) = &self.interfaces.io {
-            loop_back(io, command, &mut self.state);
-        }
+        self.retract(command);
         let torques = self.load_torques();
         let compliant = self.strategy == self.strategies.joint_impedance;
         for (i, joint) in self.joints.iter_mut().enumerate() {
@@ -292,6 +296,12 @@ impl Simulated for SimulatedArm {
             self.measured[i].move_to(position + compliance.deflection(), dt_s);
         }
         self.tell(torques);
+    }
+
+    fn retract(&mut self, command: &DeviceCommand) {
+        if let Some(io) = &self.interfaces.io {
+            loop_back(io, &self.on_end, command, &mut self.state);
+        }
     }
 
     fn state(&self) -> &DeviceState {

@@ -1,12 +1,14 @@
 //! Simulated inputs and outputs: each input has the value that the output of its number had in the
 //! cycle before. Nothing else moves them.
 //!
-//! Parameters: `bools` and `reals`, how many of each (8 and 2).
+//! Parameters: `bools` and `reals`, how many of each (8 and 2); `on_end_bool` and `on_end_real`, what becomes of outputs
+//! when the net that wrote them ends.
 
-use takt_net::device::{Interfaces, Io, Layout, Output, Signal, Words};
+use takt_net::device::{Given, Interfaces, Io, Layout, Output, Signal, Words};
 use takt_rt::Nanos;
 
 use super::{Made, Parameters, Simulated};
+use crate::device::config::OutputsOnEnd;
 use crate::device::{DeviceCommand, DeviceDescription, DeviceState, DeviceStatus, Part, parts};
 use crate::error::Error;
 
@@ -32,7 +34,12 @@ pub(super) fn looped(parameters: &Parameters<'_>, kind: &'static str) -> Result<
     let interfaces = parts::lay(&description.parts, 0, &mut layout);
     let mut state = DeviceState::new(layout.signals);
     state.status = DeviceStatus::Operational;
-    let mut looped = Looped { interfaces, state };
+    let on_end = parameters.on_end(bools, reals)?;
+    let mut looped = Looped {
+        interfaces,
+        state,
+        on_end,
+    };
     looped.step(&DeviceCommand::new(layout.commands), Nanos::ZERO);
     Ok((description, Box::new(looped)))
 }
@@ -41,13 +48,18 @@ pub(super) fn looped(parameters: &Parameters<'_>, kind: &'static str) -> Result<
 struct Looped {
     interfaces: Interfaces,
     state: DeviceState,
+    on_end: OutputsOnEnd,
 }
 
 impl Simulated for Looped {
     fn step(&mut self, command: &DeviceCommand, _dt: Nanos) {
         self.state.stamp = command.time;
+        self.retract(command);
+    }
+
+    fn retract(&mut self, command: &DeviceCommand) {
         if let Some(io) = &self.interfaces.io {
-            loop_back(io, command, &mut self.state);
+            loop_back(io, &self.on_end, command, &mut self.state);
         }
     }
 
@@ -57,20 +69,28 @@ impl Simulated for Looped {
 }
 
 /// Sets outputs as commanded and each input like the output of its number, if there is one.
-pub(super) fn loop_back(io: &Io, command: &DeviceCommand, state: &mut DeviceState) {
-    connect(&io.bool_in, &io.bool_out, command, state);
-    connect(&io.real_in, &io.real_out, command, state);
+pub(super) fn loop_back(
+    io: &Io,
+    on_end: &OutputsOnEnd,
+    command: &DeviceCommand,
+    state: &mut DeviceState,
+) {
+    let truth = |port, given| on_end.truth(port, given);
+    connect(&io.bool_in, &io.bool_out, truth, command, state);
+    let number = |port, given| on_end.number(port, given);
+    connect(&io.real_in, &io.real_out, number, command, state);
 }
 
 fn connect<T: Words + Default>(
     inputs: &[Signal<T>],
     outputs: &[Output<T>],
+    wanted: impl Fn(usize, Option<Given<T>>) -> Option<T>,
     command: &DeviceCommand,
     state: &mut DeviceState,
 ) {
     for (number, output) in outputs.iter().enumerate() {
         let value = output.command.read(&command.words);
-        let value = value.map_or_else(T::default, |given| given.value);
+        let value = wanted(number, value).unwrap_or_default();
         output.state.report(&mut state.signals, Some(value));
         if let Some(input) = inputs.get(number) {
             input.report(&mut state.signals, Some(value));

@@ -6,6 +6,7 @@ use std::ops::RangeInclusive;
 
 use takt_net::value::text::parse_array;
 
+use crate::device::config::{OnEnd, OutputsOnEnd};
 use crate::device::{LEAST, MOST};
 use crate::error::Error;
 
@@ -35,6 +36,40 @@ impl Parameters<'_> {
             return Err(self.wrong(what));
         }
         Ok(Some(values))
+    }
+
+    /// What becomes of so many outputs when the net that wrote them ends: `hold`, or a value for each.
+    pub(super) fn on_end(&self, bools: usize, reals: usize) -> Result<OutputsOnEnd, Error> {
+        let policies = OutputsOnEnd {
+            bool: self.policies("on_end_bool", "true or false", |it| it.parse().ok())?,
+            real: self.policies("on_end_real", "a finite number", |it| {
+                it.parse().ok().filter(|value: &f64| value.is_finite())
+            })?,
+        };
+        let checked = policies.check(bools, reals);
+        checked.map_err(|what| self.wrong(what))?;
+        Ok(policies)
+    }
+
+    fn policies<T>(
+        &self,
+        key: &str,
+        kind: &str,
+        parse: impl Fn(&str) -> Option<T>,
+    ) -> Result<Vec<OnEnd<T>>, Error> {
+        let Some(text) = self.texts.get(key) else {
+            return Ok(Vec::new());
+        };
+        let bare = text.trim().trim_start_matches('[').trim_end_matches(']');
+        let one = |(port, item): (usize, &str)| match item.trim() {
+            "hold" => Ok(OnEnd::Hold),
+            item => parse(item).map(OnEnd::Take).ok_or_else(|| {
+                self.wrong(format!(
+                    "{key}: `{item}` of output {port} is neither hold nor {kind}"
+                ))
+            }),
+        };
+        bare.split(',').enumerate().map(one).collect()
     }
 
     /// A list that must be given.

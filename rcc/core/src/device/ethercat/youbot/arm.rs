@@ -19,6 +19,7 @@ use super::springs::Springs;
 use super::tool::Motions;
 use super::{Wait, Waiting, is_fresh, lead, now, seconds};
 use crate::device::config::{YouBotArm, YouBotControl};
+use crate::device::continuity::Continuity;
 use crate::device::driver::DeviceEnd;
 use crate::device::last_stage::LastStage;
 use crate::device::setpoint::Joint;
@@ -48,6 +49,7 @@ pub(super) struct Arm {
     cycle: Nanos,
     net_period: Nanos,
     last: Option<Nanos>,
+    continuity: Continuity,
     interfaces: Interfaces,
     told: DeviceState,
     taken: DeviceCommand,
@@ -100,6 +102,7 @@ impl Arm {
             cycle: cycle.into(),
             net_period: end.net_period.into(),
             last: None,
+            continuity: Continuity::default(),
             interfaces,
             told: DeviceState::new(layout.signals),
             taken: DeviceCommand::new(layout.commands),
@@ -299,6 +302,10 @@ impl Arm {
                 error: error as i32,
             };
         }
+        let joints = &self.joints;
+        self.continuity.check(&mut self.told, |number| {
+            Some(joints.get(number)?.limits().velocity_max)
+        });
         let signals = &mut self.told.signals;
         self.springs.tell(&self.interfaces, signals);
         let flags = self

@@ -15,6 +15,7 @@ use super::course::{Course, Planar, within};
 use super::describe::base_parts;
 use super::{is_fresh, lead, seconds};
 use crate::device::config::YouBotBase;
+use crate::device::continuity::JumpPart;
 use crate::device::driver::DeviceEnd;
 use crate::device::last_stage::{PlanarLimits, PlanarStage};
 use crate::device::{DeviceCommand, DeviceState, DeviceStatus, parts};
@@ -35,6 +36,8 @@ pub(super) struct Base {
     cycle: Nanos,
     net_period: Nanos,
     last: Option<Nanos>,
+    /// Age of the oldest inputs, cycles.
+    age: u32,
     interfaces: Interfaces,
     told: DeviceState,
     taken: DeviceCommand,
@@ -75,6 +78,7 @@ impl Base {
             cycle: cycle.into(),
             net_period: end.net_period.into(),
             last: None,
+            age: 0,
             interfaces,
             told: DeviceState::new(layout.signals),
             taken: DeviceCommand::new(layout.commands),
@@ -95,8 +99,11 @@ impl Base {
         let taken = &mut self.taken;
         self.command.read_with(|command| taken.copy_from(command));
         // Drives take a command for a cycle, however long the host was away before.
-        let is_later = |last| tick.scheduled > last;
-        let passed = self.last.replace(tick.scheduled).is_some_and(is_later);
+        let elapsed = self
+            .last
+            .replace(tick.scheduled)
+            .map(|last| tick.scheduled - last);
+        let passed = elapsed.is_some_and(|elapsed| elapsed > Nanos(0));
         let dt = if passed { seconds(self.cycle) } else { 0.0 };
         let fresh = is_fresh(self.taken.time, tick, self.cycle, self.net_period);
         let (velocity, pose) = (self.velocity(fresh), self.pose(fresh));
@@ -123,7 +130,8 @@ impl Base {
             let order = follows.then_some(Command::velocity(rpm));
             lead(drive, master, order, may_move, tick);
         }
-        self.measure();
+        let elapsed = elapsed.map_or(f64::INFINITY, |elapsed| self.since_inputs(master, elapsed));
+        self.measure(elapsed);
         self.tell(tick, wanted);
     }
 
@@ -144,11 +152,31 @@ impl Base {
         (stands && finite).then_some([vel.x, vel.y, rot.z])
     }
 
-    fn measure(&mut self) {
+    /// How old the inputs of the last cycle were when those of this one came, s.
+    fn since_inputs(&mut self, master: &Master, elapsed: Nanos) -> f64 {
+        let ages = self
+            .drives
+            .iter()
+            .map(|drive| master.inputs(drive.slave()).1);
+        let age = ages.max().unwrap_or(0);
+        let before = std::mem::replace(&mut self.age, age);
+        seconds(elapsed) + f64::from(before) * seconds(self.cycle)
+    }
+
+    fn measure(&mut self, elapsed_s: f64) {
         let told = self.drives.each_ref().map(Drive::feedback);
         if let [Some(a), Some(b), Some(c), Some(d)] = told {
             let ticks = [a, b, c, d].map(|told| told.position);
-            self.odometry.advance(&self.mecanum, ticks);
+            let jumps = self.odometry.jumps();
+            self.odometry
+                .advance_within(&self.mecanum, ticks, elapsed_s);
+            let follows = self.follows() && self.told.status == DeviceStatus::Operational;
+            if follows
+                && self.odometry.jumps() > jumps
+                && let Some([by, most]) = self.odometry.jump(&self.mecanum)
+            {
+                self.told.jumped.add(JumpPart::Floor, by, most);
+            }
         } else {
             self.odometry.forget();
         }

@@ -297,6 +297,7 @@ fn fault_in_one_thread_fails_rule_in_all() {
     let mut view = DeviceView {
         status: DeviceStatus::Operational,
         faults: 0,
+        jumps: 0,
     };
     let mut arm = net(13, ENDLESS);
     arm.devices.push((0, 0));

@@ -1,0 +1,406 @@
+//! What a net commanded ends with it, seen at the wire: a net thread, a driver and its emulator in virtual time, a net
+//! that moves the device and ends in each way there is, and what leaves for the wire until long after. Drivers state
+//! beside their own tests what they drive; what is the same for all of them is here.
+
+use std::time::Duration;
+
+use takt_rt::Nanos;
+
+use super::{DeviceCommand, DeviceDescription, DeviceState, DeviceStatus};
+use crate::executor::End;
+use stand::Stand;
+
+mod jumps;
+mod outputs;
+#[path = "../../tests/stand/mod.rs"]
+mod stand;
+
+pub(super) use jumps::Jumps;
+pub(super) use outputs::outputs_follow_their_policy;
+
+/// Nets that are scheduled to follow the one that ends, and rules, by its number and this.
+const NEXT: u32 = 100;
+const RULE: u32 = 200;
+/// Periods of nets, in cycles of their thread of 1 ms.
+pub(super) const PERIODS: [u64; 2] = [1, 1000];
+
+/// How a net ends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Ending {
+    /// It terminates.
+    Itself,
+    /// It is asked to cancel.
+    Cancel,
+    /// It is aborted.
+    Abort,
+    /// A rule stops it.
+    Rule,
+    /// Its client is lost: what it scheduled is taken back, what it runs is aborted.
+    LostClient,
+    /// It is aborted and unloaded, and its thread serves nothing of it in the next cycle.
+    Unload,
+    /// An emergency stop of another thread.
+    EmergencyStop,
+    /// It took too long too often.
+    Overrun,
+    /// The device ceases to follow, and comes back later.
+    DeviceFault,
+    /// The controller ends: nets, then threads, then drivers.
+    Shutdown,
+}
+
+/// All of them.
+const ENDINGS: [Ending; 10] = [
+    Ending::Itself,
+    Ending::Cancel,
+    Ending::Abort,
+    Ending::Rule,
+    Ending::LostClient,
+    Ending::Unload,
+    Ending::EmergencyStop,
+    Ending::Overrun,
+    Ending::DeviceFault,
+    Ending::Shutdown,
+];
+
+/// A driver, its wire and its emulator.
+pub(super) trait Plant {
+    /// When it is in virtual time.
+    fn now(&self) -> Nanos;
+    /// Runs driver and emulator up to then, with what nets command. While `is_ending` the driver is to end.
+    fn run_to(&mut self, until: Nanos, given: &DeviceCommand, is_ending: bool);
+    /// What the driver reports.
+    fn copy_state(&mut self, state: &mut DeviceState);
+    /// What left for the wire last: a position or a speed.
+    fn sent(&mut self) -> f64;
+    /// Where the emulated device is.
+    fn place(&mut self) -> f64;
+    /// Puts a fault in, or takes it out again.
+    fn fail(&mut self, is_on: bool);
+}
+
+/// Whether it is positions or speeds that leave for the wire.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Wire {
+    Positions,
+    Speeds,
+}
+
+/// A device and how it is to come to rest.
+pub(super) struct Row {
+    pub(super) name: &'static str,
+    pub(super) description: DeviceDescription,
+    /// Children that move it to and fro, in turn; `STEP` is by how much a clock moves on in an evaluation, times 1000.
+    pub(super) children: [String; 2],
+    /// For how long it moves at least, ms.
+    pub(super) runs: usize,
+    pub(super) wire: Wire,
+    /// Acceleration that its limits allow, in the unit of what is sent.
+    pub(super) acceleration: f64,
+    /// Steps in which what is sent is rounded.
+    pub(super) resolution: f64,
+    /// From a command to the frame that carries it out, a cycle of the driver or two.
+    pub(super) latency: Duration,
+    /// By how much the emulated device may move after what is sent rests, by its lag and its compliance.
+    pub(super) creep: f64,
+    /// Why an ending makes no sense for it at that period of its net, if so.
+    pub(super) without: fn(Ending, u64) -> Option<&'static str>,
+}
+
+/// Children that swing a joint to and fro from where it is at these speeds, rad/s.
+pub(super) fn joint(axis: usize, speeds: [f64; 2]) -> [String; 2] {
+    speeds.map(|speed| swing(axis, speed))
+}
+
+fn swing(axis: usize, speed: f64) -> String {
+    format!(
+        "true=Core::BooleanValue(Value='true'),past=Core::BooleanPre(inValue=true.outValue),
+        first=Core::BooleanIsNull(inValue=past.outValue),
+        at=RobotArm::JointMonitor(Robot='x',Axis='{axis}'),
+        start=Core::DoubleSnapshot(inSnapshot=first.outValue,inValue=at.outCommandedPosition),
+        clock=Core::Clock(Increment='STEP'),
+        begin=Core::DoubleSnapshot(inSnapshot=first.outValue,inValue=clock.outValue),
+        way=Core::DoubleMultiply(inFirst=clock.outValue,Second='{speed}'),
+        back=Core::DoubleMultiply(inFirst=begin.outValue,Second='{back}'),
+        from=Core::DoubleAdd(inFirst=start.outValue,inSecond=back.outValue),
+        to=Core::DoubleAdd(inFirst=from.outValue,inSecond=way.outValue),
+        j=RobotArm::JointPosition(inPosition=to.outValue,Robot='x',Axis='{axis}')",
+        back = -speed
+    )
+}
+
+/// Children that drive a base to and fro at so many m/s.
+pub(super) fn velocity(ahead: f64) -> [String; 2] {
+    [ahead, -ahead].map(|ahead| {
+        format!(
+            "v=World::TwistValue(Value='{{vel:{{x:{ahead}}}}}'),
+            j=RobotBase::BaseVelocity(inVel=v.outValue,Robot='x')"
+        )
+    })
+}
+
+/// The net of these children.
+fn net(children: &str, every: u64, ends_after: Option<u32>) -> String {
+    let children = children.replace("STEP", &every.to_string());
+    let last = ends_after.map_or(1e9, |count| f64::from(count) / 1000.0 - 0.0005);
+    format!(
+        "{{{children},age=Core::Clock(Increment='1'),
+        over=Core::DoubleGreater(inFirst=age.outValue,Second='{last}'),
+        cancel=Cancel(),end=Core::BooleanOr(inFirst=cancel.outCancel,inSecond=over.outValue),
+        outTerminate=end.outValue}}"
+    )
+}
+
+/// A net thread and a plant that it commands.
+struct Bench<P> {
+    stand: Stand,
+    driven: stand::Driven,
+    plant: P,
+    given: DeviceCommand,
+    state: DeviceState,
+    /// What was sent, and where the device was, each millisecond.
+    sent: Vec<f64>,
+    places: Vec<f64>,
+}
+
+impl<P: Plant> Bench<P> {
+    fn new(row: &Row, plant: P) -> Self {
+        let mut stand = Stand::default();
+        let description = DeviceDescription {
+            name: "x".to_owned(),
+            ..row.description.clone()
+        };
+        let mut layout = takt_net::device::Layout::default();
+        let joints = description.limits.len();
+        let _places = super::parts::lay(&description.parts, joints, &mut layout);
+        let driven = stand.add_driven(description);
+        stand.cycle = plant.now().0.unsigned_abs().div_ceil(1_000_000);
+        let mut bench = Self {
+            stand,
+            driven,
+            plant,
+            given: DeviceCommand::new(layout.commands),
+            state: DeviceState::new(layout.signals),
+            sent: Vec::new(),
+            places: Vec::new(),
+        };
+        bench.steps(50);
+        assert_eq!(
+            bench.state.status,
+            DeviceStatus::Operational,
+            "{}",
+            row.name
+        );
+        bench
+    }
+
+    /// The driver's part of a millisecond.
+    fn drive(&mut self, until: Nanos, is_ending: bool) {
+        self.plant.run_to(until, &self.given, is_ending);
+        self.plant.copy_state(&mut self.state);
+        let state = &self.state;
+        self.driven.state.write_with(|slot| slot.copy_from(state));
+        self.sent.push(self.plant.sent());
+        self.places.push(self.plant.place());
+    }
+
+    fn time(&self) -> Nanos {
+        Nanos(self.stand.cycle.cast_signed() * 1_000_000)
+    }
+
+    /// A cycle of the net thread, then the driver until the next.
+    fn step(&mut self) {
+        self.stand.step();
+        let given = &mut self.given;
+        self.driven
+            .command
+            .read_with(|command| given.copy_from(command));
+        self.drive(Nanos(self.time().0 + 999_999), false);
+    }
+
+    fn steps(&mut self, cycles: usize) {
+        (0..cycles).for_each(|_| self.step());
+    }
+
+    /// The threads of nets are over, the driver is to end.
+    fn end_driver(&mut self, cycles: u32) {
+        for n in 1..=cycles {
+            let span = i64::from(n) * 1_000_000;
+            self.drive(Nanos(self.time().0 + 999_999 + span), true);
+        }
+    }
+
+    /// Has the net of that number end in this way, at once or in its next cycle.
+    fn end(&mut self, id: u32, ending: Ending) {
+        let executor = &mut self.stand.executor;
+        match ending {
+            Ending::Itself => {}
+            Ending::Cancel => assert!(executor.cancel(id)),
+            Ending::Abort | Ending::Shutdown => assert!(executor.abort(id)),
+            Ending::Unload => self.stand.unload(id),
+            Ending::LostClient => self.stand.lose_client(&[id, id + NEXT]),
+            Ending::Rule => self.stand.stop_by_rule(id + RULE, id, &[]),
+            Ending::Overrun => executor.end_runaway(id),
+            Ending::DeviceFault => self.plant.fail(true),
+            Ending::EmergencyStop => self.stand.set_stop(true),
+        }
+    }
+
+    /// Runs until a net has ended.
+    fn await_end(&mut self, id: u32, most: usize, what: &str) -> End {
+        for _ in 0..most {
+            self.step();
+            if let Some(end) = self.stand.ended.get(&id) {
+                return *end;
+            }
+        }
+        panic!("{what}: it does not end");
+    }
+
+    /// Runs until nets may command the device.
+    fn await_operational(&mut self, what: &str) {
+        for _ in 0..30_000 {
+            if self.state.status == DeviceStatus::Operational {
+                return self.steps(20);
+            }
+            self.step();
+        }
+        panic!("{what}: the device does not come back");
+    }
+}
+
+/// The largest change between two values so many steps apart.
+fn fastest(values: &[f64], span: usize) -> f64 {
+    let windows = values.windows(span + 1);
+    let changes = windows.map(|w| (w[span] - w[0]).abs());
+    changes.fold(0.0, f64::max)
+}
+
+impl Row {
+    /// How fast it was in the last cycles before its net ended, at most.
+    fn speed(&self, sent: &[f64]) -> f64 {
+        // Longer than any driver's cycle.
+        let last = &sent[sent.len().saturating_sub(200)..];
+        match self.wire {
+            Wire::Positions => fastest(last, 50) / 0.05,
+            Wire::Speeds => last.iter().fold(0.0, |most, one| most.max(one.abs())),
+        }
+    }
+
+    /// What was sent as places of which the last is to be kept.
+    fn path(&self, sent: &[f64]) -> Vec<f64> {
+        match self.wire {
+            Wire::Positions => sent.to_vec(),
+            Wire::Speeds => {
+                let sum = |at: &mut f64, speed: &f64| {
+                    *at += speed * 1e-3;
+                    Some(*at)
+                };
+                sent.iter().scan(0.0, sum).collect()
+            }
+        }
+    }
+
+    /// How long and how far it may go on at the speed that it had.
+    fn stopping(&self, sent: &[f64]) -> (usize, f64) {
+        let latency = self.latency.as_secs_f64();
+        // It may have been about to go on accelerating when the end came.
+        let speed = self.speed(sent) + self.acceleration * latency;
+        let time = speed / self.acceleration + latency;
+        let way = speed * speed / (2.0 * self.acceleration) + speed * latency + self.resolution;
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "some thousand milliseconds"
+        )]
+        let cycles = (time * 1e3).ceil() as usize + 2;
+        (cycles, way)
+    }
+
+    /// From this cycle on it brakes within its limit, and rests once it had the time for that.
+    fn check(&self, sent: &[f64], from: usize, ending: Ending, what: &str) {
+        // What had a fault goes on from where it is then.
+        let has_failed = ending == Ending::DeviceFault && self.wire == Wire::Positions;
+        let tolerance = if has_failed {
+            self.resolution.max(self.creep)
+        } else {
+            self.resolution
+        };
+        let (cycles, way) = self.stopping(&sent[..from]);
+        let path = self.path(&sent[from..]);
+        for (n, at) in path.iter().enumerate() {
+            let gone = (at - path[0]).abs();
+            assert!(gone <= way, "{what}: {gone} after {n} ms, at most {way}");
+        }
+        let rest = &path[cycles..];
+        let most = fastest(rest, 1).max(fastest(rest, rest.len() - 1));
+        assert!(most <= tolerance, "{what}: moves on by {most}");
+    }
+
+    /// The product of endings and periods for a device that `make` makes anew for each period.
+    pub(super) fn comes_to_rest<P: Plant>(&self, make: impl Fn() -> P) {
+        for every in PERIODS {
+            let mut bench = Bench::new(self, make());
+            let with = |ending: &Ending| (self.without)(*ending, every).is_none();
+            for (number, ending) in (1..).zip(ENDINGS.into_iter().filter(with)) {
+                self.ends(&mut bench, number, ending, every);
+            }
+        }
+    }
+
+    fn ends<P: Plant>(&self, bench: &mut Bench<P>, id: u32, ending: Ending, every: u64) {
+        let what = format!("{}, {ending:?}, every {every}", self.name);
+        bench.await_operational(&what);
+        bench.sent.clear();
+        bench.places.clear();
+        let period = usize::try_from(every).unwrap();
+        let evaluations = u32::try_from(self.runs / period + 3).unwrap();
+        let ends_after = (ending == Ending::Itself).then_some(evaluations);
+        let children = &self.children[usize::try_from((id + 1) % 2).unwrap()];
+        let text = net(children, every, ends_after);
+        bench.stand.try_start(id, &text, every).unwrap();
+        if ending == Ending::LostClient {
+            bench.stand.start_after(Some(id), id + NEXT, &text, every);
+        }
+        // Up to its first evaluation, and for some more and a part of a period.
+        let until_due = every - bench.stand.cycle % every;
+        bench.steps(usize::try_from(until_due).unwrap());
+        bench.steps(self.runs.max(if self.runs < 250 {
+            0
+        } else {
+            period + period / 3
+        }));
+        assert_eq!(bench.stand.ended.get(&id), None, "{what}");
+        let begins = bench.sent.len();
+        bench.end(id, ending);
+        bench.await_end(id, 3 * period + 500, &what);
+        let from = if ending == Ending::DeviceFault {
+            begins
+        } else {
+            bench.sent.len() - 1
+        };
+        let path = self.path(&bench.sent[..from]);
+        let moved = fastest(&path, path.len() - 1);
+        assert!(moved > 20.0 * self.resolution, "{what}: {moved}, it moves");
+        let (rests, _) = self.stopping(&bench.sent[..from]);
+        bench.steps(rests + 300);
+        self.check(&bench.sent, from, ending, &what);
+        // Long enough for what it might still have done.
+        if ending == Ending::Shutdown {
+            bench.end_driver(1_200);
+        } else if ending == Ending::DeviceFault {
+            bench.plant.fail(false);
+            bench.await_operational(&what);
+        } else {
+            if ending == Ending::EmergencyStop {
+                bench.stand.set_stop(false);
+            }
+            bench.steps(if every > 1 { period + 50 } else { 300 });
+        }
+        self.check(&bench.sent, from, ending, &what);
+        let places = &bench.places[from + rests + 200..];
+        let most = fastest(places, places.len() - 1);
+        assert!(most <= self.creep, "{what}: the device moves on by {most}");
+        assert!(!bench.stand.ended.contains_key(&(id + NEXT)), "{what}");
+    }
+}
