@@ -185,6 +185,7 @@ impl Cycles<'_> {
                 now = clock::monotonic();
             }
             let tick = grid.next(now);
+            stats.note_stall(&tick);
             let flow = body(&tick);
             now = clock::monotonic();
             stats.record(&tick, now);

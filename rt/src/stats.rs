@@ -12,6 +12,7 @@
 
 mod counters;
 mod recorder;
+mod stalls;
 
 use std::{
     fmt,
@@ -21,17 +22,22 @@ use std::{
     },
 };
 
-pub use self::recorder::{Distribution, Recorder, RecorderReader, Summary};
+pub use self::{
+    recorder::{Distribution, Recorder, RecorderReader, Summary},
+    stalls::{STALLS_KEPT, Stall, StallReader, StallWriter, stalls},
+};
 use crate::{Nanos, cycle::Tick};
 
 /// Creates the statistics of one cycle thread. All memory, about 115 KiB, is allocated here.
 pub fn pair() -> (StatsWriter, StatsReader) {
+    let (stalls_writer, stalls_reader) = stalls();
     let writer = StatsWriter {
         latency: Recorder::new(),
         execution: Recorder::new(),
         period_error: Recorder::new(),
         phase_error: Recorder::new(),
         totals: Arc::default(),
+        stalls: stalls_writer,
         previous: None,
     };
     let reader = StatsReader {
@@ -40,6 +46,7 @@ pub fn pair() -> (StatsWriter, StatsReader) {
         period_error: writer.period_error.reader(),
         phase_error: writer.phase_error.reader(),
         totals: Arc::clone(&writer.totals),
+        stalls: stalls_reader,
     };
     (writer, reader)
 }
@@ -58,8 +65,12 @@ pub struct StatsWriter {
     period_error: Recorder,
     phase_error: Recorder,
     totals: Arc<Totals>,
+    stalls: StallWriter,
     previous: Option<Tick>,
 }
+
+/// A thread that missed so many slots in a row stood still: robots and drives live through fewer.
+const STALL_SLOTS: u32 = 4;
 
 impl StatsWriter {
     /// Records the cycle of `tick`, whose work ended at `finished`.
@@ -73,6 +84,14 @@ impl StatsWriter {
         }
         add(&self.totals.overruns, tick.missed.into());
         add(&self.totals.cycles, 1);
+    }
+
+    /// Notes that the thread stood still, if so many slots were missed before this one. Comes before the cycle's work, so
+    /// that a fault which that work finds has its cause on record.
+    pub fn note_stall(&mut self, tick: &Tick) {
+        if tick.missed >= STALL_SLOTS && self.previous.is_some() {
+            self.stalls.note(tick.woken, self.lateness(tick));
+        }
     }
 
     /// Records the distance of a wake-up from its nominal time on a followed clock, early or late.
@@ -111,9 +130,15 @@ pub struct StatsReader {
     period_error: RecorderReader,
     phase_error: RecorderReader,
     totals: Arc<Totals>,
+    stalls: StallReader,
 }
 
 impl StatsReader {
+    /// Stalls of the thread.
+    pub const fn stalls(&self) -> &StallReader {
+        &self.stalls
+    }
+
     /// The current statistics. Allocates; not for the real-time path.
     pub fn snapshot(&self) -> Snapshot {
         let latency = self.latency.read();
@@ -258,6 +283,19 @@ mod tests {
             "not 0.3 ms, counted from its last slot"
         );
         assert_eq!(snapshot.period_error.max, Nanos(300_000));
+    }
+
+    #[test]
+    fn stalls_of_four_slots_and_more_are_kept() {
+        let (mut writer, reader) = pair();
+        let mut grid = Grid::new(Nanos::from_millis(5), Duration::from_millis(1));
+        for late in [9_500_000, 0, 3_900_000, 0, 4_200_000, 0] {
+            let tick = grid.next(grid.deadline() + Nanos(late));
+            writer.note_stall(&tick);
+            writer.record(&tick, tick.woken);
+        }
+        assert_eq!(reader.stalls().count(), 1, "a late start is none");
+        assert_eq!(reader.stalls().longest(), Duration::from_micros(4_200));
     }
 
     #[test]

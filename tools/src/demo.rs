@@ -5,7 +5,9 @@
 mod cell;
 mod motion;
 mod plot;
+mod recovery;
 mod report;
+mod samples;
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -26,8 +28,10 @@ use crate::Verdict;
 use crate::client::Client;
 use crate::output::{complain, is_terminal, say, share, span};
 use crate::run::{Access, Server, stop_channel, tell_grants};
-use cell::{Arm, Kind, Machines};
-use report::Report;
+use cell::{Kind, Machines};
+use recovery::{Outcome, Parts};
+use report::{Baseline, Report};
+use samples::Samples;
 
 /// How long a robot may take to come into command mode, or to find its stops.
 const READY_WITHIN: Duration = Duration::from_mins(1);
@@ -66,48 +70,6 @@ pub(crate) struct Demo {
     guard: bool,
 }
 
-/// Joints over time.
-#[derive(Debug)]
-struct Samples {
-    /// Seconds since the start of the motion.
-    time_s: Vec<f64>,
-    /// By arm and joint: measured position, rad.
-    joints: Vec<Vec<Vec<f64>>>,
-}
-
-impl Samples {
-    fn of(arms: &[Arm]) -> Self {
-        Self {
-            time_s: Vec::new(),
-            joints: arms
-                .iter()
-                .map(|arm| vec![Vec::new(); arm.joints.len()])
-                .collect(),
-        }
-    }
-
-    fn take(&mut self, controller: &Controller, machines: &Machines, arms: &[Arm], at: Duration) {
-        self.time_s.push(at.as_secs_f64());
-        for (arm, joints) in arms.iter().zip(&mut self.joints) {
-            for (joint, position) in joints.iter_mut().zip(machines.positions(controller, *arm)) {
-                joint.push(position);
-            }
-        }
-    }
-
-    /// By arm, how far its farthest joint went, rad.
-    fn moved(&self) -> Vec<f64> {
-        let range = |joint: &Vec<f64>| {
-            let known = || joint.iter().copied().filter(|p| p.is_finite());
-            known().fold(f64::MIN, f64::max) - known().fold(f64::MAX, f64::min)
-        };
-        self.joints
-            .iter()
-            .map(|joints| joints.iter().map(range).fold(0.0, f64::max))
-            .collect()
-    }
-}
-
 impl Demo {
     pub(crate) fn run(self) -> anyhow::Result<Verdict> {
         let nets = self.cell.nets(self.duration);
@@ -140,14 +102,22 @@ impl Demo {
         let machines = Machines::start(&controller, &segments, self.drop)?;
         self.wait_until_ready(&controller)?;
         let address = server.tcp().context("the server does not listen")?;
+        let baseline = Baseline::take(&controller, &machines.krcs);
         let ended = self.drive(&controller, &machines, address, &nets);
         let recorded = controller.finish_recording();
-        let (samples, faults) = ended?;
+        let (samples, outcome) = ended?;
         let arms = self.cell.moved();
         let moved: Vec<_> = arms.iter().copied().zip(samples.moved()).collect();
         let followed = cell.controller.follow.unwrap_or_default();
         let krcs = &machines.krcs;
-        let report = Report::collect(&controller, &host, krcs, &moved, &followed, faults);
+        let report = Report::collect(
+            &controller,
+            &host,
+            krcs,
+            &moved,
+            &followed,
+            (&baseline, outcome),
+        );
         let drawn = plot::draw(&self.svg, arms, &samples, &controller.stats());
         server.stop();
         // Before its robots, so that it is not seen to lose them.
@@ -163,28 +133,22 @@ impl Demo {
         failed.map_or(Ok(verdict), |error| Err(error.into()))
     }
 
-    /// Sends the nets, starts them, and follows them to their end. Returns why they ended if not by themselves.
+    /// Sends the nets, starts them, and follows them to their end, over the faults of devices.
     fn drive(
         &self,
         controller: &Controller,
         machines: &Machines,
         address: SocketAddr,
         nets: &[String],
-    ) -> anyhow::Result<(Samples, Vec<String>)> {
+    ) -> anyhow::Result<(Samples, Outcome)> {
         let mut client = Client::connect(Some(&address.to_string()), None)?;
         client.open_session("takt demo")?;
         let mut ids = Vec::new();
         for net in nets {
-            let id = client.load(net, "demo motion")?;
-            let faults = client.faults(&id)?;
-            anyhow::ensure!(
-                faults.is_empty(),
-                "the net is rejected: {}",
-                faults.join("; ")
-            );
-            client.subscribe(&id, Duration::from_millis(100))?;
-            ids.push(id);
+            ids.push(recovery::load(&mut client, net)?);
         }
+        let parts = self.cell.parts().iter().copied().zip(ids.iter().cloned());
+        let mut parts = Parts::new(controller, parts, self.duration);
         for id in &ids {
             // On a host that stalled a device may be lost again by now, and comes back.
             if client.command("nest", id).is_err() {
@@ -192,42 +156,33 @@ impl Demo {
                 client.command("nest", id)?;
             }
         }
-        let samples = self.follow(controller, machines, &mut client, ids.len())?;
-        let mut ends = Vec::new();
-        for id in &ids {
-            ends.extend(client.end_of(id)?);
-        }
+        complain(&format!("the motion begins and takes {:?}", self.duration));
+        let samples = self.follow(controller, machines, &mut client, &mut parts)?;
         client.end_session()?;
-        Ok((samples, ends))
+        Ok((samples, parts.finish()))
     }
 
-    /// Notes how the arms move until that many nets have ended.
+    /// Notes how the arms move until all parts of the cell have come to their end, or one does not come back.
     fn follow(
         &self,
         controller: &Controller,
         machines: &Machines,
         client: &mut Client,
-        mut running: usize,
+        parts: &mut Parts<'_>,
     ) -> anyhow::Result<Samples> {
         let begin = Instant::now();
         let bar = self.progress();
         let arms = self.cell.moved();
         let mut samples = Samples::of(arms);
-        // Braking for want of set-points, or a slow host, may take longer than the motion itself.
-        let latest = self.duration * 2 + Duration::from_secs(10);
-        while running > 0 {
+        // A device that is lost near the end gets as long to come back as one at the start.
+        let latest = self.duration + READY_WITHIN;
+        while !parts.are_done() && begin.elapsed() < latest {
             let push = client.next_push(SAMPLE_EVERY)?;
             let ended = |push: &takt_server::Message| {
                 push.command == "ns"
                     && push.args.first().and_then(|v| v.as_str()) == Some("TERMINATED")
             };
-            if push.as_ref().is_some_and(ended) {
-                running -= 1;
-            }
-            anyhow::ensure!(
-                begin.elapsed() < latest,
-                "{running} nets did not end within {latest:?}"
-            );
+            bar.suspend(|| parts.look(client, push.as_ref().is_some_and(ended)))?;
             samples.take(controller, machines, arms, begin.elapsed());
             bar.set_position(u64::try_from(begin.elapsed().as_millis()).unwrap_or(u64::MAX));
         }

@@ -4,9 +4,12 @@
 
 mod common;
 
-use common::{Folder, alone, complaint, expect_status, run, run_with_input};
+use std::process::Command;
+use std::time::Duration;
+
+use common::{Folder, Process, alone, complaint, expect_status, run, run_with_input};
 use serde_json::Value;
-use takt_tests::steady;
+use takt_tests::{skip, steady};
 
 /// A demo's report, and whether the demo held it for good.
 fn demo(args: &[&str]) -> (Value, bool) {
@@ -90,6 +93,108 @@ fn a_factory_moves_two_lwrs_a_tx90_and_a_youbot() {
     );
     assert!(robots[2]["frames"].as_u64().unwrap() > 500, "{report}");
     assert_eq!(report["rt_allocations"], 0);
+}
+
+/// Waits until the demo requested the motion of a device again.
+fn wait_for_motion(demo: &mut Process, device: &str) {
+    demo.wait_until(&format!("motion of {device} requested again"), |line| {
+        line.starts_with("motion is requested again for") && line.contains(device)
+    });
+}
+
+/// The report of a factory demo whose devices `upset` gives faults, each recovered with a stall for its cause, and all it
+/// printed.
+fn factory_after(upset: impl Fn(&mut Process)) -> (Value, String) {
+    let folder = Folder::new();
+    let svg = folder.file("demo.svg");
+    let args = ["demo", "--cell", "factory", "--json", "--svg", &svg];
+    let mut demo = Process::start(&[&args[..], &["--duration", "20s"]].concat());
+    demo.wait_for("the motion begins");
+    upset(&mut demo);
+    let (lines, status) = demo.end();
+    let all = lines.join("\n");
+    let report = lines.iter().find(|line| line.starts_with('{')).unwrap();
+    let report: Value = serde_json::from_str(report).unwrap();
+    assert_eq!(report["faults"], serde_json::json!([]), "{all}");
+    assert_eq!((&report["ok"], status), (&Value::Bool(true), Some(0)));
+    let devices = report["devices"].as_array().unwrap();
+    let names: Vec<_> = devices
+        .iter()
+        .map(|it| it["name"].as_str().unwrap())
+        .collect();
+    assert_eq!(names, ["left", "right", "tx90", "base", "arm", "hand"]);
+    for (device, name) in devices.iter().zip(names) {
+        let keys = ["faults", "recovered", "without_stall"];
+        let [faults, recovered, without] = keys.map(|key| device[key].as_u64().unwrap());
+        assert_eq!((faults, 0), (recovered, without), "{name}\n{all}");
+        // A line for each when it came, with its cause.
+        let of_device = |line: &&String| line.contains(&format!("{name} ceased to follow"));
+        let told: Vec<_> = lines.iter().filter(of_device).collect();
+        assert!(told.len() as u64 <= faults, "{all}");
+        assert_eq!(told.is_empty(), faults == 0, "{all}");
+        let caused = |line: &&String| line.contains("this host stalled for");
+        assert!(told.iter().all(caused), "{all}");
+    }
+    assert_eq!(report["interrupted"], report["requested_again"], "{all}");
+    (report, all)
+}
+
+/// Whether this process may start one above all drivers.
+fn may_take_a_processor() -> bool {
+    let may = |command: &mut Command| command.output().is_ok_and(|it| it.status.success());
+    may(Command::new("chrt").args(["-f", "97", "true"]))
+        && may(Command::new("taskset").args(["-p", "1"]))
+}
+
+fn faults(report: &Value, device: &str) -> u64 {
+    let devices = report["devices"].as_array().unwrap();
+    let found = devices.iter().find(|it| it["name"] == device).unwrap();
+    found["faults"].as_u64().unwrap()
+}
+
+#[test]
+fn stopped_factory_demo_recovers_and_moves_again() {
+    let _alone = alone();
+    steady(|| {
+        let (report, all) = factory_after(|demo| {
+            for stall_ms in [150, 400, 150] {
+                demo.stall(Duration::from_millis(stall_ms));
+                wait_for_motion(demo, "left and right");
+                wait_for_motion(demo, "tx90");
+            }
+        });
+        assert!(report["interrupted"].as_u64().unwrap() >= 6, "{all}");
+        for device in ["left", "right", "tx90"] {
+            assert!(faults(&report, device) >= 3, "{device}\n{all}");
+        }
+        let longest = report["longest_stall_ns"].as_u64().unwrap();
+        assert!(longest >= 400_000_000, "it was stopped for so long: {all}");
+        assert!(report["memory_end_kib"].as_u64().unwrap() > 0);
+    });
+}
+
+#[test]
+fn stalled_bus_thread_is_named_and_youbot_recovers() {
+    if !may_take_a_processor() {
+        return skip(
+            "stalled_bus_thread_is_named_and_youbot_recovers",
+            "needs chrt, taskset and the right to SCHED_FIFO",
+        );
+    }
+    let _alone = alone();
+    steady(|| {
+        let (report, all) = factory_after(|demo| {
+            for _ in 0..2 {
+                demo.stall_thread("takt-youbot", Duration::from_millis(150));
+                wait_for_motion(demo, "base");
+            }
+        });
+        for device in ["arm", "base"] {
+            assert!(faults(&report, device) >= 2, "{device}\n{all}");
+        }
+        let named = |line: &str| line.contains("base ceased") && line.contains("thread youbot");
+        assert!(all.lines().any(named), "{all}");
+    });
 }
 
 #[test]

@@ -48,7 +48,7 @@ use serde::Deserialize;
 pub use crate::device::config::{
     AnalogueChannel, CanopenConfig, DriveArm, DriveJoint, EthercatClocks, EthercatConfig,
     EthercatIo, EthercatSlave, IiwaConfig, IiwaIo, IiwaModel, LinkLoss, LostPolicy, LwrConfig,
-    OnEnd, OutputsOnEnd, RmpConfig, SlaveGoal, SlavePdo, SlaveTimeouts, StartupObject,
+    OnEnd, OutputsOnEnd, Recovery, RmpConfig, SlaveGoal, SlavePdo, SlaveTimeouts, StartupObject,
     StartupValue, UnlockedPolicy, YouBotArm, YouBotBase, YouBotControl,
 };
 use crate::device::{canopen, ethercat, iiwa, lwr, rmp};

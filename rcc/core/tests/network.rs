@@ -20,7 +20,7 @@ use takt_can::cia402::dictionary::Address;
 use takt_can::cia402::emulator::{Drive, FaultCode};
 use takt_can::link::{Link, LinkError, Received};
 use takt_can::linux::{LivePort, monotonic};
-use takt_core::cell::{CanopenConfig, DriveArm, DriveJoint, LinkLoss};
+use takt_core::cell::{CanopenConfig, DriveArm, DriveJoint, LinkLoss, Recovery};
 use takt_core::device::canopen::{Canopen, check, describe};
 use takt_core::device::driver::{DeviceDriver as _, DeviceEnd, DriverEnds};
 use takt_core::device::{DeviceCommand, DeviceState, DeviceStatus};
@@ -58,6 +58,7 @@ fn config() -> CanopenConfig {
         on_link_loss: LinkLoss::default(),
         arms: vec![DriveArm {
             name: "arm".to_owned(),
+            recovery: Recovery::default(),
             model: String::new(),
             joints: (1..=JOINTS).map(joint).collect(),
         }],

@@ -15,7 +15,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use takt_core::Controller;
-use takt_core::cell::{DriveArm, DriveJoint, EthercatConfig, EthercatIo, EthercatSlave};
+use takt_core::cell::{DriveArm, DriveJoint, EthercatConfig, EthercatIo, EthercatSlave, Recovery};
 use takt_core::device::DeviceStatus;
 use takt_ethercat::emulator::{Coupler, Io, Segment, ServoConfig, ServoDrive};
 use takt_rt::thread::{ThreadConfig, spawn};
@@ -64,6 +64,7 @@ fn config() -> EthercatConfig {
         ],
         arms: vec![DriveArm {
             name: "tx90".to_owned(),
+            recovery: Recovery::default(),
             model: "staubli_tx90".to_owned(),
             joints: (0..).zip(ranges).map(joint).collect(),
         }],

@@ -32,6 +32,14 @@ pub fn monotonic() -> Nanos {
     Nanos(now.tv_sec * NANOS_PER_SECOND + now.tv_nsec)
 }
 
+/// The processor on which the calling thread runs; `None` if the system does not say. No system call on common hosts,
+/// no allocation.
+pub(crate) fn processor() -> Option<usize> {
+    // SAFETY: it takes nothing and touches no memory of ours.
+    let number = unsafe { libc::sched_getcpu() };
+    usize::try_from(number).ok()
+}
+
 /// Sleeps until `deadline` on `CLOCK_MONOTONIC`; signals do not shorten it. A past deadline still costs a
 /// system call of up to 20 µs: a caller that knows the time should not call then.
 ///

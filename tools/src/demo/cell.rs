@@ -14,6 +14,8 @@ use takt_ethercat::emulator::{
     YouBotConfig,
 };
 use takt_ethercat::linux::{CableEnd, cable, monotonic};
+use takt_rt::Nanos;
+use takt_rt::stats::stalls;
 
 use super::motion;
 use crate::emulate::{Robot, Service, resting};
@@ -24,6 +26,8 @@ const FACTORY: &str = include_str!("factory.toml");
 const MASTER: [u8; 6] = [2, 0, 0, 0, 0, 1];
 /// Longest wait of an emulated segment for a frame, so that a stop is seen soon.
 const WAIT: Duration = Duration::from_millis(5);
+/// A turn that takes so long has stood still: what it waits for, and four cycles of the segments.
+const STALL: Nanos = Nanos::from_millis(13);
 
 /// A cell to show: two KUKA LWRs, or these beside a Stäubli TX90 and a KUKA youBot, each on an EtherCAT segment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -79,15 +83,15 @@ const BASE: Arm = Arm {
 impl Kind {
     /// The nets that move all that can move, for a motion of that length.
     pub(super) fn nets(self, duration: Duration) -> Vec<String> {
-        let pair = motion::swing(&[LEFT, RIGHT], duration);
+        let parts = self.parts().iter();
+        parts.map(|arms| motion::of(arms, duration)).collect()
+    }
+
+    /// What moves, by the net that moves it.
+    pub(super) const fn parts(self) -> &'static [&'static [Arm]] {
         match self {
-            Self::Pair => vec![pair],
-            Self::Factory => vec![
-                pair,
-                motion::swing(&[TX90], duration),
-                motion::swing(&[ARM], duration),
-                motion::forth_and_back(BASE.name, duration),
-            ],
+            Self::Pair => &[&[LEFT, RIGHT]],
+            Self::Factory => &[&[LEFT, RIGHT], &[TX90], &[ARM], &[BASE]],
         }
     }
 
@@ -220,8 +224,17 @@ fn segment(
 ) -> anyhow::Result<Service<Server<CableEnd>>> {
     let slaves = SharedSegment::new(slaves);
     let (near, far) = cable();
-    let service = Service::start(&config.name, Server::new(slaves, far), |server| {
+    // An emulated segment that stands still gives its devices faults, as one that lost its power does.
+    let (mut stalls, stood_still) = stalls();
+    controller.watch_stalls(&format!("emulated {}", config.name), stood_still);
+    let mut last = takt_rt::monotonic();
+    let service = Service::start(&config.name, Server::new(slaves, far), move |server| {
         let turn = server.turn(WAIT, &mut monotonic);
+        let now = takt_rt::monotonic();
+        let took = now - std::mem::replace(&mut last, now);
+        if took > STALL {
+            stalls.note(now, took);
+        }
         turn.map(|_| ()).context("the cable failed")
     })?;
     let wire = Wire {

@@ -20,8 +20,58 @@ const SWINGS: [(f64, f64); 7] = [
 /// Largest speed of a base, m/s.
 const SPEED: f64 = 0.2;
 
+/// The net for a motion of these arms, or of a base, of that length.
+pub(super) fn of(moved: &[Arm], duration: Duration) -> String {
+    match moved {
+        [base] if base.wheel.is_some() => forth_and_back(base.name, duration),
+        arms => swing(arms, duration),
+    }
+}
+
+/// The net that leads arms from where they are back to where they began, by joint of each, rad.
+pub(super) fn back(moved: &[Arm], home: &[Vec<f64>], duration: Duration) -> String {
+    let seconds = duration.as_secs_f64().max(0.1);
+    let joint = |robot: &str, (axis, home): (usize, &f64)| {
+        format!(
+            "    monitor{axis}=RobotArm::JointMonitor(Robot='{robot}', Axis='{axis}'),
+    start{axis}=Core::DoubleSnapshot(inSnapshot=parent.inFirst, \
+             inValue=monitor{axis}.outCommandedPosition),
+    minus{axis}=Core::DoubleMultiply(inFirst=start{axis}.outValue, Second='-1'),
+    way{axis}=Core::DoubleAdd(inFirst=minus{axis}.outValue, Second='{home}'),
+    offset{axis}=Core::DoubleMultiply(inFirst=parent.inAmount, inSecond=way{axis}.outValue),
+    target{axis}=Core::DoubleAdd(inFirst=start{axis}.outValue, inSecond=offset{axis}.outValue),
+    joint{axis}=RobotArm::JointPosition(inPosition=target{axis}.outValue, Robot='{robot}', \
+             Axis='{axis}'),
+"
+        )
+    };
+    let arm = |(arm, home): (&Arm, &Vec<f64>)| {
+        let joints = home.iter().enumerate().map(|home| joint(arm.name, home));
+        let joints: String = joints.collect();
+        let (name, joints) = (arm.name, joints.trim_end_matches(",\n"));
+        format!("  {name}={{\n{joints}\n  }}(inAmount=amount.outValue, inFirst=first.outValue),\n")
+    };
+    let arms: String = moved.iter().zip(home).map(arm).collect();
+    format!(
+        "{{
+  clock=Core::Clock(),
+  part=Core::Interval(inValue=clock.outValue, Max='{seconds}'),
+  amount=Core::Rampify(inValue=part.outValue, Constant='0.6'),
+  true=Core::BooleanValue(Value='true'),
+  past=Core::BooleanPre(inValue=true.outValue),
+  first=Core::BooleanIsNull(inValue=past.outValue),
+{arms}
+  cancel=Cancel(),
+  done=Core::DoubleGreater(inFirst=clock.outValue, Second='{seconds}'),
+  over=Core::BooleanOr(inFirst=done.outValue, inSecond=cancel.outCancel),
+  outTerminate=over.outValue
+}}
+"
+    )
+}
+
 /// The net for a motion of these arms of that length.
-pub(super) fn swing(moved: &[Arm], duration: Duration) -> String {
+fn swing(moved: &[Arm], duration: Duration) -> String {
     let seconds = duration.as_secs_f64().max(0.1);
     // As many swings as fit without more speed; where the time is short, smaller ones.
     let repeats = (seconds / 5.0).round().max(1.0);
@@ -76,7 +126,7 @@ pub(super) fn swing(moved: &[Arm], duration: Duration) -> String {
 }
 
 /// The net that drives a base forth and back in that time.
-pub(super) fn forth_and_back(base: &str, duration: Duration) -> String {
+fn forth_and_back(base: &str, duration: Duration) -> String {
     let seconds = duration.as_secs_f64().max(0.1);
     format!(
         "{{
@@ -152,4 +202,30 @@ fn all_of(name: &str, sources: &[String]) -> (String, String) {
         last = format!("{gate}.outValue");
     }
     (last, text)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::demo::cell::Kind;
+
+    #[test]
+    fn nets_of_all_parts_are_taken_back_and_forth() {
+        let cell = Kind::Factory;
+        for arms in cell.parts() {
+            let home: Vec<_> = arms
+                .iter()
+                .map(|arm| vec![-1e-9; arm.joints.len()])
+                .collect();
+            let nets = [
+                of(arms, Duration::from_secs(3)),
+                back(arms, &home, Duration::from_secs(3)),
+            ];
+            for net in nets {
+                let mut faults = Vec::new();
+                takt_net::text::parse(&net, &takt_net::Limits::default(), &mut faults);
+                assert!(faults.is_empty(), "{faults:?}\n{net}");
+            }
+        }
+    }
 }

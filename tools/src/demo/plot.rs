@@ -8,7 +8,7 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 use takt_rt::stats::Snapshot;
 
 use super::cell::Arm;
-use crate::demo::Samples;
+use crate::demo::samples::Samples;
 use crate::output::{save, time};
 
 type Drawn = Result<(), Box<dyn std::error::Error + Send + Sync>>;

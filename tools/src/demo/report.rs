@@ -1,10 +1,12 @@
 //! The report of a demo: the figures of the cycle, of each robot, and the verdict.
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::time::Duration;
 
 use serde::Serialize;
 use takt_core::Controller;
+use takt_core::controller::FaultCounts;
 use takt_core::device::driver::DeviceDriver as _;
 use takt_core::device::ethercat::Ethercat;
 use takt_core::device::lwr::Lwr;
@@ -12,6 +14,7 @@ use takt_rt::host::Host;
 use takt_rt::stats::Summary;
 
 use super::cell::Arm;
+use super::recovery::Outcome;
 use crate::emulate::Robot;
 use crate::output::time;
 
@@ -199,12 +202,104 @@ fn nanoseconds(span: Duration) -> u64 {
     u64::try_from(span.as_nanos()).unwrap_or(u64::MAX)
 }
 
+/// What there was before the motion began.
+#[derive(Debug)]
+pub(super) struct Baseline {
+    faults: BTreeMap<String, FaultCounts>,
+    /// Falls from command mode, by arm.
+    exits: BTreeMap<String, u64>,
+    memory_kib: Option<u64>,
+}
+
+impl Baseline {
+    pub(super) fn take(controller: &Controller, krcs: &[(String, Robot)]) -> Self {
+        // Faults first: a fall between the two is neither taken for one that no fault explains.
+        let faults = controller.fault_counts();
+        let exits = krcs.iter();
+        let exits = exits.map(|(name, robot)| (name.clone(), robot.status.exits()));
+        Self {
+            faults,
+            exits: exits.collect(),
+            memory_kib: resident_kib(),
+        }
+    }
+}
+
+/// Faults of a device while the motion lasted.
+#[derive(Debug, Serialize)]
+struct DeviceReport {
+    name: String,
+    /// How often it ceased to follow commands.
+    faults: u64,
+    /// After how many of these it followed again.
+    recovered: u64,
+    /// Those before which this host did not stall.
+    without_stall: u64,
+    /// The longest time until it followed again, s.
+    recovered_after_s_max: Option<f64>,
+}
+
+impl DeviceReport {
+    fn new(name: String, now: FaultCounts, before: FaultCounts) -> Self {
+        Self {
+            name,
+            faults: now.faults.saturating_sub(before.faults),
+            // Faults are recovered in their order.
+            recovered: now.recovered.saturating_sub(before.faults),
+            without_stall: now.without_stall.saturating_sub(before.without_stall),
+            recovered_after_s_max: now.recovered_after_max.map(|after| after.as_secs_f64()),
+        }
+    }
+
+    /// For people.
+    fn text(&self) -> String {
+        let Self {
+            name,
+            faults,
+            recovered,
+            without_stall,
+            ..
+        } = self;
+        let took = self.recovered_after_s_max.unwrap_or_default();
+        let without = if *without_stall > 0 {
+            format!("; before {without_stall} of them this host did not stall")
+        } else {
+            String::new()
+        };
+        format!(
+            "recovery   {name}: {faults} faults, {recovered} recovered, within {took:.1} s{without}\n"
+        )
+    }
+}
+
+/// Resident memory of this process, KiB; `None` if the system does not say.
+fn resident_kib() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status
+        .lines()
+        .find_map(|line| line.strip_prefix("VmRSS:"))?;
+    line.split_whitespace().next()?.parse().ok()
+}
+
 /// The report.
 #[derive(Debug, Serialize)]
 pub(super) struct Report {
     pub(super) ok: bool,
     /// Why it is not.
     faults: Vec<String>,
+    /// Faults of devices while the motion lasted; those that recovered are no reason why it is not.
+    devices: Vec<DeviceReport>,
+    /// How often the motion of a part of the cell ended before its time, and how often it was requested again.
+    interrupted: u64,
+    requested_again: u64,
+    /// How often threads of the controller stood still for four of their cycles, and the longest time, since they began.
+    stalls: u64,
+    longest_stall_ns: u64,
+    /// The thread of that one.
+    longest_stall_thread: String,
+    /// Resident memory when the motion began and when it ended.
+    memory_start_kib: Option<u64>,
+    memory_end_kib: Option<u64>,
     cycles: u64,
     overruns: u64,
     latency_ns: Quantiles,
@@ -235,9 +330,12 @@ impl Report {
         krcs: &[(String, Robot)],
         moved: &[(Arm, f64)],
         followed: &str,
-        mut faults: Vec<String>,
+        (before, outcome): (&Baseline, Outcome),
     ) -> Self {
+        let devices = devices(controller, before);
+        let mut faults = unrecovered(controller, &devices, outcome.failures, outcome.more);
         let stats = controller.stats();
+        let stalls = controller.stalls();
         let rt_allocations = takt_rt::alloc::real_time_allocations();
         let report = |(arm, moved): &(Arm, f64)| RobotReport::new(controller, krcs, *arm, *moved);
         let robots: Vec<_> = moved.iter().filter_map(report).collect();
@@ -250,8 +348,14 @@ impl Report {
             faults.push(format!("{rt_page_faults} page faults in real-time threads"));
         }
         for (name, robot) in krcs {
-            if let Some(why) = robot.status.last_exit() {
-                faults.push(format!("{name} left command mode: {why}"));
+            // One that the controller saw is a fault of the device.
+            let exits = robot.status.exits() - before.exits.get(name).copied().unwrap_or(0);
+            let mut seen = devices.iter().filter(|device| device.name == *name);
+            let seen = seen.next().map_or(0, |device| device.faults);
+            if let (true, Some(why)) = (exits > seen, robot.status.last_exit()) {
+                faults.push(format!(
+                    "{name} left command mode {exits} times, of which the controller saw {seen}: {why}"
+                ));
             }
         }
         for (arm, _) in moved.iter().filter(|(_, moved)| *moved < 0.01) {
@@ -260,6 +364,14 @@ impl Report {
         Self {
             ok: faults.is_empty(),
             faults,
+            devices,
+            interrupted: outcome.interrupted,
+            requested_again: outcome.requested_again,
+            stalls: stalls.count,
+            longest_stall_ns: nanoseconds(stalls.longest),
+            longest_stall_thread: stalls.thread,
+            memory_start_kib: before.memory_kib,
+            memory_end_kib: resident_kib(),
             cycles: stats.cycles,
             overruns: stats.overruns,
             latency_ns: stats.latency.into(),
@@ -303,11 +415,89 @@ impl Report {
             time(self.sync_error_ns_max),
             self.rt_allocations
         );
+        text += &self.long_run();
         for fault in &self.faults {
             text += &format!("FAULT      {fault}\n");
         }
         text + if self.ok { "OK\n" } else { "FAILED\n" }
     }
+}
+
+impl Report {
+    /// What matters of a long run, for people.
+    fn long_run(&self) -> String {
+        let mib = |kib: Option<u64>| {
+            kib.map_or_else(|| "unknown".to_owned(), |kib| format!("{} MiB", kib / 1024))
+        };
+        let (start, end) = (mib(self.memory_start_kib), mib(self.memory_end_kib));
+        let mut text = format!("memory     {start} at the start of the motion, {end} at its end\n");
+        if self.stalls > 0 {
+            let longest = time(self.longest_stall_ns.cast_signed());
+            let thread = &self.longest_stall_thread;
+            text += &format!(
+                "stalls     {} of the controller's threads, the longest {longest} ({thread})\n",
+                self.stalls
+            );
+        }
+        text.extend(
+            self.devices
+                .iter()
+                .filter(|it| it.faults > 0)
+                .map(DeviceReport::text),
+        );
+        if self.interrupted > 0 {
+            text += &format!(
+                "motion     {} times interrupted, {} times requested again\n",
+                self.interrupted, self.requested_again
+            );
+        }
+        text
+    }
+}
+
+/// Faults of each device since the motion began.
+fn devices(controller: &Controller, before: &Baseline) -> Vec<DeviceReport> {
+    let counts = controller.fault_counts();
+    let of = |counts: &BTreeMap<String, FaultCounts>, name: &str| {
+        counts.get(name).copied().unwrap_or_default()
+    };
+    let names = controller.devices().into_iter().map(|device| device.name);
+    names
+        .map(|name| {
+            let (now, before) = (of(&counts, &name), of(&before.faults, &name));
+            DeviceReport::new(name, now, before)
+        })
+        .collect()
+}
+
+/// Why a run is not good, as far as devices and their motion go: whatever did not recover.
+fn unrecovered(
+    controller: &Controller,
+    devices: &[DeviceReport],
+    failures: Vec<String>,
+    more: u64,
+) -> Vec<String> {
+    let mut faults = failures;
+    if more > 0 {
+        faults.push(format!("{more} more of these"));
+    }
+    let last = controller.faults();
+    for device in devices.iter().filter(|it| it.recovered < it.faults) {
+        let DeviceReport {
+            name,
+            faults: count,
+            recovered,
+            ..
+        } = device;
+        let mut of_device = last.iter().rev().filter(|fault| fault.device == *name);
+        let why = of_device
+            .next()
+            .map_or_else(String::new, ToString::to_string);
+        faults.push(format!(
+            "{name} recovered from {recovered} of {count} faults: {why}"
+        ));
+    }
+    faults
 }
 
 /// Whether the host granted that memory is locked.

@@ -161,6 +161,34 @@ impl Process {
         assert!(status.success());
     }
 
+    /// Stops it with all its threads and continues it so much later, as a host does that stalls.
+    pub(crate) fn stall(&self, span: Duration) {
+        let (id, span_s) = (self.child.id(), span.as_secs_f64());
+        let script = format!("kill -STOP {id}; sleep {span_s}; kill -CONT {id}");
+        let status = Command::new("sh").args(["-c", &script]).status().unwrap();
+        assert!(status.success());
+    }
+
+    /// Takes the processor from one of its threads for so long, as an interrupt that hangs does: nothing else of the process
+    /// stands still, as far as there are other processors. Needs root.
+    pub(crate) fn stall_thread(&self, name: &str, span: Duration) {
+        let tasks = std::fs::read_dir(format!("/proc/{}/task", self.child.id())).unwrap();
+        let is_named = |task: &PathBuf| {
+            std::fs::read_to_string(task.join("comm")).is_ok_and(|comm| comm.trim() == name)
+        };
+        let task = tasks.map(|task| task.unwrap().path()).find(is_named);
+        let task = task.unwrap_or_else(|| panic!("no thread {name}"));
+        let id = task.file_name().unwrap().to_string_lossy().into_owned();
+        let span_s = span.as_secs_f64();
+        // Above drivers and emulated robots, below what watches the host.
+        let script = format!(
+            "all=$(taskset -pc {id} | sed 's/.*: //') && cpu=${{all%%[-,]*}} && taskset -pc $cpu {id} && \
+             {{ timeout {span_s} chrt -f 97 taskset -c $cpu sh -c 'while :; do :; done'; taskset -pc $all {id}; }}"
+        );
+        let output = Command::new("sh").args(["-c", &script]).output().unwrap();
+        assert!(output.status.success(), "{output:?}");
+    }
+
     /// Ends it without a chance to say goodbye.
     pub(crate) fn kill(&mut self) {
         self.child.kill().unwrap();

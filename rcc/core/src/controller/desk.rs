@@ -8,10 +8,12 @@ use std::time::{Duration, Instant};
 
 use takt_net::Rejection;
 use takt_net::fault::{Fault, FaultKind};
+use takt_rt::stats::StallReader;
 
 use crate::cell::OnLoss;
 use crate::controller::clock::FollowedClock;
 use crate::controller::departed::Departed;
+use crate::controller::faults::Faults;
 use crate::controller::limited::Reported;
 use crate::controller::net::Net;
 use crate::controller::news::News;
@@ -61,6 +63,9 @@ pub(super) struct Desk {
     pub(super) devices: DeviceTable,
     pub(super) drivers: Vec<Box<dyn DeviceDriver>>,
     news: News,
+    pub(super) faults: Faults,
+    /// Other threads of this process that measure when they stood still, by name.
+    pub(super) watched_stalls: Vec<(String, StallReader)>,
     pub(super) recorder: Option<Recorder>,
     pub(super) watches: BTreeMap<u64, Wake>,
     pub(super) last_watch: u64,
@@ -113,6 +118,8 @@ impl Desk {
             devices: DeviceTable::default(),
             drivers: Vec::new(),
             news: News::default(),
+            faults: Faults::default(),
+            watched_stalls: Vec::new(),
             recorder,
             watches: BTreeMap::new(),
             last_watch: 0,
@@ -230,6 +237,7 @@ impl Desk {
 
     /// Notes changes of devices; returns whether there were any.
     pub(super) fn look_at_devices(&mut self) -> bool {
+        let faulted = self.look_at_faults(takt_rt::monotonic());
         let is_stopped = self.stop.is_on(takt_rt::monotonic());
         let statuses: BTreeMap<String, DeviceStatus> = self
             .devices
@@ -253,7 +261,8 @@ impl Desk {
         }
         for (name, status) in &statuses {
             let before = self.statuses.get(name).copied().unwrap_or_default();
-            if before != *status {
+            // A fault was reported, with what is known of it.
+            if before != *status && !faulted.contains(name) {
                 let driver = self.drivers.iter().find(|driver| driver.drives(name));
                 let figures = driver.map(|driver| listed(&driver.figures()));
                 tracing::info!(device = name, %before, now = %status, figures, "device");
@@ -309,7 +318,7 @@ impl Desk {
 }
 
 /// Figures in one line.
-fn listed(figures: &[(&'static str, String)]) -> String {
+pub(super) fn listed(figures: &[(&'static str, String)]) -> String {
     let pairs = figures
         .iter()
         .map(|(name, value)| format!("{name} {value}"));

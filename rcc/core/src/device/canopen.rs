@@ -23,7 +23,7 @@ use takt_rt::stats::{self, StatsReader};
 use takt_rt::{Nanos, monotonic};
 
 use crate::device::DeviceDescription;
-use crate::device::config::{CanopenConfig, DriveJoint, LinkLoss};
+use crate::device::config::{CanopenConfig, DriveJoint, LinkLoss, Recovery};
 use crate::device::driver::{DeviceDriver, DriverEnds, DriverThread, FAREWELL};
 use crate::device::drives::{self, Arm, Feedback, JointNews};
 use crate::device::rmp::CanLink;
@@ -210,6 +210,7 @@ struct Shared {
 #[derive(Debug)]
 pub struct Canopen {
     devices: Vec<String>,
+    on_restart: Vec<String>,
     shared: Arc<Shared>,
     news: Mutex<Consumer<News>>,
     /// How SYNC keeps its time.
@@ -230,6 +231,9 @@ impl Canopen {
         check(config).map_err(Error::Cell)?;
         let network = network(config).map_err(Error::Cell)?;
         let devices = config.arms.iter().map(|arm| arm.name.clone()).collect();
+        let held = config.arms.iter();
+        let held = held.filter(|arm| arm.recovery == Recovery::OnRestart);
+        let on_restart = held.map(|arm| arm.name.clone()).collect();
         let arms = config.arms.iter().zip(ends.devices).map(|(arm, end)| {
             let axes = arm.joints.iter().filter_map(|joint| {
                 let node = NodeId::new(joint.drive).ok()?;
@@ -269,6 +273,7 @@ impl Canopen {
         })?;
         Ok(Self {
             devices,
+            on_restart,
             shared,
             news: Mutex::new(news),
             stats,
@@ -301,6 +306,14 @@ impl DeviceDriver for Canopen {
             figures.push(("axes not proven", number(&self.shared.unproven)));
         }
         figures
+    }
+
+    fn is_held_after_faults(&self, device: &str) -> bool {
+        self.on_restart.iter().any(|name| name == device)
+    }
+
+    fn stalls(&self) -> Option<&stats::StallReader> {
+        Some(self.stats.stalls())
     }
 
     fn news(&self) -> Option<String> {

@@ -8,7 +8,7 @@ mod youbot;
 
 pub use on_end::{OnEnd, OutputsOnEnd};
 pub use robot::{IiwaConfig, IiwaIo, IiwaModel, LwrConfig, RmpConfig};
-pub use segment::{CanopenConfig, DriveArm, DriveJoint, EthercatConfig, LinkLoss};
+pub use segment::{CanopenConfig, DriveArm, DriveJoint, EthercatConfig, LinkLoss, Recovery};
 pub use slave::{
     AnalogueChannel, EthercatClocks, EthercatIo, EthercatSlave, LostPolicy, SlaveGoal, SlavePdo,
     SlaveTimeouts, StartupObject, StartupValue, UnlockedPolicy,

@@ -10,6 +10,7 @@ use std::time::Duration;
 use takt_rt::Grant;
 use takt_rt::latest::{LatestReader, LatestWriter};
 use takt_rt::servo::Estimate;
+use takt_rt::stats::StallReader;
 use takt_rt::thread::{Thread, ThreadConfig};
 
 use crate::device::{DeviceCommand, DeviceState};
@@ -118,6 +119,17 @@ pub trait DeviceDriver: Any + fmt::Debug + Send {
 
     /// The next thing that happened on its wire and that people want to know, oldest first; `None` if they know all.
     fn news(&self) -> Option<String> {
+        None
+    }
+
+    /// Whether a device of it is given no command after a fault until this driver starts again.
+    fn is_held_after_faults(&self, device: &str) -> bool {
+        let _ = device;
+        false
+    }
+
+    /// When its thread stood still; `None` if nothing measures that.
+    fn stalls(&self) -> Option<&StallReader> {
         None
     }
 

@@ -3,7 +3,8 @@
 //! a load. How an axis is reached is its bus's business.
 //!
 //! Drives get power as soon as nothing commands the arm, and again after a fault when nothing has commanded it
-//! for a second: what a net wanted before does not go on after. They lose it when their motors stand:
+//! for a second: what a net wanted before does not go on after. With `recovery = "on_restart"` a fault takes it from all of
+//! them, as when the arm is told to stop. They lose it when their motors stand:
 //!
 //! ```text
 //! told to stop: targets brake ──▶ motors stand ──▶ disable operation ──▶ disable voltage
@@ -23,7 +24,7 @@ use takt_rt::Nanos;
 use takt_rt::cycle::Tick;
 use takt_rt::latest::{LatestReader, LatestWriter};
 
-use crate::device::config::DriveArm;
+use crate::device::config::{DriveArm, Recovery};
 use crate::device::continuity::Continuity;
 use crate::device::driver::DeviceEnd;
 use crate::device::{DeviceCommand, DeviceState, DeviceStatus};
@@ -100,6 +101,7 @@ pub(super) struct Order {
 /// The arm.
 #[derive(Debug)]
 pub(super) struct Arm {
+    recovery: Recovery,
     joints: Vec<Driven>,
     period: Nanos,
     net_period: Nanos,
@@ -122,6 +124,7 @@ impl Arm {
     /// An arm on a bus of that cycle.
     pub(super) fn new<D>(arm: &DriveArm<D>, cycle: Duration, end: DeviceEnd) -> Self {
         Self {
+            recovery: arm.recovery,
             joints: arm.joints.iter().map(Driven::new).collect(),
             period: cycle.into(),
             net_period: end.net_period.into(),
@@ -171,6 +174,7 @@ impl Arm {
         let now = tick.scheduled;
         let taken = &mut self.taken;
         self.command.read_with(|command| taken.copy_from(command));
+        let stopping = stopping || (self.recovery == Recovery::OnRestart && self.told.faults > 0);
         let (goal, reset) = if stopping {
             (self.farewell(now), false)
         } else {

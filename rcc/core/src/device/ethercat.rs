@@ -9,6 +9,7 @@
 mod arm;
 mod describe;
 mod io;
+mod news;
 mod youbot;
 
 use std::fmt;
@@ -17,10 +18,9 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use takt_ethercat::config::IMAGE_MAX;
 use takt_ethercat::link::{Link, Port};
 use takt_ethercat::linux::PacketLink;
-use takt_ethercat::master::{Difference, EmergencyReport, Event, Master, Phase};
+use takt_ethercat::master::{Difference, Master, Phase};
 use takt_rt::alloc::enter_real_time;
 use takt_rt::cycle::{Cycles, Follow, Tick};
 use takt_rt::latest::{LatestReader, LatestWriter, latest};
@@ -31,11 +31,11 @@ use takt_rt::{Nanos, monotonic};
 
 use crate::device::config::EthercatConfig;
 use crate::device::driver::{DeviceDriver, DriverEnds, DriverThread, FAREWELL};
-use crate::device::drives::{self, JointNews};
 use crate::error::Error;
-use arm::{Arm, AxisNews};
+use arm::Arm;
 pub use describe::{check, describe, master_config};
-use io::{InOut, Lack};
+use io::InOut;
+use news::News;
 pub use youbot::{Wait, YouBotFigures};
 use youbot::{Waiting, YouBots};
 
@@ -114,61 +114,6 @@ pub fn open(config: &EthercatConfig) -> Result<Wires, Error> {
     })
 }
 
-/// What is told of a segment.
-#[derive(Debug)]
-enum News {
-    Event(Event),
-    Emergency(EmergencyReport),
-    Difference(Difference),
-    /// It is as expected again, or for the first time after it was not.
-    AsExpected,
-    /// Bytes of a process image that fits no frame.
-    TooLarge(usize),
-    Lack(Lack),
-    /// Of an axis of a slave.
-    Axis(usize, u8, AxisNews),
-    /// Of a joint of an arm, in their order.
-    Joint(usize, usize, JointNews),
-}
-
-impl fmt::Display for News {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Event(event) => event.fmt(f),
-            Self::Emergency(report) => {
-                let (slave, said) = (report.slave, &report.emergency);
-                let [code, register] = [said.code, u16::from(said.register)];
-                write!(
-                    f,
-                    "slave {slave}: emergency, error code {code:04X}h, register {register:02X}h"
-                )
-            }
-            Self::Difference(difference) => difference.fmt(f),
-            Self::AsExpected => f.write_str("all slaves are there as the cell expects them"),
-            Self::TooLarge(bytes) => write!(
-                f,
-                "the process image has {bytes} bytes, {IMAGE_MAX} fit one frame; map fewer or smaller PDOs, or make \
-                 two segments of it"
-            ),
-            Self::Lack(lack) => lack.fmt(f),
-            Self::Axis(slave, axis, AxisNews::Lack(lack)) => {
-                write!(f, "slave {slave}: axis {axis} cannot be led: {lack}")
-            }
-            Self::Axis(slave, axis, AxisNews::DriveFault(drive_fault)) => {
-                write!(f, "slave {slave}, axis {axis}: {drive_fault}")
-            }
-            Self::Axis(slave, axis, AxisNews::Proven(took, trusted)) => {
-                write!(
-                    f,
-                    "slave {slave}, axis {axis}: {}",
-                    drives::proven(*took, *trusted)
-                )
-            }
-            Self::Joint(arm, joint, news) => write!(f, "arm {arm}, joint {joint}: {news}"),
-        }
-    }
-}
-
 /// Figures of a segment that others read while it runs.
 #[derive(Debug, Default)]
 struct Shared {
@@ -202,6 +147,7 @@ pub struct EthercatFigures {
 #[derive(Debug)]
 pub struct Ethercat {
     devices: Vec<String>,
+    on_restart: Vec<String>,
     period: Duration,
     shared: Arc<Shared>,
     /// Names of its slaves, and the drive of a youBot that is waited for.
@@ -238,8 +184,7 @@ impl Ethercat {
         let shared = Arc::new(Shared::default());
         let (own_clock, followed) = latest(1, Estimate::default);
         let (own_waiting, waiting) = latest(1, || None);
-        let slaves = master.config().slaves.iter();
-        let slaves = slaves.map(|slave| slave.name.clone()).collect();
+        let slaves = slave_names(&master);
         let (mut recorded, stats) = stats::pair();
         let (own_news, news) = ring(NEWS);
         let phase = config.phase.unwrap_or(config.cycle / 2);
@@ -287,6 +232,7 @@ impl Ethercat {
         })?;
         Ok(Self {
             devices,
+            on_restart: config.on_restart(),
             period,
             shared,
             slaves,
@@ -367,6 +313,14 @@ impl DeviceDriver for Ethercat {
         }
         told.extend(self.waits_for().map(|why| ("waits for", why)));
         told
+    }
+
+    fn is_held_after_faults(&self, device: &str) -> bool {
+        self.on_restart.iter().any(|name| name == device)
+    }
+
+    fn stalls(&self) -> Option<&stats::StallReader> {
+        Some(self.stats.stalls())
     }
 
     fn news(&self) -> Option<String> {
@@ -590,10 +544,17 @@ impl Driver {
     }
 }
 
+fn slave_names(master: &Master) -> Vec<String> {
+    let slaves = master.config().slaves.iter();
+    slaves.map(|slave| slave.name.clone()).collect()
+}
+
 /// Time on the monotonic clock as the protocol counts it; zero before its start.
 fn since_start(time: Nanos) -> Duration {
     Duration::from_nanos(u64::try_from(time.0).unwrap_or_default())
 }
 
+#[cfg(test)]
+mod recovery_tests;
 #[cfg(test)]
 mod wire_tests;

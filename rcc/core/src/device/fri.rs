@@ -25,7 +25,7 @@ use takt_fri::linux::UdpLink;
 use takt_fri::sunrise::wire::MESSAGE_MAX;
 use takt_net::JointLimits;
 use takt_rt::Nanos;
-use takt_rt::stats::RecorderReader;
+use takt_rt::stats::{RecorderReader, StallReader, StallWriter, stalls};
 
 use crate::device::DeviceDescription;
 use crate::device::driver::{DeviceDriver, DriverEnds, DriverThread};
@@ -47,6 +47,8 @@ const FAREWELL: Duration = Duration::from_secs(2);
 const STEP_S: f64 = 0.2;
 /// Waiting datagrams taken at most before one of them is answered.
 const BACKLOG: usize = 64;
+/// A datagram that waited for so long was kept waiting by a thread that stood still: four cycles of the fastest robots.
+const STALL: Nanos = Nanos::from_millis(4);
 
 /// Figures of a driver that others read while it runs.
 #[derive(Debug, Default)]
@@ -100,6 +102,7 @@ pub struct FriArm<P> {
     /// Time between the arrival of a measurement, early or late, and its instant on the robot's clock.
     pub phase_error: RecorderReader,
     listener: Listener,
+    stalls: StallReader,
     thread: DriverThread,
     protocol: PhantomData<fn() -> P>,
 }
@@ -157,7 +160,12 @@ impl<P: Protocol> FriArm<P> {
         let (answer_time, set_point_age) =
             (driver.answer_time.reader(), driver.set_point_age.reader());
         let phase_error = driver.phase_error.reader();
-        let mut exchange = Box::new(Exchange { link, driver });
+        let (stall_writer, stalls) = stalls();
+        let mut exchange = Box::new(Exchange {
+            link,
+            driver,
+            stalls: stall_writer,
+        });
         let Settings { priority, cpus, .. } = &settings;
         let thread = DriverThread::start(&name, *priority, cpus, move |stopping| {
             let scope = takt_rt::alloc::enter_real_time();
@@ -175,6 +183,7 @@ impl<P: Protocol> FriArm<P> {
             set_point_age,
             phase_error,
             listener,
+            stalls,
             thread,
             protocol: PhantomData,
         })
@@ -245,6 +254,10 @@ impl<P: Protocol> DeviceDriver for FriArm<P> {
         told
     }
 
+    fn stalls(&self) -> Option<&StallReader> {
+        Some(&self.stalls)
+    }
+
     fn news(&self) -> Option<String> {
         let news = self.listener.news()?;
         Some(news.text(|code| format!("{:?}", P::quality(code))))
@@ -255,6 +268,7 @@ impl<P: Protocol> DeviceDriver for FriArm<P> {
 struct Exchange<P> {
     link: UdpLink,
     driver: Driver<P>,
+    stalls: StallWriter,
 }
 
 impl<P: Protocol> Exchange<P> {
@@ -262,11 +276,14 @@ impl<P: Protocol> Exchange<P> {
     fn serve(&mut self) {
         let mut wait = WAIT;
         let mut newest = None;
-        for _ in 0..BACKLOG {
+        for number in 0..BACKLOG {
             let mut buffer = [0; ROOM];
             let Ok(Some((len, at))) = self.link.receive(&mut buffer, wait) else {
                 break;
             };
+            if number == 0 {
+                self.note_stall(at.into());
+            }
             let Some(from) = self.link.peer() else {
                 break;
             };
@@ -286,6 +303,14 @@ impl<P: Protocol> Exchange<P> {
                     self.driver.handle_silence(now);
                 }
             }
+        }
+    }
+
+    /// The first of the datagrams that wait came `at`: how long did this thread not come for it?
+    fn note_stall(&mut self, at: Nanos) {
+        let now = takt_rt::monotonic();
+        if now - at >= STALL {
+            self.stalls.note(now, now - at);
         }
     }
 

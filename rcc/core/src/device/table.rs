@@ -63,6 +63,11 @@ impl Device {
         self.read(|state| state.jumped)
     }
 
+    /// How often it ceased to follow commands, and whether it can be used.
+    pub fn faults(&self) -> (u64, DeviceStatus) {
+        self.read(|state| (state.faults, state.status))
+    }
+
     /// What the last stages of its driver held back.
     pub fn limited(&self) -> [Limited; ARM_JOINTS_MAX] {
         self.read(|state| state.limited)

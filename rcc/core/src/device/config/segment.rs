@@ -90,6 +90,22 @@ impl EthercatConfig {
         Duration::from_millis(1)
     }
 
+    /// Its devices that are given no command after a fault until their driver starts again.
+    pub(crate) fn on_restart(&self) -> Vec<String> {
+        let arms = self.arms.iter().map(|it| (it.recovery, &it.name));
+        let bases = self.youbot_bases.iter().map(|it| (it.recovery, &it.name));
+        let of_arm = |it: &YouBotArm| {
+            let names = [Some(it.name.clone()), it.gripper.clone()];
+            let is_held = it.recovery == Recovery::OnRestart;
+            names.into_iter().flatten().filter(move |_| is_held)
+        };
+        let held = arms.chain(bases);
+        let held = held.filter(|(recovery, _)| *recovery == Recovery::OnRestart);
+        let held = held.map(|(_, name)| name.clone());
+        held.chain(self.youbot_arms.iter().flat_map(of_arm))
+            .collect()
+    }
+
     #[expect(
         clippy::unnecessary_wraps,
         reason = "the type of the field it is the default of"
@@ -165,6 +181,18 @@ pub enum LinkLoss {
     AsSet,
 }
 
+/// What becomes of a device after a fault, once its drives could follow commands again. Whatever is chosen, nothing moves
+/// before a program requests it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Recovery {
+    /// Its faults are reset, its drives are enabled, and it looks for its commutation and its stops as far as it may.
+    #[default]
+    Automatic,
+    /// It brakes and is given no command until its driver starts again, with the controller.
+    OnRestart,
+}
+
 /// A robot arm made of drives, which are named as their bus names them.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -174,6 +202,9 @@ pub struct DriveArm<D> {
     /// Its kinematics, such as `staubli_tx90`; empty for none.
     #[serde(default)]
     pub model: String,
+    /// What becomes of it after a fault.
+    #[serde(default)]
+    pub recovery: Recovery,
     /// Its joints, from the base.
     #[serde(rename = "joint")]
     pub joints: Vec<DriveJoint<D>>,

@@ -2,6 +2,8 @@
 
 use serde::Deserialize;
 
+use super::Recovery;
+
 /// The arm of a youBot: a power board and the drives of five joints, one behind the other.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -17,6 +19,9 @@ pub struct YouBotArm {
     /// their stops. Without, they are operational only if their drives know both since power came on.
     #[serde(default)]
     pub homing: bool,
+    /// What becomes of arm and gripper after a fault.
+    #[serde(default)]
+    pub recovery: Recovery,
     /// By which loop of the drives joints are moved.
     #[serde(default)]
     pub control: YouBotControl,
@@ -46,6 +51,7 @@ impl YouBotArm {
             position,
             gripper: None,
             homing: false,
+            recovery: Recovery::default(),
             control: YouBotControl::default(),
             current_max: Self::default_current(),
             homing_current: Self::default_homing_current(),
@@ -107,6 +113,9 @@ pub struct YouBotBase {
     /// came on: up to a fifth of a turn. Without, it is operational only if its drives know it.
     #[serde(default = "YouBotBase::default_commutation")]
     pub commutation: bool,
+    /// What becomes of it after a fault.
+    #[serde(default)]
+    pub recovery: Recovery,
     /// Largest current of each motor, A.
     #[serde(default = "YouBotBase::default_current")]
     pub current_max: f64,
@@ -132,6 +141,7 @@ impl YouBotBase {
             name: name.into(),
             position,
             commutation: Self::default_commutation(),
+            recovery: Recovery::default(),
             current_max: Self::default_current(),
             velocity_max: Self::default_limit(),
             rotation_max: Self::default_limit(),

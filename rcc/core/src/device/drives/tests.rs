@@ -6,7 +6,7 @@ use takt_rt::latest::latest;
 
 use super::*;
 use crate::device::SetPoint;
-use crate::device::config::DriveJoint;
+use crate::device::config::{DriveJoint, Recovery};
 
 const CYCLE: Duration = Duration::from_millis(1);
 /// One turn of a joint, increments: so many that rounding to them is no acceleration to speak of.
@@ -34,6 +34,7 @@ fn config(joints: u8) -> DriveArm<u8> {
     };
     DriveArm {
         name: "arm".to_owned(),
+        recovery: Recovery::default(),
         model: String::new(),
         joints: (0..joints).map(joint).collect(),
     }
@@ -554,5 +555,44 @@ fn a_position_that_is_no_number_is_no_target() {
     );
     for position in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
         assert_eq!(driven.increments(position), None);
+    }
+}
+
+#[test]
+fn arm_after_fault_gets_power_as_its_recovery_says() {
+    for recovery in [Recovery::Automatic, Recovery::OnRestart] {
+        for away in [false, true] {
+            let mut bench = Bench::new(3);
+            bench.arm.recovery = recovery;
+            bench.swing(0, 300);
+            bench.want(0, None);
+            let drive = &mut bench.drives[2];
+            (drive.has_fault, drive.is_online) = (!away, !away);
+            bench.run(50, false);
+            assert_ne!(bench.status(), DeviceStatus::Operational);
+            let drive = &mut bench.drives[2];
+            (drive.has_fault, drive.is_online) = (false, true);
+            // Braking, resting for a second, and enabling.
+            bench.run(4000, false);
+            let is_back = recovery == Recovery::Automatic;
+            let what = format!("{recovery:?}, away {away}");
+            assert_eq!(
+                bench.status() == DeviceStatus::Operational,
+                is_back,
+                "{what}"
+            );
+            let powered = |drive: &Drive| drive.state == State::OperationEnabled;
+            assert_eq!(bench.drives.iter().all(powered), is_back, "{what}");
+            assert_eq!(bench.drives.iter().any(powered), is_back, "{what}");
+            // The joint that moved was braked before its power went.
+            assert!(bench.drives[0].cut.unwrap_or(0.0).abs() < 0.01, "{what}");
+            let rests = bench.drives[0].position;
+            bench.run(1000, false);
+            let moved = (bench.drives[0].position - rests) / PER_RAD;
+            assert!(
+                moved.abs() < 1e-6,
+                "{what}: {moved} rad by what was wanted before"
+            );
+        }
     }
 }

@@ -17,24 +17,24 @@ use crate::device::{DeviceCommand, DeviceState, DeviceStatus, SetPoint};
 mod ends;
 
 /// A device as a net thread sees it.
-struct Seen {
-    state: LatestReader<DeviceState>,
+pub(super) struct Seen {
+    pub(super) state: LatestReader<DeviceState>,
     command: LatestWriter<DeviceCommand>,
-    given: DeviceCommand,
+    pub(super) given: DeviceCommand,
 }
 
 /// A segment, what leads its devices, and a net thread with the segment's cycle.
-struct Bench {
+pub(super) struct Bench {
     master: Master,
     segment: Segment,
     arms: Vec<Arm>,
     ios: Vec<InOut>,
     youbots: YouBots,
-    cycle: Nanos,
+    pub(super) cycle: Nanos,
     tick: u64,
     /// Cycles by which the host was away so far.
     away: u64,
-    devices: Vec<Seen>,
+    pub(super) devices: Vec<Seen>,
     /// The one that moves.
     device: usize,
     /// Whether a net thread elsewhere gives time and cycle of what is commanded.
@@ -42,7 +42,7 @@ struct Bench {
     is_ending: bool,
 }
 
-fn config(text: &str) -> EthercatConfig {
+pub(super) fn config(text: &str) -> EthercatConfig {
     let text = format!("[[ethercat]]\nname = 'segment'\ninterface = 'none'\n{text}");
     let cell = CellConfig::parse(&text).unwrap();
     cell.ethercat.into_iter().next().unwrap()
@@ -55,7 +55,7 @@ fn seconds(span: Nanos) -> f64 {
 
 impl Bench {
     /// With the device of that number operational, which is the one that moves.
-    fn new(config: &EthercatConfig, segment: Segment, device: usize) -> Self {
+    pub(super) fn new(config: &EthercatConfig, segment: Segment, device: usize) -> Self {
         let mut devices = Vec::new();
         let mut ends = Vec::new();
         for _ in describe(config) {
@@ -111,7 +111,7 @@ impl Bench {
     }
 
     /// A frame there and back, then what devices do in the rest of its cycle.
-    fn cycle(&mut self) {
+    pub(super) fn cycle(&mut self) {
         self.tick += 1;
         let now = self.now();
         let at = Duration::from_nanos(now.0.unsigned_abs());
@@ -159,15 +159,23 @@ impl Bench {
         self.youbots.cycle(&mut self.master, &tick, is_ending);
     }
 
+    /// The host is away for so many cycles, while slaves go on.
+    pub(super) fn stand_still(&mut self, cycles: u64) {
+        for _ in 0..cycles {
+            self.away += 1;
+            self.segment.poll(self.now().0.unsigned_abs());
+        }
+    }
+
     /// A set-point of a net with one in so many cycles.
-    fn want(&mut self, joint: usize, position: f64, every: i64) {
+    pub(super) fn want(&mut self, joint: usize, position: f64, every: i64) {
         let time = Nanos(self.now().0 + self.cycle.0);
         let set_points = &mut self.devices[self.device].given.joints[joint];
         set_points.period = Nanos(self.cycle.0 * every);
         set_points.advance(Some(SetPoint { time, position }));
     }
 
-    fn position(&mut self, joint: usize) -> f64 {
+    pub(super) fn position(&mut self, joint: usize) -> f64 {
         let commanded = |state: &DeviceState| state.joints[joint].commanded_position;
         self.devices[self.device]
             .state
@@ -293,7 +301,7 @@ fn triangles_leave_for_cia402_drives_within_limits() {
     }
 }
 
-const YOUBOT: &str = "cycle = '4ms'\n[[ethercat.youbot_base]]\nname = 'base'\n\
+pub(super) const YOUBOT: &str = "cycle = '4ms'\n[[ethercat.youbot_base]]\nname = 'base'\n\
     [[ethercat.youbot_arm]]\nname = 'arm'\nposition = 5\nhoming = true\n";
 /// Where the drives of its wheels and of its fourth joint are, behind a power board each.
 const WHEELS: [usize; 4] = [1, 2, 3, 4];

@@ -4,7 +4,7 @@
 use std::fmt::{self, Write as _};
 use std::time::Duration;
 
-use takt_core::controller::{ClockInfo, LimitedInfo, NetState, RuleState};
+use takt_core::controller::{ClockInfo, FaultCounts, LimitedInfo, NetState, RuleState};
 use takt_core::{Controller, Snapshot, Summary};
 
 use super::super::Response;
@@ -298,7 +298,32 @@ impl Handler<'_> {
                 out.sample(name, &labels, is);
             }
         }
+        self.write_faults(out);
         self.write_last_stages(out);
+    }
+
+    /// Device faults; none as long as no device had one.
+    fn write_faults(&self, out: &mut Exposition) {
+        let counts = self.controller.fault_counts();
+        if counts.is_empty() {
+            return;
+        }
+        let mut family = |name: &str, help: &str, value: fn(&FaultCounts) -> u64| {
+            out.family(name, "counter", help);
+            for (device, counts) in &counts {
+                out.sample(name, &[("device", device.as_str())], value(counts));
+            }
+        };
+        family(
+            "takt_device_faults_total",
+            "Times that a device ceased to follow commands.",
+            |counts| counts.faults,
+        );
+        family(
+            "takt_device_recoveries_total",
+            "Faults after which a device followed commands again.",
+            |counts| counts.recovered,
+        );
     }
 
     /// Commands that the last stage limited; none if no device has one.

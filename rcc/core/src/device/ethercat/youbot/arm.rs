@@ -18,7 +18,7 @@ use super::gripper::Gripper;
 use super::springs::Springs;
 use super::tool::Motions;
 use super::{Wait, Waiting, is_fresh, lead, now, seconds};
-use crate::device::config::{YouBotArm, YouBotControl};
+use crate::device::config::{Recovery, YouBotArm, YouBotControl};
 use crate::device::continuity::Continuity;
 use crate::device::driver::DeviceEnd;
 use crate::device::last_stage::LastStage;
@@ -44,6 +44,7 @@ pub(super) struct Arm {
     ends: [(f64, f64); 5],
     control: YouBotControl,
     may_home: bool,
+    recovery: Recovery,
     springs: Springs,
     gripper: Option<Gripper>,
     cycle: Nanos,
@@ -97,6 +98,7 @@ impl Arm {
             ends: limits(arm).map(|limits| (limits.position_min, limits.position_max)),
             control: arm.control,
             may_home: arm.homing,
+            recovery: arm.recovery,
             springs: Springs::default(),
             gripper: gripper.map(Gripper::new),
             cycle: cycle.into(),
@@ -115,9 +117,14 @@ impl Arm {
         self.drives.iter().all(Drive::follows)
     }
 
+    /// Whether a fault took all commands from it until its driver starts again.
+    fn is_held(&self) -> bool {
+        self.recovery == Recovery::OnRestart && self.told.faults > 0
+    }
+
     /// Whether joints can be commanded.
     fn is_ready(&self) -> bool {
-        self.follows() && self.homing.iter().all(Homing::is_done)
+        !self.is_held() && self.follows() && self.homing.iter().all(Homing::is_done)
     }
 
     pub(super) fn rests(&self) -> bool {
@@ -186,6 +193,7 @@ impl Arm {
         let passed = self.last.replace(tick.scheduled).is_some_and(is_later);
         let dt = if passed { seconds(self.cycle) } else { 0.0 };
         let commanded = self.taken.joints.iter().any(|joint| joint.active);
+        let stopping = stopping || self.is_held();
         let may_move = self.may_home && !commanded && !stopping;
         let ready = self.is_ready();
         let rests = ready.then(|| self.is_still());

@@ -14,7 +14,7 @@ use takt_rt::latest::{LatestReader, LatestWriter};
 use super::course::{Course, Planar, within};
 use super::describe::base_parts;
 use super::{is_fresh, lead, seconds};
-use crate::device::config::YouBotBase;
+use crate::device::config::{Recovery, YouBotBase};
 use crate::device::continuity::JumpPart;
 use crate::device::driver::DeviceEnd;
 use crate::device::last_stage::{PlanarLimits, PlanarStage};
@@ -31,6 +31,7 @@ pub(super) struct Base {
     /// Largest speed (m/s) and rotational speed (rad/s) towards a pose.
     speed_max: (f64, f64),
     may_commutate: bool,
+    recovery: Recovery,
     /// What came while it did not follow is refused until it ends.
     refused: bool,
     cycle: Nanos,
@@ -74,6 +75,7 @@ impl Base {
             course: Course::default(),
             speed_max: (base.velocity_max, base.rotation_max),
             may_commutate: base.commutation,
+            recovery: base.recovery,
             refused: false,
             cycle: cycle.into(),
             net_period: end.net_period.into(),
@@ -91,8 +93,13 @@ impl Base {
         self.stage.rests()
     }
 
+    /// Whether a fault took all commands from it until its driver starts again.
+    fn is_held(&self) -> bool {
+        self.recovery == Recovery::OnRestart && self.told.faults > 0
+    }
+
     fn follows(&self) -> bool {
-        self.drives.iter().all(Drive::follows)
+        !self.is_held() && self.drives.iter().all(Drive::follows)
     }
 
     pub(super) fn cycle(&mut self, master: &mut Master, tick: &Tick, stopping: bool) {
@@ -108,6 +115,7 @@ impl Base {
         let fresh = is_fresh(self.taken.time, tick, self.cycle, self.net_period);
         let (velocity, pose) = (self.velocity(fresh), self.pose(fresh));
         let commanded = velocity.is_some() || pose.is_some();
+        let stopping = stopping || self.is_held();
         let follows = self.follows();
         self.refused = commanded && (self.refused || !follows);
         let pose = pose.filter(|_| velocity.is_none() && !self.refused && !stopping);

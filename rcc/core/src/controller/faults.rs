@@ -1,0 +1,384 @@
+//! Faults of devices: counted, reported once per onset with the stall of this host that caused them, and again when the
+//! device follows commands again. It starts nothing: drivers bring devices back, programs request their motion.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::fmt;
+use std::time::Duration;
+
+use takt_rt::Nanos;
+use takt_rt::stats::{Stall, StallReader};
+
+use crate::controller::Controller;
+use crate::controller::desk::Desk;
+use crate::device::DeviceStatus;
+
+/// How long before a device's fault the stall that caused it may have ended: a drive's watchdog, its master's reaction and
+/// a few cycles are far less.
+const CAUSE_WITHIN: Nanos = Nanos::from_millis(1000);
+/// Faults that are remembered one by one; the oldest go first.
+const FAULTS_KEPT: usize = 64;
+/// Other threads that are watched.
+const WATCHED_MAX: usize = 64;
+/// What is added where a device does not come back by itself.
+const HELD: &str =
+    "\nhint: by `recovery = \"on_restart\"` it stays so until the controller starts again";
+
+/// The stall of this host that ended shortly before a device had a fault.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct StallCause {
+    /// How long the thread stood still that did so for the longest.
+    pub length: Duration,
+    /// That thread: a device, a bus, or `nets of` and their period.
+    pub thread: String,
+    /// The processor on which it went on; `None` if the system does not say.
+    pub cpu: Option<usize>,
+    /// Threads that stood still for half as long or longer, it included.
+    pub threads: usize,
+    /// Threads of which that is measured.
+    pub measured: usize,
+}
+
+impl fmt::Display for StallCause {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let ms = self.length.as_secs_f64() * 1e3;
+        let Self {
+            thread,
+            threads,
+            measured,
+            ..
+        } = self;
+        write!(f, "this host stalled for {ms:.0} ms: thread {thread}")?;
+        if let Some(cpu) = self.cpu {
+            write!(f, " on processor {cpu}")?;
+        }
+        write!(f, ", {threads} of {measured} threads stood still")
+    }
+}
+
+/// A fault of a device: it ceased to follow commands.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DeviceFault {
+    /// Number of the fault, from 1, over all devices.
+    pub number: u64,
+    /// The device.
+    pub device: String,
+    /// What it was when that was seen.
+    pub status: DeviceStatus,
+    /// When that was seen, on `CLOCK_MONOTONIC`.
+    pub at: Nanos,
+    /// The stall that caused it; `None` if this host did not stall.
+    pub cause: Option<StallCause>,
+    /// Until it followed commands again; `None` if it does not yet.
+    pub recovered_after: Option<Duration>,
+}
+
+impl fmt::Display for DeviceFault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { device, status, .. } = self;
+        write!(f, "{device} ceased to follow commands")?;
+        match status {
+            DeviceStatus::Operational => f.write_str(" for a moment: ")?,
+            DeviceStatus::Offline | DeviceStatus::SafeOperational => {
+                write!(f, " and is {status}: ")?;
+            }
+        }
+        match &self.cause {
+            Some(cause) => cause.fmt(f),
+            None => f.write_str("no stall of this host was measured; its own state tells why"),
+        }
+    }
+}
+
+/// Faults of a device so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct FaultCounts {
+    /// How often it ceased to follow commands.
+    pub faults: u64,
+    /// After how many of these it followed again.
+    pub recovered: u64,
+    /// Those before which no stall of this host was measured.
+    pub without_stall: u64,
+    /// The longest time until it followed again.
+    pub recovered_after_max: Option<Duration>,
+}
+
+/// How often threads stood still, and for how long.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct StallFigures {
+    /// Stalls of all threads: one of the host counts for each that it held up.
+    pub count: u64,
+    /// The longest of all.
+    pub longest: Duration,
+    /// The thread of that one; empty if there was none.
+    pub thread: String,
+}
+
+/// The faults that were seen.
+#[derive(Debug, Default)]
+pub(super) struct Faults {
+    recent: VecDeque<DeviceFault>,
+    counts: BTreeMap<String, FaultCounts>,
+    total: u64,
+}
+
+impl Faults {
+    /// Notes how often a device has had a fault so far; returns a fault that is new.
+    fn note(
+        &mut self,
+        device: &str,
+        faults: u64,
+        status: DeviceStatus,
+        at: Nanos,
+        cause: impl FnOnce() -> Option<StallCause>,
+    ) -> Option<DeviceFault> {
+        let known = self.counts.get(device).map_or(0, |counts| counts.faults);
+        if faults < known {
+            // Another of that name.
+            self.forget(device);
+        }
+        if faults == 0 || faults == known {
+            return None;
+        }
+        let counts = self.counts.entry(device.to_owned()).or_default();
+        let onsets = faults - counts.faults;
+        let cause = cause();
+        counts.faults = faults;
+        // Between two of several it followed.
+        counts.recovered = counts.recovered.max(faults - 1);
+        counts.without_stall += if cause.is_some() { 0 } else { onsets };
+        self.total += onsets;
+        let fault = DeviceFault {
+            number: self.total,
+            device: device.to_owned(),
+            status,
+            at,
+            cause,
+            recovered_after: None,
+        };
+        self.recent.push_back(fault.clone());
+        if self.recent.len() > FAULTS_KEPT {
+            self.recent.pop_front();
+        }
+        Some(fault)
+    }
+
+    /// Notes that a device follows commands; returns how long its last fault took, if that is over by this.
+    fn note_following(&mut self, device: &str, at: Nanos) -> Option<Duration> {
+        let counts = self.counts.get_mut(device)?;
+        if counts.recovered == counts.faults {
+            return None;
+        }
+        counts.recovered = counts.faults;
+        let mut open = self.recent.iter_mut().filter(|fault| {
+            let is_open = fault.recovered_after.is_none();
+            is_open && fault.device == device
+        });
+        let mut took = None;
+        for fault in &mut open {
+            let after = Duration::try_from(at - fault.at).unwrap_or_default();
+            fault.recovered_after = Some(after);
+            counts.recovered_after_max = counts.recovered_after_max.max(Some(after));
+            took = Some(after);
+        }
+        Some(took.unwrap_or_default())
+    }
+
+    fn forget(&mut self, device: &str) {
+        self.counts.remove(device);
+    }
+}
+
+/// The stall among those of these threads, by name, that caused what was seen at that instant.
+fn cause<'t>(
+    threads: impl Iterator<Item = (String, &'t StallReader)>,
+    at: Nanos,
+) -> Option<StallCause> {
+    let mut measured = 0;
+    let stalls: Vec<(String, Stall)> = threads
+        .inspect(|_| measured += 1)
+        .filter_map(|(name, stalls)| Some((name, stalls.longest_between(at - CAUSE_WITHIN, at)?)))
+        .collect();
+    let (thread, longest) = stalls.iter().max_by_key(|(_, stall)| stall.length)?;
+    let as_long = |(_, stall): &&(String, Stall)| stall.length * 2 >= longest.length;
+    Some(StallCause {
+        length: longest.length,
+        thread: thread.clone(),
+        cpu: longest.cpu,
+        threads: stalls.iter().filter(as_long).count(),
+        measured,
+    })
+}
+
+impl Desk {
+    /// The threads that measure when they stood still, by name.
+    fn stalling(&self) -> impl Iterator<Item = (String, &StallReader)> {
+        let nets = self.threads.iter();
+        let nets = nets.map(|thread| {
+            let name = format!("nets of {:?}", thread.period);
+            (name, thread.stats.stalls())
+        });
+        let drivers = self.drivers.iter();
+        let watched = self.watched_stalls.iter();
+        let watched = watched.map(|(name, stalls)| (name.clone(), stalls));
+        nets.chain(drivers.filter_map(|driver| Some((driver.name().to_owned(), driver.stalls()?))))
+            .chain(watched)
+    }
+
+    /// Notes the faults of devices that are new, and those that are over; one line for the log each. Returns the devices
+    /// of those that are new.
+    pub(super) fn look_at_faults(&mut self, at: Nanos) -> Vec<String> {
+        let mut faulted = Vec::new();
+        let mut faults = std::mem::take(&mut self.faults);
+        faults
+            .counts
+            .retain(|name, _| self.devices.find(name).is_some());
+        for (_, device) in self.devices.all() {
+            let (count, status) = device.faults();
+            let found = faults.note(&device.name, count, status, at, || {
+                cause(self.stalling(), at)
+            });
+            if let Some(fault) = found {
+                let driver = self.drivers.iter().find(|it| it.drives(&device.name));
+                let figures = driver.map(|driver| super::desk::listed(&driver.figures()));
+                let is_held = driver.is_some_and(|it| it.is_held_after_faults(&device.name));
+                let hint = if is_held { HELD } else { "" };
+                tracing::warn!(device = device.name, figures, "{fault}{hint}");
+                faulted.push(device.name.clone());
+            }
+            if status == DeviceStatus::Operational
+                && let Some(after) = faults.note_following(&device.name, at)
+            {
+                let after_s = after.as_secs_f64();
+                tracing::info!(
+                    device = device.name,
+                    "it follows commands again after {after_s:.1} s; a program may request its motion"
+                );
+            }
+        }
+        self.faults = faults;
+        faulted
+    }
+}
+
+impl Controller {
+    /// Looks for causes of faults among the stalls of another thread of this process, too, such as that of an emulated
+    /// device; 64 threads at most.
+    pub fn watch_stalls(&self, thread: &str, stalls: StallReader) {
+        let watched = &mut self.inner.lock().watched_stalls;
+        if watched.len() < WATCHED_MAX {
+            watched.push((thread.to_owned(), stalls));
+        }
+    }
+
+    /// Faults of devices by name; only of those that had some.
+    #[must_use]
+    pub fn fault_counts(&self) -> BTreeMap<String, FaultCounts> {
+        self.inner.lock().faults.counts.clone()
+    }
+
+    /// The last 64 faults of devices, oldest first.
+    #[must_use]
+    pub fn faults(&self) -> Vec<DeviceFault> {
+        self.inner.lock().faults.recent.iter().cloned().collect()
+    }
+
+    /// How often threads of nets and drivers stood still for four of their cycles or longer, and for how long.
+    #[must_use]
+    pub fn stalls(&self) -> StallFigures {
+        let desk = self.inner.lock();
+        let mut figures = StallFigures::default();
+        for (thread, stalls) in desk.stalling() {
+            figures.count += stalls.count();
+            if stalls.longest() > figures.longest {
+                (figures.longest, figures.thread) = (stalls.longest(), thread);
+            }
+        }
+        figures
+    }
+
+    /// The stall of this host that ended within a second before now; `None` if there was none.
+    #[must_use]
+    pub fn last_stall(&self) -> Option<StallCause> {
+        cause(self.inner.lock().stalling(), takt_rt::monotonic())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use takt_rt::stats::stalls;
+
+    use super::*;
+
+    const OFFLINE: DeviceStatus = DeviceStatus::Offline;
+
+    #[test]
+    fn fault_is_reported_once_per_onset_with_its_stall() {
+        let (mut writer, reader) = stalls();
+        let (mut other, silent) = stalls();
+        let ms = Nanos::from_millis;
+        writer.note(ms(5000), ms(152));
+        other.note(ms(5001), ms(90));
+        let (_, quiet) = stalls();
+        let threads = || {
+            let names = ["nets of 1ms", "left", "segment"].map(str::to_owned);
+            names.into_iter().zip([&reader, &silent, &quiet])
+        };
+        let mut faults = Faults::default();
+        assert_eq!(faults.note("arm", 0, OFFLINE, ms(1), || None), None);
+        let found = faults.note("arm", 1, OFFLINE, ms(5100), || cause(threads(), ms(5100)));
+        let text = found.unwrap().to_string();
+        assert!(
+            text.starts_with(
+                "arm ceased to follow commands and is offline: this host stalled for 152 ms: thread nets of 1ms"
+            ),
+            "{text}"
+        );
+        assert!(text.ends_with("2 of 3 threads stood still"), "{text}");
+        let again = faults.note("arm", 1, OFFLINE, ms(5102), || cause(threads(), ms(5102)));
+        assert_eq!(again, None, "one line per onset");
+        // A stall of long ago, or one that is still to come, is no cause.
+        for at in [4999, 6100] {
+            assert_eq!(cause(threads(), ms(at)), None, "{at}");
+        }
+    }
+
+    #[test]
+    fn faults_are_counted_recovered_and_unexplained() {
+        let ms = Nanos::from_millis;
+        let mut faults = Faults::default();
+        assert_eq!(faults.note_following("arm", ms(0)), None, "it had no fault");
+        faults.note("arm", 1, OFFLINE, ms(1000), || None).unwrap();
+        let counts = |faults: &Faults| faults.counts["arm"];
+        assert_eq!(counts(&faults).recovered, 0);
+        let took = faults.note_following("arm", ms(2500));
+        assert_eq!(took, Some(Duration::from_millis(1500)));
+        assert_eq!(faults.note_following("arm", ms(2502)), None, "once");
+        // Two between two looks: it followed between them.
+        let two = faults.note("arm", 3, OFFLINE, ms(3000), || None);
+        assert_eq!(two.unwrap().number, 3);
+        let expected = FaultCounts {
+            faults: 3,
+            recovered: 2,
+            without_stall: 3,
+            recovered_after_max: Some(Duration::from_millis(1500)),
+        };
+        assert_eq!(counts(&faults), expected);
+        // Another device of that name begins at zero.
+        assert_eq!(faults.note("arm", 0, OFFLINE, ms(4000), || None), None);
+        assert!(faults.counts.is_empty());
+    }
+
+    #[test]
+    fn faults_kept_are_bounded() {
+        let mut faults = Faults::default();
+        for number in 1..=10_000 {
+            let at = Nanos::from_millis(number);
+            let count = number.unsigned_abs();
+            faults.note("arm", count, OFFLINE, at, || None).unwrap();
+            faults.note_following("arm", at);
+        }
+        assert_eq!(faults.recent.len(), FAULTS_KEPT);
+        let counts = faults.counts["arm"];
+        assert_eq!((counts.faults, counts.recovered), (10_000, 10_000));
+    }
+}
