@@ -42,15 +42,21 @@ pub struct Received {
 pub enum LinkError {
     /// The send queue is full. The frame is dropped.
     #[error(
-        "the send queue is full: bus overload, bus-off, or no node acknowledges; see `takt can stat`, \
-         and make the queue longer if bursts are longer than it (ip link set IFACE txqueuelen 1000)"
+        "No buffer space available (ENOBUFS): the send queue is full, as the bus is overloaded, off, or no node \
+         acknowledges\nhint: see `takt can stat`; make the queue longer if bursts are longer than it (`ip link set IFACE \
+         txqueuelen 1000`)"
     )]
     QueueFull,
     /// The interface is not up.
-    #[error("the interface is down; see `takt can up`")]
+    #[error(
+        "Network is down (ENETDOWN): the interface is not up\nhint: `ip link set IFACE up type can bitrate BITRATE` with the bit rate of \
+         the nodes, or `takt can up`"
+    )]
     Down,
     /// The interface was removed.
-    #[error("the interface was removed; is the adapter unplugged?")]
+    #[error(
+        "No such device (ENODEV): the interface was removed\nhint: plug the adapter in again, then open it again"
+    )]
     Lost,
     /// The interface does not support this kind of frame.
     #[error(
@@ -78,4 +84,9 @@ pub trait Link {
     /// # Errors
     /// See [`LinkError`].
     fn receive(&mut self, timeout: Duration) -> Result<Option<Received>, LinkError>;
+
+    /// The network interface of this host that it is at, if it is at one.
+    fn interface(&self) -> Option<&str> {
+        None
+    }
 }

@@ -154,7 +154,12 @@ impl fmt::Display for DriveFault {
             } => write!(
                 f,
                 "{state} for {waited:?} although 6040h is {sent}; is 6040h mapped and the PDO \
-                 received?"
+                 received?{}",
+                if *state == State::NotReadyToSwitchOn {
+                    " If 6041h is 0020h, set the quirk sod_as_0020"
+                } else {
+                    ""
+                }
             ),
             Self::QuickStopHeld => f.write_str(
                 "a quick stop is held (605Ah is 5 to 8); command Switch on disabled to leave it",
@@ -414,9 +419,11 @@ impl Master {
         if !late {
             return None;
         }
+        // Bit 5 alone: what an old sample stack shows in Switch on disabled. Its other bits say nothing.
+        let shows_0020 = status.raw() & 0x6F == 0x20;
         Some(if state == State::QuickStopActive {
             DriveFault::QuickStopHeld
-        } else if !status.remote() {
+        } else if !status.remote() && !shows_0020 {
             DriveFault::NotRemote
         } else if !status.voltage_enabled() && state != State::NotReadyToSwitchOn {
             DriveFault::NoVoltage

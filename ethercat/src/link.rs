@@ -34,6 +34,11 @@ pub trait Link {
         buf: &mut [u8],
         timeout: Duration,
     ) -> io::Result<Option<(usize, Duration)>>;
+
+    /// The network interface of this host that it is at, if it is at one.
+    fn interface(&self) -> Option<&str> {
+        None
+    }
 }
 
 impl<L: Link + ?Sized> Link for Box<L> {
@@ -47,5 +52,9 @@ impl<L: Link + ?Sized> Link for Box<L> {
         timeout: Duration,
     ) -> io::Result<Option<(usize, Duration)>> {
         (**self).receive(buf, timeout)
+    }
+
+    fn interface(&self) -> Option<&str> {
+        (**self).interface()
     }
 }

@@ -32,7 +32,7 @@ pub use self::{
     grant::{Grant, Outcome},
     linux::{
         clock::{monotonic, sleep_until},
-        ethtool,
+        ethtool, interface,
         usage::{Usage, thread_usage},
     },
     nanos::Nanos,

@@ -28,6 +28,7 @@ use takt_core::CellConfig;
 use takt_ethercat::AlState;
 use takt_ethercat::config::MasterConfig;
 use takt_ethercat::linux::PacketLink;
+use takt_rt::interface::Medium;
 
 use crate::Verdict;
 use crate::output::span;
@@ -164,6 +165,8 @@ impl Target {
         if has_sync {
             session.follow_sync0();
         }
+        let ends = std::iter::once(self.interface.as_str()).chain(self.second.as_deref());
+        crate::link::ready(ends, Medium::Ethernet)?;
         session.listen()?;
         session.bring_up(self.patience)?;
         Ok(session)

@@ -114,6 +114,7 @@ impl Default for Options<'_> {
 #[derive(Debug)]
 pub struct SocketCan {
     socket: CanFdSocket,
+    interface: String,
     buffers: Box<Buffers>,
     /// Frames in the buffers that were not delivered yet.
     next: usize,
@@ -159,6 +160,7 @@ impl SocketCan {
         }
         Ok(Self {
             socket,
+            interface: interface.to_owned(),
             buffers: Buffers::new(),
             next: 0,
             filled: 0,
@@ -381,6 +383,10 @@ impl Link for SocketCan {
             self.fill()?;
         }
         Ok(self.take())
+    }
+
+    fn interface(&self) -> Option<&str> {
+        Some(&self.interface)
     }
 }
 

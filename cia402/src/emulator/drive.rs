@@ -256,7 +256,10 @@ impl Drive {
         dt: f64,
     ) {
         let halt = word.halt();
-        self.modes.switch(d, &self.keys, halt, &self.quirks, dt);
+        let waits = self.quirks.mode_after_enable && !matches!(motion, Motion::Follow);
+        if !waits {
+            self.modes.switch(d, &self.keys, halt, &self.quirks, dt);
+        }
         let output = self.move_motor(d, word, motion, set_point, dt);
         self.guard(d, &output, motion, dt);
         self.report(d, &output, motion);

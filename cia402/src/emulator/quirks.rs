@@ -22,6 +22,8 @@ pub struct Quirks {
     pub quick_stop_options: &'static [i16],
     /// The mode changes only while halt is low.
     pub mode_needs_no_halt: bool,
+    /// The mode changes only in Operation enabled.
+    pub mode_after_enable: bool,
     /// Delay from 6060h to 6061h.
     pub mode_delay: Duration,
     /// Cyclic modes follow only while controlword bits 4 to 6 are high.
@@ -57,6 +59,7 @@ impl Default for Quirks {
             no_quick_stop: false,
             quick_stop_options: &[],
             mode_needs_no_halt: false,
+            mode_after_enable: false,
             mode_delay: Duration::ZERO,
             cyclic_needs_bits_4_to_6: false,
             no_follow_bit: false,

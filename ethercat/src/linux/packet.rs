@@ -22,6 +22,7 @@ pub fn monotonic() -> io::Result<Duration> {
 #[derive(Debug)]
 pub struct PacketLink {
     socket: OwnedFd,
+    interface: String,
     /// Of the interface.
     mac: [u8; 6],
     /// How long a wait polls before it sleeps.
@@ -105,6 +106,7 @@ impl PacketLink {
         let spin = Duration::ZERO;
         Ok(Self {
             socket,
+            interface: interface.to_owned(),
             mac,
             spin,
             _lock: None,
@@ -198,6 +200,10 @@ impl Link for PacketLink {
         } else {
             Ok(None)
         }
+    }
+
+    fn interface(&self) -> Option<&str> {
+        Some(&self.interface)
     }
 }
 

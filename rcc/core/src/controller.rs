@@ -577,8 +577,8 @@ fn supervise(inner: &Inner) {
             ),
             None => {}
         }
-        for (driver, news) in news {
-            tracing::info!(driver, "{news}");
+        for (driver, notice) in news {
+            news::report(&driver, &notice);
         }
         std::thread::sleep(SUPERVISION);
     }

@@ -12,6 +12,7 @@ pub mod ethercat;
 pub mod fri;
 pub mod iiwa;
 pub mod last_stage;
+mod link_watch;
 pub mod lwr;
 pub mod parts;
 pub mod rmp;
@@ -46,7 +47,7 @@ const RESTS_COMMANDED: f64 = 1e-3;
 const RESTS_MEASURED: f64 = 1e-2;
 
 /// Whether a device can be used.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub enum DeviceStatus {
     /// No contact.
     #[default]

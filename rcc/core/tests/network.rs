@@ -45,6 +45,7 @@ fn config() -> CanopenConfig {
         acceleration_max: 300.0,
         following_error_max: None,
         not_mirrored: Vec::new(),
+        quirks: Vec::new(),
     };
     CanopenConfig {
         name: "network".to_owned(),
@@ -317,7 +318,7 @@ fn a_network_tells_why_its_arm_is_not_operational() {
         while let Some(frame) = drive.poll_transmit(monotonic()) {
             let _ = port.send(&frame.into());
         }
-        heard.extend(network.news());
+        heard.extend(network.news().map(|notice| notice.text));
         if !faulted && heard.iter().any(|h| h == "node 1: it runs") {
             faulted = true;
             let axis = drive.application_mut().axis_mut(0).unwrap();

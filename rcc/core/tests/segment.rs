@@ -52,6 +52,7 @@ fn config() -> EthercatConfig {
         acceleration_max: 1000.0,
         following_error_max: None,
         not_mirrored: Vec::new(),
+        quirks: Vec::new(),
     };
     EthercatConfig {
         name: "segment".to_owned(),

@@ -11,10 +11,9 @@ use std::{
     os::fd::{AsRawFd as _, OwnedFd},
 };
 
-use nix::{
-    errno::Errno,
-    sys::socket::{AddressFamily, SockFlag, SockType, socket},
-};
+use nix::errno::Errno;
+
+use super::interface;
 
 /// Commands of `linux/ethtool.h`; each answer is a structure of 32-bit words that begins with the command.
 mod command {
@@ -93,17 +92,10 @@ impl Ethtool {
     /// # Errors
     /// If the name is longer than 15 bytes or contains a zero byte, or no socket can be opened.
     pub fn open(interface: &str) -> io::Result<Self> {
-        let bytes = interface.as_bytes();
-        if bytes.len() >= libc::IFNAMSIZ || bytes.contains(&0) {
-            return Err(Errno::ENODEV.into());
-        }
-        let mut name = [0; libc::IFNAMSIZ];
-        for (to, &from) in name.iter_mut().zip(bytes) {
-            *to = c_char::from_ne_bytes([from]);
-        }
-        let flags = SockFlag::SOCK_CLOEXEC;
-        let socket = socket(AddressFamily::Inet, SockType::Datagram, flags, None)?;
-        Ok(Self { socket, name })
+        Ok(Self {
+            name: interface::packed(interface)?,
+            socket: interface::question_socket()?,
+        })
     }
 
     /// Interrupt coalescing.

@@ -5,6 +5,7 @@
 pub(crate) mod clock;
 pub mod ethtool;
 pub(crate) mod faults;
+pub mod interface;
 pub(crate) mod memory;
 pub(crate) mod process;
 pub(crate) mod scheduler;

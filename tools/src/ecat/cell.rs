@@ -46,12 +46,8 @@ pub(super) fn master(segment: &EthercatConfig, cycle: Duration, goal: AlState) -
 
 /// The interface at the other end of a segment that is a ring. Without a link there, what is left is a line.
 pub(super) fn other_end(segment: &EthercatConfig) -> Option<String> {
-    segment.second.clone().filter(|second| has_link(second))
-}
-
-fn has_link(interface: &str) -> bool {
-    let carrier = format!("/sys/class/net/{interface}/carrier");
-    std::fs::read_to_string(carrier).is_ok_and(|text| text.trim() == "1")
+    let second = segment.second.clone();
+    second.filter(|second| crate::link::fault(second).is_none())
 }
 
 #[cfg(test)]

@@ -398,8 +398,14 @@ impl<W: Wire> Bench<'_, W> {
                 let moved = state.position.wrapping_sub(start);
                 return Ok(if stopped {
                     Outcome::Stopped
-                } else {
+                } else if has_moved(moved, increments) {
                     Outcome::Done(Some((moved, lag)))
+                } else {
+                    let number = self.order.axis;
+                    Outcome::Axis(format!(
+                        "axis {number}: 6064h moved by {moved} increments of {increments}: its motor does not turn as \
+                         607Ah tells\n{NOT_MOVED}"
+                    ))
                 });
             }
         }
@@ -450,6 +456,16 @@ const ONLINE: Duration = Duration::from_secs(1);
 const PROGRESS: Duration = Duration::from_millis(500);
 /// How long an axis gets to arrive.
 const SETTLE: Duration = Duration::from_millis(200);
+
+/// What keeps a motor of an enabled drive from turning.
+const NOT_MOVED: &str = "      hint: look at its brake and load, at 6072h and 6080h (torque and speed that it may use), and at \
+    the gear and encoder factors (608Fh, 6091h)";
+
+/// Whether an axis went at least half of what it was to go, and in that direction.
+fn has_moved(moved: i32, wanted: i32) -> bool {
+    let along = i64::from(moved) * i64::from(wanted.signum());
+    along * 2 >= i64::from(wanted).abs()
+}
 
 /// An error code of 603Fh in words.
 fn error_text(code: u16) -> String {

@@ -4,13 +4,16 @@
 use std::io;
 use std::time::Duration;
 
-use anyhow::{Context as _, bail, ensure};
+use anyhow::{bail, ensure};
 use takt_ethercat::config::MasterConfig;
 use takt_ethercat::dc::{self, Sample};
 use takt_ethercat::link::{Link, Port};
 use takt_ethercat::linux::{PacketLink, monotonic};
 use takt_ethercat::master::{Event, Job, JobError, JobKind, Master, Phase};
 use takt_ethercat::{Address, AlState, AlStatus, Command, FrameWriter, register};
+use takt_rt::interface::Medium;
+
+use crate::link::failed;
 
 /// A wire and the clock by which it stamps what it receives.
 pub(super) trait Wire: Link {
@@ -187,10 +190,10 @@ impl<W: Wire> Session<W> {
     /// other one would be overwritten.
     pub(super) fn listen(&mut self) -> anyhow::Result<()> {
         let mut heard = false;
-        for port in self.ports() {
-            heard |= port
-                .receive(LISTEN)
-                .context("the interface failed")?
+        for port in std::iter::once(&mut self.port).chain(&mut self.second) {
+            let received = port.receive(LISTEN);
+            heard |= received
+                .map_err(|error| failed(&self.interface, Medium::Ethernet, error))?
                 .is_some();
         }
         ensure!(
@@ -205,7 +208,7 @@ impl<W: Wire> Session<W> {
     /// One frame out and back, then the end of the cycle. At start there is no cycle: the next frame goes at once.
     pub(super) fn cycle(&mut self) -> anyhow::Result<()> {
         self.exchange()
-            .with_context(|| format!("{}: the interface failed", self.interface))?;
+            .map_err(|error| failed(&self.interface, Medium::Ethernet, error))?;
         while let Some(event) = self.master.poll_event() {
             if self.events.len() < EVENTS_MAX {
                 self.events.push((self.next, event));
@@ -237,11 +240,6 @@ impl<W: Wire> Session<W> {
             self.port.link().wait_until(self.next)?;
         }
         Ok(())
-    }
-
-    /// The ends of the segment: one, or of a ring two.
-    fn ports(&mut self) -> impl Iterator<Item = &mut Port<W>> {
-        std::iter::once(&mut self.port).chain(&mut self.second)
     }
 
     /// Sends what is in the buffer, in a ring from both ends. One end that fails is a cable that is cut.
@@ -395,8 +393,8 @@ impl<W: Wire> Session<W> {
         let mut writer = FrameWriter::new(&mut self.frame[..])?;
         writer.push(Command::Bwr, 0, address, &init.raw().to_le_bytes())?;
         let len = writer.finish();
-        self.send(len)?;
-        Ok(())
+        self.send(len)
+            .map_err(|error| failed(&self.interface, Medium::Ethernet, error))
     }
 
     /// The number of the slave that is meant by a number, or by a name or order code that only one has.

@@ -10,6 +10,7 @@ use takt_ethercat::emulator::{
 };
 use takt_ethercat::link::Link;
 use takt_ethercat::linux::{PacketLink, TapLink, monotonic};
+use takt_rt::interface::Medium;
 
 use super::service::Service;
 use crate::Verdict;
@@ -75,10 +76,12 @@ pub(crate) fn serve(
         ),
         None => format!("{slaves} slaves at {interface}"),
     })?;
+    let name = interface.to_owned();
     let service = Service::start("segment", server, move |server| {
         let turn = server.turn(WAIT, &mut monotonic);
         between();
-        turn.map(|_| ()).context("the interface failed")
+        turn.map(|_| ())
+            .map_err(|error| crate::link::failed(&name, Medium::Ethernet, error))
     })?;
     until_stopped(duration, || {
         service.check()?;

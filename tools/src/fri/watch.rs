@@ -9,6 +9,7 @@ use clap::{Args, ValueEnum};
 use nix::errno::Errno;
 use takt_fri::client::{ClientConfig, Phase, Version};
 use takt_fri::sunrise::wire::Dialect;
+use takt_rt::interface::{LinkFault, Medium, interface_of, local_address_to};
 
 use super::live::{Live, Seen, Task};
 use super::port::{addresses, is_taken, list};
@@ -192,7 +193,15 @@ fn unsent(errno: Errno, peer: SocketAddr) -> String {
         Errno::EPERM | Errno::EACCES => format!(
             "this host's firewall forbids answers to {ip}: let it pass UDP to {peer} (`nft list ruleset`)"
         ),
-        other => format!("answers to {ip} cannot leave: {}", other.desc()),
+        other => {
+            let fault = LinkFault::of_errno(other as i32);
+            let interface = local_address_to(ip).and_then(|own| interface_of(own).ok()?);
+            let interface = interface.unwrap_or_else(|| "the interface".to_owned());
+            format!(
+                "answers to {ip} cannot leave: {}",
+                fault.on(&interface, Medium::Ip)
+            )
+        }
     }
 }
 
@@ -218,7 +227,11 @@ mod tests {
         );
         assert!(second.starts_with("192.168.0.21:49152 sends"), "{second}");
         assert!(unsent(Errno::EPERM, peer).contains("firewall"));
-        assert!(unsent(Errno::ENOBUFS, peer).contains("No buffer space"));
+        let full = unsent(Errno::ENOBUFS, peer);
+        assert!(
+            full.contains("No buffer space") && full.contains("\nhint: "),
+            "{full}"
+        );
         assert!(faults(&Seen::default()).is_empty());
     }
 }

@@ -22,6 +22,7 @@ use crate::controller::share::Room;
 use crate::controller::threads::busy;
 use crate::controller::{DeviceInfo, NetId, SessionId};
 use crate::device::driver::DeviceDriver;
+use crate::device::driver::Notice;
 use crate::device::{DeviceStatus, DeviceTable};
 use crate::error::Error;
 use crate::executor::ResourceSet;
@@ -220,7 +221,7 @@ impl Desk {
     }
 
     /// What drivers have to tell, as lines for the log with the drivers' names.
-    pub(super) fn take_news(&mut self, now: Instant) -> Vec<(String, String)> {
+    pub(super) fn take_news(&mut self, now: Instant) -> Vec<(String, Notice)> {
         let mut lines = Vec::new();
         for driver in &self.drivers {
             let news = std::iter::from_fn(|| driver.news()).take(NEWS_AT_ONCE);
@@ -229,7 +230,8 @@ impl Desk {
         }
         let jumps = self.look_at_jumps();
         for (device, line) in self.look_at_limits().into_iter().chain(jumps) {
-            let news = self.news.take(&device, std::iter::once(line), now);
+            let line = std::iter::once(Notice::warning(line));
+            let news = self.news.take(&device, line, now);
             lines.extend(news.into_iter().map(|line| (device.clone(), line)));
         }
         lines
@@ -265,7 +267,13 @@ impl Desk {
             if before != *status && !faulted.contains(name) {
                 let driver = self.drivers.iter().find(|driver| driver.drives(name));
                 let figures = driver.map(|driver| listed(&driver.figures()));
-                tracing::info!(device = name, %before, now = %status, figures, "device");
+                let now = status;
+                // What is turned off on purpose is no trouble.
+                if *now < before && !is_stopped && !self.closing {
+                    tracing::warn!(device = name, %before, %now, figures, "device");
+                } else {
+                    tracing::info!(device = name, %before, %now, figures, "device");
+                }
             }
         }
         self.statuses = statuses;

@@ -4,9 +4,21 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
+use crate::device::driver::{Notice, Severity};
+
 /// Lines that a driver may tell in each [`SPAN`]; of the rest only the number is told.
 const LINES: u32 = 50;
 const SPAN: Duration = Duration::from_secs(1);
+
+/// Writes what a driver reports to the log.
+pub(super) fn report(driver: &str, notice: &Notice) {
+    let text = &notice.text;
+    match notice.severity {
+        Severity::Info => tracing::info!(driver, "{text}"),
+        Severity::Warning => tracing::warn!(driver, "{text}"),
+        Severity::Error => tracing::error!(driver, "{text}"),
+    }
+}
 
 /// How much a driver has told.
 #[derive(Debug)]
@@ -24,15 +36,18 @@ impl News {
     pub(super) fn take(
         &mut self,
         driver: &str,
-        news: impl Iterator<Item = String>,
+        news: impl Iterator<Item = Notice>,
         now: Instant,
-    ) -> Vec<String> {
+    ) -> Vec<Notice> {
         let mut lines = Vec::new();
         if let Some(told) = self.0.get(driver)
             && now.saturating_duration_since(told.since) >= SPAN
         {
             if told.lines > LINES {
-                lines.push(format!("{} more lines were left out", told.lines - LINES));
+                let left_out = told.lines - LINES;
+                lines.push(Notice::warning(format!(
+                    "{left_out} more lines were left out"
+                )));
             }
             self.0.remove(driver);
         }
@@ -60,8 +75,9 @@ mod tests {
         let mut news = News::default();
         let begin = Instant::now();
         let mut take = |count: u32, after: Duration| {
-            let lines = (0..count).map(|n| n.to_string());
-            news.take("bus", lines, begin + after)
+            let lines = (0..count).map(|n| Notice::info(n.to_string()));
+            let taken = news.take("bus", lines, begin + after).into_iter();
+            taken.map(|notice| notice.text).collect::<Vec<_>>()
         };
         assert_eq!(take(2, Duration::ZERO), ["0", "1"]);
         assert_eq!(take(60, SPAN / 2).len(), 48);

@@ -7,7 +7,7 @@ use std::mem::{Discriminant, discriminant};
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use takt_can::canopen::network::{
     AxisCommand, AxisFault, AxisPlan, Event, Network, NetworkConfig, NodeFault, NodePlan, Phase,
@@ -18,14 +18,16 @@ use takt_can::cia402::proof::Objects;
 use takt_can::linux::{Options, SocketCan};
 use takt_rt::alloc::enter_real_time;
 use takt_rt::cycle::{Cycles, Tick};
+use takt_rt::interface::Medium;
 use takt_rt::ring::{Consumer, Producer, ring};
 use takt_rt::stats::{self, StatsReader};
 use takt_rt::{Nanos, monotonic};
 
 use crate::device::DeviceDescription;
 use crate::device::config::{CanopenConfig, DriveJoint, LinkLoss, Recovery};
-use crate::device::driver::{DeviceDriver, DriverEnds, DriverThread, FAREWELL};
+use crate::device::driver::{DeviceDriver, DriverEnds, DriverThread, FAREWELL, Notice, Severity};
 use crate::device::drives::{self, Arm, Feedback, JointNews};
+use crate::device::link_watch::{LinkErrors, LinkWatch};
 use crate::device::rmp::CanLink;
 use crate::error::Error;
 
@@ -88,6 +90,7 @@ fn network(config: &CanopenConfig) -> Result<Network, String> {
             set_point_period: Some(config.cycle),
             on_link_loss: on_link_loss(config.on_link_loss),
             not_mirrored: Objects::of(&joint.not_mirrored).unwrap_or_default(),
+            patience: joint.patience(),
             ..AxisPlan::default()
         };
         match nodes.iter_mut().find(|(node, _)| *node == id) {
@@ -174,6 +177,23 @@ enum News {
     Joint(usize, usize, JointNews),
 }
 
+impl News {
+    /// How much it matters.
+    const fn severity(&self) -> Severity {
+        match self {
+            Self::Runs(_) | Self::Proven(..) => Severity::Info,
+            // Error code 0000h takes an emergency back.
+            Self::Emergency(_, emergency, _) if emergency.code == 0 => Severity::Info,
+            Self::Trouble(_, Trouble::Garbled { .. } | Trouble::PdoShort { .. })
+            | Self::Joint(_, _, JointNews::OutOfRange { .. }) => Severity::Warning,
+            Self::Trouble(..)
+            | Self::Emergency(..)
+            | Self::Axis(..)
+            | Self::Joint(_, _, JointNews::Runaway(_)) => Severity::Error,
+        }
+    }
+}
+
 impl fmt::Display for News {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -201,7 +221,6 @@ impl fmt::Display for News {
 #[derive(Debug, Default)]
 struct Shared {
     received: AtomicU64,
-    refused: AtomicU64,
     troubles: AtomicU64,
     unproven: AtomicU64,
 }
@@ -213,6 +232,7 @@ pub struct Canopen {
     on_restart: Vec<String>,
     shared: Arc<Shared>,
     news: Mutex<Consumer<News>>,
+    link: LinkWatch,
     /// How SYNC keeps its time.
     pub stats: StatsReader,
     thread: DriverThread,
@@ -229,6 +249,7 @@ impl Canopen {
         ends: DriverEnds,
     ) -> Result<Self, Error> {
         check(config).map_err(Error::Cell)?;
+        drives::report_quirks(&config.name, &config.arms);
         let network = network(config).map_err(Error::Cell)?;
         let devices = config.arms.iter().map(|arm| arm.name.clone()).collect();
         let held = config.arms.iter();
@@ -246,8 +267,10 @@ impl Canopen {
         let (own_news, news) = ring(NEWS);
         let shared = Arc::new(Shared::default());
         let (mut recorded, stats) = stats::pair();
+        let watch = LinkWatch::new(&config.name, link.interface(), Medium::Can);
         let mut driver = Box::new(Driver {
             link,
+            errors: watch.errors(),
             network,
             arms,
             news: own_news,
@@ -276,6 +299,7 @@ impl Canopen {
             on_restart,
             shared,
             news: Mutex::new(news),
+            link: watch,
             stats,
             thread,
         })
@@ -299,7 +323,7 @@ impl DeviceDriver for Canopen {
         let number = |figure: &AtomicU64| figure.load(Ordering::Relaxed).to_string();
         let mut figures = vec![
             ("received", number(&self.shared.received)),
-            ("refused", number(&self.shared.refused)),
+            ("refused", self.link.failed().to_string()),
             ("troubles", number(&self.shared.troubles)),
         ];
         if self.shared.unproven.load(Ordering::Relaxed) > 0 {
@@ -316,9 +340,15 @@ impl DeviceDriver for Canopen {
         Some(self.stats.stalls())
     }
 
-    fn news(&self) -> Option<String> {
+    fn news(&self) -> Option<Notice> {
+        if let Some(notice) = self.link.poll(Instant::now()) {
+            return Some(notice);
+        }
         let mut news = self.news.lock().unwrap_or_else(PoisonError::into_inner);
-        news.pop().map(|news| news.to_string())
+        news.pop().map(|news| Notice {
+            severity: news.severity(),
+            text: news.to_string(),
+        })
     }
 }
 
@@ -393,6 +423,7 @@ impl Reached {
 
 struct Driver {
     link: Box<dyn CanLink>,
+    errors: Arc<LinkErrors>,
     network: Network,
     /// The arms, and by joint its axis.
     arms: Vec<(Arm, Vec<Reached>)>,
@@ -484,8 +515,10 @@ impl Driver {
                 return;
             }
             // Services have something new to send when an answer came; timers wait until the next cycle.
-            let Ok(Some(received)) = self.link.receive(since_start(until - now)) else {
-                return;
+            let received = match self.link.receive(since_start(until - now)) {
+                Ok(Some(received)) => received,
+                Ok(None) => return,
+                Err(error) => return self.errors.note_can(error),
             };
             if let Some(frame) = received.frame.classic() {
                 self.shared.received.fetch_add(1, Ordering::Relaxed);
@@ -495,8 +528,8 @@ impl Driver {
     }
 
     fn send(&mut self, frame: takt_can::Frame) {
-        if self.link.send(&frame.into()).is_err() {
-            self.shared.refused.fetch_add(1, Ordering::Relaxed);
+        if let Err(error) = self.link.send(&frame.into()) {
+            self.errors.note_can(error);
         }
     }
 

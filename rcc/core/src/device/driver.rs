@@ -56,6 +56,55 @@ impl DriverEnds {
     }
 }
 
+/// How much something matters that a driver reports.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Severity {
+    /// Something came, works again, or is as it should be.
+    Info,
+    /// Something is not as it should be; the device may do its work all the same.
+    Warning,
+    /// The device cannot do its work.
+    Error,
+}
+
+/// Something that happened on the wire of a driver.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Notice {
+    /// How much it matters.
+    pub severity: Severity,
+    /// The cause, and where there is one the remedy.
+    pub text: String,
+}
+
+impl Notice {
+    /// Good to know.
+    #[must_use]
+    pub const fn info(text: String) -> Self {
+        Self {
+            severity: Severity::Info,
+            text,
+        }
+    }
+
+    /// Not as it should be.
+    #[must_use]
+    pub const fn warning(text: String) -> Self {
+        Self {
+            severity: Severity::Warning,
+            text,
+        }
+    }
+
+    /// The device cannot do its work.
+    #[must_use]
+    pub const fn error(text: String) -> Self {
+        Self {
+            severity: Severity::Error,
+            text,
+        }
+    }
+}
+
 /// The thread of a driver.
 #[derive(Debug)]
 pub struct DriverThread {
@@ -118,7 +167,7 @@ pub trait DeviceDriver: Any + fmt::Debug + Send {
     fn figures(&self) -> Vec<(&'static str, String)>;
 
     /// The next thing that happened on its wire and that people want to know, oldest first; `None` if they know all.
-    fn news(&self) -> Option<String> {
+    fn news(&self) -> Option<Notice> {
         None
     }
 

@@ -300,6 +300,18 @@ impl Arm {
     }
 }
 
+/// Writes to the log which quirks the drives of a bus get by their cell.
+pub(super) fn report_quirks<D>(driver: &str, arms: &[DriveArm<D>]) {
+    for arm in arms {
+        for (joint, of_joint) in arm.joints.iter().enumerate() {
+            for quirk in &of_joint.quirks {
+                let (arm, quirk) = (&arm.name, quirk.name());
+                tracing::info!(driver, arm, joint, quirk, "a quirk of a drive is applied");
+            }
+        }
+    }
+}
+
 /// What is reported of an axis whose process data are proven.
 pub(super) fn proven(took: Duration, trusted: Objects) -> String {
     let took = took.as_millis();

@@ -16,13 +16,14 @@ use std::fmt;
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use takt_ethercat::link::{Link, Port};
 use takt_ethercat::linux::PacketLink;
 use takt_ethercat::master::{Difference, Master, Phase};
 use takt_rt::alloc::enter_real_time;
 use takt_rt::cycle::{Cycles, Follow, Tick};
+use takt_rt::interface::Medium;
 use takt_rt::latest::{LatestReader, LatestWriter, latest};
 use takt_rt::ring::{Consumer, Producer, ring};
 use takt_rt::servo::{Estimate, Servo, ServoConfig};
@@ -30,7 +31,9 @@ use takt_rt::stats::{self, StatsReader};
 use takt_rt::{Nanos, monotonic};
 
 use crate::device::config::EthercatConfig;
-use crate::device::driver::{DeviceDriver, DriverEnds, DriverThread, FAREWELL};
+use crate::device::driver::{DeviceDriver, DriverEnds, DriverThread, FAREWELL, Notice};
+use crate::device::drives;
+use crate::device::link_watch::{LinkErrors, LinkWatch};
 use crate::error::Error;
 use arm::Arm;
 pub use describe::{check, describe, master_config};
@@ -154,6 +157,8 @@ pub struct Ethercat {
     slaves: Vec<String>,
     waiting: Mutex<LatestReader<Option<Waiting>>>,
     news: Mutex<Consumer<News>>,
+    /// One for each wire.
+    links: Vec<LinkWatch>,
     /// How the cycle keeps its time; its phase error is that to SYNC0.
     pub stats: StatsReader,
     thread: DriverThread,
@@ -170,8 +175,11 @@ impl Ethercat {
         ends: DriverEnds,
     ) -> Result<Self, Error> {
         check(config).map_err(Error::Cell)?;
+        drives::report_quirks(&config.name, &config.arms);
         let master = Master::new(master_config(config)).map_err(|e| Error::Cell(e.to_string()))?;
         let Wires { first, second } = wires.into();
+        let links = watched(&config.name, &first, second.as_ref());
+        let errors = links.iter().map(LinkWatch::errors).collect();
         let port = |wire: Wire| Port::new(wire.link, wire.source);
         let descriptions = describe(config);
         let devices = descriptions.iter().map(|d| d.name.clone()).collect();
@@ -191,6 +199,7 @@ impl Ethercat {
         let mut driver = Box::new(Driver {
             master,
             ports: [first].into_iter().chain(second).map(port).collect(),
+            errors,
             servo: Servo::new(&ServoConfig::new(config.cycle)),
             cycle: config.cycle,
             arms,
@@ -204,14 +213,9 @@ impl Ethercat {
             refused: Refused::default(),
             farewell: None,
         });
-        let EthercatConfig {
-            name,
-            priority,
-            cpus,
-            ..
-        } = config;
         let period = config.cycle;
-        let thread = DriverThread::start(name, *priority, cpus, move |stopping| {
+        let (name, cpus) = (&config.name, &config.cpus);
+        let thread = DriverThread::start(name, config.priority, cpus, move |stopping| {
             let cycles = Cycles {
                 follow: Some(Follow::new(followed, phase.into())),
                 ..Cycles::every(period)
@@ -238,6 +242,7 @@ impl Ethercat {
             slaves,
             waiting: Mutex::new(waiting),
             news: Mutex::new(news),
+            links,
             stats,
             thread,
         })
@@ -282,6 +287,12 @@ impl Ethercat {
     }
 }
 
+/// Watches the link of each wire.
+fn watched(name: &str, first: &Wire, second: Option<&Wire>) -> Vec<LinkWatch> {
+    let watch = |wire: &Wire| LinkWatch::new(name, wire.link.interface(), Medium::Ethernet);
+    std::iter::once(first).chain(second).map(watch).collect()
+}
+
 impl DeviceDriver for Ethercat {
     fn thread(&self) -> &DriverThread {
         &self.thread
@@ -302,6 +313,10 @@ impl DeviceDriver for Ethercat {
             ("lost", figures.lost.to_string()),
             ("events", figures.events.to_string()),
         ];
+        let failed: u64 = self.links.iter().map(LinkWatch::failed).sum();
+        if failed > 0 {
+            told.push(("not sent", failed.to_string()));
+        }
         let unproven = self.shared.unproven.load(Ordering::Relaxed);
         if unproven > 0 {
             told.push(("axes not proven", unproven.to_string()));
@@ -323,9 +338,13 @@ impl DeviceDriver for Ethercat {
         Some(self.stats.stalls())
     }
 
-    fn news(&self) -> Option<String> {
+    fn news(&self) -> Option<Notice> {
+        let now = Instant::now();
+        if let Some(notice) = self.links.iter().find_map(|link| link.poll(now)) {
+            return Some(notice);
+        }
         let mut news = self.news.lock().unwrap_or_else(PoisonError::into_inner);
-        news.pop().map(|news| news.to_string())
+        news.pop().map(|news| news.notice())
     }
 }
 
@@ -342,6 +361,8 @@ struct Driver {
     master: Master,
     /// One, or of a ring two.
     ports: Vec<Port<Box<dyn EthernetLink>>>,
+    /// Of each of them.
+    errors: Vec<Arc<LinkErrors>>,
     servo: Servo,
     cycle: Duration,
     arms: Vec<Arm>,
@@ -424,8 +445,11 @@ impl Driver {
         let now = since_start(monotonic());
         if let Some(len) = self.master.poll_transmit(now, &mut self.buffer) {
             let mut sent = false;
-            for port in &mut self.ports {
-                sent |= port.send(&self.buffer[..len]).is_ok();
+            for (port, errors) in self.ports.iter_mut().zip(&self.errors) {
+                match port.send(&self.buffer[..len]) {
+                    Ok(()) => sent = true,
+                    Err(error) => errors.note_io(&error),
+                }
             }
             return sent && self.answered(until);
         }
@@ -450,7 +474,12 @@ impl Driver {
                         }
                     }
                     Ok(None) => {}
-                    Err(_) => deaf += 1,
+                    Err(error) => {
+                        deaf += 1;
+                        if let Some(errors) = self.errors.get(number) {
+                            errors.note_io(&error);
+                        }
+                    }
                 }
             }
             if deaf == self.ports.len() || left.is_zero() {

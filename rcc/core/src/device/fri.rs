@@ -12,10 +12,10 @@ mod protocol;
 mod tests;
 
 use std::marker::PhantomData;
-use std::net::SocketAddr;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicI32, AtomicU64, Ordering};
-use std::time::Duration;
+use std::sync::atomic::{AtomicI32, AtomicU32, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
 
 use takt_fri::diagnosis::Verdict;
 use takt_fri::error::DecodeError;
@@ -25,10 +25,12 @@ use takt_fri::linux::UdpLink;
 use takt_fri::sunrise::wire::MESSAGE_MAX;
 use takt_net::JointLimits;
 use takt_rt::Nanos;
+use takt_rt::interface::{Medium, interface_of, local_address_to};
 use takt_rt::stats::{RecorderReader, StallReader, StallWriter, stalls};
 
 use crate::device::DeviceDescription;
-use crate::device::driver::{DeviceDriver, DriverEnds, DriverThread};
+use crate::device::driver::{DeviceDriver, DriverEnds, DriverThread, Notice};
+use crate::device::link_watch::{LinkErrors, LinkWatch};
 use crate::error::Error;
 use driver::Driver;
 use news::{Listener, advice, herald};
@@ -55,6 +57,8 @@ const STALL: Nanos = Nanos::from_millis(4);
 struct Shared {
     received: AtomicU64,
     lost: AtomicU64,
+    /// The address of the controller of the robot, if it is one of IPv4; zero before there is one.
+    robot: AtomicU32,
     malformed: AtomicU64,
     quality: AtomicI32,
     period_ns: AtomicU64,
@@ -103,6 +107,7 @@ pub struct FriArm<P> {
     pub phase_error: RecorderReader,
     listener: Listener,
     stalls: StallReader,
+    watch: LinkWatch,
     thread: DriverThread,
     protocol: PhantomData<fn() -> P>,
 }
@@ -161,9 +166,15 @@ impl<P: Protocol> FriArm<P> {
             (driver.answer_time.reader(), driver.set_point_age.reader());
         let phase_error = driver.phase_error.reader();
         let (stall_writer, stalls) = stalls();
+        // Of an address that means all it is known once the robot is.
+        let interface = interface_of(address.ip()).ok().flatten();
+        let watch = LinkWatch::new(&address.to_string(), interface.as_deref(), Medium::Ip);
+        let errors = watch.errors();
         let mut exchange = Box::new(Exchange {
             link,
             driver,
+            errors,
+            shared: Arc::clone(&shared),
             stalls: stall_writer,
         });
         let Settings { priority, cpus, .. } = &settings;
@@ -184,6 +195,7 @@ impl<P: Protocol> FriArm<P> {
             phase_error,
             listener,
             stalls,
+            watch,
             thread,
             protocol: PhantomData,
         })
@@ -206,6 +218,7 @@ impl<P: Protocol> FriArm<P> {
             period_ns,
             tracking_error_bits,
             clock_ppb_bits,
+            ..
         } = &*self.shared;
         let clock_ppb = f64::from_bits(clock_ppb_bits.load(Ordering::Relaxed));
         let period_ns = period_ns.load(Ordering::Relaxed);
@@ -258,9 +271,23 @@ impl<P: Protocol> DeviceDriver for FriArm<P> {
         Some(&self.stalls)
     }
 
-    fn news(&self) -> Option<String> {
+    fn news(&self) -> Option<Notice> {
+        // One that listens at all addresses has the interface by which its robot is reached.
+        let robot = self.shared.robot.load(Ordering::Relaxed);
+        if robot != 0 {
+            self.watch.find(|| {
+                let robot = IpAddr::from(Ipv4Addr::from_bits(robot));
+                interface_of(local_address_to(robot)?).ok().flatten()
+            });
+        }
+        if let Some(notice) = self.watch.poll(Instant::now()) {
+            return Some(notice);
+        }
         let news = self.listener.news()?;
-        Some(news.text(|code| format!("{:?}", P::quality(code))))
+        Some(Notice {
+            severity: news.severity(),
+            text: news.text(|code| format!("{:?}", P::quality(code))),
+        })
     }
 }
 
@@ -269,6 +296,8 @@ struct Exchange<P> {
     link: UdpLink,
     driver: Driver<P>,
     stalls: StallWriter,
+    errors: Arc<LinkErrors>,
+    shared: Arc<Shared>,
 }
 
 impl<P: Protocol> Exchange<P> {
@@ -278,8 +307,13 @@ impl<P: Protocol> Exchange<P> {
         let mut newest = None;
         for number in 0..BACKLOG {
             let mut buffer = [0; ROOM];
-            let Ok(Some((len, at))) = self.link.receive(&mut buffer, wait) else {
-                break;
+            let (len, at) = match self.link.receive(&mut buffer, wait) {
+                Ok(Some(received)) => received,
+                Ok(None) => break,
+                Err(error) => {
+                    self.errors.note_io(&error);
+                    break;
+                }
             };
             if number == 0 {
                 self.note_stall(at.into());
@@ -320,9 +354,16 @@ impl<P: Protocol> Exchange<P> {
         let answer = self.driver.answer(at, &mut buffer);
         if let Some(peer) = self.driver.peer() {
             self.link.answer_to(peer);
+            if let IpAddr::V4(robot) = peer.ip() {
+                self.shared.robot.store(robot.to_bits(), Ordering::Relaxed);
+            }
         }
-        let sent = answer.and_then(|len| self.link.send(buffer.get(..len)?).ok());
-        if sent.is_some_and(|sent| sent > 0) {
+        let answer = answer.and_then(|len| buffer.get(..len));
+        let sent = answer.map_or(Ok(0), |answer| self.link.send(answer));
+        if let Err(error) = &sent {
+            self.errors.note_io(error);
+        }
+        if sent.is_ok_and(|sent| sent > 0) {
             self.driver.handle_sent(at, takt_rt::monotonic());
         }
         self.driver.finish(at);

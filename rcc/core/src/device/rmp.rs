@@ -6,7 +6,7 @@ mod wire;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use takt_can::rmp::{self, Model, Motion, State};
 use takt_net::device::{Base, Interfaces, Layout};
@@ -15,7 +15,8 @@ use takt_rt::latest::{LatestReader, LatestWriter};
 
 use crate::device::config::RmpConfig;
 use crate::device::continuity::JumpPart;
-use crate::device::driver::{DeviceDriver, DriverEnds, DriverThread};
+use crate::device::driver::{DeviceDriver, DriverEnds, DriverThread, Notice};
+use crate::device::link_watch::{LinkErrors, LinkWatch};
 use crate::device::{DeviceCommand, DeviceDescription, DeviceState, DeviceStatus, Part, parts};
 use crate::error::Error;
 use platform::Led;
@@ -117,6 +118,8 @@ struct Shared {
 #[derive(Debug)]
 pub struct Rmp {
     shared: Arc<Shared>,
+    /// One for each wire.
+    links: Vec<LinkWatch>,
     thread: DriverThread,
 }
 
@@ -132,7 +135,12 @@ impl Rmp {
         let mut layout = Layout::default();
         let interfaces = parts::lay(&description.parts, 0, &mut layout);
         let shared = Arc::new(Shared::default());
+        let wires_with_names = wires.iter().zip(&config.links);
+        let links: Vec<_> = wires_with_names
+            .map(|(wire, name)| wire.watch(name))
+            .collect();
         let mut driver = Box::new(Driver {
+            errors: links.iter().map(LinkWatch::errors).collect(),
             wires,
             platform: Led::new(config),
             is_stopping: false,
@@ -161,7 +169,11 @@ impl Rmp {
             drop(scope);
             clock
         })?;
-        Ok(Self { shared, thread })
+        Ok(Self {
+            shared,
+            links,
+            thread,
+        })
     }
 
     /// Steps of wheels that odometry did not believe: integrators that were reset behind its back.
@@ -189,6 +201,11 @@ impl DeviceDriver for Rmp {
             ("first", word(first).to_owned()),
             ("second", word(second).to_owned()),
         ]
+    }
+
+    fn news(&self) -> Option<Notice> {
+        let now = Instant::now();
+        self.links.iter().find_map(|link| link.poll(now))
     }
 }
 
@@ -225,6 +242,8 @@ fn word(state: &AtomicU64) -> &'static str {
 
 struct Driver {
     wires: Vec<Wire>,
+    /// Of each of them.
+    errors: Vec<Arc<LinkErrors>>,
     platform: Led,
     /// Whether the thread is to end: nothing is followed any more.
     is_stopping: bool,
@@ -252,7 +271,7 @@ impl Driver {
         let mut wait = WAIT;
         for part in 0..self.wires.len() {
             for _ in 0..BACKLOG {
-                let received = self.wires[part].receive(wait);
+                let received = self.wires[part].receive(wait, &self.errors[part]);
                 let Ok(Some((channel, frame, at))) = received else {
                     if received.is_err() {
                         pause(wait);
@@ -269,9 +288,9 @@ impl Driver {
     fn lead(&mut self, now: Duration) {
         let wanted = self.wanted(now).filter(|_| !self.is_stopping);
         let frames = self.platform.command(wanted, now);
-        for (frame, wire) in frames.iter().zip(&mut self.wires) {
+        for ((frame, wire), errors) in frames.iter().zip(&mut self.wires).zip(&self.errors) {
             if let Some(frame) = frame
-                && !wire.send(frame)
+                && !wire.send(frame, errors)
             {
                 self.shared.failed.fetch_add(1, Ordering::Relaxed);
             }
@@ -345,8 +364,8 @@ impl Driver {
             self.serve();
         }
         let frame = rmp::Command::default().frame();
-        for wire in &mut self.wires {
-            wire.send(&frame);
+        for (wire, errors) in self.wires.iter_mut().zip(&self.errors) {
+            wire.send(&frame, errors);
         }
     }
 }

@@ -98,6 +98,24 @@ fn an_axis_is_jogged_by_so_many_increments() {
 }
 
 #[test]
+fn jog_of_a_blocked_motor_fails() {
+    let mut blocked = ServoConfig::default();
+    blocked.axes[0].motor.coulomb = 1e6;
+    let (segment, _) = line(blocked);
+    let jog = Order {
+        jog: Some((1000, Duration::from_secs(1))),
+        ..order()
+    };
+    let (outcome, lines) = done(segment, &jog, None);
+    let Outcome::Axis(why) = &outcome else {
+        panic!("{outcome:?} {lines:#?}");
+    };
+    assert!(why.contains("moved by 0 increments of 1000"), "{why}");
+    assert!(why.contains("\n      hint: "), "{why}");
+    assert_eq!(outcome.verdict(), crate::Verdict::Failed);
+}
+
+#[test]
 fn a_jog_that_is_stopped_brakes_before_the_power_goes() {
     let (segment, drive) = line(ServoConfig::default());
     let before = drive.axis(0, |axis| axis.motor().position).unwrap();

@@ -3,7 +3,8 @@
 
 use std::time::Duration;
 
-use serde::Deserialize;
+use serde::{Deserialize, Deserializer};
+use takt_can::cia402::{Patience, Quirk, UnknownQuirk};
 
 use super::{EthercatClocks, EthercatIo, EthercatSlave, YouBotArm, YouBotBase};
 use crate::span;
@@ -239,6 +240,19 @@ pub struct DriveJoint<D> {
     /// They are not compared before the drive gets power; without them every mapped object of the axis is.
     #[serde(default)]
     pub not_mirrored: Vec<u16>,
+    /// What the drive does not do as CiA 402 wants it, by its manual or by what its faults name: `no_follow_bit`,
+    /// `sod_as_0020`, `mode_after_enable`.
+    #[serde(default, deserialize_with = "quirks")]
+    pub quirks: Vec<Quirk>,
+}
+
+/// Quirks by their names.
+fn quirks<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Quirk>, D::Error> {
+    let names = Vec::<String>::deserialize(deserializer)?;
+    let quirks = names.iter().map(|name| name.parse());
+    quirks
+        .collect::<Result<_, UnknownQuirk>>()
+        .map_err(serde::de::Error::custom)
 }
 
 impl<D> DriveJoint<D> {
@@ -247,6 +261,12 @@ impl<D> DriveJoint<D> {
     pub fn following_error(&self) -> f64 {
         let usual = (self.velocity_max * FOLLOWING_TIME_S).max(FOLLOWING_MIN);
         self.following_error_max.unwrap_or(usual)
+    }
+
+    /// What its drive may do otherwise than others.
+    #[must_use]
+    pub(crate) fn patience(&self) -> Patience {
+        Patience::default().with_quirks(&self.quirks)
     }
 }
 

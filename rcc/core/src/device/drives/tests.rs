@@ -31,6 +31,7 @@ fn config(joints: u8) -> DriveArm<u8> {
         acceleration_max: 300.0,
         following_error_max: None,
         not_mirrored: Vec::new(),
+        quirks: Vec::new(),
     };
     DriveArm {
         name: "arm".to_owned(),

@@ -26,6 +26,8 @@ struct Place {
     lack: Option<(NotMapped, bool)>,
     /// Objects that are taken on trust.
     not_mirrored: Objects,
+    /// With the quirks of its drive.
+    patience: Patience,
     /// Why it is not where it is wanted, as reported last, and what is still to be reported.
     hindered: Option<Discriminant<DriveFault>>,
     drive_fault: Option<DriveFault>,
@@ -60,6 +62,7 @@ impl Arm {
             axis: None,
             lack: None,
             not_mirrored: Objects::of(&joint.not_mirrored).unwrap_or_default(),
+            patience: joint.patience(),
             hindered: None,
             drive_fault: None,
             proven: None,
@@ -190,8 +193,7 @@ impl Place {
             && self.lack.is_none()
             && let Some(slave) = master.slave(self.slave)
         {
-            let patience = Patience::default();
-            match Axis::new(self.slave, slave.process(), self.number, patience) {
+            match Axis::new(self.slave, slave.process(), self.number, self.patience) {
                 Ok(axis) => self.axis = Some(axis.not_mirrored(self.not_mirrored)),
                 Err(lack) => self.lack = Some((lack, true)),
             }

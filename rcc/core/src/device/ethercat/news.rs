@@ -1,4 +1,5 @@
-//! What a segment's driver reports, on its way from the driver thread to the log: values there, text here.
+//! What the driver of a segment reports: values out of the real-time thread, of which texts are made by who takes them. It
+//! does not decide when.
 
 use std::fmt;
 
@@ -7,6 +8,7 @@ use takt_ethercat::master::{Difference, EmergencyReport, Event};
 
 use super::arm::AxisNews;
 use super::io::Lack;
+use crate::device::driver::{Notice, Severity};
 use crate::device::drives::{self, JointNews};
 
 /// What is told of a segment.
@@ -24,6 +26,48 @@ pub(super) enum News {
     Axis(usize, u8, AxisNews),
     /// Of a joint of an arm, in their order.
     Joint(usize, usize, JointNews),
+}
+
+impl News {
+    /// In words, and how much it matters.
+    pub(super) fn notice(&self) -> Notice {
+        Notice {
+            severity: self.severity(),
+            text: self.to_string(),
+        }
+    }
+
+    const fn severity(&self) -> Severity {
+        match self {
+            Self::Event(event) => match event {
+                Event::Reached { .. }
+                | Event::Returned { .. }
+                | Event::RingClosed
+                | Event::ClockBack { .. }
+                | Event::Reference { .. } => Severity::Info,
+                Event::RingOpen { .. }
+                | Event::UnexpectedSlave { .. }
+                | Event::ClockLost { .. }
+                | Event::MailboxTooLong { .. } => Severity::Warning,
+                Event::Fault { .. }
+                | Event::CableCut { .. }
+                | Event::StartSplit { .. }
+                | Event::Unplaced { .. } => Severity::Error,
+                // Those that are not known here.
+                _ => Severity::Warning,
+            },
+            // Error code 0000h takes an emergency back.
+            Self::Emergency(report) if report.emergency.code == 0 => Severity::Info,
+            Self::AsExpected | Self::Axis(_, _, AxisNews::Proven(..)) => Severity::Info,
+            Self::Joint(_, _, JointNews::OutOfRange { .. }) => Severity::Warning,
+            Self::Emergency(_)
+            | Self::Difference(_)
+            | Self::TooLarge(_)
+            | Self::Lack(_)
+            | Self::Axis(_, _, AxisNews::Lack(_) | AxisNews::DriveFault(_))
+            | Self::Joint(_, _, JointNews::Runaway(_)) => Severity::Error,
+        }
+    }
 }
 
 impl fmt::Display for News {

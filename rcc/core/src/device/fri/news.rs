@@ -12,6 +12,8 @@ use takt_rt::Nanos;
 use takt_rt::latest::{LatestReader, LatestWriter, latest};
 use takt_rt::ring::{Consumer, Producer, ring};
 
+use crate::device::driver::Severity;
+
 /// Measurements after which the older of two observers is begun anew: verdicts are on one to two times as many.
 const WINDOW: u32 = 100;
 /// News that may wait to be read; more are lost.
@@ -51,6 +53,14 @@ impl News {
             },
             Self::Foreign(_) => 3,
             Self::Gone => 4,
+        }
+    }
+
+    /// How much it matters.
+    pub(super) const fn severity(&self) -> Severity {
+        match self {
+            Self::Quality { .. } | Self::Refused(_) | Self::Foreign(_) => Severity::Warning,
+            Self::Withheld(_) | Self::Gone => Severity::Error,
         }
     }
 

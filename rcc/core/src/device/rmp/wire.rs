@@ -7,6 +7,9 @@ use takt_can::Frame;
 use takt_can::link::{Link, Origin};
 use takt_can::linux::{Options, Serial, SocketCan};
 use takt_can::rmp::Channel;
+use takt_rt::interface::Medium;
+
+use crate::device::link_watch::{LinkErrors, LinkWatch};
 
 /// A way to one power base.
 #[derive(Debug)]
@@ -38,11 +41,31 @@ impl Wire {
         Ok(Self::Can(Box::new(SocketCan::open(name, &options)?)))
     }
 
-    /// Sends a frame; false if it could not be sent.
-    pub(super) fn send(&mut self, frame: &Frame) -> bool {
+    /// Watches whether it carries frames; a serial port is shown under its name.
+    pub(super) fn watch(&self, name: &str) -> LinkWatch {
         match self {
-            Self::Can(link) => link.send(&(*frame).into()).is_ok(),
-            Self::Usb(serial) => serial.send(frame).is_ok(),
+            Self::Can(link) => LinkWatch::new(name, link.interface(), Medium::Can),
+            Self::Usb(_) => LinkWatch::new(name, None, Medium::Serial),
+        }
+    }
+
+    /// Sends a frame; false if it could not be sent, which is noted.
+    pub(super) fn send(&mut self, frame: &Frame, errors: &LinkErrors) -> bool {
+        match self {
+            Self::Can(link) => match link.send(&(*frame).into()) {
+                Ok(()) => true,
+                Err(error) => {
+                    errors.note_can(error);
+                    false
+                }
+            },
+            Self::Usb(serial) => match serial.send(frame) {
+                Ok(_) => true,
+                Err(error) => {
+                    errors.note_io(&error);
+                    false
+                }
+            },
         }
     }
 
@@ -51,11 +74,15 @@ impl Wire {
     pub(super) fn receive(
         &mut self,
         timeout: Duration,
+        errors: &LinkErrors,
     ) -> Result<Option<(Channel, Frame, Duration)>, Gone> {
         match self {
             Self::Can(link) => Ok(link
                 .receive(timeout)
-                .map_err(|_| Gone)?
+                .map_err(|error| {
+                    errors.note_can(error);
+                    Gone
+                })?
                 .and_then(|received| {
                     let frame = received
                         .frame
@@ -63,7 +90,10 @@ impl Wire {
                         .filter(|_| received.origin != Origin::Own)?;
                     Some((Channel::A, *frame, received.at))
                 })),
-            Self::Usb(serial) => serial.receive(timeout).map_err(|_| Gone),
+            Self::Usb(serial) => serial.receive(timeout).map_err(|error| {
+                errors.note_io(&error);
+                Gone
+            }),
         }
     }
 }

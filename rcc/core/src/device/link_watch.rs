@@ -1,0 +1,233 @@
+//! Whether the interface under a driver carries frames: said once when it ceases to, and once when it does again. The
+//! real-time thread only counts what could not be sent; flags of interfaces are asked by who takes the driver's news.
+
+use std::io;
+use std::sync::atomic::{AtomicI32, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use takt_can::link::LinkError;
+use takt_rt::interface::{Interface, LinkFault, Medium};
+
+use super::driver::Notice;
+
+/// Time between two questions about an interface while nothing fails.
+const EVERY: Duration = Duration::from_millis(100);
+/// So long without a failed frame, a link works again.
+const QUIET: Duration = Duration::from_secs(1);
+
+/// Frames that could not be sent or asked for, counted in the real-time thread.
+#[derive(Debug, Default)]
+pub(super) struct LinkErrors {
+    count: AtomicU64,
+    errno: AtomicI32,
+}
+
+impl LinkErrors {
+    /// Notes an error number.
+    pub(super) fn note(&self, errno: i32) {
+        self.errno.store(errno, Ordering::Relaxed);
+        self.count.fetch_add(1, Ordering::Release);
+    }
+
+    /// Notes an error of a link of the system.
+    pub(super) fn note_io(&self, error: &io::Error) {
+        self.note(error.raw_os_error().unwrap_or(nix::libc::EIO));
+    }
+
+    /// Notes an error of a CAN link.
+    pub(super) fn note_can(&self, error: LinkError) {
+        self.note(match error {
+            LinkError::QueueFull => nix::libc::ENOBUFS,
+            LinkError::Down => nix::libc::ENETDOWN,
+            LinkError::Lost => nix::libc::ENODEV,
+            LinkError::Kind => nix::libc::EINVAL,
+            LinkError::Os(errno) => errno,
+            _ => nix::libc::EIO,
+        });
+    }
+}
+
+/// The link of a driver: an interface of this host, or something that has no state to ask for.
+#[derive(Debug)]
+pub(super) struct LinkWatch {
+    medium: Medium,
+    errors: Arc<LinkErrors>,
+    state: Mutex<State>,
+}
+
+#[derive(Debug)]
+struct State {
+    name: String,
+    interface: Option<Interface>,
+    asked: Option<Instant>,
+    /// Of the errors, and when they were more than before.
+    seen: u64,
+    failed: Option<Instant>,
+    /// What was said last.
+    fault: Option<LinkFault>,
+}
+
+impl State {
+    fn find(&mut self, interface: &str) {
+        interface.clone_into(&mut self.name);
+        self.interface = Interface::open(interface).ok();
+    }
+}
+
+impl LinkWatch {
+    /// Of a link at the interface of that name, if it is at one; errors are shown under `name` otherwise.
+    pub(super) fn new(name: &str, interface: Option<&str>, medium: Medium) -> Self {
+        let errors = Arc::<LinkErrors>::default();
+        let mut state = State {
+            name: name.to_owned(),
+            interface: None,
+            asked: None,
+            seen: 0,
+            failed: None,
+            fault: None,
+        };
+        if let Some(interface) = interface {
+            state.find(interface);
+        }
+        Self {
+            medium,
+            errors,
+            state: Mutex::new(state),
+        }
+    }
+
+    /// Names the interface of a link of which it was not known before.
+    pub(super) fn find(&self, interface: impl FnOnce() -> Option<String>) {
+        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        if state.interface.is_none()
+            && state.asked.is_none_or(|at| at.elapsed() >= EVERY)
+            && let Some(interface) = interface()
+        {
+            state.find(&interface);
+        }
+    }
+
+    /// Where the real-time thread counts.
+    pub(super) fn errors(&self) -> Arc<LinkErrors> {
+        Arc::clone(&self.errors)
+    }
+
+    /// Frames that could not be sent, or errors when one was to be received.
+    pub(super) fn failed(&self) -> u64 {
+        self.errors.count.load(Ordering::Relaxed)
+    }
+
+    /// What changed since it was asked last.
+    pub(super) fn poll(&self, now: Instant) -> Option<Notice> {
+        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        let count = self.errors.count.load(Ordering::Acquire);
+        let fails = count != state.seen;
+        let since = |at: Instant| now.saturating_duration_since(at);
+        if !fails && state.asked.is_some_and(|at| since(at) < EVERY) {
+            return None;
+        }
+        state.asked = Some(now);
+        state.seen = count;
+        if fails {
+            state.failed = Some(now);
+        }
+        let failed = state.failed.is_some_and(|at| since(at) < QUIET);
+        let fault = self.fault(&state, failed);
+        if fault == state.fault {
+            return None;
+        }
+        state.fault = fault;
+        Some(match fault {
+            Some(fault) => Notice::error(fault.on(&state.name, self.medium).to_string()),
+            None => Notice::info(format!("{}: the link works again", state.name)),
+        })
+    }
+
+    fn fault(&self, state: &State, failed: bool) -> Option<LinkFault> {
+        let of_errno =
+            failed.then(|| LinkFault::of_errno(self.errors.errno.load(Ordering::Relaxed)));
+        let Some(interface) = &state.interface else {
+            return of_errno;
+        };
+        interface.fault().or_else(|| match of_errno? {
+            // It is up by now.
+            LinkFault::Down => None,
+            LinkFault::Missing => Some(LinkFault::Replaced),
+            other @ (LinkFault::Replaced
+            | LinkFault::NoCarrier
+            | LinkFault::QueueFull
+            | LinkFault::Os(_)) => Some(other),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::driver::Severity;
+    use super::*;
+
+    fn said(watch: &LinkWatch, at: Instant) -> Option<(Severity, String)> {
+        let notice = watch.poll(at)?;
+        Some((notice.severity, notice.text))
+    }
+
+    #[test]
+    fn failed_frames_report_onset_and_end_once() {
+        let watch = LinkWatch::new("can0", None, Medium::Can);
+        let start = Instant::now();
+        assert_eq!(said(&watch, start), None);
+        let errors = watch.errors();
+        for ms in 0..50 {
+            errors.note_can(LinkError::QueueFull);
+            let said = said(&watch, start + Duration::from_millis(ms));
+            assert_eq!(said.is_some(), ms == 0);
+            let Some((severity, text)) = said else {
+                continue;
+            };
+            assert_eq!(severity, Severity::Error);
+            assert!(text.contains("No buffer space available"), "{text}");
+            assert!(text.contains("\nhint: "), "{text}");
+        }
+        assert_eq!(said(&watch, start + QUIET / 2), None);
+        let (severity, text) = said(&watch, start + QUIET * 2).unwrap();
+        assert_eq!(severity, Severity::Info);
+        assert_eq!(text, "can0: the link works again");
+        assert_eq!(said(&watch, start + QUIET * 3), None);
+        assert_eq!(watch.failed(), 50);
+    }
+
+    #[test]
+    fn another_link_error_is_reported_again() {
+        let watch = LinkWatch::new("can0", None, Medium::Can);
+        let now = Instant::now();
+        watch.errors().note_can(LinkError::QueueFull);
+        assert!(said(&watch, now).is_some());
+        watch.errors().note_can(LinkError::Down);
+        let (_, text) = said(&watch, now).unwrap();
+        assert!(text.contains("Network is down"), "{text}");
+        watch
+            .errors()
+            .note_io(&io::Error::from_raw_os_error(nix::libc::EIO));
+        let (_, text) = said(&watch, now).unwrap();
+        assert!(text.contains("Input/output error"), "{text}");
+    }
+
+    #[test]
+    fn missing_interface_is_reported_before_any_frame() {
+        let watch = LinkWatch::new("bus", Some("nowhere0"), Medium::Ethernet);
+        let (severity, text) = said(&watch, Instant::now()).unwrap();
+        assert_eq!(severity, Severity::Error);
+        assert!(text.starts_with("nowhere0: no such interface"), "{text}");
+        let watch = LinkWatch::new("bus", Some("lo"), Medium::Ethernet);
+        assert_eq!(said(&watch, Instant::now()), None);
+    }
+
+    #[test]
+    fn replaced_interface_is_named_as_such() {
+        let watch = LinkWatch::new("bus", Some("lo"), Medium::Ethernet);
+        watch.errors().note(nix::libc::ENXIO);
+        let (_, text) = said(&watch, Instant::now()).unwrap();
+        assert!(text.contains("removed and came back"), "{text}");
+    }
+}

@@ -1,0 +1,181 @@
+//! Drives that leave the profile, on both buses: with its quirk in the cell an arm is operational; without it the fault
+//! names the quirk.
+
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+
+use std::time::{Duration, Instant};
+
+use takt_can::bus::{Bus, Config};
+use takt_can::canopen::NodeId;
+use takt_can::canopen::emulator::{DriveNode, DriveNodeConfig};
+use takt_can::cia402::Quirk;
+use takt_can::cia402::emulator::Quirks;
+use takt_can::link::Link as _;
+use takt_can::linux::LivePort;
+use takt_core::CellConfig;
+use takt_core::device::canopen::Canopen;
+use takt_core::device::driver::{DeviceDriver, DeviceEnd, DriverEnds, Severity};
+use takt_core::device::ethercat::{Ethercat, Wire};
+use takt_core::device::{DeviceCommand, DeviceState, DeviceStatus};
+use takt_ethercat::emulator::{Segment, Server, ServoConfig, ServoDrive, SharedSegment};
+use takt_rt::latest::{LatestReader, latest};
+use takt_rt::servo::Estimate;
+use takt_tests::steady;
+
+/// Far longer than a drive takes to be enabled, or a fault to be seen.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// A drive that behaves so.
+fn behaviour(quirk: Quirk) -> Quirks {
+    let mut quirks = Quirks {
+        // A host without PREEMPT_RT misses set-points now and then.
+        missing_set_points: None,
+        ..Quirks::default()
+    };
+    match quirk {
+        Quirk::NoFollowBit => quirks.no_follow_bit = true,
+        Quirk::SodAs0020 => quirks.sod_as_0020 = true,
+        Quirk::ModeAfterEnable => quirks.mode_after_enable = true,
+    }
+    quirks
+}
+
+fn cell(bus: &str, drive: &str, quirks: &str) -> CellConfig {
+    let text = format!(
+        "[[{bus}]]\nname = 'bus'\ninterface = 'none'\n{drive}\nincrements_per_turn = 65536\n\
+         range = [-90, 90]\nvelocity_max = 10\nacceleration_max = 10\nquirks = [{quirks}]\n"
+    );
+    CellConfig::parse(&text).unwrap()
+}
+
+/// One device, and the state of it as nets read it.
+fn ends() -> (DriverEnds, LatestReader<DeviceState>) {
+    let (state, told) = latest(1, DeviceState::default);
+    let (_, command) = latest(1, DeviceCommand::default);
+    let end = DeviceEnd {
+        state,
+        command,
+        net_period: Duration::from_millis(4),
+    };
+    let ends = DriverEnds {
+        devices: vec![end],
+        clock: latest(1, Estimate::default).0,
+    };
+    (ends, told)
+}
+
+/// Drives the bus until the arm is operational, or an error names the quirk: whether it is operational.
+fn is_operational(
+    driver: Box<dyn DeviceDriver>,
+    mut state: LatestReader<DeviceState>,
+    quirk: Quirk,
+    mut turn: impl FnMut(),
+) -> bool {
+    let until = Instant::now() + PATIENCE;
+    let mut notices = Vec::new();
+    let result = loop {
+        assert!(Instant::now() < until, "{quirk:?}: {notices:#?}");
+        turn();
+        let mut status = DeviceStatus::Offline;
+        state.read_with(|state| status = state.status);
+        if status == DeviceStatus::Operational {
+            break true;
+        }
+        notices.extend(driver.news());
+        if let Some(last) = notices.last()
+            && last.text.contains(quirk.name())
+        {
+            assert_eq!(last.severity, Severity::Error, "{last:?}");
+            break false;
+        }
+    };
+    driver.ask_to_stop();
+    let stopping = Instant::now() + Duration::from_secs(1);
+    while Instant::now() < stopping {
+        turn();
+    }
+    driver.stop();
+    result
+}
+
+/// Each behaviour with its quirk and without.
+fn each(operational: impl Fn(Quirk, &str) -> bool) {
+    for quirk in Quirk::ALL {
+        let named = format!("'{}'", quirk.name());
+        assert!(operational(quirk, &named), "{quirk:?}");
+        assert!(!operational(quirk, ""), "{quirk:?}");
+    }
+}
+
+#[test]
+fn ethercat_drive_needs_its_quirk_in_the_cell() {
+    let drive = "[[ethercat.slave]]\nname = 'drive'\nposition = 0\naxes = 1\nsync0 = true\n\
+        [[ethercat.arm]]\nname = 'arm'\n[[ethercat.arm.joint]]\nslave = 'drive'";
+    steady(|| {
+        each(|quirk, quirks| {
+            let config = &cell("ethercat", drive, quirks).ethercat[0];
+            let mut servo = ServoConfig::default();
+            servo.axes[0].quirks = behaviour(quirk);
+            let (slave, _drive) = ServoDrive::slave(servo).unwrap();
+            let (near, far) = takt_ethercat::linux::cable();
+            let segment = SharedSegment::new(Segment::line([slave]));
+            let mut server = Server::new(segment, far);
+            let wire = Wire {
+                link: Box::new(near),
+                source: [2, 0, 0, 0, 0, 1],
+            };
+            let (ends, state) = ends();
+            let driver = Ethercat::start(config, wire, ends).unwrap();
+            is_operational(Box::new(driver), state, quirk, || {
+                let wait = Duration::from_micros(300);
+                server
+                    .turn(wait, &mut takt_ethercat::linux::monotonic)
+                    .unwrap();
+            })
+        });
+    });
+}
+
+#[test]
+fn canopen_drive_needs_its_quirk_in_the_cell() {
+    let drive = "cycle = '4ms'\n[[canopen.arm]]\nname = 'arm'\n[[canopen.arm.joint]]\nnode = 1";
+    steady(|| {
+        each(|quirk, quirks| {
+            let config = &cell("canopen", drive, quirks).canopen[0];
+            let mut node = DriveNodeConfig::new(NodeId::new(1).unwrap());
+            node.axes[0].quirks = behaviour(quirk);
+            let now = takt_can::linux::monotonic;
+            let mut drive = DriveNode::power_on(node, now()).unwrap();
+            let ours = LivePort::first_of(Bus::new(Config::default()));
+            let mut port = ours.attach();
+            let (ends, state) = ends();
+            let driver = Canopen::start(config, Box::new(ours), ends).unwrap();
+            is_operational(Box::new(driver), state, quirk, || {
+                let received = port.receive(Duration::from_micros(300)).unwrap();
+                if let Some(frame) = received.as_ref().and_then(|it| it.frame.classic()) {
+                    drive.handle_frame(frame, now());
+                }
+                while let Some(frame) = drive.poll_transmit(now()) {
+                    // What finds no room is lost, as on a bus.
+                    let _ = port.send(&frame.into());
+                }
+            })
+        });
+    });
+}
+
+#[test]
+fn unknown_quirk_is_refused_with_place_and_names() {
+    let text = "[[canopen]]\nname = 'bus'\ninterface = 'can0'\n[[canopen.arm]]\nname = 'arm'\n\
+        [[canopen.arm.joint]]\nnode = 1\nincrements_per_turn = 1\nrange = [0, 1]\nvelocity_max = 1\n\
+        acceleration_max = 1\nquirks = ['no_folow_bit']\n";
+    let error = CellConfig::parse(text).unwrap_err().to_string();
+    assert!(error.contains("line 12"), "{error}");
+    assert!(
+        error.contains("there is no quirk `no_folow_bit`"),
+        "{error}"
+    );
+    for quirk in Quirk::ALL {
+        assert!(error.contains(quirk.name()), "{error}");
+    }
+}
