@@ -5,7 +5,7 @@ use takt_core::cell::{ControllerConfig, DeviceConfig};
 use takt_core::{CellConfig, Controller};
 
 /// The difference of two cells.
-#[derive(Debug, Default, PartialEq, Eq)]
+#[derive(Debug, Default, PartialEq)]
 struct Changes {
     /// Names of devices that go, or change: those come anew.
     gone: Vec<String>,

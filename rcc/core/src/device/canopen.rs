@@ -184,7 +184,7 @@ impl News {
             Self::Runs(_) | Self::Proven(..) => Severity::Info,
             // Error code 0000h takes an emergency back.
             Self::Emergency(_, emergency, _) if emergency.code == 0 => Severity::Info,
-            Self::Trouble(_, Trouble::Garbled { .. } | Trouble::PdoShort { .. })
+            Self::Trouble(_, NodeFault::Garbled { .. } | NodeFault::PdoShort { .. })
             | Self::Joint(_, _, JointNews::OutOfRange { .. }) => Severity::Warning,
             Self::Trouble(..)
             | Self::Emergency(..)

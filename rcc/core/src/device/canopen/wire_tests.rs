@@ -35,6 +35,7 @@ fn config() -> CanopenConfig {
         acceleration_max: ACCELERATION,
         following_error_max: None,
         not_mirrored: Vec::new(),
+        quirks: Vec::new(),
     };
     CanopenConfig {
         name: "network".to_owned(),
@@ -50,6 +51,7 @@ fn config() -> CanopenConfig {
             name: "arm".to_owned(),
             model: String::new(),
             joints: vec![joint(1), joint(2)],
+            recovery: Recovery::default(),
         }],
     }
 }
@@ -124,6 +126,7 @@ impl Bench {
                 cycle: CYCLE,
                 started: false,
                 shared: Arc::default(),
+                errors: Arc::default(),
                 farewell: None,
             },
             near,

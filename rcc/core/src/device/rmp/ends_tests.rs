@@ -100,6 +100,7 @@ impl Bench {
                 state: driver_state,
                 command: driver_command,
                 shared: Arc::default(),
+                errors: vec![Arc::default()],
             },
             near,
             command,
