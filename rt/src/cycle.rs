@@ -91,8 +91,8 @@ impl Grid {
         }
     }
 
-    /// Moves the next slot towards the nearest instant at which the clock of `estimate` shows `n · period
-    /// + phase`, by 0.5 % of a period at most. Once aligned, slots follow that clock's rate. Only the last
+    /// Moves the next slot towards the nearest instant at which the clock of `estimate` shows
+    /// `n · period + phase`, by 0.5 % of a period at most. Once aligned, slots follow that clock's rate. Only the last
     /// call before a slot counts.
     pub fn steer(&mut self, estimate: &Estimate, phase: Nanos) {
         let error = estimate.phase_error(self.unsteered, self.period(), phase);

@@ -1,6 +1,5 @@
 //! `takt run` over interfaces that go down, lose their cable and come back: what its log says, and that it says it once.
 //! Each test is in a network namespace of its own; where nobody may make such, it notes that it was skipped.
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
 mod common;
 

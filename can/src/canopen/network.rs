@@ -324,7 +324,7 @@ impl Network {
                 }
             }
             Route::Tpdo(at, pdo) => {
-                self.with_member(at, |member| member.handle_tpdo(pdo.into(), data))
+                self.with_member(at, |member| member.handle_tpdo(pdo.into(), data));
             }
         }
     }

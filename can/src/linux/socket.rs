@@ -258,7 +258,7 @@ impl SocketCan {
         Some(Received {
             frame: stamped.frame?,
             at: match (self.clock, stamped.software) {
-                (Clock::Monotonic, Some(stamp)) => self.clocks.to_monotonic(stamp, read_clocks),
+                (Clock::Monotonic, Some(stamp)) => self.clocks.monotonic_of(stamp, read_clocks),
                 (Clock::Monotonic, None) => monotonic(),
                 (Clock::Wall, Some(stamp)) => Duration::from_nanos(stamp),
                 (Clock::Wall, None) => wall(),
@@ -307,7 +307,7 @@ impl Clocks {
     /// If the wall clock is set between stamp and reading, frames would seem to come from the future, or heartbeats
     /// from long ago; such stamps are clamped.
     #[inline]
-    fn to_monotonic(&mut self, stamp: u64, read: impl FnOnce() -> Self) -> Duration {
+    fn monotonic_of(&mut self, stamp: u64, read: impl FnOnce() -> Self) -> Duration {
         let near =
             self.wall.saturating_sub(STAMP_AGE_MAX)..=self.wall.saturating_add(READING_VALID);
         let mut latest = self.monotonic.saturating_add(READING_VALID);
@@ -418,13 +418,13 @@ mod tests {
 
     #[test]
     fn socket_wall_clock_step_does_not_shift_frames() {
-        let of = |stamp| ms(Clocks::default().to_monotonic(stamp, || clocks(5_000, AGE)));
+        let of = |stamp| ms(Clocks::default().monotonic_of(stamp, || clocks(5_000, AGE)));
         assert_eq!(of(AGE + 4_999 * MS), 4_999, "as it is");
         assert_eq!(of(AGE + 8_600_000 * MS), 5_000, "set back by hours");
         assert_eq!(of(AGE - 60_000 * MS), 4_900, "set on by minutes");
         assert_eq!(of(0), 4_900, "set on by years");
         assert_eq!(of(u64::MAX), 5_000);
-        let young = Clocks::default().to_monotonic(7 * MS, || clocks(20, 0));
+        let young = Clocks::default().monotonic_of(7 * MS, || clocks(20, 0));
         assert_eq!(ms(young), 7);
     }
 
@@ -442,7 +442,7 @@ mod tests {
             (1_016, 1_015, AGE, 1_015, false, "as it was"),
         ] {
             let mut was_read = false;
-            let found = last.to_monotonic(age + stamp * MS, || {
+            let found = last.monotonic_of(age + stamp * MS, || {
                 was_read = true;
                 clocks(now, age)
             });

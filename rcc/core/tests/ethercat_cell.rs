@@ -108,6 +108,7 @@ fn all_that_a_file_says_of_a_slave_reaches_the_master() {
 }
 
 #[test]
+#[expect(clippy::too_many_lines, reason = "a table of cells")]
 fn what_cannot_be_is_refused_with_its_slave() {
     let slave = |rest: &str| refused(&format!("[[ethercat.slave]]\nname = 'a'\n{rest}\n"));
     let io = |rest: &str| {

@@ -1,7 +1,7 @@
 //! Memory of unloaded nets goes back to the host though the process locks its memory. Alone in its process, as it
 //! measures all of it.
 
-#![expect(clippy::print_stderr, reason = "a figure for those who ask for it")]
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
 use std::fmt::Write as _;
 use std::sync::Arc;

@@ -157,7 +157,7 @@ fn heap_of(maps: &str) -> Option<(usize, usize)> {
     let lines = maps.lines().filter(|line| line.ends_with("[heap]"));
     let mut parts = lines.filter_map(range);
     let (start, first_end) = parts.next()?;
-    let end = parts.last().map_or(first_end, |(_, end)| end);
+    let end = parts.next_back().map_or(first_end, |(_, end)| end);
     Some((start, end.checked_sub(start)?))
 }
 

@@ -79,6 +79,7 @@ fn name(joint: usize) -> &'static str {
 }
 
 impl fmt::Display for ExitReason {
+    #[expect(clippy::too_many_lines, reason = "a table of texts")]
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
             Self::FriStop => write!(f, "friStop"),

@@ -161,10 +161,10 @@ impl Cabinet {
         let lacks = |value| ExitReason::Missing { value };
         match self.overlay.command {
             CommandMode::Wrench => {
-                finite(&data.wrench.ok_or_else(|| lacks(MissingValue::Wrench))?)?
+                finite(&data.wrench.ok_or_else(|| lacks(MissingValue::Wrench))?)?;
             }
             CommandMode::Torque => {
-                finite(&data.torque.ok_or_else(|| lacks(MissingValue::Torque))?)?
+                finite(&data.torque.ok_or_else(|| lacks(MissingValue::Torque))?)?;
             }
             CommandMode::CartesianPose => {
                 let placement = data.pose.and_then(|pose| pose.placement);
