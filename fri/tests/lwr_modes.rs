@@ -387,7 +387,7 @@ fn session_foreign_datagram_is_named() {
         .to_string();
     assert!(
         refused.starts_with(
-            "a command of FRI 1.0 (LWR), expected a measurement of FRI 1.0 (LWR): a client talks"
+            "a command of FRI 1.0 (LWR), expected a measurement of FRI 1.0 (LWR): a client sends"
         ),
         "{refused}"
     );

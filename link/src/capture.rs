@@ -98,7 +98,7 @@ pub enum CaptureError {
     Short(usize),
     /// The file has another format.
     #[error(
-        "not a recording: a pcap or pcapng file does not begin with {0:08X}h\nhint: `tshark -r FILE -w OTHER.pcapng` converts cause Wireshark reads"
+        "not a recording: a pcap or pcapng file does not begin with {0:08X}h\nhint: `tshark -r FILE -w OTHER.pcapng` converts what Wireshark reads"
     )]
     Unknown(u32),
     /// The file is compressed.

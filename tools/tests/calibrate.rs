@@ -42,7 +42,7 @@ fn a_net_that_costs_too_much_is_told_why() {
     let told = complaint(&output);
     for part in [
         "costs up to 900.48",
-        "may cost 800µs of its period of 1ms",
+        "the limit is 800µs of its period of 1ms",
         "1 `Core::DoubleAdd` 100 %",
         "takt net calibrate",
         "primitives that do not exist: Core::Gone",

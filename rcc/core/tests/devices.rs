@@ -182,7 +182,7 @@ fn a_net_that_cannot_fit_its_period_is_refused_with_the_figure() {
     let rejection = controller.net(id).unwrap().rejection.unwrap().to_string();
     for told in [
         "costs up to 1.20044ms",
-        "may cost 800µs of its period of 1ms",
+        "the limit is 800µs of its period of 1ms",
         "the heaviest are 30000 `Core::DoubleAdd` 100 %",
         "`takt net calibrate`",
     ] {

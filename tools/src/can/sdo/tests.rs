@@ -113,7 +113,7 @@ fn entries_are_written_and_refusals_told() {
             "does not fit UNSIGNED16",
         ),
         (&["download", "5FFF", "1"], "give it by --type"),
-        (&["upload", "nonsense!"], "is no object"),
+        (&["upload", "nonsense!"], "is not an object"),
     ] {
         let error = perform(&mut lab, node(5), &what(words), None).unwrap_err();
         assert!(format!("{error:#}").contains(why), "{error:#}");

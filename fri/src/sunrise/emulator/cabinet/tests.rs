@@ -236,7 +236,7 @@ fn cabinet_other_framing_is_rejected_by_name() {
     assert_eq!(
         refused.to_string(),
         "a command message of Sunrise FRI 2.7 (3.0), expected a command message of Sunrise FRI 1.x or 2.0 to 2.5: the \
-         the other robot generation uses this port: check the device kind and the controller's target port"
+         other robot generation uses this port: check the device kind and the controller's target port"
     );
     let mut cmd = [0; crate::lwr::wire::Cmd::LEN];
     crate::lwr::wire::Cmd::default().encode(&mut cmd).unwrap();

@@ -377,7 +377,7 @@ fn primitives_describe_themselves() {
         &clock,
         &[
             r#"<module name="Core::Clock""#,
-            r#"null="While inIncrement is null or not finite the clock stands"#,
+            r#"null="While inIncrement is null or not finite, the clock stops"#,
             r#"src/primitives/time.rs" firstns="200" ns="40" elementns="10">"#,
             r#"<outport name="outValue" type="Core::double">"#,
             r#"<parameter name="Increment" type="Core::double" default="1">"#,
