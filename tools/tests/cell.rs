@@ -238,7 +238,10 @@ fn environment_that_is_not_there_is_named() {
         .unwrap();
     let nobody = nobody.to_string();
     let cases: [(&[&str], &str); 4] = [
-        (&["net", "list", "--server", &nobody], "hint: start the controller with `takt run`"),
+        (
+            &["net", "list", "--server", &nobody],
+            "hint: start the controller with `takt run`",
+        ),
         (&["net", "check", "/nowhere.net"], "/nowhere.net"),
         (&["demo", "--replay", "/nowhere.mcap"], "/nowhere.mcap"),
         (&["demo", "--duration", "5"], "unit"),

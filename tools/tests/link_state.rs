@@ -2,26 +2,11 @@
 //! Each test is in a network namespace of its own; where nobody may make such, it notes that it was skipped.
 
 mod common;
-
-use std::process::Command;
+#[path = "common/network.rs"]
+mod network;
 
 use common::{Folder, Process, complaint, run};
-use nix::sched::{CloneFlags, unshare};
-
-/// A net of an interface's own, for the calling thread and all that it starts. `None` if that cannot be, which is noted.
-fn network(test: &str, needs: &str, commands: &[&str]) -> Option<()> {
-    let made = unshare(CloneFlags::CLONE_NEWNET).is_ok();
-    if made && commands.iter().all(|command| ip(command)) {
-        return Some(());
-    }
-    takt_tests::skip(test, needs);
-    None
-}
-
-fn ip(arguments: &str) -> bool {
-    let status = Command::new("ip").args(arguments.split(' ')).status();
-    status.is_ok_and(|status| status.success())
-}
+use network::{ip, network};
 
 /// A controller of a cell, which logs as a service does.
 fn controller(folder: &Folder, cell: &str) -> Process {
