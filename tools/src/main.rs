@@ -10,6 +10,7 @@ mod ecat;
 mod emulate;
 mod fri;
 mod jitter;
+mod jog;
 mod link;
 mod manual;
 mod net;

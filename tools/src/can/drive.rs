@@ -25,7 +25,8 @@ use session::{Jog, Plan, Session, Step};
 ///
 /// Everything goes by SDO, so nothing needs to be mapped. The drive is brought to Operation enabled, held there, and
 /// switched off again. It watches the heartbeat of this program meanwhile (1016h), so that it stops by 6007h if that
-/// ends. Ctrl-C brakes (quick stop). Exit status: 0 it came up and went down as it should; 1 it did not, with the
+/// ends. A jog faster than 607Fh or 6080h allows is refused; a motor that runs away loses power at once. Ctrl-C brakes
+/// (quick stop). Exit status: 0 it came up and went down as it should; 1 it did not, with the
 /// reason; 2 it could not be tried.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:

@@ -15,12 +15,15 @@ use clap::Args;
 use takt_cia402::dictionary::Address;
 use takt_cia402::emulator::FaultCode;
 use takt_cia402::proof::{Object, Objects};
-use takt_cia402::{ControlWord, DriveFault, Goal, Patience, Quirk, State, StatusWord};
+use takt_cia402::{
+    ControlWord, DriveFault, Goal, Monitor, Patience, Quirk, Runaway, State, StatusWord,
+};
 use takt_ethercat::AlState;
 use takt_ethercat::axis::{Axis, AxisState, Target};
 
 use super::Target as Segment;
 use super::session::{Session, Wire};
+use crate::jog::{Limits, Speed};
 use crate::output::{say, span};
 use crate::{Verdict, confirm};
 use way::Way;
@@ -29,7 +32,8 @@ use way::Way;
 ///
 /// The segment is brought to OP, the axis to Operation enabled in cyclic synchronous position (CSP), held there or
 /// moved, and switched off again; then all slaves are left in INIT. Before it gets power, what PDOs carry is compared
-/// with SDO uploads in both directions; a drive that does not use the mapping it acknowledged gets none. Ctrl-C brakes
+/// with SDO uploads in both directions; a drive that does not use the mapping it acknowledged gets none. A jog faster
+/// than 607Fh or 6080h allows is refused; a motor that runs away from its set-points loses power at once. Ctrl-C brakes
 /// first. Exit status: 0 it came up and did as asked; 1 it did not, with the reason; 2 it could not be tried.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
@@ -163,6 +167,26 @@ pub(super) struct Order {
     not_mirrored: Objects,
 }
 
+impl Order {
+    /// Largest speed of its jog, increments/s.
+    fn speed(&self) -> f64 {
+        self.jog
+            .map_or(0.0, |(increments, time)| Way::new(increments, time).speed())
+    }
+}
+
+/// That the jog is faster than the drive allows, and how it is slow enough.
+fn too_fast(limits: &Limits, order: &Order) -> Option<String> {
+    let (_, time) = order.jog?;
+    let error = limits.check(Speed::Increments(order.speed())).err()?;
+    let longer = time.as_secs_f64().max(0.01) * order.speed() / error.allowed;
+    let seconds = (longer * 10.0).ceil() / 10.0;
+    Some(format!(
+        "axis {}: {error}\n      hint: give it more time (--for {seconds:.1}s) or fewer increments",
+        order.axis
+    ))
+}
+
 /// What came of it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Outcome {
@@ -215,6 +239,10 @@ pub(super) fn perform<W: Wire>(
         Ok(config) => config,
         Err(why) => return Ok(Outcome::Slave(why)),
     };
+    let limits = setup::limits(session, order)?;
+    if let Some(why) = too_fast(&limits, order) {
+        return Ok(Outcome::Axis(why));
+    }
     session.restart(config)?;
     if order.sync0 {
         session.follow_sync0();
@@ -232,6 +260,12 @@ pub(super) fn perform<W: Wire>(
         Ok(axis) => axis.not_mirrored(order.not_mirrored),
         Err(missing) => return Ok(Outcome::Slave(missing.to_string())),
     };
+    let bounds = limits.monitor(Speed::Increments(order.speed()), order.cycle);
+    if order.jog.is_some() {
+        for note in limits.notes() {
+            tell(&format!("            {note}"))?;
+        }
+    }
     let begin = session.now()?;
     let mut bench = Bench {
         session,
@@ -242,6 +276,9 @@ pub(super) fn perform<W: Wire>(
         begin,
         told: None,
         proven: None,
+        monitor: Monitor::new(bounds),
+        held: None,
+        runaway: None,
     };
     let outcome = bench.run()?;
     bench.switch_off()?;
@@ -260,6 +297,12 @@ struct Bench<'a, W: Wire> {
     told: Option<(ControlWord, StatusWord)>,
     /// How long the proof of its process data took.
     proven: Option<Duration>,
+    /// Whether its motor follows its target.
+    monitor: Monitor,
+    /// Where it is held, increments.
+    held: Option<i32>,
+    /// It ran away; its power is taken.
+    runaway: Option<Runaway>,
 }
 
 impl<W: Wire> Bench<'_, W> {
@@ -272,6 +315,7 @@ impl<W: Wire> Bench<'_, W> {
             let _ = self.axis.handle_reply(reply, now);
         }
         let state = self.axis.cycle(self.session.master_mut(), target, now);
+        self.supervise(&state, target, now);
         self.tell_proof()?;
         let words = (state.control, state.status);
         if self.told != Some(words) {
@@ -285,6 +329,30 @@ impl<W: Wire> Bench<'_, W> {
             (self.tell)(&format!("            6040h {}", state.control))?;
         }
         Ok(state)
+    }
+
+    /// Whether its motor goes where it is commanded; takes its power if not.
+    fn supervise(&mut self, state: &AxisState, target: Target, now: Duration) {
+        let wanted = match target {
+            Target::Position(position) => Some(position),
+            Target::Hold | Target::Velocity(_) | Target::Torque(_) | Target::Home => {
+                self.held.or(Some(state.position))
+            }
+        };
+        let is_led = state.online && state.follows && self.runaway.is_none();
+        let wanted = wanted.filter(|_| is_led);
+        self.held = wanted;
+        if let Some(runaway) = self.monitor.step(wanted, state.position, now) {
+            self.runaway = Some(runaway);
+            self.axis.set_goal(Goal::SwitchOnDisabled);
+        }
+    }
+
+    /// That it ran away, if it did.
+    fn ran_away(&self) -> Option<Outcome> {
+        let runaway = self.runaway?;
+        let why = runaway.to_string().replace("\nhint", "\n      hint");
+        Some(Outcome::Axis(format!("axis {}: {why}", self.order.axis)))
     }
 
     /// That its process data are proven, once.
@@ -355,6 +423,9 @@ impl<W: Wire> Bench<'_, W> {
         let end = self.session.now()? + self.order.hold;
         while self.session.now()? < end {
             let state = self.cycle(Target::Hold)?;
+            if let Some(outcome) = self.ran_away() {
+                return Ok(outcome);
+            }
             if self.is_stopped() {
                 return Ok(Outcome::Stopped);
             }
@@ -380,6 +451,9 @@ impl<W: Wire> Bench<'_, W> {
             }
             let target = start.wrapping_add(way.at(now));
             let state = self.cycle(Target::Position(target))?;
+            if let Some(outcome) = self.ran_away() {
+                return Ok(outcome);
+            }
             if !state.follows {
                 return self.failure(&state);
             }
@@ -423,6 +497,10 @@ impl<W: Wire> Bench<'_, W> {
                 None => "its slave is gone".to_owned(),
             },
             (true, Some(drive_fault), _) => drive_fault.to_string(),
+            (true, None, Some(State::OperationEnabled)) => format!(
+                "it is enabled and no longer follows its set-points: 6041h {}, 6061h is not 8, or bit 12 is 0\n{NOT_FOLLOWED}",
+                state.status
+            ),
             (true, None, Some(shown)) => format!("it left Operation enabled: {shown}"),
             (true, None, None) => format!("its statusword {} shows no state", state.status),
         };
@@ -460,6 +538,10 @@ const SETTLE: Duration = Duration::from_millis(200);
 /// What keeps a motor of an enabled drive from turning.
 const NOT_MOVED: &str = "      hint: look at its brake and load, at 6072h and 6080h (torque and speed that it may use), and at \
     the gear and encoder factors (608Fh, 6091h)";
+
+/// What makes an enabled drive leave its mode.
+const NOT_FOLLOWED: &str = "      hint: look for another master or a service tool at the drive; if there is none, it may use \
+    another mapping than it acknowledged: power-cycle it";
 
 /// Whether an axis went at least half of what it was to go, and in that direction.
 fn has_moved(moved: i32, wanted: i32) -> bool {

@@ -176,13 +176,11 @@ impl Shift {
                 .map(|joints| joints[usize::from(self.joint - 1)])
         };
         let (from, to) = (moved(&before), moved(&watched.live.seen()));
-        let moved = from
-            .zip(to)
-            .map_or(0.0, |(from, to)| (to - from).to_degrees());
-        say(&format!(
-            "{name} is there: {:.2} deg were asked for, {moved:.2} deg are measured",
-            self.by.to_degrees()
-        ))?;
+        let moved = from.zip(to).map_or(0.0, |(from, to)| to - from);
+        match arrived(name, self.by, moved) {
+            Ok(text) => say(&text)?,
+            Err(why) => return Ok(Err(why)),
+        }
         Ok(Ok(()))
     }
 
@@ -343,6 +341,20 @@ fn ended(stage: Stage, why: Why, seen: &Seen) -> Result<(), String> {
     }
 }
 
+/// That the joint is there, or did not go at least half of the way in its direction; both rad.
+fn arrived(name: &str, by: f64, moved: f64) -> Result<String, String> {
+    let (asked, measured) = (by.to_degrees(), moved.to_degrees());
+    if moved * by.signum() * 2.0 < by.abs() {
+        return Err(format!(
+            "{name} did not move as commanded: {asked:.2} deg were asked for, {measured:.2} deg are measured\n\
+             hint: look at its brake, at contact with its surroundings, and at the override and messages of the controller"
+        ));
+    }
+    Ok(format!(
+        "{name} is there: {asked:.2} deg were asked for, {measured:.2} deg are measured"
+    ))
+}
+
 /// Gives the arm time to be where it was told to be.
 fn rest(watched: &mut Watched) {
     let until = Instant::now() + REST;
@@ -389,6 +401,20 @@ mod tests {
         let (name, _) = told(Version::Sunrise(None), 3, -2.0).unwrap();
         assert_eq!(name, "A3");
         assert!(told(Version::Lwr, 2, 1.0).is_ok());
+    }
+
+    #[test]
+    fn shift_of_a_joint_at_rest_fails() {
+        for (by, moved) in [(0.1, 0.0), (0.1, 0.04), (-0.1, 0.1), (-0.1, -0.001)] {
+            let told = arrived("A4", by, moved).unwrap_err();
+            assert!(told.starts_with("A4 did not move as commanded: "), "{told}");
+            assert!(told.contains("\nhint: "), "{told}");
+        }
+        let told = arrived("A4", -0.1, -0.099).unwrap();
+        assert_eq!(
+            told,
+            "A4 is there: -5.73 deg were asked for, -5.67 deg are measured"
+        );
     }
 
     #[test]

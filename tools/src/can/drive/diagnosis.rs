@@ -4,12 +4,13 @@
 use std::fmt;
 
 use takt_can::canopen::{Message, NmtState, NodeId};
-use takt_cia402::{DriveFault, State};
+use takt_cia402::{DriveFault, Runaway, State};
 
 use crate::can::ask::Refusal;
+use crate::jog::TooFast;
 
 /// A cause.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Cause {
     /// It does not answer.
     Silent(Refusal),
@@ -37,10 +38,14 @@ pub(super) enum Cause {
     Unguarded(Refusal),
     /// It would go on if the heartbeat ended: 6007h is 0.
     NoReaction,
+    /// The jog is faster than 607Fh or 6080h allows.
+    TooFast(TooFast),
+    /// Its motor is not where its velocity can have brought it, or too fast.
+    Runaway(Runaway),
 }
 
 /// A cause with what is known about it.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(super) struct Diagnosis {
     pub(super) node: NodeId,
     pub(super) cause: Cause,
@@ -77,6 +82,8 @@ impl Cause {
             Self::DoesNotStop { .. } => "does-not-stop",
             Self::Unguarded(_) => "unguarded",
             Self::NoReaction => "no-reaction",
+            Self::TooFast(_) => "too-fast",
+            Self::Runaway(_) => "runaway",
         }
     }
 }
@@ -135,6 +142,8 @@ impl fmt::Display for Diagnosis {
                 "the drive cannot watch the heartbeat of this program ({refusal}), so it would go on turning without \
                  it; with somebody at the emergency stop, say --unguarded"
             ),
+            Cause::TooFast(error) => write!(f, "{error}\nhint: --jog {:.0} at most", error.allowed.floor()),
+            Cause::Runaway(runaway) => runaway.fmt(f),
             Cause::NoReaction => f.write_str(
                 "6007h is 0: the drive would go on turning if this program ended; set it to 1, 2 or 3, or, with \
                  somebody at the emergency stop, say --unguarded",

@@ -13,13 +13,16 @@ use std::time::Duration;
 use takt_can::Frame;
 use takt_can::canopen::{HEARTBEAT, NmtCommand, NmtState, NodeId, heartbeat};
 use takt_cia402::dictionary::Address;
-use takt_cia402::{ControlWord, DriveFault, Goal, Master, Patience, StatusWord};
+use takt_cia402::{
+    ControlWord, DriveFault, Goal, Master, Monitor, Patience, RunawayLimits, StatusWord,
+};
 
 use super::diagnosis::{Cause, Diagnosis};
 use super::facts::facts;
 use super::overheard::Overheard;
 use crate::can::ask::{Asker, PATIENCE, Refusal, number};
 use crate::can::wire::Wire;
+use crate::jog::{Limits, Speed};
 
 /// Time from one look at the drive to the next.
 const CYCLE: Duration = Duration::from_millis(10);
@@ -88,6 +91,9 @@ pub(super) struct Report {
     /// Somebody asked to end.
     pub(super) stopped: bool,
     pub(super) commanded: bool,
+    pub(super) jogged: bool,
+    /// Limits that the speed of a jog was not compared with, and why.
+    pub(super) notes: Vec<String>,
 }
 
 /// Why a session does not go on as planned.
@@ -132,10 +138,18 @@ pub(super) struct Session<'s, W> {
     enabled: bool,
     /// It was told to turn, and not seen at rest since.
     moving: bool,
+    /// Its jog is over, and it is to come to rest.
+    stopping: bool,
     /// It is being switched off.
     leaving: bool,
     /// 607Ah as it was written.
     aligned: Option<i32>,
+    /// What the drive allows.
+    limits: Limits,
+    /// Whether the motor is where its velocity can have brought it.
+    monitor: Monitor,
+    /// Where the monitored motion began, 6064h, and when; `None` while it is not monitored.
+    origin: Option<(i32, Duration)>,
 }
 
 impl<'s, W: Wire> Session<'s, W> {
@@ -156,8 +170,15 @@ impl<'s, W: Wire> Session<'s, W> {
             resetting: false,
             enabled: false,
             moving: false,
+            stopping: false,
             leaving: false,
             aligned: None,
+            limits: Limits::default(),
+            monitor: Monitor::new(RunawayLimits {
+                following: f64::INFINITY,
+                speed: f64::INFINITY,
+            }),
+            origin: None,
         }
     }
 
@@ -183,7 +204,12 @@ impl<'s, W: Wire> Session<'s, W> {
     /// All of it.
     pub(super) fn run(mut self) -> anyhow::Result<Report> {
         let done = self.look().and_then(|()| self.lead());
-        if done.is_err() && self.moving {
+        if matches!(done, Err(End::Because(Cause::Runaway(_)))) {
+            // It does not do what it is told, so nothing is left but to take its power.
+            self.moving = false;
+            self.enabled = false;
+            let _ = self.order(ControlWord::DISABLE_VOLTAGE);
+        } else if done.is_err() && self.moving {
             // First of all. If that fails too, the drive stops by 6007h.
             let _ = self.order(ControlWord::QUICK_STOP);
         }
@@ -214,6 +240,8 @@ impl<'s, W: Wire> Session<'s, W> {
             diagnosis,
             stopped,
             commanded,
+            jogged: self.plan.jog.is_some(),
+            notes: self.limits.notes().to_vec(),
         })
     }
 
@@ -237,6 +265,8 @@ impl<'s, W: Wire> Session<'s, W> {
             | Cause::Refused(_)
             | Cause::Overwritten { .. }
             | Cause::Unguarded(_)
+            | Cause::TooFast(_)
+            | Cause::Runaway(_)
             | Cause::NoReaction => None,
         };
         let axis = self.plan.axis;
@@ -292,6 +322,7 @@ impl<'s, W: Wire> Session<'s, W> {
     }
 
     fn lead(&mut self) -> Go<()> {
+        self.check_limits()?;
         self.guard()?;
         self.start()?;
         self.master.set_mode(self.plan.mode);
@@ -300,6 +331,24 @@ impl<'s, W: Wire> Session<'s, W> {
         match self.plan.jog {
             None => self.hold(self.plan.hold),
             Some(jog) => self.jog(jog),
+        }
+    }
+
+    /// Whether the drive allows the speed of the jog; before it gets power.
+    fn check_limits(&mut self) -> Go<()> {
+        let (wire, asker) = (&mut self.wire, &mut self.asker);
+        self.limits = Limits::read(self.plan.axis, |address| -> Go<Option<u32>> {
+            match asker.read(wire, address, false)? {
+                Ok(bytes) => Ok(number(&bytes)),
+                Err(refusal) if refusal.is_silence() => Err(End::Because(Cause::Silent(refusal))),
+                Err(_) => Ok(None),
+            }
+        })?;
+        let speed = Speed::Units(self.plan.jog.map_or(0.0, |jog| jog.velocity.into()));
+        self.monitor = Monitor::new(self.limits.monitor(speed, CYCLE));
+        match self.limits.check(speed) {
+            Ok(()) => Ok(()),
+            Err(error) => Err(End::Because(Cause::TooFast(error))),
         }
     }
 

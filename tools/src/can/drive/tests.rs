@@ -501,6 +501,56 @@ fn a_motor_that_does_not_turn() {
 }
 
 #[test]
+fn jog_above_607f_or_6080h_is_refused() {
+    let mut lab = lab();
+    let (cause, text) = diagnosed(&mut lab, jog(-200_001, 500));
+    assert_eq!(cause.name(), "too-fast", "{text}");
+    assert!(
+        text.contains("200001 velocity units requested, 607Fh (max profile velocity) allows 200000\nhint: --jog 200000"),
+        "{text}"
+    );
+    let mut asker = Asker::new(node(5), PATIENCE);
+    let rpm = asker.write(&mut lab, Address::new(0x6080, 0), &[60, 0, 0, 0], false);
+    rpm.unwrap().unwrap();
+    lab.sent.clear();
+    let (cause, text) = diagnosed(&mut lab, jog(4100, 500));
+    assert_eq!(cause.name(), "too-fast", "{text}");
+    assert!(
+        text.contains("6080h (max motor speed) allows 4096"),
+        "{text}"
+    );
+    // It was not even enabled.
+    let is_download = |(_, frame): &(Duration, Frame)| {
+        matches!(Message::decode(frame), Message::SdoRequest(_, message)
+            if !matches!(Request::decode(&message), Some(Request::Upload { .. })))
+    };
+    assert_eq!(lab.sent.iter().filter(|sent| is_download(sent)).count(), 0);
+}
+
+/// A drive whose 60FFh changes by itself while it turns: it loses power while it is not far yet.
+fn runs_away(velocity: i32) -> String {
+    let mut lab = lab();
+    lab.at(600, move |devices| {
+        let target = Address::new(0x60FF, 0);
+        let store = drive(devices, 0).dictionary_mut();
+        store.store(target, &velocity.to_le_bytes()).unwrap();
+    });
+    let (cause, text) = diagnosed(&mut lab, jog(20_000, 5000));
+    assert_eq!(cause.name(), "runaway", "{text}");
+    assert!(text.contains("its power was taken\nhint: "), "{text}");
+    let turns = axis(&mut lab.devices).motor().position / std::f64::consts::TAU;
+    // Of some half a second at full speed before its power went, and coasting.
+    assert!(turns.abs() < 60.0, "{turns}");
+    text
+}
+
+#[test]
+fn jog_of_a_drive_that_runs_away_loses_power() {
+    runs_away(190_000);
+    runs_away(-40_000);
+}
+
+#[test]
 fn a_fault_while_it_turns() {
     let mut lab = lab();
     lab.at(1000, |devices| axis(devices).fault(FaultCode::OVER_VOLTAGE));
@@ -581,7 +631,7 @@ fn a_load_that_drives_the_motor() {
         },
         ..DriveConfig::default()
     });
-    lab.at(600, |devices| {
+    lab.at(680, |devices| {
         axis(devices).motor_mut().external = 3.0;
     });
     let report = run(&mut lab, jog(20_000, 500));

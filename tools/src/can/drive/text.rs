@@ -32,6 +32,15 @@ pub(super) fn step(step: &Step) -> String {
 
 /// What came of it.
 pub(super) fn verdict(report: &Report) -> String {
+    let mut text = String::new();
+    // Nobody needs them who turned nothing.
+    for note in report.notes.iter().filter(|_| report.jogged) {
+        let _ = writeln!(text, "note: {note}");
+    }
+    text + &judgement(report)
+}
+
+fn judgement(report: &Report) -> String {
     let who = format!("node {} axis {}", report.node, report.axis);
     let Some(diagnosis) = &report.diagnosis else {
         let last = report.steps.last();
@@ -69,7 +78,7 @@ pub(super) fn json(report: &Report) -> Value {
     });
     json!({
         "version": 1, "node": report.node.raw(), "axis": report.axis, "enabled": report.was_enabled(),
-        "stopped": report.stopped, "steps": steps.collect::<Vec<_>>(), "diagnosis": diagnosis,
+        "stopped": report.stopped, "notes": report.notes, "steps": steps.collect::<Vec<_>>(), "diagnosis": diagnosis,
     })
 }
 

@@ -315,16 +315,22 @@ impl<'p, P: Port> Session<'p, P> {
             .velocity
             .iter()
             .fold(0.0, |most: f64, rate| most.max(rate.abs()));
-        let mut moved = begun;
+        let (mut moved, mut fastest) = (begun, 0.0_f64);
         while self.port.now() < begun + jog.time && !self.port.is_stopped() && self.follows() {
             self.turn(Some(jog.velocity), show)?;
+            fastest = fastest.max(self.speed());
             if self.speed() > wanted / 20.0 {
                 moved = self.port.now();
             }
             if wanted > STANDS && self.port.now() > moved + MOVES {
                 self.findings.push(Finding::Stands);
-                break;
+                return Ok(());
             }
+        }
+        // A jog too short to wait for it is judged at its end.
+        let is_whole = self.follows() && !self.port.is_stopped();
+        if is_whole && wanted > STANDS && fastest <= wanted / 20.0 {
+            self.findings.push(Finding::Stands);
         }
         Ok(())
     }

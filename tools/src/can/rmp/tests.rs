@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use takt_can::Frame;
 use takt_can::rmp::emulator::PowerbaseConfig;
-use takt_can::rmp::{Command, Config, Gain, Mode, Model};
+use takt_can::rmp::{Base, Command, Config, DriverConfig, Gain, Mode, Model};
 
 use super::session::{Finding, Jog, Plan, Report, Session};
 use super::{Configs, configs, text, velocity};
@@ -231,6 +231,29 @@ fn another_host_that_commands_it() {
     }
     let report = run(&mut lab, look());
     assert_eq!(report.findings, [Finding::Stranger(20)]);
+}
+
+#[test]
+fn rmp_short_jog_without_motion_fails() {
+    let mut lab = lab();
+    lab.rmp(0).faults.keeps_scale = true;
+    lab.rmp(0).store_scale(0);
+    let report = run(&mut lab, jog([0.3, 0.0], 800));
+    assert_eq!(report.findings, [Finding::Stands]);
+}
+
+#[test]
+fn rmp_largest_jog_is_within_every_model() {
+    for model in Model::ALL {
+        let config = DriverConfig {
+            model,
+            ..DriverConfig::default()
+        };
+        let base = Base::new(config, 1.0, 1.0);
+        let largest = [super::SPEED_MAX, super::ROTATION_MAX];
+        assert!(base.reach(largest) >= 1.0, "{}", model.name());
+        assert!(base.reach([3.6, 0.0]) < 1.0, "{}", model.name());
+    }
 }
 
 /// It keeps the scale that it has stored, which is none.

@@ -9,6 +9,7 @@ use takt_ethercat::master::JobKind;
 
 use super::{Order, error_text};
 use crate::ecat::session::{Session, Wire};
+use crate::jog::Limits;
 
 /// Reads an entry; `None` if the drive has it not or does not answer.
 fn upload<W: Wire>(
@@ -36,6 +37,23 @@ fn axes<W: Wire>(session: &mut Session<W>, slave: usize) -> anyhow::Result<u8> {
         }
     }
     Ok(8)
+}
+
+/// A number of up to four bytes.
+fn number(bytes: &[u8]) -> u32 {
+    let mut four = [0; 4];
+    for (to, from) in four.iter_mut().zip(bytes) {
+        *to = *from;
+    }
+    u32::from_le_bytes(four)
+}
+
+/// What the axis shows of its limits.
+pub(super) fn limits<W: Wire>(session: &mut Session<W>, order: &Order) -> anyhow::Result<Limits> {
+    Limits::read(order.axis, |address| {
+        let bytes = upload(session, order.slave, address)?;
+        Ok(bytes.as_deref().map(number))
+    })
 }
 
 /// How the segment is to be brought up for an axis, from what is known of it in PRE-OP; or why it cannot be.
@@ -115,13 +133,7 @@ pub(super) fn reasons<W: Wire>(
             return Ok(None);
         };
         let bytes = upload(session, order.slave, address)?;
-        Ok(bytes.map(|bytes| {
-            let mut four = [0; 4];
-            for (to, from) in four.iter_mut().zip(bytes) {
-                *to = from;
-            }
-            u32::from_le_bytes(four)
-        }))
+        Ok(bytes.as_deref().map(number))
     };
     let code = match state.error_code {
         Some(code) => Some(code),

@@ -3,7 +3,8 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use takt_cia402::emulator::{Distortion, FaultCode};
+use takt_cia402::State;
+use takt_cia402::emulator::{Distortion, Drive, FaultCode};
 use takt_cia402::proof::Objects;
 use takt_ethercat::AlState;
 use takt_ethercat::emulator::{Coupler, Segment, ServoConfig, ServoDrive};
@@ -34,12 +35,23 @@ fn order() -> Order {
 
 /// What came of it, and what was told meanwhile; stopped when a line with `stop_at` was told.
 fn done(segment: Segment, order: &Order, stop_at: Option<&str>) -> (Outcome, Vec<String>) {
-    let mut session = up(segment, AlState::PreOp);
-    let (stop, mut lines) = (AtomicBool::new(false), Vec::new());
-    let mut tell = |line: &str| {
+    done_with(segment, order, |line, stop| {
         if stop_at.is_some_and(|text| line.contains(text)) {
             stop.store(true, Ordering::Relaxed);
         }
+    })
+}
+
+/// The same, with something that happens at a line.
+fn done_with(
+    segment: Segment,
+    order: &Order,
+    mut at: impl FnMut(&str, &AtomicBool),
+) -> (Outcome, Vec<String>) {
+    let mut session = up(segment, AlState::PreOp);
+    let (stop, mut lines) = (AtomicBool::new(false), Vec::new());
+    let mut tell = |line: &str| {
+        at(line, &stop);
         lines.push(line.to_owned());
         Ok(())
     };
@@ -113,6 +125,79 @@ fn jog_of_a_blocked_motor_fails() {
     assert!(why.contains("moved by 0 increments of 1000"), "{why}");
     assert!(why.contains("\n      hint: "), "{why}");
     assert_eq!(outcome.verdict(), crate::Verdict::Failed);
+}
+
+#[test]
+fn jog_above_607f_is_refused_before_power() {
+    let (segment, _) = line(ServoConfig::default());
+    // 607Fh of the drive is 200,000 increments/s; the middle of the move is twice as fast as its mean.
+    let fast = Order {
+        jog: Some((-150_000, Duration::from_secs(1))),
+        ..order()
+    };
+    let (outcome, lines) = done(segment, &fast, None);
+    let told = outcome.to_string();
+    assert_eq!(
+        told,
+        "FAIL  axis 0: the jog is too fast: 300000 increments/s requested, 607Fh (max profile velocity) allows 200000\n      \
+         hint: give it more time (--for 1.5s) or fewer increments"
+    );
+    assert_eq!(outcome.verdict(), crate::Verdict::Failed);
+    assert_eq!(lines, Vec::<String>::new());
+}
+
+/// Why the jog of a drive to which something happens when it is enabled ends; it loses power before it goes far.
+fn loses_power(happens: impl Fn(&mut Drive)) -> String {
+    let (segment, drive) = line(ServoConfig::default());
+    let jog = Order {
+        jog: Some((8192, Duration::from_secs(2))),
+        ..order()
+    };
+    let (outcome, lines) = done_with(segment, &jog, |line, _| {
+        if line.contains("s  operation enabled") {
+            drive.axis(0, |axis| happens(axis)).unwrap();
+        }
+    });
+    let Outcome::Axis(why) = outcome else {
+        panic!("{outcome:?} {lines:#?}");
+    };
+    let turned = drive.axis(0, |axis| axis.motor().position).unwrap();
+    let turned = turned.abs() / std::f64::consts::TAU;
+    // The allowed lag and the way in which it coasts without power.
+    assert!(turned < 8.0, "{turned} turns, {why}");
+    let state = drive.axis(0, |axis| axis.state()).unwrap();
+    assert_ne!(state, State::OperationEnabled);
+    why
+}
+
+#[test]
+fn jog_with_permuted_outputs_loses_power() {
+    // 607Ah takes the bytes of 60FFh, 6060h those of 607Ah.
+    let why = loses_power(|axis| axis.process_data.outputs = Distortion::order([0, 1, 3, 2, 4]));
+    assert!(why.contains("increments of allowed lag"), "{why}");
+    let why = loses_power(|axis| axis.process_data.outputs = Distortion::order([0, 2, 1, 3, 4]));
+    assert!(why.contains("no longer follows its set-points"), "{why}");
+}
+
+#[test]
+fn jog_with_shifted_outputs_loses_power() {
+    for shift in 1..13 {
+        loses_power(|axis| axis.process_data.outputs = Distortion::shifted(shift));
+    }
+}
+
+#[test]
+fn jog_of_a_driven_motor_loses_power() {
+    // Its load is stronger than it is, against its target.
+    let why = loses_power(|axis| axis.motor_mut().external = -5.0);
+    assert!(why.contains("increments of allowed lag"), "{why}");
+    assert!(why.contains("\n      hint: "), "{why}");
+}
+
+#[test]
+fn jog_with_frozen_outputs_loses_power() {
+    let why = loses_power(|axis| axis.process_data.outputs = Distortion::frozen());
+    assert!(why.contains("increments of allowed lag"), "{why}");
 }
 
 #[test]

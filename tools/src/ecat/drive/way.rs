@@ -30,6 +30,11 @@ impl Way {
         (position, speed)
     }
 
+    /// The largest speed of the whole move, increments/s.
+    pub(super) fn speed(&self) -> f64 {
+        2.0 * self.increments.abs() / self.time
+    }
+
     /// The largest acceleration of the whole move.
     fn acceleration(&self) -> f64 {
         (self.increments * TAU / self.time.powi(2)).abs().max(1.0)
@@ -97,6 +102,7 @@ mod tests {
             let way = Way::new(increments, Duration::from_secs(2));
             assert_eq!((way.at(Duration::ZERO), way.at(way.end())), (0, increments));
             let (speed, jump) = steps(|now| way.at(now), 2100);
+            assert!((way.speed() / 1000.0 - f64::from(speed)).abs() < 1.0);
             assert!(speed == 100 && jump <= 2, "{speed} {jump}");
         }
     }

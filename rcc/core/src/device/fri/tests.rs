@@ -344,18 +344,22 @@ fn krc(config: KrcConfig) -> Rig<Krc, lwr::End> {
 }
 
 fn cabinet(config: CabinetConfig) -> Rig<Cabinet, iiwa::End> {
+    let description = iiwa::describe("arm", IiwaModel::Iiwa14);
+    cabinet_of(config, &description.with(&iiwa::parts(&IiwaIo::default())))
+}
+
+fn cabinet_of(config: CabinetConfig, description: &DeviceDescription) -> Rig<Cabinet, iiwa::End> {
     let config = CabinetConfig {
         send_period: MS,
         joints: POSTURE,
         ..config
     };
     let model = IiwaModel::Iiwa14;
-    let description = iiwa::describe("arm", model).with(&iiwa::parts(&IiwaIo::default()));
     let cabinet = Cabinet::new(config, Duration::ZERO);
     Rig::new(
         cabinet,
         iiwa::End::new(model, IiwaIo::default()),
-        &description,
+        description,
     )
 }
 

@@ -27,6 +27,7 @@ impl<W: Wire> Session<'_, W> {
             mode: step.mode,
             position: step.position,
         };
+        self.supervise(&step)?;
         let orders = self.master.step(&feedback, self.wire.now());
         if !matches!(state, Ok(State::OperationEnabled)) {
             self.align(step.position)?;
@@ -35,6 +36,31 @@ impl<W: Wire> Session<'_, W> {
         self.order(orders.control)?;
         self.rest_of_cycle(begun)?;
         Ok((step, orders.follows))
+    }
+
+    /// Whether the motor is where its velocity can have brought it since it was enabled: at rest without a jog, and
+    /// with one between its begin and the farthest that the velocity leads to, since the ramp is the drive's own.
+    fn supervise(&mut self, step: &Step) -> Go<()> {
+        let modes_at_rest = [1, 3, 7, 8, 9];
+        // While it stops, it keeps the power that brakes it; what does not come to rest is found by time.
+        let is_led = self.enabled && !self.leaving && !self.stopping;
+        let is_led = is_led && modes_at_rest.contains(&self.plan.mode);
+        let now = self.wire.now();
+        let target = if is_led {
+            let (start, since) = *self.origin.get_or_insert((step.position, now));
+            let velocity = self.plan.jog.map_or(0, |jog| jog.velocity);
+            let time = now.saturating_sub(since);
+            let nearest = self.limits.nearest(start, step.position, velocity, time);
+            // Where the unit of velocity is not known, its speed alone is bounded.
+            Some(nearest.unwrap_or(step.position))
+        } else {
+            self.origin = None;
+            None
+        };
+        match self.monitor.step(target, step.position, now) {
+            Some(runaway) => Err(End::Because(Cause::Runaway(runaway))),
+            None => Ok(()),
+        }
     }
 
     /// What ends it from outside.
@@ -162,6 +188,7 @@ impl<W: Wire> Session<'_, W> {
                 return Err(End::Because(Cause::DoesNotTurn { wanted, shown }));
             }
         }
+        self.stopping = true;
         self.turn(0)?;
         self.wait_for_rest()?;
         self.moving = false;
@@ -204,7 +231,9 @@ impl<W: Wire> Session<'_, W> {
         }
         (self.leaving, self.enabled) = (true, false);
         let mut rest = Ok(());
-        if self.moving {
+        if self.control == Some(ControlWord::DISABLE_VOLTAGE) {
+            // It has no power to come to rest with.
+        } else if self.moving {
             self.master.set_goal(Goal::QuickStop);
             rest = self.wait_for_rest();
         } else {

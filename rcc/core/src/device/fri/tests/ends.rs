@@ -71,8 +71,13 @@ fn lwr_net_ends_wire_rests_within_stopping_time() {
 fn iiwa_net_ends_wire_rests_within_stopping_time() {
     let description = iiwa::describe("arm", IiwaModel::Iiwa14);
     let description = description.with(&iiwa::parts(&IiwaIo::default()));
+    // Force at the tool by the geometry of a known model is most of the work of a cycle, and nothing of what is tested.
+    let driven = DeviceDescription {
+        model: "unknown".into(),
+        ..description.clone()
+    };
     row("iiwa", description).comes_to_rest(|| {
-        let mut rig = cabinet(CabinetConfig::default());
+        let mut rig = cabinet_of(CabinetConfig::default(), &driven);
         rig.follow();
         rig
     });
